@@ -1,0 +1,169 @@
+"""Small linear algebra over scalars, for states of a dozen components and batches of thousands.
+
+Every entry is its own scalar, so that under `vmap` each becomes one long vector and XLA fuses a whole filter
+step; a matrix of shape (batch, n, n) would cost a pass over memory for every product. Structural zeros are
+absent entries and structural ones the Python float 1.0: both vanish while the code is traced.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+Scalar = Any
+"""A traced or concrete number: one component of one trajectory."""
+
+SparseRow = dict[int, Scalar]
+"""One row of a matrix: column index -> entry; an absent column is a structural zero."""
+
+
+@jax.tree_util.register_pytree_node_class
+class Vector:
+    """A vector of scalars that adds, scales and multiplies like the textbook's; a pytree whose leaves are its components."""
+
+    __slots__ = ("parts",)
+
+    def __init__(self, *parts: Scalar):
+        self.parts = parts
+
+    @classmethod
+    def of(cls, values: Iterable[Scalar]) -> Vector:
+        """The vector of the given components, in order."""
+        return cls(*values)
+
+    def __iter__(self) -> Iterator[Scalar]:
+        return iter(self.parts)
+
+    def __len__(self) -> int:
+        return len(self.parts)
+
+    def __getitem__(self, index: int) -> Scalar:
+        return self.parts[index]
+
+    def __repr__(self) -> str:
+        return f"Vector{self.parts}"
+
+    def __add__(self, other: Vector) -> Vector:
+        return Vector.of(a + b for a, b in zip(self, other, strict=True))
+
+    def __sub__(self, other: Vector) -> Vector:
+        return Vector.of(a - b for a, b in zip(self, other, strict=True))
+
+    def __neg__(self) -> Vector:
+        return Vector.of(-a for a in self)
+
+    def __mul__(self, factor: Scalar) -> Vector:
+        return Vector.of(a * factor for a in self)
+
+    __rmul__ = __mul__
+
+    def __truediv__(self, divisor: Scalar) -> Vector:
+        return Vector.of(a / divisor for a in self)
+
+    def dot(self, other: Iterable[Scalar]) -> Scalar:
+        """The inner product with any sequence of as many numbers."""
+        return total(a * b for a, b in zip(self, other, strict=True))
+
+    def norm(self) -> Scalar:
+        """The Euclidean length; its derivative at zero is zero, not NaN."""
+        square = self.dot(self)
+        safe = jnp.where(square > 0, square, 1.0)
+        return jnp.where(square > 0, jnp.sqrt(safe), 0.0)
+
+    def cross(self, other: Vector) -> Vector:
+        """The cross product of two vectors of three components."""
+        (a, b, c), (x, y, z) = self, other
+        return Vector(b * z - c * y, c * x - a * z, a * y - b * x)
+
+    def array(self) -> jax.Array:
+        """The components stacked along a new first axis."""
+        return jnp.stack([jnp.asarray(a) for a in self])
+
+    def tree_flatten(self) -> tuple[tuple[Scalar, ...], None]:
+        return self.parts, None
+
+    @classmethod
+    def tree_unflatten(cls, _: None, parts: Sequence[Scalar]) -> Vector:
+        return cls(*parts)
+
+
+def total(terms: Iterable[Scalar]) -> Scalar:
+    """The sum of the terms, without the leading zero that `sum` adds to a traced program."""
+    result: Scalar = None
+    for term in terms:
+        result = term if result is None else result + term
+    return 0.0 if result is None else result
+
+
+def times(a: Scalar, b: Scalar) -> Scalar:
+    """a·b, where the Python float 1.0 costs no operation."""
+    if isinstance(a, float) and a == 1.0:
+        return b
+    if isinstance(b, float) and b == 1.0:
+        return a
+    return a * b
+
+
+def triangle(n: int) -> list[tuple[int, int]]:
+    """Index pairs (row, column) of an upper triangle, row by row: the order in which covariances are stored."""
+    return [(i, j) for i in range(n) for j in range(i, n)]
+
+
+def full(upper: Sequence[Scalar], n: int) -> list[list[Scalar]]:
+    """The symmetric n × n nested list of an upper triangle in `triangle` order."""
+    position = {pair: k for k, pair in enumerate(triangle(n))}
+    return [[upper[position[min(i, j), max(i, j)]] for j in range(n)] for i in range(n)]
+
+
+def dense(upper: Sequence[Any], n: int, stack: Callable[..., Any] = jnp.stack) -> Any:
+    """The symmetric matrices of an upper triangle as one array (..., n, n)."""
+    return stack([stack(row, axis=-1) for row in full(upper, n)], axis=-2)
+
+
+def congruence(rows: Sequence[SparseRow], upper: Sequence[Scalar], added: Sequence[SparseRow]) -> tuple[Scalar, ...]:
+    """F P Fᵀ + G Gᵀ as an upper triangle; F = `rows`, P = `upper`, G = `added`, all without their structural zeros."""
+    n = len(rows)
+    P = full(upper, n)
+    FP = [[total(times(f, P[j][k]) for j, f in row.items()) for k in range(n)] for row in rows]
+    result = []
+    for i, k in triangle(n):
+        terms = [times(f, FP[i][j]) for j, f in rows[k].items()]
+        terms += [times(g, added[k][q]) for q, g in added[i].items() if q in added[k]]
+        result.append(total(terms))
+    return tuple(result)
+
+
+def gram(rows: Sequence[SparseRow], columns: Sequence[int]) -> dict[tuple[int, int], Scalar]:
+    """JᵀJ over the given columns of the sparse rows, upper triangle by (row, column) of the original numbering."""
+    return {
+        (i, j): total(times(row[i], row[j]) for row in rows if i in row and j in row)
+        for a, i in enumerate(columns)
+        for j in columns[a:]
+    }
+
+
+def cholesky(upper: dict[tuple[int, int], Scalar], columns: Sequence[int], tolerance: float) -> dict[tuple[int, int], Scalar]:
+    """Lower Cholesky factor L of a positive semi-definite matrix; a pivot below `tolerance` times its diagonal gives a zero column.
+
+    So directions that the channels don't see (every antenna masked, antennas on a line) drop out instead of
+    becoming infinite.
+    """
+    L: dict[tuple[int, int], Scalar] = {}
+    for a, j in enumerate(columns):
+        before = columns[:a]
+        pivot = upper[j, j] - total(L[j, k] * L[j, k] for k in before)
+        positive = pivot > tolerance * upper[j, j]
+        root = jnp.sqrt(jnp.where(positive, pivot, 1.0))
+        L[j, j] = jnp.where(positive, root, 0.0)
+        for i in columns[a + 1 :]:
+            rest = upper[j, i] - total(L[i, k] * L[j, k] for k in before)
+            L[i, j] = jnp.where(positive, rest / root, 0.0)
+    return L
+
+
+def inverse_or_zero(x: Scalar) -> Scalar:
+    """1/x, and 0 where x is zero."""
+    return jnp.where(x == 0, 0.0, 1.0 / jnp.where(x == 0, 1.0, x))

@@ -1,0 +1,139 @@
+"""The extended Kalman filter over named states, one trajectory and one step.
+
+    x  state            F  ∂step/∂x          H  −∂(whitened residual)/∂x    P  covariance of the small step about x
+    w  unit noise       G  ∂step/∂w          k  gain of one channel         s  variance of one whitened innovation
+
+Readings arrive whitened, so each channel is one scalar update in Joseph form: no Cholesky factor of an innovation
+covariance, a masked channel is a zero row, and in single precision a diffuse prior survives a precise reading
+where joint updates don't. Where many channels see few directions of the state (eight phases see two angles), they
+are first compressed to as many equivalent channels as there are directions, which is exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from trackers.core.algebra import Scalar, SparseRow, Vector, cholesky, congruence, full, gram, inverse_or_zero, total
+from trackers.core.linearise import linearise
+from trackers.core.motion import AbstractMotion
+from trackers.core.sensor import AbstractSensor, Reading
+from trackers.core.state import State, coordinates, local, retract
+
+
+import os,jax
+BAR=os.environ.get('BAR','')
+bar=lambda c,x: jax.lax.optimization_barrier(x) if c in BAR else x
+
+
+class Gaussian(NamedTuple):
+    """A belief: the state's mean and the covariance of the small step about it, upper triangle row by row."""
+
+    mean: State
+    cov: tuple[Scalar, ...]
+
+
+class Innovation(NamedTuple):
+    """What one reading said: log-likelihood, normalised innovation squared, its degrees of freedom, and wraps."""
+
+    log_likelihood: Scalar
+    nis: Scalar
+    count: Scalar
+    wrapped: Scalar
+
+
+class ExtendedKalman(eqx.Module):
+    """The filter that linearises motion and sensors at the current mean."""
+
+    def predict(self, belief: Gaussian, motion: AbstractMotion, inputs: Any, dt: Scalar) -> Gaussian:
+        """The belief `dt` seconds later."""
+        point, rebuild = coordinates(belief.mean)
+        zero = jnp.zeros_like(point[0])
+        n = len(point)
+        belief=Gaussian(belief.mean,bar('p',belief.cov))
+        moved = motion.step(belief.mean, inputs, dt, Vector.of([zero] * motion.noise_dimension))
+
+        def step(*values: Scalar) -> list[Scalar]:
+            state = motion.step(rebuild(values[:n]), inputs, dt, Vector.of(values[n:]))
+            return local(moved, state)
+
+        _, rows = linearise(step, [*point, *[zero] * motion.noise_dimension])
+        F = [{j: v for j, v in row.items() if j < n} for row in rows]
+        G = [{j - n: v for j, v in row.items() if j >= n} for row in rows]
+        return Gaussian(*bar('q',(moved, congruence(F, belief.cov, G))))
+
+    def update(
+        self, belief: Gaussian, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Any
+    ) -> tuple[Gaussian, Innovation]:
+        """The belief after one reading, and what the reading said."""
+        point, rebuild = coordinates(belief.mean)
+
+        def misfit(*values: Scalar) -> list[Scalar]:
+            predicted = sensor.measure(motion.view(rebuild(values)), inputs)
+            result = sensor.residual(reading, list(predicted))
+            return [*result.whitened, result.log_scale, result.count, jnp.where(result.wrapped, 1.0, 0.0)]
+
+        values, rows = linearise(misfit, point)
+        *residual, log_scale, count, wrapped = values
+        H = [{j: -v for j, v in row.items()} for row in rows[: len(residual)]]
+        residual, H = bar('r',(residual,H))
+        residual, H, apart = bar('c',compressed(residual, H))
+        step, cov, nis, log_det = joseph(belief.cov, residual, H, len(point))
+        nis = nis + apart
+        innovation = Innovation(log_scale - 0.5 * (nis + log_det), nis, count, wrapped)
+        return Gaussian(retract(belief.mean, step), cov), innovation
+
+
+def compressed(
+    residual: Sequence[Scalar], H: Sequence[SparseRow]
+) -> tuple[Sequence[Scalar], Sequence[SparseRow], Scalar]:
+    """As few whitened channels as directions of the state are seen, and the sum of squares that no state explains.
+
+    With HᵀH = LLᵀ the equivalent channels are Lᵀ with residual L⁻¹Hᵀr; what is left is the squared length of
+    r − H(HᵀH)⁻¹Hᵀr, by projection: subtracting two large numbers would lose it in single precision.
+    """
+    columns = sorted({j for row in H for j in row})
+    if len(H) <= len(columns):
+        return residual, H, jnp.zeros_like(residual[0])
+    tolerance = 16 * jnp.finfo(jnp.asarray(residual[0]).dtype).eps
+    L = cholesky(gram(H, columns), columns, tolerance)
+    projected = {j: total(row[j] * r for row, r in zip(H, residual, strict=True) if j in row) for j in columns}
+    equivalent: dict[int, Scalar] = {}
+    pivot = {j: inverse_or_zero(L[j, j]) for j in columns}
+    for a, j in enumerate(columns):
+        equivalent[j] = (projected[j] - total(L[j, k] * equivalent[k] for k in columns[:a])) * pivot[j]
+    solution: dict[int, Scalar] = {}
+    for a, j in reversed(list(enumerate(columns))):
+        solution[j] = (equivalent[j] - total(L[i, j] * solution[i] for i in columns[a + 1 :])) * pivot[j]
+    left = [r - total(row[j] * solution[j] for j in row) for row, r in zip(H, residual, strict=True)]
+    rows = [{i: L[i, j] for i in columns[a:]} for a, j in enumerate(columns)]
+    return [equivalent[j] for j in columns], rows, total(x * x for x in left)
+
+
+def joseph(
+    cov: Sequence[Scalar], residual: Sequence[Scalar], H: Sequence[SparseRow], n: int
+) -> tuple[list[Scalar], tuple[Scalar, ...], Scalar, Scalar]:
+    """Whitened channels one after another: the small step, the covariance, Σ innovation²/s and Σ log s.
+
+    P⁺ = (I − khᵀ) P (I − khᵀ)ᵀ + kkᵀ with k = Ph/s and s = hᵀPh + 1.
+    """
+    step: list[Scalar] = [jnp.zeros_like(cov[0])] * n
+    upper = tuple(cov)
+    nis = log_det = jnp.zeros_like(cov[0])
+    for r, h in zip(residual, H, strict=True):
+        P = full(upper, n)
+        Ph = [total(P[i][j] * v for j, v in h.items()) for i in range(n)]
+        s = 1.0 + jnp.maximum(total(Ph[j] * v for j, v in h.items()), 0.0)
+        k = [g / s for g in Ph]
+        k=bar('k',k)
+        innovation = r - total(v * step[j] for j, v in h.items())
+        step = [x + g * innovation for x, g in zip(step, k, strict=True)]
+        A = [{j: (1.0 if i == j else 0.0) - k[i] * h[j] if j in h else 1.0 for j in {i, *h}} for i in range(n)]
+        upper = congruence(A, upper, [{0: g} for g in k])
+        upper,step=bar('j',(upper,step))
+        nis = nis + innovation * innovation / s
+        log_det = log_det + jnp.log(s)
+    return step, upper, nis, log_det

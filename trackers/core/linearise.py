@@ -1,0 +1,80 @@
+"""Jacobians of small functions as sparse rows of scalars, by pushing unit columns through one linearised trace."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.extend.core import Literal
+
+from trackers.core.algebra import Scalar, SparseRow, times
+
+
+def linearise(function: Callable[..., Sequence[Scalar]], point: Sequence[Scalar]) -> tuple[list[Scalar], list[SparseRow]]:
+    """The value of `function(*point)` and its Jacobian, one sparse row per output.
+
+    `function` takes and returns scalars. It is traced once; every column of the Jacobian is then read off the
+    linear program that `jax.linearize` leaves, where a zero that follows from the program's structure is never
+    computed: a constant-velocity step of four components costs two products, not sixteen.
+    """
+    point = [jnp.asarray(x) for x in point]
+    value, tangent_map = jax.linearize(lambda *x: list(function(*x)), *point)
+    program = jax.make_jaxpr(tangent_map)(*point)
+    rows: list[SparseRow] = [{} for _ in value]
+    for column in range(len(point)):
+        unit = [1.0 if k == column else None for k in range(len(point))]
+        for row, tangent in zip(rows, _push(program.jaxpr, program.consts, unit), strict=True):
+            if tangent is not None:
+                row[column] = tangent
+    return value, rows
+
+
+def _push(jaxpr: Any, consts: Sequence[Any], inputs: Sequence[Any], fixed: Sequence[bool] = ()) -> list[Any]:
+    """Evaluate a linear program; None is a structural zero, a Python float a known constant.
+
+    `fixed` marks the inputs that carry numbers of the linearisation point, not tangents (nested programs have some).
+    """
+    env: dict[Any, Any] = dict(zip(jaxpr.constvars, consts, strict=True)) | dict(zip(jaxpr.invars, inputs, strict=True))
+    fixed = fixed or [False] * len(jaxpr.invars)
+    tangents = {v for v, f in zip(jaxpr.invars, fixed, strict=True) if not f}
+
+    def read(atom: Any) -> Any:
+        return atom.val if isinstance(atom, Literal) else env[atom]
+
+    for equation in jaxpr.eqns:
+        values = [read(atom) for atom in equation.invars]
+        moving = [not isinstance(atom, Literal) and atom in tangents for atom in equation.invars]
+        if any(moving):
+            tangents.update(equation.outvars)
+        if any(moving) and all(x is None for x, m in zip(values, moving, strict=True) if m):
+            outputs = [None] * len(equation.outvars)
+        else:
+            outputs = _apply(equation, values, moving)
+        env.update(zip(equation.outvars, outputs, strict=True))
+    return [read(atom) for atom in jaxpr.outvars]
+
+
+def _apply(equation: Any, values: list[Any], moving: list[bool]) -> list[Any]:
+    """One equation of the linear program on tangents that may be structural zeros or ones."""
+    name = equation.primitive.name
+    if name in ("add", "add_any") and any(x is None for x in values):
+        return [values[0] if values[1] is None else values[1]]
+    if name == "mul":
+        return [times(*values)]
+    if name == "neg":
+        return [-values[0]]
+    if name == "sub" and values[1] is None:
+        return [values[0]]
+    if name == "sub" and values[0] is None:
+        return [-values[1]]
+    if name in ("jit", "pjit", "closed_call"):
+        inner = equation.params["jaxpr"]
+        return _push(inner.jaxpr, inner.consts, values, [not m for m in moving])
+    arrays = [
+        jnp.zeros(atom.aval.shape, atom.aval.dtype) if x is None else jnp.asarray(x, atom.aval.dtype)
+        for x, atom in zip(values, equation.invars, strict=True)
+    ]
+    result = equation.primitive.bind(*arrays, **equation.params)
+    return list(result) if equation.primitive.multiple_results else [result]

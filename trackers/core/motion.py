@@ -1,0 +1,106 @@
+"""Motions: how a state moves in an interval `dt`, driven by unit white noise.
+
+A motion is one function, `step`; Jacobians, particles and simulation all come from it, so no separate F and Q can
+disagree. Its law: `dt = 0` leaves the state as it is, whatever the noise.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from trackers.core.algebra import Scalar, Vector
+from trackers.core.state import State
+from trackers.core.tunable import AbstractTunable, Fixed, Scale
+
+Noise = AbstractTunable | Fixed
+
+
+class AbstractMotion(eqx.Module):
+    """How a state moves. `noise_dimension` numbers of unit white noise drive one step."""
+
+    @property
+    @abstractmethod
+    def noise_dimension(self) -> int:
+        """The number of independent unit normal numbers that one step takes."""
+
+    @abstractmethod
+    def step(self, state: State, inputs: Any, dt: Scalar, w: Vector) -> State:
+        """The state `dt` seconds later under the known inputs and the noise draw `w`."""
+
+    @abstractmethod
+    def view(self, state: State) -> Any:
+        """What sensors and reports may read of the state, by field name (`position`, `azimuth`, …)."""
+
+
+class Kinematic(NamedTuple):
+    """Position and velocity in any number of dimensions, metres and metres per second (or radians, per second)."""
+
+    position: Vector
+    velocity: Vector
+
+
+class Accelerated(NamedTuple):
+    """Position, velocity and acceleration, SI units."""
+
+    position: Vector
+    velocity: Vector
+    acceleration: Vector
+
+
+class Placed(NamedTuple):
+    """A position alone, metres."""
+
+    position: Vector
+
+
+class ConstantVelocity(AbstractMotion):
+    """Straight motion disturbed by white acceleration noise, exact for any interval (Bar-Shalom 2001, section 6.2.2).
+
+    `sigma_a`: root of the noise's power density, m/s² per √Hz. Two steps in a row are one long step.
+    """
+
+    sigma_a: Noise
+    dimensions: int = eqx.field(static=True)
+
+    def __init__(self, sigma_a: float | Noise, dimensions: int):
+        self.sigma_a = sigma_a if isinstance(sigma_a, Noise) else Scale(sigma_a, "m/s^2/sqrt(Hz)")
+        self.dimensions = dimensions
+
+    @property
+    def noise_dimension(self) -> int:
+        return 2 * self.dimensions
+
+    def step(self, state: Kinematic, inputs: Any, dt: Scalar, w: Vector) -> Kinematic:
+        n = self.dimensions
+        kick = self.sigma_a.value * jnp.sqrt(dt)
+        along, across = Vector(*w.parts[:n]), Vector(*w.parts[n:])
+        position = state.position + state.velocity * dt + along * (0.5 * kick * dt) + across * (kick * dt / 12**0.5)
+        return Kinematic(position, state.velocity + along * kick)
+
+    def view(self, state: Kinematic) -> Kinematic:
+        return state
+
+
+class ConstantPosition(AbstractMotion):
+    """A place that drifts as a random walk; `sigma_v`: m per √s."""
+
+    sigma_v: Noise
+    dimensions: int = eqx.field(static=True)
+
+    def __init__(self, sigma_v: float | Noise, dimensions: int):
+        self.sigma_v = sigma_v if isinstance(sigma_v, Noise) else Scale(sigma_v, "m/sqrt(s)")
+        self.dimensions = dimensions
+
+    @property
+    def noise_dimension(self) -> int:
+        return self.dimensions
+
+    def step(self, state: Placed, inputs: Any, dt: Scalar, w: Vector) -> Placed:
+        return Placed(state.position + w * (self.sigma_v.value * jnp.sqrt(dt)))
+
+    def view(self, state: Placed) -> Placed:
+        return state

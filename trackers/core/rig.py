@@ -1,0 +1,68 @@
+"""The geometry of an installation: anchors, stations with their arrays, tags, a known path. Plain NumPy, SI units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Station:
+    """An angle-of-arrival station.
+
+    `position`: (3,) m, world frame. `rotation`: (4,) unit quaternion w, x, y, z from array frame to world frame.
+    `antennas`: (n, 2) m in the array's x–y plane, with `wavelength` in m; both None where the station gives angles.
+    """
+
+    position: np.ndarray
+    rotation: np.ndarray
+    antennas: np.ndarray | None = None
+    wavelength: float | None = None
+
+    def world_from_array(self) -> np.ndarray:
+        """The 3 × 3 matrix that takes array-frame vectors to world-frame vectors; its columns are the array's axes."""
+        w, x, y, z = np.asarray(self.rotation, float) / np.linalg.norm(self.rotation)
+        return np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+            ]
+        )
+
+    def position_in_array(self, world: np.ndarray) -> np.ndarray:
+        """World points (..., 3), m, in this station's array frame."""
+        return (np.asarray(world) - self.position) @ self.world_from_array()
+
+    def angles(self, world: np.ndarray) -> np.ndarray:
+        """Azimuth and elevation (..., 2), rad, of world points (..., 3): u = (sin az cos el, sin el, cos az cos el)."""
+        x, y, z = np.moveaxis(self.position_in_array(world), -1, 0)
+        return np.stack([np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))], axis=-1)
+
+    def antenna_positions(self) -> np.ndarray:
+        """The antennas' places (n, 3), m, world frame; raises ValueError for a station without an array."""
+        if self.antennas is None:
+            raise ValueError("this station has no antennas_m: it reports angles, not phases")
+        flat = np.concatenate([self.antennas, np.zeros((len(self.antennas), 1))], axis=1)
+        return self.position + flat @ self.world_from_array().T
+
+
+@dataclass(frozen=True)
+class Tag:
+    """What is known of a tag: a constant `height` (m), and where it sits on its body (`offset`, (3,) m, body axes)."""
+
+    height: float | None = None
+    offset: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Everything that stays in place during a recording."""
+
+    name: str
+    anchors: Mapping[str, np.ndarray] = field(default_factory=dict)
+    stations: Mapping[str, Station] = field(default_factory=dict)
+    tags: Mapping[str, Tag] = field(default_factory=dict)
+    path_knots: np.ndarray | None = None

@@ -1,0 +1,76 @@
+"""Sensors: what a reading should be, given the state, and how far it is from that in units of its own noise.
+
+Masks, wraps, reported covariances and singular noise live here; a filter sees whitened residuals only. A sensor
+draws no noise: what the world does (`sim`) and what a tracker assumes are different objects.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from trackers.core.algebra import Scalar, total
+
+LOG_2PI = 1.8378770664093453
+
+
+class Channel(NamedTuple):
+    """One number of a reading: its name, its unit, and whether it is an angle that wraps."""
+
+    name: str
+    unit: str
+    wraps: bool = False
+
+
+class Reading(NamedTuple):
+    """One row of one sensor: values, which of them were seen, and what the device reported of their noise.
+
+    All three are sequences of scalars; `reported` is empty for most sensors. Values are finite where not seen too.
+    """
+
+    values: Any
+    seen: Any
+    reported: Any = ()
+
+
+class Residual(NamedTuple):
+    """A reading's distance from the prediction: log density of the reading = log_scale − ½ Σ whitened².
+
+    `whitened`: unit covariance, zero where a channel was not seen. `count`: the number of independent numbers in it.
+    `wrapped`: whether an angle was so far off that its sign is a guess.
+    """
+
+    whitened: Sequence[Scalar]
+    log_scale: Scalar
+    count: Scalar
+    wrapped: Scalar = False
+
+
+class AbstractSensor(eqx.Module):
+    """A source of readings with a fixed number of channels."""
+
+    @property
+    @abstractmethod
+    def channels(self) -> tuple[Channel, ...]:
+        """Name, unit and wrapping of each channel, in the order of a reading's values."""
+
+    @abstractmethod
+    def measure(self, view: Any, inputs: Any) -> Sequence[Scalar]:
+        """The noise-free reading, one scalar per channel, of what `motion.view` shows of a state."""
+
+    @abstractmethod
+    def residual(self, reading: Reading, predicted: Sequence[Scalar]) -> Residual:
+        """The whitened distance between a reading and a prediction, with the scale of its density."""
+
+
+def independent(differences: Sequence[Scalar], sigmas: Sequence[Scalar], seen: Sequence[Scalar]) -> Residual:
+    """The residual of channels with independent noise; `differences` = reading − prediction, wrapped where they wrap."""
+    whitened = [jnp.where(s, d / sigma, 0.0) for d, sigma, s in zip(differences, sigmas, seen, strict=True)]
+    log_scale = total(
+        jnp.where(s, -0.5 * LOG_2PI - jnp.log(jnp.asarray(sigma)), 0.0) for sigma, s in zip(sigmas, seen, strict=True)
+    )
+    return Residual(whitened, log_scale, total(jnp.where(s, 1.0, 0.0) for s in seen))

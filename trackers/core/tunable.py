@@ -1,0 +1,191 @@
+"""Tunable numbers: one physical value each, stored unconstrained, found by walking the tree.
+
+*What* is tuned is an argument of `tuning.fit`, by name pattern; nothing here is switched on or off.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+Tree = TypeVar("Tree")
+
+
+class AbstractTunable(eqx.Module):
+    """A number (or array of numbers) of a tracker that can be tuned; `raw` is unconstrained, `value` physical."""
+
+    raw: eqx.AbstractVar[Any]
+    unit: eqx.AbstractVar[str]
+
+    @property
+    @abstractmethod
+    def value(self) -> Any:
+        """The physical value, in `unit`."""
+
+    @abstractmethod
+    def holding(self, value: Any) -> AbstractTunable:
+        """The same tunable with another physical value."""
+
+
+class Scale(AbstractTunable):
+    """A positive number such as a standard deviation; tuned on a logarithmic scale."""
+
+    raw: Any
+    unit: str = eqx.field(static=True)
+
+    def __init__(self, value: Any, unit: str = "1"):
+        value = np.asarray(value, float)
+        if not (np.all(np.isfinite(value)) and np.all(value > 0)):
+            raise ValueError(f"a Scale is positive and finite, found {value}; a noise that is absent is left out, not set to zero")
+        self.raw = np.log(value)
+        self.unit = unit
+
+    @property
+    def value(self) -> Any:
+        return jnp.exp(self.raw)
+
+    def holding(self, value: Any) -> Scale:
+        return Scale(value, self.unit)
+
+
+class Fraction(AbstractTunable):
+    """A number strictly between 0 and 1, such as a probability; tuned on the logit scale."""
+
+    raw: Any
+    unit: str = eqx.field(static=True)
+
+    def __init__(self, value: Any, unit: str = "1"):
+        value = np.asarray(value, float)
+        if not np.all((value > 0) & (value < 1)):
+            raise ValueError(f"a Fraction lies strictly between 0 and 1, found {value}")
+        self.raw = np.log(value) - np.log1p(-value)
+        self.unit = unit
+
+    @property
+    def value(self) -> Any:
+        return jax.nn.sigmoid(self.raw)
+
+    def holding(self, value: Any) -> Fraction:
+        return Fraction(value, self.unit)
+
+
+class Real(AbstractTunable):
+    """A number of either sign, such as an offset; tuned in units of `typical`, the size at which it starts to matter."""
+
+    raw: Any
+    unit: str = eqx.field(static=True)
+    typical: float = eqx.field(static=True)
+
+    def __init__(self, value: Any, unit: str = "1", typical: float = 1.0):
+        value = np.asarray(value, float)
+        if not np.all(np.isfinite(value)):
+            raise ValueError(f"a Real is finite, found {value}")
+        self.raw = value / typical
+        self.unit = unit
+        self.typical = typical
+
+    @property
+    def value(self) -> Any:
+        return self.raw * self.typical
+
+    def holding(self, value: Any) -> Real:
+        return Real(value, self.unit, self.typical)
+
+
+class Covariance(AbstractTunable):
+    """A symmetric positive definite matrix, tuned through its Cholesky factor with the logarithm of its diagonal."""
+
+    raw: Any
+    unit: str = eqx.field(static=True)
+
+    def __init__(self, value: Any, unit: str = "1"):
+        value = np.asarray(value, float)
+        try:
+            factor = np.linalg.cholesky(value)
+        except np.linalg.LinAlgError as error:
+            raise ValueError(f"a Covariance is symmetric positive definite, found {value.tolist()}") from error
+        diagonal = np.diag_indices(len(value))
+        factor[diagonal] = np.log(factor[diagonal])
+        self.raw = factor
+        self.unit = unit
+
+    @property
+    def value(self) -> Any:
+        n = self.raw.shape[0]
+        factor = [[self.raw[i, j] if j < i else jnp.exp(self.raw[i, i]) for j in range(i + 1)] for i in range(n)]
+        entries = [
+            [sum(factor[i][k] * factor[j][k] for k in range(min(i, j) + 1)) for j in range(n)] for i in range(n)
+        ]
+        return jnp.stack([jnp.stack(row) for row in entries])
+
+    def holding(self, value: Any) -> Covariance:
+        return Covariance(value, self.unit)
+
+
+class Fixed(eqx.Module):
+    """What a tunable becomes for a run: its value, computed once and not at every step."""
+
+    value: Any
+
+
+def is_tunable(node: Any) -> bool:
+    """Whether the node of a tree is a tunable number."""
+    return isinstance(node, AbstractTunable)
+
+
+def resolved(tree: Tree, dtype: Any) -> Tree:
+    """The tree with every tunable replaced by its value and every floating number in the given type."""
+
+    def cast(x: Any) -> Any:
+        if is_tunable(x):
+            return Fixed(type_of(jax.tree_util.tree_map(lambda raw: jnp.asarray(raw, dtype), x)))
+        if isinstance(x, (float, np.ndarray, jax.Array)) and np.issubdtype(np.asarray(x).dtype if not isinstance(x, jax.Array) else x.dtype, np.floating):
+            return jnp.asarray(x, dtype)
+        return x
+
+    def type_of(tunable: AbstractTunable) -> Any:
+        return tunable.value
+
+    return jax.tree_util.tree_map(cast, tree, is_leaf=is_tunable)
+
+
+def tunables(tree: Any) -> dict[str, AbstractTunable]:
+    """Every tunable of the tree by its dotted name, as `motion.sigma_a` or `sensors.north.sigma_p`."""
+    paths, _ = jax.tree_util.tree_flatten_with_path(tree, is_leaf=is_tunable)
+    return {".".join(_name(k) for k in path): node for path, node in paths if is_tunable(node)}
+
+
+def matching(tree: Any, patterns: str | Sequence[str]) -> dict[str, AbstractTunable]:
+    """The tunables whose names match one of the shell patterns (`sensors.*.sigma_p`).
+
+    Raises ValueError when a pattern matches none, listing what there is.
+    """
+    patterns = [patterns] if isinstance(patterns, str) else list(patterns)
+    every = tunables(tree)
+    for pattern in patterns:
+        if not fnmatch.filter(every, pattern):
+            raise ValueError(f"the pattern '{pattern}' matches no tunable; this tracker has: {', '.join(every)}")
+    return {name: node for name, node in every.items() if any(fnmatch.fnmatchcase(name, p) for p in patterns)}
+
+
+def replaced(tree: Tree, new: Mapping[str, AbstractTunable]) -> Tree:
+    """The tree with the named tunables exchanged; names as `tunables` gives them."""
+
+    def exchange(path: Any, node: Any) -> Any:
+        return new.get(".".join(_name(k) for k in path), node) if is_tunable(node) else node
+
+    return jax.tree_util.tree_map_with_path(exchange, tree, is_leaf=is_tunable)
+
+
+def _name(entry: Any) -> str:
+    for attribute in ("name", "key", "idx"):
+        if hasattr(entry, attribute):
+            return str(getattr(entry, attribute))
+    return str(entry)
