@@ -8,10 +8,12 @@ absent entries and structural ones the Python float 1.0: both vanish while the c
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
+
+Tree = TypeVar("Tree")
 
 Scalar = Any
 """A traced or concrete number: one component of one trajectory."""
@@ -105,6 +107,11 @@ def times(a: Scalar, b: Scalar) -> Scalar:
     if isinstance(b, float) and b == 1.0:
         return a
     return a * b
+
+
+def shared(tree: Tree) -> Tree:
+    """The same numbers, marked as used by many: without it XLA's CPU compiler computes them again for each use."""
+    return jax.lax.optimization_barrier(tree)
 
 
 def triangle(n: int) -> list[tuple[int, int]]:

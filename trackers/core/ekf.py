@@ -16,17 +16,13 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+from jax.scipy.special import gammaln
 
-from trackers.core.algebra import Scalar, SparseRow, Vector, cholesky, congruence, full, gram, inverse_or_zero, total
+from trackers.core.algebra import Scalar, SparseRow, Vector, cholesky, congruence, full, gram, inverse_or_zero, shared, total
 from trackers.core.linearise import linearise
 from trackers.core.motion import AbstractMotion
 from trackers.core.sensor import AbstractSensor, Reading
 from trackers.core.state import State, coordinates, local, retract
-
-
-import os,jax
-BAR=os.environ.get('BAR','')
-bar=lambda c,x: jax.lax.optimization_barrier(x) if c in BAR else x
 
 
 class Gaussian(NamedTuple):
@@ -48,12 +44,15 @@ class Innovation(NamedTuple):
 class ExtendedKalman(eqx.Module):
     """The filter that linearises motion and sensors at the current mean."""
 
+    def moments(self, belief: Gaussian) -> tuple[State, tuple[Scalar, ...]]:
+        """The mean state and the covariance's upper triangle."""
+        return belief.mean, belief.cov
+
     def predict(self, belief: Gaussian, motion: AbstractMotion, inputs: Any, dt: Scalar) -> Gaussian:
         """The belief `dt` seconds later."""
         point, rebuild = coordinates(belief.mean)
         zero = jnp.zeros_like(point[0])
         n = len(point)
-        belief=Gaussian(belief.mean,bar('p',belief.cov))
         moved = motion.step(belief.mean, inputs, dt, Vector.of([zero] * motion.noise_dimension))
 
         def step(*values: Scalar) -> list[Scalar]:
@@ -63,27 +62,27 @@ class ExtendedKalman(eqx.Module):
         _, rows = linearise(step, [*point, *[zero] * motion.noise_dimension])
         F = [{j: v for j, v in row.items() if j < n} for row in rows]
         G = [{j - n: v for j, v in row.items() if j >= n} for row in rows]
-        return Gaussian(*bar('q',(moved, congruence(F, belief.cov, G))))
+        return Gaussian(moved, congruence(F, belief.cov, G))
 
     def update(
         self, belief: Gaussian, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Any
     ) -> tuple[Gaussian, Innovation]:
         """The belief after one reading, and what the reading said."""
         point, rebuild = coordinates(belief.mean)
+        aside = []
 
         def misfit(*values: Scalar) -> list[Scalar]:
             predicted = sensor.measure(motion.view(rebuild(values)), inputs)
             result = sensor.residual(reading, list(predicted))
+            aside[:] = [result.tail]
             return [*result.whitened, result.log_scale, result.count, jnp.where(result.wrapped, 1.0, 0.0)]
 
         values, rows = linearise(misfit, point)
         *residual, log_scale, count, wrapped = values
         H = [{j: -v for j, v in row.items()} for row in rows[: len(residual)]]
-        residual, H = bar('r',(residual,H))
-        residual, H, apart = bar('c',compressed(residual, H))
-        step, cov, nis, log_det = joseph(belief.cov, residual, H, len(point))
-        nis = nis + apart
-        innovation = Innovation(log_scale - 0.5 * (nis + log_det), nis, count, wrapped)
+        residual, H, apart = shared(compressed(*shared((residual, H))))
+        step, cov, nis, log_density = joseph(belief.cov, residual, H, len(point), aside[0])
+        innovation = Innovation(log_scale + log_density - 0.5 * apart, nis + apart, count, wrapped)
         return Gaussian(retract(belief.mean, step), cov), innovation
 
 
@@ -114,26 +113,40 @@ def compressed(
 
 
 def joseph(
-    cov: Sequence[Scalar], residual: Sequence[Scalar], H: Sequence[SparseRow], n: int
+    cov: Sequence[Scalar], residual: Sequence[Scalar], H: Sequence[SparseRow], n: int, tail: Scalar | None = None
 ) -> tuple[list[Scalar], tuple[Scalar, ...], Scalar, Scalar]:
-    """Whitened channels one after another: the small step, the covariance, Σ innovation²/s and Σ log s.
+    """Whitened channels one after another: the small step, the covariance, Σ innovation²/s and the log density.
 
-    P⁺ = (I − khᵀ) P (I − khᵀ)ᵀ + kkᵀ with k = Ph/s and s = hᵀPh + 1.
+    P⁺ = (I − khᵀ) P (I − khᵀ)ᵀ + kkᵀ with k = Ph/s and s = hᵀPh + 1. With a `tail`, a channel is weighted by what
+    Student's t expects of so large an innovation. The log density leaves out what `Residual.log_scale` holds.
     """
     step: list[Scalar] = [jnp.zeros_like(cov[0])] * n
     upper = tuple(cov)
-    nis = log_det = jnp.zeros_like(cov[0])
+    nis = log_density = jnp.zeros_like(cov[0])
     for r, h in zip(residual, H, strict=True):
         P = full(upper, n)
         Ph = [total(P[i][j] * v for j, v in h.items()) for i in range(n)]
-        s = 1.0 + jnp.maximum(total(Ph[j] * v for j, v in h.items()), 0.0)
-        k = [g / s for g in Ph]
-        k=bar('k',k)
+        a = jnp.maximum(total(Ph[j] * v for j, v in h.items()), 0.0)
         innovation = r - total(v * step[j] for j, v in h.items())
+        square = innovation * innovation / (1.0 + a)
+        if tail is None:
+            noise = 1.0
+            log_density = log_density - 0.5 * (square + jnp.log(1.0 + a))
+        else:
+            weight = (tail + 1.0) / (tail + square)
+            noise = 1.0 / weight
+            log_density = log_density + _student(square, tail) - 0.5 * jnp.log(1.0 + a)
+            square = square * weight
+        k = [g / (noise + a) for g in Ph]
         step = [x + g * innovation for x, g in zip(step, k, strict=True)]
         A = [{j: (1.0 if i == j else 0.0) - k[i] * h[j] if j in h else 1.0 for j in {i, *h}} for i in range(n)]
-        upper = congruence(A, upper, [{0: g} for g in k])
-        upper,step=bar('j',(upper,step))
-        nis = nis + innovation * innovation / s
-        log_det = log_det + jnp.log(s)
-    return step, upper, nis, log_det
+        root = jnp.sqrt(noise) if tail is not None else 1.0
+        upper = congruence(A, upper, [{0: g * root} for g in k])
+        nis = nis + square
+    return step, upper, nis, log_density
+
+
+def _student(square: Scalar, tail: Scalar) -> Scalar:
+    """Log density of Student's t at a squared standardised distance, less the normal's −½ log 2π."""
+    gammas = gammaln(0.5 * (tail + 1.0)) - gammaln(0.5 * tail) - 0.5 * jnp.log(0.5 * tail)
+    return gammas - 0.5 * (tail + 1.0) * jnp.log1p(square / tail)

@@ -104,3 +104,30 @@ class ConstantPosition(AbstractMotion):
 
     def view(self, state: Placed) -> Placed:
         return state
+
+
+class GroundMotion(AbstractMotion):
+    """Constant velocity over the floor, and a height that drifts as a random walk: people, trolleys, tools on a belt.
+
+    `sigma_a`: m/s² per √Hz, horizontal. `sigma_z`: m per √s, vertical.
+    """
+
+    sigma_a: Noise
+    sigma_z: Noise
+
+    def __init__(self, sigma_a: float | Noise, sigma_z: float | Noise):
+        self.sigma_a = sigma_a if isinstance(sigma_a, Noise) else Scale(sigma_a, "m/s^2/sqrt(Hz)")
+        self.sigma_z = sigma_z if isinstance(sigma_z, Noise) else Scale(sigma_z, "m/sqrt(s)")
+
+    @property
+    def noise_dimension(self) -> int:
+        return 5
+
+    def step(self, state: Kinematic, inputs: Any, dt: Scalar, w: Vector) -> Kinematic:
+        floor = Kinematic(Vector(*state.position.parts[:2]), state.velocity)
+        moved = ConstantVelocity(self.sigma_a, 2).step(floor, inputs, dt, Vector(*w.parts[:4]))
+        height = state.position[2] + w[4] * (self.sigma_z.value * jnp.sqrt(dt))
+        return Kinematic(Vector(*moved.position, height), moved.velocity)
+
+    def view(self, state: Kinematic) -> Kinematic:
+        return state

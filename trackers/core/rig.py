@@ -59,10 +59,16 @@ class Tag:
 
 @dataclass(frozen=True)
 class Rig:
-    """Everything that stays in place during a recording."""
+    """Everything that stays in place during a recording.
+
+    `path_knots`: (k, 2) m, the corners of a known path on the floor. `about`, `licence` and `source` are words for people.
+    """
 
     name: str
     anchors: Mapping[str, np.ndarray] = field(default_factory=dict)
     stations: Mapping[str, Station] = field(default_factory=dict)
     tags: Mapping[str, Tag] = field(default_factory=dict)
     path_knots: np.ndarray | None = None
+    about: str = ""
+    licence: str = ""
+    source: str = ""

@@ -41,13 +41,15 @@ class Residual(NamedTuple):
     """A reading's distance from the prediction: log density of the reading = log_scale − ½ Σ whitened².
 
     `whitened`: unit covariance, zero where a channel was not seen. `count`: the number of independent numbers in it.
-    `wrapped`: whether an angle was so far off that its sign is a guess.
+    `wrapped`: whether an angle was so far off that its sign is a guess. `tail`: None for normal noise, else the
+    degrees of freedom of Student's t, channel by channel: small for a device that is sometimes far off.
     """
 
     whitened: Sequence[Scalar]
     log_scale: Scalar
     count: Scalar
     wrapped: Scalar = False
+    tail: Scalar | None = None
 
 
 class AbstractSensor(eqx.Module):

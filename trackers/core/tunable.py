@@ -140,20 +140,9 @@ def is_tunable(node: Any) -> bool:
     return isinstance(node, AbstractTunable)
 
 
-def resolved(tree: Tree, dtype: Any) -> Tree:
-    """The tree with every tunable replaced by its value and every floating number in the given type."""
-
-    def cast(x: Any) -> Any:
-        if is_tunable(x):
-            return Fixed(type_of(jax.tree_util.tree_map(lambda raw: jnp.asarray(raw, dtype), x)))
-        if isinstance(x, (float, np.ndarray, jax.Array)) and np.issubdtype(np.asarray(x).dtype if not isinstance(x, jax.Array) else x.dtype, np.floating):
-            return jnp.asarray(x, dtype)
-        return x
-
-    def type_of(tunable: AbstractTunable) -> Any:
-        return tunable.value
-
-    return jax.tree_util.tree_map(cast, tree, is_leaf=is_tunable)
+def resolved(tree: Tree) -> Tree:
+    """The tree with every tunable replaced by its value."""
+    return jax.tree_util.tree_map(lambda x: Fixed(x.value) if is_tunable(x) else x, tree, is_leaf=is_tunable)
 
 
 def tunables(tree: Any) -> dict[str, AbstractTunable]:

@@ -1,0 +1,134 @@
+"""The beam tracker: an EKF on azimuth and elevation, straight from phases (Will et al. 2020, section 3)."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from trackers.aoa.beamformer import Grid, delay_and_sum, strongest
+from trackers.aoa.phases import InPlanePhases, PlanePhases
+from trackers.core.algebra import Scalar, Vector, triangle
+from trackers.core.ekf import Gaussian
+from trackers.core.motion import AbstractMotion, Noise
+from trackers.core.rig import Station
+from trackers.core.state import Heading
+from trackers.core.tracker import AbstractStart, LossPolicy, Row, Tracker
+from trackers.core.tunable import Scale
+
+
+class Beam(NamedTuple):
+    """A direction in the array frame and its rates, rad and rad/s: equation (4)."""
+
+    azimuth: Scalar
+    elevation: Scalar
+    azimuth_rate: Scalar
+    elevation_rate: Scalar
+
+
+class InPlaneBeam(NamedTuple):
+    """A direction in the array's plane, about its z axis, and its rate, rad and rad/s."""
+
+    heading: Heading
+    rate: Scalar
+
+
+class BeamMotion(AbstractMotion):
+    """Constant angular rates with an acceleration that is constant during a step: F and Q of equations (5), (6).
+
+    `sigma_a`: rad/s². The noise of two short steps is not that of one long one; the paper's rate is constant.
+    """
+
+    sigma_a: Noise
+
+    @property
+    def noise_dimension(self) -> int:
+        return 2
+
+    def step(self, state: Beam, inputs: Any, dt: Scalar, w: Vector) -> Beam:
+        azimuth, elevation = w * self.sigma_a.value
+        half = 0.5 * dt * dt
+        return Beam(
+            state.azimuth + state.azimuth_rate * dt + azimuth * half,
+            state.elevation + state.elevation_rate * dt + elevation * half,
+            state.azimuth_rate + azimuth * dt,
+            state.elevation_rate + elevation * dt,
+        )
+
+    def view(self, state: Beam) -> Beam:
+        return state
+
+
+class InPlaneBeamMotion(AbstractMotion):
+    """A constant turning rate about the array's z axis with white acceleration; `sigma_a`: rad/s² per √Hz."""
+
+    sigma_a: Noise
+
+    @property
+    def noise_dimension(self) -> int:
+        return 2
+
+    def step(self, state: InPlaneBeam, inputs: Any, dt: Scalar, w: Vector) -> InPlaneBeam:
+        kick = self.sigma_a.value * jnp.sqrt(dt)
+        turn = state.rate * dt + kick * dt * (0.5 * w[0] + w[1] / 12**0.5)
+        return InPlaneBeam(state.heading.retract([turn]), state.rate + kick * w[0])
+
+    def view(self, state: InPlaneBeam) -> InPlaneBeam:
+        return state
+
+
+class BeamStart(AbstractStart):
+    """The strongest direction of a delay-and-sum beamformer on one row, once `antennas` are seen.
+
+    `sigma_angle`: rad, 30° in the paper. `sigma_rate`: rad/s. In an array's plane when the grid has one angle.
+    """
+
+    station: str = eqx.field(static=True)
+    grid: Grid
+    sigma_angle: Noise
+    sigma_rate: Noise
+    antennas: int = eqx.field(static=True, default=3)
+
+    def ready(self, row: Row) -> Scalar:
+        return jnp.sum(row.readings[self.station].seen) >= self.antennas
+
+    def acquire(self, sensors: Any, row: Row) -> Any:
+        reading = row.readings[self.station]
+        calibrated = reading.values - sensors[self.station].offsets.value
+        return strongest(self.grid, delay_and_sum(self.grid, calibrated, reading.seen))
+
+    def begin(self, found: Any, row: Row) -> Gaussian:
+        angle, rate = self.sigma_angle.value**2, self.sigma_rate.value**2
+        zero = jnp.zeros_like(found[0])
+        if found.shape[0] == 1:
+            return Gaussian(InPlaneBeam(Heading(found[0]), zero), diagonal([angle, rate], zero))
+        return Gaussian(Beam(found[0], found[1], zero, zero), diagonal([angle, angle, rate, rate], zero))
+
+
+def diagonal(variances: list[Scalar], zero: Scalar) -> tuple[Scalar, ...]:
+    """The upper triangle of a diagonal covariance, every entry shaped like `zero`."""
+    return tuple(variances[i] + zero if i == j else zero for i, j in triangle(len(variances)))
+
+
+def beam_tracker(
+    station: Station,
+    name: str,
+    sigma_a: float = 2.0,
+    sigma_p: float = 0.3,
+    paper_form: bool = False,
+    span: float = np.deg2rad(30.0),
+    loss: LossPolicy | None = None,
+) -> Tracker:
+    """The tracker of one station's beam; `name`: the station's readings in a recording. σa rad/s², σp and span rad."""
+    sensor = PlanePhases(station, sigma_p, paper_form)
+    start = BeamStart(name, Grid.of(station, span), Scale(np.deg2rad(30.0), "rad"), Scale(1.0, "rad/s"))
+    return Tracker(BeamMotion(Scale(sigma_a, "rad/s^2")), {name: sensor}, start, loss=loss or LossPolicy())
+
+
+def in_plane_beam_tracker(station: Station, name: str, sigma_a: float = 0.02, sigma_p: float = 0.6) -> Tracker:
+    """The tracker of a beam in the plane of a flat array, all round; σa rad/s² per √Hz, σp rad."""
+    sensor = InPlanePhases(station, sigma_p)
+    start = BeamStart(name, Grid.in_plane(station), Scale(np.deg2rad(30.0), "rad"), Scale(0.1, "rad/s"))
+    return Tracker(InPlaneBeamMotion(Scale(sigma_a, "rad/s^2/sqrt(Hz)")), {name: sensor}, start)

@@ -1,0 +1,105 @@
+"""Beamformers: delay-and-sum, Capon and MUSIC over a grid of directions, batched over rows.
+
+They take phases only, every antenna with the same weight, and know no time: the baseline of the beam tracker and
+its first state (Will et al. 2020, section 4).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from trackers.core.rig import Station
+
+
+class Grid(eqx.Module):
+    """Directions and the array's response to each: `angles` (G, 2) azimuth and elevation, `cosine`, `sine` (n, G)."""
+
+    angles: Any
+    cosine: Any
+    sine: Any
+
+    @classmethod
+    def of(cls, station: Station, span: float = np.deg2rad(30.0), resolution: float = np.deg2rad(0.6)) -> Grid:
+        """All directions within ± `span` in both angles (paper: ±30° at 0.6°, 101 × 101 hypotheses), rad."""
+        if station.antennas is None or station.wavelength is None:
+            raise ValueError("a beamformer needs a station with antennas and a wavelength")
+        axis = np.linspace(-span, span, 2 * round(span / resolution) + 1)
+        azimuth, elevation = (a.ravel() for a in np.meshgrid(axis, axis, indexing="ij"))
+        x, y = np.sin(azimuth) * np.cos(elevation), np.sin(elevation)
+        return cls._respond(station, np.stack([azimuth, elevation], axis=1), x, y)
+
+    @classmethod
+    def in_plane(cls, station: Station, resolution: float = np.deg2rad(1.0)) -> Grid:
+        """All directions in the array's own plane; `angles` (G, 1): about its z axis from its x axis, rad."""
+        if station.antennas is None or station.wavelength is None:
+            raise ValueError("a beamformer needs a station with antennas and a wavelength")
+        heading = np.arange(-np.pi, np.pi - 1e-9, resolution)
+        return cls._respond(station, heading[:, None], np.cos(heading), np.sin(heading))
+
+    @classmethod
+    def _respond(cls, station: Station, angles: np.ndarray, x: np.ndarray, y: np.ndarray) -> Grid:
+        antennas = np.asarray(station.antennas, float)
+        phase = 2 * np.pi / station.wavelength * (antennas[:, :1] * x + antennas[:, 1:] * y)
+        return cls(angles, np.cos(phase), np.sin(phase))
+
+
+def delay_and_sum(grid: Grid, phases: Any, seen: Any) -> jax.Array:
+    """The power |Σ exp(i(φ − steering))|² of each direction, (…, G), for phases and masks (…, n)."""
+    weight = jnp.where(seen, 1.0, 0.0).astype(phases.dtype)
+    c, s = weight * jnp.cos(phases), weight * jnp.sin(phases)
+    real = c @ grid.cosine + s @ grid.sine
+    imaginary = s @ grid.cosine - c @ grid.sine
+    return real * real + imaginary * imaginary
+
+
+def snapshots(phases: Any, seen: Any) -> jax.Array:
+    """The sample covariance (…, n, n), complex, of the unit phasors of several rows (…, rows, n)."""
+    x = jnp.where(seen, jnp.exp(1j * phases), 0.0)
+    return jnp.einsum("...ri,...rj->...ij", x, x.conj()) / phases.shape[-2]
+
+
+def capon(grid: Grid, covariance: jax.Array, loading: float = 0.05) -> jax.Array:
+    """Capon's spectrum 1/(aᴴR⁻¹a), (…, G), with `loading` times the mean power added to R's diagonal (Capon 1969)."""
+    n = covariance.shape[-1]
+    power = jnp.trace(covariance, axis1=-2, axis2=-1).real / n
+    loaded = covariance + (loading * power + 1e-12)[..., None, None] * jnp.eye(n)
+    return 1.0 / _form(grid, _inverse(loaded))
+
+
+def music(grid: Grid, covariance: jax.Array) -> jax.Array:
+    """The MUSIC spectrum for one source, (…, G): n/(n − |aᴴe|²) with e the principal eigenvector (Schmidt 1986)."""
+    n = covariance.shape[-1]
+    vector = covariance
+    for _ in range(6):
+        # Squaring the matrix six times is sixty-four power iterations; the scale keeps it in range.
+        vector = vector @ vector
+        vector = vector / (jnp.trace(vector, axis1=-2, axis2=-1).real[..., None, None] + 1e-30)
+    signal = jnp.maximum(_form(grid, vector), 0.0)
+    return n / jnp.maximum(n - signal, 1e-6 * n)
+
+
+def strongest(grid: Grid, spectrum: jax.Array) -> jax.Array:
+    """The angles (…, 2 or 1), rad, at which a spectrum (…, G) is largest."""
+    return jnp.asarray(grid.angles)[jnp.argmax(spectrum, axis=-1)]
+
+
+def _form(grid: Grid, matrix: jax.Array) -> jax.Array:
+    """aᴴMa for every direction, for a Hermitian matrix."""
+    steering = grid.cosine + 1j * grid.sine
+    return jnp.einsum("ig,...ij,jg->...g", steering.conj(), matrix, steering).real
+
+
+def _inverse(matrix: jax.Array) -> jax.Array:
+    """The inverse of Hermitian positive definite matrices by Gauss–Jordan, without LAPACK's per-matrix cost."""
+    n = matrix.shape[-1]
+    work = jnp.concatenate([matrix, jnp.broadcast_to(jnp.eye(n, dtype=matrix.dtype), matrix.shape)], axis=-1)
+    for k in range(n):
+        row = work[..., k, :] / work[..., k, k, None]
+        work = work - work[..., :, k, None] * row[..., None, :]
+        work = work.at[..., k, :].set(row)
+    return work[..., n:]

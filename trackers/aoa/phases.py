@@ -1,0 +1,180 @@
+"""Phase sensors of a planar array: what the antennas should read, and the residual of phases with a common offset.
+
+The paper (Will et al. 2020, equations 8–17) takes all 28 wrapped differences with their singular 28 × 28 noise
+covariance. Its pseudo-inverse form equals n centred phases with independent noise, which is what stands here; the
+two differ only where something wraps, see `centred` and `pairwise`, and docs/papers.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from trackers.aoa.circular import circular_mean
+from trackers.core.algebra import Scalar, Vector, total
+from trackers.core.motion import Noise
+from trackers.core.rig import Station
+from trackers.core.sensor import LOG_2PI, AbstractSensor, Channel, Reading, Residual
+from trackers.core.state import wrap
+from trackers.core.tunable import Real, Scale
+
+
+def centred(reading: Reading, predicted: Sequence[Scalar], sigma_p: Scalar) -> Residual:
+    """Subtract the circular mean of the seen antennas' differences, wrap, centre: the default form.
+
+    Rank n − 1 for n antennas seen; the density is that of the n − 1 differences to one antenna.
+    """
+    seen, n, count = _counts(reading)
+    differences = [z - p for z, p in zip(reading.values, predicted, strict=True)]
+    # Whatever is subtracted from all antennas, the centring below removes again: no derivative is lost.
+    middle = circular_mean([jax.lax.stop_gradient(d) for d in differences], seen, n)
+    wrapped = [wrap(d - middle) for d in differences]
+    centre = total(s * d for s, d in zip(seen, wrapped, strict=True)) / n
+    residuals = [s * (d - centre) for s, d in zip(seen, wrapped, strict=True)]
+    return _scaled(residuals, n, count, sigma_p)
+
+
+def pairwise(reading: Reading, predicted: Sequence[Scalar], sigma_p: Scalar) -> Residual:
+    """Wrap each of the n(n − 1)/2 differences and average them per antenna, Dᵀν/n: the paper's form (8)–(17)."""
+    seen, n, count = _counts(reading)
+    differences = [z - p for z, p in zip(reading.values, predicted, strict=True)]
+    residuals = [
+        s * total(t * wrap(d - e) for t, e in zip(seen, differences, strict=True)) / n
+        for s, d in zip(seen, differences, strict=True)
+    ]
+    return _scaled(residuals, n, count, sigma_p)
+
+
+def _counts(reading: Reading) -> tuple[list[Scalar], Scalar, Scalar]:
+    """Which antennas were seen as 0 or 1, how many (at least 1), and the rank of their centred phases."""
+    one = jnp.ones_like(reading.values[0])
+    seen = [jnp.where(s, one, 0.0) for s in reading.seen]
+    n = jnp.maximum(total(seen), 1.0)
+    return seen, n, n - 1.0
+
+
+def _scaled(residuals: Sequence[Scalar], n: Scalar, count: Scalar, sigma_p: Scalar) -> Residual:
+    log_scale = -count * (jnp.log(sigma_p) + 0.5 * LOG_2PI) - 0.5 * jnp.log(n)
+    low = high = residuals[0]
+    for r in residuals[1:]:
+        low, high = jnp.minimum(low, r), jnp.maximum(high, r)
+    # Two antennas more than half a turn apart: then, and only then, a difference wraps and the two forms part.
+    return Residual([r / sigma_p for r in residuals], log_scale, count, high - low > jnp.pi)
+
+
+class AbstractPhaseSensor(AbstractSensor):
+    """Phases of n antennas with one unknown common offset a row and one constant offset an antenna."""
+
+    sigma_p: eqx.AbstractVar[Noise]
+    offsets: eqx.AbstractVar[Noise]
+    paper_form: eqx.AbstractVar[bool]
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """One wrapped phase per antenna, rad."""
+        return tuple(Channel(f"phase_{i + 1}", "rad", True) for i in range(np.shape(self.offsets.value)[0]))
+
+    def residual(self, reading: Reading, predicted: Sequence[Scalar]) -> Residual:
+        """The n centred phases over `sigma_p`, by the default form or the paper's."""
+        form = pairwise if self.paper_form else centred
+        return form(reading, predicted, self.sigma_p.value)
+
+
+class PlanePhases(AbstractPhaseSensor):
+    """Phases of a plane wave from azimuth and elevation in the array frame: equation (9) for each antenna.
+
+    `sigma_p`: rad. `offsets`: (n,) rad, what calibration leaves. `wavenumbers`: (n, 2), 2π/λ times the antennas' x, y.
+    """
+
+    sigma_p: Noise
+    offsets: Noise
+    wavenumbers: Any
+    paper_form: bool = eqx.field(static=True)
+
+    def __init__(self, station: Station, sigma_p: float | Noise = 0.3, paper_form: bool = False):
+        antennas, wavelength = _array(station)
+        self.sigma_p = sigma_p if isinstance(sigma_p, Noise) else Scale(sigma_p, "rad")
+        self.offsets = Real(np.zeros(len(antennas)), "rad", typical=0.1)
+        self.wavenumbers = 2 * np.pi / wavelength * antennas
+        self.paper_form = paper_form
+
+    def measure(self, view: Any, inputs: Any) -> list[Scalar]:
+        x = jnp.sin(view.azimuth) * jnp.cos(view.elevation)
+        y = jnp.sin(view.elevation)
+        return [k[0] * x + k[1] * y + offset for k, offset in zip(self.wavenumbers, self.offsets.value, strict=True)]
+
+
+class InPlanePhases(AbstractPhaseSensor):
+    """Phases of a plane wave that arrives in the plane of the array, from an angle about its z axis: `view.heading`.
+
+    For flat arrays whose beacons are at the array's own height: there azimuth and elevation about the boresight are
+    singular. Fields as in `PlanePhases`.
+    """
+
+    sigma_p: Noise
+    offsets: Noise
+    wavenumbers: Any
+    paper_form: bool = eqx.field(static=True)
+
+    def __init__(self, station: Station, sigma_p: float | Noise = 0.5, paper_form: bool = False):
+        antennas, wavelength = _array(station)
+        self.sigma_p = sigma_p if isinstance(sigma_p, Noise) else Scale(sigma_p, "rad")
+        self.offsets = Real(np.zeros(len(antennas)), "rad", typical=0.1)
+        self.wavenumbers = 2 * np.pi / wavelength * antennas
+        self.paper_form = paper_form
+
+    def measure(self, view: Any, inputs: Any) -> list[Scalar]:
+        x, y = jnp.cos(view.heading.angle), jnp.sin(view.heading.angle)
+        return [k[0] * x + k[1] * y + offset for k, offset in zip(self.wavenumbers, self.offsets.value, strict=True)]
+
+
+class SphericalPhases(AbstractPhaseSensor):
+    """Phases of a spherical wave from `view.position`: −2π/λ times the true distance, no plane-wave approximation.
+
+    `sigma_p`, `offsets` as in `PlanePhases`. `antennas`: (n, 3) m from `origin` (3,) m, world axes.
+    """
+
+    sigma_p: Noise
+    offsets: Noise
+    antennas: Any
+    origin: Any
+    array_from_world: Any
+    wavenumber: Any
+    paper_form: bool = eqx.field(static=True)
+
+    def __init__(self, station: Station, sigma_p: float | Noise = 0.3, paper_form: bool = False):
+        _, wavelength = _array(station)
+        self.sigma_p = sigma_p if isinstance(sigma_p, Noise) else Scale(sigma_p, "rad")
+        self.antennas = station.antenna_positions() - station.position
+        self.offsets = Real(np.zeros(len(self.antennas)), "rad", typical=0.1)
+        self.origin = np.asarray(station.position, float)
+        self.array_from_world = station.world_from_array().T
+        self.wavenumber = np.asarray(2 * np.pi / wavelength)
+        self.paper_form = paper_form
+
+    def measure(self, view: Any, inputs: Any) -> list[Scalar]:
+        to_tag = Vector.of(p - o for p, o in zip(placed(view.position, inputs), self.origin, strict=True))
+        distance = to_tag.norm()
+        phases = []
+        for antenna, offset in zip(self.antennas, self.offsets.value, strict=True):
+            a = Vector.of(antenna)
+            # |p| − |p − a| without subtracting two distances: single precision keeps a thousandth of a radian's part.
+            shorter = (2.0 * to_tag.dot(a) - a.dot(a)) / (distance + (to_tag - a).norm())
+            phases.append(self.wavenumber * shorter + offset)
+        return phases
+
+
+def placed(position: Vector, inputs: Any) -> Vector:
+    """A position in space: a planar one gets the known height from `inputs["height"]`, m."""
+    return position if len(position) == 3 else Vector(*position, inputs["height"])
+
+
+def _array(station: Station) -> tuple[np.ndarray, float]:
+    if station.antennas is None or station.wavelength is None:
+        raise ValueError("a phase sensor needs a station with antennas and a wavelength; this one reports angles")
+    return np.asarray(station.antennas, float), float(station.wavelength)

@@ -1,0 +1,145 @@
+"""Recordings: rows of readings in time order, one trajectory each, and batches of them.
+
+A recording is checked once, on the host: times sorted, every number finite, missing marked by a mask and never by
+NaN. A batch stands batch-last, so that inside a filter step each number is one contiguous vector over trajectories.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from trackers.core.sensor import Reading
+
+
+@dataclass(frozen=True)
+class Readings:
+    """All rows of one sensor: `values` (T, m), `seen` (T, m) bool, `reported` noise columns (T, k), k often 0."""
+
+    values: np.ndarray
+    seen: np.ndarray
+    reported: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One trajectory's rows.
+
+    `times`: (T,) seconds, float64, not decreasing. `readings`: by sensor name. `inputs`: by name, (T, …), known
+    quantities that motion and sensors may use. `truth`: by quantity name, values (T, d) with the rows where it is
+    known. Raises ValueError where times are unsorted, shapes differ or a number isn't finite.
+    """
+
+    times: np.ndarray
+    readings: Mapping[str, Readings]
+    inputs: Mapping[str, np.ndarray] = field(default_factory=dict)
+    truth: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
+    name: str = "recording"
+
+    def __post_init__(self) -> None:
+        times = np.asarray(self.times, np.float64)
+        if times.ndim != 1 or len(times) == 0:
+            raise ValueError(f"{self.name}: times have shape {times.shape}, expected (T,) with at least one row")
+        if not np.all(np.isfinite(times)):
+            raise ValueError(f"{self.name}: times[{int(np.argmin(np.isfinite(times)))}] is not finite")
+        if np.any(np.diff(times) < 0):
+            row = int(np.argmax(np.diff(times) < 0)) + 1
+            raise ValueError(f"{self.name}: times[{row}] = {times[row]} s comes before the row above; sort the rows first")
+        for name, readings in self.readings.items():
+            self._check(name, readings)
+
+    def _check(self, name: str, readings: Readings) -> None:
+        values, seen = np.asarray(readings.values), np.asarray(readings.seen)
+        rows = len(self.times)
+        if values.ndim != 2 or len(values) != rows or seen.shape != values.shape:
+            raise ValueError(
+                f"{self.name}: readings['{name}'] has values {values.shape} and seen {seen.shape}, "
+                f"expected ({rows}, channels) both"
+            )
+        extra = () if readings.reported is None else (readings.reported,)
+        for array in (values, *extra):
+            bad = ~np.isfinite(array)
+            if bad.any():
+                row, channel = np.argwhere(bad)[0]
+                raise ValueError(
+                    f"{self.name}: readings['{name}'] row {row}, channel {channel} is not finite; "
+                    "for a missing value store 0 and set seen to False"
+                )
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+
+class Batch(NamedTuple):
+    """Recordings stacked batch-last: `dt` (T, B) s, `valid` (T, B), readings (T, m, B), inputs and truth likewise.
+
+    Rows beyond a recording's end are not valid: whatever stands there, the belief stays as it is to the bit.
+    """
+
+    dt: Any
+    valid: Any
+    readings: dict[str, Reading]
+    inputs: dict[str, Any]
+    truth: dict[str, tuple[Any, Any]]
+
+    @property
+    def size(self) -> int:
+        """The number of trajectories."""
+        return int(self.dt.shape[-1])
+
+    def lanes(self, start: int, stop: int) -> Batch:
+        """The trajectories start … stop − 1, filled up with invalid ones where the batch ends before."""
+
+        def cut(x: Any) -> Any:
+            part = np.asarray(x[..., start:stop])
+            missing = stop - start - part.shape[-1]
+            return np.pad(part, [(0, 0)] * (part.ndim - 1) + [(0, missing)]) if missing else part
+
+        return jax.tree_util.tree_map(cut, self)
+
+
+def stack(recordings: Sequence[Recording], rows: int | None = None, dtype: Any = None) -> Batch:
+    """The recordings as one batch, padded to `rows` (default: the longest), floats in `dtype` (default: jax's own).
+
+    All recordings name the same sensors, inputs and truths; `dt` is computed here, in float64.
+    """
+    dtype = dtype or jnp.zeros(0).dtype
+    longest = max(len(r) for r in recordings)
+    rows = rows or longest
+    if rows < longest:
+        raise ValueError(f"rows = {rows} is less than the longest recording's {longest}")
+    first = recordings[0]
+    for other in recordings:
+        if set(other.readings) != set(first.readings):
+            raise ValueError(f"'{other.name}' has sensors {sorted(other.readings)}, '{first.name}' {sorted(first.readings)}")
+
+    def pile(arrays: Sequence[Any], kind: Any) -> np.ndarray:
+        shape = np.shape(arrays[0])[1:]
+        out = np.zeros((rows, *shape, len(arrays)), kind)
+        for lane, array in enumerate(arrays):
+            out[: len(array), ..., lane] = array
+        return out
+
+    readings = {}
+    for name in first.readings:
+        every = [r.readings[name] for r in recordings]
+        readings[name] = Reading(
+            pile([e.values for e in every], dtype),
+            pile([e.seen for e in every], bool),
+            pile([np.zeros((len(e.values), 0)) if e.reported is None else e.reported for e in every], dtype),
+        )
+    return Batch(
+        dt=pile([np.diff(r.times, prepend=r.times[:1]) for r in recordings], dtype),
+        valid=pile([np.ones(len(r), bool) for r in recordings], bool),
+        readings=readings,
+        inputs={k: pile([r.inputs[k] for r in recordings], dtype) for k in first.inputs},
+        truth={
+            k: (pile([r.truth[k][0] for r in recordings], dtype), pile([r.truth[k][1] for r in recordings], bool))
+            for k in first.truth
+        },
+    )

@@ -1,0 +1,261 @@
+"""Trackers: a motion, sensors, a filter, a start and a loss policy, run over batches by the one scan.
+
+The parts are written for one trajectory and one row. Here they are mapped over a chunk of trajectories and scanned
+over rows; chunks have a fixed size, so a trajectory's numbers never depend on what it is batched with.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from trackers.core.algebra import Scalar, total
+from trackers.core.ekf import ExtendedKalman, Gaussian
+from trackers.core.estimates import Estimates, Status
+from trackers.core.motion import AbstractMotion
+from trackers.core.recording import Batch, Recording, stack
+from trackers.core.sensor import AbstractSensor, Reading
+from trackers.core.tunable import resolved
+
+CHUNK = 512
+"""Trajectories per chunk and device: large enough to amortise a step's overhead, small enough for the cache."""
+
+ACQUIRED_AT_ONCE = 16
+"""Trajectories whose start is searched for together; a search costs as much as hundreds of filter steps."""
+
+
+class Row(NamedTuple):
+    """One row of one trajectory."""
+
+    dt: Scalar
+    valid: Scalar
+    readings: dict[str, Reading]
+    inputs: dict[str, Any]
+
+
+class AbstractStart(eqx.Module):
+    """How a tracker finds its first belief from a single row; after a track loss the same code finds it again."""
+
+    @abstractmethod
+    def ready(self, row: Row) -> Scalar:
+        """Whether this row holds enough to start from."""
+
+    @abstractmethod
+    def acquire(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
+        """The expensive part, run only for trajectories that need it; its result is not differentiated."""
+
+    @abstractmethod
+    def begin(self, found: Any, row: Row) -> Any:
+        """The belief at this row, from what `acquire` found."""
+
+
+class LossPolicy(eqx.Module):
+    """When a track counts as lost and is started again.
+
+    `limit`: the largest tolerable running mean of NIS per degree of freedom, over about `memory` rows with readings.
+    `patience`: seconds without any reading after which the old track is not trusted.
+    """
+
+    limit: float = 6.0
+    memory: float = 8.0
+    patience: float = 5.0
+
+
+class Carry(NamedTuple):
+    """What one row hands to the next."""
+
+    belief: Any
+    running: Scalar
+    begun: Scalar
+    surprise: Scalar
+    silence: Scalar
+
+
+class Output(NamedTuple):
+    """What one row returns."""
+
+    belief: Any
+    log_likelihood: Scalar
+    nis: Scalar
+    count: Scalar
+    wrapped: Scalar
+    status: Scalar
+
+
+class AbstractTracker(eqx.Module):
+    """Anything that turns recordings into estimates."""
+
+    @abstractmethod
+    def scan(self, batch: Batch) -> Output:
+        """All rows of one chunk of trajectories, batch-last; differentiable in the tracker's numbers."""
+
+    @abstractmethod
+    def moments(self, belief: Any) -> tuple[Any, Any]:
+        """The mean state of a belief and its covariance's upper triangle."""
+
+    def run(self, recordings: Recording | Batch, chunk: int = CHUNK) -> Estimates:
+        """The estimates for one recording, or for a batch of them in chunks of `chunk` trajectories per device."""
+        if isinstance(recordings, Recording):
+            return self.run(stack([recordings]), chunk=1)[0]
+        parts = [jax.tree_util.tree_map(np.asarray, part) for part in outputs(self, recordings, chunk)]
+
+        def join(*arrays: np.ndarray) -> np.ndarray:
+            return np.concatenate(arrays, axis=-1)[..., : recordings.size].swapaxes(-1, -2)
+
+        joined = jax.tree_util.tree_map(join, *parts)
+        mean, cov = self.moments(joined.belief)
+        return Estimates(mean, np.stack(cov), *joined[1:])
+
+
+class Tracker(AbstractTracker):
+    """A recursive tracker; `sensors` by the names under which a recording holds their readings."""
+
+    motion: AbstractMotion
+    sensors: Mapping[str, AbstractSensor]
+    start: AbstractStart
+    filter: Any = ExtendedKalman()
+    loss: LossPolicy = LossPolicy()
+
+    def scan(self, batch: Batch) -> Output:
+        return scan_rows(resolved(self), batch)
+
+    def moments(self, belief: Any) -> tuple[Any, Any]:
+        return self.filter.moments(belief)
+
+    def step(self, carry: Carry, row: Row) -> tuple[Carry, Output]:
+        """One row of one trajectory, short of starting: predict, update with every sensor, judge."""
+        belief = self.filter.predict(carry.belief, self.motion, row.inputs, row.dt)
+        said = []
+        for name, sensor in self.sensors.items():
+            belief, innovation = self.filter.update(belief, self.motion, sensor, row.readings[name], row.inputs)
+            said.append(innovation)
+        log_likelihood, nis, count, wrapped = (total(x) for x in zip(*said, strict=True))
+        finite = jnp.isfinite(total(jnp.sum(jnp.abs(x)) for x in jax.tree_util.tree_leaves(belief)))
+        heard = count > 0
+        surprise = carry.surprise + jnp.where(heard, (nis / jnp.maximum(count, 1.0) - carry.surprise) / self.loss.memory, 0.0)
+        silence = jnp.where(heard, 0.0, carry.silence + row.dt)
+        lost = (surprise > self.loss.limit) | (silence > self.loss.patience)
+        status = jnp.where(finite, jnp.where(lost, Status.LOST, Status.OK), Status.NON_FINITE)
+        status = jnp.where(carry.running, status, jnp.where(carry.begun, Status.LOST, Status.WAITING))
+        moved = Carry(belief, carry.running & finite & ~lost, carry.begun, surprise, silence)
+        keep = row.valid & carry.running & finite
+        after = Carry(*select(keep, moved[:1], carry[:1]), *select(row.valid, moved[1:], carry[1:]))
+        zero = jnp.zeros_like(nis)
+        said = select(keep, (log_likelihood, nis, count, wrapped), (zero,) * 4)
+        return after, Output(after.belief, *said, jnp.where(row.valid, status, Status.PADDING).astype(jnp.int8))
+
+
+def select(condition: Scalar, yes: Any, no: Any) -> Any:
+    """One of two trees of numbers."""
+    return jax.tree_util.tree_map(lambda a, b: jnp.where(condition, a, b), yes, no)
+
+
+def scan_rows(tracker: Tracker, batch: Batch) -> Output:
+    """All rows of one chunk of trajectories, batch-last; differentiable in the tracker's numbers."""
+    size = batch.dt.shape[-1]
+    rows = Row(batch.dt, batch.valid, batch.readings, batch.inputs)
+    first = jax.tree_util.tree_map(lambda x: jnp.asarray(x[0]), rows)
+    lanes = jax.vmap(tracker.step, in_axes=-1, out_axes=-1)
+
+    def begin(found: Any, row: Row) -> Carry:
+        one = jnp.ones_like(row.dt)
+        return Carry(tracker.start.begin(found, row), one > 0, one > 0, one, one * 0)
+
+    def body(carry: Carry, row: Row) -> tuple[Carry, Output]:
+        carry, output = lanes(carry, row)
+        need = row.valid & ~carry.running & jax.vmap(tracker.start.ready, in_axes=-1)(row)
+        found = search(tracker, row, need)
+        fresh = jax.vmap(begin, in_axes=-1, out_axes=-1)(found, row)
+        status = jnp.where(need, jnp.where(carry.begun, Status.RESTARTED, Status.OK), output.status).astype(jnp.int8)
+        carry = select(need, fresh, carry)
+        return carry, output._replace(belief=carry.belief, status=status)
+
+    def blank(row: Row) -> Carry:
+        shape = jax.eval_shape(lambda r: begin(tracker.start.acquire(tracker.sensors, r), r), row)
+        return jax.tree_util.tree_map(lambda s: jnp.zeros(s.shape, s.dtype), shape)
+
+    empty = jax.vmap(blank, in_axes=-1, out_axes=-1, axis_size=size)(first)
+    return jax.lax.scan(body, empty, rows)[1]
+
+
+def search(tracker: Tracker, row: Row, need: Any) -> Any:
+    """`start.acquire` for the lanes that need it, a few at a time, so that a lone loss costs little."""
+    numbers, rest = eqx.partition((tracker.start, tracker.sensors), eqx.is_array)
+    start, sensors = eqx.combine(jax.lax.stop_gradient(numbers), rest)
+    row = jax.lax.stop_gradient(row)
+    acquire = jax.vmap(lambda r: start.acquire(sensors, r), in_axes=-1, out_axes=-1)
+    size = need.shape[0]
+    at_once = min(ACQUIRED_AT_ONCE, size)
+    shapes = jax.eval_shape(acquire, row)
+    nothing = jax.tree_util.tree_map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
+
+    def some(state: tuple[Any, Any]) -> tuple[Any, Any]:
+        need, found = state
+        index = jnp.nonzero(need, size=at_once, fill_value=size)[0]
+        few = jax.tree_util.tree_map(lambda x: jnp.take(x, index, axis=-1, mode="clip"), row)
+        found = jax.tree_util.tree_map(lambda a, b: a.at[..., index].set(b, mode="drop"), found, acquire(few))
+        return need.at[index].set(False, mode="drop"), found
+
+    return jax.lax.while_loop(lambda state: jnp.any(state[0]), some, (need, nothing))[1]
+
+
+def prepared(tracker: AbstractTracker, dtype: Any) -> AbstractTracker:
+    """The tracker with its floating numbers as arrays of the run's type, so that other numbers compile nothing anew."""
+
+    def cast(x: Any) -> Any:
+        floating = isinstance(x, (float, np.floating)) or (eqx.is_array_like(x) and np.issubdtype(np.asarray(x).dtype, np.floating))
+        return jnp.asarray(x, dtype) if floating else x
+
+    return jax.tree_util.tree_map(cast, tracker)
+
+
+@eqx.filter_jit
+def _chunk(tracker: AbstractTracker, batch: Batch) -> Output:
+    return tracker.scan(batch)
+
+
+@eqx.filter_jit
+def _sharded_chunk(tracker: AbstractTracker, batch: Batch, mesh: Mesh) -> Output:
+    arrays, static = eqx.partition(tracker, eqx.is_array)
+    spread = PartitionSpec
+
+    def run(arrays: Any, batch: Batch) -> Output:
+        return eqx.combine(arrays, static).scan(batch)
+
+    def last(x: Any) -> PartitionSpec:
+        return spread(*[None] * (np.ndim(x) - 1), "lanes")
+
+    shapes = jax.eval_shape(run, arrays, batch)
+    return jax.shard_map(
+        run,
+        mesh=mesh,
+        in_specs=(spread(), jax.tree_util.tree_map(last, batch)),
+        out_specs=jax.tree_util.tree_map(lambda s: spread(*[None] * (len(s.shape) - 1), "lanes"), shapes),
+        check_vma=False,
+    )(arrays, batch)
+
+
+def outputs(tracker: AbstractTracker, batch: Batch, chunk: int) -> list[Output]:
+    """The outputs of each chunk, batch-last, on the devices; all devices of the host share a chunk's lanes."""
+    tracker = prepared(tracker, batch.dt.dtype)
+    devices = jax.local_devices()
+    # A small batch gets a small chunk, a power of two so that few shapes are ever compiled.
+    chunk = min(chunk, 1 << (batch.size - 1).bit_length())
+    if batch.size <= chunk or len(devices) == 1:
+        return [_chunk(tracker, batch.lanes(k, k + chunk)) for k in range(0, batch.size, chunk)]
+    mesh = Mesh(np.array(devices), ("lanes",))
+    results = []
+    for k in range(0, batch.size, chunk * len(devices)):
+        part = batch.lanes(k, k + chunk * len(devices))
+        put = jax.tree_util.tree_map(
+            lambda x: jax.device_put(x, NamedSharding(mesh, PartitionSpec(*[None] * (x.ndim - 1), "lanes"))), part
+        )
+        results.append(_sharded_chunk(tracker, put, mesh))
+    return results
