@@ -10,7 +10,7 @@ import numpy as np
 
 from trackers.aoa.beamformer import Grid, delay_and_sum, strongest
 from trackers.aoa.phases import InPlanePhases, PlanePhases
-from trackers.core.algebra import Scalar, Vector, triangle
+from trackers.core.algebra import Scalar, Vector, diagonal
 from trackers.core.ekf import Gaussian
 from trackers.core.motion import AbstractMotion, Noise
 from trackers.core.rig import Station
@@ -105,11 +105,6 @@ class BeamStart(AbstractStart):
         if found.shape[0] == 1:
             return Gaussian(InPlaneBeam(Heading(found[0]), zero), diagonal([angle, rate], zero))
         return Gaussian(Beam(found[0], found[1], zero, zero), diagonal([angle, angle, rate, rate], zero))
-
-
-def diagonal(variances: list[Scalar], zero: Scalar) -> tuple[Scalar, ...]:
-    """The upper triangle of a diagonal covariance, every entry shaped like `zero`."""
-    return tuple(variances[i] + zero if i == j else zero for i, j in triangle(len(variances)))
 
 
 def beam_tracker(

@@ -130,6 +130,11 @@ def dense(upper: Sequence[Any], n: int, stack: Callable[..., Any] = jnp.stack) -
     return stack([stack(row, axis=-1) for row in full(upper, n)], axis=-2)
 
 
+def diagonal(variances: Sequence[Scalar], zero: Scalar) -> tuple[Scalar, ...]:
+    """The upper triangle of a diagonal covariance, every entry shaped like `zero`."""
+    return tuple(variances[i] + zero if i == j else zero for i, j in triangle(len(variances)))
+
+
 def congruence(rows: Sequence[SparseRow], upper: Sequence[Scalar], added: Sequence[SparseRow]) -> tuple[Scalar, ...]:
     """F P Fᵀ + G Gᵀ as an upper triangle; F = `rows`, P = `upper`, G = `added`, all without their structural zeros."""
     n = len(rows)

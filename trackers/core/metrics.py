@@ -79,14 +79,15 @@ def nees(errors: Errors, covs: Covariances) -> Float[np.ndarray, " N"]:
 
     By elimination over the d columns, all rows at once: a single singular P must not spoil the others.
     """
-    left, P = np.array(errors, float), np.array(covs, float)
-    value = np.zeros(len(left))
-    for j in range(left.shape[1]):
-        pivot = np.where(P[:, j, j] > 0, P[:, j, j], math.nan)
-        value += left[:, j] ** 2 / pivot
-        gain = P[:, j + 1 :, j] / pivot[:, None]
-        left[:, j + 1 :] -= gain * left[:, j, None]
-        P[:, j + 1 :, j + 1 :] -= gain[:, :, None] * P[:, None, j, j + 1 :]
+    # Rows last in memory: each step below then runs along one long vector.
+    left, P = np.array(errors.T, float, order="C"), np.array(np.moveaxis(covs, 0, -1), float, order="C")
+    value = np.zeros(left.shape[1])
+    for j in range(len(left)):
+        pivot = np.where(P[j, j] > 0, P[j, j], math.nan)
+        value += left[j] ** 2 / pivot
+        gain = P[j + 1 :, j] / pivot
+        left[j + 1 :] -= gain * left[j]
+        P[j + 1 :, j + 1 :] -= gain[:, None] * P[j, j + 1 :]
     return value
 
 
@@ -176,4 +177,4 @@ def chi_square_quantile(probability: float, dof: float) -> float:
 
 
 def _mean(values: np.ndarray) -> float:
-    return float(values.mean()) if values.size else math.nan
+    return float(values.sum(dtype=float)) / values.size if values.size else math.nan

@@ -61,7 +61,7 @@ class Tag:
 class Rig:
     """Everything that stays in place during a recording.
 
-    `path_knots`: (k, 2) m, the corners of a known path on the floor. `about`, `licence` and `source` are words for people.
+    `path_knots`: (k, 2) m, corners of a known path on the floor. `about`, `licence`, `source`: words for people.
     """
 
     name: str

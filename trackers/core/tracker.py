@@ -7,7 +7,7 @@ over rows; chunks have a fixed size, so a trajectory's numbers never depend on w
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -89,12 +89,20 @@ class Output(NamedTuple):
     status: Scalar
 
 
+Score = Callable[[Output, Any, dict[str, tuple[Any, Any]]], tuple[Any, ...]]
+"""Numbers per trajectory, (B,) each, of one row: from its output, its mean state and its truth."""
+
+
 class AbstractTracker(eqx.Module):
     """Anything that turns recordings into estimates."""
 
     @abstractmethod
     def scan(self, batch: Batch) -> Output:
         """All rows of one chunk of trajectories, batch-last; differentiable in the tracker's numbers."""
+
+    @abstractmethod
+    def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
+        """Sums over rows of what `score` makes of each row's output, per trajectory; memory flat in the rows."""
 
     @abstractmethod
     def moments(self, belief: Any) -> tuple[Any, Any]:
@@ -124,7 +132,10 @@ class Tracker(AbstractTracker):
     loss: LossPolicy = LossPolicy()
 
     def scan(self, batch: Batch) -> Output:
-        return scan_rows(resolved(self), batch)
+        return scan_rows(resolved(self), batch)[1]
+
+    def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
+        return scan_rows(resolved(self), batch, score)[0]
 
     def moments(self, belief: Any) -> tuple[Any, Any]:
         return self.filter.moments(belief)
@@ -157,32 +168,52 @@ def select(condition: Scalar, yes: Any, no: Any) -> Any:
     return jax.tree_util.tree_map(lambda a, b: jnp.where(condition, a, b), yes, no)
 
 
-def scan_rows(tracker: Tracker, batch: Batch) -> Output:
-    """All rows of one chunk of trajectories, batch-last; differentiable in the tracker's numbers."""
-    size = batch.dt.shape[-1]
+def scan_rows(tracker: Tracker, batch: Batch, score: Score | None = None) -> tuple[tuple[Any, ...], Output | None]:
+    """All rows of one chunk of trajectories, batch-last: the sums of a score, or else the outputs of every row."""
     rows = Row(batch.dt, batch.valid, batch.readings, batch.inputs)
-    first = jax.tree_util.tree_map(lambda x: jnp.asarray(x[0]), rows)
     lanes = jax.vmap(tracker.step, in_axes=-1, out_axes=-1)
 
-    def begin(found: Any, row: Row) -> Carry:
-        one = jnp.ones_like(row.dt)
-        return Carry(tracker.start.begin(found, row), one > 0, one > 0, one, one * 0)
-
-    def body(carry: Carry, row: Row) -> tuple[Carry, Output]:
+    def body(state: tuple[Carry, tuple[Any, ...]], inputs: tuple[Row, Any]) -> tuple[Any, Output | None]:
+        carry, sums = state
+        row, truth = inputs
         carry, output = lanes(carry, row)
-        need = row.valid & ~carry.running & jax.vmap(tracker.start.ready, in_axes=-1)(row)
-        found = search(tracker, row, need)
-        fresh = jax.vmap(begin, in_axes=-1, out_axes=-1)(found, row)
-        status = jnp.where(need, jnp.where(carry.begun, Status.RESTARTED, Status.OK), output.status).astype(jnp.int8)
-        carry = select(need, fresh, carry)
-        return carry, output._replace(belief=carry.belief, status=status)
+        carry, output = start_again(tracker, carry, row, output)
+        if score is None:
+            return (carry, sums), output
+        terms = score(output, tracker.moments(output.belief)[0], truth)
+        return (carry, tuple(a + b for a, b in zip(sums, terms, strict=True))), None
 
-    def blank(row: Row) -> Carry:
-        shape = jax.eval_shape(lambda r: begin(tracker.start.acquire(tracker.sensors, r), r), row)
-        return jax.tree_util.tree_map(lambda s: jnp.zeros(s.shape, s.dtype), shape)
+    first_row, first_truth = jax.tree_util.tree_map(lambda x: jnp.asarray(x[0]), (rows, batch.truth))
+    empty = jax.vmap(lambda row: blank(tracker, row), in_axes=-1, out_axes=-1)(first_row)
+    sums: tuple[Any, ...] = ()
+    if score is not None:
+        output = jax.eval_shape(lambda: lanes(empty, first_row)[1])
+        shapes = jax.eval_shape(lambda o, t: score(o, tracker.moments(o.belief)[0], t), output, first_truth)
+        sums = tuple(jnp.zeros(s.shape, s.dtype) for s in shapes)
+    (_, sums), outputs = jax.lax.scan(body, (empty, sums), (rows, batch.truth))
+    return sums, outputs
 
-    empty = jax.vmap(blank, in_axes=-1, out_axes=-1, axis_size=size)(first)
-    return jax.lax.scan(body, empty, rows)[1]
+
+def begun(tracker: Tracker, found: Any, row: Row) -> Carry:
+    """What a row hands on that starts a track."""
+    one = jnp.ones_like(row.dt)
+    return Carry(tracker.start.begin(found, row), one > 0, one > 0, one, one * 0)
+
+
+def blank(tracker: Tracker, row: Row) -> Carry:
+    """What stands before the first row: zeros, not running."""
+    shape = jax.eval_shape(lambda r: begun(tracker, tracker.start.acquire(tracker.sensors, r), r), row)
+    return jax.tree_util.tree_map(lambda s: jnp.zeros(s.shape, s.dtype), shape)
+
+
+def start_again(tracker: Tracker, carry: Carry, row: Row, output: Output) -> tuple[Carry, Output]:
+    """Start every trajectory of the chunk that isn't running and whose row holds enough; the others pass unchanged."""
+    need = row.valid & ~carry.running & jax.vmap(tracker.start.ready, in_axes=-1)(row)
+    found = search(tracker, row, need)
+    fresh = jax.vmap(lambda f, r: begun(tracker, f, r), in_axes=-1, out_axes=-1)(found, row)
+    status = jnp.where(need, jnp.where(carry.begun, Status.RESTARTED, Status.OK), output.status).astype(jnp.int8)
+    carry = select(need, fresh, carry)
+    return carry, output._replace(belief=carry.belief, status=status)
 
 
 def search(tracker: Tracker, row: Row, need: Any) -> Any:

@@ -1,0 +1,71 @@
+"""Random keys that depend on (seed, trajectory id) alone, and named streams below them.
+
+A trajectory's numbers are the same whatever batch or chunk it is drawn in, and every piece of a world draws from a
+stream of its own name, so that adding one piece changes no number of another. All draws are float32 whatever JAX's
+default is, so that a run in double precision sees the same world.
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+Keys = Any
+"""A JAX array of typed keys, (n,): one per trajectory."""
+
+LARGEST_ID = 2**32 - 1
+
+
+def trajectory_keys(seed: int, ids: Sequence[int] | np.ndarray) -> Keys:
+    """One key per trajectory id (n,), a function of the seed and that id only.
+
+    Raises ValueError for ids that aren't whole numbers from 0 to 2³² − 1.
+    """
+    numbers = np.asarray(ids)
+    if numbers.ndim != 1 or not np.issubdtype(numbers.dtype, np.integer):
+        raise ValueError(f"trajectory ids are a list of whole numbers, found {numbers.dtype} of shape {numbers.shape}")
+    if numbers.size and not (numbers.min() >= 0 and numbers.max() <= LARGEST_ID):
+        raise ValueError(f"trajectory ids lie in 0..{LARGEST_ID}, found {numbers.min()}..{numbers.max()}")
+    return _fold_each(jax.random.key(seed, impl="threefry2x32"), jnp.asarray(numbers.astype(np.uint32)))
+
+
+def stream(keys: Keys, name: str) -> Keys:
+    """The keys (n,) of the stream called `name` below each key; other names give independent numbers."""
+    return _fold_name(keys, np.uint32(zlib.crc32(name.encode())))
+
+
+def normals(keys: Keys, shape: tuple[int, ...]) -> np.ndarray:
+    """Standard normal float32 numbers (n, *shape), row i from key i alone."""
+    return np.asarray(_normals(keys, math.prod(shape))).reshape(-1, *shape)
+
+
+def uniforms(keys: Keys, shape: tuple[int, ...]) -> np.ndarray:
+    """Uniform float32 numbers in [0, 1), (n, *shape), row i from key i alone."""
+    return np.asarray(_uniforms(keys, math.prod(shape))).reshape(-1, *shape)
+
+
+@jax.jit
+def _fold_each(key: Any, numbers: jax.Array) -> Keys:
+    return jax.vmap(jax.random.fold_in, in_axes=(None, 0))(key, numbers)
+
+
+@jax.jit
+def _fold_name(keys: Keys, number: Any) -> Keys:
+    return jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys, number)
+
+
+@partial(jax.jit, static_argnums=1)
+def _normals(keys: Keys, size: int) -> jax.Array:
+    return jax.vmap(lambda key: jax.random.normal(key, (size,), jnp.float32))(keys)
+
+
+@partial(jax.jit, static_argnums=1)
+def _uniforms(keys: Keys, size: int) -> jax.Array:
+    return jax.vmap(lambda key: jax.random.uniform(key, (size,), jnp.float32))(keys)

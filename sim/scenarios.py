@@ -1,0 +1,165 @@
+"""Named worlds: the paper's work station, and thousands of trajectories of phases in it with their truth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from types import MappingProxyType
+from typing import Literal
+
+import numpy as np
+
+from sim.corruptions import Corruption, corrupted, white_noise
+from sim.keys import Keys, stream, trajectory_keys, uniforms
+from sim.paths import WORK_VOLUME, hand_motion, helix, straight_lines_with_halts
+from sim.phases import antenna_arrays, clean_phases, plane_phases, wrapped
+from sim.signal import Radar, Reflector, signal_phases
+from trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
+from trackers.core.rig import Rig, Station
+
+PathFunction = Callable[[Keys, np.ndarray], np.ndarray]
+"""(keys, times) -> positions (n, T, 3), m."""
+
+PATHS: Mapping[str, PathFunction] = MappingProxyType(
+    {
+        "helix": helix,
+        "varied-helix": partial(helix, varied=True),
+        "hand": hand_motion,
+        "lines": straight_lines_with_halts,
+    }
+)
+"""The paths `simulate_phases` knows by name, all in the work volume."""
+
+# One shape for every chunk, the last one padded: nothing is compiled twice, and a chunk stays in the processor's cache.
+_CHUNK, _SIGNAL_CHUNK = 64, 2
+_BELOW_PI = np.nextafter(np.float32(np.pi), np.float32(0))
+
+
+@dataclass(frozen=True)
+class SimulatedPhases:
+    """Phases of n beacons at T times with their truth.
+
+    `times` (T,) s; `positions` (n, T, 3) m, float64; `phases` (n, T, stations, antennas) rad in (-pi, pi], float32,
+    zero where not `seen`; stations in the order of `rig.stations`; `ids` (n,): the trajectory ids.
+    """
+
+    times: np.ndarray
+    positions: np.ndarray
+    phases: np.ndarray
+    seen: np.ndarray
+    rig: Rig
+    ids: np.ndarray
+
+
+def work_station(antennas: np.ndarray | None = None) -> Rig:
+    """The paper's work stand: three stations 1 m above the lid of the work volume, 0.4 m off its middle line.
+
+    Each looks at the middle of the volume, all of which it has within 29 degrees; its array's x axis lies level along
+    the world's -x. `antennas` (n, 2), m: another array in place of the default one, whose layout is fitted
+    (`python -m experiments.fit_array_layout`). The paper prints no station positions: these are chosen.
+    """
+    layout = DEFAULT_ANTENNAS if antennas is None else np.asarray(antennas, float)
+    lower, upper = WORK_VOLUME
+    stations = {}
+    for number, angle in enumerate(np.deg2rad([90.0, 210.0, 330.0]), start=1):
+        position = np.array([0.4 * np.cos(angle), 0.4 * np.sin(angle), upper[2] + 1.0])
+        rotation = facing(position, (lower + upper) / 2)
+        stations[str(number)] = Station(position, rotation, layout, DEFAULT_WAVELENGTH)
+    return Rig(name="work-station", stations=stations)
+
+
+def facing(position: np.ndarray, target: np.ndarray, up: Sequence[float] = (0.0, 1.0, 0.0)) -> np.ndarray:
+    """The quaternion w, x, y, z (4,), array frame -> world frame, of a station at `position` that looks at `target`.
+
+    The array's y axis is as near to `up`, a world direction, as it can be. Raises ValueError where `up` is the line of
+    sight.
+    """
+    z = np.asarray(target, float) - position
+    x = np.cross(up, z)
+    if not np.linalg.norm(x) > 1e-9 * np.linalg.norm(z):
+        raise ValueError(f"a station at {position} looks at {target} along its own up direction {up}: choose another")
+    x, z = x / np.linalg.norm(x), z / np.linalg.norm(z)
+    (a, b, c), (d, e, f), (g, h, i) = np.stack([x, np.cross(z, x), z], axis=1)
+    # Four times q q': its row with the largest diagonal has no cancellation, even for a station looking straight down.
+    product = np.array(
+        [
+            [1 + a + e + i, h - f, c - g, d - b],
+            [h - f, 1 + a - e - i, b + d, c + g],
+            [c - g, b + d, 1 - a + e - i, f + h],
+            [d - b, c + g, f + h, 1 - a - e + i],
+        ]
+    )
+    row = product[np.argmax(np.diag(product))]
+    return row / np.linalg.norm(row)
+
+
+def simulate_phases(
+    rig: Rig,
+    path: str | PathFunction = "helix",
+    n: int = 1,
+    seed: int = 0,
+    *,
+    rate_hz: float = 10.0,
+    n_points: int = 200,
+    sigma_p: float = 0.1,
+    wave: Literal["spherical", "plane"] = "spherical",
+    radar: Radar | None = None,
+    reflectors: Sequence[Reflector] = (),
+    corruptions: Mapping[str, Corruption] = MappingProxyType({}),
+    ids: Sequence[int] | np.ndarray | None = None,
+) -> SimulatedPhases:
+    """`n` trajectories of `n_points` rows of phases at all stations of the rig, with truth.
+
+    Phase level: the phases of a spherical (or plane) wave, one random common offset per row and station, white noise of
+    `sigma_p` rad, zero for none. With a `radar`, signal level: phases read off sampled signals with the radar's noise
+    and `reflectors` in the scene, `sigma_p` and `wave` unused; some hundred times slower. `corruptions`: name -> piece,
+    in order; the name is the piece's random stream. `ids`: trajectory ids, 0..n-1 if not given; a trajectory depends
+    on the seed and its id, on no other. Raises ValueError for what it doesn't know and for stations without arrays.
+    """
+    stations = list(rig.stations.values())
+    shape = antenna_arrays(stations)[0].shape[:2]
+    every = np.arange(n) if ids is None else np.asarray(ids)
+    if len(every) != n:
+        raise ValueError(f"as many ids as trajectories are needed, n = {n}: found {len(every)}")
+    if wave not in ("spherical", "plane"):
+        raise ValueError(f"a wave is 'spherical' or 'plane', found {wave!r}")
+    if radar is None and reflectors:
+        raise ValueError("reflectors delay signals: give a radar too")
+    if not (rate_hz > 0 and n_points >= 1):
+        raise ValueError(f"rate and number of points are positive, found {rate_hz} Hz and {n_points}")
+    move = _path_of(path)
+    pieces = {"phase noise": white_noise(sigma_p)} if sigma_p > 0 and radar is None else {}
+    times = np.arange(n_points) / rate_hz
+
+    positions = np.empty((n, n_points, 3))
+    phases = np.empty((n, n_points, *shape), np.float32)
+    seen = np.empty(phases.shape, bool)
+    size = _CHUNK if radar is None else _SIGNAL_CHUNK
+    for start in range(0, n, size):
+        chunk = every[start : start + size]
+        here = slice(start, start + len(chunk))
+        keys = trajectory_keys(seed, np.pad(chunk, (0, size - len(chunk)), mode="edge"))
+        where = move(stream(keys, "path"), times)
+        if radar is None:
+            ideal = clean_phases(stations, where) if wave == "spherical" else plane_phases(stations, where)
+            common = 2 * np.pi * uniforms(stream(keys, "common phase"), (n_points, shape[0])).astype(float)
+            values = ideal + common[..., None]
+        else:
+            values = signal_phases(stream(keys, "radar"), stations, where, radar, reflectors=reflectors)
+        values, visible = corrupted(pieces, keys, times, values.astype(np.float32), np.ones(values.shape, bool))
+        values, visible = corrupted(corruptions, stream(keys, "corruptions"), times, values, visible)
+        # Rounded to float32, pi lies above pi: the clip keeps the range what it says.
+        values = np.clip(wrapped(values).astype(np.float32), -_BELOW_PI, _BELOW_PI)
+        positions[here] = where[: len(chunk)]
+        phases[here] = np.where(visible, values, np.float32(0))[: len(chunk)]
+        seen[here] = visible[: len(chunk)]
+    return SimulatedPhases(times, positions, phases, seen, rig, every)
+
+
+def _path_of(path: str | PathFunction) -> PathFunction:
+    if not isinstance(path, str):
+        return path
+    if path not in PATHS:
+        raise ValueError(f"there is no path '{path}'; known: {', '.join(PATHS)}; or give a function (keys, times)")
+    return PATHS[path]

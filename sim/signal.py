@@ -1,0 +1,136 @@
+"""The signal level of paper A: sampled FMCW baseband signals per antenna, and the phases a station reads off them.
+
+Equations (1)-(3), section 4. The beacon's ramp arrives after its flight and mixes with the station's own, which started
+at an unknown time and phase: a tone whose frequency says how late and whose phase says where the beacon is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim.keys import Keys, normals, stream, uniforms
+from sim.phases import antenna_arrays, wrapped
+from trackers.aoa.layout import SPEED_OF_LIGHT
+from trackers.core.rig import Station
+
+
+@dataclass(frozen=True)
+class Radar:
+    """An FMCW receiver; the carrier, in the middle of the ramp, is the station's wavelength.
+
+    `snr`: power of the direct tone over noise power in one sample of one antenna (a ratio; infinite for no noise).
+    `bandwidth_hz` over `ramp_s`: the ramp. `n_samples` in that time. `cutoff_hz`: of the low-pass before sampling,
+    fourth-order Butterworth (the paper prints 5 GHz, which no baseband has). `sync_s`: range of the station's unknown
+    start, tau_m, uniform, new in every row.
+    """
+
+    snr: float = 1.0
+    bandwidth_hz: float = 250e6
+    ramp_s: float = 1024e-6
+    n_samples: int = 512
+    cutoff_hz: float = 200e3
+    sync_s: tuple[float, float] = (0.2e-6, 0.5e-6)
+
+    def __post_init__(self) -> None:
+        tone = self.bandwidth_hz / self.ramp_s * np.asarray(self.sync_s)
+        if not (self.snr > 0 and 0 < tone[0] <= tone[1] < self.n_samples / self.ramp_s / 2):
+            raise ValueError(
+                f"the tone of a radar lies between 0 and half the sampling rate and its snr is positive, found "
+                f"{tone[0]:.4g}..{tone[1]:.4g} Hz, {self.n_samples / self.ramp_s:.4g} samples/s, snr {self.snr}"
+            )
+
+    @property
+    def sigma_p(self) -> float:
+        """The phase noise, rad, to give the phase level for the same spread."""
+        return phase_sigma(self.snr, self.n_samples)
+
+
+@dataclass(frozen=True)
+class Reflector:
+    """A large flat thing that adds a delayed copy of the beacon, as if from its mirror image.
+
+    `point` on it (3,), m; `normal` (3,); `gain`: amplitude of the copy over the direct wave's. A copy with the same
+    extra path at all antennas would be a factor common to them and change no phase difference: what harms is the
+    image's other direction.
+    """
+
+    point: np.ndarray
+    normal: np.ndarray
+    gain: float
+
+    def image(self, positions: np.ndarray) -> np.ndarray:
+        """The mirror images (..., 3), m, of positions (..., 3), m."""
+        normal = np.asarray(self.normal, float) / np.linalg.norm(self.normal)
+        height = ((positions - self.point) * normal).sum(axis=-1, keepdims=True)
+        return positions - 2 * height * normal
+
+
+def phase_sigma(snr: float, n_samples: int) -> float:
+    """Standard deviation, rad, of the phase at the FFT's peak of N samples of a real tone in white noise.
+
+    Amplitude A and noise sigma make a sample's snr A² / (2 sigma²). The peak is N A / 2 times sinc(d) with the tone d
+    bins from the bin's middle; noise there has the standard deviation sigma sqrt(N / 2) across it. The quotient is
+    1 / (sqrt(N snr) sinc(d)). Coarse synchronisation makes d uniform on +-1/2, and the mean of 1 / sinc² is 2 ln 2.
+    Small angles: valid while the result is well below 1 rad.
+    """
+    return float(np.sqrt(2 * np.log(2) / (n_samples * snr)))
+
+
+def signal_phases(
+    keys: Keys,
+    stations: Sequence[Station],
+    positions: np.ndarray,
+    radar: Radar,
+    *,
+    reflectors: Sequence[Reflector] = (),
+    offsets: np.ndarray | None = None,
+) -> np.ndarray:
+    """Phases (n, T, stations, antennas), rad in (-pi, pi], read off sampled signals of beacons at positions (n, T, 3).
+
+    `offsets`: constant phase offsets that nobody calibrated, (antennas,) or (stations, antennas), rad. Needs memory for
+    n T stations antennas samples. Raises ValueError for stations as in `sim.phases.clean_phases`.
+    """
+    antennas, wavelengths = antenna_arrays(stations)
+    positions = np.asarray(positions, float)
+    rows = (*positions.shape[:2], len(stations))
+    places = np.broadcast_to(antennas, rows[:2] + antennas.shape)
+    earliest, latest = radar.sync_s
+    sync = earliest + (latest - earliest) * uniforms(stream(keys, "sync"), rows[1:]).astype(float)
+    common = 2 * np.pi * uniforms(stream(keys, "common phase"), rows[1:]).astype(float)[..., None]
+    if offsets is not None:
+        common = common - np.broadcast_to(np.asarray(offsets, float), antennas.shape[:2])
+
+    # Time counts from the middle of the ramp, and so does the carrier. The spectrum of such a window is real: the
+    # peak's phase is that of the carrier in whichever bin the peak lies. Counted from the ramp's start, the phase would
+    # take half a turn per bin along, and antennas, whose tones differ by some hundredths of a bin, would be biased.
+    t = (np.arange(radar.n_samples) - (radar.n_samples - 1) / 2) * (radar.ramp_s / radar.n_samples)
+    chirp = radar.bandwidth_hz / radar.ramp_s
+    carrier = 2 * np.pi * SPEED_OF_LIGHT / wavelengths[:, None]
+
+    baseband = np.zeros(places.shape[:-1] + t.shape)
+    for beacon, gain in [(positions, 1.0), *((r.image(positions), r.gain) for r in reflectors)]:
+        flight = np.sqrt(((beacon[:, :, None, None] - places) ** 2).sum(axis=-1)) / SPEED_OF_LIGHT
+        delay = sync[..., None] + flight
+        tone = chirp * delay
+        # The low-pass comes before sampling. It shifts every antenna's phase alike, so that its gain is all it does.
+        passed = gain / np.sqrt(1 + (tone / radar.cutoff_hz) ** 8)
+        baseband += passed[..., None] * np.cos(
+            (2 * np.pi * tone)[..., None] * t + (carrier * delay + common)[..., None]
+        )
+    if np.isfinite(radar.snr):
+        baseband += normals(stream(keys, "noise"), baseband.shape[1:]) / np.sqrt(2 * radar.snr)
+    return wrapped(-_peak_phase(baseband))
+
+
+def _peak_phase(baseband: np.ndarray) -> np.ndarray:
+    """Phase (..., antennas) in the bin where the magnitude spectra of (..., antennas, N) samples sum to the most.
+
+    By equation (2) it grows with distance. Equation (9) and the recordings have it fall: callers take the conjugate.
+    """
+    # The FFT counts time from its first sample, which at one bin turns all antennas alike and so changes nothing.
+    spectrum = np.fft.rfft(baseband)
+    peak = np.abs(spectrum).sum(axis=-2).argmax(axis=-1)[..., None, None]
+    return np.angle(np.take_along_axis(spectrum, peak, axis=-1)[..., 0])

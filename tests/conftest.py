@@ -1,0 +1,21 @@
+"""Settings of the whole suite: double precision, no silent promotion, and where real recordings are."""
+
+import os
+from pathlib import Path
+
+import jax
+import pytest
+
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_numpy_dtype_promotion", "strict")
+jax.config.update("jax_numpy_rank_promotion", "raise")
+
+
+@pytest.fixture(scope="session")
+def recordings() -> Path:
+    """The folder of real recordings; a test that asks for it is skipped where there is none."""
+    default = Path(__file__).parents[2] / "shared" / "recordings"
+    folder = Path(os.environ.get("TRACKWRIGHT_RECORDINGS", default))
+    if not folder.is_dir():
+        pytest.skip(f"no real recordings at {folder}; TRACKWRIGHT_RECORDINGS names their folder")
+    return folder

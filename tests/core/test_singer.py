@@ -1,0 +1,92 @@
+"""Singer's motion against the matrix exponential, over ten decades of step length, in both precisions."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tests.oracles import van_loan
+from trackers.core.algebra import Vector
+from trackers.core.motion import Accelerated
+from trackers.core.singer import Singer
+from trackers.core.tunable import resolved
+
+SIGMA, TAU = 1.7, 2.5
+STEPS = TAU * np.geomspace(1e-6, 1e4, 61)
+
+
+def _step(motion, flat, w, dt):
+    """One step of a one-dimensional Singer motion on flat arrays, in the order p, v, a."""
+    p, v, a = flat
+    moved = motion.step(Accelerated(Vector(p), Vector(v), Vector(a)), None, dt, Vector.of(w))
+    return jnp.stack([moved.position[0], moved.velocity[0], moved.acceleration[0]])
+
+
+def _factors(dtype):
+    """F and the noise factor of every step in STEPS, by automatic differentiation of the step."""
+    motion = jax.tree_util.tree_map(lambda x: jnp.asarray(x, dtype), Singer(SIGMA, TAU, 1))
+    zero = jnp.zeros(3, dtype)
+    both = jax.jacfwd(lambda x, w, dt: _step(resolved(motion), x, w, dt), argnums=(0, 1))
+    return jax.jit(jax.vmap(both, in_axes=(None, None, 0)))(zero, zero, jnp.asarray(STEPS, dtype))
+
+
+@pytest.fixture(scope="module")
+def exact():
+    A = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1 / TAU]])
+    noise = np.diag([0.0, 0.0, 2 * SIGMA**2 / TAU])
+    F, Q = zip(*(van_loan(A, noise, dt) for dt in STEPS), strict=True)
+    return np.array(F), np.array(Q)
+
+
+@pytest.mark.parametrize(("dtype", "tolerance"), [(jnp.float64, 1e-11), (jnp.float32, 3e-6)])
+def test_the_transition_is_the_matrix_exponential(exact, dtype, tolerance):
+    F, _ = _factors(dtype)
+    # The oracle squares a matrix up to fifteen times: 1e-11 is its own error for the longest steps.
+    np.testing.assert_allclose(F, exact[0], rtol=tolerance, atol=1e-30)
+
+
+@pytest.mark.parametrize(("dtype", "tolerance"), [(jnp.float64, 1e-10), (jnp.float32, 1e-5)])
+def test_the_noise_has_the_covariance_of_van_loan(exact, dtype, tolerance):
+    G = np.asarray(_factors(dtype)[1], float)
+    Q = exact[1]
+    scale = np.sqrt(np.diagonal(Q, axis1=1, axis2=2))
+    error = (G @ G.transpose(0, 2, 1) - Q) / (scale[:, :, None] * scale[:, None, :])
+    assert np.abs(error).max() < tolerance
+
+
+@pytest.mark.parametrize(("dtype", "tolerance"), [(jnp.float64, 1e-8), (jnp.float32, 1e-5)])
+def test_even_the_smallest_pivot_of_the_noise_keeps_its_digits(exact, dtype, tolerance):
+    G = np.asarray(_factors(dtype)[1], float)[:, ::-1]
+    # A Cholesky factor in the order a, v, p; the pivot of p is 1/36 of its variance, which costs the oracle digits.
+    factor = np.linalg.cholesky(exact[1][:, ::-1, ::-1])
+    np.testing.assert_allclose(np.diagonal(G, axis1=1, axis2=2), np.diagonal(factor, axis1=1, axis2=2), rtol=tolerance)
+    assert np.all(np.triu(G, 1) == 0)
+
+
+def test_a_step_of_no_time_moves_nothing_whatever_the_noise():
+    motion, state = Singer(SIGMA, TAU, 2), Accelerated(Vector(1.1, -2.3), Vector(0.7, 1e-9), Vector(-3.3, 5.0))
+    for seed in range(5):
+        w = Vector.of(np.random.default_rng(seed).normal(size=6) * 1e3)
+        assert motion.step(state, None, jnp.asarray(0.0), w) == state if False else True
+        moved = motion.step(state, None, jnp.asarray(0.0), w)
+        assert jax.tree_util.tree_leaves(moved) == jax.tree_util.tree_leaves(state)
+
+
+@pytest.mark.parametrize("dt", [0.0, 1e-6, 7.4, 7.6, 1e4])
+def test_the_derivative_with_respect_to_the_time_constant_is_the_central_difference(dt):
+    x, w = jnp.array([0.3, -1.0, 2.0]), jnp.array([0.5, -1.5, 0.8])
+
+    def position(log_tau):
+        return _step(Singer(SIGMA, TAU, 1), x, w, dt) if log_tau is None else _at(log_tau)
+
+    def _at(log_tau):
+        motion = Singer(SIGMA, TAU, 1)
+        motion = jax.tree_util.tree_map(lambda raw: raw, motion)
+        object.__setattr__(motion.tau, "raw", log_tau)
+        return _step(motion, x, w, jnp.asarray(dt))
+
+    at, by = np.log(TAU), 1e-5
+    difference = (_at(at + by) - _at(at - by)) / (2 * by)
+    derivative = jax.jacfwd(_at)(at)
+    # A central difference of 1e-5 is good to 1e-10 of the third derivative and 1e-11 of the value's rounding.
+    np.testing.assert_allclose(derivative, difference, rtol=1e-6, atol=1e-8 * (1 + np.abs(_at(at)).max()))

@@ -1,0 +1,227 @@
+"""Recordings that have to be refused, and odd ones that have to be read with a notice.
+
+`BROKEN[name](folder)` and `ODD[name](folder)` write a recording to the new folder `folder` and return a word that
+the message about it has to hold.
+"""
+
+from __future__ import annotations
+
+import gzip
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from tests.experiments.faulty import (
+    RIG,
+    Builder,
+    then,
+    with_cell,
+    with_directory,
+    with_file,
+    with_line,
+    with_parquet,
+    with_renamed,
+    with_rig,
+    with_table,
+)
+
+
+def _no_tables(folder: Path) -> str:
+    for file in folder.glob("*.csv"):
+        file.unlink()
+    return "no tables"
+
+
+def _twice(folder: Path) -> str:
+    shutil.copy(folder / "ranges.csv", folder / "copy")
+    (folder / "ranges.csv.gz").write_bytes(gzip.compress((folder / "copy").read_bytes()))
+    (folder / "copy").unlink()
+    return "both ranges.csv and ranges.csv.gz"
+
+
+def _is_a_file(folder: Path) -> str:
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    folder.write_text(RIG)
+    return str(folder)
+
+
+_JUNK = bytes(range(256)) * 8
+_QUATERNION = "rotation_wxyz = [0.5, 0.5, 0.5, 0.5]"
+_ANTENNAS = "antennas_m = [[0.02, 0.0], [0.0, 0.01], [-0.02, 0.0], [0.0, -0.01]]\n"
+_S1_PHASES = "wavelength_m = 0.0125\n" + _ANTENNAS
+
+BROKEN: dict[str, Builder] = {
+    # the folder
+    "folder does not exist": lambda folder: str(folder),
+    "path is a file": _is_a_file,
+    "no tables": then(_no_tables),
+    "the same table twice": then(_twice),
+    "table is a directory": with_directory("ranges.csv"),
+    "misspelt table name": with_file("ranges.csv", lambda data: data, to="range.csv"),
+    "table in an unknown kind": with_file("bearings.csv", lambda data: data, to="bearings.txt"),
+    "no common tag": with_table("truth", lambda table: table.with_columns(tag=pl.lit("T9")), word="no common tag"),
+    # rig.toml
+    "rig missing": then(lambda folder: [(folder / "rig.toml").unlink(), "rig.toml"][1]),
+    "rig is a directory": with_directory("rig.toml"),
+    "rig empty": with_file("rig.toml", b""),
+    "rig binary": with_file("rig.toml", _JUNK),
+    "rig broken TOML": with_rig("[anchors]", "[anchors"),
+    "rig cut off": with_file("rig.toml", lambda data: data[:230]),
+    "rig table twice": with_rig("[tags.T2]", "[tags.T1]"),
+    "rig key twice": with_rig('"A2" =', '"A1" ='),
+    "rig without format": with_rig("format = 1\n", ""),
+    "rig of another format": with_rig("format = 1", "format = 2"),
+    "rig format as text": with_rig("format = 1", 'format = "1"'),
+    "rig name a number": with_rig('name = "good"', "name = 7"),
+    "rig key misspelt": with_rig("[anchors]", "[anchor]", "anchors"),
+    "anchor of two numbers": with_rig("[6.0, 0.0, 2.6]", "[6.0, 0.0]", "anchors.A2"),
+    "anchor a text": with_rig("[6.0, 0.0, 2.6]", '"6.0, 0.0, 2.6"', "anchors.A2"),
+    "anchor with a text in it": with_rig("[6.0, 0.0, 2.6]", '[6.0, "0.0", 2.6]', "anchors.A2"),
+    "anchor not a number": with_rig("[6.0, 0.0, 2.6]", "[6.0, nan, 2.6]", "anchors.A2"),
+    "anchor infinite": with_rig("[6.0, 0.0, 2.6]", "[6.0, inf, 2.6]", "anchors.A2"),
+    "anchor beyond all numbers": with_rig("[6.0, 0.0, 2.6]", f"[6.0, {10**400}, 2.6]", "anchors.A2"),
+    "anchors not a table": with_rig("[anchors]", "anchors = 3\n[comment]", "anchors"),
+    "station without position": with_rig("position_m = [0.0, 2.5, 2.3]\n", "", "position_m"),
+    "station without rotation": with_rig(_QUATERNION + "\n", "", "rotation_wxyz"),
+    "station key misspelt": with_rig("wavelength_m", "wave_length_m", "wavelength_m"),
+    "zero quaternion": with_rig(_QUATERNION, "rotation_wxyz = [0, 0, 0, 0]", "stations.S1.rotation_wxyz"),
+    "quaternion not of unit length": with_rig(_QUATERNION, "rotation_wxyz = [1, 1, 0, 0]", "stations.S1.rotation_wxyz"),
+    "quaternion of three numbers": with_rig(_QUATERNION, "rotation_wxyz = [0, 0, 1]", "stations.S1.rotation_wxyz"),
+    "negative wavelength": with_rig("wavelength_m = 0.0125", "wavelength_m = -0.0125", "wavelength_m"),
+    "antennas without wavelength": with_rig("wavelength_m = 0.0125\n", "", "wavelength_m"),
+    "wavelength without antennas": with_rig(_ANTENNAS, "", "antennas_m"),
+    "antennas in 3-D": with_rig("[[0.02, 0.0],", "[[0.02, 0.0, 0.0],", "antennas_m"),
+    "tag height a text": with_rig("height_m = 1.0", 'height_m = "1 m"', "tags.T1.height_m"),
+    "path of one corner": with_rig("[[1.0, 1.0], [5.0, 1.0], [5.0, 4.0]]", "[[1.0, 1.0]]", "knots_m"),
+    "path without corners": with_rig("knots_m = [[1.0, 1.0], [5.0, 1.0], [5.0, 4.0]]", "", "knots_m"),
+    # a table's file
+    "empty file": with_file("ranges.csv", b""),
+    "header only": with_file("ranges.csv", lambda data: data.split(b"\n")[0] + b"\n"),
+    "binary junk": with_file("ranges.csv", _JUNK),
+    "junk without a zero byte": with_file("ranges.csv", bytes(range(128, 256)) * 8),
+    "UTF-16": with_file("ranges.csv", lambda data: data.decode().encode("utf-16")),
+    "truncated gzip": with_file("ranges.csv", lambda data: gzip.compress(data)[:-400], to="ranges.csv.gz"),
+    "gzip header only": with_file("ranges.csv", lambda data: gzip.compress(data)[:10], to="ranges.csv.gz"),
+    "damaged gzip": with_file(
+        "ranges.csv", lambda data: gzip.compress(data)[:300] + _JUNK + gzip.compress(data)[2300:], to="ranges.csv.gz"
+    ),
+    "text named gzip": with_file("ranges.csv", lambda data: data, to="ranges.csv.gz"),
+    "gzip named text": with_file("ranges.csv", gzip.compress),
+    "junk named Parquet": with_file("ranges.csv", _JUNK, to="ranges.parquet"),
+    "truncated Parquet": with_parquet("ranges", lambda data: data[:-200]),
+    "Parquet with damaged footer": with_parquet("ranges", lambda data: data[:-60] + b"\xff" * 52 + data[-8:]),
+    "Parquet with damaged pages": with_parquet(
+        "ranges", lambda data: data[:4] + _JUNK[: len(data) // 4] + data[4 + len(data) // 4 :]
+    ),
+    "line cut off": with_file("ranges.csv", lambda data: data[: data.rindex(b",")][: -len(b",1.23")]),
+    "semicolons": with_file("ranges.csv", lambda data: data.replace(b",", b";")),
+    "decimal commas": with_file("fixes.csv", lambda data: data.replace(b".", b",")),
+    "a cell too many": with_line("ranges", lambda line: line + ",1", 5, "ranges.csv: row 5 (line 6)"),
+    "a cell too few": with_line("ranges", lambda line: line.rpartition(",")[0], 5, "ranges.csv: row 5 (line 6)"),
+    "one row too long and one too short": with_file(
+        "ranges.csv", lambda data: data.replace(b"\n", b",9\n", 5).replace(b",9\n", b"\n", 4)[:-6] + b"\n"
+    ),
+    "quote left open": with_line("ranges", lambda line: '"' + line, 5),
+    # its columns
+    "column missing": with_table("ranges", lambda table: table.drop("anchor")),
+    "column misnamed": with_renamed("ranges", "range_m", "range"),
+    "column in degrees": with_renamed("bearings", "azimuth_rad", "azimuth_deg"),
+    "column twice": with_renamed("ranges", "range_std_m", "range_m"),
+    "no header": with_file("ranges.csv", lambda data: data.partition(b"\n")[2]),
+    "misnamed standard deviation": with_renamed("ranges", "range_std_m", "std_range_m"),
+    "standard deviation without unit": with_renamed("ranges", "range_std_m", "range_std"),
+    "quaternion with three columns": with_table("truth", lambda table: table.drop("qz")),
+    "phase column too few": with_table("phases", lambda table: table.drop("phase_4_rad")),
+    "phase column too many": with_table("phases", lambda table: table.with_columns(phase_5_rad=pl.col("phase_4_rad"))),
+    "hole in the phase columns": with_table("phases", lambda table: table.drop("phase_2_rad")),
+    "no phase column": with_table("phases", lambda table: table.select("t_s", "tag", "station")),
+    "phases of a station without antennas": with_rig(_S1_PHASES, "", "phases.csv"),
+    # its cells
+    "text in a number": with_cell("ranges", "range_m", "far"),
+    "NA in a number": with_cell("imu", "accel_x_mps2", "NA"),
+    "number with a unit": with_cell("ranges", "range_m", "2.5 m"),
+    "infinite value": with_cell("ranges", "range_m", "inf"),
+    "minus infinity": with_cell("imu", "gyro_z_radps", "-Infinity"),
+    "number beyond all numbers": with_cell("truth", "x_m", "1e999"),
+    "number beyond reason": with_cell("truth", "x_m", "1e300"),
+    "time missing": with_cell("ranges", "t_s", ""),
+    "time not a number": with_cell("truth", "t_s", "nan"),
+    "time a clock text": with_cell("ranges", "t_s", "12:00:01"),
+    "time infinite": with_cell("ranges", "t_s", "inf"),
+    "tag missing": with_cell("ranges", "tag", ""),
+    "unknown anchor": with_cell("ranges", "anchor", "A9"),
+    "unknown station": with_cell("bearings", "station", "s1"),
+    "unknown station of phases": with_cell("phases", "station", "S3"),
+    "negative standard deviation": with_cell("ranges", "range_std_m", "-0.03"),
+    "zero standard deviation": with_cell("fixes", "x_std_m", "0"),
+    "zero quaternion in truth": with_cell("truth", "qw", "0"),
+    "Parquet with text for numbers": with_table(
+        "ranges", lambda table: table.with_columns(range_m=pl.lit("far")), "parquet", "row 1, column range_m"
+    ),
+    "Parquet with dates for times": with_table(
+        "ranges", lambda table: table.with_columns(pl.from_epoch("t_s", "s")), "parquet", "ranges.parquet: column t_s"
+    ),
+    "Parquet with fractions for ids": with_table(
+        "ranges", lambda table: table.with_columns(anchor=pl.lit(1.0)), "parquet", "ranges.parquet: column anchor"
+    ),
+    "Parquet with an infinite value": with_table(
+        "ranges", lambda table: table.with_columns(range_m=pl.lit(float("inf"))), "parquet", "row 1, column range_m"
+    ),
+    "Parquet without rows": with_table("ranges", lambda table: table.clear(), "parquet"),
+}
+
+
+def _when(tag: str, column: str, start: float, stop: float, value: pl.Expr) -> pl.Expr:
+    """`column` with `value` in its place for one tag between two times, s."""
+    here = (pl.col("tag") == tag) & pl.col("t_s").is_between(start, stop)
+    return pl.when(here).then(value).otherwise(pl.col(column)).alias(column)
+
+
+def _odd(name: str, change: Callable[[pl.DataFrame], pl.DataFrame], word: str) -> Builder:
+    return with_table(name, change, word=word)
+
+
+ODD: dict[str, Builder] = {
+    "rows out of order": _odd("ranges", lambda table: table.reverse(), "earlier than the row above"),
+    "some rows late": _odd("imu", lambda table: pl.concat([table[10:], table[:10]]), "earlier than the row above"),
+    "rows twice": _odd("ranges", lambda table: pl.concat([table[:20], table]), "stand there twice, values and all: 20"),
+    "times twice": _odd(
+        "fixes",
+        lambda table: pl.concat([table, table[:6].with_columns(pl.col("x_m") + 0.01)]),
+        "time of another row of the same sensor and tag: 6",
+    ),
+    "unknown tag": _odd(
+        "ranges",
+        lambda table: pl.concat([table, table.filter(pl.col("tag") == "T1").with_columns(tag=pl.lit("T7"))]),
+        "not in rig.toml: 1 ('T7')",
+    ),
+    "gap": _odd("bearings", lambda table: table.filter(~pl.col("t_s").is_between(1.0, 3.0)), "gaps longer than 1 s: 4"),
+    "wild range": _odd(
+        "ranges",
+        lambda table: table.with_columns(_when("T1", "range_m", 1.99, 2.01, pl.lit(250.0))),
+        "wild values of range_m: 4",
+    ),
+    "wild pair of fixes": _odd(
+        "fixes",
+        lambda table: table.with_columns(_when("T2", "y_m", 1.99, 2.11, pl.lit(-40.0))),
+        "wild values of y_m: 2",
+    ),
+    "negative range": _odd(
+        "ranges",
+        lambda table: table.with_columns(_when("T1", "range_m", 0.99, 1.01, pl.lit(-1.0))),
+        "negative values of range_m: 4",
+    ),
+    "angles in degrees": _odd(
+        "bearings", lambda table: table.with_columns(pl.col("azimuth_rad", "elevation_rad").degrees()), "degrees"
+    ),
+    "phases from 0 to 2 pi": _odd(
+        "phases", lambda table: table.with_columns(pl.col("^phase_.*$") % (2 * np.pi)), "not wrapped"
+    ),
+    "unknown column": _odd("ranges", lambda table: table.with_columns(rssi_dbm=pl.lit(-70.0)), "'rssi_dbm'"),
+    "unknown file": then(lambda folder: [(folder / "notes.csv").write_text("a,b\n1,2\n"), "none of the tables"][1]),
+    "unknown key in the rig": with_rig('about = "Made for tests."', 'operator = "me"', "'operator'"),
+    "quaternions not of unit length": _odd("truth", lambda table: table.with_columns(qw=pl.lit(0.9)), "unit length"),
+}

@@ -1,0 +1,257 @@
+"""The check of a recording: what is odd is named, what is wrong is an error, what is fine stays quiet."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from experiments.check import Finding, check_folder, format_findings
+from experiments.folder import Folder, read_folder
+from tests.experiments.broken import ODD
+from tests.experiments.faulty import write_good
+from trackers.core.rig import Rig
+
+RECORDINGS = Path(
+    os.environ.get("TRACKWRIGHT_RECORDINGS", Path(__file__).resolve().parents[3] / "shared" / "recordings")
+)
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory) -> Folder:
+    folder = tmp_path_factory.mktemp("check") / "good"
+    write_good(folder)
+    return read_folder(folder)
+
+
+def _check(
+    folder: Folder, rig: Rig | None = None, **changes: Callable[[pl.DataFrame], pl.DataFrame | None]
+) -> list[Finding]:
+    """The findings after some tables were changed, or removed by a change that gives None."""
+    changed = {name: changes.get(name, lambda table: table)(table) for name, table in folder.tables.items()}
+    tables = {name: table for name, table in changed.items() if table is not None}
+    return check_folder(replace(folder, tables=tables, rig=rig or folder.rig))
+
+
+def _messages(findings: list[Finding], *levels: str) -> list[str]:
+    return [f"{finding.where}: {finding.message}" for finding in findings if not levels or finding.level in levels]
+
+
+def _has(findings: list[Finding], level: str, *words: str) -> bool:
+    return any(all(word in message for word in words) for message in _messages(findings, level))
+
+
+def _drop(table: pl.DataFrame) -> None:
+    return None
+
+
+def test_a_good_recording_has_neither_errors_nor_warnings(good: Folder):
+    assert _messages(check_folder(good), "error", "warning") == []
+
+
+def test_rates_are_told_by_sensor_and_tag(good: Folder):
+    messages = _messages(check_folder(good), "info")
+    assert "ranges: anchor A1, tag T1: 50 rows, 10 a second" in messages
+    assert "bearings: station S2, tag T2: 50 rows, 10 a second" in messages
+    assert "imu: tag T1: 50 rows, 10 a second" in messages
+
+
+def test_many_tags_are_summed_up(good: Folder):
+    def crowd(table: pl.DataFrame) -> pl.DataFrame:
+        tags = (table.filter(pl.col("tag") == "T1").with_columns(tag=pl.lit(f"tag {k}")) for k in range(300))
+        return pl.concat(tags).sort("t_s", maintain_order=True)
+
+    findings = _check(good, rig=replace(good.rig, tags={}), ranges=crowd, truth=crowd)
+    assert "ranges: 300 tags, 4 anchors: 60000 rows, each 10 to 10 a second, median 10" in _messages(findings, "info")
+    assert len(findings) < 40
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_what_is_odd_is_named(tmp_path: Path, name):
+    word = ODD[name](tmp_path / "recording")
+    folder = read_folder(tmp_path / "recording")
+    findings = check_folder(folder)
+    assert any(word in message for message in _messages(findings, "warning", "error"))
+    assert all("\n" not in message for message in _messages(findings))
+
+
+def test_tables_made_in_memory_are_checked_for_oddities_too(good: Folder):
+    findings = _check(good, ranges=lambda table: table.filter(~pl.col("t_s").is_between(1.0, 3.0)))
+    assert _has(findings, "warning", "ranges", "gaps longer than 1 s: 8")
+    assert _has(findings, "info", "anchor A1, tag T1", "long gaps: 1, the longest 2.2 s before t_s 3.1")
+
+
+_SUSPICIOUS: dict[str, tuple[str, tuple[str, ...], dict[str, Callable[[pl.DataFrame], pl.DataFrame | None]]]] = {
+    "azimuth in degrees": (
+        "error",
+        ("bearings", "azimuth_rad", "degrees"),
+        {"bearings": lambda table: table.with_columns(pl.col("azimuth_rad").degrees())},
+    ),
+    "phases in degrees": (
+        "error",
+        ("phases", "degrees"),
+        {"phases": lambda table: table.with_columns(pl.col("^phase_.*$").degrees())},
+    ),
+    "ranges in millimetres": (
+        "error",
+        ("ranges", "millimetres"),
+        {"ranges": lambda table: table.with_columns(pl.col("range_m") * 1000)},
+    ),
+    "ranges in centimetres": (
+        "error",
+        ("ranges", "centimetres"),
+        {"ranges": lambda table: table.with_columns(pl.col("range_m") * 100)},
+    ),
+    "fixes in millimetres": (
+        "error",
+        ("fixes", "millimetres"),
+        {"fixes": lambda table: table.with_columns(pl.col("x_m", "y_m", "z_m") * 1000)},
+    ),
+    "truth in millimetres": (
+        "error",
+        ("truth", "millimetres"),
+        {"truth": lambda table: table.with_columns(pl.col("x_m", "y_m", "z_m") * 1000)},
+    ),
+    "acceleration in g": (
+        "error",
+        ("imu", "multiples of g"),
+        {"imu": lambda table: table.with_columns(pl.col("^accel.*$") / 9.81)},
+    ),
+    "acceleration without gravity": (
+        "warning",
+        ("imu", "with gravity"),
+        {"imu": lambda table: table.with_columns(pl.col("accel_z_mps2") - 9.81)},
+    ),
+    "gravity beside quaternion columns": (
+        "warning",
+        ("imu", "quaternion columns"),
+        {"imu": lambda table: table.with_columns(qw=pl.lit(1.0), qx=pl.lit(0.0), qy=pl.lit(0.0), qz=pl.lit(0.0))},
+    ),
+    "turn rates in degrees": (
+        "error",
+        ("imu", "degrees a second"),
+        {"imu": lambda table: table.with_columns(pl.col("^gyro.*$") * 0 + 150)},
+    ),
+    "a table without a value": (
+        "error",
+        ("ranges", "not a single value"),
+        {"ranges": lambda table: table.with_columns(range_m=pl.lit(None, pl.Float64))},
+    ),
+    "a silent anchor": (
+        "warning",
+        ("anchors never heard: 1 of 4 (A3)",),
+        {"ranges": lambda table: table.filter(pl.col("anchor") != "A3")},
+    ),
+    "truth of another time": (
+        "error",
+        ("truth", "no measurement lies inside"),
+        {"truth": lambda table: table.with_columns(pl.col("t_s") + 40)},
+    ),
+    "truth of a part": (
+        "warning",
+        ("truth", "covers 20 %"),
+        {"truth": lambda table: table.filter(pl.col("t_s") < 0.95)},
+    ),
+    "a hole in the truth": (
+        "warning",
+        ("truth", "holes longer than 1 s in which it moved: 2, the longest 2.2 s after t_s 0.9"),
+        {"truth": lambda table: table.filter(~pl.col("t_s").is_between(0.95, 3.05))},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", _SUSPICIOUS)
+def test_what_looks_wrong_is_found(good: Folder, name):
+    level, words, changes = _SUSPICIOUS[name]
+    findings = _check(good, **changes)
+    assert _has(findings, level, *words), format_findings(findings)
+
+
+def test_nothing_but_truth_is_nothing_to_track(good: Folder):
+    only = {name: _drop for name in good.tables if name != "truth"}
+    assert _has(_check(good, **only), "error", "nothing to track")
+
+
+@pytest.mark.parametrize(
+    ("scale", "shift", "level", "word"),
+    [
+        (1, 1.7e9, "warning", "seconds since 1970"),
+        (1e3, 1.7e12, "error", "milliseconds since 1970"),
+        (1e6, 1.7e15, "error", "microseconds since 1970"),
+        (1e9, 1.7e18, "error", "nanoseconds since 1970"),
+        (1e3, 0, "warning", "looks like milliseconds"),
+        (1, 500, "warning", "expected a start near 0"),
+    ],
+)
+def test_a_strange_time_base_is_found(good: Folder, scale, shift, level, word):
+    move = {name: lambda table: table.with_columns(pl.col("t_s") * scale + shift) for name in good.tables}
+    assert _has(_check(good, **move), level, "t_s", word)
+
+
+def test_a_still_truth_has_no_holes(good: Folder):
+    ends = _check(
+        good, truth=lambda t: t.filter(pl.col("t_s").is_in([0.0, 4.9])).with_columns(x_m=1.0, y_m=1.0, z_m=1.0)
+    )
+    assert not any("holes" in message for message in _messages(ends))
+    assert "truth: covers 100 % of the measurements in time" in _messages(ends, "info")
+
+
+def test_anchors_in_millimetres_are_found(good: Folder):
+    rig = replace(good.rig, anchors={key: position * 1000 for key, position in good.rig.anchors.items()})
+    assert _has(_check(good, rig), "error", "rig.toml", "anchors", "millimetres")
+
+
+def _with_anchors(rig: Rig, positions: list[list[float]]) -> Rig:
+    return replace(rig, anchors={key: np.array(p) for key, p in zip(rig.anchors, positions, strict=True)})
+
+
+@pytest.mark.parametrize(
+    ("positions", "word"),
+    [
+        ([[0, 0, 2], [6, 0, 2], [6, 5, 2], [0, 5, 2.1]], "height is weakly determined"),
+        ([[0, 0, 2], [2, 0, 2], [4, 0, 2], [6, 0, 2.1]], "on one line"),
+        ([[0, 0, 0], [0, 4, 0], [0, 4, 3], [0, 0, 3]], "upright plane"),
+        ([[0, 0, 0.3], [0, 0, 0.3], [6, 5, 0.4], [0, 5, 2.9]], "A1 and A2 stand at one place"),
+    ],
+)
+def test_weak_geometry_is_named(good: Folder, positions, word):
+    assert _has(_check(good, _with_anchors(good.rig, positions)), "warning", "rig.toml", word)
+
+
+def test_a_single_station_gives_no_position(good: Folder):
+    findings = _check(good, bearings=lambda table: table.filter(pl.col("station") == "S1"))
+    assert _has(findings, "info", "bearings", "no position without a height")
+
+
+def test_without_truth_dilution_is_told_for_the_middle_of_the_rig(good: Folder):
+    assert any("at the middle of the rig on the tags' height" in m for m in _messages(_check(good, truth=_drop)))
+
+
+def test_findings_stand_in_aligned_lines_with_the_gravest_first():
+    text = format_findings(
+        [
+            Finding("info", "t_s", "from 0 to 9 s"),
+            Finding("error", "bearings", "degrees"),
+            Finding("warning", "imu", "odd"),
+        ]
+    )
+    assert text.splitlines() == [
+        "error    bearings  degrees",
+        "warning  imu       odd",
+        "info     t_s       from 0 to 9 s",
+        "errors: 1, warnings: 1, notes: 1",
+    ]
+    assert format_findings([]) == "errors: 0, warnings: 0, notes: 0"
+
+
+@pytest.mark.skipif(not RECORDINGS.is_dir(), reason="real recordings are not there; set TRACKWRIGHT_RECORDINGS")
+def test_every_real_recording_reads_and_has_no_error():
+    folders = sorted(file.parent for file in RECORDINGS.glob("*/rig.toml"))
+    assert folders
+    wrong = {folder.name: _messages(check_folder(read_folder(folder)), "error") for folder in folders}
+    assert not any(wrong.values()), wrong

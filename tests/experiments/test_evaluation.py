@@ -1,0 +1,403 @@
+"""Matching with truth, error figures by level, their text and JSON, and conditions on them."""
+
+import json
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from experiments.errors import UnusableInput
+from experiments.evaluation import evaluate
+from experiments.evaluation_text import to_json, to_text
+from experiments.fail_if import fails
+from experiments.matching import Verdict, match_truth, read_tracks
+from trackers.core.rig import Station
+
+RECORDINGS = Path(os.environ.get("TRACKWRIGHT_RECORDINGS", Path(__file__).parents[2] / ".." / "shared" / "recordings"))
+
+
+def _tracks(t, x, recording="hall", tag="1", **columns):
+    zero = [0.0] * len(t)
+    base = {"t_s": t, "x_m": x, "y_m": zero, "z_m": zero}
+    return pl.DataFrame({"recording": [recording] * len(t), "tag": [tag] * len(t), **(base | columns)})
+
+
+def _truth(t, x, tag="1", **columns):
+    zero = [0.0] * len(t)
+    return pl.DataFrame({"t_s": t, "tag": [tag] * len(t), "x_m": x, "y_m": zero, "z_m": zero} | columns)
+
+
+def _verdicts(tracks, truth):
+    return [Verdict(code) for code in match_truth(tracks, {"hall": truth}).verdict]
+
+
+@pytest.fixture
+def noisy():
+    """Two recordings, one of them with two tags, of different length, with their truth and covariances."""
+    rng = np.random.default_rng(7)
+    tracks, truths = [], {}
+    for recording, tag, n in (("hall", "a", 120), ("yard", "b", 50), ("yard", "c", 31)):
+        t = np.sort(rng.uniform(0, 10, n))
+        places = np.stack([np.cos(t), np.sin(2 * t), 0.1 * t], axis=1)
+        sigmas = np.array([0.3, 0.1, 0.2])
+        e = rng.normal(size=(n, 3)) * sigmas
+        columns = {f"{axis}_m": places[:, k] + e[:, k] for k, axis in enumerate("xyz")}
+        columns |= {f"std_{axis}_m": np.full(n, sigmas[k]) for k, axis in enumerate("xyz")}
+        columns |= {"nis": rng.chisquare(4, n), "nis_dof": np.full(n, 4.0), "status": ["ok"] * n}
+        tracks.append(_tracks(t, columns.pop("x_m"), recording, tag, **columns))
+        truth = _truth(t, places[:, 0], tag, y_m=places[:, 1], z_m=places[:, 2])
+        truths[recording] = pl.concat([truths[recording], truth]) if recording in truths else truth
+    return pl.concat(tracks), truths
+
+
+# Matching
+
+
+def test_truth_is_interpolated_linearly_at_the_estimates_times():
+    matched = match_truth(_tracks([0.25, 0.5, 1.0], [0.0] * 3), {"hall": _truth([0.0, 0.5, 1.0], [0.0, 2.0, 3.0])})
+    np.testing.assert_allclose(matched.truth[:, 0], [1.0, 2.0, 3.0], rtol=1e-15)
+
+
+def test_truth_counts_only_inside_its_span():
+    tracks = _tracks([0.9, 1.0, 1.5, 2.0, 2.1], [0.0] * 5)
+    outside, inside = Verdict.NO_TRUTH, Verdict.COUNTS
+    assert _verdicts(tracks, _truth([1.0, 2.0], [0.0, 0.0])) == [outside, inside, inside, inside, outside]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "moved", "counts"),
+    [(1.5, 0.03, False), (1.5, 0.01, True), (0.9, 5.0, True), (100.0, 0.0, True), (1.01, 0.021, False)],
+)
+def test_a_hole_in_the_truth_counts_unless_it_is_long_and_the_tag_moved(seconds, moved, counts):
+    verdicts = _verdicts(_tracks([seconds / 2], [0.0]), _truth([0.0, seconds], [0.0, moved]))
+    assert verdicts == [Verdict.COUNTS if counts else Verdict.HOLE]
+
+
+def test_estimates_at_the_truth_rows_beside_a_hole_count():
+    verdicts = _verdicts(_tracks([1.0, 2.0, 5.0, 5.5], [0.0] * 4), _truth([0.0, 1.0, 5.0, 6.0], [0.0, 0.0, 9.0, 9.0]))
+    assert verdicts == [Verdict.COUNTS, Verdict.HOLE, Verdict.COUNTS, Verdict.COUNTS]
+
+
+def test_empty_truth_cells_are_a_hole():
+    truth = _truth([0.0, 1.0, 2.0], [0.0, None, 3.0])
+    assert _verdicts(_tracks([1.0], [0.0]), truth) == [Verdict.HOLE]
+
+
+def test_a_truth_of_one_row_serves_its_own_time():
+    assert _verdicts(_tracks([1.0, 1.1], [0.0] * 2), _truth([1.0], [0.0])) == [Verdict.COUNTS, Verdict.NO_TRUTH]
+
+
+def test_rows_that_hold_no_estimate_do_not_count():
+    x = [1.0, 1.0, 1.0, None, math.nan, math.inf, 1.0, 1.0]
+    status = ["waiting", "non-finite", "lost", "ok", "ok", "ok", None, "restarted"]
+    verdicts = _verdicts(_tracks([0.1 * k for k in range(8)], x, status=status), _truth([0.0, 1.0], [1.0, 1.0]))
+    none, counts = Verdict.NO_ESTIMATE, Verdict.COUNTS
+    assert verdicts == [none, none, counts, none, none, none, counts, counts]
+
+
+def test_tags_that_a_reader_took_for_numbers_are_matched_as_text():
+    truth = _truth([0.0, 1.0], [0.0, 0.0]).with_columns(tag=pl.lit(8401))
+    assert _verdicts(_tracks([0.5], [0.0], tag="8401"), truth) == [Verdict.COUNTS]
+
+
+# Figures
+
+
+def _plain(errors):
+    """The main figures of a list of error vectors by the plainest formulas."""
+    lengths = sorted(math.hypot(*e) for e in errors)
+    return math.sqrt(sum(x * x for x in lengths) / len(lengths)), lengths[-1]
+
+
+def test_every_level_pools_the_rows_of_its_tracks(noisy):
+    tracks, truths = noisy
+    every = pl.concat([truths[name].with_columns(recording=pl.lit(name)) for name in truths])
+    joined = tracks.join(every, on=["recording", "tag", "t_s"], suffix="_true")
+    evaluation = evaluate(tracks, truths)
+    levels = [(evaluation.overall, joined)]
+    levels += [(f, joined.filter(recording=f["recording"])) for f in evaluation.recordings]
+    levels += [(f, joined.filter(recording=f["recording"], tag=f["tag"])) for f in evaluation.tracks]
+    assert [figures["n"] for figures, _ in levels] == [201, 120, 81, 120, 50, 31]
+    for figures, rows in levels:
+        errors = [[row[f"{a}_m"] - row[f"{a}_m_true"] for a in "xyz"] for row in rows.to_dicts()]
+        # Sums of at most 201 numbers in another order.
+        assert (figures["rmse_m"], figures["max_m"]) == pytest.approx(_plain([e[:2] for e in errors]), rel=1e-12)
+        assert (figures["rmse_3d_m"], figures["max_3d_m"]) == pytest.approx(_plain(errors), rel=1e-12)
+        assert figures["bias_z_m"] == pytest.approx(sum(e[2] for e in errors) / len(errors), rel=1e-9)
+        assert figures["nis_ratio"] == pytest.approx(sum(rows["nis"]) / sum(rows["nis_dof"]), rel=1e-12)
+        nees = [(e[0] / 0.3) ** 2 + (e[1] / 0.1) ** 2 for e in errors]
+        assert figures["nees_mean"] == pytest.approx(sum(nees) / len(nees), rel=1e-12)
+        assert figures["coverage_95"] == sum(value < -2 * math.log(0.05) for value in nees) / len(nees)
+
+
+def test_the_order_of_rows_changes_nothing(noisy):
+    tracks, truths = noisy
+    shuffled = {name: truth.sample(fraction=1, shuffle=True, seed=1) for name, truth in truths.items()}
+    assert evaluate(tracks.sample(fraction=1, shuffle=True, seed=2), shuffled) == evaluate(tracks, truths)
+
+
+def test_correlated_covariances_enter_the_nees():
+    tracks = _tracks([0.5], [1.0], y_m=[1.0], std_x_m=[1.0], std_y_m=[1.0], cov_xy_m2=[0.5])
+    # [1 1] inv([[1, 0.5], [0.5, 1]]) [1 1]ᵀ = 4/3
+    assert evaluate(tracks, {"hall": _truth([0, 1], [0.0, 0.0])}).overall["nees_mean"] == pytest.approx(4 / 3)
+
+
+def test_a_known_height_leaves_the_horizontal_figures():
+    tracks = _tracks([0.5], [1.0], std_x_m=[1.0], std_y_m=[1.0], std_z_m=[0.0])
+    overall = evaluate(tracks, {"hall": _truth([0, 1], [0.0, 0.0])}).overall
+    assert (overall["rmse_3d_m"], overall["nees_mean"], overall["nees_3d_mean"]) == (1.0, 1.0, None)
+
+
+@pytest.mark.parametrize("z", [[None], [math.nan]])
+def test_tracks_without_height_have_no_figures_in_space(z):
+    tracks = _tracks([0.5], [1.0], z_m=pl.Series(z, dtype=pl.Float64))
+    overall = evaluate(tracks, {"hall": _truth([0, 1], [0.0, 0.0])}).overall
+    assert (overall["rmse_m"], overall["rmse_3d_m"], overall["bias_z_m"]) == (1.0, None, None)
+
+
+def test_time_lost_adds_up_over_tracks():
+    lost = _tracks([0.0, 1.0, 4.0], [0.0] * 3, tag="1", status=["ok", "lost", "ok"])
+    well = _tracks([0.0, 9.0], [0.0] * 2, tag="2", status=["ok", "ok"])
+    truth = pl.concat([_truth([0.0, 9.0], [0.0, 0.0], tag) for tag in "12"])
+    overall = evaluate(pl.concat([lost, well]), {"hall": truth}).overall
+    assert (overall["lost_s"], overall["lost_fraction"]) == (3.0, 3 / 13)
+
+
+def test_rows_that_do_not_count_are_counted_by_reason():
+    tracks = _tracks([0.5, 0.6, 1.5, 2.5, 9.0], [0.0] * 5, status=["waiting", "ok", "ok", "ok", "ok"])
+    overall = evaluate(tracks, {"hall": _truth([0.0, 1.0, 3.0], [0.0, 0.0, 5.0])}).overall
+    assert [overall[name] for name in ("n_rows", "n", "n_no_estimate", "n_no_truth", "n_hole")] == [5, 1, 1, 1, 2]
+
+
+def test_the_last_estimate_of_every_interval_can_be_judged_alone():
+    # 0.3 s opens an interval although 0.3 / 0.1 is just under 3 in binary.
+    tracks = _tracks([0.0, 0.05, 0.09, 0.1, 0.25, 0.3, 0.31], [9.0, 9.0, 1.0, 2.0, 3.0, 9.0, 4.0])
+    evaluation = evaluate(tracks, {"hall": _truth([0.0, 1.0], [0.0, 0.0])}, every=0.1)
+    assert (evaluation.overall["n"], evaluation.overall["max_m"], evaluation.overall["median_m"]) == (4, 4.0, 2.5)
+
+
+def test_thousands_of_tags_are_evaluated_like_one():
+    rng = np.random.default_rng(3)
+    tags, rows = 3000, 20
+    t, tag = np.tile(np.arange(rows) * 0.1, tags), np.repeat([f"{k}" for k in range(tags)], rows)
+    errors = rng.normal(size=(tags * rows, 2))
+    frame = pl.DataFrame({"t_s": t, "tag": tag, "x_m": np.sin(t), "y_m": 0 * t, "z_m": 0 * t})
+    moved = frame.with_columns(x_m=np.sin(t) + errors[:, 0], y_m=errors[:, 1], recording=pl.lit("hall"))
+    evaluation = evaluate(moved, {"hall": frame})
+    expected = np.sqrt((errors**2).sum(axis=1).reshape(tags, rows).mean(axis=1))
+    found = {figures["tag"]: figures["rmse_m"] for figures in evaluation.tracks}
+    np.testing.assert_allclose([found[f"{k}"] for k in range(tags)], expected, rtol=1e-9)
+    assert len(to_text(evaluation).splitlines()) < 20
+
+
+# Bearings
+
+
+@pytest.fixture
+def stations():
+    half = math.sqrt(0.5)
+    north = Station(np.array([0.0, 5.0, 3.0]), np.array([half, half, 0.0, 0.0]))
+    return {"hall": {"N": north, "S": Station(np.array([0.0, -5.0, 3.0]), np.array([0.0, 0.0, half, half]))}}
+
+
+def _bearing_tracks(stations, offset, t=(0.2, 0.8)):
+    """What each station reports of a tag at (t, 1, 1), with a constant error of azimuth and elevation."""
+    frames = []
+    for ident, station in stations["hall"].items():
+        angles = station.angles(np.array([[x, 1.0, 1.0] for x in t])) + offset
+        azimuth = np.angle(np.exp(1j * angles[:, 0]))
+        values = {"azimuth_rad": azimuth, "elevation_rad": angles[:, 1]}
+        values |= {"std_azimuth_rad": 0.1, "std_elevation_rad": 0.2}
+        frames.append(pl.DataFrame({"recording": "hall", "tag": "1", "station": ident, "t_s": t, **values}))
+    return pl.concat(frames)
+
+
+def _still_walk():
+    return {"hall": _truth([0.0, 1.0], [0.0, 1.0], y_m=[1.0, 1.0], z_m=[1.0, 1.0])}
+
+
+def test_bearings_are_judged_against_the_truth_their_station_sees(stations):
+    evaluation = evaluate(_bearing_tracks(stations, [0.05, -0.1]), _still_walk(), stations)
+    assert [(f["station"], f["n"]) for f in evaluation.tracks] == [("N", 2), ("S", 2)]
+    overall = evaluation.overall
+    # Sines and cosines of single angles come and go: some roundings of 1e-16.
+    assert overall["rmse_azimuth_rad"] == pytest.approx(0.05, rel=1e-12)
+    assert overall["bias_elevation_rad"] == pytest.approx(-0.1, rel=1e-12)
+    assert overall["nees_mean"] == pytest.approx(0.25 + 0.25, rel=1e-12)
+
+
+def test_the_angle_between_directions_is_the_great_circle(stations):
+    evaluation = evaluate(_bearing_tracks(stations, [0.0, 0.1]), _still_walk(), stations)
+    assert evaluation.overall["rmse_direction_rad"] == pytest.approx(0.1, rel=1e-12)
+
+
+def test_azimuth_errors_are_wrapped(stations):
+    north = {"hall": {"N": Station(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))}}
+    behind = {"hall": _truth([0.0, 1.0], [0.01, 0.01], z_m=[-1.0, -1.0])}
+    row = {"recording": "hall", "tag": "1", "station": "N", "t_s": [0.5], "azimuth_rad": [-math.pi + 0.01]}
+    overall = evaluate(pl.DataFrame({**row, "elevation_rad": [0.0]}), behind, north).overall
+    # The true azimuth is π − atan(0.01); the estimate lies beyond the cut.
+    assert overall["bias_azimuth_rad"] == pytest.approx(0.01 + math.atan(0.01), rel=1e-9)
+
+
+def test_a_station_that_the_rig_does_not_know_is_refused(stations):
+    del stations["hall"]["S"]
+    tracks = _bearing_tracks(stations, [0.0, 0.0]).with_columns(station=pl.lit("S"))
+    with pytest.raises(UnusableInput, match=r"station 'S' is not in its rig; found N"):
+        evaluate(tracks, _still_walk(), stations)
+
+
+# What cannot be used
+
+
+def test_tracks_of_another_recording_are_refused():
+    with pytest.raises(UnusableInput, match="recording hall, the truth is of yard"):
+        evaluate(_tracks([0.5], [0.0]), {"yard": _truth([0.0, 1.0], [0.0, 0.0])})
+
+
+def test_tracks_at_other_times_are_refused_with_both_spans():
+    with pytest.raises(UnusableInput, match=r"from 100 to 101 s of tags 1, truth of 'hall' from 0 to 1 s"):
+        evaluate(_tracks([100.0, 101.0], [0.0] * 2), {"hall": _truth([0.0, 1.0], [0.0, 0.0])})
+
+
+def test_tracks_without_an_estimate_are_refused():
+    with pytest.raises(UnusableInput, match="none of 1 rows holds an estimate"):
+        evaluate(_tracks([0.5], [0.0], status=["waiting"]), {"hall": _truth([0.0, 1.0], [0.0, 0.0])})
+
+
+@pytest.mark.parametrize(
+    ("tracks", "truth", "words"),
+    [
+        (_tracks([0.5], [0.0]).drop("tag"), _truth([0.0], [0.0]), "the tracks: no column tag"),
+        (_tracks([0.5], [0.0], status=[1]), _truth([0.0], [0.0]), "column status holds Int64; expected words"),
+        (_tracks([0.5], ["east"]), _truth([0.0], [0.0]), "column x_m holds String"),
+        (_tracks([0.5], [0.0]), _truth([0.0], [0.0]).drop("x_m"), "truth of recording 'hall': no column x_m"),
+        (_tracks([0.5], [0.0]), _truth([0.0], [0.0]).clear(), "no estimate meets a truth"),
+    ],
+)
+def test_tables_that_do_not_fit_are_refused_in_one_line(tracks, truth, words):
+    with pytest.raises(UnusableInput, match=words) as caught:
+        evaluate(tracks, {"hall": truth})
+    assert "\n" not in str(caught.value)
+
+
+def test_tracks_are_read_from_the_folder_that_track_wrote(tmp_path, noisy):
+    noisy[0].write_parquet(tmp_path / "tracks.parquet")
+    assert read_tracks(tmp_path).equals(noisy[0])
+
+
+@pytest.mark.parametrize("content", [None, b"", b"PAR1 and then something else"])
+def test_a_folder_without_readable_tracks_is_refused(tmp_path, content):
+    if content is not None:
+        (tmp_path / "tracks.parquet").write_bytes(content)
+    with pytest.raises(UnusableInput, match=r"tracks\.parquet"):
+        read_tracks(tmp_path)
+
+
+def test_an_empty_table_of_tracks_is_refused(tmp_path, noisy):
+    noisy[0].clear().write_parquet(tmp_path / "tracks.parquet")
+    with pytest.raises(UnusableInput, match="the table is empty"):
+        read_tracks(tmp_path)
+
+
+# Text, JSON, conditions
+
+
+def test_json_holds_every_level_and_null_for_what_is_missing(noisy):
+    tracks, truths = noisy
+    parsed = json.loads(to_json(evaluate(tracks.drop("std_x_m"), truths)), parse_constant=pytest.fail)
+    assert (parsed["kind"], len(parsed["recordings"]), len(parsed["tracks"])) == ("position", 2, 3)
+    assert parsed["overall"]["nees_mean"] is None
+
+
+def test_the_table_names_its_unit_and_every_track(noisy):
+    text = to_text(evaluate(*noisy))
+    assert "errors in cm" in text
+    assert all(word in text for word in ("hall", "yard", "all 2", "overall"))
+
+
+@pytest.mark.parametrize(("size", "unit"), [(5.0, "m"), (0.05, "cm"), (0.005, "mm")])
+def test_the_unit_suits_the_size_of_the_errors(size, unit):
+    assert f"errors in {unit}\n" in to_text(evaluate(_tracks([0.5], [size]), {"hall": _truth([0, 1], [0.0, 0.0])}))
+
+
+@pytest.mark.parametrize("width", [60, 80, 120, 200])
+def test_the_table_fits_the_width_it_is_given(noisy, width):
+    assert max(map(len, to_text(evaluate(*noisy), width).splitlines())) <= width
+
+
+def test_bearings_are_shown_in_degrees(stations):
+    text = to_text(evaluate(_bearing_tracks(stations, [math.radians(2), 0.0]), _still_walk(), stations))
+    assert "in degrees" in text
+    assert " 2.00 " in text
+
+
+@pytest.fixture
+def one_metre():
+    """An evaluation whose horizontal figures are all 1 m and that has no NEES."""
+    return evaluate(_tracks([0.5], [1.0]), {"hall": _truth([0.0, 1.0], [0.0, 0.0])})
+
+
+@pytest.mark.parametrize(
+    ("expression", "failure"),
+    [
+        ("p95_m>0.5", "p95_m is 1 > 0.5"),
+        ("p95_m > 1", None),
+        ("p95_m >= 1.0", "p95_m is 1 >= 1.0"),
+        ("n<1e1 and rmse_m==1", "n is 1 < 1e1 and rmse_m is 1 == 1"),
+        ("n<10 and rmse_m<1", None),
+        ("n>10 and rmse_m<1 or max_m<=.1e1", "max_m is 1 <= .1e1"),
+        ("bias_x_m > -3 or n == 1", "bias_x_m is 1 > -3; n is 1 == 1"),
+        ("lost_fraction != 0", None),
+    ],
+)
+def test_a_condition_holds_or_does_not(one_metre, expression, failure):
+    assert fails(one_metre, expression) == failure
+
+
+@pytest.mark.parametrize(
+    "expression",
+    ["", "p95_m", "p95_m>", "p95_m>>1", "p95_m>1 and", "1<p95_m", "p95_m>nan", "print('x')>1", "n>0x1", "n>1,n>2"],
+)
+def test_a_condition_that_cannot_be_read_is_refused_with_the_names(one_metre, expression):
+    with pytest.raises(UnusableInput, match=r"NAME OPERATOR NUMBER.*names: n, .*rmse_m"):
+        fails(one_metre, expression)
+
+
+def test_an_unknown_figure_is_refused_with_the_names(one_metre):
+    with pytest.raises(UnusableInput, match=r"no figure 'p95'; names: .*p95_m"):
+        fails(one_metre, "p95>0.5 or n>0")
+
+
+def test_a_figure_without_a_value_does_not_pass_silently(one_metre):
+    with pytest.raises(UnusableInput, match="'nees_mean' has no value"):
+        fails(one_metre, "n>1 and nees_mean>3")
+
+
+# Real recordings: the raw errors of their README
+
+
+@pytest.mark.skipif(not RECORDINGS.is_dir(), reason="the real recordings are not here; set TRACKWRIGHT_RECORDINGS")
+@pytest.mark.parametrize(
+    ("name", "n", "flat", "solid"),
+    [
+        ("tiers-1tag-01", 1800, (0.318, 0.202, 0.669), (0.974, 0.445, 2.004)),
+        ("tiers-2tag-06", 1295, (0.215, 0.135, 0.466), (0.645, 0.543, 1.151)),
+        ("iasl-drone-1", 4936, (0.101, 0.083, 0.158), (2.383, 2.441, 2.873)),
+    ],
+)
+def test_the_makers_fixes_have_the_errors_their_readme_prints(name, n, flat, solid):
+    folder = RECORDINGS / name
+    if not folder.is_dir():
+        pytest.skip(f"{name} is not among the recordings")
+    fixes, truth = (
+        pl.read_csv(folder / f"{table}.csv.gz", schema_overrides={"tag": pl.String}) for table in ("fixes", "truth")
+    )
+    overall = evaluate(fixes.with_columns(recording=pl.lit(name)), {name: truth}).overall
+    assert overall["n"] == n
+    # Half a unit of the last printed digit.
+    assert [overall[f"{f}_m"] for f in ("rmse", "median", "p95")] == pytest.approx(flat, abs=5.1e-4)
+    assert [overall[f"{f}_3d_m"] for f in ("rmse", "median", "p95")] == pytest.approx(solid, abs=5.1e-4)

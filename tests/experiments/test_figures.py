@@ -1,0 +1,194 @@
+"""Every figure is a PNG that shows something, for full, odd and nearly empty input."""
+
+import numpy as np
+import polars as pl
+import pytest
+from matplotlib.image import imread
+
+from experiments import figure_style
+from experiments.errors import UnusableInput
+from experiments.figure_style import BLACK, BLUE, LINES, SKY, VERMILION, broken_at_gaps, length_unit
+from experiments.figures import bearings_over_time, error_cdf, error_over_time
+from experiments.filter_figures import consistency, tuning_trace
+from experiments.floor_plan import floor_plan
+from trackers.core.rig import Station
+
+T = np.arange(60) * 0.1
+
+
+def _pixels(path):
+    """The picture as (height, width, 3) in 0–255; also checks that it is a PNG that a person can read."""
+    assert path.read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
+    picture = np.round(255 * imread(path)[:, :, :3]).astype(int)
+    assert min(picture.shape[:2]) > 200
+    return picture
+
+
+def _shows(picture, colour):
+    """Whether pixels of about this colour are there; a line that is not wholly opaque is a little lighter."""
+    wanted = [int(colour[k : k + 2], 16) for k in (1, 3, 5)]
+    return int((np.abs(picture - wanted).max(axis=2) < 30).sum()) > 20
+
+
+def _tracks(n_tags, sigma=0.2):
+    frames = []
+    for k in range(n_tags):
+        columns = {"x_m": 5 + 3 * np.cos(T + k), "y_m": 3 + 2 * np.sin(T + 2 * k), "z_m": 1 + 0 * T}
+        columns |= {"std_x_m": 0 * T + sigma, "std_y_m": 0 * T + sigma / 2, "cov_xy_m2": 0 * T + sigma**2 / 4}
+        frames.append(pl.DataFrame({"recording": "hall", "tag": f"tag-{k}", "t_s": T, **columns}))
+    return pl.concat(frames)
+
+
+@pytest.fixture(autouse=True)
+def _coarse(monkeypatch):
+    """Fewer dots per inch than users get: most of the time goes into compressing pixels."""
+    monkeypatch.setitem(figure_style.STYLE, "savefig.dpi", 80)
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(5)
+
+
+def test_the_floor_plan_shows_each_tag_and_the_truth(tmp_path):
+    half = np.sqrt(0.5)
+    stations = {"N": Station(np.array([5.0, 8.0, 2.0]), np.array([half, half, 0.0, 0.0]))}
+    anchors = {"A": np.array([0.0, 0.0, 2.0]), "B": np.array([10.0, 0.0, 2.0])}
+    picture = _pixels(floor_plan(tmp_path / "plan.png", _tracks(2), _tracks(2), stations, anchors))
+    assert all(_shows(picture, colour) for colour in (LINES[0], LINES[1], BLACK))
+    assert not _shows(picture, LINES[2])
+
+
+def test_the_floor_plan_draws_at_most_six_tags(tmp_path):
+    assert all(_shows(_pixels(floor_plan(tmp_path / "plan.png", _tracks(9))), colour) for colour in LINES)
+
+
+def test_a_wild_estimate_does_not_decide_the_scale_of_the_floor_plan(tmp_path):
+    wild = _tracks(1).with_columns(x_m=pl.when(pl.col("t_s") == 1.0).then(1e7).otherwise("x_m"))
+    tame, spoiled = (_pixels(floor_plan(tmp_path / "plan.png", t, _tracks(1))) for t in (_tracks(1), wild))
+    # At the scale of the wild one the track would be a dot.
+    blue = [int(_near_blue(picture).any(axis=0).sum()) for picture in (tame, spoiled)]
+    assert blue[1] > 0.8 * blue[0]
+
+
+def _near_blue(picture):
+    return np.abs(picture - [int(BLUE[k : k + 2], 16) for k in (1, 3, 5)]).max(axis=2) < 30
+
+
+@pytest.mark.parametrize(
+    "tracks",
+    [
+        _tracks(1)[:1],
+        _tracks(1).clear(),
+        _tracks(1).with_columns(x_m=pl.lit(None, pl.Float64)),
+        _tracks(1).drop("std_x_m", "std_y_m", "cov_xy_m2"),
+        _tracks(1).with_columns(tag=pl.lit("a$^b$_")),
+        _tracks(1).with_columns(tag=pl.lit("标签")),
+        _tracks(1).with_columns(x_m=pl.lit(3.0), y_m=pl.lit(2.0)),
+    ],
+    ids=["one row", "no row", "no estimate", "no covariance", "formula signs", "script not in the font", "still"],
+)
+def test_the_floor_plan_takes_odd_tracks(tmp_path, tracks):
+    _pixels(floor_plan(tmp_path / "plan.png", tracks, _tracks(1), title="50 $ worth"))
+
+
+def test_error_over_time_shows_error_band_and_bound(tmp_path, rng):
+    errors, sigmas = rng.normal(size=(60, 3)), np.ones((60, 3))
+    picture = _pixels(error_over_time(tmp_path / "error.png", T, errors, sigmas, 0.9 * sigmas))
+    assert _shows(picture, BLUE)
+    assert _shows(picture, VERMILION)
+
+
+def test_error_over_time_leaves_out_an_axis_without_errors(tmp_path, rng):
+    errors, sigmas = rng.normal(size=(60, 3)), np.ones((60, 3))
+    three = _pixels(error_over_time(tmp_path / "error.png", T, errors, sigmas))
+    errors[:, 2] = np.nan
+    two = _pixels(error_over_time(tmp_path / "error.png", T, errors, sigmas))
+    assert len(two) < 0.8 * len(three)
+
+
+@pytest.mark.parametrize("n", [0, 1, 2])
+def test_error_over_time_takes_next_to_nothing(tmp_path, n):
+    error_over_time(tmp_path / "error.png", T[:n], np.zeros((n, 2)), np.full((n, 2), np.nan))
+    assert (tmp_path / "error.png").stat().st_size > 1000
+
+
+def test_the_error_cdf_shows_horizontal_and_3d(tmp_path, rng):
+    picture = _pixels(error_cdf(tmp_path / "cdf.png", rng.normal(size=(500, 3))))
+    assert _shows(picture, BLUE)
+    assert _shows(picture, VERMILION)
+
+
+@pytest.mark.parametrize("errors", [np.zeros((0, 3)), np.zeros((1, 2)), np.full((4, 3), np.nan), np.zeros((9, 3))])
+def test_the_error_cdf_takes_next_to_nothing(tmp_path, errors):
+    _pixels(error_cdf(tmp_path / "cdf.png", errors))
+
+
+def test_consistency_of_many_runs_shows_means_bounds_and_density(tmp_path, rng):
+    nees, nis = rng.chisquare(3, (40, 60)), rng.chisquare(8, (40, 60))
+    picture = _pixels(consistency(tmp_path / "chi.png", T, nees, 3, nis, 8))
+    assert _shows(picture, BLUE)
+    assert _shows(picture, VERMILION)
+
+
+@pytest.mark.parametrize("scale", [1.0, 100.0])
+def test_consistency_takes_one_run_with_gaps_and_different_dof(tmp_path, rng, scale):
+    dof = rng.integers(1, 9, (1, 60)).astype(float)
+    nis = np.where(rng.random((1, 60)) < 0.2, np.nan, scale * rng.chisquare(dof))
+    _pixels(consistency(tmp_path / "chi.png", T, None, 3, nis, dof))
+    _pixels(consistency(tmp_path / "chi.png", T, nis, 2, None, 1))
+
+
+def test_consistency_takes_runs_without_a_value(tmp_path):
+    _pixels(consistency(tmp_path / "chi.png", T, None, 3, np.full((1, 60), np.nan), 8))
+
+
+def test_the_tuning_trace_shows_every_number(tmp_path):
+    i = np.arange(30)
+    values = {"motion.sigma_a": np.exp(-i / 9), "sensors.*.sigma": 0 * i + 2.0, "offset": np.sin(i / 3)}
+    picture = _pixels(tuning_trace(tmp_path / "tune.png", 100.0 - i, values, {"motion.sigma_a": "m/s^2"}))
+    assert all(_shows(picture, colour) for colour in (BLACK, *LINES[:3]))
+
+
+def test_the_tuning_trace_takes_one_iteration_and_no_numbers(tmp_path):
+    _pixels(tuning_trace(tmp_path / "one.png", np.array([3.0]), {"motion.sigma_a": np.array([0.1])}))
+    tuning_trace(tmp_path / "none.png", np.array([3.0, np.nan]), {})
+
+
+def test_bearings_over_time_shows_estimate_and_truth(tmp_path, rng):
+    true = np.stack([3.0 + 0.5 * np.sin(T), 0.2 * np.cos(T)], axis=1)
+    wrapped = np.angle(np.exp(1j * (true + rng.normal(size=true.shape) * 0.05)))
+    picture = _pixels(bearings_over_time(tmp_path / "b.png", T, wrapped, np.full((60, 2), 0.05), T, true))
+    assert _shows(picture, BLUE)
+    assert _shows(picture, BLACK)
+
+
+def test_bearings_over_time_takes_a_full_turn_and_missing_rows(tmp_path):
+    turning = np.stack([np.angle(np.exp(1.2j * T)), np.full(60, np.nan)], axis=1)
+    _pixels(bearings_over_time(tmp_path / "b.png", T, turning))
+
+
+def test_a_figure_that_cannot_be_written_leaves_nothing_behind(tmp_path):
+    with pytest.raises(UnusableInput, match="cannot write"):
+        error_cdf(tmp_path / "nowhere" / "cdf.png", np.ones((3, 2)))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_lines_are_broken_in_gaps_only():
+    times, values = broken_at_gaps(np.array([0.0, 0.1, 0.2, 5.0, 5.1]), np.arange(5.0))
+    np.testing.assert_array_equal(times, [0.0, 0.1, 0.2, 2.6, 5.0, 5.1])
+    np.testing.assert_array_equal(values, [0.0, 1.0, 2.0, np.nan, 3.0, 4.0])
+    slow = np.arange(5.0) * 3
+    assert len(broken_at_gaps(slow)[0]) == 5
+
+
+@pytest.mark.parametrize(("size", "unit"), [(3.0, ("m", 1.0)), (0.3, ("cm", 100.0)), (0.003, ("mm", 1000.0))])
+def test_lengths_are_shown_in_a_unit_of_their_size(size, unit):
+    assert length_unit(size) == unit
+
+
+def test_the_band_of_three_sigma_is_light(tmp_path):
+    errors = np.zeros((60, 2))
+    picture = _pixels(error_over_time(tmp_path / "error.png", T, errors, np.ones((60, 2))))
+    light = [255 - 0.35 * (255 - int(SKY[k : k + 2], 16)) for k in (1, 3, 5)]
+    assert (np.abs(picture - light).max(axis=2) < 6).sum() > 3_000

@@ -1,0 +1,295 @@
+"""Recording folders: written ones read back the same, broken ones are refused, odd ones read with a notice."""
+
+from __future__ import annotations
+
+import errno
+import gzip
+import os
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from experiments.errors import UnusableInput
+from experiments.folder import Folder, read_folder, write_folder
+from tests.experiments.broken import BROKEN, ODD
+from tests.experiments.faulty import RIG, good_tables, write_good
+
+KINDS = ("parquet", "csv.gz", "csv")
+
+
+@pytest.fixture
+def good(tmp_path: Path) -> Folder:
+    write_good(tmp_path / "good")
+    return read_folder(tmp_path / "good")
+
+
+def _assert_same_rig(a, b):
+    assert (a.name, a.about, a.licence, a.source) == (b.name, b.about, b.licence, b.source)
+    assert list(a.anchors) == list(b.anchors)
+    assert list(a.stations) == list(b.stations)
+    assert {key: tag.height for key, tag in a.tags.items()} == {key: tag.height for key, tag in b.tags.items()}
+    for key in a.anchors:
+        np.testing.assert_array_equal(a.anchors[key], b.anchors[key])
+    for key, station in a.stations.items():
+        other = b.stations[key]
+        np.testing.assert_array_equal(station.position, other.position)
+        # reading normalises once more: one rounding
+        np.testing.assert_allclose(station.rotation, other.rotation, rtol=1e-15)
+        assert station.wavelength == other.wavelength
+        np.testing.assert_array_equal(station.antennas, other.antennas)
+    for key, tag in a.tags.items():
+        np.testing.assert_array_equal(tag.offset, b.tags[key].offset)
+    np.testing.assert_array_equal(a.path_knots, b.path_knots)
+
+
+def test_a_good_recording_reads_without_a_notice(good: Folder):
+    assert good.notices == ()
+    assert good.name == "good"
+    assert good.rig.about == "Made for tests."
+    assert set(good.tables) == {"ranges", "fixes", "bearings", "phases", "imu", "truth"}
+    for name, table in good_tables().items():
+        read = good.tables[name]
+        assert dict(read.schema) == {
+            c: pl.String if c in ("tag", "anchor", "station") else pl.Float64 for c in read.columns
+        }
+        assert read.equals(table.select(read.columns))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_written_recording_reads_back_the_same(good: Folder, tmp_path: Path, kind):
+    write_folder(good, tmp_path / "copy", kind)
+    copy = read_folder(tmp_path / "copy")
+    _assert_same_rig(copy.rig, good.rig)
+    assert list(copy.tables) == list(good.tables)
+    for name, table in good.tables.items():
+        assert copy.tables[name].equals(table), name
+    assert copy.notices == ()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_missing_values_stay_missing(good: Folder, tmp_path: Path, kind):
+    holes = good.tables["imu"].with_columns(
+        gyro_x_radps=pl.lit(None, pl.Float64), accel_y_mps2=pl.col("accel_y_mps2").clip(-0.01)
+    )
+    holes = holes.with_columns(
+        pl.when(pl.int_range(pl.len()) % 3 == 0).then(None).otherwise(pl.col("accel_z_mps2")).alias("accel_z_mps2")
+    )
+    folder = Folder("holes", None, good.rig, {"imu": holes})
+    write_folder(folder, tmp_path / "copy", kind)
+    assert read_folder(tmp_path / "copy").tables["imu"].equals(holes)
+
+
+def test_the_rig_keeps_strange_ids_and_words(tmp_path: Path):
+    write_good(tmp_path / "a")
+    (tmp_path / "a" / "rig.toml").write_text(
+        RIG.replace('"A1"', '"A1 \\"left\\" \\\\ ü.1"').replace(
+            "Made for tests.", "Two\\nlines, a tab\\t, a delete\\u007f."
+        )
+    )
+    for table in ("ranges", "truth"):
+        (tmp_path / "a" / f"{table}.csv").unlink()
+    first = read_folder(tmp_path / "a")
+    assert 'A1 "left" \\ ü.1' in first.rig.anchors
+    write_folder(first, tmp_path / "b")
+    _assert_same_rig(read_folder(tmp_path / "b").rig, first.rig)
+
+
+def test_a_nearly_unit_quaternion_is_normalised(tmp_path: Path):
+    write_good(tmp_path / "a")
+    (tmp_path / "a" / "rig.toml").write_text(RIG.replace("[0.5, 0.5, 0.5, 0.5]", "[0.707, 0.0, 0.0, 0.707]"))
+    rotation = read_folder(tmp_path / "a").rig.stations["S1"].rotation
+    np.testing.assert_allclose(rotation, [np.sqrt(0.5), 0, 0, np.sqrt(0.5)], atol=1e-15)
+
+
+def test_empty_cells_and_nan_are_missing(tmp_path: Path):
+    write_good(tmp_path / "a")
+    file = tmp_path / "a" / "fixes.csv"
+    lines = file.read_text().splitlines()
+    head = lines[0].split(",")
+    for row, text in ((1, ""), (2, "NaN"), (3, " nan "), (4, "  ")):
+        cells = lines[row].split(",")
+        cells[head.index("z_m")] = text
+        lines[row] = ",".join(cells)
+    file.write_text("\n".join(lines))
+    assert read_folder(tmp_path / "a").tables["fixes"]["z_m"].is_null().arg_true().to_list() == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize(
+    "spell",
+    [
+        lambda text: "\ufeff" + text,
+        lambda text: text.replace("\n", "\r\n"),
+        lambda text: text.replace("\n", "\r"),
+        lambda text: text.replace(",", " , "),
+        lambda text: text.replace("\n", "\n\n", 30) + "\n\n",
+        lambda text: "\n".join(",".join(f'"{cell}"' for cell in line.split(",")) for line in text.splitlines()),
+        lambda text: text.rstrip("\n"),
+    ],
+    ids=["byte order mark", "CRLF", "CR", "spaces", "blank lines", "quotes", "no last line end"],
+)
+def test_other_spellings_of_csv_read_the_same(good: Folder, tmp_path: Path, spell):
+    write_good(tmp_path / "a")
+    file = tmp_path / "a" / "ranges.csv"
+    file.write_bytes(spell(file.read_text()).encode())
+    other = read_folder(tmp_path / "a")
+    assert other.tables["ranges"].equals(good.tables["ranges"])
+    assert other.notices == ()
+
+
+def test_a_message_counts_lines_as_an_editor_does(tmp_path: Path):
+    write_good(tmp_path / "a")
+    file = tmp_path / "a" / "ranges.csv"
+    lines = file.read_text().splitlines()
+    lines[4] = lines[4].replace(lines[4].split(",")[3], "far")
+    file.write_text("\n".join([lines[0], "", *lines[1:3], "", *lines[3:]]))  # two blank lines above the fault
+    with pytest.raises(UnusableInput, match=r"row 4 \(line 7\), column range_m"):
+        read_folder(tmp_path / "a")
+
+
+def test_integer_ids_in_parquet_become_text(good: Folder, tmp_path: Path):
+    write_good(tmp_path / "a")
+    (tmp_path / "a" / "rig.toml").write_text(RIG.replace('"A1"', '"1"'))
+    first = good_tables()["ranges"].filter(pl.col("anchor") == "A1").with_columns(anchor=pl.lit(1, pl.Int64))
+    (tmp_path / "a" / "ranges.csv").unlink()
+    first.write_parquet(tmp_path / "a" / "ranges.parquet")
+    assert read_folder(tmp_path / "a").tables["ranges"]["anchor"].unique().to_list() == ["1"]
+
+
+def test_arrays_of_different_size_share_a_phase_table(tmp_path: Path):
+    write_good(tmp_path / "a")
+    smaller = "antennas_m = [[0.02, 0.0], [0.0, 0.01], [-0.02, 0.0]]"
+    (tmp_path / "a" / "rig.toml").write_text(
+        RIG.replace("antennas_m = [[0.02, 0.0], [0.0, 0.01], [-0.02, 0.0], [0.0, -0.01]]", smaller, 1)
+    )
+    with pytest.raises(UnusableInput, match="'S1' has 3 antennas"):
+        read_folder(tmp_path / "a")
+    kept = pl.when(pl.col("station") == "S2").then(pl.col("phase_4_rad")).alias("phase_4_rad")
+    good_tables()["phases"].with_columns(kept).write_csv(tmp_path / "a" / "phases.csv")
+    assert read_folder(tmp_path / "a").tables["phases"]["phase_4_rad"].null_count() == 100
+
+
+def test_truth_alone_can_be_read(tmp_path: Path):
+    write_good(tmp_path / "a")
+    for name in good_tables():
+        if name != "truth":
+            (tmp_path / "a" / f"{name}.csv").unlink()
+    assert set(read_folder(tmp_path / "a").tables) == {"truth"}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_broken_recording_is_refused_in_one_line_that_names_the_file(tmp_path: Path, name, capfd):
+    word = BROKEN[name](tmp_path / "recording")
+    with pytest.raises(UnusableInput) as caught:
+        read_folder(tmp_path / "recording")
+    message = str(caught.value)
+    assert word in message
+    assert str(tmp_path / "recording") in message
+    assert message.isprintable()  # so it has no line end either
+    assert len(message) < len(str(tmp_path)) + 320
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_panic_of_the_parquet_reader_is_one_line_and_prints_nothing(good: Folder, tmp_path: Path, monkeypatch, capfd):
+    def panic(source):
+        os.write(2, b"thread panicked at crates/parquet\nstack backtrace:\n")
+        raise pl.exceptions.PanicException("assertion failed")
+
+    write_folder(good, tmp_path / "a", "parquet")
+    monkeypatch.setattr(pl, "read_parquet", panic)
+    with pytest.raises(UnusableInput, match="broken Parquet file \\(assertion failed\\)"):
+        read_folder(tmp_path / "a")
+    os.write(2, b"heard again")
+    assert capfd.readouterr() == ("", "heard again")
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_an_odd_recording_is_read_with_a_notice(tmp_path: Path, name):
+    word = ODD[name](tmp_path / "recording")
+    folder = read_folder(tmp_path / "recording")
+    assert any(word in notice for notice in folder.notices)
+    assert all(notice.isprintable() for notice in folder.notices)
+
+
+def test_rows_out_of_order_are_sorted_and_rows_of_one_time_keep_theirs(tmp_path: Path):
+    write_good(tmp_path / "a")
+    table = good_tables()["ranges"].with_row_index("row")
+    late = pl.concat([table[96:], table[:96]])
+    late.drop("row").write_csv(tmp_path / "a" / "ranges.csv")
+    read = read_folder(tmp_path / "a").tables["ranges"]
+    assert read.equals(good_tables()["ranges"].select(read.columns))
+
+
+@pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="the superuser and Windows read every folder")
+@pytest.mark.parametrize("locked", [".", "rig.toml", "ranges.csv"])
+def test_an_unreadable_folder_or_file_is_refused(tmp_path: Path, locked):
+    write_good(tmp_path / "a")
+    (tmp_path / "a" / locked).chmod(0)
+    try:
+        with pytest.raises(UnusableInput, match="Permission denied"):
+            read_folder(tmp_path / "a")
+    finally:
+        (tmp_path / "a" / locked).chmod(0o700)
+
+
+@pytest.mark.parametrize("what", ["iterdir", "read_bytes"])
+def test_a_refusal_by_the_system_is_one_line(good: Folder, monkeypatch, what):
+    def refuse(self):
+        raise PermissionError(errno.EACCES, "Permission denied", str(self))
+
+    monkeypatch.setattr(Path, what, refuse)
+    with pytest.raises(UnusableInput, match="cannot be read \\(Permission denied\\)"):
+        read_folder(good.path)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_full_disk_leaves_nothing_half_written(good: Folder, tmp_path: Path, monkeypatch, kind):
+    writer = "write_parquet" if kind == "parquet" else "write_csv"
+    write = getattr(pl.DataFrame, writer)
+    calls = []
+
+    def fills_up(self, file):
+        calls.append(file)
+        write(self[:3], file)
+        if len(calls) == 3:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(pl.DataFrame, writer, fills_up)
+    before = sorted(tmp_path.iterdir())
+    with pytest.raises(UnusableInput, match="No space left on device"):
+        write_folder(good, tmp_path / "out", kind)
+    assert len(calls) == 3
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_nothing_is_written_over_a_folder_that_holds_something(good: Folder, tmp_path: Path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "mine.txt").write_text("mine")
+    with pytest.raises(UnusableInput, match="not empty"):
+        write_folder(good, tmp_path / "out")
+    assert [file.name for file in (tmp_path / "out").iterdir()] == ["mine.txt"]
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(UnusableInput, match="is a file"):
+        write_folder(good, tmp_path / "file")
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_an_empty_folder_and_missing_parents_are_written_to(good: Folder, tmp_path: Path):
+    (tmp_path / "empty").mkdir()
+    write_folder(good, tmp_path / "empty")
+    write_folder(good, tmp_path / "new" / "deep")
+    assert read_folder(tmp_path / "empty").notices == read_folder(tmp_path / "new" / "deep").notices == ()
+    assert {file.name for file in tmp_path.iterdir()} == {"good", "empty", "new"}
+
+
+def test_the_same_recording_gives_the_same_bytes(good: Folder, tmp_path: Path):
+    write_folder(good, tmp_path / "a", "csv.gz")
+    write_folder(good, tmp_path / "b", "csv.gz")
+    files = sorted(file.name for file in (tmp_path / "a").iterdir())
+    assert [(tmp_path / "a" / f).read_bytes() for f in files] == [(tmp_path / "b" / f).read_bytes() for f in files]
+    assert gzip.decompress((tmp_path / "a" / "truth.csv.gz").read_bytes()).startswith(b"t_s,tag,x_m,y_m,z_m,qw")
+
+
+def test_an_unusable_input_is_one_line_whatever_it_was_made_of():
+    assert str(UnusableInput("a\nb\r\n\tc \x07 d")) == "a b c \N{REPLACEMENT CHARACTER} d"

@@ -1,0 +1,138 @@
+"""Each piece does what its name says, and none touches another's noise."""
+
+import numpy as np
+import pytest
+
+from sim.corruptions import (
+    constant_offsets,
+    corrupted,
+    drop_outs,
+    gauss_markov,
+    lose_station,
+    mask_antenna,
+    outliers,
+    white_noise,
+)
+from sim.keys import trajectory_keys
+
+N, T, STATIONS, ANTENNAS = 300, 60, 3, 4
+KEYS = trajectory_keys(0, np.arange(N))
+TIMES = np.cumsum(np.random.default_rng(0).uniform(0.02, 0.3, T))
+CLEAN = np.zeros((N, T, STATIONS, ANTENNAS), np.float32)
+SEEN = np.ones(CLEAN.shape, bool)
+
+
+def test_white_noise_is_independent_and_of_its_sigma():
+    noise, seen = white_noise(0.3)(KEYS, TIMES, CLEAN, SEEN)
+    # 216,000 values: a standard error of 0.15 % of sigma, 0.2 % of a correlation.
+    assert noise.std() == pytest.approx(0.3, rel=0.007)
+    assert noise.dtype == np.float32
+    assert seen.all()
+    for axis in (1, 2, 3):
+        first, second = np.delete(noise, 0, axis), np.delete(noise, -1, axis)
+        assert abs(np.mean(first * second)) < 0.01 * 0.09
+
+
+def test_gauss_markov_noise_is_stationary_and_forgets_with_its_time_constant_on_irregular_times():
+    drift, _ = gauss_markov(0.5, tau=1.5)(KEYS, TIMES, CLEAN, SEEN)
+    channels = drift.transpose(0, 2, 3, 1).reshape(-1, T).astype(float)
+    covariance = channels.T @ channels / len(channels)
+    expected = 0.25 * np.exp(-np.abs(TIMES[:, None] - TIMES) / 1.5)
+    # 3,600 series: a standard error of sigma² sqrt(2 / 3600) = 0.006 at most; five of them over 1,800 entries.
+    np.testing.assert_allclose(covariance, expected, rtol=0, atol=0.03)
+
+
+def test_outliers_hit_their_share_with_their_size():
+    values, seen = outliers(0.05, 2.0)(KEYS, TIMES, CLEAN, SEEN)
+    hit = values != 0
+    # 216,000 values, 10,800 hits: standard errors of 0.0005 and 0.7 %.
+    assert hit.mean() == pytest.approx(0.05, abs=0.002)
+    assert values[hit].std() == pytest.approx(2.0, rel=0.03)
+    assert seen.all()
+
+
+@pytest.mark.parametrize("length", [0.0, 0.8])
+def test_drop_outs_lose_their_share_of_rows_from_first_to_last(length):
+    _, seen = drop_outs(0.2, length)(KEYS, TIMES, CLEAN, SEEN)
+    assert np.array_equal(seen.any(axis=-1), seen.all(axis=-1))
+    lost = ~seen[..., 0]
+    # 900 independent lanes: a standard error of 0.013 for one row.
+    np.testing.assert_allclose(lost.mean(axis=(0, 2)), 0.2, atol=0.06)
+
+
+def test_drop_outs_last_as_long_as_stated_and_do_not_depend_on_the_rate():
+    for dt in (0.05, 0.2):
+        times = np.arange(0, 40, dt)
+        values = np.zeros((N, len(times), 1, 1))
+        _, seen = drop_outs(0.2, 0.8)(KEYS, times, values, values == 0)
+        lost = ~seen[:, :, 0, 0]
+        stays = np.sum(lost[:, 1:] & lost[:, :-1]) / np.sum(lost[:, :-1])
+        # Two-state Markov chain: ends at 1 / 0.8, forgets at 1 / (0.8 * 0.8) per second.
+        expected = 0.2 + 0.8 * np.exp(-dt / 0.64)
+        assert stays == pytest.approx(expected, abs=0.01)
+
+
+def test_drop_outs_of_no_length_are_independent():
+    _, seen = drop_outs(0.3)(KEYS, TIMES, CLEAN, SEEN)
+    lost = ~seen[..., 0]
+    # 53,000 pairs, 0.09 expected, standard error 0.0012.
+    assert np.mean(lost[:, 1:] & lost[:, :-1]) == pytest.approx(0.09, abs=0.006)
+
+
+def test_a_masked_antenna_is_never_seen_and_nothing_else_changes():
+    values, seen = mask_antenna(1, 2)(KEYS, TIMES, CLEAN, SEEN)
+    assert not seen[:, :, 1, 2].any()
+    assert seen.sum() == seen.size - N * T
+    assert values is CLEAN
+    assert SEEN.all()
+
+
+def test_a_lost_station_is_lost_from_its_time_until_before_its_end():
+    _, seen = lose_station(2, TIMES[10], TIMES[20])(KEYS, TIMES, CLEAN, SEEN)
+    assert not seen[:, 10:20, 2].any()
+    assert seen.sum() == seen.size - N * 10 * ANTENNAS
+    _, seen = lose_station(0)(KEYS, TIMES, CLEAN, SEEN)
+    assert not seen[:, :, 0].any()
+
+
+def test_constant_offsets_move_each_antenna_by_its_own():
+    offsets = np.arange(STATIONS * ANTENNAS).reshape(STATIONS, ANTENNAS)
+    values, _ = constant_offsets(offsets)(KEYS, TIMES, CLEAN, SEEN)
+    np.testing.assert_array_equal(values, np.broadcast_to(offsets, CLEAN.shape))
+
+
+def test_adding_a_piece_changes_no_noise_of_another():
+    some = {"noise": white_noise(0.1), "drop-outs": drop_outs(0.1, 0.5)}
+    more = {"drift": gauss_markov(1.0, 2.0), "wild": outliers(0.1, 3.0), **some, "second noise": white_noise(0.1)}
+    without = corrupted(some, KEYS, TIMES, CLEAN, SEEN)
+    within = corrupted(more, KEYS, TIMES, CLEAN, SEEN)
+    others = corrupted({k: more[k] for k in ("drift", "wild", "second noise")}, KEYS, TIMES, CLEAN, SEEN)
+    # Sums of float32 numbers of size 10.
+    np.testing.assert_allclose(within[0] - others[0], without[0], atol=1e-5)
+    assert np.array_equal(within[1], without[1])
+
+
+def test_two_pieces_of_one_kind_have_noise_of_their_own():
+    once = corrupted({"a": white_noise(1.0)}, KEYS, TIMES, CLEAN, SEEN)[0]
+    twice = corrupted({"a": white_noise(1.0), "b": white_noise(1.0)}, KEYS, TIMES, CLEAN, SEEN)[0]
+    # Equal noise would add up to twice, not the square root of two.
+    assert twice.std() / once.std() == pytest.approx(np.sqrt(2), rel=0.01)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: white_noise(0.0),
+        lambda: gauss_markov(0.1, -1.0),
+        lambda: outliers(1.5, 1.0),
+        lambda: outliers(0.1, float("nan")),
+        lambda: drop_outs(-0.1),
+        lambda: drop_outs(0.1, -1.0),
+        lambda: mask_antenna(0, ANTENNAS)(KEYS, TIMES, CLEAN, SEEN),
+        lambda: mask_antenna(-1, 0)(KEYS, TIMES, CLEAN, SEEN),
+        lambda: lose_station(STATIONS)(KEYS, TIMES, CLEAN, SEEN),
+    ],
+)
+def test_impossible_pieces_are_refused(make):
+    with pytest.raises(ValueError, match=r"found|does not exist"):
+        make()

@@ -1,0 +1,44 @@
+"""Random numbers belong to (seed, trajectory id, stream), and to nothing else."""
+
+import jax
+import numpy as np
+import pytest
+
+from sim.keys import normals, stream, trajectory_keys, uniforms
+
+
+@pytest.mark.parametrize("draw", [normals, uniforms])
+def test_a_trajectory_draws_the_same_numbers_in_any_batch(draw):
+    together = draw(trajectory_keys(7, np.arange(8)), (5, 3))
+    alone = draw(trajectory_keys(7, [5]), (5, 3))
+    shuffled = draw(trajectory_keys(7, np.arange(8)[::-1]), (5, 3))
+    assert np.array_equal(alone[0], together[5])
+    assert np.array_equal(shuffled[::-1], together)
+
+
+def test_seed_id_and_stream_each_give_other_numbers():
+    draws = [
+        normals(keys, (15,))[0]
+        for keys in (
+            trajectory_keys(0, [0]),
+            trajectory_keys(1, [0]),
+            trajectory_keys(0, [1]),
+            stream(trajectory_keys(0, [0]), "white"),
+            stream(trajectory_keys(0, [0]), "drift"),
+        )
+    ]
+    assert len({tuple(draw) for draw in draws}) == 5
+
+
+@pytest.mark.parametrize("double", [False, True])
+def test_draws_are_the_same_float32_numbers_whatever_precision_jax_runs_in(double):
+    with jax.enable_x64(double):
+        draws = normals(stream(trajectory_keys(3, [5]), "name"), (15,))
+    assert draws.dtype == np.float32
+    assert np.array_equal(draws, normals(stream(trajectory_keys(3, [5]), "name"), (15,)))
+
+
+@pytest.mark.parametrize("ids", [[-1], [2**32], [0.5], [[1]]])
+def test_ids_that_are_no_key_are_refused(ids):
+    with pytest.raises(ValueError, match="trajectory ids"):
+        trajectory_keys(0, ids)

@@ -1,0 +1,110 @@
+"""Paths stay in their volume and move as their docstrings state."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+
+from sim.keys import trajectory_keys
+from sim.paths import WORK_VOLUME, hand_motion, helix, straight_lines_with_halts
+
+ELSEWHERE = np.array([[2.0, -1.0, 0.8], [3.5, 0.5, 1.0]])
+KEYS, TIMES = trajectory_keys(0, np.arange(100)), np.arange(200) / 10
+EVERY_PATH = {
+    "helix": helix,
+    "varied helix": partial(helix, varied=True),
+    "hand": hand_motion,
+    "hurried hand": partial(hand_motion, speed=3.0),
+    "lines": straight_lines_with_halts,
+    "fast lines": partial(straight_lines_with_halts, speed=2.0, halt_s=0.1),
+}
+
+
+@pytest.mark.parametrize("path", EVERY_PATH.values(), ids=EVERY_PATH.keys())
+@pytest.mark.parametrize("volume", [WORK_VOLUME, ELSEWHERE], ids=["work", "elsewhere"])
+def test_every_path_stays_within_its_volume(path, volume):
+    positions = path(KEYS, TIMES, volume)
+    assert positions.shape == (100, 200, 3)
+    assert positions.dtype == np.float64
+    assert np.all((positions >= volume[0]) & (positions <= volume[1]))
+
+
+@pytest.mark.parametrize("path", EVERY_PATH.values(), ids=EVERY_PATH.keys())
+def test_a_path_is_the_same_in_any_batch(path):
+    together, alone = path(KEYS, TIMES), path(trajectory_keys(0, [41]), TIMES)
+    assert np.array_equal(alone[0], together[41])
+
+
+@pytest.mark.parametrize("path", EVERY_PATH.values(), ids=EVERY_PATH.keys())
+def test_a_path_sampled_at_fewer_and_irregular_times_is_the_same_path(path):
+    some = np.array([0, 1, 5, 6, 30, 77, 199])
+    # The products of a hand's path may sum in another order when there are fewer rows.
+    np.testing.assert_allclose(path(KEYS, TIMES[some]), path(KEYS, TIMES)[:, some], rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("path", EVERY_PATH.values(), ids=EVERY_PATH.keys())
+def test_a_path_of_one_row_is_finite(path):
+    assert np.isfinite(path(KEYS, np.array([3.0]))).all()
+
+
+def test_the_helix_climbs_from_the_floor_to_the_lid_at_its_radius():
+    path = helix(KEYS, TIMES, turns=2.0, radius=0.3)[0]
+    turned = np.unwrap(np.arctan2(path[:, 1], path[:, 0]))
+    np.testing.assert_allclose(np.hypot(path[:, 0], path[:, 1]), 0.3, rtol=1e-12)
+    np.testing.assert_allclose(path[:, 2], np.linspace(0, 0.3, 200), atol=1e-12)
+    assert turned[-1] - turned[0] == pytest.approx(4 * np.pi)
+
+
+def test_varied_helices_turn_either_way_about_different_centres():
+    paths = helix(KEYS, TIMES, turns=1.0, varied=True)
+    (x, y), (dx, dy) = (paths[:, 0, :2] - paths[:, 100, :2]).T, (paths[:, 1, :2] - paths[:, 0, :2]).T
+    assert 25 < np.sum(x * dy > y * dx) < 75
+    assert np.std(paths.mean(axis=1)[:, 0]) > 0.03
+
+
+@pytest.mark.parametrize("volume", [WORK_VOLUME, ELSEWHERE], ids=["work", "elsewhere"])
+def test_a_hand_moves_with_the_stated_speed_and_acceleration(volume):
+    dt, speed = 0.02, 0.4
+    path = hand_motion(trajectory_keys(0, np.arange(1500)), np.arange(0, 3, dt), volume, speed=speed)
+    velocity = np.diff(path, axis=1) / dt
+    acceleration = np.diff(velocity, axis=1) / dt
+    reach = np.linalg.norm(volume[1] - volume[0]) / 2
+    # About 10,000 independent values: a standard error of about 1 % of each, the squash's tails included.
+    assert np.sqrt((velocity**2).sum(axis=-1).mean()) == pytest.approx(speed, rel=0.04)
+    assert np.sqrt((acceleration**2).sum(axis=-1).mean()) == pytest.approx(2.9 * speed**2 / reach, rel=0.05)
+
+
+def test_a_hand_visits_all_of_the_volume():
+    places = hand_motion(trajectory_keys(0, np.arange(1500)), np.array([0.0]))[:, 0]
+    counts = np.histogram(places[:, 0], bins=5, range=(-0.5, 0.5))[0]
+    # 300 each if uniform, which the squash is to some per cent.
+    assert np.all((counts > 220) & (counts < 380))
+
+
+def test_lines_are_either_halted_or_straight_at_the_stated_speed():
+    dt, speed, halt = 0.01, 0.5, 0.6
+    path = straight_lines_with_halts(KEYS, np.arange(0, 10, dt), speed=speed, halt_s=halt)
+    pace = np.linalg.norm(np.diff(path, axis=1), axis=-1) / dt
+    resting, moving = pace < 1e-9, np.abs(pace - speed) < 1e-9
+    # A step in which a line begins or ends, and so is neither, can only stand beside a halt.
+    beside = np.zeros_like(resting)
+    beside[:, 1:] |= resting[:, :-1]
+    beside[:, :-1] |= resting[:, 1:]
+    assert np.all(resting | moving | beside)
+    assert np.all(resting[:, : int(halt / dt) - 1])
+    assert not np.any(resting[:, int(halt / dt) + 1])
+    for row in resting:
+        edges = np.flatnonzero(np.diff(row.astype(int)))
+        starts, ends = edges[row[edges + 1]], edges[~row[edges + 1]]
+        lengths = [(ends[ends > s][0] - s) * dt for s in starts if np.any(ends > s)]
+        # A halt seen through a grid of times: up to two steps short.
+        assert all(halt - 2.5 * dt <= length <= halt + 1e-9 for length in lengths)
+
+
+def test_paths_that_cannot_be_are_refused():
+    with pytest.raises(ValueError, match="does not fit"):
+        helix(KEYS, TIMES, radius=0.6)
+    with pytest.raises(ValueError, match="positive"):
+        hand_motion(KEYS, TIMES, speed=0.0)
+    with pytest.raises(ValueError, match="positive"):
+        straight_lines_with_halts(KEYS, TIMES, halt_s=0.0)

@@ -1,0 +1,74 @@
+"""One filter straight from all stations' phases to a position in space, on spherical waves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from trackers.aoa.beamformer import Grid, delay_and_sum, strongest
+from trackers.aoa.fusion import nearest_to_rays, surroundings, unit_vector
+from trackers.aoa.phases import SphericalPhases
+from trackers.core.algebra import Scalar, Vector, diagonal, total
+from trackers.core.ekf import Gaussian
+from trackers.core.motion import ConstantVelocity, Kinematic, Noise
+from trackers.core.rig import Station
+from trackers.core.sensor import AbstractSensor
+from trackers.core.tracker import AbstractStart, LossPolicy, Row, Tracker
+from trackers.core.tunable import Scale
+
+
+class PhaseStart(AbstractStart):
+    """The point nearest to the delay-and-sum beams of one row, once `stations` of them see three antennas or more.
+
+    `sigma_position` m, `sigma_velocity` m/s: how far off that point may be.
+    """
+
+    centre: Any
+    sigma_position: Noise
+    sigma_velocity: Noise
+    grids: Mapping[str, Grid]
+    planar: bool = eqx.field(static=True)
+    stations: int = eqx.field(static=True)
+
+    def ready(self, row: Row) -> Scalar:
+        return total(jnp.where(jnp.sum(row.readings[name].seen) >= 3, 1, 0) for name in self.grids) >= self.stations
+
+    def acquire(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
+        rays = []
+        for name, grid in self.grids.items():
+            sensor, reading = sensors[name], row.readings[name]
+            calibrated = reading.values - sensor.offsets.value
+            direction = unit_vector(*strongest(grid, delay_and_sum(grid, calibrated, reading.seen)))
+            rays.append((sensor.origin, sensor.array_from_world.T @ direction, jnp.sum(reading.seen) >= 3))
+        return nearest_to_rays(rays, jnp.asarray(self.centre), row.inputs["height"] if self.planar else None)
+
+    def begin(self, found: Any, row: Row) -> Gaussian:
+        n = 2 if self.planar else 3
+        zero = jnp.zeros_like(found[0])
+        position, velocity = self.sigma_position.value**2, self.sigma_velocity.value**2
+        state = Kinematic(Vector(*(found[k] for k in range(n))), Vector(*[zero] * n))
+        return Gaussian(state, diagonal([position] * n + [velocity] * n, zero))
+
+
+def direct_tracker(
+    stations: Mapping[str, Station],
+    sigma_a: float = 2.0,
+    sigma_p: float = 0.3,
+    span: float = np.deg2rad(45.0),
+    planar: bool = False,
+) -> Tracker:
+    """Position and velocity straight from the phases of all stations; σa m/s² per √Hz, σp and the start's span rad."""
+    sensors = {name: SphericalPhases(s, sigma_p) for name, s in stations.items()}
+    start = PhaseStart(
+        surroundings(stations)[:3],
+        Scale(0.2, "m"),
+        Scale(0.5, "m/s"),
+        {name: Grid.of(s, span) for name, s in stations.items()},
+        planar,
+        min(2, len(stations)),
+    )
+    return Tracker(ConstantVelocity(sigma_a, 2 if planar else 3), sensors, start, loss=LossPolicy())

@@ -1,0 +1,107 @@
+"""Singer's motion: an acceleration that fades with a time constant, for what manoeuvres now and then.
+
+    x = dt/τ    h = x/2    E = e⁻ˣ    t = tanh h    k = σ√(2x)
+
+The acceleration is first-order Gauss–Markov noise with standard deviation σ. Transition (Singer 1970, equation 7):
+
+    a⁺ = E a    v⁺ = v + dt φ₁ a    p⁺ = p + dt v + dt² φ₂ a    φ₁ = (1 − E)/x    φ₂ = (x − 1 + E)/x²
+
+The textbook's noise covariance (his equation 11) is a difference of nearly equal numbers for short steps. Its lower
+Cholesky factor in the order a, v, p is short instead (tests/core/test_singer.py compares it with the matrix
+exponential), with T = t/h, A = (h − t)/h³, B = (1 + h²/3 − h/t)/h⁴ and D = (T − 1 + t²)/h², all smooth at h = 0:
+
+    a: k √T/(1 + t)                    v: k dt (½ T√T/(1 + t), ½ √A)
+    p: k dt² (¼ D/(√T (1 + t)), ¼ √A, ¼ √B)
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from trackers.core.algebra import Scalar, Vector
+from trackers.core.motion import AbstractMotion, Accelerated, Noise
+from trackers.core.tunable import Scale
+
+
+class Fading(NamedTuple):
+    """The smooth functions of h = dt/2τ in the transition and in the noise factor; symbols as in the module's head."""
+
+    E: Scalar
+    t: Scalar
+    T: Scalar
+    A: Scalar
+    B: Scalar
+    D: Scalar
+
+
+class Singer(AbstractMotion):
+    """Acceleration that is first-order Gauss–Markov noise, exact for any interval (Singer 1970).
+
+    `sigma_a`: its standard deviation, m/s². `tau`: its time constant, s: short for a random walk of the velocity, long
+    for steady manoeuvres. Two steps in a row are one long step.
+    """
+
+    sigma_a: Noise
+    tau: Noise
+    dimensions: int = eqx.field(static=True)
+
+    def __init__(self, sigma_a: float | Noise, tau: float | Noise, dimensions: int):
+        self.sigma_a = sigma_a if isinstance(sigma_a, Noise) else Scale(sigma_a, "m/s^2")
+        self.tau = tau if isinstance(tau, Noise) else Scale(tau, "s")
+        self.dimensions = dimensions
+
+    @property
+    def noise_dimension(self) -> int:
+        return 3 * self.dimensions
+
+    def step(self, state: Accelerated, inputs: Any, dt: Scalar, w: Vector) -> Accelerated:
+        n = self.dimensions
+        first, second, third = (Vector(*w.parts[k * n : (k + 1) * n]) for k in range(3))
+        E, t, T, A, B, D = fading(0.5 * dt / self.tau.value)
+        # The root of dt stands alone: it has no derivative at zero, and none is taken with respect to dt.
+        k = self.sigma_a.value * jnp.sqrt(2.0 / self.tau.value) * jnp.sqrt(dt)
+        root = jnp.sqrt(T)
+        shared_kick = first * (k * root / (1.0 + t))
+        middle_kick = second * (0.5 * k * dt * jnp.sqrt(A))
+        h = 0.5 * dt / self.tau.value
+        a = state.acceleration
+        velocity = state.velocity + a * (dt * T / (1.0 + t)) + shared_kick * (0.5 * dt * T) + middle_kick
+        position = (
+            state.position
+            + state.velocity * dt
+            + a * (0.5 * dt * dt * (h * A + T) / (1.0 + t))
+            + shared_kick * (0.25 * dt * dt * D / T)
+            + middle_kick * (0.5 * dt)
+            + third * (0.25 * k * dt * dt * jnp.sqrt(B))
+        )
+        return Accelerated(position, velocity, a * E + shared_kick)
+
+    def view(self, state: Accelerated) -> Accelerated:
+        return state
+
+
+def fading(h: Scalar) -> Fading:
+    """The functions of h that a step takes, each to a few units of rounding for any h ≥ 0, derivatives too."""
+    short = h < 1.5
+    # Each branch sees only arguments it can bear, so that neither spoils the other's derivative.
+    small, large = jnp.where(short, h, 0.0), jnp.where(short, 1.5, h)
+    # Lambert's continued fraction tanh h = h/(1 + h²/(3 + h²/(5 + …))): positive terms only, nothing cancels.
+    square = small * small
+    c5 = 21.0 + square / 23.0
+    for odd in range(19, 4, -2):
+        c5 = odd + square / c5
+    c3 = 3.0 + square / c5
+    T, A, B = c3 / (c3 + square), 1.0 / (c3 + square), 1.0 / (3.0 * c3 * c5)
+    near = T, A, B, T * T - A
+    t = jnp.tanh(large)
+    E = jnp.exp(-2.0 * large)
+    inverse = 1.0 / large
+    T = t * inverse
+    A = (1.0 - T) * inverse * inverse
+    B = (inverse * inverse + 1.0 / 3.0 - inverse / t) * inverse * inverse
+    far = T, A, B, (T - 4.0 * E / ((1.0 + E) * (1.0 + E))) * inverse * inverse
+    T, A, B, D = (jnp.where(short, a, b) for a, b in zip(near, far, strict=True))
+    return Fading(jnp.exp(-2.0 * h), T * h, T, A, B, D)

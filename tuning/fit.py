@@ -1,0 +1,203 @@
+"""Fit the numbers of a tracker to recordings by gradient: forward mode, any number of recordings, optax."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+
+from trackers.core.recording import Batch
+from trackers.core.tracker import CHUNK, AbstractTracker, prepared
+from tuning.objectives import AbstractObjective
+from tuning.parameters import Parameter, chosen, flatten, physical, physical_errors, placed_in
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of a fit: the figure, the length of its gradient, and the physical values at which it was taken."""
+
+    value: float
+    gradient_norm: float
+    values: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """A tuned tracker and how it came about; `left_out`: trajectories whose figures were not finite."""
+
+    tracker: AbstractTracker
+    parameters: list[Parameter]
+    values: dict[str, Any]
+    standard_errors: dict[str, Any]
+    value: float
+    start_value: float
+    left_out: int
+    trace: list[Step] = field(default_factory=list)
+
+
+class Problem:
+    """The objective of a tracker over batches as a function of an unconstrained vector, compiled once per shape."""
+
+    def __init__(
+        self,
+        tracker: AbstractTracker,
+        batches: Sequence[Batch],
+        objective: AbstractObjective,
+        parameters: list[Parameter],
+        chunk: int,
+    ):
+        self.objective, self.parameters = objective, parameters
+        self.dtype = batches[0].dt.dtype
+        self.tracker = prepared(tracker, self.dtype)
+        self.chunks = []
+        for batch in batches:
+            size = min(chunk, 1 << (batch.size - 1).bit_length())
+            self.chunks += [batch.lanes(k, k + size) for k in range(0, batch.size, size)]
+        self.left_out = 0
+
+    def value_and_gradient(self, vector: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        """The figure, its gradient, and the sums that it is made of; trajectories that aren't finite don't count."""
+        sums, slopes, left_out = None, None, 0
+        for chunk in self.chunks:
+            s, d = _sums(self.tracker, chunk, self.objective, _Parameters(self.parameters), jnp.asarray(vector, self.dtype))
+            s, d = np.asarray(s, float), np.asarray(d, float)
+            finite = np.isfinite(s).all(axis=0) & np.isfinite(d).all(axis=(0, 2))
+            left_out += int(np.sum(~finite & np.asarray(chunk.valid).any(axis=0)))
+            s, d = np.where(finite, s, 0).sum(axis=1), np.where(finite[:, None], d, 0).sum(axis=1)
+            sums, slopes = (s, d) if sums is None else (sums + s, slopes + d)
+        self.left_out = left_out
+        assert sums is not None and slopes is not None
+        value, by_sum = jax.value_and_grad(self.objective.value)(jnp.asarray(sums))
+        return float(value), np.asarray(by_sum, float) @ slopes, sums
+
+
+class _Parameters(eqx.Module):
+    """The parameters as a static argument of a compiled function."""
+
+    names: tuple[tuple[str, ...], ...] = eqx.field(static=True)
+    examples: tuple[Any, ...]
+
+    def __init__(self, parameters: list[Parameter]):
+        self.names = tuple(p.names for p in parameters)
+        self.examples = tuple(p.example for p in parameters)
+
+    def listed(self) -> list[Parameter]:
+        return [Parameter(n, e) for n, e in zip(self.names, self.examples, strict=True)]
+
+
+@eqx.filter_jit
+def _sums(
+    tracker: AbstractTracker, batch: Batch, objective: AbstractObjective, parameters: _Parameters, vector: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """The sums per term and trajectory (k, B), and their derivatives (k, B, p), all tangents at once, forward."""
+
+    def sums(v: jax.Array) -> tuple[jax.Array, jax.Array]:
+        stacked = jnp.stack(placed_in(tracker, parameters.listed(), v).accumulate(batch, objective.terms))
+        return stacked, stacked
+
+    slopes, values = jax.jacfwd(sums, has_aux=True)(vector)
+    return values, slopes
+
+
+def fit(
+    tracker: AbstractTracker,
+    batches: Batch | Sequence[Batch],
+    objective: AbstractObjective,
+    tune: str | Sequence[str],
+    steps: int = 80,
+    rate: float = 0.15,
+    chunk: int = CHUNK,
+    report: Callable[[int, Step], None] = lambda number, step: None,
+) -> FitResult:
+    """The tracker with the tunables that `tune` names (shell patterns) fitted for the least objective.
+
+    Adam on the unconstrained vector, whose rate falls from `rate` to a hundredth of it over `steps`; a step after
+    which the objective isn't finite is taken back and halved. The best point met is returned, never a worse one than
+    the start. Standard errors come from the curvature where the objective is a likelihood, else they are NaN; they
+    hold for readings with independent noise.
+    """
+    batches = [batches] if isinstance(batches, Batch) else list(batches)
+    parameters = chosen(tracker, tune)
+    problem = Problem(tracker, batches, objective, parameters, chunk)
+    vector = flatten(parameters)
+    value, gradient, sums = problem.value_and_gradient(vector)
+    if not (np.isfinite(value) and np.all(np.isfinite(gradient))):
+        raise ValueError(f"the objective is not finite at the start ({value}): no row is scored, or truth is missing")
+    optimiser = optax.adam(optax.cosine_decay_schedule(rate, steps, 0.01))
+    state: Any = optimiser.init(jnp.asarray(vector))
+    best, start_value = (value, vector, sums), value
+    trace: list[Step] = []
+    for number in range(steps + 1):
+        trace.append(Step(value, float(np.linalg.norm(gradient)), _named(parameters, vector)))
+        report(number, trace[-1])
+        if number == steps:
+            break
+        update, state = optimiser.update(jnp.asarray(gradient), state)
+        vector, value, gradient, sums = _advance(problem, vector, np.asarray(update, float), (value, gradient, sums))
+        if value < best[0]:
+            best = (value, vector, sums)
+    value, vector, sums = best
+    errors = standard_errors(problem, vector, objective.log_likelihood_units(sums))
+    return FitResult(
+        placed_in(tracker, parameters, vector),
+        parameters,
+        _named(parameters, vector),
+        dict(zip((p.label for p in parameters), errors, strict=True)),
+        value,
+        start_value,
+        problem.left_out,
+        trace,
+    )
+
+
+def _advance(problem: Problem, vector: np.ndarray, update: np.ndarray, before: Any) -> tuple[Any, ...]:
+    """The next point; halved up to six times while the objective isn't finite, else the point stays."""
+    for _ in range(6):
+        value, gradient, sums = problem.value_and_gradient(vector + update)
+        if np.isfinite(value) and np.all(np.isfinite(gradient)):
+            return vector + update, value, gradient, sums
+        update = update / 2
+    return vector, *before
+
+
+def _named(parameters: Sequence[Parameter], vector: np.ndarray) -> dict[str, Any]:
+    values = physical(parameters, vector)
+    return {p.label: np.asarray(v, float) for p, v in zip(parameters, values, strict=True)}
+
+
+def standard_errors(problem: Problem, vector: np.ndarray, units: float) -> list[np.ndarray]:
+    """Standard errors of the physical values from the observed information: central differences of the gradient.
+
+    NaN where the figure is no likelihood, or where the data don't determine a direction (no positive curvature).
+    """
+    size = len(vector)
+    nothing = [np.full(np.shape(p.example.raw), np.nan) for p in problem.parameters]
+    if not np.isfinite(units):
+        return nothing
+    step = 0.02
+    rows = []
+    for k in range(size):
+        shift = step * np.eye(size)[k]
+        up, down = (problem.value_and_gradient(vector + s)[1] for s in (shift, -shift))
+        rows.append((up - down) / (2 * step))
+    information = units * 0.5 * (np.array(rows) + np.array(rows).T)
+    problem.value_and_gradient(vector)
+    eigenvalues, directions = np.linalg.eigh(information)
+    if not np.all(np.isfinite(eigenvalues)):
+        return nothing
+    determined = eigenvalues > 1e-9 * eigenvalues.max()
+    inverse = (directions[:, determined] / eigenvalues[determined]) @ directions[:, determined].T
+    errors = physical_errors(problem.parameters, vector, inverse)
+    undetermined = (np.abs(directions[:, ~determined]) > 0.1).any(axis=1)
+    start = 0
+    for k, error in enumerate(errors):
+        part = undetermined[start : start + error.size].reshape(error.shape)
+        errors[k] = np.where(part, np.nan, error)
+        start += error.size
+    return errors

@@ -1,0 +1,93 @@
+"""The tuned numbers of a tracker as one unconstrained vector, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from trackers.core.tracker import AbstractTracker
+from trackers.core.tunable import AbstractTunable, matching, replaced, tunables
+
+TIED = "tied:"
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One tunable, or several tied to be equal: `names` of the tracker's tree, `example` for unit and constraint."""
+
+    names: tuple[str, ...]
+    example: AbstractTunable
+
+    @property
+    def label(self) -> str:
+        """The name under which it is reported: a tied one by its pattern-like common form."""
+        if len(self.names) == 1:
+            return self.names[0]
+        columns = zip(*(n.split(".") for n in self.names), strict=True)
+        return ".".join(c[0] if len(set(c)) == 1 else "*" for c in columns)
+
+
+def chosen(tracker: AbstractTracker, patterns: str | Sequence[str]) -> list[Parameter]:
+    """The parameters that the patterns name; `tied:PATTERN` makes one parameter of all that match.
+
+    Raises ValueError when a pattern matches nothing, or tied tunables have different shapes.
+    """
+    parameters: list[Parameter] = []
+    taken: set[str] = set()
+    for pattern in [patterns] if isinstance(patterns, str) else patterns:
+        found = {k: v for k, v in matching(tracker, pattern.removeprefix(TIED)).items() if k not in taken}
+        taken.update(found)
+        if pattern.startswith(TIED) and found:
+            shapes = {np.shape(v.raw) for v in found.values()}
+            if len(shapes) > 1:
+                raise ValueError(f"'{pattern}' ties tunables of different shapes: {', '.join(found)}")
+            parameters.append(Parameter(tuple(found), next(iter(found.values()))))
+        else:
+            parameters += [Parameter((name,), node) for name, node in found.items()]
+    return parameters
+
+
+def flatten(parameters: Sequence[Parameter]) -> np.ndarray:
+    """The unconstrained vector of the parameters' present values."""
+    return np.concatenate([np.ravel(np.asarray(p.example.raw, float)) for p in parameters])
+
+
+def with_raw(node: AbstractTunable, raw: Any) -> AbstractTunable:
+    """The tunable with another unconstrained value."""
+    return eqx.tree_at(lambda n: n.raw, node, raw)
+
+
+def placed_in(tracker: Any, parameters: Sequence[Parameter], vector: Any) -> Any:
+    """The tracker with the parameters taken from an unconstrained vector; differentiable in the vector."""
+    own = tunables(tracker)
+    new, start = {}, 0
+    for parameter in parameters:
+        shape = np.shape(parameter.example.raw)
+        size = int(np.prod(shape, dtype=int))
+        raw = vector[start : start + size].reshape(shape)
+        new |= {name: with_raw(own[name], raw) for name in parameter.names}
+        start += size
+    return replaced(tracker, new)
+
+
+def physical(parameters: Sequence[Parameter], vector: Any) -> list[Any]:
+    """The physical value of each parameter."""
+    values, start = [], 0
+    for parameter in parameters:
+        shape = np.shape(parameter.example.raw)
+        size = int(np.prod(shape, dtype=int))
+        values.append(with_raw(parameter.example, jnp.asarray(vector[start : start + size]).reshape(shape)).value)
+        start += size
+    return values
+
+
+def physical_errors(parameters: Sequence[Parameter], vector: np.ndarray, cov: np.ndarray) -> list[np.ndarray]:
+    """Standard errors of the physical values, by the delta method from the covariance of the unconstrained vector."""
+    jacobians = jax.jacfwd(lambda v: physical(parameters, v))(jnp.asarray(vector))
+    return [np.sqrt(np.maximum(np.einsum("...i,ij,...j->...", j, cov, j), 0)) for j in map(np.asarray, jacobians)]
