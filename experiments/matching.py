@@ -80,7 +80,7 @@ def match_truth(tracks: pl.DataFrame, truths: Mapping[str, pl.DataFrame]) -> Mat
     if "status" in rows.columns:
         usable &= ~rows["status"].is_in(NO_ESTIMATE).fill_null(False).to_numpy()
 
-    paths = {name: _paths(frame, name) for name, frame in truths.items()}
+    paths = {name: truth_paths(frame, name) for name, frame in truths.items()}
     truth = np.full((len(rows), 3), np.nan)
     verdict = np.where(usable, Verdict.NO_TRUTH, Verdict.NO_ESTIMATE).astype(np.uint8)
     starts = _starts(rows, keys)
@@ -89,7 +89,7 @@ def match_truth(tracks: pl.DataFrame, truths: Mapping[str, pl.DataFrame]) -> Mat
         path = paths.get(recording, {}).get(tag)
         if path is not None:
             part = a + np.flatnonzero(usable[a:b])
-            truth[part], verdict[part] = _interpolated(times[part], *path)
+            truth[part], verdict[part] = interpolated(times[part], *path)
     return Matched(rows, truth, verdict, starts)
 
 
@@ -140,7 +140,7 @@ def numbers(frame: pl.DataFrame, name: str) -> np.ndarray:
     return frame[name].cast(pl.Float64).fill_null(np.nan).to_numpy()
 
 
-def _paths(truth: pl.DataFrame, recording: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def truth_paths(truth: pl.DataFrame, recording: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """For each tag the times (n,) and places (n, 3) of its truth, one row a time; rows without x or y are holes."""
     _require(truth, ["t_s", "tag", "x_m", "y_m"], f"the truth of recording '{recording}'")
     ordered = (
@@ -156,7 +156,7 @@ def _paths(truth: pl.DataFrame, recording: str) -> dict[str, tuple[np.ndarray, n
     return {tag: (times[a:b], places[a:b]) for tag, (a, b) in zip(tags, pairwise(starts), strict=True)}
 
 
-def _interpolated(at: np.ndarray, times: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def interpolated(at: np.ndarray, times: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Truth (n, 3) and verdict (n,) at the times `at`, from a path of at least one row."""
     verdict = np.full(len(at), Verdict.COUNTS, np.uint8)
     place = np.stack([np.interp(at, times, axis) for axis in places.T], axis=1)

@@ -61,7 +61,7 @@ def kalman(transitions, H, R, readings, seen, mean, cov):
 
 
 def joint_conditioning(transitions, H, R, readings, seen, mean, cov):
-    """Filtered moments with no recursion over beliefs: the joint Gaussian of all states and readings, conditioned densely.
+    """Filtered moments without recursion: the joint Gaussian of all states and readings, conditioned.
 
     Row t's moments condition the joint of every state on all readings seen up to t; its log-likelihood is the log
     density of those readings less that of the readings up to the row before.
@@ -128,7 +128,7 @@ def beam_jacobian(wavenumbers, azimuth, elevation):
 
 
 def paper_beam_filter(wavenumbers, sigma_a, sigma_p, dts, phases, seen, mean, cov):
-    """The paper's EKF (4)–(19) on all wrapped differences of the antennas seen, by the pseudo-inverse of its singular R.
+    """The paper's EKF (4)–(19) on all wrapped differences of the antennas seen, by the pseudo-inverse of R.
 
     Means, covariances and log densities per row, the last with pseudo-determinants over the differences' range.
     """

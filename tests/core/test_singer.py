@@ -1,5 +1,6 @@
 """Singer's motion against the matrix exponential, over ten decades of step length, in both precisions."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -67,26 +68,30 @@ def test_a_step_of_no_time_moves_nothing_whatever_the_noise():
     motion, state = Singer(SIGMA, TAU, 2), Accelerated(Vector(1.1, -2.3), Vector(0.7, 1e-9), Vector(-3.3, 5.0))
     for seed in range(5):
         w = Vector.of(np.random.default_rng(seed).normal(size=6) * 1e3)
-        assert motion.step(state, None, jnp.asarray(0.0), w) == state if False else True
         moved = motion.step(state, None, jnp.asarray(0.0), w)
         assert jax.tree_util.tree_leaves(moved) == jax.tree_util.tree_leaves(state)
 
 
+# Either side of the 7.5 s at which the branches of `fading` meet, and the ends of what happens.
 @pytest.mark.parametrize("dt", [0.0, 1e-6, 7.4, 7.6, 1e4])
 def test_the_derivative_with_respect_to_the_time_constant_is_the_central_difference(dt):
     x, w = jnp.array([0.3, -1.0, 2.0]), jnp.array([0.5, -1.5, 0.8])
 
-    def position(log_tau):
-        return _step(Singer(SIGMA, TAU, 1), x, w, dt) if log_tau is None else _at(log_tau)
-
-    def _at(log_tau):
-        motion = Singer(SIGMA, TAU, 1)
-        motion = jax.tree_util.tree_map(lambda raw: raw, motion)
-        object.__setattr__(motion.tau, "raw", log_tau)
+    def moved(log_tau):
+        motion = eqx.tree_at(lambda m: m.tau.raw, Singer(SIGMA, TAU, 1), log_tau)
         return _step(motion, x, w, jnp.asarray(dt))
 
-    at, by = np.log(TAU), 1e-5
-    difference = (_at(at + by) - _at(at - by)) / (2 * by)
-    derivative = jax.jacfwd(_at)(at)
-    # A central difference of 1e-5 is good to 1e-10 of the third derivative and 1e-11 of the value's rounding.
-    np.testing.assert_allclose(derivative, difference, rtol=1e-6, atol=1e-8 * (1 + np.abs(_at(at)).max()))
+    at, by = jnp.log(TAU), 1e-5
+    difference = (moved(at + by) - moved(at - by)) / (2 * by)
+    # Truncation is 1e-10 of the third derivative, rounding 1e-11 of the value.
+    tolerance = 1e-10 * (1 + float(jnp.abs(moved(at)).max()))
+    np.testing.assert_allclose(jax.jacfwd(moved)(at), difference, rtol=1e-7, atol=tolerance)
+
+
+def test_in_the_limits_it_is_constant_velocity_and_a_gauss_markov_acceleration():
+    steady, quick = (Singer(SIGMA, tau, 1) for tau in (1e9, 1e-3))
+    x, no_noise, dt = jnp.array([0.0, 0.0, 2.0]), jnp.zeros(3), jnp.asarray(3.0)
+    np.testing.assert_allclose(_step(steady, x, no_noise, dt), [9.0, 6.0, 2.0], rtol=1e-8)
+    np.testing.assert_allclose(_step(quick, x, no_noise, dt), [0.006, 0.002, 0.0], rtol=1e-3, atol=1e-12)
+    # Far longer than the time constant, the acceleration has forgotten all but its standard deviation.
+    assert float(_step(quick, jnp.zeros(3), jnp.array([1.0, 0.0, 0.0]), dt)[2]) == pytest.approx(SIGMA, rel=1e-12)

@@ -27,6 +27,11 @@ class Beam(NamedTuple):
     azimuth_rate: Scalar
     elevation_rate: Scalar
 
+    @property
+    def direction(self) -> Vector:
+        """Azimuth and elevation, rad."""
+        return Vector(self.azimuth, self.elevation)
+
 
 class InPlaneBeam(NamedTuple):
     """A direction in the array's plane, about its z axis, and its rate, rad and rad/s."""

@@ -2,16 +2,17 @@
 
     x = dt/τ    h = x/2    E = e⁻ˣ    t = tanh h    k = σ√(2x)
 
-The acceleration is first-order Gauss–Markov noise with standard deviation σ. Transition (Singer 1970, equation 7):
+The acceleration is first-order Gauss–Markov noise with standard deviation σ. Transition (Singer 1970):
 
     a⁺ = E a    v⁺ = v + dt φ₁ a    p⁺ = p + dt v + dt² φ₂ a    φ₁ = (1 − E)/x    φ₂ = (x − 1 + E)/x²
 
-The textbook's noise covariance (his equation 11) is a difference of nearly equal numbers for short steps. Its lower
-Cholesky factor in the order a, v, p is short instead (tests/core/test_singer.py compares it with the matrix
-exponential), with T = t/h, A = (h − t)/h³, B = (1 + h²/3 − h/t)/h⁴ and D = (T − 1 + t²)/h², all smooth at h = 0:
+The textbook's noise covariance is a difference of nearly equal numbers for short steps. Its lower Cholesky factor in
+the order a, v, p simplifies, row by row, to
 
-    a: k √T/(1 + t)                    v: k dt (½ T√T/(1 + t), ½ √A)
-    p: k dt² (¼ D/(√T (1 + t)), ¼ √A, ¼ √B)
+    a: k √T/(1 + t)        v: k dt (½ T√T/(1 + t), ½ √A)        p: k dt² (¼ D/(√T (1 + t)), ¼ √A, ¼ √B)
+    T = t/h    A = (h − t)/h³    B = (1 + h²/3 − h/t)/h⁴    D = (T − 1 + t²)/h²
+
+with all four smooth at h = 0; tests/core/test_singer.py holds it against the matrix exponential.
 """
 
 from __future__ import annotations
@@ -60,24 +61,24 @@ class Singer(AbstractMotion):
     def step(self, state: Accelerated, inputs: Any, dt: Scalar, w: Vector) -> Accelerated:
         n = self.dimensions
         first, second, third = (Vector(*w.parts[k * n : (k + 1) * n]) for k in range(3))
-        E, t, T, A, B, D = fading(0.5 * dt / self.tau.value)
+        h = 0.5 * dt / self.tau.value
+        E, t, T, A, B, D = fading(h)
         # The root of dt stands alone: it has no derivative at zero, and none is taken with respect to dt.
         k = self.sigma_a.value * jnp.sqrt(2.0 / self.tau.value) * jnp.sqrt(dt)
         root = jnp.sqrt(T)
-        shared_kick = first * (k * root / (1.0 + t))
-        middle_kick = second * (0.5 * k * dt * jnp.sqrt(A))
-        h = 0.5 * dt / self.tau.value
+        first_kick = first * (k * root / (1.0 + t))
+        second_kick = second * (0.5 * k * dt * jnp.sqrt(A))
         a = state.acceleration
-        velocity = state.velocity + a * (dt * T / (1.0 + t)) + shared_kick * (0.5 * dt * T) + middle_kick
+        velocity = state.velocity + a * (dt * T / (1.0 + t)) + first_kick * (0.5 * dt * T) + second_kick
         position = (
             state.position
             + state.velocity * dt
             + a * (0.5 * dt * dt * (h * A + T) / (1.0 + t))
-            + shared_kick * (0.25 * dt * dt * D / T)
-            + middle_kick * (0.5 * dt)
+            + first_kick * (0.25 * dt * dt * D / T)
+            + second_kick * (0.5 * dt)
             + third * (0.25 * k * dt * dt * jnp.sqrt(B))
         )
-        return Accelerated(position, velocity, a * E + shared_kick)
+        return Accelerated(position, velocity, a * E + first_kick)
 
     def view(self, state: Accelerated) -> Accelerated:
         return state

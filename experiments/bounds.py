@@ -1,0 +1,55 @@
+"""The posterior Cramér–Rao bound of a tracked recording, from its truth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import jax
+import numpy as np
+
+from experiments.catalogue import Group
+from experiments.folder import Folder
+from trackers.core.algebra import Vector
+from trackers.core.bound import posterior_bound
+from trackers.core.motion import Kinematic
+from trackers.core.recording import stack
+from trackers.core.tracker import Tracker
+
+RUNS = 256
+"""Runs over which the information is averaged at most."""
+
+
+def bounds_of(folder: Folder, groups: Sequence[Group]) -> tuple[np.ndarray, np.ndarray] | None:
+    """Times (t,) s and bounds (t, 3) m of a recording's positions; None where there is no such bound.
+
+    Averaged over the recording's tags where they share their times, else of its first tag; over the rows at which the
+    truth is known. The true velocity is the truth's difference quotient.
+    """
+    mine = [(g, lane) for g in groups for lane in g.lanes if lane.folder is folder]
+    if not mine or not isinstance(mine[0][0].tracker, Tracker) or mine[0][1].station:
+        return None
+    tracker, first = mine[0][0].tracker, mine[0][1].recording
+    known = first.truth["position"][1]
+    if known.sum() < 3:
+        return None
+    same = [
+        lane.recording
+        for group, lane in mine[:RUNS]
+        if group is mine[0][0] and np.array_equal(lane.recording.times, first.times)
+    ]
+    rows = slice(int(np.argmax(known)), len(known) - int(np.argmax(known[::-1])))
+    batch = stack(same)
+    batch = jax.tree_util.tree_map(lambda x: x[rows], batch)
+    places = np.stack([r.truth["position"][0][rows] for r in same], axis=-1)
+    times = first.times[rows]
+    dimensions = 2 if mine[0][0].planar else 3
+    step = np.maximum(np.gradient(times), 1e-3)[:, None, None]
+    speeds = np.gradient(places, axis=0) / step
+    velocities = getattr(tracker.start, "velocities", dimensions)
+    state = Kinematic(
+        Vector.of(np.asarray(places[:, k], batch.dt.dtype) for k in range(dimensions)),
+        Vector.of(np.asarray(speeds[:, k], batch.dt.dtype) for k in range(velocities)),
+    )
+    bound = posterior_bound(tracker, batch, state)[:, :dimensions]
+    return times, np.pad(bound, ((0, 0), (0, 3 - dimensions)), constant_values=np.nan)
+

@@ -1,0 +1,39 @@
+"""The command line: `trackwright COMMAND …`, also `python -m experiments`."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+from experiments.runtime import set_flags
+
+
+def main() -> None:
+    """Run one command; exit 0, 1 (a check failed) or 2 (unusable input, one line on standard error)."""
+    set_flags()
+    # jax reads its flags when it is first imported, so nothing that imports it may stand above.
+    import tyro
+
+    from experiments.commands import check, evaluate, simulate, track, tune
+    from experiments.errors import UnusableInput
+
+    commands: dict[str, Any] = {
+        "simulate": simulate.simulate,
+        "check": check.check,
+        "track": track.track,
+        "evaluate": evaluate.evaluate_tracks,
+        "tune": tune.tune,
+    }
+    try:
+        code = tyro.extras.subcommand_cli_from_dict(
+            commands, prog="trackwright", description="How accurate is this tracker, and with which noise levels?"
+        )
+    except UnusableInput as problem:
+        print(f"trackwright: {problem}", file=sys.stderr)
+        code = 2
+    except KeyboardInterrupt:
+        print("trackwright: interrupted; files already written are whole", file=sys.stderr)
+        code = 130
+    sys.exit(code or 0)
+
+

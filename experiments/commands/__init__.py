@@ -1,0 +1,1 @@
+"""The commands of `trackwright`, one file each; their docstrings are the help."""

@@ -1,0 +1,67 @@
+"""`trackwright evaluate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import polars as pl
+import tyro
+
+from experiments.errors import UnusableInput
+from experiments.evaluation import Evaluation, evaluate
+from experiments.evaluation_text import to_json, to_text
+from experiments.fail_if import fails
+from experiments.folder import Folder
+from experiments.matching import read_tracks
+from experiments.screen import notice, read_all
+from experiments.writing import atomic_write
+
+SOURCES = "recordings.txt"
+"""In a run folder: the recording folders that were tracked, one a line."""
+
+
+def evaluate_tracks(
+    folder: Annotated[Path, tyro.conf.Positional],
+    truth: tuple[Path, ...] = (),
+    json: bool = False,
+    fail_if: str | None = None,
+    every_s: float | None = None,
+) -> int:
+    """Error figures of tracks against truth, horizontal and 3-D, per recording, tag and overall. Exit 1 with --fail-if.
+
+    Args:
+        folder: what `track --out` wrote.
+        truth: recordings whose truth table counts; default: those that were tracked.
+        json: print every figure as JSON instead of a table.
+        fail_if: exit 1 where this holds of the overall figures, as "p95_m>0.5" or "rmse_m>0.2 or lost_fraction>0".
+        every_s: judge only the last estimate in every so many seconds, so that busy tags don't weigh more.
+    """
+    tracks = read_tracks(folder)
+    evaluation = judge(tracks, read_all(truth or sources(folder)), every_s)
+    atomic_write(folder / "evaluation.json", lambda path: path.write_text(to_json(evaluation), encoding="utf-8"))
+    print(to_json(evaluation) if json else to_text(evaluation), end="")
+    if fail_if is not None:
+        why = fails(evaluation, fail_if)
+        if why is not None:
+            notice(f"fails: {why}")
+            return 1
+    return 0
+
+
+def judge(tracks: pl.DataFrame, folders: list[Folder], every_s: float | None = None) -> Evaluation:
+    """The figures of tracks against the truths of the folders; raises UnusableInput where none has a truth."""
+    truths = {f.name: f.tables["truth"] for f in folders if "truth" in f.tables}
+    if not truths:
+        names = ", ".join(str(f.path) for f in folders)
+        raise UnusableInput(f"{names}: no truth table, expected one to evaluate against; give it with --truth")
+    return evaluate(tracks, truths, {f.name: f.rig.stations for f in folders}, every_s)
+
+
+def sources(folder: Path) -> tuple[Path, ...]:
+    """The recordings that a run folder was made from; raises UnusableInput where it doesn't say."""
+    path = folder / SOURCES
+    try:
+        return tuple(Path(line) for line in path.read_text(encoding="utf-8").splitlines() if line)
+    except OSError as error:
+        raise UnusableInput(f"{path}: cannot be read; expected a folder written by `track`; give --truth RECORDING") from error

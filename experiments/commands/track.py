@@ -1,0 +1,83 @@
+"""`trackwright track`."""
+
+from __future__ import annotations
+
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from experiments.catalogue import TRACKERS, fitting, groups
+from experiments.commands.evaluate import SOURCES, judge
+from experiments.errors import UnusableInput
+from experiments.evaluation_text import to_text
+from experiments.manifest import write_manifest
+from experiments.pictures import draw_tracks
+from experiments.screen import notice, output_folder, progress, read_all
+from experiments.tracks import TRACKS
+from experiments.tracks import track as run
+from experiments.tuned_file import read_tuned, with_noise
+from experiments.writing import atomic_write
+from trackers.core.tracker import CHUNK
+
+
+def track(
+    recordings: Annotated[tuple[Path, ...], tyro.conf.Positional],
+    out: Path,
+    tracker: str | None = None,
+    noise: Path | None = None,
+    free_height: bool = False,
+) -> int:
+    recordings = _given(recordings)
+    started = datetime.now(UTC)
+    folders = read_all(recordings)
+    name = tracker or fitting(folders[0])
+    if tracker is None:
+        notice(f"tracker: {name} ({TRACKERS[name].about if name in TRACKERS else ''}); choose another with --tracker")
+    batches = groups(folders, name, free_height)
+    if noise is not None:
+        values = read_tuned(noise)
+        batches = [type(g)(with_noise(g.tracker, values, noise), g.lanes, g.planar) for g in batches]
+    heights = sum(len(g.lanes) for g in batches if g.planar)
+    if heights and not TRACKERS[name].bearing_only:
+        notice(f"height: known from rig.toml for {heights} tag(s) and used; estimate it with --free-height")
+    output_folder(out)
+    with progress("tracking", sum(len(g.lanes) for g in batches)) as advance:
+        tracks, verdicts = run(batches, advance)
+    atomic_write(out / TRACKS, tracks.write_parquet)
+    paths = "\n".join(str(p.resolve()) for p in recordings)
+    atomic_write(out / SOURCES, lambda path: path.write_text(paths + "\n", encoding="utf-8"))
+    print(f"{sum(verdicts.values())} tracks: " + "; ".join(f"{n} {v}" for v, n in sorted(verdicts.items(), key=lambda x: -x[1])))
+    if any("truth" in f.tables for f in folders):
+        try:
+            print(to_text(judge(tracks, folders)), end="")
+        except UnusableInput as problem:
+            notice(f"notice: not evaluated: {problem}")
+    drawn = draw_tracks(out, tracks, folders, batches)
+    config = {"tracker": name, "noise": None if noise is None else str(noise), "free_height": free_height}
+    write_manifest(out, sys.argv, config, started, chunk=CHUNK, extra={"recordings": [str(p) for p in recordings], "verdicts": verdicts})
+    print(f"wrote {out / TRACKS} ({len(tracks)} estimates), manifest.json and {len(drawn)} figures: {', '.join(drawn)}")
+    return 0
+
+
+def _given(recordings: tuple[Path, ...]) -> tuple[Path, ...]:
+    if not recordings:
+        raise UnusableInput("no recording given; expected one or more recording folders")
+    return recordings
+
+
+_LIST = "\n".join(f"    {name}: {entry.about} ({entry.table})" for name, entry in TRACKERS.items())
+track.__doc__ = f"""Track recordings: writes tracks.parquet, figures and manifest.json.
+
+Trackers (and the table they read):
+{_LIST}
+
+Args:
+    recordings: recording folders (rig.toml and tables).
+    out: the folder to write to.
+    tracker: one of the names above; default: what fits the tables.
+    noise: a tuned.toml of `trackwright tune`.
+    free_height: estimate the height of tags whose height the rig gives.
+"""

@@ -1,0 +1,16 @@
+"""Settings that jax reads when it is imported; whoever wants them calls `set_flags` before. Imports no jax itself."""
+
+from __future__ import annotations
+
+import os
+
+FUSION = "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion"
+"""XLA's CPU compiler then keeps shared terms of a filter step instead of computing them once per use."""
+
+
+def set_flags() -> None:
+    """Add to XLA_FLAGS, unless the user already says so there: multi-output fusion and one device per core."""
+    present = os.environ.get("XLA_FLAGS", "")
+    wanted = [FUSION, f"--xla_force_host_platform_device_count={len(os.sched_getaffinity(0))}"]
+    added = [flag for flag in wanted if flag.split("=")[0] not in present]
+    os.environ["XLA_FLAGS"] = " ".join([present, *added]).strip()

@@ -1,0 +1,53 @@
+"""What a person sees while a command runs: progress on a terminal, quiet in a pipe, notices on standard error."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from experiments.errors import UnusableInput
+from experiments.folder import Folder, read_folder
+
+ERRORS = Console(stderr=True, highlight=False, soft_wrap=True)
+
+
+@contextmanager
+def progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
+    """A function that counts work done; draws a bar where standard error is a terminal."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=ERRORS, disable=not sys.stderr.isatty(), transient=True) as bar:
+        task = bar.add_task(what, total=total)
+        yield lambda done: bar.advance(task, done)
+
+
+def notice(text: str) -> None:
+    """One line for the person at the terminal, on standard error."""
+    ERRORS.print(text, markup=False)
+
+
+def read_all(paths: Sequence[Path]) -> list[Folder]:
+    """All recording folders, their notices shown; raises UnusableInput for two of the same name."""
+    folders = []
+    for path in paths:
+        folders.append(read_folder(path))
+        for text in folders[-1].notices:
+            notice(f"notice: {path}: {text}")
+    names = [f.name for f in folders]
+    double = next((n for n in names if names.count(n) > 1), None)
+    if double is not None:
+        raise UnusableInput(f"two recordings are both named '{double}'; expected different names in rig.toml; rename one")
+    return folders
+
+
+def output_folder(path: Path) -> Path:
+    """The folder, created where it isn't there; raises UnusableInput where that can't be."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UnusableInput(f"--out {path}: cannot be created ({error.strerror}); choose another folder") from error
+    return path

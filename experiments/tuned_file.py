@@ -1,0 +1,89 @@
+"""`tuned.toml`: tuned numbers with unit and standard error, written by `tune` and read by `track --noise`."""
+
+from __future__ import annotations
+
+import fnmatch
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.errors import UnusableInput
+from experiments.writing import atomic_write
+from trackers.core.tracker import AbstractTracker
+from trackers.core.tunable import replaced, tunables
+from tuning import FitResult
+
+
+def write_tuned(path: Path, tracker: str, objective: str, result: FitResult) -> Path:
+    """Write the fit's numbers: value, unit and standard error (nan: not determined, or no likelihood) by name."""
+    lines = [
+        "# Written by `trackwright tune`; read by `trackwright track --noise`.",
+        f'tracker = "{tracker}"',
+        f'objective = "{objective}"',
+        f"before = {result.start_value:.8g}",
+        f"after = {result.value:.8g}",
+        "",
+    ]
+    for parameter in result.parameters:
+        name = parameter.label
+        lines += [
+            f'[tunables."{name}"]',
+            f"value = {_number(result.values[name])}",
+            f'unit = "{parameter.example.unit}"',
+            f"standard_error = {_number(result.standard_errors[name])}",
+            "",
+        ]
+    return atomic_write(path, lambda temporary: temporary.write_text("\n".join(lines), encoding="utf-8"))
+
+
+def _number(value: Any) -> str:
+    array = np.asarray(value, float)
+    if array.ndim:
+        return "[" + ", ".join(_number(x) for x in array) + "]"
+    return repr(float(array))
+
+
+def read_tuned(path: Path) -> dict[str, Any]:
+    """The values by name; raises UnusableInput where the file isn't what `tune` writes."""
+    try:
+        content = tomllib.loads(path.read_text("utf-8"))
+    except OSError as error:
+        raise UnusableInput(f"--noise {path}: cannot be read ({error.strerror}); expected the tuned.toml of `tune`") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UnusableInput(f"--noise {path}: is not valid TOML ({str(error).splitlines()[0]}); write it with `tune`") from error
+    table = content.get("tunables")
+    if not isinstance(table, Mapping) or not table:
+        raise UnusableInput(f"--noise {path}: found no [tunables], expected the tuned.toml of `trackwright tune`")
+    values = {}
+    for name, entry in table.items():
+        value = entry.get("value") if isinstance(entry, Mapping) else None
+        try:
+            values[name] = np.asarray(value, float)
+        except (TypeError, ValueError):
+            values[name] = np.array(np.nan)
+        if not np.all(np.isfinite(values[name])):
+            raise UnusableInput(f"--noise {path}: tunables.{name}.value is {value!r}, expected a finite number or a list")
+    return values
+
+
+def with_noise(tracker: AbstractTracker, values: Mapping[str, Any], source: Path) -> AbstractTracker:
+    """The tracker with the values put in by name or pattern; raises UnusableInput for names or values that don't fit."""
+    own = tunables(tracker)
+    new = {}
+    for pattern, value in values.items():
+        names = fnmatch.filter(own, pattern)
+        if not names:
+            raise UnusableInput(f"--noise {source}: this tracker has no '{pattern}'; it has: {', '.join(own)}")
+        for name in names:
+            if np.shape(value) != np.shape(own[name].raw):
+                raise UnusableInput(
+                    f"--noise {source}: '{pattern}' has shape {np.shape(value)}, the tracker's {name} {np.shape(own[name].raw)}"
+                )
+            try:
+                new[name] = own[name].holding(value)
+            except ValueError as error:
+                raise UnusableInput(f"--noise {source}: '{pattern}': {error}") from error
+    return replaced(tracker, new)

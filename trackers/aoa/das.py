@@ -1,0 +1,59 @@
+"""Delay-and-sum on every row by itself: the baseline that the beam tracker is compared with."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from trackers.aoa.beam import Beam, InPlaneBeam
+from trackers.aoa.beamformer import Grid, delay_and_sum, strongest
+from trackers.core.algebra import triangle
+from trackers.core.estimates import Status
+from trackers.core.recording import Batch
+from trackers.core.rig import Station
+from trackers.core.state import Heading
+from trackers.core.tracker import AbstractTracker, Output, Score
+
+
+class DelayAndSum(AbstractTracker):
+    """The strongest direction of each row with three antennas or more; it reports no covariance (NaN)."""
+
+    grid: Grid
+    name: str = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, station: Station, name: str, in_plane: bool = False) -> DelayAndSum:
+        """The beamformer of a station, whose readings a recording holds under `name`, on the paper's grid."""
+        return cls(Grid.in_plane(station) if in_plane else Grid.of(station), name)
+
+    def scan(self, batch: Batch) -> Output:
+        reading = batch.readings[self.name]
+
+        def one(values: Any, seen: Any) -> Any:
+            return strongest(self.grid, delay_and_sum(self.grid, values, seen))
+
+        # A row at a time: the spectrum of a whole chunk would be gigabytes.
+        row = jax.vmap(one, in_axes=-1, out_axes=-1)
+        angles = jax.lax.map(lambda r: row(*r), (jnp.asarray(reading.values), jnp.asarray(reading.seen)))
+        zero = jnp.zeros_like(angles[:, 0])
+        in_plane = angles.shape[1] == 1
+        mean = InPlaneBeam(Heading(angles[:, 0]), zero) if in_plane else Beam(angles[:, 0], angles[:, 1], zero, zero)
+        cov = tuple(zero + jnp.nan for _ in triangle(2 if in_plane else 4))
+        enough = jnp.sum(reading.seen, axis=1) >= 3
+        status = jnp.where(enough, Status.OK, Status.WAITING)
+        status = jnp.where(jnp.asarray(batch.valid), status, Status.PADDING).astype(jnp.int8)
+        return Output((mean, cov), zero, zero, zero, zero, status)
+
+    def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
+        output = self.scan(batch)
+        truth = jax.tree_util.tree_map(jnp.asarray, batch.truth)
+        terms = jax.vmap(lambda o, t: score(o, o.belief[0], t))(output, truth)
+        return tuple(jnp.sum(x, axis=0) for x in terms)
+
+    def moments(self, belief: Any) -> tuple[Any, Any]:
+        return belief
+
+

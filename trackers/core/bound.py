@@ -1,0 +1,87 @@
+"""The posterior Cramér–Rao bound: the error below which no tracker of this model can be (Tichavský et al. 1998)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from trackers.core.algebra import Scalar, Vector, dense
+from trackers.core.linearise import linearise
+from trackers.core.recording import Batch
+from trackers.core.state import coordinates, local
+from trackers.core.tracker import Row, Tracker, prepared
+from trackers.core.tunable import resolved
+
+
+def posterior_bound(tracker: Tracker, batch: Batch, states: Any) -> np.ndarray:
+    """Lower bounds (T, n), standard deviations of the state's components in filtering, averaged over the batch.
+
+    `states`: the true states, leaves (T, B). The recursion starts at the first row with the covariance of the
+    tracker's start there and takes its information from the rows that follow, averaged over the batch's valid
+    trajectories; readings that weren't seen carry none.
+    """
+    prior, F, Q, information = (np.asarray(x, float) for x in _pieces(prepared(tracker, batch.dt.dtype), batch, states))
+    P, result = prior, [np.sqrt(np.diag(prior))]
+    for k in range(1, len(F)):
+        P = F[k] @ P @ F[k].T + Q[k]
+        P = P @ np.linalg.inv(np.eye(len(P)) + information[k] @ P)
+        P = (P + P.T) / 2
+        result.append(np.sqrt(np.maximum(np.diag(P), 0)))
+    return np.array(result)
+
+
+@eqx.filter_jit
+def _pieces(tracker: Tracker, batch: Batch, states: Any) -> tuple[Any, ...]:
+    """The start's covariance (n, n), and by row F, Q and the readings' information (T, n, n), means over the batch."""
+    tracker = resolved(tracker)
+    rows = Row(batch.dt, batch.valid, batch.readings, batch.inputs)
+
+    def lane(row: Row, state: Any) -> tuple[Any, Any, Any]:
+        point, rebuild = coordinates(state)
+        n = len(point)
+        zero = jnp.zeros_like(point[0])
+        motion, q = tracker.motion, tracker.motion.noise_dimension
+        moved = motion.step(state, row.inputs, row.dt, Vector.of([zero] * q))
+
+        def step(*values: Scalar) -> list[Scalar]:
+            return local(moved, motion.step(rebuild(values[:n]), row.inputs, row.dt, Vector.of(values[n:])))
+
+        jacobian = _matrix(linearise(step, [*point, *[zero] * q])[1], n + q, zero)
+        F, G = jacobian[:, :n], jacobian[:, n:]
+        total = jnp.zeros((n, n), zero.dtype)
+        for name, sensor in tracker.sensors.items():
+            tails = []
+
+            def misfit(*values: Scalar) -> list[Scalar]:
+                predicted = sensor.measure(motion.view(rebuild(values)), row.inputs)
+                exact = row.readings[name]._replace(values=predicted)  # noqa: B023 - called at once
+                result = sensor.residual(exact, list(predicted))
+                tails[:] = [result.tail]  # noqa: B023 - read below
+                return list(result.whitened)
+
+            H = _matrix(linearise(misfit, point)[1], n, zero)
+            # Fisher's information of Student's t is (ν + 1)/(ν + 3) of the normal's.
+            weight = 1.0 if tails[0] is None else (tails[0] + 1.0) / (tails[0] + 3.0)
+            total = total + weight * (H.T @ H)
+        return F, G @ G.T, jnp.where(row.valid, total, 0.0)
+
+    def one_row(row: Row, state: Any) -> tuple[Any, Any, Any]:
+        F, Q, information = jax.vmap(lane, in_axes=-1)(row, state)
+        weight = jnp.where(row.valid, jnp.ones_like(row.dt), 0.0)
+        weight = weight / jnp.maximum(jnp.sum(weight), 1.0)
+        return tuple(jnp.tensordot(weight, x, 1) for x in (F, Q, information))
+
+    first = jax.tree_util.tree_map(lambda x: jnp.asarray(x)[0, ..., 0], rows)
+    found = tracker.start.acquire(tracker.sensors, first)
+    belief = tracker.start.begin(found, first)
+    n = len(coordinates(belief.mean)[0])
+    return dense(jnp.stack(belief.cov), n), *jax.lax.map(lambda x: one_row(*x), (rows, states))
+
+
+def _matrix(rows: list[dict[int, Scalar]], columns: int, zero: Scalar) -> Any:
+    """Sparse rows as an array."""
+    return jnp.stack([jnp.stack([zero + row.get(j, 0.0) for j in range(columns)]) for row in rows])

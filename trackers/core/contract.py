@@ -1,0 +1,279 @@
+"""What a motion and a sensor promise, as checks that run on one's own classes before they meet a filter.
+
+They take seconds, belong into a test, and raise `BrokenContract` with one line that says what was found, what is
+expected, and the usual fix.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.special import betainc
+
+from trackers.core.algebra import Scalar, Vector
+from trackers.core.ekf import ExtendedKalman, Gaussian
+from trackers.core.linearise import linearise
+from trackers.core.motion import AbstractMotion
+from trackers.core.sensor import AbstractSensor, Reading, Residual
+from trackers.core.state import State, component_names, coordinates, local
+from trackers.core.tunable import resolved
+
+Tree = TypeVar("Tree")
+
+FAR = 1e6
+"""Units of a channel by which a reading is wild; what a whitened residual then squares to stays finite in float32."""
+
+POINTS = 4096
+"""Readings whose density is computed at once: 1 × 4096, 64 × 64, or eight blocks of 32 × 32 × 32."""
+
+
+class BrokenContract(ValueError):
+    """A motion or a sensor doesn't do what filters rely on."""
+
+
+class Still(AbstractMotion):
+    """The motion of what doesn't move, whose state is what sensors read."""
+
+    @property
+    def noise_dimension(self) -> int:
+        return 0
+
+    def step(self, state: State, inputs: Any, dt: Scalar, w: Vector) -> State:
+        return state
+
+    def view(self, state: State) -> Any:
+        return state
+
+
+def check_motion(motion: AbstractMotion, state: State, inputs: Any = None, dt: float = 0.1, seed: int = 0) -> None:
+    """Raise `BrokenContract` unless `motion` keeps its promises at `state`, for one interval `dt` (s) and for none.
+
+    Promised: `step` gives back a state of the same kind, leaves it as it is when dt = 0 whatever the noise, gives the
+    same numbers when called again, and has finite values and derivatives with respect to state and noise.
+    """
+    name = type(motion).__name__
+    motion, state, inputs = resolved(_arrays(motion)), _arrays(state), _arrays(inputs)
+    point, rebuild = coordinates(state)
+    components = [*component_names(state), *(f"w.{k}" for k in range(motion.noise_dimension))]
+    noise = np.random.default_rng(seed).normal(size=(3, motion.noise_dimension))
+
+    def step(interval: Any, w: Any) -> State:
+        return motion.step(state, inputs, interval, Vector.of(w))
+
+    def slopes(interval: Any, w: Any) -> Any:
+        moved = step(interval, w)
+
+        def from_moved(*values: Scalar) -> list[Scalar]:
+            return local(moved, motion.step(rebuild(values[: len(point)]), inputs, interval, Vector.of(values[len(point) :])))
+
+        return _dense(*linearise(from_moved, [*point, *w]), len(components))
+
+    for w in noise:
+        for interval in (jnp.asarray(0.0), jnp.asarray(dt)):
+            moved = _traced(f"{name}.step", step, interval, list(_arrays(w)))
+            if jax.tree_util.tree_structure(moved) != jax.tree_util.tree_structure(state) or _shapes(moved) != _shapes(state):
+                raise BrokenContract(
+                    f"{name}.step returns {_kind(moved)}, expected a state like the one it was given, {_kind(state)}"
+                )
+            if not _same(moved, _traced(f"{name}.step", step, interval, list(_arrays(w)))):
+                raise BrokenContract(f"{name}.step gives other numbers when called again; all its randomness comes as w")
+            _require_finite(f"{name}.step at dt = {interval} s", jnp.stack(coordinates(moved)[0]), components)
+            jacobian = _traced(f"{name}.step", slopes, interval, list(_arrays(w)))
+            _require_finite(f"the derivative of {name}.step at dt = {interval} s", jacobian, components)
+        still = _traced(f"{name}.step", step, jnp.asarray(0.0), list(_arrays(w)))
+        if not _same(still, state):
+            shift = np.abs(np.array([float(x) for x in local(state, still)]))
+            raise BrokenContract(
+                f"{name}.step with dt = 0 moves {components[int(np.argmax(shift))]} by {shift.max():.3g}, expected to the bit "
+                "no change whatever the noise; usual fix: give every term a factor that is zero when dt is"
+            )
+
+
+def check_sensor(sensor: AbstractSensor, view: Any, inputs: Any = None, reported: Sequence[float] = (), seed: int = 0) -> None:
+    """Raise `BrokenContract` unless `sensor` keeps its promises where `view` is what it reads of a state.
+
+    Promised: as many channels as predicted and whitened numbers; a channel that wasn't seen changes nothing and isn't
+    counted; no channel seen, no likelihood; finite residuals and derivatives for wild readings; and a density that
+    integrates to 1 over readings, for up to three channels at a time, the others unseen. `reported`: what a device
+    would report of one reading's noise. Angles are checked while their noise is well inside half a turn.
+    """
+    name, m = type(sensor).__name__, len(sensor.channels)
+    names = [channel.name for channel in sensor.channels]
+    sensor, view, inputs, reported = resolved(_arrays(sensor)), _arrays(view), _arrays(inputs), _arrays(np.asarray(reported))
+    point, rebuild = coordinates(view)
+    rng = np.random.default_rng(seed)
+
+    def measure() -> list[Scalar]:
+        return list(sensor.measure(view, inputs))
+
+    predicted = _traced(f"{name}.measure", measure)
+    if len(predicted) != m or any(jnp.shape(p) != () for p in predicted):
+        raise BrokenContract(f"{name}.measure returns {len(predicted)} of shape {_shapes(predicted)}, expected {m} scalars: {names}")
+    predicted = np.array([float(p) for p in predicted])
+    _require_finite(f"{name}.measure", predicted, names)
+
+    @jax.jit
+    def judge(values: Any, seen: Any) -> Residual:
+        residual = sensor.residual(Reading(values, seen, reported), list(sensor.measure(view, inputs)))
+        return residual._replace(whitened=list(residual.whitened))
+
+    def residual(offset: Any, seen: Any) -> tuple[np.ndarray, float, float]:
+        result = _traced(f"{name}.residual", judge, _arrays(predicted + offset), np.asarray(seen, bool))
+        if len(result.whitened) != m:
+            raise BrokenContract(f"{name}.residual has {len(result.whitened)} whitened numbers, expected one per channel, {m}")
+        return np.array([float(r) for r in result.whitened]), float(result.log_scale), float(result.count)
+
+    whitened, _, count = residual(np.zeros(m), np.ones(m))
+    if np.abs(whitened).max() > 1e-3:
+        raise BrokenContract(f"{name}.residual of a reading equal to the prediction is {whitened}, expected zeros")
+    if not 0 < count <= m:
+        raise BrokenContract(f"{name}.residual counts {count:g} numbers with all channels seen, expected between 1 and {m}")
+    for seen in (np.zeros(m, bool), *(np.arange(m) != k for k in range(m)), *(rng.random((4, m)) < 0.5)):
+        _check_mask(name, residual, rng.normal(size=m) * 0.1, seen)
+
+    def slopes(values: Any, seen: Any) -> Any:
+        def misfit(*x: Scalar) -> list[Scalar]:
+            return list(sensor.residual(Reading(values, seen, reported), list(sensor.measure(rebuild(x), inputs))).whitened)
+
+        return _dense(*linearise(misfit, point), len(point))
+
+    for offset in (0.0, FAR, -FAR):
+        for seen in (np.ones(m, bool), np.zeros(m, bool)):
+            _require_finite(f"{name}.residual of a reading off by {offset:g}", np.array([*residual(offset, seen)[0]]), names)
+            jacobian = _traced(f"{name}.residual", slopes, _arrays(predicted + offset), seen)
+            _require_finite(f"the derivative of {name}.residual of a reading off by {offset:g}", jacobian, names)
+
+    def log_density(values: Any, seen: Any) -> Any:
+        belief = Gaussian(view, tuple(jnp.zeros_like(point[0]) for _ in range(len(point) * (len(point) + 1) // 2)))
+        return ExtendedKalman().update(belief, Still(), sensor, Reading(values, seen, reported), inputs)[1].log_likelihood
+
+    densities = jax.jit(jax.vmap(log_density, in_axes=(0, None)))
+    wraps = np.array([channel.wraps for channel in sensor.channels])
+    for seen in _windows(m):
+        held = round(seen.sum() - residual(np.zeros(m), seen)[2])
+        free = np.flatnonzero(seen)[held:]
+        if not len(free):
+            continue
+        result = judge(_arrays(predicted), seen)
+        slope = np.array(jax.jacfwd(lambda z, s: jnp.stack(judge(z, s).whitened))(_arrays(predicted), seen), float)[:, free]
+        tail = None if result.tail is None else float(result.tail)
+        integral, doubt = _integral(lambda z, s=seen: densities(_arrays(z), s), predicted, free, slope, wraps, tail)
+        if not abs(integral - 1) < 2e-3 + doubt:
+            raise BrokenContract(
+                f"{name}: the density of a reading integrates to {integral:.4g} over {', '.join(names[j] for j in free)}, "
+                "expected 1; usual fix: log_scale is −½ log 2π − log sigma for each channel seen, of the sigma that whitens"
+            )
+
+
+def _check_mask(name: str, residual: Callable[..., Any], offset: np.ndarray, seen: np.ndarray) -> None:
+    """What wasn't seen has no say: not in the whitened residual, nor the count, nor through its value."""
+    whitened, log_scale, count = residual(offset, seen)
+    if np.any(whitened[~seen] != 0):
+        raise BrokenContract(f"{name}.residual is {whitened} where seen is {seen}, expected 0 for a channel that wasn't seen")
+    if count > seen.sum():
+        raise BrokenContract(f"{name}.residual counts {count:g} numbers where {seen.sum()} channels were seen")
+    if not seen.any() and (count != 0 or log_scale != 0):
+        raise BrokenContract(f"{name}.residual with no channel seen has count {count:g} and log_scale {log_scale:.4g}, expected 0 and 0")
+    other = residual(np.where(seen, offset, offset + 3.0), seen)
+    if not (np.array_equal(whitened, other[0]) and (log_scale, count) == other[1:]):
+        raise BrokenContract(f"{name}.residual changes with the value of a channel that wasn't seen (seen: {seen}), expected no change")
+
+
+def _windows(m: int) -> Iterator[np.ndarray]:
+    """Masks with one, two and three neighbouring channels seen."""
+    for size in range(1, min(m, 3) + 1):
+        for start in range(m - size + 1):
+            yield (np.arange(m) >= start) & (np.arange(m) < start + size)
+
+
+def _integral(
+    log_density: Callable[[np.ndarray], Any],
+    predicted: np.ndarray,
+    free: np.ndarray,
+    slope: np.ndarray,
+    wraps: np.ndarray,
+    tail: float | None,
+) -> tuple[float, float]:
+    """∫ density over the free channels, the others held at the prediction, and what wrapping may take away from 1.
+
+    By the trapezoidal rule after u = sinh s, with u the whitened reading: exponentially accurate for the normal
+    density, and s reaches far into the tail of Student's t. `slope`: ∂whitened/∂reading over the free channels.
+    """
+    k = len(free)
+    rows = slope[np.any(slope != 0, axis=1)]
+    factor = rows if len(rows) == k else np.linalg.qr(slope)[1]
+    if not np.all(np.isfinite(factor)) or abs(np.linalg.det(factor)) < 1e-30:
+        return math.nan, 0.0
+    spread = np.linalg.inv(factor)
+    reach = math.asinh(8.0) if tail is None else min(3.0 + 16.0 / tail, 18.0)
+    s = np.linspace(-reach, reach, {1: POINTS, 2: 64, 3: 32}[k])
+    grid = np.stack(np.meshgrid(*[s] * k, indexing="ij"), axis=-1).reshape(-1, k)
+    offsets = np.sinh(grid) @ spread.T
+    values = np.tile(predicted, (len(grid), 1))
+    values[:, free] += offsets
+    blocks = values.reshape(-1, POINTS, len(predicted))
+    density = np.exp(np.concatenate([np.asarray(log_density(block), float) for block in blocks]))
+    inside = np.all((np.abs(offsets) <= np.pi) | ~wraps[free], axis=1)
+    weight = np.prod(np.cosh(grid), axis=1) * (s[1] - s[0]) ** k * abs(np.linalg.det(spread))
+    scales = np.sqrt(np.sum(spread**2, axis=1))[wraps[free]]
+    return float(np.sum(density * weight * inside)), sum(_beyond(np.pi / scale, tail) for scale in scales)
+
+
+def _beyond(x: float, tail: float | None) -> float:
+    """The probability that a standard normal number, or Student's t with `tail` degrees of freedom, is beyond ± x."""
+    return math.erfc(x / math.sqrt(2)) if tail is None else float(betainc(tail / 2, 0.5, tail / (tail + x * x)))
+
+
+def _arrays(tree: Tree) -> Tree:
+    """The tree with its numbers as arrays of jax's default precision, as a run has them."""
+    kind = jnp.zeros(0).dtype
+
+    def cast(x: Any) -> Any:
+        if isinstance(x, (bool, int)) or not (hasattr(x, "dtype") or isinstance(x, float)):
+            return x
+        return jnp.asarray(x, kind) if np.issubdtype(np.asarray(x).dtype, np.floating) else jnp.asarray(x)
+
+    return jax.tree_util.tree_map(cast, tree)
+
+
+def _traced(what: str, function: Callable[..., Any], *arguments: Any) -> Any:
+    """The function's result when traced afresh, as a filter traces it."""
+    try:
+        return jax.jit(lambda *x: function(*x))(*arguments)
+    except (jax.errors.JAXTypeError, jax.errors.JAXIndexError) as error:
+        reason = str(error).splitlines()[0]
+        raise BrokenContract(f"{what} can't be traced ({reason}); usual fix: jnp.where for a choice, jnp for math and numpy") from error
+
+
+def _dense(_: Any, rows: Sequence[dict[int, Scalar]], columns: int) -> Any:
+    """Sparse rows as one array."""
+    return jnp.stack([jnp.stack([jnp.asarray(row.get(j, 0.0), float) for j in range(columns)]) for row in rows])
+
+
+def _same(a: Any, b: Any) -> bool:
+    """Whether two trees hold the same numbers to the bit."""
+    leaves = zip(jax.tree_util.tree_leaves(a), jax.tree_util.tree_leaves(b), strict=True)
+    return all(np.array_equal(np.asarray(x), np.asarray(y)) for x, y in leaves)
+
+
+def _shapes(tree: Any) -> list[tuple[int, ...]]:
+    return [np.shape(x) for x in jax.tree_util.tree_leaves(tree)]
+
+
+def _kind(tree: Any) -> str:
+    return f"{type(tree).__name__} with shapes {_shapes(tree)}"
+
+
+def _require_finite(what: str, values: Any, names: Sequence[str]) -> None:
+    bad = np.argwhere(~np.isfinite(np.asarray(values)))
+    if len(bad):
+        where = " by ".join(names[k] for k in bad[0][:1])
+        raise BrokenContract(
+            f"{what} is not finite at {where}; usual fix: jnp.where around the argument of a root, division or arctangent, "
+            "not only around its result"
+        )
