@@ -41,7 +41,7 @@ class Entry:
     stations: int
     about: str
     bearing_only: bool
-    lanes: Callable[[Folder], Iterator[Lane]]
+    lanes: Callable[[Folder, bool], Iterator[Lane]]
     build: Callable[[Lane, bool], AbstractTracker]
 
 
@@ -118,7 +118,7 @@ def groups(folders: Sequence[Folder], name: str, free_height: bool) -> list[Grou
                 f"{folder.path}: tracker '{name}' needs a {entry.table} table with at least {entry.stations} "
                 f"station(s), found {found}; its tables: {', '.join(folder.tables)}"
             )
-        for lane in entry.lanes(folder):
+        for lane in entry.lanes(folder, free_height):
             planar = _planar(entry, name, lane, free_height)
             batches[(planar, *_geometry(entry, lane))].append(lane)
     return [Group(entry.build(lanes[0], key[0]), lanes, key[0]) for key, lanes in batches.items()]

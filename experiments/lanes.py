@@ -11,7 +11,8 @@ import polars as pl
 
 from experiments.folder import Folder
 from experiments.matching import Verdict, interpolated, numbers, truth_paths
-from trackers.aoa.fusion import BEARINGS, bearing_inputs, surroundings
+from trackers.aoa.fusion import BEARINGS, bearing_inputs
+from trackers.aoa.rays import recent_points
 from trackers.core.recording import Readings, Recording
 from trackers.core.rig import Station
 
@@ -29,11 +30,11 @@ class Lane:
     recording: Recording
 
 
-def bearing_lanes(folder: Folder) -> Iterator[Lane]:
+def bearing_lanes(folder: Folder, free_height: bool) -> Iterator[Lane]:
     """Each tag's bearings, one row per table row, with the geometry of the row's station as inputs."""
     stations = folder.rig.stations
     geometry = {name: bearing_inputs(s) for name, s in stations.items()}
-    centre, paths = surroundings(stations), _true_paths(folder)
+    paths = _true_paths(folder)
     for tag, table in _by_tag(folder.tables["bearings"]):
         values, seen = _values(table, ["azimuth_rad", "elevation_rad"])
         spread = np.stack([numbers(table, f"{a}_std_rad") for a in ("azimuth", "elevation")], axis=1)
@@ -42,12 +43,14 @@ def bearing_lanes(folder: Folder) -> Iterator[Lane]:
             square = np.where(np.isfinite(spread), spread, 0.0) ** 2
             reported = np.stack([square[:, 0], np.zeros(len(square)), square[:, 1]], axis=1)
         where = np.stack([geometry[s] for s in table["station"].to_list()])
-        inputs = {"origin": where[:, :3], "axes": where[:, 3:], "centre": np.tile(centre, (len(where), 1))}
+        times, height = table["t_s"].to_numpy(), None if free_height else known_height(folder, tag)
+        nearby = recent_points(times, where[:, :3], where[:, 3:], values, seen.all(axis=1), height)
+        inputs = {"origin": where[:, :3], "axes": where[:, 3:], "nearby": nearby}
         readings = {BEARINGS: Readings(values, seen, reported)}
-        yield _lane(folder, tag, "", table["t_s"].to_numpy(), readings, inputs, paths)
+        yield _lane(folder, tag, "", times, readings, inputs, paths)
 
 
-def phase_lanes(folder: Folder) -> Iterator[Lane]:
+def phase_lanes(folder: Folder, free_height: bool) -> Iterator[Lane]:
     """Each tag's phases at all stations, by the stations' ids; a row per time."""
     stations = {name: s for name, s in folder.rig.stations.items() if s.antennas is not None}
     paths = _true_paths(folder)
@@ -63,7 +66,7 @@ def phase_lanes(folder: Folder) -> Iterator[Lane]:
         yield _lane(folder, tag, "", times, readings, {}, paths)
 
 
-def beam_lanes(folder: Folder) -> Iterator[Lane]:
+def beam_lanes(folder: Folder, free_height: bool) -> Iterator[Lane]:
     """Each tag's phases at one station, for every pair of them, under the name `phases`."""
     paths = _true_paths(folder)
     for tag, table in _by_tag(folder.tables["phases"]):

@@ -29,7 +29,7 @@ class Step:
 
 @dataclass(frozen=True)
 class FitResult:
-    """A tuned tracker and how it came about; `left_out`: trajectories whose figures were not finite."""
+    """A tuned tracker and how it came about; `left_out`: trajectories without usable derivatives."""
 
     tracker: AbstractTracker
     parameters: list[Parameter]
@@ -62,19 +62,30 @@ class Problem:
         self.left_out = 0
 
     def value_and_gradient(self, vector: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-        """The figure, its gradient, and the sums that it is made of; trajectories that aren't finite don't count."""
-        sums, slopes, left_out = None, None, 0
+        """The figure, its gradient, and the sums that it is made of, without trajectories that aren't finite."""
+        found = []
         for chunk in self.chunks:
             s, d = _sums(self.tracker, chunk, self.objective, _Parameters(self.parameters), jnp.asarray(vector, self.dtype))
-            s, d = np.asarray(s, float), np.asarray(d, float)
-            finite = np.isfinite(s).all(axis=0) & np.isfinite(d).all(axis=(0, 2))
-            left_out += int(np.sum(~finite & np.asarray(chunk.valid).any(axis=0)))
-            s, d = np.where(finite, s, 0).sum(axis=1), np.where(finite[:, None], d, 0).sum(axis=1)
-            sums, slopes = (s, d) if sums is None else (sums + s, slopes + d)
-        self.left_out = left_out
-        assert sums is not None and slopes is not None
-        value, by_sum = jax.value_and_grad(self.objective.value)(jnp.asarray(sums))
-        return float(value), np.asarray(by_sum, float) @ slopes, sums
+            found.append((np.asarray(s, float), np.asarray(d, float), np.asarray(chunk.valid).any(axis=0)))
+        sums, slopes, valid = (np.concatenate(x, axis=a) for x, a in zip(zip(*found, strict=True), (1, 1, 0), strict=True))
+        finite = np.isfinite(sums).all(axis=0)
+        steady = _steady(slopes) & finite
+        self.left_out = int(np.sum(~steady & valid))
+        total = np.where(finite, sums, 0).sum(axis=1)
+        slope = np.where(steady[:, None], slopes, 0).sum(axis=1)
+        value, by_sum = jax.value_and_grad(self.objective.value)(jnp.asarray(total))
+        return float(value), np.asarray(by_sum, float) @ slope, total
+
+
+def _steady(slopes: np.ndarray) -> np.ndarray:
+    """Which trajectories (B,) have derivatives (k, B, p) to go by: finite, and not thousands of times the usual.
+
+    A filter that hesitates between two tracks depends on every number without measure; where all others have
+    something to say, such a trajectory has not.
+    """
+    size = np.sqrt(np.sum(np.where(np.isfinite(slopes), slopes, np.inf) ** 2, axis=(0, 2)))
+    moving = size[np.isfinite(size) & (size > 0)]
+    return np.isfinite(size) & (size <= 1e3 * np.median(moving)) if len(moving) else np.isfinite(size)
 
 
 class _Parameters(eqx.Module):
@@ -129,7 +140,9 @@ def fit(
     value, gradient, sums = problem.value_and_gradient(vector)
     if not (np.isfinite(value) and np.all(np.isfinite(gradient))):
         raise ValueError(f"the objective is not finite at the start ({value}): no row is scored, or truth is missing")
-    optimiser = optax.adam(optax.cosine_decay_schedule(rate, steps, 0.01))
+    # A filter on the brink of losing a track has enormous derivatives; one such step must not drown all others.
+    schedule = optax.cosine_decay_schedule(rate, steps, 0.01)
+    optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.adam(schedule))
     state: Any = optimiser.init(jnp.asarray(vector))
     best, start_value = (value, vector, sums), value
     trace: list[Step] = []

@@ -36,7 +36,7 @@ def tune(
     start: Path | None = None,
     free_height: bool = False,
     steps: int = 60,
-    piece_rows: int = 2000,
+    piece_rows: int = 8000,
 ) -> int:
     """Fit noise levels (and other tunables) to recordings by gradient: writes tuned.toml, trace.csv and tuning.png.
 
@@ -102,7 +102,7 @@ def _fitted(
         except ValueError as error:
             raise UnusableInput(f"--tune {' '.join(patterns)}: {error}") from error
     if result.left_out:
-        notice(f"notice: {result.left_out} of {len(lanes)} pieces left out: their figures were not finite")
+        notice(f"notice: {result.left_out} of {len(lanes)} pieces had no say: their figures were not finite, or depend on the tunables without measure")
     return result, result.trace
 
 

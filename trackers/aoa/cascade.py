@@ -11,6 +11,7 @@ import numpy as np
 
 from trackers.aoa.beam import beam_tracker
 from trackers.aoa.fusion import BEARINGS, BearingSensor, BearingStart, bearing_inputs, surroundings
+from trackers.aoa.rays import nearest_to_rays, unit_vector
 from trackers.core.estimates import Status
 from trackers.core.motion import ConstantVelocity
 from trackers.core.recording import Batch
@@ -61,7 +62,7 @@ class Cascade(AbstractTracker):
         first = jnp.arange(batch.dt.shape[0] * count)[:, None] % count == 0
         inputs = {name: repeated(x) for name, x in batch.inputs.items()}
         inputs |= {"origin": geometry(slice(0, 3)), "axes": geometry(slice(3, 12))}
-        inputs["centre"] = jnp.broadcast_to(jnp.asarray(self.centre)[None, :, None], (len(first), 4, batch.dt.shape[1]))
+        inputs["nearby"] = repeated(self._meeting(readings))
         return Batch(
             jnp.where(first, repeated(batch.dt), 0.0),
             repeated(batch.valid),
@@ -69,6 +70,21 @@ class Cascade(AbstractTracker):
             inputs,
             jax.tree_util.tree_map(repeated, batch.truth),
         )
+
+    def _meeting(self, readings: list[Reading]) -> Any:
+        """Where each row's beams meet, (T, 4, B), and whether two or more were heard."""
+
+        def one(*parts: Reading) -> Any:
+            rays = []
+            for name, part in zip(self.beams, parts, strict=True):
+                geometry = jnp.asarray(self.geometry[name])
+                direction = geometry[3:].reshape(3, 3).T @ unit_vector(*part.values)
+                rays.append((geometry[:3], direction, part.seen[0]))
+            count = sum(jnp.where(part.seen[0], 1, 0) for part in parts)
+            point = nearest_to_rays(rays, jnp.asarray(self.centre))
+            return jnp.append(point, jnp.where(count > 1, jnp.ones_like(point[0]), 0.0))
+
+        return jax.vmap(jax.vmap(one, in_axes=-1, out_axes=-1))(*readings)
 
     def _reading(self, name: str, batch: Batch) -> Reading:
         """One station's beam estimates as readings with covariances, where the row had phases of that station."""
@@ -105,7 +121,7 @@ def cascade_tracker(
     """The cascade for these stations (Will et al. 2020, sections 3 and 4.2); σa of the beams rad/s², of the fusion m/s² per √Hz."""
     beams = {name: beam_tracker(s, name, sigma_a_beam, sigma_p, paper_form, span) for name, s in stations.items()}
     sensors = {BEARINGS: BearingSensor(np.deg2rad(0.3), np.deg2rad(0.3), tail=30.0)}
-    start = BearingStart(Scale(0.5, "m/s"), False, 3)
+    start = BearingStart(Scale(0.2, "m"), Scale(0.5, "m/s"), False, 3)
     fusion = Tracker(ConstantVelocity(sigma_a, 3), sensors, start)
     geometry = {name: bearing_inputs(s) for name, s in stations.items()}
     return Cascade(beams, fusion, geometry, surroundings(stations))

@@ -10,8 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.aoa.beamformer import Grid, delay_and_sum, strongest
-from trackers.aoa.fusion import nearest_to_rays, surroundings, unit_vector
+from trackers.aoa.fusion import surroundings
 from trackers.aoa.phases import SphericalPhases
+from trackers.aoa.rays import nearest_to_rays, unit_vector
 from trackers.core.algebra import Scalar, Vector, diagonal, total
 from trackers.core.ekf import Gaussian
 from trackers.core.motion import ConstantVelocity, Kinematic, Noise
@@ -64,7 +65,7 @@ def direct_tracker(
     """Position and velocity straight from the phases of all stations; σa m/s² per √Hz, σp and the start's span rad."""
     sensors = {name: SphericalPhases(s, sigma_p) for name, s in stations.items()}
     start = PhaseStart(
-        surroundings(stations)[:3],
+        surroundings(stations),
         Scale(0.2, "m"),
         Scale(0.5, "m/s"),
         {name: Grid.of(s, span) for name, s in stations.items()},

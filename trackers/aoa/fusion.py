@@ -16,9 +16,9 @@ import numpy as np
 from trackers.aoa.phases import placed
 from trackers.core.algebra import Scalar, Vector, diagonal, total
 from trackers.core.ekf import Gaussian
-from trackers.core.motion import ConstantVelocity, GroundMotion, Kinematic, Noise
+from trackers.core.motion import GroundMotion, Kinematic, Noise
 from trackers.core.rig import Station
-from trackers.core.sensor import LOG_2PI, AbstractSensor, Channel, Reading, Residual
+from trackers.core.sensor import AbstractSensor, Channel, Reading, Residual, log_peak
 from trackers.core.state import wrap
 from trackers.core.tracker import AbstractStart, LossPolicy, Row, Tracker
 from trackers.core.tunable import Real, Scale
@@ -75,7 +75,7 @@ class BearingSensor(AbstractSensor):
         whitened = jnp.where(saw_azimuth, azimuth / first, 0.0)
         rest = jnp.where(saw_elevation, (elevation - coupling * whitened) / second, 0.0)
         scales = ((saw_azimuth, first), (saw_elevation, second))
-        log_scale = total(jnp.where(s, -0.5 * LOG_2PI - jnp.log(sigma), 0.0) for s, sigma in scales)
+        log_scale = total(jnp.where(s, log_peak(self.tail.value) - jnp.log(sigma), 0.0) for s, sigma in scales)
         count = total(jnp.where(s, jnp.ones_like(azimuth), 0.0) for s, _ in scales)
         return Residual([whitened, rest], log_scale, count, tail=self.tail.value)
 
@@ -86,63 +86,38 @@ def bearing_inputs(station: Station) -> np.ndarray:
 
 
 class BearingStart(AbstractStart):
-    """The point of one ray that is nearest to the middle of where tags can be, with the spread of that region.
+    """The point that recent bearings meet in, from the row's input `nearby` (4,): its place, m, and 1 where there is one.
 
-    Inputs: `centre` (4,): that middle and the spread, m (`surroundings`). `sigma_velocity`: m/s.
+    `sigma_position` m, `sigma_velocity` m/s: how far off it may be. `velocities`: the number of the state's velocities.
     """
 
+    sigma_position: Noise
     sigma_velocity: Noise
     planar: bool = eqx.field(static=True)
     velocities: int = eqx.field(static=True)
 
     def ready(self, row: Row) -> Scalar:
-        return jnp.all(row.readings[BEARINGS].seen)
+        return row.inputs["nearby"][3] > 0.5
 
     def acquire(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
-        azimuth, elevation = row.readings[BEARINGS].values
-        axes = row.inputs["axes"].reshape(3, 3)
-        direction = axes.T @ unit_vector(azimuth, elevation)
-        height = row.inputs["height"] if self.planar else None
-        return nearest_to_rays([(row.inputs["origin"], direction, True)], row.inputs["centre"][:3], height)
+        return row.inputs["nearby"][:3]
 
     def begin(self, found: Any, row: Row) -> Gaussian:
         n = 2 if self.planar else 3
         zero = jnp.zeros_like(found[0])
-        position, velocity = row.inputs["centre"][3] ** 2, self.sigma_velocity.value**2
+        position, velocity = self.sigma_position.value**2, self.sigma_velocity.value**2
         state = Kinematic(Vector(*(found[k] for k in range(n))), Vector(*[zero] * self.velocities))
         return Gaussian(state, diagonal([position] * n + [velocity] * self.velocities, zero))
 
 
-def unit_vector(azimuth: Scalar, elevation: Scalar) -> Any:
-    """The direction of two angles in the array frame, (3,)."""
-    cosine = jnp.cos(elevation)
-    return jnp.stack([jnp.sin(azimuth) * cosine, jnp.sin(elevation), jnp.cos(azimuth) * cosine])
-
-
-def nearest_to_rays(rays: Sequence[tuple[Any, Any, Any]], centre: Any, height: Any = None) -> Any:
-    """The point (3,), m, nearest to all rays (origin, unit direction, whether it counts), drawn weakly to `centre`."""
-    eye = jnp.eye(3, dtype=centre.dtype)
-    information = eye * 1e-2
-    if height is not None:
-        centre = centre.at[2].set(height)
-        information = information.at[2, 2].set(1e4)
-    sums = information @ centre
-    for origin, direction, counts in rays:
-        across = jnp.where(counts, eye - jnp.outer(direction, direction), 0.0)
-        information, sums = information + across, sums + across @ origin
-    return jnp.linalg.inv(information) @ sums
-
-
 def surroundings(stations: Mapping[str, Station]) -> np.ndarray:
-    """Where tags can be, (4,) m: the point nearest to the stations' boresights and their distance from it."""
+    """The middle of where tags can be, (3,) m: the point nearest to the stations' boresights, drawn weakly to them."""
     positions = np.array([s.position for s in stations.values()])
     boresights = np.array([s.world_from_array()[:, 2] for s in stations.values()])
     across = np.eye(3) - boresights[:, :, None] * boresights[:, None, :]
     weak = 0.05 * np.eye(3)
     sums = np.einsum("sij,sj->i", across, positions) + weak @ positions.mean(axis=0)
-    centre = np.linalg.solve(across.sum(axis=0) + weak, sums)
-    distance = np.sqrt(np.mean(np.sum((positions - centre) ** 2, axis=1)))
-    return np.append(centre, max(distance, 1.0))
+    return np.linalg.solve(across.sum(axis=0) + weak, sums)
 
 
 def bearing_tracker(
@@ -158,7 +133,6 @@ def bearing_tracker(
     The bearings-only EKF of Will et al. 2020, section 4.2, with Student's t instead of a gate. σa m/s² per √Hz, σz m
     per √s, angles rad.
     """
-    motion = ConstantVelocity(sigma_a, 2) if planar else GroundMotion(sigma_a, sigma_z)
     sensors = {BEARINGS: BearingSensor(sigma_azimuth, sigma_elevation, tail)}
     # Errors of real bearings last for seconds: a large running NIS is no sign of a lost track there.
-    return Tracker(motion, sensors, BearingStart(Scale(1.0, "m/s"), planar, 2), loss=LossPolicy(limit=1e3, patience=10.0))
+    return Tracker(GroundMotion(sigma_a, sigma_z), sensors, BearingStart(Scale(1.5, "m"), Scale(1.0, "m/s"), planar, 2), loss=LossPolicy(limit=1e3, patience=10.0))

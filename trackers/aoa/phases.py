@@ -36,7 +36,11 @@ def centred(reading: Reading, predicted: Sequence[Scalar], sigma_p: Scalar) -> R
     wrapped = [wrap(d - middle) for d in differences]
     centre = total(s * d for s, d in zip(seen, wrapped, strict=True)) / n
     residuals = [s * (d - centre) for s, d in zip(seen, wrapped, strict=True)]
-    return _scaled(residuals, n, count, sigma_p)
+    # Two antennas more than half a turn apart: then, and only then, the paper's differences wrap and the forms part.
+    low = high = residuals[0]
+    for r in residuals[1:]:
+        low, high = jnp.minimum(low, r), jnp.maximum(high, r)
+    return _scaled(residuals, n, count, sigma_p, high - low > jnp.pi)
 
 
 def pairwise(reading: Reading, predicted: Sequence[Scalar], sigma_p: Scalar) -> Residual:
@@ -47,7 +51,11 @@ def pairwise(reading: Reading, predicted: Sequence[Scalar], sigma_p: Scalar) -> 
         s * total(t * wrap(d - e) for t, e in zip(seen, differences, strict=True)) / n
         for s, d in zip(seen, differences, strict=True)
     ]
-    return _scaled(residuals, n, count, sigma_p)
+    pairs = [(i, j) for i in range(len(seen)) for j in range(i)]
+    # Where nothing wraps each difference of two residuals is the wrapped difference itself.
+    gaps = [jnp.abs(wrap(differences[i] - differences[j]) - residuals[i] + residuals[j]) for i, j in pairs]
+    wrapped = total(jnp.where((g > 1.0) & reading.seen[i] & reading.seen[j], 1, 0) for g, (i, j) in zip(gaps, pairs, strict=True))
+    return _scaled(residuals, n, count, sigma_p, wrapped > 0)
 
 
 def _counts(reading: Reading) -> tuple[list[Scalar], Scalar, Scalar]:
@@ -58,13 +66,9 @@ def _counts(reading: Reading) -> tuple[list[Scalar], Scalar, Scalar]:
     return seen, n, n - 1.0
 
 
-def _scaled(residuals: Sequence[Scalar], n: Scalar, count: Scalar, sigma_p: Scalar) -> Residual:
+def _scaled(residuals: Sequence[Scalar], n: Scalar, count: Scalar, sigma_p: Scalar, wrapped: Scalar) -> Residual:
     log_scale = -count * (jnp.log(sigma_p) + 0.5 * LOG_2PI) - 0.5 * jnp.log(n)
-    low = high = residuals[0]
-    for r in residuals[1:]:
-        low, high = jnp.minimum(low, r), jnp.maximum(high, r)
-    # Two antennas more than half a turn apart: then, and only then, a difference wraps and the two forms part.
-    return Residual([r / sigma_p for r in residuals], log_scale, count, high - low > jnp.pi)
+    return Residual([r / sigma_p for r in residuals], log_scale, count, wrapped)
 
 
 class AbstractPhaseSensor(AbstractSensor):

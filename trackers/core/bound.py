@@ -54,13 +54,12 @@ def _pieces(tracker: Tracker, batch: Batch, states: Any) -> tuple[Any, ...]:
         F, G = jacobian[:, :n], jacobian[:, n:]
         total = jnp.zeros((n, n), zero.dtype)
         for name, sensor in tracker.sensors.items():
+            exact = row.readings[name]._replace(values=sensor.measure(motion.view(state), row.inputs))
             tails = []
 
-            def misfit(*values: Scalar) -> list[Scalar]:
-                predicted = sensor.measure(motion.view(rebuild(values)), row.inputs)
-                exact = row.readings[name]._replace(values=predicted)  # noqa: B023 - called at once
-                result = sensor.residual(exact, list(predicted))
-                tails[:] = [result.tail]  # noqa: B023 - read below
+            def misfit(*values: Scalar, sensor: Any = sensor, exact: Any = exact, tails: list = tails) -> list[Scalar]:
+                result = sensor.residual(exact, list(sensor.measure(motion.view(rebuild(values)), row.inputs)))
+                tails[:] = [result.tail]
                 return list(result.whitened)
 
             H = _matrix(linearise(misfit, point)[1], n, zero)

@@ -73,25 +73,23 @@ def check_motion(motion: AbstractMotion, state: State, inputs: Any = None, dt: f
 
         return _dense(*linearise(from_moved, [*point, *w]), len(components))
 
-    for w in noise:
-        for interval in (jnp.asarray(0.0), jnp.asarray(dt)):
-            moved = _traced(f"{name}.step", step, interval, list(_arrays(w)))
+    step_once, slopes_once = jax.jit(step), jax.jit(slopes)
+    for interval in (jnp.asarray(0.0), jnp.asarray(dt)):
+        for w in (list(_arrays(draw)) for draw in noise):
+            moved = _call(f"{name}.step", step_once, interval, w)
             if jax.tree_util.tree_structure(moved) != jax.tree_util.tree_structure(state) or _shapes(moved) != _shapes(state):
+                raise BrokenContract(f"{name}.step returns {_kind(moved)}, expected a state like the given one: {_kind(state)}")
+            if float(interval) == 0 and not _same(moved, state):
+                shift = np.abs(np.array([float(x) for x in local(state, moved)]))
                 raise BrokenContract(
-                    f"{name}.step returns {_kind(moved)}, expected a state like the one it was given, {_kind(state)}"
+                    f"{name}.step with dt = 0 moves {components[int(np.argmax(shift))]} by {shift.max():.3g}, expected no change "
+                    "to the bit whatever the noise; usual fix: give every term a factor that is zero when dt is"
                 )
-            if not _same(moved, _traced(f"{name}.step", step, interval, list(_arrays(w)))):
-                raise BrokenContract(f"{name}.step gives other numbers when called again; all its randomness comes as w")
             _require_finite(f"{name}.step at dt = {interval} s", jnp.stack(coordinates(moved)[0]), components)
-            jacobian = _traced(f"{name}.step", slopes, interval, list(_arrays(w)))
+            jacobian = _call(f"{name}.step", slopes_once, interval, w)
             _require_finite(f"the derivative of {name}.step at dt = {interval} s", jacobian, components)
-        still = _traced(f"{name}.step", step, jnp.asarray(0.0), list(_arrays(w)))
-        if not _same(still, state):
-            shift = np.abs(np.array([float(x) for x in local(state, still)]))
-            raise BrokenContract(
-                f"{name}.step with dt = 0 moves {components[int(np.argmax(shift))]} by {shift.max():.3g}, expected to the bit "
-                "no change whatever the noise; usual fix: give every term a factor that is zero when dt is"
-            )
+    if not _same(moved, jax.jit(lambda *x: step(*x))(interval, w)):
+        raise BrokenContract(f"{name}.step gives other numbers when traced again; expected all its randomness to come as w")
 
 
 def check_sensor(sensor: AbstractSensor, view: Any, inputs: Any = None, reported: Sequence[float] = (), seed: int = 0) -> None:
@@ -111,7 +109,7 @@ def check_sensor(sensor: AbstractSensor, view: Any, inputs: Any = None, reported
     def measure() -> list[Scalar]:
         return list(sensor.measure(view, inputs))
 
-    predicted = _traced(f"{name}.measure", measure)
+    predicted = _call(f"{name}.measure", jax.jit(measure))
     if len(predicted) != m or any(jnp.shape(p) != () for p in predicted):
         raise BrokenContract(f"{name}.measure returns {len(predicted)} of shape {_shapes(predicted)}, expected {m} scalars: {names}")
     predicted = np.array([float(p) for p in predicted])
@@ -123,7 +121,7 @@ def check_sensor(sensor: AbstractSensor, view: Any, inputs: Any = None, reported
         return residual._replace(whitened=list(residual.whitened))
 
     def residual(offset: Any, seen: Any) -> tuple[np.ndarray, float, float]:
-        result = _traced(f"{name}.residual", judge, _arrays(predicted + offset), np.asarray(seen, bool))
+        result = _call(f"{name}.residual", judge, _arrays(predicted + offset), np.asarray(seen, bool))
         if len(result.whitened) != m:
             raise BrokenContract(f"{name}.residual has {len(result.whitened)} whitened numbers, expected one per channel, {m}")
         return np.array([float(r) for r in result.whitened]), float(result.log_scale), float(result.count)
@@ -136,6 +134,7 @@ def check_sensor(sensor: AbstractSensor, view: Any, inputs: Any = None, reported
     for seen in (np.zeros(m, bool), *(np.arange(m) != k for k in range(m)), *(rng.random((4, m)) < 0.5)):
         _check_mask(name, residual, rng.normal(size=m) * 0.1, seen)
 
+    @jax.jit
     def slopes(values: Any, seen: Any) -> Any:
         def misfit(*x: Scalar) -> list[Scalar]:
             return list(sensor.residual(Reading(values, seen, reported), list(sensor.measure(rebuild(x), inputs))).whitened)
@@ -145,7 +144,7 @@ def check_sensor(sensor: AbstractSensor, view: Any, inputs: Any = None, reported
     for offset in (0.0, FAR, -FAR):
         for seen in (np.ones(m, bool), np.zeros(m, bool)):
             _require_finite(f"{name}.residual of a reading off by {offset:g}", np.array([*residual(offset, seen)[0]]), names)
-            jacobian = _traced(f"{name}.residual", slopes, _arrays(predicted + offset), seen)
+            jacobian = slopes(_arrays(predicted + offset), seen)
             _require_finite(f"the derivative of {name}.residual of a reading off by {offset:g}", jacobian, names)
 
     def log_density(values: Any, seen: Any) -> Any:
@@ -153,15 +152,16 @@ def check_sensor(sensor: AbstractSensor, view: Any, inputs: Any = None, reported
         return ExtendedKalman().update(belief, Still(), sensor, Reading(values, seen, reported), inputs)[1].log_likelihood
 
     densities = jax.jit(jax.vmap(log_density, in_axes=(0, None)))
+    against_reading = jax.jit(jax.jacfwd(lambda z, s: jnp.stack(judge(z, s).whitened)))
+    tail = judge(_arrays(predicted), np.ones(m, bool)).tail
+    tail = None if tail is None else float(tail)
     wraps = np.array([channel.wraps for channel in sensor.channels])
     for seen in _windows(m):
         held = round(seen.sum() - residual(np.zeros(m), seen)[2])
         free = np.flatnonzero(seen)[held:]
         if not len(free):
             continue
-        result = judge(_arrays(predicted), seen)
-        slope = np.array(jax.jacfwd(lambda z, s: jnp.stack(judge(z, s).whitened))(_arrays(predicted), seen), float)[:, free]
-        tail = None if result.tail is None else float(result.tail)
+        slope = np.array(against_reading(_arrays(predicted), seen), float)[:, free]
         integral, doubt = _integral(lambda z, s=seen: densities(_arrays(z), s), predicted, free, slope, wraps, tail)
         if not abs(integral - 1) < 2e-3 + doubt:
             raise BrokenContract(
@@ -241,10 +241,10 @@ def _arrays(tree: Tree) -> Tree:
     return jax.tree_util.tree_map(cast, tree)
 
 
-def _traced(what: str, function: Callable[..., Any], *arguments: Any) -> Any:
-    """The function's result when traced afresh, as a filter traces it."""
+def _call(what: str, function: Callable[..., Any], *arguments: Any) -> Any:
+    """The result of a compiled function, with a plain word where jax can't trace it."""
     try:
-        return jax.jit(lambda *x: function(*x))(*arguments)
+        return function(*arguments)
     except (jax.errors.JAXTypeError, jax.errors.JAXIndexError) as error:
         reason = str(error).splitlines()[0]
         raise BrokenContract(f"{what} can't be traced ({reason}); usual fix: jnp.where for a choice, jnp for math and numpy") from error

@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jax.scipy.special import gammaln
 
 from trackers.core.algebra import Scalar, SparseRow, Vector, cholesky, congruence, full, gram, inverse_or_zero, shared, total
 from trackers.core.linearise import linearise
@@ -135,7 +134,7 @@ def joseph(
         else:
             weight = (tail + 1.0) / (tail + square)
             noise = 1.0 / weight
-            log_density = log_density + _student(square, tail) - 0.5 * jnp.log(1.0 + a)
+            log_density = log_density - 0.5 * ((tail + 1.0) * jnp.log1p(square / tail) + jnp.log(1.0 + a))
             square = square * weight
         k = [g / (noise + a) for g in Ph]
         step = [x + g * innovation for x, g in zip(step, k, strict=True)]
@@ -144,9 +143,3 @@ def joseph(
         upper = congruence(A, upper, [{0: g * root} for g in k])
         nis = nis + square
     return step, upper, nis, log_density
-
-
-def _student(square: Scalar, tail: Scalar) -> Scalar:
-    """Log density of Student's t at a squared standardised distance, less the normal's −½ log 2π."""
-    gammas = gammaln(0.5 * (tail + 1.0)) - gammaln(0.5 * tail) - 0.5 * jnp.log(0.5 * tail)
-    return gammas - 0.5 * (tail + 1.0) * jnp.log1p(square / tail)

@@ -109,7 +109,8 @@ class ConstantPosition(AbstractMotion):
 class GroundMotion(AbstractMotion):
     """Constant velocity over the floor, and a height that drifts as a random walk: people, trolleys, tools on a belt.
 
-    `sigma_a`: m/s² per √Hz, horizontal. `sigma_z`: m per √s, vertical.
+    `sigma_a`: m/s² per √Hz, horizontal. `sigma_z`: m per √s, vertical. A state whose position has two components
+    moves over the floor alone: its height is known, and the same noise levels serve with and without.
     """
 
     sigma_a: Noise
@@ -126,8 +127,9 @@ class GroundMotion(AbstractMotion):
     def step(self, state: Kinematic, inputs: Any, dt: Scalar, w: Vector) -> Kinematic:
         floor = Kinematic(Vector(*state.position.parts[:2]), state.velocity)
         moved = ConstantVelocity(self.sigma_a, 2).step(floor, inputs, dt, Vector(*w.parts[:4]))
-        height = state.position[2] + w[4] * (self.sigma_z.value * jnp.sqrt(dt))
-        return Kinematic(Vector(*moved.position, height), moved.velocity)
+        drift = w[4] * (self.sigma_z.value * jnp.sqrt(dt))
+        heights = [z + drift for z in state.position.parts[2:]]
+        return Kinematic(Vector(*moved.position, *heights), moved.velocity)
 
     def view(self, state: Kinematic) -> Kinematic:
         return state

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+from jax.scipy.special import gammaln
 
 from trackers.core.algebra import Scalar, total
 
@@ -40,6 +41,8 @@ class Reading(NamedTuple):
 class Residual(NamedTuple):
     """A reading's distance from the prediction: log density of the reading = log_scale − ½ Σ whitened².
 
+    With a `tail` ν it is log_scale − ½ (ν + 1) Σ log(1 + whitened²/ν): log_scale is the log density at no distance.
+
     `whitened`: unit covariance, zero where a channel was not seen. `count`: the number of independent numbers in it.
     `wrapped`: whether an angle was so far off that its sign is a guess. `tail`: None for normal noise, else the
     degrees of freedom of Student's t, channel by channel: small for a device that is sometimes far off.
@@ -67,6 +70,11 @@ class AbstractSensor(eqx.Module):
     @abstractmethod
     def residual(self, reading: Reading, predicted: Sequence[Scalar]) -> Residual:
         """The whitened distance between a reading and a prediction, with the scale of its density."""
+
+
+def log_peak(tail: Scalar) -> Scalar:
+    """The log density of Student's t at zero with unit scale: what stands in a log_scale for −½ log 2π."""
+    return gammaln(0.5 * (tail + 1.0)) - gammaln(0.5 * tail) - 0.5 * jnp.log(jnp.pi * tail)
 
 
 def independent(differences: Sequence[Scalar], sigmas: Sequence[Scalar], seen: Sequence[Scalar]) -> Residual:

@@ -90,7 +90,7 @@ class Rotation(AbstractCurved):
         square = x * x + y * y + z * z
         small = square < 1e-8
         sine = jnp.sqrt(jnp.where(small, 1.0, square))
-        factor = jnp.where(small, 2.0 - square / 3.0 + (1.0 - w) * 2.0, 2.0 * jnp.arctan2(sine, w) / sine)
+        factor = jnp.where(small, 2.0 - 2.0 * square / 3.0 + (1.0 - w) * 2.0, 2.0 * jnp.arctan2(sine, w) / sine)
         return x * factor, y * factor, z * factor
 
     def __matmul__(self, other: Rotation) -> Rotation:

@@ -1,0 +1,139 @@
+"""The beam filter against the paper's pseudo-inverse form, its own statistics and the Cramér–Rao bound.
+
+One set of 1,000 runs serves all: true beams drawn from the motion itself, plane waves, white phase noise, antennas
+missing row by row down to none at all.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sim.scenarios import work_station
+from tests.known_start import NEVER_LOST, KnownStart, flat, recording
+from tests.oracles import beam_jacobian, beam_transition, cramer_rao, paper_beam_filter
+from trackers.aoa.beam import Beam, BeamMotion
+from trackers.aoa.phases import PlanePhases
+from trackers.core.algebra import Vector
+from trackers.core.metrics import consistency, nees
+from trackers.core.recording import stack
+from trackers.core.tracker import Tracker
+from trackers.core.tunable import Scale
+
+RUNS, ROWS, SIGMA_A, SIGMA_P = 1000, 40, 0.3, 0.2
+# A spread of the start at which no phase difference is off by half a turn: beyond, a wrong lobe is a fair answer.
+MEAN, SPREAD = np.array([0.1, -0.2, 0.0, 0.0]), np.array([0.02, 0.02, 0.05, 0.05])
+STATION = work_station().stations["1"]
+ANTENNAS = len(STATION.antennas)
+
+
+class Truth:
+    """True beams (RUNS, ROWS, 4) and what the array read of them."""
+
+    def __init__(self):
+        rng = np.random.default_rng(0)
+        self.dts = np.concatenate([[0.0], rng.uniform(0.02, 0.1, ROWS - 1)])
+        self.seen = rng.random((ROWS, ANTENNAS)) < 0.75
+        self.seen[7], self.seen[11], self.seen[12] = False, np.arange(8) == 3, np.arange(8) < 2
+        start = MEAN + SPREAD * rng.normal(size=(RUNS, 4))
+        kicks = rng.normal(size=(ROWS, 2, RUNS))
+        motion = BeamMotion(Scale(SIGMA_A, "rad/s^2"))
+
+        def step(beam, row):
+            beam = motion.step(beam, None, row[0], Vector(*row[1]))
+            return beam, jnp.stack(beam)
+
+        _, beams = jax.lax.scan(step, Beam(*jnp.asarray(start.T)), (jnp.asarray(self.dts), jnp.asarray(kicks)))
+        self.beams = np.moveaxis(np.asarray(beams), -1, 0)
+        x = np.sin(self.beams[..., 0]) * np.cos(self.beams[..., 1])
+        plane = np.stack([x, np.sin(self.beams[..., 1])], axis=-1) @ (2 * np.pi / STATION.wavelength * STATION.antennas.T)
+        common = rng.uniform(-np.pi, np.pi, (RUNS, ROWS, 1))
+        self.phases = np.angle(np.exp(1j * (plane + common + SIGMA_P * rng.normal(size=plane.shape))))
+
+    def run(self, paper_form, lanes):
+        sensor = PlanePhases(STATION, SIGMA_P, paper_form)
+        start = KnownStart(lambda x: Beam(*x))
+        tracker = Tracker(BeamMotion(Scale(SIGMA_A, "rad/s^2")), {"1": sensor}, start, loss=NEVER_LOST)
+        cov, times = np.diag(SPREAD**2), np.cumsum(self.dts)
+        return tracker.run(
+            stack([recording(times, {"1": (phases, self.seen)}, MEAN, cov) for phases in self.phases[:lanes]])
+        )
+
+
+@pytest.fixture(scope="module")
+def truth():
+    return Truth()
+
+
+@pytest.fixture(scope="module")
+def estimates(truth):
+    return truth.run(False, RUNS)
+
+
+@pytest.fixture(scope="module")
+def both_forms(estimates, truth):
+    return {"default": estimates[:16], "paper": truth.run(True, 16)}
+
+
+@pytest.mark.parametrize("form", ["default", "paper"])
+def test_it_is_the_papers_pseudo_inverse_filter_while_nothing_wraps(both_forms, truth, form):
+    mine = both_forms[form]
+    assert not mine.wrapped.any()
+    wavenumbers = 2 * np.pi / STATION.wavelength * STATION.antennas
+    seen = truth.seen[1:]
+    for lane in range(16):
+        means, covs, log_likelihoods = paper_beam_filter(
+            wavenumbers, SIGMA_A, SIGMA_P, truth.dts[1:], truth.phases[lane, 1:], seen, MEAN, np.diag(SPREAD**2)
+        )
+        np.testing.assert_allclose(flat(mine[lane].mean)[1:], means, atol=1e-10)
+        np.testing.assert_allclose(mine[lane].covariance[1:], covs, atol=1e-10)
+        # n(n − 1)/2 differences are measured by another stick than n − 1: pdet(DDᵀ) = nⁿ⁻¹ against n. A constant.
+        n = np.maximum(seen.sum(axis=1), 1)
+        stick = np.where(n > 1, -0.5 * (n - 2) * np.log(n), 0.0)
+        np.testing.assert_allclose(mine[lane].log_likelihood[1:] + stick, log_likelihoods, atol=1e-9)
+
+
+def test_rows_with_no_antenna_or_one_say_nothing(estimates, truth):
+    np.testing.assert_array_equal(estimates.count[:, [7, 11]], 0)
+    np.testing.assert_array_equal(estimates.nis[:, [7, 11]], 0)
+    np.testing.assert_array_equal(estimates.log_likelihood[:, [7, 11]], 0)
+    np.testing.assert_array_equal(estimates.count[0, 1:], np.maximum(truth.seen[1:].sum(axis=1) - 1, 0))
+
+
+def _errors(estimates, truth):
+    return flat(estimates.mean) - truth.beams
+
+
+def test_the_nees_is_inside_its_95_percent_interval(estimates, truth):
+    errors, covs = _errors(estimates, truth), estimates.covariance
+    last = consistency(nees(errors[:, -1], covs[:, -1]), 4)
+    assert last.low <= last.mean <= last.high
+    # Rows of one run are correlated: over all rows the interval comes from the spread of the runs' own means.
+    means = nees(errors.reshape(-1, 4), covs.reshape(-1, 4, 4)).reshape(RUNS, ROWS).mean(axis=1)
+    assert abs(means.mean() - 4) < 1.96 * means.std() / np.sqrt(RUNS)
+
+
+def test_the_nis_is_inside_its_95_percent_interval(estimates):
+    figure = consistency(estimates.nis[:, 1:].ravel(), estimates.count[:, 1:].ravel())
+    assert figure.low <= figure.mean <= figure.high
+
+
+def _bounds(truth):
+    wavenumbers = 2 * np.pi / STATION.wavelength * STATION.antennas
+    information = np.zeros((ROWS, 4, 4))
+    for row in range(1, ROWS):
+        k = wavenumbers[truth.seen[row]]
+        if len(k) > 1:
+            centre = np.eye(len(k)) - 1.0 / len(k)
+            slopes = [centre @ beam_jacobian(k, *beam[:2])[1] for beam in truth.beams[:, row]]
+            information[row, :2, :2] = np.mean([G.T @ G for G in slopes], axis=0) / SIGMA_P**2
+    transitions = [beam_transition(dt, SIGMA_A) for dt in truth.dts]
+    return cramer_rao(transitions, information, np.diag(SPREAD**2))
+
+
+@pytest.mark.parametrize(("name", "components"), [("angles", slice(0, 2)), ("rates", slice(2, 4))])
+def test_the_error_is_at_the_cramer_rao_bound(estimates, truth, name, components):
+    square = np.mean(_errors(estimates, truth)[:, 1:, components] ** 2, axis=0).sum()
+    bound = sum(np.trace(b[components, components]) for b in _bounds(truth)[1:])
+    # 1,000 runs know an RMSE to about 1 %; below the bound by more would mean a wrong bound.
+    assert 0.97 < np.sqrt(square / bound) < 1.05

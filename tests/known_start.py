@@ -1,0 +1,53 @@
+"""Trackers that begin from a belief the test knows, and recordings that carry it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import equinox as eqx
+import numpy as np
+
+from trackers.core.ekf import Gaussian
+from trackers.core.recording import Readings, Recording
+from trackers.core.tracker import AbstractStart, LossPolicy
+
+NEVER_LOST = LossPolicy(limit=np.inf, patience=np.inf)
+
+
+class KnownStart(AbstractStart):
+    """Begins at the first row from the mean and covariance in that row's inputs; `build` makes a state of numbers."""
+
+    build: Callable = eqx.field(static=True)
+
+    def ready(self, row):
+        return row.dt == row.dt
+
+    def acquire(self, sensors, row):
+        return row.dt
+
+    def begin(self, found, row):
+        mean, cov = row.inputs["start_mean"], row.inputs["start_cov"]
+        return Gaussian(self.build([mean[k] for k in range(mean.shape[0])]), tuple(cov[k] for k in range(cov.shape[0])))
+
+
+def recording(times, readings, mean, cov, inputs=None, name="test"):
+    """A recording with the belief of its first row; `readings`: name -> (values, seen) or (values, seen, reported)."""
+    upper = np.asarray(cov)[np.triu_indices(len(cov))]
+    known = {"start_mean": mean, "start_cov": upper}
+    known = {key: np.tile(np.asarray(value, float), (len(times), 1)) for key, value in known.items()}
+    return Recording(times, {key: Readings(*r) for key, r in readings.items()}, known | (inputs or {}), name=name)
+
+
+def flat(mean):
+    """The components of an estimate's mean state along a last axis."""
+    leaves = []
+
+    def walk(node):
+        if hasattr(node, "shape"):
+            leaves.append(np.asarray(node))
+        else:
+            for part in node:
+                walk(part)
+
+    walk(mean)
+    return np.stack(leaves, axis=-1)
