@@ -127,8 +127,12 @@ def beam_tracker(
     return Tracker(BeamMotion(Scale(sigma_a, "rad/s^2")), {name: sensor}, start, loss=loss or LossPolicy())
 
 
-def in_plane_beam_tracker(station: Station, name: str, sigma_a: float = 0.02, sigma_p: float = 0.6) -> Tracker:
-    """The tracker of a beam in the plane of a flat array, all round; σa rad/s² per √Hz, σp rad."""
+def in_plane_beam_tracker(station: Station, name: str, sigma_a: float = 0.005, sigma_p: float = 0.7) -> Tracker:
+    """The tracker of a beam in the plane of a flat array, all round; σa rad/s² per √Hz, σp rad.
+
+    All round, a wrong lobe is never far: a track is given up earlier than by the usual policy.
+    """
     sensor = InPlanePhases(station, sigma_p)
-    start = BeamStart(name, Grid.in_plane(station), Scale(np.deg2rad(30.0), "rad"), Scale(0.1, "rad/s"))
-    return Tracker(InPlaneBeamMotion(Scale(sigma_a, "rad/s^2/sqrt(Hz)")), {name: sensor}, start)
+    start = BeamStart(name, Grid.in_plane(station), Scale(np.deg2rad(30.0), "rad"), Scale(0.05, "rad/s"))
+    motion = InPlaneBeamMotion(Scale(sigma_a, "rad/s^2/sqrt(Hz)"))
+    return Tracker(motion, {name: sensor}, start, loss=LossPolicy(limit=2.5, memory=16.0))

@@ -111,7 +111,7 @@ def check_sensor(sensor: AbstractSensor, view: Any, inputs: Any = None, reported
 
     predicted = _call(f"{name}.measure", jax.jit(measure))
     if len(predicted) != m or any(jnp.shape(p) != () for p in predicted):
-        raise BrokenContract(f"{name}.measure returns {len(predicted)} of shape {_shapes(predicted)}, expected {m} scalars: {names}")
+        raise BrokenContract(f"{name}.measure returns numbers of shapes {_shapes(predicted)}, expected {m} scalars: {', '.join(names)}")
     predicted = np.array([float(p) for p in predicted])
     _require_finite(f"{name}.measure", predicted, names)
 
@@ -143,7 +143,7 @@ def check_sensor(sensor: AbstractSensor, view: Any, inputs: Any = None, reported
 
     for offset in (0.0, FAR, -FAR):
         for seen in (np.ones(m, bool), np.zeros(m, bool)):
-            _require_finite(f"{name}.residual of a reading off by {offset:g}", np.array([*residual(offset, seen)[0]]), names)
+            _require_finite(f"{name}.residual of a reading off by {offset:g}", residual(offset, seen)[0], names)
             jacobian = slopes(_arrays(predicted + offset), seen)
             _require_finite(f"the derivative of {name}.residual of a reading off by {offset:g}", jacobian, names)
 
@@ -270,10 +270,10 @@ def _kind(tree: Any) -> str:
 
 
 def _require_finite(what: str, values: Any, names: Sequence[str]) -> None:
+    """`values`: one row, or one number, for each of the names."""
     bad = np.argwhere(~np.isfinite(np.asarray(values)))
     if len(bad):
-        where = " by ".join(names[k] for k in bad[0][:1])
         raise BrokenContract(
-            f"{what} is not finite at {where}; usual fix: jnp.where around the argument of a root, division or arctangent, "
-            "not only around its result"
+            f"{what} is not finite at {names[bad[0, 0]]}; usual fix: jnp.where around the argument of a root, division or "
+            "arctangent, not only around its result"
         )

@@ -53,7 +53,8 @@ def _push(jaxpr: Any, consts: Sequence[Any], inputs: Sequence[Any], fixed: Seque
         else:
             outputs = _apply(equation, values, moving)
         env.update(zip(equation.outvars, outputs, strict=True))
-    return [read(atom) for atom in jaxpr.outvars]
+    # A literal among the outputs of a linear program is a zero.
+    return [None if isinstance(atom, Literal) else env[atom] for atom in jaxpr.outvars]
 
 
 def _apply(equation: Any, values: list[Any], moving: list[bool]) -> list[Any]:

@@ -52,6 +52,18 @@ class Recording:
             raise ValueError(f"{self.name}: times[{row}] = {times[row]} s comes before the row above; sort the rows first")
         for name, readings in self.readings.items():
             self._check(name, readings)
+        for name, values in self.inputs.items():
+            self._check_rows(f"inputs['{name}']", values)
+        for name, (values, known) in self.truth.items():
+            self._check_rows(f"truth['{name}']", values)
+            self._check_rows(f"truth['{name}'], where it is known,", known)
+
+    def _check_rows(self, what: str, array: np.ndarray) -> None:
+        array = np.asarray(array)
+        if array.ndim == 0 or len(array) != len(self.times):
+            raise ValueError(f"{self.name}: {what} has shape {array.shape}, expected {len(self.times)} rows")
+        if not np.all(np.isfinite(array)):
+            raise ValueError(f"{self.name}: {what} has a number that is not finite; mark what is missing by a mask")
 
     def _check(self, name: str, readings: Readings) -> None:
         values, seen = np.asarray(readings.values), np.asarray(readings.seen)
@@ -62,6 +74,8 @@ class Recording:
                 f"expected ({rows}, channels) both"
             )
         extra = () if readings.reported is None else (readings.reported,)
+        if readings.reported is not None and len(readings.reported) != rows:
+            raise ValueError(f"{self.name}: readings['{name}'].reported has {len(readings.reported)} rows, expected {rows}")
         for array in (values, *extra):
             bad = ~np.isfinite(array)
             if bad.any():
@@ -120,6 +134,9 @@ def stack(recordings: Sequence[Recording], rows: int | None = None, dtype: Any =
 
     def pile(arrays: Sequence[Any], kind: Any) -> np.ndarray:
         shape = np.shape(arrays[0])[1:]
+        for other, array in zip(recordings, arrays, strict=True):
+            if np.shape(array)[1:] != shape:
+                raise ValueError(f"'{other.name}' has rows of shape {np.shape(array)[1:]}, '{first.name}' of {shape}")
         out = np.zeros((rows, *shape, len(arrays)), kind)
         for lane, array in enumerate(arrays):
             out[: len(array), ..., lane] = array

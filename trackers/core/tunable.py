@@ -107,7 +107,10 @@ class Covariance(AbstractTunable):
 
     def __init__(self, value: Any, unit: str = "1"):
         value = np.asarray(value, float)
+        square = value.ndim == 2 and value.shape[0] == value.shape[1] and bool(np.all(np.isfinite(value)))
         try:
+            if not (square and np.allclose(value, value.T, rtol=1e-9)):
+                raise np.linalg.LinAlgError
             factor = np.linalg.cholesky(value)
         except np.linalg.LinAlgError as error:
             raise ValueError(f"a Covariance is symmetric positive definite, found {value.tolist()}") from error

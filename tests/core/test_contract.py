@@ -1,0 +1,163 @@
+"""The contract checks pass what the library ships and name what is wrong with what breaks them."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sim.scenarios import work_station
+from trackers.aoa.beam import Beam, BeamMotion, InPlaneBeam, InPlaneBeamMotion
+from trackers.aoa.fusion import BearingSensor, bearing_inputs
+from trackers.aoa.phases import InPlanePhases, PlanePhases, SphericalPhases
+from trackers.core.algebra import Vector
+from trackers.core.contract import BrokenContract, check_motion, check_sensor
+from trackers.core.motion import (
+    AbstractMotion,
+    Accelerated,
+    ConstantPosition,
+    ConstantVelocity,
+    GroundMotion,
+    Kinematic,
+    Placed,
+)
+from trackers.core.sensor import AbstractSensor, Channel, Residual, independent
+from trackers.core.singer import Singer
+from trackers.core.state import Heading
+from trackers.core.tunable import Scale
+
+MOVING = Kinematic(Vector(0.1, 0.2, 0.3), Vector(1.0, -1.0, 0.5))
+BEAM, TURNING = Beam(0.1, 0.2, 0.3, 0.4), InPlaneBeam(Heading(0.1), 0.4)
+# Four antennas compile in half the time of eight and leave nothing out.
+STATION = next(iter(work_station(work_station().stations["1"].antennas[:4]).stations.values()))
+GEOMETRY = {"origin": bearing_inputs(STATION)[:3], "axes": bearing_inputs(STATION)[3:]}
+
+MOTIONS = [
+    (ConstantVelocity(1.0, 3), MOVING),
+    (ConstantPosition(1.0, 2), Placed(Vector(0.1, 0.2))),
+    (GroundMotion(1.0, 0.1), Kinematic(Vector(0.1, 0.2, 0.3), Vector(1.0, -1.0))),
+    (GroundMotion(1.0, 0.1), Kinematic(Vector(0.1, 0.2), Vector(1.0, -1.0))),
+    (Singer(1.0, 2.0, 1), Accelerated(Vector(0.1), Vector(-1.0), Vector(2.0))),
+    (BeamMotion(Scale(1.0)), BEAM),
+    (InPlaneBeamMotion(Scale(1.0)), TURNING),
+]
+SENSORS = [
+    (PlanePhases(STATION, 0.3), BEAM, None, ()),
+    (InPlanePhases(STATION, 0.3), TURNING, None, ()),
+    (SphericalPhases(STATION, 0.3), MOVING, None, ()),
+    (BearingSensor(0.1, 0.2, 4.0), MOVING, GEOMETRY, ()),
+    (BearingSensor(0.1, 0.2, 4.0), MOVING, GEOMETRY, (0.01, 0.005, 0.02)),
+]
+
+
+@pytest.mark.parametrize(("motion", "state"), MOTIONS, ids=lambda x: type(x).__name__)
+def test_every_motion_keeps_its_contract(motion, state):
+    check_motion(motion, state)
+
+
+@pytest.mark.parametrize(("sensor", "view", "inputs", "reported"), SENSORS, ids=lambda x: type(x).__name__)
+def test_every_sensor_keeps_its_contract(sensor, view, inputs, reported):
+    check_sensor(sensor, view, inputs, reported)
+
+
+def test_the_papers_form_is_no_density_over_all_phases_of_three_antennas():
+    # Phases a third of a turn apart all wrap and average to zero: the form takes them for a perfect reading.
+    with pytest.raises(BrokenContract, match="integrates to 1.8"):
+        check_sensor(PlanePhases(STATION, 0.3, paper_form=True), BEAM)
+
+
+class Walk(AbstractMotion):
+    """A motion whose step a test breaks."""
+
+    move: object = eqx.field(static=True)
+
+    @property
+    def noise_dimension(self):
+        return 2
+
+    def step(self, state, inputs, dt, w):
+        return self.move(state.position, dt, w)
+
+    def view(self, state):
+        return state
+
+
+@pytest.mark.parametrize(
+    ("move", "message"),
+    [
+        (lambda p, dt, w: Placed(p + w * 0.1), r"dt = 0 moves position\.[01] by .*whatever the noise"),
+        (lambda p, dt, w: Placed(p * jnp.exp(dt) * 1.0000001), "dt = 0 moves"),
+        (lambda p, dt, w: p + w * dt, "returns Vector with shapes .*expected a state like"),
+        (lambda p, dt, w: Placed(p + w * dt if p[0] > 0 else p), "can't be traced"),
+        (lambda p, dt, w: Placed(p + w * (dt * np.random.default_rng().normal())), "other numbers when traced again"),
+        (lambda p, dt, w: Placed(p + w * dt * jnp.sqrt((p - p).dot(p))), "derivative of Walk.step at dt = 0.0 s is not finite at pos"),
+        (lambda p, dt, w: Placed(p + w * (jnp.sin(dt) / dt * dt)), "Walk.step at dt = 0.0 s is not finite|dt = 0 moves"),
+    ],
+    ids=["noise", "drift", "another kind", "if", "random", "root of zero", "division by dt"],
+)
+def test_a_broken_motion_is_named_with_what_is_wrong(move, message):
+    with pytest.raises(BrokenContract, match=message):
+        check_motion(Walk(move), Placed(Vector(0.4, 0.7)))
+
+
+class Ruler(AbstractSensor):
+    """Both coordinates with sigmas of 0.1 and 0.3 m, whose residual a test breaks."""
+
+    judge: object = eqx.field(static=True)
+
+    @property
+    def channels(self):
+        return Channel("x", "m"), Channel("y", "m")
+
+    def measure(self, view, inputs):
+        return list(view.position)
+
+    def residual(self, reading, predicted):
+        good = independent([z - p for z, p in zip(reading.values, predicted, strict=True)], [0.1, 0.3], reading.seen)
+        return self.judge(good, reading, predicted)
+
+
+def test_a_sound_sensor_of_ones_own_passes():
+    check_sensor(Ruler(lambda good, reading, predicted: good), Placed(Vector(0.4, 0.7)))
+
+
+def _unmasked(good, reading, predicted):
+    return good._replace(whitened=[(z - p) / 0.1 for z, p in zip(reading.values, predicted, strict=True)])
+
+
+def _root(good, reading, predicted):
+    return good._replace(whitened=[jnp.sign(w) * jnp.sqrt(jnp.abs(w)) for w in good.whitened])
+
+
+@pytest.mark.parametrize(
+    ("judge", "message"),
+    [
+        (lambda g, z, p: g._replace(log_scale=0.0 * g.log_scale), "integrates to .* expected 1; usual fix: log_scale"),
+        (lambda g, z, p: g._replace(tail=jnp.asarray(4.0)), "integrates to"),
+        (lambda g, z, p: g._replace(whitened=[w * 2.0 for w in g.whitened]), "integrates to 0.5 over x"),
+        (_unmasked, "expected 0 for a channel that wasn't seen"),
+        (lambda g, z, p: g._replace(log_scale=g.log_scale + 0.1), "no channel seen has count 0 and log_scale 0.1"),
+        (lambda g, z, p: g._replace(log_scale=g.log_scale + 0.1 * z.values[1]), "expected 0 and 0|changes with the value"),
+        (lambda g, z, p: g._replace(count=g.count + 1.0), "counts 3 numbers"),
+        (lambda g, z, p: g._replace(whitened=g.whitened[:1]), "has 1 whitened numbers, expected one per channel, 2"),
+        (lambda g, z, p: g._replace(whitened=[w + 1.0 for w in g.whitened]), "equal to the prediction"),
+        (_root, "derivative of Ruler.residual of a reading off by 0 is not finite at x"),
+        (lambda g, z, p: g._replace(whitened=[jnp.sinh(w) for w in g.whitened]), r"off by 1e\+06 is not finite at x"),
+        (lambda g, z, p: Residual(g.whitened, g.log_scale, 2.0), "counts 2 numbers where|count 2"),
+    ],
+    ids=[
+        "no scale", "scale of another law", "half the sigma", "mask ignored", "scale of nothing", "scale by hidden value",
+        "count", "too few", "biased", "infinite slope", "overflow", "constant count",
+    ],
+)  # fmt: skip
+def test_a_broken_sensor_is_named_with_what_is_wrong(judge, message):
+    with pytest.raises(BrokenContract, match=message):
+        check_sensor(Ruler(judge), Placed(Vector(0.4, 0.7)))
+
+
+def test_a_sensor_that_predicts_too_few_channels_is_named():
+    class Short(Ruler):
+        def measure(self, view, inputs):
+            return [view.position[0]]
+
+    with pytest.raises(BrokenContract, match=r"Short\.measure returns numbers of shapes \[\(\)\], expected 2 scalars: x, y"):
+        check_sensor(Short(lambda good, reading, predicted: good), Placed(Vector(0.4, 0.7)))

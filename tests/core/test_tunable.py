@@ -1,0 +1,122 @@
+"""Tunables keep their physical value, are found by name, and refuse what they can't hold."""
+
+import jax
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from trackers.core.motion import ConstantVelocity
+from trackers.core.sensor import AbstractSensor
+from trackers.core.tunable import (
+    Covariance,
+    Fixed,
+    Fraction,
+    Real,
+    Scale,
+    is_tunable,
+    matching,
+    replaced,
+    resolved,
+    tunables,
+)
+
+
+class Gauge(AbstractSensor):
+    """A sensor with tunables under it, never read."""
+
+    sigma_p: Scale
+    offsets: Real
+
+    channels, measure, residual = (), None, None
+
+
+TREE = {
+    "motion": ConstantVelocity(0.3, 2),
+    "sensors": {"north": Gauge(Scale(0.1, "rad"), Real(np.zeros(3), "rad")), "south": Gauge(Scale(0.2, "rad"), Real(0.5))},
+}
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.floats(1e-12, 1e12), st.floats(1e-9, 1 - 1e-9), st.floats(-1e6, 1e6), st.floats(1e-3, 1e3))
+def test_a_value_comes_back_from_its_unconstrained_form(positive, fraction, real, typical):
+    assert float(Scale(positive).value) == pytest.approx(positive, rel=1e-13)
+    assert float(Fraction(fraction).value) == pytest.approx(fraction, rel=1e-9)
+    assert float(Real(real, typical=typical).value) == pytest.approx(real, rel=1e-13, abs=1e-300)
+
+
+def test_a_covariance_comes_back_from_its_factor():
+    # Measured on a still tag, cm² (SPEC D.3): all signs of correlation.
+    R = np.array([[8.410, 3.510, -1.230], [3.510, 10.345, -0.769], [-1.230, -0.769, 0.584]])
+    np.testing.assert_allclose(Covariance(R, "cm^2").value, R, rtol=1e-13)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.lists(st.floats(-3, 3), min_size=6, max_size=6))
+def test_any_raw_numbers_are_a_covariance(raw):
+    some = Covariance(np.eye(3))
+    lower = np.zeros((3, 3))
+    lower[np.tril_indices(3)] = raw
+    value = np.asarray(jax.tree_util.tree_map(lambda _: lower, some).value)
+    np.testing.assert_array_equal(value, value.T)
+    # Roots of the eigenvalues range from e⁻³ to e³ with couplings of 3: a condition number of 1e8 at most.
+    assert np.linalg.eigvalsh(value).min() > -1e-12 * np.linalg.eigvalsh(value).max()
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Scale(0.0), "positive and finite, found 0.0; a noise that is absent is left out"),
+        (lambda: Scale([1.0, -2.0]), "positive and finite"),
+        (lambda: Scale(np.nan), "positive and finite"),
+        (lambda: Scale(np.inf), "positive and finite"),
+        (lambda: Fraction(1.0), "strictly between 0 and 1, found 1.0"),
+        (lambda: Fraction(np.nan), "strictly between 0 and 1"),
+        (lambda: Real(np.inf), "finite, found inf"),
+        (lambda: Covariance([[1.0, 2.0], [2.0, 1.0]]), "symmetric positive definite"),
+        (lambda: Covariance([[1.0, 0.5], [0.0, 1.0]]), "symmetric positive definite"),
+    ],
+)
+def test_a_value_that_a_tunable_cannot_have_is_refused(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def test_holding_keeps_the_kind_and_the_unit():
+    for tunable, value in ((Scale(1.0, "m"), 2.0), (Fraction(0.5, "1"), 0.25), (Real(1.0, "rad", 0.1), -3.0)):
+        other = tunable.holding(value)
+        assert (type(other), other.unit) == (type(tunable), tunable.unit)
+        assert float(other.value) == pytest.approx(value, rel=1e-14)
+    assert Real(1.0, "rad", 0.1).holding(2.0).typical == 0.1
+
+
+def test_tunables_have_dotted_names_in_the_order_of_the_tree():
+    names = ["motion.sigma_a", "sensors.north.sigma_p", "sensors.north.offsets", "sensors.south.sigma_p", "sensors.south.offsets"]
+    assert list(tunables(TREE)) == names
+    assert all(is_tunable(node) for node in tunables(TREE).values())
+
+
+def test_patterns_choose_by_name():
+    assert list(matching(TREE, "sensors.*.sigma_p")) == ["sensors.north.sigma_p", "sensors.south.sigma_p"]
+    assert list(matching(TREE, ("motion.*", "*.north.offsets"))) == ["motion.sigma_a", "sensors.north.offsets"]
+    assert list(matching(TREE, ("motion.*", "*"))) == list(tunables(TREE))
+
+
+def test_a_pattern_that_matches_nothing_is_refused_with_what_there_is():
+    with pytest.raises(ValueError, match=r"'sensors.\*.sigma_q' matches no tunable; this tracker has: motion.sigma_a, sensors.north"):
+        matching(TREE, ("motion.*", "sensors.*.sigma_q"))
+
+
+def test_replacing_changes_what_is_named_and_nothing_else():
+    other = replaced(TREE, {"sensors.south.sigma_p": Scale(0.7, "rad")})
+    values = {name: np.asarray(node.value) for name, node in tunables(other).items()}
+    assert float(values.pop("sensors.south.sigma_p")) == pytest.approx(0.7)
+    for name, value in values.items():
+        np.testing.assert_array_equal(value, tunables(TREE)[name].value)
+
+
+def test_resolving_leaves_values_where_tunables_were():
+    fixed = resolved(TREE)
+    assert isinstance(fixed["motion"].sigma_a, Fixed)
+    assert float(fixed["motion"].sigma_a.value) == pytest.approx(0.3)
+    assert not tunables(fixed)
