@@ -32,12 +32,14 @@ def bounds_of(folder: Folder, groups: Sequence[Group]) -> tuple[np.ndarray, np.n
     known = first.truth["position"][1]
     if known.sum() < 3:
         return None
+    rows = slice(int(np.argmax(known)), len(known) - int(np.argmax(known[::-1])))
     same = [
         lane.recording
         for group, lane in mine[:RUNS]
-        if group is mine[0][0] and np.array_equal(lane.recording.times, first.times)
+        if group is mine[0][0]
+        and np.array_equal(lane.recording.times, first.times)
+        and np.array_equal(lane.recording.truth["position"][1], known)
     ]
-    rows = slice(int(np.argmax(known)), len(known) - int(np.argmax(known[::-1])))
     batch = stack(same)
     batch = jax.tree_util.tree_map(lambda x: x[rows], batch)
     places = np.stack([r.truth["position"][0][rows] for r in same], axis=-1)

@@ -57,7 +57,7 @@ def error_over_time(
             axes.plot(at, scale * error, color=BLUE, linewidth=0.9, label="error")
             for limit in limits:
                 line = {"color": VERMILION, "linewidth": 1.1, "linestyle": (0, (5, 2))}
-                axes.plot(at, 3 * scale * limit, label="± 3 × posterior Cramér–Rao bound", **line)
+                axes.plot(at, 3 * scale * limit, label="± 3 × Cramér–Rao bound of this model", **line)
                 axes.plot(at, -3 * scale * limit, **line)
             half = scale * _half_height(errors[:, k], sigmas[:, k])
             axes.set(ylim=(-half, half), ylabel=f"error in {names[k]} ({unit})")

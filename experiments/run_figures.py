@@ -31,7 +31,7 @@ def rmse_over_time(
             axes.plot(times, scale * sigmas[:, k], color=SKY, linewidth=1.4, label="reported σ")
             if bounds is not None:
                 line = {"color": VERMILION, "linewidth": 1.1, "linestyle": (0, (5, 2))}
-                axes.plot(times, scale * bounds[:, k], label="posterior Cramér–Rao bound", **line)
+                axes.plot(times, scale * bounds[:, k], label="Cramér–Rao bound of this model", **line)
             top = float(np.nanquantile(scale * rmse[:, k], 0.98))
             axes.set(ylim=(0, 1.6 * top), ylabel=f"{'xyz'[k]} ({unit})")
             axes.margins(x=0.01)

@@ -31,8 +31,9 @@ def notice(text: str) -> None:
 
 
 def read_all(paths: Sequence[Path]) -> list[Folder]:
-    """All recording folders, their notices shown; raises UnusableInput for two of the same name."""
+    """All recording folders, their notices shown; raises UnusableInput for none, and for two of the same name."""
     folders = []
+    require_some(paths)
     for path in paths:
         folders.append(read_folder(path))
         for text in folders[-1].notices:
@@ -42,6 +43,12 @@ def read_all(paths: Sequence[Path]) -> list[Folder]:
     if double is not None:
         raise UnusableInput(f"two recordings are both named '{double}'; expected different names in rig.toml; rename one")
     return folders
+
+
+def require_some(paths: Sequence[Path]) -> None:
+    """Raise UnusableInput where no recording is given."""
+    if not paths:
+        raise UnusableInput("no recording given; expected one or more recording folders")
 
 
 def output_folder(path: Path) -> Path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -48,7 +49,7 @@ def track(groups: Sequence[Group], advance: Callable[[int], None]) -> tuple[pl.D
             estimates = group.tracker.run(batch)
             for k, lane in enumerate(lanes):
                 one = estimates[k]
-                verdict = one.verdict().split(":")[0]
+                verdict = re.split(r":| \d+ times| at row \d+", one.verdict())[0]
                 verdicts[verdict] = verdicts.get(verdict, 0) + 1
                 tables.append(_table(lane, one))
             advance(len(lanes))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fnmatch
+import json
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -27,13 +28,13 @@ def write_tuned(path: Path, tracker: str, objective: str, result: FitResult) -> 
         f"after = {result.value:.8g}",
         "",
     ]
-    for parameter in result.parameters:
-        name = parameter.label
+    # Tied tunables stand here one by one: a pattern for them may match others of the tracker too.
+    for parameter, name in ((p, name) for p in result.parameters for name in p.names):
         lines += [
-            f'[tunables."{name}"]',
-            f"value = {_number(result.values[name])}",
+            f"[tunables.{json.dumps(name, ensure_ascii=False)}]",
+            f"value = {_number(result.values[parameter.label])}",
             f'unit = "{parameter.example.unit}"',
-            f"standard_error = {_number(result.standard_errors[name])}",
+            f"standard_error = {_number(result.standard_errors[parameter.label])}",
             "",
         ]
     return atomic_write(path, lambda temporary: temporary.write_text("\n".join(lines), encoding="utf-8"))
@@ -51,21 +52,22 @@ def read_tuned(path: Path) -> dict[str, Any]:
     try:
         content = tomllib.loads(path.read_text("utf-8"))
     except OSError as error:
-        raise UnusableInput(f"--noise {path}: cannot be read ({error.strerror}); expected the tuned.toml of `tune`") from error
+        raise UnusableInput(f"{path}: cannot be read ({error.strerror}); expected the tuned.toml of `tune`") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UnusableInput(f"--noise {path}: is not valid TOML ({str(error).splitlines()[0]}); write it with `tune`") from error
+        raise UnusableInput(f"{path}: is not valid TOML ({str(error).splitlines()[0]}); write it with `tune`") from error
     table = content.get("tunables")
     if not isinstance(table, Mapping) or not table:
-        raise UnusableInput(f"--noise {path}: found no [tunables], expected the tuned.toml of `trackwright tune`")
+        raise UnusableInput(f"{path}: found no [tunables], expected the tuned.toml of `trackwright tune`")
     values = {}
     for name, entry in table.items():
         value = entry.get("value") if isinstance(entry, Mapping) else None
         try:
-            values[name] = np.asarray(value, float)
-        except (TypeError, ValueError):
-            values[name] = np.array(np.nan)
-        if not np.all(np.isfinite(values[name])):
-            raise UnusableInput(f"--noise {path}: tunables.{name}.value is {value!r}, expected a finite number or a list")
+            values[name] = np.asarray(value)
+            usable = values[name].dtype.kind in "if" and np.all(np.isfinite(values[name]))
+        except ValueError:
+            usable = False
+        if not usable:
+            raise UnusableInput(f"{path}: tunables.{name}.value is {value!r}, expected a finite number or a list")
     return values
 
 
@@ -74,16 +76,16 @@ def with_noise(tracker: AbstractTracker, values: Mapping[str, Any], source: Path
     own = tunables(tracker)
     new = {}
     for pattern, value in values.items():
-        names = fnmatch.filter(own, pattern)
+        names = [pattern] if pattern in own else fnmatch.filter(own, pattern)
         if not names:
-            raise UnusableInput(f"--noise {source}: this tracker has no '{pattern}'; it has: {', '.join(own)}")
+            raise UnusableInput(f"{source}: this tracker has no '{pattern}'; it has: {', '.join(own)}")
         for name in names:
             if np.shape(value) != np.shape(own[name].raw):
                 raise UnusableInput(
-                    f"--noise {source}: '{pattern}' has shape {np.shape(value)}, the tracker's {name} {np.shape(own[name].raw)}"
+                    f"{source}: '{pattern}' has shape {np.shape(value)}, the tracker's {name} {np.shape(own[name].raw)}"
                 )
             try:
                 new[name] = own[name].holding(value)
             except ValueError as error:
-                raise UnusableInput(f"--noise {source}: '{pattern}': {error}") from error
+                raise UnusableInput(f"{source}: '{pattern}': {error}") from error
     return replaced(tracker, new)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars as pl
 
 from experiments.errors import UnusableInput
 
@@ -26,8 +27,8 @@ def atomic_write(path: Path | str, writer: Callable[[Path], object]) -> Path:
     try:
         writer(temporary)
         os.replace(temporary, path)
-    except OSError as error:
-        reason = error.strerror or str(error).splitlines()[0]
+    except (OSError, pl.exceptions.PolarsError) as error:
+        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
         raise UnusableInput(
             f"cannot write {path}: {reason}; expected a folder with space that may be written to; choose another --out"
         ) from error

@@ -14,8 +14,11 @@ import optax
 
 from trackers.core.recording import Batch
 from trackers.core.tracker import CHUNK, AbstractTracker, prepared
+from tuning.curvature import STEP, hessian, newton_step, standard_errors
 from tuning.objectives import AbstractObjective
-from tuning.parameters import Parameter, chosen, flatten, physical, physical_errors, placed_in
+from tuning.parameters import Parameter, chosen, flatten, physical, placed_in
+
+NEWTON_STEPS = 4
 
 
 @dataclass(frozen=True)
@@ -92,14 +95,16 @@ class _Parameters(eqx.Module):
     """The parameters as a static argument of a compiled function."""
 
     names: tuple[tuple[str, ...], ...] = eqx.field(static=True)
+    labels: tuple[str, ...] = eqx.field(static=True)
     examples: tuple[Any, ...]
 
     def __init__(self, parameters: list[Parameter]):
         self.names = tuple(p.names for p in parameters)
+        self.labels = tuple(p.label for p in parameters)
         self.examples = tuple(p.example for p in parameters)
 
     def listed(self) -> list[Parameter]:
-        return [Parameter(n, e) for n, e in zip(self.names, self.examples, strict=True)]
+        return [Parameter(*parts) for parts in zip(self.names, self.examples, self.labels, strict=True)]
 
 
 @eqx.filter_jit
@@ -129,9 +134,10 @@ def fit(
     """The tracker with the tunables that `tune` names (shell patterns) fitted for the least objective.
 
     Adam on the unconstrained vector, whose rate falls from `rate` to a hundredth of it over `steps`; a step after
-    which the objective isn't finite is taken back and halved. The best point met is returned, never a worse one than
-    the start. Standard errors come from the curvature where the objective is a likelihood, else they are NaN; they
-    hold for readings with independent noise.
+    which the objective isn't finite is taken back and halved; for a likelihood a few Newton steps follow. The best
+    point met is returned, never a worse one than the start. Standard errors come from the curvature where the objective is a likelihood, else they are NaN; they
+    hold for readings with independent noise. Raises ValueError for patterns that name nothing or nothing that can be
+    tied, FloatingPointError where the objective is not finite at the start.
     """
     batches = [batches] if isinstance(batches, Batch) else list(batches)
     parameters = chosen(tracker, tune)
@@ -139,7 +145,7 @@ def fit(
     vector = flatten(parameters)
     value, gradient, sums = problem.value_and_gradient(vector)
     if not (np.isfinite(value) and np.all(np.isfinite(gradient))):
-        raise ValueError(f"the objective is not finite at the start ({value}): no row is scored, or truth is missing")
+        raise FloatingPointError(f"the objective is not finite at the start ({value}): no row is scored, or truth is missing")
     # A filter on the brink of losing a track has enormous derivatives; one such step must not drown all others.
     schedule = optax.cosine_decay_schedule(rate, steps, 0.01)
     optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.adam(schedule))
@@ -151,12 +157,18 @@ def fit(
         report(number, trace[-1])
         if number == steps:
             break
-        update, state = optimiser.update(jnp.asarray(gradient), state)
+        # Adam raises a float to the power of an integer count, which strict promotion would refuse.
+        with jax.numpy_dtype_promotion("standard"):
+            update, state = optimiser.update(jnp.asarray(gradient), state)
         vector, value, gradient, sums = _advance(problem, vector, np.asarray(update, float), (value, gradient, sums))
         if value < best[0]:
             best = (value, vector, sums)
     value, vector, sums = best
-    errors = standard_errors(problem, vector, objective.log_likelihood_units(sums))
+    units = objective.log_likelihood_units(sums)
+    errors = [np.full(np.shape(p.example.raw), np.nan) for p in parameters]
+    if np.isfinite(units):
+        value, vector, curvature = _polished(problem, value, vector)
+        errors = standard_errors(parameters, vector, units * curvature)
     return FitResult(
         placed_in(tracker, parameters, vector),
         parameters,
@@ -184,33 +196,22 @@ def _named(parameters: Sequence[Parameter], vector: np.ndarray) -> dict[str, Any
     return {p.label: np.asarray(v, float) for p, v in zip(parameters, values, strict=True)}
 
 
-def standard_errors(problem: Problem, vector: np.ndarray, units: float) -> list[np.ndarray]:
-    """Standard errors of the physical values from the observed information: central differences of the gradient.
+def _polished(problem: Problem, value: float, vector: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+    """A few Newton steps, as long as they help, and the second derivatives at the end."""
 
-    NaN where the figure is no likelihood, or where the data don't determine a direction (no positive curvature).
-    """
-    size = len(vector)
-    nothing = [np.full(np.shape(p.example.raw), np.nan) for p in problem.parameters]
-    if not np.isfinite(units):
-        return nothing
-    step = 0.02
-    rows = []
-    for k in range(size):
-        shift = step * np.eye(size)[k]
-        up, down = (problem.value_and_gradient(vector + s)[1] for s in (shift, -shift))
-        rows.append((up - down) / (2 * step))
-    information = units * 0.5 * (np.array(rows) + np.array(rows).T)
+    def slope(v: np.ndarray) -> np.ndarray:
+        return problem.value_and_gradient(v)[1]
+
+    for _ in range(NEWTON_STEPS):
+        curvature = hessian(slope, vector)
+        if not np.all(np.isfinite(curvature)):
+            break
+        step = newton_step(curvature, slope(vector))
+        new = problem.value_and_gradient(vector + step)[0]
+        if not new < value:
+            break
+        value, vector = new, vector + step
+        if np.linalg.norm(step) < STEP:
+            break
     problem.value_and_gradient(vector)
-    eigenvalues, directions = np.linalg.eigh(information)
-    if not np.all(np.isfinite(eigenvalues)):
-        return nothing
-    determined = eigenvalues > 1e-9 * eigenvalues.max()
-    inverse = (directions[:, determined] / eigenvalues[determined]) @ directions[:, determined].T
-    errors = physical_errors(problem.parameters, vector, inverse)
-    undetermined = (np.abs(directions[:, ~determined]) > 0.1).any(axis=1)
-    start = 0
-    for k, error in enumerate(errors):
-        part = undetermined[start : start + error.size].reshape(error.shape)
-        errors[k] = np.where(part, np.nan, error)
-        start += error.size
-    return errors
+    return value, vector, curvature

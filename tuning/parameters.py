@@ -19,24 +19,20 @@ TIED = "tied:"
 
 @dataclass(frozen=True)
 class Parameter:
-    """One tunable, or several tied to be equal: `names` of the tracker's tree, `example` for unit and constraint."""
+    """One tunable, or several tied to be equal: `names` of the tracker's tree, `example` for unit and constraint.
+
+    `label`: under what it is reported, its name, or for tied ones the pattern that found them.
+    """
 
     names: tuple[str, ...]
     example: AbstractTunable
-
-    @property
-    def label(self) -> str:
-        """The name under which it is reported: a tied one by its pattern-like common form."""
-        if len(self.names) == 1:
-            return self.names[0]
-        columns = zip(*(n.split(".") for n in self.names), strict=True)
-        return ".".join(c[0] if len(set(c)) == 1 else "*" for c in columns)
+    label: str
 
 
 def chosen(tracker: AbstractTracker, patterns: str | Sequence[str]) -> list[Parameter]:
     """The parameters that the patterns name; `tied:PATTERN` makes one parameter of all that match.
 
-    Raises ValueError when a pattern matches nothing, or tied tunables have different shapes.
+    Raises ValueError when there is no pattern, one matches nothing, or tied tunables have different units or shapes.
     """
     parameters: list[Parameter] = []
     taken: set[str] = set()
@@ -44,12 +40,15 @@ def chosen(tracker: AbstractTracker, patterns: str | Sequence[str]) -> list[Para
         found = {k: v for k, v in matching(tracker, pattern.removeprefix(TIED)).items() if k not in taken}
         taken.update(found)
         if pattern.startswith(TIED) and found:
-            shapes = {np.shape(v.raw) for v in found.values()}
-            if len(shapes) > 1:
-                raise ValueError(f"'{pattern}' ties tunables of different shapes: {', '.join(found)}")
-            parameters.append(Parameter(tuple(found), next(iter(found.values()))))
+            kinds = {(jax.tree_util.tree_structure(v), np.shape(v.raw)) for v in found.values()}
+            if len(kinds) > 1:
+                raise ValueError(f"'{pattern}' ties tunables of different units or shapes: {', '.join(found)}")
+            label = pattern.removeprefix(TIED) if len(found) > 1 else next(iter(found))
+            parameters.append(Parameter(tuple(found), next(iter(found.values())), label))
         else:
-            parameters += [Parameter((name,), node) for name, node in found.items()]
+            parameters += [Parameter((name,), node, name) for name, node in found.items()]
+    if not parameters:
+        raise ValueError("no pattern is given, so nothing would be tuned")
     return parameters
 
 

@@ -10,6 +10,7 @@ import tyro
 from experiments.check import check_folder
 from experiments.findings import format_findings
 from experiments.folder import read_folder
+from experiments.screen import require_some
 
 
 def check(recordings: Annotated[tuple[Path, ...], tyro.conf.Positional]) -> int:
@@ -18,6 +19,7 @@ def check(recordings: Annotated[tuple[Path, ...], tyro.conf.Positional]) -> int:
     Args:
         recordings: recording folders (rig.toml and tables).
     """
+    require_some(recordings)
     failed = False
     for path in recordings:
         findings = check_folder(read_folder(path))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -37,6 +38,8 @@ def evaluate_tracks(
         fail_if: exit 1 where this holds of the overall figures, as "p95_m>0.5" or "rmse_m>0.2 or lost_fraction>0".
         every_s: judge only the last estimate in every so many seconds, so that busy tags don't weigh more.
     """
+    if every_s is not None and not (math.isfinite(every_s) and every_s > 0):
+        raise UnusableInput(f"--every-s {every_s}: expected a number of seconds above 0")
     tracks = read_tracks(folder)
     evaluation = judge(tracks, read_all(truth or sources(folder)), every_s)
     atomic_write(folder / "evaluation.json", lambda path: path.write_text(to_json(evaluation), encoding="utf-8"))
@@ -62,6 +65,9 @@ def sources(folder: Path) -> tuple[Path, ...]:
     """The recordings that a run folder was made from; raises UnusableInput where it doesn't say."""
     path = folder / SOURCES
     try:
-        return tuple(Path(line) for line in path.read_text(encoding="utf-8").splitlines() if line)
-    except OSError as error:
-        raise UnusableInput(f"{path}: cannot be read; expected a folder written by `track`; give --truth RECORDING") from error
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError):
+        lines = []
+    if not any(lines):
+        raise UnusableInput(f"{path}: names no recording; expected a folder written by `track`; give --truth RECORDING")
+    return tuple(Path(line) for line in lines if line)

@@ -48,9 +48,16 @@ def simulate(
         masked_antenna: a station and an antenna (1 … 8) that is dead.
     """
     started = datetime.now(UTC)
-    for name, value, low in (("n", n, 1), ("rows", rows, 1), ("rate-hz", rate_hz, 1e-9), ("sigma-p", sigma_p, 0.0)):
-        if not (np.isfinite(value) and value >= low):
-            raise UnusableInput(f"--{name} {value}: expected at least {low}")
+    for name, value, low, high in (
+        ("n", n, 1, 10**8),
+        ("rows", rows, 1, 10**8),
+        ("seed", seed, 0, 2**63 - 1),
+        ("rate-hz", rate_hz, 1e-3, 1e6),
+        ("sigma-p", sigma_p, 0.0, 100.0),
+        ("gauss-markov", gauss_markov, 0.0, 100.0),
+    ):
+        if not low <= value <= high:
+            raise UnusableInput(f"--{name} {value}: expected a number from {low} to {high}")
     for name, value in (("outliers", outliers), ("drop-outs", drop_outs)):
         if not 0 <= value < 1:
             raise UnusableInput(f"--{name} {value}: expected a probability from 0 to below 1")

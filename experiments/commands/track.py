@@ -30,7 +30,6 @@ def track(
     noise: Path | None = None,
     free_height: bool = False,
 ) -> int:
-    recordings = _given(recordings)
     started = datetime.now(UTC)
     folders = read_all(recordings)
     name = tracker or fitting(folders[0])
@@ -60,12 +59,6 @@ def track(
     write_manifest(out, sys.argv, config, started, chunk=CHUNK, extra={"recordings": [str(p) for p in recordings], "verdicts": verdicts})
     print(f"wrote {out / TRACKS} ({len(tracks)} estimates), manifest.json and {len(drawn)} figures: {', '.join(drawn)}")
     return 0
-
-
-def _given(recordings: tuple[Path, ...]) -> tuple[Path, ...]:
-    if not recordings:
-        raise UnusableInput("no recording given; expected one or more recording folders")
-    return recordings
 
 
 _LIST = "\n".join(f"    {name}: {entry.about} ({entry.table})" for name, entry in TRACKERS.items())

@@ -115,8 +115,8 @@ class BeamStart(AbstractStart):
 def beam_tracker(
     station: Station,
     name: str,
-    sigma_a: float = 2.0,
-    sigma_p: float = 0.3,
+    sigma_a: float = 0.5,
+    sigma_p: float = 0.2,
     paper_form: bool = False,
     span: float = np.deg2rad(30.0),
     loss: LossPolicy | None = None,

@@ -112,9 +112,9 @@ class Cascade(AbstractTracker):
 
 def cascade_tracker(
     stations: Mapping[str, Station],
-    sigma_a_beam: float = 2.0,
-    sigma_p: float = 0.3,
-    sigma_a: float = 2.0,
+    sigma_a_beam: float = 0.5,
+    sigma_p: float = 0.2,
+    sigma_a: float = 0.2,
     paper_form: bool = False,
     span: float = np.deg2rad(30.0),
 ) -> Cascade:

@@ -57,8 +57,8 @@ class PhaseStart(AbstractStart):
 
 def direct_tracker(
     stations: Mapping[str, Station],
-    sigma_a: float = 2.0,
-    sigma_p: float = 0.3,
+    sigma_a: float = 0.2,
+    sigma_p: float = 0.2,
     span: float = np.deg2rad(45.0),
     planar: bool = False,
 ) -> Tracker:

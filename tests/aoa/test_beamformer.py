@@ -1,0 +1,120 @@
+"""Beamformers find the direction a wave comes from, with antennas missing and several rows at once."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sim.scenarios import work_station
+from trackers.aoa.beamformer import Grid, capon, delay_and_sum, music, snapshots, strongest
+from trackers.core.rig import Station
+
+STATION = work_station().stations["1"]
+GRID = Grid.of(STATION)
+STEP = np.deg2rad(0.6)
+# Inside ±30° by a margin, off the grid's own points.
+TRUE = np.random.default_rng(0).uniform(-0.45, 0.45, (60, 2))
+FLAT_RING = Station(
+    np.zeros(3),
+    np.array([1.0, 0, 0, 0]),
+    0.06 * np.stack([np.cos(np.arange(8) * np.pi / 4), np.sin(np.arange(8) * np.pi / 4)], axis=1),
+    0.125,
+)
+
+
+def _phases(angles, rng, sigma, rows=None):
+    """Noisy phases of plane waves with a random common offset a row, (…, 8)."""
+    azimuth, elevation = (a[..., None] for a in np.moveaxis(angles, -1, 0))
+    x, y = STATION.antennas.T
+    clean = 2 * np.pi / STATION.wavelength * (x * np.sin(azimuth) * np.cos(elevation) + y * np.sin(elevation))
+    clean = clean if rows is None else np.repeat(clean[..., None, :], rows, axis=-2)
+    offset = rng.uniform(-np.pi, np.pi, (*clean.shape[:-1], 1))
+    return np.angle(np.exp(1j * (clean + offset + sigma * rng.normal(size=clean.shape))))
+
+
+def _everywhere(seen, phases):
+    return np.broadcast_to(seen, np.shape(phases))
+
+
+def _das(phases, seen=np.ones(8, bool), grid=GRID):  # noqa: B008
+    return delay_and_sum(grid, jnp.asarray(phases), _everywhere(seen, phases))
+
+
+def _covariance(phases, seen=np.ones(8, bool)):  # noqa: B008
+    return snapshots(jnp.asarray(phases), _everywhere(seen, phases))
+
+
+def _assert_found(spectrum, tolerance=STEP):
+    found = np.asarray(strongest(GRID, spectrum))
+    # A grid point away in each angle: the peak itself lies between points.
+    assert np.abs(found - TRUE).max() <= tolerance
+
+
+def test_the_grid_of_the_paper_has_101_by_101_directions_out_to_30_degrees():
+    assert GRID.angles.shape == (101 * 101, 2)
+    np.testing.assert_allclose(np.unique(np.round(np.rad2deg(GRID.angles[:, 0]), 6)), np.linspace(-30, 30, 101), atol=1e-6)
+
+
+def test_delay_and_sum_is_the_power_of_the_steered_sum():
+    phases, seen = _phases(TRUE[:3], np.random.default_rng(1), 0.3), np.array([1, 1, 0, 1, 1, 1, 0, 1], bool)
+    u = np.stack([np.sin(GRID.angles[:, 0]) * np.cos(GRID.angles[:, 1]), np.sin(GRID.angles[:, 1])])
+    steering = np.exp(2j * np.pi / STATION.wavelength * STATION.antennas @ u)[seen]
+    expected = np.abs(np.exp(1j * phases[:, seen]) @ steering.conj()) ** 2
+    np.testing.assert_allclose(_das(phases, seen), expected, rtol=1e-9, atol=1e-9)
+
+
+def test_delay_and_sum_finds_the_direction_of_one_row():
+    _assert_found(_das(_phases(TRUE, np.random.default_rng(2), 0.05)), 2 * STEP)
+
+
+@pytest.mark.parametrize("spectrum", [capon, music])
+@pytest.mark.parametrize("missing", [(), (2, 6)], ids=["all antennas", "two missing"])
+def test_capon_and_music_find_the_direction_from_several_rows(spectrum, missing):
+    seen = ~np.isin(np.arange(8), missing)
+    phases = _phases(TRUE[:20], np.random.default_rng(3), 0.1, rows=16)
+    phases[..., ~seen] = 99.0
+    powers = jax.jit(lambda covariance: spectrum(GRID, covariance))(_covariance(phases, seen))
+    assert np.all(np.isfinite(powers))
+    assert np.abs(np.asarray(strongest(GRID, powers)) - TRUE[:20]).max() <= 2 * STEP
+
+
+def test_what_a_masked_antenna_reads_changes_nothing():
+    phases, seen = _phases(TRUE[:4], np.random.default_rng(4), 0.2, rows=8), np.arange(8) != 5
+    other = np.where(seen, phases, 2.2)
+    for of in (_das, _covariance):
+        np.testing.assert_array_equal(of(phases, seen), of(other, seen))
+
+
+def test_no_antenna_at_all_gives_finite_spectra():
+    phases, nothing = np.zeros((5, 8)), np.zeros(8, bool)
+    for spectrum in (_das(phases, nothing), capon(GRID, _covariance(phases, nothing)), music(GRID, _covariance(phases, nothing))):
+        assert np.all(np.isfinite(spectrum))
+
+
+def test_capons_spectrum_is_that_of_the_loaded_inverse():
+    covariance = _covariance(_phases(TRUE[0], np.random.default_rng(5), 0.3, rows=6))
+    loaded = np.asarray(covariance) + 0.05 * np.trace(covariance).real / 8 * np.eye(8)
+    steering = GRID.cosine + 1j * GRID.sine
+    expected = 1 / np.einsum("ig,ij,jg->g", steering.conj(), np.linalg.inv(loaded), steering).real
+    np.testing.assert_allclose(capon(GRID, covariance), expected, rtol=1e-8)
+
+
+def test_musics_peak_is_sharper_than_capons_and_that_sharper_than_delay_and_sums():
+    phases = _phases(TRUE[0], np.random.default_rng(6), 0.1, rows=32)
+    powers = [jnp.mean(_das(phases), axis=0), capon(GRID, _covariance(phases)), music(GRID, _covariance(phases))]
+    widths = [int(jnp.sum(p > 0.5 * jnp.max(p))) for p in powers]
+    assert widths[2] < widths[1] < widths[0]
+
+
+def test_a_flat_array_finds_directions_all_round_in_its_own_plane():
+    grid = Grid.in_plane(FLAT_RING)
+    heading = np.random.default_rng(7).uniform(-np.pi, np.pi, 50)
+    u = np.stack([np.cos(heading), np.sin(heading)])
+    phases = (2 * np.pi / FLAT_RING.wavelength * FLAT_RING.antennas @ u).T + 1.2
+    found = np.asarray(strongest(grid, _das(phases, grid=grid)))[:, 0]
+    assert np.abs(np.angle(np.exp(1j * (found - heading)))).max() <= np.deg2rad(0.5) + 1e-9
+
+
+def test_a_station_without_antennas_is_refused():
+    with pytest.raises(ValueError, match="needs a station with antennas and a wavelength"):
+        Grid.of(Station(np.zeros(3), np.array([1.0, 0, 0, 0])))
