@@ -54,4 +54,3 @@ def bounds_of(folder: Folder, groups: Sequence[Group]) -> tuple[np.ndarray, np.n
     )
     bound = posterior_bound(tracker, batch, state)[:, :dimensions]
     return times, np.pad(bound, ((0, 0), (0, 3 - dimensions)), constant_values=np.nan)
-

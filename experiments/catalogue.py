@@ -1,4 +1,4 @@
-"""The trackers that the command line knows: what they are called, what they need, how they are built for a recording."""
+"""The trackers that the command line knows: their names, what they need, how they are built for a recording."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ TRACKERS = {
         lambda lane, planar: direct_tracker(_arrays(lane), planar=planar),
     ),
     "cascade": Entry(
-        "phases", 2, "3-D position: a beam tracker per station, then bearings-only fusion (the paper's)", False, phase_lanes,
+        "phases", 2, "3-D position: a beam tracker per station, then fusion (the paper's)", False, phase_lanes,
         lambda lane, planar: cascade_tracker(_arrays(lane)),
     ),
     "beam": Entry("phases", 1, "azimuth and elevation per station, EKF on phases", True, beam_lanes, _beam),

@@ -35,5 +35,3 @@ def main() -> None:
         print("trackwright: interrupted; files already written are whole", file=sys.stderr)
         code = 130
     sys.exit(code or 0)
-
-

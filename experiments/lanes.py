@@ -44,7 +44,7 @@ def bearing_lanes(folder: Folder, free_height: bool) -> Iterator[Lane]:
             reported = np.stack([square[:, 0], np.zeros(len(square)), square[:, 1]], axis=1)
         where = np.stack([geometry[s] for s in table["station"].to_list()])
         times, height = table["t_s"].to_numpy(), None if free_height else known_height(folder, tag)
-        nearby = recent_points(times, where[:, :3], where[:, 3:], values, seen.all(axis=1), height)
+        nearby = recent_points(times, where[:, :3], where[:, 3:], values, np.asarray(seen.all(axis=1)), height)
         inputs = {"origin": where[:, :3], "axes": where[:, 3:], "nearby": nearby}
         readings = {BEARINGS: Readings(values, seen, reported)}
         yield _lane(folder, tag, "", times, readings, inputs, paths)

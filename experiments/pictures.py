@@ -27,12 +27,14 @@ def draw_tracks(out: Path, tracks: pl.DataFrame, folders: Sequence[Folder], grou
     """Draw what can be drawn of the tracks into the run folder; the file names, without their endings."""
     if is_bearing(tracks):
         return _draw_bearings(out, tracks, folders)
-    drawn = []
+    drawn: list[str] = []
     for folder in folders[:DRAWN]:
         rows = tracks.filter(pl.col("recording") == folder.name)
         suffix = "" if len(folders) == 1 else f"-{_plain(folder.name)}"
         truth = folder.tables.get("truth")
-        floor_plan(_png(out, drawn, "floor-plan" + suffix), rows, truth, folder.rig.stations, folder.rig.anchors, folder.name)
+        floor_plan(
+            _png(out, drawn, "floor-plan" + suffix), rows, truth, folder.rig.stations, folder.rig.anchors, folder.name
+        )
         if truth is not None:
             _draw_errors(out, drawn, suffix, rows, folder, groups)
     return drawn
@@ -56,7 +58,9 @@ def _draw_errors(
     bounds = bounds_of(folder, groups)
     alone = None if bounds is None else _at(bounds, times[first])
     title = f"Error over time, {folder.name}, tag {tag}"
-    error_over_time(_png(out, drawn, "error-over-time" + suffix), times[first], errors[first], sigmas[first], alone, title=title)
+    error_over_time(
+        _png(out, drawn, "error-over-time" + suffix), times[first], errors[first], sigmas[first], alone, title=title
+    )
     covs = covariances(matched.rows)
     square = nees(errors[:, :2], covs[:, :2, :2])
     grid = _by_run(matched.starts, times, square, numbers(matched.rows, "nis"), numbers(matched.rows, "nis_dof"))
@@ -116,7 +120,9 @@ def _draw_bearings(out: Path, tracks: pl.DataFrame, folders: Sequence[Folder]) -
             true = true if np.isfinite(true).any() else None
         label = f"{key['recording']}, tag {key['tag']}, station {key['station']}"
         name = "bearings-" + _plain(label.replace(", ", "-"))
-        bearings_over_time(_png(out, drawn, name), times, angles, sigmas, times if true is not None else None, true, label)
+        bearings_over_time(
+            _png(out, drawn, name), times, angles, sigmas, times if true is not None else None, true, label
+        )
     return drawn
 
 

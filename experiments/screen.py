@@ -19,7 +19,13 @@ ERRORS = Console(stderr=True, highlight=False, soft_wrap=True)
 @contextmanager
 def progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
     """A function that counts work done; draws a bar where standard error is a terminal."""
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
     with Progress(*columns, console=ERRORS, disable=not sys.stderr.isatty(), transient=True) as bar:
         task = bar.add_task(what, total=total)
         yield lambda done: bar.advance(task, done)
@@ -41,7 +47,9 @@ def read_all(paths: Sequence[Path]) -> list[Folder]:
     names = [f.name for f in folders]
     double = next((n for n in names if names.count(n) > 1), None)
     if double is not None:
-        raise UnusableInput(f"two recordings are both named '{double}'; expected different names in rig.toml; rename one")
+        raise UnusableInput(
+            f"two recordings are both named '{double}'; expected different names in rig.toml; rename one"
+        )
     return folders
 
 

@@ -15,7 +15,7 @@ def as_folder(world: SimulatedPhases, name: str) -> Folder:
     count, rows, stations, antennas = world.phases.shape
     tags = [str(i) for i in world.ids]
     values = np.where(world.seen, world.phases, np.nan).reshape(-1, antennas)
-    heard = np.isfinite(values).any(axis=1)
+    heard = pl.Series(np.isfinite(values).any(axis=1))
     phases = pl.DataFrame(
         {
             "t_s": np.tile(np.repeat(world.times, stations), count),
@@ -33,6 +33,8 @@ def as_folder(world: SimulatedPhases, name: str) -> Folder:
         }
         | {f"{axis}_m": world.positions[..., k].ravel() for k, axis in enumerate("xyz")}
     )
-    rig = Rig(name, stations=world.rig.stations, tags={tag: Tag() for tag in tags}, about="Simulated, see manifest.json.")
+    rig = Rig(
+        name, stations=world.rig.stations, tags={tag: Tag() for tag in tags}, about="Simulated, see manifest.json."
+    )
     tables = {"phases": phases.sort("t_s", maintain_order=True), "truth": truth.sort("t_s", maintain_order=True)}
     return Folder(name, None, rig, tables)

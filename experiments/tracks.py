@@ -43,7 +43,8 @@ def _rounded(rows: int) -> int:
 
 def track(groups: Sequence[Group], advance: Callable[[int], None]) -> tuple[pl.DataFrame, dict[str, int]]:
     """The estimates of all groups as one table, and how often each verdict was given; `advance` counts lanes done."""
-    tables, verdicts = [], {}
+    tables: list[pl.DataFrame] = []
+    verdicts: dict[str, int] = {}
     for group in groups:
         for lanes, batch in batches(group.lanes):
             estimates = group.tracker.run(batch)

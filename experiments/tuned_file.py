@@ -54,7 +54,9 @@ def read_tuned(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise UnusableInput(f"{path}: cannot be read ({error.strerror}); expected the tuned.toml of `tune`") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UnusableInput(f"{path}: is not valid TOML ({str(error).splitlines()[0]}); write it with `tune`") from error
+        raise UnusableInput(
+            f"{path}: is not valid TOML ({str(error).splitlines()[0]}); write it with `tune`"
+        ) from error
     table = content.get("tunables")
     if not isinstance(table, Mapping) or not table:
         raise UnusableInput(f"{path}: found no [tunables], expected the tuned.toml of `trackwright tune`")
@@ -72,7 +74,7 @@ def read_tuned(path: Path) -> dict[str, Any]:
 
 
 def with_noise(tracker: AbstractTracker, values: Mapping[str, Any], source: Path) -> AbstractTracker:
-    """The tracker with the values put in by name or pattern; raises UnusableInput for names or values that don't fit."""
+    """The tracker with the values put in by name or pattern; raises UnusableInput for what doesn't fit it."""
     own = tunables(tracker)
     new = {}
     for pattern, value in values.items():

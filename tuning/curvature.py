@@ -19,9 +19,8 @@ Gradient = Callable[[np.ndarray], np.ndarray]
 
 def hessian(gradient: Gradient, vector: np.ndarray) -> np.ndarray:
     """The second derivatives (p, p) by central differences of the gradient."""
-    rows = []
-    for shift in STEP * np.eye(len(vector)):
-        rows.append((gradient(vector + shift) - gradient(vector - shift)) / (2 * STEP))
+    shifts = STEP * np.eye(len(vector))
+    rows = [(gradient(vector + shift) - gradient(vector - shift)) / (2 * STEP) for shift in shifts]
     return 0.5 * (np.array(rows) + np.array(rows).T)
 
 

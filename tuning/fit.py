@@ -68,9 +68,13 @@ class Problem:
         """The figure, its gradient, and the sums that it is made of, without trajectories that aren't finite."""
         found = []
         for chunk in self.chunks:
-            s, d = _sums(self.tracker, chunk, self.objective, _Parameters(self.parameters), jnp.asarray(vector, self.dtype))
+            s, d = _sums(
+                self.tracker, chunk, self.objective, _Parameters(self.parameters), jnp.asarray(vector, self.dtype)
+            )
             found.append((np.asarray(s, float), np.asarray(d, float), np.asarray(chunk.valid).any(axis=0)))
-        sums, slopes, valid = (np.concatenate(x, axis=a) for x, a in zip(zip(*found, strict=True), (1, 1, 0), strict=True))
+        sums, slopes, valid = (
+            np.concatenate(x, axis=a) for x, a in zip(zip(*found, strict=True), (1, 1, 0), strict=True)
+        )
         finite = np.isfinite(sums).all(axis=0)
         steady = _steady(slopes) & finite
         self.left_out = int(np.sum(~steady & valid))
@@ -135,8 +139,8 @@ def fit(
 
     Adam on the unconstrained vector, whose rate falls from `rate` to a hundredth of it over `steps`; a step after
     which the objective isn't finite is taken back and halved; for a likelihood a few Newton steps follow. The best
-    point met is returned, never a worse one than the start. Standard errors come from the curvature where the objective is a likelihood, else they are NaN; they
-    hold for readings with independent noise. Raises ValueError for patterns that name nothing or nothing that can be
+    point met is returned, never a worse one than the start. Standard errors come from the curvature where the
+    objective is a likelihood, else they are NaN; they hold for readings with independent noise. Raises ValueError for patterns that name nothing or nothing that can be
     tied, FloatingPointError where the objective is not finite at the start.
     """
     batches = [batches] if isinstance(batches, Batch) else list(batches)
@@ -145,7 +149,9 @@ def fit(
     vector = flatten(parameters)
     value, gradient, sums = problem.value_and_gradient(vector)
     if not (np.isfinite(value) and np.all(np.isfinite(gradient))):
-        raise FloatingPointError(f"the objective is not finite at the start ({value}): no row is scored, or truth is missing")
+        raise FloatingPointError(
+            f"the objective is not finite at the start ({value}): no row is scored, or truth is missing"
+        )
     # A filter on the brink of losing a track has enormous derivatives; one such step must not drown all others.
     schedule = optax.cosine_decay_schedule(rate, steps, 0.01)
     optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.adam(schedule))

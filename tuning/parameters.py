@@ -65,7 +65,8 @@ def with_raw(node: AbstractTunable, raw: Any) -> AbstractTunable:
 def placed_in(tracker: Any, parameters: Sequence[Parameter], vector: Any) -> Any:
     """The tracker with the parameters taken from an unconstrained vector; differentiable in the vector."""
     own = tunables(tracker)
-    new, start = {}, 0
+    new: dict[str, AbstractTunable] = {}
+    start = 0
     for parameter in parameters:
         shape = np.shape(parameter.example.raw)
         size = int(np.prod(shape, dtype=int))

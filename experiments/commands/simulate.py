@@ -77,9 +77,7 @@ def simulate(
         if not 1 <= antenna <= 8:
             raise UnusableInput(f"--masked-antenna {antenna}: expected an antenna from 1 to 8")
         pieces["masked antenna"] = corruptions.mask_antenna(_index(names, station, "masked-antenna"), antenna - 1)
-    world = simulate_phases(
-        rig, path, n, seed, rate_hz=rate_hz, n_points=rows, sigma_p=sigma_p, corruptions=pieces
-    )
+    world = simulate_phases(rig, path, n, seed, rate_hz=rate_hz, n_points=rows, sigma_p=sigma_p, corruptions=pieces)
     folder = as_folder(world, f"simulated-{path}-{seed}")
     write_folder(folder, out)
     config = {"path": path, "n": n, "rows": rows, "rate_hz": rate_hz, "sigma_p": sigma_p, "corruptions": list(pieces)}

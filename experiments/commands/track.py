@@ -48,7 +48,10 @@ def track(
     atomic_write(out / TRACKS, tracks.write_parquet)
     paths = "\n".join(str(p.resolve()) for p in recordings)
     atomic_write(out / SOURCES, lambda path: path.write_text(paths + "\n", encoding="utf-8"))
-    print(f"{sum(verdicts.values())} tracks: " + "; ".join(f"{n} {v}" for v, n in sorted(verdicts.items(), key=lambda x: -x[1])))
+    print(
+        f"{sum(verdicts.values())} tracks: "
+        + "; ".join(f"{n} {v}" for v, n in sorted(verdicts.items(), key=lambda x: -x[1]))
+    )
     if any("truth" in f.tables for f in folders):
         try:
             print(to_text(judge(tracks, folders)), end="")
@@ -56,7 +59,14 @@ def track(
             notice(f"notice: not evaluated: {problem}")
     drawn = draw_tracks(out, tracks, folders, batches)
     config = {"tracker": name, "noise": None if noise is None else str(noise), "free_height": free_height}
-    write_manifest(out, sys.argv, config, started, chunk=CHUNK, extra={"recordings": [str(p) for p in recordings], "verdicts": verdicts})
+    write_manifest(
+        out,
+        sys.argv,
+        config,
+        started,
+        chunk=CHUNK,
+        extra={"recordings": [str(p) for p in recordings], "verdicts": verdicts},
+    )
     print(f"wrote {out / TRACKS} ({len(tracks)} estimates), manifest.json and {len(drawn)} figures: {', '.join(drawn)}")
     return 0
 

@@ -72,10 +72,20 @@ def tune(
     write_tuned(out / "tuned.toml", name, objective, result)
     unit = "rad" if found[0].lanes[0].station else "m"
     _write_trace(out, result, objective, unit)
-    config = {"tracker": name, "objective": objective, "tune": tune, "start": start, "free_height": free_height, "steps": steps, "piece_rows": piece_rows}
+    config = {
+        "tracker": name,
+        "objective": objective,
+        "tune": tune,
+        "start": start,
+        "free_height": free_height,
+        "steps": steps,
+        "piece_rows": piece_rows,
+    }
     write_manifest(out, sys.argv, config, started, extra={"recordings": [str(p) for p in recordings]})
     print(_table(result, objective))
-    print(f"wrote {out / 'tuned.toml'}, trace.csv, tuning.png and manifest.json; use it: track --noise {out / 'tuned.toml'}")
+    print(
+        f"wrote {out / 'tuned.toml'}, trace.csv, tuning.png and manifest.json; use it: track --noise {out / 'tuned.toml'}"
+    )
     return 0
 
 
@@ -128,7 +138,10 @@ def _fitted(
 
 def _write_trace(out: Path, result: FitResult, objective: str, unit: str) -> None:
     trace = result.trace
-    columns: dict[str, list[float]] = {objective: [s.value for s in trace], "gradient_norm": [s.gradient_norm for s in trace]}
+    columns: dict[str, list[float]] = {
+        objective: [s.value for s in trace],
+        "gradient_norm": [s.gradient_norm for s in trace],
+    }
     units: dict[str, str] = {}
     drawn: dict[str, np.ndarray] = {}
     for parameter in result.parameters:

@@ -135,4 +135,4 @@ def in_plane_beam_tracker(station: Station, name: str, sigma_a: float = 0.005, s
     sensor = InPlanePhases(station, sigma_p)
     start = BeamStart(name, Grid.in_plane(station), Scale(np.deg2rad(30.0), "rad"), Scale(0.05, "rad/s"))
     motion = InPlaneBeamMotion(Scale(sigma_a, "rad/s^2/sqrt(Hz)"))
-    return Tracker(motion, {name: sensor}, start, loss=LossPolicy(limit=2.5, memory=16.0))
+    return Tracker(motion, {name: sensor}, start, loss=LossPolicy(limit=2.5, memory=16.0, patience=30.0))

@@ -26,8 +26,6 @@ class Grid(eqx.Module):
     @classmethod
     def of(cls, station: Station, span: float = np.deg2rad(30.0), resolution: float = np.deg2rad(0.6)) -> Grid:
         """All directions within ± `span` in both angles (paper: ±30° at 0.6°, 101 × 101 hypotheses), rad."""
-        if station.antennas is None or station.wavelength is None:
-            raise ValueError("a beamformer needs a station with antennas and a wavelength")
         axis = np.linspace(-span, span, 2 * round(span / resolution) + 1)
         azimuth, elevation = (a.ravel() for a in np.meshgrid(axis, axis, indexing="ij"))
         x, y = np.sin(azimuth) * np.cos(elevation), np.sin(elevation)
@@ -36,13 +34,13 @@ class Grid(eqx.Module):
     @classmethod
     def in_plane(cls, station: Station, resolution: float = np.deg2rad(1.0)) -> Grid:
         """All directions in the array's own plane; `angles` (G, 1): about its z axis from its x axis, rad."""
-        if station.antennas is None or station.wavelength is None:
-            raise ValueError("a beamformer needs a station with antennas and a wavelength")
         heading = np.arange(-np.pi, np.pi - 1e-9, resolution)
         return cls._respond(station, heading[:, None], np.cos(heading), np.sin(heading))
 
     @classmethod
     def _respond(cls, station: Station, angles: np.ndarray, x: np.ndarray, y: np.ndarray) -> Grid:
+        if station.antennas is None or station.wavelength is None:
+            raise ValueError("a beamformer needs a station with antennas and a wavelength")
         antennas = np.asarray(station.antennas, float)
         phase = 2 * np.pi / station.wavelength * (antennas[:, :1] * x + antennas[:, 1:] * y)
         return cls(angles, np.cos(phase), np.sin(phase))

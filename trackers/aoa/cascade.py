@@ -1,4 +1,4 @@
-"""The paper's chain: a beam tracker per station, then bearings-only fusion of their angles with reported covariances."""
+"""The paper's chain: a beam tracker per station, then bearings-only fusion with the covariances they report."""
 
 from __future__ import annotations
 
@@ -106,8 +106,9 @@ class Cascade(AbstractTracker):
 
         restarted = jnp.any(every(output.status) == Status.RESTARTED, axis=1)
         status = jnp.where(restarted & (last(output.status) == Status.OK), Status.RESTARTED, last(output.status))
-        sums = (jnp.sum(every(x), axis=1) for x in output[1:5])
-        return Output(jax.tree_util.tree_map(last, output.belief), *sums, status.astype(jnp.int8))
+        log_likelihood, nis, count, wrapped = (jnp.sum(every(x), axis=1) for x in output[1:5])
+        belief = jax.tree_util.tree_map(last, output.belief)
+        return Output(belief, log_likelihood, nis, count, wrapped, status.astype(jnp.int8))
 
 
 def cascade_tracker(
@@ -118,7 +119,10 @@ def cascade_tracker(
     paper_form: bool = False,
     span: float = np.deg2rad(30.0),
 ) -> Cascade:
-    """The cascade for these stations (Will et al. 2020, sections 3 and 4.2); σa of the beams rad/s², of the fusion m/s² per √Hz."""
+    """The cascade for these stations (Will et al. 2020, sections 3 and 4.2).
+
+    σa of the beams rad/s², of the fusion m/s² per √Hz; σp and the span of the start rad.
+    """
     beams = {name: beam_tracker(s, name, sigma_a_beam, sigma_p, paper_form, span) for name, s in stations.items()}
     sensors = {BEARINGS: BearingSensor(np.deg2rad(0.3), np.deg2rad(0.3), tail=30.0)}
     start = BearingStart(Scale(0.2, "m"), Scale(0.5, "m/s"), False, 3)

@@ -55,5 +55,3 @@ class DelayAndSum(AbstractTracker):
 
     def moments(self, belief: Any) -> tuple[Any, Any]:
         return belief
-
-

@@ -17,7 +17,6 @@ from trackers.core.algebra import Scalar, Vector, diagonal, total
 from trackers.core.ekf import Gaussian
 from trackers.core.motion import ConstantVelocity, Kinematic, Noise
 from trackers.core.rig import Station
-from trackers.core.sensor import AbstractSensor
 from trackers.core.tracker import AbstractStart, LossPolicy, Row, Tracker
 from trackers.core.tunable import Scale
 
@@ -38,7 +37,7 @@ class PhaseStart(AbstractStart):
     def ready(self, row: Row) -> Scalar:
         return total(jnp.where(jnp.sum(row.readings[name].seen) >= 3, 1, 0) for name in self.grids) >= self.stations
 
-    def acquire(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
+    def acquire(self, sensors: Mapping[str, Any], row: Row) -> Any:
         rays = []
         for name, grid in self.grids.items():
             sensor, reading = sensors[name], row.readings[name]

@@ -86,7 +86,7 @@ def bearing_inputs(station: Station) -> np.ndarray:
 
 
 class BearingStart(AbstractStart):
-    """The point that recent bearings meet in, from the row's input `nearby` (4,): its place, m, and 1 where there is one.
+    """The point where recent bearings meet, from the row's input `nearby` (4,): its place, m, and 1 where there is one.
 
     `sigma_position` m, `sigma_velocity` m/s: how far off it may be. `velocities`: the number of the state's velocities.
     """
@@ -111,7 +111,7 @@ class BearingStart(AbstractStart):
 
 
 def surroundings(stations: Mapping[str, Station]) -> np.ndarray:
-    """The middle of where tags can be, (3,) m: the point nearest to the stations' boresights, drawn weakly to them."""
+    """The middle of where tags can be, (3,) m: the point nearest to the boresights, drawn weakly to the stations."""
     positions = np.array([s.position for s in stations.values()])
     boresights = np.array([s.world_from_array()[:, 2] for s in stations.values()])
     across = np.eye(3) - boresights[:, :, None] * boresights[:, None, :]
@@ -135,4 +135,9 @@ def bearing_tracker(
     """
     sensors = {BEARINGS: BearingSensor(sigma_azimuth, sigma_elevation, tail)}
     # Errors of real bearings last for seconds: a large running NIS is no sign of a lost track there.
-    return Tracker(GroundMotion(sigma_a, sigma_z), sensors, BearingStart(Scale(1.5, "m"), Scale(1.0, "m/s"), planar, 2), loss=LossPolicy(limit=1e3, patience=10.0))
+    return Tracker(
+        GroundMotion(sigma_a, sigma_z),
+        sensors,
+        BearingStart(Scale(1.5, "m"), Scale(1.0, "m/s"), planar, 2),
+        loss=LossPolicy(limit=1e3, patience=10.0),
+    )

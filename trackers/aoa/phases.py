@@ -54,7 +54,9 @@ def pairwise(reading: Reading, predicted: Sequence[Scalar], sigma_p: Scalar) -> 
     pairs = [(i, j) for i in range(len(seen)) for j in range(i)]
     # Where nothing wraps each difference of two residuals is the wrapped difference itself.
     gaps = [jnp.abs(wrap(differences[i] - differences[j]) - residuals[i] + residuals[j]) for i, j in pairs]
-    wrapped = total(jnp.where((g > 1.0) & reading.seen[i] & reading.seen[j], 1, 0) for g, (i, j) in zip(gaps, pairs, strict=True))
+    wrapped = total(
+        jnp.where((g > 1.0) & reading.seen[i] & reading.seen[j], 1, 0) for g, (i, j) in zip(gaps, pairs, strict=True)
+    )
     return _scaled(residuals, n, count, sigma_p, wrapped > 0)
 
 

@@ -46,9 +46,10 @@ def recent_points(
     height: float | None,
     window: float = 1.0,
 ) -> np.ndarray:
-    """For every row (T, 4): the point nearest to the rays of the last `window` seconds, m, and 1 where they determine it.
+    """For every row (T, 4): the point nearest to the rays of the last `window` s, m, and 1 where they determine it.
 
-    `times` (T,) s, sorted; `origins` (T, 3) m and `axes` (T, 9) of each row's station; `angles` (T, 2) rad, `seen` (T,).
+    `times` (T,) s, sorted; `origins` (T, 3) m and `axes` (T, 9) of each row's station; `angles` (T, 2) rad and
+    `seen` (T,).
     With a known `height` the point has it, and one ray may do; without, two directions are needed.
     """
     azimuth, elevation = angles.T

@@ -24,7 +24,7 @@ SparseRow = dict[int, Scalar]
 
 @jax.tree_util.register_pytree_node_class
 class Vector:
-    """A vector of scalars that adds, scales and multiplies like the textbook's; a pytree whose leaves are its components."""
+    """A vector of scalars that adds, scales and multiplies like the textbook's; a pytree of its components."""
 
     __slots__ = ("parts",)
 
@@ -157,8 +157,10 @@ def gram(rows: Sequence[SparseRow], columns: Sequence[int]) -> dict[tuple[int, i
     }
 
 
-def cholesky(upper: dict[tuple[int, int], Scalar], columns: Sequence[int], tolerance: float) -> dict[tuple[int, int], Scalar]:
-    """Lower Cholesky factor L of a positive semi-definite matrix; a pivot below `tolerance` times its diagonal gives a zero column.
+def cholesky(
+    upper: dict[tuple[int, int], Scalar], columns: Sequence[int], tolerance: float
+) -> dict[tuple[int, int], Scalar]:
+    """Lower Cholesky factor of a semi-definite matrix; a pivot below `tolerance` × its diagonal gives a zero column.
 
     So directions that the channels don't see (every antenna masked, antennas on a line) drop out instead of
     becoming infinite.

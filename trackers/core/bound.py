@@ -55,7 +55,7 @@ def _pieces(tracker: Tracker, batch: Batch, states: Any) -> tuple[Any, ...]:
         total = jnp.zeros((n, n), zero.dtype)
         for name, sensor in tracker.sensors.items():
             exact = row.readings[name]._replace(values=sensor.measure(motion.view(state), row.inputs))
-            tails = []
+            tails: list[Any] = []
 
             def misfit(*values: Scalar, sensor: Any = sensor, exact: Any = exact, tails: list = tails) -> list[Scalar]:
                 result = sensor.residual(exact, list(sensor.measure(motion.view(rebuild(values)), row.inputs)))
@@ -68,7 +68,7 @@ def _pieces(tracker: Tracker, batch: Batch, states: Any) -> tuple[Any, ...]:
             total = total + weight * (H.T @ H)
         return F, G @ G.T, jnp.where(row.valid, total, 0.0)
 
-    def one_row(row: Row, state: Any) -> tuple[Any, Any, Any]:
+    def one_row(row: Row, state: Any) -> tuple[Any, ...]:
         F, Q, information = jax.vmap(lane, in_axes=-1)(row, state)
         weight = jnp.where(row.valid, jnp.ones_like(row.dt), 0.0)
         weight = weight / jnp.maximum(jnp.sum(weight), 1.0)
@@ -78,7 +78,7 @@ def _pieces(tracker: Tracker, batch: Batch, states: Any) -> tuple[Any, ...]:
     found = tracker.start.acquire(tracker.sensors, first)
     belief = tracker.start.begin(found, first)
     n = len(coordinates(belief.mean)[0])
-    return dense(jnp.stack(belief.cov), n), *jax.lax.map(lambda x: one_row(*x), (rows, states))
+    return dense(list(belief.cov), n), *jax.lax.map(lambda x: one_row(*x), (rows, states))
 
 
 def _matrix(rows: list[dict[int, Scalar]], columns: int, zero: Scalar) -> Any:

@@ -69,7 +69,9 @@ def check_motion(motion: AbstractMotion, state: State, inputs: Any = None, dt: f
         moved = step(interval, w)
 
         def from_moved(*values: Scalar) -> list[Scalar]:
-            return local(moved, motion.step(rebuild(values[: len(point)]), inputs, interval, Vector.of(values[len(point) :])))
+            return local(
+                moved, motion.step(rebuild(values[: len(point)]), inputs, interval, Vector.of(values[len(point) :]))
+            )
 
         return _dense(*linearise(from_moved, [*point, *w]), len(components))
 
@@ -77,8 +79,12 @@ def check_motion(motion: AbstractMotion, state: State, inputs: Any = None, dt: f
     for interval in (jnp.asarray(0.0), jnp.asarray(dt)):
         for w in (list(_arrays(draw)) for draw in noise):
             moved = _call(f"{name}.step", step_once, interval, w)
-            if jax.tree_util.tree_structure(moved) != jax.tree_util.tree_structure(state) or _shapes(moved) != _shapes(state):
-                raise BrokenContract(f"{name}.step returns {_kind(moved)}, expected a state like the given one: {_kind(state)}")
+            if jax.tree_util.tree_structure(moved) != jax.tree_util.tree_structure(state) or _shapes(moved) != _shapes(
+                state
+            ):
+                raise BrokenContract(
+                    f"{name}.step returns {_kind(moved)}, expected a state like the given one: {_kind(state)}"
+                )
             if float(interval) == 0 and not _same(moved, state):
                 shift = np.abs(np.array([float(x) for x in local(state, moved)]))
                 raise BrokenContract(
@@ -89,10 +95,14 @@ def check_motion(motion: AbstractMotion, state: State, inputs: Any = None, dt: f
             jacobian = _call(f"{name}.step", slopes_once, interval, w)
             _require_finite(f"the derivative of {name}.step at dt = {interval} s", jacobian, components)
     if not _same(moved, jax.jit(lambda *x: step(*x))(interval, w)):
-        raise BrokenContract(f"{name}.step gives other numbers when traced again; expected all its randomness to come as w")
+        raise BrokenContract(
+            f"{name}.step gives other numbers when traced again; expected all its randomness to come as w"
+        )
 
 
-def check_sensor(sensor: AbstractSensor, view: Any, inputs: Any = None, reported: Sequence[float] = (), seed: int = 0) -> None:
+def check_sensor(
+    sensor: AbstractSensor, view: Any, inputs: Any = None, reported: Sequence[float] = (), seed: int = 0
+) -> None:
     """Raise `BrokenContract` unless `sensor` keeps its promises where `view` is what it reads of a state.
 
     Promised: as many channels as predicted and whitened numbers; a channel that wasn't seen changes nothing and isn't
@@ -102,7 +112,12 @@ def check_sensor(sensor: AbstractSensor, view: Any, inputs: Any = None, reported
     """
     name, m = type(sensor).__name__, len(sensor.channels)
     names = [channel.name for channel in sensor.channels]
-    sensor, view, inputs, reported = resolved(_arrays(sensor)), _arrays(view), _arrays(inputs), _arrays(np.asarray(reported))
+    sensor, view, inputs, reported = (
+        resolved(_arrays(sensor)),
+        _arrays(view),
+        _arrays(inputs),
+        _arrays(np.asarray(reported)),
+    )
     point, rebuild = coordinates(view)
     rng = np.random.default_rng(seed)
 
@@ -111,7 +126,9 @@ def check_sensor(sensor: AbstractSensor, view: Any, inputs: Any = None, reported
 
     predicted = _call(f"{name}.measure", jax.jit(measure))
     if len(predicted) != m or any(jnp.shape(p) != () for p in predicted):
-        raise BrokenContract(f"{name}.measure returns numbers of shapes {_shapes(predicted)}, expected {m} scalars: {', '.join(names)}")
+        raise BrokenContract(
+            f"{name}.measure returns numbers of shapes {_shapes(predicted)}, expected {m} scalars: {', '.join(names)}"
+        )
     predicted = np.array([float(p) for p in predicted])
     _require_finite(f"{name}.measure", predicted, names)
 
@@ -123,21 +140,27 @@ def check_sensor(sensor: AbstractSensor, view: Any, inputs: Any = None, reported
     def residual(offset: Any, seen: Any) -> tuple[np.ndarray, float, float]:
         result = _call(f"{name}.residual", judge, _arrays(predicted + offset), np.asarray(seen, bool))
         if len(result.whitened) != m:
-            raise BrokenContract(f"{name}.residual has {len(result.whitened)} whitened numbers, expected one per channel, {m}")
+            raise BrokenContract(
+                f"{name}.residual has {len(result.whitened)} whitened numbers, expected one per channel, {m}"
+            )
         return np.array([float(r) for r in result.whitened]), float(result.log_scale), float(result.count)
 
     whitened, _, count = residual(np.zeros(m), np.ones(m))
     if np.abs(whitened).max() > 1e-3:
         raise BrokenContract(f"{name}.residual of a reading equal to the prediction is {whitened}, expected zeros")
     if not 0 < count <= m:
-        raise BrokenContract(f"{name}.residual counts {count:g} numbers with all channels seen, expected between 1 and {m}")
+        raise BrokenContract(
+            f"{name}.residual counts {count:g} numbers with all channels seen, expected between 1 and {m}"
+        )
     for seen in (np.zeros(m, bool), *(np.arange(m) != k for k in range(m)), *(rng.random((4, m)) < 0.5)):
         _check_mask(name, residual, rng.normal(size=m) * 0.1, seen)
 
     @jax.jit
     def slopes(values: Any, seen: Any) -> Any:
         def misfit(*x: Scalar) -> list[Scalar]:
-            return list(sensor.residual(Reading(values, seen, reported), list(sensor.measure(rebuild(x), inputs))).whitened)
+            return list(
+                sensor.residual(Reading(values, seen, reported), list(sensor.measure(rebuild(x), inputs))).whitened
+            )
 
         return _dense(*linearise(misfit, point), len(point))
 
@@ -149,7 +172,9 @@ def check_sensor(sensor: AbstractSensor, view: Any, inputs: Any = None, reported
 
     def log_density(values: Any, seen: Any) -> Any:
         belief = Gaussian(view, tuple(jnp.zeros_like(point[0]) for _ in range(len(point) * (len(point) + 1) // 2)))
-        return ExtendedKalman().update(belief, Still(), sensor, Reading(values, seen, reported), inputs)[1].log_likelihood
+        return (
+            ExtendedKalman().update(belief, Still(), sensor, Reading(values, seen, reported), inputs)[1].log_likelihood
+        )
 
     densities = jax.jit(jax.vmap(log_density, in_axes=(0, None)))
     against_reading = jax.jit(jax.jacfwd(lambda z, s: jnp.stack(judge(z, s).whitened)))
@@ -174,14 +199,20 @@ def _check_mask(name: str, residual: Callable[..., Any], offset: np.ndarray, see
     """What wasn't seen has no say: not in the whitened residual, nor the count, nor through its value."""
     whitened, log_scale, count = residual(offset, seen)
     if np.any(whitened[~seen] != 0):
-        raise BrokenContract(f"{name}.residual is {whitened} where seen is {seen}, expected 0 for a channel that wasn't seen")
+        raise BrokenContract(
+            f"{name}.residual is {whitened} where seen is {seen}, expected 0 for a channel that wasn't seen"
+        )
     if count > seen.sum():
         raise BrokenContract(f"{name}.residual counts {count:g} numbers where {seen.sum()} channels were seen")
     if not seen.any() and (count != 0 or log_scale != 0):
-        raise BrokenContract(f"{name}.residual with no channel seen has count {count:g} and log_scale {log_scale:.4g}, expected 0 and 0")
+        raise BrokenContract(
+            f"{name}.residual with no channel seen has count {count:g} and log_scale {log_scale:.4g}, expected 0 and 0"
+        )
     other = residual(np.where(seen, offset, offset + 3.0), seen)
     if not (np.array_equal(whitened, other[0]) and (log_scale, count) == other[1:]):
-        raise BrokenContract(f"{name}.residual changes with the value of a channel that wasn't seen (seen: {seen}), expected no change")
+        raise BrokenContract(
+            f"{name}.residual changes with the value of a channel that wasn't seen (seen: {seen}), expected no change"
+        )
 
 
 def _windows(m: int) -> Iterator[np.ndarray]:
@@ -247,7 +278,9 @@ def _call(what: str, function: Callable[..., Any], *arguments: Any) -> Any:
         return function(*arguments)
     except (jax.errors.JAXTypeError, jax.errors.JAXIndexError) as error:
         reason = str(error).splitlines()[0]
-        raise BrokenContract(f"{what} can't be traced ({reason}); usual fix: jnp.where for a choice, jnp for math and numpy") from error
+        raise BrokenContract(
+            f"{what} can't be traced ({reason}); usual fix: jnp.where for a choice, jnp for math and numpy"
+        ) from error
 
 
 def _dense(_: Any, rows: Sequence[dict[int, Scalar]], columns: int) -> Any:

@@ -17,7 +17,18 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 
-from trackers.core.algebra import Scalar, SparseRow, Vector, cholesky, congruence, full, gram, inverse_or_zero, shared, total
+from trackers.core.algebra import (
+    Scalar,
+    SparseRow,
+    Vector,
+    cholesky,
+    congruence,
+    full,
+    gram,
+    inverse_or_zero,
+    shared,
+    total,
+)
 from trackers.core.linearise import linearise
 from trackers.core.motion import AbstractMotion
 from trackers.core.sensor import AbstractSensor, Reading
@@ -68,7 +79,7 @@ class ExtendedKalman(eqx.Module):
     ) -> tuple[Gaussian, Innovation]:
         """The belief after one reading, and what the reading said."""
         point, rebuild = coordinates(belief.mean)
-        aside = []
+        aside: list[Scalar | None] = []
 
         def misfit(*values: Scalar) -> list[Scalar]:
             predicted = sensor.measure(motion.view(rebuild(values)), inputs)
@@ -77,9 +88,9 @@ class ExtendedKalman(eqx.Module):
             return [*result.whitened, result.log_scale, result.count, jnp.where(result.wrapped, 1.0, 0.0)]
 
         values, rows = linearise(misfit, point)
-        *residual, log_scale, count, wrapped = values
-        H = [{j: -v for j, v in row.items()} for row in rows[: len(residual)]]
-        residual, H, apart = shared(compressed(*shared((residual, H))))
+        *whitened, log_scale, count, wrapped = values
+        jacobian = [{j: -v for j, v in row.items()} for row in rows[: len(whitened)]]
+        residual, H, apart = shared(compressed(*shared((whitened, jacobian))))
         step, cov, nis, log_density = joseph(belief.cov, residual, H, len(point), aside[0])
         innovation = Innovation(log_scale + log_density - 0.5 * apart, nis + apart, count, wrapped)
         return Gaussian(retract(belief.mean, step), cov), innovation
@@ -96,7 +107,7 @@ def compressed(
     columns = sorted({j for row in H for j in row})
     if len(H) <= len(columns):
         return residual, H, jnp.zeros_like(residual[0])
-    tolerance = 16 * jnp.finfo(jnp.asarray(residual[0]).dtype).eps
+    tolerance = 16 * float(jnp.finfo(jnp.asarray(residual[0]).dtype).eps)
     L = cholesky(gram(H, columns), columns, tolerance)
     projected = {j: total(row[j] * r for row, r in zip(H, residual, strict=True) if j in row) for j in columns}
     equivalent: dict[int, Scalar] = {}

@@ -50,7 +50,7 @@ class Estimates:
     @property
     def covariance(self) -> np.ndarray:
         """The covariances as (…, T, n, n)."""
-        return dense(self.cov_upper, self.dimension, np.stack)
+        return dense(list(self.cov_upper), self.dimension, np.stack)
 
     @property
     def sigmas(self) -> dict[str, np.ndarray]:

@@ -12,7 +12,9 @@ from jax.extend.core import Literal
 from trackers.core.algebra import Scalar, SparseRow, times
 
 
-def linearise(function: Callable[..., Sequence[Scalar]], point: Sequence[Scalar]) -> tuple[list[Scalar], list[SparseRow]]:
+def linearise(
+    function: Callable[..., Sequence[Scalar]], point: Sequence[Scalar]
+) -> tuple[list[Scalar], list[SparseRow]]:
     """The value of `function(*point)` and its Jacobian, one sparse row per output.
 
     `function` takes and returns scalars. It is traced once; every column of the Jacobian is then read off the

@@ -49,7 +49,9 @@ class Recording:
             raise ValueError(f"{self.name}: times[{int(np.argmin(np.isfinite(times)))}] is not finite")
         if np.any(np.diff(times) < 0):
             row = int(np.argmax(np.diff(times) < 0)) + 1
-            raise ValueError(f"{self.name}: times[{row}] = {times[row]} s comes before the row above; sort the rows first")
+            raise ValueError(
+                f"{self.name}: times[{row}] = {times[row]} s comes before the row above; sort the rows first"
+            )
         for name, readings in self.readings.items():
             self._check(name, readings)
         for name, values in self.inputs.items():
@@ -75,7 +77,9 @@ class Recording:
             )
         extra = () if readings.reported is None else (readings.reported,)
         if readings.reported is not None and len(readings.reported) != rows:
-            raise ValueError(f"{self.name}: readings['{name}'].reported has {len(readings.reported)} rows, expected {rows}")
+            raise ValueError(
+                f"{self.name}: readings['{name}'].reported has {len(readings.reported)} rows, expected {rows}"
+            )
         for array in (values, *extra):
             bad = ~np.isfinite(array)
             if bad.any():
@@ -130,7 +134,9 @@ def stack(recordings: Sequence[Recording], rows: int | None = None, dtype: Any =
     first = recordings[0]
     for other in recordings:
         if set(other.readings) != set(first.readings):
-            raise ValueError(f"'{other.name}' has sensors {sorted(other.readings)}, '{first.name}' {sorted(first.readings)}")
+            raise ValueError(
+                f"'{other.name}' has sensors {sorted(other.readings)}, '{first.name}' {sorted(first.readings)}"
+            )
 
     def pile(arrays: Sequence[Any], kind: Any) -> np.ndarray:
         shape = np.shape(arrays[0])[1:]

@@ -78,7 +78,7 @@ def log_peak(tail: Scalar) -> Scalar:
 
 
 def independent(differences: Sequence[Scalar], sigmas: Sequence[Scalar], seen: Sequence[Scalar]) -> Residual:
-    """The residual of channels with independent noise; `differences` = reading − prediction, wrapped where they wrap."""
+    """The residual of channels with independent noise; `differences`: reading − prediction, wrapped where it wraps."""
     whitened = [jnp.where(s, d / sigma, 0.0) for d, sigma, s in zip(differences, sigmas, seen, strict=True)]
     log_scale = total(
         jnp.where(s, -0.5 * LOG_2PI - jnp.log(jnp.asarray(sigma)), 0.0) for sigma, s in zip(sigmas, seen, strict=True)

@@ -61,7 +61,10 @@ class Heading(AbstractCurved):
 
 
 class Rotation(AbstractCurved):
-    """A rotation as a unit quaternion (w, x, y, z) that takes body vectors to world vectors; steps are rotation vectors in body axes, radians."""
+    """A rotation as a unit quaternion (w, x, y, z) that takes body vectors to world vectors.
+
+    Steps are rotation vectors in body axes, radians.
+    """
 
     w: Scalar
     x: Scalar
@@ -162,7 +165,8 @@ def _key(entry: Any) -> str:
 def retract(state: State, step: Sequence[Scalar]) -> State:
     """The state moved by a small step, component by component in the order of the covariance."""
     leaves, structure = _leaves(state)
-    moved, start = [], 0
+    moved: list[Any] = []
+    start = 0
     for leaf in leaves:
         size = _dimension(leaf)
         part = step[start : start + size]
@@ -205,7 +209,8 @@ def coordinates(state: State) -> tuple[list[Scalar], Any]:
             point += list(leaf) if jnp.ndim(leaf) else [leaf]
 
     def rebuild(values: Sequence[Scalar]) -> State:
-        rebuilt, start = [], 0
+        rebuilt: list[Any] = []
+        start = 0
         for leaf in leaves:
             size = _dimension(leaf)
             part = values[start : start + size]

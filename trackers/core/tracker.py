@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -17,7 +17,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from trackers.core.algebra import Scalar, total
-from trackers.core.ekf import ExtendedKalman, Gaussian
+from trackers.core.ekf import ExtendedKalman
 from trackers.core.estimates import Estimates, Status
 from trackers.core.motion import AbstractMotion
 from trackers.core.recording import Batch, Recording, stack
@@ -93,6 +93,9 @@ Score = Callable[[Output, Any, dict[str, tuple[Any, Any]]], tuple[Any, ...]]
 """Numbers per trajectory, (B,) each, of one row: from its output, its mean state and its truth."""
 
 
+AnyTracker = TypeVar("AnyTracker", bound="AbstractTracker")
+
+
 class AbstractTracker(eqx.Module):
     """Anything that turns recordings into estimates."""
 
@@ -132,7 +135,9 @@ class Tracker(AbstractTracker):
     loss: LossPolicy = LossPolicy()
 
     def scan(self, batch: Batch) -> Output:
-        return scan_rows(resolved(self), batch)[1]
+        output = scan_rows(resolved(self), batch)[1]
+        assert output is not None
+        return output
 
     def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
         return scan_rows(resolved(self), batch, score)[0]
@@ -150,17 +155,21 @@ class Tracker(AbstractTracker):
         log_likelihood, nis, count, wrapped = (total(x) for x in zip(*said, strict=True))
         finite = jnp.isfinite(total(jnp.sum(jnp.abs(x)) for x in jax.tree_util.tree_leaves(belief)))
         heard = count > 0
-        surprise = carry.surprise + jnp.where(heard, (nis / jnp.maximum(count, 1.0) - carry.surprise) / self.loss.memory, 0.0)
-        silence = jnp.where(heard, 0.0, carry.silence + row.dt)
+        surprise = carry.surprise + jnp.where(
+            heard, (nis / jnp.maximum(count, 1.0) - carry.surprise) / self.loss.memory, 0.0
+        )
+        silence = carry.silence + row.dt
         lost = (surprise > self.loss.limit) | (silence > self.loss.patience)
+        silence = jnp.where(heard, 0.0, silence)
         status = jnp.where(finite, jnp.where(lost, Status.LOST, Status.OK), Status.NON_FINITE)
         status = jnp.where(carry.running, status, jnp.where(carry.begun, Status.LOST, Status.WAITING))
         moved = Carry(belief, carry.running & finite & ~lost, carry.begun, surprise, silence)
         keep = row.valid & carry.running & finite
         after = Carry(*select(keep, moved[:1], carry[:1]), *select(row.valid, moved[1:], carry[1:]))
         zero = jnp.zeros_like(nis)
-        said = select(keep, (log_likelihood, nis, count, wrapped), (zero,) * 4)
-        return after, Output(after.belief, *said, jnp.where(row.valid, status, Status.PADDING).astype(jnp.int8))
+        log_likelihood, nis, count, wrapped = select(keep, (log_likelihood, nis, count, wrapped), (zero,) * 4)
+        status = jnp.where(row.valid, status, Status.PADDING).astype(jnp.int8)
+        return after, Output(after.belief, log_likelihood, nis, count, wrapped, status)
 
 
 def select(condition: Scalar, yes: Any, no: Any) -> Any:
@@ -237,11 +246,13 @@ def search(tracker: Tracker, row: Row, need: Any) -> Any:
     return jax.lax.while_loop(lambda state: jnp.any(state[0]), some, (need, nothing))[1]
 
 
-def prepared(tracker: AbstractTracker, dtype: Any) -> AbstractTracker:
+def prepared(tracker: AnyTracker, dtype: Any) -> AnyTracker:
     """The tracker with its floating numbers as arrays of the run's type, so that other numbers compile nothing anew."""
 
     def cast(x: Any) -> Any:
-        floating = isinstance(x, (float, np.floating)) or (eqx.is_array_like(x) and np.issubdtype(np.asarray(x).dtype, np.floating))
+        floating = isinstance(x, (float, np.floating)) or (
+            eqx.is_array_like(x) and np.issubdtype(np.asarray(x).dtype, np.floating)
+        )
         return jnp.asarray(x, dtype) if floating else x
 
     return jax.tree_util.tree_map(cast, tracker)

@@ -43,7 +43,9 @@ class Scale(AbstractTunable):
     def __init__(self, value: Any, unit: str = "1"):
         value = np.asarray(value, float)
         if not (np.all(np.isfinite(value)) and np.all(value > 0)):
-            raise ValueError(f"a Scale is positive and finite, found {value}; a noise that is absent is left out, not set to zero")
+            raise ValueError(
+                f"a Scale is positive and finite, found {value}; a noise that is absent is left out, not set to zero"
+            )
         self.raw = np.log(value)
         self.unit = unit
 
@@ -77,7 +79,7 @@ class Fraction(AbstractTunable):
 
 
 class Real(AbstractTunable):
-    """A number of either sign, such as an offset; tuned in units of `typical`, the size at which it starts to matter."""
+    """A number of either sign, such as an offset; tuned in units of `typical`, the size at which it matters."""
 
     raw: Any
     unit: str = eqx.field(static=True)
@@ -123,9 +125,7 @@ class Covariance(AbstractTunable):
     def value(self) -> Any:
         n = self.raw.shape[0]
         factor = [[self.raw[i, j] if j < i else jnp.exp(self.raw[i, i]) for j in range(i + 1)] for i in range(n)]
-        entries = [
-            [sum(factor[i][k] * factor[j][k] for k in range(min(i, j) + 1)) for j in range(n)] for i in range(n)
-        ]
+        entries = [[sum(factor[i][k] * factor[j][k] for k in range(min(i, j) + 1)) for j in range(n)] for i in range(n)]
         return jnp.stack([jnp.stack(row) for row in entries])
 
     def holding(self, value: Any) -> Covariance:

@@ -1,0 +1,39 @@
+"""The recorded walks: noise levels tuned on the first runs alone, errors on the second; `python -m experiments.walks`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from experiments.commanded import command, figures, real_recordings
+
+OUT = Path("out/walks")
+USE_CASES = ("u1", "u2", "u3")
+PATTERNS = ("motion.*", "sensors.*.sigma_*", "sensors.*.tail", "sensors.*.offsets", "sensors.*.compression")
+
+
+def main() -> None:
+    """Tune on `ble51-walk-*-r1`, track `ble51-walk-*-r2` with one noise set, and print the table."""
+    folder = real_recordings()
+    if folder is None:
+        sys.exit(
+            "walks: no folder of real recordings, expected ../shared/recordings or what TRACKWRIGHT_RECORDINGS names"
+        )
+    first, second = ([folder / f"ble51-walk-{u}-r{run}" for u in USE_CASES] for run in (1, 2))
+    goal = ("--free-height", "--objective", "rmse", "--steps", "80", "--tune", *PATTERNS)
+    command("tune", *first, *goal, "--out", OUT / "tuned")
+    noise = ("--noise", OUT / "tuned" / "tuned.toml")
+    command("track", *second, *noise, "--out", OUT / "known-height")
+    command("track", *second, *noise, "--free-height", "--out", OUT / "free-height")
+    known, free = (
+        {r["recording"]: r for r in figures(OUT / name)["recordings"]} for name in ("known-height", "free-height")
+    )
+    print("\nRMSE in m, tuned on the r1 recordings, one noise set for all")
+    print(f"{'recording':<18}{'horizontal, height known':>26}{'horizontal, height free':>26}{'3-D, height free':>18}")
+    for path in second:
+        a, b = known[path.name], free[path.name]
+        print(f"{path.name:<18}{a['rmse_m']:>26.2f}{b['rmse_m']:>26.2f}{b['rmse_3d_m']:>18.2f}")
+
+
+if __name__ == "__main__":
+    main()

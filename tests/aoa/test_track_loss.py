@@ -1,0 +1,138 @@
+"""The beam tracker from its own start: it finds the beam, knows when it lost it, and finds it again.
+
+In single precision, as users run it.
+"""
+
+import jax
+import numpy as np
+import pytest
+
+from sim.scenarios import work_station
+from trackers.aoa.beam import beam_tracker
+from trackers.core.estimates import Status
+from trackers.core.recording import Readings, Recording, stack
+
+ROWS, ANTENNAS, SIGMA_P, JUMP_ROW = 120, 8, 0.15, 50
+STATION = work_station().stations["1"]
+TIMES = np.arange(ROWS) * 0.1
+STEADY, JUMP, SILENT, SHORT_SILENCE, EMPTY, LATE, NOISE, OTHER = range(8)
+
+
+def _angles(lane):
+    """True azimuth and elevation (ROWS, 2): a slow oval, other for each lane, with a jump by 25° for one."""
+    phase = 0.4 * TIMES + lane
+    angles = np.stack([0.25 * np.cos(phase), 0.2 * np.sin(phase)], axis=1)
+    if lane == JUMP:
+        angles[JUMP_ROW:, 0] -= np.sign(angles[JUMP_ROW, 0]) * np.deg2rad(25)
+    return angles
+
+
+def _recording(lane, rng):
+    azimuth, elevation = (a[:, None] for a in _angles(lane).T)
+    x, y = STATION.antennas.T
+    phases = 2 * np.pi / STATION.wavelength * (x * np.sin(azimuth) * np.cos(elevation) + y * np.sin(elevation))
+    phases += rng.uniform(-np.pi, np.pi, (ROWS, 1)) + SIGMA_P * rng.normal(size=phases.shape)
+    seen = rng.random(phases.shape) < 0.9
+    if lane == SILENT:
+        seen[30:90] = False
+    if lane == SHORT_SILENCE:
+        seen[30:60] = False
+    if lane == EMPTY:
+        seen[:] = False
+    if lane == LATE:
+        # Two antennas are no direction: the start waits for a third.
+        seen[:20] = np.arange(ANTENNAS) < 2
+    return Recording(TIMES, {"1": Readings(np.angle(np.exp(1j * phases)), seen)}, name=str(lane))
+
+
+@pytest.fixture(scope="module")
+def recordings():
+    return [_recording(lane, np.random.default_rng(lane)) for lane in range(8)]
+
+
+def _run(recordings):
+    return beam_tracker(STATION, "1", sigma_p=2 * SIGMA_P).run(stack(recordings, dtype=np.float32))
+
+
+@pytest.fixture(scope="module")
+def estimates(recordings):
+    return _run(recordings)
+
+
+def _error(estimates, lane):
+    """Degrees, by row, the larger of both angles."""
+    mean = estimates[lane].mean
+    return np.rad2deg(np.abs(np.stack([mean.azimuth, mean.elevation], axis=1) - _angles(lane)).max(axis=1))
+
+
+def test_a_track_starts_on_its_first_row_and_stays(estimates):
+    status = estimates[STEADY].status
+    assert np.all(status == Status.OK)
+    # The start has the grid's 0.6° and the noise of one row; then the filter settles.
+    assert _error(estimates, STEADY)[0] < 3
+    assert _error(estimates, STEADY)[10:].max() < 2
+    assert estimates.cov_upper.dtype == np.float32
+
+
+def test_after_a_jump_the_track_is_lost_started_again_and_recovers(estimates):
+    status = estimates[JUMP].status
+    restarts = np.flatnonzero(status == Status.RESTARTED)
+    assert np.all(status[:JUMP_ROW] == Status.OK)
+    # Two or three rows of a running mean over eight are enough to pass the limit of six.
+    assert JUMP_ROW <= restarts[0] <= JUMP_ROW + 4
+    assert _error(estimates, JUMP)[restarts[-1] + 5 :].max() < 2
+    assert estimates[JUMP].verdict().startswith("lost and re-started")
+
+
+def test_a_long_silence_loses_the_track_and_the_next_reading_starts_it_again(estimates):
+    status = estimates[SILENT].status
+    # Five seconds of patience are fifty rows of the sixty.
+    assert np.all(status[30:80] == Status.OK)
+    assert np.all(status[81:90] == Status.LOST)
+    assert status[90] == Status.RESTARTED
+    assert _error(estimates, SILENT)[95:].max() < 2
+
+
+def test_a_short_silence_widens_the_covariance_and_is_survived(estimates):
+    one = estimates[SHORT_SILENCE]
+    assert np.all(one.status == Status.OK)
+    assert np.all(np.diff(one.sigmas["azimuth"][30:60]) > 0)
+    assert not one.count[30:60].any()
+    assert _error(estimates, SHORT_SILENCE)[70:].max() < 2
+
+
+def test_a_recording_without_a_reading_never_starts_and_says_so(estimates):
+    assert np.all(estimates[EMPTY].status == Status.WAITING)
+    assert estimates[EMPTY].verdict() == "too little data: no row could start the tracker"
+    assert not estimates[EMPTY].usable.any()
+
+
+def test_a_track_waits_for_three_antennas(estimates):
+    status = estimates[LATE].status
+    assert np.all(status[:20] == Status.WAITING)
+    assert np.all(status[20:] == Status.OK)
+    assert _error(estimates, LATE)[25:].max() < 2
+
+
+def _with_garbage(recordings, size):
+    values = np.random.default_rng(9).uniform(-size, size, (ROWS, ANTENNAS))
+    spoilt = list(recordings)
+    spoilt[NOISE] = Recording(TIMES, {"1": Readings(values, np.ones(values.shape, bool))})
+    return _run(spoilt)
+
+
+@pytest.mark.parametrize("size", [np.pi, 1e9, 1e30, 3e38])
+def test_garbage_in_one_lane_changes_no_other_by_a_bit_though_it_is_searched_again_and_again(recordings, estimates, size):
+    result = _with_garbage(recordings, size)
+    for lane in (STEADY, JUMP, SILENT, SHORT_SILENCE, EMPTY, LATE, OTHER):
+        for a, b in zip(*map(jax.tree_util.tree_leaves, (vars(result[lane]), vars(estimates[lane]))), strict=True):
+            np.testing.assert_array_equal(a, b)
+    assert np.sum(result[NOISE].status == Status.RESTARTED) > 5
+
+
+@pytest.mark.parametrize("size", [1e9, 1e15, 1e30, 3e38])
+def test_what_is_said_of_garbage_is_finite(recordings, size):
+    one = _with_garbage(recordings, size)[NOISE]
+    assert np.all(np.isfinite(one.log_likelihood))
+    assert np.all(np.isfinite(one.nis))
+    assert np.all(np.isfinite(one.cov_upper))
