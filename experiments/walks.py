@@ -1,4 +1,4 @@
-"""The recorded walks: noise levels tuned on the first runs alone, errors on the second; `python -m experiments.walks`."""
+"""The recorded walks, tuned on the first runs alone, judged on the second: `python -m experiments.walks`."""
 
 from __future__ import annotations
 

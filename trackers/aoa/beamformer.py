@@ -57,15 +57,16 @@ def delay_and_sum(grid: Grid, phases: Any, seen: Any) -> jax.Array:
 
 def snapshots(phases: Any, seen: Any) -> jax.Array:
     """The sample covariance (…, n, n), complex, of the unit phasors of several rows (…, rows, n)."""
-    x = jnp.where(seen, jnp.exp(1j * phases), 0.0)
+    phasor = jax.lax.complex(jnp.cos(phases), jnp.sin(phases))
+    x = jnp.where(seen, phasor, jnp.zeros_like(phasor))
     return jnp.einsum("...ri,...rj->...ij", x, x.conj()) / phases.shape[-2]
 
 
 def capon(grid: Grid, covariance: jax.Array, loading: float = 0.05) -> jax.Array:
     """Capon's spectrum 1/(aᴴR⁻¹a), (…, G), with `loading` times the mean power added to R's diagonal (Capon 1969)."""
     n = covariance.shape[-1]
-    power = jnp.trace(covariance, axis1=-2, axis2=-1).real / n
-    loaded = covariance + (loading * power + 1e-12)[..., None, None] * jnp.eye(n)
+    eye = jnp.broadcast_to(jnp.eye(n, dtype=covariance.dtype), covariance.shape)
+    loaded = covariance + (loading / n * _power(covariance) + 1e-12) * eye
     return 1.0 / _form(grid, _inverse(loaded))
 
 
@@ -76,7 +77,7 @@ def music(grid: Grid, covariance: jax.Array) -> jax.Array:
     for _ in range(6):
         # Squaring the matrix six times is sixty-four power iterations; the scale keeps it in range.
         vector = vector @ vector
-        vector = vector / (jnp.trace(vector, axis1=-2, axis2=-1).real[..., None, None] + 1e-30)
+        vector = vector / (_power(vector) + 1e-30)
     signal = jnp.maximum(_form(grid, vector), 0.0)
     return n / jnp.maximum(n - signal, 1e-6 * n)
 
@@ -86,9 +87,15 @@ def strongest(grid: Grid, spectrum: jax.Array) -> jax.Array:
     return jnp.asarray(grid.angles)[jnp.argmax(spectrum, axis=-1)]
 
 
+def _power(matrix: jax.Array) -> jax.Array:
+    """The trace of Hermitian matrices, (…, 1, 1), of the matrices' own type."""
+    return jnp.trace(matrix, axis1=-2, axis2=-1).real[..., None, None].astype(matrix.dtype)
+
+
 def _form(grid: Grid, matrix: jax.Array) -> jax.Array:
     """aᴴMa for every direction, for a Hermitian matrix."""
-    steering = grid.cosine + 1j * grid.sine
+    kind = jnp.zeros((), matrix.dtype).real.dtype
+    steering = jax.lax.complex(jnp.asarray(grid.cosine, kind), jnp.asarray(grid.sine, kind))
     return jnp.einsum("ig,...ij,jg->...g", steering.conj(), matrix, steering).real
 
 

@@ -133,24 +133,27 @@ def joseph(
     step: list[Scalar] = [jnp.zeros_like(cov[0])] * n
     upper = tuple(cov)
     nis = log_density = jnp.zeros_like(cov[0])
+    coarse = 256 * float(jnp.finfo(nis.dtype).eps)
     for r, h in zip(residual, H, strict=True):
         P = full(upper, n)
         Ph = [total(P[i][j] * v for j, v in h.items()) for i in range(n)]
         a = jnp.maximum(total(Ph[j] * v for j, v in h.items()), 0.0)
         innovation = r - total(v * step[j] for j, v in h.items())
         square = innovation * innovation / (1.0 + a)
+        # A covariance in single precision can't hold 10 km beside 1 mm: one reading narrows a direction by what the
+        # number format carries, the next ones do the rest. In double precision this never happens.
+        noise = jnp.maximum(1.0, coarse * a)
         if tail is None:
-            noise = 1.0
             log_density = log_density - 0.5 * (square + jnp.log(1.0 + a))
         else:
             weight = (tail + 1.0) / (tail + square)
-            noise = 1.0 / weight
+            noise = jnp.maximum(1.0 / weight, coarse * a)
             log_density = log_density - 0.5 * ((tail + 1.0) * jnp.log1p(square / tail) + jnp.log(1.0 + a))
             square = square * weight
         k = [g / (noise + a) for g in Ph]
+        root = jnp.sqrt(noise)
         step = [x + g * innovation for x, g in zip(step, k, strict=True)]
         A = [{j: (1.0 if i == j else 0.0) - k[i] * h[j] if j in h else 1.0 for j in {i, *h}} for i in range(n)]
-        root = jnp.sqrt(noise) if tail is not None else 1.0
         upper = congruence(A, upper, [{0: g * root} for g in k])
         nis = nis + square
     return step, upper, nis, log_density

@@ -56,7 +56,7 @@ class Estimates:
     def sigmas(self) -> dict[str, np.ndarray]:
         """The standard deviation of each component of the state, by name."""
         position = {pair: k for k, pair in enumerate(triangle(self.dimension))}
-        scalar_state = jax.tree_util.tree_map(lambda x: 0.0, self.mean)
+        scalar_state = jax.tree_util.tree_map(lambda x: np.zeros(np.shape(x)[self.status.ndim :]), self.mean)
         return {
             name: np.sqrt(np.maximum(self.cov_upper[position[i, i]], 0))
             for i, name in enumerate(component_names(scalar_state))

@@ -62,10 +62,13 @@ class Recording:
 
     def _check_rows(self, what: str, array: np.ndarray) -> None:
         array = np.asarray(array)
-        if array.ndim == 0 or len(array) != len(self.times):
-            raise ValueError(f"{self.name}: {what} has shape {array.shape}, expected {len(self.times)} rows")
-        if not np.all(np.isfinite(array)):
-            raise ValueError(f"{self.name}: {what} has a number that is not finite; mark what is missing by a mask")
+        rows = len(array) if array.ndim else 0
+        if rows != len(self.times):
+            raise ValueError(f"{self.name}: {what} has {rows} rows, expected {len(self.times)}, one for each time")
+        bad = ~np.isfinite(array)
+        if bad.any():
+            row = np.argwhere(bad)[0][0]
+            raise ValueError(f"{self.name}: {what} row {row} is not finite; mark what is missing by a mask")
 
     def _check(self, name: str, readings: Readings) -> None:
         values, seen = np.asarray(readings.values), np.asarray(readings.seen)

@@ -118,7 +118,7 @@ class AbstractTracker(eqx.Module):
         parts = [jax.tree_util.tree_map(np.asarray, part) for part in outputs(self, recordings, chunk)]
 
         def join(*arrays: np.ndarray) -> np.ndarray:
-            return np.concatenate(arrays, axis=-1)[..., : recordings.size].swapaxes(-1, -2)
+            return np.moveaxis(np.concatenate(arrays, axis=-1)[..., : recordings.size], -1, 0)
 
         joined = jax.tree_util.tree_map(join, *parts)
         mean, cov = self.moments(joined.belief)

@@ -1,0 +1,46 @@
+# Targets: env demo test test-slow lint bench bench-peers clean. Each makes the environment it needs.
+
+PYTHON ?= python3
+BIN := .venv/bin
+PEERS := .venv-peers/bin
+OLD_PYTHON := trackwright needs Python 3.11 or newer; name one with `make PYTHON=/path/to/python3.11 ...`
+
+.PHONY: env demo test test-slow lint bench bench-peers clean
+
+env: .venv/installed
+
+.venv/installed: pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo '$(OLD_PYTHON)' >&2; exit 1; }
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[test,lint]' -c constraints.txt
+	@touch $@
+
+.venv-peers/installed: pyproject.toml constraints.txt constraints-peers.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo '$(OLD_PYTHON)' >&2; exit 1; }
+	$(PYTHON) -m venv .venv-peers
+	$(PEERS)/python -m pip install --quiet --disable-pip-version-check -e '.[peers]' -c constraints.txt -c constraints-peers.txt
+	@touch $@
+
+demo: env
+	$(BIN)/python -m experiments.demo
+
+test: env
+	$(BIN)/python -m pytest
+
+test-slow: env
+	$(BIN)/python -m pytest -m slow
+
+lint: env
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+bench: env
+	$(BIN)/python -m experiments.bench
+
+bench-peers: .venv-peers/installed
+	$(PEERS)/python -m experiments.bench --peers
+
+clean:
+	rm -rf .venv .venv-peers out *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,227 @@
+"""One setting of the benchmark: the beam tracker and what it is compared with, taking turns in one process."""
+
+from __future__ import annotations
+
+import resource
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import version
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from experiments.bench_textbook import all_pairs, textbook
+from trackers.aoa.beam import Beam, beam_tracker
+from trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
+from trackers.core.algebra import diagonal
+from trackers.core.ekf import Gaussian
+from trackers.core.recording import Batch
+from trackers.core.rig import Station
+from trackers.core.sensor import Reading
+from trackers.core.tracker import CHUNK, AbstractStart, AbstractTracker, outputs, prepared
+from tuning.fit import Problem, _Parameters, _sums
+from tuning.objectives import NegativeLogLikelihood
+from tuning.parameters import chosen, flatten
+
+TRAJECTORIES, ROWS = 4096, 200
+SLICE = (256, 50)
+"""Trajectories and rows for the versions that are a hundred times slower."""
+
+FILTERPY_SLICE = (8, 50)
+ROUNDS = 9
+MEMORY_LANES, MEMORY_ROWS = 64, (200, 20_000)
+TUNED = ("motion.sigma_a", "sensors.*.sigma_p")
+SIGMA_A, SIGMA_P, STEP_S = 0.5, 0.3, 0.01
+SIGMA_ANGLE, SIGMA_RATE = np.deg2rad(30.0), 1.0
+MASKED = 0.05
+
+
+class GivenStart(AbstractStart):
+    """Begins every trajectory at its first row, from the angles in the recording's inputs: no search."""
+
+    def ready(self, row: Any) -> Any:
+        return row.valid
+
+    def acquire(self, sensors: Any, row: Any) -> Any:
+        return jnp.stack([row.inputs["azimuth"], row.inputs["elevation"]])
+
+    def begin(self, found: Any, row: Any) -> Gaussian:
+        zero = jnp.zeros_like(found[0])
+        cov = diagonal([SIGMA_ANGLE**2, SIGMA_ANGLE**2, SIGMA_RATE**2, SIGMA_RATE**2], zero)
+        return Gaussian(Beam(found[0], found[1], zero, zero), cov)
+
+
+class World(NamedTuple):
+    """Raw phases of beams that move as the tracker's model says; `angles` (T, 2, B) rad are the truth."""
+
+    batch: Batch
+    angles: np.ndarray
+
+    def part(self, trajectories: int, rows: int) -> tuple[np.ndarray, ...]:
+        """What the other libraries take, batch first: phases, seen, dt, mean and covariance of the first row."""
+        cut = jax.tree_util.tree_map(lambda x: np.moveaxis(x[:rows, ..., :trajectories], -1, 0), self.batch)
+        first = np.moveaxis(self.angles[0, :, :trajectories], -1, 0)
+        mean = np.concatenate([first, np.zeros_like(first)], axis=1).astype(np.float32)
+        cov = np.diag([SIGMA_ANGLE**2, SIGMA_ANGLE**2, SIGMA_RATE**2, SIGMA_RATE**2]).astype(np.float32)
+        reading = cut.readings["array"]
+        return reading.values, reading.seen, cut.dt, mean, np.tile(cov, (trajectories, 1, 1))
+
+
+def simulate(trajectories: int, rows: int) -> World:
+    """The world of the benchmark, the same every time: 5 % of the phases masked, common offsets and wraps on."""
+    random = np.random.default_rng(20)
+    shape = (rows, 2, trajectories)
+    kicks = SIGMA_A * random.normal(size=shape) * STEP_S
+    rates = random.uniform(-0.2, 0.2, shape[1:]) + np.cumsum(kicks, axis=0)
+    angles = random.uniform(-0.3, 0.3, shape[1:]) + np.cumsum((rates - 0.5 * kicks) * STEP_S, axis=0)
+    x, y = np.sin(angles[:, 0]) * np.cos(angles[:, 1]), np.sin(angles[:, 1])
+    wavenumbers = 2 * np.pi / DEFAULT_WAVELENGTH * DEFAULT_ANTENNAS
+    phases = wavenumbers[:, :1] * x[:, None] + wavenumbers[:, 1:] * y[:, None]
+    noise = SIGMA_P * random.normal(size=phases.shape)
+    phases = phases + noise + random.uniform(-np.pi, np.pi, (rows, 1, trajectories))
+    phases = ((phases + np.pi) % (2 * np.pi) - np.pi).astype(np.float32)
+    seen = random.uniform(size=phases.shape) > MASKED
+    dt = np.full((rows, trajectories), STEP_S, np.float32)
+    dt[0] = 0.0
+    batch = Batch(
+        dt=dt,
+        valid=np.ones(dt.shape, bool),
+        readings={"array": Reading(phases, seen, np.zeros((rows, 0, trajectories), np.float32))},
+        inputs={name: angles[:, k].astype(np.float32) for k, name in enumerate(("azimuth", "elevation"))},
+        truth={},
+    )
+    return World(batch, angles)
+
+
+@dataclass
+class Version:
+    """One way to do the work: `run` does it once, `azimuth` takes the last row's azimuths (B,), rad, from its result."""
+
+    name: str
+    trajectories: int
+    rows: int
+    run: Callable[[], Any]
+    azimuth: Callable[[Any], np.ndarray] | None = None
+    first_s: float = 0.0
+    error_deg: float | None = None
+
+    def timed(self) -> tuple[tuple[float, float], Any]:
+        """Seconds and processor seconds of one run, and its result."""
+        began, began_cpu = time.perf_counter(), time.process_time()
+        result = jax.block_until_ready(self.run())
+        return (time.perf_counter() - began, time.process_time() - began_cpu), result
+
+
+def trackers() -> tuple[AbstractTracker, AbstractTracker]:
+    """The beam tracker with its own start by delay-and-sum, and the same one with a given start."""
+    station = Station(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH)
+    own = beam_tracker(station, "array", SIGMA_A, SIGMA_P)
+    return own, eqx.tree_at(lambda t: t.start, own, GivenStart())
+
+
+def versions(world: World, peers: bool) -> list[Version]:
+    """Everything that takes turns, ours with a given start first."""
+    own, given = trackers()
+    pairs = all_pairs(DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH)
+
+    def last(parts: Any) -> np.ndarray:
+        return np.concatenate([np.asarray(part.belief.mean.azimuth[-1]) for part in parts])
+
+    def first_of_tuple(result: Any) -> np.ndarray:
+        return np.asarray(result[0])[:, -1, 0]
+
+    def other(name: str, build: Any, trajectories: int, rows: int) -> Version:
+        run, part = build(pairs, SIGMA_A, SIGMA_P), world.part(trajectories, rows)
+        return Version(name, trajectories, rows, lambda: run(*part), first_of_tuple)
+
+    parameters = chosen(given, TUNED)
+    problem, vector = Problem(given, [world.batch], NegativeLogLikelihood(), parameters, CHUNK), flatten(parameters)
+    found = [
+        Version("ours", TRAJECTORIES, ROWS, lambda: outputs(given, world.batch, CHUNK), last),
+        Version("ours, start included", TRAJECTORIES, ROWS, lambda: outputs(own, world.batch, CHUNK), last),
+        Version("ours, gradient", TRAJECTORIES, ROWS, lambda: problem.value_and_gradient(vector)[:2]),
+        other("textbook", textbook, *SLICE),
+    ]
+    if peers:
+        from experiments import bench_peers
+
+        found.append(other("dynamax", bench_peers.with_dynamax, *SLICE))
+        found.append(other("cuthbert", bench_peers.with_cuthbert, *SLICE))
+        found.append(other("filterpy", bench_peers.with_filterpy, *FILTERPY_SLICE))
+    return found
+
+
+def measure(peers: bool) -> dict[str, Any]:
+    """Compile and run times of every version in this process, medians of rounds in which each has one turn."""
+    world = simulate(TRAJECTORIES, ROWS)
+    contenders = versions(world, peers)
+    for contender in contenders:
+        (contender.first_s, _), result = contender.timed()
+        if contender.azimuth is not None:
+            truth = world.angles[contender.rows - 1, 0, : contender.trajectories]
+            contender.error_deg = float(np.rad2deg(np.sqrt(np.mean((contender.azimuth(result) - truth) ** 2))))
+        del result
+    seconds = np.array([[contender.timed()[0] for contender in contenders] for _ in range(ROUNDS)])
+    return {"versions": summarised(contenders, seconds), "packages": packages(peers)}
+
+
+def summarised(contenders: list[Version], seconds: np.ndarray) -> dict[str, dict[str, Any]]:
+    """Figures by the version's name; `seconds` (rounds, versions, 2), of the clock and of processors.
+
+    Ratios are medians over rounds, each of what was measured within one round.
+    """
+    steps = np.array([c.trajectories * c.rows for c in contenders])
+    rates = steps[:, None] / seconds
+    faster = np.median(rates[:, :1] / rates, axis=0)
+    found = {}
+    for k, contender in enumerate(contenders):
+        median, median_cpu = np.median(seconds[:, k], axis=0)
+        found[contender.name] = {
+            "trajectories": contender.trajectories,
+            "rows": contender.rows,
+            "compile_s": max(contender.first_s - median, 0.0),
+            "run_ms": 1e3 * median,
+            "cpu_ms": 1e3 * median_cpu,
+            "run_ms_each_round": 1e3 * seconds[:, k, 0],
+            "million_steps_per_s": np.median(rates[:, k, 0]) / 1e6,
+            "ours_is_faster_by": faster[k, 0],
+            "ours_is_faster_by_per_cpu_second": faster[k, 1],
+            "azimuth_error_deg": contender.error_deg,
+        }
+    return found
+
+
+def memory() -> dict[str, Any]:
+    """What the gradient of two tunables takes, for few rows and for many: in a process of its own, few first, bytes.
+
+    `temporaries`: of the compiled program, beside its inputs and outputs. `peak`: most the process ever held, inputs
+    and compiler included; it can only grow.
+    """
+    _, given = trackers()
+    parameters = chosen(given, TUNED)
+    sums: Any = _sums
+    found: dict[str, Any] = {"trajectories": MEMORY_LANES, "temporaries": {}, "inputs": {}, "peak": {}}
+    for rows in MEMORY_ROWS:
+        batch = simulate(MEMORY_LANES, rows).batch
+        vector = jnp.asarray(flatten(parameters), batch.dt.dtype)
+        arguments = prepared(given, vector.dtype), batch, NegativeLogLikelihood(), _Parameters(parameters), vector
+        program = sums.lower(*arguments).compile()
+        jax.block_until_ready(program(*arguments))
+        found["temporaries"][str(rows)] = program.compiled.memory_analysis().temp_size_in_bytes
+        found["inputs"][str(rows)] = sum(x.nbytes for x in jax.tree_util.tree_leaves(batch))
+        found["peak"][str(rows)] = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return found
+
+
+def packages(peers: bool) -> dict[str, str]:
+    """Versions of the packages that do the work."""
+    names = ["jax", "jaxlib", "numpy"]
+    if peers:
+        from experiments.bench_peers import PACKAGES
+
+        names += PACKAGES
+    return {name: version(name) for name in names}

@@ -1,0 +1,98 @@
+"""The tuned numbers of a tracker: which ones, under what name, as one vector and back."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tests.tuning.worlds import STATION
+from trackers.aoa.direct import direct_tracker
+from trackers.aoa.fusion import bearing_tracker
+from trackers.core.rig import Station
+from trackers.core.tunable import Covariance, Fraction, Real, Scale, tunables
+from tuning.parameters import chosen, flatten, physical, physical_errors, placed_in
+
+
+@pytest.fixture(scope="module")
+def direct():
+    shifted = Station(STATION.position + 1.0, STATION.rotation, STATION.antennas, STATION.wavelength)
+    return direct_tracker({"north": STATION, "south": shifted})
+
+
+def test_a_pattern_finds_tunables_by_name(direct):
+    assert [p.label for p in chosen(direct, "motion.sigma_a")] == ["motion.sigma_a"]
+    assert [p.label for p in chosen(direct, "sensors.*.sigma_p")] == ["sensors.north.sigma_p", "sensors.south.sigma_p"]
+    assert {p.label for p in chosen(direct, "*")} == set(tunables(direct))
+
+
+def test_a_tunable_that_two_patterns_find_is_tuned_once(direct):
+    labels = [p.label for p in chosen(direct, ["*.sigma_p", "sensors.*", "tied:sensors.*.sigma_p"])]
+    assert sorted(labels) == ["sensors.north.offsets", "sensors.north.sigma_p", "sensors.south.offsets", "sensors.south.sigma_p"]
+
+
+def test_tied_tunables_are_one_parameter_named_by_their_pattern(direct):
+    (tied,) = chosen(direct, "tied:sensors.*.sigma_p")
+    assert tied.label == "sensors.*.sigma_p"
+    assert tied.names == ("sensors.north.sigma_p", "sensors.south.sigma_p")
+    values = {k: v.value for k, v in tunables(placed_in(direct, [tied], np.log([0.7]))).items()}
+    assert values["sensors.north.sigma_p"] == values["sensors.south.sigma_p"] == pytest.approx(0.7)
+    assert values["motion.sigma_a"] == tunables(direct)["motion.sigma_a"].value
+
+
+def test_a_lone_tied_tunable_keeps_its_own_name(direct):
+    (alone,) = chosen(direct, "tied:sensors.n*.sigma_p")
+    assert alone.label == "sensors.north.sigma_p"
+
+
+@pytest.mark.parametrize(
+    ("patterns", "message"),
+    [
+        ("sensors.west.sigma_p", r"'sensors.west.sigma_p' matches no tunable; this tracker has: .*sensors.north.sigma_p"),
+        ("tied:*.sigma_q", r"'\*.sigma_q' matches no tunable"),
+        (["motion.*", "nonsense"], "'nonsense' matches no tunable"),
+        ("tied:sensors.*", "ties tunables of different units or shapes: .*offsets"),
+        ("tied:*.sigma_?", "ties tunables of different units or shapes: motion.sigma_a"),
+        ([], "no pattern is given"),
+    ],
+)
+def test_patterns_that_name_nothing_or_nothing_that_can_be_tied_are_refused(direct, patterns, message):
+    with pytest.raises(ValueError, match=message):
+        chosen(direct, patterns)
+
+
+def test_the_vector_goes_into_the_tracker_and_comes_back():
+    tracker = bearing_tracker()
+    parameters = chosen(tracker, ["motion.*", "sensors.*"])
+    vector = flatten(parameters) + np.linspace(-0.5, 0.5, len(flatten(parameters)))
+    placed = placed_in(tracker, parameters, jnp.asarray(vector))
+    np.testing.assert_array_equal(flatten(chosen(placed, ["motion.*", "sensors.*"])), vector)
+    own = tunables(placed)
+    for parameter, value in zip(parameters, physical(parameters, vector), strict=True):
+        np.testing.assert_array_equal(value, own[parameter.label].value)
+    untouched = {k for k in own if k.startswith("start.")}
+    assert untouched
+    assert all(own[k].raw == tunables(tracker)[k].raw for k in untouched)
+
+
+def _parts():
+    return {
+        "a": Scale(0.3),
+        "b": Real([0.2, -0.4], typical=0.1),
+        "c": Fraction(0.2),
+        "d": Covariance([[4.0, 1.0], [1.0, 2.0]]),
+    }
+
+
+def test_standard_errors_of_physical_values_match_those_of_drawn_vectors():
+    parameters = chosen(_parts(), "*")
+    vector = flatten(parameters)
+    assert vector.shape == (8,)
+    rng = np.random.default_rng(2)
+    root = 1e-3 * rng.normal(size=(8, 8))
+    draws = vector + rng.normal(size=(20_000, 8)) @ root.T
+    drawn = jax.vmap(lambda v: physical(parameters, v))(jnp.asarray(draws))
+    errors = physical_errors(parameters, vector, root @ root.T)
+    for error, values in zip(errors, drawn, strict=True):
+        # 20,000 draws know a standard deviation to half a percent; the curvature at 1e-3 adds less
+        np.testing.assert_allclose(error, np.std(values, axis=0), rtol=0.03)
+    assert [e.shape for e in errors] == [(), (2,), (), (2, 2)]

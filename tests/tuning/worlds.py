@@ -1,0 +1,94 @@
+"""Worlds in which a tracker's model is exactly true, drawn from the model itself, and the smallest tracker there is."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+
+from sim.scenarios import work_station
+from tests.known_start import NEVER_LOST, KnownStart, recording
+from trackers.aoa.beam import Beam, BeamMotion
+from trackers.core.algebra import Vector
+from trackers.core.motion import ConstantPosition, Placed
+from trackers.core.recording import Readings, Recording
+from trackers.core.sensor import AbstractSensor, Channel, independent
+from trackers.core.tracker import Tracker
+from trackers.core.tunable import Real, Scale
+
+STATION = work_station().stations["1"]
+SIGMA_START = 0.5
+
+
+def beams(n: int, rows: int, sigma_a: float, sigma_p: float, seed: int, missing: float = 0.0) -> list[Recording]:
+    """Beams of `STATION` that move by `BeamMotion` with plane waves and white noise; the first row sees all antennas.
+
+    So a beamformer finds the right lobe there: a filter that starts in a wrong one is another world than its model.
+    """
+    rng = np.random.default_rng(seed)
+    dts = np.concatenate([[0.0], rng.uniform(0.02, 0.1, rows - 1)])
+    motion, state, path = BeamMotion(Scale(sigma_a)), Beam(*rng.normal(0, 0.05, (4, n))), []
+    for dt, w in zip(dts, rng.normal(size=(rows, 2, n)), strict=True):
+        state = motion.step(state, None, dt, Vector(*w))
+        path.append(np.stack([state.azimuth, state.elevation], axis=-1))
+    angles = np.stack(path, axis=1)
+    azimuth, elevation = np.moveaxis(angles, -1, 0)
+    plane = np.stack([np.sin(azimuth) * np.cos(elevation), np.sin(elevation)], axis=-1)
+    phases = plane @ (2 * np.pi / STATION.wavelength * np.asarray(STATION.antennas).T)
+    phases += rng.uniform(-np.pi, np.pi, (n, rows, 1)) + sigma_p * rng.normal(size=phases.shape)
+    seen = rng.random(phases.shape) >= missing
+    seen[:, 0] = True
+    values = np.where(seen, np.angle(np.exp(1j * phases)), 0.0)
+    known = np.ones(rows, bool)
+    return [
+        Recording(np.cumsum(dts), {"1": Readings(v, s)}, {}, {"direction": (a, known)})
+        for v, s, a in zip(values, seen, angles, strict=True)
+    ]
+
+
+class Gauge(AbstractSensor):
+    """Reads a place on a line with white noise, and two constant errors that nobody can tell apart."""
+
+    sigma: Any
+    offset: Any
+    bias: Any
+
+    @property
+    def channels(self):
+        return (Channel("x", "m"),)
+
+    def measure(self, view, inputs):
+        return [view.position[0] + self.offset.value + self.bias.value]
+
+    def residual(self, reading, predicted):
+        return independent([reading.values[0] - predicted[0]], [self.sigma.value], reading.seen)
+
+
+class LineStart(KnownStart):
+    """A place on a line, known to `SIGMA_START`."""
+
+    build: Any = eqx.field(static=True, default=lambda x: Placed(Vector(x[0])))
+
+
+def line_tracker(sigma_v: float = 0.3, sigma: float = 0.2) -> Tracker:
+    """A random walk on a line, read by a gauge: compiles in a second, and a textbook Kalman filter is its oracle."""
+    gauge = Gauge(Scale(sigma, "m"), Real(0.0, "m", typical=0.1), Real(0.0, "m", typical=0.1))
+    return Tracker(ConstantPosition(sigma_v, 1), {"gauge": gauge}, LineStart(), loss=NEVER_LOST)
+
+
+def walks(
+    lengths: list[int], seed: int, sigma_v: float = 0.3, sigma: float = 0.2, missing: float = 0.2
+) -> list[Recording]:
+    """Random walks on a line of so many rows, with irregular times, read by a gauge with white noise."""
+    rng = np.random.default_rng(seed)
+    recordings = []
+    for rows in lengths:
+        dts = np.concatenate([[0.0], rng.uniform(0.05, 0.2, rows - 1)])
+        place = SIGMA_START * rng.normal() + np.cumsum(sigma_v * np.sqrt(dts) * rng.normal(size=rows))
+        seen = rng.random((rows, 1)) >= missing
+        values = np.where(seen[:, 0], place + sigma * rng.normal(size=rows), 0.0)[:, None]
+        made = recording(np.cumsum(dts), {"gauge": (values, seen)}, [0.0], [[SIGMA_START**2]])
+        truth = {"position": (place[:, None], np.ones(rows, bool))}
+        recordings.append(Recording(made.times, made.readings, made.inputs, truth))
+    return recordings
