@@ -63,12 +63,12 @@ def part(name: str, peers: bool) -> dict[str, Any]:
 
 def measured(peers: bool) -> dict[str, Any]:
     """All figures, with the machine and the time they hold for; raises UnusableInput where a process fails."""
-    began = datetime.now(UTC)
+    began, host = datetime.now(UTC), machine()
     settings = {name: in_process(name, peers) for name in (DEFAULT, COMMAND_LINE)}
     return {
         "date": began.isoformat(timespec="seconds"),
         "command": ["python", "-m", "experiments.bench", *(["--peers"] if peers else [])],
-        "machine": machine(),
+        "machine": host,
         "settings": settings,
         "memory": in_process(MEMORY, peers=False),
         "took_s": (datetime.now(UTC) - began).total_seconds(),

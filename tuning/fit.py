@@ -81,7 +81,8 @@ class Problem:
         total = np.where(finite, sums, 0).sum(axis=1)
         slope = np.where(steady[:, None], slopes, 0).sum(axis=1)
         value, by_sum = jax.value_and_grad(self.objective.value)(jnp.asarray(total))
-        return float(value), np.asarray(by_sum, float) @ slope, total
+        with np.errstate(invalid="ignore"):  # where nothing is scored figure and gradient are NaN
+            return float(value), np.asarray(by_sum, float) @ slope, total
 
 
 def _steady(slopes: np.ndarray) -> np.ndarray:
@@ -140,8 +141,9 @@ def fit(
     Adam on the unconstrained vector, whose rate falls from `rate` to a hundredth of it over `steps`; a step after
     which the objective isn't finite is taken back and halved; for a likelihood a few Newton steps follow. The best
     point met is returned, never a worse one than the start. Standard errors come from the curvature where the
-    objective is a likelihood, else they are NaN; they hold for readings with independent noise. Raises ValueError for patterns that name nothing or nothing that can be
-    tied, FloatingPointError where the objective is not finite at the start.
+    objective is a likelihood, else they are NaN; they hold for readings with independent noise. Raises ValueError for
+    patterns that name nothing or nothing that can be tied, FloatingPointError where the objective is not finite at the
+    start.
     """
     batches = [batches] if isinstance(batches, Batch) else list(batches)
     parameters = chosen(tracker, tune)

@@ -158,7 +158,7 @@ def _write_trace(out: Path, result: FitResult, objective: str, unit: str) -> Non
 
 def _table(result: FitResult, objective: str) -> str:
     first = result.trace[0].values
-    rows = [("tunable", "before", "after", "standard error", "unit")]
+    rows: list[tuple[str, ...]] = [("tunable", "before", "after", "standard error", "unit")]
     for parameter in result.parameters:
         name = parameter.label
         triple = (first[name], result.values[name], result.standard_errors[name])

@@ -102,14 +102,13 @@ def test_in_single_precision_every_track_is_finite_with_a_proper_covariance(sing
     assert np.isfinite(flat(single.mean)).all()
     eigenvalues = np.linalg.eigvalsh(single.covariance.astype(float))
     assert np.all(eigenvalues[..., 0] > -1e-6 * eigenvalues[..., -1])
-    assert np.all(single.sigmas["position.0"] > 0)
 
 
 def test_in_single_precision_every_track_ends_where_double_precision_ends(single, double):
     apart = np.abs(flat(single.mean)[:, -1] - flat(double.mean)[:, -1])
     sigmas = np.stack([s[:, -1] for s in double.sigmas.values()], axis=1)
-    # Rounding may move an estimate by a fraction of what it knows: a fifth of a standard deviation.
-    assert np.max(apart / sigmas) < 0.2
+    # A hundredth of a standard deviation; positions of metres known to millimetres leave room for no less.
+    assert np.max(apart / sigmas) < 0.01
 
 
 def test_the_tracks_end_near_the_truth(double):

@@ -27,7 +27,12 @@ def test_a_pattern_finds_tunables_by_name(direct):
 
 def test_a_tunable_that_two_patterns_find_is_tuned_once(direct):
     labels = [p.label for p in chosen(direct, ["*.sigma_p", "sensors.*", "tied:sensors.*.sigma_p"])]
-    assert sorted(labels) == ["sensors.north.offsets", "sensors.north.sigma_p", "sensors.south.offsets", "sensors.south.sigma_p"]
+    assert sorted(labels) == [
+        "sensors.north.offsets",
+        "sensors.north.sigma_p",
+        "sensors.south.offsets",
+        "sensors.south.sigma_p",
+    ]
 
 
 def test_tied_tunables_are_one_parameter_named_by_their_pattern(direct):
@@ -47,7 +52,10 @@ def test_a_lone_tied_tunable_keeps_its_own_name(direct):
 @pytest.mark.parametrize(
     ("patterns", "message"),
     [
-        ("sensors.west.sigma_p", r"'sensors.west.sigma_p' matches no tunable; this tracker has: .*sensors.north.sigma_p"),
+        (
+            "sensors.west.sigma_p",
+            r"'sensors.west.sigma_p' matches no tunable; this tracker has: .*sensors.north.sigma_p",
+        ),
         ("tied:*.sigma_q", r"'\*.sigma_q' matches no tunable"),
         (["motion.*", "nonsense"], "'nonsense' matches no tunable"),
         ("tied:sensors.*", "ties tunables of different units or shapes: .*offsets"),

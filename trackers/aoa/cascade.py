@@ -96,13 +96,13 @@ class Cascade(AbstractTracker):
 
     def _joined(self, output: Output) -> Output:
         """The fusion's rows back to one per row of the recording: the last belief, the sums of what was said."""
-        count = len(self.beams)
+        stations = len(self.beams)
 
         def last(x: Any) -> Any:
-            return x[count - 1 :: count]
+            return x[stations - 1 :: stations]
 
         def every(x: Any) -> Any:
-            return x.reshape(-1, count, *x.shape[1:])
+            return x.reshape(-1, stations, *x.shape[1:])
 
         restarted = jnp.any(every(output.status) == Status.RESTARTED, axis=1)
         status = jnp.where(restarted & (last(output.status) == Status.OK), Status.RESTARTED, last(output.status))

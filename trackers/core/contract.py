@@ -32,7 +32,7 @@ POINTS = 4096
 """Readings whose density is computed at once: 1 × 4096, 64 × 64, or eight blocks of 32 × 32 × 32."""
 
 
-class BrokenContract(ValueError):
+class BrokenContract(ValueError):  # noqa: N818 - it names what is wrong with a class, for its author
     """A motion or a sensor doesn't do what filters rely on."""
 
 
@@ -79,17 +79,16 @@ def check_motion(motion: AbstractMotion, state: State, inputs: Any = None, dt: f
     for interval in (jnp.asarray(0.0), jnp.asarray(dt)):
         for w in (list(_arrays(draw)) for draw in noise):
             moved = _call(f"{name}.step", step_once, interval, w)
-            if jax.tree_util.tree_structure(moved) != jax.tree_util.tree_structure(state) or _shapes(moved) != _shapes(
-                state
-            ):
+            same_tree = jax.tree_util.tree_structure(moved) == jax.tree_util.tree_structure(state)
+            if not same_tree or _shapes(moved) != _shapes(state):
                 raise BrokenContract(
                     f"{name}.step returns {_kind(moved)}, expected a state like the given one: {_kind(state)}"
                 )
             if float(interval) == 0 and not _same(moved, state):
                 shift = np.abs(np.array([float(x) for x in local(state, moved)]))
                 raise BrokenContract(
-                    f"{name}.step with dt = 0 moves {components[int(np.argmax(shift))]} by {shift.max():.3g}, expected no change "
-                    "to the bit whatever the noise; usual fix: give every term a factor that is zero when dt is"
+                    f"{name}.step with dt = 0 moves {components[int(np.argmax(shift))]} by {shift.max():.3g}, expected "
+                    "no change to the bit whatever the noise; usual fix: give every term a factor that is zero when dt is"
                 )
             _require_finite(f"{name}.step at dt = {interval} s", jnp.stack(coordinates(moved)[0]), components)
             jacobian = _call(f"{name}.step", slopes_once, interval, w)
@@ -112,12 +111,8 @@ def check_sensor(
     """
     name, m = type(sensor).__name__, len(sensor.channels)
     names = [channel.name for channel in sensor.channels]
-    sensor, view, inputs, reported = (
-        resolved(_arrays(sensor)),
-        _arrays(view),
-        _arrays(inputs),
-        _arrays(np.asarray(reported)),
-    )
+    sensor, view, inputs = resolved(_arrays(sensor)), _arrays(view), _arrays(inputs)
+    noise: Any = jnp.asarray(reported, float)
     point, rebuild = coordinates(view)
     rng = np.random.default_rng(seed)
 
@@ -134,7 +129,7 @@ def check_sensor(
 
     @jax.jit
     def judge(values: Any, seen: Any) -> Residual:
-        residual = sensor.residual(Reading(values, seen, reported), list(sensor.measure(view, inputs)))
+        residual = sensor.residual(Reading(values, seen, noise), list(sensor.measure(view, inputs)))
         return residual._replace(whitened=list(residual.whitened))
 
     def residual(offset: Any, seen: Any) -> tuple[np.ndarray, float, float]:
@@ -159,7 +154,7 @@ def check_sensor(
     def slopes(values: Any, seen: Any) -> Any:
         def misfit(*x: Scalar) -> list[Scalar]:
             return list(
-                sensor.residual(Reading(values, seen, reported), list(sensor.measure(rebuild(x), inputs))).whitened
+                sensor.residual(Reading(values, seen, noise), list(sensor.measure(rebuild(x), inputs))).whitened
             )
 
         return _dense(*linearise(misfit, point), len(point))
@@ -172,9 +167,7 @@ def check_sensor(
 
     def log_density(values: Any, seen: Any) -> Any:
         belief = Gaussian(view, tuple(jnp.zeros_like(point[0]) for _ in range(len(point) * (len(point) + 1) // 2)))
-        return (
-            ExtendedKalman().update(belief, Still(), sensor, Reading(values, seen, reported), inputs)[1].log_likelihood
-        )
+        return ExtendedKalman().update(belief, Still(), sensor, Reading(values, seen, noise), inputs)[1].log_likelihood
 
     densities = jax.jit(jax.vmap(log_density, in_axes=(0, None)))
     against_reading = jax.jit(jax.jacfwd(lambda z, s: jnp.stack(judge(z, s).whitened)))
@@ -187,11 +180,16 @@ def check_sensor(
         if not len(free):
             continue
         slope = np.array(against_reading(_arrays(predicted), seen), float)[:, free]
-        integral, doubt = _integral(lambda z, s=seen: densities(_arrays(z), s), predicted, free, slope, wraps, tail)
+
+        def density(readings: Any, seen: np.ndarray = seen) -> Any:
+            return densities(_arrays(readings), seen)
+
+        integral, doubt = _integral(density, predicted, free, slope, wraps, tail)
         if not abs(integral - 1) < 2e-3 + doubt:
             raise BrokenContract(
-                f"{name}: the density of a reading integrates to {integral:.4g} over {', '.join(names[j] for j in free)}, "
-                "expected 1; usual fix: log_scale is −½ log 2π − log sigma for each channel seen, of the sigma that whitens"
+                f"{name}: the density of a reading integrates to {integral:.4g} over "
+                f"{', '.join(names[j] for j in free)}, expected 1; usual fix: log_scale is −½ log 2π − log sigma for "
+                "each channel seen, of the sigma that whitens"
             )
 
 
@@ -307,6 +305,6 @@ def _require_finite(what: str, values: Any, names: Sequence[str]) -> None:
     bad = np.argwhere(~np.isfinite(np.asarray(values)))
     if len(bad):
         raise BrokenContract(
-            f"{what} is not finite at {names[bad[0, 0]]}; usual fix: jnp.where around the argument of a root, division or "
-            "arctangent, not only around its result"
+            f"{what} is not finite at {names[bad[0, 0]]}; usual fix: jnp.where around the argument of a root, "
+            "division or arctangent, not only around its result"
         )

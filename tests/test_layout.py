@@ -1,0 +1,129 @@
+"""The rules of the house that a parser can keep: who imports whom, names, sizes, and the table of public names."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+from types import FunctionType
+
+import pytest
+
+import sim
+import trackers
+import tuning
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("trackers", "sim", "tuning", "experiments")
+SYSTEMS = ("baselines", "aoa", "line", "uwb_imu", "mhk")
+SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+TESTS = sorted((ROOT / "tests").rglob("test_*.py"))
+LONGEST = 300
+
+
+def _part(module):
+    """What a module of ours belongs to: `core`, a system, the front door `trackers`, or a package; None for others."""
+    package, _, rest = module.partition(".")
+    if package == "trackers":
+        inside = rest.partition(".")[0]
+        return inside if inside in ("core", *SYSTEMS) else "trackers"
+    return package if package in PACKAGES else None
+
+
+MAY_IMPORT = {
+    "core": {"core"},
+    **{system: {"core", system} for system in SYSTEMS},
+    "trackers": {"core", *SYSTEMS},
+    "sim": {"core", "sim", *SYSTEMS},
+    "tuning": {"core", "tuning"},
+    "experiments": {"core", "trackers", "sim", "tuning", "experiments", *SYSTEMS},
+}
+
+
+def _imported(path):
+    """Every module that the file imports, wherever in it the import stands."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import; the rule reads whole names"
+            yield node.module
+            if node.module == "trackers":
+                yield from (f"trackers.{alias.name}" for alias in node.names)
+
+
+def _named(path):
+    return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=_named)
+def test_a_module_imports_only_what_its_part_may(path):
+    part = _part(_named(path))
+    parts = {_part(module): module for module in _imported(path)}
+    forbidden = {module for other, module in parts.items() if other is not None and other not in MAY_IMPORT[part]}
+    assert not forbidden
+
+
+def test_matplotlib_is_imported_under_experiments_alone():
+    users = [p for p in SOURCES if any(m.partition(".")[0] == "matplotlib" for m in _imported(p))]
+    assert users
+    assert all(path.is_relative_to(ROOT / "experiments") for path in users)
+
+
+def test_trackers_sim_and_tuning_neither_print_nor_open_files():
+    calls = [
+        f"{_named(path)}: {node.func.id}"
+        for path in SOURCES
+        if not path.is_relative_to(ROOT / "experiments")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in ("print", "open", "input")
+    ]
+    assert not calls
+
+
+def test_no_module_is_a_drawer_for_odds_and_ends():
+    drawers = [path for path in [*SOURCES, *TESTS] if path.stem in ("utils", "misc", "helpers", "common")]
+    assert not drawers
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=_named)
+def test_a_file_has_one_idea_and_at_most_300_lines(path):
+    assert len(path.read_text(encoding="utf-8").splitlines()) <= LONGEST
+
+
+@pytest.mark.parametrize("path", TESTS, ids=_named)
+def test_every_function_of_a_test_file_is_a_test_a_fixture_or_private(path):
+    stray = []
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    classes = [node for node in tree.body if isinstance(node, ast.ClassDef) and node.name.startswith("Test")]
+    for node in [n for scope in (tree, *classes) for n in scope.body]:
+        if isinstance(node, ast.FunctionDef) and not node.name.startswith(("test_", "_")):
+            decorators = [ast.unparse(d) for d in node.decorator_list]
+            if not any("fixture" in d or "composite" in d for d in decorators):
+                stray.append(node.name)
+    assert not stray
+
+
+def test_every_test_file_is_found_by_pytest():
+    holders = [
+        path for path in (ROOT / "tests").rglob("*.py") if re.search(r"^def test_", path.read_text("utf-8"), re.M)
+    ]
+    assert sorted(holders) == TESTS
+
+
+@pytest.mark.parametrize("package", [trackers, sim, tuning], ids=lambda p: p.__name__)
+def test_the_readme_lists_exactly_the_public_names(package):
+    rows = re.findall(rf"^\| `{package.__name__}` \|[^|]*\|(.*)\|$", (ROOT / "README.md").read_text("utf-8"), re.M)
+    listed = [name for row in rows for name in re.findall(r"`(\w+)`", row)]
+    assert sorted(listed) == sorted(package.__all__)
+    assert len(listed) == len(set(listed))
+
+
+def test_every_public_name_exists_and_has_a_docstring():
+    bare = [
+        f"{package.__name__}.{name}"
+        for package in (trackers, sim, tuning)
+        for name in package.__all__
+        if isinstance(getattr(package, name), (type, FunctionType)) and not getattr(package, name).__doc__
+    ]
+    assert not bare

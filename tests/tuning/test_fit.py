@@ -1,0 +1,243 @@
+"""Fits by gradient: the gradient itself, what a fit finds, how sure it is of it, and what it does when steps fail."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tests.tuning.worlds import STATION, beams, line_tracker, walks
+from trackers.aoa.beam import beam_tracker
+from trackers.aoa.fusion import BEARINGS, bearing_inputs, bearing_tracker
+from trackers.core.recording import Readings, Recording, stack
+from trackers.core.tracker import prepared
+from trackers.core.tunable import tunables
+from tuning import NegativeLogLikelihood, RootMeanSquareError, fit
+from tuning.fit import Problem, _Parameters, _sums
+from tuning.parameters import chosen, flatten, placed_in
+
+SIGMA_A, SIGMA_P = 0.15, 0.2
+NOISE = ("motion.sigma_a", "sensors.*.sigma_p")
+LEVELS = ("motion.sigma_v", "sensors.gauge.sigma")
+NLL = NegativeLogLikelihood()
+
+
+def _problem(tracker, recordings, patterns, objective=NLL, rows=None):
+    parameters = chosen(tracker, patterns)
+    return Problem(tracker, [stack(recordings, rows)], objective, parameters, 512), flatten(parameters)
+
+
+def _assert_gradient_is_the_central_difference(problem, vector, step=1e-5):
+    _, gradient, _ = problem.value_and_gradient(vector)
+    assert problem.left_out == 0
+    shifts = step * np.eye(len(vector))
+    values = [[problem.value_and_gradient(vector + s)[0] for s in (shift, -shift)] for shift in shifts]
+    numeric = np.array([(up - down) / (2 * step) for up, down in values])
+    assert (np.abs(gradient) > 1e-6).all()
+    # the differences' own error, step² and rounding / step, is about 1e-10
+    np.testing.assert_allclose(gradient, numeric, rtol=1e-6, atol=1e-9)
+
+
+def _bearings(rows, seed):
+    """A tag that walks in a circle, seen in turn by two stations, its height unknown; some angles are missing."""
+    rng = np.random.default_rng(seed)
+    times = np.cumsum(rng.uniform(0.05, 0.3, rows))
+    place = np.stack([2 * np.cos(0.3 * times), 1.5 * np.sin(0.3 * times), 1.0 + 0 * times], axis=1)
+    corners = ([-3.0, -3.0, 2.5], [3.0, -2.0, 2.2])
+    stations = [STATION.__class__(np.array(p), np.array([0.5, -0.5, 0.5, 0.5])) for p in corners]
+    turn = np.arange(rows) % 2
+    angles = np.array([stations[k].angles(p) for k, p in zip(turn, place, strict=True)]) + 0.1 * rng.normal(
+        size=(rows, 2)
+    )
+    where = np.array([bearing_inputs(stations[k]) for k in turn])
+    seen = rng.random((rows, 2)) > 0.2
+    nearby = np.concatenate([place + 0.2, np.ones((rows, 1))], axis=1)
+    reported = np.tile([0.05**2, 0.0, 0.08**2], (rows, 1))
+    inputs = {"origin": where[:, :3], "axes": where[:, 3:], "nearby": nearby}
+    readings = {BEARINGS: Readings(np.where(seen, angles, 0.0), seen, reported)}
+    return Recording(times - times[0], readings, inputs, {"position": (place, np.ones(rows, bool))})
+
+
+def test_the_gradient_of_the_beam_tracker_is_the_central_difference_for_every_tunable():
+    tracker = beam_tracker(STATION, "1", 0.3, 0.25)
+    problem, vector = _problem(tracker, beams(3, 20, SIGMA_A, SIGMA_P, seed=1, missing=0.3), "*")
+    assert len(vector) == len(STATION.antennas) + 4
+    _assert_gradient_is_the_central_difference(problem, vector)
+
+
+def test_the_gradient_of_the_bearing_tracker_is_the_central_difference_for_every_tunable():
+    problem, vector = _problem(bearing_tracker(), [_bearings(n, n) for n in (20, 31)], "*", rows=32)
+    assert len(vector) == len(tunables(bearing_tracker())) + 2
+    _assert_gradient_is_the_central_difference(problem, vector)
+
+
+def test_the_gradient_of_the_root_mean_square_error_is_the_central_difference():
+    problem, vector = _problem(line_tracker(), walks([40] * 8, 2), LEVELS, RootMeanSquareError(dimensions=1))
+    _assert_gradient_is_the_central_difference(problem, vector)
+
+
+def _reverse(problem, vector):
+    """The gradient by reverse mode through the whole scan."""
+
+    def figure(v):
+        sums = placed_in(problem.tracker, problem.parameters, v).accumulate(problem.chunks[0], problem.objective.terms)
+        return problem.objective.value([jnp.sum(s) for s in sums])
+
+    return jax.jit(jax.grad(figure))(jnp.asarray(vector))
+
+
+def test_forward_and_reverse_mode_agree_on_the_line():
+    problem, vector = _problem(line_tracker(), walks([12, 15], 2), "*")
+    np.testing.assert_allclose(problem.value_and_gradient(vector)[1], _reverse(problem, vector), rtol=1e-11, atol=1e-14)
+
+
+@pytest.mark.slow
+def test_forward_and_reverse_mode_agree_on_beams():
+    problem, vector = _problem(beam_tracker(STATION, "1"), beams(3, 12, SIGMA_A, SIGMA_P, 1, missing=0.3), "*")
+    np.testing.assert_allclose(problem.value_and_gradient(vector)[1], _reverse(problem, vector), rtol=1e-9, atol=1e-14)
+
+
+@pytest.fixture(scope="module")
+def beam_world():
+    return stack(beams(64, 100, SIGMA_A, SIGMA_P, seed=0, missing=0.25))
+
+
+@pytest.mark.parametrize("wrong_a", [10.0, 0.1])
+@pytest.mark.parametrize("wrong_p", [10.0, 0.1])
+def test_noise_levels_are_recovered_from_starts_wrong_by_a_factor_of_ten(beam_world, wrong_a, wrong_p):
+    start = beam_tracker(STATION, "1", SIGMA_A * wrong_a, SIGMA_P * wrong_p)
+    result = fit(start, beam_world, NLL, NOISE, steps=40, rate=0.2)
+    for name, true in zip(("motion.sigma_a", "sensors.1.sigma_p"), (SIGMA_A, SIGMA_P), strict=True):
+        error = result.standard_errors[name]
+        assert 0 < error < 0.05 * true
+        assert abs(result.values[name] - true) < 3 * error
+        assert tunables(result.tracker)[name].value == pytest.approx(float(result.values[name]))
+    assert result.value < result.start_value
+
+
+def _temporaries(rows):
+    batch = stack(beams(4, 2, SIGMA_A, SIGMA_P, 0), rows)
+    tracker = beam_tracker(STATION, "1")
+    parameters = chosen(tracker, NOISE)
+    lowered = _sums.lower(
+        prepared(tracker, batch.dt.dtype), batch, NLL, _Parameters(parameters), jnp.asarray(flatten(parameters))
+    )
+    return lowered.compile().compiled.memory_analysis().temp_size_in_bytes
+
+
+def test_the_memory_of_a_gradient_does_not_grow_with_the_number_of_steps():
+    short, long = _temporaries(200), _temporaries(20_000)
+    assert 0 < long < 1.1 * short
+
+
+@pytest.fixture(scope="module")
+def line_world():
+    return stack(walks([40] * 8, 3))
+
+
+def test_standard_errors_match_the_spread_of_fits():
+    replicas = 60
+    worlds = (stack(walks([40] * 8, 100 + k)) for k in range(replicas))
+    results = [fit(line_tracker(), world, NLL, LEVELS, steps=1, rate=0.01) for world in worlds]
+    for name, true in zip(LEVELS, (0.3, 0.2), strict=True):
+        values = np.array([r.values[name] for r in results])
+        errors = np.array([r.standard_errors[name] for r in results])
+        # 60 fits know their spread to 9 %, and their mean to an eighth of it
+        assert values.std() / np.sqrt(np.mean(errors**2)) == pytest.approx(1.0, abs=0.27)
+        assert abs(values.mean() - true) < 3.5 * values.std() / np.sqrt(replicas)
+
+
+def test_what_the_readings_do_not_determine_has_no_standard_error(line_world):
+    result = fit(line_tracker(), line_world, NLL, ("*.sigma", "*.offset", "*.bias"), steps=2)
+    errors = result.standard_errors
+    assert np.isnan(errors["sensors.gauge.offset"])
+    assert np.isnan(errors["sensors.gauge.bias"])
+    assert 0 < errors["sensors.gauge.sigma"] < 0.05
+
+
+def test_tied_tunables_are_fitted_as_one(line_world):
+    both = fit(line_tracker(), line_world, NLL, "tied:sensors.gauge.[ob]*", steps=20)
+    alone = fit(line_tracker(), line_world, NLL, "sensors.gauge.offset", steps=20)
+    values = {k: float(v.value) for k, v in tunables(both.tracker).items()}
+    assert values["sensors.gauge.offset"] == values["sensors.gauge.bias"]
+    # two equal offsets, each half of the one; both fits end with Newton steps on a quadratic
+    assert values["sensors.gauge.offset"] == pytest.approx(float(alone.values["sensors.gauge.offset"]) / 2, rel=1e-6)
+    assert both.value == pytest.approx(alone.value, rel=1e-12)
+
+
+def test_a_fit_is_never_worse_than_its_start_and_keeps_its_best_point(line_world):
+    result = fit(line_tracker(), line_world, RootMeanSquareError(dimensions=1), LEVELS, steps=12, rate=3.0)
+    figures = [step.value for step in result.trace]
+    assert max(figures) > figures[0], "steps this long overshoot"
+    assert result.value == min(figures) <= result.start_value == figures[0]
+    assert result.values == result.trace[int(np.argmin(figures))].values
+    # and being no likelihood it says nothing of standard errors
+    assert all(np.isnan(error) for error in result.standard_errors.values())
+
+
+def test_every_step_is_reported_and_nothing_else_is_touched(line_world):
+    seen = []
+    start = line_tracker()
+    result = fit(start, line_world, NLL, LEVELS, steps=5, report=lambda number, step: seen.append((number, step)))
+    assert [number for number, _ in seen] == list(range(6))
+    assert [step for _, step in seen] == result.trace
+    assert set(result.trace[0].values) == set(LEVELS)
+    assert type(result.tracker) is type(start)
+    before, after = tunables(start), tunables(result.tracker)
+    assert {k for k in before if float(before[k].raw) != float(after[k].raw)} == set(LEVELS)
+
+
+def test_a_step_to_where_the_figure_is_not_finite_is_halved(monkeypatch):
+    whole, tried, fence = Problem.value_and_gradient, [], np.log(0.5)
+
+    def fenced(self, vector):
+        tried.append(float(vector[1]))
+        value, gradient, sums = whole(self, vector)
+        return (np.nan, gradient, sums) if vector[1] > fence else (value, gradient, sums)
+
+    monkeypatch.setattr(Problem, "value_and_gradient", fenced)
+    # the best noise level, 0.7 m, lies behind the fence
+    world = stack(walks([40] * 8, 4, sigma=0.7))
+    result = fit(line_tracker(sigma=0.3), world, NLL, LEVELS, steps=10, rate=0.4)
+    assert all(step.values["sensors.gauge.sigma"] <= 0.5 for step in result.trace)
+    first = next(k for k, v in enumerate(tried) if v > fence)
+    assert tried[first + 1] - tried[first - 1] == pytest.approx((tried[first] - tried[first - 1]) / 2)
+    assert 0.45 < result.values["sensors.gauge.sigma"] <= 0.5
+
+
+def test_a_fit_that_cannot_move_stays_at_its_start(monkeypatch, line_world):
+    whole, calls = Problem.value_and_gradient, []
+
+    def only_the_first(self, vector):
+        calls.append(vector)
+        value, gradient, sums = whole(self, vector)
+        return (value if np.array_equal(vector, calls[0]) else np.inf), gradient, sums
+
+    monkeypatch.setattr(Problem, "value_and_gradient", only_the_first)
+    result = fit(line_tracker(), line_world, NLL, LEVELS, steps=3)
+    assert result.value == result.start_value
+    assert result.values["motion.sigma_v"] == pytest.approx(0.3, rel=1e-12)
+
+
+def test_a_recording_whose_figure_is_not_finite_has_no_say_and_is_counted():
+    recordings = walks([40] * 7, 5)
+    wild = recordings[2]
+    values, seen = wild.readings["gauge"].values.copy(), wild.readings["gauge"].seen.copy()
+    values[7], seen[7] = 1e200, True
+    spoilt = Recording(wild.times, {"gauge": Readings(values, seen)}, wild.inputs, wild.truth)
+    others = recordings[:2] + recordings[3:]
+    problem, vector = _problem(line_tracker(), [*others, spoilt], LEVELS)
+    clean, _ = _problem(line_tracker(), others, LEVELS)
+    found, expected = problem.value_and_gradient(vector), clean.value_and_gradient(vector)
+    assert problem.left_out == 1
+    assert clean.left_out == 0
+    assert found[0] == pytest.approx(expected[0], rel=1e-12)
+    np.testing.assert_allclose(found[1], expected[1], rtol=1e-12)
+
+
+@pytest.mark.parametrize("objective", [NLL, RootMeanSquareError(dimensions=1)])
+def test_a_world_in_which_nothing_is_scored_is_refused(objective):
+    silent = walks([40] * 8, 5, missing=1.0)
+    nowhere = {"position": (np.zeros((40, 1)), np.zeros(40, bool))}
+    blind = [Recording(r.times, r.readings, r.inputs, nowhere) for r in silent]
+    with pytest.raises(FloatingPointError, match="not finite at the start"):
+        fit(line_tracker(), stack(blind), objective, LEVELS, steps=2)

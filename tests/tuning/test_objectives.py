@@ -1,0 +1,113 @@
+"""The objectives: figures made of sums, whatever batches the recordings stand in."""
+
+import numpy as np
+import pytest
+
+from tests.oracles import kalman
+from tests.tuning.worlds import SIGMA_START, line_tracker, walks
+from trackers.core.recording import Recording, stack
+from tuning import NegativeLogLikelihood, RootMeanSquareError
+from tuning.fit import Problem
+from tuning.parameters import chosen, flatten
+
+LENGTHS = [9, 16, 5, 12]
+PATTERNS = ("motion.*", "sensors.*")
+
+
+def _problem(batches, objective, tracker=None, chunk=512):
+    tracker = line_tracker() if tracker is None else tracker
+    parameters = chosen(tracker, PATTERNS)
+    return Problem(tracker, batches, objective, parameters, chunk), flatten(parameters)
+
+
+def _figures(recordings, objective, rows=16, chunk=512):
+    problem, vector = _problem([stack(recordings, rows)], objective, chunk=chunk)
+    return problem.value_and_gradient(vector)
+
+
+@pytest.fixture(scope="module")
+def recordings():
+    return walks(LENGTHS, seed=0)
+
+
+def test_the_likelihood_is_the_textbook_filters_per_number_read(recordings):
+    value, _, sums = _figures(recordings, NegativeLogLikelihood())
+    total = count = 0.0
+    for r in recordings:
+        gauge = r.readings["gauge"]
+        dts = np.diff(r.times)
+        moves = [(np.eye(1), np.array([[0.3**2 * dt]])) for dt in dts]
+        # the row that starts a track is not scored
+        out = kalman(
+            moves,
+            np.eye(1),
+            np.array([[0.2**2]]),
+            gauge.values[1:],
+            gauge.seen[1:],
+            np.zeros(1),
+            np.eye(1) * SIGMA_START**2,
+        )
+        total += out[2].sum()
+        count += gauge.seen[1:].sum()
+    assert sums[1] == count
+    assert value == pytest.approx(-total / count, rel=1e-12)
+
+
+def test_the_root_mean_square_error_is_that_of_the_estimates(recordings):
+    value, _, sums = _figures(recordings, RootMeanSquareError(dimensions=1))
+    squares = []
+    for r in recordings:
+        estimates = line_tracker().run(stack([r], 16))[0]
+        squares.append((estimates.mean.position[0][: len(r)] - r.truth["position"][0][:, 0]) ** 2)
+    assert sums[1] == sum(LENGTHS)
+    assert value == pytest.approx(np.sqrt(np.concatenate(squares).mean()), rel=1e-12)
+
+
+def test_rows_without_truth_do_not_count(recordings):
+    r = recordings[1]
+    place, known = r.truth["position"]
+    half = np.arange(len(r)) < 8
+    blind = Recording(r.times, r.readings, r.inputs, {"position": (np.where(half[:, None], place, 1e6), known & half)})
+    short = Recording(r.times, r.readings, r.inputs, {"position": (place, half)})
+    value, gradient, sums = _figures([blind], RootMeanSquareError(dimensions=1))
+    assert sums[1] == 8
+    assert value == _figures([short], RootMeanSquareError(dimensions=1))[0]
+    assert np.isfinite(gradient).all()
+
+
+@pytest.mark.parametrize("objective", [NegativeLogLikelihood(), RootMeanSquareError(dimensions=1)])
+def test_recordings_of_many_lengths_at_once_give_the_figure_of_their_separate_sums(recordings, objective):
+    value, gradient, sums = _figures(recordings, objective)
+    alone = [_figures([r], objective) for r in recordings]
+    added = np.sum([s for _, _, s in alone], axis=0)
+    np.testing.assert_allclose(sums, added, rtol=1e-12)
+    assert value == pytest.approx(float(objective.value(added)), rel=1e-12)
+    # chunks of two, and one batch per length: the same figure in other shapes
+    paired = _figures(recordings, objective, chunk=2)
+    problem, vector = _problem([stack(recordings[:2], 16), stack(recordings[2:], 16)], objective)
+    for other in (paired, problem.value_and_gradient(vector)):
+        assert other[0] == pytest.approx(value, rel=1e-12)
+        np.testing.assert_allclose(other[1], gradient, rtol=1e-9, atol=1e-14)
+
+
+def test_padding_changes_no_figure(recordings):
+    objective = NegativeLogLikelihood()
+    value, gradient, _ = _figures(recordings, objective)
+    more, more_gradient, _ = _figures(recordings, objective, rows=40)
+    assert more == value
+    np.testing.assert_array_equal(more_gradient, gradient)
+
+
+def test_a_recording_without_a_single_reading_says_nothing_and_spoils_no_gradient(recordings):
+    r = recordings[0]
+    silent = walks([9], seed=1, missing=1.0)[0]
+    assert not silent.readings["gauge"].seen.any()
+    objective = NegativeLogLikelihood()
+    with_silence, without = (_figures(rs, objective) for rs in ([r, silent], [r]))
+    assert with_silence[0] == pytest.approx(without[0], rel=1e-12)
+    np.testing.assert_allclose(with_silence[1], without[1], rtol=1e-12)
+
+
+def test_only_a_likelihood_has_units_of_information():
+    assert NegativeLogLikelihood().log_likelihood_units(np.array([12.0, 40.0])) == 40.0
+    assert np.isnan(RootMeanSquareError().log_likelihood_units(np.array([12.0, 40.0])))
