@@ -23,7 +23,7 @@ from experiments.writing import atomic_write
 from trackers.core.tracker import CHUNK
 
 
-def track(
+def track(  # noqa: D103
     recordings: Annotated[tuple[Path, ...], tyro.conf.Positional],
     out: Path,
     tracker: str | None = None,

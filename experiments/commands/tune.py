@@ -83,9 +83,8 @@ def tune(
     }
     write_manifest(out, sys.argv, config, started, extra={"recordings": [str(p) for p in recordings]})
     print(_table(result, objective))
-    print(
-        f"wrote {out / 'tuned.toml'}, trace.csv, tuning.png and manifest.json; use it: track --noise {out / 'tuned.toml'}"
-    )
+    tuned = out / "tuned.toml"
+    print(f"wrote {tuned}, trace.csv, tuning.png and manifest.json; use it: trackwright track … --noise {tuned}")
     return 0
 
 

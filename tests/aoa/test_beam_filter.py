@@ -15,6 +15,7 @@ from tests.oracles import beam_jacobian, beam_transition, cramer_rao, paper_beam
 from trackers.aoa.beam import Beam, BeamMotion
 from trackers.aoa.phases import PlanePhases
 from trackers.core.algebra import Vector
+from trackers.core.bound import posterior_bound
 from trackers.core.metrics import consistency, nees
 from trackers.core.recording import stack
 from trackers.core.tracker import Tracker
@@ -46,18 +47,24 @@ class Truth:
         _, beams = jax.lax.scan(step, Beam(*jnp.asarray(start.T)), (jnp.asarray(self.dts), jnp.asarray(kicks)))
         self.beams = np.moveaxis(np.asarray(beams), -1, 0)
         x = np.sin(self.beams[..., 0]) * np.cos(self.beams[..., 1])
-        plane = np.stack([x, np.sin(self.beams[..., 1])], axis=-1) @ (2 * np.pi / STATION.wavelength * STATION.antennas.T)
+        plane = np.stack([x, np.sin(self.beams[..., 1])], axis=-1) @ (
+            2 * np.pi / STATION.wavelength * STATION.antennas.T
+        )
         common = rng.uniform(-np.pi, np.pi, (RUNS, ROWS, 1))
         self.phases = np.angle(np.exp(1j * (plane + common + SIGMA_P * rng.normal(size=plane.shape))))
 
-    def run(self, paper_form, lanes):
-        sensor = PlanePhases(STATION, SIGMA_P, paper_form)
-        start = KnownStart(lambda x: Beam(*x))
-        tracker = Tracker(BeamMotion(Scale(SIGMA_A, "rad/s^2")), {"1": sensor}, start, loss=NEVER_LOST)
+    def batch(self, lanes):
         cov, times = np.diag(SPREAD**2), np.cumsum(self.dts)
-        return tracker.run(
-            stack([recording(times, {"1": (phases, self.seen)}, MEAN, cov) for phases in self.phases[:lanes]])
-        )
+        return stack([recording(times, {"1": (phases, self.seen)}, MEAN, cov) for phases in self.phases[:lanes]])
+
+
+def _beam(x):
+    return Beam(*x)
+
+
+def _tracker(paper_form=False):
+    sensor = PlanePhases(STATION, SIGMA_P, paper_form)
+    return Tracker(BeamMotion(Scale(SIGMA_A, "rad/s^2")), {"1": sensor}, KnownStart(_beam), loss=NEVER_LOST)
 
 
 @pytest.fixture(scope="module")
@@ -67,12 +74,12 @@ def truth():
 
 @pytest.fixture(scope="module")
 def estimates(truth):
-    return truth.run(False, RUNS)
+    return _tracker().run(truth.batch(RUNS))
 
 
 @pytest.fixture(scope="module")
 def both_forms(estimates, truth):
-    return {"default": estimates[:16], "paper": truth.run(True, 16)}
+    return {"default": estimates[:16], "paper": _tracker(paper_form=True).run(truth.batch(16))}
 
 
 @pytest.mark.parametrize("form", ["default", "paper"])
@@ -118,14 +125,14 @@ def test_the_nis_is_inside_its_95_percent_interval(estimates):
     assert figure.low <= figure.mean <= figure.high
 
 
-def _bounds(truth):
+def _bounds(truth, lanes=RUNS):
     wavenumbers = 2 * np.pi / STATION.wavelength * STATION.antennas
     information = np.zeros((ROWS, 4, 4))
     for row in range(1, ROWS):
         k = wavenumbers[truth.seen[row]]
         if len(k) > 1:
             centre = np.eye(len(k)) - 1.0 / len(k)
-            slopes = [centre @ beam_jacobian(k, *beam[:2])[1] for beam in truth.beams[:, row]]
+            slopes = [centre @ beam_jacobian(k, *beam[:2])[1] for beam in truth.beams[:lanes, row]]
             information[row, :2, :2] = np.mean([G.T @ G for G in slopes], axis=0) / SIGMA_P**2
     transitions = [beam_transition(dt, SIGMA_A) for dt in truth.dts]
     return cramer_rao(transitions, information, np.diag(SPREAD**2))
@@ -137,3 +144,11 @@ def test_the_error_is_at_the_cramer_rao_bound(estimates, truth, name, components
     bound = sum(np.trace(b[components, components]) for b in _bounds(truth)[1:])
     # 1,000 runs know an RMSE to about 1 %; below the bound by more would mean a wrong bound.
     assert 0.97 < np.sqrt(square / bound) < 1.05
+
+
+def test_the_librarys_own_bound_is_the_one_of_hand_derived_jacobians(truth):
+    # Beams as the truth has them: leaves (rows, lanes).
+    states = Beam(*np.moveaxis(truth.beams[:32], -1, 0).swapaxes(1, 2))
+    mine = posterior_bound(_tracker(), truth.batch(32), states)
+    expected = np.sqrt(np.diagonal(_bounds(truth, 32), axis1=1, axis2=2))
+    np.testing.assert_allclose(mine, expected, rtol=1e-8)

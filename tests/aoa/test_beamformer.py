@@ -52,7 +52,9 @@ def _assert_found(spectrum, tolerance=STEP):
 
 def test_the_grid_of_the_paper_has_101_by_101_directions_out_to_30_degrees():
     assert GRID.angles.shape == (101 * 101, 2)
-    np.testing.assert_allclose(np.unique(np.round(np.rad2deg(GRID.angles[:, 0]), 6)), np.linspace(-30, 30, 101), atol=1e-6)
+    np.testing.assert_allclose(
+        np.unique(np.round(np.rad2deg(GRID.angles[:, 0]), 6)), np.linspace(-30, 30, 101), atol=1e-6
+    )
 
 
 def test_delay_and_sum_is_the_power_of_the_steered_sum():
@@ -87,7 +89,11 @@ def test_what_a_masked_antenna_reads_changes_nothing():
 
 def test_no_antenna_at_all_gives_finite_spectra():
     phases, nothing = np.zeros((5, 8)), np.zeros(8, bool)
-    for spectrum in (_das(phases, nothing), capon(GRID, _covariance(phases, nothing)), music(GRID, _covariance(phases, nothing))):
+    for spectrum in (
+        _das(phases, nothing),
+        capon(GRID, _covariance(phases, nothing)),
+        music(GRID, _covariance(phases, nothing)),
+    ):
         assert np.all(np.isfinite(spectrum))
 
 

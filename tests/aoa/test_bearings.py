@@ -3,7 +3,6 @@
 256 tags, each seen by three stations in turn to 0.05°, from a belief of 100 m about a place metres off.
 """
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -76,7 +75,10 @@ def _batch(dtype, rotation=None, shift=None):
     geometry = np.array([bearing_inputs(moved[k % 3]) for k in range(ROWS)])
     inputs = {"origin": geometry[:, :3], "axes": geometry[:, 3:]}
     return stack(
-        [recording(TIMES, {"b": (a, s)}, m, np.diag(SPREAD**2), inputs) for a, s, m in zip(angles, seen, means, strict=True)],
+        [
+            recording(TIMES, {"b": (a, s)}, m, np.diag(SPREAD**2), inputs)
+            for a, s, m in zip(angles, seen, means, strict=True)
+        ],
         dtype=dtype,
     )
 
@@ -118,7 +120,10 @@ def test_the_tracks_end_near_the_truth(double):
 
 
 @settings(max_examples=5, deadline=None)
-@given(st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(lambda q: np.linalg.norm(q) > 0.1), st.tuples(*[st.floats(-50, 50)] * 3))
+@given(
+    st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(lambda q: np.linalg.norm(q) > 0.1),
+    st.tuples(*[st.floats(-50, 50)] * 3),
+)
 def test_a_turned_and_shifted_world_has_turned_and_shifted_tracks(double, quaternion, shift):
     rotation = Station(np.zeros(3), np.array(quaternion)).world_from_array()
     moved = _run(_batch(np.float64, rotation, np.array(shift)))
@@ -139,7 +144,9 @@ def test_whitening_with_a_reported_covariance_is_the_dense_one_of_what_was_seen(
     difference, kept = np.array([0.3, -0.2]), np.array(seen)
     covariance = (reported + np.diag([0.05**2, 0.08**2]))[np.ix_(kept, kept)]
     values = jnp.asarray(np.array([3.0, 0.4]) + difference)
-    result = SENSOR.residual(Reading(values, jnp.asarray(kept), jnp.array([0.02, 0.012, 0.03])), [jnp.asarray(3.0), jnp.asarray(0.4)])
+    result = SENSOR.residual(
+        Reading(values, jnp.asarray(kept), jnp.array([0.02, 0.012, 0.03])), [jnp.asarray(3.0), jnp.asarray(0.4)]
+    )
     whitened = np.linalg.solve(np.linalg.cholesky(covariance), difference[kept])
     np.testing.assert_allclose(np.array([float(w) for w in result.whitened])[kept], whitened, rtol=1e-12)
     scale = -0.5 * np.linalg.slogdet(covariance)[1]

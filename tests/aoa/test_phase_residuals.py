@@ -87,7 +87,10 @@ def test_the_default_form_is_closer_to_the_truth_than_the_papers_when_noise_wrap
     # SPEC A: at 0.7 rad pairwise differences wrap often; the error of the centred residuals tells who wrapped rightly.
     noise = np.random.default_rng(3).normal(size=(4000, 8)) * 0.9
     exact = noise - noise.mean(axis=1, keepdims=True)
-    errors = [np.sqrt(np.mean((np.asarray(_residual(form, noise, np.ones(8, bool), 1.0)[0]) - exact) ** 2)) for form in FORMS.values()]
+    errors = [
+        np.sqrt(np.mean((np.asarray(_residual(form, noise, np.ones(8, bool), 1.0)[0]) - exact) ** 2))
+        for form in FORMS.values()
+    ]
     assert errors[0] < 0.8 * errors[1]
 
 

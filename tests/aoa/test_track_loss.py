@@ -122,7 +122,9 @@ def _with_garbage(recordings, size):
 
 
 @pytest.mark.parametrize("size", [np.pi, 1e9, 1e30, 3e38])
-def test_garbage_in_one_lane_changes_no_other_by_a_bit_though_it_is_searched_again_and_again(recordings, estimates, size):
+def test_garbage_in_one_lane_changes_no_other_by_a_bit_though_it_is_searched_again_and_again(
+    recordings, estimates, size
+):
     result = _with_garbage(recordings, size)
     for lane in (STEADY, JUMP, SILENT, SHORT_SILENCE, EMPTY, LATE, OTHER):
         for a, b in zip(*map(jax.tree_util.tree_leaves, (vars(result[lane]), vars(estimates[lane]))), strict=True):

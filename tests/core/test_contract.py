@@ -89,8 +89,14 @@ class Walk(AbstractMotion):
         (lambda p, dt, w: p + w * dt, "returns Vector with shapes .*expected a state like"),
         (lambda p, dt, w: Placed(p + w * dt if p[0] > 0 else p), "can't be traced"),
         (lambda p, dt, w: Placed(p + w * (dt * np.random.default_rng().normal())), "other numbers when traced again"),
-        (lambda p, dt, w: Placed(p + w * dt * jnp.sqrt((p - p).dot(p))), "derivative of Walk.step at dt = 0.0 s is not finite at pos"),
-        (lambda p, dt, w: Placed(p + w * (jnp.sin(dt) / dt * dt)), "Walk.step at dt = 0.0 s is not finite|dt = 0 moves"),
+        (
+            lambda p, dt, w: Placed(p + w * dt * jnp.sqrt((p - p).dot(p))),
+            "derivative of Walk.step at dt = 0.0 s is not finite at pos",
+        ),
+        (
+            lambda p, dt, w: Placed(p + w * (jnp.sin(dt) / dt * dt)),
+            "Walk.step at dt = 0.0 s is not finite|dt = 0 moves",
+        ),
     ],
     ids=["noise", "drift", "another kind", "if", "random", "root of zero", "division by dt"],
 )
@@ -159,5 +165,7 @@ def test_a_sensor_that_predicts_too_few_channels_is_named():
         def measure(self, view, inputs):
             return [view.position[0]]
 
-    with pytest.raises(BrokenContract, match=r"Short\.measure returns numbers of shapes \[\(\)\], expected 2 scalars: x, y"):
+    with pytest.raises(
+        BrokenContract, match=r"Short\.measure returns numbers of shapes \[\(\)\], expected 2 scalars: x, y"
+    ):
         check_sensor(Short(lambda good, reading, predicted: good), Placed(Vector(0.4, 0.7)))

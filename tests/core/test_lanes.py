@@ -106,9 +106,7 @@ def _recordings(n, m, seed=0):
     for lane in range(LANES):
         rows = ROWS - 2 * lane
         times = 5.0 + np.cumsum(rng.exponential(0.3, rows) * (rng.random(rows) > 0.3))
-        readings = {
-            name: (rng.normal(size=(rows, k)), rng.random((rows, k)) > 0.3) for name, k in (("a", m), ("b", 1))
-        }
+        readings = {name: (rng.normal(size=(rows, k)), rng.random((rows, k)) > 0.3) for name, k in (("a", m), ("b", 1))}
         recordings.append(recording(times, readings, rng.normal(size=n) * 0.5, np.diag(rng.uniform(0.1, 1.0, n))))
     return recordings
 
@@ -141,7 +139,9 @@ def test_a_padded_recording_equals_the_unpadded_one_to_the_bit(case):
         _assert_same_bits(padded[lane], case.estimates[lane], slice(rows))
         assert np.all(padded[lane].status[rows:] == Status.PADDING)
         for leaf in jax.tree_util.tree_leaves((padded[lane].mean, padded[lane].cov_upper)):
-            np.testing.assert_array_equal(leaf[..., rows:], np.repeat(leaf[..., rows - 1 : rows], ROWS + 3 - rows, axis=-1))
+            np.testing.assert_array_equal(
+                leaf[..., rows:], np.repeat(leaf[..., rows - 1 : rows], ROWS + 3 - rows, axis=-1)
+            )
 
 
 def test_what_stands_in_a_padding_row_is_never_looked_at(case):
@@ -188,6 +188,15 @@ def test_a_trajectory_of_a_batch_is_the_one_run_alone():
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
 
 
+def test_chunks_spread_over_devices_give_what_one_device_gives():
+    if len(jax.local_devices()) < 2:
+        pytest.skip("this run has one device; the suite's own XLA_FLAGS make two")
+    batch = stack(_recordings(2, 1))
+    spread, together = _flat().run(batch, chunk=2), _flat().run(batch)
+    for a, b in zip(*map(jax.tree_util.tree_leaves, (_as_tree(spread), _as_tree(together))), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
+
+
 def test_a_second_call_with_other_numbers_compiles_nothing(case):
     _, n, m = TRACKERS["flat" if case.make is _flat else "curved"]
     compiled = []
@@ -224,7 +233,9 @@ def test_two_readings_in_a_row_are_two_rows_at_one_time_for_linear_sensors():
     split = recording(split.times, readings, both.inputs["start_mean"][0], np.diag(both.inputs["start_cov"][0][[0, 2]]))
     estimates = _flat().run(stack([both, split]))
     one, two = estimates[0], estimates[1]
-    for a, b in zip(*map(jax.tree_util.tree_leaves, ((one.mean, one.cov_upper), (two.mean, two.cov_upper))), strict=True):
+    for a, b in zip(
+        *map(jax.tree_util.tree_leaves, ((one.mean, one.cov_upper), (two.mean, two.cov_upper))), strict=True
+    ):
         np.testing.assert_allclose(a[..., :ROWS], b[..., 1 : 2 * ROWS : 2], rtol=1e-12, atol=1e-13)
     pairs = two.log_likelihood[: 2 * ROWS].reshape(ROWS, 2).sum(axis=1)
     np.testing.assert_allclose(one.log_likelihood[:ROWS], pairs, rtol=1e-12, atol=1e-12)

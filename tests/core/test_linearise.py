@@ -67,7 +67,9 @@ def test_under_vmap_each_lane_has_its_own_jacobian():
 
 def test_a_constant_velocity_step_has_its_structural_zeros_and_ones():
     def step(x, y, vx, vy, *w):
-        moved = ConstantVelocity(0.5, 2).step(Kinematic(Vector(x, y), Vector(vx, vy)), None, jnp.asarray(0.1), Vector(*w))
+        moved = ConstantVelocity(0.5, 2).step(
+            Kinematic(Vector(x, y), Vector(vx, vy)), None, jnp.asarray(0.1), Vector(*w)
+        )
         return [*moved.position, *moved.velocity]
 
     _, rows = linearise(step, list(jnp.arange(8, dtype=float)))

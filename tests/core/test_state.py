@@ -28,14 +28,18 @@ class Pose(NamedTuple):
 
 
 def _pose(vector):
-    return Pose(Rotation.exp(vector), Vector(1.0, 2.0), jnp.array([0.1, -0.2]), Heading(jnp.asarray(3.0)), jnp.asarray(0.5))
+    return Pose(
+        Rotation.exp(vector), Vector(1.0, 2.0), jnp.array([0.1, -0.2]), Heading(jnp.asarray(3.0)), jnp.asarray(0.5)
+    )
 
 
 exp = jax.jit(lambda v: jax.tree_util.tree_leaves(Rotation.exp(v)))
 log_of_exp = jax.jit(lambda v: Rotation.exp(v).log())
 turned = jax.jit(lambda v, x: list(Rotation.exp(v).apply(Vector(*x))))
 round_trip = jax.jit(lambda v, step: local(_pose(v), retract(_pose(v), step)))
-inverse_trip = jax.jit(lambda u, v: list(Rotation.exp(u).retract(Rotation.exp(u).local(Rotation.exp(v))).apply(Vector(1.0, 2.0, 3.0))))
+inverse_trip = jax.jit(
+    lambda u, v: list(Rotation.exp(u).retract(Rotation.exp(u).local(Rotation.exp(v))).apply(Vector(1.0, 2.0, 3.0)))
+)
 
 
 @settings(max_examples=100, deadline=None)

@@ -33,7 +33,10 @@ class Gauge(AbstractSensor):
 
 TREE = {
     "motion": ConstantVelocity(0.3, 2),
-    "sensors": {"north": Gauge(Scale(0.1, "rad"), Real(np.zeros(3), "rad")), "south": Gauge(Scale(0.2, "rad"), Real(0.5))},
+    "sensors": {
+        "north": Gauge(Scale(0.1, "rad"), Real(np.zeros(3), "rad")),
+        "south": Gauge(Scale(0.2, "rad"), Real(0.5)),
+    },
 }
 
 
@@ -91,7 +94,13 @@ def test_holding_keeps_the_kind_and_the_unit():
 
 
 def test_tunables_have_dotted_names_in_the_order_of_the_tree():
-    names = ["motion.sigma_a", "sensors.north.sigma_p", "sensors.north.offsets", "sensors.south.sigma_p", "sensors.south.offsets"]
+    names = [
+        "motion.sigma_a",
+        "sensors.north.sigma_p",
+        "sensors.north.offsets",
+        "sensors.south.sigma_p",
+        "sensors.south.offsets",
+    ]
     assert list(tunables(TREE)) == names
     assert all(is_tunable(node) for node in tunables(TREE).values())
 
@@ -103,7 +112,9 @@ def test_patterns_choose_by_name():
 
 
 def test_a_pattern_that_matches_nothing_is_refused_with_what_there_is():
-    with pytest.raises(ValueError, match=r"'sensors.\*.sigma_q' matches no tunable; this tracker has: motion.sigma_a, sensors.north"):
+    with pytest.raises(
+        ValueError, match=r"'sensors.\*.sigma_q' matches no tunable; this tracker has: motion.sigma_a, sensors.north"
+    ):
         matching(TREE, ("motion.*", "sensors.*.sigma_q"))
 
 

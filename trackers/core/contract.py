@@ -6,16 +6,15 @@ expected, and the usual fix.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import betainc
 
 from trackers.core.algebra import Scalar, Vector
+from trackers.core.density import integral
 from trackers.core.ekf import ExtendedKalman, Gaussian
 from trackers.core.linearise import linearise
 from trackers.core.motion import AbstractMotion
@@ -27,9 +26,6 @@ Tree = TypeVar("Tree")
 
 FAR = 1e6
 """Units of a channel by which a reading is wild; what a whitened residual then squares to stays finite in float32."""
-
-POINTS = 4096
-"""Readings whose density is computed at once: 1 × 4096, 64 × 64, or eight blocks of 32 × 32 × 32."""
 
 
 class BrokenContract(ValueError):  # noqa: N818 - it names what is wrong with a class, for its author
@@ -79,7 +75,8 @@ def check_motion(motion: AbstractMotion, state: State, inputs: Any = None, dt: f
     for interval in (jnp.asarray(0.0), jnp.asarray(dt)):
         for w in (list(_arrays(draw)) for draw in noise):
             moved = _call(f"{name}.step", step_once, interval, w)
-            same_tree = jax.tree_util.tree_structure(moved) == jax.tree_util.tree_structure(state)
+            # jax's stubs give a tree structure no typed equality.
+            same_tree = jax.tree_util.tree_structure(moved) == jax.tree_util.tree_structure(state)  # type: ignore[operator]
             if not same_tree or _shapes(moved) != _shapes(state):
                 raise BrokenContract(
                     f"{name}.step returns {_kind(moved)}, expected a state like the given one: {_kind(state)}"
@@ -88,7 +85,7 @@ def check_motion(motion: AbstractMotion, state: State, inputs: Any = None, dt: f
                 shift = np.abs(np.array([float(x) for x in local(state, moved)]))
                 raise BrokenContract(
                     f"{name}.step with dt = 0 moves {components[int(np.argmax(shift))]} by {shift.max():.3g}, expected "
-                    "no change to the bit whatever the noise; usual fix: give every term a factor that is zero when dt is"
+                    "no change to the bit whatever the noise; usual fix: give every term a factor that is zero if dt is"
                 )
             _require_finite(f"{name}.step at dt = {interval} s", jnp.stack(coordinates(moved)[0]), components)
             jacobian = _call(f"{name}.step", slopes_once, interval, w)
@@ -184,10 +181,10 @@ def check_sensor(
         def density(readings: Any, seen: np.ndarray = seen) -> Any:
             return densities(_arrays(readings), seen)
 
-        integral, doubt = _integral(density, predicted, free, slope, wraps, tail)
-        if not abs(integral - 1) < 2e-3 + doubt:
+        mass, doubt = integral(density, predicted, free, slope, wraps, tail)
+        if not abs(mass - 1) < 2e-3 + doubt:
             raise BrokenContract(
-                f"{name}: the density of a reading integrates to {integral:.4g} over "
+                f"{name}: the density of a reading integrates to {mass:.4g} over "
                 f"{', '.join(names[j] for j in free)}, expected 1; usual fix: log_scale is −½ log 2π − log sigma for "
                 "each channel seen, of the sigma that whitens"
             )
@@ -218,44 +215,6 @@ def _windows(m: int) -> Iterator[np.ndarray]:
     for size in range(1, min(m, 3) + 1):
         for start in range(m - size + 1):
             yield (np.arange(m) >= start) & (np.arange(m) < start + size)
-
-
-def _integral(
-    log_density: Callable[[np.ndarray], Any],
-    predicted: np.ndarray,
-    free: np.ndarray,
-    slope: np.ndarray,
-    wraps: np.ndarray,
-    tail: float | None,
-) -> tuple[float, float]:
-    """∫ density over the free channels, the others held at the prediction, and what wrapping may take away from 1.
-
-    By the trapezoidal rule after u = sinh s, with u the whitened reading: exponentially accurate for the normal
-    density, and s reaches far into the tail of Student's t. `slope`: ∂whitened/∂reading over the free channels.
-    """
-    k = len(free)
-    rows = slope[np.any(slope != 0, axis=1)]
-    factor = rows if len(rows) == k else np.linalg.qr(slope)[1]
-    if not np.all(np.isfinite(factor)) or abs(np.linalg.det(factor)) < 1e-30:
-        return math.nan, 0.0
-    spread = np.linalg.inv(factor)
-    reach = math.asinh(8.0) if tail is None else min(3.0 + 16.0 / tail, 18.0)
-    s = np.linspace(-reach, reach, {1: POINTS, 2: 64, 3: 32}[k])
-    grid = np.stack(np.meshgrid(*[s] * k, indexing="ij"), axis=-1).reshape(-1, k)
-    offsets = np.sinh(grid) @ spread.T
-    values = np.tile(predicted, (len(grid), 1))
-    values[:, free] += offsets
-    blocks = values.reshape(-1, POINTS, len(predicted))
-    density = np.exp(np.concatenate([np.asarray(log_density(block), float) for block in blocks]))
-    inside = np.all((np.abs(offsets) <= np.pi) | ~wraps[free], axis=1)
-    weight = np.prod(np.cosh(grid), axis=1) * (s[1] - s[0]) ** k * abs(np.linalg.det(spread))
-    scales = np.sqrt(np.sum(spread**2, axis=1))[wraps[free]]
-    return float(np.sum(density * weight * inside)), sum(_beyond(np.pi / scale, tail) for scale in scales)
-
-
-def _beyond(x: float, tail: float | None) -> float:
-    """The probability that a standard normal number, or Student's t with `tail` degrees of freedom, is beyond ± x."""
-    return math.erfc(x / math.sqrt(2)) if tail is None else float(betainc(tail / 2, 0.5, tail / (tail + x * x)))
 
 
 def _arrays(tree: Tree) -> Tree:

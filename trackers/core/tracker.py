@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from trackers.core.algebra import Scalar, total
+from trackers.core.algebra import Scalar, shared, total
 from trackers.core.ekf import ExtendedKalman
 from trackers.core.estimates import Estimates, Status
 from trackers.core.motion import AbstractMotion
@@ -153,7 +153,8 @@ class Tracker(AbstractTracker):
             belief, innovation = self.filter.update(belief, self.motion, sensor, row.readings[name], row.inputs)
             said.append(innovation)
         log_likelihood, nis, count, wrapped = (total(x) for x in zip(*said, strict=True))
-        finite = jnp.isfinite(total(jnp.sum(jnp.abs(x)) for x in jax.tree_util.tree_leaves(belief)))
+        belief, log_likelihood, nis = shared((belief, log_likelihood, nis))
+        finite = jnp.isfinite(shared(total(jnp.sum(jnp.abs(x)) for x in jax.tree_util.tree_leaves(belief))))
         heard = count > 0
         surprise = carry.surprise + jnp.where(
             heard, (nis / jnp.maximum(count, 1.0) - carry.surprise) / self.loss.memory, 0.0

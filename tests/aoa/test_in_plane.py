@@ -1,0 +1,41 @@
+"""The beam tracker of a flat array's own plane: all round, through the half turn, without a jump."""
+
+import numpy as np
+
+from trackers.aoa.beam import in_plane_beam_tracker
+from trackers.core.estimates import Status
+from trackers.core.recording import Readings, Recording, stack
+from trackers.core.rig import Station
+
+ROWS, SIGMA_P, RATE = 150, 0.2, 0.5
+RING = np.stack([np.cos(np.arange(8) * np.pi / 4), np.sin(np.arange(8) * np.pi / 4)], axis=1)
+STATION = Station(np.zeros(3), np.array([1.0, 0, 0, 0]), 0.05 * RING, 0.125)
+TIMES = np.arange(ROWS) * 0.1
+
+
+def _headings(lane):
+    """Twice round in one sense or the other: every heading, ± π included."""
+    return 0.7 * lane + (-1) ** lane * RATE * TIMES
+
+
+def _recording(lane):
+    rng = np.random.default_rng(lane)
+    u = np.stack([np.cos(_headings(lane)), np.sin(_headings(lane))])
+    phases = (2 * np.pi / STATION.wavelength * STATION.antennas @ u).T + rng.uniform(-np.pi, np.pi, (ROWS, 1))
+    phases += SIGMA_P * rng.normal(size=phases.shape)
+    return Recording(TIMES, {"a": Readings(np.angle(np.exp(1j * phases)), rng.random(phases.shape) < 0.9)})
+
+
+def test_a_beacon_that_circles_is_followed_through_every_heading_without_a_loss():
+    estimates = in_plane_beam_tracker(STATION, "a", sigma_a=0.3, sigma_p=SIGMA_P).run(
+        stack([_recording(k) for k in range(4)])
+    )
+    for lane in range(4):
+        one = estimates[lane]
+        error = np.angle(np.exp(1j * (one.mean.heading.angle - _headings(lane))))[20:]
+        assert np.all(one.status == Status.OK)
+        # A row's own error is 0.2/(2π 0.05/0.125 · √4) = 2.3°; the filter averages a few rows.
+        assert np.rad2deg(np.sqrt(np.mean(error**2))) < 2.3
+        assert np.abs(one.mean.rate[20:] - (-1) ** lane * RATE).max() < 0.4
+        nees = (error / one.sigmas["heading.0"][20:]) ** 2
+        assert 0.4 < nees.mean() < 2.5
