@@ -47,7 +47,7 @@ def main() -> None:
     for name in ("direct", "cascade"):
         print(f"  {_line(OUT / name)}")
     tunables = tomllib.loads((OUT / "tuned" / "tuned.toml").read_text(encoding="utf-8"))["tunables"]
-    fitted = tunables["sensors.1.sigma_p"]
+    fitted = next(entry for name, entry in tunables.items() if name.endswith("sigma_p"))
     print(f"Phase noise of {SIGMA_P} rad, started from {3 * SIGMA_P:.1f} and fitted without truth, all stations tied:")
     print(f"  {fitted['value']:.4f} ± {fitted['standard_error']:.4f} rad   {OUT / 'tuned'}")
     if walk is not None:

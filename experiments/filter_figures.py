@@ -131,9 +131,9 @@ def _bounds(freedom: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _histogram(axes: Axes, nis: np.ndarray, nis_dof: float | np.ndarray) -> None:
-    """All NIS values that have the most frequent number of degrees of freedom, against the density of χ²."""
-    dofs = np.broadcast_to(nis_dof, nis.shape)[np.isfinite(nis)]
-    values = nis[np.isfinite(nis)]
+    """All NIS values that have the most frequent number of degrees of freedom above 0, against the density of χ²."""
+    known = np.isfinite(nis) & (np.asarray(nis_dof) > 0)
+    values, dofs = nis[known], np.broadcast_to(nis_dof, nis.shape)[known]
     axes.set(xlabel="NIS", ylabel="density")
     if len(values) == 0:
         return

@@ -37,11 +37,9 @@ def bearing_lanes(folder: Folder, free_height: bool) -> Iterator[Lane]:
     paths = _true_paths(folder)
     for tag, table in _by_tag(folder.tables["bearings"]):
         values, seen = _values(table, ["azimuth_rad", "elevation_rad"])
-        spread = np.stack([numbers(table, f"{a}_std_rad") for a in ("azimuth", "elevation")], axis=1)
-        reported = None
-        if np.isfinite(spread).all(axis=1).any():
-            square = np.where(np.isfinite(spread), spread, 0.0) ** 2
-            reported = np.stack([square[:, 0], np.zeros(len(square)), square[:, 1]], axis=1)
+        # Without reported spreads zeros stand here, so that lanes with and without share a batch.
+        spread = np.nan_to_num(np.stack([numbers(table, f"{a}_std_rad") for a in ("azimuth", "elevation")], axis=1))
+        reported = np.stack([spread[:, 0] ** 2, np.zeros(len(spread)), spread[:, 1] ** 2], axis=1)
         where = np.stack([geometry[s] for s in table["station"].to_list()])
         times, height = table["t_s"].to_numpy(), None if free_height else known_height(folder, tag)
         nearby = recent_points(times, where[:, :3], where[:, 3:], values, np.asarray(seen.all(axis=1)), height)

@@ -18,7 +18,8 @@ from trackers.core.sensor import Reading
 from trackers.core.tunable import Scale
 
 STATES = 4
-STATION = work_station().stations["1"]
+# Four antennas for two angles: enough to compress.
+STATION = work_station(work_station().stations["1"].antennas[:4]).stations["1"]
 GEOMETRY = {"origin": bearing_inputs(STATION)[:3], "axes": bearing_inputs(STATION)[3:]}
 
 

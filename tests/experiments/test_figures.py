@@ -141,6 +141,12 @@ def test_consistency_takes_one_run_with_gaps_and_different_dof(tmp_path, rng, sc
 
 def test_consistency_takes_runs_without_a_value(tmp_path):
     _pixels(consistency(tmp_path / "chi.png", T, None, 3, np.full((1, 60), np.nan), 8))
+    _pixels(consistency(tmp_path / "chi.png", T, None, 3, np.zeros((1, 60)), np.zeros((1, 60))))
+
+
+def test_consistency_takes_runs_most_of_whose_rows_say_nothing(tmp_path, rng):
+    dof = np.where(np.arange(60) % 3, 0.0, 8.0)[None]
+    _pixels(consistency(tmp_path / "chi.png", T, None, 3, np.where(dof > 0, rng.chisquare(8, (1, 60)), 0.0), dof))
 
 
 def test_the_tuning_trace_shows_every_number(tmp_path):

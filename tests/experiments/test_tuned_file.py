@@ -1,0 +1,82 @@
+"""tuned.toml: what a fit found comes back into the same tracker, whatever its stations are called."""
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments.errors import UnusableInput
+from experiments.tuned_file import read_tuned, with_noise, write_tuned
+from sim.scenarios import work_station
+from trackers.aoa.direct import direct_tracker
+from trackers.aoa.fusion import bearing_tracker
+from trackers.core.tunable import tunables
+from tuning import FitResult
+from tuning.parameters import chosen, flatten, physical, placed_in
+
+
+def _result(tracker, patterns):
+    """What a fit would return that had moved every number a little."""
+    parameters = chosen(tracker, patterns)
+    vector = flatten(parameters)
+    vector = vector + np.linspace(0.1, 0.2, len(vector))
+    labels, values = [p.label for p in parameters], map(np.asarray, physical(parameters, vector))
+    named = dict(zip(labels, values, strict=True))
+    errors = {k: np.full(v.shape, np.nan) if k.endswith("a") else 0.1 * np.abs(v) for k, v in named.items()}
+    return FitResult(placed_in(tracker, parameters, vector), parameters, named, errors, 1.25, 2.5, 0)
+
+
+def _numbers(tracker):
+    return {name: np.asarray(node.value) for name, node in tunables(tracker).items()}
+
+
+def _direct(*names):
+    return direct_tracker(dict(zip(names, work_station().stations.values(), strict=False)))
+
+
+@pytest.mark.parametrize(
+    ("tracker", "patterns"),
+    [
+        (bearing_tracker(), "*"),
+        (bearing_tracker(), ["motion.*", "tied:sensors.bearings.sigma_*"]),
+        (_direct("1", "2", "3"), ["motion.sigma_a", "tied:sensors.*.sigma_p", "sensors.*.offsets"]),
+        (_direct("10.0.0.1", 'the "old" one', "[ab]"), ["sensors.*", "start.*"]),
+        (_direct("Süd\\West", "a b", "#"), ["tied:sensors.*.sigma_p"]),
+    ],
+)
+def test_what_was_tuned_comes_back_and_nothing_else_changes(tmp_path, tracker, patterns):
+    result = _result(tracker, patterns)
+    write_tuned(tmp_path / "tuned.toml", "any", "nll", result)
+    back = with_noise(tracker, read_tuned(tmp_path / "tuned.toml"), tmp_path / "tuned.toml")
+    expected, found = _numbers(result.tracker), _numbers(back)
+    assert set(expected) == set(found)
+    for name, value in expected.items():
+        # a Scale is stored as its logarithm: one rounding
+        np.testing.assert_allclose(found[name], value, rtol=1e-14)
+
+
+def test_the_file_says_value_unit_and_standard_error_of_each(tmp_path):
+    result = _result(bearing_tracker(), ["motion.sigma_a", "sensors.*.offsets"])
+    write_tuned(tmp_path / "tuned.toml", "bearings", "nll", result)
+    content = tomllib.loads((tmp_path / "tuned.toml").read_text())
+    assert (content["tracker"], content["objective"]) == ("bearings", "nll")
+    assert (content["before"], content["after"]) == (2.5, 1.25)
+    sigma_a, offsets = (content["tunables"][k] for k in ("motion.sigma_a", "sensors.bearings.offsets"))
+    assert sigma_a["unit"] == "m/s^2/sqrt(Hz)"
+    assert sigma_a["value"] == float(result.values["motion.sigma_a"])
+    assert np.isnan(sigma_a["standard_error"])
+    assert offsets["value"] == result.values["sensors.bearings.offsets"].tolist()
+    assert offsets["standard_error"] == pytest.approx(0.1 * np.abs(offsets["value"]))
+
+
+def test_a_pattern_written_by_hand_serves_every_station():
+    values = {"sensors.*.sigma_p": np.array(0.7), "motion.sigma_a": np.array(3)}
+    found = _numbers(with_noise(_direct("1", "2"), values, Path("tuned.toml")))
+    assert found["sensors.1.sigma_p"] == found["sensors.2.sigma_p"] == pytest.approx(0.7)
+    assert found["motion.sigma_a"] == pytest.approx(3.0)
+
+
+def test_noise_levels_of_another_tracker_are_refused():
+    with pytest.raises(UnusableInput, match=r"tuned.toml: this tracker has no 'sensors.1.sigma_p'; it has: motion"):
+        with_noise(bearing_tracker(), {"sensors.1.sigma_p": np.array(0.7)}, Path("tuned.toml"))
