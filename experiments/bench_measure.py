@@ -18,11 +18,12 @@ from experiments.bench_textbook import all_pairs, textbook
 from trackers.aoa.beam import Beam, beam_tracker
 from trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
 from trackers.core.algebra import diagonal
+from trackers.core.chunks import CHUNK, outputs, prepared
 from trackers.core.ekf import Gaussian
 from trackers.core.recording import Batch
 from trackers.core.rig import Station
 from trackers.core.sensor import Reading
-from trackers.core.tracker import CHUNK, AbstractStart, AbstractTracker, outputs, prepared
+from trackers.core.tracker import AbstractStart, AbstractTracker
 from tuning.fit import Problem, _Parameters, _sums
 from tuning.objectives import NegativeLogLikelihood
 from tuning.parameters import chosen, flatten
@@ -207,7 +208,8 @@ def memory() -> dict[str, Any]:
     found: dict[str, Any] = {"trajectories": MEMORY_LANES, "temporaries": {}, "inputs": {}, "peak": {}}
     few = simulate(MEMORY_LANES, MEMORY_ROWS[0]).batch
     for rows in MEMORY_ROWS:
-        batch = jax.tree_util.tree_map(lambda x, times=rows // len(few.dt): np.concatenate([x] * times), few)
+        times = rows // len(few.dt)
+        batch = jax.tree_util.tree_map(lambda x, times=times: np.concatenate([x] * times), few)
         vector = jnp.asarray(flatten(parameters), batch.dt.dtype)
         arguments = prepared(given, vector.dtype), batch, NegativeLogLikelihood(), _Parameters(parameters), vector
         program = sums.lower(*arguments).compile()

@@ -12,9 +12,9 @@ import polars as pl
 
 from experiments.catalogue import Group
 from experiments.lanes import Lane
+from trackers.core.chunks import CHUNK
 from trackers.core.estimates import Estimates, Status
 from trackers.core.recording import Batch, stack
-from trackers.core.tracker import CHUNK
 
 TRACKS = "tracks.parquet"
 WORDS = {

@@ -42,3 +42,32 @@ def test_fitting_the_extended_tracker_finds_the_noise_its_ranges_were_drawn_with
     result = extended["result"]
     found, error = result.values["sensors.ranges.sigma_r"], result.standard_errors["sensors.ranges.sigma_r"]
     assert abs(found - 0.3) < 3 * error
+
+
+def test_the_python_example_of_the_readme_runs_and_finds_the_simulated_phase_noise():
+    names = {"__name__": "readme"}
+    for block in _blocks("README.md"):
+        exec(compile(block, "README.md", "exec", dont_inherit=True), names)
+    assert names["estimates"].verdict() == "ok"
+    # 64 tags x 100 rows x 7 numbers: one part in 300 of statistics, and a few percent because the wave isn't plane.
+    assert abs(float(names["tuned"].sensors["phases"].sigma_p.value) / 0.3 - 1) < 0.05
+
+
+def test_the_papers_page_has_one_row_for_each_numbered_equation():
+    rows = re.findall(r"^\| \((\d+)\) ", (ROOT / "docs/papers.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert [int(row) for row in rows] == list(range(1, 22))
+
+
+@pytest.mark.parametrize("page", ["docs/papers.md", "docs/decisions.md", "docs/extending.md", "README.md"])
+def test_every_place_in_the_code_that_a_page_names_exists(page):
+    text = (ROOT / page).read_text(encoding="utf-8")
+    for path, name in re.findall(r"`((?:trackers|sim|tuning|experiments|tests)/[\w/]+\.py)(?:: ([\w.]+))?`", text):
+        code = (ROOT / path).read_text(encoding="utf-8")
+        for part in filter(None, name.split(".")):
+            assert re.search(rf"^ *(?:def|class) {part}\b|^{part} = ", code, re.MULTILINE), f"{path} has no {part}"
+
+
+def test_every_link_of_the_readme_leads_to_a_file():
+    links = re.findall(r"\]\(([^)#:]+)\)", (ROOT / "README.md").read_text(encoding="utf-8"))
+    assert links
+    assert all((ROOT / link).is_file() for link in links)

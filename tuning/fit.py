@@ -12,8 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
+from trackers.core.chunks import CHUNK, prepared
 from trackers.core.recording import Batch
-from trackers.core.tracker import CHUNK, AbstractTracker, prepared
+from trackers.core.tracker import AbstractTracker
 from tuning.curvature import STEP, hessian, newton_step, standard_errors
 from tuning.objectives import AbstractObjective
 from tuning.parameters import Parameter, chosen, flatten, physical, placed_in

@@ -20,7 +20,7 @@ from experiments.tracks import TRACKS
 from experiments.tracks import track as run
 from experiments.tuned_file import read_tuned, with_noise
 from experiments.writing import atomic_write
-from trackers.core.tracker import CHUNK
+from trackers.core.chunks import CHUNK
 
 
 def track(  # noqa: D103

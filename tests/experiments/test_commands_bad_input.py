@@ -16,6 +16,7 @@ import pytest
 from experiments import screen, writing
 from experiments.commands import check as check_command
 from experiments.commands import track as track_command
+from experiments.commands import tune as tune_command
 from tests.experiments.broken import BROKEN, ODD
 from tests.experiments.faulty import good_tables, write_good
 from tests.experiments.in_process import assert_refused, trackwright
@@ -92,7 +93,7 @@ def test_an_odd_recording_is_tracked_with_a_notice_and_named_by_check(tmp_path, 
     monkeypatch.setattr(track_command, "draw_tracks", lambda *arguments: [])
     folder, out = tmp_path / "recording", tmp_path / "out"
     word = ODD[name](folder)
-    said = trackwright("track", folder, "--tracker", "bearings", "--out", out)
+    said = trackwright("track", folder, "--tracker", "bearings", "--free-height", "--out", out)
     assert said.code == 0, said
     assert any(line.startswith(f"notice: {folder}: ") and word in line for line in said.err.splitlines())
     tracks = pl.read_parquet(out / "tracks.parquet")
@@ -111,6 +112,35 @@ def test_tags_with_and_without_reported_spreads_are_tracked_together(tmp_path, t
     table.write_csv(tmp_path / "half" / "bearings.csv")
     said = trackwright("track", tmp_path / "half", "--tracker", "bearings", "--free-height", "--out", tmp_path / "out")
     assert said.code == 0, said
+
+
+NEXT_TO_NOTHING = {
+    "one row": lambda table: table[:1],
+    "one time": lambda table: table.filter(pl.col("t_s") == 0),
+    "not a value": lambda table: table.with_columns(pl.col("^phase_.*$") * None),
+}
+
+
+@pytest.mark.parametrize("name", NEXT_TO_NOTHING)
+def test_a_recording_with_next_to_nothing_in_it_is_tracked(tmp_path, name):
+    write_good(tmp_path / "recording")
+    NEXT_TO_NOTHING[name](good_tables()["phases"]).write_csv(tmp_path / "recording" / "phases.csv")
+    said = trackwright("track", tmp_path / "recording", "--tracker", "das", "--out", tmp_path / "out")
+    assert said.code == 0, said
+    assert (tmp_path / "out" / "manifest.json").exists()
+    if name == "not a value":
+        assert "4 tracks: 4 too little data" in said.out
+        assert "notice: not evaluated: " in said.err
+        assert pl.read_parquet(tmp_path / "out" / "tracks.parquet")["azimuth_rad"].null_count() == 200
+
+
+def test_a_fit_that_cannot_begin_says_why(tmp_path, simulated, monkeypatch):
+    def nothing_scored(*arguments, **options):
+        raise FloatingPointError("the objective is not finite at the start (nan): no row is scored")
+
+    monkeypatch.setattr(tune_command, "fit", nothing_scored)
+    said = trackwright("tune", simulated, "--tracker", "beam", "--out", tmp_path / "out")
+    assert_refused(said, "the objective is not finite at the start", "trackwright check")
 
 
 def test_phases_that_are_odd_are_tracked_with_a_notice(tmp_path, monkeypatch):

@@ -10,10 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.core.algebra import Scalar, Vector, dense
+from trackers.core.chunks import prepared
 from trackers.core.linearise import linearise
 from trackers.core.recording import Batch
 from trackers.core.state import coordinates, local
-from trackers.core.tracker import Row, Tracker, prepared
+from trackers.core.tracker import Row, Tracker
 from trackers.core.tunable import resolved
 
 
@@ -55,16 +56,15 @@ def _pieces(tracker: Tracker, batch: Batch, states: Any) -> tuple[Any, ...]:
         total = jnp.zeros((n, n), zero.dtype)
         for name, sensor in tracker.sensors.items():
             exact = row.readings[name]._replace(values=sensor.measure(motion.view(state), row.inputs))
-            tails: list[Any] = []
 
-            def misfit(*values: Scalar, sensor: Any = sensor, exact: Any = exact, tails: list = tails) -> list[Scalar]:
+            def misfit(*values: Scalar, sensor: Any = sensor, exact: Any = exact) -> list[Scalar]:
                 result = sensor.residual(exact, list(sensor.measure(motion.view(rebuild(values)), row.inputs)))
-                tails[:] = [result.tail]
-                return list(result.whitened)
+                # Fisher's information of Student's t is (ν + 1)/(ν + 3) of the normal's.
+                weight = 1.0 if result.tail is None else (result.tail + 1.0) / (result.tail + 3.0)
+                return [*result.whitened, weight]
 
-            H = _matrix(linearise(misfit, point)[1], n, zero)
-            # Fisher's information of Student's t is (ν + 1)/(ν + 3) of the normal's.
-            weight = 1.0 if tails[0] is None else (tails[0] + 1.0) / (tails[0] + 3.0)
+            (*_, weight), slopes = linearise(misfit, point)
+            H = _matrix(slopes[:-1], n, zero)
             total = total + weight * (H.T @ H)
         return F, G @ G.T, jnp.where(row.valid, total, 0.0)
 

@@ -79,19 +79,26 @@ class ExtendedKalman(eqx.Module):
     ) -> tuple[Gaussian, Innovation]:
         """The belief after one reading, and what the reading said."""
         point, rebuild = coordinates(belief.mean)
-        aside: list[Scalar | None] = []
+        heavy: list[bool] = []
 
         def misfit(*values: Scalar) -> list[Scalar]:
             predicted = sensor.measure(motion.view(rebuild(values)), inputs)
             result = sensor.residual(reading, list(predicted))
-            aside[:] = [result.tail]
-            return [*result.whitened, result.log_scale, result.count, jnp.where(result.wrapped, 1.0, 0.0)]
+            heavy[:] = [result.tail is not None]
+            wrapped = jnp.where(result.wrapped, 1.0, 0.0)
+            return [
+                *result.whitened,
+                result.log_scale,
+                result.count,
+                wrapped,
+                0.0 if result.tail is None else result.tail,
+            ]
 
         values, rows = linearise(misfit, point)
-        *whitened, log_scale, count, wrapped = values
+        *whitened, log_scale, count, wrapped, tail = values
         jacobian = [{j: -v for j, v in row.items()} for row in rows[: len(whitened)]]
         residual, H, apart = shared(compressed(*shared((whitened, jacobian))))
-        step, cov, nis, log_density = joseph(belief.cov, residual, H, len(point), aside[0])
+        step, cov, nis, log_density = joseph(belief.cov, residual, H, len(point), tail if heavy[0] else None)
         innovation = Innovation(log_scale + log_density - 0.5 * apart, nis + apart, count, wrapped)
         return Gaussian(retract(belief.mean, step), cov), innovation
 

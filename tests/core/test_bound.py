@@ -1,0 +1,133 @@
+"""The posterior Cramér–Rao bound against dense information matrices, hand-derived Jacobians and quadrature."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from sim.scenarios import work_station
+from tests.known_start import KnownStart, recording
+from tests.oracles import beam_jacobian, beam_transition, cramer_rao, van_loan
+from trackers.aoa.beam import Beam, BeamMotion
+from trackers.aoa.phases import PlanePhases
+from trackers.core.algebra import Vector
+from trackers.core.bound import posterior_bound
+from trackers.core.motion import ConstantPosition, ConstantVelocity, Kinematic, Placed
+from trackers.core.recording import stack
+from trackers.core.sensor import AbstractSensor, Channel, Residual
+from trackers.core.tracker import Tracker
+from trackers.core.tunable import Scale
+
+ROWS, SIGMA_A, SIGMA = 12, 0.4, 0.3
+
+
+class Gauge(AbstractSensor):
+    """Reads the position on a line with white noise `SIGMA`, of Student's t where there is a `tail`."""
+
+    tail: float | None = eqx.field(static=True, default=None)
+
+    @property
+    def channels(self):
+        return (Channel("x", "m"),)
+
+    def measure(self, view: Any, inputs: Any):
+        return [view.position[0]]
+
+    def residual(self, reading, predicted):
+        whitened = jnp.where(reading.seen[0], (reading.values[0] - predicted[0]) / SIGMA, 0.0)
+        count = jnp.where(reading.seen[0], jnp.ones_like(whitened), 0.0)
+        tail = None if self.tail is None else jnp.asarray(self.tail)
+        return Residual([whitened], 0.0 * whitened, count, tail=tail)
+
+
+def _times(rng):
+    return np.cumsum(np.concatenate([[0.0], rng.uniform(0.05, 0.4, ROWS - 1)]))
+
+
+def test_on_a_linear_model_it_is_the_inverse_of_the_whole_paths_information():
+    rng = np.random.default_rng(0)
+    times, seen = _times(rng), rng.random((ROWS, 1)) < 0.7
+    start = np.array([[0.5, 0.1], [0.1, 0.2]])
+    tracker = Tracker(
+        ConstantVelocity(SIGMA_A, 1), {"gauge": Gauge()}, KnownStart(lambda x: Kinematic(Vector(x[0]), Vector(x[1])))
+    )
+    batch = stack([recording(times, {"gauge": (np.zeros((ROWS, 1)), seen)}, np.zeros(2), start)])
+    states = Kinematic(Vector(rng.normal(size=(ROWS, 1))), Vector(rng.normal(size=(ROWS, 1))))
+    bounds = posterior_bound(tracker, batch, states)
+
+    # every state of the path is an unknown; the first row's reading has made the start and is not counted again
+    whole = np.zeros((2 * ROWS, 2 * ROWS))
+    whole[:2, :2] = np.linalg.inv(start)
+    expected = [np.sqrt(np.diag(start))]
+    for k, dt in enumerate(np.diff(times), start=1):
+        F, Q = van_loan(np.array([[0.0, 1.0], [0.0, 0.0]]), np.diag([0.0, SIGMA_A**2]), dt)
+        step = np.hstack([-F, np.eye(2)])
+        here = slice(2 * k - 2, 2 * k + 2)
+        whole[here, here] += step.T @ np.linalg.inv(Q) @ step
+        whole[2 * k, 2 * k] += seen[k, 0] / SIGMA**2
+        upto = np.linalg.inv(whole[: 2 * k + 2, : 2 * k + 2])
+        expected.append(np.sqrt(np.diag(upto)[-2:]))
+    np.testing.assert_allclose(bounds, expected, rtol=1e-9)
+
+
+def test_of_beams_it_is_the_recursion_with_hand_derived_jacobians():
+    rng = np.random.default_rng(1)
+    lanes, spread, sigma_p = 5, np.array([0.1, 0.2, 0.05, 0.04]), 0.2
+    station = work_station().stations["1"]
+    times = _times(rng)
+    angles = 0.4 * rng.normal(size=(2, ROWS, lanes))
+    seen = rng.random((lanes, ROWS, 8)) < 0.6
+    seen[:, 3], seen[:, 5, 1:] = False, False
+    tracker = Tracker(BeamMotion(Scale(SIGMA_A)), {"1": PlanePhases(station, sigma_p)}, KnownStart(lambda x: Beam(*x)))
+    phases = [recording(times, {"1": (np.zeros((ROWS, 8)), s)}, np.zeros(4), np.diag(spread**2)) for s in seen]
+    bounds = posterior_bound(tracker, stack(phases), Beam(*angles, *np.zeros((2, ROWS, lanes))))
+
+    wavenumbers = 2 * np.pi / station.wavelength * np.asarray(station.antennas)
+    information = np.zeros((ROWS, 4, 4))
+    for row in range(ROWS):
+        for lane in range(lanes):
+            k = wavenumbers[seen[lane, row]]
+            if len(k) > 1:
+                slope = beam_jacobian(k, *angles[:, row, lane])[1]
+                slope = slope - slope.mean(axis=0)
+                information[row, :2, :2] += slope.T @ slope / sigma_p**2 / lanes
+    transitions = [beam_transition(dt, SIGMA_A) for dt in np.diff(times)]
+    expected = cramer_rao(transitions, information[1:], np.diag(spread**2))
+    np.testing.assert_allclose(bounds[0], spread, rtol=1e-12)
+    np.testing.assert_allclose(bounds[1:], np.sqrt(np.diagonal(expected, axis1=1, axis2=2)), rtol=1e-8)
+
+
+def _on_the_line(sensor, recordings, rows=None):
+    tracker = Tracker(ConstantPosition(0.2, 1), {"gauge": sensor}, KnownStart(lambda x: Placed(Vector(x[0]))))
+    batch = stack(recordings, rows)
+    return posterior_bound(tracker, batch, Placed(Vector(np.zeros(batch.dt.shape))))[:, 0]
+
+
+def _reads(seen):
+    return recording(0.1 * np.arange(len(seen)), {"gauge": (np.zeros((len(seen), 1)), seen[:, None])}, [0.0], [[1.0]])
+
+
+@pytest.mark.parametrize("tail", [1.0, 4.0, 30.0])
+def test_a_heavy_tail_carries_the_information_of_its_density(tail):
+    first, second = _on_the_line(Gauge(tail), [_reads(np.ones(2, bool))])
+    x = np.linspace(-3000, 3000, 3_000_001)
+    density = (1 + x * x / tail) ** (-0.5 * (tail + 1))
+    score = -(tail + 1) * x / (tail + x * x)
+    weight = np.trapezoid(score**2 * density, x) / np.trapezoid(density, x)
+    assert first == 1.0
+    # the Cauchy density beyond ±3000 has 2e-4 of its weight
+    assert second == pytest.approx((1 / (1 + 0.2**2 * 0.1) + weight / SIGMA**2) ** -0.5, rel=3e-4)
+
+
+def test_readings_that_were_not_seen_carry_nothing():
+    bounds = _on_the_line(Gauge(), [_reads(np.zeros(4, bool))])
+    np.testing.assert_allclose(bounds, np.sqrt(1 + 0.2**2 * 0.1 * np.arange(4)))
+
+
+def test_recordings_that_have_ended_do_not_weigh():
+    long, short = _reads(np.ones(6, bool)), _reads(np.ones(3, bool))
+    np.testing.assert_allclose(_on_the_line(Gauge(), [long, short]), _on_the_line(Gauge(), [long]), rtol=1e-12)
