@@ -2,44 +2,18 @@
 
 from __future__ import annotations
 
-import errno
 import math
-import os
-import resource
-import signal
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 import pytest
 
-from experiments import screen, writing
-from experiments.commands import check as check_command
 from experiments.commands import track as track_command
 from experiments.commands import tune as tune_command
 from tests.experiments.broken import BROKEN, ODD
 from tests.experiments.faulty import good_tables, write_good
 from tests.experiments.in_process import assert_refused, trackwright
-
-
-@pytest.fixture(scope="module")
-def there(tmp_path_factory):
-    """A folder that all tests of this file read from: a recording, and tracks of it that nobody had to compute."""
-    folder = tmp_path_factory.mktemp("bad-input")
-    write_good(folder / "good")
-    truth = good_tables()["truth"]
-    tracks = truth.select(recording=pl.lit("good"), tag="tag", t_s="t_s", x_m=pl.col("x_m") + 0.1, y_m="y_m", z_m="z_m")
-    (folder / "tracked").mkdir()
-    tracks.with_columns(status=pl.lit("ok")).write_parquet(folder / "tracked" / "tracks.parquet")
-    (folder / "tracked" / "recordings.txt").write_text(f"{folder / 'good'}\n")
-    return folder
-
-
-@pytest.fixture(scope="module")
-def simulated(there):
-    """A simulated recording of two tags, for what only fails once a tracker is built."""
-    assert trackwright("simulate", "--out", there / "world", "--n", 2, "--rows", 10).code == 0
-    return there / "world"
 
 
 def _contents(folder: Path) -> dict[str, bytes]:
@@ -51,30 +25,30 @@ def _contents(folder: Path) -> dict[str, bytes]:
 
 @pytest.mark.parametrize("name", BROKEN)
 @pytest.mark.parametrize("command", ["track", "check", "tune", "evaluate"])
-def test_a_broken_recording_is_refused_in_one_line(tmp_path, there, name, command):
+def test_a_broken_recording_is_refused_in_one_line(tmp_path, beginnings, name, command):
     word, out = BROKEN[name](tmp_path / "recording"), tmp_path / "out"
     arguments = {
         "track": ("track", tmp_path / "recording", "--out", out),
         "check": ("check", tmp_path / "recording"),
         "tune": ("tune", tmp_path / "recording", "--out", out),
-        "evaluate": ("evaluate", there / "tracked", "--truth", tmp_path / "recording"),
+        "evaluate": ("evaluate", beginnings / "tracked", "--truth", tmp_path / "recording"),
     }
-    before = _contents(there / "tracked")
+    before = _contents(beginnings / "tracked")
     assert_refused(trackwright(*arguments[command]), word)
     assert not out.exists()
-    assert _contents(there / "tracked") == before
+    assert _contents(beginnings / "tracked") == before
 
 
-def test_a_broken_recording_beside_a_good_one_is_refused(tmp_path, there):
+def test_a_broken_recording_beside_a_good_one_is_refused(tmp_path, beginnings):
     word = BROKEN["infinite value"](tmp_path / "bad")
-    assert_refused(trackwright("track", there / "good", tmp_path / "bad", "--out", tmp_path / "out"), word)
+    assert_refused(trackwright("track", beginnings / "good", tmp_path / "bad", "--out", tmp_path / "out"), word)
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("command", ["track", "tune"])
-def test_two_recordings_of_one_name_are_refused(tmp_path, there, command):
+def test_two_recordings_of_one_name_are_refused(tmp_path, beginnings, command):
     write_good(tmp_path / "copy")
-    said = trackwright(command, there / "good", tmp_path / "copy", "--out", tmp_path / "out")
+    said = trackwright(command, beginnings / "good", tmp_path / "copy", "--out", tmp_path / "out")
     assert_refused(said, "both named 'good'", "rename")
 
 
@@ -104,7 +78,7 @@ def test_an_odd_recording_is_tracked_with_a_notice_and_named_by_check(tmp_path, 
     assert found.code == int("error  " in found.out)
 
 
-def test_tags_with_and_without_reported_spreads_are_tracked_together(tmp_path, there, monkeypatch):
+def test_tags_with_and_without_reported_spreads_are_tracked_together(tmp_path, beginnings, monkeypatch):
     monkeypatch.setattr(track_command, "draw_tracks", lambda *arguments: [])
     write_good(tmp_path / "half")
     known = pl.when(pl.col("tag") == "T2").then(0.1)
@@ -158,9 +132,9 @@ def test_phases_that_are_odd_are_tracked_with_a_notice(tmp_path, monkeypatch):
 # trackers and tunables
 
 
-def test_an_unknown_tracker_is_refused_with_those_there_are(tmp_path, there):
+def test_an_unknown_tracker_is_refused_with_those_there_are(tmp_path, beginnings):
     for command in ("track", "tune"):
-        said = trackwright(command, there / "good", "--tracker", "kalman", "--out", tmp_path / "out")
+        said = trackwright(command, beginnings / "good", "--tracker", "kalman", "--out", tmp_path / "out")
         assert_refused(said, "--tracker kalman: unknown", "direct, cascade, beam, das, bearings")
 
 
@@ -244,8 +218,8 @@ def test_the_least_error_cannot_be_found_without_truth(tmp_path, simulated):
     assert not (tmp_path / "out").exists()
 
 
-def test_tags_of_known_and_of_unknown_height_are_not_tuned_together(tmp_path, there):
-    said = trackwright("tune", there / "good", "--tracker", "bearings", "--out", tmp_path / "out")
+def test_tags_of_known_and_of_unknown_height_are_not_tuned_together(tmp_path, beginnings):
+    said = trackwright("tune", beginnings / "good", "--tracker", "bearings", "--out", tmp_path / "out")
     assert_refused(said, "2 different 'bearings' trackers", "--free-height")
 
 
@@ -284,8 +258,8 @@ def test_a_world_is_not_written_over_something(tmp_path):
 
 
 @pytest.mark.parametrize("options", [("--steps", 0), ("--piece-rows", 3)])
-def test_fits_of_no_steps_or_to_no_rows_are_refused(tmp_path, there, options):
-    assert_refused(trackwright("tune", there / "good", "--out", tmp_path / "out", *options), *map(str, options))
+def test_fits_of_no_steps_or_to_no_rows_are_refused(tmp_path, beginnings, options):
+    assert_refused(trackwright("tune", beginnings / "good", "--out", tmp_path / "out", *options), *map(str, options))
 
 
 @pytest.mark.parametrize(
@@ -306,187 +280,3 @@ def test_options_that_do_not_exist_end_with_code_2_and_no_traceback(tmp_path, mo
     assert said.err
     assert "Traceback" not in said.err
     assert not list(tmp_path.iterdir())
-
-
-# evaluation
-
-
-@pytest.mark.parametrize(
-    ("expression", "word"),
-    [
-        ("nonsense", "cannot read 'nonsense'"),
-        ("p95_m >", "cannot read"),
-        ("p95_m > nan", "cannot read"),
-        ("p95 > 0.5", "no figure 'p95'"),
-        ("nis_ratio > 2", "'nis_ratio' has no value"),
-        ("", "cannot read ''"),
-    ],
-)
-def test_a_condition_that_means_nothing_is_refused(there, expression, word):
-    said = trackwright("evaluate", there / "tracked", "--fail-if", expression)
-    assert said.code == 2
-    assert said.err.count("\n") == 1
-    assert said.err.startswith("trackwright: --fail-if")
-    assert word in said.err
-
-
-@pytest.mark.parametrize("seconds", ["nan", "inf", "0", "-1"])
-def test_an_interval_that_is_none_is_refused(there, seconds):
-    assert_refused(trackwright("evaluate", there / "tracked", f"--every-s={seconds}"), "--every-s")
-
-
-def _junk(folder):
-    (folder / "tracks.parquet").write_bytes(bytes(range(256)))
-
-
-def _no_rows(folder):
-    pl.read_parquet(folder / "tracks.parquet").clear().write_parquet(folder / "tracks.parquet")
-
-
-def _no_times(folder):
-    pl.read_parquet(folder / "tracks.parquet").drop("t_s").write_parquet(folder / "tracks.parquet")
-
-
-def _no_sources(folder):
-    (folder / "recordings.txt").unlink()
-
-
-def _empty_sources(folder):
-    (folder / "recordings.txt").write_text("\n")
-
-
-def _junk_sources(folder):
-    (folder / "recordings.txt").write_bytes(b"\xff\xfe\x80")
-
-
-def _lost_sources(folder):
-    (folder / "recordings.txt").write_text(str(folder / "gone"))
-
-
-@pytest.mark.parametrize(
-    ("change", "word"),
-    [
-        (_junk, "unreadable"),
-        (_no_rows, "the table is empty"),
-        (_no_times, "no column t_s"),
-        (_no_sources, "names no recording"),
-        (_empty_sources, "names no recording"),
-        (_junk_sources, "names no recording"),
-        (_lost_sources, "does not exist"),
-    ],
-)
-def test_a_run_folder_that_is_broken_is_refused(tmp_path, there, change, word):
-    for name, content in _contents(there / "tracked").items():
-        (tmp_path / name).write_bytes(content)
-    change(tmp_path)
-    before = _contents(tmp_path)
-    assert_refused(trackwright("evaluate", tmp_path), word)
-    assert _contents(tmp_path) == before
-
-
-@pytest.mark.parametrize("folder", ["good", "nowhere"])
-def test_a_folder_without_tracks_is_refused(there, folder):
-    assert_refused(trackwright("evaluate", there / folder), "tracks.parquet: no such file", "track")
-
-
-@pytest.mark.parametrize(
-    ("change", "word"),
-    [
-        (lambda truth: truth.with_columns(pl.col("t_s") + 100.0), "no estimate meets a truth"),
-        (lambda truth: truth.with_columns(x_m=pl.lit(None)), "no estimate meets a truth"),
-    ],
-)
-def test_truth_that_no_estimate_meets_is_refused(tmp_path, there, change, word):
-    write_good(tmp_path / "other")
-    change(good_tables()["truth"]).write_csv(tmp_path / "other" / "truth.csv")
-    assert_refused(trackwright("evaluate", there / "tracked", "--truth", tmp_path / "other"), word)
-
-
-def test_the_truth_of_another_recording_is_refused(there, simulated):
-    said = trackwright("evaluate", there / "tracked", "--truth", simulated)
-    assert_refused(said, "the tracks are of recording good, the truth is of simulated-hand-0")
-
-
-def test_a_recording_without_truth_is_no_truth(tmp_path, there):
-    write_good(tmp_path / "blind")
-    (tmp_path / "blind" / "truth.csv").unlink()
-    said = trackwright("evaluate", there / "tracked", "--truth", tmp_path / "blind")
-    assert_refused(said, str(tmp_path / "blind"), "no truth table")
-
-
-# where it is written to
-
-
-@pytest.mark.parametrize("command", ["track", "tune"])
-def test_an_output_that_is_a_file_is_refused_and_kept(tmp_path, simulated, command):
-    (tmp_path / "out").write_text("precious")
-    said = trackwright(command, simulated, "--tracker", "beam", "--out", tmp_path / "out")
-    assert_refused(said, f"--out {tmp_path / 'out'}", "choose another folder")
-    assert (tmp_path / "out").read_text() == "precious"
-
-
-@pytest.fixture
-def tracked_before(tmp_path, simulated):
-    """A run folder with an older run in it."""
-    assert trackwright("track", simulated, "--tracker", "das", "--out", tmp_path / "out").code == 0
-    (tmp_path / "out" / "tracks.parquet").write_bytes(b"older")
-    return tmp_path / "out"
-
-
-def _full(*arguments):
-    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-
-def test_a_disk_that_is_full_when_a_file_gets_its_name_spoils_no_older_file(tracked_before, simulated, monkeypatch):
-    before = _contents(tracked_before)
-    monkeypatch.setattr(writing.os, "replace", _full)
-    said = trackwright("track", simulated, "--tracker", "das", "--out", tracked_before)
-    assert_refused(said, "cannot write", "tracks.parquet: No space left on device", "choose another --out")
-    assert _contents(tracked_before) == before
-
-
-@pytest.mark.parametrize("kilobytes", [1, 4, 12])
-def test_a_disk_that_fills_while_a_file_is_written_spoils_no_older_file(tracked_before, simulated, kilobytes):
-    """The system refuses whatever grows beyond a limit: the table of tracks, or only a picture."""
-    before, usual = _contents(tracked_before), resource.getrlimit(resource.RLIMIT_FSIZE)
-    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1024 * kilobytes, usual[1]))
-    try:
-        said = trackwright("track", simulated, "--tracker", "das", "--out", tracked_before)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, usual)
-        signal.signal(signal.SIGXFSZ, handler)
-    assert said.code == 2
-    assert said.err.startswith("trackwright: cannot write ")
-    assert said.err.count("\n") == 1
-    after = _contents(tracked_before)
-    assert set(after) == set(before)
-    # every file is the older one or a whole new one
-    assert after["tracks.parquet"] == b"older" or pl.read_parquet(tracked_before / "tracks.parquet").height == 60
-    assert all(after[name].endswith(b"IEND\xaeB`\x82") for name in after if name.endswith(".png"))
-
-
-def test_a_disk_that_is_full_for_a_simulation_leaves_nothing(tmp_path, monkeypatch):
-    monkeypatch.setattr(Path, "rename", _full)
-    said = trackwright("simulate", "--out", tmp_path / "out", "--n", 1, "--rows", 2)
-    assert_refused(said, f"{tmp_path / 'out'}: cannot be written (No space left on device), nothing was kept")
-    assert not list(tmp_path.iterdir())
-
-
-def test_an_interrupted_command_says_so(there, monkeypatch):
-    def interrupted(path):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(check_command, "read_folder", interrupted)
-    said = trackwright("check", there / "good")
-    assert (said.code, said.out) == (130, "")
-    assert said.err == "trackwright: interrupted; files already written are whole\n"
-
-
-def test_a_fault_of_the_program_is_not_called_bad_input(there, monkeypatch):
-    def broken(path):
-        raise ZeroDivisionError("a bug")
-
-    monkeypatch.setattr(screen, "read_folder", broken)
-    with pytest.raises(ZeroDivisionError):
-        trackwright("track", there / "good", "--out", there / "never")

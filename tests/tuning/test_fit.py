@@ -57,6 +57,19 @@ def _bearings(rows, seed):
     return Recording(times - times[0], readings, inputs, {"position": (place, np.ones(rows, bool))})
 
 
+@pytest.fixture(scope="module")
+def beam_world():
+    return stack(beams(64, 100, SIGMA_A, SIGMA_P, seed=0, missing=0.25))
+
+
+def test_the_gradient_of_the_beam_trackers_noise_levels_is_the_central_difference(beam_world):
+    tracker = beam_tracker(STATION, "1", 0.3, 0.25)
+    parameters = chosen(tracker, NOISE)
+    problem = Problem(tracker, [beam_world], NLL, parameters, 512)
+    _assert_gradient_is_the_central_difference(problem, flatten(parameters))
+
+
+@pytest.mark.slow
 def test_the_gradient_of_the_beam_tracker_is_the_central_difference_for_every_tunable():
     tracker = beam_tracker(STATION, "1", 0.3, 0.25)
     problem, vector = _problem(tracker, beams(3, 20, SIGMA_A, SIGMA_P, seed=1, missing=0.3), "*")
@@ -94,11 +107,6 @@ def test_forward_and_reverse_mode_agree_on_the_line():
 def test_forward_and_reverse_mode_agree_on_beams():
     problem, vector = _problem(beam_tracker(STATION, "1"), beams(3, 12, SIGMA_A, SIGMA_P, 1, missing=0.3), "*")
     np.testing.assert_allclose(problem.value_and_gradient(vector)[1], _reverse(problem, vector), rtol=1e-9, atol=1e-14)
-
-
-@pytest.fixture(scope="module")
-def beam_world():
-    return stack(beams(64, 100, SIGMA_A, SIGMA_P, seed=0, missing=0.25))
 
 
 @pytest.mark.parametrize("wrong_a", [10.0, 0.1])
