@@ -18,13 +18,13 @@ from experiments.bench_textbook import all_pairs, textbook
 from trackers.aoa.beam import Beam, beam_tracker
 from trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
 from trackers.core.algebra import diagonal
-from trackers.core.chunks import CHUNK, outputs, prepared
+from trackers.core.chunks import CHUNK, chunks, mapped, over_lanes, prepared
 from trackers.core.ekf import Gaussian
 from trackers.core.recording import Batch
 from trackers.core.rig import Station
 from trackers.core.sensor import Reading
-from trackers.core.tracker import AbstractStart, AbstractTracker
-from tuning.fit import Problem, _Parameters, _sums
+from trackers.core.tracker import AbstractStart, AbstractTracker, scanned
+from tuning.fit import Problem, term_sums
 from tuning.objectives import NegativeLogLikelihood
 from tuning.parameters import chosen, flatten
 
@@ -94,6 +94,7 @@ def simulate(trajectories: int, rows: int) -> World:
         readings={"array": Reading(phases, seen, np.zeros((rows, 0, trajectories), np.float32))},
         inputs={name: angles[:, k].astype(np.float32) for k, name in enumerate(("azimuth", "elevation"))},
         truth={},
+        key=np.zeros((2, trajectories), np.uint32),
     )
     return World(batch, angles)
 
@@ -129,8 +130,12 @@ def versions(world: World, peers: bool) -> list[Version]:
     own, given = trackers()
     pairs = all_pairs(DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH)
 
+    def ours(tracker: AbstractTracker) -> Any:
+        model = prepared(tracker, world.batch.dt.dtype)
+        return lambda: [over_lanes(scanned, model, part) for part in chunks(world.batch, CHUNK)]
+
     def last(parts: Any) -> np.ndarray:
-        return np.concatenate([np.asarray(part.belief.mean.azimuth[-1]) for part in parts])
+        return np.concatenate([np.asarray(part.mean.azimuth[-1]) for part in parts])
 
     def first_of_tuple(result: Any) -> np.ndarray:
         return np.asarray(result[0])[:, -1, 0]
@@ -142,8 +147,8 @@ def versions(world: World, peers: bool) -> list[Version]:
     parameters = chosen(given, TUNED)
     problem, vector = Problem(given, [world.batch], NegativeLogLikelihood(), parameters, CHUNK), flatten(parameters)
     found = [
-        Version("ours", TRAJECTORIES, ROWS, lambda: outputs(given, world.batch, CHUNK), last),
-        Version("ours, start included", TRAJECTORIES, ROWS, lambda: outputs(own, world.batch, CHUNK), last),
+        Version("ours", TRAJECTORIES, ROWS, ours(given), last),
+        Version("ours, start included", TRAJECTORIES, ROWS, ours(own), last),
         Version("ours, gradient", TRAJECTORIES, ROWS, lambda: problem.value_and_gradient(vector)[:2]),
         other("textbook", textbook, *SLICE),
     ]
@@ -204,15 +209,16 @@ def memory() -> dict[str, Any]:
     """
     _, given = trackers()
     parameters = chosen(given, TUNED)
-    sums: Any = _sums
+    compiled: Any = mapped
     found: dict[str, Any] = {"trajectories": MEMORY_LANES, "temporaries": {}, "inputs": {}, "peak": {}}
     few = simulate(MEMORY_LANES, MEMORY_ROWS[0]).batch
     for rows in MEMORY_ROWS:
         times = rows // len(few.dt)
-        batch = jax.tree_util.tree_map(lambda x, times=times: np.concatenate([x] * times), few)
-        vector = jnp.asarray(flatten(parameters), batch.dt.dtype)
-        arguments = prepared(given, vector.dtype), batch, NegativeLogLikelihood(), _Parameters(parameters), vector
-        program = sums.lower(*arguments).compile()
+        batch = jax.tree_util.tree_map(lambda x, times=times: np.concatenate([x] * times), few)._replace(key=few.key)
+        problem = Problem(given, [batch], NegativeLogLikelihood(), parameters, CHUNK)
+        part = problem.chunks[0]
+        arguments = term_sums, problem.at(flatten(parameters)), part, part.dt.sharding.mesh
+        program = compiled.lower(*arguments).compile()
         jax.block_until_ready(program(*arguments))
         found["temporaries"][str(rows)] = program.compiled.memory_analysis().temp_size_in_bytes
         found["inputs"][str(rows)] = sum(x.nbytes for x in jax.tree_util.tree_leaves(batch))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import jax
 import numpy as np
 
 from experiments.catalogue import Group
@@ -40,8 +39,7 @@ def bounds_of(folder: Folder, groups: Sequence[Group]) -> tuple[np.ndarray, np.n
         and np.array_equal(lane.recording.times, first.times)
         and np.array_equal(lane.recording.truth["position"][1], known)
     ]
-    batch = stack(same)
-    batch = jax.tree_util.tree_map(lambda x: x[rows], batch)
+    batch = stack(same).rows(rows)
     places = np.stack([r.truth["position"][0][rows] for r in same], axis=-1)
     times = first.times[rows]
     dimensions = 2 if mine[0][0].planar else 3

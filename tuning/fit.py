@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from trackers.core.chunks import CHUNK, prepared
+from trackers.core.chunks import CHUNK, chunks, over_lanes, prepared
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker
 from tuning.curvature import STEP, hessian, newton_step, standard_errors
@@ -59,72 +59,72 @@ class Problem:
         self.objective, self.parameters = objective, parameters
         self.dtype = batches[0].dt.dtype
         self.tracker = prepared(tracker, self.dtype)
-        self.chunks = []
-        for batch in batches:
-            size = min(chunk, 1 << (batch.size - 1).bit_length())
-            self.chunks += [batch.lanes(k, k + size) for k in range(0, batch.size, size)]
+        self.chunks = [part for batch in batches for part in chunks(batch, chunk)]
+        self.valid = np.concatenate([np.asarray(part.valid).any(axis=0) for part in self.chunks])
         self.left_out = 0
 
     def value_and_gradient(self, vector: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """The figure, its gradient, and the sums that it is made of, without trajectories that aren't finite."""
-        found = []
-        for chunk in self.chunks:
-            s, d = _sums(
-                self.tracker, chunk, self.objective, _Parameters(self.parameters), jnp.asarray(vector, self.dtype)
-            )
-            found.append((np.asarray(s, float), np.asarray(d, float), np.asarray(chunk.valid).any(axis=0)))
-        sums, slopes, valid = (
-            np.concatenate(x, axis=a) for x, a in zip(zip(*found, strict=True), (1, 1, 0), strict=True)
-        )
+        found = [over_lanes(term_sums, self.at(vector), part) for part in self.chunks]
+        sums, slopes = (np.concatenate([np.asarray(x, float) for x in xs], axis=-1) for xs in zip(*found, strict=True))
         finite = np.isfinite(sums).all(axis=0)
         steady = _steady(slopes) & finite
-        self.left_out = int(np.sum(~steady & valid))
-        total = np.where(finite, sums, 0).sum(axis=1)
-        slope = np.where(steady[:, None], slopes, 0).sum(axis=1)
+        self.left_out = int(np.sum(~steady & self.valid))
+        total = np.where(finite, sums, 0).sum(axis=-1)
+        slope = np.where(steady, slopes, 0).sum(axis=-1)
         value, by_sum = jax.value_and_grad(self.objective.value)(jnp.asarray(total))
         with np.errstate(invalid="ignore"):  # where nothing is scored figure and gradient are NaN
             return float(value), np.asarray(by_sum, float) @ slope, total
 
+    def at(self, vector: np.ndarray) -> Point:
+        """What `term_sums` takes, at a vector."""
+        return Point(self.tracker, self.objective, self.parameters, jnp.asarray(vector, self.dtype))
+
 
 def _steady(slopes: np.ndarray) -> np.ndarray:
-    """Which trajectories (B,) have derivatives (k, B, p) to go by: finite, and not thousands of times the usual.
+    """Which trajectories (B,) have derivatives (k, p, B) to go by: finite, and not thousands of times the usual.
 
     A filter that hesitates between two tracks depends on every number without measure; where all others have
     something to say, such a trajectory has not.
     """
-    size = np.sqrt(np.sum(np.where(np.isfinite(slopes), slopes, np.inf) ** 2, axis=(0, 2)))
+    size = np.sqrt(np.sum(np.where(np.isfinite(slopes), slopes, np.inf) ** 2, axis=(0, 1)))
     moving = size[np.isfinite(size) & (size > 0)]
     return np.isfinite(size) & (size <= 1e3 * np.median(moving)) if len(moving) else np.isfinite(size)
 
 
-class _Parameters(eqx.Module):
-    """The parameters as a static argument of a compiled function."""
+class Point(eqx.Module):
+    """A tracker, an objective and the values of its parameters: what the compiled function takes."""
 
+    tracker: AbstractTracker
+    objective: AbstractObjective
     names: tuple[tuple[str, ...], ...] = eqx.field(static=True)
     labels: tuple[str, ...] = eqx.field(static=True)
     examples: tuple[Any, ...]
+    vector: jax.Array
 
-    def __init__(self, parameters: list[Parameter]):
+    def __init__(
+        self, tracker: AbstractTracker, objective: AbstractObjective, parameters: list[Parameter], vector: jax.Array
+    ):
+        self.tracker, self.objective, self.vector = tracker, objective, vector
         self.names = tuple(p.names for p in parameters)
         self.labels = tuple(p.label for p in parameters)
         self.examples = tuple(p.example for p in parameters)
 
-    def listed(self) -> list[Parameter]:
+    def parameters(self) -> list[Parameter]:
+        """The parameters, whose values the vector holds."""
         return [Parameter(*parts) for parts in zip(self.names, self.examples, self.labels, strict=True)]
 
 
-@eqx.filter_jit
-def _sums(
-    tracker: AbstractTracker, batch: Batch, objective: AbstractObjective, parameters: _Parameters, vector: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """The sums per term and trajectory (k, B), and their derivatives (k, B, p), all tangents at once, forward."""
+def term_sums(point: Point, batch: Batch) -> tuple[jax.Array, jax.Array]:
+    """The sums per term and trajectory (k, B), and their derivatives (k, p, B), all tangents at once, forward."""
 
     def sums(v: jax.Array) -> tuple[jax.Array, jax.Array]:
-        stacked = jnp.stack(placed_in(tracker, parameters.listed(), v).accumulate(batch, objective.terms))
+        tracker = placed_in(point.tracker, point.parameters(), v)
+        stacked = jnp.stack(tracker.accumulate(batch, point.objective.terms))
         return stacked, stacked
 
-    slopes, values = jax.jacfwd(sums, has_aux=True)(vector)
-    return values, slopes
+    slopes, values = jax.jacfwd(sums, has_aux=True)(point.vector)
+    return values, jnp.moveaxis(slopes, -1, 1)
 
 
 def fit(

@@ -17,7 +17,7 @@ class AbstractObjective(eqx.Module):
     """A figure made of sums: `terms` of every row are added over rows and trajectories, `value` is made of the sums."""
 
     @abstractmethod
-    def terms(self, output: Output, mean: Any, truth: dict[str, tuple[Any, Any]]) -> tuple[Scalar, ...]:
+    def terms(self, output: Output, truth: dict[str, tuple[Any, Any]]) -> tuple[Scalar, ...]:
         """Numbers per trajectory of one row."""
 
     @abstractmethod
@@ -32,7 +32,7 @@ class AbstractObjective(eqx.Module):
 class NegativeLogLikelihood(AbstractObjective):
     """The mean negative log-likelihood per number read, nats; needs no truth."""
 
-    def terms(self, output: Output, mean: Any, truth: dict[str, tuple[Any, Any]]) -> tuple[Scalar, ...]:
+    def terms(self, output: Output, truth: dict[str, tuple[Any, Any]]) -> tuple[Scalar, ...]:
         return -output.log_likelihood, output.count
 
     def value(self, sums: Any) -> Scalar:
@@ -51,11 +51,11 @@ class RootMeanSquareError(AbstractObjective):
     quantity: str = eqx.field(static=True, default="position")
     dimensions: int = eqx.field(static=True, default=2)
 
-    def terms(self, output: Output, mean: Any, truth: dict[str, tuple[Any, Any]]) -> tuple[Scalar, ...]:
+    def terms(self, output: Output, truth: dict[str, tuple[Any, Any]]) -> tuple[Scalar, ...]:
         true, known = truth[self.quantity]
         usable = (output.status == Status.OK) | (output.status == Status.RESTARTED) | (output.status == Status.LOST)
         counts = usable & known
-        components = list(getattr(mean, self.quantity))[: self.dimensions]
+        components = list(getattr(output.mean, self.quantity))[: self.dimensions]
         square = total((m - t) ** 2 for m, t in zip(components, true[: self.dimensions], strict=True))
         return jnp.where(counts, square, 0.0), jnp.where(counts, jnp.ones_like(square), 0.0)
 

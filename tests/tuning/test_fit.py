@@ -8,11 +8,11 @@ import pytest
 from tests.tuning.worlds import STATION, beams, line_tracker, walks
 from trackers.aoa.beam import beam_tracker
 from trackers.aoa.fusion import BEARINGS, bearing_inputs, bearing_tracker
-from trackers.core.chunks import prepared
+from trackers.core.chunks import mapped
 from trackers.core.recording import Readings, Recording, stack
 from trackers.core.tunable import tunables
 from tuning import NegativeLogLikelihood, RootMeanSquareError, fit
-from tuning.fit import Problem, _Parameters, _sums
+from tuning.fit import Problem, term_sums
 from tuning.parameters import chosen, flatten, placed_in
 
 SIGMA_A, SIGMA_P = 0.15, 0.2
@@ -126,9 +126,9 @@ def _temporaries(rows):
     batch = stack(beams(4, 2, SIGMA_A, SIGMA_P, 0), rows)
     tracker = beam_tracker(STATION, "1")
     parameters = chosen(tracker, NOISE)
-    lowered = _sums.lower(
-        prepared(tracker, batch.dt.dtype), batch, NLL, _Parameters(parameters), jnp.asarray(flatten(parameters))
-    )
+    problem = Problem(tracker, [batch], NLL, parameters, 512)
+    part = problem.chunks[0]
+    lowered = mapped.lower(term_sums, problem.at(flatten(parameters)), part, part.dt.sharding.mesh)
     return lowered.compile().compiled.memory_analysis().temp_size_in_bytes
 
 

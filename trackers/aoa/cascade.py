@@ -39,9 +39,6 @@ class Cascade(AbstractTracker):
     def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
         return self.fusion.accumulate(self._bearings(batch), score)
 
-    def moments(self, belief: Any) -> tuple[Any, Any]:
-        return self.fusion.moments(belief)
-
     def _bearings(self, batch: Batch) -> Batch:
         """The recording that the fusion sees: the stations' angles of each row one after another, dt = 0 between."""
         readings = [self._reading(name, batch) for name in self.beams]
@@ -69,6 +66,7 @@ class Cascade(AbstractTracker):
             {BEARINGS: jax.tree_util.tree_map(lambda *x: interleaved(list(x)), *readings)},
             inputs,
             jax.tree_util.tree_map(repeated, batch.truth),
+            batch.key,
         )
 
     def _meeting(self, readings: list[Reading]) -> Any:
@@ -89,7 +87,7 @@ class Cascade(AbstractTracker):
     def _reading(self, name: str, batch: Batch) -> Reading:
         """One station's beam estimates as readings with covariances, where the row had phases of that station."""
         output = self.beams[name].scan(batch._replace(readings={name: batch.readings[name]}))
-        mean, cov = output.belief
+        mean, cov = output.mean, output.cov
         heard = (output.status == Status.RESTARTED) | ((output.status == Status.OK) & (output.count > 0))
         angles = jnp.stack([mean.azimuth, mean.elevation], axis=1)
         return Reading(angles, jnp.stack([heard, heard], axis=1), jnp.stack([cov[0], cov[1], cov[4]], axis=1))
@@ -106,9 +104,9 @@ class Cascade(AbstractTracker):
 
         restarted = jnp.any(every(output.status) == Status.RESTARTED, axis=1)
         status = jnp.where(restarted & (last(output.status) == Status.OK), Status.RESTARTED, last(output.status))
-        log_likelihood, nis, count, wrapped = (jnp.sum(every(x), axis=1) for x in output[1:5])
-        belief = jax.tree_util.tree_map(last, output.belief)
-        return Output(belief, log_likelihood, nis, count, wrapped, status.astype(jnp.int8))
+        log_likelihood, nis, count, wrapped = (jnp.sum(every(x), axis=1) for x in output[2:6])
+        mean, cov = jax.tree_util.tree_map(last, (output.mean, output.cov))
+        return Output(mean, cov, log_likelihood, nis, count, wrapped, status.astype(jnp.int8))
 
 
 def cascade_tracker(

@@ -45,13 +45,10 @@ class DelayAndSum(AbstractTracker):
         enough = jnp.sum(reading.seen, axis=1) >= 3
         status = jnp.where(enough, Status.OK, Status.WAITING)
         status = jnp.where(jnp.asarray(batch.valid), status, Status.PADDING).astype(jnp.int8)
-        return Output((mean, cov), zero, zero, zero, zero, status)
+        return Output(mean, cov, zero, zero, zero, zero, status)
 
     def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
         output = self.scan(batch)
         truth = jax.tree_util.tree_map(jnp.asarray, batch.truth)
-        terms = jax.vmap(lambda o, t: score(o, o.belief[0], t))(output, truth)
+        terms = jax.vmap(score)(output, truth)
         return tuple(jnp.sum(x, axis=0) for x in terms)
-
-    def moments(self, belief: Any) -> tuple[Any, Any]:
-        return belief

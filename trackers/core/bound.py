@@ -39,7 +39,7 @@ def posterior_bound(tracker: Tracker, batch: Batch, states: Any) -> np.ndarray:
 def _pieces(tracker: Tracker, batch: Batch, states: Any) -> tuple[Any, ...]:
     """The start's covariance (n, n), and by row F, Q and the readings' information (T, n, n), means over the batch."""
     tracker = resolved(tracker)
-    rows = Row(batch.dt, batch.valid, batch.readings, batch.inputs)
+    rows = Row(batch.dt, batch.valid, batch.readings, batch.inputs, None, None)
 
     def lane(row: Row, state: Any) -> tuple[Any, Any, Any]:
         point, rebuild = coordinates(state)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, TypeVar
+from collections.abc import Callable, Iterator
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -12,17 +13,14 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from trackers.core.recording import Batch
 
-if TYPE_CHECKING:
-    from trackers.core.tracker import AbstractTracker, Output
-
-AnyTracker = TypeVar("AnyTracker", bound="AbstractTracker")
+Tree = TypeVar("Tree")
 
 CHUNK = 512
 """Trajectories per chunk and device: large enough to amortise a step's overhead, small enough for the cache."""
 
 
-def prepared(tracker: AnyTracker, dtype: Any) -> AnyTracker:
-    """The tracker with its floating numbers as arrays of the run's type, so that other numbers compile nothing anew."""
+def prepared(tree: Tree, dtype: Any) -> Tree:
+    """The tree with its floating numbers as arrays of the run's type, so that other numbers compile nothing anew."""
 
     def cast(x: Any) -> Any:
         floating = isinstance(x, (float, np.floating)) or (
@@ -30,49 +28,49 @@ def prepared(tracker: AnyTracker, dtype: Any) -> AnyTracker:
         )
         return jnp.asarray(x, dtype) if floating else x
 
-    return jax.tree_util.tree_map(cast, tracker)
+    return jax.tree_util.tree_map(cast, tree)
 
 
-@eqx.filter_jit
-def _chunk(tracker: AbstractTracker, batch: Batch) -> Output:
-    return tracker.scan(batch)
-
-
-@eqx.filter_jit
-def _sharded_chunk(tracker: AbstractTracker, batch: Batch, mesh: Mesh) -> Output:
-    arrays, static = eqx.partition(tracker, eqx.is_array)
-    spread = PartitionSpec
-
-    def run(arrays: Any, batch: Batch) -> Output:
-        return eqx.combine(arrays, static).scan(batch)
-
-    def last(x: Any) -> PartitionSpec:
-        return spread(*[None] * (np.ndim(x) - 1), "lanes")
-
-    shapes = jax.eval_shape(run, arrays, batch)
-    return jax.shard_map(
-        run,
-        mesh=mesh,
-        in_specs=(spread(), jax.tree_util.tree_map(last, batch)),
-        out_specs=jax.tree_util.tree_map(lambda s: spread(*[None] * (len(s.shape) - 1), "lanes"), shapes),
-        check_vma=False,
-    )(arrays, batch)
-
-
-def outputs(tracker: AbstractTracker, batch: Batch, chunk: int) -> list[Output]:
-    """The outputs of each chunk, batch-last, on the devices; all devices of the host share a chunk's lanes."""
-    tracker = prepared(tracker, batch.dt.dtype)
+def chunks(batch: Batch, chunk: int) -> Iterator[Batch]:
+    """The batch in parts of `chunk` lanes per device, on the devices; all devices of the host share a part's lanes."""
     devices = jax.local_devices()
     # A small batch gets a small chunk, a power of two so that few shapes are ever compiled.
     chunk = min(chunk, 1 << (batch.size - 1).bit_length())
-    if batch.size <= chunk or len(devices) == 1:
-        return [_chunk(tracker, batch.lanes(k, k + chunk)) for k in range(0, batch.size, chunk)]
+    if batch.size <= chunk:
+        devices = devices[:1]
     mesh = Mesh(np.array(devices), ("lanes",))
-    results = []
+
+    def spread(x: Any) -> jax.Array:
+        return jax.device_put(x, NamedSharding(mesh, _last(np.ndim(x))))
+
     for k in range(0, batch.size, chunk * len(devices)):
-        part = batch.lanes(k, k + chunk * len(devices))
-        put = jax.tree_util.tree_map(
-            lambda x: jax.device_put(x, NamedSharding(mesh, PartitionSpec(*[None] * (x.ndim - 1), "lanes"))), part
-        )
-        results.append(_sharded_chunk(tracker, put, mesh))
-    return results
+        yield jax.tree_util.tree_map(spread, batch.lanes(k, k + chunk * len(devices)))
+
+
+def over_lanes(function: Callable[[Any, Batch], Tree], model: Any, part: Batch) -> Tree:
+    """`function(model, part)` for a part that `chunks` made, each device its lanes; results end with the lanes."""
+    return mapped(function, model, part, part.dt.sharding.mesh)
+
+
+@eqx.filter_jit
+def mapped(function: Callable[[Any, Batch], Tree], model: Any, part: Batch, mesh: Mesh) -> Tree:
+    """What `over_lanes` compiles, once per function, kind of model and shape of the part."""
+    if mesh.size == 1:
+        return function(model, part)
+    arrays, static = eqx.partition(model, eqx.is_array)
+
+    def run(arrays: Any, part: Batch) -> Tree:
+        return function(eqx.combine(arrays, static), part)
+
+    shapes = jax.eval_shape(run, arrays, part)
+    return jax.shard_map(
+        run,
+        mesh=mesh,
+        in_specs=(PartitionSpec(), jax.tree_util.tree_map(lambda x: _last(x.ndim), part)),
+        out_specs=jax.tree_util.tree_map(lambda x: _last(len(x.shape)), shapes),
+        check_vma=False,
+    )(arrays, part)
+
+
+def _last(dimensions: int) -> PartitionSpec:
+    return PartitionSpec(*[None] * (dimensions - 1), "lanes")

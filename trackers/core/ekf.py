@@ -54,6 +54,10 @@ class Innovation(NamedTuple):
 class ExtendedKalman(eqx.Module):
     """The filter that linearises motion and sensors at the current mean."""
 
+    def init(self, belief: Gaussian, key: Any) -> Gaussian:
+        """The filter's own belief, from a normal one."""
+        return belief
+
     def moments(self, belief: Gaussian) -> tuple[State, tuple[Scalar, ...]]:
         """The mean state and the covariance's upper triangle."""
         return belief.mean, belief.cov

@@ -6,6 +6,7 @@ NaN. A batch stands batch-last, so that inside a filter step each number is one 
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -99,6 +100,8 @@ class Recording:
 class Batch(NamedTuple):
     """Recordings stacked batch-last: `dt` (T, B) s, `valid` (T, B), readings (T, m, B), inputs and truth likewise.
 
+    `key` (2, B): the random key of each trajectory, from its name and never from its place in the batch.
+
     Rows beyond a recording's end are not valid: whatever stands there, the belief stays as it is to the bit.
     """
 
@@ -107,11 +110,16 @@ class Batch(NamedTuple):
     readings: dict[str, Reading]
     inputs: dict[str, Any]
     truth: dict[str, tuple[Any, Any]]
+    key: Any
 
     @property
     def size(self) -> int:
         """The number of trajectories."""
         return int(self.dt.shape[-1])
+
+    def rows(self, part: slice) -> Batch:
+        """Some of the rows of all trajectories."""
+        return jax.tree_util.tree_map(lambda x: x[part], self)._replace(key=self.key)
 
     def lanes(self, start: int, stop: int) -> Batch:
         """The trajectories start … stop − 1, filled up with invalid ones where the batch ends before."""
@@ -168,4 +176,5 @@ def stack(recordings: Sequence[Recording], rows: int | None = None, dtype: Any =
             k: (pile([r.truth[k][0] for r in recordings], dtype), pile([r.truth[k][1] for r in recordings], bool))
             for k in first.truth
         },
+        key=np.array([[0] * len(recordings), [zlib.crc32(r.name.encode()) for r in recordings]], np.uint32),
     )

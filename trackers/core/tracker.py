@@ -16,8 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.core.algebra import Scalar, shared, total
-from trackers.core.chunks import CHUNK, outputs
-from trackers.core.ekf import ExtendedKalman
+from trackers.core.chunks import CHUNK, chunks, over_lanes, prepared
+from trackers.core.ekf import ExtendedKalman, Gaussian
 from trackers.core.estimates import Estimates, Status
 from trackers.core.motion import AbstractMotion
 from trackers.core.recording import Batch, Recording, stack
@@ -29,12 +29,14 @@ ACQUIRED_AT_ONCE = 16
 
 
 class Row(NamedTuple):
-    """One row of one trajectory."""
+    """One row of one trajectory; `key` (2,) is the trajectory's own, for filters that draw, `number` the row's."""
 
     dt: Scalar
     valid: Scalar
     readings: dict[str, Reading]
     inputs: dict[str, Any]
+    key: Any
+    number: Any
 
 
 class AbstractStart(eqx.Module):
@@ -49,8 +51,8 @@ class AbstractStart(eqx.Module):
         """The expensive part, run only for trajectories that need it; its result is not differentiated."""
 
     @abstractmethod
-    def begin(self, found: Any, row: Row) -> Any:
-        """The belief at this row, from what `acquire` found."""
+    def begin(self, found: Any, row: Row) -> Gaussian:
+        """The normal belief at this row, from what `acquire` found; the filter makes its own kind of belief of it."""
 
 
 class LossPolicy(eqx.Module):
@@ -65,6 +67,16 @@ class LossPolicy(eqx.Module):
     patience: float = 5.0
 
 
+class Said(NamedTuple):
+    """What one row's readings said, and what it is: the rest of an output, beside mean and covariance."""
+
+    log_likelihood: Scalar
+    nis: Scalar
+    count: Scalar
+    wrapped: Scalar
+    status: Scalar
+
+
 class Carry(NamedTuple):
     """What one row hands to the next."""
 
@@ -76,9 +88,10 @@ class Carry(NamedTuple):
 
 
 class Output(NamedTuple):
-    """What one row returns."""
+    """What one row returns: the state's mean and the upper triangle of its covariance, and what its readings said."""
 
-    belief: Any
+    mean: Any
+    cov: tuple[Scalar, ...]
     log_likelihood: Scalar
     nis: Scalar
     count: Scalar
@@ -86,8 +99,8 @@ class Output(NamedTuple):
     status: Scalar
 
 
-Score = Callable[[Output, Any, dict[str, tuple[Any, Any]]], tuple[Any, ...]]
-"""Numbers per trajectory, (B,) each, of one row: from its output, its mean state and its truth."""
+Score = Callable[[Output, dict[str, tuple[Any, Any]]], tuple[Any, ...]]
+"""Numbers per trajectory, (B,) each, of one row: from its output and its truth."""
 
 
 class AbstractTracker(eqx.Module):
@@ -101,22 +114,25 @@ class AbstractTracker(eqx.Module):
     def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
         """Sums over rows of what `score` makes of each row's output, per trajectory; memory flat in the rows."""
 
-    @abstractmethod
-    def moments(self, belief: Any) -> tuple[Any, Any]:
-        """The mean state of a belief and its covariance's upper triangle."""
-
     def run(self, recordings: Recording | Batch, chunk: int = CHUNK) -> Estimates:
         """The estimates for one recording, or for a batch of them in chunks of `chunk` trajectories per device."""
         if isinstance(recordings, Recording):
             return self.run(stack([recordings]), chunk=1)[0]
-        parts = [jax.tree_util.tree_map(np.asarray, part) for part in outputs(self, recordings, chunk)]
+        model = prepared(self, recordings.dt.dtype)
+        parts = [
+            jax.tree_util.tree_map(np.asarray, over_lanes(scanned, model, part)) for part in chunks(recordings, chunk)
+        ]
 
         def join(*arrays: np.ndarray) -> np.ndarray:
             return np.moveaxis(np.concatenate(arrays, axis=-1)[..., : recordings.size], -1, 0)
 
         joined = jax.tree_util.tree_map(join, *parts)
-        mean, cov = self.moments(joined.belief)
-        return Estimates(mean, np.stack(cov), *joined[1:])
+        return Estimates(joined.mean, np.stack(joined.cov), *joined[2:])
+
+
+def scanned(tracker: AbstractTracker, batch: Batch) -> Output:
+    """`tracker.scan(batch)`, as a function of both."""
+    return tracker.scan(batch)
 
 
 class Tracker(AbstractTracker):
@@ -136,10 +152,7 @@ class Tracker(AbstractTracker):
     def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
         return scan_rows(resolved(self), batch, score)[0]
 
-    def moments(self, belief: Any) -> tuple[Any, Any]:
-        return self.filter.moments(belief)
-
-    def step(self, carry: Carry, row: Row) -> tuple[Carry, Output]:
+    def step(self, carry: Carry, row: Row) -> tuple[Carry, Said]:
         """One row of one trajectory, short of starting: predict, update with every sensor, judge."""
         belief = self.filter.predict(carry.belief, self.motion, row.inputs, row.dt)
         said = []
@@ -164,7 +177,7 @@ class Tracker(AbstractTracker):
         zero = jnp.zeros_like(nis)
         log_likelihood, nis, count, wrapped = select(keep, (log_likelihood, nis, count, wrapped), (zero,) * 4)
         status = jnp.where(row.valid, status, Status.PADDING).astype(jnp.int8)
-        return after, Output(after.belief, log_likelihood, nis, count, wrapped, status)
+        return after, Said(log_likelihood, nis, count, wrapped, status)
 
 
 def select(condition: Scalar, yes: Any, no: Any) -> Any:
@@ -174,25 +187,33 @@ def select(condition: Scalar, yes: Any, no: Any) -> Any:
 
 def scan_rows(tracker: Tracker, batch: Batch, score: Score | None = None) -> tuple[tuple[Any, ...], Output | None]:
     """All rows of one chunk of trajectories, batch-last: the sums of a score, or else the outputs of every row."""
-    rows = Row(batch.dt, batch.valid, batch.readings, batch.inputs)
+    size, lanes_key = batch.size, jnp.asarray(batch.key)
+    rows = Row(batch.dt, batch.valid, batch.readings, batch.inputs, None, jnp.arange(len(batch.dt), dtype=jnp.uint32))
     lanes = jax.vmap(tracker.step, in_axes=-1, out_axes=-1)
+    moments = jax.vmap(tracker.filter.moments, in_axes=-1, out_axes=-1)
+
+    def one_row(carry: Carry, row: Row) -> tuple[Carry, Output]:
+        row = row._replace(key=lanes_key, number=jnp.broadcast_to(row.number, (size,)))
+        carry, said = lanes(carry, row)
+        carry, said = start_again(tracker, carry, row, said)
+        mean, cov = moments(carry.belief)
+        return carry, Output(mean, cov, *said)
 
     def body(state: tuple[Carry, tuple[Any, ...]], inputs: tuple[Row, Any]) -> tuple[Any, Output | None]:
         carry, sums = state
         row, truth = inputs
-        carry, output = lanes(carry, row)
-        carry, output = start_again(tracker, carry, row, output)
+        carry, output = one_row(carry, row)
         if score is None:
             return (carry, sums), output
-        terms = score(output, tracker.moments(output.belief)[0], truth)
-        return (carry, tuple(a + b for a, b in zip(sums, terms, strict=True))), None
+        return (carry, tuple(a + b for a, b in zip(sums, score(output, truth), strict=True))), None
 
     first_row, first_truth = jax.tree_util.tree_map(lambda x: jnp.asarray(x[0]), (rows, batch.truth))
+    first_row = first_row._replace(key=lanes_key, number=jnp.zeros(size, jnp.uint32))
     empty = jax.vmap(lambda row: blank(tracker, row), in_axes=-1, out_axes=-1)(first_row)
     sums: tuple[Any, ...] = ()
     if score is not None:
-        output = jax.eval_shape(lambda: lanes(empty, first_row)[1])
-        shapes = jax.eval_shape(lambda o, t: score(o, tracker.moments(o.belief)[0], t), output, first_truth)
+        first_row = first_row._replace(number=jnp.zeros((), jnp.uint32))
+        shapes = jax.eval_shape(lambda: score(one_row(empty, first_row)[1], first_truth))
         sums = tuple(jnp.zeros(s.shape, s.dtype) for s in shapes)
     (_, sums), outputs = jax.lax.scan(body, (empty, sums), (rows, batch.truth))
     return sums, outputs
@@ -201,7 +222,9 @@ def scan_rows(tracker: Tracker, batch: Batch, score: Score | None = None) -> tup
 def begun(tracker: Tracker, found: Any, row: Row) -> Carry:
     """What a row hands on that starts a track."""
     one = jnp.ones_like(row.dt)
-    return Carry(tracker.start.begin(found, row), one > 0, one > 0, one, one * 0)
+    # Another key for every start of a trajectory; a filter that draws nothing leaves it uncomputed.
+    key = jax.random.key_data(jax.random.fold_in(jax.random.wrap_key_data(row.key), row.number))
+    return Carry(tracker.filter.init(tracker.start.begin(found, row), key), one > 0, one > 0, one, one * 0)
 
 
 def blank(tracker: Tracker, row: Row) -> Carry:
@@ -210,14 +233,13 @@ def blank(tracker: Tracker, row: Row) -> Carry:
     return jax.tree_util.tree_map(lambda s: jnp.zeros(s.shape, s.dtype), shape)
 
 
-def start_again(tracker: Tracker, carry: Carry, row: Row, output: Output) -> tuple[Carry, Output]:
+def start_again(tracker: Tracker, carry: Carry, row: Row, said: Said) -> tuple[Carry, Said]:
     """Start every trajectory of the chunk that isn't running and whose row holds enough; the others pass unchanged."""
     need = row.valid & ~carry.running & jax.vmap(tracker.start.ready, in_axes=-1)(row)
     found = search(tracker, row, need)
     fresh = jax.vmap(lambda f, r: begun(tracker, f, r), in_axes=-1, out_axes=-1)(found, row)
-    status = jnp.where(need, jnp.where(carry.begun, Status.RESTARTED, Status.OK), output.status).astype(jnp.int8)
-    carry = select(need, fresh, carry)
-    return carry, output._replace(belief=carry.belief, status=status)
+    status = jnp.where(need, jnp.where(carry.begun, Status.RESTARTED, Status.OK), said.status).astype(jnp.int8)
+    return select(need, fresh, carry), said._replace(status=status)
 
 
 def search(tracker: Tracker, row: Row, need: Any) -> Any:
