@@ -9,6 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import jaxpr_as_fun
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from trackers.core.recording import Batch
@@ -62,9 +63,19 @@ def mapped(function: Callable[[Any, Batch], Tree], model: Any, part: Batch, mesh
     def run(arrays: Any, part: Batch) -> Tree:
         return function(eqx.combine(arrays, static), part)
 
-    shapes = jax.eval_shape(run, arrays, part)
+    def share(x: Any) -> jax.ShapeDtypeStruct:
+        return jax.ShapeDtypeStruct((*x.shape[:-1], x.shape[-1] // mesh.size), x.dtype)
+
+    # Traced once, with the shapes of one device: a filter's program takes seconds to trace.
+    program, shapes = jax.make_jaxpr(run, return_shape=True)(arrays, jax.tree_util.tree_map(share, part))
+    traced = jaxpr_as_fun(program)
+
+    def each(arrays: Any, part: Batch) -> Tree:
+        flat = traced(*jax.tree_util.tree_leaves((arrays, part)))
+        return jax.tree_util.tree_unflatten(jax.tree_util.tree_structure(shapes), flat)
+
     return jax.shard_map(
-        run,
+        each,
         mesh=mesh,
         in_specs=(PartitionSpec(), jax.tree_util.tree_map(lambda x: _last(x.ndim), part)),
         out_specs=jax.tree_util.tree_map(lambda x: _last(len(x.shape)), shapes),
