@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from experiments.catalogue import Group
+from experiments.entry import Group
 from experiments.folder import Folder
 from trackers.core.algebra import Vector
 from trackers.core.bound import posterior_bound

@@ -1,4 +1,4 @@
-"""From recording folders to the rows that trackers take: one lane per tag, or per tag and station for beams."""
+"""From recording folders to the rows that trackers take: lanes, and what every system's lanes are made with."""
 
 from __future__ import annotations
 
@@ -10,13 +10,9 @@ import numpy as np
 import polars as pl
 
 from experiments.folder import Folder
-from experiments.matching import Verdict, interpolated, numbers, truth_paths
-from trackers.aoa.fusion import BEARINGS, bearing_inputs
-from trackers.aoa.rays import recent_points
+from experiments.matching import Verdict, interpolated, truth_paths
 from trackers.core.recording import Readings, Recording
-from trackers.core.rig import Station
 
-PHASES = "phases"
 Path = tuple[np.ndarray, np.ndarray]
 
 
@@ -28,50 +24,6 @@ class Lane:
     tag: str
     station: str
     recording: Recording
-
-
-def bearing_lanes(folder: Folder, free_height: bool) -> Iterator[Lane]:
-    """Each tag's bearings, one row per table row, with the geometry of the row's station as inputs."""
-    stations = folder.rig.stations
-    geometry = {name: bearing_inputs(s) for name, s in stations.items()}
-    paths = _true_paths(folder)
-    for tag, table in _by_tag(folder.tables["bearings"]):
-        values, seen = _values(table, ["azimuth_rad", "elevation_rad"])
-        # Without reported spreads zeros stand here, so that lanes with and without share a batch.
-        spread = np.nan_to_num(np.stack([numbers(table, f"{a}_std_rad") for a in ("azimuth", "elevation")], axis=1))
-        reported = np.stack([spread[:, 0] ** 2, np.zeros(len(spread)), spread[:, 1] ** 2], axis=1)
-        where = np.stack([geometry[s] for s in table["station"].to_list()])
-        times, height = table["t_s"].to_numpy(), None if free_height else known_height(folder, tag)
-        nearby = recent_points(times, where[:, :3], where[:, 3:], values, np.asarray(seen.all(axis=1)), height)
-        inputs = {"origin": where[:, :3], "axes": where[:, 3:], "nearby": nearby}
-        readings = {BEARINGS: Readings(values, seen, reported)}
-        yield _lane(folder, tag, "", times, readings, inputs, paths)
-
-
-def phase_lanes(folder: Folder, free_height: bool) -> Iterator[Lane]:
-    """Each tag's phases at all stations, by the stations' ids; a row per time."""
-    stations = {name: s for name, s in folder.rig.stations.items() if s.antennas is not None}
-    paths = _true_paths(folder)
-    for tag, table in _by_tag(folder.tables["phases"]):
-        times, place = _rows(table["t_s"].to_numpy(), table["station"].to_numpy())
-        readings = {}
-        for name, station in stations.items():
-            here = (table["station"] == name).to_numpy()
-            values, seen = _values(table.filter(here), _phase_columns(station))
-            every, mask = np.zeros((len(times), values.shape[1])), np.zeros((len(times), values.shape[1]), bool)
-            every[place[here]], mask[place[here]] = values, seen
-            readings[name] = Readings(every, mask)
-        yield _lane(folder, tag, "", times, readings, {}, paths)
-
-
-def beam_lanes(folder: Folder, free_height: bool) -> Iterator[Lane]:
-    """Each tag's phases at one station, for every pair of them, under the name `phases`."""
-    paths = _true_paths(folder)
-    for tag, table in _by_tag(folder.tables["phases"]):
-        for (name,), part in table.group_by(["station"], maintain_order=True):
-            values, seen = _values(part, _phase_columns(folder.rig.stations[str(name)]))
-            readings = {PHASES: Readings(values, seen)}
-            yield _lane(folder, tag, str(name), part["t_s"].to_numpy(), readings, {}, paths)
 
 
 def pieces(lane: Lane, rows: int) -> list[Lane]:
@@ -94,7 +46,7 @@ def cut(recording: Recording, start: int, stop: int) -> Recording:
     return Recording(recording.times[part], readings, inputs, truth, recording.name)
 
 
-def _lane(
+def lane_of(
     folder: Folder,
     tag: str,
     station: str,
@@ -103,6 +55,7 @@ def _lane(
     inputs: dict[str, np.ndarray],
     paths: dict[str, Path],
 ) -> Lane:
+    """A lane of these rows, with the input `height` (T,), m, zero where the rig gives none, and the truth at them."""
     height = known_height(folder, tag)
     inputs = {**inputs, "height": np.full(len(times), 0.0 if height is None else height)}
     truth = _truth(folder, tag, station, times, paths)
@@ -115,7 +68,8 @@ def known_height(folder: Folder, tag: str) -> float | None:
     return None if known is None else known.height
 
 
-def _true_paths(folder: Folder) -> dict[str, Path]:
+def true_paths(folder: Folder) -> dict[str, Path]:
+    """The true paths by tag, as `lane_of` takes them; empty without truth."""
     return truth_paths(folder.tables["truth"], folder.name) if "truth" in folder.tables else {}
 
 
@@ -131,29 +85,14 @@ def _truth(folder: Folder, tag: str, station: str, times: np.ndarray, paths: dic
     return {"position": (place, known)}
 
 
-def _by_tag(table: pl.DataFrame) -> Iterator[tuple[str, pl.DataFrame]]:
+def by_tag(table: pl.DataFrame) -> Iterator[tuple[str, pl.DataFrame]]:
+    """The rows of each tag."""
     for (tag,), part in table.group_by(["tag"], maintain_order=True):
         yield str(tag), part
 
 
-def _values(table: pl.DataFrame, columns: list[str]) -> tuple[np.ndarray, np.ndarray]:
+def values_of(table: pl.DataFrame, columns: list[str]) -> tuple[np.ndarray, np.ndarray]:
     """The columns (n, m) with zero where a value is missing, and where there is one."""
     values = table.select(pl.col(columns).cast(pl.Float64).fill_null(np.nan)).to_numpy()
     seen = np.isfinite(values)
     return np.where(seen, values, 0.0), seen
-
-
-def _phase_columns(station: Station) -> list[str]:
-    assert station.antennas is not None
-    return [f"phase_{k + 1}_rad" for k in range(len(station.antennas))]
-
-
-def _rows(times: np.ndarray, stations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """One row per time, and per repeat of a station at one time; the rows' times and each entry's row."""
-    order = np.lexsort((np.arange(len(times)), stations, times))
-    repeat = np.zeros(len(times), int)
-    same = (np.diff(times[order]) == 0) & (stations[order][1:] == stations[order][:-1])
-    for k in np.flatnonzero(same):
-        repeat[order[k + 1]] = repeat[order[k]] + 1
-    keys, place = np.unique(np.stack([times, repeat], axis=1), axis=0, return_inverse=True)
-    return keys[:, 0], place.ravel()

@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 
 from experiments.bounds import bounds_of
-from experiments.catalogue import Group
+from experiments.entry import Group
 from experiments.evaluation import covariances
 from experiments.figures import bearings_over_time, error_cdf, error_over_time
 from experiments.filter_figures import consistency

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 import polars as pl
 
-from experiments.catalogue import Group
+from experiments.entry import Group
 from experiments.lanes import Lane
 from trackers.core.chunks import CHUNK
 from trackers.core.estimates import Estimates, Status

@@ -12,7 +12,8 @@ import numpy as np
 import polars as pl
 import tyro
 
-from experiments.catalogue import Group, fitting, groups
+from experiments.catalogue import fitting, groups
+from experiments.entry import Group
 from experiments.errors import UnusableInput
 from experiments.filter_figures import tuning_trace
 from experiments.lanes import Lane, pieces

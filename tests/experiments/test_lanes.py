@@ -5,7 +5,8 @@ import polars as pl
 import pytest
 
 from experiments.folder import Folder, read_folder
-from experiments.lanes import PHASES, beam_lanes, bearing_lanes, cut, phase_lanes, pieces
+from experiments.lanes import cut, pieces
+from experiments.systems.aoa import PHASES, beam_lanes, bearing_lanes, phase_lanes
 from tests.experiments.faulty import write_good
 from trackers.aoa.fusion import BEARINGS
 

@@ -1,0 +1,1 @@
+"""What the command line knows of each system: its trackers by name, and the lanes they take."""
