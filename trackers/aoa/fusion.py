@@ -13,12 +13,11 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.aoa.phases import placed
 from trackers.core.algebra import Scalar, Vector, diagonal, total
 from trackers.core.ekf import Gaussian
 from trackers.core.motion import GroundMotion, Kinematic, Noise
 from trackers.core.rig import Station
-from trackers.core.sensor import AbstractSensor, Channel, Reading, Residual, log_peak
+from trackers.core.sensor import AbstractSensor, Channel, Reading, Residual, log_peak, placed
 from trackers.core.state import wrap
 from trackers.core.tracker import AbstractStart, LossPolicy, Row, Tracker
 from trackers.core.tunable import Real, Scale

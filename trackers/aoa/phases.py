@@ -19,7 +19,7 @@ from trackers.aoa.circular import circular_mean
 from trackers.core.algebra import Scalar, Vector, shared, total
 from trackers.core.motion import Noise
 from trackers.core.rig import Station
-from trackers.core.sensor import LOG_2PI, AbstractSensor, Channel, Reading, Residual
+from trackers.core.sensor import LOG_2PI, AbstractSensor, Channel, Reading, Residual, placed
 from trackers.core.state import wrap
 from trackers.core.tunable import Real, Scale
 
@@ -172,11 +172,6 @@ class SphericalPhases(AbstractPhaseSensor):
             shorter = (2.0 * to_tag.dot(a) - a.dot(a)) / (distance + (to_tag - a).norm())
             phases.append(self.wavenumber * shorter + offset)
         return phases
-
-
-def placed(position: Vector, inputs: Any) -> Vector:
-    """A position in space: a planar one gets the known height from `inputs["height"]`, m."""
-    return position if len(position) == 3 else Vector(*position, inputs["height"])
 
 
 def _array(station: Station) -> tuple[np.ndarray, float]:

@@ -64,19 +64,25 @@ class ExtendedKalman(eqx.Module):
 
     def predict(self, belief: Gaussian, motion: AbstractMotion, inputs: Any, dt: Scalar) -> Gaussian:
         """The belief `dt` seconds later."""
-        point, rebuild = coordinates(belief.mean)
+        moved, F, G = self.jacobians(belief.mean, motion, inputs, dt)
+        return shared(Gaussian(moved, congruence(F, belief.cov, G)))
+
+    def jacobians(
+        self, state: State, motion: AbstractMotion, inputs: Any, dt: Scalar
+    ) -> tuple[State, list[SparseRow], list[SparseRow]]:
+        """The state `dt` seconds later without noise, and the derivatives F by the state and G by the noise."""
+        point, rebuild = coordinates(state)
         zero = jnp.zeros_like(point[0])
         n = len(point)
-        moved = motion.step(belief.mean, inputs, dt, Vector.of([zero] * motion.noise_dimension))
+        moved = motion.step(state, inputs, dt, Vector.of([zero] * motion.noise_dimension))
 
         def step(*values: Scalar) -> list[Scalar]:
-            state = motion.step(rebuild(values[:n]), inputs, dt, Vector.of(values[n:]))
-            return local(moved, state)
+            return local(moved, motion.step(rebuild(values[:n]), inputs, dt, Vector.of(values[n:])))
 
         _, rows = linearise(step, [*point, *[zero] * motion.noise_dimension])
         F = [{j: v for j, v in row.items() if j < n} for row in rows]
         G = [{j - n: v for j, v in row.items() if j >= n} for row in rows]
-        return shared(Gaussian(moved, congruence(F, belief.cov, G)))
+        return moved, F, G
 
     def update(
         self, belief: Gaussian, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Any
@@ -101,7 +107,9 @@ class ExtendedKalman(eqx.Module):
         values, rows = linearise(misfit, point)
         *whitened, log_scale, count, wrapped, tail = values
         jacobian = [{j: -v for j, v in row.items()} for row in rows[: len(whitened)]]
-        residual, H, apart = shared(compressed(*shared((whitened, jacobian))))
+        # Student's t judges each channel by itself; a compressed one would spread a wild reading over the others.
+        channels = shared((whitened, jacobian))
+        residual, H, apart = (*channels, jnp.zeros_like(count)) if heavy[0] else shared(compressed(*channels))
         step, cov, nis, log_density = joseph(belief.cov, residual, H, len(point), tail if heavy[0] else None)
         innovation = Innovation(log_scale + log_density - 0.5 * apart, nis + apart, count, wrapped)
         return Gaussian(retract(belief.mean, step), cov), innovation

@@ -14,7 +14,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax.scipy.special import gammaln
 
-from trackers.core.algebra import Scalar, total
+from trackers.core.algebra import Scalar, Vector, total
 
 LOG_2PI = 1.8378770664093453
 
@@ -70,6 +70,11 @@ class AbstractSensor(eqx.Module):
     @abstractmethod
     def residual(self, reading: Reading, predicted: Sequence[Scalar]) -> Residual:
         """The whitened distance between a reading and a prediction, with the scale of its density."""
+
+
+def placed(position: Vector, inputs: Any) -> Vector:
+    """A position in space: a planar one gets the known height from `inputs["height"]`, m."""
+    return position if len(position) == 3 else Vector(*position, inputs["height"])
 
 
 def log_peak(tail: Scalar) -> Scalar:
