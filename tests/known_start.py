@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import equinox as eqx
+import jax
 import numpy as np
 
+from trackers.core.algebra import total
 from trackers.core.ekf import Gaussian
 from trackers.core.recording import Readings, Recording
+from trackers.core.sensor import AbstractSensor, Channel, independent
 from trackers.core.tracker import AbstractStart, LossPolicy
 
 NEVER_LOST = LossPolicy(limit=np.inf, patience=np.inf)
@@ -28,6 +31,26 @@ class KnownStart(AbstractStart):
     def begin(self, found, row):
         mean, cov = row.inputs["start_mean"], row.inputs["start_cov"]
         return Gaussian(self.build([mean[k] for k in range(mean.shape[0])]), tuple(cov[k] for k in range(cov.shape[0])))
+
+
+class LinearSensor(AbstractSensor):
+    """H times the state's components, with independent noise."""
+
+    H: np.ndarray
+    sigmas: np.ndarray
+    m: int = eqx.field(static=True)
+
+    @property
+    def channels(self):
+        return tuple(Channel(str(k), "m") for k in range(self.m))
+
+    def measure(self, view, inputs):
+        x = jax.tree_util.tree_leaves(view)
+        return [total(self.H[i, j] * v for j, v in enumerate(x)) for i in range(self.m)]
+
+    def residual(self, reading, predicted):
+        differences = [z - p for z, p in zip(reading.values, predicted, strict=True)]
+        return independent(differences, list(self.sigmas), reading.seen)
 
 
 def recording(times, readings, mean, cov, inputs=None, name="test"):

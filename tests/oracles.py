@@ -60,11 +60,11 @@ def kalman(transitions, H, R, readings, seen, mean, cov):
     return tuple(np.array(column) for column in zip(*out, strict=True))
 
 
-def joint_conditioning(transitions, H, R, readings, seen, mean, cov):
-    """Filtered moments without recursion: the joint Gaussian of all states and readings, conditioned.
+def joint_conditioning(transitions, H, R, readings, seen, mean, cov, until=None):
+    """Moments without recursion: the joint Gaussian of all states and readings, conditioned.
 
-    Row t's moments condition the joint of every state on all readings seen up to t; its log-likelihood is the log
-    density of those readings less that of the readings up to the row before.
+    Row t's moments condition the joint of every state on all readings seen up to row t, or up to row until[t]; its
+    log-likelihood is the log density of those readings less that of the readings of the row before.
     """
     T, n = len(transitions), len(mean)
     # Every state is a linear map of (first state, all process noises), whose covariance is block diagonal.
@@ -79,7 +79,7 @@ def joint_conditioning(transitions, H, R, readings, seen, mean, cov):
         means.append(F @ means[-1])
     out, before = [], 0.0
     for t in range(T):
-        rows = [(k, j) for k in range(t + 1) for j in np.flatnonzero(seen[k])]
+        rows = [(k, j) for k in range((t if until is None else until[t]) + 1) for j in np.flatnonzero(seen[k])]
         L = np.array([H[j] @ maps[k] for k, j in rows]).reshape(len(rows), size)
         same_row = np.array([[a[0] == b[0] for b in rows] for a in rows]).reshape(len(rows), len(rows))
         noise = np.where(same_row, R[np.ix_([j for _, j in rows], [j for _, j in rows])], 0.0)

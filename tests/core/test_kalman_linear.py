@@ -3,41 +3,18 @@
 The readings are sparse, their times irregular with several rows at one time, the recordings ragged.
 """
 
-import equinox as eqx
-import jax
 import numpy as np
 import pytest
 
-from tests.known_start import NEVER_LOST, KnownStart, flat, recording
+from tests.known_start import NEVER_LOST, KnownStart, LinearSensor, flat, recording
 from tests.oracles import joint_conditioning, kalman, van_loan
-from trackers.core.algebra import Vector, total
+from trackers.core.algebra import Vector
 from trackers.core.motion import Accelerated, ConstantVelocity, Kinematic
 from trackers.core.recording import stack
-from trackers.core.sensor import AbstractSensor, Channel, independent
 from trackers.core.singer import Singer
 from trackers.core.tracker import Tracker
 
 LANES, ROWS = 6, 10
-
-
-class LinearSensor(AbstractSensor):
-    """H times the state's components, with independent noise."""
-
-    H: np.ndarray
-    sigmas: np.ndarray
-    m: int = eqx.field(static=True)
-
-    @property
-    def channels(self):
-        return tuple(Channel(str(k), "m") for k in range(self.m))
-
-    def measure(self, view, inputs):
-        x = jax.tree_util.tree_leaves(view)
-        return [total(self.H[i, j] * v for j, v in enumerate(x)) for i in range(self.m)]
-
-    def residual(self, reading, predicted):
-        differences = [z - p for z, p in zip(reading.values, predicted, strict=True)]
-        return independent(differences, list(self.sigmas), reading.seen)
 
 
 class Case:
