@@ -13,7 +13,7 @@ from trackers.aoa.beamformer import Grid, capon, delay_and_sum, music, snapshots
 from trackers.aoa.cascade import Cascade, cascade_tracker
 from trackers.aoa.das import DelayAndSum
 from trackers.aoa.direct import PhaseStart, direct_tracker
-from trackers.aoa.fusion import BearingSensor, BearingStart, bearing_inputs, bearing_tracker
+from trackers.aoa.fusion import BearingSensor, bearing_inputs, bearing_tracker
 from trackers.aoa.phases import InPlanePhases, PlanePhases, SphericalPhases
 from trackers.aoa.rays import recent_points
 from trackers.core.algebra import Vector, diagonal
@@ -31,6 +31,7 @@ from trackers.core.motion import (
     Kinematic,
     Placed,
 )
+from trackers.core.nearby import NearbyStart
 from trackers.core.recording import Batch, Readings, Recording, stack
 from trackers.core.rig import Rig, Station, Tag
 from trackers.core.sensor import AbstractSensor, Channel, Reading, Residual, independent
@@ -50,7 +51,6 @@ __all__ = [
     "BeamMotion",
     "BeamStart",
     "BearingSensor",
-    "BearingStart",
     "BrokenContract",
     "Cascade",
     "Channel",
@@ -70,6 +70,7 @@ __all__ = [
     "InPlanePhases",
     "Kinematic",
     "LossPolicy",
+    "NearbyStart",
     "PhaseStart",
     "Placed",
     "PlanePhases",

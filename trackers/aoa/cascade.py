@@ -10,10 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.aoa.beam import beam_tracker
-from trackers.aoa.fusion import BEARINGS, BearingSensor, BearingStart, bearing_inputs, surroundings
+from trackers.aoa.fusion import BEARINGS, BearingSensor, bearing_inputs, surroundings
 from trackers.aoa.rays import nearest_to_rays, unit_vector
 from trackers.core.estimates import Status
 from trackers.core.motion import ConstantVelocity
+from trackers.core.nearby import NearbyStart
 from trackers.core.recording import Batch
 from trackers.core.rig import Station
 from trackers.core.sensor import Reading
@@ -123,7 +124,7 @@ def cascade_tracker(
     """
     beams = {name: beam_tracker(s, name, sigma_a_beam, sigma_p, paper_form, span) for name, s in stations.items()}
     sensors = {BEARINGS: BearingSensor(np.deg2rad(0.3), np.deg2rad(0.3), tail=30.0)}
-    start = BearingStart(Scale(0.2, "m"), Scale(0.5, "m/s"), False, 3)
+    start = NearbyStart(Scale(0.2, "m"), Scale(0.5, "m/s"), False, 3)
     fusion = Tracker(ConstantVelocity(sigma_a, 3), sensors, start)
     geometry = {name: bearing_inputs(s) for name, s in stations.items()}
     return Cascade(beams, fusion, geometry, surroundings(stations))

@@ -9,17 +9,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.algebra import Scalar, Vector, diagonal, total
-from trackers.core.ekf import Gaussian
-from trackers.core.motion import GroundMotion, Kinematic, Noise
+from trackers.core.algebra import Scalar, Vector, total
+from trackers.core.motion import GroundMotion, Noise
+from trackers.core.nearby import NearbyStart
 from trackers.core.rig import Station
 from trackers.core.sensor import AbstractSensor, Channel, Reading, Residual, log_peak, placed
 from trackers.core.state import wrap
-from trackers.core.tracker import AbstractStart, LossPolicy, Row, Tracker
+from trackers.core.tracker import LossPolicy, Tracker
 from trackers.core.tunable import Real, Scale
 
 BEARINGS = "bearings"
@@ -84,31 +83,6 @@ def bearing_inputs(station: Station) -> np.ndarray:
     return np.concatenate([np.asarray(station.position, float), station.world_from_array().T.ravel()])
 
 
-class BearingStart(AbstractStart):
-    """The point where recent bearings meet, from the row's input `nearby` (4,): its place, m, and 1 where there is one.
-
-    `sigma_position` m, `sigma_velocity` m/s: how far off it may be. `velocities`: the number of the state's velocities.
-    """
-
-    sigma_position: Noise
-    sigma_velocity: Noise
-    planar: bool = eqx.field(static=True)
-    velocities: int = eqx.field(static=True)
-
-    def ready(self, row: Row) -> Scalar:
-        return row.inputs["nearby"][3] > 0.5
-
-    def acquire(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
-        return row.inputs["nearby"][:3]
-
-    def begin(self, found: Any, row: Row) -> Gaussian:
-        n = 2 if self.planar else 3
-        zero = jnp.zeros_like(found[0])
-        position, velocity = self.sigma_position.value**2, self.sigma_velocity.value**2
-        state = Kinematic(Vector(*(found[k] for k in range(n))), Vector(*[zero] * self.velocities))
-        return Gaussian(state, diagonal([position] * n + [velocity] * self.velocities, zero))
-
-
 def surroundings(stations: Mapping[str, Station]) -> np.ndarray:
     """The middle of where tags can be, (3,) m: the point nearest to the boresights, drawn weakly to the stations."""
     positions = np.array([s.position for s in stations.values()])
@@ -137,6 +111,6 @@ def bearing_tracker(
     return Tracker(
         GroundMotion(sigma_a, sigma_z),
         sensors,
-        BearingStart(Scale(1.5, "m"), Scale(1.0, "m/s"), planar, 2),
+        NearbyStart(Scale(1.5, "m"), Scale(1.0, "m/s"), planar, 2),
         loss=LossPolicy(limit=1e3, patience=10.0),
     )
