@@ -24,6 +24,7 @@ from experiments.writing import atomic_write, json_text
 
 DEFAULT, COMMAND_LINE, MEMORY = "default", "command-line", "memory"
 TITLES = {DEFAULT: "default flags", COMMAND_LINE: "flags of the command line"}
+PEERS = ("dynamax", "cuthbert", "filterpy")
 LIMIT_S = 150.0
 """A process that takes longer hangs: two cores can deadlock in batched LAPACK calls, which textbook versions make."""
 
@@ -34,9 +35,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--peers", action="store_true", help="also dynamax, cuthbert and filterpy (extra: peers)")
     parser.add_argument("--out", type=Path, default=Path("out/bench.json"), help="where the figures go")
     parser.add_argument("--part", choices=(DEFAULT, COMMAND_LINE, MEMORY), help=argparse.SUPPRESS)
+    parser.add_argument("--peer", choices=PEERS, help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
     if options.part:
-        print(json_text(part(options.part, options.peers)))
+        print(json_text(part(options.part, options.peer)))
         return 0
     try:
         figures = measured(options.peers)
@@ -50,46 +52,52 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def part(name: str, peers: bool) -> dict[str, Any]:
-    """What one process measures."""
+def part(name: str, peer: str | None) -> dict[str, Any]:
+    """What one process measures: our versions and the textbook's, or ours and a peer."""
     if name != DEFAULT:
         set_flags()
     # jax reads its flags when it is first imported.
     from experiments import bench_measure
 
-    figures = bench_measure.memory() if name == MEMORY else bench_measure.measure(peers)
+    figures = bench_measure.memory() if name == MEMORY else bench_measure.measure(peer)
     return figures | {"xla_flags": os.environ.get("XLA_FLAGS", "")}
 
 
 def measured(peers: bool) -> dict[str, Any]:
     """All figures, with the machine and the time they hold for; raises UnusableInput where a process fails."""
     began, host = datetime.now(UTC), machine()
-    settings = {name: in_process(name, peers) for name in (DEFAULT, COMMAND_LINE)}
+    settings = {name: in_process(name) for name in (DEFAULT, COMMAND_LINE)}
+    for name, setting in settings.items():
+        for peer in PEERS if peers else ():
+            # A process of its own: a library that hangs must not take the others along.
+            found = in_process(name, peer)
+            setting["versions"][peer] = found["versions"][peer] | {"beside": found["versions"]["ours"]}
+            setting["packages"] |= found["packages"]
     return {
         "date": began.isoformat(timespec="seconds"),
         "command": ["python", "-m", "experiments.bench", *(["--peers"] if peers else [])],
         "machine": host,
         "settings": settings,
-        "memory": in_process(MEMORY, peers=False),
+        "memory": in_process(MEMORY),
         "took_s": (datetime.now(UTC) - began).total_seconds(),
     }
 
 
-def in_process(name: str, peers: bool) -> dict[str, Any]:
+def in_process(name: str, peer: str | None = None) -> dict[str, Any]:
     """The figures of one part, measured by a new interpreter without the user's own flags."""
-    print(f"measuring: {TITLES.get(name, name)} …", file=sys.stderr, flush=True)
-    command = [sys.executable, "-m", "experiments.bench", "--part", name, *(["--peers"] if peers else [])]
+    print(f"measuring: {TITLES.get(name, name)}{f', {peer}' if peer else ''} …", file=sys.stderr, flush=True)
+    command = [sys.executable, "-m", "experiments.bench", "--part", name, *(["--peer", peer] if peer else [])]
     environment = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
     try:
         done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=LIMIT_S, check=False)
     except subprocess.TimeoutExpired:
         raise UnusableInput(
-            f"part '{name}' took over {LIMIT_S:.0f} s; expected a minute or two; "
+            f"part '{name}'{f' with {peer}' if peer else ''} took over {LIMIT_S:.0f} s; expected a minute or two; "
             "run it again: batched LAPACK calls, as textbook versions make, can deadlock"
         ) from None
     if done.returncode:
         lines = done.stderr.strip().splitlines() or ["no message"]
-        hint = "; the other libraries are in the extra 'peers'" if peers else ""
+        hint = "; the other libraries are in the extra 'peers'" if peer else ""
         raise UnusableInput(f"part '{name}' ended with status {done.returncode}: {lines[-1]}{hint}")
     return json.loads(done.stdout)
 

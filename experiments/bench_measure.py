@@ -32,9 +32,8 @@ TRAJECTORIES, ROWS = 4096, 200
 SLICE = (256, 50)
 """Trajectories and rows for the versions that are a hundred times slower."""
 
-FILTERPY_SLICE = (8, 50)
-DYNAMAX_SLICE = (64, 50)
-"""Larger batches of its 28-dimensional solves deadlock on two cores (jaxlib 0.10); smaller ones run as fast."""
+PEER_SLICES = {"dynamax": (64, 50), "cuthbert": (256, 50), "filterpy": (8, 50)}
+"""Larger batches of dynamax's 28-dimensional solves deadlock on two cores (jaxlib 0.10); smaller ones run as fast."""
 
 ROUNDS = 9
 MEMORY_LANES, MEMORY_ROWS = 64, (200, 20_000)
@@ -128,7 +127,7 @@ def trackers() -> tuple[AbstractTracker, AbstractTracker]:
     return own, eqx.tree_at(lambda t: t.start, own, GivenStart())
 
 
-def versions(world: World, peers: bool) -> list[Version]:
+def versions(world: World, peer: str | None) -> list[Version]:
     """Everything that takes turns, ours with a given start first."""
     own, given = trackers()
     pairs = all_pairs(DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH)
@@ -149,25 +148,23 @@ def versions(world: World, peers: bool) -> list[Version]:
 
     parameters = chosen(given, TUNED)
     problem, vector = Problem(given, [world.batch], NegativeLogLikelihood(), parameters, CHUNK), flatten(parameters)
-    found = [
-        Version("ours", TRAJECTORIES, ROWS, ours(given), last),
+    first = Version("ours", TRAJECTORIES, ROWS, ours(given), last)
+    if peer:
+        from experiments import bench_peers
+
+        return [first, other(peer, getattr(bench_peers, f"with_{peer}"), *PEER_SLICES[peer])]
+    return [
+        first,
         Version("ours, start included", TRAJECTORIES, ROWS, ours(own), last),
         Version("ours, gradient", TRAJECTORIES, ROWS, lambda: problem.value_and_gradient(vector)[:2]),
         other("textbook", textbook, *SLICE),
     ]
-    if peers:
-        from experiments import bench_peers
-
-        found.append(other("dynamax", bench_peers.with_dynamax, *DYNAMAX_SLICE))
-        found.append(other("cuthbert", bench_peers.with_cuthbert, *SLICE))
-        found.append(other("filterpy", bench_peers.with_filterpy, *FILTERPY_SLICE))
-    return found
 
 
-def measure(peers: bool) -> dict[str, Any]:
+def measure(peer: str | None = None) -> dict[str, Any]:
     """Compile and run times of every version in this process, medians of rounds in which each has one turn."""
     world = simulate(TRAJECTORIES, ROWS)
-    contenders = versions(world, peers)
+    contenders = versions(world, peer)
     for contender in contenders:
         (contender.first_s, _), result = contender.timed()
         if contender.azimuth is not None:
@@ -175,7 +172,7 @@ def measure(peers: bool) -> dict[str, Any]:
             contender.error_deg = float(np.rad2deg(np.sqrt(np.mean((contender.azimuth(result) - truth) ** 2))))
         del result
     seconds = np.array([[contender.timed()[0] for contender in contenders] for _ in range(ROUNDS)])
-    return {"versions": summarised(contenders, seconds), "packages": packages(peers)}
+    return {"versions": summarised(contenders, seconds), "packages": packages(peer)}
 
 
 def summarised(contenders: list[Version], seconds: np.ndarray) -> dict[str, dict[str, Any]]:
@@ -229,11 +226,6 @@ def memory() -> dict[str, Any]:
     return found
 
 
-def packages(peers: bool) -> dict[str, str]:
+def packages(peer: str | None) -> dict[str, str]:
     """Versions of the packages that do the work."""
-    names = ["jax", "jaxlib", "numpy"]
-    if peers:
-        from experiments.bench_peers import PACKAGES
-
-        names += PACKAGES
-    return {name: version(name) for name in names}
+    return {name: version(name) for name in ("jax", "jaxlib", "numpy", *([peer] if peer else []))}

@@ -19,8 +19,6 @@ from filterpy.kalman import ExtendedKalmanFilter
 
 from experiments.bench_textbook import Pairs, both_seen, noise, predicted, transition, wrap
 
-PACKAGES = ("dynamax", "cuthbert", "filterpy")
-
 
 def with_dynamax(pairs: Pairs, sigma_a: float, sigma_p: float) -> Callable[..., Any]:
     """`extended_kalman_filter` under `vmap`; wraps and masks enter through the emission function's inputs."""
