@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass
 
+import polars as pl
+
 from experiments.folder import Folder
 from experiments.lanes import Lane, known_height
 from trackers.core.tracker import AbstractTracker
@@ -31,7 +33,8 @@ class Entry:
     `table`: what it reads. `lacks`: what a folder lacks for it, in words, or None where it fits. `lanes`: the lanes of
     a folder; the flag is --free-height. `build`: the tracker of a lane; the flag is `planar` of that lane. `geometry`:
     what of a lane is part of its tracker; lanes that agree in it, and in `planar`, share one. `automatic`: whether it
-    is taken where no tracker is named. `bearing_only`: whether it estimates directions.
+    is taken where no tracker is named. `bearing_only`: whether it estimates directions. `events`: what happened in a
+    lane, from its rows of the tracks table: time s, event, detail; None where only lost tracks are told.
     """
 
     about: str
@@ -43,3 +46,4 @@ class Entry:
     planar: Callable[[Lane, bool], bool] = at_known_height
     automatic: bool = True
     bearing_only: bool = False
+    events: Callable[[Lane, pl.DataFrame], list[tuple[float, str, str]]] | None = None

@@ -25,14 +25,17 @@ def main() -> None:
     noise = ("--noise", OUT / "tuned" / "tuned.toml")
     command("track", *second, *noise, "--out", OUT / "known-height")
     command("track", *second, *noise, "--free-height", "--out", OUT / "free-height")
-    known, free = (
-        {r["recording"]: r for r in figures(OUT / name)["recordings"]} for name in ("known-height", "free-height")
-    )
+    command("track", *second, *noise, "--smooth", "--out", OUT / "smoothed")
+    names = ("known-height", "free-height", "smoothed")
+    known, free, smoothed = ({r["recording"]: r for r in figures(OUT / name)["recordings"]} for name in names)
     print("\nRMSE in m, tuned on the r1 recordings, one noise set for all")
-    print(f"{'recording':<18}{'horizontal, height known':>26}{'horizontal, height free':>26}{'3-D, height free':>18}")
+    heads = ("horizontal, height known", "… smoothed", "horizontal, height free", "3-D, height free")
+    print(f"{'recording':<18}" + "".join(f"{head:>26}" for head in heads))
     for path in second:
-        a, b = known[path.name], free[path.name]
-        print(f"{path.name:<18}{a['rmse_m']:>26.2f}{b['rmse_m']:>26.2f}{b['rmse_3d_m']:>18.2f}")
+        a, b, c = known[path.name], free[path.name], smoothed[path.name]
+        print(
+            f"{path.name:<18}" + "".join(f"{x:>26.2f}" for x in (a["rmse_m"], c["rmse_m"], b["rmse_m"], b["rmse_3d_m"]))
+        )
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ from experiments.catalogue import TRACKERS, fitting, groups
 from experiments.commands.evaluate import SOURCES, judge
 from experiments.errors import UnusableInput
 from experiments.evaluation_text import to_text
+from experiments.events import EVENTS, events_of
 from experiments.manifest import write_manifest
 from experiments.pictures import draw_tracks
 from experiments.screen import notice, output_folder, progress, read_all
@@ -21,6 +22,8 @@ from experiments.tracks import track as run
 from experiments.tuned_file import read_tuned, with_noise
 from experiments.writing import atomic_write
 from trackers.core.chunks import CHUNK
+from trackers.core.smoother import Smoothed
+from trackers.core.tracker import AbstractTracker
 
 
 def track(  # noqa: D103
@@ -29,6 +32,8 @@ def track(  # noqa: D103
     tracker: str | None = None,
     noise: Path | None = None,
     free_height: bool = False,
+    smooth: bool = False,
+    lag: float | None = None,
 ) -> int:
     started = datetime.now(UTC)
     folders = read_all(recordings)
@@ -39,6 +44,8 @@ def track(  # noqa: D103
     if noise is not None:
         values = read_tuned(noise)
         batches = [type(g)(with_noise(g.tracker, values, noise), g.lanes, g.planar) for g in batches]
+    if smooth or lag is not None:
+        batches = [type(g)(_smoothed(g.tracker, name, lag), g.lanes, g.planar) for g in batches]
     heights = sum(len(g.lanes) for g in batches if g.planar)
     if heights and not TRACKERS[name].bearing_only:
         notice(f"height: known from rig.toml for {heights} tag(s) and used; estimate it with --free-height")
@@ -46,6 +53,8 @@ def track(  # noqa: D103
     with progress("tracking", sum(len(g.lanes) for g in batches)) as advance:
         tracks, verdicts = run(batches, advance)
     atomic_write(out / TRACKS, tracks.write_parquet)
+    happened = events_of(tracks, TRACKERS[name], batches)
+    atomic_write(out / EVENTS, happened.write_parquet)
     paths = "\n".join(str(p.resolve()) for p in recordings)
     atomic_write(out / SOURCES, lambda path: path.write_text(paths + "\n", encoding="utf-8"))
     print(
@@ -58,7 +67,13 @@ def track(  # noqa: D103
         except UnusableInput as problem:
             notice(f"notice: not evaluated: {problem}")
     drawn = draw_tracks(out, tracks, folders, batches)
-    config = {"tracker": name, "noise": None if noise is None else str(noise), "free_height": free_height}
+    config = {
+        "tracker": name,
+        "noise": None if noise is None else str(noise),
+        "free_height": free_height,
+        "smooth": smooth,
+        "lag": lag,
+    }
     write_manifest(
         out,
         sys.argv,
@@ -67,12 +82,24 @@ def track(  # noqa: D103
         chunk=CHUNK,
         extra={"recordings": [str(p) for p in recordings], "verdicts": verdicts},
     )
-    print(f"wrote {out / TRACKS} ({len(tracks)} estimates), manifest.json and {len(drawn)} figures: {', '.join(drawn)}")
+    for event, count in happened.group_by("event", maintain_order=True).len().iter_rows():
+        print(f"event: {event} ({count} times)")
+    written = f"{out / TRACKS} ({len(tracks)} estimates), {EVENTS}, manifest.json"
+    print(f"wrote {written} and {len(drawn)} figures: {', '.join(drawn)}")
     return 0
 
 
+def _smoothed(tracker: AbstractTracker, name: str, lag: float | None) -> AbstractTracker:
+    if lag is not None and not 0 < lag < 1e6:
+        raise UnusableInput(f"--lag {lag}: expected seconds above zero; leave it out to use the whole recording")
+    try:
+        return Smoothed(tracker, lag)  # type: ignore[arg-type]
+    except TypeError as error:
+        raise UnusableInput(f"--smooth with tracker '{name}': {error}; leave --smooth out") from error
+
+
 _LIST = "\n".join(f"    {name}: {entry.about} ({entry.table})" for name, entry in TRACKERS.items())
-track.__doc__ = f"""Track recordings: writes tracks.parquet, figures and manifest.json.
+track.__doc__ = f"""Track recordings: writes tracks.parquet, events.parquet, figures and manifest.json.
 
 Trackers (and the table they read):
 {_LIST}
@@ -83,4 +110,6 @@ Args:
     tracker: one of the names above; default: what fits the tables.
     noise: a tuned.toml of `trackwright tune`.
     free_height: estimate the height of tags whose height the rig gives.
+    smooth: use the rows after each row too, all of them: for recordings, where nothing has to be known at once.
+    lag: smooth with the rows of the next so many seconds only.
 """
