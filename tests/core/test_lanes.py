@@ -12,6 +12,7 @@ from tests.known_start import NEVER_LOST, KnownStart, recording
 from trackers.core.algebra import Vector
 from trackers.core.estimates import Status
 from trackers.core.motion import AbstractMotion, ConstantVelocity, Kinematic, Noise
+from trackers.core.particles import ParticleFilter
 from trackers.core.recording import Recording, stack
 from trackers.core.sensor import AbstractSensor, Channel, independent
 from trackers.core.state import Heading, Rotation, wrap
@@ -96,7 +97,11 @@ def _curved(sigma=0.2):
     return Tracker(Turning(Scale(sigma)), sensors, KnownStart(_pose), loss=NEVER_LOST)
 
 
-TRACKERS = {"flat": (_flat, 2, 1), "curved": (_curved, 4, 2)}
+def _particles(sigma=0.7):
+    return eqx.tree_at(lambda t: t.filter, _flat(sigma), ParticleFilter(50))
+
+
+TRACKERS = {"flat": (_flat, 2, 1), "curved": (_curved, 4, 2), "particles": (_particles, 2, 1)}
 LANES, ROWS = 6, 14
 
 
@@ -113,8 +118,8 @@ def _recordings(n, m, seed=0):
 
 class Case:
     def __init__(self, name):
-        self.make, n, m = TRACKERS[name]
-        self.recordings = _recordings(n, m)
+        self.make, *self.sizes = TRACKERS[name]
+        self.recordings = _recordings(*self.sizes)
         self.estimates = self.make().run(stack(self.recordings))
 
 
@@ -198,7 +203,7 @@ def test_chunks_spread_over_devices_give_what_one_device_gives():
 
 
 def test_a_second_call_with_other_numbers_compiles_nothing(case):
-    _, n, m = TRACKERS["flat" if case.make is _flat else "curved"]
+    n, m = case.sizes
     compiled = []
     other = case.make(0.55), stack(_recordings(n, m, seed=9))
 

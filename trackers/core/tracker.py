@@ -129,6 +129,13 @@ class AbstractTracker(eqx.Module):
         joined = jax.tree_util.tree_map(join, *parts)
         return Estimates(joined.mean, np.stack(joined.cov), *joined[2:])
 
+    def dated(self, times: np.ndarray, estimates: Estimates) -> tuple[np.ndarray, Estimates]:
+        """The times (T,), s, at which the estimates of rows at `times` are best known, and the estimates then.
+
+        The rows' own, unless a tracker knows that its readings come late.
+        """
+        return times, estimates
+
 
 def scanned(tracker: AbstractTracker, batch: Batch) -> Output:
     """`tracker.scan(batch)`, as a function of both."""
@@ -161,7 +168,8 @@ class Tracker(AbstractTracker):
             said.append(innovation)
         log_likelihood, nis, count, wrapped = (total(x) for x in zip(*said, strict=True))
         belief, log_likelihood, nis = shared((belief, log_likelihood, nis))
-        finite = jnp.isfinite(shared(total(jnp.sum(jnp.abs(x)) for x in jax.tree_util.tree_leaves(belief))))
+        numbers = jax.tree_util.tree_leaves(eqx.filter(belief, eqx.is_inexact_array))
+        finite = jnp.isfinite(shared(total(jnp.sum(jnp.abs(x)) for x in numbers)))
         heard = count > 0
         surprise = carry.surprise + jnp.where(
             heard, (nis / jnp.maximum(count, 1.0) - carry.surprise) / self.loss.memory, 0.0
