@@ -10,9 +10,10 @@ from experiments.entry import Group
 from experiments.folder import Folder
 from trackers.core.algebra import Vector
 from trackers.core.bound import posterior_bound
+from trackers.core.ekf import ExtendedKalman
 from trackers.core.motion import Kinematic
 from trackers.core.recording import stack
-from trackers.core.tracker import Tracker
+from trackers.core.tracker import AbstractTracker, Tracker
 
 RUNS = 256
 """Runs over which the information is averaged at most."""
@@ -28,6 +29,9 @@ def bounds_of(folder: Folder, groups: Sequence[Group]) -> tuple[np.ndarray, np.n
     if not mine or not isinstance(mine[0][0].tracker, Tracker) or mine[0][1].station:
         return None
     tracker, first = mine[0][0].tracker, mine[0][1].recording
+    # A bound is of one filter's position and velocity at the rows' own times.
+    if not isinstance(tracker.filter, ExtendedKalman) or type(tracker).dated is not AbstractTracker.dated:
+        return None
     known = first.truth["position"][1]
     if known.sum() < 3:
         return None

@@ -15,6 +15,7 @@ from experiments.lanes import Lane
 from trackers.core.chunks import CHUNK
 from trackers.core.estimates import Estimates, Status
 from trackers.core.recording import Batch, stack
+from trackers.core.tracker import AbstractTracker
 
 TRACKS = "tracks.parquet"
 WORDS = {
@@ -52,15 +53,16 @@ def track(groups: Sequence[Group], advance: Callable[[int], None]) -> tuple[pl.D
                 one = estimates[k]
                 verdict = re.split(r":| \d+ times| at row \d+", one.verdict())[0]
                 verdicts[verdict] = verdicts.get(verdict, 0) + 1
-                tables.append(_table(lane, one))
+                tables.append(_table(lane, group.tracker, one))
             advance(len(lanes))
     return pl.concat(tables, how="diagonal").sort(["recording", "tag", "t_s"], maintain_order=True), verdicts
 
 
-def _table(lane: Lane, estimates: Estimates) -> pl.DataFrame:
-    """One lane's estimates, the last of each time."""
+def _table(lane: Lane, tracker: AbstractTracker, estimates: Estimates) -> pl.DataFrame:
+    """One lane's estimates, the last of each time, at the times for which they are valid."""
     recording = lane.recording
     rows = len(recording)
+    times, estimates = tracker.dated(recording.times, estimates[:rows])
     last = np.append(np.diff(recording.times) > 0, True)
     status = estimates.status[:rows]
     usable = estimates.usable[:rows]
@@ -72,7 +74,7 @@ def _table(lane: Lane, estimates: Estimates) -> pl.DataFrame:
     said = {"nis": estimates.nis, "nis_dof": estimates.count, "log_likelihood": estimates.log_likelihood}
     return pl.DataFrame(
         {name: pl.repeat(text, int(last.sum()), eager=True) for name, text in ids.items()}
-        | {"t_s": recording.times[last]}
+        | {"t_s": times[last]}
         | {name: pl.Series(x, nan_to_null=True) for name, x in known.items()}
         | {name: x[:rows][last].astype(float) for name, x in said.items()}
         | {"wrapped": estimates.wrapped[:rows][last] > 0, "status": [WORDS[Status(s)] for s in status[last]]}
@@ -89,7 +91,8 @@ def _positions(estimates: Estimates, height: np.ndarray, rows: int) -> dict[str,
     cov = estimates.covariance[:rows]
     n = len(estimates.mean.position)
     columns |= {f"cov_{AXES[i]}{AXES[j]}_m2": cov[:, i, j] for i in range(n) for j in range(i + 1, n)}
-    velocity = [np.asarray(x)[:rows] for x in estimates.mean.velocity]
+    # A moving window has no velocity.
+    velocity = [np.asarray(x)[:rows] for x in getattr(estimates.mean, "velocity", ())]
     return columns | {f"v{a}_mps": v for a, v in zip(AXES, velocity, strict=False)}
 
 

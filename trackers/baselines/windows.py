@@ -1,0 +1,68 @@
+"""Moving windows over the last fixes: their mean, and their median axis by axis. Neither knows how uncertain it is."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from trackers.baselines.fixes import FIXES
+from trackers.core.algebra import Vector, triangle
+from trackers.core.estimates import Status
+from trackers.core.motion import Placed
+from trackers.core.recording import Batch
+from trackers.core.tracker import AbstractTracker, Output, Score
+
+
+class MovingWindow(AbstractTracker):
+    """The mean or `median` of each axis over the last `window` rows in which it was seen, from the first such row on.
+
+    It lags behind a moving tag by half its window. No covariance (NaN). `planar`: x and y alone.
+    """
+
+    window: int = eqx.field(static=True)
+    median: bool = eqx.field(static=True)
+    planar: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self) -> None:
+        if self.window < 1:
+            raise ValueError(f"a window holds at least one row, found {self.window}")
+
+    def scan(self, batch: Batch) -> Output:
+        reading = batch.readings[FIXES]
+        axes = 2 if self.planar else 3
+        values, seen = jnp.asarray(reading.values)[:, :axes], jnp.asarray(reading.seen)[:, :axes]
+        seen = seen & jnp.asarray(batch.valid)[:, None]
+        empty = jnp.full((self.window, *values.shape[1:]), jnp.nan, values.dtype)
+
+        def push(last: Any, row: Any) -> tuple[Any, Any]:
+            value, saw = row
+            last = jnp.where(saw, jnp.concatenate([last[1:], value[None]]), last)
+            return last, middle(last) if self.median else jnp.nanmean(last, axis=0)
+
+        place = jax.lax.scan(push, empty, (values, seen))[1]
+        known = jnp.isfinite(place).all(axis=1)
+        zero = jnp.zeros_like(place[:, 0])
+        mean = Placed(Vector(*(jnp.where(known, place[:, k], 0.0) for k in range(axes))))
+        cov = tuple(zero + jnp.nan for _ in triangle(axes))
+        status = jnp.where(jnp.asarray(batch.valid), jnp.where(known, Status.OK, Status.WAITING), Status.PADDING)
+        return Output(mean, cov, zero, zero, zero, zero, status.astype(jnp.int8))
+
+    def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
+        output = self.scan(batch)
+        truth = jax.tree_util.tree_map(jnp.asarray, batch.truth)
+        return tuple(jnp.sum(x, axis=0) for x in jax.vmap(score)(output, truth))
+
+
+def middle(last: Any) -> Any:
+    """The median over the first axis of what isn't NaN: of an even number the mean of the middle two; NaN for none.
+
+    Equation (1) of Huang et al. 2018; the (n + 1)-th of 2n + 1 values, where the paper's text has the n-th.
+    """
+    ordered = jnp.sort(last, axis=0)  # NaN comes last
+    count = jnp.sum(jnp.isfinite(last), axis=0)
+    pick = [jnp.clip(k, 0, last.shape[0] - 1) for k in ((count - 1) // 2, count // 2)]
+    low, high = (jnp.take_along_axis(ordered, k[None], axis=0)[0] for k in pick)
+    return jnp.where(count > 0, 0.5 * (low + high), jnp.nan)
