@@ -1,0 +1,55 @@
+"""`track --smooth`, and the events that a run writes."""
+
+from __future__ import annotations
+
+import polars as pl
+import pytest
+
+from experiments.catalogue import TRACKERS
+from experiments.events import events_of
+from tests.experiments.in_process import assert_refused, trackwright
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory, beginnings):
+    """The tracks of one recording, filtered, smoothed, and smoothed with half a second to come."""
+    folder = tmp_path_factory.mktemp("smoothed")
+    options = {"filtered": (), "smoothed": ("--smooth",), "lagged": ("--lag", 0.5)}
+    for name, extra in options.items():
+        said = trackwright("track", beginnings / "good", "--tracker", "bearings", *extra, "--out", folder / name)
+        assert said.code == 0, said
+    return {name: pl.read_parquet(folder / name / "tracks.parquet") for name in options}
+
+
+def test_smoothed_tracks_have_the_rows_columns_and_likelihoods_of_filtered_ones(runs):
+    for name in ("smoothed", "lagged"):
+        for column in ("t_s", "tag", "nis", "log_likelihood", "status"):
+            assert runs[name][column].equals(runs["filtered"][column])
+        assert runs[name].columns == runs["filtered"].columns
+
+
+def test_the_more_rows_are_used_the_smaller_the_spread_is(runs):
+    spread = [runs[name]["std_x_m"].mean() for name in ("filtered", "lagged", "smoothed")]
+    assert spread[0] > spread[1] > spread[2]
+
+
+def test_the_last_row_has_nothing_to_come(runs):
+    assert runs["smoothed"]["x_m"][-1] == runs["filtered"]["x_m"][-1]
+
+
+@pytest.mark.parametrize(("extra", "word"), [(("--lag", -1), "--lag"), (("--smooth",), "extended Kalman")])
+def test_what_can_not_be_smoothed_is_refused(tmp_path, simulated, extra, word):
+    said = trackwright("track", simulated, "--tracker", "cascade", *extra, "--out", tmp_path / "out")
+    assert_refused(said, word)
+    assert not (tmp_path / "out").exists()
+
+
+def test_events_are_the_turns_of_the_status_once_each():
+    status = ["waiting", "ok", "ok", "lost", "lost", "restarted", "ok"]
+    times = [float(t) for t in range(7)]
+    tracks = pl.DataFrame({"tag": ["1"] * 7 + ["2"] * 7, "t_s": times * 2, "x_m": 0.0, "status": status * 2})
+    tracks = tracks.with_columns(recording=pl.lit("a"))
+    events = events_of(tracks, TRACKERS["bearings"], [])
+    assert events.rows() == [
+        ("a", tag, t, event, "") for tag in "12" for t, event in ((3.0, "lost"), (5.0, "found again"))
+    ]
