@@ -20,6 +20,7 @@ SPACE = Inertial(
 )
 INPUTS = {"accel": np.array([0.8, -1.1, 9.5]), "gyro": np.array([0.3, -0.5, 1.2]), "imu": np.ones(2)}
 NOISE = ImuNoise(0.05, 0.01, 0.005, 0.001, 1.0, 0.5)
+ARMED = {**INPUTS, "arm": np.array([0.3, -0.2, 0.1])}
 MOTIONS = [(PlanarStrapdown(NOISE), PLANAR), (PlanarStrapdown(NOISE, True), PLANAR), (Strapdown(NOISE), SPACE)]
 
 
@@ -28,7 +29,7 @@ def arrays(tree):
 
 
 def with_imu(accel, gyro):
-    return {**INPUTS, "imu": np.array([accel, gyro], float)}
+    return {**ARMED, "imu": np.array([accel, gyro], float)}
 
 
 def error_jacobian(motion, state, inputs, dt):
@@ -50,7 +51,7 @@ def test_the_mechanisation_keeps_the_contract_of_motions_with_and_without_an_imu
 @pytest.mark.parametrize(("motion", "state"), MOTIONS)
 def test_the_error_states_jacobian_is_the_finite_difference(motion, state):
     dt, h = 0.02, 1e-6
-    inputs, fixed = arrays(INPUTS), resolved(motion)
+    inputs, fixed = arrays(ARMED), resolved(motion)
     zeros = Vector.of([jnp.asarray(0.0)] * motion.noise_dimension)
     moved = fixed.step(arrays(state), inputs, dt, zeros)
     point, rebuild = coordinates(arrays(state))
@@ -63,7 +64,7 @@ def test_the_error_states_jacobian_is_the_finite_difference(motion, state):
     unit = np.eye(len(point)) * h
     differences = np.stack([(after(centre + e) - after(centre - e)) / (2 * h) for e in unit], axis=1)
     # Central differences: the cube of h times third derivatives, and rounding 1e-16/h.
-    np.testing.assert_allclose(error_jacobian(motion, state, INPUTS, dt), differences, atol=1e-8)
+    np.testing.assert_allclose(error_jacobian(motion, state, ARMED, dt), differences, atol=1e-8)
 
 
 def test_the_papers_mechanisation_has_the_papers_matrix_put_right():
@@ -127,10 +128,21 @@ def test_a_body_on_a_circle_is_followed_to_second_order_in_the_step():
     np.testing.assert_allclose([*after.position], [radius, 0], atol=radius * steps * (omega * dt) ** 3)
 
 
+def test_a_tag_on_a_turning_arm_moves_while_the_imu_stands():
+    state = Inertial(
+        Vector(1.0, 0.0, 0.0), Vector(0.0, 0.0, 0.0), Rotation(1.0, 0.0, 0.0, 0.0), *[Vector(0.0, 0.0, 0.0)] * 2
+    )
+    inputs = {"accel": [0, 0, 9.81], "gyro": [0, 0, np.pi / 2], "imu": [1, 1], "arm": [1, 0, 0]}
+    after = run(
+        Strapdown(NOISE), state, {k: np.tile(np.array(v, float), (100, 1)) for k, v in inputs.items()}, 0.01, 100
+    )
+    np.testing.assert_allclose([*after.position, *after.velocity], [0, 1, 0, 0, 0, 0], atol=1e-12)
+
+
 def test_two_seconds_without_an_imu_are_constant_velocity_with_white_acceleration():
     cov = tuple(jnp.asarray(0.0) for _ in range(120))
     predict = jax.jit(lambda b, u: ExtendedKalman().predict(b, resolved(Strapdown(NOISE)), u, jnp.asarray(2.0)))
-    belief = predict(Gaussian(arrays(SPACE), cov), arrays(with_imu(0, 0)))
+    belief = predict(Gaussian(arrays(SPACE), cov), arrays({**with_imu(0, 0), "arm": np.zeros(3)}))
     np.testing.assert_allclose([*belief.mean.position], [1 + 1.4, 2 - 0.8, 3.4], rtol=1e-12)
     upper = dict(zip(zip(*np.triu_indices(15), strict=True), belief.cov, strict=True))
     # σ²T³/3, σ²T²/2, σ²T: Bar-Shalom 2001, section 6.2.2, with σ = 1.

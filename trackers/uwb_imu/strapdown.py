@@ -37,7 +37,10 @@ class PlanarInertial(NamedTuple):
 
 
 class Inertial(NamedTuple):
-    """Fifteen states: position m, velocity m/s (room), attitude body to room, biases m/s² and rad/s (body)."""
+    """Fifteen states: position m, velocity m/s (room), attitude body to room, biases m/s² and rad/s (body).
+
+    The position may be that of a tag away from the IMU on the same body; the velocity is the IMU's.
+    """
 
     position: Vector
     velocity: Vector
@@ -132,7 +135,8 @@ class PlanarStrapdown(AbstractMotion):
 class Strapdown(AbstractMotion):
     """The mechanisation in three dimensions, room axes with z up (Solà 2017, section 5.2); `noise`: the IMU's.
 
-    `gravity` m/s²: what an ideal accelerometer at rest reads; an error of the real one is in its bias.
+    `gravity` m/s²: what an ideal accelerometer at rest reads; an error of the real one is in its bias. An input `arm`
+    (3,) m says where on the body, from the IMU, the tag is whose place the state's position is.
     """
 
     noise: ImuNoise
@@ -155,11 +159,14 @@ class Strapdown(AbstractMotion):
         x, y, z = state.attitude.apply(force + rate.cross(force) * (0.5 * dt))
         acceleration = Vector.of(jnp.where(saw_accel, a, 0.0) for a in (x, y, z - self.gravity.value))
         position, velocity = moved(state.position, state.velocity, acceleration, dt, kick, w)
-        turned = state.attitude @ Rotation.exp(rate * dt + Vector(*w.parts[6:9]) * turn)
+        turned = kept_unit(state.attitude @ Rotation.exp(rate * dt + Vector(*w.parts[6:9]) * turn), dt)
+        if "arm" in inputs:
+            arm = Vector.of(inputs["arm"][k] for k in range(3))
+            position = position + (turned.apply(arm) - state.attitude.apply(arm))
         return Inertial(
             position,
             velocity,
-            kept_unit(turned, dt),
+            turned,
             state.accel_bias + Vector(*w.parts[9:12]) * accel_walk,
             state.gyro_bias + Vector(*w.parts[12:15]) * gyro_walk,
         )
