@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import jax
 import numpy as np
 
 from experiments.entry import Group
@@ -12,8 +13,8 @@ from trackers.core.algebra import Vector
 from trackers.core.bound import posterior_bound
 from trackers.core.ekf import ExtendedKalman
 from trackers.core.motion import Kinematic
-from trackers.core.recording import stack
-from trackers.core.tracker import AbstractTracker, Tracker
+from trackers.core.recording import Batch, stack
+from trackers.core.tracker import AbstractTracker, Row, Tracker
 
 RUNS = 256
 """Runs over which the information is averaged at most."""
@@ -44,6 +45,8 @@ def bounds_of(folder: Folder, groups: Sequence[Group]) -> tuple[np.ndarray, np.n
         and np.array_equal(lane.recording.truth["position"][1], known)
     ]
     batch = stack(same).rows(rows)
+    if not _is_kinematic(tracker, batch):
+        return None
     places = np.stack([r.truth["position"][0][rows] for r in same], axis=-1)
     times = first.times[rows]
     dimensions = 2 if mine[0][0].planar else 3
@@ -56,3 +59,11 @@ def bounds_of(folder: Folder, groups: Sequence[Group]) -> tuple[np.ndarray, np.n
     )
     bound = posterior_bound(tracker, batch, state)[:, :dimensions]
     return times, np.pad(bound, ((0, 0), (0, 3 - dimensions)), constant_values=np.nan)
+
+
+def _is_kinematic(tracker: Tracker, batch: Batch) -> bool:
+    """Whether position and velocity, which the truth gives, are all that the tracker estimates."""
+    row = Row(batch.dt, batch.valid, batch.readings, batch.inputs, None, None)
+    first = jax.tree_util.tree_map(lambda x: x[0, ..., 0], row)
+    found = tracker.start.acquire(tracker.sensors, first)
+    return isinstance(tracker.start.begin(found, first).mean, Kinematic)

@@ -7,10 +7,12 @@ from collections.abc import Iterator
 import numpy as np
 import polars as pl
 
+from experiments.entry import Entry
 from experiments.folder import Folder
 from experiments.lanes import Lane, by_tag, known_height, lane_of, true_paths, values_of
 from experiments.matching import numbers
 from trackers.core.recording import Readings
+from trackers.uwb_imu.fusion import range_tracker
 from trackers.uwb_imu.nearby import recent_places
 from trackers.uwb_imu.ranges import RANGES
 
@@ -40,3 +42,24 @@ def range_rows(
     nearby = recent_places(table["t_s"].to_numpy(), places, number, values[:, 0], seen[:, 0], height)
     inputs = {"anchors": places[number], "anchor": number[:, None].astype(float), "nearby": nearby}
     return Readings(values, seen, variances), inputs
+
+
+def _heard(folder: Folder) -> str | None:
+    """What a folder lacks for a tracker of ranges."""
+    if "ranges" not in folder.tables:
+        return "a ranges table with at least 3 anchors, found no such table"
+    found = folder.tables["ranges"]["anchor"].n_unique()
+    return None if found >= 3 else f"a ranges table with at least 3 anchors, found {found} anchor(s)"
+
+
+def _biases(lane: Lane) -> int:
+    """How many biases the tracker of a lane has: whole eights, so that installations share a tracker."""
+    return -(-len(lane.folder.rig.anchors) // 8) * 8
+
+
+TRACKERS = {
+    "uwb": Entry(
+        "position from ranges, with a drifting bias per anchor", "ranges", _heard,
+        range_lanes, lambda lane, planar: range_tracker(_biases(lane), planar), _biases,
+    ),
+}  # fmt: skip

@@ -40,13 +40,13 @@ class RangeSensor(AbstractSensor):
     bias: Noise
     slots: int = eqx.field(static=True)
 
-    def __init__(self, slots: int, anchors: int, sigma_r: float, stretch: float, tail: float):
-        """`slots`: ranges a row; `anchors`: how many biases there are."""
+    def __init__(self, slots: int, anchors: int, sigma_r: float, stretch: float, tail: float, bias: float = 0.0):
+        """`slots`: ranges a row; `anchors`: how many biases there are; `bias`: what each of them is at first."""
         self.slots = slots
         self.sigma_r = Scale(sigma_r, "m")
         self.stretch = Scale(stretch)
         self.tail = Scale(tail)
-        self.bias = Real(np.zeros(anchors), "m", typical=0.1)
+        self.bias = Real(np.full(anchors, bias), "m", typical=0.1)
 
     @property
     def channels(self) -> tuple[Channel, ...]:

@@ -1,0 +1,68 @@
+"""The assembled tracker of ranges without an inertial sensor: position, velocity and a bias per anchor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import equinox as eqx
+
+from trackers.core.algebra import Scalar, Vector, diagonal
+from trackers.core.ekf import Gaussian
+from trackers.core.motion import Noise
+from trackers.core.sensor import AbstractSensor
+from trackers.core.tracker import AbstractStart, LossPolicy, Row, Tracker
+from trackers.core.tunable import Scale
+from trackers.uwb_imu.drifting import DriftingBiases, Ranged
+from trackers.uwb_imu.ranges import RANGES, RangeSensor
+
+OWN_BIASES = 16
+"""Anchors up to which each has a bias in the state; the cost of a row grows with the square of their number."""
+
+
+class RangeStart(AbstractStart):
+    """The place where recent ranges meet, from the row's input `nearby` (4,): m, and 1 where there is one.
+
+    `sigma_position` m, `sigma_velocity` m/s, `sigma_bias` m: how far off place, rest and mean biases may be.
+    """
+
+    sigma_position: Noise
+    sigma_velocity: Noise
+    sigma_bias: Noise
+    planar: bool = eqx.field(static=True)
+    biases: int = eqx.field(static=True)
+
+    def ready(self, row: Row) -> Scalar:
+        return row.inputs["nearby"][3] > 0.5
+
+    def acquire(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
+        return row.inputs["nearby"][:3]
+
+    def begin(self, found: Any, row: Row) -> Gaussian:
+        n = 2 if self.planar else 3
+        zero = found[0] * 0.0
+        state = Ranged(Vector(*(found[k] for k in range(n))), Vector(*[zero] * n), Vector(*[zero] * self.biases))
+        variances = [s.value**2 for s in (self.sigma_position, self.sigma_velocity, self.sigma_bias)]
+        return Gaussian(state, diagonal([variances[0]] * n + [variances[1]] * n + [variances[2]] * self.biases, zero))
+
+
+def range_tracker(
+    anchors: int,
+    planar: bool = False,
+    sigma_a: float = 0.18,
+    sigma_z: float = 0.3,
+    sigma_r: float = 0.027,
+    stretch: float = 2.8,
+    tail: float = 6.0,
+    bias: float = 0.03,
+    sigma_bias: float = 0.012,
+    time_constant: float = 200.0,
+) -> Tracker:
+    """Position and velocity from ranges to numbered anchors, one range a row; at a known height where `planar`."""
+    biases = anchors if anchors <= OWN_BIASES else 0
+    return Tracker(
+        DriftingBiases(biases, sigma_a, sigma_z, sigma_bias, time_constant),
+        {RANGES: RangeSensor(1, anchors, sigma_r, stretch, tail, bias)},
+        RangeStart(Scale(1.0, "m"), Scale(1.0, "m/s"), Scale(sigma_bias, "m"), planar, biases),
+        loss=LossPolicy(limit=1e3, patience=10.0),
+    )
