@@ -1,0 +1,1 @@
+"""System B: a tag on an assembly line whose path is known, by particles and by a grid."""

@@ -1,0 +1,38 @@
+"""Fixes over the floor, as the thesis weighs particles by them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from trackers.core.algebra import Scalar
+from trackers.core.motion import Noise
+from trackers.core.sensor import AbstractSensor, Channel, Reading, Residual, independent
+from trackers.core.tunable import Scale
+
+FIXES = "fixes"
+
+
+class FloorFixes(AbstractSensor):
+    """x and y, m, of a locating system with normal errors of `sigma_p` m each (1.25).
+
+    What a device reports of a fix's noise are variances of x and y, m², added to that of `sigma_p`.
+    """
+
+    sigma_p: Noise
+
+    def __init__(self, sigma_p: float | Noise):
+        self.sigma_p = sigma_p if isinstance(sigma_p, Noise) else Scale(sigma_p, "m")
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        return Channel("x", "m"), Channel("y", "m")
+
+    def measure(self, view: Any, inputs: Any) -> list[Scalar]:
+        return list(view.position)[:2]
+
+    def residual(self, reading: Reading, predicted: Sequence[Scalar]) -> Residual:
+        variances = reading.reported if len(reading.reported) else [0.0, 0.0]
+        sigmas = [(self.sigma_p.value**2 + v) ** 0.5 for v in variances]
+        differences = [z - p for z, p in zip(reading.values, predicted, strict=True)]
+        return independent(differences, sigmas, reading.seen)

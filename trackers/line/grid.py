@@ -1,0 +1,162 @@
+"""A filter on a grid of arclength and speed: Bayes' rule cell by cell, exact up to the grid, and differentiable.
+
+No particles, so no scatter: its likelihood has a gradient in every noise level, and it is the oracle of the particle
+filter on the same motion.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.special import ndtr
+
+from trackers.core.algebra import Scalar, shared
+from trackers.core.ekf import Gaussian, Innovation
+from trackers.core.motion import AbstractMotion
+from trackers.core.particles import log_density, normalised_square, weighted_moments, weights_of_tail
+from trackers.core.sensor import AbstractSensor, Reading
+from trackers.core.state import State
+from trackers.line.motion import HaltingMotion, LineMotion, OnFloor, OnLine
+
+
+class Discrete(NamedTuple):
+    """A belief: probabilities of travelling (cells, speeds) and of resting (cells,), which add to 1."""
+
+    travelling: Any
+    resting: Any
+
+
+class GridFilter(eqx.Module):
+    """`cells` places along the path, the first and last at its ends, and `speeds` from 0 to `fastest` m/s.
+
+    The motion is a `LineMotion` or a `HaltingMotion`, whose steps are copied law for law: travel shares a cell's
+    probability between the two cells it falls between, a change of speed is the heat kernel of the grid, whose mean and
+    variance are right however small the change. Sensors read the position. Nothing is faster than `fastest`.
+    """
+
+    report: OnFloor
+    cells: int = eqx.field(static=True)
+    speeds: int = eqx.field(static=True)
+    fastest: float = eqx.field(static=True)
+
+    def init(self, belief: Gaussian, key: Any) -> Discrete:
+        """The probabilities of a normal belief with independent components; what is off the grid counts at its edge."""
+        variances = belief.cov[0], belief.cov[len(belief.mean)]
+        along, fast = (
+            _masses(grid, mean, jnp.sqrt(jnp.maximum(v, 1e-12)))
+            for grid, mean, v in zip(self._axes(belief.mean[0].dtype), belief.mean[:2], variances, strict=True)
+        )
+        resting = belief.mean.resting if hasattr(belief.mean, "resting") else 0.0
+        return Discrete(along[:, None] * fast[None, :] * (1.0 - resting), along * resting)
+
+    def predict(self, belief: Discrete, motion: AbstractMotion, inputs: Any, dt: Scalar) -> Discrete:
+        """The belief `dt` seconds later."""
+        if not isinstance(motion, (LineMotion, HaltingMotion)):
+            raise TypeError(f"a grid on a line knows LineMotion and HaltingMotion, found {type(motion).__name__}")
+        along, fast = self._axes(belief.resting.dtype)
+        travelling, resting = belief
+        if isinstance(motion, HaltingMotion):
+            travelling, halted = self._halted(travelling, motion, along, fast * dt)
+            leaving = motion.leaving(dt)
+            departing = _masses(fast, 0.0 * dt, motion.sigma_departure.value)
+            departing = departing.at[1:].add(departing[1:]).at[0].set(2.0 * departing[0] - 1.0)
+        travelling = self._moved(travelling, fast * (dt / along[1]))
+        changes = self._changes(motion.sigma_a.value * jnp.sqrt(dt) / fast[1])
+        travelling = jnp.matmul(travelling, changes, precision="highest")
+        if isinstance(motion, HaltingMotion):
+            travelling = travelling + (leaving * resting)[:, None] * departing[None, :]
+            resting = (1.0 - leaving) * resting + halted
+        return shared(Discrete(travelling, resting))
+
+    def update(
+        self, belief: Discrete, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Any
+    ) -> tuple[Discrete, Innovation]:
+        """The belief after one reading, and what the reading said."""
+        along, _ = self._axes(belief.resting.dtype)
+
+        def weigh(arclength: Scalar) -> tuple[list[Scalar], Scalar, Scalar, Scalar, Scalar]:
+            state = OnLine(arclength, 0.0 * arclength)
+            result = sensor.residual(reading, list(sensor.measure(motion.view(state), inputs)))
+            wrapped = jnp.where(result.wrapped, 1.0, 0.0).astype(along.dtype)
+            return list(result.whitened), log_density(result), result.count, wrapped, weights_of_tail(result)
+
+        whitened, densities, count, wrapped, tail = jax.vmap(weigh)(along)
+        places = jnp.sum(belief.travelling, axis=1) + belief.resting
+        top = jnp.max(densities)
+        factor = jnp.exp(densities - top)
+        likelihood = jnp.sum(places * factor)
+        factor = factor / likelihood
+        innovation = Innovation(
+            jnp.log(likelihood) + top,
+            normalised_square(whitened, places, tail[0]),
+            jnp.max(count),
+            jnp.sum(places * wrapped),
+        )
+        return shared(Discrete(belief.travelling * factor[:, None], belief.resting * factor)), innovation
+
+    def moments(self, belief: Discrete) -> tuple[State, tuple[Scalar, ...]]:
+        """Place and velocity at the mean arclength and speed, and the spread of both over the floor about them."""
+        along, fast = self._axes(belief.resting.dtype)
+        still = jnp.zeros_like(along)
+        states = OnLine(
+            jnp.concatenate([jnp.repeat(along, self.speeds), along]),
+            jnp.concatenate([jnp.tile(fast, self.cells), still]),
+        )
+        weights = jnp.concatenate([belief.travelling.reshape(-1), belief.resting])
+        return weighted_moments(states, weights, self.report)
+
+    def _axes(self, dtype: Any) -> tuple[Any, Any]:
+        """The places (cells,), m, and the speeds (speeds,), m/s."""
+        spacing = jnp.asarray(self.report.line.length, dtype) / (self.cells - 1)
+        steps = jnp.arange(self.speeds, dtype=dtype) * (self.fastest / (self.speeds - 1))
+        return jnp.arange(self.cells, dtype=dtype) * spacing, steps
+
+    def _moved(self, travelling: Any, shift: Any) -> Any:
+        """Every column moved on by its own number of cells, (speeds,); at the end of the path it stays."""
+        whole = jnp.minimum(jnp.floor(shift), self.cells)
+        part = jnp.clip(shift - whole, 0.0, 1.0)[None, :]
+        source = jnp.arange(self.cells, dtype=jnp.int32)[:, None] - whole.astype(jnp.int32)[None, :]
+        pieces = [
+            jnp.where(s >= 0, jnp.take_along_axis(travelling, jnp.maximum(s, 0), axis=0), 0.0)
+            for s in (source, source - 1)
+        ]
+        moved = (1.0 - part) * pieces[0] + part * pieces[1]
+        rest = jnp.sum(travelling, axis=0) - jnp.sum(moved[:-1], axis=0)
+        return moved.at[-1].set(jnp.maximum(rest, 0.0))
+
+    def _changes(self, sigma: Scalar) -> Any:
+        """The matrix (speeds, speeds) of max(0, speed + a), a of `sigma` grid steps: e^(σ²Δ/2), folded at both ends."""
+        n = self.speeds
+        angles = 2 * np.pi * np.arange(4 * n) / (4 * n)
+        reach = np.arange(2 * n)
+        cosines = jnp.asarray(np.cos(np.outer(reach, angles)) / (4 * n), sigma.dtype)
+        decay = jnp.exp(sigma**2 * jnp.asarray(np.cos(angles) - 1.0, sigma.dtype))
+        kernel = jnp.maximum(jnp.matmul(cosines, decay, precision="highest"), 0.0)
+        # Beyond j steps, by running sums from the far end, which stay positive.
+        beyond = jnp.matmul(jnp.asarray(np.triu(np.ones((2 * n, 2 * n))), sigma.dtype), kernel, precision="highest")
+        apart = np.abs(np.arange(n)[None, :] - np.arange(n)[:, None])
+        changes = kernel[apart]
+        changes = changes.at[:, 0].set(beyond[np.arange(n)]).at[:, n - 1].set(beyond[n - 1 - np.arange(n)])
+        return changes / jnp.sum(changes, axis=1, keepdims=True)
+
+    def _halted(self, travelling: Any, motion: HaltingMotion, along: Any, steps: Any) -> tuple[Any, Any]:
+        """What travels on, and what halts at the first join it reaches in steps of (speeds,) m, by cell."""
+        halted, free = jnp.zeros_like(along), jnp.ones_like(travelling)
+        tolerance = 1e-3 * along[1]
+        for join in motion.line.joins:
+            reached = (along[:, None] < join - tolerance) & (join - tolerance <= along[:, None] + steps[None, :])
+            crossing = jnp.where(reached, free, 0.0)
+            here = (along >= join - tolerance) & (along - along[1] < join - tolerance)
+            halted = halted + jnp.where(here, motion.halting.value * jnp.sum(travelling * crossing), 0.0)
+            free = free - crossing
+        return travelling * (1.0 - motion.halting.value * (1.0 - free)), halted
+
+
+def _masses(grid: Any, mean: Scalar, sigma: Scalar) -> Any:
+    """The probabilities of a normal number in the cells of an even grid, what is beyond its ends in the last ones."""
+    edges = ndtr((0.5 * (grid[1:] + grid[:-1]) - mean) / sigma)
+    return jnp.diff(edges, prepend=jnp.zeros_like(edges[:1]), append=jnp.ones_like(edges[:1]))

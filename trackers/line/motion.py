@@ -1,0 +1,129 @@
+"""Motions along a path: the thesis's, and one whose state knows the segment, so that rests at joins end it."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jax.scipy.special import ndtri
+
+from trackers.core.algebra import Scalar, Vector
+from trackers.core.motion import AbstractMotion, Kinematic, Noise
+from trackers.core.particles import AbstractReport
+from trackers.core.tunable import Fraction, Scale
+from trackers.line.polyline import Polyline
+
+
+class OnLine(NamedTuple):
+    """Arclength, m, and speed along the path, m/s, never negative (2.1)."""
+
+    arclength: Scalar
+    speed: Scalar
+
+
+class OnSegment(NamedTuple):
+    """Arclength, m, speed, m/s, and whether the tag rests (1) or travels (0).
+
+    A rest is a segment of length zero in section 2.1 of the thesis; where it lies says the arclength, so that both
+    together are its segment id.
+    """
+
+    arclength: Scalar
+    speed: Scalar
+    resting: Scalar
+
+
+class LineMotion(AbstractMotion):
+    """d ← d + speed·dt, speed ← max(0, speed + a) with a normal (2.2), up to the end of the path.
+
+    `sigma_a`: m/s per √s. The thesis has a standard deviation per step; per √s it does not depend on the rate.
+    """
+
+    line: Polyline
+    sigma_a: Noise
+
+    def __init__(self, line: Polyline, sigma_a: float | Noise):
+        self.line = line
+        self.sigma_a = sigma_a if isinstance(sigma_a, Noise) else Scale(sigma_a, "m/s/sqrt(s)")
+
+    @property
+    def noise_dimension(self) -> int:
+        return 1
+
+    def step(self, state: OnLine, inputs: Any, dt: Scalar, w: Vector) -> OnLine:
+        # A belief that was given as a normal one reaches beyond the path and below no speed: it is cut off here.
+        along = jnp.maximum(state.arclength, 0.0) + jnp.maximum(state.speed, 0.0) * dt
+        arclength = jnp.minimum(along, self.line.length)
+        return OnLine(arclength, jnp.maximum(state.speed + w[0] * (self.sigma_a.value * jnp.sqrt(dt)), 0.0))
+
+    def view(self, state: Any) -> Kinematic:
+        return on_floor(self.line, state)
+
+
+class HaltingMotion(AbstractMotion):
+    """Travel as in `LineMotion`; with probability `halting` a tag that reaches a join rests there, `rest` s on average.
+
+    It leaves with a speed of half-normal distribution, `sigma_departure` m/s. This is the future work of chapter 4 of
+    the thesis: the plain motion overshoots such rests, because it has to slow down and does not know where.
+    """
+
+    line: Polyline
+    sigma_a: Noise
+    halting: Noise
+    rest: Noise
+    sigma_departure: Noise
+
+    def __init__(
+        self, line: Polyline, sigma_a: float, halting: float = 0.5, rest: float = 5.0, sigma_departure: float = 0.5
+    ):
+        self.line = line
+        self.sigma_a = Scale(sigma_a, "m/s/sqrt(s)")
+        self.halting = Fraction(halting)
+        self.rest = Scale(rest, "s")
+        self.sigma_departure = Scale(sigma_departure, "m/s")
+
+    @property
+    def noise_dimension(self) -> int:
+        return 2
+
+    def step(self, state: OnSegment, inputs: Any, dt: Scalar, w: Vector) -> OnSegment:
+        resting = jnp.asarray(state.resting) > 0.5
+        travelled = LineMotion(self.line, self.sigma_a).step(OnLine(state.arclength, state.speed), inputs, dt, w)
+        ahead = jnp.full_like(travelled.arclength, jnp.inf)
+        for join in reversed(self.line.joins):
+            ahead = jnp.where((state.arclength < join) & (join <= travelled.arclength), join, ahead)
+        halts = jnp.isfinite(ahead) & (w[1] < ndtri(self.halting.value)) & ~resting
+        leaves = resting & (w[1] < ndtri(self.leaving(dt)))
+        arclength = jnp.where(resting, state.arclength, jnp.where(halts, ahead, travelled.arclength))
+        # A tag at rest has no speed; the one with which it leaves is drawn from the same number as a change of speed.
+        departure = jnp.where(leaves, jnp.abs(w[0]) * self.sigma_departure.value, 0.0)
+        speed = jnp.where(resting, departure, jnp.where(halts, 0.0, travelled.speed))
+        still = jnp.where((resting & ~leaves) | halts, jnp.ones_like(speed), 0.0)
+        return OnSegment(arclength, jnp.where(dt > 0, speed, state.speed), jnp.where(dt > 0, still, state.resting))
+
+    def leaving(self, dt: Scalar) -> Scalar:
+        """The probability that a rest ends within `dt` s."""
+        return -jnp.expm1(-dt / self.rest.value)
+
+    def view(self, state: Any) -> Kinematic:
+        return on_floor(self.line, state)
+
+
+def on_floor(line: Polyline, state: Any) -> Kinematic:
+    """Place, m, and velocity, m/s, on the floor of a state on the line (2.4)."""
+    return Kinematic(line.position(state.arclength), line.direction(state.arclength) * state.speed)
+
+
+class OnFloor(AbstractReport):
+    """Place and velocity on the floor of a state on the line; `sigma_line`: how well the path itself is known, m."""
+
+    line: Polyline
+    sigma_line: Noise
+
+    @property
+    def variances(self) -> tuple[Scalar, ...]:
+        place = self.sigma_line.value**2
+        return place, place, 0.0, 0.0
+
+    def shown(self, state: Any) -> Kinematic:
+        return on_floor(self.line, state)
