@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,8 +12,12 @@ from experiments.folder import Folder
 from experiments.lanes import Lane, by_tag, known_height, lane_of, true_paths, values_of
 from experiments.matching import numbers
 from trackers.baselines.fixes import FIXES, fix_tracker, singer_tracker
+from trackers.baselines.switching import mirror_tracker, switching_tracker
 from trackers.baselines.windows import MovingWindow
 from trackers.core.recording import Readings
+
+FLAT = 0.5
+"""Metres between the heights of anchors up to which they count as lying in one plane."""
 
 WINDOW = 9
 """Rows of the moving windows: the paper's choice for its median (Huang et al. 2018, section 4)."""
@@ -31,6 +36,28 @@ def fix_lanes(folder: Folder, free_height: bool) -> Iterator[Lane]:
         yield lane_of(folder, tag, "", table["t_s"].to_numpy(), readings, {}, paths)
 
 
+def side_lanes(folder: Folder, free_height: bool) -> Iterator[Lane]:
+    """Each tag's fixes with the distance from the anchors' plane for z, and the floor's 0; input `plane`, m."""
+    plane = float(np.mean([p[2] for p in folder.rig.anchors.values()]))
+    for lane in fix_lanes(folder, free_height=True):
+        recording = lane.recording
+        fixes = recording.readings[FIXES]
+        assert fixes.reported is not None
+        values = np.column_stack([fixes.values[:, :2], np.abs(fixes.values[:, 2] - plane), np.zeros(len(recording))])
+        readings = {FIXES: Readings(values, fixes.seen[:, [0, 1, 2, 2]], fixes.reported)}
+        inputs = {**recording.inputs, "plane": np.full(len(recording), plane)}
+        yield replace(lane, recording=replace(recording, readings=readings, inputs=inputs))
+
+
+def lacks_plane(folder: Folder) -> str | None:
+    """What a folder lacks for a tracker that knows of mirrored heights."""
+    heights = [p[2] for p in folder.rig.anchors.values()]
+    if len(heights) < 3 or np.ptp(heights) > FLAT:
+        found = f"{len(heights)} anchors" + (f" over {np.ptp(heights):.2f} m of height" if heights else "")
+        return f"at least 3 anchors within {FLAT} m of one height, found {found}"
+    return lacks_fixes(folder)
+
+
 def lacks_fixes(folder: Folder) -> str | None:
     """What a folder lacks for a tracker of fixes."""
     return None if "fixes" in folder.tables else "a fixes table, found no such table"
@@ -44,6 +71,14 @@ TRACKERS = {
     "fix-singer": Entry(
         "position from fixes, Singer's fading acceleration", "fixes", lacks_fixes,
         fix_lanes, lambda lane, planar: singer_tracker(planar=planar), automatic=False,
+    ),
+    "imm": Entry(
+        "position from fixes, interacting constant-velocity models from calm to brisk", "fixes", lacks_fixes,
+        fix_lanes, lambda lane, planar: switching_tracker(planar=planar), automatic=False,
+    ),
+    "fix-mirror": Entry(
+        "position from fixes that may be mirrored at the plane of the anchors, two branches", "fixes", lacks_plane,
+        side_lanes, lambda lane, planar: mirror_tracker(), planar=lambda lane, free_height: False, automatic=False,
     ),
     "moving-average": Entry(
         f"mean of the last {WINDOW} fixes", "fixes", lacks_fixes,

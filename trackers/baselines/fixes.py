@@ -44,7 +44,7 @@ class AbstractFixSensor(AbstractSensor):
 
     @abstractmethod
     def noise(self) -> list[list[Scalar]]:
-        """The covariance of the three channels, m², row by row."""
+        """The covariance of the channels, m², row by row."""
 
     @property
     def channels(self) -> tuple[Channel, ...]:
