@@ -1,0 +1,67 @@
+"""Two-way ranging by two clocks, against the times at which messages really leave and arrive."""
+
+import numpy as np
+import pytest
+
+from trackers.uwb_imu.ranging import SPEED_OF_LIGHT, clock_drift, double_sided, elapsed, single_sided
+
+DISTANCE = np.array([0.5, 3.0, 25.0, 180.0])
+FLIGHT = DISTANCE / SPEED_OF_LIGHT
+REPLY, SECOND_REPLY = 0.8e-3, 1.7e-3
+
+
+def _stamps(drift):
+    """What both clocks say of two turns that begin at 3 s; the answering clock runs `drift` faster, 5 s ahead."""
+    asked = 3.0
+    heard = asked + FLIGHT
+    answered = heard + REPLY
+    back = answered + FLIGHT
+    again = back + SECOND_REPLY
+    end = again + FLIGHT
+    asking = [x + 0.0 * FLIGHT for x in (asked, back, again)]
+    answering = [5.0 + (1.0 + drift) * x for x in (heard, answered, end)]
+    return asking, answering
+
+
+# 3 s, 8 s and 17 s in double precision resolve 4e-16 … 2e-15 s, which is a micrometre.
+MICROMETRES = 5e-6
+
+
+@pytest.mark.parametrize("drift", [0.0, 1e-5, -2e-5])
+def test_single_sided_ranging_with_the_drift_known_is_the_distance(drift):
+    (asked, back, _), (heard, answered, _) = _stamps(drift)
+    found = single_sided(elapsed(asked, back), elapsed(heard, answered), drift)
+    np.testing.assert_allclose(found, DISTANCE, atol=MICROMETRES)
+
+
+def test_single_sided_ranging_is_wrong_by_half_the_drift_of_the_answers_delay():
+    (asked, back, _), (heard, answered, _) = _stamps(1e-5)
+    error = single_sided(elapsed(asked, back), elapsed(heard, answered)) - DISTANCE
+    np.testing.assert_allclose(error, -SPEED_OF_LIGHT * 1e-5 * REPLY / 2, atol=MICROMETRES)
+
+
+@pytest.mark.parametrize("drift", [0.0, 2e-5, -2e-5])
+def test_double_sided_ranging_needs_no_drift_and_no_equal_delays(drift):
+    (asked, back, again), (heard, answered, end) = _stamps(drift)
+    turns = elapsed(asked, back), elapsed(heard, answered), elapsed(answered, end), elapsed(back, again)
+    # What is left is half the drift times the distance: 2 mm at 180 m.
+    np.testing.assert_allclose(double_sided(*turns), DISTANCE, atol=MICROMETRES + abs(drift) * DISTANCE.max())
+
+
+def test_a_counter_that_starts_anew_between_two_stamps_loses_nothing():
+    period = 2**40 / (128 * 499.2e6)
+    start = period - 1e-3
+    np.testing.assert_allclose(elapsed(start, np.mod(start + 3e-3, period), period), 3e-3, rtol=1e-11)
+
+
+def test_the_drift_is_the_slope_of_receiving_over_sending_times():
+    sent = np.linspace(0.0, 2.0, 21)
+    received = 7.0 + (1.0 + 1.5e-5) * (sent + 1e-8)
+    # 7 … 9 s resolve 2e-15 s over a span of 2 s.
+    assert abs(clock_drift(sent, received) - 1.5e-5) < 1e-14
+
+
+@pytest.mark.parametrize(("sent", "received"), [([1.0], [2.0]), ([1.0, 1.0], [2.0, 2.0]), ([1.0, 2.0], [2.0])])
+def test_a_drift_from_too_little_is_refused(sent, received):
+    with pytest.raises(ValueError, match="two messages at different times"):
+        clock_drift(sent, received)

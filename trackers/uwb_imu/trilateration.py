@@ -1,0 +1,117 @@
+"""Trilateration with confidence compensation, equations (10)–(17) of Kwon et al. 2021, corrected.
+
+The paper solves for the two circles' intersections by dividing through y_j − y_i: (13) has a sign error, (11) is
+relative to anchor i and its y is (b − aε)/(1 + a²), and anchors that share y are divided by zero. Here the points are
+built from the baseline vector between the anchors, which knows no such case; where the paper's form exists, corrected,
+both give the same points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from trackers.core.algebra import Scalar, Vector, triangle
+from trackers.core.estimates import Status
+from trackers.core.motion import Noise, Placed
+from trackers.core.recording import Batch
+from trackers.core.tracker import AbstractTracker, Output, Score
+from trackers.core.tunable import Scale, resolved
+from trackers.uwb_imu.ranges import RANGES
+
+
+def compensation(sigma: Scalar, count: int = 3) -> Scalar:
+    """What (14) and (15) add to a range, m: the half-width 1.96 J/√N of a 95 % interval, J its standard deviation, m.
+
+    The paper calls J a Cramér–Rao bound and leaves its unit open; the term always lengthens a range.
+    """
+    return 1.96 * sigma / count**0.5
+
+
+def intersections(first: Vector, second: Vector, radius: Scalar, other: Scalar) -> tuple[Vector, Vector]:
+    """Both points, m, where circles of two radii, m, about two anchors (x, y) meet: (10), by the baseline vector.
+
+    Circles that don't meet, apart or one inside the other, give the middle of the gap between them twice; anchors at
+    one place the first anchor.
+    """
+    across = second - first
+    square = across.dot(across)
+    apart = square > 0
+    length = jnp.sqrt(jnp.where(apart, square, 1.0))
+    unit = across * jnp.where(apart, 1.0 / length, 0.0)
+    along = (length * length + radius * radius - other * other) / (2.0 * length)
+    height = radius * radius - along * along
+    meet = height > 0
+    # On the baseline's line: between two circles side by side, or between two of which one holds the other.
+    beside = (radius + length - other) / 2.0
+    inside = jnp.where(radius > other, (radius + length + other) / 2.0, -(radius + other - length) / 2.0)
+    # Circles that don't meet lie side by side where the anchors are further apart than either radius.
+    gap = jnp.where(length > jnp.maximum(radius, other), beside, inside)
+    foot = first + unit * jnp.where(meet, along, gap)
+    rise = jnp.where(meet, jnp.sqrt(jnp.where(meet, height, 1.0)), 0.0)
+    normal = Vector(-unit[1], unit[0]) * rise
+    return foot + normal, foot - normal
+
+
+def nearer(points: tuple[Vector, Vector], anchor: Vector, radius: Scalar) -> Vector:
+    """Of two points the one that lies nearer to a third anchor's circle: (16)."""
+    miss = [(radius - (p - anchor).norm()) ** 2 for p in points]
+    return Vector.of(jnp.where(miss[0] < miss[1], a, b) for a, b in zip(*points, strict=True))
+
+
+def trilaterate(anchors: Sequence[Vector], radii: Sequence[Scalar]) -> Vector:
+    """The centroid, m, of the chosen intersections of three circles about anchors (x, y): (16) and (17)."""
+    chosen = []
+    for i, j, k in ((0, 1, 2), (0, 2, 1), (1, 2, 0)):
+        points = intersections(anchors[i], anchors[j], radii[i], radii[j])
+        chosen.append(nearer(points, anchors[k], radii[k]))
+    return (chosen[0] + chosen[1] + chosen[2]) / 3.0
+
+
+def on_floor(slant: Scalar, drop: Scalar) -> Scalar:
+    """The horizontal part of a range, m, to an anchor `drop` m above or below the tag; 0 where the range is less."""
+    square = slant * slant - drop * drop
+    return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
+
+
+class Trilateration(AbstractTracker):
+    """The paper's position on every row with three ranges; over the floor, at the tag's known height.
+
+    Readings under `name` with three slots; inputs `anchors` (9,) m and `height` m. `sigma_r` m: the J of the
+    compensation (14), which is added where `compensated`. It reports no covariance (NaN).
+    """
+
+    sigma_r: Noise
+    name: str = eqx.field(static=True)
+    compensated: bool = eqx.field(static=True)
+
+    def scan(self, batch: Batch) -> Output:
+        model = resolved(self)
+        reading, inputs = batch.readings[self.name], batch.inputs
+        seen = jnp.all(jnp.asarray(reading.seen), axis=1) & jnp.asarray(batch.valid)
+
+        def fix(values: Any, anchors: Any, height: Scalar) -> Vector:
+            longer = compensation(model.sigma_r.value) if self.compensated else 0.0
+            radii = [on_floor(values[k] + longer, anchors[3 * k + 2] - height) for k in range(3)]
+            return trilaterate([Vector(anchors[3 * k], anchors[3 * k + 1]) for k in range(3)], radii)
+
+        rows = jax.vmap(jax.vmap(fix, in_axes=-1, out_axes=-1))
+        place = rows(*(jnp.asarray(x) for x in (reading.values, inputs["anchors"], inputs["height"])))
+        zero = jnp.zeros_like(place[0])
+        status = jnp.where(seen, Status.OK, jnp.where(jnp.asarray(batch.valid), Status.WAITING, Status.PADDING))
+        cov = tuple(zero + jnp.nan for _ in triangle(2))
+        return Output(Placed(place), cov, zero, zero, zero, zero, status.astype(jnp.int8))
+
+    def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
+        output = self.scan(batch)
+        truth = jax.tree_util.tree_map(jnp.asarray, batch.truth)
+        return tuple(jnp.sum(x, axis=0) for x in jax.vmap(score)(output, truth))
+
+
+def trilateration_tracker(compensated: bool = True, sigma_r: float = 0.1) -> Trilateration:
+    """Trilateration of rows of three ranges, with or without the paper's compensation (14); σr m."""
+    return Trilateration(Scale(sigma_r, "m"), RANGES, compensated)
