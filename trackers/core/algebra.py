@@ -163,7 +163,10 @@ def congruence(rows: Sequence[SparseRow], upper: Sequence[Scalar], added: Sequen
     """F P Fᵀ + G Gᵀ as an upper triangle; F = `rows`, P = `upper`, G = `added`, all without their structural zeros."""
     n = len(rows)
     P = full(upper, n)
-    FP = [[total(times(f, P[j][k]) for j, f in row.items()) for k in range(n)] for row in rows]
+    products = [[total(times(f, P[j][k]) for j, f in row.items()) for k in range(n)] for row in rows]
+    # Each goes into many sums. Computed again in every one of them, 15 states took twice as long to compile and ten
+    # times as long to run.
+    FP = [shared(entries) if len(row) > 1 else entries for row, entries in zip(rows, products, strict=True)]
     result = []
     for i, k in triangle(n):
         terms = [times(f, FP[i][j]) for j, f in rows[k].items()]

@@ -82,7 +82,7 @@ class ExtendedKalman(eqx.Module):
         _, rows = linearise(step, [*point, *[zero] * motion.noise_dimension])
         F = [{j: v for j, v in row.items() if j < n} for row in rows]
         G = [{j - n: v for j, v in row.items() if j >= n} for row in rows]
-        return moved, F, G
+        return moved, shared(F), shared(G)
 
     def update(
         self, belief: Gaussian, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Any
