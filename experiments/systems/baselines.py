@@ -11,9 +11,10 @@ from experiments.entry import Entry
 from experiments.folder import Folder
 from experiments.lanes import Lane, by_tag, known_height, lane_of, true_paths, values_of
 from experiments.matching import numbers
-from trackers.baselines.fixes import FIXES, fix_tracker, singer_tracker
+from trackers.baselines.fixes import fix_tracker, singer_tracker
 from trackers.baselines.switching import mirror_tracker, switching_tracker
 from trackers.baselines.windows import MovingWindow
+from trackers.core.fixes import FIXES
 from trackers.core.recording import Readings
 
 FLAT = 0.5

@@ -8,10 +8,11 @@ import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, flat, recording
 from tests.oracles import kalman, van_loan
-from trackers.baselines.fixes import FIXES, CorrelatedFixSensor, FixSensor, FixTracker, fix_tracker, singer_tracker
+from trackers.baselines.fixes import fix_tracker, singer_tracker
 from trackers.core.algebra import Vector
 from trackers.core.chunks import prepared
 from trackers.core.contract import check_sensor
+from trackers.core.fixes import FIXES, CorrelatedFixSensor, FixSensor, FixTracker
 from trackers.core.motion import GroundMotion, Kinematic
 from trackers.core.recording import Readings, Recording, stack
 from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError

@@ -8,10 +8,10 @@ import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, recording
 from tests.oracles import normal_log_density, van_loan
-from trackers.baselines.fixes import FIXES, FixTracker
 from trackers.baselines.switching import SideSensor, mirror_tracker
 from trackers.core.algebra import Vector
 from trackers.core.contract import check_sensor
+from trackers.core.fixes import FIXES, FixTracker
 from trackers.core.modes import InteractingModels
 from trackers.core.motion import GroundMotion, Kinematic
 from trackers.core.recording import Readings, Recording

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from trackers.baselines.fixes import FIXES
 from trackers.baselines.windows import MovingWindow
 from trackers.core.estimates import Status
+from trackers.core.fixes import FIXES
 from trackers.core.recording import Readings, Recording, stack
 
 WINDOW, ROWS = 5, 30

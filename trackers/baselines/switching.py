@@ -19,8 +19,8 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 
-from trackers.baselines.fixes import FIXES, PATIENT, AbstractFixSensor, FixSensor, FixStart, FixTracker
 from trackers.core.algebra import Scalar, full
+from trackers.core.fixes import FIXES, PATIENT, AbstractFixSensor, FixSensor, FixStart, FixTracker
 from trackers.core.modes import AbstractSwitching, InteractingModels, Mixture, SwitchingMotion
 from trackers.core.motion import GroundMotion, Noise
 from trackers.core.sensor import AbstractSensor, Channel

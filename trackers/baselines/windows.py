@@ -8,9 +8,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from trackers.baselines.fixes import FIXES
 from trackers.core.algebra import Vector, triangle
 from trackers.core.estimates import Status
+from trackers.core.fixes import FIXES
+from trackers.core.median import middle
 from trackers.core.motion import Placed
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker, Output, Score
@@ -54,15 +55,3 @@ class MovingWindow(AbstractTracker):
         output = self.scan(batch)
         truth = jax.tree_util.tree_map(jnp.asarray, batch.truth)
         return tuple(jnp.sum(x, axis=0) for x in jax.vmap(score)(output, truth))
-
-
-def middle(last: Any) -> Any:
-    """The median over the first axis of what isn't NaN: of an even number the mean of the middle two; NaN for none.
-
-    Equation (1) of Huang et al. 2018; the (n + 1)-th of 2n + 1 values, where the paper's text has the n-th.
-    """
-    ordered = jnp.sort(last, axis=0)  # NaN comes last
-    count = jnp.sum(jnp.isfinite(last), axis=0)
-    pick = [jnp.clip(k, 0, last.shape[0] - 1) for k in ((count - 1) // 2, count // 2)]
-    low, high = (jnp.take_along_axis(ordered, k[None], axis=0)[0] for k in pick)
-    return jnp.where(count > 0, 0.5 * (low + high), jnp.nan)
