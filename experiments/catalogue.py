@@ -9,9 +9,9 @@ from experiments.entry import Entry, Group
 from experiments.errors import UnusableInput
 from experiments.folder import Folder
 from experiments.lanes import Lane
-from experiments.systems import aoa, baselines, uwb
+from experiments.systems import aoa, baselines, line, mhk, uwb
 
-TRACKERS: dict[str, Entry] = {**aoa.TRACKERS, **uwb.TRACKERS, **baselines.TRACKERS}
+TRACKERS: dict[str, Entry] = {**aoa.TRACKERS, **line.TRACKERS, **uwb.TRACKERS, **baselines.TRACKERS, **mhk.TRACKERS}
 """In the order in which they are tried where none is named."""
 
 

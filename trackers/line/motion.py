@@ -94,7 +94,8 @@ class HaltingMotion(AbstractMotion):
             ahead = jnp.where((state.arclength < join) & (join <= travelled.arclength), join, ahead)
         halts = jnp.isfinite(ahead) & (w[1] < ndtri(self.halting.value)) & ~resting
         leaves = resting & (w[1] < ndtri(self.leaving(dt)))
-        arclength = jnp.where(resting, state.arclength, jnp.where(halts, ahead, travelled.arclength))
+        here = jnp.clip(state.arclength, 0.0, self.line.length)
+        arclength = jnp.where(resting, here, jnp.where(halts, ahead, travelled.arclength))
         # A tag at rest has no speed; the one with which it leaves is drawn from the same number as a change of speed.
         departure = jnp.where(leaves, jnp.abs(w[0]) * self.sigma_departure.value, 0.0)
         speed = jnp.where(resting, departure, jnp.where(halts, 0.0, travelled.speed))

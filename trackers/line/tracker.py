@@ -6,34 +6,43 @@ from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.algebra import Scalar, diagonal
+from trackers.core.algebra import Scalar, diagonal, total
 from trackers.core.ekf import Gaussian
 from trackers.core.motion import Noise
-from trackers.core.particles import ParticleFilter
+from trackers.core.particles import ParticleFilter, log_density
 from trackers.core.sensor import AbstractSensor
 from trackers.core.tracker import AbstractStart, LossPolicy, Row, Tracker
 from trackers.core.tunable import Scale
 from trackers.line.grid import GridFilter
-from trackers.line.motion import HaltingMotion, LineMotion, OnFloor, OnLine, OnSegment
+from trackers.line.motion import HaltingMotion, LineMotion, OnFloor, OnLine, OnSegment, on_floor
 from trackers.line.polyline import Polyline
 
-SIGMA_A = 0.03
-SIGMA_LINE = 0.02
+SIGMA_A = 0.06
+"""Change of speed, m/s per √s: a cart at walking pace that may take another speed on every segment."""
 
-NEVER_LOST = LossPolicy(limit=1e3, patience=np.inf)
-"""A path that is known keeps a silent tag; that one has left it is another question, see `trackers/line/leaving.py`."""
+SIGMA_LINE = 0.02
+"""How well a marked path is known, m."""
+
+PATIENT = LossPolicy(limit=30.0, patience=np.inf)
+"""A path that is known keeps a silent tag, and errors of fixes last for seconds; whether it left: `leaving.py`."""
+
+PLACES = 201
+"""Places along the path among which a start is looked for."""
 
 
 class LineStart(AbstractStart):
-    """Parts enter a line at its beginning: a tag is there, or beyond by a half-normal distance of `sigma_start` m.
+    """Where the first row's readings put a tag on the line, of which it more likely has just entered the beginning.
 
-    Half of the belief stands on the first knot, since a normal belief is cut off at the ends of the path; likewise
-    half of it has no speed, the rest one of scale `sigma_speed` m/s. `resting`: whether the state says so instead.
+    Before them, half of the belief stands on the first knot, the other half of a normal one whose scale is half the
+    path's length. Afterwards the tag may be off by `sigma_start` m beyond what they say, since a first reading can be
+    wild. Half of the belief has no speed, the rest one of scale `sigma_speed` m/s, or `resting` says that it rests.
     """
 
+    line: Polyline
     sigma_start: Noise
     sigma_speed: Noise
     resting: bool = eqx.field(static=True)
@@ -43,14 +52,29 @@ class LineStart(AbstractStart):
         return jnp.any(jnp.stack(seen))
 
     def acquire(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
-        return 0.0 * row.dt
+        along = jnp.arange(PLACES, dtype=row.dt.dtype) * (self.line.length / (PLACES - 1))
+        prior = jnp.exp(-2.0 * (along / self.line.length) ** 2)
+
+        def weigh(arclength: Scalar) -> Scalar:
+            view = on_floor(self.line, OnLine(arclength, 0.0 * arclength))
+            densities = []
+            for name, sensor in sensors.items():
+                reading = row.readings[name]
+                densities.append(log_density(sensor.residual(reading, list(sensor.measure(view, row.inputs)))))
+            return total(densities)
+
+        densities = jax.vmap(weigh)(along)
+        weights = jnp.exp(densities - jnp.max(densities)) * prior.at[0].set(jnp.sum(prior))
+        weights = weights / jnp.sum(weights)
+        mean = jnp.sum(weights * along)
+        return jnp.stack([mean, jnp.sum(weights * (along - mean) ** 2)])
 
     def begin(self, found: Any, row: Row) -> Gaussian:
-        zero = found
-        start, speed = self.sigma_start.value**2, self.sigma_speed.value**2
+        place, zero = found[0], jnp.zeros_like(found[0])
+        start, speed = found[1] + self.sigma_start.value**2, self.sigma_speed.value**2
         if self.resting:
-            return Gaussian(OnSegment(zero, zero, zero + 1.0), diagonal([start, 0.0, 0.0], zero))
-        return Gaussian(OnLine(zero, zero), diagonal([start, speed], zero))
+            return Gaussian(OnSegment(place, zero, zero + 1.0), diagonal([start, 0.0, 0.0], zero))
+        return Gaussian(OnLine(place, zero), diagonal([start, speed], zero))
 
 
 def line_motion(line: Polyline, sigma_a: float = SIGMA_A) -> LineMotion | HaltingMotion:
@@ -62,7 +86,7 @@ def line_tracker(
     motion: LineMotion | HaltingMotion, sensors: Mapping[str, AbstractSensor], n_particles: int = 1000
 ) -> Tracker:
     """Arclength and speed along a known path by particles, shown as place and velocity on the floor (thesis, 2.2)."""
-    return Tracker(motion, sensors, _start(motion), ParticleFilter(n_particles, report=_report(motion)), NEVER_LOST)
+    return Tracker(motion, sensors, _start(motion), ParticleFilter(n_particles, report=_report(motion)), PATIENT)
 
 
 def line_grid_tracker(
@@ -75,12 +99,11 @@ def line_grid_tracker(
     """The same by a grid: at least 81 places, `spacing` m apart or closer, and `speeds` from 0 to `fastest` m/s."""
     cells = max(81, int(np.ceil(float(motion.line.length) / spacing)) + 1)
     grid = GridFilter(_report(motion), cells, speeds, fastest)
-    return Tracker(motion, sensors, _start(motion), grid, NEVER_LOST)
+    return Tracker(motion, sensors, _start(motion), grid, PATIENT)
 
 
 def _start(motion: LineMotion | HaltingMotion) -> LineStart:
-    half = 0.5 * float(motion.line.length)
-    return LineStart(Scale(half, "m"), Scale(0.1, "m/s"), isinstance(motion, HaltingMotion))
+    return LineStart(motion.line, Scale(0.5, "m"), Scale(0.1, "m/s"), isinstance(motion, HaltingMotion))
 
 
 def _report(motion: LineMotion | HaltingMotion) -> OnFloor:

@@ -1,0 +1,121 @@
+"""The assembly line of the thesis: a cart on a known path in three situations, and the fixes of its tag."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from sim.corruptions import Corruption, corrupted, gauss_markov, white_noise
+from sim.keys import Keys, stream, trajectory_keys, uniforms
+from trackers.line.polyline import Polyline
+
+THESIS_KNOTS = np.array([[2.615, 8.26], [6.665, 8.26], [6.665, 6.151], [2.615, 6.151], [2.615, 4.065], [6.665, 4.065]])
+"""The corners of the path, m: Table 2.1 with the millimetres of equation (2.5)."""
+
+TAG_HEIGHT = 0.78
+"""Metres above the floor at which the cart carries its tag (section 2.5)."""
+
+FIX_ERRORS: Mapping[str, Corruption] = MappingProxyType({"white": white_noise(0.22), "slow": gauss_markov(0.22, 1.5)})
+"""A mean distance of 0.39 m from the truth, as Table 3.1 has it; white noise alone cannot give its ratios."""
+
+Situation = Callable[[Keys, np.ndarray, float], tuple[np.ndarray, np.ndarray]]
+"""(keys, lengths of the segments, mean speed) -> travel time of each segment and rest after it, both (n, k) s."""
+
+
+def constant_speed(keys: Keys, lengths: np.ndarray, speed: float) -> tuple[np.ndarray, np.ndarray]:
+    """Situation 1: the same speed on all segments, no halts."""
+    travel = np.tile(lengths / speed, (len(keys), 1))
+    return travel, np.zeros_like(travel)
+
+
+def halts(keys: Keys, lengths: np.ndarray, speed: float, halt_s: float = 5.0) -> tuple[np.ndarray, np.ndarray]:
+    """Situation 2: the same speed on all segments, and a halt of `halt_s` s where two of them meet."""
+    travel, rest = constant_speed(keys, lengths, speed)
+    rest[:, :-1] = halt_s
+    return travel, rest
+
+
+def speed_changes(keys: Keys, lengths: np.ndarray, speed: float) -> tuple[np.ndarray, np.ndarray]:
+    """Situation 3: another speed on every segment, slowest and fastest up to 4 times apart, no halts.
+
+    Scaled so that the whole path takes as long as at `speed`.
+    """
+    factors = 2.0 ** (2.0 * uniforms(stream(keys, "speeds"), (len(lengths),)).astype(float) - 1.0)
+    travel = lengths / factors
+    travel = travel * (lengths.sum() / speed / travel.sum(axis=1, keepdims=True))
+    return travel, np.zeros_like(travel)
+
+
+SITUATIONS: Mapping[str, Situation] = MappingProxyType(
+    {"constant": constant_speed, "halts": halts, "speeds": speed_changes}
+)
+"""The three of section 2.5."""
+
+
+@dataclass(frozen=True)
+class SimulatedLine:
+    """Fixes of n tags at T times with their truth.
+
+    `times` (T,) s; `arclength` (n, T) m; `positions` (n, T, 2) m; `fixes` (n, T, 2) m and as many `seen`; `knots`
+    (k, 2) m; `ids` (n,): the trajectory ids.
+    """
+
+    times: np.ndarray
+    arclength: np.ndarray
+    positions: np.ndarray
+    fixes: np.ndarray
+    seen: np.ndarray
+    knots: np.ndarray
+    ids: np.ndarray
+
+
+def simulate_line(
+    situation: str | Situation = "constant",
+    n: int | Sequence[int] = 1,
+    seed: int = 0,
+    *,
+    knots: np.ndarray = THESIS_KNOTS,
+    speed: float = 0.3,
+    rest_s: float = 10.0,
+    rate_hz: float = 5.0,
+    errors: Mapping[str, Corruption] = FIX_ERRORS,
+    carried_off: tuple[float, float, Sequence[float]] | None = None,
+) -> SimulatedLine:
+    """Tags that travel the path once, `rest_s` s at rest before and after, with fixes `rate_hz` times a second.
+
+    `n`: how many, or their trajectory ids. `errors`: what goes wrong with the fixes, piece by piece. `carried_off`:
+    from and to which second the tag is away from the line, and by how much, (dx, dy) m. The thesis prints neither
+    speeds nor rate. Raises ValueError for an unknown situation and for speeds, rests and rates that aren't positive.
+    """
+    if isinstance(situation, str) and situation not in SITUATIONS:
+        raise ValueError(f"situation '{situation}' is unknown, expected one of {', '.join(SITUATIONS)}")
+    if not (speed > 0 and rest_s >= 0 and rate_hz > 0):
+        raise ValueError(f"speed, rest and rate are positive, found {speed} m/s, {rest_s} s, {rate_hz} Hz")
+    line = Polyline(knots)
+    lengths = np.asarray(line.lengths)
+    ids = np.arange(n) if isinstance(n, int) else np.asarray(n)
+    keys = trajectory_keys(seed, ids)
+    travel, rest = (SITUATIONS[situation] if isinstance(situation, str) else situation)(keys, lengths, speed)
+    legs = np.stack([travel, rest], axis=-1).reshape(len(ids), -1)
+    ends = rest_s + np.concatenate([np.zeros((len(ids), 1)), np.cumsum(legs, axis=1)], axis=1)
+    # Tags are the same whatever others there are: every situation gives all of them one duration.
+    times = np.arange(int(np.floor((ends[0, -1] + rest_s) * rate_hz)) + 1) / rate_hz
+    marks = np.concatenate([[0.0], np.repeat(np.cumsum(lengths), 2)])
+    arclength = np.stack([np.interp(times, row, marks) for row in ends])
+    positions = along(knots, arclength)
+    if carried_off is not None:
+        start, stop, offset = carried_off
+        away = (times >= start) & (times < stop)
+        positions = positions + np.where(away[:, None], np.asarray(offset, float), 0.0)
+    fixes, seen = corrupted(errors, keys, times, positions, np.ones(positions.shape, bool))
+    return SimulatedLine(times, arclength, positions, fixes, seen, np.asarray(knots, float), ids)
+
+
+def along(knots: np.ndarray, arclength: np.ndarray) -> np.ndarray:
+    """The places (..., 2), m, at these arclengths, m, of the path through `knots` (k, 2)."""
+    knots = np.asarray(knots, float)
+    marks = np.concatenate([[0.0], np.cumsum(np.sqrt((np.diff(knots, axis=0) ** 2).sum(axis=1)))])
+    return np.stack([np.interp(arclength, marks, axis) for axis in knots.T], axis=-1)

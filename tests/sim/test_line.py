@@ -1,0 +1,80 @@
+"""The simulated assembly line: three situations on the thesis's path, and errors in the ratios it prints."""
+
+import numpy as np
+import pytest
+
+from sim.corruptions import white_noise
+from sim.line import THESIS_KNOTS, along, simulate_line
+
+
+def _moving(world):
+    """Start and end of every tag's trip, s."""
+    arclength = world.arclength
+    first = np.argmax(arclength > 1e-9, axis=1)
+    last = np.argmax(arclength >= arclength[:, -1:] - 1e-9, axis=1)
+    return world.times[first], world.times[last]
+
+
+@pytest.mark.parametrize("situation", ["constant", "halts", "speeds"])
+def test_tags_rest_ten_seconds_before_and_after_and_end_at_the_end(situation):
+    world = simulate_line(situation, 5, seed=1)
+    start, end = _moving(world)
+    # The rows are 0.2 s apart.
+    np.testing.assert_allclose(start, 10.0, atol=0.21)
+    np.testing.assert_allclose(world.times[-1] - end, 10.0, atol=0.41)
+    np.testing.assert_allclose(world.positions[:, -1], np.tile(THESIS_KNOTS[-1], (5, 1)))
+    assert np.all(np.diff(world.arclength, axis=1) >= 0)
+
+
+def test_constant_speed_is_constant_and_halts_last_five_seconds_at_the_joins():
+    constant, halting = simulate_line("constant", 1), simulate_line("halts", 1)
+    moving = np.diff(constant.arclength[0])
+    assert np.median(moving[moving > 0]) == pytest.approx(0.3 / 5)
+    for join in (4.05, 6.159, 10.209, 12.295):
+        here = np.abs(halting.arclength[0] - join) < 1e-9
+        assert 24 <= here.sum() <= 26
+    assert halting.times[-1] - constant.times[-1] == pytest.approx(20.0, abs=0.21)
+
+
+def test_speeds_differ_from_segment_to_segment_and_tag_to_tag():
+    world = simulate_line("speeds", 3, seed=4)
+    marks = np.array([4.05, 6.159, 10.209, 12.295])
+    crossings = np.array([np.interp(marks, row, world.times) for row in world.arclength])
+    speeds = np.diff(marks) / np.diff(crossings, axis=1)
+    assert np.all(speeds.max(axis=1) / speeds.min(axis=1) > 1.05)
+    assert np.unique(np.round(speeds, 3)).size == speeds.size
+
+
+def test_a_tag_is_the_same_whatever_others_there_are():
+    many, one = simulate_line("speeds", 4, seed=2), simulate_line("speeds", [3], seed=2)
+    np.testing.assert_array_equal(many.fixes[3], one.fixes[0])
+
+
+def test_errors_are_as_large_as_printed_and_half_of_them_last():
+    world = simulate_line("constant", 200, seed=3)
+    error = world.fixes - world.positions
+    # 200 tags x 75 s with a time constant of 1.5 s: about 10,000 independent errors.
+    assert np.mean(np.hypot(*np.moveaxis(error, -1, 0))) == pytest.approx(0.39, abs=0.01)
+    lag = 5
+    correlation = np.mean(error[:, lag:] * error[:, :-lag]) / np.mean(error**2)
+    assert correlation == pytest.approx(0.5 * np.exp(-1.0 / 1.5), abs=0.02)
+
+
+def test_errors_can_be_had_one_by_one_and_a_tag_can_be_carried_off():
+    away = simulate_line("constant", 1, errors={}, carried_off=(20.0, 30.0, (0.0, 1.5)))
+    home = simulate_line("constant", 1, errors={"white": white_noise(1e-6)})
+    np.testing.assert_array_equal(away.fixes, away.positions)
+    apart = away.positions - home.positions
+    inside = (away.times >= 20.0) & (away.times < 30.0)
+    np.testing.assert_allclose(apart[0, inside], [[0.0, 1.5]] * inside.sum())
+    np.testing.assert_allclose(apart[0, ~inside], 0.0)
+
+
+def test_places_along_the_path_are_the_corners_at_the_cumulative_lengths_printed():
+    np.testing.assert_allclose(along(THESIS_KNOTS, np.array([0, 4.05, 6.159, 10.209, 12.295, 16.345])), THESIS_KNOTS)
+
+
+@pytest.mark.parametrize("wrong", [{"situation": "rush"}, {"speed": 0.0}, {"rate_hz": -1.0}])
+def test_a_world_that_is_none_is_refused(wrong):
+    with pytest.raises(ValueError, match="unknown|positive"):
+        simulate_line(**wrong)
