@@ -81,18 +81,27 @@ def drop_outs(probability: float, mean_length_s: float = 0.0) -> Corruption:
         raise ValueError(f"the mean length of a drop-out is not negative, found {mean_length_s} s")
 
     def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        draws = uniforms(keys, values.shape[1:3])
-        lost = draws < probability
-        if mean_length_s > 0:
-            # Ends at 1 / length, begins at p / (1 - p) of that: both together forget the state at this rate.
-            forgetting = 1 / (mean_length_s * (1 - probability))
-            kept = np.exp(-np.diff(times) * forgetting)
-            for k in range(len(kept)):
-                chance = probability * (1 - kept[k]) + kept[k] * lost[:, k]
-                lost[:, k + 1] = draws[:, k + 1] < chance
+        lost = in_bursts(keys, times, values.shape[2], probability, mean_length_s)
         return values, seen & ~lost.reshape(lost.shape + (1,) * (values.ndim - 3))
 
     return corrupt
+
+
+def in_bursts(keys: Keys, times: np.ndarray, channels: int, share: float, mean_length_s: float) -> np.ndarray:
+    """When something lasts, (n, T, channels): true for a `share` of the time, `mean_length_s` on average at a stretch.
+
+    A two-state Markov process in continuous time for each channel, stationary from the first row.
+    """
+    draws = uniforms(keys, (len(times), channels))
+    lasts = draws < share
+    if mean_length_s > 0:
+        # Ends at 1 / length, begins at p / (1 - p) of that: both together forget the state at this rate.
+        forgetting = 1 / (mean_length_s * (1 - share))
+        kept = np.exp(-np.diff(times) * forgetting)
+        for k in range(len(kept)):
+            chance = share * (1 - kept[k]) + kept[k] * lasts[:, k]
+            lasts[:, k + 1] = draws[:, k + 1] < chance
+    return lasts
 
 
 def constant_offsets(offsets: np.ndarray) -> Corruption:

@@ -1,0 +1,111 @@
+"""Simulated ranges: clocks, obstruction and order of arrival, each against its closed form."""
+
+import numpy as np
+import pytest
+
+from experiments.simulated_ranging import simulated_ranging
+from experiments.systems.uwb import range_lanes
+from sim.corruptions import drop_outs
+from sim.keys import trajectory_keys
+from sim.ranging import CHAMBER, Protocol, antenna_biases, chamber, obstruction, one_at_a_time, simulate_ranges, two_way
+from trackers.core.rig import Rig
+from trackers.uwb_imu.ranging import SPEED_OF_LIGHT
+
+TAGS, ROWS = 40, 100
+KEYS = trajectory_keys(0, np.arange(TAGS))
+DISTANCES = np.broadcast_to(np.array([1.0, 4.0, 7.5, 20.0]), (TAGS, ROWS, 4))
+TIMES = np.arange(ROWS) * 0.1
+
+
+def test_perfect_clocks_and_stamps_give_the_distance():
+    for double in (False, True):
+        ranges = two_way(KEYS, DISTANCES, Protocol(drift=0.0, sigma_stamp=0.0, double_sided=double))
+        # Rounding of 0.3 ms in seconds, times the speed of light.
+        np.testing.assert_allclose(ranges, DISTANCES, atol=1e-9)
+
+
+def test_single_sided_ranging_shows_half_the_clocks_difference_over_the_reply():
+    protocol = Protocol(reply_s=1e-3, drift=1e-5, sigma_stamp=0.0, double_sided=False)
+    errors = (two_way(KEYS, DISTANCES, protocol) - DISTANCES)[:, 0]
+    # A difference of two clocks: √2 · 1e-5 · 1 ms · c / 2, from 160 pairs that share a tag's clock by fours.
+    expected = SPEED_OF_LIGHT * 1e-3 * 1e-5 * np.sqrt(2) / 2
+    assert 0.75 < np.sqrt(np.mean(errors**2)) / expected < 1.25
+
+
+def test_double_sided_ranging_cancels_the_clocks():
+    ranges = two_way(KEYS, DISTANCES, Protocol(reply_s=1e-3, drift=1e-5, sigma_stamp=0.0))
+    # Four sigmas of a clock times 20 m.
+    assert np.abs(ranges - DISTANCES).max() < 4.5e-5 * 20
+
+
+def test_stamp_noise_makes_the_range_noise_of_its_formula():
+    ranges = two_way(KEYS, DISTANCES, Protocol(drift=0.0, sigma_stamp=1e-10, double_sided=False))
+    # Half of four stamps' noise: c · σ · √4 / 2; 16,000 numbers know their spread to half a per cent.
+    assert abs(np.std(ranges - DISTANCES) / (SPEED_OF_LIGHT * 1e-10) - 1) < 0.03
+    double = two_way(KEYS, DISTANCES, Protocol(drift=0.0, sigma_stamp=1e-10))
+    # With equal replies (2·back − 2·answered − asked + heard − again + end)/4: variance (4 + 4 + 1 + 1 + 1 + 1)/16.
+    assert abs(np.std(double - DISTANCES) / (SPEED_OF_LIGHT * 1e-10 * np.sqrt(12) / 4) - 1) < 0.03
+
+
+def test_obstruction_lengthens_its_share_of_the_ranges_and_no_other():
+    zero = np.zeros(DISTANCES.shape)
+    values, seen = obstruction(0.3, 1.0, 0.25, 0.1)(KEYS, TIMES, zero, zero == 0)
+    assert seen.all()
+    struck = values > 0
+    assert values[struck].min() >= 0.25
+    # 16,000 rows of bursts of ten: 1,600 independent ones at most, one sigma is 0.012.
+    assert abs(struck.mean() - 0.3) < 0.05
+    # The mean of 4,800 exponential numbers is known to 1.5 per cent.
+    assert abs(values[struck].mean() - 0.35) < 0.01
+
+
+def test_obstruction_lasts_as_long_as_it_should():
+    zero = np.zeros(DISTANCES.shape)
+    struck = obstruction(0.3, 1.0, 0.25, 0.0)(KEYS, TIMES, zero, zero == 0)[0] > 0
+    ends = np.sum(struck[:, :-1] & ~struck[:, 1:])
+    # Bursts of 1 s end in a row of 0.1 s with a chance of 1 − exp(−0.1), less those that begin anew within it.
+    again = 1 - 0.3
+    expected = struck[:, :-1].sum() * again * (1 - np.exp(-0.1 / again))
+    assert abs(ends / expected - 1) < 0.15
+
+
+def test_one_at_a_time_leaves_one_anchor_a_row_in_turn():
+    _, seen = one_at_a_time()(KEYS, TIMES, DISTANCES, np.ones(DISTANCES.shape, bool))
+    assert (seen.sum(axis=2) == 1).all()
+    assert np.argmax(seen[0], axis=1)[:6].tolist() == [0, 1, 2, 3, 0, 1]
+
+
+def test_a_tag_depends_on_the_seed_and_its_id_alone():
+    pieces = {"bias": antenna_biases(0.1), "obstruction": obstruction(0.2, 1.0, 0.3, 0.2), "lost": drop_outs(0.1, 0.5)}
+    many = simulate_ranges(chamber(), n=4, seed=3, n_points=30, corruptions=pieces)
+    one = simulate_ranges(chamber(), n=1, seed=3, n_points=30, corruptions=pieces, ids=[2])
+    np.testing.assert_array_equal(one.ranges[0], many.ranges[2])
+    np.testing.assert_array_equal(one.positions[0], many.positions[2])
+
+
+def test_the_folder_holds_what_was_seen_and_trackers_take_it():
+    world = simulate_ranges(chamber(), n=2, seed=1, n_points=20, corruptions={"turns": one_at_a_time()})
+    folder = simulated_ranging(world, "chamber")
+    assert folder.tables["ranges"].height == 40
+    lanes = list(range_lanes(folder, False))
+    place, known = lanes[1].recording.truth["position"]
+    assert known.all()
+    np.testing.assert_allclose(place, world.positions[1], atol=1e-12)
+    distances = np.linalg.norm(place - lanes[1].recording.inputs["anchors"], axis=1)
+    # Double-sided ranging with stamps of 0.1 ns: 2.6 cm.
+    assert np.abs(lanes[1].recording.readings["ranges"].values[:, 0] - distances).max() < 0.15
+    assert np.array_equal(np.unique(lanes[1].recording.inputs["anchors"], axis=0), np.unique(CHAMBER, axis=0))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (lambda: Protocol(reply_s=0.0), "positive time"),
+        (lambda: obstruction(1.0, 1.0, 0.1, 0.1), r"lies in 0\.\.1"),
+        (lambda: simulate_ranges(Rig("empty")), "takes? anchors"),
+        (lambda: simulate_ranges(chamber(), n=2, ids=[1]), "as many ids"),
+    ],
+)
+def test_what_makes_no_world_is_refused(wrong, message):
+    with pytest.raises(ValueError, match=message):
+        wrong()
