@@ -150,8 +150,13 @@ class FixTracker(Tracker):
 
     def dated(self, times: np.ndarray, estimates: Estimates) -> tuple[np.ndarray, Estimates]:
         """The times that late fixes speak of, and the position then: p − v·latency with its covariance."""
-        latency = float(self.sensors[FIXES].latency.value)  # type: ignore[attr-defined]
-        return (times, estimates) if latency == 0 else (times - latency, moved_back(estimates, latency))
+        return dated_back(self.sensors[FIXES], times, estimates)
+
+
+def dated_back(sensor: Any, times: np.ndarray, estimates: Estimates) -> tuple[np.ndarray, Estimates]:
+    """Times and estimates less the latency of a fix sensor; as they are where it has none."""
+    latency = float(sensor.latency.value)
+    return (times, estimates) if latency == 0 else (times - latency, moved_back(estimates, latency))
 
 
 def moved_back(estimates: Estimates, seconds: float) -> Estimates:

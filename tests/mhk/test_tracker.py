@@ -1,0 +1,77 @@
+"""MH-K assembled: a plain Kalman filter where the chain is still, batched like alone, stamped with its valid time."""
+
+import equinox as eqx
+import numpy as np
+import pytest
+
+from tests.known_start import flat
+from trackers.core.ekf import ExtendedKalman
+from trackers.core.estimates import Status
+from trackers.core.fixes import FIXES
+from trackers.core.recording import Readings, Recording, stack
+from trackers.core.tunable import tunables
+from trackers.mhk.accelerations import AccelerationSphere
+from trackers.mhk.fusion import AccelerationFilter
+from trackers.mhk.tracker import mhk_tracker
+
+
+def _place(t):
+    # There and back along a line at 0.8 m/s, with turns.
+    return np.stack([4 * np.sin(0.2 * t), 0.3 * t, 1 + 0 * t], axis=1)
+
+
+def _recording(rows=80, seed=0, dt=0.1):
+    rng = np.random.default_rng(seed)
+    times = np.arange(rows) * dt
+    fixes = _place(times) + 0.03 * rng.normal(size=(rows, 3))
+    return Recording(times, {FIXES: Readings(fixes, np.ones((rows, 3), bool))}, name=f"tag {seed}")
+
+
+@pytest.fixture(scope="module", params=[None, 1.0], ids=["as printed", "sticky"])
+def tracker(request):
+    return mhk_tracker(rate=request.param)
+
+
+def test_tags_in_a_ragged_batch_are_as_each_alone(tracker):
+    recordings = [_recording(60, 0), _recording(30, 1)]
+    together = tracker.run(stack(recordings))
+    for k, recording in enumerate(recordings):
+        alone = tracker.run(recording)
+        rows = slice(0, len(recording))
+        np.testing.assert_allclose(flat(together[k].mean)[rows], flat(alone.mean), rtol=1e-10, atol=1e-12)
+        assert np.all(together[k].status[len(recording) :] == Status.PADDING)
+
+
+def test_it_waits_for_a_full_window_and_ends_near_the_path(tracker):
+    recording = _recording()
+    estimates = tracker.run(recording)
+    assert np.all(estimates.status[:8] == Status.WAITING)
+    assert np.all(estimates.status[8:] == Status.OK)
+    # The window's middle lies 0.4 s back.
+    errors = flat(estimates.mean)[20:, :3] - _place(recording.times[20:] - 0.4)
+    assert np.sqrt(np.mean(np.sum(errors**2, axis=1))) < 0.06
+
+
+def test_with_a_chain_that_is_always_still_it_is_the_plain_filter_on_medians():
+    recording = _recording()
+    still = AccelerationFilter(AccelerationSphere(p_still=1 - 1e-12), 1e3, None)
+    tracker = mhk_tracker()
+    chain = eqx.tree_at(lambda t: t.fusion.filter, tracker, still).run(recording)
+    plain = eqx.tree_at(lambda t: t.fusion.filter, tracker, ExtendedKalman()).run(recording)
+    # What is left of the chain's mean is rounding.
+    np.testing.assert_allclose(flat(chain.mean), flat(plain.mean), atol=1e-9)
+    np.testing.assert_allclose(chain.log_likelihood, plain.log_likelihood, atol=1e-7)
+
+
+def test_stamped_estimates_have_the_time_of_their_windows_middle():
+    recording = _recording()
+    times, _ = mhk_tracker(stamped=True).dated(recording.times, None)
+    np.testing.assert_allclose(times[8:], recording.times[8:] - 0.4)
+    assert mhk_tracker().dated(recording.times, None)[0] is recording.times
+
+
+def test_every_number_that_the_paper_leaves_open_is_a_tunable():
+    names = set(tunables(mhk_tracker(rate=1.0)))
+    expected = {"median.speed_limit", "fusion.motion.sigma_a", "fusion.sensors.fixes.covariance"}
+    expected |= {f"fusion.filter.sphere.{k}" for k in ("a_still", "a_full", "p_still", "p_full")}
+    assert expected | {"fusion.filter.sigma_displacement", "fusion.filter.rate"} <= names

@@ -1,0 +1,87 @@
+"""The sphere of accelerations in blocks, and how likely each is: section 2.2 of Huang et al. 2018.
+
+    α  elevation, γ = 10°        k  size of the acceleration        0 ≤ a_lm < a_max        N = 18·36·10 + 18·36 + 1
+
+Inside a_lm there is "no acceleration", one state, with probability P₀; at a_max one state per direction, together
+P_max; between them uniform density (5) over 10 layers of equal volume in 18 elevations and 36 azimuths.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from trackers.core.motion import Noise
+from trackers.core.tunable import Fraction, Scale
+
+ELEVATIONS, AZIMUTHS, LAYERS = 18, 36, 10
+
+
+class Blocks(NamedTuple):
+    """The states of the chain: accelerations (N, 3), m/s², and their probabilities (N,)."""
+
+    accelerations: Any
+    shares: Any
+
+
+class AccelerationSphere(eqx.Module):
+    """The distribution (5)–(7) of accelerations.
+
+    `a_still`: a_lm, m/s². `a_full`: a_max over a_lm, m/s² more. `p_still`: P₀. `p_full`: P_max among what accelerates.
+    """
+
+    a_still: Noise
+    a_full: Noise
+    p_still: Noise
+    p_full: Noise
+
+    def __init__(self, a_still: float = 0.1, a_full: float = 1.9, p_still: float = 0.6, p_full: float = 0.1):
+        self.a_still, self.a_full = Scale(a_still, "m/s^2"), Scale(a_full, "m/s^2")
+        self.p_still, self.p_full = Fraction(p_still), Fraction(p_full)
+
+    def blocks(self) -> Blocks:
+        """All N states: the layers from within, the shell at a_max, no acceleration last."""
+        inner, outer = self.a_still.value, self.a_still.value + self.a_full.value
+        means, solid = directions()
+        centres, angles = jnp.asarray(means, inner.dtype), jnp.asarray(solid / (4 * np.pi), inner.dtype)
+        k = layers(inner, outer)
+        # The centroid of a block: its mean size times its mean direction, so that all together have mean zero.
+        size = 0.75 * (k[1:] ** 4 - k[:-1] ** 4) / (k[1:] ** 3 - k[:-1] ** 3)
+        between = (size[:, None, None] * centres[None]).reshape(-1, 3)
+        shell = outer * centres
+        accelerations = jnp.concatenate([between, shell, jnp.zeros((1, 3), inner.dtype)])
+        moving = 1.0 - self.p_still.value
+        full = moving * self.p_full.value
+        volumes = (k[1:] ** 3 - k[:-1] ** 3) / (outer**3 - inner**3)
+        shares = [
+            ((moving - full) * volumes[:, None] * angles[None]).reshape(-1),
+            full * angles,
+            self.p_still.value.reshape(1),
+        ]
+        return Blocks(accelerations, jnp.concatenate(shares))
+
+
+def layers(inner: Any, outer: Any) -> Any:
+    """The radii (LAYERS + 1,) of layers of equal volume between two spheres."""
+    share = jnp.arange(LAYERS + 1) / LAYERS
+    return jnp.cbrt(inner**3 + share.astype(inner.dtype) * (outer**3 - inner**3))
+
+
+def directions() -> tuple[np.ndarray, np.ndarray]:
+    """The mean unit vector (648, 3) of each direction's block, shorter than one, and its solid angle (648,), sr.
+
+    (6) takes the difference of the sines at both ends of an elevation; α with the paper's 2π rotation would count each
+    ring twice, so that α runs from −90° to 90° and the ring is cut into azimuths.
+    """
+    ends = np.deg2rad(np.linspace(-90.0, 90.0, ELEVATIONS + 1))
+    low, high, step = ends[:-1], ends[1:], 2 * np.pi / AZIMUTHS
+    height = np.sin(high) - np.sin(low)
+    up = 0.5 * (np.sin(high) + np.sin(low))
+    level = (0.5 * (high - low) + 0.25 * (np.sin(2 * high) - np.sin(2 * low))) / height
+    level = level * np.sin(step / 2) / (step / 2)
+    azimuths = (np.arange(AZIMUTHS) + 0.5) * step
+    parts = [level[:, None] * np.cos(azimuths), level[:, None] * np.sin(azimuths), np.tile(up[:, None], (1, AZIMUTHS))]
+    return np.stack(parts, axis=-1).reshape(-1, 3), np.repeat(height * step, AZIMUTHS)

@@ -1,0 +1,73 @@
+"""MH-K assembled: medians of the fixes, a hidden Markov model over their accelerations, Kalman fusion."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+
+from trackers.core.estimates import Estimates
+from trackers.core.fixes import FIXES, PATIENT, CorrelatedFixSensor, FixStart, dated_back
+from trackers.core.motion import ConstantVelocity
+from trackers.core.recording import Batch
+from trackers.core.tracker import AbstractTracker, Output, Score, Tracker
+from trackers.core.tunable import Scale
+from trackers.mhk.accelerations import AccelerationSphere
+from trackers.mhk.fusion import AccelerationFilter
+from trackers.mhk.median import LimitedMedian
+
+STILL = np.array([[8.409964, 3.509666, -1.23004], [3.509666, 10.34468, -0.7689], [-1.23004, -0.7689, 0.583671]]) * 1e-4
+"""The covariance of 2,000 fixes of a tag at rest, m² (Huang et al. 2018, section 4)."""
+
+
+class MedianMarkovKalman(AbstractTracker):
+    """MH-K (Huang et al. 2018, Figure 5): `median`, then `fusion` of its medians under the name `fixes`.
+
+    A median of 2n + 1 fixes shows where a moving tag was n fixes ago. `stamped`: the estimates say so, each with the
+    time of its window's middle row; else, as in the paper, each has the time of its last fix.
+    """
+
+    median: LimitedMedian
+    fusion: Tracker
+    stamped: bool = eqx.field(static=True, default=False)
+
+    def scan(self, batch: Batch) -> Output:
+        return self.fusion.scan(self._smoothed(batch))
+
+    def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
+        return self.fusion.accumulate(self._smoothed(batch), score)
+
+    def _smoothed(self, batch: Batch) -> Batch:
+        return batch._replace(readings={FIXES: self.median.readings(batch, batch.readings[FIXES])})
+
+    def dated(self, times: np.ndarray, estimates: Estimates) -> tuple[np.ndarray, Estimates]:
+        """The times of the windows' middle rows if `stamped`, less the fixes' latency; and the estimates then."""
+        if self.stamped:
+            half = min(self.median.window // 2, len(times))
+            times = np.concatenate([times[:1].repeat(half), times[: len(times) - half]])
+        return dated_back(self.fusion.sensors[FIXES], times, estimates)
+
+
+def mhk_tracker(
+    covariance: np.ndarray = STILL,
+    sigma_a: float = 1.0,
+    sigma_displacement: float = 0.05,
+    rate: float | None = None,
+    window: int = 9,
+    speed_limit: float = 4.0,
+    stamped: bool = False,
+) -> MedianMarkovKalman:
+    """MH-K with the paper's R and window; P₀, P_max, a_lm, V_limit and Q are not printed.
+
+    `covariance` R, m². σa m/s² per √Hz, for Q. `sigma_displacement` m and `rate` 1/s of the chain, None for one without
+    memory, as printed. `speed_limit` m/s, twice the paper's greatest speed.
+    """
+    fusion = Tracker(
+        ConstantVelocity(sigma_a, 3),
+        {FIXES: CorrelatedFixSensor(covariance)},
+        FixStart(Scale(0.5, "m"), Scale(1.0, "m/s"), False, 3),
+        AccelerationFilter(AccelerationSphere(), sigma_displacement, rate),
+        PATIENT,
+    )
+    return MedianMarkovKalman(LimitedMedian(window, speed_limit), fusion, stamped)
