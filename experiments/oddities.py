@@ -21,7 +21,7 @@ _LEAST_JUMP = {"m": 1.0, "mps2": 20.0, "radps": 5.0}  # what a person, a cart or
 
 def oddities(tables: Mapping[str, pl.DataFrame], rig: Rig) -> list[str]:
     """A line for each kind of oddity in each table: unknown tags, impossible values, doubles, gaps, wild values."""
-    lines: list[str] = []
+    lines: list[str] = _silent(tables, rig)
     for name, table in tables.items():
         expected = layout(name, table.columns)
         if rig.tags:
@@ -36,6 +36,18 @@ def oddities(tables: Mapping[str, pl.DataFrame], rig: Rig) -> list[str]:
             lines += _gaps(name, ordered, expected.ids)
             lines += _wild(name, ordered, expected.values)
     return lines
+
+
+def _silent(tables: Mapping[str, pl.DataFrame], rig: Rig) -> list[str]:
+    """Tags of the rig that no table of measurements has a value of."""
+    heard: set[str] = set()
+    for name, table in tables.items():
+        if name != "truth":
+            said = table.filter(pl.any_horizontal(pl.col(layout(name, table.columns).values).is_not_null()))
+            heard.update(said["tag"].unique())
+    silent = [tag for tag in rig.tags if tag not in heard]
+    shown = ", ".join(map(repr, silent[:5])) + (" …" if len(silent) > 5 else "")
+    return [f"rig.toml: tags that are never heard: {len(silent)} ({shown})"] if silent and heard else []
 
 
 def lanes(table: pl.DataFrame, ids: tuple[str, ...]) -> pl.DataFrame:

@@ -22,6 +22,12 @@ from trackers.uwb_imu.trilateration import trilateration_tracker
 WINDOWS = (0.1, 0.25, 0.5, 1.0)
 """Seconds over which ranges count as being of the moment."""
 
+THIN = 1e-2
+"""Width over length, seen from above, below which anchors stand on one line."""
+
+FARTHEST = 20.0
+"""Times the anchors' extent that the middle range may be."""
+
 
 def range_lanes(folder: Folder, free_height: bool) -> Iterator[Lane]:
     """Each tag's ranges, one a row, with the place and number of the row's anchor as inputs."""
@@ -103,17 +109,35 @@ def _anchors(folder: Folder) -> np.ndarray:
     return np.stack([np.asarray(folder.rig.anchors[a], float) for a in sorted(folder.rig.anchors)])
 
 
-def _heard(folder: Folder) -> str | None:
-    """What a folder lacks for a tracker of ranges."""
+def lacks_ranges(folder: Folder) -> str | None:
+    """What a folder lacks for a tracker of ranges: enough anchors that span a plane, and plausible metres."""
     if "ranges" not in folder.tables:
         return "a ranges table with at least 3 anchors, found no such table"
-    found = folder.tables["ranges"].filter(pl.col("range_m") > 0)["anchor"].n_unique()
-    return None if found >= 3 else f"ranges to at least 3 anchors, found {found} anchor(s)"
+    table = folder.tables["ranges"].filter(pl.col("range_m") > 0)
+    heard = {tag: part["anchor"].unique().to_list() for tag, part in by_tag(table)}
+    needed = {tag: 4 if known_height(folder, tag) is None else 3 for tag in heard}
+    if not any(len(heard[tag]) >= needed[tag] for tag in heard):
+        most = max(map(len, heard.values()), default=0)
+        return (
+            f"positive ranges from a tag to at least 3 anchors, or 4 where rig.toml gives it no height_m, found {most} "
+            "at most"
+        )
+    places = np.stack([np.asarray(folder.rig.anchors[a], float) for a in sorted(set().union(*heard.values()))])
+    sizes = np.linalg.svd(places[:, :2] - places[:, :2].mean(axis=0), compute_uv=False)
+    if sizes[1] < THIN * sizes[0]:
+        return f"anchors that span a plane, found all {len(places)} that are heard on one line seen from above"
+    middle, extent = float(table["range_m"].median()), float(np.ptp(places, axis=0).max())  # type: ignore[arg-type]
+    if middle > FARTHEST * extent:
+        return (
+            f"ranges in metres, found a median of {middle:.4g} among anchors {extent:.4g} m apart; "
+            "are they in centimetres or millimetres?"
+        )
+    return None
 
 
-def _heard_at_known_height(folder: Folder) -> str | None:
+def _lacks_known_height(folder: Folder) -> str | None:
     """What a folder lacks for trilateration."""
-    lacking = _heard(folder)
+    lacking = lacks_ranges(folder)
     if lacking is not None:
         return lacking
     free = sorted(tag for tag in folder.tables["ranges"]["tag"].unique() if known_height(folder, tag) is None)
@@ -127,22 +151,22 @@ def _biases(lane: Lane) -> int:
 
 TRACKERS = {
     "uwb": Entry(
-        "position from ranges, with a drifting bias per anchor", "ranges", _heard,
+        "position from ranges, with a drifting bias per anchor", "ranges", lacks_ranges,
         range_lanes, lambda lane, planar: range_tracker(_biases(lane), planar), _biases,
     ),
     "multilateration": Entry(
-        "position from the ranges of the moment, robust least squares: a baseline", "ranges", _heard,
+        "position from the ranges of the moment, robust least squares: a baseline", "ranges", lacks_ranges,
         snapshot_lanes, lambda lane, planar: multilateration_tracker(planar),
         lambda lane: len(lane.folder.rig.anchors), automatic=False,
     ),
     "trilateration": Entry(
-        "position from three ranges, by circles and without the paper's (14)", "ranges", _heard_at_known_height,
+        "position from three ranges, by circles and without the paper's (14)", "ranges", _lacks_known_height,
         triple_lanes, lambda lane, planar: trilateration_tracker(compensated=False),
         planar=lambda lane, free_height: True, automatic=False,
     ),
     "trilateration-compensated": Entry(
         "position from three ranges, by circles, each range lengthened by (14): the paper's", "ranges",
-        _heard_at_known_height, triple_lanes, lambda lane, planar: trilateration_tracker(compensated=True),
+        _lacks_known_height, triple_lanes, lambda lane, planar: trilateration_tracker(compensated=True),
         planar=lambda lane, free_height: True, automatic=False,
     ),
 }  # fmt: skip

@@ -1,0 +1,114 @@
+"""Bad input for the trackers of ranges, through the command line: refused in one line, or tracked with a notice."""
+
+from __future__ import annotations
+
+import numpy as np
+import polars as pl
+import pytest
+
+from experiments.commands import track as track_command
+from tests.experiments.faulty import then, with_table
+from tests.experiments.in_process import assert_refused, trackwright
+
+TRACKERS = ("uwb", "multilateration")
+
+
+def _one_line(folder):
+    rig = (folder / "rig.toml").read_text()
+    for old, new in (("[6.0, 5.0, 0.4]", "[3.0, 0.01, 0.4]"), ("[0.0, 5.0, 2.9]", "[9.0, 0.0, 2.9]")):
+        assert old in rig
+        rig = rig.replace(old, new)
+    (folder / "rig.toml").write_text(rig)
+    return ""
+
+
+def _ranges(change):
+    return with_table("ranges", change)
+
+
+REFUSED = {
+    "two anchors": (_ranges(lambda t: t.filter(pl.col("anchor").is_in(["A1", "A2"]))), "at least 3 anchors"),
+    "three anchors and no height": (
+        _ranges(lambda t: t.filter((pl.col("anchor") != "A4") & (pl.col("tag") == "T2"))),
+        "4 where rig.toml gives it no height_m",
+    ),
+    "anchors on one line": (then(_one_line), "on one line"),
+    "negative ranges alone": (_ranges(lambda t: t.with_columns(range_m=-pl.col("range_m"))), "found 0 at most"),
+    "millimetres": (_ranges(lambda t: t.with_columns(range_m=1000.0 * pl.col("range_m"))), "millimetres?"),
+    "no value at all": (_ranges(lambda t: t.with_columns(range_m=pl.lit(None, pl.Float64))), "found 0 at most"),
+}
+
+
+@pytest.mark.parametrize("tracker", TRACKERS)
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_no_tracker_of_ranges_can_use_is_refused_in_one_line(tmp_path, name, tracker):
+    build, word = REFUSED[name]
+    build(tmp_path / "recording")
+    said = trackwright("track", tmp_path / "recording", "--tracker", tracker, "--out", tmp_path / "out")
+    # What is odd in the recording is said first, a line each.
+    last = said._replace(err="".join(x for x in said.err.splitlines(keepends=True) if not x.startswith("notice: ")))
+    assert_refused(last, str(tmp_path / "recording"), f"tracker '{tracker}' needs", word)
+    assert not (tmp_path / "out").exists()
+
+
+def test_trilateration_needs_the_height_of_every_tag(tmp_path):
+    then(lambda folder: "")(tmp_path / "recording")
+    said = trackwright("track", tmp_path / "recording", "--tracker", "trilateration", "--out", tmp_path / "out")
+    assert_refused(said, "height_m in rig.toml for every tag, found none for T2")
+
+
+def _wild(table):
+    """One range in twenty is negative, another one is kilometres long."""
+    row = pl.int_range(pl.len())
+    spoiled = pl.when(row % 20 == 7).then(-3.0).when(row % 20 == 13).then(4321.0).otherwise(pl.col("range_m"))
+    return table.with_columns(range_m=spoiled)
+
+
+@pytest.fixture(scope="module")
+def tracked(tmp_path_factory):
+    """What was said of wild ranges and of a tag that is never heard, and the tracks; by the tracker's name."""
+    folder = tmp_path_factory.mktemp("odd-ranges")
+    _ranges(_wild)(folder / "recording")
+    rig = folder / "recording" / "rig.toml"
+    rig.write_text(rig.read_text().replace("[path]", "[tags.T9]\nheight_m = 1.0\n\n[path]"))
+    found = {}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(track_command, "draw_tracks", lambda *arguments: [])
+        for tracker in TRACKERS:
+            said = trackwright("track", folder / "recording", "--tracker", tracker, "--out", folder / tracker)
+            assert said.code == 0, said
+            found[tracker] = said.err, pl.read_parquet(folder / tracker / "tracks.parquet")
+    truth = pl.read_csv(folder / "recording" / "truth.csv")
+    return found, truth
+
+
+def test_negative_ranges_and_kilometres_are_named(tracked):
+    for said, _ in tracked[0].values():
+        assert "ranges: negative values of range_m: 20" in said
+        assert "ranges: wild values of range_m" in said
+
+
+def test_a_tag_that_is_never_heard_is_named(tracked):
+    for said, tracks in tracked[0].values():
+        assert "rig.toml: tags that are never heard: 1 ('T9')" in said
+        assert set(tracks["tag"]) == {"T1", "T2"}
+
+
+@pytest.mark.parametrize("tracker", TRACKERS)
+def test_negative_ranges_and_kilometres_move_no_track(tracked, tracker):
+    tracks = tracked[0][tracker][1].filter(pl.col("tag") == "T1").join(tracked[1], on=["tag", "t_s"], suffix="_true")
+    errors = np.hypot(tracks["x_m"] - tracks["x_m_true"], tracks["y_m"] - tracks["y_m_true"]).drop_nulls().to_numpy()
+    # Four anchors, 3 cm of noise, a tag at 1 m/s; a row with one wild range of four is the worst.
+    assert len(errors) > 40
+    assert np.sqrt(np.mean(errors[10:] ** 2)) < 0.3
+    assert errors.max() < 2.0
+
+
+def test_a_tag_heard_by_too_few_anchors_waits_while_the_other_is_tracked(tmp_path, monkeypatch):
+    monkeypatch.setattr(track_command, "draw_tracks", lambda *arguments: [])
+    few = (pl.col("tag") == "T1") | pl.col("anchor").is_in(["A1", "A2", "A3"])
+    _ranges(lambda t: t.filter(few))(tmp_path / "recording")
+    said = trackwright("track", tmp_path / "recording", "--tracker", "uwb", "--out", tmp_path / "out")
+    assert said.code == 0
+    assert "1 ok" in said.out + said.err
+    assert "too little data" in said.out + said.err
