@@ -14,15 +14,19 @@ def main() -> None:
     # jax reads its flags when it is first imported, so nothing that imports it may stand above.
     import tyro
 
-    from experiments.commands import check, evaluate, simulate, track, tune
+    from experiments.commands import check, evaluate, simulate, simulate_worlds, track, truth, tune
     from experiments.errors import UnusableInput
 
     commands: dict[str, Any] = {
         "simulate": simulate.simulate,
+        "simulate-line": simulate_worlds.simulate_line,
+        "simulate-ranges": simulate_worlds.simulate_ranges,
+        "simulate-agv": simulate_worlds.simulate_agv,
         "check": check.check,
         "track": track.track,
         "evaluate": evaluate.evaluate_tracks,
         "tune": tune.tune,
+        "truth": truth.truth,
     }
     try:
         code = tyro.extras.subcommand_cli_from_dict(

@@ -84,12 +84,22 @@ def left_the_line(lane: Lane, tracks: pl.DataFrame) -> list[tuple[float, str, st
     return rows
 
 
+def raw_places(lane: Lane) -> tuple[np.ndarray, np.ndarray]:
+    """Times and places (T, 2), NaN where there is none: fixes as they are, or where recent ranges meet."""
+    whole = lane.recording
+    if RANGES in whole.readings:
+        nearby = whole.inputs["nearby"]
+        return whole.times, np.where(nearby[:, 3:] > 0.5, nearby[:, :2], np.nan)
+    fixes = whole.readings[FIXES]
+    return whole.times, np.where(np.all(fixes.seen, axis=1)[:, None], fixes.values, np.nan)
+
+
 def _free_places(lane: Lane) -> tuple[np.ndarray, np.ndarray]:
     """Times and places (T, 2) that know nothing of the path, NaN where there is none."""
     whole = lane.recording
     if RANGES in whole.readings:
-        nearby, heard = whole.inputs["nearby"], _heard(whole)
-        return whole.times, np.where((nearby[:, 3:] > 0.5) & (heard[:, None] >= REDUNDANT), nearby[:, :2], np.nan)
+        times, places = raw_places(lane)
+        return times, np.where(_heard(whole)[:, None] >= REDUNDANT, places, np.nan)
     fixes = whole.readings[FIXES]
     missing = np.zeros((len(whole), 1))
     reported = np.zeros((len(whole), 3)) if fixes.reported is None else np.hstack([fixes.reported, missing])

@@ -1,0 +1,86 @@
+"""Ground truth along a known path, fitted to the recording itself."""
+
+import numpy as np
+import polars as pl
+import pytest
+
+from experiments.commands.truth import truth
+from experiments.errors import UnusableInput
+from experiments.folder import read_folder, write_folder
+from experiments.simulated_line import simulated_line
+from sim.corruptions import white_noise
+from sim.line import THESIS_KNOTS, simulate_line
+from trackers.line.truth import knot_times
+
+
+@pytest.mark.parametrize("situation", ["constant", "halts", "speeds"])
+def test_without_errors_the_knot_times_are_found(situation):
+    world = simulate_line(situation, 1, seed=5, errors={})
+    fitted = knot_times(THESIS_KNOTS, world.times, world.fixes[0])
+    # Times are found by steps that shrink by 0.7 each: what is left is below a millimetre of travel.
+    assert fitted.rms < 1e-3
+    assert fitted.left[0] == pytest.approx(10.0, abs=0.02)
+    rests = fitted.left[1:] - fitted.reached[:-1]
+    np.testing.assert_allclose(rests, 5.0 if situation == "halts" else 0.0, atol=0.05)
+    np.testing.assert_allclose(fitted.places(world.times), world.positions[0], atol=5e-3)
+
+
+@pytest.mark.parametrize("situation", ["constant", "halts", "speeds"])
+def test_with_the_errors_of_the_thesis_the_truth_is_within_15_centimetres(situation):
+    world = simulate_line(situation, 1, seed=6)
+    fitted = knot_times(THESIS_KNOTS, world.times, world.fixes[0])
+    error = fitted.places(world.times) - world.positions[0]
+    # 0.44 m of error, half of it for 1.5 s: some 15 independent fixes a segment of 10 s, for two times.
+    assert np.sqrt(np.mean(np.sum(error**2, axis=1))) < 0.15
+
+
+def test_it_is_a_least_squares_fit_no_other_times_are_better():
+    world = simulate_line("halts", 1, seed=7, errors={"white": white_noise(0.3)})
+    times, fixes = world.times, world.fixes[0]
+    fitted = knot_times(THESIS_KNOTS, times, fixes)
+    rng, events = np.random.default_rng(0), np.stack([fitted.left, fitted.reached], axis=1).ravel()
+    true = np.sqrt(np.mean(np.sum((fixes - world.positions[0]) ** 2, axis=1)))
+    assert fitted.rms < true
+    for scale in (0.01, 0.1, 1.0, 5.0):
+        for _ in range(50):
+            other = np.sort(events + scale * rng.normal(size=len(events)))
+            places = type(fitted)(fitted.knots, other[0::2], other[1::2], 0.0).places(times)
+            assert np.sqrt(np.mean(np.sum((fixes - places) ** 2, axis=1))) > fitted.rms - 1e-4
+
+
+def test_too_few_rows_for_the_path_are_refused():
+    with pytest.raises(ValueError, match="5 different times are too few for a path of 5 segments"):
+        knot_times(THESIS_KNOTS, np.arange(5.0), np.zeros((5, 2)))
+
+
+def test_the_command_writes_the_recording_with_a_truth_that_serves(tmp_path, capsys):
+    world = simulated_line(simulate_line("halts", 2, seed=8), "line")
+    write_folder(world, tmp_path / "line")
+    assert truth(tmp_path / "line", tmp_path / "fitted") == 0
+    said = capsys.readouterr()
+    assert "tag 0: 0.4" in said.out
+    assert "own truth is replaced" in said.err
+    fitted = read_folder(tmp_path / "fitted")
+    assert fitted.tables["fixes"].equals(world.tables["fixes"])
+    both = fitted.tables["truth"].join(world.tables["truth"], on=["t_s", "tag"], suffix="_true")
+    apart = np.hypot(*(both[f"{a}_m"].to_numpy() - both[f"{a}_m_true"].to_numpy() for a in "xy"))
+    assert np.sqrt(np.mean(apart**2)) < 0.15
+    assert both["z_m"].unique().to_list() == [0.78]
+
+
+def test_a_recording_without_a_path_is_refused_in_one_line(tmp_path):
+    world = simulated_line(simulate_line("constant", 1), "line")
+    write_folder(world, tmp_path / "line")
+    text = (tmp_path / "line" / "rig.toml").read_text()
+    (tmp_path / "line" / "rig.toml").write_text(text[: text.index("[path]")])
+    with pytest.raises(UnusableInput, match=r"no \[path\] in rig.toml"):
+        truth(tmp_path / "line", tmp_path / "fitted")
+    assert not (tmp_path / "fitted").exists()
+
+
+def test_a_recording_too_short_for_its_path_is_refused_in_one_line(tmp_path):
+    world = simulated_line(simulate_line("constant", 1), "line")
+    short = {name: table.filter(pl.col("t_s") < 1.0) for name, table in world.tables.items()}
+    write_folder(type(world)(world.name, None, world.rig, short), tmp_path / "line")
+    with pytest.raises(UnusableInput, match="too few for a path of 5 segments"):
+        truth(tmp_path / "line", tmp_path / "fitted")
