@@ -74,6 +74,21 @@ def percentiles(errors: Errors, percents: tuple[float, ...]) -> list[float]:
     return np.interp(ranks, np.arange(len(ordered)), ordered).tolist() if len(ordered) else [math.nan] * len(percents)
 
 
+def distances_to_path(points: Float[np.ndarray, "N 2"], knots: Float[np.ndarray, "K 2"]) -> Float[np.ndarray, " N"]:
+    """The distance of each point from the nearest place of a polyline: the error where only the way is known, not when.
+
+    An error along the way, as that of an estimate which comes late, does not show in it.
+    """
+    starts, ways = knots[:-1], np.diff(knots, axis=0)
+    lengths = np.maximum(np.einsum("kd,kd->k", ways, ways), np.finfo(float).tiny)
+    nearest = np.full(len(points), np.inf)
+    for start, way, length in zip(starts, ways, lengths, strict=True):
+        apart = points - start
+        apart = apart - np.clip(apart @ way / length, 0.0, 1.0)[:, None] * way
+        nearest = np.minimum(nearest, np.einsum("nd,nd->n", apart, apart))
+    return np.sqrt(nearest)
+
+
 def nees(errors: Errors, covs: Covariances) -> Float[np.ndarray, " N"]:
     """eᵀP⁻¹e of each row; NaN where P is not positive definite.
 

@@ -1,0 +1,130 @@
+"""The workshop of Huang et al. 2018, section 4: a vehicle that runs round a workstation, and the fixes of its tag."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from sim.corruptions import Corruption, corrupted, gauss_markov, outliers
+from sim.fixes import correlated_noise
+from sim.keys import stream, trajectory_keys, uniforms
+from trackers.mhk.tracker import STILL
+
+LARGEST_SPEED, LARGEST_ACCELERATION = 2.0, 2.0
+"""Of the paper's vehicle, m/s and m/s²."""
+
+ANCHOR_HEIGHT = 2.5
+"""Metres; all anchors hang at it, so that heights have a mirror image."""
+
+FIX_ERRORS: Mapping[str, Corruption] = MappingProxyType(
+    {"noise": correlated_noise(STILL), "drift": gauss_markov(0.07, 0.5), "outliers": outliers(0.25, 0.19)}
+)
+"""The paper's noise at rest; drift and outliers chosen for raw fixes as far off as the paper's."""
+
+
+@dataclass(frozen=True)
+class Route:
+    """A rectangle with rounded corners round the origin, once round anticlockwise; lengths in m.
+
+    Raises ValueError where the corners don't fit into the rectangle.
+    """
+
+    width: float = 10.0
+    depth: float = 6.0
+    radius: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not 0 < 2 * self.radius <= min(self.width, self.depth):
+            raise ValueError(
+                f"corners of {self.radius} m do not fit into a rectangle of {self.width} m × {self.depth} m"
+            )
+
+    @property
+    def length(self) -> float:
+        """Once round, m."""
+        return float(self._ends()[-1])
+
+    def at(self, arclength: np.ndarray) -> np.ndarray:
+        """The places (..., 2), m, so many metres along the route from the middle of its lower side."""
+        ends = self._ends()
+        s = np.asarray(arclength, float) % ends[-1]
+        part = np.minimum(np.searchsorted(ends, s, side="right"), len(ends) - 1)
+        along = s - np.concatenate([[0.0], ends])[part]
+        quarter = part // 2 % 4
+        heading = quarter * (np.pi / 2)
+        straight = part % 2 == 0
+        turned = np.where(straight, 0.0, along / self.radius)
+        # Each side starts where the corner before it ends; the first side starts at its middle.
+        corner = np.array([[1, -1], [1, 1], [-1, 1], [-1, -1]]) * (np.array([self.width, self.depth]) / 2 - self.radius)
+        direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+        outward = np.stack([np.sin(heading + turned), -np.cos(heading + turned)], axis=-1)
+        side = np.array([self.width, self.depth, self.width, self.depth])[quarter] - 2 * self.radius
+        side = np.where(part == 0, side / 2, side)
+        back = np.where(straight, side - along, 0.0)
+        return corner[quarter] + self.radius * outward - back[..., None] * direction
+
+    def knots(self, spacing: float = 0.05) -> np.ndarray:
+        """The route as corners (k, 2), m, of a closed polyline, `spacing` m apart."""
+        return self.at(np.linspace(0, self.length, int(np.ceil(self.length / spacing)) + 1))
+
+    def _ends(self) -> np.ndarray:
+        """Where its parts end along the route: half a side, corner, side, corner, …, half a side, m."""
+        a, b, c = self.width - 2 * self.radius, self.depth - 2 * self.radius, self.radius * np.pi / 2
+        return np.cumsum([a / 2, c, b, c, a, c, b, c, a / 2])
+
+
+@dataclass(frozen=True)
+class SimulatedFixes:
+    """Fixes of n tags at T times with their truth.
+
+    `times` (T,) s; `positions`, `fixes` (n, T, 3) m and as many `seen`; `route` (k, 2) m, the designed one; `anchors`
+    by id, m; `ids` (n,): the trajectory ids.
+    """
+
+    times: np.ndarray
+    positions: np.ndarray
+    fixes: np.ndarray
+    seen: np.ndarray
+    route: np.ndarray
+    anchors: dict[str, np.ndarray]
+    ids: np.ndarray
+
+
+def simulate_agv(
+    n: int | Sequence[int] = 1,
+    seed: int = 0,
+    *,
+    route: Route = Route(),
+    speed: float = 0.5,
+    height: float = 1.2,
+    rows: int = 2000,
+    rate_hz: float = 10.0,
+    errors: Mapping[str, Corruption] = FIX_ERRORS,
+) -> SimulatedFixes:
+    """Vehicles that start anywhere on the route at rest, reach `speed` at 1 m/s² and keep it, corners too.
+
+    `n`: how many, or their trajectory ids. `errors`: what goes wrong with the fixes, piece by piece. `height` m, of the
+    tag. Raises ValueError for a speed or corners beyond what the paper's vehicle does.
+    """
+    sideways = speed**2 / route.radius
+    if not (0 < speed <= LARGEST_SPEED and sideways <= LARGEST_ACCELERATION):
+        raise ValueError(
+            f"{speed} m/s and {sideways:.3g} m/s² in corners of {route.radius} m: the vehicle does at most "
+            f"{LARGEST_SPEED} m/s and {LARGEST_ACCELERATION} m/s²"
+        )
+    ids = np.arange(n) if isinstance(n, int) else np.asarray(n)
+    keys = trajectory_keys(seed, ids)
+    times = np.arange(rows) / rate_hz
+    start = uniforms(stream(keys, "start"), (1,)).astype(float) * route.length
+    # ½ t² until `speed` is reached after `speed` seconds, straight on from there.
+    covered = np.where(times < speed, 0.5 * times**2, speed * times - 0.5 * speed**2)
+    floor = route.at(start + covered)
+    positions = np.concatenate([floor, np.full((*floor.shape[:-1], 1), height)], axis=-1)
+    fixes, seen = corrupted(errors, keys, times, positions, np.ones(positions.shape, bool))
+    half = np.array([route.width, route.depth]) / 2 + 1.0
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
+    anchors = {str(k + 1): np.array([*c, ANCHOR_HEIGHT]) for k, c in enumerate(corners)}
+    return SimulatedFixes(times, positions, fixes, seen, route.knots(), anchors, ids)

@@ -1,0 +1,102 @@
+"""The workshop's world: a route that the vehicle can drive, and errors that are what their pieces say."""
+
+import numpy as np
+import pytest
+
+from sim.agv import Route, simulate_agv
+from sim.fixes import correlated_noise, late, mirrored, sluggish
+from sim.keys import trajectory_keys
+from trackers.core.metrics import distances_to_path
+from trackers.mhk.tracker import STILL
+
+TIMES = np.arange(400) / 10.0
+SEEN = np.ones((1, 400, 3), bool)
+STRAIGHT = (TIMES[:, None] * np.array([0.5, -0.2, 0.1]))[None]
+
+
+def _apply(piece, values=STRAIGHT, n=1):
+    seen = np.ones(values.shape, bool)
+    return piece(trajectory_keys(0, np.arange(n)), TIMES, values, seen)[0]
+
+
+@pytest.mark.parametrize("speed", [0.3, 1.4])
+def test_the_vehicle_keeps_its_speed_and_its_limits(speed):
+    world = simulate_agv(3, speed=speed, errors={})
+    velocity = np.diff(world.positions, axis=1) * 10
+    assert world.positions.shape == (3, 2000, 3)
+    # Chords of a 1 m corner at 0.14 m a row are shorter than the way by 0.1 %.
+    np.testing.assert_allclose(np.linalg.norm(velocity[:, 40:], axis=-1), speed, rtol=2e-3)
+    assert np.linalg.norm(np.diff(velocity, axis=1) * 10, axis=-1).max() < 2.0
+    np.testing.assert_array_equal(world.fixes, world.positions)
+
+
+def test_the_vehicle_stays_on_its_route():
+    world = simulate_agv(2, errors={})
+    # Chords of 5 cm on a 1 m corner leave it by 0.3 mm.
+    assert distances_to_path(world.positions[0, :, :2], world.route).max() < 4e-4
+
+
+def test_the_route_closes_and_is_as_long_as_its_parts():
+    route = Route(8.0, 5.0, 0.7)
+    assert route.length == pytest.approx(2 * (8 + 5 - 4 * 0.7) + 2 * np.pi * 0.7)
+    s = np.linspace(0, route.length, 20001)
+    places = route.at(s)
+    np.testing.assert_allclose(places[0], places[-1], atol=1e-12)
+    assert np.linalg.norm(np.diff(places, axis=0), axis=1).sum() == pytest.approx(route.length, rel=1e-6)
+    np.testing.assert_allclose(np.abs(places).max(axis=0), [4.0, 2.5])
+
+
+def test_what_the_vehicle_cannot_do_is_refused():
+    with pytest.raises(ValueError, match="at most"):
+        simulate_agv(1, speed=1.9)
+    with pytest.raises(ValueError, match="do not fit"):
+        Route(4.0, 2.0, 1.5)
+
+
+def test_a_vehicle_is_the_same_whatever_others_there_are():
+    together, alone = simulate_agv(5, rows=100), simulate_agv([3], rows=100)
+    np.testing.assert_array_equal(together.fixes[3], alone.fixes[0])
+
+
+def test_noise_has_the_papers_covariance():
+    noise = _apply(correlated_noise(STILL), np.zeros((50, 400, 3)), 50)
+    found = np.cov(noise.reshape(-1, 3).T)
+    # 20,000 draws: a covariance is known to about 1/100 of the product of its two sigmas, here four times that.
+    sigmas = np.sqrt(np.diag(STILL))
+    assert np.abs((found - STILL) / np.outer(sigmas, sigmas)).max() < 0.04
+
+
+def test_a_late_fix_is_where_the_tag_was():
+    np.testing.assert_allclose(_apply(late(0.4))[0, 4:], STRAIGHT[0, :-4], atol=1e-12)
+
+
+def test_a_sluggish_device_trails_a_steady_tag_by_its_time_constant():
+    shown = _apply(sluggish(0.4))
+    np.testing.assert_allclose(shown[0, 100:], STRAIGHT[0, 100:] - 0.4 * np.array([0.5, -0.2, 0.1]), atol=1e-9)
+    np.testing.assert_array_equal(_apply(sluggish(0.0)), STRAIGHT)
+
+
+def test_mirrored_heights_are_the_images_for_the_share_and_the_length_asked_for():
+    values = np.tile([0.0, 0.0, 1.0], (200, 400, 1))
+    z = _apply(mirrored(1.5, 0.3, 2.0), values, 200)[..., 2]
+    assert set(np.unique(z)) == {1.0, 2.0}
+    flipped = z == 2.0
+    # 200 tags of 40 s with stretches of some seconds: about 2,800 independent looks.
+    assert flipped.mean() == pytest.approx(0.3, abs=0.04)
+    stretches = flipped[:, :-1].sum() / (flipped[:, :-1] & ~flipped[:, 1:]).sum()
+    assert stretches * 0.1 == pytest.approx(2.0, rel=0.15)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [lambda: correlated_noise(-np.eye(3)), lambda: late(-1.0), lambda: sluggish(np.inf), lambda: mirrored(1, 1, 1)],
+)
+def test_pieces_that_make_no_sense_are_refused(make):
+    with pytest.raises(ValueError, match="found"):
+        make()
+
+
+def test_the_distance_to_a_path_is_that_of_its_nearest_point():
+    knots = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 0.0], [2.0, 3.0]])
+    points = np.array([[1.0, 0.5], [-1.0, 0.0], [2.5, 1.0], [3.0, 4.0]])
+    np.testing.assert_allclose(distances_to_path(points, knots), [0.5, 1.0, 0.5, np.sqrt(2.0)])
