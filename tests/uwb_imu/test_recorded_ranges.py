@@ -1,0 +1,60 @@
+"""Real ranges, with one set of noise levels: below the best figures of their README's baselines."""
+
+import numpy as np
+import pytest
+
+from experiments.folder import read_folder
+from experiments.systems.uwb import range_lanes
+from trackers.core.recording import stack
+from trackers.uwb_imu.fusion import range_tracker
+
+# Horizontal RMSE, m, and 3-D where it is judged: of a Kalman filter whose noise was tuned on that very recording.
+PLANAR = {"labyrinth": 0.22, "ngbui-line-2-1": 0.342}
+SPATIAL = {
+    "starloc-2d-s5": (0.08, None),
+    "starloc-fast-s1": (0.26, 0.45),
+    "rcv-drone-3": (0.22, None),
+    "iasl-drone-1": (0.068, 0.12),
+}
+
+
+def _errors(folder, name, tracker):
+    """Errors (n, 2 or 3), m, of all tags at the last row of each time where the truth is known."""
+    lanes = list(range_lanes(read_folder(folder / name), False))
+    longest = max(len(lane.recording) for lane in lanes)
+    # Two lengths in all, so that each tracker is compiled for few shapes.
+    estimates = tracker.run(stack([lane.recording for lane in lanes], rows=max(8192, longest)))
+    parts = []
+    for k, lane in enumerate(lanes):
+        place, known = lane.recording.truth["position"]
+        rows = len(lane.recording)
+        last = known & np.append(np.diff(lane.recording.times) > 0, True) & estimates[k].usable[:rows]
+        found = np.stack([np.asarray(x)[k, :rows] for x in estimates.mean.position], axis=1)
+        parts.append((found - place[:, : found.shape[1]])[last])
+    return np.concatenate(parts)
+
+
+@pytest.fixture(scope="module")
+def planar():
+    return range_tracker(8, planar=True)
+
+
+@pytest.mark.parametrize("name", PLANAR)
+def test_tags_at_a_known_height_are_tracked_better_than_by_the_baseline(recordings, planar, name):
+    errors = _errors(recordings, name, planar)
+    assert np.sqrt(np.mean(np.sum(errors**2, axis=1))) < PLANAR[name]
+
+
+@pytest.fixture(scope="module")
+def spatial():
+    return range_tracker(8)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SPATIAL)
+def test_tags_in_space_are_tracked_better_than_by_the_baseline(recordings, spatial, name):
+    errors = _errors(recordings, name, spatial)
+    horizontal, in_space = SPATIAL[name]
+    assert np.sqrt(np.mean(np.sum(errors[:, :2] ** 2, axis=1))) < horizontal
+    if in_space is not None:
+        assert np.sqrt(np.mean(np.sum(errors**2, axis=1))) < in_space
