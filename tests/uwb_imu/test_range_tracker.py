@@ -6,7 +6,7 @@ import pytest
 
 from trackers.core.algebra import Vector
 from trackers.core.contract import check_motion
-from trackers.core.recording import Readings, Recording
+from trackers.core.recording import Readings, Recording, stack
 from trackers.uwb_imu.drifting import DriftingBiases, Ranged
 from trackers.uwb_imu.fusion import range_tracker
 from trackers.uwb_imu.nearby import recent_places
@@ -124,3 +124,57 @@ def test_a_silence_of_a_minute_ends_the_track_and_starts_another(runs):
     errors, estimates = runs["clean"]
     assert estimates.verdict() == "lost and re-started 1 times"
     assert np.sqrt(np.mean(errors[450:] ** 2)) < 0.06
+
+
+def test_more_anchors_than_own_biases_leave_a_state_without_them():
+    tracker = range_tracker(24, planar=True)
+    times, numbers, ranges, _ = _rows(np.random.default_rng(3), count=60)
+    estimates = tracker.run(_recording(times, numbers, ranges, HEIGHT))
+    assert estimates.dimension == 4
+    assert estimates.verdict() == "ok"
+
+
+def test_the_spread_is_right_where_the_world_is_the_model():
+    """300 tags over the floor by the model's own motion, biases and normal noise: NEES over them of chi-squared."""
+    runs, rows, step = 300, 80, 0.05
+    sigma_a, sigma_r, sigma_bias, constant = 0.5, 0.1, 0.05, 5.0
+    rng = np.random.default_rng(4)
+
+    def normal(*shape):
+        return rng.normal(size=(runs, *shape))
+
+    times, numbers = np.arange(rows) * step, np.arange(rows) % len(ANCHORS)
+    place, velocity, bias = normal(2), normal(2), sigma_bias * normal(len(ANCHORS))
+    begun = place + normal(2)
+    recordings, readings = [], []
+    for k in range(rows):
+        if k:
+            along, across = normal(2), normal(2)
+            kick = sigma_a * np.sqrt(step)
+            place = place + velocity * step + kick * step * (along / 2 + across / np.sqrt(12))
+            velocity = velocity + kick * along
+            kept = np.exp(-step / constant)
+            bias = kept * bias + sigma_bias * np.sqrt(1 - kept**2) * normal(len(ANCHORS))
+        full = np.column_stack([place, np.full(runs, HEIGHT)])
+        readings.append(np.linalg.norm(full - ANCHORS[numbers[k]], axis=1) + bias[:, numbers[k]] + sigma_r * normal())
+    for run in range(runs):
+        nearby = np.column_stack([np.tile(begun[run], (rows, 1)), np.full(rows, HEIGHT), np.ones(rows)])
+        inputs = {
+            "anchors": ANCHORS[numbers],
+            "anchor": numbers[:, None].astype(float),
+            "nearby": nearby,
+            "height": np.full(rows, HEIGHT),
+        }
+        values = np.array([r[run] for r in readings])[:, None]
+        recordings.append(Recording(times, {RANGES: Readings(values, np.ones((rows, 1), bool))}, inputs))
+    # Student's t with a million degrees of freedom is normal to six digits.
+    tracker = range_tracker(
+        5, True, sigma_a, 0.1, sigma_r, stretch=1.0, tail=1e6, bias=0.0, sigma_bias=sigma_bias, time_constant=constant
+    )
+    estimates = tracker.run(stack(recordings))
+    found = np.stack([np.asarray(x)[:, -1] for x in (*estimates.mean.position, *estimates.mean.velocity)], axis=1)
+    errors = found - np.column_stack([place, velocity])
+    cov = estimates.covariance[:, -1, :4, :4]
+    nees = np.einsum("ri,rij,rj->r", errors, np.linalg.inv(cov), errors)
+    # The mean of 300 chi-squared numbers of 4 degrees of freedom: 4 ± 3 √(8/300); linearising adds a few per cent.
+    assert 3.5 < nees.mean() < 4.7
