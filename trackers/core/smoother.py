@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from trackers.core.algebra import (
     Scalar,
@@ -28,7 +29,7 @@ from trackers.core.algebra import (
     triangle,
 )
 from trackers.core.ekf import ExtendedKalman, Gaussian
-from trackers.core.estimates import Status
+from trackers.core.estimates import Estimates, Status
 from trackers.core.motion import AbstractMotion
 from trackers.core.recording import Batch
 from trackers.core.state import State, local, retract
@@ -60,6 +61,10 @@ class Smoothed(AbstractTracker):
     def __check_init__(self) -> None:
         if not (isinstance(self.tracker, Tracker) and isinstance(self.tracker.filter, ExtendedKalman)):
             raise TypeError("only a tracker with an extended Kalman filter can be smoothed")
+
+    def dated(self, times: np.ndarray, estimates: Estimates) -> tuple[np.ndarray, Estimates]:
+        """As the tracker that is smoothed dates them: late readings are late here too."""
+        return self.tracker.dated(times, estimates)
 
     def scan(self, batch: Batch) -> Output:
         tracker = resolved(self.tracker)
