@@ -1,0 +1,145 @@
+"""`trackwright simulate-line`, `simulate-ranges` and `simulate-agv`: the worlds beside the 24 GHz work station."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Literal
+
+from experiments.errors import UnusableInput
+from experiments.folder import Folder, write_folder
+from experiments.manifest import write_manifest
+from experiments.simulated_agv import simulated_agv
+from experiments.simulated_line import simulated_line
+from experiments.simulated_ranging import simulated_ranging
+from sim import agv, line, ranging
+from sim.corruptions import Corruption, drop_outs, outliers, white_noise
+from sim.fixes import late, mirrored
+
+
+def simulate_line(
+    out: Path,
+    situation: Literal["constant", "halts", "speeds"] = "halts",
+    n: int = 20,
+    seed: int = 0,
+    speed: float = 0.3,
+    rate_hz: float = 5.0,
+) -> int:
+    """Simulate tags on the assembly line of known path: one recording folder with fixes, path and truth, in Parquet.
+
+    Args:
+        out: the folder to write; it must not exist or be empty.
+        situation: constant speed, halts where segments meet, or another speed on every segment.
+        n: trajectories (tags).
+        seed: the same seed gives the same numbers; a tag's depend on the seed and its own number alone.
+        speed: mean speed along the line, m/s.
+        rate_hz: fixes per second.
+    """
+    started = datetime.now(UTC)
+    _within(n=(n, 1, 10**7), seed=(seed, 0, 2**63 - 1), speed=(speed, 0.01, 10.0), rate_hz=(rate_hz, 0.1, 1000.0))
+    world = line.simulate_line(situation, n, seed, speed=speed, rate_hz=rate_hz)
+    config = {"situation": situation, "n": n, "speed": speed, "rate_hz": rate_hz}
+    return _write(simulated_line(world, f"simulated-line-{situation}-{seed}"), out, config, seed, started)
+
+
+def simulate_ranges(
+    out: Path,
+    n: int = 20,
+    seed: int = 0,
+    rows: int = 200,
+    rate_hz: float = 10.0,
+    sigma_r: float = 0.05,
+    bias: float = 0.05,
+    hidden: float = 0.1,
+    lost: float = 0.1,
+) -> int:
+    """Simulate hand-held UWB tags in a room with four anchors: one recording folder with ranges and truth, in Parquet.
+
+    Args:
+        out: the folder to write; it must not exist or be empty.
+        n: trajectories (tags).
+        seed: the same seed gives the same numbers; a tag's depend on the seed and its own number alone.
+        rows: times at which all anchors are ranged.
+        rate_hz: times per second.
+        sigma_r: white noise of a range, m.
+        bias: spread of the anchors' constant biases, m.
+        hidden: share of the time for which an anchor is behind an obstacle, and its ranges too long.
+        lost: share of ranges that are missing.
+    """
+    started = datetime.now(UTC)
+    _within(
+        n=(n, 1, 10**7), seed=(seed, 0, 2**63 - 1), rows=(rows, 1, 10**7), rate_hz=(rate_hz, 0.1, 1000.0),
+        sigma_r=(sigma_r, 0.0, 10.0), bias=(bias, 0.0, 10.0), hidden=(hidden, 0.0, 0.9), lost=(lost, 0.0, 0.99),
+    )  # fmt: skip
+    pieces: dict[str, Corruption] = {}
+    if bias > 0:
+        pieces["biases"] = ranging.antenna_biases(bias)
+    if hidden > 0:
+        pieces["hidden"] = ranging.obstruction(hidden, 2.0, 0.3, 0.3)
+    if sigma_r > 0:
+        pieces["white"] = white_noise(sigma_r)
+    if lost > 0:
+        pieces["lost"] = drop_outs(lost)
+    world = ranging.simulate_ranges(
+        ranging.chamber(), n=n, seed=seed, rate_hz=rate_hz, n_points=rows, corruptions=pieces
+    )
+    config = {"n": n, "rows": rows, "rate_hz": rate_hz, "sigma_r": sigma_r, "pieces": list(pieces)}
+    return _write(simulated_ranging(world, f"simulated-ranges-{seed}"), out, config, seed, started)
+
+
+def simulate_agv(
+    out: Path,
+    n: int = 20,
+    seed: int = 0,
+    rows: int = 2000,
+    speed: float = 0.5,
+    wild: float = 0.0,
+    latency: float = 0.0,
+    mirror: float = 0.0,
+) -> int:
+    """Simulate vehicles round a workstation, located by UWB fixes that drift: one recording folder, in Parquet.
+
+    Args:
+        out: the folder to write; it must not exist or be empty.
+        n: trajectories (tags).
+        seed: the same seed gives the same numbers; a tag's depend on the seed and its own number alone.
+        rows: fixes per tag, 10 a second.
+        speed: m/s along the route.
+        wild: probability of a wild fix.
+        latency: seconds by which fixes come late.
+        mirror: share of the time for which heights are mirrored at the anchors' plane.
+    """
+    started = datetime.now(UTC)
+    _within(
+        n=(n, 1, 10**7), seed=(seed, 0, 2**63 - 1), rows=(rows, 1, 10**7), speed=(speed, 0.01, 2.0),
+        wild=(wild, 0.0, 0.99), latency=(latency, 0.0, 10.0), mirror=(mirror, 0.0, 0.99),
+    )  # fmt: skip
+    # What depends on where the tag was comes before what adds noise.
+    pieces: dict[str, Corruption] = {}
+    if latency > 0:
+        pieces["late"] = late(latency)
+    if mirror > 0:
+        pieces["mirrored"] = mirrored(agv.ANCHOR_HEIGHT, mirror, 3.0)
+    pieces |= agv.FIX_ERRORS
+    if wild > 0:
+        pieces["wild"] = outliers(wild, 2.0)
+    world = agv.simulate_agv(n, seed, speed=speed, rows=rows, errors=pieces)
+    config = {"n": n, "rows": rows, "speed": speed, "pieces": list(pieces)}
+    return _write(simulated_agv(world, f"simulated-agv-{seed}"), out, config, seed, started)
+
+
+def _within(**limits: tuple[float, float, float]) -> None:
+    """Refuse the first option whose value is outside its limits."""
+    for name, (value, low, high) in limits.items():
+        if not low <= value <= high:
+            raise UnusableInput(f"--{name.replace('_', '-')} {value}: expected a number from {low:g} to {high:g}")
+
+
+def _write(folder: Folder, out: Path, config: Mapping[str, Any], seed: int, started: datetime) -> int:
+    write_folder(folder, out)
+    write_manifest(out, sys.argv, dict(config), started, seeds=(seed,))
+    sizes = ", ".join(f"{name} {len(table)} rows" for name, table in folder.tables.items())
+    print(f"wrote {out}: {len(folder.rig.tags)} tags, {sizes}")
+    return 0

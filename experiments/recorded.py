@@ -1,0 +1,114 @@
+"""Real recordings, tracked and judged beside the baselines of their README: `python -m experiments.recorded`.
+
+One set of noise levels for all recordings of a kind: the trackers' defaults, or what `tune` makes of recordings that
+are not judged. The recordings are not part of this repository: TRACKWRIGHT_RECORDINGS, default `../shared/recordings`.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from experiments.commanded import command, figures, real_recordings
+
+OUT = Path("out/recorded")
+
+
+class Run(NamedTuple):
+    """Recordings of one kind: which are judged, by which tracker, and with what it is tuned before, on which others."""
+
+    name: str
+    judged: tuple[str, ...]
+    tracker: str
+    options: tuple[str, ...] = ()
+    tuned_on: tuple[str, ...] = ()
+    tune: tuple[str, ...] = ()
+
+
+RUNS = (
+    Run("starloc", ("starloc-fast-s1", "starloc-2d-s5"), "uwb"),
+    Run("starloc-imu", ("starloc-fast-s1",), "uwb-imu"),
+    Run("drones", ("iasl-drone-1", "rcv-drone-3"), "uwb"),
+    Run("trolley", ("lias-planar-fast",), "uwb"),
+    Run("labyrinth", ("labyrinth",), "uwb"),
+    Run("line", ("ngbui-line-1-1", "ngbui-line-2-1", "ngbui-line-3-1"), "line-grid"),
+    Run(
+        "tiers", ("tiers-2tag-01", "tiers-2tag-03", "tiers-2tag-06"), "fix-mirror",
+        tuned_on=("tiers-1tag-01",), tune=("--objective", "rmse", "--tune", "*latency*"),
+    ),
+)  # fmt: skip
+
+
+def main() -> None:
+    """Track every kind, smoothed too where its tracker can be, and print the table."""
+    folder = real_recordings()
+    if folder is None:
+        sys.exit(
+            "recorded: no folder of real recordings, expected ../shared/recordings or what TRACKWRIGHT_RECORDINGS names"
+        )
+    best = baselines(folder / "README.md")
+    names = sys.argv[1:] or [run.name for run in RUNS]
+    table: list[tuple[str, ...]] = []
+    for run in RUNS:
+        if run.name in names:
+            table += judged(folder, run, best)
+    print("\nRMSE in m; the baseline is a Kalman filter tuned on the very recording")
+    head = ("recording", "tracker", "horizontal", "baseline", "3-D", "baseline")
+    widths = [max(len(row[k]) for row in [head, *table]) for k in range(len(head))]
+    for row in [head, *table]:
+        print("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip())
+
+
+def judged(folder: Path, run: Run, best: dict[tuple[str, bool], float]) -> list[tuple[str, ...]]:
+    """The table's rows of one kind."""
+    noise: Sequence[str | Path] = ()
+    if run.tuned_on:
+        out = OUT / f"{run.name}-tuned"
+        command("tune", *(folder / name for name in run.tuned_on), "--tracker", run.tracker, *run.tune, "--out", out)
+        noise = ("--noise", out / "tuned.toml")
+    rows = []
+    out = OUT / run.name
+    paths = [folder / name for name in run.judged]
+    command("track", *paths, "--tracker", run.tracker, *noise, *run.options, "--out", out)
+    for found in figures(out)["recordings"]:
+        name = found["recording"]
+        solid = found["rmse_3d_m"]
+        rows.append(
+            (
+                name,
+                run.tracker,
+                f"{found['rmse_m']:.3f}",
+                _known(best.get((name, False))),
+                "" if solid is None else f"{solid:.3f}",
+                _known(best.get((name, True))),
+            )
+        )
+    return rows
+
+
+def _known(figure: float | None) -> str:
+    return "" if figure is None else f"{figure:.3f}"
+
+
+def baselines(readme: Path) -> dict[tuple[str, bool], float]:
+    """The tuned filter's RMSE, m, by recording and whether it is 3-D, from the tables of the recordings' README.
+
+    The least of a recording's rows, which differ in what was read.
+    """
+    found: dict[tuple[str, bool], float] = {}
+    solid = False
+    for line in readme.read_text(encoding="utf-8").splitlines():
+        if line.startswith("### "):
+            solid = line.startswith("### 3-D")
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        if len(cells) == 10 and (figure := re.match(r"[\d.]+", cells[7])):
+            key = cells[1], solid
+            found[key] = min(found.get(key, float("inf")), float(figure[0]))
+    return found
+
+
+if __name__ == "__main__":
+    main()
