@@ -1,13 +1,15 @@
 """The tracker of ranges: its motion's contract, a start from any side, biases found, wild ranges and silence."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from tests.oracles import van_loan
 from trackers.core.algebra import Vector
 from trackers.core.contract import check_motion
 from trackers.core.recording import Readings, Recording, stack
-from trackers.uwb_imu.drifting import DriftingBiases, Ranged
+from trackers.uwb_imu.drifting import DriftingBiases, Ranged, damped
 from trackers.uwb_imu.fusion import range_tracker
 from trackers.uwb_imu.nearby import recent_places
 from trackers.uwb_imu.ranges import RANGES
@@ -19,11 +21,37 @@ HEIGHT = 1.1
 @pytest.mark.parametrize("dimensions", [2, 3])
 def test_the_motion_with_drifting_biases_keeps_its_contract(dimensions):
     state = Ranged(Vector(*[0.1] * dimensions), Vector(*[0.2] * dimensions), Vector(0.01, -0.02))
-    check_motion(DriftingBiases(2, 0.3, 0.2, 0.05, 20.0), state)
+    check_motion(DriftingBiases(2, 0.3, 0.2, 5.0, 0.05, 20.0), state)
+
+
+@pytest.mark.parametrize("dt", [1e-3, 0.1, 2.0, 6.0, 40.0])
+def test_the_motion_is_the_solution_of_its_differential_equation(dt):
+    sigma, memory = 0.7, 4.0
+    motion = DriftingBiases(0, sigma, 0.2, memory, 0.05, 20.0)
+    F, Q = van_loan(np.array([[0.0, 1.0], [0.0, -1.0 / memory]]), np.diag([0.0, sigma**2]), dt)
+
+    def moved(x, v, *noise):
+        state = Ranged(Vector(x, 0.0), Vector(v, 0.0), Vector())
+        after = motion.step(state, None, jnp.asarray(dt), Vector(noise[0], 0.0, 0.0, noise[1], 0.0, 0.0))
+        return np.array([float(after.position[0]), float(after.velocity[0])])
+
+    G = np.column_stack([moved(0.0, 0.0, 1.0, 0.0), moved(0.0, 0.0, 0.0, 1.0)])
+    # The oracle halves and doubles to twelve digits; the series' next term is 1e-8 of the sum at most.
+    np.testing.assert_allclose(np.column_stack([moved(1.0, 0.0, 0, 0), moved(0.0, 1.0, 0, 0)]), F, rtol=1e-10)
+    np.testing.assert_allclose(G @ G.T, Q, rtol=1e-6)
+
+
+def test_a_gradient_with_respect_to_the_motions_numbers_is_finite_where_no_time_passes():
+    def moved(log_memory, dt):
+        kept, reach, kick, along, across = damped(dt, jnp.exp(log_memory))
+        return kept + reach + kick + along + across
+
+    for dt in (0.0, 1e-4, 3.0):
+        assert np.isfinite(jax.grad(moved)(jnp.asarray(1.0), jnp.asarray(dt)))
 
 
 def test_a_bias_forgets_exactly_over_any_interval():
-    motion = DriftingBiases(1, 0.3, 0.2, 0.05, 20.0)
+    motion = DriftingBiases(1, 0.3, 0.2, 5.0, 0.05, 20.0)
     state = Ranged(Vector(0.0, 0.0), Vector(0.0, 0.0), Vector(0.3))
     still = Vector(*[0.0] * 7)
     twice = motion.step(motion.step(state, None, jnp.asarray(3.0), still), None, jnp.asarray(4.0), still)
@@ -169,7 +197,16 @@ def test_the_spread_is_right_where_the_world_is_the_model():
         recordings.append(Recording(times, {RANGES: Readings(values, np.ones((rows, 1), bool))}, inputs))
     # Student's t with a million degrees of freedom is normal to six digits.
     tracker = range_tracker(
-        5, True, sigma_a, 0.1, sigma_r, stretch=1.0, tail=1e6, bias=0.0, sigma_bias=sigma_bias, time_constant=constant
+        5,
+        True,
+        sigma_a,
+        memory=1e4,
+        sigma_r=sigma_r,
+        stretch=1.0,
+        tail=1e6,
+        bias=0.0,
+        sigma_bias=sigma_bias,
+        time_constant=constant,
     )
     estimates = tracker.run(stack(recordings))
     found = np.stack([np.asarray(x)[:, -1] for x in (*estimates.mean.position, *estimates.mean.velocity)], axis=1)

@@ -51,6 +51,7 @@ def range_tracker(
     planar: bool = False,
     sigma_a: float = 0.3,
     sigma_z: float = 0.7,
+    memory: float = 5.0,
     sigma_r: float = 0.12,
     stretch: float = 3.0,
     tail: float = 3.0,
@@ -60,13 +61,13 @@ def range_tracker(
 ) -> Tracker:
     """Position and velocity from ranges to numbered anchors, one range a row; at a known height where `planar`.
 
-    σa, σz m/s² per √Hz, horizontal and vertical; σr, the biases' mean and σ_bias m, their time constant s. The numbers
-    are one set for walks with a tag in the hand, drones, trolleys and tags on the floor. Above `OWN_BIASES` anchors the
-    state has no biases, only those that are tunables.
+    σa, σz m/s² per √Hz, horizontal and vertical; the velocities' `memory` s; σr, the biases' mean and σ_bias m, and
+    their time constant s. The numbers are one set for walks with a tag in the hand, drones, trolleys and tags on the
+    floor. Above `OWN_BIASES` anchors the state has no biases, only those that are tunables.
     """
     biases = anchors if anchors <= OWN_BIASES else 0
     return Tracker(
-        DriftingBiases(biases, sigma_a, sigma_z, sigma_bias, time_constant),
+        DriftingBiases(biases, sigma_a, sigma_z, memory, sigma_bias, time_constant),
         {RANGES: RangeSensor(1, anchors, sigma_r, stretch, tail, bias)},
         RangeStart(Scale(1.0, "m"), Scale(1.0, "m/s"), Scale(sigma_bias, "m"), planar, biases),
         # Student's t bounds what one range adds to the NIS, and real biases make it large: silence ends a track.
