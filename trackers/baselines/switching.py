@@ -125,9 +125,9 @@ def switching_tracker(
 
 def mirror_tracker(
     sigma_a: float = 1.0,
-    sigma_z: float = 0.6,
+    sigma_z: float = 1.0,
     sigma_horizontal: float = 0.1,
-    sigma_vertical: float = 0.3,
+    sigma_vertical: float = 0.4,
     offset: float = 0.55,
     shrink: float = 0.45,
     rate: float = 1.0,
@@ -141,5 +141,5 @@ def mirror_tracker(
     sensor = SideSensor(sigma_horizontal, sigma_vertical, offset, shrink, tail)
     start = PlaneStart(Scale(2.0, "m"), Scale(1.0, "m/s"), False, 2)
     return FixTracker(
-        GroundMotion(sigma_a, sigma_z), {FIXES: sensor}, start, SideModels(rate, [1.0, 1.0], 0.5), PATIENT
+        GroundMotion(sigma_a, sigma_z), {FIXES: sensor}, start, SideModels(rate, [1.0, 1.0], 0.1), PATIENT
     )
