@@ -28,6 +28,7 @@ from trackers.core.algebra import (
     inverse_or_zero,
     shared,
     total,
+    triangle,
 )
 from trackers.core.linearise import linearise
 from trackers.core.motion import AbstractMotion
@@ -155,7 +156,7 @@ def joseph(
     coarse = 256 * float(jnp.finfo(nis.dtype).eps)
     for r, h in zip(residual, H, strict=True):
         P = full(upper, n)
-        Ph = [total(P[i][j] * v for j, v in h.items()) for i in range(n)]
+        Ph = shared([total(P[i][j] * v for j, v in h.items()) for i in range(n)])
         a = jnp.maximum(total(Ph[j] * v for j, v in h.items()), 0.0)
         innovation = r - total(v * step[j] for j, v in h.items())
         square = innovation * innovation / (1.0 + a)
@@ -170,9 +171,11 @@ def joseph(
             log_density = log_density - 0.5 * ((tail + 1.0) * jnp.log1p(square / tail) + jnp.log(1.0 + a))
             square = square * weight
         k = [g / (noise + a) for g in Ph]
-        root = jnp.sqrt(noise)
         step = [x + g * innovation for x, g in zip(step, k, strict=True)]
-        A = [{j: (1.0 if i == j else 0.0) - k[i] * h[j] if j in h else 1.0 for j in {i, *h}} for i in range(n)]
-        upper = congruence(A, upper, [{0: g * root} for g in k])
+        # B = (I − khᵀ)P first, then B(I − khᵀ)ᵀ + kkᵀ as B less a row times a column: n² products a channel, and what
+        # rounding left of B is still taken out, as in the product of three matrices.
+        B = {(i, j): P[i][j] - k[i] * Ph[j] for i in range(n) for j in range(n) if j >= i or j in h}
+        rest = shared([total(B[i, j] * v for j, v in h.items()) - noise * k[i] for i in range(n)])
+        upper = tuple(B[i, j] - rest[i] * k[j] for i, j in triangle(n))
         nis = nis + square
     return step, upper, nis, log_density
