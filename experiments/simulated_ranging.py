@@ -32,6 +32,9 @@ def simulated_ranging(world: SimulatedRanges, name: str) -> Folder:
         }
         | {f"{axis}_m": world.positions[..., k].ravel() for k, axis in enumerate("xyz")}
     )
-    rig = Rig(name, anchors=world.rig.anchors, tags={t: Tag() for t in tags}, about="Simulated, see manifest.json.")
+    # A tag whose height never changes has a known one.
+    heights = [float(z[0]) if np.ptp(z) == 0 else None for z in world.positions[..., 2]]
+    known = {t: Tag(height=h) for t, h in zip(tags, heights, strict=True)}
+    rig = Rig(name, anchors=world.rig.anchors, tags=known, about="Simulated, see manifest.json.")
     tables = {"ranges": ranges.sort("t_s", maintain_order=True), "truth": truth.sort("t_s", maintain_order=True)}
     return Folder(name, None, rig, tables)
