@@ -16,8 +16,8 @@ LATEST = 5
 SURE = 0.3
 """Metres of misfit from which a range loses its say."""
 
-TOGETHER = 4096
-"""Rows whose places are searched for at once."""
+TOGETHER = 256, 4096
+"""Rows whose places are searched for at once, in a short recording and in a long one: two compiled programs in all."""
 
 
 def recent_places(
@@ -69,10 +69,10 @@ def _places(anchors: np.ndarray, ranges: np.ndarray, counts: np.ndarray, height:
     """The place (T, 4) of each row of ranges (T, A) to the anchors that count (T, A); see `recent_places`."""
     result = np.zeros((len(ranges), 4))
     at = None if height is None else jnp.asarray(height, float)
-    for first in range(0, len(ranges), TOGETHER):
-        rows = len(ranges[first : first + TOGETHER])
-        # One length for all, so that one compiled program serves.
-        own, heard = (np.pad(x[first : first + rows], ((0, TOGETHER - rows), (0, 0))) for x in (ranges, counts))
+    together = TOGETHER[0] if len(ranges) <= 4 * TOGETHER[0] else TOGETHER[1]
+    for first in range(0, len(ranges), together):
+        rows = len(ranges[first : first + together])
+        own, heard = (np.pad(x[first : first + rows], ((0, together - rows), (0, 0))) for x in (ranges, counts))
         found = _searched(jnp.asarray(anchors, float), jnp.asarray(own, float), heard, at)
         place, determined = (np.asarray(x)[:rows] for x in found)
         if height is not None:
