@@ -11,16 +11,9 @@ from trackers.core.algebra import Vector
 from trackers.core.ekf import Gaussian
 from trackers.core.estimates import Status
 from trackers.core.motion import ConstantPosition, Placed
-from trackers.core.particles import (
-    NOTHING,
-    ParticleFilter,
-    Particles,
-    effective_sample_size,
-    even_weights,
-    running_sum,
-    systematic,
-)
+from trackers.core.particles import ParticleFilter, Particles
 from trackers.core.recording import stack
+from trackers.core.resampling import NOTHING, effective_sample_size, even_weights, running_sum, systematic
 from trackers.core.sensor import AbstractSensor, Channel, Reading, independent
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import Fixed, Scale
@@ -205,8 +198,8 @@ def test_estimates_over_200_keys_are_the_kalman_filters_within_3_standard_errors
     # Of 22 numbers one may pass 3 by chance (6 %); 3.5 (1 %). The bias of 1/N is a tenth of a standard error.
     assert np.abs(error / (means.std(axis=0) / np.sqrt(KEYS))).max() < 3.5
     variances = oracle.estimates.cov_upper[[0, 2], :, 1:].mean(axis=1).T
-    # The spread of 400 particles about their own mean is too small by one part in the effective sample size.
-    np.testing.assert_allclose(variances, np.diagonal(oracle.cov, axis1=1, axis2=2), rtol=0.03)
+    # The spread about the particles' own mean is too small by one part in the effective sample size, which falls to 40.
+    np.testing.assert_allclose(variances, np.diagonal(oracle.cov, axis1=1, axis2=2), rtol=0.06)
 
 
 def test_the_likelihood_is_unbiased_over_200_keys(oracle):

@@ -197,8 +197,9 @@ def scan_rows(tracker: Tracker, batch: Batch, score: Score | None = None) -> tup
     """All rows of one chunk of trajectories, batch-last: the sums of a score, or else the outputs of every row."""
     size, lanes_key = batch.size, jnp.asarray(batch.key)
     rows = Row(batch.dt, batch.valid, batch.readings, batch.inputs, None, jnp.arange(len(batch.dt), dtype=jnp.uint32))
-    lanes = jax.vmap(tracker.step, in_axes=-1, out_axes=-1)
-    moments = jax.vmap(tracker.filter.moments, in_axes=-1, out_axes=-1)
+    axes = carry_axes(tracker)
+    lanes = jax.vmap(tracker.step, in_axes=(axes, -1), out_axes=(axes, -1))
+    moments = jax.vmap(tracker.filter.moments, in_axes=axes.belief, out_axes=-1)
 
     def one_row(carry: Carry, row: Row) -> tuple[Carry, Output]:
         row = row._replace(key=lanes_key, number=jnp.broadcast_to(row.number, (size,)))
@@ -217,7 +218,7 @@ def scan_rows(tracker: Tracker, batch: Batch, score: Score | None = None) -> tup
 
     first_row, first_truth = jax.tree_util.tree_map(lambda x: jnp.asarray(x[0]), (rows, batch.truth))
     first_row = first_row._replace(key=lanes_key, number=jnp.zeros(size, jnp.uint32))
-    empty = jax.vmap(lambda row: blank(tracker, row), in_axes=-1, out_axes=-1)(first_row)
+    empty = jax.vmap(lambda row: blank(tracker, row), in_axes=-1, out_axes=axes)(first_row)
     sums: tuple[Any, ...] = ()
     if score is not None:
         first_row = first_row._replace(number=jnp.zeros((), jnp.uint32))
@@ -225,6 +226,16 @@ def scan_rows(tracker: Tracker, batch: Batch, score: Score | None = None) -> tup
         sums = tuple(jnp.zeros(s.shape, s.dtype) for s in shapes)
     (_, sums), outputs = jax.lax.scan(body, (empty, sums), (rows, batch.truth))
     return sums, outputs
+
+
+def carry_axes(tracker: Tracker) -> Carry:
+    """Where the lanes stand in what one row hands to the next: last, but first in the belief of a heavy filter."""
+    return Carry(0 if is_heavy(tracker) else -1, -1, -1, -1, -1)
+
+
+def is_heavy(tracker: Tracker) -> bool:
+    """Whether the filter's belief has an axis of its own, of particles or cells, along which its loops run."""
+    return bool(getattr(tracker.filter, "heavy", False))
 
 
 def begun(tracker: Tracker, found: Any, row: Row) -> Carry:
@@ -245,9 +256,16 @@ def start_again(tracker: Tracker, carry: Carry, row: Row, said: Said) -> tuple[C
     """Start every trajectory of the chunk that isn't running and whose row holds enough; the others pass unchanged."""
     need = row.valid & ~carry.running & jax.vmap(tracker.start.ready, in_axes=-1)(row)
     found = search(tracker, row, need)
-    fresh = jax.vmap(lambda f, r: begun(tracker, f, r), in_axes=-1, out_axes=-1)(found, row)
+    axes = carry_axes(tracker)
+
+    def started() -> Carry:
+        fresh = jax.vmap(lambda f, r: begun(tracker, f, r), in_axes=-1, out_axes=axes)(found, row)
+        return jax.vmap(select, in_axes=(-1, axes, axes), out_axes=axes)(need, fresh, carry)
+
+    # A normal belief is made in less time than it takes to ask whether any is needed; a thousand particles aren't.
+    after = jax.lax.cond(jnp.any(need), started, lambda: carry) if is_heavy(tracker) else started()
     status = jnp.where(need, jnp.where(carry.begun, Status.RESTARTED, Status.OK), said.status).astype(jnp.int8)
-    return select(need, fresh, carry), said._replace(status=status)
+    return after, said._replace(status=status)
 
 
 def search(tracker: Tracker, row: Row, need: Any) -> Any:

@@ -43,6 +43,11 @@ class GridFilter(eqx.Module):
     speeds: int = eqx.field(static=True)
     fastest: float = eqx.field(static=True)
 
+    @property
+    def heavy(self) -> bool:
+        """A belief has axes of its own: see `is_heavy` in `trackers/core/tracker.py`."""
+        return True
+
     def init(self, belief: Gaussian, key: Any) -> Discrete:
         """The probabilities of a normal belief with independent components; what is off the grid counts at its edge."""
         variances = belief.cov[0], belief.cov[len(belief.mean)]

@@ -9,7 +9,7 @@ from jax.scipy.special import ndtri
 
 from trackers.core.algebra import Scalar, Vector
 from trackers.core.motion import AbstractMotion, Kinematic, Noise
-from trackers.core.particles import AbstractReport
+from trackers.core.particles import AbstractReport, second_moments
 from trackers.core.tunable import Fraction, Scale
 from trackers.line.polyline import Polyline
 
@@ -121,10 +121,11 @@ class OnFloor(AbstractReport):
     line: Polyline
     sigma_line: Noise
 
-    @property
-    def variances(self) -> tuple[Scalar, ...]:
-        place = self.sigma_line.value**2
-        return place, place, 0.0, 0.0
-
-    def shown(self, state: Any) -> Kinematic:
-        return on_floor(self.line, state)
+    def moments(self, mean: Any, states: Any, weights: Any) -> tuple[Kinematic, tuple[Scalar, ...]]:
+        """The mean state's place and velocity; the spread of places about it, velocities along the segment there."""
+        shown = on_floor(self.line, mean)
+        places = self.line.position(states.arclength) - shown.position
+        xx, xy, xs, yy, ys, ss = second_moments([*places, states.speed - mean.speed], weights)
+        u, v = self.line.direction(mean.arclength)
+        known = self.sigma_line.value**2
+        return shown, (xx + known, xy, xs * u, xs * v, yy + known, ys * u, ys * v, ss * u * u, ss * u * v, ss * v * v)

@@ -1,0 +1,132 @@
+"""The speed of the particle filter on a line beside the textbook's: `python -m experiments.bench_particles`.
+
+Both filter the same fixes with the same motion, 1,000 particles and resampling below half of them, in one process, and
+take turns. The textbook's resamples by a cumulative sum and a binary search per offspring, and looks places up in the
+table of knots. Ours also returns the covariance and the NIS of every row.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from experiments.runtime import set_flags
+
+TRAJECTORIES, ROWS, PARTICLES = 256, 200, 1000
+ROUNDS = 3
+SIGMA_A, SIGMA_P = 0.1, 0.3
+CHUNK = 64
+"""Trajectories per device at a time: so many clouds of particles stay in the processor's cache."""
+
+FLOOR = 4.0
+"""How many times faster than the textbook's ours is to be."""
+
+
+def main() -> int:
+    """Measure, print a table, and return 1 where ours is below the floor."""
+    set_flags()
+    from sim.line import THESIS_KNOTS, simulate_line
+
+    world = simulate_line("constant", TRAJECTORIES, seed=20, rest_s=3.0, rate_hz=2.0 * ROWS / 120.0)
+    fixes, times = world.fixes[:, :ROWS], world.times[:ROWS]
+    versions = {"ours": ours(fixes, times), "textbook": textbook(fixes, times, THESIS_KNOTS)}
+    first, errors = {}, {}
+    for name, run in versions.items():
+        began = time.perf_counter()
+        places = run()
+        first[name] = time.perf_counter() - began
+        # The first row is where the filters start, each in its own way.
+        errors[name] = float(np.sqrt(np.mean(np.sum((places[:, 1:] - world.positions[:, 1:ROWS]) ** 2, axis=-1))))
+    seconds = {name: np.zeros((ROUNDS, 2)) for name in versions}
+    for turn in range(ROUNDS):
+        for name, run in versions.items():
+            began, began_cpu = time.perf_counter(), time.process_time()
+            run()
+            seconds[name][turn] = time.perf_counter() - began, time.process_time() - began_cpu
+    faster, faster_cpu = np.median(seconds["textbook"] / seconds["ours"], axis=0).tolist()
+    print(f"{TRAJECTORIES} trajectories x {ROWS} rows x {PARTICLES} particles, medians of {ROUNDS} turns")
+    for name in versions:
+        median = float(np.median(seconds[name][:, 0]))
+        rate = TRAJECTORIES * ROWS / median / 1e6
+        print(
+            f"{name:10s} {median:7.3f} s  {rate:6.3f} million trajectory-steps/s  first call {first[name]:5.1f} s"
+            f"  RMSE {errors[name]:.3f} m"
+        )
+    print(f"ours is {faster:.1f} times as fast, {faster_cpu:.1f} times per processor second; floor {FLOOR:g}")
+    return int(faster < FLOOR)
+
+
+def ours(fixes: np.ndarray, times: np.ndarray) -> Callable[[], np.ndarray]:
+    """The tracker `line-pf` without halts; a function that runs it and returns places (n, T, 2), m."""
+    from sim.line import THESIS_KNOTS
+    from trackers.core.chunks import chunks, over_lanes, prepared
+    from trackers.core.recording import Readings, Recording, stack
+    from trackers.core.tracker import scanned
+    from trackers.line.fixes import FIXES, FloorFixes
+    from trackers.line.motion import LineMotion
+    from trackers.line.polyline import Polyline
+    from trackers.line.tracker import line_tracker
+
+    tracker = line_tracker(LineMotion(Polyline(THESIS_KNOTS), SIGMA_A), {FIXES: FloorFixes(SIGMA_P)}, PARTICLES)
+    seen = np.ones(fixes.shape[1:], bool)
+    batch = stack([Recording(times, {FIXES: Readings(f, seen)}, name=f"trajectory {k}") for k, f in enumerate(fixes)])
+    model = prepared(tracker, batch.dt.dtype)
+
+    def run() -> np.ndarray:
+        parts = [over_lanes(scanned, model, part) for part in chunks(batch, CHUNK)]
+        return np.concatenate([np.stack([np.asarray(x).T for x in p.mean.position], axis=-1) for p in parts])
+
+    return run
+
+
+def textbook(fixes: np.ndarray, times: np.ndarray, knots: np.ndarray) -> Callable[[], np.ndarray]:
+    """The filter as it is usually written: one trajectory in a scan, `vmap` over trajectories."""
+    import jax
+    import jax.numpy as jnp
+
+    marks = np.concatenate([[0.0], np.cumsum(np.sqrt((np.diff(knots, axis=0) ** 2).sum(axis=1)))]).astype(np.float32)
+    table = np.asarray(knots, np.float32)
+    dt = np.float32(times[1] - times[0])
+
+    def place(d: Any) -> Any:
+        return jnp.stack([jnp.interp(d, marks, table[:, 0]), jnp.interp(d, marks, table[:, 1])], axis=-1)
+
+    def step(carry: Any, row: Any) -> tuple[Any, Any]:
+        key, d, speed, weights = carry
+        key, noise, spot = jax.random.split(key, 3)
+        cumulative = jnp.cumsum(weights)
+        points = (jnp.arange(PARTICLES) + jax.random.uniform(spot)) / PARTICLES * cumulative[-1]
+        ancestors = jnp.minimum(jnp.searchsorted(cumulative, points), PARTICLES - 1)
+        few = 1.0 / jnp.sum(weights**2) < 0.5 * PARTICLES
+        d, speed = jnp.where(few, d[ancestors], d), jnp.where(few, speed[ancestors], speed)
+        weights = jnp.where(few, 1.0 / PARTICLES, weights)
+        d = jnp.clip(d + dt * speed, 0.0, marks[-1])
+        speed = jnp.maximum(speed + SIGMA_A * jnp.sqrt(dt) * jax.random.normal(noise, (PARTICLES,)), 0.0)
+        square = jnp.sum((row - place(d)) ** 2, axis=-1) / SIGMA_P**2
+        log_weights = jnp.log(weights) - 0.5 * square
+        top = jnp.max(log_weights)
+        weights = jnp.exp(log_weights - top)
+        total = jnp.sum(weights)
+        weights = weights / total
+        said = top + jnp.log(total) - jnp.log(2 * jnp.pi * SIGMA_P**2)
+        return (key, d, speed, weights), (place(jnp.sum(weights * d)), said)
+
+    def one(key: Any, rows: Any) -> Any:
+        key, start, pace = jax.random.split(key, 3)
+        d = jnp.maximum(0.5 * jax.random.normal(start, (PARTICLES,)), 0.0)
+        speed = jnp.maximum(0.1 * jax.random.normal(pace, (PARTICLES,)), 0.0)
+        weights = jnp.full(PARTICLES, 1.0 / PARTICLES)
+        places, said = jax.lax.scan(step, (key, d, speed, weights), rows[1:])[1]
+        return jnp.concatenate([place(jnp.mean(d))[None], places]), jnp.sum(said)
+
+    filtered = jax.jit(jax.vmap(one))
+    keys, rows = jax.random.split(jax.random.key(0), len(fixes)), jnp.asarray(fixes, jnp.float32)
+    return lambda: np.asarray(jax.block_until_ready(filtered(keys, rows))[0])
+
+
+if __name__ == "__main__":
+    sys.exit(main())
