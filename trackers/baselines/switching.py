@@ -56,7 +56,7 @@ class SideSensor(AbstractFixSensor, AbstractSwitching):
         self.offset, self.shrink = Real(offset, "m", typical=0.1), Scale(shrink)
         self.floor, self.sigma_floor = Real(0.0, "m"), Scale(0.3, "m")
         self.trust, self.tail = Scale(1.0), None if tail is None else Scale(tail)
-        self.latency = Real(0.0, "s", typical=0.1)
+        self.latency = Real(0.0, "s", typical=0.5)
         self.side = -1.0
 
     def in_mode(self, mode: int) -> SideSensor:

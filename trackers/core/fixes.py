@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -19,8 +20,9 @@ from trackers.core.algebra import Scalar, Vector, diagonal, total, triangle
 from trackers.core.ekf import Gaussian
 from trackers.core.estimates import Estimates
 from trackers.core.motion import Accelerated, Kinematic, Noise
+from trackers.core.recording import Batch
 from trackers.core.sensor import LOG_2PI, AbstractSensor, Channel, Reading, Residual, log_peak, placed
-from trackers.core.tracker import AbstractStart, LossPolicy, Row, Tracker
+from trackers.core.tracker import AbstractStart, LossPolicy, Output, Row, Score, Tracker
 from trackers.core.tunable import Covariance, Real, Scale
 from trackers.core.whitening import whitened
 
@@ -106,7 +108,7 @@ class CorrelatedFixSensor(AbstractFixSensor):
 
 
 def _extras(tail: float | None, latency: float) -> tuple[Scale | None, Real]:
-    return None if tail is None else Scale(tail), Real(latency, "s", typical=0.1)
+    return None if tail is None else Scale(tail), Real(latency, "s", typical=0.5)
 
 
 class FixStart(AbstractStart):
@@ -146,11 +148,40 @@ class FixStart(AbstractStart):
 
 
 class FixTracker(Tracker):
-    """A tracker of fixes whose estimates can be dated back by their latency."""
+    """A tracker of fixes whose estimates are dated back by their latency, and judged by the truth of that time."""
+
+    def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
+        latency = self.sensors[FIXES].latency.value  # type: ignore[attr-defined]
+
+        def dated(output: Output, truth: dict[str, tuple[Any, Any]]) -> tuple[Any, ...]:
+            mean = output.mean._replace(position=position_before(output.mean, latency))
+            return score(output._replace(mean=mean), truth)
+
+        return Tracker.accumulate(self, batch._replace(truth=truth_before(batch, latency)), dated)
 
     def dated(self, times: np.ndarray, estimates: Estimates) -> tuple[np.ndarray, Estimates]:
         """The times that late fixes speak of, and the position then: p − v·latency with its covariance."""
         return dated_back(self.sensors[FIXES], times, estimates)
+
+
+def position_before(mean: Any, seconds: Scalar) -> Vector:
+    """Where straight motion had a state `seconds` before; what has no velocity stays."""
+    moving = list(zip(mean.position, mean.velocity, strict=False))
+    return Vector(*(p - v * seconds for p, v in moving), *list(mean.position)[len(moving) :])
+
+
+def truth_before(batch: Batch, seconds: Scalar) -> dict[str, tuple[Any, Any]]:
+    """The truth of a batch `seconds` before each row, linear between rows and differentiable in `seconds`."""
+    times = jnp.cumsum(jnp.asarray(batch.dt), axis=0)
+
+    def lane(times: Any, values: Any, known: Any) -> tuple[Any, Any]:
+        before = times - seconds
+        columns = [jnp.interp(before, times, values[:, k]) for k in range(values.shape[1])]
+        certain = jnp.interp(before, times, known.astype(times.dtype)) > 1 - 1e-6
+        return jnp.stack(columns, axis=1), certain & (before >= times[0]) & (before <= times[-1])
+
+    lanes = jax.vmap(lane, in_axes=-1, out_axes=-1)
+    return {name: lanes(times, *(jnp.asarray(x) for x in pair)) for name, pair in batch.truth.items()}
 
 
 def dated_back(sensor: Any, times: np.ndarray, estimates: Estimates) -> tuple[np.ndarray, Estimates]:
@@ -162,17 +193,14 @@ def dated_back(sensor: Any, times: np.ndarray, estimates: Estimates) -> tuple[np
 def moved_back(estimates: Estimates, seconds: float) -> Estimates:
     """The estimates with each position where straight motion had it `seconds` before; velocities stay."""
     mean = estimates.mean
-    moving = list(zip(mean.position, mean.velocity, strict=False))
-    rest = list(mean.position)[len(moving) :]
-    position = Vector(*(p - v * seconds for p, v in moving), *rest)
     n, first = estimates.dimension, len(mean.position)
     back = np.eye(n)
-    for k in range(len(moving)):
+    for k in range(min(first, len(mean.velocity))):
         back[k, first + k] = -seconds
     cov = back @ estimates.covariance @ back.T
     upper = np.stack([cov[..., i, j] for i, j in triangle(n)]).astype(estimates.cov_upper.dtype)
     return Estimates(
-        mean._replace(position=position),
+        mean._replace(position=position_before(mean, seconds)),
         upper,
         *(getattr(estimates, k) for k in ("log_likelihood", "nis", "count", "wrapped", "status")),
     )

@@ -5,13 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 
 from trackers.core.estimates import Estimates
-from trackers.core.fixes import FIXES, PATIENT, CorrelatedFixSensor, FixStart, dated_back
+from trackers.core.fixes import FIXES, PATIENT, CorrelatedFixSensor, FixStart, FixTracker
 from trackers.core.motion import ConstantVelocity
 from trackers.core.recording import Batch
-from trackers.core.tracker import AbstractTracker, Output, Score, Tracker
+from trackers.core.tracker import AbstractTracker, Output, Score
 from trackers.core.tunable import Scale
 from trackers.mhk.accelerations import AccelerationSphere
 from trackers.mhk.fusion import AccelerationFilter
@@ -29,14 +30,19 @@ class MedianMarkovKalman(AbstractTracker):
     """
 
     median: LimitedMedian
-    fusion: Tracker
+    fusion: FixTracker
     stamped: bool = eqx.field(static=True, default=False)
 
     def scan(self, batch: Batch) -> Output:
         return self.fusion.scan(self._smoothed(batch))
 
     def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
-        return self.fusion.accumulate(self._smoothed(batch), score)
+        batch = self._smoothed(batch)
+        if self.stamped:
+            half = min(self.median.window // 2, len(batch.dt))
+            truth = {name: tuple(_later(x, half) for x in pair) for name, pair in batch.truth.items()}
+            batch = batch._replace(truth=truth)
+        return self.fusion.accumulate(batch, score)
 
     def _smoothed(self, batch: Batch) -> Batch:
         return batch._replace(readings={FIXES: self.median.readings(batch, batch.readings[FIXES])})
@@ -44,9 +50,14 @@ class MedianMarkovKalman(AbstractTracker):
     def dated(self, times: np.ndarray, estimates: Estimates) -> tuple[np.ndarray, Estimates]:
         """The times of the windows' middle rows if `stamped`, less the fixes' latency; and the estimates then."""
         if self.stamped:
-            half = min(self.median.window // 2, len(times))
-            times = np.concatenate([times[:1].repeat(half), times[: len(times) - half]])
-        return dated_back(self.fusion.sensors[FIXES], times, estimates)
+            times = np.asarray(_later(times, min(self.median.window // 2, len(times))))
+        return self.fusion.dated(times, estimates)
+
+
+def _later(rows: Any, count: int) -> Any:
+    """The rows `count` rows later, the first one repeated before them."""
+    kind = np if isinstance(rows, np.ndarray) else jnp
+    return kind.concatenate([kind.repeat(rows[:1], count, axis=0), rows[: len(rows) - count]])
 
 
 def mhk_tracker(
@@ -63,7 +74,7 @@ def mhk_tracker(
     `covariance` R, m². σa m/s² per √Hz, for Q. `sigma_displacement` m and `rate` 1/s of the chain, None for one without
     memory, as printed. `speed_limit` m/s, twice the paper's greatest speed.
     """
-    fusion = Tracker(
+    fusion = FixTracker(
         ConstantVelocity(sigma_a, 3),
         {FIXES: CorrelatedFixSensor(covariance)},
         FixStart(Scale(0.5, "m"), Scale(1.0, "m/s"), False, 3),

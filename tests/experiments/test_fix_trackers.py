@@ -1,0 +1,137 @@
+"""Trackers of fixes from the folder to the table: lanes, what is lacking, and the time that an estimate speaks of."""
+
+import tomllib
+
+import numpy as np
+import polars as pl
+import pytest
+
+from experiments.folder import Folder, write_folder
+from experiments.matching import read_tracks
+from experiments.simulated_agv import simulated_agv
+from experiments.systems.baselines import fix_lanes, lacks_plane, side_lanes
+from experiments.systems.mhk import space_lanes
+from sim.agv import ANCHOR_HEIGHT, simulate_agv
+from sim.fixes import correlated_noise, late
+from tests.experiments.in_process import assert_refused, trackwright
+from trackers.core.fixes import FIXES
+from trackers.core.rig import Rig, Tag
+from trackers.mhk.tracker import STILL
+
+LATENCY = 0.4
+
+
+@pytest.fixture(scope="module")
+def world():
+    errors = {"late": late(LATENCY), "noise": correlated_noise(STILL)}
+    return simulated_agv(simulate_agv(2, rows=300, speed=1.0, errors=errors), "agv")
+
+
+@pytest.fixture(scope="module")
+def folder(world, tmp_path_factory):
+    path = tmp_path_factory.mktemp("fixes") / "agv"
+    write_folder(world, path)
+    return path
+
+
+def _with(folder, rig=None, **tables):
+    return Folder(folder.name, folder.path, rig or folder.rig, folder.tables | tables)
+
+
+def _known_height(folder):
+    return _with(
+        folder, Rig(folder.name, anchors=folder.rig.anchors, tags={t: Tag(height=1.2) for t in folder.rig.tags})
+    )
+
+
+def test_a_fix_is_a_row_with_masks_and_reported_variances(world):
+    table = world.tables["fixes"].with_columns(
+        y_m=pl.when(pl.col("t_s") == 1.0).then(None).otherwise("y_m"), x_std_m=pl.lit(0.2), z_std_m=pl.lit(0.3)
+    )
+    first, second = fix_lanes(_with(world, fixes=table), free_height=False)
+    readings, times = first.recording.readings[FIXES], first.recording.times
+    assert (first.tag, second.tag, len(times)) == ("0", "1", 300)
+    np.testing.assert_array_equal(readings.seen[:, 1], times != 1.0)
+    assert readings.seen[:, [0, 2]].all()
+    np.testing.assert_allclose(readings.reported, np.tile([0.04, 0.0, 0.09], (300, 1)))
+
+
+def test_a_known_height_hides_z_from_planar_trackers_and_stands_for_it_in_mhk(world):
+    known = _known_height(world)
+    assert not next(fix_lanes(known, free_height=False)).recording.readings[FIXES].seen[:, 2].any()
+    assert next(fix_lanes(known, free_height=True)).recording.readings[FIXES].seen[:, 2].all()
+    np.testing.assert_array_equal(next(space_lanes(known, False)).recording.readings[FIXES].values[:, 2], 1.2)
+
+
+def test_trackers_of_mirrored_heights_read_the_distance_from_the_anchors_plane(world):
+    lane, plain = next(side_lanes(world, False)), next(fix_lanes(world, True))
+    values = lane.recording.readings[FIXES].values
+    z = plain.recording.readings[FIXES].values[:, 2]
+    np.testing.assert_allclose(values[:, 2], np.abs(z - ANCHOR_HEIGHT))
+    np.testing.assert_array_equal(values[:, 3], 0.0)
+    np.testing.assert_allclose(lane.recording.inputs["plane"], ANCHOR_HEIGHT)
+
+
+def test_anchors_that_are_few_or_at_several_heights_have_no_plane(world):
+    few = dict(list(world.rig.anchors.items())[:2])
+    uneven = world.rig.anchors | {"1": np.array([0.0, 0.0, 0.3])}
+    assert lacks_plane(world) is None
+    assert "found 2 anchors" in lacks_plane(_with(world, Rig("few", anchors=few)))
+    assert "2.20 m of height" in lacks_plane(_with(world, Rig("uneven", anchors=uneven)))
+
+
+def test_a_folder_without_fixes_is_refused_in_one_line(world, tmp_path):
+    write_folder(Folder("bare", None, world.rig, {"truth": world.tables["truth"]}), tmp_path / "bare")
+    said = trackwright("track", tmp_path / "bare", "--tracker", "mhk", "--out", tmp_path / "out")
+    assert said.code == 2
+    assert "fixes" in said.err
+
+
+def test_anchors_without_a_plane_are_refused_in_one_line(world, tmp_path):
+    write_folder(_with(world, Rig("few", anchors={}, tags=world.rig.tags)), tmp_path / "few")
+    said = trackwright("track", tmp_path / "few", "--tracker", "fix-mirror", "--out", tmp_path / "out")
+    assert_refused(said, "fix-mirror", "at least 3 anchors")
+
+
+def test_a_tag_that_is_never_seen_is_a_track_that_waits(world, tmp_path):
+    nothing = pl.lit(None, pl.Float64)
+    table = world.tables["fixes"].with_columns(
+        **{f"{a}_m": pl.when(pl.col("tag") == "1").then(nothing).otherwise(f"{a}_m") for a in "xyz"}
+    )
+    write_folder(_with(world, fixes=table), tmp_path / "silent")
+    said = trackwright("track", tmp_path / "silent", "--tracker", "median", "--out", tmp_path / "out")
+    assert said.code == 0, said.err
+    tracks = read_tracks(tmp_path / "out")
+    assert set(tracks.filter(tag="1")["status"]) == {"waiting"}
+    assert tracks.filter(tag="1")["x_m"].null_count() == 300
+
+
+@pytest.fixture(scope="module")
+def tuned(folder, tmp_path_factory):
+    """A latency fitted to truth, and the tracks with it."""
+    out = tmp_path_factory.mktemp("tuned")
+    fit = ("--tracker", "fix-kf", "--objective", "rmse", "--tune", "*latency*", "--steps", 30)
+    said = trackwright("tune", folder, *fit, "--out", out / "fit")
+    assert said.code == 0, said.err
+    options = ("--tracker", "fix-kf", "--noise", out / "fit" / "tuned.toml", "--out", out / "tracks")
+    assert trackwright("track", folder, *options).code == 0
+    return out
+
+
+def test_a_latency_is_found_by_the_error_against_truth(tuned):
+    found = tomllib.loads((tuned / "fit" / "tuned.toml").read_text())["tunables"]["sensors.fixes.latency"]["value"]
+    # A filter that lags in corners of 1 m/s² by what half a row covers.
+    assert found == pytest.approx(LATENCY, abs=0.05)
+
+
+def test_estimates_stand_at_the_time_for_which_late_fixes_speak(tuned, world):
+    tracks = read_tracks(tuned / "tracks").filter(tag="0").sort("t_s")
+    shift = world.tables["fixes"].filter(tag="0")["t_s"][0] - tracks["t_s"][0]
+    assert abs(shift - LATENCY) < 0.05
+    truth = world.tables["truth"].filter(tag="0")
+    off = [tracks[a].to_numpy() - np.interp(tracks["t_s"], truth["t_s"], truth[a]) for a in ("x_m", "y_m")]
+    late_off = [tracks[a].to_numpy() - np.interp(tracks["t_s"] + shift, truth["t_s"], truth[a]) for a in ("x_m", "y_m")]
+    rmse, unstamped = (float(np.sqrt(np.mean(np.sum(np.square(e), axis=0)[30:]))) for e in (off, late_off))
+    # Fixes of 3 cm per axis, and what is left of the latency at 1 m/s.
+    assert rmse < 0.08
+    assert unstamped > 0.3
