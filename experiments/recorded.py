@@ -32,7 +32,11 @@ RUNS = (
     Run("starloc", ("starloc-fast-s1", "starloc-2d-s5"), "uwb"),
     Run("starloc-imu", ("starloc-fast-s1",), "uwb-imu"),
     Run("drones", ("iasl-drone-1", "rcv-drone-3"), "uwb"),
-    Run("trolley", ("lias-planar-fast",), "uwb"),
+    Run(
+        "trolley", ("lias-planar-fast",), "uwb",
+        tuned_on=("lias-still-p1-0", "lias-still-p3-180", "lias-still-p5-0"),
+        tune=("--objective", "rmse", "--tune", "sensors.*.bias", "--steps", "20"),
+    ),
     Run("labyrinth", ("labyrinth",), "uwb"),
     Run("line", ("ngbui-line-1-1", "ngbui-line-2-1", "ngbui-line-3-1"), "line-grid"),
     Run(
