@@ -9,9 +9,16 @@ from experiments.entry import Entry, Group
 from experiments.errors import UnusableInput
 from experiments.folder import Folder
 from experiments.lanes import Lane
-from experiments.systems import aoa, baselines, line, mhk, uwb
+from experiments.systems import aoa, baselines, line, mhk, uwb, uwb_imu
 
-TRACKERS: dict[str, Entry] = {**aoa.TRACKERS, **line.TRACKERS, **uwb.TRACKERS, **baselines.TRACKERS, **mhk.TRACKERS}
+TRACKERS: dict[str, Entry] = {
+    **aoa.TRACKERS,
+    **line.TRACKERS,
+    **uwb_imu.TRACKERS,
+    **uwb.TRACKERS,
+    **baselines.TRACKERS,
+    **mhk.TRACKERS,
+}
 """In the order in which they are tried where none is named."""
 
 

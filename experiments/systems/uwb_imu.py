@@ -92,10 +92,14 @@ def lacks(folder: Folder) -> str | None:
     return None if found >= LEAST_ANCHORS else f"ranges to at least {LEAST_ANCHORS} anchors, found {found}"
 
 
+def _anchors(lane: Lane) -> int:
+    return len(lane.folder.rig.anchors)
+
+
 TRACKERS = {
     "uwb-imu": Entry(
         "position, velocity and attitude from ranges and an IMU, error-state EKF", "ranges", lacks,
-        inertial_lanes, lambda lane, planar: inertial_tracker(planar, anchors=len(lane.folder.rig.anchors)),
-        lambda lane: (len(lane.folder.rig.anchors), "levers" in lane.recording.inputs), at_known_height,
+        inertial_lanes, lambda lane, planar: inertial_tracker(_anchors(lane), planar),
+        lambda lane: (_anchors(lane), "levers" in lane.recording.inputs), at_known_height,
     ),
 }  # fmt: skip

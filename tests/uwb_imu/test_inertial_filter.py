@@ -28,11 +28,11 @@ MEAN = np.array([5.5, 4.0, 1.0, 0.0, 1.5, 0.0, 1.0, 0.0, 0.0, 0.0, *[0.0] * 6])
 SPREAD = np.repeat([0.1, 0.1, 0.02, 0.2, 0.02], 3)
 
 
-def build(x):
+def _build(x):
     return Inertial(Vector(*x[:3]), Vector(*x[3:6]), Rotation(*x[6:10]), Vector(*x[10:13]), Vector(*x[13:16]))
 
 
-def truth_and_batch():
+def _truth_and_batch():
     rng = np.random.default_rng(0)
     t = np.arange(ROWS) * DT
     # What the IMU read, the same in all runs: a body that swings on a circle; what was true differs by bias and noise.
@@ -40,7 +40,7 @@ def truth_and_batch():
     gyro = np.stack([0.2 * np.cos(6 * t), 0.2 * np.sin(8 * t), 1.0 + 0.5 * np.cos(3 * t)], axis=1)
     heard = np.repeat(((t < 2) | (t >= 3)).astype(float)[:, None], 2, axis=1)
     fixed = resolved(MOTION)
-    base = build(list(jnp.asarray(MEAN)))
+    base = _build(list(jnp.asarray(MEAN)))
 
     @jax.jit
     @jax.vmap
@@ -73,14 +73,14 @@ def truth_and_batch():
 
 @pytest.fixture(scope="module")
 def world():
-    return truth_and_batch()
+    return _truth_and_batch()
 
 
 @pytest.fixture(scope="module")
 def estimates(world):
     # A tail this long is the normal distribution.
     sensor = RangeSensor(1, 0, SIGMA_R, 1.0, 1e9)
-    return Tracker(MOTION, {"ranges": sensor}, KnownStart(build), loss=NEVER_LOST).run(world[1])
+    return Tracker(MOTION, {"ranges": sensor}, KnownStart(_build), loss=NEVER_LOST).run(world[1])
 
 
 def test_the_nees_is_inside_its_95_percent_interval_with_biases_and_a_gap_of_the_imu(world, estimates):

@@ -24,17 +24,17 @@ ARMED = {**INPUTS, "arm": np.array([0.3, -0.2, 0.1])}
 MOTIONS = [(PlanarStrapdown(NOISE), PLANAR), (PlanarStrapdown(NOISE, True), PLANAR), (Strapdown(NOISE), SPACE)]
 
 
-def arrays(tree):
+def _arrays(tree):
     return jax.tree_util.tree_map(jnp.asarray, tree)
 
 
-def with_imu(accel, gyro):
+def _with_imu(accel, gyro):
     return {**ARMED, "imu": np.array([accel, gyro], float)}
 
 
-def error_jacobian(motion, state, inputs, dt):
+def _error_jacobian(motion, state, inputs, dt):
     """∂(small step after)/∂(small step before), by autodiff, as the filter takes it."""
-    motion, state, inputs = resolved(motion), arrays(state), arrays(inputs)
+    motion, state, inputs = resolved(motion), _arrays(state), _arrays(inputs)
     zeros = Vector.of([jnp.asarray(0.0)] * motion.noise_dimension)
     moved = motion.step(state, inputs, dt, zeros)
     point, rebuild = coordinates(state)
@@ -45,16 +45,16 @@ def error_jacobian(motion, state, inputs, dt):
 @pytest.mark.parametrize(("motion", "state"), MOTIONS)
 @pytest.mark.parametrize("imu", [(1, 1), (0, 1), (0, 0)])
 def test_the_mechanisation_keeps_the_contract_of_motions_with_and_without_an_imu(motion, state, imu):
-    check_motion(motion, state, with_imu(*imu), dt=0.02)
+    check_motion(motion, state, _with_imu(*imu), dt=0.02)
 
 
 @pytest.mark.parametrize(("motion", "state"), MOTIONS)
 def test_the_error_states_jacobian_is_the_finite_difference(motion, state):
     dt, h = 0.02, 1e-6
-    inputs, fixed = arrays(ARMED), resolved(motion)
+    inputs, fixed = _arrays(ARMED), resolved(motion)
     zeros = Vector.of([jnp.asarray(0.0)] * motion.noise_dimension)
-    moved = fixed.step(arrays(state), inputs, dt, zeros)
-    point, rebuild = coordinates(arrays(state))
+    moved = fixed.step(_arrays(state), inputs, dt, zeros)
+    point, rebuild = coordinates(_arrays(state))
 
     @jax.jit
     def after(x):
@@ -64,7 +64,7 @@ def test_the_error_states_jacobian_is_the_finite_difference(motion, state):
     unit = np.eye(len(point)) * h
     differences = np.stack([(after(centre + e) - after(centre - e)) / (2 * h) for e in unit], axis=1)
     # Central differences: the cube of h times third derivatives, and rounding 1e-16/h.
-    np.testing.assert_allclose(error_jacobian(motion, state, ARMED, dt), differences, atol=1e-8)
+    np.testing.assert_allclose(_error_jacobian(motion, state, ARMED, dt), differences, atol=1e-8)
 
 
 def test_the_papers_mechanisation_has_the_papers_matrix_put_right():
@@ -80,23 +80,23 @@ def test_the_papers_mechanisation_has_the_papers_matrix_put_right():
     F[6, 7] = -1
     order = [0, 2, 4, 1, 3, 5, 6, 7]
     dt = 1e-6
-    ours = (error_jacobian(PlanarStrapdown(NOISE, True), PLANAR, INPUTS, dt) - np.eye(8)) / dt
+    ours = (_error_jacobian(PlanarStrapdown(NOISE, True), PLANAR, INPUTS, dt) - np.eye(8)) / dt
     # What is left is the next power of dt, of size 1e-6.
     np.testing.assert_allclose(ours[np.ix_(order, order)], F, atol=5e-6)
     # In room axes the same, with zeros for the four entries of the transport term.
     F[1, 4] = F[1, 7] = F[4, 1] = F[4, 7] = 0
-    ours = (error_jacobian(PlanarStrapdown(NOISE), PLANAR, INPUTS, dt) - np.eye(8)) / dt
+    ours = (_error_jacobian(PlanarStrapdown(NOISE), PLANAR, INPUTS, dt) - np.eye(8)) / dt
     np.testing.assert_allclose(ours[np.ix_(order, order)], F, atol=5e-6)
 
 
-def run(motion, state, inputs, dt, steps):
+def _run(motion, state, inputs, dt, steps):
     fixed, zeros = resolved(motion), Vector.of([jnp.asarray(0.0)] * motion.noise_dimension)
 
     @jax.jit
     def go(state, inputs):
         return jax.lax.scan(lambda x, u: (fixed.step(x, u, dt, zeros), None), state, inputs, length=steps)[0]
 
-    return go(arrays(state), arrays(inputs))
+    return go(_arrays(state), _arrays(inputs))
 
 
 def test_a_tilted_imu_at_rest_that_reads_gravity_stays_where_it_is():
@@ -104,7 +104,7 @@ def test_a_tilted_imu_at_rest_that_reads_gravity_stays_where_it_is():
     felt = np.array([float(x) for x in inverse.apply(Vector(0.0, 0.0, 9.81))])
     rest = SPACE._replace(velocity=Vector(0.0, 0.0, 0.0), gyro_bias=Vector(0.0, 0.0, 0.0))
     inputs = {"accel": felt + np.array([0.1, -0.2, 0.3]), "gyro": np.zeros(3), "imu": np.ones(2)}
-    after = run(Strapdown(NOISE), rest, {k: np.tile(v, (1000, 1)) for k, v in inputs.items()}, 0.01, 1000)
+    after = _run(Strapdown(NOISE), rest, {k: np.tile(v, (1000, 1)) for k, v in inputs.items()}, 0.01, 1000)
     # Ten seconds of rounding in double precision.
     np.testing.assert_allclose([*after.position, *after.velocity], [1, 2, 3, 0, 0, 0], atol=1e-10)
 
@@ -120,11 +120,11 @@ def test_a_body_on_a_circle_is_followed_to_second_order_in_the_step():
         *[Vector(0.0, 0.0, 0.0)] * 2,
     )
     inputs = {"accel": np.array([-radius * omega**2, 0, 9.81]), "gyro": np.array([0, 0, omega]), "imu": np.ones(2)}
-    after = run(Strapdown(NOISE), state, {k: np.tile(v, (steps, 1)) for k, v in inputs.items()}, dt, steps)
+    after = _run(Strapdown(NOISE), state, {k: np.tile(v, (steps, 1)) for k, v in inputs.items()}, dt, steps)
     # A step's error is third order, (ω dt)³/12 of the radius; first order in the middle would leave 0.1 m.
     np.testing.assert_allclose([*after.position], [radius, 0, 0], atol=radius * steps * (omega * dt) ** 3)
     planar = PlanarInertial(Vector(radius, 0.0), Vector(0.0, radius * omega), Vector(0.0, 0.0), Heading(0.0), 0.0)
-    after = run(PlanarStrapdown(NOISE), planar, {k: np.tile(v, (steps, 1)) for k, v in inputs.items()}, dt, steps)
+    after = _run(PlanarStrapdown(NOISE), planar, {k: np.tile(v, (steps, 1)) for k, v in inputs.items()}, dt, steps)
     np.testing.assert_allclose([*after.position], [radius, 0], atol=radius * steps * (omega * dt) ** 3)
 
 
@@ -133,7 +133,7 @@ def test_a_tag_on_a_turning_arm_moves_while_the_imu_stands():
         Vector(1.0, 0.0, 0.0), Vector(0.0, 0.0, 0.0), Rotation(1.0, 0.0, 0.0, 0.0), *[Vector(0.0, 0.0, 0.0)] * 2
     )
     inputs = {"accel": [0, 0, 9.81], "gyro": [0, 0, np.pi / 2], "imu": [1, 1], "arm": [1, 0, 0]}
-    after = run(
+    after = _run(
         Strapdown(NOISE), state, {k: np.tile(np.array(v, float), (100, 1)) for k, v in inputs.items()}, 0.01, 100
     )
     np.testing.assert_allclose([*after.position, *after.velocity], [0, 1, 0, 0, 0, 0], atol=1e-12)
@@ -142,7 +142,7 @@ def test_a_tag_on_a_turning_arm_moves_while_the_imu_stands():
 def test_two_seconds_without_an_imu_are_constant_velocity_with_white_acceleration():
     cov = tuple(jnp.asarray(0.0) for _ in range(120))
     predict = jax.jit(lambda b, u: ExtendedKalman().predict(b, resolved(Strapdown(NOISE)), u, jnp.asarray(2.0)))
-    belief = predict(Gaussian(arrays(SPACE), cov), arrays({**with_imu(0, 0), "arm": np.zeros(3)}))
+    belief = predict(Gaussian(_arrays(SPACE), cov), _arrays({**_with_imu(0, 0), "arm": np.zeros(3)}))
     np.testing.assert_allclose([*belief.mean.position], [1 + 1.4, 2 - 0.8, 3.4], rtol=1e-12)
     upper = dict(zip(zip(*np.triu_indices(15), strict=True), belief.cov, strict=True))
     # σ²T³/3, σ²T²/2, σ²T: Bar-Shalom 2001, section 6.2.2, with σ = 1.

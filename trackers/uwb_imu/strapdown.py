@@ -26,7 +26,8 @@ from trackers.core.tunable import Real, Scale
 class PlanarInertial(NamedTuple):
     """The eight states of Kwon et al. 2021, equations (18)–(20): over the floor, the body level.
 
-    Position m and velocity m/s (room axes), accelerometer bias m/s² (body x, y), yaw rad, gyro bias rad/s.
+    Position m and velocity m/s (room axes), accelerometer bias m/s² (body x, y), yaw rad, gyro bias rad/s; beyond the
+    paper's, a bias of each anchor's ranges, m, none by default.
     """
 
     position: Vector
@@ -34,12 +35,14 @@ class PlanarInertial(NamedTuple):
     accel_bias: Vector
     attitude: Heading
     gyro_bias: Scalar
+    bias: Vector = Vector()
 
 
 class Inertial(NamedTuple):
     """Fifteen states: position m, velocity m/s (room), attitude body to room, biases m/s² and rad/s (body).
 
-    The position may be that of a tag away from the IMU on the same body; the velocity is the IMU's.
+    The position may be that of a tag away from the IMU on the same body; the velocity is the IMU's. Beyond the
+    fifteen, a bias of each anchor's ranges, m, none by default.
     """
 
     position: Vector
@@ -47,14 +50,15 @@ class Inertial(NamedTuple):
     attitude: Rotation
     accel_bias: Vector
     gyro_bias: Vector
+    bias: Vector = Vector()
 
 
 class ImuNoise(eqx.Module):
-    """What an IMU gets wrong, and what stands for it where it says nothing; densities for white noise.
+    """What an IMU gets wrong, what stands for it where it says nothing, and how range biases wander.
 
     `sigma_accel` m/s² per √Hz, `sigma_gyro` rad/s per √Hz; `sigma_accel_walk` m/s² per √s and `sigma_gyro_walk` rad/s
     per √s, their biases' random walks; `sigma_a` m/s² per √Hz, the acceleration where no accelerometer tells it, and
-    `sigma_turn` rad per √s, the turning where no gyro does.
+    `sigma_turn` rad per √s, the turning where no gyro does; `sigma_range_walk` m per √s, of each anchor's range bias.
     """
 
     sigma_accel: Noise
@@ -63,6 +67,7 @@ class ImuNoise(eqx.Module):
     sigma_gyro_walk: Noise
     sigma_a: Noise
     sigma_turn: Noise
+    sigma_range_walk: Noise
 
     def __init__(
         self,
@@ -72,6 +77,7 @@ class ImuNoise(eqx.Module):
         sigma_gyro_walk: float | Noise = 0.0005,
         sigma_a: float | Noise = 1.0,
         sigma_turn: float | Noise = 0.5,
+        sigma_range_walk: float | Noise = 0.005,
     ):
         self.sigma_accel = _scale(sigma_accel, "m/s^2/sqrt(Hz)")
         self.sigma_gyro = _scale(sigma_gyro, "rad/s/sqrt(Hz)")
@@ -79,6 +85,11 @@ class ImuNoise(eqx.Module):
         self.sigma_gyro_walk = _scale(sigma_gyro_walk, "rad/s/sqrt(s)")
         self.sigma_a = _scale(sigma_a, "m/s^2/sqrt(Hz)")
         self.sigma_turn = _scale(sigma_turn, "rad/sqrt(s)")
+        self.sigma_range_walk = _scale(sigma_range_walk, "m/sqrt(s)")
+
+    def range_kick(self, dt: Scalar) -> Scalar:
+        """The standard deviation of a range bias's change over `dt`, m."""
+        return self.sigma_range_walk.value * jnp.sqrt(dt)
 
     def kicks(self, inputs: Any, dt: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar]:
         """Standard deviations over `dt` of velocity m/s, attitude rad, accelerometer bias and gyro bias."""
@@ -93,7 +104,7 @@ class ImuNoise(eqx.Module):
 
 
 class PlanarStrapdown(AbstractMotion):
-    """The paper's planar mechanisation, room axes; `noise`: the IMU's.
+    """The paper's planar mechanisation, room axes; `noise`: the IMU's; `biases`: for so many anchors, in the state.
 
     With `transport`, the velocity changes by the −ω × v of Kwon et al. 2021, equation (2), too. That term belongs to
     a velocity in turning axes; the paper adds it to one that it integrates to a position in the room, and so does this
@@ -102,10 +113,11 @@ class PlanarStrapdown(AbstractMotion):
 
     noise: ImuNoise
     transport: bool = eqx.field(static=True, default=False)
+    biases: int = eqx.field(static=True, default=0)
 
     @property
     def noise_dimension(self) -> int:
-        return 8
+        return 8 + self.biases
 
     def step(self, state: PlanarInertial, inputs: Any, dt: Scalar, w: Vector) -> PlanarInertial:
         saw_accel, saw_gyro = present(inputs)
@@ -126,6 +138,7 @@ class PlanarStrapdown(AbstractMotion):
             state.accel_bias + Vector(*w.parts[4:6]) * accel_walk,
             Heading(state.attitude.angle + rate * dt + w[6] * turn),
             state.gyro_bias + w[7] * gyro_walk,
+            state.bias + Vector(*w.parts[8:]) * self.noise.range_kick(dt),
         )
 
     def view(self, state: PlanarInertial) -> PlanarInertial:
@@ -136,19 +149,22 @@ class Strapdown(AbstractMotion):
     """The mechanisation in three dimensions, room axes with z up (Solà 2017, section 5.2); `noise`: the IMU's.
 
     `gravity` m/s²: what an ideal accelerometer at rest reads; an error of the real one is in its bias. An input `arm`
-    (3,) m says where on the body, from the IMU, the tag is whose place the state's position is.
+    (3,) m says where on the body, from the IMU, the tag is whose place the state's position is. `biases`: how many
+    anchors have one in the state.
     """
 
     noise: ImuNoise
     gravity: Noise
+    biases: int = eqx.field(static=True)
 
-    def __init__(self, noise: ImuNoise, gravity: float | Noise = 9.81):
+    def __init__(self, noise: ImuNoise, gravity: float | Noise = 9.81, biases: int = 0):
         self.noise = noise
+        self.biases = biases
         self.gravity = gravity if isinstance(gravity, Noise) else Real(gravity, "m/s^2", typical=0.1)
 
     @property
     def noise_dimension(self) -> int:
-        return 15
+        return 15 + self.biases
 
     def step(self, state: Inertial, inputs: Any, dt: Scalar, w: Vector) -> Inertial:
         saw_accel, saw_gyro = present(inputs)
@@ -169,6 +185,7 @@ class Strapdown(AbstractMotion):
             turned,
             state.accel_bias + Vector(*w.parts[9:12]) * accel_walk,
             state.gyro_bias + Vector(*w.parts[12:15]) * gyro_walk,
+            state.bias + Vector(*w.parts[15:]) * self.noise.range_kick(dt),
         )
 
     def view(self, state: Inertial) -> Inertial:

@@ -1,0 +1,193 @@
+"""An IMU on a body that moves: what an ideal one reads along a true path with attitude, and what a real one adds.
+
+The pieces that spoil readings are `sim.corruptions.Corruption` on (n, T, 3) accelerations or turning rates; those of
+`sim.corruptions` that take any values are others. Ranges to the same body are `sim.ranging`'s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from sim.corruptions import Corruption, corrupted
+from sim.keys import Keys, normals, stream, trajectory_keys
+from sim.ranging import WALK, Protocol, SimulatedRanges, one_at_a_time, simulate_ranges
+from sim.scenarios import PathFunction
+from trackers.core.algebra import Vector
+from trackers.core.rig import Rig
+from trackers.core.state import Rotation
+
+GRAVITY = 9.81
+
+_WAVES = 8
+
+
+def swinging(
+    keys: Keys, times: np.ndarray, *, tilt: float = 0.15, turn: float = 1.5, period_s: float = 6.0
+) -> np.ndarray:
+    """Attitudes (n, T, 4), w x y z, body to room, of a thing in a hand: smooth random yaw, pitch and roll.
+
+    `tilt`: standard deviation of pitch and roll, rad; `turn`: of the yaw about a random one; `period_s`: of the fastest
+    of the waves that make them. Raises ValueError for a period that isn't positive.
+    """
+    if not period_s > 0:
+        raise ValueError(f"a period is positive, found {period_s} s")
+    omega = 2 * np.pi / period_s * (np.arange(_WAVES) + 0.5) / _WAVES
+    t = np.asarray(times, float)
+    waves = np.concatenate([np.cos(t[:, None] * omega), np.sin(t[:, None] * omega)], axis=1)
+    weights = normals(stream(keys, "swinging"), (2 * _WAVES, 3)).astype(float) / np.sqrt(_WAVES)
+    yaw, pitch, roll = np.moveaxis(np.matmul(waves, weights) * [turn, tilt, tilt], -1, 0)
+    yaw = yaw + 2 * np.pi * normals(stream(keys, "yaw"), (1,)).astype(float)
+    (cy, cp, cr), (sy, sp, sr) = ([f(angle / 2) for angle in (yaw, pitch, roll)] for f in (np.cos, np.sin))
+    quaternion = (
+        cy * cp * cr + sy * sp * sr,
+        cy * cp * sr - sy * sp * cr,
+        cy * sp * cr + sy * cp * sr,
+        sy * cp * cr - cy * sp * sr,
+    )
+    return np.stack(quaternion, axis=-1)
+
+
+def ideal_readings(times: np.ndarray, positions: np.ndarray, attitudes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Specific force (n, T, 3), m/s², and turning rate (n, T, 3), rad/s, in body axes, from path and attitudes.
+
+    Each sample is the mean over the interval before its time, as an IMU's own filter makes it; the first, which has no
+    interval, repeats the second.
+    """
+    dt = np.diff(times)[:, None]
+    between = np.diff(positions, axis=1) / dt
+    # The velocity at a time is the mean of those before and after it; at the ends a parabola's.
+    middle = 0.5 * (between[:, 1:] + between[:, :-1])
+    ends = 1.5 * between[:, [0, -1]] - 0.5 * middle[:, [0, -1]]
+    velocity = np.concatenate([ends[:, :1], middle, ends[:, 1:]], axis=1)
+    acceleration = np.diff(velocity, axis=1) / dt
+    force, rate = _felt(acceleration + np.array([0.0, 0.0, GRAVITY]), attitudes)
+    rate = rate / dt
+    return np.concatenate([force[:, :1], force], axis=1), np.concatenate([rate[:, :1], rate], axis=1)
+
+
+def _felt(force: np.ndarray, attitudes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Room-axes forces (n, T − 1, 3) in the body's axes half-way between two attitudes, and the turns between these."""
+
+    def one(force: Any, before: Any, after: Any) -> tuple[Any, Any]:
+        first, second = Rotation(*before), Rotation(*after)
+        turn = first.local(second)
+        middle = first.retract([0.5 * x for x in turn])
+        return middle.inverse().apply(Vector(*force)).array(), jnp.stack(turn)
+
+    with jax.enable_x64(True):
+        run = jax.jit(jax.vmap(jax.vmap(one)))
+        result = run(*(jnp.asarray(np.asarray(x, np.float64)) for x in (force, attitudes[:, :-1], attitudes[:, 1:])))
+        return np.asarray(result[0]), np.asarray(result[1])
+
+
+def constant_bias(sigma: float) -> Corruption:
+    """A bias of every axis that stays: normal, standard deviation `sigma` in the unit of the values."""
+    _not_negative("a bias", sigma)
+
+    def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return values + sigma * normals(keys, (1, values.shape[2])).astype(float), seen
+
+    return corrupt
+
+
+def random_walk(sigma: float) -> Corruption:
+    """A bias of every axis that wanders from zero, by `sigma` in the unit of the values after a second."""
+    _not_negative("a random walk", sigma)
+
+    def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        steps = np.sqrt(np.diff(times, prepend=times[:1]))[:, None]
+        return values + sigma * np.cumsum(steps * normals(keys, values.shape[1:]).astype(float), axis=1), seen
+
+    return corrupt
+
+
+def white_density(sigma: float) -> Corruption:
+    """White noise of power density `sigma`² (unit per √Hz): the same noise at any rate of samples."""
+    _not_negative("a noise density", sigma)
+
+    def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        dt = np.diff(times)
+        roots = np.sqrt(np.concatenate([dt[:1], dt]))[:, None]
+        return values + sigma * normals(keys, values.shape[1:]).astype(float) / roots, seen
+
+    return corrupt
+
+
+def _not_negative(what: str, sigma: float) -> None:
+    if not sigma >= 0:
+        raise ValueError(f"the size of {what} isn't negative, found {sigma}")
+
+
+MEMS_ACCEL: Mapping[str, Corruption] = MappingProxyType(
+    {"bias": constant_bias(0.1), "walk": random_walk(0.005), "noise": white_density(0.02)}
+)
+"""A cheap accelerometer, m/s²."""
+
+MEMS_GYRO: Mapping[str, Corruption] = MappingProxyType(
+    {"bias": constant_bias(0.01), "walk": random_walk(0.0005), "noise": white_density(0.002)}
+)
+"""A cheap gyro, rad/s."""
+
+
+@dataclass(frozen=True)
+class SimulatedUwbImu:
+    """Ranges and IMU samples of n bodies with their truth.
+
+    `ranges`: the world of ranges. `times` (S,) s of the IMU's samples; `accel`, `gyro` (n, S, 3) m/s² and rad/s, zero
+    where not `seen` (n, S); `positions` (n, S, 3) m and `attitudes` (n, S, 4): the truth at them.
+    """
+
+    ranges: SimulatedRanges
+    times: np.ndarray
+    accel: np.ndarray
+    gyro: np.ndarray
+    seen: np.ndarray
+    positions: np.ndarray
+    attitudes: np.ndarray
+
+
+def simulate_uwb_imu(
+    rig: Rig,
+    path: PathFunction = WALK,
+    n: int = 1,
+    seed: int = 0,
+    *,
+    rate_hz: float = 40.0,
+    n_points: int = 800,
+    samples: int = 3,
+    protocol: Protocol | None = None,
+    corruptions: Mapping[str, Corruption] = MappingProxyType({"turn": one_at_a_time()}),
+    accel: Mapping[str, Corruption] = MEMS_ACCEL,
+    gyro: Mapping[str, Corruption] = MEMS_GYRO,
+    gap_s: tuple[float, float] | None = None,
+    ids: Sequence[int] | np.ndarray | None = None,
+) -> SimulatedUwbImu:
+    """`n` tags with an IMU of their own on smooth paths of (keys, times), by default one anchor's range at a time.
+
+    `rate_hz`, `n_points`, `protocol`, `corruptions` and `ids` as for `simulate_ranges`; so many IMU `samples` for each
+    of its rows; `accel`, `gyro`: what their readings suffer, name -> piece; `gap_s`: from when to when, s, the IMU is
+    silent. A body depends on the seed and its id, on no other.
+    """
+    ranges = simulate_ranges(
+        rig, path, n, seed, rate_hz=rate_hz, n_points=n_points, protocol=protocol, corruptions=corruptions, ids=ids
+    )
+    keys = trajectory_keys(seed, ranges.ids)
+    times = np.arange((n_points - 1) * samples + 1) / (rate_hz * samples)
+    positions = path(stream(keys, "path"), times)
+    attitudes = swinging(stream(keys, "attitude"), times)
+    force, rate = ideal_readings(times, positions, attitudes)
+    seen = np.ones((n, len(times)), bool)
+    if gap_s is not None:
+        seen &= ~((times >= gap_s[0]) & (times < gap_s[1]))
+    every = np.ones(force.shape, bool)
+    force, _ = corrupted(accel, stream(keys, "accelerometer"), times, force, every)
+    rate, _ = corrupted(gyro, stream(keys, "gyro"), times, rate, every)
+    force, rate = (np.where(seen[..., None], x, 0.0) for x in (force, rate))
+    return SimulatedUwbImu(ranges, times, force, rate, seen, positions, attitudes)

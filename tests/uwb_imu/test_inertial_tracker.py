@@ -1,0 +1,172 @@
+"""The assembled trackers of ranges and an IMU: simulated walks from folder to tracks, and what goes wrong with them."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from experiments.folder import Folder
+from experiments.simulated_uwb_imu import simulated_uwb_imu
+from experiments.systems.uwb_imu import TRACKERS, inertial_lanes
+from sim.imu import ideal_readings, simulate_uwb_imu, swinging
+from sim.keys import trajectory_keys
+from sim.ranging import chamber
+from trackers.core.algebra import Vector
+from trackers.core.recording import stack
+from trackers.core.rig import Rig, Tag
+from trackers.core.state import Rotation
+from trackers.core.tracker import Row
+from trackers.uwb_imu.inertial import InertialStart, inertial_tracker, upright
+from trackers.uwb_imu.samples import held_inputs, levelled
+
+TAGS, POINTS = 6, 480
+
+
+def _blind(recording):
+    return dataclasses.replace(recording, inputs={**recording.inputs, "imu": np.zeros_like(recording.inputs["imu"])})
+
+
+def _errors(estimates, recordings, last_s=6.0):
+    """Of all recordings, after the start has settled."""
+    found = []
+    for k, recording in enumerate(recordings):
+        rows = recording.times > recording.times[-1] - last_s
+        place = np.stack([np.asarray(x)[k, : len(recording)] for x in estimates.mean.position], axis=-1)
+        found.append((place - recording.truth["position"][0])[rows])
+    return np.concatenate(found)
+
+
+def _rmse(x):
+    return np.sqrt((x**2).sum(axis=-1).mean())
+
+
+@pytest.fixture(scope="module")
+def folder():
+    world = simulate_uwb_imu(chamber(), n=TAGS, seed=1, n_points=POINTS, gap_s=(3.0, 5.0))
+    return simulated_uwb_imu(world, "walks")
+
+
+@pytest.fixture(scope="module")
+def runs(folder):
+    """Estimates of the walks with their IMU, without it, and with nothing but it after the first seconds."""
+    recordings = [lane.recording for lane in inertial_lanes(folder, False)]
+    unheard = []
+    for one in recordings:
+        ranges = one.readings["ranges"]
+        quiet = dataclasses.replace(ranges, seen=ranges.seen & (one.times < 8.0)[:, None])
+        unheard.append(dataclasses.replace(one, readings={"ranges": quiet}))
+    every = [*recordings, *(_blind(r) for r in recordings), *unheard]
+    every = [dataclasses.replace(r, name=f"{k}") for k, r in enumerate(every)]
+    return every, inertial_tracker(sigma_r=0.05, stretch=1.1, tail=10.0, bias=0.0).run(stack(every))
+
+
+def test_the_imu_takes_a_fifth_or_more_off_the_error_of_ranges_alone(runs):
+    recordings, estimates = runs
+    with_imu, without = (_rmse(_errors(estimates[a:b], recordings[a:b])) for a, b in ((0, TAGS), (TAGS, 2 * TAGS)))
+    assert with_imu < 0.06
+    assert with_imu < 0.8 * without
+
+
+def test_the_yaw_that_nobody_told_is_found(runs, folder):
+    recordings, estimates = runs
+    truth = folder.tables["truth"]
+    for k, tag in enumerate(sorted(truth["tag"].unique().to_list())):
+        q = [float(np.asarray(getattr(estimates.mean.attitude, c))[k, len(recordings[k]) - 1]) for c in "wxyz"]
+        end = truth.filter(pl.col("tag") == tag).tail(1).select("qw", "qx", "qy", "qz").row(0)
+        turn = np.array(Rotation(*q).local(Rotation(*end)))
+        # From anywhere on the circle; a slow hand's accelerations, 0.3 m/s², tell it no better in twelve seconds.
+        assert np.linalg.norm(turn) < 0.5
+
+
+def test_an_imu_without_ranges_drifts_and_says_so(runs):
+    recordings, estimates = runs
+    k = 2 * TAGS
+    sigma = estimates.sigmas["position.0"][k : k + TAGS]
+    rows = [np.searchsorted(recordings[k].times, t) for t in (7.9, 11.0)]
+    assert np.all(sigma[:, rows[1]] > 2 * sigma[:, rows[0]])
+    assert np.all(np.isfinite(sigma[:, : len(recordings[k])]))
+
+
+def test_a_sample_is_held_for_a_while_and_a_gap_is_a_gap():
+    imu = np.arange(0, 1, 0.1)
+    times = np.array([-0.1, 0.0, 0.15, 0.95, 1.05, 1.3])
+    samples = np.tile(np.arange(10.0)[:, None], (1, 3))
+    gyro = np.where(np.arange(10)[:, None] == 9, np.nan, samples)
+    inputs = held_inputs(times, imu, samples, gyro)
+    np.testing.assert_array_equal(inputs["imu"], [[0, 0], [1, 1], [1, 1], [1, 1], [1, 0], [0, 0]])
+    np.testing.assert_array_equal(inputs["accel"][:, 0], [0, 0, 1, 9, 9, 0])
+
+
+def test_rest_is_known_and_gives_the_gyros_bias():
+    rng = np.random.default_rng(0)
+    imu = np.arange(0, 4, 0.01)
+    accel = np.array([0.0, 0.0, 9.81]) + 0.02 * rng.normal(size=(400, 3))
+    gyro = 0.03 + 0.002 * rng.normal(size=(400, 3))
+    accel[200:] += np.sin(10 * imu[200:, None])
+    rest = held_inputs(np.array([0.0, 1.9, 3.5]), imu, accel, gyro)["rest"]
+    np.testing.assert_array_equal(rest[:, 6], [1, 1, 0])
+    np.testing.assert_allclose(rest[1, 3:6], 0.03, atol=0.001)
+
+
+def test_a_sensor_that_takes_gravity_out_is_levelled_by_its_own_attitude():
+    q = np.array([[0.5, 0.5, 0.5, 0.5], [2.0, 0.0, 0.0, 0.0], [np.nan] * 4])  # x to y, y to z, z to x
+    accel, gyro = levelled(np.tile([1.0, 2.0, 3.0], (3, 1)), q, 9.81)
+    np.testing.assert_allclose(accel[:2], [[3, 1, 2 + 9.81], [1, 2, 3 + 9.81]])
+    np.testing.assert_array_equal(gyro[:2], 0)
+    assert np.isnan(accel[2]).all()
+
+
+@pytest.mark.parametrize("force", [(0.0, 0.0, 9.8), (5.0, -1.0, 8.0), (0.0, 0.0, -9.8), (9.8, 0.0, 0.0)])
+def test_upright_brings_what_is_felt_upwards(force):
+    world = upright(Vector(*(np.float64(x) for x in force))).apply(Vector(*force))
+    np.testing.assert_allclose([*world], [0, 0, np.linalg.norm(force)], atol=1e-9)
+
+
+def test_the_start_is_unsure_of_the_yaw_and_of_little_else():
+    felt = np.array([5.0, -1.0, 8.0])
+    inputs = {"nearby": np.array([1.0, 2.0, 1.5, 1.0]), "rest": np.array([*felt, 0, 0, 0, 0.0])}
+    row = Row(np.float64(0), True, {}, inputs, None, None)
+    belief = InertialStart(False).begin(inputs["nearby"][:3], row)
+    upper = dict(zip(zip(*np.triu_indices(15), strict=True), belief.cov, strict=True))
+    P = np.array([[upper[min(i, j), max(i, j)] for j in range(6, 9)] for i in range(6, 9)], float)
+    up = felt / np.linalg.norm(felt)
+    np.testing.assert_allclose(P, 0.15**2 * np.eye(3) + np.outer(up, up), atol=1e-9)
+
+
+def test_the_ideal_imu_reads_circle_and_gravity():
+    t = np.arange(0, 2, 0.005)
+    positions = np.stack([2 * np.cos(t), 2 * np.sin(t), 0 * t], axis=1)[None]
+    attitudes = np.stack([np.cos(t / 2), 0 * t, 0 * t, np.sin(t / 2)], axis=1)[None]
+    accel, gyro = ideal_readings(t, positions, attitudes)
+    # Differences of the path are second order in the step, 5 ms: 1e-5.
+    np.testing.assert_allclose(accel[0, 2:-2], np.tile([-2, 0, 9.81], (len(t) - 4, 1)), atol=1e-4)
+    np.testing.assert_allclose(gyro[0], np.tile([0, 0, 1], (len(t), 1)), atol=1e-9)
+
+
+def test_a_body_depends_on_seed_and_id_alone():
+    many, one = (
+        simulate_uwb_imu(chamber(), n=n, seed=4, n_points=20, ids=ids) for n, ids in ((3, [5, 6, 7]), (1, [6]))
+    )
+    np.testing.assert_array_equal(many.accel[1], one.accel[0])
+    np.testing.assert_array_equal(many.attitudes[1], one.attitudes[0])
+    assert np.allclose(np.linalg.norm(swinging(trajectory_keys(0, [1]), one.times), axis=-1), 1)
+
+
+def test_tags_on_one_body_share_their_ranges_and_their_imu():
+    t = [0.0, 0.1, 0.2]
+    ranges = pl.DataFrame({"t_s": t, "tag": ["1", "2", "1"], "anchor": ["A", "B", "C"], "range_m": [1.0, 2.0, 3.0]})
+    columns = ["accel_x_mps2", "accel_y_mps2", "accel_z_mps2", "gyro_x_radps", "gyro_y_radps", "gyro_z_radps"]
+    imu = pl.DataFrame({"t_s": [0.05, 0.1], "tag": ["1", "1"]} | {c: [0.5, 0.5] for c in columns})
+    places = {"A": np.zeros(3), "B": np.array([4.0, 0, 0]), "C": np.array([0, 4.0, 0])}
+    tags = {"1": Tag(offset=np.array([0.1, 0, 0])), "2": Tag(offset=np.array([0, 0.2, 0]))}
+    folder = Folder("body", Path("body"), Rig("body", places, tags=tags), {"ranges": ranges, "imu": imu})
+    first, second = (lane.recording for lane in inertial_lanes(folder, False))
+    np.testing.assert_array_equal(first.times, [0, 0.05, 0.1, 0.2])
+    np.testing.assert_allclose(first.inputs["levers"], [[0, 0, 0], [0, 0, 0], [-0.1, 0.2, 0], [0, 0, 0]])
+    np.testing.assert_allclose(second.inputs["arm"], np.tile([0, 0.2, 0], (4, 1)))
+    np.testing.assert_array_equal(second.inputs["imu"], [[0, 0], [1, 1], [1, 1], [1, 1]])
+    assert TRACKERS["uwb-imu"].lacks(folder) is None
+    for table, lacking in (("imu", {"ranges": ranges}), ("ranges", {"imu": imu})):
+        assert table in TRACKERS["uwb-imu"].lacks(dataclasses.replace(folder, tables=lacking))
