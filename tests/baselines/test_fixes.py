@@ -102,6 +102,25 @@ def test_the_derivative_with_respect_to_the_latency_is_the_finite_difference(cir
     np.testing.assert_allclose(slopes, (figures(at + by) - figures(at - by)) / (2 * by), rtol=1e-6)
 
 
+def test_a_second_sensor_that_is_on_time_shows_the_latency_without_truth(circling):
+    recording, place = circling
+    other = place(recording.times) + 0.05 * np.random.default_rng(2).normal(size=(len(recording), 3))
+    readings = {**recording.readings, "other": Readings(other, np.ones(other.shape, bool))}
+    batch = stack([Recording(recording.times, readings, recording.inputs)])
+    sensors = {FIXES: FixSensor(0.03, 0.03), "other": FixSensor(0.05, 0.05)}
+    tracker = prepared(eqx.tree_at(lambda t: t.sensors, fix_tracker(sigma_a=0.3), sensors), batch.dt.dtype)
+
+    @jax.jit
+    def figure(raw):
+        at = eqx.tree_at(lambda t: t.sensors[FIXES].latency.raw, tracker, raw)
+        return jnp.stack(at.accumulate(batch, NegativeLogLikelihood().terms))[0, 0]
+
+    latencies = np.arange(0.25, 0.6, 0.05)
+    figures = [float(figure(jnp.asarray(latency / 0.5))) for latency in latencies]
+    # Fixes of 3 cm at 0.75 m/s, hundreds of them: the latency is known to a few milliseconds, the grid has 50.
+    assert latencies[np.argmin(figures)] == pytest.approx(0.4, abs=0.026)
+
+
 def test_estimates_dated_back_by_the_latency_are_where_the_tag_was_then(circling):
     recording, place = circling
     tracker = _late(0.4)
