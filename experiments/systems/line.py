@@ -27,8 +27,8 @@ from trackers.uwb_imu.ranges import RANGES, RangeSensor
 SIGMA_FIX = 0.3
 """Metres per axis of a fix of unknown origin: the thesis's raw error is 0.39 m over both."""
 
-SIGMA_RANGE, STRETCH, TAIL = 0.05, 6.0, 3.0
-"""Ranges too short are off by centimetres, ranges too long by decimetres: behind walls they say where a tag is not."""
+SIGMA_RANGE, STRETCH, TAIL = 0.1, 3.0, 3.0
+"""Metres for ranges too short, three times that for ranges too long: what suits other rooms, without a path, too."""
 
 LEFT_SLACK, LEFT_LIMIT = 1.0, 2.0
 """Metres by which a free estimate may be off, and metre seconds beyond that after which the tag has left the line."""

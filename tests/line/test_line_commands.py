@@ -90,7 +90,7 @@ def test_ranges_to_tags_of_unknown_height_are_refused_in_words(folders):
 
 
 # The best of the recordings' own baselines, tuned on the truth, is 0.034, 0.342 and 1.488 m.
-LARGEST = {"ngbui-line-1-1": 0.040, "ngbui-line-2-1": 0.10, "ngbui-line-3-1": 0.5}
+LARGEST = {"ngbui-line-1-1": 0.045, "ngbui-line-2-1": 0.10, "ngbui-line-3-1": 0.5}
 
 
 @pytest.mark.parametrize("name", list(TRACKERS))

@@ -19,7 +19,7 @@ from trackers.core.algebra import Scalar
 NOTHING = -1e30
 """The log-weight of a particle of weight zero: finite, so that a belief with some of them is one."""
 
-AT_ONCE = 4
+AT_ONCE = 8
 """Trajectories whose particles are drawn again together."""
 
 

@@ -21,7 +21,7 @@ from trackers.line.grid import GridFilter
 from trackers.line.motion import HaltingMotion, LineMotion, OnFloor, OnLine, OnSegment, on_floor
 from trackers.line.polyline import Polyline
 
-SIGMA_A = 0.06
+SIGMA_A = 0.05
 """Change of speed, m/s per √s: a cart at walking pace that may take another speed on every segment."""
 
 SIGMA_LINE = 0.02
