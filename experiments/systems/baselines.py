@@ -60,8 +60,13 @@ def lacks_plane(folder: Folder) -> str | None:
 
 
 def lacks_fixes(folder: Folder) -> str | None:
-    """What a folder lacks for a tracker of fixes."""
-    return None if "fixes" in folder.tables else "a fixes table, found no such table"
+    """What a folder lacks for a tracker of fixes: the table, or any word on the height of a tag in it."""
+    if "fixes" not in folder.tables:
+        return "a fixes table, found no such table"
+    for tag, table in by_tag(folder.tables["fixes"]):
+        if table["x_m"].count() and not table["z_m"].count() and known_height(folder, tag) is None:
+            return f"z_m of tag {tag!r} in fixes, or its height_m in rig.toml, found neither"
+    return None
 
 
 TRACKERS = {

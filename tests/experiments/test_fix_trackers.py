@@ -9,7 +9,7 @@ import pytest
 from experiments.folder import Folder, write_folder
 from experiments.matching import read_tracks
 from experiments.simulated_agv import simulated_agv
-from experiments.systems.baselines import fix_lanes, lacks_plane, side_lanes
+from experiments.systems.baselines import fix_lanes, lacks_fixes, lacks_plane, side_lanes
 from experiments.systems.mhk import space_lanes
 from sim.agv import ANCHOR_HEIGHT, simulate_agv
 from sim.fixes import correlated_noise, late
@@ -78,6 +78,12 @@ def test_anchors_that_are_few_or_at_several_heights_have_no_plane(world):
     assert lacks_plane(world) is None
     assert "found 2 anchors" in lacks_plane(_with(world, Rig("few", anchors=few)))
     assert "2.20 m of height" in lacks_plane(_with(world, Rig("uneven", anchors=uneven)))
+
+
+def test_fixes_without_any_height_are_refused_and_with_a_known_one_are_not(world):
+    flat = world.tables["fixes"].with_columns(z_m=pl.lit(None, pl.Float64))
+    assert "height_m" in lacks_fixes(_with(world, fixes=flat))
+    assert lacks_fixes(_with(_known_height(world), fixes=flat)) is None
 
 
 def test_a_folder_without_fixes_is_refused_in_one_line(world, tmp_path):
