@@ -38,7 +38,10 @@ def fix_lanes(folder: Folder, free_height: bool) -> Iterator[Lane]:
 
 
 def side_lanes(folder: Folder, free_height: bool) -> Iterator[Lane]:
-    """Each tag's fixes with the distance from the anchors' plane for z, and the floor's 0; input `plane`, m."""
+    """Each tag's fixes with the distance from the anchors' plane for z, and the floor's 0.
+
+    Inputs `plane`, its height, and `shown`, the z of the row's fix, m.
+    """
     plane = float(np.mean([p[2] for p in folder.rig.anchors.values()]))
     for lane in fix_lanes(folder, free_height=True):
         recording = lane.recording
@@ -46,7 +49,8 @@ def side_lanes(folder: Folder, free_height: bool) -> Iterator[Lane]:
         assert fixes.reported is not None
         values = np.column_stack([fixes.values[:, :2], np.abs(fixes.values[:, 2] - plane), np.zeros(len(recording))])
         readings = {FIXES: Readings(values, fixes.seen[:, [0, 1, 2, 2]], fixes.reported)}
-        inputs = {**recording.inputs, "plane": np.full(len(recording), plane)}
+        shown = np.where(fixes.seen[:, 2], fixes.values[:, 2], plane)
+        inputs = {**recording.inputs, "plane": np.full(len(recording), plane), "shown": shown}
         yield replace(lane, recording=replace(recording, readings=readings, inputs=inputs))
 
 

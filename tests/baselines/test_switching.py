@@ -115,7 +115,8 @@ def climbing():
     xy = 0.05 * rng.normal(size=(len(times), 2))
     values = np.column_stack([xy, d, np.zeros(len(times))])
     readings = {FIXES: Readings(values, np.ones(values.shape, bool))}
-    world = Recording(times, readings, {"plane": np.full(len(times), PLANE), "height": np.zeros(len(times))})
+    inputs = {"plane": np.full(len(times), PLANE), "shown": PLANE - d, "height": np.zeros(len(times))}
+    world = Recording(times, readings, inputs)
     return times, z, mirror_tracker(offset=OFFSET, shrink=SHRINK).run(world)
 
 
@@ -132,3 +133,9 @@ def test_where_nothing_tells_the_sides_apart_both_lie_inside_the_reported_spread
     height = estimates.mean.position[2][middle]
     for side in (z[middle], 2 * PLANE - z[middle]):
         assert np.all(np.abs(height - side) < 2 * spread + 0.2)
+
+
+def test_a_track_begins_on_the_side_that_its_first_fix_showed(climbing):
+    _, z, estimates = climbing
+    # Metres under the plane, where the mirror image is as good: the first fix alone speaks against it.
+    assert np.abs(estimates.mean.position[2] - z)[5:30].max() < 0.6

@@ -70,6 +70,7 @@ def test_trackers_of_mirrored_heights_read_the_distance_from_the_anchors_plane(w
     np.testing.assert_allclose(values[:, 2], np.abs(z - ANCHOR_HEIGHT))
     np.testing.assert_array_equal(values[:, 3], 0.0)
     np.testing.assert_allclose(lane.recording.inputs["plane"], ANCHOR_HEIGHT)
+    np.testing.assert_array_equal(lane.recording.inputs["shown"], z)
 
 
 def test_anchors_that_are_few_or_at_several_heights_have_no_plane(world):

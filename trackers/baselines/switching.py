@@ -8,7 +8,7 @@ errors push it away from the plane and shrink it.
 
 Two Kalman filters, s = ±1, run side by side; they meet near the plane, where d says little, and part again without
 anybody knowing which is right. Then the mixture's mean lies between them and its covariance says so. What tells them
-apart is that nothing is under the floor.
+apart is where the track began, and that nothing is under the floor.
 """
 
 from __future__ import annotations
@@ -98,12 +98,15 @@ class SideModels(InteractingModels):
         return rates
 
 
-class PlaneStart(FixStart):
-    """The first fix with x and y, at the height of the anchors' plane: which side it is on is not known."""
+class ShownStart(FixStart):
+    """The first fix with x and y, at the height that it showed: a hint at the side, as weak as `sigma_position`.
+
+    Input: `shown`, m, the z of the row's fix, or the plane's height where it had none.
+    """
 
     def acquire(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
-        values, plane = row.readings[FIXES].values, row.inputs["plane"]
-        return jnp.stack([values[0], values[1], plane, jnp.ones_like(plane)])
+        values, shown = row.readings[FIXES].values, row.inputs["shown"]
+        return jnp.stack([values[0], values[1], shown, jnp.ones_like(shown)])
 
 
 def switching_tracker(
@@ -139,7 +142,7 @@ def mirror_tracker(
     `rate`, 1/s: how soon it is forgotten on which side the tag was.
     """
     sensor = SideSensor(sigma_horizontal, sigma_vertical, offset, shrink, tail)
-    start = PlaneStart(Scale(2.0, "m"), Scale(1.0, "m/s"), False, 2)
+    start = ShownStart(Scale(1.0, "m"), Scale(1.0, "m/s"), False, 2)
     return FixTracker(
         GroundMotion(sigma_a, sigma_z), {FIXES: sensor}, start, SideModels(rate, [1.0, 1.0], 0.1), PATIENT
     )
