@@ -1,0 +1,282 @@
+"""The speed of UWB + IMU filters, beside a textbook version and dynamax: `python -m experiments.bench_imu`.
+
+The paper's eight states over the floor, an IMU sample and a range to one anchor in every row; and what a user waits for
+while the fifteen-state filter compiles. Each setting is measured in a process of its own, as XLA comes and with the
+flags that the command line sets. dynamax (extra: peers) and the textbook version filter a slice of the same rows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.runtime import set_flags
+from experiments.writing import atomic_write, json_text
+
+TRAJECTORIES, ROWS, SLICE = 1024, 2000, (64, 200)
+COMPILED = (256, 100)
+"""Trajectories and rows of the fifteen-state filter, of which only the compiling counts."""
+
+STEP_S, SIGMA_R = 0.01, 0.1
+ANCHORS = np.array([[0.0, 0.0, 2.0], [10.0, 0.0, 2.0], [10.0, 10.0, 2.0], [0.0, 10.0, 2.0]])
+TUNED = ("motion.noise.sigma_accel", "sensors.*.sigma_r")
+ROUNDS = 3
+LIMIT_S = 400.0
+PARTS = ("default", "command-line", "dynamax")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure every part, print the figures and write them as JSON; a part that fails is named and left out."""
+    parser = argparse.ArgumentParser(
+        prog="python -m experiments.bench_imu", description=(__doc__ or "").split("\n\n")[0]
+    )
+    parser.add_argument("--out", type=Path, default=Path("out/bench-imu.json"), help="where the figures go")
+    parser.add_argument("--part", choices=PARTS, help=argparse.SUPPRESS)
+    options = parser.parse_args(arguments)
+    if options.part:
+        if options.part != "default":
+            set_flags()
+        print(json_text(_dynamax() if options.part == "dynamax" else _ours()))
+        return 0
+    figures = {part: _in_process(part) for part in PARTS}
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    atomic_write(options.out, lambda path: path.write_text(json_text(figures), "utf-8"))
+    for part, found in figures.items():
+        print(f"\n{part}, load {os.getloadavg()[0]:.1f}")
+        for name, value in found.items():
+            print(f"  {name:<44}{value:>10.3f}" if isinstance(value, float) else f"  {name:<44}{value}")
+    ours, peer = figures["command-line"].get("ours, M rows/s"), figures["dynamax"].get("dynamax, M rows/s")
+    if ours and peer:
+        print(f"\nours with the command line's flags is {ours / peer:.0f} × faster than dynamax")
+    print(f"Written: {options.out}")
+    return 0
+
+
+def _in_process(part: str) -> dict[str, Any]:
+    print(f"measuring: {part} …", file=sys.stderr, flush=True)
+    environment = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
+    command = [sys.executable, "-m", "experiments.bench_imu", "--part", part]
+    try:
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=LIMIT_S, check=False)
+    except subprocess.TimeoutExpired:
+        return {"failed": f"took over {LIMIT_S:.0f} s"}
+    if done.returncode:
+        return {"failed": (done.stderr.strip().splitlines() or ["no message"])[-1]}
+    return json.loads(done.stdout)
+
+
+def _world(trajectories: int, rows: int) -> dict[str, np.ndarray]:
+    """Bodies on circles of 3 m at 1 rad/s: float32 arrays (T, components, B)."""
+    rng = np.random.default_rng(0)
+    angle = (np.arange(rows) * STEP_S)[:, None] + rng.uniform(0, 2 * np.pi, trajectories)
+    place = 5.0 + 3.0 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    accel = rng.normal(size=(rows, 3, trajectories)) * 0.5 + np.array([-3.0, 0.0, 9.81])[:, None]
+    gyro = rng.normal(size=(rows, 3, trajectories)) * 0.05 + np.array([0.0, 0.0, 1.0])[:, None]
+    anchors = np.broadcast_to(ANCHORS[np.arange(rows) % 4][:, :, None], (rows, 3, trajectories))
+    ranges = np.sqrt(((place - anchors[:, :2]) ** 2).sum(axis=1, keepdims=True) + 1.0)
+    velocity = 3.0 * np.stack([-np.sin(angle[0]), np.cos(angle[0])])
+    start = np.concatenate([place[0], velocity, np.zeros((2, trajectories)), angle[:1], np.zeros((1, trajectories))])
+    made = {"accel": accel, "gyro": gyro, "anchors": anchors, "place": place, "start": start}
+    made["ranges"] = ranges + SIGMA_R * rng.normal(size=ranges.shape)
+    return {name: np.ascontiguousarray(x, np.float32) for name, x in made.items()}
+
+
+SPREAD = np.array([0.5, 0.5, 0.3, 0.3, 0.2, 0.2, 0.2, 0.02])
+NOISE = (0.05, 0.005, 0.005, 0.0005)
+
+
+def _ours() -> dict[str, Any]:
+    """Our eight states forward and with a gradient, the textbook's, and the compile times of fifteen."""
+    import jax
+    import jax.numpy as jnp
+
+    from trackers.core.algebra import Vector, diagonal
+    from trackers.core.chunks import CHUNK, chunks, over_lanes, prepared
+    from trackers.core.ekf import Gaussian
+    from trackers.core.recording import Batch
+    from trackers.core.sensor import Reading
+    from trackers.core.state import Heading, Rotation
+    from trackers.core.tracker import AbstractStart, LossPolicy, Tracker, scanned
+    from trackers.uwb_imu.ranges import RangeSensor
+    from trackers.uwb_imu.strapdown import ImuNoise, Inertial, PlanarInertial, PlanarStrapdown, Strapdown
+    from tuning.fit import Problem
+    from tuning.objectives import NegativeLogLikelihood
+    from tuning.parameters import chosen, flatten
+
+    class Given(AbstractStart):
+        """Begins at the first row from the place, velocity and yaw in its inputs."""
+
+        planar: bool
+
+        def ready(self, row: Any) -> Any:
+            return row.valid
+
+        def acquire(self, sensors: Any, row: Any) -> Any:
+            return row.inputs["start"]
+
+        def begin(self, found: Any, row: Any) -> Gaussian:
+            x, zero = [found[k] for k in range(8)], found[0] * 0.0
+            if self.planar:
+                state: Any = PlanarInertial(Vector(*x[:2]), Vector(*x[2:4]), Vector(*x[4:6]), Heading(x[6]), x[7])
+                return Gaussian(state, diagonal(list(SPREAD**2), zero))
+            half, still = x[6] * 0.5, Vector(zero, zero, zero)
+            attitude = Rotation(jnp.cos(half), zero, zero, jnp.sin(half))
+            state = Inertial(Vector(*x[:2], zero + 1.0), Vector(*x[2:4], zero), attitude, still, still)
+            return Gaussian(state, diagonal(list(np.repeat([0.5, 0.3, 0.1, 0.2, 0.02], 3) ** 2), zero))
+
+    def batch_of(world: dict[str, np.ndarray]) -> Batch:
+        rows, _, lanes = world["ranges"].shape
+        dt = np.full((rows, lanes), STEP_S, np.float32)
+        dt[0] = 0.0
+        flat = np.zeros((rows, 1, lanes), np.float32)
+        inputs = {name: world[name] for name in ("accel", "gyro", "anchors")}
+        inputs |= {"imu": np.ones((rows, 2, lanes), np.float32), "anchor": flat, "height": flat[:, 0] + 1.0}
+        inputs["start"] = np.broadcast_to(world["start"], (rows, 8, lanes))
+        reading = Reading(world["ranges"], np.ones(flat.shape, bool), np.zeros((rows, 0, lanes), np.float32))
+        return Batch(dt, np.ones(dt.shape, bool), {"ranges": reading}, inputs, {}, np.zeros((2, lanes), np.uint32))
+
+    def tracker(planar: bool) -> Tracker:
+        motion = (PlanarStrapdown if planar else Strapdown)(ImuNoise(*NOISE))
+        never = LossPolicy(limit=np.inf, patience=np.inf)
+        return Tracker(motion, {"ranges": RangeSensor(1, 0, SIGMA_R, 1.0, 1e6, 0.0)}, Given(planar), loss=never)
+
+    def measured(name: str, planar: bool, size: tuple[int, int]) -> dict[str, float]:
+        world = _world(*size)
+        batch, one = batch_of(world), tracker(planar)
+        model = prepared(one, batch.dt.dtype)
+        result, forward = _timed(lambda: [over_lanes(scanned, model, part) for part in chunks(batch, CHUNK)])
+        parameters = chosen(one, TUNED)
+        problem, vector = Problem(one, [batch], NegativeLogLikelihood(), parameters, CHUNK), flatten(parameters)
+        _, gradient = _timed(lambda: problem.value_and_gradient(vector)[:2])
+        last = np.concatenate(
+            [np.stack([np.asarray(x)[-1] for x in part.mean.position[:2]]) for part in result], axis=1
+        )
+        rows = size[0] * size[1]
+        return {
+            f"{name}, compile s": forward[0],
+            f"{name}, run s": forward[1],
+            f"{name}, M rows/s": rows / forward[1] / 1e6,
+            f"{name}, gradient of two: compile s": gradient[0],
+            f"{name}, gradient of two: run s": gradient[1],
+            f"{name}, last error m": float(np.sqrt(((last - world["place"][-1]) ** 2).sum(axis=0).mean())),
+        }
+
+    found = measured("ours", True, (TRAJECTORIES, ROWS)) | measured("fifteen states", False, COMPILED)
+    world = _world(*SLICE)
+    rows = [jnp.moveaxis(jnp.asarray(world[name]), -1, 0) for name in ("accel", "gyro", "anchors", "ranges")]
+    begins = jnp.asarray(world["start"].T)
+    run = jax.jit(jax.vmap(_textbook))
+    last, seconds = _timed(lambda: run(begins, *rows))
+    error = float(np.sqrt(((np.asarray(last)[:, -1, :2] - world["place"][-1].T) ** 2).sum(axis=1).mean()))
+    return found | {
+        "textbook, compile s": seconds[0],
+        "textbook, M rows/s": SLICE[0] * SLICE[1] / seconds[1] / 1e6,
+        "textbook, last error m": error,
+        "ours is faster than the textbook by": found["ours, M rows/s"] * seconds[1] / (SLICE[0] * SLICE[1] / 1e6),
+    }
+
+
+def _move(x: Any, u: Any) -> Any:
+    """The paper's mechanisation over one step, flat: position, velocity, accelerometer bias, yaw, gyro bias."""
+    import jax.numpy as jnp
+
+    rate = u[5] - x[7]
+    c, s = jnp.cos(x[6] + 0.5 * rate * STEP_S), jnp.sin(x[6] + 0.5 * rate * STEP_S)
+    felt = jnp.stack([c * (u[0] - x[4]) - s * (u[1] - x[5]), s * (u[0] - x[4]) + c * (u[1] - x[5])])
+    place, speed = x[:2] + x[2:4] * STEP_S + 0.5 * felt * STEP_S**2, x[2:4] + felt * STEP_S
+    return jnp.concatenate([place, speed, x[4:6], jnp.stack([x[6] + rate * STEP_S, x[7]])])
+
+
+def _range(x: Any, u: Any) -> Any:
+    """The distance (1,) to the row's anchor, at a height of 1 m."""
+    import jax.numpy as jnp
+
+    return jnp.sqrt(jnp.sum((x[:2] - u[6:8]) ** 2) + (1.0 - u[8]) ** 2)[None]
+
+
+def _process_noise() -> np.ndarray:
+    accel, gyro, accel_walk, gyro_walk = NOISE
+    Q = np.diag([accel**2 * STEP_S**3 / 3] * 2 + [accel**2 * STEP_S] * 2 + [accel_walk**2 * STEP_S] * 2
+                + [gyro**2 * STEP_S, gyro_walk**2 * STEP_S])  # fmt: skip
+    for k in range(2):
+        Q[k, k + 2] = Q[k + 2, k] = accel**2 * STEP_S**2 / 2
+    return Q.astype(np.float32)
+
+
+def _textbook(start: Any, accel: Any, gyro: Any, anchors: Any, ranges: Any) -> Any:
+    """Matrices, `jacfwd`, and Joseph's form, of one trajectory: the means (T, 8) of all rows."""
+    import jax
+    import jax.numpy as jnp
+
+    Q, eye = jnp.asarray(_process_noise()), jnp.eye(8, dtype=jnp.float32)
+
+    def step(carry: Any, row: Any) -> Any:
+        (x, P), (u, z, first) = carry, row
+        F = jax.jacfwd(_move)(x, u)
+        x, P = jnp.where(first, x, _move(x, u)), jnp.where(first, P, F @ P @ F.T + Q)
+        H = jax.jacfwd(_range)(x, u)
+        K = P @ H.T / (H @ P @ H.T + SIGMA_R**2)
+        x, rest = x + K @ (z - _range(x, u)), eye - K @ H
+        P = rest @ P @ rest.T + SIGMA_R**2 * K @ K.T
+        return (x, P), (x, P)
+
+    rows = jnp.concatenate([accel, gyro, anchors], axis=1), ranges, jnp.arange(len(ranges)) == 0
+    return jax.lax.scan(step, (start, jnp.diag(jnp.asarray(SPREAD**2, jnp.float32))), rows)[1][0]
+
+
+def _dynamax() -> dict[str, Any]:
+    """dynamax's `extended_kalman_filter` under `vmap`, on the slice; it updates before it predicts."""
+    import jax
+    import jax.numpy as jnp
+    from dynamax.nonlinear_gaussian_ssm import ParamsNLGSSM, extended_kalman_filter
+
+    def one(start: Any, accel: Any, gyro: Any, anchors: Any, ranges: Any) -> Any:
+        # The IMU sample that leads to a row moves the state of the row before.
+        moves = jnp.concatenate([jnp.roll(jnp.concatenate([accel, gyro], axis=1), -1, axis=0), anchors], axis=1)
+        parameters = ParamsNLGSSM(
+            initial_mean=start,
+            initial_covariance=jnp.diag(jnp.asarray(SPREAD**2, jnp.float32)),
+            dynamics_function=_move,
+            dynamics_covariance=jnp.asarray(_process_noise()),
+            emission_function=_range,
+            emission_covariance=jnp.eye(1, dtype=jnp.float32) * SIGMA_R**2,
+        )
+        posterior = extended_kalman_filter(parameters, ranges, inputs=moves)
+        return posterior.filtered_means, posterior.filtered_covariances
+
+    world = _world(*SLICE)
+    rows = [jnp.moveaxis(jnp.asarray(world[name]), -1, 0) for name in ("accel", "gyro", "anchors", "ranges")]
+    run, begins = jax.jit(jax.vmap(one)), jnp.asarray(world["start"].T)
+    last, seconds = _timed(lambda: run(begins, *rows))
+    error = np.sqrt(((np.asarray(last[0])[:, -1, :2] - world["place"][-1].T) ** 2).sum(axis=1).mean())
+    speed = SLICE[0] * SLICE[1] / seconds[1] / 1e6
+    return {"dynamax, compile s": seconds[0], "dynamax, M rows/s": speed, "dynamax, last error m": float(error)}
+
+
+def _timed(run: Callable[[], Any]) -> tuple[Any, tuple[float, float]]:
+    """What `run` gives, the seconds that its first call took longer, and the median seconds of the others."""
+    import jax
+
+    seconds: list[float] = []
+    result = None
+    for _ in range(ROUNDS + 1):
+        # Gigabytes of estimates, of which two sets would not leave room for a third.
+        result = None
+        began = time.perf_counter()
+        result = jax.block_until_ready(run())
+        seconds.append(time.perf_counter() - began)
+    usual = float(np.median(seconds[1:]))
+    return result, (seconds[0] - usual, usual)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
