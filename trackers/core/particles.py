@@ -88,25 +88,53 @@ class ParticleFilter(eqx.Module):
         add to 1 before. The NIS is that of the whitened residual's mean in the spread that particles and noise give it.
         """
 
-        def weigh(state: State) -> tuple[list[Scalar], Scalar, Scalar, Scalar, Scalar]:
-            result = sensor.residual(reading, list(sensor.measure(motion.view(state), inputs)))
-            wrapped = jnp.where(result.wrapped, 1.0, 0.0).astype(belief.log_weights.dtype)
-            return list(result.whitened), log_density(result), result.count, wrapped, weights_of_tail(result)
-
-        whitened, densities, count, wrapped, tail = jax.vmap(weigh, in_axes=-1, out_axes=-1)(belief.states)
+        seen = weighed(belief.states, motion, sensor, reading, inputs)
+        whitened, densities = seen.whitened, seen.log_density
         weighted = jnp.maximum(belief.log_weights + densities, NOTHING)
         after = log_sum(weighted)
         # With no weight left there is no belief: not finite, so that the tracker starts again.
         after = jnp.where(after > 0.5 * NOTHING, after, jnp.nan)
         kept = jnp.where(weighted > 0.5 * NOTHING, weighted - after, NOTHING + 0 * after)
         weights = jnp.exp(belief.log_weights)
-        nis = normalised_square(whitened, weights, tail[0])
-        innovation = Innovation(after, nis, jnp.max(count), jnp.sum(weights * wrapped))
+        nis = normalised_square(whitened, weights, seen.tail)
+        wrapped = 0.0 * after if seen.wrapped is None else jnp.sum(weights * seen.wrapped)
+        innovation = Innovation(after, nis, seen.count, wrapped)
         return belief._replace(log_weights=kept), innovation
 
     def moments(self, belief: Particles) -> tuple[State, tuple[Scalar, ...]]:
         """The weighted mean (1.28) and the covariance's upper triangle, of the shown quantity where there is one."""
         return weighted_moments(belief.states, jnp.exp(belief.log_weights), self.report)
+
+
+class Weighed(NamedTuple):
+    """What a reading says of N states: whitened residuals and log densities (N,), wraps (N,) where the sensor has any.
+
+    `count`: of independent numbers read. `tail`: degrees of freedom, None for normal noise.
+    """
+
+    whitened: list[Any]
+    log_density: Any
+    wrapped: Any
+    count: Scalar
+    tail: Scalar | None
+
+
+def weighed(states: State, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Any) -> Weighed:
+    """What the reading says of states whose leaves end with an axis of N."""
+
+    def residual(state: State) -> Residual:
+        return sensor.residual(reading, list(sensor.measure(motion.view(state), inputs)))
+
+    def every(state: State) -> tuple[list[Scalar], Scalar, Scalar | None]:
+        result = residual(state)
+        # Most sensors read no angles: their wraps are a Python False, over which there is nothing to sum.
+        wrapped = (
+            None if result.wrapped is False else jnp.where(result.wrapped, 1.0, 0.0).astype(result.log_scale.dtype)
+        )
+        return list(result.whitened), log_density(result), wrapped
+
+    first = residual(jax.tree_util.tree_map(lambda x: x[..., 0], states))
+    return Weighed(*jax.vmap(every, in_axes=-1, out_axes=-1)(states), first.count, first.tail)
 
 
 def weighted_moments(
@@ -138,13 +166,7 @@ def log_density(result: Residual) -> Scalar:
     return result.log_scale - 0.5 * (tail + 1.0) * total(jnp.log1p(r * r / tail) for r in result.whitened)
 
 
-def weights_of_tail(result: Residual) -> Scalar:
-    """The degrees of freedom of the residual's tail, as a number per state; infinite for normal noise."""
-    zero = 0 * result.log_scale
-    return zero + (jnp.inf if result.tail is None else result.tail)
-
-
-def normalised_square(whitened: list[Any], weights: Any, tail: Scalar) -> Scalar:
+def normalised_square(whitened: list[Any], weights: Any, tail: Scalar | None) -> Scalar:
     """r̄ᵀ(I + C)⁻¹r̄, with r̄ and C the particles' mean and covariance of the whitened residual.
 
     Of a heavy tail each decorrelated part is weighted by what Student's t expects of so large a one.
@@ -158,6 +180,4 @@ def normalised_square(whitened: list[Any], weights: Any, tail: Scalar) -> Scalar
     for i in range(m):
         parts.append((mean[i] - total(L[i, j] * parts[j] for j in range(i))) * inverse_or_zero(L[i, i]))
     squares = [p * p for p in parts]
-    heavy = jnp.isfinite(tail)
-    safe = jnp.where(heavy, tail, 1.0)
-    return total(jnp.where(heavy, s * (safe + 1.0) / (safe + s), s) for s in squares)
+    return total(squares if tail is None else [s * (tail + 1.0) / (tail + s) for s in squares])

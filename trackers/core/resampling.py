@@ -78,9 +78,8 @@ def log_sum(log_weights: Any) -> Scalar:
 
 
 def effective_sample_size(log_weights: Any) -> Scalar:
-    """M/(1 + CV²) = (Σw)²/Σw² (1.29), (1.30), with CV² = var(w)/E(w)²; the weights need not add to 1."""
-    weights = jnp.exp(log_weights - jnp.max(log_weights))
-    return jnp.sum(weights) ** 2 / jnp.sum(weights * weights)
+    """M/(1 + CV²) = 1/Σw² (1.29), (1.30), with CV² = var(w)/E(w)²; the weights add to 1."""
+    return 1.0 / jnp.sum(jnp.exp(2.0 * log_weights))
 
 
 def even_weights(log_weights: Any) -> Any:

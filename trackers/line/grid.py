@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr
@@ -17,7 +16,7 @@ from jax.scipy.special import ndtr
 from trackers.core.algebra import Scalar, shared
 from trackers.core.ekf import Gaussian, Innovation
 from trackers.core.motion import AbstractMotion
-from trackers.core.particles import log_density, normalised_square, weighted_moments, weights_of_tail
+from trackers.core.particles import normalised_square, weighed, weighted_moments
 from trackers.core.sensor import AbstractSensor, Reading
 from trackers.core.state import State
 from trackers.line.motion import HaltingMotion, LineMotion, OnFloor, OnLine
@@ -82,25 +81,16 @@ class GridFilter(eqx.Module):
     ) -> tuple[Discrete, Innovation]:
         """The belief after one reading, and what the reading said."""
         along, _ = self._axes(belief.resting.dtype)
-
-        def weigh(arclength: Scalar) -> tuple[list[Scalar], Scalar, Scalar, Scalar, Scalar]:
-            state = OnLine(arclength, 0.0 * arclength)
-            result = sensor.residual(reading, list(sensor.measure(motion.view(state), inputs)))
-            wrapped = jnp.where(result.wrapped, 1.0, 0.0).astype(along.dtype)
-            return list(result.whitened), log_density(result), result.count, wrapped, weights_of_tail(result)
-
-        whitened, densities, count, wrapped, tail = jax.vmap(weigh)(along)
+        seen = weighed(OnLine(along, jnp.zeros_like(along)), motion, sensor, reading, inputs)
+        densities = seen.log_density
         places = jnp.sum(belief.travelling, axis=1) + belief.resting
         top = jnp.max(densities)
         factor = jnp.exp(densities - top)
         likelihood = jnp.sum(places * factor)
         factor = factor / likelihood
-        innovation = Innovation(
-            jnp.log(likelihood) + top,
-            normalised_square(whitened, places, tail[0]),
-            jnp.max(count),
-            jnp.sum(places * wrapped),
-        )
+        nis = normalised_square(seen.whitened, places, seen.tail)
+        wrapped = jnp.zeros_like(nis) if seen.wrapped is None else jnp.sum(places * seen.wrapped)
+        innovation = Innovation(jnp.log(likelihood) + top, nis, seen.count, wrapped)
         return shared(Discrete(belief.travelling * factor[:, None], belief.resting * factor)), innovation
 
     def moments(self, belief: Discrete) -> tuple[State, tuple[Scalar, ...]]:
