@@ -6,6 +6,10 @@ import equinox as eqx
 import numpy as np
 import pytest
 
+from experiments.simulated_agv import simulated_agv
+from experiments.systems.baselines import side_lanes
+from sim.agv import simulate_agv
+from sim.fixes import correlated_noise, mirrored
 from tests.known_start import NEVER_LOST, KnownStart, recording
 from tests.oracles import normal_log_density, van_loan
 from trackers.baselines.switching import SideSensor, mirror_tracker
@@ -14,8 +18,9 @@ from trackers.core.contract import check_sensor
 from trackers.core.fixes import FIXES, FixTracker
 from trackers.core.modes import InteractingModels
 from trackers.core.motion import GroundMotion, Kinematic
-from trackers.core.recording import Readings, Recording
+from trackers.core.recording import Readings, Recording, stack
 from trackers.core.tunable import Real
+from trackers.mhk.tracker import STILL
 
 PLANE, OFFSET, SHRINK, SIGMA, SIGMA_A, SIGMA_Z = 1.5, 0.3, 0.8, 0.15, 0.5, 0.4
 MEAN, COV = np.array([0.1, 0.2, 1.2, 0.0, 0.0]), np.diag([1.0, 1.0, 0.6, 0.3, 0.3])
@@ -139,3 +144,16 @@ def test_a_track_begins_on_the_side_that_its_first_fix_showed(climbing):
     _, z, estimates = climbing
     # Metres under the plane, where the mirror image is as good: the first fix alone speaks against it.
     assert np.abs(estimates.mean.position[2] - z)[5:30].max() < 0.6
+
+
+def test_heights_that_flip_for_seconds_do_not_take_a_track_with_them():
+    errors = {"mirror": mirrored(2.5, 0.3, 3.0), "noise": correlated_noise(STILL)}
+    world = simulate_agv([0, 1, 2], rows=400, height=1.2, errors=errors)
+    assert not (world.fixes[:, 0, 2] > 2.5).any()  # every track begins on its own side
+    lanes = list(side_lanes(simulated_agv(world, "flips"), True))
+    tracker = mirror_tracker(offset=0.0, shrink=1.0, sigma_vertical=0.1, sigma_z=0.3)
+    estimates = tracker.run(stack([lane.recording for lane in lanes]))
+    z = np.stack([estimates[k].mean.position[2] for k in range(3)])[:, 20:]
+    # A third of the fixes is 2.6 m off; the other branch keeps a few percent of the belief.
+    assert np.abs(world.fixes[:, 20:, 2] - 1.2).max() > 2.5
+    assert np.abs(z - 1.2).max() < 0.5
