@@ -154,7 +154,7 @@ def test_a_body_depends_on_seed_and_id_alone():
     assert np.allclose(np.linalg.norm(swinging(trajectory_keys(0, [1]), one.times), axis=-1), 1)
 
 
-def test_tags_on_one_body_share_their_ranges_and_their_imu():
+def test_tags_on_one_body_share_their_ranges_and_their_imu_and_others_do_not():
     t = [0.0, 0.1, 0.2]
     ranges = pl.DataFrame({"t_s": t, "tag": ["1", "2", "1"], "anchor": ["A", "B", "C"], "range_m": [1.0, 2.0, 3.0]})
     columns = ["accel_x_mps2", "accel_y_mps2", "accel_z_mps2", "gyro_x_radps", "gyro_y_radps", "gyro_z_radps"]
@@ -167,6 +167,11 @@ def test_tags_on_one_body_share_their_ranges_and_their_imu():
     np.testing.assert_allclose(first.inputs["levers"], [[0, 0, 0], [0, 0, 0], [-0.1, 0.2, 0], [0, 0, 0]])
     np.testing.assert_allclose(second.inputs["arm"], np.tile([0, 0.2, 0], (4, 1)))
     np.testing.assert_array_equal(second.inputs["imu"], [[0, 0], [1, 1], [1, 1], [1, 1]])
+    apart = dataclasses.replace(folder, rig=Rig("apart", places))
+    first, second = (lane.recording for lane in inertial_lanes(apart, False))
+    np.testing.assert_array_equal(first.inputs["imu"], [[0, 0], [1, 1], [1, 1], [1, 1]])
+    # A tag without an IMU of its own is tracked by its ranges.
+    np.testing.assert_array_equal(second.inputs["imu"], [[0, 0]])
     assert TRACKERS["uwb-imu"].lacks(folder) is None
     for table, lacking in (("imu", {"ranges": ranges}), ("ranges", {"imu": imu})):
         assert table in TRACKERS["uwb-imu"].lacks(dataclasses.replace(folder, tables=lacking))

@@ -127,7 +127,7 @@ def inertial_tracker(
     sigma_r: float = 0.1,
     stretch: float = 3.0,
     tail: float = 3.0,
-    bias: float = 0.05,
+    bias: float = 0.03,
     yaws: int = 3,
 ) -> Tracker:
     """Position, velocity, attitude and the IMU's biases from ranges and an IMU, either of which may be missing.

@@ -1,0 +1,45 @@
+"""The IMU pays on real recordings: the same tracker, with its samples and without them."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from experiments.folder import read_folder
+from experiments.systems.uwb_imu import inertial_lanes
+from trackers.core.recording import stack
+from trackers.uwb_imu.inertial import inertial_tracker
+
+
+def _rmse(tracker, recordings):
+    """Over the last row of every tenth of a second with a truth, all tags together."""
+    estimates, found = tracker.run(stack(recordings)), []
+    for k, one in enumerate(recordings):
+        place = [np.asarray(x)[k, : len(one)] for x in estimates.mean.position]
+        place = np.stack(place if len(place) == 3 else [*place, one.inputs["height"]], axis=1)
+        truth, known = one.truth["position"]
+        last = np.append(np.diff(np.floor(one.times * 10)) > 0, True)
+        found.append((place - truth)[known & last & estimates.usable[k, : len(one)]])
+    return np.sqrt((np.concatenate(found) ** 2).sum(axis=1).mean())
+
+
+def _with_and_without(folder, planar):
+    one = read_folder(folder)
+    recordings = [lane.recording for lane in inertial_lanes(one, False)]
+    blind = [dataclasses.replace(r, inputs=r.inputs | {"imu": 0 * r.inputs["imu"]}) for r in recordings]
+    tracker = inertial_tracker(len(one.rig.anchors), planar)
+    return _rmse(tracker, recordings), _rmse(tracker, blind)
+
+
+def test_a_sensor_without_gravity_and_gyro_takes_a_tenth_or_more_off_the_error_of_a_tag_on_the_floor(recordings):
+    for name, limit in (("ngbui-line-1-1", 0.07), ("ngbui-line-2-1", 0.28)):
+        with_imu, without = _with_and_without(recordings / name, planar=True)
+        assert with_imu < 0.9 * without
+        assert with_imu < limit
+
+
+@pytest.mark.slow
+def test_in_space_the_error_with_the_imu_is_at_most_nine_tenths_of_that_without(recordings):
+    with_imu, without = _with_and_without(recordings / "starloc-fast-s1", planar=False)
+    assert with_imu < 0.9 * without
+    assert with_imu < 0.2
