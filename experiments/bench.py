@@ -70,7 +70,11 @@ def measured(peers: bool) -> dict[str, Any]:
     for name, setting in settings.items():
         for peer in PEERS if peers else ():
             # A process of its own: a library that hangs must not take the others along.
-            found = in_process(name, peer)
+            try:
+                found = in_process(name, peer)
+            except UnusableInput as problem:
+                print(f"bench: left out: {problem}", file=sys.stderr)
+                continue
             setting["versions"][peer] = found["versions"][peer] | {"beside": found["versions"]["ours"]}
             setting["packages"] |= found["packages"]
     return {

@@ -32,7 +32,7 @@ TRAJECTORIES, ROWS = 4096, 200
 SLICE = (256, 50)
 """Trajectories and rows for the versions that are a hundred times slower."""
 
-PEER_SLICES = {"dynamax": (64, 50), "cuthbert": (256, 50), "filterpy": (8, 50)}
+PEER_SLICES = {"dynamax": (16, 50), "cuthbert": (256, 50), "filterpy": (8, 50)}
 """Larger batches of dynamax's 28-dimensional solves deadlock on two cores (jaxlib 0.10); smaller ones run as fast."""
 
 ROUNDS = 9

@@ -21,6 +21,7 @@ def main() -> None:
         "simulate": simulate.simulate,
         "simulate-line": simulate_worlds.simulate_line,
         "simulate-ranges": simulate_worlds.simulate_ranges,
+        "simulate-imu": simulate_worlds.simulate_imu,
         "simulate-agv": simulate_worlds.simulate_agv,
         "check": check.check,
         "track": track.track,

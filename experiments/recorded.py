@@ -73,7 +73,7 @@ def judged(folder: Path, run: Run, best: dict[tuple[str, bool], float]) -> list[
         out = OUT / f"{run.name}-tuned"
         command("tune", *(folder / name for name in run.tuned_on), "--tracker", run.tracker, *run.tune, "--out", out)
         noise = ("--noise", out / "tuned.toml")
-    rows = []
+    rows: list[tuple[str, ...]] = []
     out = OUT / run.name
     paths = [folder / name for name in run.judged]
     command("track", *paths, "--tracker", run.tracker, *noise, *run.options, "--out", out)

@@ -16,12 +16,17 @@ from trackers.aoa.direct import PhaseStart, direct_tracker
 from trackers.aoa.fusion import BearingSensor, bearing_inputs, bearing_tracker
 from trackers.aoa.phases import InPlanePhases, PlanePhases, SphericalPhases
 from trackers.aoa.rays import recent_points
+from trackers.baselines.fixes import fix_tracker, singer_tracker
+from trackers.baselines.switching import mirror_tracker, switching_tracker
+from trackers.baselines.windows import MovingWindow
 from trackers.core.algebra import Vector, diagonal
 from trackers.core.bound import posterior_bound
 from trackers.core.contract import BrokenContract, check_motion, check_sensor
 from trackers.core.ekf import ExtendedKalman, Gaussian
 from trackers.core.estimates import Estimates, Status
+from trackers.core.fixes import CorrelatedFixSensor, FixSensor
 from trackers.core.metrics import bias, consistency, coverage, error_figures, nees, rmse, time_lost
+from trackers.core.modes import InteractingModels, SwitchingMotion
 from trackers.core.motion import (
     AbstractMotion,
     Accelerated,
@@ -32,13 +37,28 @@ from trackers.core.motion import (
     Placed,
 )
 from trackers.core.nearby import NearbyStart
+from trackers.core.particles import ParticleFilter
 from trackers.core.recording import Batch, Readings, Recording, stack
 from trackers.core.rig import Rig, Station, Tag
 from trackers.core.sensor import AbstractSensor, Channel, Reading, Residual, independent
 from trackers.core.singer import Singer
+from trackers.core.smoother import Smoothed
 from trackers.core.state import Heading, Rotation, wrap
 from trackers.core.tracker import AbstractStart, AbstractTracker, LossPolicy, Row, Tracker
 from trackers.core.tunable import Covariance, Fraction, Real, Scale, tunables
+from trackers.line.grid import GridFilter
+from trackers.line.motion import HaltingMotion, LineMotion
+from trackers.line.polyline import Polyline
+from trackers.line.tracker import line_grid_tracker, line_motion, line_tracker
+from trackers.line.truth import knot_times
+from trackers.mhk.tracker import mhk_tracker
+from trackers.uwb_imu.fusion import range_tracker
+from trackers.uwb_imu.inertial import inertial_tracker
+from trackers.uwb_imu.multilateration import multilateration_tracker
+from trackers.uwb_imu.ranges import RangeSensor
+from trackers.uwb_imu.ranging import double_sided, single_sided
+from trackers.uwb_imu.strapdown import PlanarStrapdown, Strapdown
+from trackers.uwb_imu.trilateration import trilateration_tracker
 
 __all__ = [
     "AbstractMotion",
@@ -56,24 +76,35 @@ __all__ = [
     "Channel",
     "ConstantPosition",
     "ConstantVelocity",
+    "CorrelatedFixSensor",
     "Covariance",
     "DelayAndSum",
     "Estimates",
     "ExtendedKalman",
+    "FixSensor",
     "Fraction",
     "Gaussian",
     "Grid",
+    "GridFilter",
     "GroundMotion",
+    "HaltingMotion",
     "Heading",
     "InPlaneBeam",
     "InPlaneBeamMotion",
     "InPlanePhases",
+    "InteractingModels",
     "Kinematic",
+    "LineMotion",
     "LossPolicy",
+    "MovingWindow",
     "NearbyStart",
+    "ParticleFilter",
     "PhaseStart",
     "Placed",
+    "PlanarStrapdown",
     "PlanePhases",
+    "Polyline",
+    "RangeSensor",
     "Reading",
     "Readings",
     "Real",
@@ -84,9 +115,12 @@ __all__ = [
     "Row",
     "Scale",
     "Singer",
+    "Smoothed",
     "SphericalPhases",
     "Station",
     "Status",
+    "Strapdown",
+    "SwitchingMotion",
     "Tag",
     "Tracker",
     "Vector",
@@ -103,18 +137,33 @@ __all__ = [
     "delay_and_sum",
     "diagonal",
     "direct_tracker",
+    "double_sided",
     "error_figures",
+    "fix_tracker",
     "in_plane_beam_tracker",
     "independent",
+    "inertial_tracker",
+    "knot_times",
+    "line_grid_tracker",
+    "line_motion",
+    "line_tracker",
+    "mhk_tracker",
+    "mirror_tracker",
+    "multilateration_tracker",
     "music",
     "nees",
     "posterior_bound",
+    "range_tracker",
     "recent_points",
     "rmse",
+    "singer_tracker",
+    "single_sided",
     "snapshots",
     "stack",
     "strongest",
+    "switching_tracker",
     "time_lost",
+    "trilateration_tracker",
     "tunables",
     "wrap",
 ]

@@ -1,4 +1,4 @@
-"""`trackwright simulate-line`, `simulate-ranges` and `simulate-agv`: the worlds beside the 24 GHz work station."""
+"""`trackwright simulate-line`, `-ranges`, `-imu` and `-agv`: the worlds beside the 24 GHz work station."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from experiments.manifest import write_manifest
 from experiments.simulated_agv import simulated_agv
 from experiments.simulated_line import simulated_line
 from experiments.simulated_ranging import simulated_ranging
-from sim import agv, line, ranging
+from experiments.simulated_uwb_imu import simulated_uwb_imu
+from sim import agv, imu, line, ranging
 from sim.corruptions import Corruption, drop_outs, outliers, white_noise
 from sim.fixes import late, mirrored
 
@@ -87,6 +88,33 @@ def simulate_ranges(
     )
     config = {"n": n, "rows": rows, "rate_hz": rate_hz, "sigma_r": sigma_r, "pieces": list(pieces)}
     return _write(simulated_ranging(world, f"simulated-ranges-{seed}"), out, config, seed, started)
+
+
+def simulate_imu(
+    out: Path,
+    n: int = 20,
+    seed: int = 0,
+    rows: int = 800,
+    rate_hz: float = 40.0,
+    gap: tuple[float, float] | None = None,
+) -> int:
+    """Simulate hand tools with a UWB tag and an IMU: one recording folder with ranges, IMU and truth, in Parquet.
+
+    Args:
+        out: the folder to write; it must not exist or be empty.
+        n: trajectories (tags).
+        seed: the same seed gives the same numbers; a tag's depend on the seed and its own number alone.
+        rows: ranges per tag, to one anchor after the other.
+        rate_hz: ranges per second; IMU samples come three times as often.
+        gap: from when to when, s, the IMU is silent.
+    """
+    started = datetime.now(UTC)
+    _within(n=(n, 1, 10**6), seed=(seed, 0, 2**63 - 1), rows=(rows, 1, 10**7), rate_hz=(rate_hz, 1.0, 1000.0))
+    if gap is not None and not 0 <= gap[0] < gap[1]:
+        raise UnusableInput(f"--gap {gap[0]:g} {gap[1]:g}: expected two times in seconds, the first before the second")
+    world = imu.simulate_uwb_imu(ranging.chamber(), n=n, seed=seed, rate_hz=rate_hz, n_points=rows, gap_s=gap)
+    config = {"n": n, "rows": rows, "rate_hz": rate_hz, "gap": gap}
+    return _write(simulated_uwb_imu(world, f"simulated-imu-{seed}"), out, config, seed, started)
 
 
 def simulate_agv(

@@ -22,6 +22,7 @@ from experiments.screen import notice, output_folder, progress, read_all
 from experiments.tracks import batches
 from experiments.tuned_file import read_tuned, with_noise, write_tuned
 from experiments.writing import atomic_write
+from trackers.core.particles import ParticleFilter
 from trackers.core.tracker import AbstractTracker
 from tuning import FitResult, NegativeLogLikelihood, RootMeanSquareError, fit
 from tuning.objectives import AbstractObjective
@@ -94,6 +95,11 @@ def _problem(
 ) -> tuple[AbstractTracker, list[Lane], AbstractObjective]:
     """What is fitted, to which pieces of the recordings, and for the least of what; raises UnusableInput."""
     tracker = group.tracker if start is None else with_noise(group.tracker, read_tuned(start), start)
+    if isinstance(getattr(tracker, "filter", None), ParticleFilter):
+        raise UnusableInput(
+            "tune: a derivative through the resampling of particles is wrong; expected a tracker without them; use "
+            "--tracker line-grid, whose model is the same, and give the result to `track --tracker line-pf --noise`"
+        )
     try:
         chosen(tracker, patterns)
     except ValueError as error:

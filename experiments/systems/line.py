@@ -37,6 +37,10 @@ REDUNDANT, HEARD_S = 4, 2.0
 """Anchors that must be heard within so many seconds: with fewer, a tag away is like a range that is too long."""
 
 
+CLOSED = 0.05
+"""Ends of a path nearer to each other than this part of its longest segment close it: a tag may go round and round."""
+
+
 def floor_fix_lanes(folder: Folder) -> Iterator[Lane]:
     """Each tag's fixes, x and y, one row per table row."""
     paths = true_paths(folder)
@@ -131,6 +135,9 @@ def _lacks(folder: Folder) -> str | None:
     """What a folder lacks for a tracker on a line."""
     if folder.rig.path_knots is None:
         return "a known path, [path] with knots_m in rig.toml, found none"
+    knots = np.asarray(folder.rig.path_knots, float)
+    if np.linalg.norm(knots[-1] - knots[0]) <= CLOSED * np.linalg.norm(np.diff(knots, axis=0), axis=1).max():
+        return "a path with two ends in rig.toml, found one that returns to its start"
     if _reads_ranges(folder) or "fixes" in folder.tables:
         return None
     if "ranges" in folder.tables:

@@ -187,7 +187,8 @@ def test_a_run_folder_says_how_it_was_made_and_has_pictures(runs, there, world, 
     assert said.out.splitlines()[-1].startswith(f"wrote {folder / 'tracks.parquet'} (")
     assert all(name in said.out.splitlines()[-1] for name in _pictures(folder))
     manifest = json.loads((folder / "manifest.json").read_text())
-    assert manifest["config"] == {"tracker": tracker, "noise": None, "free_height": False}
+    settings = {"tracker": tracker, "noise": None, "free_height": False, "smooth": False, "lag": None}
+    assert manifest["config"] == settings
     assert manifest["recordings"] == [str(world)]
     assert manifest["verdicts"] == {"ok": TAGS * (3 if tracker == "beam" else 1)}
     assert manifest["versions"]["jax"]

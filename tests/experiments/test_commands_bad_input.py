@@ -144,11 +144,11 @@ def test_a_tracker_that_the_tables_do_not_feed_is_refused(tmp_path, simulated):
 
 
 def test_a_recording_that_no_tracker_fits_is_refused(tmp_path):
-    write_good(tmp_path / "ranges")
-    for name in ("bearings", "phases", "fixes", "imu"):
-        (tmp_path / "ranges" / f"{name}.csv").unlink()
-    said = trackwright("track", tmp_path / "ranges", "--out", tmp_path / "out")
-    assert_refused(said, "tables ranges, truth: no tracker fits", "bearings, phases")
+    write_good(tmp_path / "imu")
+    for name in ("bearings", "phases", "fixes", "ranges"):
+        (tmp_path / "imu" / f"{name}.csv").unlink()
+    said = trackwright("track", tmp_path / "imu", "--out", tmp_path / "out")
+    assert_refused(said, "tables imu, truth: no tracker fits", "bearings, fixes")
 
 
 TUNED = {
