@@ -225,8 +225,11 @@ def scan_rows(tracker: Tracker, batch: Batch, score: Score | None = None) -> tup
     empty = jax.vmap(lambda row: blank(tracker, row), in_axes=-1, out_axes=axes)(first_row)
     sums: tuple[Any, ...] = ()
     if score is not None:
-        first_row = first_row._replace(number=jnp.zeros((), jnp.uint32))
-        shapes = jax.eval_shape(lambda: score(one_row(empty, first_row)[1], first_truth))
+        # Of the shapes of a row's output, without tracing a row once more: that takes seconds for large states.
+        zero = jnp.zeros_like(first_row.dt)
+        said = Said(zero, zero, zero, zero, zero.astype(jnp.int8))
+        mean, cov = moments(empty.belief)
+        shapes = jax.eval_shape(lambda: score(Output(mean, cov, *said), first_truth))
         sums = tuple(jnp.zeros(s.shape, s.dtype) for s in shapes)
     (_, sums), outputs = jax.lax.scan(body, (empty, sums), (rows, batch.truth))
     return sums, outputs
