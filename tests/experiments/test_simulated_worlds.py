@@ -1,0 +1,58 @@
+"""The worlds beside the work station on the command line: they are written, and the tracker that fits follows them."""
+
+from __future__ import annotations
+
+import polars as pl
+import pytest
+
+from experiments.catalogue import fitting
+from experiments.folder import read_folder
+from tests.experiments.in_process import assert_refused, trackwright
+
+WORLDS = {
+    "simulate-line": (("--rate-hz", 2), {"fixes", "truth"}, "line-grid"),
+    "simulate-ranges": (("--rows", 30), {"ranges", "truth"}, "uwb"),
+    "simulate-imu": (("--rows", 40), {"ranges", "imu", "truth"}, "uwb-imu"),
+    # Round and round is no line with two ends.
+    "simulate-agv": (("--rows", 50, "--latency", 0.3, "--mirror", 0.1, "--wild", 0.01), {"fixes", "truth"}, "fix-kf"),
+}
+
+
+@pytest.fixture(scope="module")
+def worlds(tmp_path_factory):
+    """Two tags of each world."""
+    folder = tmp_path_factory.mktemp("worlds")
+    for command, (extra, _, _) in WORLDS.items():
+        said = trackwright(command, "--n", 2, "--seed", 4, *extra, "--out", folder / command)
+        assert said.code == 0, said
+        assert said.out.startswith(f"wrote {folder / command}: 2 tags, ")
+    return folder
+
+
+@pytest.mark.parametrize("command", WORLDS)
+def test_a_world_is_a_recording_whose_tables_choose_their_tracker(worlds, command):
+    _, tables, tracker = WORLDS[command]
+    folder = read_folder(worlds / command)
+    assert set(folder.tables) == tables
+    assert folder.tables["truth"]["tag"].unique().sort().to_list() == ["0", "1"]
+    assert fitting(folder) == tracker
+
+
+def test_a_tag_of_a_world_depends_on_seed_and_number_alone(worlds, tmp_path):
+    assert trackwright("simulate-ranges", "--n", 1, "--seed", 4, "--rows", 30, "--out", tmp_path / "one").code == 0
+    one, two = (pl.read_parquet(path / "ranges.parquet") for path in (tmp_path / "one", worlds / "simulate-ranges"))
+    assert one.equals(two.filter(pl.col("tag") == "0"))
+
+
+@pytest.mark.parametrize(
+    ("command", "option", "value"),
+    [("simulate-line", "--speed", 0), ("simulate-ranges", "--lost", 1), ("simulate-agv", "--n", 0)],
+)
+def test_a_world_that_can_not_be_is_refused_with_its_option(tmp_path, command, option, value):
+    assert_refused(trackwright(command, option, value, "--out", tmp_path / "out"), option, "expected a number from")
+    assert not (tmp_path / "out").exists()
+
+
+def test_particles_are_not_tuned_by_a_wrong_gradient(worlds, tmp_path):
+    said = trackwright("tune", worlds / "simulate-line", "--tracker", "line-pf", "--out", tmp_path / "out")
+    assert_refused(said, "particles", "--tracker line-grid")
