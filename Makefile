@@ -37,12 +37,12 @@ lint: env
 
 bench: env
 	$(BIN)/python -m experiments.bench
-	$(BIN)/python -m experiments.bench_particles
-	$(BIN)/python -m experiments.bench_chain
+	$(BIN)/python -m experiments.bench.particles
+	$(BIN)/python -m experiments.bench.chain
 
 bench-peers: .venv-peers/installed
 	$(PEERS)/python -m experiments.bench --peers
-	$(PEERS)/python -m experiments.bench_imu
+	$(PEERS)/python -m experiments.bench.imu
 
 clean:
 	rm -rf .venv .venv-peers out *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis

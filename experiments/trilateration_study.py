@@ -14,8 +14,8 @@ import numpy as np
 from experiments.catalogue import groups
 from experiments.folder import Folder
 from experiments.lanes import Lane
-from experiments.simulated_ranging import simulated_ranging
 from experiments.tracks import batches
+from experiments.worlds.ranging import simulated_ranging
 from sim.corruptions import Corruption
 from sim.paths import hand_motion
 from sim.ranging import WALK_VOLUME, antenna_biases, chamber, obstruction, simulate_ranges

@@ -12,7 +12,7 @@ import numpy as np
 from experiments.errors import UnusableInput
 from experiments.folder import write_folder
 from experiments.manifest import write_manifest
-from experiments.simulated import as_folder
+from experiments.worlds.phases import as_folder
 from sim import corruptions
 from sim.scenarios import simulate_phases, work_station
 

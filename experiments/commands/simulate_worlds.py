@@ -11,10 +11,10 @@ from typing import Any, Literal
 from experiments.errors import UnusableInput
 from experiments.folder import Folder, write_folder
 from experiments.manifest import write_manifest
-from experiments.simulated_agv import simulated_agv
-from experiments.simulated_line import simulated_line
-from experiments.simulated_ranging import simulated_ranging
-from experiments.simulated_uwb_imu import simulated_uwb_imu
+from experiments.worlds.agv import simulated_agv
+from experiments.worlds.line import simulated_line
+from experiments.worlds.ranging import simulated_ranging
+from experiments.worlds.uwb_imu import simulated_uwb_imu
 from sim import agv, imu, line, ranging
 from sim.corruptions import Corruption, drop_outs, outliers, white_noise
 from sim.fixes import late, mirrored

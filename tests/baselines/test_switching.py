@@ -6,8 +6,8 @@ import equinox as eqx
 import numpy as np
 import pytest
 
-from experiments.simulated_agv import simulated_agv
 from experiments.systems.baselines import side_lanes
+from experiments.worlds.agv import simulated_agv
 from sim.agv import simulate_agv
 from sim.fixes import correlated_noise, mirrored
 from tests.known_start import NEVER_LOST, KnownStart, recording

@@ -8,9 +8,9 @@ import pytest
 
 from experiments.folder import Folder, write_folder
 from experiments.matching import read_tracks
-from experiments.simulated_agv import simulated_agv
 from experiments.systems.baselines import fix_lanes, lacks_fixes, lacks_plane, side_lanes
 from experiments.systems.mhk import space_lanes
+from experiments.worlds.agv import simulated_agv
 from sim.agv import ANCHOR_HEIGHT, simulate_agv
 from sim.fixes import correlated_noise, late
 from tests.experiments.in_process import assert_refused, trackwright

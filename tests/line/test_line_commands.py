@@ -8,10 +8,10 @@ from experiments.catalogue import fitting, groups
 from experiments.commands.evaluate import judge
 from experiments.errors import UnusableInput
 from experiments.folder import Folder, read_folder
-from experiments.simulated_line import simulated_line
 from experiments.systems import line
 from experiments.systems.line import TRACKERS, left_the_line, path_of
 from experiments.tracks import track
+from experiments.worlds.line import simulated_line
 from sim.line import simulate_line
 from trackers.core.rig import Rig
 from trackers.line.motion import HaltingMotion, LineMotion

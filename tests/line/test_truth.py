@@ -7,7 +7,7 @@ import pytest
 from experiments.commands.truth import truth
 from experiments.errors import UnusableInput
 from experiments.folder import read_folder, write_folder
-from experiments.simulated_line import simulated_line
+from experiments.worlds.line import simulated_line
 from sim.corruptions import white_noise
 from sim.line import THESIS_KNOTS, simulate_line
 from trackers.line.truth import knot_times

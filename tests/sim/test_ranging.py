@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from experiments.simulated_ranging import simulated_ranging
 from experiments.systems.uwb import range_lanes
+from experiments.worlds.ranging import simulated_ranging
 from sim.corruptions import drop_outs
 from sim.keys import trajectory_keys
 from sim.ranging import CHAMBER, Protocol, antenna_biases, chamber, obstruction, one_at_a_time, simulate_ranges, two_way

@@ -8,8 +8,8 @@ import polars as pl
 import pytest
 
 from experiments.folder import Folder
-from experiments.simulated_uwb_imu import simulated_uwb_imu
 from experiments.systems.uwb_imu import TRACKERS, inertial_lanes
+from experiments.worlds.uwb_imu import simulated_uwb_imu
 from sim.imu import ideal_readings, simulate_uwb_imu, swinging
 from sim.keys import trajectory_keys
 from sim.ranging import chamber

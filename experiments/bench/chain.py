@@ -1,4 +1,4 @@
-"""The speed of MH-K's chain of 7,129 accelerations: `python -m experiments.bench_chain`.
+"""The speed of MH-K's chain of 7,129 accelerations: `python -m experiments.bench.chain`.
 
 MH-K as printed and with a chain that lasts, beside the same filter without a chain; and one step of the chain beside
 the textbook's forward algorithm, which multiplies by a transition matrix of 7,129² numbers.

@@ -57,9 +57,9 @@ def part(name: str, peer: str | None) -> dict[str, Any]:
     if name != DEFAULT:
         set_flags()
     # jax reads its flags when it is first imported.
-    from experiments import bench_measure
+    from experiments.bench import measure
 
-    figures = bench_measure.memory() if name == MEMORY else bench_measure.measure(peer)
+    figures = measure.memory() if name == MEMORY else measure.measure(peer)
     return figures | {"xla_flags": os.environ.get("XLA_FLAGS", "")}
 
 

@@ -1,4 +1,4 @@
-"""The speed of the particle filter on a line beside the textbook's: `python -m experiments.bench_particles`.
+"""The speed of the particle filter on a line beside the textbook's: `python -m experiments.bench.particles`.
 
 Both filter the same fixes with the same motion, 1,000 particles and resampling below half of them, in one process, and
 take turns. The textbook's resamples by a cumulative sum and a binary search per offspring, and looks places up in the

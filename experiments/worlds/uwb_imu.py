@@ -6,8 +6,8 @@ import numpy as np
 import polars as pl
 
 from experiments.folder import Folder
-from experiments.simulated_ranging import simulated_ranging
 from experiments.tables import QUATERNION
+from experiments.worlds.ranging import simulated_ranging
 from sim.imu import SimulatedUwbImu
 
 

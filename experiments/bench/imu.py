@@ -1,4 +1,4 @@
-"""The speed of UWB + IMU filters, beside a textbook version and dynamax: `python -m experiments.bench_imu`.
+"""The speed of UWB + IMU filters, beside a textbook version and dynamax: `python -m experiments.bench.imu`.
 
 The paper's eight states over the floor, an IMU sample and a range to one anchor in every row; and what a user waits for
 while the fifteen-state filter compiles. Each setting is measured in a process of its own, as XLA comes and with the
@@ -37,7 +37,7 @@ PARTS = ("default", "command-line", "dynamax")
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure every part, print the figures and write them as JSON; a part that fails is named and left out."""
     parser = argparse.ArgumentParser(
-        prog="python -m experiments.bench_imu", description=(__doc__ or "").split("\n\n")[0]
+        prog="python -m experiments.bench.imu", description=(__doc__ or "").split("\n\n")[0]
     )
     parser.add_argument("--out", type=Path, default=Path("out/bench-imu.json"), help="where the figures go")
     parser.add_argument("--part", choices=PARTS, help=argparse.SUPPRESS)
@@ -64,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _in_process(part: str) -> dict[str, Any]:
     print(f"measuring: {part} …", file=sys.stderr, flush=True)
     environment = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
-    command = [sys.executable, "-m", "experiments.bench_imu", "--part", part]
+    command = [sys.executable, "-m", "experiments.bench.imu", "--part", part]
     try:
         done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=LIMIT_S, check=False)
     except subprocess.TimeoutExpired:

@@ -17,7 +17,7 @@ from cuthbert.gaussian import moments
 from dynamax.nonlinear_gaussian_ssm import ParamsNLGSSM, extended_kalman_filter
 from filterpy.kalman import ExtendedKalmanFilter
 
-from experiments.bench_textbook import Pairs, both_seen, noise, predicted, transition, wrap
+from experiments.bench.textbook import Pairs, both_seen, noise, predicted, transition, wrap
 
 
 def with_dynamax(pairs: Pairs, sigma_a: float, sigma_p: float) -> Callable[..., Any]:

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments.bench_textbook import all_pairs, textbook
+from experiments.bench.textbook import all_pairs, textbook
 from trackers.aoa.beam import Beam, beam_tracker
 from trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
 from trackers.core.algebra import diagonal
@@ -150,9 +150,9 @@ def versions(world: World, peer: str | None) -> list[Version]:
     problem, vector = Problem(given, [world.batch], NegativeLogLikelihood(), parameters, CHUNK), flatten(parameters)
     first = Version("ours", TRAJECTORIES, ROWS, ours(given), last)
     if peer:
-        from experiments import bench_peers
+        from experiments.bench import peers
 
-        return [first, other(peer, getattr(bench_peers, f"with_{peer}"), *PEER_SLICES[peer])]
+        return [first, other(peer, getattr(peers, f"with_{peer}"), *PEER_SLICES[peer])]
     return [
         first,
         Version("ours, start included", TRAJECTORIES, ROWS, ours(own), last),

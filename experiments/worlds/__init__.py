@@ -1,0 +1,1 @@
+"""Simulated worlds as recording folders of many tags."""
