@@ -15,7 +15,17 @@ from trackers.core.sensor import AbstractSensor
 from trackers.core.tracker import AbstractStart, Row
 
 
-class NearbyStart(AbstractStart):
+class AbstractNearbyStart(AbstractStart):
+    """From a place found on the host: the row's input `nearby` (4,), m, and 1 where there is one."""
+
+    def ready(self, row: Row) -> Scalar:
+        return row.inputs["nearby"][3] > 0.5
+
+    def acquire(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
+        return row.inputs["nearby"][:3]
+
+
+class NearbyStart(AbstractNearbyStart):
     """A place found on the host from recent readings: the row's input `nearby` (4,), m, and 1 where there is one.
 
     `sigma_position` m, `sigma_velocity` m/s: how far off it may be. `velocities`: the number of the state's velocities.
@@ -25,12 +35,6 @@ class NearbyStart(AbstractStart):
     sigma_velocity: Noise
     planar: bool = eqx.field(static=True)
     velocities: int = eqx.field(static=True)
-
-    def ready(self, row: Row) -> Scalar:
-        return row.inputs["nearby"][3] > 0.5
-
-    def acquire(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
-        return row.inputs["nearby"][:3]
 
     def begin(self, found: Any, row: Row) -> Gaussian:
         n = 2 if self.planar else 3

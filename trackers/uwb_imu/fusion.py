@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
 
-from trackers.core.algebra import Scalar, Vector, diagonal
+from trackers.core.algebra import Vector, diagonal
 from trackers.core.ekf import Gaussian
 from trackers.core.motion import Noise
-from trackers.core.sensor import AbstractSensor
-from trackers.core.tracker import AbstractStart, LossPolicy, Row, Tracker
+from trackers.core.nearby import AbstractNearbyStart
+from trackers.core.tracker import LossPolicy, Row, Tracker
 from trackers.core.tunable import Scale
 from trackers.uwb_imu.drifting import DriftingBiases, Ranged
 from trackers.uwb_imu.ranges import RANGES, RangeSensor
@@ -20,7 +19,7 @@ OWN_BIASES = 16
 """Anchors up to which each has a bias in the state; the cost of a row grows with the square of their number."""
 
 
-class RangeStart(AbstractStart):
+class RangeStart(AbstractNearbyStart):
     """The place where recent ranges meet, from the row's input `nearby` (4,): m, and 1 where there is one.
 
     `sigma_position` m, `sigma_velocity` m/s, `sigma_bias` m: how far off place, rest and mean biases may be.
@@ -31,12 +30,6 @@ class RangeStart(AbstractStart):
     sigma_bias: Noise
     planar: bool = eqx.field(static=True)
     biases: int = eqx.field(static=True)
-
-    def ready(self, row: Row) -> Scalar:
-        return row.inputs["nearby"][3] > 0.5
-
-    def acquire(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
-        return row.inputs["nearby"][:3]
 
     def begin(self, found: Any, row: Row) -> Gaussian:
         n = 2 if self.planar else 3

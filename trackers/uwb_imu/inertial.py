@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
@@ -11,9 +10,9 @@ import jax.numpy as jnp
 from trackers.core.algebra import Scalar, Vector, diagonal, triangle
 from trackers.core.ekf import Gaussian
 from trackers.core.motion import Noise
-from trackers.core.sensor import AbstractSensor
+from trackers.core.nearby import AbstractNearbyStart
 from trackers.core.state import Heading, Rotation
-from trackers.core.tracker import AbstractStart, LossPolicy, Row, Tracker
+from trackers.core.tracker import LossPolicy, Row, Tracker
 from trackers.core.tunable import Scale
 from trackers.uwb_imu.fusion import OWN_BIASES
 from trackers.uwb_imu.ranges import RANGES, RangeSensor
@@ -21,7 +20,7 @@ from trackers.uwb_imu.strapdown import ImuNoise, Inertial, PlanarInertial, Plana
 from trackers.uwb_imu.yaws import YawBank
 
 
-class InertialStart(AbstractStart):
+class InertialStart(AbstractNearbyStart):
     """Where recent ranges meet, at rest for all it knows, upright by what the accelerometer feels, yaw unknown.
 
     Inputs: `nearby` (4,), the place, m, and 1 where there is one; `rest` (7,), recent mean specific force and turning
@@ -64,12 +63,6 @@ class InertialStart(AbstractStart):
         self.sigma_accel_bias = Scale(sigma_accel_bias, "m/s^2")
         self.sigma_gyro_bias = Scale(sigma_gyro_bias, "rad/s")
         self.sigma_bias = Scale(sigma_bias, "m")
-
-    def ready(self, row: Row) -> Scalar:
-        return row.inputs["nearby"][3] > 0.5
-
-    def acquire(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
-        return row.inputs["nearby"][:3]
 
     def begin(self, found: Any, row: Row) -> Gaussian:
         zero = jnp.zeros_like(found[0])
