@@ -6,18 +6,15 @@ import numpy as np
 import polars as pl
 
 from experiments.folder import Folder
+from experiments.worlds.rows import every_row
 from sim.agv import SimulatedFixes
 from trackers.core.rig import Rig, Tag
 
 
 def simulated_agv(world: SimulatedFixes, name: str) -> Folder:
     """The recording folder: tags named by their trajectory ids, the designed route as the rig's path."""
-    count, rows, _ = world.positions.shape
     tags = [str(i) for i in world.ids]
-    ids = {
-        "t_s": np.tile(world.times, count),
-        "tag": pl.Series(np.repeat(np.arange(count), rows)).replace_strict(range(count), tags, return_dtype=pl.String),
-    }
+    ids = every_row(world.times, tags)
     fixes = np.where(world.seen, world.fixes, np.nan)
     tables = {
         table: pl.DataFrame(

@@ -6,18 +6,15 @@ import numpy as np
 import polars as pl
 
 from experiments.folder import Folder
+from experiments.worlds.rows import every_row
 from sim.line import TAG_HEIGHT, SimulatedLine
 from trackers.core.rig import Rig, Tag
 
 
 def simulated_line(world: SimulatedLine, name: str) -> Folder:
     """The recording folder: tags named by their trajectory ids, fixes without height, truth at the tags' height."""
-    count, rows = world.arclength.shape
     tags = [str(i) for i in world.ids]
-    ids = {
-        "t_s": np.tile(world.times, count),
-        "tag": pl.Series(np.repeat(np.arange(count), rows)).replace_strict(range(count), tags, return_dtype=pl.String),
-    }
+    ids = every_row(world.times, tags)
     fixes = np.where(world.seen, world.fixes, np.nan)
     measured = {f"{a}_m": pl.Series(fixes[..., k].ravel(), nan_to_null=True) for k, a in enumerate("xy")}
     true = {f"{a}_m": world.positions[..., k].ravel() for k, a in enumerate("xy")}

@@ -6,6 +6,7 @@ import numpy as np
 import polars as pl
 
 from experiments.folder import Folder
+from experiments.worlds.rows import every_row, named
 from sim.scenarios import SimulatedPhases
 from trackers.core.rig import Rig, Tag
 
@@ -19,19 +20,13 @@ def as_folder(world: SimulatedPhases, name: str) -> Folder:
     phases = pl.DataFrame(
         {
             "t_s": np.tile(np.repeat(world.times, stations), count),
-            "tag": pl.Series(np.repeat(np.arange(count), rows * stations)).replace_strict(range(count), tags),
-            "station": pl.Series(np.tile(np.arange(stations), count * rows)).replace_strict(
-                range(stations), list(world.rig.stations)
-            ),
+            "tag": named(np.repeat(np.arange(count), rows * stations), tags),
+            "station": named(np.tile(np.arange(stations), count * rows), list(world.rig.stations)),
         }
         | {f"phase_{k + 1}_rad": pl.Series(values[:, k].astype(np.float64), nan_to_null=True) for k in range(antennas)}
     ).filter(heard)
     truth = pl.DataFrame(
-        {
-            "t_s": np.tile(world.times, count),
-            "tag": pl.Series(np.repeat(np.arange(count), rows)).replace_strict(range(count), tags),
-        }
-        | {f"{axis}_m": world.positions[..., k].ravel() for k, axis in enumerate("xyz")}
+        every_row(world.times, tags) | {f"{axis}_m": world.positions[..., k].ravel() for k, axis in enumerate("xyz")}
     )
     rig = Rig(
         name, stations=world.rig.stations, tags={tag: Tag() for tag in tags}, about="Simulated, see manifest.json."

@@ -8,6 +8,7 @@ import polars as pl
 from experiments.folder import Folder
 from experiments.tables import QUATERNION
 from experiments.worlds.ranging import simulated_ranging
+from experiments.worlds.rows import every_row, named
 from sim.imu import SimulatedUwbImu
 
 
@@ -18,14 +19,11 @@ def simulated_uwb_imu(world: SimulatedUwbImu, name: str) -> Folder:
     tag, row = np.nonzero(world.seen)
     motion = np.concatenate([world.accel, world.gyro], axis=2)[tag, row]
     columns = [*(f"accel_{axis}_mps2" for axis in "xyz"), *(f"gyro_{axis}_radps" for axis in "xyz")]
-    imu = pl.DataFrame(
-        {"t_s": world.times[row], "tag": [tags[k] for k in tag]} | dict(zip(columns, motion.T, strict=True))
-    )
+    imu = pl.DataFrame({"t_s": world.times[row], "tag": named(tag, tags)} | dict(zip(columns, motion.T, strict=True)))
     count, samples = world.seen.shape
     pose = np.concatenate([world.positions, world.attitudes], axis=2).reshape(count * samples, 7)
     truth = pl.DataFrame(
-        {"t_s": np.tile(world.times, count), "tag": np.repeat(tags, samples).tolist()}
-        | dict(zip(("x_m", "y_m", "z_m", *QUATERNION), pose.T, strict=True))
+        every_row(world.times, tags) | dict(zip(("x_m", "y_m", "z_m", *QUATERNION), pose.T, strict=True))
     )
     tables = {name: table.sort("t_s", maintain_order=True) for name, table in (("imu", imu), ("truth", truth))}
     return Folder(name, None, folder.rig, folder.tables | tables)
