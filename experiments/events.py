@@ -8,11 +8,10 @@ import numpy as np
 import polars as pl
 
 from experiments.entry import Entry, Group
-from experiments.errors import UnusableInput
 from experiments.lanes import Lane
 from experiments.matching import numbers, track_keys
+from experiments.systems.line import path_of
 from trackers.line.leaving import absences
-from trackers.line.polyline import Polyline
 
 EVENTS = "events.parquet"
 _COLUMNS = {"t_s": pl.Float64, "event": pl.String, "detail": pl.String}
@@ -48,14 +47,10 @@ def off_the_path(lane: Lane, tracks: pl.DataFrame) -> list[tuple[float, str, str
     An estimate is off by what it lies beyond `TOLERANCE` and twice its own spread. Raises UnusableInput for a path that
     is none.
     """
-    knots = lane.folder.rig.path_knots
     known = tracks.filter(pl.all_horizontal(pl.col("x_m", "y_m").is_finite()))
-    if knots is None or known.is_empty():
+    if lane.folder.rig.path_knots is None or known.is_empty():
         return []
-    try:
-        path = Polyline(knots)
-    except ValueError as problem:
-        raise UnusableInput(f"{lane.folder.path}: rig.toml, [path] knots_m: {problem}") from problem
+    path = path_of(lane.folder)
     times, places = numbers(known, "t_s"), np.stack([numbers(known, f"{a}_m") for a in "xy"], axis=1)
     spread = np.nan_to_num(np.hypot(numbers(known, "std_x_m"), numbers(known, "std_y_m")))
     rows: list[tuple[float, str, str]] = []
