@@ -10,9 +10,10 @@ from abc import abstractmethod
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 
-from trackers.core.algebra import Scalar, Vector
+from trackers.core.algebra import Scalar, Vector, total
 from trackers.core.state import State
 from trackers.core.tunable import AbstractTunable, Fixed, Scale
 
@@ -31,9 +32,30 @@ class AbstractMotion(eqx.Module):
     def step(self, state: State, inputs: Any, dt: Scalar, w: Vector) -> State:
         """The state `dt` seconds later under the known inputs and the noise draw `w`."""
 
+    def log_density(self, state: State, inputs: Any, dt: Scalar, w: Vector) -> Scalar:
+        """The log density of what was drawn in a step by `w`, in physical units and up to what no tunable changes.
+
+        Differentiated for the score of a particle filter, with the draw held fixed, never the state that it led to: at
+        a speed cut off at zero that has no density. Noise of the scale s drew s·w, of density `scaled(w, s)`.
+        Raises ValueError where the motion does not say; only tuning of a particle filter asks.
+        """
+        raise ValueError(
+            f"the motion {type(self).__name__} has no log_density: how its tunables enter the density of its noise is "
+            "unknown, so that particles have no derivative by them; tune with an ExtendedKalman, or give it one"
+        )
+
     @abstractmethod
     def view(self, state: State) -> Any:
         """What sensors and reports may read of the state, by field name (`position`, `azimuth`, …)."""
+
+
+def scaled(w: Scalar, scale: Scalar) -> Scalar:
+    """The log density of a normal number of standard deviation `scale` at `scale`·w, the number itself held fixed.
+
+    Up to a constant: factors of the scale that nothing tunes may be left out.
+    """
+    unit = w * (jax.lax.stop_gradient(scale) / scale)
+    return -jnp.log(scale) - 0.5 * unit * unit
 
 
 class Kinematic(NamedTuple):
@@ -81,6 +103,9 @@ class ConstantVelocity(AbstractMotion):
         position = state.position + state.velocity * dt + along * (0.5 * kick * dt) + across * (kick * dt / 12**0.5)
         return Kinematic(position, state.velocity + along * kick)
 
+    def log_density(self, state: Kinematic, inputs: Any, dt: Scalar, w: Vector) -> Scalar:
+        return total(scaled(x, self.sigma_a.value) for x in w)
+
     def view(self, state: Kinematic) -> Kinematic:
         return state
 
@@ -101,6 +126,9 @@ class ConstantPosition(AbstractMotion):
 
     def step(self, state: Placed, inputs: Any, dt: Scalar, w: Vector) -> Placed:
         return Placed(state.position + w * (self.sigma_v.value * jnp.sqrt(dt)))
+
+    def log_density(self, state: Placed, inputs: Any, dt: Scalar, w: Vector) -> Scalar:
+        return total(scaled(x, self.sigma_v.value) for x in w)
 
     def view(self, state: Placed) -> Placed:
         return state
@@ -130,6 +158,10 @@ class GroundMotion(AbstractMotion):
         drift = w[4] * (self.sigma_z.value * jnp.sqrt(dt))
         heights = [z + drift for z in state.position.parts[2:]]
         return Kinematic(Vector(*moved.position, *heights), moved.velocity)
+
+    def log_density(self, state: Kinematic, inputs: Any, dt: Scalar, w: Vector) -> Scalar:
+        across = total(scaled(x, self.sigma_a.value) for x in w.parts[:4])
+        return across + scaled(w[4], self.sigma_z.value) if len(state.position) == 3 else across
 
     def view(self, state: Kinematic) -> Kinematic:
         return state

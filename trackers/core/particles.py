@@ -17,7 +17,8 @@ from trackers.core.algebra import Scalar, Vector, cholesky, inverse_or_zero, tot
 from trackers.core.draws import draws
 from trackers.core.ekf import Gaussian, Innovation
 from trackers.core.motion import AbstractMotion
-from trackers.core.resampling import NOTHING, drawn_again, effective_sample_size, log_sum
+from trackers.core.resampling import NOTHING, effective_sample_size, log_sum
+from trackers.core.scores import drawn_with_scores, normal_density, with_score
 from trackers.core.sensor import AbstractSensor, Reading, Residual
 from trackers.core.state import State, dimension, local, retract
 
@@ -46,11 +47,16 @@ class ParticleFilter(eqx.Module):
 
     Equations (1.22)–(1.30) of the assembly-line thesis, with E for the mean in (1.29); see `docs/papers.md`. Of a state
     with a `report`, estimates are the shown quantity of the weighted mean and its spread about that.
+
+    Its derivative has the score form of `trackers/core/scores.py`, which needs `log_density` of the motion where that
+    is tuned. `discount`: what an offspring keeps of its ancestor's derivative (MOP-α); less than 1 is less scatter and
+    a bias.
     """
 
     n_particles: int = eqx.field(static=True, default=1000)
     fraction: float = eqx.field(static=True, default=0.5)
     report: AbstractReport | None = None
+    discount: float = eqx.field(static=True, default=1.0)
 
     @property
     def heavy(self) -> bool:
@@ -65,19 +71,24 @@ class ParticleFilter(eqx.Module):
         L = cholesky(pairs, range(n), 16 * float(jnp.finfo(dtype).eps))
         steps = [total(L[i, j] * w[j] for j in range(i + 1)) for i in range(n)]
         states = jax.vmap(lambda step: retract(belief.mean, list(step)), in_axes=-1, out_axes=-1)(steps)
-        return Particles(states, jnp.full(self.n_particles, -math.log(self.n_particles), dtype), key)
+        # Their score differs from lane to lane: so must they, or jax (0.10) mixes up the axes of both.
+        even = 0.0 * w[0] - math.log(self.n_particles)
+        states = jax.lax.stop_gradient(states)
+        return Particles(states, with_score(even, belief, states, log_density=normal_density), key)
 
     def predict(self, belief: Particles, motion: AbstractMotion, inputs: Any, dt: Scalar) -> Particles:
         """The belief `dt` seconds later (1.23), drawn again before where too few particles carry the weight."""
         dtype = belief.log_weights.dtype
         key, place, w = draws(belief.key, motion.noise_dimension, self.n_particles, dtype)
         few = effective_sample_size(belief.log_weights) < self.fraction * self.n_particles
-        states, log_weights = drawn_again(few, place, belief.states, belief.log_weights)
+        states, log_weights = drawn_with_scores(few, place, belief.states, belief.log_weights, discount=self.discount)
 
         def step(state: State, w: list[Any]) -> State:
             return motion.step(state, inputs, dt, Vector.of(w))
 
-        return Particles(jax.vmap(step, in_axes=-1, out_axes=-1)(states, w), log_weights, key)
+        moved = jax.vmap(step, in_axes=-1, out_axes=-1)(states, w)
+        log_weights = with_score(log_weights, motion, states, inputs, dt, w, log_density=density_of_draws)
+        return Particles(jax.lax.stop_gradient(moved), log_weights, key)
 
     def update(
         self, belief: Particles, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Any
@@ -104,6 +115,15 @@ class ParticleFilter(eqx.Module):
     def moments(self, belief: Particles) -> tuple[State, tuple[Scalar, ...]]:
         """The weighted mean (1.28) and the covariance's upper triangle, of the shown quantity where there is one."""
         return weighted_moments(belief.states, jnp.exp(belief.log_weights), self.report)
+
+
+def density_of_draws(motion: AbstractMotion, states: State, inputs: Any, dt: Scalar, w: list[Any]) -> Any:
+    """The log densities (N,) of the noise draws `w` of N moves; nothing is drawn in no time."""
+
+    def density(state: State, w: list[Any]) -> Scalar:
+        return jnp.where(dt > 0, motion.log_density(state, inputs, dt, Vector.of(w)), 0.0)
+
+    return jax.vmap(density, in_axes=-1, out_axes=-1)(states, w)
 
 
 class Weighed(NamedTuple):

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax.scipy.special import ndtri
 
 from trackers.core.algebra import Scalar, Vector
-from trackers.core.motion import AbstractMotion, Kinematic, Noise
+from trackers.core.motion import AbstractMotion, Kinematic, Noise, scaled
 from trackers.core.particles import AbstractReport, second_moments
 from trackers.core.tunable import Fraction, Scale
 from trackers.line.polyline import Polyline
@@ -56,6 +56,9 @@ class LineMotion(AbstractMotion):
         arclength = jnp.minimum(along, self.line.length)
         return OnLine(arclength, jnp.maximum(state.speed + w[0] * (self.sigma_a.value * jnp.sqrt(dt)), 0.0))
 
+    def log_density(self, state: OnLine, inputs: Any, dt: Scalar, w: Vector) -> Scalar:
+        return scaled(w[0], self.sigma_a.value)
+
     def view(self, state: Any) -> Kinematic:
         return on_floor(self.line, state)
 
@@ -87,13 +90,8 @@ class HaltingMotion(AbstractMotion):
         return 2
 
     def step(self, state: OnSegment, inputs: Any, dt: Scalar, w: Vector) -> OnSegment:
-        resting = jnp.asarray(state.resting) > 0.5
-        travelled = LineMotion(self.line, self.sigma_a).step(OnLine(state.arclength, state.speed), inputs, dt, w)
-        ahead = jnp.full_like(travelled.arclength, jnp.inf)
-        for join in reversed(self.line.joins):
-            ahead = jnp.where((state.arclength < join) & (join <= travelled.arclength), join, ahead)
-        halts = jnp.isfinite(ahead) & (w[1] < ndtri(self.halting.value)) & ~resting
-        leaves = resting & (w[1] < ndtri(self.leaving(dt)))
+        travelled, ahead = self._travelled(state, inputs, dt, w)
+        resting, halts, leaves = self._choices(state, ahead, dt, w)
         here = jnp.clip(state.arclength, 0.0, self.line.length)
         arclength = jnp.where(resting, here, jnp.where(halts, ahead, travelled.arclength))
         # A tag at rest has no speed; the one with which it leaves is drawn from the same number as a change of speed.
@@ -101,6 +99,31 @@ class HaltingMotion(AbstractMotion):
         speed = jnp.where(resting, departure, jnp.where(halts, 0.0, travelled.speed))
         still = jnp.where((resting & ~leaves) | halts, jnp.ones_like(speed), 0.0)
         return OnSegment(arclength, jnp.where(dt > 0, speed, state.speed), jnp.where(dt > 0, still, state.resting))
+
+    def log_density(self, state: OnSegment, inputs: Any, dt: Scalar, w: Vector) -> Scalar:
+        _, ahead = self._travelled(state, inputs, dt, w)
+        resting, halts, leaves = self._choices(state, ahead, dt, w)
+        travels = scaled(w[0], self.sigma_a.value)
+        halting, rate = self.halting.value, 1.0 / self.rest.value
+        passes = travels + jnp.where(jnp.isfinite(ahead), jnp.log1p(-halting), 0.0)
+        chance = jnp.where(dt > 0, self.leaving(dt), 1.0)
+        departs = jnp.log(chance) + scaled(w[0], self.sigma_departure.value)
+        rests = jnp.where(leaves, departs, -dt * rate)
+        return jnp.where(resting, rests, jnp.where(halts, jnp.log(halting), passes))
+
+    def _travelled(self, state: OnSegment, inputs: Any, dt: Scalar, w: Vector) -> tuple[OnLine, Scalar]:
+        """The state after travel without joins, and the arclength of the first join on its way; infinite for none."""
+        travelled = LineMotion(self.line, self.sigma_a).step(OnLine(state.arclength, state.speed), inputs, dt, w)
+        ahead = jnp.full_like(travelled.arclength, jnp.inf)
+        for join in reversed(self.line.joins):
+            ahead = jnp.where((state.arclength < join) & (join <= travelled.arclength), join, ahead)
+        return travelled, ahead
+
+    def _choices(self, state: OnSegment, ahead: Scalar, dt: Scalar, w: Vector) -> tuple[Scalar, Scalar, Scalar]:
+        """Whether the tag rests, halts at the join ahead, leaves its rest."""
+        resting = jnp.asarray(state.resting) > 0.5
+        halts = jnp.isfinite(ahead) & (w[1] < ndtri(self.halting.value)) & ~resting
+        return resting, halts, resting & (w[1] < ndtri(self.leaving(dt)))
 
     def leaving(self, dt: Scalar) -> Scalar:
         """The probability that a rest ends within `dt` s."""
