@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.algebra import Scalar, Vector, diagonal, total, triangle
+from trackers.core.algebra import Scalar, SparseRow, Vector, congruence, diagonal, total, triangle
 from trackers.core.ekf import Gaussian
 from trackers.core.estimates import Estimates
 from trackers.core.motion import Accelerated, Kinematic, Noise
@@ -155,7 +155,7 @@ class FixTracker(Tracker):
 
         def dated(output: Output, truth: dict[str, tuple[Any, Any]]) -> tuple[Any, ...]:
             mean = output.mean._replace(position=position_before(output.mean, latency))
-            return score(output._replace(mean=mean), truth)
+            return score(output._replace(mean=mean, cov=cov_before(output.mean, output.cov, latency)), truth)
 
         return Tracker.accumulate(self, batch._replace(truth=truth_before(batch, latency)), dated)
 
@@ -168,6 +168,15 @@ def position_before(mean: Any, seconds: Scalar) -> Vector:
     """Where straight motion had a state `seconds` before; what has no velocity stays."""
     moving = list(zip(mean.position, mean.velocity, strict=False))
     return Vector(*(p - v * seconds for p, v in moving), *list(mean.position)[len(moving) :])
+
+
+def cov_before(mean: Any, upper: Sequence[Scalar], seconds: Scalar) -> tuple[Scalar, ...]:
+    """The covariance of a state whose position is that of `position_before`: upper triangles before and after."""
+    first = len(mean.position)
+    rows: list[SparseRow] = [{k: 1.0} for k in range(int((8 * len(upper) + 1) ** 0.5) // 2)]
+    for k in range(min(first, len(mean.velocity))):
+        rows[k][first + k] = -seconds
+    return congruence(rows, upper, [{} for _ in rows])
 
 
 def truth_before(batch: Batch, seconds: Scalar) -> dict[str, tuple[Any, Any]]:

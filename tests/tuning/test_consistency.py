@@ -1,0 +1,205 @@
+"""Objectives that judge covariances: against SciPy's distributions, random numbers and worlds made by the model."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from sim.scenarios import work_station
+from tests.tuning.worlds import line_tracker, walks
+from trackers.aoa.beam import Beam
+from trackers.aoa.direct import direct_tracker
+from trackers.aoa.fusion import bearing_tracker
+from trackers.core.algebra import Vector
+from trackers.core.estimates import Estimates, Status
+from trackers.core.fixes import cov_before, moved_back
+from trackers.core.motion import Kinematic
+from trackers.core.recording import stack
+from trackers.core.tracker import Output
+from tuning.consistency import Consistency, chi_square_below, legendre, tail_of, tailed_below
+from tuning.figures import every_figure, parse_objective
+from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError, StateLogLikelihood, Weighted
+
+LANES = 50
+
+
+@pytest.mark.parametrize("dof", [1, 2, 3, 7, 8, 32])
+def test_the_chi_square_distribution_is_scipys(dof):
+    x = np.geomspace(1e-6, 120.0, 400)
+    found, slope = jax.jvp(lambda x: chi_square_below(x, dof + 0.0 * x), (jnp.asarray(x),), (jnp.ones(400),))
+    # a finite series of positive terms in double precision
+    np.testing.assert_allclose(found, stats.chi2.cdf(x, dof), atol=1e-13)
+    np.testing.assert_allclose(slope, stats.chi2.pdf(x, dof), rtol=1e-9, atol=1e-13)
+
+
+def test_beyond_the_series_the_cube_root_is_close():
+    x = np.linspace(5.0, 120.0, 200)
+    for dof in (33, 60):
+        # Wilson and Hilferty's error at 33 degrees of freedom, measured 3.5e-4
+        np.testing.assert_allclose(chi_square_below(x, dof + 0 * x), stats.chi2.cdf(x, dof), atol=5e-4)
+
+
+@pytest.mark.parametrize("tail", [1.0, 3.0, 4.0, 30.0, 1e3])
+def test_one_channel_of_students_t_has_its_distribution(tail):
+    t = np.geomspace(1e-3, 40.0, 300)
+    q = (tail + 1) * t**2 / (tail + t**2)
+    found = tailed_below(jnp.asarray(q), np.ones(300), tail)
+    # the rule leaves out the far end, where less than 1e-5 of the probability is
+    np.testing.assert_allclose(found, 2 * stats.t.cdf(t, tail) - 1, atol=2e-5)
+
+
+@pytest.mark.parametrize(("tail", "channels", "off"), [(4.0, 2, 0.02), (4.0, 3, 0.02), (30.0, 2, 0.006)])
+def test_several_channels_have_it_nearly(tail, channels, off):
+    squares = np.random.default_rng(0).standard_t(tail, (100_000, channels)) ** 2
+    q = np.sort(((tail + 1) * squares / (tail + squares)).sum(axis=1))
+    found = tailed_below(jnp.asarray(q), np.full(q.shape, float(channels)), tail)
+    # 100,000 draws know a distribution to 0.004; `off`: what the module's head says of the approximation
+    np.testing.assert_allclose(found, (np.arange(len(q)) + 0.5) / len(q), atol=off + 0.002)
+
+
+def test_the_distribution_with_a_tail_has_derivatives_in_everything():
+    point = jnp.array([1.7, 2.0, 4.0])
+    slope = jax.jacfwd(lambda p: tailed_below(p[0], p[1], p[2]))(point)
+    steps = 1e-6 * np.eye(3)
+    numeric = [(tailed_below(*(point + s)) - tailed_below(*(point - s))) / 2e-6 for s in steps]
+    np.testing.assert_allclose(slope, numeric, rtol=1e-6)
+
+
+def test_the_polynomials_are_orthonormal_over_the_unit_interval():
+    nodes, weights = np.polynomial.legendre.leggauss(12)
+    values = np.array(legendre(0.5 * (1 + nodes)))
+    np.testing.assert_allclose(values @ np.diag(weights / 2) @ values.T, np.eye(4), atol=1e-14)
+    np.testing.assert_allclose(values @ weights, 0, atol=1e-14)
+
+
+def _output(rng, mean, n):
+    """A row of `LANES` tracks with random states and covariances; every seventh waits and has none."""
+    roots = rng.normal(size=(LANES, n, n))
+    covs = roots @ roots.transpose(0, 2, 1) + 0.1 * np.eye(n)
+    waiting = np.arange(LANES) % 7 == 0
+    covs[waiting] = 0.0
+    upper = tuple(jnp.asarray(covs[:, i, j]) for i in range(n) for j in range(i, n))
+    zero = jnp.zeros(LANES)
+    status = jnp.where(waiting, Status.WAITING, Status.OK).astype(jnp.int8)
+    return Output(mean, upper, zero, zero, zero, zero, status), covs, ~waiting
+
+
+@pytest.mark.parametrize("dimensions", [1, 2, 3])
+def test_the_state_likelihood_and_the_nees_are_those_of_the_normal_distribution(dimensions):
+    rng = np.random.default_rng(dimensions)
+    place, speed, true = rng.normal(size=(3, 3, LANES))
+    output, covs, counted = _output(rng, Kinematic(Vector(*place), Vector(*speed)), 6)
+    known = rng.random(LANES) > 0.3
+    counted &= known
+    truth = {"position": (jnp.asarray(true), jnp.asarray(known))}
+    errors, S = (place - true)[:dimensions].T, covs[:, :dimensions, :dimensions]
+    density = [stats.multivariate_normal(cov=c).logpdf(e) for e, c in zip(errors[counted], S[counted], strict=True)]
+    sums = [np.sum(x) for x in StateLogLikelihood("position", dimensions).terms(output, truth)]
+    np.testing.assert_allclose(sums, [-np.sum(density), counted.sum()], rtol=1e-11)
+    nees = np.array([e @ np.linalg.solve(c, e) for e, c in zip(errors[counted], S[counted], strict=True)])
+    u = stats.chi2.cdf(nees, dimensions)
+    judge = Consistency("nees", "position", dimensions)
+    sums = [np.sum(x) for x in judge.terms(output, truth)]
+    expected = [np.sqrt(2 * k + 1) * np.polynomial.Legendre.basis(k)(2 * u - 1).sum() for k in (1, 2, 3, 4)]
+    np.testing.assert_allclose(sums, [*expected, counted.sum()], rtol=1e-9, atol=1e-11)
+    assert judge.value(sums) == pytest.approx(np.sum((np.array(expected) / counted.sum()) ** 2))
+
+
+def test_a_quantity_that_is_no_field_has_the_covariance_of_its_components():
+    rng = np.random.default_rng(5)
+    angles = rng.normal(0, 0.3, (4, LANES))
+    output, covs, counted = _output(rng, Beam(*angles), 4)
+    truth = {"direction": (jnp.zeros((2, LANES)), jnp.ones(LANES, bool))}
+    density = [
+        stats.multivariate_normal(cov=c[:2, :2]).logpdf(e)
+        for e, c in zip(angles[:2].T[counted], covs[counted], strict=True)
+    ]
+    found = StateLogLikelihood("direction", 2).terms(output, truth)[0]
+    assert float(np.sum(found)) == pytest.approx(-np.sum(density))
+
+
+def test_a_row_without_a_covariance_spoils_no_derivative():
+    rng = np.random.default_rng(6)
+    mean = Kinematic(Vector(*rng.normal(size=(2, LANES))), Vector(*rng.normal(size=(2, LANES))))
+    output, _, _ = _output(rng, mean, 4)
+    truth = {"position": (jnp.zeros((2, LANES)), jnp.ones(LANES, bool))}
+
+    def figures(scale):
+        scaled = output._replace(cov=tuple(scale * c for c in output.cov))
+        judges = Consistency("nees"), StateLogLikelihood()
+        return jnp.stack([j.value([jnp.sum(x) for x in j.terms(scaled, truth)]) for j in judges])
+
+    slope = jax.jacfwd(figures)(jnp.asarray(1.3))
+    numeric = (figures(1.3 + 1e-6) - figures(1.3 - 1e-6)) / 2e-6
+    np.testing.assert_allclose(slope, numeric, rtol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def figures():
+    """All figures of the true model and of two that lie, over 12,800 rows of the model's own world."""
+    world = stack(walks([200] * 64, 1))
+    levels = {"true": (0.3, 0.2), "too sure": (0.3, 0.1), "wild": (3.0, 0.2)}
+    return {k: every_figure(line_tracker(*v), world, "position", 1) for k, v in levels.items()}
+
+
+def test_only_the_true_model_has_the_right_shape(figures):
+    shapes = {k: (f["nis-shape"], f["nees-shape"]) for k, f in figures.items()}
+    # chi-square with four degrees of freedom over about 10,000 rows: beyond 3e-3 one in 10⁵; NEES values last
+    assert max(shapes["true"]) < 3e-3
+    assert min(shapes["too sure"]) > 0.1
+    assert min(shapes["wild"]) > 0.02
+
+
+def test_every_figure_is_best_for_the_true_model(figures):
+    for name in ("nll", "rmse", "state-nll"):
+        assert figures["true"][name] == min(f[name] for f in figures.values())
+    assert np.isnan(figures["true"]["rmse-3d"])
+
+
+def test_without_truth_what_needs_none_is_left(figures):
+    silent = [r.__class__(r.times, r.readings, r.inputs) for r in walks([200] * 64, 1)]
+    found = every_figure(line_tracker(), stack(silent), "position", 1)
+    assert {k for k, v in found.items() if np.isfinite(v)} == {"nll", "nis-shape"}
+    assert found["nll"] == pytest.approx(figures["true"]["nll"], rel=1e-12)
+
+
+def test_what_makes_the_nis_says_its_tail():
+    assert float(tail_of(bearing_tracker(tail=5.0))) == pytest.approx(5.0)
+    assert tail_of(line_tracker()) is None
+    assert tail_of(direct_tracker(work_station().stations)) is None
+    with pytest.raises(ValueError, match="informed"):
+        Consistency("nis").terms(_output(np.random.default_rng(0), Beam(*np.zeros((4, LANES))), 4)[0], {})
+
+
+def test_a_sum_of_objectives_is_the_sum_of_their_figures(figures):
+    world = stack(walks([20] * 3, 2))
+    nll, rmse = NegativeLogLikelihood(), RootMeanSquareError("position", 1)
+    both = parse_objective("nll + 0.5*rmse", "position", 1)
+    assert both == Weighted((nll, rmse), (1.0, 0.5))
+    sums = np.array([7.0, 2.0, 16.0, 4.0])
+    assert both.value(sums) == pytest.approx(3.5 + 0.5 * 2.0)
+    assert both.size == 4
+    assert both.needs_truth
+    assert len(line_tracker().accumulate(world, both.terms)) == 4
+    assert np.isnan(both.log_likelihood_units(sums))
+    assert parse_objective("2e+0*nll").log_likelihood_units(sums) == pytest.approx(1.0)
+    assert parse_objective("nll") == nll
+
+
+@pytest.mark.parametrize(
+    "text", ["", "nll+", "nil", "nll rmse", "nll-rmse", "-1*nll", "0*nll", "1.2.3*nll", "nll+nll", "nll*2"]
+)
+def test_what_is_no_objective_is_refused(text):
+    with pytest.raises(ValueError):
+        parse_objective(text)
+
+
+def test_an_objective_sees_a_late_fix_with_the_covariance_that_is_reported_of_it():
+    rng = np.random.default_rng(8)
+    mean = Kinematic(Vector(*rng.normal(size=(3, LANES))), Vector(*rng.normal(size=(2, LANES))))
+    output, _, _ = _output(rng, mean, 5)
+    estimates = Estimates(mean, np.stack(output.cov), *(np.asarray(x) for x in output[2:]))
+    np.testing.assert_allclose(
+        np.stack(cov_before(mean, output.cov, 0.7)), moved_back(estimates, 0.7).cov_upper, rtol=1e-12, atol=1e-12
+    )
