@@ -21,6 +21,7 @@ from trackers.core.resampling import NOTHING, effective_sample_size, log_sum
 from trackers.core.scores import drawn_with_scores, normal_density, with_score
 from trackers.core.sensor import AbstractSensor, Reading, Residual
 from trackers.core.state import State, dimension, local, retract
+from trackers.core.walls import AbstractPotential
 
 
 class Particles(NamedTuple):
@@ -50,13 +51,14 @@ class ParticleFilter(eqx.Module):
 
     Its derivative has the score form of `trackers/core/scores.py`, which needs `log_density` of the motion where that
     is tuned. `discount`: what an offspring keeps of its ancestor's derivative (MOP-α); less than 1 is less scatter and
-    a bias.
+    a bias. `potential`: weighs every move by itself, as `Walls` do; its log-likelihood stands with the next reading's.
     """
 
     n_particles: int = eqx.field(static=True, default=1000)
     fraction: float = eqx.field(static=True, default=0.5)
     report: AbstractReport | None = None
     discount: float = eqx.field(static=True, default=1.0)
+    potential: AbstractPotential | None = None
 
     @property
     def heavy(self) -> bool:
@@ -88,7 +90,12 @@ class ParticleFilter(eqx.Module):
 
         moved = jax.vmap(step, in_axes=-1, out_axes=-1)(states, w)
         log_weights = with_score(log_weights, motion, states, inputs, dt, w, log_density=density_of_draws)
-        return Particles(jax.lax.stop_gradient(moved), log_weights, key)
+        moved = jax.lax.stop_gradient(moved)
+        if self.potential is not None:
+            moves = jax.vmap(motion.view, in_axes=-1, out_axes=-1)
+            said = jax.vmap(self.potential.log_weight, in_axes=-1, out_axes=-1)(moves(states), moves(moved))
+            log_weights = jnp.maximum(log_weights + said, NOTHING)
+        return Particles(moved, log_weights, key)
 
     def update(
         self, belief: Particles, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Any
@@ -107,6 +114,8 @@ class ParticleFilter(eqx.Module):
         after = jnp.where(after > 0.5 * NOTHING, after, jnp.nan)
         kept = jnp.where(weighted > 0.5 * NOTHING, weighted - after, NOTHING + 0 * after)
         weights = jnp.exp(belief.log_weights)
+        if self.potential is not None:
+            weights = weights / jnp.maximum(jnp.sum(weights), jnp.finfo(weights.dtype).tiny)
         nis = normalised_square(whitened, weights, seen.tail)
         wrapped = 0.0 * after if seen.wrapped is None else jnp.sum(weights * seen.wrapped)
         innovation = Innovation(after, nis, seen.count, wrapped)
