@@ -1,0 +1,134 @@
+"""What the evidence says in words: one sentence on top, and what to beware of."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from experiments.tuning_report.evidence import Score, TuningEvidence
+
+WORSE = 0.02
+"""Part by which a figure may rise before it counts as worse."""
+
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+SHAPES = ("nis-shape", "nees-shape")
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """`verdict`: one sentence; `warnings`: what speaks against the result; `good`: whether nothing does."""
+
+    verdict: str
+    good: bool
+    warnings: tuple[str, ...]
+
+
+def judged(evidence: TuningEvidence) -> Judgement:
+    """What the evidence says."""
+    warnings = [*_worse(evidence), *_undetermined(evidence)]
+    best = evidence.score(evidence.objective)
+    parts = [_change(best, best.training) if best else f"{evidence.objective_about} was tuned"]
+    rmse = evidence.score("rmse")
+    if rmse is not None and math.isfinite(rmse.held_out[0]):
+        parts.append(f"on held-out recordings {_change(rmse, rmse.held_out)}")
+    elif rmse is not None and best is not rmse and math.isfinite(rmse.training[0]):
+        parts.append(_change(rmse, rmse.training))
+    told = [n.determined for n in evidence.numbers if n.determined is not None]
+    if told:
+        parts.append(_determined(sum(told), len(told)))
+    sentence = "; ".join(parts)
+    return Judgement(f"{sentence[0].upper()}{sentence[1:]}.", not warnings, tuple(warnings))
+
+
+def is_worse(score: Score, pair: tuple[float, float]) -> bool:
+    """Whether the second number is worse than the first by more than `WORSE`: larger, or further from the target."""
+    before, after = pair
+    if not (math.isfinite(before) and math.isfinite(after)):
+        return math.isfinite(before)
+    if score.target is None:
+        return after > before + WORSE * abs(before)
+    return abs(after - score.target) > abs(before - score.target) + WORSE * abs(score.target)
+
+
+def is_better(score: Score, pair: tuple[float, float]) -> bool:
+    """Whether the second number is better than the first by more than `WORSE`."""
+    return all(math.isfinite(x) for x in pair) and is_worse(score, (pair[1], pair[0]))
+
+
+def percent(pair: tuple[float, float]) -> str:
+    """The change from the first to the second in per cent, with its sign; empty where it says nothing."""
+    before, after = pair
+    if not (math.isfinite(before) and math.isfinite(after) and before > 0):
+        return ""
+    change = 100 * (after / before - 1)
+    digits = 0 if abs(change) >= 10 else 1
+    return f"{change:+.{digits}f} %".replace("-", "−")
+
+
+def number(value: float) -> str:
+    """Four digits for a person to read, with a real minus sign; a dash where there is none."""
+    if not math.isfinite(value):
+        return "–"
+    text = f"{value:.4g}"
+    if "e" in text:
+        mantissa, exponent = text.split("e")
+        text = f"{mantissa}·10{str(int(exponent)).translate(RAISED)}"
+    return text.replace("-", "−")
+
+
+def _change(score: Score, pair: tuple[float, float]) -> str:
+    unit = "" if score.unit == "1" else f" {score.unit}"
+    relative = percent(pair) if score.unit not in ("nats", "1") else ""
+    change = f" ({relative})" if relative else ""
+    title = score.title[0].lower() + score.title[1:] if not score.title[:2].isupper() else score.title
+    return f"{title} went from {number(pair[0])} to {number(pair[1])}{unit}{change}"
+
+
+def _worse(evidence: TuningEvidence) -> list[str]:
+    """What got worse although it was not to."""
+    found = []
+    goal = evidence.score(evidence.objective)
+    if goal is not None and goal.training[1] > goal.training[0]:
+        found.append(f"The objective itself got worse: {_change(goal, goal.training)}.")
+    rmse = evidence.score("rmse")
+    if rmse is not None and is_worse(rmse, rmse.held_out):
+        found.append(
+            f"Held-out {_change(rmse, rmse.held_out)}: more than {WORSE:.0%} worse. ".replace("%", " %")
+            + "The noise model does not fit these recordings, or too few were tuned on."
+        )
+    for key in SHAPES:
+        score = evidence.score(key)
+        if score is None:
+            continue
+        where = [
+            name
+            for name, pair in (("the recordings tuned on", score.training), ("held-out recordings", score.held_out))
+            if is_worse(score, pair)
+        ]
+        if where:
+            quantity = key.removesuffix("-shape").upper()
+            found.append(
+                f"The {quantity} distribution lies further from χ² than before on {' and '.join(where)}: "
+                "the covariances that this filter reports deserve less belief than the old ones."
+            )
+    return found
+
+
+def _undetermined(evidence: TuningEvidence) -> list[str]:
+    names = [n.name for n in evidence.numbers if n.determined is False]
+    if not names:
+        return []
+    one = len(names) == 1
+    return [
+        f"The recordings do not determine {', '.join(names)}: other values fit as well, so do not read "
+        f"{'it' if one else 'them'} as measured. Keep {'it' if one else 'them'} fixed, tie numbers that act alike, or "
+        "record more motion."
+    ]
+
+
+def _determined(known: int, all_of_them: int) -> str:
+    if all_of_them == 1:
+        return "the recordings determine the number" if known else "the recordings do not determine the number"
+    if known == all_of_them:
+        return f"the recordings determine {'both' if known == 2 else f'all {known}'} numbers"
+    return f"the recordings determine {known or 'none'} of {all_of_them} numbers"

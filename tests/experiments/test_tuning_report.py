@@ -1,0 +1,190 @@
+"""The report of a tuning run: complete, in one file, true to its numbers, and outspoken where a result is doubtful."""
+
+import base64
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from experiments.tuning_report.evidence import Innovations, Score, TunedNumber
+from experiments.tuning_report.judgement import judged, number, percent
+from experiments.tuning_report.page import page, write_report
+from experiments.tuning_report.whiteness import autocorrelation, mixture_density, normal_scores, probabilities
+from tests.experiments.tuning_evidence import evidence, innovations
+
+EMPTY = {"meta", "img", "br", "link"}
+
+
+class Page(HTMLParser):
+    """Elements that are open, everything that refers to something, tables' cells, and the text."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.addresses, self.cells, self.text, self.sections = [], [], [], [], []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attributes):
+        named = dict(attributes)
+        self.addresses += [v for k, v in named.items() if k in ("src", "href", "srcset", "data", "action")]
+        if tag == "section":
+            self.sections.append(named["id"])
+        if tag in ("td", "th"):
+            self.cells.append("")
+        if tag not in EMPTY:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append(data)
+        if self.open and {"td", "th"} & set(self.open):
+            self.cells[-1] += data
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    return write_report(tmp_path_factory.mktemp("report") / "report.html", evidence()).read_text("utf-8")
+
+
+@pytest.fixture(scope="module")
+def parsed(written):
+    return Page(written)
+
+
+def test_every_element_is_closed_and_every_section_is_there(parsed):
+    assert parsed.open == []
+    assert parsed.sections == ["asked", "numbers", "scores", "descent", "consistency", "errors", "again"]
+
+
+def test_the_page_needs_nothing_from_anywhere_else(written, parsed):
+    assert len(parsed.addresses) == 5 + 3 + 7
+    assert all(a.startswith("data:image/svg+xml;base64,") for a in parsed.addresses)
+    assert not re.search(r"url\(|@import|<script|<link|<iframe", written)
+    for address in parsed.addresses:
+        drawing = base64.b64decode(address.split(",", 1)[1]).decode()
+        # an address of a name space is a name, and nobody fetches it
+        outside = set(re.findall(r'(?:href|src)="([^"]*)"', drawing)) | set(re.findall(r"url\(([^)]*)\)", drawing))
+        assert all(part.startswith("#") for part in outside)
+        assert "@import" not in drawing
+
+
+def test_the_tables_hold_the_numbers_they_were_given(parsed):
+    text = " ".join(parsed.cells)
+    for n in evidence().numbers:
+        assert n.name in text
+        for value in (n.before, n.after, n.low, n.high):
+            assert number(value) in text
+    for s in evidence().scores:
+        row = parsed.cells[next(k for k, c in enumerate(parsed.cells) if c.startswith(s.title)) :][:7]
+        assert [row[k] for k in (1, 2, 4, 5)] == [number(v) for v in (*s.training, *s.held_out)]
+
+
+def test_commands_and_recordings_are_named(parsed):
+    text = "".join(parsed.text)
+    for word in (evidence().command, *evidence().again, *evidence().training, *evidence().held_out, "4\u202f321"):
+        assert word in text
+
+
+def test_what_users_type_is_text_and_never_markup():
+    named = Page(page(evidence(command="tune <script>alert(1)</script> 'a&b'", training=("<b>",))))
+    assert "script" not in named.open
+    assert "tune <script>alert(1)</script> 'a&b'" in "".join(named.text)
+
+
+def test_a_good_result_is_recommended_and_nothing_warns():
+    kept = tuple(n for n in evidence().numbers if n.determined)
+    verdict = judged(evidence(numbers=kept))
+    assert verdict.good
+    assert verdict.warnings == ()
+    assert "0.4812 to 0.1327 nats" in verdict.verdict
+    assert "held-out recordings RMSE went from 0.3233 to 0.2517 m (−22 %)" in verdict.verdict
+    assert "determine both numbers" in verdict.verdict
+
+
+def _with_score(key, **changes):
+    return tuple(Score(**(vars(s) | changes)) if s.key == key else s for s in evidence().scores)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"scores": _with_score("rmse", held_out=(0.3, 0.307))}, ("Held-out RMSE", "more than 2 % worse")),
+        (
+            {"scores": _with_score("nis-shape", training=(0.1, 0.2))},
+            ("NIS", "on the recordings tuned on", "less belief"),
+        ),
+        ({"scores": _with_score("nis-shape", held_out=(0.1, 0.2))}, ("NIS", "on held-out recordings")),
+        ({"scores": _with_score("nll", training=(0.1, 0.2))}, ("objective itself got worse",)),
+        ({}, ("do not determine start.sigma_start", "Keep it fixed")),
+    ],
+)
+def test_what_got_worse_is_said_in_words(changes, words):
+    verdict = judged(evidence(**changes))
+    assert not verdict.good
+    assert any(all(word in warning for word in words) for warning in verdict.warnings)
+
+
+def test_a_held_out_error_within_two_per_cent_warns_nobody():
+    scores = _with_score("rmse", held_out=(0.3, 0.305))
+    assert not any("RMSE" in w for w in judged(evidence(scores=scores)).warnings)
+
+
+def test_a_run_without_truth_held_out_recordings_starts_or_intervals_has_a_page_too():
+    nan = (float("nan"),) * 2
+    scores = tuple(Score(**(vars(s) | {"held_out": nan})) for s in evidence().scores if s.key != "rmse")
+    numbers = (TunedNumber("motion.sigma_a", "1", 0.05, 0.1),)
+    bare = evidence(
+        scores=scores, held_out=(), numbers=numbers, errors=(), innovations=None, landscape=None, descents=()
+    )
+    shown = Page(page(bare))
+    assert shown.open == []
+    assert shown.sections == ["asked", "numbers", "scores", "again"]
+    assert "nothing here shows how the result does elsewhere" in "".join(shown.text)
+
+
+def test_numbers_are_short_and_changes_have_a_sign():
+    assert [number(v) for v in (0.123456, -2.0, float("nan"), 1.5e-7)] == [
+        "0.1235",
+        "−2",
+        "–",
+        "1.5·10⁻⁷",
+    ]
+    assert [percent(p) for p in ((2.0, 1.0), (1.0, 1.013), (0.0, 1.0), (float("nan"), 1.0))] == [
+        "−50 %",
+        "+1.3 %",
+        "",
+        "",
+    ]
+
+
+def test_probabilities_and_scores_are_those_of_scipy():
+    seen = innovations(1.3)
+    np.testing.assert_allclose(probabilities(seen), stats.chi2.cdf(seen.nis, seen.dof), rtol=1e-9)
+    # the inverse of a probability near 1 has its rounding times a few thousand
+    np.testing.assert_allclose(normal_scores(seen), stats.norm.ppf(stats.chi2.cdf(seen.nis, seen.dof)), atol=1e-8)
+
+
+def test_the_density_is_the_mixture_of_the_rows_degrees_of_freedom():
+    x = np.linspace(0.1, 9, 5)
+    wanted = 0.75 * stats.chi2.pdf(x, 2) + 0.25 * stats.chi2.pdf(x, 5)
+    np.testing.assert_allclose(mixture_density(x, np.array([2.0, 5.0, 2.0, 2.0])), wanted, rtol=1e-12)
+
+
+def test_autocorrelation_is_that_of_the_model_and_stops_at_the_end_of_a_trajectory():
+    rng = np.random.default_rng(0)
+    z = np.zeros(20_000)
+    for k in range(1, len(z)):
+        z[k] = 0.6 * z[k - 1] + 0.8 * rng.normal()
+    nis = stats.chi2.ppf(stats.norm.cdf(z), 2)
+    lane = np.repeat(np.arange(4), 5_000)
+    found, pairs = autocorrelation(Innovations(nis, np.full(len(nis), 2.0), lane), 5)
+    # standard error of each about 0.01
+    np.testing.assert_allclose(found, 0.6 ** np.arange(1, 6), atol=0.04)
+    assert pairs == 4 * 4_999
+    alone, none = autocorrelation(Innovations(nis[:9], np.full(9, 2.0), np.arange(9)), 3)
+    assert np.isnan(alone).all()
+    assert none == 0
