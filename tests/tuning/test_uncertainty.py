@@ -1,0 +1,279 @@
+"""How sure a fit is: against closed forms and repeated experiments on normal numbers, of which everything is known."""
+
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.optimize import brentq
+
+from tests.tuning.worlds import line_tracker, walks
+from trackers.core.recording import stack
+from trackers.core.tunable import Covariance, Fraction, Real, Scale
+from tuning.judgement import judgements, without_effect
+from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
+from tuning.parameters import Parameter, chosen, flatten
+from tuning.problem import Problem
+from tuning.profiles import bootstrap, percentile_intervals, profile, refit
+from tuning.uncertainty import optimum, uncertainty
+
+TYPICAL = 0.5
+
+
+@dataclass
+class Numbers:
+    """The negative log-likelihood of numbers `y` (n, m) from N(μ, σ²), n trajectories, as a problem of a fit.
+
+    log σ = `logs` · v and μ = `places` · v of an unconstrained vector v.
+    """
+
+    y: np.ndarray
+    parameters: list[Parameter]
+    logs: np.ndarray
+    places: np.ndarray
+    random: bool = False
+    objective: NegativeLogLikelihood = field(default_factory=NegativeLogLikelihood)
+
+    def evaluate(self, vectors, weights=None):
+        vectors = np.atleast_2d(vectors)
+        n, m = self.y.shape
+        log_sigma, mu = vectors @ self.logs, vectors @ self.places
+        r = self.y[None] - mu[:, None, None]
+        inverse = np.exp(-2 * log_sigma)[:, None]
+        nll = m * (log_sigma[:, None] + 0.5 * np.log(2 * np.pi)) + 0.5 * inverse * (r**2).sum(-1)
+        slope = (m - inverse * (r**2).sum(-1))[:, None] * self.logs[:, None]
+        slope = slope - (inverse * r.sum(-1))[:, None] * self.places[:, None]
+        terms = np.stack([nll, np.full_like(nll, m)], axis=1)
+        slopes = np.stack([slope, np.zeros_like(slope)], axis=1)
+        w = np.ones(n) if weights is None else np.atleast_2d(weights)
+        sums, slope_sums = (
+            (terms * w[..., None, :]).sum(-1) if np.ndim(w) > 1 else (terms @ w),
+            ((slope * w[..., None, :]).sum(-1) if np.ndim(w) > 1 else slope @ w),
+        )
+        return SimpleNamespace(
+            values=sums[:, 0] / sums[:, 1],
+            gradients=slope_sums / sums[:, 1:],
+            sums=sums,
+            terms=terms,
+            slopes=slopes,
+            used=np.ones((len(vectors), n), bool),
+        )
+
+
+def _level_and_place(y):
+    """The problem of σ and μ, and its optimum, which has a closed form."""
+    parameters = [Parameter(("sigma",), Scale(1.0), "sigma"), Parameter(("mu",), Real(0.0, typical=TYPICAL), "mu")]
+    problem = Numbers(y, parameters, np.array([1.0, 0.0]), np.array([0.0, TYPICAL]))
+    return problem, np.array([np.log(y.std()), y.mean() / TYPICAL])
+
+
+@pytest.fixture(scope="module")
+def numbers():
+    return np.random.default_rng(0).normal(0.3, 0.7, (40, 25))
+
+
+def test_the_observed_information_is_the_closed_form(numbers):
+    problem, best = _level_and_place(numbers)
+    found = uncertainty(problem, best)
+    total = numbers.size
+    # of log σ: 1/(2N); of μ: σ²/N. Differences over 2 % of a level are off by (2 %)²·2/3
+    errors = found.standard_errors()
+    assert errors["sigma"] == pytest.approx(numbers.std() / np.sqrt(2 * total), rel=1e-3)
+    assert errors["mu"] == pytest.approx(numbers.std() / np.sqrt(total), rel=1e-3)
+    low, high = found.intervals()["sigma"]
+    assert high / low == pytest.approx(np.exp(2 * 1.96 / np.sqrt(2 * total)), rel=1e-3)
+    assert low * high == pytest.approx(numbers.var())
+    assert judgements(found, problem.evaluate(best).slopes) == []
+
+
+def test_the_sandwich_is_right_where_trajectories_differ_and_the_information_is_not():
+    rng = np.random.default_rng(1)
+    fits, observed, sandwich = [], [], []
+    for _ in range(400):
+        # recordings with noise levels of their own, of which the model knows nothing
+        levels = np.exp(rng.normal(0, 0.4, (60, 1)))
+        problem, best = _level_and_place(rng.normal(0, levels, (60, 25)))
+        found = uncertainty(problem, best)
+        fits.append(best[0])
+        observed.append(found.observed[0, 0])
+        sandwich.append(found.sandwich[0, 0])
+    # 400 repetitions know a variance to 7 %; that the cov of few and skewed clusters is low by some more is known
+    assert np.mean(sandwich) / np.var(fits) == pytest.approx(1.0, abs=0.25)
+    assert np.mean(observed) / np.var(fits) < 0.2
+
+
+def test_intervals_are_in_physical_units_of_every_kind():
+    parameters = [
+        Parameter(("share",), Fraction(0.3), "share"),
+        Parameter(("matrix",), Covariance(np.diag([1.0, 4.0])), "matrix"),
+    ]
+    vector = np.concatenate([np.ravel(p.example.raw) for p in parameters])
+    found = SimpleNamespace(vector=vector, hessian=np.eye(5), units=1.0)
+    made = type(uncertainty(*_level_and_place(np.random.default_rng(0).normal(size=(25, 4)))))
+    cov = 0.01 * np.eye(5)
+    every = made(parameters, found, cov, cov, np.array([False] * 5), 25).intervals()
+    odds = np.array([x / (1 - x) for x in every["share"]])
+    np.testing.assert_allclose(np.log(odds), np.log(0.3 / 0.7) + np.array([-0.196, 0.196]), atol=1e-4)
+    # a variance of 4 m² whose log root is known to 0.1: ± 1.96 · 2 · 0.1 · 4
+    np.testing.assert_allclose([every["matrix"][k][1, 1] for k in (0, 1)], [4 - 1.568, 4 + 1.568], atol=1e-3)
+    open_ = made(parameters, found, cov, cov, np.array([True] + [False] * 4), 25).intervals()
+    assert [float(x) for x in open_["share"]] == [0.0, 1.0]
+
+
+def _product(y, weights):
+    """A problem in which only a·b^w, …, is seen of several levels."""
+    labels = "abc"[: len(weights)]
+    parameters = [Parameter((k,), Scale(1.0), k) for k in labels]
+    problem = Numbers(y, parameters, np.array(weights, float), np.zeros(len(weights)))
+    start = np.array(weights) * np.log(np.sqrt(np.mean(y**2))) / np.dot(weights, weights)
+    return problem, start
+
+
+@pytest.mark.parametrize(
+    ("weights", "says"),
+    [
+        ([1, 1], "a and b are not determined one by one: the data fix only a × b"),
+        ([1, -1], "a and b are not determined one by one: the data fix only a / b"),
+        ([1, 2], "a and b are not determined one by one: the data fix only a^0.5 × b"),
+        ([1, 0], "b has no effect on the objective"),
+    ],
+)
+def test_what_is_not_determined_is_said_in_words(numbers, weights, says):
+    problem, start = _product(numbers, weights)
+    found = uncertainty(problem, start)
+    said = judgements(found, problem.evaluate(start).slopes)
+    texts = [j.text for j in said]
+    assert len(texts) == 1
+    assert texts[0].replace("b × a^0.5", "a^0.5 × b") == says
+    undetermined = [k for k, e in found.standard_errors().items() if np.isnan(e)]
+    assert set(undetermined) == set(said[0].names)
+    low, high = found.intervals()[undetermined[0]]
+    assert low == 0
+    assert high == np.inf
+
+
+def test_several_numbers_that_hang_together_are_named_together(numbers):
+    problem, start = _product(numbers, [1, 1, 1])
+    said = judgements(uncertainty(problem, start), problem.evaluate(start).slopes)
+    assert len(said) == 2
+    assert all("not determined one by one" in j.text for j in said)
+
+
+def test_what_is_known_only_to_a_factor_is_said(numbers):
+    problem, _ = _level_and_place(numbers)
+    quadratic = SimpleNamespace(
+        optimum=SimpleNamespace(hessian=np.diag([0.25, 100.0])),
+        parameters=problem.parameters,
+        observed=np.diag([4.0, 0.01]),
+        sandwich=np.diag([4.0, 0.01]),
+    )
+    said = judgements(quadratic, np.ones((2, 2, 20)))
+    assert [j.text for j in said] == ["sigma is hardly determined: it may as well be 7.4 times larger or smaller"]
+
+
+def test_a_number_without_effect_is_found():
+    slopes = np.zeros((3, 2, 4, 5))
+    slopes[1, 0, 2, 3] = 1e-9
+    slopes[0, 1, 0, 0] = np.nan
+    assert without_effect(slopes).tolist() == [True, True, False, True]
+
+
+def test_a_profile_is_the_closed_form_and_so_is_its_interval(numbers):
+    y = numbers[:20, :3]
+    problem, best = _level_and_place(y)
+    found = profile(problem, optimum(problem, best), 0)
+    s, total = y.std(), y.size
+
+    def rise(sigma):
+        return total * (np.log(sigma / s) + 0.5 * (s / sigma) ** 2 - 0.5)
+
+    # exact at the points: nothing is left of the quadratic model, μ is re-optimised
+    np.testing.assert_allclose(found.rise, rise(found.values), atol=1e-9)
+    height = stats.chi2.ppf(0.95, 1) / 2
+    exact = [brentq(lambda x: rise(x) - height, *ends) for ends in ((0.3 * s, s), (s, 3 * s))]
+    # between points the root of the rise is taken as straight
+    np.testing.assert_allclose([found.low, found.high], exact, rtol=2e-3)
+
+
+def test_a_profile_of_what_is_not_determined_has_no_ends(numbers):
+    problem, start = _product(numbers, [1, 1])
+    found = profile(problem, optimum(problem, start), 1)
+    assert found.values[-1] / found.values[0] == pytest.approx(1e6)
+    assert np.max(np.abs(found.rise)) < 1e-6
+    assert (found.low, found.high) == (0.0, np.inf)
+
+
+def test_resampled_fits_spread_as_the_sandwich_says():
+    rng = np.random.default_rng(4)
+    y = rng.normal(0.2, np.exp(rng.normal(0, 0.3, (80, 1))), (80, 10))
+    problem, best = _level_and_place(y)
+    found = uncertainty(problem, best)
+    vectors = bootstrap(problem, found.optimum, replicates=2000, rounds=4)
+    # 2,000 replicates know a standard deviation to 2 %; resampling differs from it by terms of order 1/80
+    np.testing.assert_allclose(vectors.std(axis=0), np.sqrt(np.diagonal(found.sandwich)), rtol=0.08)
+    exact = []
+    for w in np.random.default_rng(0).multinomial(80, np.full(80, 1 / 80), size=2000)[:20]:
+        again = np.repeat(y, w, axis=0)
+        exact.append([np.log(again.std()), again.mean() / TYPICAL])
+    # after four steps each is at its own optimum
+    np.testing.assert_allclose(vectors[:20], exact, atol=2e-4)
+    low, high = percentile_intervals(problem.parameters, vectors)["sigma"]
+    np.testing.assert_allclose(np.log([low, high]), np.percentile(vectors[:, 0], [2.5, 97.5]), atol=1e-6)
+
+
+def test_resampling_and_profiles_refuse_what_they_can_not_do(numbers):
+    problem, best = _level_and_place(numbers[:3])
+    found = optimum(problem, best)
+    with pytest.raises(ValueError, match="3 trajectories are too few"):
+        bootstrap(problem, found)
+    with pytest.raises(ValueError, match="of a likelihood"):
+        profile(problem, found._replace(units=np.nan), 0)
+
+
+def test_refitted_vectors_are_never_worse(numbers):
+    problem, best = _level_and_place(numbers)
+    starts = best + np.random.default_rng(2).normal(0, 1.0, (50, 2))
+    before = problem.evaluate(starts).values
+    after = refit(problem, starts, optimum(problem, best).hessian, rounds=12)
+    assert np.all(after.values <= before)
+    np.testing.assert_allclose(after.vectors, np.tile(best, (50, 1)), atol=0.05)
+
+
+@pytest.fixture(scope="module")
+def line():
+    tracker = line_tracker()
+    world = stack(walks([60] * 24, 11))
+    parameters = chosen(tracker, ("motion.sigma_v", "sensors.gauge.sigma"))
+    return Problem(tracker, [world], RootMeanSquareError(dimensions=1), parameters), flatten(parameters)
+
+
+def test_the_influence_of_a_trajectory_is_the_derivative_by_its_weight(line):
+    problem, vector = line
+    found = optimum(problem, vector)
+    eps = 1e-5
+    for n in (0, 7):
+        up, down = np.ones((2, len(problem.valid)))
+        up[n], down[n] = 1 + eps, 1 - eps
+        slopes = [problem.evaluate(vector, w).gradients[0] for w in (up, down)]
+        # rounding / step
+        np.testing.assert_allclose(found.influence[n], (slopes[0] - slopes[1]) / (2 * eps), rtol=1e-6, atol=1e-10)
+
+
+def test_of_an_error_there_is_a_sandwich_and_no_information(line):
+    found = uncertainty(*line)
+    assert np.isnan(found.observed).all()
+    assert found.clusters == 24
+    assert np.isnan(found.optimum.units)
+    assert np.isfinite(found.sandwich).all()
+
+
+def test_few_trajectories_are_cut_into_blocks_of_rows():
+    tracker = line_tracker()
+    parameters = chosen(tracker, ("motion.sigma_v", "sensors.gauge.sigma"))
+    problem = Problem(tracker, [stack(walks([2000, 1500], 5))], NegativeLogLikelihood(), parameters)
+    found = uncertainty(problem, flatten(parameters))
+    assert 48 <= found.clusters <= 52
+    # of a true model both are the same; 50 blocks know a variance to a fifth
+    ratio = np.diagonal(found.sandwich) / np.diagonal(found.observed)
+    assert np.all((ratio > 0.4) & (ratio < 1.9))

@@ -1,0 +1,102 @@
+"""In words: what of a fit the recordings determine, and what they leave open."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from trackers.core.tunable import Scale
+from tuning.parameters import Parameter
+from tuning.uncertainty import PART, Uncertainty, determined
+
+LOOSE = 1.0
+"""Standard deviation of an unconstrained number from which on it is hardly determined: a factor of e either way."""
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What is wrong with a direction: `names` of the numbers that have a part in it, and what to tell the user."""
+
+    names: tuple[str, ...]
+    text: str
+
+
+def judgements(found: Uncertainty, slopes: np.ndarray) -> list[Judgement]:
+    """What the recordings don't determine, worst first; nothing to say of a good fit.
+
+    `slopes` (…, p, n): derivatives of trajectories' terms, as of `Evaluations`; where all are zero a number has no
+    effect at all.
+    """
+    names, kinds = names_of(found.parameters), kinds_of(found.parameters)
+    idle = without_effect(slopes)
+    said = [Judgement((names[k],), f"{names[k]} has no effect on the objective") for k in np.flatnonzero(idle)]
+    lively = np.flatnonzero(~idle)
+    if not len(lively) or not np.all(np.isfinite(found.optimum.hessian)):
+        return said
+    missing, _, _ = determined(found.optimum.hessian[np.ix_(lively, lively)])
+    cov = found.observed if np.all(np.isfinite(found.observed)) else found.sandwich
+    loose = np.zeros((len(lively), 0))
+    deviations: list[float] = []
+    if np.all(np.isfinite(cov)):
+        variances, directions = np.linalg.eigh(cov[np.ix_(lively, lively)])
+        wide = variances > LOOSE**2
+        loose, deviations = directions[:, wide][:, ::-1], np.sqrt(variances[wide])[::-1].tolist()
+    for direction, deviation in zip([*missing.T, *loose.T], [math.inf] * missing.shape[1] + deviations, strict=True):
+        part = np.abs(direction) > PART
+        own = [names[k] for k in lively[part]]
+        text = _words(own, [kinds[k] for k in lively[part]], direction[part], deviation)
+        said.append(Judgement(tuple(own), text))
+    return said
+
+
+def without_effect(slopes: np.ndarray) -> np.ndarray:
+    """Which of p numbers change nothing: derivatives (…, p, n) all zero where they are finite."""
+    return np.all(np.moveaxis(np.where(np.isfinite(slopes), slopes, 0.0) == 0, -2, 0).reshape(slopes.shape[-2], -1), 1)
+
+
+def names_of(parameters: Sequence[Parameter]) -> list[str]:
+    """A name for each unconstrained number: the parameter's label, with indices where it has several."""
+    return [".".join([p.label, *map(str, index)]) for p in parameters for index in np.ndindex(*np.shape(p.example.raw))]
+
+
+def kinds_of(parameters: Sequence[Parameter]) -> list[type]:
+    """The kind of tunable of each unconstrained number."""
+    return [type(p.example) for p in parameters for _ in range(int(np.size(p.example.raw)))]
+
+
+def _words(names: list[str], kinds: list[Any], direction: np.ndarray, deviation: float) -> str:
+    degree = "not determined" if math.isinf(deviation) else "hardly determined"
+    if len(names) == 1:
+        if math.isinf(deviation):
+            return f"{names[0]} is {degree}: the objective is the same whatever it is"
+        if kinds[0] is Scale:
+            return f"{names[0]} is {degree}: it may as well be {_factor(deviation)} times larger or smaller"
+        return f"{names[0]} is {degree}"
+    if len(names) == 2 and all(kind is Scale for kind in kinds):
+        return f"{names[0]} and {names[1]} are {degree} one by one: the data fix only {_product(names, direction)}"
+    size = direction / np.abs(direction).max()
+    moves = ", ".join(f"{name} {_change(kind, s)}" for name, kind, s in zip(names, kinds, size, strict=True))
+    return (
+        f"{', '.join(names[:-1])} and {names[-1]} are {degree} one by one: changed together ({moves}) they do nothing"
+    )
+
+
+def _factor(deviation: float) -> str:
+    return f"{math.exp(min(deviation, 20.0)):.2g}"
+
+
+def _product(names: list[str], direction: np.ndarray) -> str:
+    """What stays the same along the direction: one name times a power of the other, not above 1."""
+    first = int(np.argmin(np.abs(direction)))
+    power = -float(direction[first] / direction[1 - first])
+    size = abs(power)
+    other = names[1 - first] if size > 0.95 else f"{names[1 - first]}^{size:.2g}"
+    return f"{names[first]} {'×' if power > 0 else '/'} {other}"
+
+
+def _change(kind: Any, size: float) -> str:
+    return f"{100 * (math.exp(0.1 * size) - 1):+.0f} %" if kind is Scale else f"{0.1 * size:+.2g} units"
