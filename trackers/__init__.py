@@ -25,6 +25,7 @@ from trackers.core.contract import BrokenContract, check_motion, check_sensor
 from trackers.core.ekf import ExtendedKalman, Gaussian
 from trackers.core.estimates import Estimates, Status
 from trackers.core.fixes import CorrelatedFixSensor, FixSensor
+from trackers.core.loss import LossPolicy
 from trackers.core.metrics import bias, consistency, coverage, error_figures, nees, rmse, time_lost
 from trackers.core.modes import InteractingModels, SwitchingMotion
 from trackers.core.motion import (
@@ -44,7 +45,7 @@ from trackers.core.sensor import AbstractSensor, Channel, Reading, Residual, ind
 from trackers.core.singer import Singer
 from trackers.core.smoother import Smoothed
 from trackers.core.state import Heading, Rotation, wrap
-from trackers.core.tracker import AbstractStart, AbstractTracker, LossPolicy, Row, Tracker
+from trackers.core.tracker import AbstractStart, AbstractTracker, Row, Tracker
 from trackers.core.tunable import Covariance, Fraction, Real, Scale, tunables
 from trackers.line.grid import GridFilter
 from trackers.line.motion import HaltingMotion, LineMotion

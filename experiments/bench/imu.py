@@ -102,10 +102,11 @@ def _ours() -> dict[str, Any]:
     from trackers.core.algebra import Vector, diagonal
     from trackers.core.chunks import CHUNK, chunks, over_lanes, prepared
     from trackers.core.ekf import Gaussian
+    from trackers.core.loss import LossPolicy
     from trackers.core.recording import Batch
     from trackers.core.sensor import Reading
     from trackers.core.state import Heading, Rotation
-    from trackers.core.tracker import AbstractStart, LossPolicy, Tracker, scanned
+    from trackers.core.tracker import AbstractStart, Tracker, scanned
     from trackers.uwb_imu.ranges import RangeSensor
     from trackers.uwb_imu.strapdown import ImuNoise, Inertial, PlanarInertial, PlanarStrapdown, Strapdown
     from tuning.fit import Problem

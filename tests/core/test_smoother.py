@@ -10,10 +10,11 @@ from tests.known_start import NEVER_LOST, KnownStart, LinearSensor, flat, record
 from tests.oracles import joint_conditioning, van_loan
 from trackers.core.algebra import Vector
 from trackers.core.estimates import Status
+from trackers.core.loss import LossPolicy
 from trackers.core.motion import ConstantVelocity, Kinematic
 from trackers.core.recording import stack
 from trackers.core.smoother import Smoothed
-from trackers.core.tracker import LossPolicy, Tracker
+from trackers.core.tracker import Tracker
 from trackers.core.tunable import Scale
 
 LANES, ROWS, LAG, SIGMA_A = 4, 12, 0.9, 0.7

@@ -19,10 +19,11 @@ import numpy as np
 from trackers.core.algebra import Scalar, SparseRow, Vector, congruence, diagonal, total, triangle
 from trackers.core.ekf import Gaussian
 from trackers.core.estimates import Estimates
+from trackers.core.loss import LossPolicy
 from trackers.core.motion import Accelerated, Kinematic, Noise
 from trackers.core.recording import Batch
 from trackers.core.sensor import LOG_2PI, AbstractSensor, Channel, Reading, Residual, log_peak, placed
-from trackers.core.tracker import AbstractStart, LossPolicy, Output, Row, Score, Tracker
+from trackers.core.tracker import AbstractStart, Output, Row, Score, Tracker
 from trackers.core.tunable import Covariance, Real, Scale
 from trackers.core.whitening import whitened
 

@@ -19,6 +19,7 @@ from trackers.core.algebra import Scalar, shared, total
 from trackers.core.chunks import CHUNK, chunks, over_lanes, prepared
 from trackers.core.ekf import ExtendedKalman, Gaussian
 from trackers.core.estimates import Estimates, Status
+from trackers.core.loss import LossPolicy
 from trackers.core.motion import AbstractMotion
 from trackers.core.recording import Batch, Recording, stack
 from trackers.core.sensor import AbstractSensor, Reading
@@ -53,18 +54,6 @@ class AbstractStart(eqx.Module):
     @abstractmethod
     def begin(self, found: Any, row: Row) -> Gaussian:
         """The normal belief at this row, from what `acquire` found; the filter makes its own kind of belief of it."""
-
-
-class LossPolicy(eqx.Module):
-    """When a track counts as lost and is started again.
-
-    `limit`: the largest tolerable running mean of NIS per degree of freedom, over about `memory` rows with readings.
-    `patience`: seconds without any reading after which the old track is not trusted.
-    """
-
-    limit: float = 6.0
-    memory: float = 8.0
-    patience: float = 5.0
 
 
 class Said(NamedTuple):
@@ -176,10 +165,10 @@ class Tracker(AbstractTracker):
         finite = jnp.isfinite(shared(total(jnp.sum(x) for x in sizes)))
         heard = count > 0
         surprise = carry.surprise + jnp.where(
-            heard, (nis / jnp.maximum(count, 1.0) - carry.surprise) / self.loss.memory, 0.0
+            heard, (nis / jnp.maximum(count, 1.0) - carry.surprise) / self.loss.memory.value, 0.0
         )
         silence = carry.silence + row.dt
-        lost = (surprise > self.loss.limit) | (silence > self.loss.patience)
+        lost = (surprise > self.loss.limit.value) | (silence > self.loss.patience.value)
         silence = jnp.where(heard, 0.0, silence)
         status = jnp.where(finite, jnp.where(lost, Status.LOST, Status.OK), Status.NON_FINITE)
         status = jnp.where(carry.running, status, jnp.where(carry.begun, Status.LOST, Status.WAITING))

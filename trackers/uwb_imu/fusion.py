@@ -8,9 +8,10 @@ import equinox as eqx
 
 from trackers.core.algebra import Vector, diagonal
 from trackers.core.ekf import Gaussian
+from trackers.core.loss import LossPolicy
 from trackers.core.motion import Noise
 from trackers.core.nearby import AbstractNearbyStart
-from trackers.core.tracker import LossPolicy, Row, Tracker
+from trackers.core.tracker import Row, Tracker
 from trackers.core.tunable import Scale
 from trackers.uwb_imu.drifting import DriftingBiases, Ranged
 from trackers.uwb_imu.ranges import RANGES, RangeSensor

@@ -9,10 +9,11 @@ import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar, Vector, diagonal, triangle
 from trackers.core.ekf import Gaussian
+from trackers.core.loss import LossPolicy
 from trackers.core.motion import Noise
 from trackers.core.nearby import AbstractNearbyStart
 from trackers.core.state import Heading, Rotation
-from trackers.core.tracker import LossPolicy, Row, Tracker
+from trackers.core.tracker import Row, Tracker
 from trackers.core.tunable import Scale
 from trackers.uwb_imu.fusion import OWN_BIASES
 from trackers.uwb_imu.ranges import RANGES, RangeSensor
