@@ -1,23 +1,24 @@
-"""Fit the numbers of a tracker to recordings by gradient: forward mode, any number of recordings, optax."""
+"""Fit the numbers of a tracker to recordings by gradient: forward mode, any number of recordings, many starts."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-import optax
 
-from trackers.core.chunks import CHUNK, chunks, over_lanes, prepared
+from trackers.core.chunks import CHUNK
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker
 from tuning.curvature import STEP, hessian, newton_step, standard_errors
+from tuning.descent import Descent, FitState, enough
 from tuning.objectives import AbstractObjective
-from tuning.parameters import Parameter, chosen, flatten, physical, placed_in
+from tuning.optimisers import LBFGS, AbstractOptimiser, Adam
+from tuning.parameters import Parameter, chosen, flatten, limits, physical, placed_in
+from tuning.problem import Problem
+from tuning.starts import coarse_grid
 
 NEWTON_STEPS = 4
 
@@ -33,7 +34,12 @@ class Step:
 
 @dataclass(frozen=True)
 class FitResult:
-    """A tuned tracker and how it came about; `left_out`: trajectories without usable derivatives."""
+    """A tuned tracker and how it came about.
+
+    `value`, `start_value`: the objective. `trace`: the steps of the start that won; `starts`: those of all.
+    `left_out`: trajectories without usable derivatives. `problem` and `vector`: the objective as a function, and
+    where it is least. `interrupted`: the fit was stopped, and has no standard errors.
+    """
 
     tracker: AbstractTracker
     parameters: list[Parameter]
@@ -42,89 +48,12 @@ class FitResult:
     value: float
     start_value: float
     left_out: int
+    problem: Problem
+    vector: np.ndarray
+    filter_runs: int
+    interrupted: bool = False
     trace: list[Step] = field(default_factory=list)
-
-
-class Problem:
-    """The objective of a tracker over batches as a function of an unconstrained vector, compiled once per shape."""
-
-    def __init__(
-        self,
-        tracker: AbstractTracker,
-        batches: Sequence[Batch],
-        objective: AbstractObjective,
-        parameters: list[Parameter],
-        chunk: int,
-    ):
-        self.objective, self.parameters = objective, parameters
-        self.dtype = batches[0].dt.dtype
-        self.tracker = prepared(tracker, self.dtype)
-        self.chunks = [part for batch in batches for part in chunks(batch, chunk)]
-        self.valid = np.concatenate([np.asarray(part.valid).any(axis=0) for part in self.chunks])
-        self.left_out = 0
-
-    def value_and_gradient(self, vector: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-        """The figure, its gradient, and the sums that it is made of, without trajectories that aren't finite."""
-        found = [over_lanes(term_sums, self.at(vector), part) for part in self.chunks]
-        sums, slopes = (np.concatenate([np.asarray(x, float) for x in xs], axis=-1) for xs in zip(*found, strict=True))
-        finite = np.isfinite(sums).all(axis=0)
-        steady = _steady(slopes) & finite
-        self.left_out = int(np.sum(~steady & self.valid))
-        total = np.where(finite, sums, 0).sum(axis=-1)
-        slope = np.where(steady, slopes, 0).sum(axis=-1)
-        value, by_sum = jax.value_and_grad(self.objective.value)(jnp.asarray(total))
-        with np.errstate(invalid="ignore"):  # where nothing is scored figure and gradient are NaN
-            return float(value), np.asarray(by_sum, float) @ slope, total
-
-    def at(self, vector: np.ndarray) -> Point:
-        """What `term_sums` takes, at a vector."""
-        return Point(self.tracker, self.objective, self.parameters, jnp.asarray(vector, self.dtype))
-
-
-def _steady(slopes: np.ndarray) -> np.ndarray:
-    """Which trajectories (B,) have derivatives (k, p, B) to go by: finite, and not thousands of times the usual.
-
-    A filter that hesitates between two tracks depends on every number without measure; where all others have
-    something to say, such a trajectory has not.
-    """
-    size = np.sqrt(np.sum(np.where(np.isfinite(slopes), slopes, np.inf) ** 2, axis=(0, 1)))
-    moving = size[np.isfinite(size) & (size > 0)]
-    return np.isfinite(size) & (size <= 1e3 * np.median(moving)) if len(moving) else np.isfinite(size)
-
-
-class Point(eqx.Module):
-    """A tracker, an objective and the values of its parameters: what the compiled function takes."""
-
-    tracker: AbstractTracker
-    objective: AbstractObjective
-    names: tuple[tuple[str, ...], ...] = eqx.field(static=True)
-    labels: tuple[str, ...] = eqx.field(static=True)
-    examples: tuple[Any, ...]
-    vector: jax.Array
-
-    def __init__(
-        self, tracker: AbstractTracker, objective: AbstractObjective, parameters: list[Parameter], vector: jax.Array
-    ):
-        self.tracker, self.objective, self.vector = tracker, objective, vector
-        self.names = tuple(p.names for p in parameters)
-        self.labels = tuple(p.label for p in parameters)
-        self.examples = tuple(p.example for p in parameters)
-
-    def parameters(self) -> list[Parameter]:
-        """The parameters, whose values the vector holds."""
-        return [Parameter(*parts) for parts in zip(self.names, self.examples, self.labels, strict=True)]
-
-
-def term_sums(point: Point, batch: Batch) -> tuple[jax.Array, jax.Array]:
-    """The sums per term and trajectory (k, B), and their derivatives (k, p, B), all tangents at once, forward."""
-
-    def sums(v: jax.Array) -> tuple[jax.Array, jax.Array]:
-        tracker = placed_in(point.tracker, point.parameters(), v)
-        stacked = jnp.stack(tracker.accumulate(batch, point.objective.terms))
-        return stacked, stacked
-
-    slopes, values = jax.jacfwd(sums, has_aux=True)(point.vector)
-    return values, jnp.moveaxis(slopes, -1, 1)
+    starts: list[list[Step]] = field(default_factory=list)
 
 
 def fit(
@@ -132,95 +61,144 @@ def fit(
     batches: Batch | Sequence[Batch],
     objective: AbstractObjective,
     tune: str | Sequence[str],
-    steps: int = 80,
-    rate: float = 0.15,
+    *,
+    frozen: Sequence[str] = (),
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    optimiser: AbstractOptimiser | None = None,
+    steps: int = 60,
+    starts: int = 1,
+    held_out: Batch | Sequence[Batch] = (),
+    minibatch: int | None = None,
+    seed: int = 0,
     chunk: int = CHUNK,
-    report: Callable[[int, Step], None] = lambda number, step: None,
+    resume: FitState | None = None,
+    report: Callable[[FitState], None] = lambda state: None,
 ) -> FitResult:
     """The tracker with the tunables that `tune` names (shell patterns) fitted for the least objective.
 
-    Adam on the unconstrained vector, whose rate falls from `rate` to a hundredth of it over `steps`; a step after
-    which the objective isn't finite is taken back and halved; for a likelihood a few Newton steps follow. The best
-    point met is returned, never a worse one than the start. Standard errors come from the curvature where the
-    objective is a likelihood, else they are NaN; they hold for readings with independent noise. Raises ValueError for
-    patterns that name nothing or nothing that can be tied, FloatingPointError where the objective is not finite at the
-    start.
+    `frozen`: patterns of tunables that stay as they are. `bounds`: lowest and highest physical value by pattern.
+    `optimiser`: default `LBFGS`, or `Adam` for particles and minibatches. `starts`:
+    how many of a coarse grid's best points are followed, side by side, the tracker's own among them. `held_out`:
+    recordings that decide which point is the best, and when to stop. `minibatch`: trajectories per step. `report` gets
+    the state after every step, `resume` takes one up again with the same result to the bit.
+
+    A step after which the objective isn't finite, or that doesn't help, is taken back and shortened; for a likelihood a
+    few Newton steps follow. The best point met is returned, never a worse one than the start; an interrupt (Ctrl-C)
+    ends the fit there. Standard errors come from the curvature where the objective is a likelihood, else they are NaN;
+    they hold for readings with independent noise. Raises ValueError for patterns that name nothing or nothing that can
+    be tied and for bounds without room, FloatingPointError where the objective is not finite at the start.
     """
-    batches = [batches] if isinstance(batches, Batch) else list(batches)
-    parameters = chosen(tracker, tune)
-    problem = Problem(tracker, batches, objective, parameters, chunk)
+    parameters = chosen(tracker, tune, frozen)
+    problem = Problem(
+        tracker, _several(batches), objective, parameters, chunk if minibatch is None else min(chunk, minibatch)
+    )
+    judge = Problem(tracker, _several(held_out), objective, parameters, chunk) if held_out else None
+    low, high = limits(parameters, bounds or {})
+    optimiser = optimiser or usual(problem, minibatch, steps)
+    parts = None if minibatch is None else max(1, minibatch // problem.chunks[0].size)
+    descent = Descent(problem, optimiser, steps, low, high, judge, minibatch=parts, seed=seed)
+    state = resume if resume is not None else begun(descent, parameters, starts)
+    interrupted = False
+    try:
+        report(state)
+        while not descent.over(state):
+            state = descent.advance(state)
+            report(state)
+    except KeyboardInterrupt:
+        interrupted = True
+    return _finished(tracker, descent, state, interrupted)
+
+
+def _several(batches: Batch | Sequence[Batch]) -> list[Batch]:
+    return [batches] if isinstance(batches, Batch) else list(batches)
+
+
+def usual(problem: Problem, minibatch: int | None, steps: int) -> AbstractOptimiser:
+    """The optimiser that suits the problem."""
+    if minibatch is not None or problem.random:
+        return Adam(steps)
+    return LBFGS()
+
+
+def begun(descent: Descent, parameters: Sequence[Parameter], starts: int) -> FitState:
+    """The state at the tracker's own values and at the best of a coarse grid, `starts` together."""
     vector = flatten(parameters)
-    value, gradient, sums = problem.value_and_gradient(vector)
-    if not (np.isfinite(value) and np.all(np.isfinite(gradient))):
+    state = descent.begin(vector if starts == 1 else coarse_grid(parameters, vector))
+    if not np.isfinite(state.found.values[0]):
         raise FloatingPointError(
-            f"the objective is not finite at the start ({value}): no row is scored, or truth is missing"
+            f"the objective is not finite at the start ({state.found.values[0]}): no row is scored, or truth is missing"
         )
-    # A filter on the brink of losing a track has enormous derivatives; one such step must not drown all others.
-    schedule = optax.cosine_decay_schedule(rate, steps, 0.01)
-    optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.adam(schedule))
-    state: Any = optimiser.init(jnp.asarray(vector))
-    best, start_value = (value, vector, sums), value
-    trace: list[Step] = []
-    for number in range(steps + 1):
-        trace.append(Step(value, float(np.linalg.norm(gradient)), _named(parameters, vector)))
-        report(number, trace[-1])
-        if number == steps:
-            break
-        # Adam raises a float to the power of an integer count, which strict promotion would refuse.
-        with jax.numpy_dtype_promotion("standard"):
-            update, state = optimiser.update(jnp.asarray(gradient), state)
-        vector, value, gradient, sums = _advance(problem, vector, np.asarray(update, float), (value, gradient, sums))
-        if value < best[0]:
-            best = (value, vector, sums)
-    value, vector, sums = best
-    units = objective.log_likelihood_units(sums)
+    others = 1 + np.argsort(state.best_scores[1:], kind="stable")
+    return state.of(np.concatenate([[0], others])[:starts])
+
+
+def _finished(tracker: AbstractTracker, descent: Descent, state: FitState, interrupted: bool) -> FitResult:
+    """The result at the best point met, after a few Newton steps of a likelihood."""
+    problem, parameters = descent.problem, descent.problem.parameters
+    winner = int(np.argmin(state.best_scores))
+    vector = state.best_vectors[winner]
+    best = problem.evaluate(vector)
+    value, units = float(best.values[0]), problem.objective.log_likelihood_units(best.sums[0])
     errors = [np.full(np.shape(p.example.raw), np.nan) for p in parameters]
-    if np.isfinite(units):
-        value, vector, curvature = _polished(problem, value, vector)
+    if np.isfinite(units) and not interrupted and not problem.random:
+        value, vector, curvature = _polished(descent, value, vector)
         errors = standard_errors(parameters, vector, units * curvature)
+    traces = [_trace(parameters, state, k) for k in range(len(state.vectors))]
     return FitResult(
         placed_in(tracker, parameters, vector),
         parameters,
-        _named(parameters, vector),
+        named(parameters, vector),
         dict(zip((p.label for p in parameters), errors, strict=True)),
         value,
-        start_value,
+        float(state.past_values[0, 0]),
         problem.left_out,
-        trace,
+        problem,
+        vector,
+        int(state.filter_runs),
+        interrupted,
+        traces[winner],
+        traces,
     )
 
 
-def _advance(problem: Problem, vector: np.ndarray, update: np.ndarray, before: Any) -> tuple[Any, ...]:
-    """The next point; halved up to six times while the objective isn't finite, else the point stays."""
-    for _ in range(6):
-        value, gradient, sums = problem.value_and_gradient(vector + update)
-        if np.isfinite(value) and np.all(np.isfinite(gradient)):
-            return vector + update, value, gradient, sums
-        update = update / 2
-    return vector, *before
-
-
-def _named(parameters: Sequence[Parameter], vector: np.ndarray) -> dict[str, Any]:
+def named(parameters: Sequence[Parameter], vector: np.ndarray) -> dict[str, Any]:
+    """The physical values by the parameters' labels."""
     values = physical(parameters, vector)
     return {p.label: np.asarray(v, float) for p, v in zip(parameters, values, strict=True)}
 
 
-def _polished(problem: Problem, value: float, vector: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+def _trace(parameters: Sequence[Parameter], state: FitState, start: int) -> list[Step]:
+    """The steps of a start, as long as it moved."""
+    vectors = state.past_vectors[:, start]
+    moved = np.flatnonzero(np.any(np.diff(vectors, axis=0) != 0, axis=1))
+    last = moved[-1] + 2 if len(moved) else 1
+    values = jax.vmap(lambda v: physical(parameters, v))(vectors[:last])
+    return [
+        Step(
+            float(state.past_values[k, start]),
+            float(state.past_norms[k, start]),
+            {p.label: np.asarray(v[k], float) for p, v in zip(parameters, values, strict=True)},
+        )
+        for k in range(last)
+    ]
+
+
+def _polished(descent: Descent, value: float, vector: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     """A few Newton steps, as long as they help, and the second derivatives at the end."""
-
-    def slope(v: np.ndarray) -> np.ndarray:
-        return problem.value_and_gradient(v)[1]
-
+    problem = descent.problem
+    here = problem.evaluate(vector)
     for _ in range(NEWTON_STEPS):
-        curvature = hessian(slope, vector)
-        if not np.all(np.isfinite(curvature)):
+        curvature = hessian(lambda v: problem.evaluate(v).gradients, vector)
+        if descent.held_out is not None or not np.all(np.isfinite(curvature)):
             break
-        step = newton_step(curvature, slope(vector))
-        new = problem.value_and_gradient(vector + step)[0]
-        if not new < value:
+        step = newton_step(curvature, here.gradients[0])
+        new = np.clip(vector + step, descent.low, descent.high)
+        there = problem.evaluate(new)
+        if not there.values[0] < value:
             break
-        value, vector = new, vector + step
-        if np.linalg.norm(step) < STEP:
+        gain = value - float(there.values[0])
+        value, vector, here = float(there.values[0]), new, there
+        if np.linalg.norm(step) < STEP or gain < enough(problem.objective, value, there.sums[0]):
             break
-    problem.value_and_gradient(vector)
+    problem.evaluate(vector)
     return value, vector, curvature

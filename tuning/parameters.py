@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import fnmatch
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,13 +30,14 @@ class Parameter:
     label: str
 
 
-def chosen(tracker: AbstractTracker, patterns: str | Sequence[str]) -> list[Parameter]:
-    """The parameters that the patterns name; `tied:PATTERN` makes one parameter of all that match.
+def chosen(tracker: AbstractTracker, patterns: str | Sequence[str], frozen: Sequence[str] = ()) -> list[Parameter]:
+    """The parameters that the patterns name, but for the `frozen`; `tied:PATTERN` makes one of all that match.
 
-    Raises ValueError when there is no pattern, one matches nothing, or tied tunables have different units or shapes.
+    Raises ValueError when there is no pattern, one matches nothing, tied tunables have different units or shapes, or
+    nothing is left that is not frozen.
     """
     parameters: list[Parameter] = []
-    taken: set[str] = set()
+    taken: set[str] = set(matching(tracker, frozen)) if frozen else set()
     for pattern in [patterns] if isinstance(patterns, str) else patterns:
         found = {k: v for k, v in matching(tracker, pattern.removeprefix(TIED)).items() if k not in taken}
         taken.update(found)
@@ -48,13 +50,39 @@ def chosen(tracker: AbstractTracker, patterns: str | Sequence[str]) -> list[Para
         else:
             parameters += [Parameter((name,), node, name) for name, node in found.items()]
     if not parameters:
-        raise ValueError("no pattern is given, so nothing would be tuned")
+        raise ValueError("no pattern is given that names anything but what is frozen, so nothing would be tuned")
     return parameters
 
 
 def flatten(parameters: Sequence[Parameter]) -> np.ndarray:
     """The unconstrained vector of the parameters' present values."""
     return np.concatenate([np.ravel(np.asarray(p.example.raw, float)) for p in parameters])
+
+
+def limits(parameters: Sequence[Parameter], bounds: Mapping[str, tuple[float, float]]) -> tuple[np.ndarray, np.ndarray]:
+    """The lowest and highest unconstrained vector (p,), of physical bounds by pattern, infinite elsewhere.
+
+    Raises ValueError for a pattern that no parameter matches, and bounds without room or that the number can't have.
+    """
+    low = [np.full(np.shape(p.example.raw), -np.inf) for p in parameters]
+    high = [np.full(np.shape(p.example.raw), np.inf) for p in parameters]
+    for pattern, (lowest, highest) in bounds.items():
+        found = [k for k, p in enumerate(parameters) if fnmatch.filter((*p.names, p.label), pattern)]
+        if not found:
+            raise ValueError(
+                f"bounds for '{pattern}': no tuned number matches; tuned are {', '.join(p.label for p in parameters)}"
+            )
+        if not lowest < highest:
+            raise ValueError(f"bounds for '{pattern}': {lowest:g} is not below {highest:g}")
+        for k in found:
+            shape = np.shape(parameters[k].example.raw)
+            try:
+                low[k], high[k] = (
+                    np.asarray(parameters[k].example.holding(np.full(shape, x)).raw) for x in (lowest, highest)
+                )
+            except ValueError as error:
+                raise ValueError(f"bounds for '{pattern}': {error}") from error
+    return np.concatenate([np.ravel(x) for x in low]), np.concatenate([np.ravel(x) for x in high])
 
 
 def with_raw(node: AbstractTunable, raw: Any) -> AbstractTunable:

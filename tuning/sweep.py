@@ -10,23 +10,17 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.chunks import CHUNK, chunks, over_lanes, prepared
-from trackers.core.particles import ParticleFilter
+from trackers.core.chunks import CHUNK
 from trackers.core.recording import Batch
-from trackers.core.tracker import AbstractTracker, Tracker, is_heavy
-from tuning.fit import Point
+from trackers.core.tracker import AbstractTracker
 from tuning.objectives import AbstractObjective
-from tuning.parameters import TIED, Parameter, chosen, placed_in
+from tuning.parameters import TIED, Parameter, chosen
+from tuning.problem import Problem
 
 AT_ONCE = 32
-"""Values in one compiled call."""
-
-LANES = 256
-"""Trajectories times values that run side by side inside a call; of filters with an axis of their own one value."""
+"""Values that are filtered before progress is told."""
 
 
 @dataclass(frozen=True)
@@ -63,9 +57,14 @@ class Sweep:
         return {p.label: float(grid[k]) for p, grid, k in places}
 
 
-def is_random(tracker: AbstractTracker) -> bool:
-    """Whether another random key gives another result, so that a sweep gains by repeats."""
-    return isinstance(getattr(tracker, "filter", None), ParticleFilter)
+def swept_parameters(tracker: AbstractTracker, patterns: Sequence[str]) -> list[Parameter]:
+    """A parameter for each pattern, of all that it names, kept equal; raises ValueError as `sweep` does."""
+    if not 1 <= len(patterns) <= 2:
+        raise ValueError(f"a sweep goes over one or two patterns, found {len(patterns)}")
+    parameters = chosen(tracker, [p if p.startswith(TIED) else TIED + p for p in patterns])
+    if len(parameters) < len(patterns):
+        raise ValueError(f"the patterns {' and '.join(patterns)} name the same tunables")
+    return parameters
 
 
 def grid_vectors(parameters: Sequence[Parameter], grids: Sequence[np.ndarray]) -> np.ndarray:
@@ -100,67 +99,27 @@ def sweep(
     ValueError for a pattern that names nothing or what can't be kept equal, for values outside a constraint, and for
     other than one or two patterns.
     """
-    if not 1 <= len(over) <= 2:
-        raise ValueError(f"a sweep goes over one or two patterns, found {len(over)}")
-    tied = [p if p.startswith(TIED) else TIED + p for p in over]
-    parameters = chosen(tracker, tied)
-    if len(parameters) < len(over):
-        raise ValueError(f"the patterns {' and '.join(over)} name the same tunables")
+    parameters = swept_parameters(tracker, list(over))
     grids = [np.asarray(values, float) for values in over.values()]
+    problem = Problem(tracker, [batches] if isinstance(batches, Batch) else batches, objective, parameters, chunk)
     points = grid_vectors(parameters, grids)
-    parts = [p for b in ([batches] if isinstance(batches, Batch) else batches) for p in chunks(b, chunk)]
-    repeats = repeats if is_random(tracker) else 1
-    values = np.stack(
-        [forward_values(tracker, [_drawing(p, k) for p in parts], objective, parameters, points, report)
-         for k in range(repeats)]
-    )  # fmt: skip
-    trajectories = sum(int(np.asarray(p.valid).any(axis=0).sum()) for p in parts)
-    return Sweep(parameters, grids, values.reshape(repeats, *map(len, grids)), repeats * len(points) * trajectories)
+    repeats = repeats if problem.random else 1
+    values = np.stack([comparable_values(problem, points, turn, report) for turn in range(repeats)])
+    return Sweep(parameters, grids, values.reshape(repeats, *map(len, grids)), problem.filter_runs)
 
 
-def forward_values(
-    tracker: AbstractTracker,
-    parts: Sequence[Batch],
-    objective: AbstractObjective,
-    parameters: Sequence[Parameter],
-    vectors: np.ndarray,
-    report: Callable[[int], None] = lambda points: None,
+def comparable_values(
+    problem: Problem, points: np.ndarray, turn: int = 0, report: Callable[[int], None] = lambda points: None
 ) -> np.ndarray:
-    """The objective (S,) at unconstrained vectors (S, p), without derivatives; `parts` as `chunks` makes them.
+    """The objective (S,) at unconstrained vectors (S, p), without derivatives; another turn has other random numbers.
 
     A trajectory that is finite at none of the vectors is left out; one that is finite at some makes the others NaN,
     since figures over different trajectories can't be compared.
     """
-    dtype = parts[0].dt.dtype
-    model = prepared(tracker, dtype)
     found = []
-    for first in range(0, len(vectors), AT_ONCE):
-        some = vectors[first : first + AT_ONCE]
-        filled = np.concatenate([some, np.repeat(some[-1:], min(AT_ONCE, len(vectors)) - len(some), axis=0)])
-        point = Point(model, objective, list(parameters), jnp.asarray(filled, dtype))
-        sums = [np.asarray(over_lanes(forward_sums, point, part), float) for part in parts]
-        found.append(np.concatenate(sums, axis=-1)[: len(some)])
-        report(len(some))
+    for first in range(0, len(points), AT_ONCE):
+        found.append(problem.terms(points[first : first + AT_ONCE], turn))
+        report(len(found[-1]))
     every = np.concatenate(found)
     finite = np.isfinite(every).all(axis=1)
-    total = every[..., finite.any(axis=0)].sum(axis=-1)
-    with np.errstate(invalid="ignore"):
-        return np.array([float(objective.value(jnp.asarray(row))) for row in total])
-
-
-def forward_sums(point: Point, batch: Batch) -> jax.Array:
-    """The sums per vector, term and trajectory (S, k, B) at a point of several vectors (S, p)."""
-
-    def sums(vector: jax.Array) -> jax.Array:
-        tracker = placed_in(point.tracker, point.parameters(), vector)
-        return jnp.stack(tracker.accumulate(batch, point.objective.terms))
-
-    # Under vmap a heavy filter would compute both sides of its conditions, at every row.
-    heavy = isinstance(point.tracker, Tracker) and is_heavy(point.tracker)
-    side_by_side = 1 if heavy else min(max(1, LANES // batch.size), len(point.vector))
-    return jax.lax.map(sums, point.vector, batch_size=side_by_side)
-
-
-def _drawing(part: Batch, repeat: int) -> Batch:
-    """The trajectories with keys that no other repeat has; the first are their own."""
-    return part._replace(key=part.key.at[0].add(np.uint32(repeat)))
+    return problem.figures(every[..., finite.any(axis=0)].sum(axis=-1))

@@ -109,9 +109,9 @@ def _ours() -> dict[str, Any]:
     from trackers.core.tracker import AbstractStart, Tracker, scanned
     from trackers.uwb_imu.ranges import RangeSensor
     from trackers.uwb_imu.strapdown import ImuNoise, Inertial, PlanarInertial, PlanarStrapdown, Strapdown
-    from tuning.fit import Problem
     from tuning.objectives import NegativeLogLikelihood
     from tuning.parameters import chosen, flatten
+    from tuning.problem import Problem
 
     class Given(AbstractStart):
         """Begins at the first row from the place, velocity and yaw in its inputs."""
@@ -157,7 +157,7 @@ def _ours() -> dict[str, Any]:
         result, forward = _timed(lambda: [over_lanes(scanned, model, part) for part in chunks(batch, CHUNK)])
         parameters = chosen(one, TUNED)
         problem, vector = Problem(one, [batch], NegativeLogLikelihood(), parameters, CHUNK), flatten(parameters)
-        _, gradient = _timed(lambda: problem.value_and_gradient(vector)[:2])
+        _, gradient = _timed(lambda: problem.evaluate(vector)[:2])
         last = np.concatenate(
             [np.stack([np.asarray(x)[-1] for x in part.mean.position[:2]]) for part in result], axis=1
         )

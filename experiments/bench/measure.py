@@ -24,9 +24,9 @@ from trackers.core.recording import Batch
 from trackers.core.rig import Station
 from trackers.core.sensor import Reading
 from trackers.core.tracker import AbstractStart, AbstractTracker, scanned
-from tuning.fit import Problem, term_sums
 from tuning.objectives import NegativeLogLikelihood
 from tuning.parameters import chosen, flatten
+from tuning.problem import Problem, term_sums
 
 TRAJECTORIES, ROWS = 4096, 200
 SLICE = (256, 50)
@@ -156,7 +156,7 @@ def versions(world: World, peer: str | None) -> list[Version]:
     return [
         first,
         Version("ours, start included", TRAJECTORIES, ROWS, ours(own), last),
-        Version("ours, gradient", TRAJECTORIES, ROWS, lambda: problem.value_and_gradient(vector)[:2]),
+        Version("ours, gradient", TRAJECTORIES, ROWS, lambda: problem.evaluate(vector)[:2]),
         other("textbook", textbook, *SLICE),
     ]
 

@@ -192,7 +192,7 @@ def test_a_fit_is_never_worse_than_its_start_and_keeps_its_best_point(line_world
 def test_every_step_is_reported_and_nothing_else_is_touched(line_world):
     seen = []
     start = line_tracker()
-    result = fit(start, line_world, NLL, LEVELS, steps=5, report=seen.append)
+    result = fit(start, line_world, NLL, LEVELS, steps=5, optimiser=Adam(5), report=seen.append)
     assert [int(state.number) for state in seen] == list(range(6))
     assert [float(state.found.values[0]) for state in seen] == [step.value for step in result.trace]
     assert set(result.trace[0].values) == set(LEVELS)

@@ -7,11 +7,16 @@ from tests.oracles import kalman
 from tests.tuning.worlds import SIGMA_START, line_tracker, walks
 from trackers.core.recording import Recording, stack
 from tuning import NegativeLogLikelihood, RootMeanSquareError
-from tuning.fit import Problem
 from tuning.parameters import chosen, flatten
+from tuning.problem import Problem
 
 LENGTHS = [9, 16, 5, 12]
 PATTERNS = ("motion.*", "sensors.*")
+
+
+def _first(found):
+    """Figure, gradient and sums of the only vector."""
+    return found.values[0], found.gradients[0], found.sums[0]
 
 
 def _problem(batches, objective, tracker=None, chunk=512):
@@ -22,7 +27,7 @@ def _problem(batches, objective, tracker=None, chunk=512):
 
 def _figures(recordings, objective, rows=16, chunk=512):
     problem, vector = _problem([stack(recordings, rows)], objective, chunk=chunk)
-    return problem.value_and_gradient(vector)
+    return _first(problem.evaluate(vector))
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +90,7 @@ def test_recordings_of_many_lengths_at_once_give_the_figure_of_their_separate_su
     # chunks of two, and one batch per length: the same figure in other shapes
     paired = _figures(recordings, objective, chunk=2)
     problem, vector = _problem([stack(recordings[:2], 16), stack(recordings[2:], 16)], objective)
-    for other in (paired, problem.value_and_gradient(vector)):
+    for other in (paired, _first(problem.evaluate(vector))):
         assert other[0] == pytest.approx(value, rel=1e-12)
         np.testing.assert_allclose(other[1], gradient, rtol=1e-9, atol=1e-14)
 

@@ -1,0 +1,145 @@
+"""How a fit goes on from a point: optimisers that propose steps for S starts side by side; the fit judges the steps.
+
+Everything of a start stands at its number along the first axis, so that starts never touch each other.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any, ClassVar, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+
+from tuning.problem import Evaluations
+
+LONGEST = 2.0
+"""The longest step in unconstrained coordinates: a noise level changes by a factor of seven at most."""
+
+
+class AbstractOptimiser(eqx.Module):
+    """`curved`: whether it takes a likelihood's curvature; `descends`: whether a step has to make things better."""
+
+    curved: eqx.AbstractClassVar[bool]
+    descends: eqx.AbstractClassVar[bool]
+
+    @abstractmethod
+    def begin(self, vectors: np.ndarray) -> Any:
+        """What it remembers, for starts at vectors (S, p): a tree of arrays (S, …)."""
+
+    @abstractmethod
+    def direction(self, memory: Any, vectors: np.ndarray, found: Evaluations) -> tuple[Any, Any]:
+        """From where the starts are: what `step` takes, and what is remembered."""
+
+    @abstractmethod
+    def step(self, direction: Any, attempt: int) -> np.ndarray:
+        """The step (S, p), shorter with every attempt, from 0."""
+
+    @abstractmethod
+    def judged(self, memory: Any, attempts: np.ndarray) -> Any:
+        """What is remembered, after the attempts (S,) that it took each start to move."""
+
+
+class Adam(AbstractOptimiser):
+    """Adam (Kingma and Ba 2015), whose rate falls from `rate` to a hundredth of it over `steps`.
+
+    For objectives with noise of their own, of particles or minibatches.
+    """
+
+    steps: int = 60
+    rate: float = 0.15
+    curved: ClassVar[bool] = False
+    descends: ClassVar[bool] = False
+
+    def begin(self, vectors: np.ndarray) -> Any:
+        return jax.vmap(self._transformation().init)(jnp.asarray(vectors))
+
+    def direction(self, memory: Any, vectors: np.ndarray, found: Evaluations) -> tuple[Any, Any]:
+        # Adam raises a float to the power of an integer count, which strict promotion would refuse.
+        with jax.numpy_dtype_promotion("standard"):
+            steps, memory = _updated(self._transformation(), jnp.asarray(found.gradients), memory, jnp.asarray(vectors))
+        return np.asarray(steps, float), memory
+
+    def step(self, direction: Any, attempt: int) -> np.ndarray:
+        return np.asarray(direction / 2.0**attempt)
+
+    def judged(self, memory: Any, attempts: np.ndarray) -> Any:
+        return memory
+
+    def _transformation(self) -> Any:
+        schedule = optax.cosine_decay_schedule(self.rate, self.steps, 0.01)
+        # A filter on the brink of losing a track has enormous derivatives; one such step must not drown all others.
+        return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(schedule))
+
+
+class LBFGS(AbstractOptimiser):
+    """Limited-memory BFGS (Liu and Nocedal 1989) of optax, its steps halved until they help."""
+
+    curved: ClassVar[bool] = False
+    descends: ClassVar[bool] = True
+
+    def begin(self, vectors: np.ndarray) -> Any:
+        return jax.vmap(optax.scale_by_lbfgs().init)(jnp.asarray(vectors))
+
+    def direction(self, memory: Any, vectors: np.ndarray, found: Evaluations) -> tuple[Any, Any]:
+        gradients, points = jnp.asarray(found.gradients), jnp.asarray(vectors)
+        with jax.numpy_dtype_promotion("standard"):
+            steps, memory = _updated(optax.scale_by_lbfgs(), gradients, memory, points)
+        downhill = -np.asarray(steps, float)
+        uphill = np.sum(downhill * found.gradients, axis=1) >= 0
+        return _limited(np.where(uphill[:, None], -found.gradients, downhill)), memory
+
+    def step(self, direction: Any, attempt: int) -> np.ndarray:
+        return np.asarray(direction / 2.0**attempt)
+
+    def judged(self, memory: Any, attempts: np.ndarray) -> Any:
+        return memory
+
+
+class Bowl(NamedTuple):
+    """A quadratic model of S objectives: gradients (S, p), curvatures (S, p, p), and the damping (S,)."""
+
+    gradients: np.ndarray
+    curvatures: np.ndarray
+    damping: np.ndarray
+
+
+class GaussNewton(AbstractOptimiser):
+    """Gauss–Newton on the innovations with Levenberg and Marquardt's damping (Marquardt 1963); for likelihoods."""
+
+    curved: ClassVar[bool] = True
+    descends: ClassVar[bool] = True
+
+    def begin(self, vectors: np.ndarray) -> Any:
+        return np.full(len(vectors), 1e-3)
+
+    def direction(self, memory: Any, vectors: np.ndarray, found: Evaluations) -> tuple[Any, Any]:
+        return Bowl(found.gradients, found.curvatures, memory), memory
+
+    def step(self, direction: Any, attempt: int) -> np.ndarray:
+        diagonal = np.einsum("spp->sp", direction.curvatures)
+        # A number without curvature of its own is damped as the flattest of the others.
+        flattest = np.min(np.where(diagonal > 0, diagonal, np.inf), axis=1, keepdims=True)
+        diagonal = np.where(diagonal > 0, diagonal, np.where(np.isfinite(flattest), flattest, 1.0))
+        damping = direction.damping * 10.0**attempt
+        damped = direction.curvatures + damping[:, None, None] * np.einsum(
+            "sp,pq->spq", diagonal, np.eye(diagonal.shape[1])
+        )
+        return _limited(-np.linalg.solve(damped, direction.gradients[..., None])[..., 0])
+
+    def judged(self, memory: Any, attempts: np.ndarray) -> Any:
+        return np.clip(memory * np.where(attempts > 0, 10.0**attempts, 0.1), 1e-6, 1e6)
+
+
+def _limited(steps: np.ndarray) -> np.ndarray:
+    """Steps (S, p) of at most the longest."""
+    return steps / np.maximum(1.0, np.linalg.norm(steps, axis=1, keepdims=True) / LONGEST)
+
+
+@eqx.filter_jit
+def _updated(transformation: Any, gradients: jax.Array, memory: Any, vectors: jax.Array) -> tuple[jax.Array, Any]:
+    """The updates of optax, for every start by itself."""
+    return jax.vmap(transformation.update)(gradients, memory, vectors)  # type: ignore[no-any-return]
