@@ -14,7 +14,7 @@ def main() -> None:
     # jax reads its flags when it is first imported, so nothing that imports it may stand above.
     import tyro
 
-    from experiments.commands import check, evaluate, simulate, simulate_worlds, track, truth, tune
+    from experiments.commands import check, evaluate, simulate, simulate_worlds, sweep, track, truth, tune
     from experiments.errors import UnusableInput
 
     commands: dict[str, Any] = {
@@ -27,6 +27,7 @@ def main() -> None:
         "track": track.track,
         "evaluate": evaluate.evaluate_tracks,
         "tune": tune.tune,
+        "sweep": sweep.sweep,
         "truth": truth.truth,
     }
     try:

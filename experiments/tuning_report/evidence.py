@@ -62,11 +62,15 @@ class Landscape:
 
 @dataclass(frozen=True)
 class Innovations:
-    """NIS (n,) with degrees of freedom (n,) of rows in time order; `lane` (n,): whose trajectory a row is."""
+    """NIS (n,) with degrees of freedom (n,) of rows in time order; `lane` (n,): whose trajectory a row is.
+
+    `tail`: degrees of freedom of the noise where it is Student's t, so that NIS is not χ²; None where it is normal.
+    """
 
     nis: np.ndarray
     dof: np.ndarray
     lane: np.ndarray
+    tail: float | None = None
 
 
 @dataclass(frozen=True)
@@ -86,8 +90,8 @@ class TuningEvidence:
     `command`, `again`: what was typed, and what to type to use the result and to run it again. `tracker`, `objective`:
     names, `tracker_about`, `objective_about`: the same in words. `training`, `held_out`: names of recordings.
     `descents`: one for each start, the best first. `judged_on`: in words, on which recordings `innovations` (before,
-    after) and `errors` were seen. `notes`: sentences on what went otherwise than usual. `provenance`: pairs of title
-    and text.
+    after) and `errors` were seen. `judgements`: sentences on what the recordings leave open. `notes`: sentences on what
+    went otherwise than usual. `provenance`: pairs of title and text.
     """
 
     command: str
@@ -108,6 +112,7 @@ class TuningEvidence:
     error_unit: str
     filter_runs: int
     seconds: float
+    judgements: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     provenance: tuple[tuple[str, str], ...] = ()
 

@@ -11,7 +11,7 @@ from matplotlib.ticker import MaxNLocator, PercentFormatter
 from experiments.figure_style import BLUE, VERMILION, broken_at_gaps, literal
 from experiments.tuning_report.drawings import NARROW, WIDTH, drawn, plain
 from experiments.tuning_report.evidence import ErrorTrack, Innovations
-from experiments.tuning_report.whiteness import autocorrelation, mixture_density, probabilities
+from experiments.tuning_report.whiteness import autocorrelation, expected_density, probabilities
 from trackers.core.metrics import chi_square_quantile
 
 BEFORE = "#7b8794"
@@ -32,8 +32,8 @@ def density_chart(before: Innovations, after: Innovations) -> str:
         axes.stairs(new, bins, fill=True, color=BLUE, alpha=0.35, label="after")
         axes.stairs(old, bins, color=BEFORE, linewidth=1.3, label="before")
         x = np.linspace(end / 400, end, 400)
-        density = mixture_density(x, after.dof)
-        axes.plot(x, density, color=VERMILION, linewidth=1.6, label="χ², if the filter is consistent")
+        density = expected_density(x, after)
+        axes.plot(x, density, color=VERMILION, linewidth=1.6, label=f"{_expected(after)}, if the filter is consistent")
         # Before a fit the first bin may tower over all the rest, which is then cut off.
         peak = float(density[x > bins[1] / 2].max())
         highest = max(peak, min(float(max(old.max(), new.max())), 2.5 * peak))
@@ -41,7 +41,7 @@ def density_chart(before: Innovations, after: Innovations) -> str:
         beyond = [f"{np.mean(values.nis > end):.1%}".replace("%", " %") for values in (before, after)]
         axes.legend(loc="upper right", title=f"beyond the axis: {beyond[0]} before, {beyond[1]} after",
                     title_fontsize=8, alignment="left")  # fmt: skip
-        axes.set_title("NIS against χ²")
+        axes.set_title(f"NIS against {_expected(after)}")
         plain(axes, "")
 
     return drawn(draw, NARROW, NARROW * 0.92)
@@ -61,7 +61,7 @@ def probability_chart(before: Innovations, after: Innovations) -> str:
         axes.stairs(heights["before"], bins, color=BEFORE, linewidth=1.3, label="before")
         axes.axhline(1.0, color=VERMILION, linewidth=1.6, label="consistent")
         highest = max(2.0, float(heights["after"].max()), min(float(heights["before"].max()), 6.0))
-        axes.set(xlim=(0, 1), ylim=(0, 1.3 * highest), xlabel="χ² probability of a smaller NIS", ylabel="density")
+        axes.set(xlim=(0, 1), ylim=(0, 1.3 * highest), xlabel="probability of a smaller NIS", ylabel="density")
         axes.legend(loc="upper center", ncols=3)
         axes.set_title("Every row by its own degrees of freedom")
         plain(axes)
@@ -161,6 +161,10 @@ def _over_time(track: ErrorTrack, unit: str, top: float) -> str:
         plain(axes)
 
     return drawn(draw, WIDTH, 2.1)
+
+
+def _expected(innovations: Innovations) -> str:
+    return "χ²" if innovations.tail is None else f"its distribution at {innovations.tail:.3g} dof of the noise"
 
 
 def _smooth(track: ErrorTrack) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -10,6 +10,10 @@ from experiments.tuning_report.evidence import Score, TuningEvidence
 WORSE = 0.02
 """Part by which a figure may rise before it counts as worse."""
 
+WORSE_BY = 0.01
+"""The same in nats, whose zero is nowhere in particular, and in distances between distributions, near zero if good."""
+
+ADVICE = "Do not read such a number as measured: keep it fixed, tie numbers that act alike, or record more motion."
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 SHAPES = ("nis-shape", "nees-shape")
 
@@ -46,7 +50,7 @@ def is_worse(score: Score, pair: tuple[float, float]) -> bool:
     if not (math.isfinite(before) and math.isfinite(after)):
         return math.isfinite(before)
     if score.target is None:
-        return after > before + WORSE * abs(before)
+        return after > before + (WORSE * before if score.unit not in ("nats", "1") else WORSE_BY)
     return abs(after - score.target) > abs(before - score.target) + WORSE * abs(score.target)
 
 
@@ -108,22 +112,18 @@ def _worse(evidence: TuningEvidence) -> list[str]:
         if where:
             quantity = key.removesuffix("-shape").upper()
             found.append(
-                f"The {quantity} distribution lies further from χ² than before on {' and '.join(where)}: "
+                f"The {quantity} distribution is further than before from what it should be on {' and '.join(where)}: "
                 "the covariances that this filter reports deserve less belief than the old ones."
             )
     return found
 
 
 def _undetermined(evidence: TuningEvidence) -> list[str]:
+    """What the recordings leave open: in the words that came with the fit, or else by name."""
+    if evidence.judgements:
+        return [f"{text}. {ADVICE}" for text in evidence.judgements]
     names = [n.name for n in evidence.numbers if n.determined is False]
-    if not names:
-        return []
-    one = len(names) == 1
-    return [
-        f"The recordings do not determine {', '.join(names)}: other values fit as well, so do not read "
-        f"{'it' if one else 'them'} as measured. Keep {'it' if one else 'them'} fixed, tie numbers that act alike, or "
-        "record more motion."
-    ]
+    return [f"The recordings do not determine {', '.join(names)}: other values fit as well. {ADVICE}"] if names else []
 
 
 def _determined(known: int, all_of_them: int) -> str:

@@ -169,12 +169,13 @@ def _consistency(e: TuningEvidence) -> Part | None:
         return None
     before, after = e.innovations
     lead = (
-        "Where a filter tells the truth about its own uncertainty, its normalised innovation squared (NIS) follows χ², "
-        f"and one row's says nothing about the next. Seen on {e.judged_on}."
+        "Where a filter tells the truth about its own uncertainty, its normalised innovation squared (NIS) has a known "
+        f"distribution, χ² for normal noise, and one row's says nothing about the next. Seen on {e.judged_on}."
     )
     drawings = [
         _figure(filter_charts.density_chart(before, after),
-                "A filter that is too sure of itself has more NIS to the right than χ².", "NIS against chi-square"),
+                "A filter that is too sure of itself has more large values than the vermilion line.",
+                "NIS against chi-square"),
         _figure(filter_charts.probability_chart(before, after),
                 "The same as probabilities, which are level if the filter is consistent. Bars that rise to the right: "
                 "reported covariances are too small; to the left: too large.", "Probabilities of NIS"),

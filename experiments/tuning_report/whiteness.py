@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+import math
+
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import gammainc, ndtri
 
 from experiments.tuning_report.evidence import Innovations
 from trackers.core.metrics import chi_square_density
+from tuning.consistency import tailed_below
 
 
 def probabilities(innovations: Innovations) -> np.ndarray:
-    """How likely a smaller NIS was, by the χ² of each row's degrees of freedom (n,): even over 0 … 1 if consistent.
+    """How likely a smaller NIS was, by each row's degrees of freedom (n,): even over 0 … 1 if consistent.
 
     Rows with different degrees of freedom can be looked at together in this way (Dawid 1984).
     """
+    nis, dof = np.asarray(innovations.nis, float), np.asarray(innovations.dof, float)
     with jax.enable_x64(True):
-        return np.asarray(gammainc(np.asarray(innovations.dof, float) / 2, np.asarray(innovations.nis, float) / 2))
+        if innovations.tail is None:
+            return np.asarray(gammainc(dof / 2, nis / 2))
+        return np.asarray(tailed_below(jnp.asarray(nis), jnp.asarray(dof), jnp.asarray(innovations.tail)))
 
 
 def normal_scores(innovations: Innovations) -> np.ndarray:
@@ -43,7 +50,29 @@ def autocorrelation(innovations: Innovations, lags: int) -> tuple[np.ndarray, in
     return found, pairs
 
 
-def mixture_density(x: np.ndarray, dof: np.ndarray) -> np.ndarray:
-    """The density at positive `x` of χ² values whose degrees of freedom are as often what they are in `dof` (n,)."""
-    kinds, counts = np.unique(dof, return_counts=True)
-    return sum((c / len(dof) * chi_square_density(x, float(k)) for k, c in zip(kinds, counts, strict=True)), 0.0 * x)
+def expected_density(x: np.ndarray, innovations: Innovations) -> np.ndarray:
+    """The density at positive `x` of the NIS of a consistent filter with the rows' degrees of freedom.
+
+    A mixture of χ², or for Student's t of the beta distributions of `tuning.consistency`.
+    """
+    kinds, counts = np.unique(innovations.dof, return_counts=True)
+    density = np.zeros(len(x))
+    for dof, count in zip(kinds, counts, strict=True):
+        one = (
+            chi_square_density(x, float(dof))
+            if innovations.tail is None
+            else _tailed_density(x, float(dof), innovations.tail)
+        )
+        density += count / len(innovations.dof) * one
+    return density
+
+
+def _tailed_density(x: np.ndarray, count: float, tail: float) -> np.ndarray:
+    both = 0.5 * (count * (tail + 3) - 2)
+    a, reach = both / (tail + 1), count * (tail + 1)
+    b = tail * a
+    share = np.clip(x / reach, 1e-12, 1 - 1e-12)
+    log_beta = math.lgamma(a) + math.lgamma(b) - math.lgamma(both)
+    density = np.exp((a - 1) * np.log(share) + (b - 1) * np.log1p(-share) - log_beta) / reach
+    found: np.ndarray = np.where(x < reach, density, 0.0)
+    return found

@@ -11,7 +11,7 @@ from scipy import stats
 from experiments.tuning_report.evidence import Innovations, Score, TunedNumber
 from experiments.tuning_report.judgement import judged, number, percent
 from experiments.tuning_report.page import page, write_report
-from experiments.tuning_report.whiteness import autocorrelation, mixture_density, normal_scores, probabilities
+from experiments.tuning_report.whiteness import autocorrelation, expected_density, normal_scores, probabilities
 from tests.experiments.tuning_evidence import evidence, innovations
 
 EMPTY = {"meta", "img", "br", "link"}
@@ -119,7 +119,8 @@ def _with_score(key, **changes):
         ),
         ({"scores": _with_score("nis-shape", held_out=(0.1, 0.2))}, ("NIS", "on held-out recordings")),
         ({"scores": _with_score("nll", training=(0.1, 0.2))}, ("objective itself got worse",)),
-        ({}, ("do not determine start.sigma_start", "Keep it fixed")),
+        ({}, ("do not determine start.sigma_start", "keep it fixed")),
+        ({"judgements": ("a and b are not determined one by one",)}, ("a and b are not", "tie numbers that act alike")),
     ],
 )
 def test_what_got_worse_is_said_in_words(changes, words):
@@ -171,7 +172,19 @@ def test_probabilities_and_scores_are_those_of_scipy():
 def test_the_density_is_the_mixture_of_the_rows_degrees_of_freedom():
     x = np.linspace(0.1, 9, 5)
     wanted = 0.75 * stats.chi2.pdf(x, 2) + 0.25 * stats.chi2.pdf(x, 5)
-    np.testing.assert_allclose(mixture_density(x, np.array([2.0, 5.0, 2.0, 2.0])), wanted, rtol=1e-12)
+    seen = Innovations(np.ones(4), np.array([2.0, 5.0, 2.0, 2.0]), np.zeros(4))
+    np.testing.assert_allclose(expected_density(x, seen), wanted, rtol=1e-12)
+
+
+def test_the_density_and_probability_of_noise_with_a_tail_belong_together():
+    edges = np.linspace(0.01, 12, 4001)
+    seen = Innovations(edges, np.full(len(edges), 2.0), np.zeros(len(edges)), tail=4.0)
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    density = expected_density(middle, Innovations(middle, np.full(len(middle), 2.0), middle, tail=4.0))
+    # the middle rule's own error over 4,000 steps
+    np.testing.assert_allclose(
+        np.cumsum(density) * (edges[1] - edges[0]), probabilities(seen)[1:] - probabilities(seen)[0], atol=1e-4
+    )
 
 
 def test_autocorrelation_is_that_of_the_model_and_stops_at_the_end_of_a_trajectory():

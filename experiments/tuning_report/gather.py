@@ -1,0 +1,224 @@
+"""Collect the evidence of a tuning run: run both trackers once more over the recordings and look at what they say."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from experiments.lanes import Lane
+from experiments.tracks import batches
+from experiments.tuning_report.evidence import (
+    Descent,
+    ErrorTrack,
+    Innovations,
+    Score,
+    TunedNumber,
+    TuningEvidence,
+)
+from experiments.tuning_report.landscape import landscape_of
+from trackers.core.estimates import Estimates
+from trackers.core.tracker import AbstractTracker
+from tuning import FitResult
+from tuning.consistency import tail_of
+from tuning.figures import every_figure
+from tuning.fit import Step
+from tuning.judgement import Judgement, names_of
+from tuning.parameters import Parameter
+from tuning.uncertainty import Uncertainty
+
+TITLES = {
+    "nll": ("Negative log-likelihood per number read", "nats"),
+    "rmse": ("RMSE", ""),
+    "rmse-3d": ("RMSE in space", ""),
+    "state-nll": ("Negative log-likelihood of the truth per row", "nats"),
+    "nis-shape": ("NIS: distance from its distribution", "1"),
+    "nees-shape": ("NEES: distance from its distribution", "1"),
+}
+"""Title and unit of every figure, by the names of `tuning.figures`; without a unit, that of the recordings' truth."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What was asked of a tuning run, and how long it took; see `TuningEvidence`."""
+
+    command: str
+    again: tuple[str, ...]
+    tracker: str
+    tracker_about: str
+    objective: str
+    seconds: float
+    notes: tuple[str, ...] = ()
+    provenance: tuple[tuple[str, str], ...] = ()
+
+
+def gather(
+    asked: Asked,
+    before: AbstractTracker,
+    result: FitResult,
+    training: Sequence[Lane],
+    held_out: Sequence[Lane],
+    planar: bool,
+    sure: Uncertainty | None,
+    judgements: Sequence[Judgement] = (),
+) -> TuningEvidence:
+    """The evidence: figures of both trackers on all lanes, and what they say on those held out, if any, row by row.
+
+    `training`: the lanes that were tuned on. `planar`: whether only the place over the floor is estimated. `sure`,
+    `judgements`: how sure the fit is; None where it was stopped. The landscape round the optimum takes about as many
+    values as the fit took steps.
+    """
+    effort = result.filter_runs
+    quantity = next(iter(training[0].recording.truth))
+    angles = quantity == "direction"
+    dimensions = 2 if angles or planar else 3
+    numbers = _numbers(result, sure, judgements)
+    judged, where = (held_out, "held-out recordings") if held_out else (training, "the recordings tuned on")
+    unit, scale = ("°", 180 / np.pi) if angles else ("m", 1.0)
+    rows, tracks = [], []
+    for tracker in (before, result.tracker):
+        seen = [(lane, one) for lanes, batch in batches(judged) for lane, one in _each(lanes, tracker.run(batch))]
+        rows.append(_innovations([one for _, one in seen], tracker))
+        tracks.append({_name(lane): _errors(lane, one, quantity, scale) for lane, one in seen})
+    errors = tuple(
+        ErrorTrack(name, times, old, tracks[1][name][1])
+        for name, (times, old) in tracks[0].items()
+        if np.isfinite(old).any() and np.isfinite(tracks[1][name][1]).any()
+    )
+    known = (rows[0], rows[1]) if rows[0] is not None and rows[1] is not None else None
+    return TuningEvidence(
+        command=asked.command,
+        again=asked.again,
+        tracker=asked.tracker,
+        tracker_about=asked.tracker_about,
+        objective=asked.objective,
+        objective_about=_about(asked.objective, "rad" if angles else "m"),
+        training=_recordings(training),
+        held_out=_recordings(held_out),
+        numbers=numbers,
+        scores=_scores(before, result.tracker, training, held_out, quantity, dimensions),
+        descents=_descents(result),
+        landscape=landscape_of(result, sure),
+        judged_on=where,
+        innovations=known,
+        errors=errors,
+        error_unit=unit,
+        filter_runs=effort,
+        seconds=asked.seconds,
+        judgements=tuple(j.text for j in judgements),
+        notes=(*asked.notes, *([] if known else [NO_DISTRIBUTION])),
+        provenance=asked.provenance,
+    )
+
+
+NO_DISTRIBUTION = "The NIS of this tracker has no known distribution, so that it is not drawn."
+
+
+def _about(objective: str, unit: str) -> str:
+    if objective not in TITLES:
+        return objective
+    title, own = TITLES[objective]
+    shown = own or unit
+    return f"{title if title[:2].isupper() else title[0].lower() + title[1:]}" + (f" ({shown})" if shown != "1" else "")
+
+
+def _recordings(lanes: Sequence[Lane]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(lane.folder.name for lane in lanes))
+
+
+def _name(lane: Lane) -> str:
+    return ", ".join([lane.folder.name, f"tag {lane.tag}", *([f"station {lane.station}"] if lane.station else [])])
+
+
+def _each(lanes: Sequence[Lane], estimates: Estimates) -> list[tuple[Lane, Estimates]]:
+    return [(lane, estimates[k][: len(lane.recording)]) for k, lane in enumerate(lanes)]
+
+
+def _errors(lane: Lane, one: Estimates, quantity: str, scale: float) -> tuple[np.ndarray, np.ndarray]:
+    """Times and lengths of the errors, over the floor, or of a direction's two angles; NaN where there is none."""
+    true, known = lane.recording.truth[quantity]
+    if not hasattr(one.mean, quantity):
+        return lane.recording.times, np.full(len(lane.recording), np.nan)
+    mean = np.stack([np.asarray(x) for x in getattr(one.mean, quantity)], axis=1)[:, :2]
+    length = scale * np.sqrt(((mean - true[:, :2]) ** 2).sum(axis=1))
+    return lane.recording.times, np.where(known & one.usable, length, np.nan)
+
+
+def _innovations(every: Sequence[Estimates], tracker: AbstractTracker) -> Innovations | None:
+    """The NIS of all rows that have one; None where its distribution isn't known."""
+    try:
+        tail = tail_of(tracker)
+    except ValueError:
+        return None
+    heard = [np.isfinite(one.nis) & (one.count > 0) & one.usable for one in every]
+    lane = [np.full(int(h.sum()), k) for k, h in enumerate(heard)]
+    nis, dof = (
+        np.concatenate([getattr(one, name)[h].astype(float) for one, h in zip(every, heard, strict=True)])
+        for name in ("nis", "count")
+    )
+    return Innovations(nis, dof, np.concatenate(lane), None if tail is None else float(np.asarray(tail)))
+
+
+def _scores(
+    before: AbstractTracker,
+    after: AbstractTracker,
+    training: Sequence[Lane],
+    held_out: Sequence[Lane],
+    quantity: str,
+    dimensions: int,
+) -> tuple[Score, ...]:
+    """Every figure that there is, before and after, on both kinds of recordings."""
+    found = []
+    for lanes in (training, held_out):
+        rows = [batch for _, batch in batches(lanes)] if lanes else []
+        found.append([every_figure(t, rows, quantity, dimensions) if rows else {} for t in (before, after)])
+    unit = "rad" if quantity == "direction" else "m"
+    nan = float("nan")
+    scores = []
+    for key, (title, own) in TITLES.items():
+        pairs = [(old.get(key, nan), new.get(key, nan)) for old, new in found]
+        if np.isfinite(pairs).any():
+            over = " over the floor" if key == "rmse" and dimensions == 3 else ""
+            scores.append(Score(key, title + over, own or unit, pairs[0], pairs[1]))
+    return tuple(scores)
+
+
+def _numbers(result: FitResult, sure: Uncertainty | None, judgements: Sequence[Judgement]) -> tuple[TunedNumber, ...]:
+    """The table of tuned numbers; an interval by the sandwich where there is one, else by the observed information."""
+    bounds = _bounds(sure)
+    doubted = {name for judgement in judgements for name in judgement.names}
+    names = names_of(result.parameters)
+    units = [p.example.unit for p in result.parameters for _ in range(int(np.size(p.example.raw)))]
+    old, new = (_flat(result.parameters, values) for values in (result.trace[0].values, result.values))
+    low, high = (_flat(result.parameters, b) if b else np.full(len(names), np.nan) for b in bounds)
+    unknown = np.isfinite(low) & np.isfinite(high)
+    return tuple(
+        TunedNumber(name, unit, float(a), float(b), float(lo) if ok else np.nan, float(hi) if ok else np.nan,
+                    None if sure is None else bool(ok and name not in doubted))
+        for name, unit, a, b, lo, hi, ok in zip(names, units, old, new, low, high, unknown, strict=True)
+    )  # fmt: skip
+
+
+def _bounds(sure: Uncertainty | None) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """The lowest and the highest values by label, 95 %."""
+    if sure is None:
+        return {}, {}
+    robust = bool(np.all(np.isfinite(sure.sandwich)))
+    both = sure.intervals(sandwich=robust)
+    return {k: v[0] for k, v in both.items()}, {k: v[1] for k, v in both.items()}
+
+
+def _flat(parameters: Sequence[Parameter], values: dict[str, np.ndarray]) -> np.ndarray:
+    return np.concatenate([np.ravel(np.asarray(values[p.label], float)) for p in parameters])
+
+
+def _descents(result: FitResult) -> tuple[Descent, ...]:
+    """The ways of all starts, the one that ended lowest first."""
+    ways = sorted(result.starts or [result.trace], key=lambda steps: steps is not result.trace)
+    return tuple(_descent(f"start {k + 1}", steps, result.parameters) for k, steps in enumerate(ways))
+
+
+def _descent(name: str, steps: Sequence[Step], parameters: Sequence[Parameter]) -> Descent:
+    numbers = np.stack([_flat(parameters, step.values) for step in steps])
+    return Descent(name, np.array([step.value for step in steps]), numbers)

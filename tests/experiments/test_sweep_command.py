@@ -1,0 +1,150 @@
+"""`trackwright sweep`: the table and figure it writes, what it says, and input that it refuses in one line."""
+
+import json
+
+import numpy as np
+import polars as pl
+import pytest
+
+from tests.experiments.in_process import assert_refused, trackwright
+
+KALMAN = "--tracker", "fix-kf"
+SIGMA_A, SIGMA_P = "motion.sigma_a", "sensors.fixes.sigma_horizontal"
+SIGMA_LINE = "sensors.fixes.sigma_p"
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    """Two tags on the line, as short as a line can be walked."""
+    folder = tmp_path_factory.mktemp("sweep") / "line"
+    said = trackwright(
+        "simulate-line", "--out", folder, "--situation", "constant", "--n", 2, "--speed", 5, "--rate-hz", 3
+    )
+    assert said.code == 0, said
+    return folder
+
+
+@pytest.fixture(scope="module")
+def fixes(tmp_path_factory):
+    """A recording of fixes that a Kalman filter tracks: it compiles at once."""
+    rng = np.random.default_rng(3)
+    folder = tmp_path_factory.mktemp("fixes") / "walk"
+    folder.mkdir()
+    times = np.arange(80) * 0.2
+    place = np.cumsum(0.1 * rng.normal(size=(80, 3)), axis=0) + [2.0, 3.0, 1.0]
+    read = place + 0.25 * rng.normal(size=place.shape)
+    ids = {"t_s": times, "tag": ["7"] * 80}
+    for name, values in (("fixes", read), ("truth", place)):
+        table = pl.DataFrame(ids | {f"{a}_m": values[:, k] for k, a in enumerate("xyz")})
+        table.write_parquet(folder / f"{name}.parquet")
+    (folder / "rig.toml").write_text('format = 1\nname = "walk"\n')
+    return folder
+
+
+@pytest.fixture(scope="module")
+def once(fixes):
+    """One number by RMSE; what was said, and the folder."""
+    out = fixes.parent / "once"
+    return trackwright("sweep", fixes, *KALMAN, "--over", f"{SIGMA_P}=0.05:1.2:6", "--out", out), out
+
+
+@pytest.fixture(scope="module")
+def twice(fixes):
+    """Two numbers by likelihood, with the way of a fit drawn in."""
+    out = fixes.parent / "twice"
+    trace = fixes.parent / "trace.csv"
+    steps = np.linspace(0.2, 0.8, 5)
+    pl.DataFrame({"nll": steps, SIGMA_A: steps, SIGMA_P: steps}).write_csv(trace)
+    grids = "--over", f"{SIGMA_A}=0.1:1:3", "--over", f"{SIGMA_P}=0.1:0.6:4"
+    return trackwright("sweep", fixes, *KALMAN, *grids, "--objective", "nll", "--path", trace, "--out", out), out
+
+
+def test_the_table_has_a_row_for_every_value_and_the_best_is_printed(once):
+    said, out = once
+    assert said.code == 0, said
+    table = pl.read_csv(out / "sweep.csv")
+    assert table.columns == [SIGMA_P, "rmse"]
+    np.testing.assert_allclose(table[SIGMA_P], np.linspace(0.05, 1.2, 6))
+    best = table.row(table["rmse"].arg_min(), named=True)
+    assert f"best {SIGMA_P} = {best[SIGMA_P]:.6g} m" in said.out
+    assert f"rmse = {best['rmse']:.6g} m" in said.out
+    assert "6 trajectories filtered" in said.out
+
+
+def test_a_sweep_gives_what_track_and_evaluate_give_at_the_same_value(once, fixes):
+    table = pl.read_csv(once[1] / "sweep.csv")
+    value, rmse = table.row(2)
+    noise, out = fixes.parent / "noise.toml", fixes.parent / "tracked"
+    noise.write_text(f'[tunables."{SIGMA_P}"]\nvalue = {value!r}\n')
+    assert trackwright("track", fixes, *KALMAN, "--noise", noise, "--out", out).code == 0
+    figures = json.loads(trackwright("evaluate", out, "--json").out)
+    # single precision in the filter
+    assert figures["overall"]["rmse_3d_m"] == pytest.approx(rmse, rel=1e-4)
+
+
+def test_two_numbers_give_every_pair_and_a_figure_with_the_way_of_a_fit(twice):
+    said, out = twice
+    assert said.code == 0, said
+    table = pl.read_csv(out / "sweep.csv")
+    assert len(table) == 12
+    assert table.select(SIGMA_A, SIGMA_P).unique().height == 12
+    assert (out / "sweep.png").stat().st_size > 1000
+    manifest = json.loads((out / "manifest.json").read_text())
+    assert manifest["filter_runs"] == 12
+    assert set(manifest["best"]) == {SIGMA_A, SIGMA_P}
+
+
+def test_particles_are_swept_with_repeats_and_their_spread(world):
+    out = world.parent / "particles"
+    grid = f"{SIGMA_LINE}=0.2:0.4:2"
+    said = trackwright("sweep", world, "--tracker", "line-pf", "--over", grid, "--repeats", 3, "--out", out)
+    assert said.code == 0, said
+    table = pl.read_csv(out / "sweep.csv")
+    repeats = table.select(pl.col("^repeat_.*$")).to_numpy()
+    assert repeats.shape == (2, 3)
+    np.testing.assert_allclose(table["rmse"], repeats.mean(axis=1), rtol=1e-6)
+    np.testing.assert_allclose(table["spread"], repeats.std(axis=1, ddof=1), rtol=1e-5)
+    assert "over 3 repeats" in said.out
+    assert "12 trajectories filtered" in said.out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--over", "no.such=0.1:1:5"), ("no.such", "matches no tunable", SIGMA_P)),
+        (("--over", f"{SIGMA_P}=0.1:1:0"), ("empty grid", "COUNT at least 1")),
+        (("--over", f"{SIGMA_P}=1:0.1:5"), ("empty grid", "START below STOP")),
+        (("--over", f"{SIGMA_P}=-0.1:1:5"), ("a Scale is positive", "-0.1", "small positive value")),
+        (("--over", f"{SIGMA_P}=0:1:101"), ("a Scale is positive", "left out", "small positive value")),
+        (("--over", SIGMA_P), ("expected PATTERN=START:STOP:COUNT",)),
+        (("--over", f"{SIGMA_P}=a:b:c"), ("expected PATTERN=START:STOP:COUNT",)),
+        (("--over", f"{SIGMA_P}=0.1:inf:3"), ("expected PATTERN=START:STOP:COUNT",)),
+        (("--over", f"{SIGMA_P}=0.1:1:3", "--over", f"{SIGMA_A}=0.1:1:3", "--over", "a=1:2:3"), ("3 times", "once or")),
+        (("--over", f"{SIGMA_P}=0.1:1:3", "--over", f"{SIGMA_P}=0.1:1:3"), ("given twice",)),
+        (("--over", f"{SIGMA_P}=0.1:1:3", "--over", "sensors.*_horizontal=0.1:1:3"), ("name the same tunables",)),
+        (("--over", f"{SIGMA_P}=0.1:1:3", "--repeats", 0), ("--repeats 0", "at least 1")),
+        (("--over", f"{SIGMA_P}=0.1:1:3", "--objective", "accuracy"), ("'accuracy' is no objective", "rmse")),
+        (("--over", f"{SIGMA_P}=0.1:1:3", "--path", "nowhere.csv"), ("nowhere.csv", "trace.csv")),
+    ],
+)
+def test_what_cannot_be_swept_is_refused_in_one_line(fixes, arguments, words):
+    out = fixes.parent / "refused"
+    assert_refused(trackwright("sweep", fixes, *KALMAN, *arguments, "--out", out), *words)
+    assert not out.exists()
+
+
+def test_a_recording_without_truth_has_no_rmse(fixes):
+    bare = fixes.parent / "bare"
+    bare.mkdir()
+    for name in ("rig.toml", "fixes.parquet"):
+        (bare / name).write_bytes((fixes / name).read_bytes())
+    said = trackwright("sweep", bare, *KALMAN, "--over", f"{SIGMA_P}=0.1:1:3", "--out", fixes.parent / "refused")
+    assert_refused(said, "--objective rmse needs truth", "use nll")
+
+
+def test_a_trace_of_other_numbers_is_refused(fixes):
+    trace = fixes.parent / "other.csv"
+    pl.DataFrame({"rmse": [1.0], "motion.sigma_b": [0.1]}).write_csv(trace)
+    grid = f"{SIGMA_P}=0.1:1:3"
+    said = trackwright("sweep", fixes, *KALMAN, "--over", grid, "--path", trace, "--out", fixes.parent / "refused")
+    assert_refused(said, "has no column", SIGMA_P, "motion.sigma_b")
