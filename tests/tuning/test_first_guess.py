@@ -1,0 +1,178 @@
+"""Noise levels found in recordings made by the models themselves, from starts that are wrong by orders of magnitude."""
+
+import numpy as np
+import pytest
+
+from experiments.catalogue import TRACKERS
+from experiments.tracks import batches as in_batches
+from experiments.worlds.ranging import simulated_ranging
+from sim.corruptions import white_noise
+from sim.ranging import chamber, simulate_ranges
+from tests.tuning.worlds import STATION, beams, line_tracker, walks
+from trackers.aoa.beam import beam_tracker
+from trackers.baselines.fixes import fix_tracker
+from trackers.baselines.windows import MovingWindow
+from trackers.core.algebra import Vector
+from trackers.core.fixes import FIXES
+from trackers.core.recording import Readings, Recording, stack
+from trackers.core.tunable import tunables
+from trackers.line.fixes import FloorFixes
+from trackers.line.motion import LineMotion, OnLine
+from trackers.line.polyline import Polyline
+from trackers.line.tracker import line_grid_tracker
+from trackers.mhk.tracker import mhk_tracker
+from trackers.uwb_imu.fusion import range_tracker
+from tuning.differences import levels_of_places
+from tuning.first_guess import first_guess, looked_at
+
+FAR = [(10.0, 10.0), (0.1, 0.1), (10.0, 0.1), (0.1, 10.0)]
+LEVELS = {"motion.sigma_a": 0.7, "motion.sigma_z": 0.1, "sensors.fixes.sigma_horizontal": 0.15}
+LEVELS["sensors.fixes.sigma_vertical"] = 0.4
+
+
+def _values(tracker):
+    return {k: np.asarray(v.value) for k, v in tunables(tracker).items()}
+
+
+def _assert_found(tracker, levels, within=3.0):
+    found = _values(tracker)
+    for name, level in levels.items():
+        assert level / within < found[name] < level * within, f"{name}: {found[name]}, made with {level}"
+
+
+def _fixes(seed, count=8, rows=300, missing=0.0, uneven=0.0, tail=None):
+    """Fixes of tags that move as `GroundMotion` does, with white noise or Student's t."""
+    rng = np.random.default_rng(seed)
+    recordings = []
+    for k in range(count):
+        dts = 0.1 * np.exp(uneven * rng.normal(size=rows))
+        speed = np.cumsum(0.7 * np.sqrt(dts)[:, None] * rng.normal(size=(rows, 2)), axis=0)
+        height = 1 + np.cumsum(0.1 * np.sqrt(dts) * rng.normal(size=rows))
+        noise = rng.normal(size=(rows, 3)) if tail is None else rng.standard_t(tail, (rows, 3))
+        values = np.column_stack([np.cumsum(speed * dts[:, None], axis=0), height]) + [0.15, 0.15, 0.4] * noise
+        seen = np.repeat(rng.random((rows, 1)) >= missing, 3, axis=1)
+        readings = {FIXES: Readings(np.where(seen, values, 0.0), seen, np.zeros((rows, 3)))}
+        recordings.append(Recording(np.cumsum(dts), readings, {"height": np.zeros(rows)}, {}, str(k)))
+    return recordings
+
+
+@pytest.mark.parametrize(
+    ("made", "within"),
+    # differences are of two and three wild numbers, but only one of them shows in a long lag's median
+    [({}, 1.25), ({"missing": 0.3, "uneven": 0.3}, 1.5), ({"tail": 3.0}, 2.2)],
+)
+def test_differences_of_fixes_show_all_levels_in_closed_form(made, within):
+    found = levels_of_places(stack(_fixes(0, **made)))
+    got = np.array([found.acceleration, found.walk, found.across, found.up])
+    assert np.all(np.abs(np.log(got / list(LEVELS.values()))) < np.log(within))
+
+
+def test_what_differences_do_not_show_is_not_claimed():
+    assert levels_of_places(stack(walks([50], 0))) is None
+    assert levels_of_places(stack(_fixes(0, count=1, rows=6))) is None
+    still = _fixes(1, count=1)
+    flat = [Recording(r.times, {FIXES: Readings(r.readings[FIXES].values * 0, r.readings[FIXES].seen)}) for r in still]
+    assert levels_of_places(stack(flat)) is None
+
+
+@pytest.mark.parametrize("factors", [(10, 0.1, 10, 0.1), (0.1, 10, 0.1, 10)])
+def test_every_level_of_fixes_is_found_from_starts_wrong_in_all_ways(factors):
+    start = fix_tracker(*(k * v for k, v in zip(factors, LEVELS.values(), strict=True)), tail=None)
+    _assert_found(first_guess(start, stack(_fixes(2))), LEVELS, 1.5)
+
+
+@pytest.mark.parametrize("wrong", FAR)
+def test_a_random_walk_and_its_gauge_are_found_by_the_likelihood(wrong):
+    guess = first_guess(line_tracker(0.3 * wrong[0], 0.2 * wrong[1]), stack(walks([200] * 8, 1)))
+    _assert_found(guess, {"motion.sigma_v": 0.3, "sensors.gauge.sigma": 0.2}, 1.5)
+
+
+def test_what_changes_nothing_and_what_is_frozen_stays():
+    world, start = stack(walks([200] * 8, 1)), line_tracker(3.0, 2.0)
+    before = _values(start)
+    kept = _values(first_guess(start, world, frozen=("sensors.*",)))
+    changed = {k for k in before if not np.array_equal(before[k], kept[k])}
+    assert changed == {"motion.sigma_v"}
+    planar = fix_tracker(0.7, 5.0, 0.15, 7.0, tail=None, planar=True)
+    level = [
+        Recording(r.times, {FIXES: Readings(r.readings[FIXES].values, r.readings[FIXES].seen & [True, True, False])},
+                  r.inputs, {}, r.name)
+        for r in _fixes(3)
+    ]  # fmt: skip
+    found = _values(first_guess(planar, stack(level)))
+    assert found["motion.sigma_z"] == pytest.approx(5.0)
+    assert found["sensors.fixes.sigma_vertical"] == pytest.approx(7.0)
+
+
+def test_what_has_no_levels_or_no_readings_comes_back_as_it_is():
+    window = MovingWindow(5, False)
+    assert first_guess(window, stack(_fixes(0, count=1, rows=20))) is window
+    silent, tracker = stack(walks([40], 5, missing=1.0)), line_tracker()
+    assert first_guess(tracker, silent) is tracker
+
+
+def test_long_recordings_are_looked_at_in_pieces():
+    batches = [stack(walks([1000, 30], 0)), stack(walks([500], 1))]
+    some = looked_at(batches, 16)
+    assert some.dt.shape == (400, 5)
+    assert np.asarray(some.valid).sum(axis=0).tolist() == [400, 400, 200, 30, 400]
+    np.testing.assert_array_equal(
+        some.readings["gauge"].values[:200, :, 2], batches[0].readings["gauge"].values[800:, :, 0]
+    )
+    np.testing.assert_array_equal(some.key[:, 4], batches[1].key[:, 0])
+    assert looked_at(batches, 2).dt.shape == (400, 2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wrong", FAR)
+def test_system_a_beams(wrong):
+    start = beam_tracker(STATION, "1", 0.15 * wrong[0], 0.2 * wrong[1])
+    guess = first_guess(start, stack(beams(16, 200, 0.15, 0.2, seed=0, missing=0.25)))
+    _assert_found(guess, {"motion.sigma_a": 0.15, "sensors.1.sigma_p": 0.2})
+
+
+def _on_a_line(line, sigma_a, sigma_p):
+    rng, motion, recordings = np.random.default_rng(0), LineMotion(line, sigma_a), []
+    for k in range(8):
+        state, path = OnLine(np.array(0.0), np.array(0.3)), []
+        for w in rng.normal(size=300):
+            state = motion.step(state, None, np.array(0.2), Vector(w))
+            path.append([float(x) for x in line.position(state.arclength)])
+        values = np.array(path) + sigma_p * rng.normal(size=(300, 2))
+        recordings.append(
+            Recording(0.2 * np.arange(300), {FIXES: Readings(values, np.ones((300, 2), bool))}, name=str(k))
+        )
+    return stack(recordings)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wrong", FAR)
+def test_system_b_on_a_grid(wrong):
+    line = Polyline(np.array([[0.0, 0.0], [30.0, 0.0], [30.0, 12.0]]))
+    motion, sensor = LineMotion(line, 0.05 * wrong[0]), FloorFixes(0.3 * wrong[1])
+    start = line_grid_tracker(motion, {FIXES: sensor}, spacing=0.2, speeds=32)
+    guess = first_guess(start, _on_a_line(line, 0.05, 0.3))
+    _assert_found(guess, {"motion.sigma_a": 0.05, "sensors.fixes.sigma_p": 0.3})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wrong", FAR)
+def test_system_c_ranges(wrong):
+    world = simulate_ranges(chamber(), n=8, n_points=200, corruptions={"white": white_noise(0.1)})
+    lanes = list(TRACKERS["uwb"].lanes(simulated_ranging(world, "ranges"), False))
+    # the walk is none of the motion's: only the sensor's level is known
+    start = range_tracker(8, sigma_a=0.3 * wrong[0], sigma_z=0.7 * wrong[0], sigma_r=0.1 * wrong[1], stretch=1.001)
+    _assert_found(first_guess(start, [b for _, b in in_batches(lanes)]), {"sensors.ranges.sigma_r": 0.1})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wrong", FAR)
+def test_system_d_fusion(wrong):
+    covariance = 0.15**2 * np.eye(3)
+    start = mhk_tracker(covariance * wrong[1] ** 2, 0.7 * wrong[0], window=1, speed_limit=1e3)
+    guess = first_guess(start, stack(_fixes(4)))
+    # the paper's acceleration takes part of what white noise would explain, and its noise is one for all axes
+    found = _values(guess)
+    assert 0.7 / 3 < found["fusion.motion.sigma_a"] < 0.7 * 3
+    spread = np.sqrt(np.diagonal(found["fusion.sensors.fixes.covariance"]))
+    assert np.all((spread > 0.15 / 3) & (spread < 0.4 * 3))
