@@ -1,0 +1,124 @@
+"""Particle gradients over many keys against the oracles: between walls, and where a speed is cut off at zero."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from experiments.verify import corridor, corridor_grid, halt, halt_grid
+from experiments.verify.estimators import Naive, Reparameterised
+from experiments.verify.findings import Finding, random
+from experiments.verify.gradients import Gradients, gradients, marginal_gradients
+from sim.corridor import corridor_fixes
+from trackers.core.particles import ParticleFilter
+
+KEYS, PARTICLES = 400, 2000
+"""How often an estimate is made, each time with other random numbers, and from how many particles."""
+
+PAIRS, PAIRS_KEYS = 200, 200
+"""The same of the marginal score, whose cost is the particles' number squared."""
+
+SIZES = (125, 500, 2000)
+"""Numbers of particles over which bias and spread are followed, with keys that make all of them equally dear."""
+
+ORDER = 0.05
+"""By how much the spread's power of N may differ from −½ over these sizes: at 125 particles it isn't one quite yet."""
+
+
+def corridor_findings(rows: int) -> list[Finding]:
+    """The score form between walls, with so many fixes."""
+    world, exact = f"corridor {rows}", corridor_grid.log_likelihood(corridor_fixes(rows))
+    found = _in_corridor(rows, corridor.Boxed, PARTICLES, KEYS)
+    return [_likelihood(world, exact, found), *_slopes(world, "score form", (_corridor_slope(rows),), found)]
+
+
+def corridor_pairs_findings(rows: int) -> list[Finding]:
+    """The marginal score between walls."""
+    tracker = corridor.corridor_tracker(corridor.corridor_filter(PAIRS))
+    found = marginal_gradients(tracker, corridor.corridor_batch(rows, PAIRS_KEYS), corridor.TUNED)
+    return _slopes(f"corridor {rows}", "marginal score", (_corridor_slope(rows),), found)
+
+
+def corridor_wrong_findings() -> list[Finding]:
+    """Two usual derivatives, which don't see that particles die at walls."""
+    exact = (_corridor_slope(25),)
+    naive = _in_corridor(25, corridor.BoxedNaive, PARTICLES, KEYS)
+    moves = _in_corridor(25, corridor.BoxedReparameterised, PARTICLES, KEYS)
+    return [
+        *_slopes("corridor 25", "naive", exact, naive, wrong=True),
+        *_slopes("corridor 25", "reparameterised", exact, moves, wrong=True),
+    ]
+
+
+def halt_findings() -> list[Finding]:
+    """The score form at a halt: speed, fixes and start."""
+    found = _at_halt(ParticleFilter, PARTICLES, KEYS)
+    return [
+        _likelihood("halt", halt_grid.log_likelihood(), found),
+        *_slopes("halt", "score form", halt_grid.slopes(), found),
+    ]
+
+
+def halt_wrong_findings() -> list[Finding]:
+    """The same two at the halt: a cut at zero is continuous, so that moves may be differentiated, ancestors not."""
+    exact = halt_grid.slopes()
+    return [
+        *_slopes("halt", "naive", exact[:1], _at_halt(Naive, PARTICLES, KEYS), wrong=True),
+        *_slopes("halt", "reparameterised", exact[:1], _at_halt(Reparameterised, PARTICLES, KEYS)),
+    ]
+
+
+def corridor_order_findings() -> list[Finding]:
+    """How bias and spread fall with the number of particles, between walls."""
+    return _orders("corridor 25", _corridor_slope(25), lambda n, keys: _in_corridor(25, corridor.Boxed, n, keys))
+
+
+def halt_order_findings() -> list[Finding]:
+    """The same at a halt."""
+    return _orders("halt", halt_grid.slopes()[0], lambda n, keys: _at_halt(ParticleFilter, n, keys))
+
+
+def _orders(world: str, exact: float, run: Callable[[int, int], Gradients]) -> list[Finding]:
+    """The bias that infinitely many particles would leave, of bias = a + c/N; and the power of N of the spread."""
+    estimates = [run(n, KEYS * PARTICLES // n).slopes[0] for n in SIZES]
+    spreads = np.array([e.std(ddof=1) for e in estimates])
+    errors = spreads / np.sqrt([len(e) for e in estimates])
+    biases = np.array([e.mean() for e in estimates]) - exact
+    design = np.stack([np.ones(len(SIZES)), 1.0 / np.array(SIZES)], axis=1) / errors[:, None]
+    (left, _), *_ = np.linalg.lstsq(design, biases / errors)
+    error = math.sqrt(np.linalg.inv(design.T @ design)[0, 0])
+    power = np.polyfit(np.log(SIZES), np.log(spreads), 1)[0]
+    return [
+        Finding(world, "bias at 1/N = 0", "score form", 0.0, float(left), 4 * error, error),
+        Finding(world, "power of N of the spread", "score form", -0.5, float(power), ORDER),
+    ]
+
+
+def _corridor_slope(rows: int) -> float:
+    return corridor_grid.slope(corridor_fixes(rows))
+
+
+def _in_corridor(rows: int, kind: type[ParticleFilter], n: int, keys: int) -> Gradients:
+    tracker = corridor.corridor_tracker(corridor.corridor_filter(n, kind))
+    return gradients(tracker, corridor.corridor_batch(rows, keys), corridor.TUNED)
+
+
+def _at_halt(kind: type[ParticleFilter], n: int, keys: int) -> Gradients:
+    return gradients(halt.halt_tracker(kind(n)), halt.halt_batch(keys), halt.TUNED)
+
+
+def _likelihood(world: str, exact: float, found: Gradients) -> Finding:
+    """The mean of the likelihood itself, of which particles are an unbiased estimate."""
+    return random(world, "L / exact L", "particles", 1.0, np.exp(found.values - exact), found.seconds)
+
+
+def _slopes(
+    world: str, estimator: str, exact: tuple[float, ...], found: Gradients, wrong: bool = False
+) -> list[Finding]:
+    names = (corridor.TUNED,) if world.startswith("corridor") else halt.TUNED
+    return [
+        random(world, f"d/d {name}", estimator, oracle, slopes, found.seconds, wrong)
+        for name, oracle, slopes in zip(names, exact, found.slopes, strict=False)
+    ]
