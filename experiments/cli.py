@@ -14,7 +14,7 @@ def main() -> None:
     # jax reads its flags when it is first imported, so nothing that imports it may stand above.
     import tyro
 
-    from experiments.commands import check, evaluate, simulate, simulate_worlds, sweep, track, truth, tune
+    from experiments.commands import check, evaluate, simulate, simulate_worlds, sweep, track, truth, tune, verify
     from experiments.errors import UnusableInput
 
     commands: dict[str, Any] = {
@@ -29,6 +29,7 @@ def main() -> None:
         "tune": tune.tune,
         "sweep": sweep.sweep,
         "truth": truth.truth,
+        "verify": verify.verify,
     }
     try:
         code = tyro.extras.subcommand_cli_from_dict(
