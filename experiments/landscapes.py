@@ -48,7 +48,7 @@ def contours(
     rings = low + np.linspace(0, np.sqrt(top), 12) ** 2
     shown = np.where(np.isfinite(values), values, np.nan).T
     axes.contourf(*grids, shown, levels=rings, cmap="Blues_r", extend="max", alpha=0.75)
-    axes.contour(*grids, shown, levels=rings, colors="white", linewidths=0.6)
+    axes.contour(*grids, shown, levels=rings, colors="white", linewidths=0.6, linestyles="solid")
     for number, path in reversed(list(enumerate(paths))):
         first = number == 0
         axes.plot(
@@ -85,9 +85,9 @@ def scale_axis(axes: Axes, values: np.ndarray, which: str, tight: bool = False) 
 def _round_numbers(low: float, high: float) -> list[float]:
     """A few round numbers from `low` to `high`, evenly spread on a logarithmic axis."""
     decades = range(int(np.floor(np.log10(low))) - 1, int(np.ceil(np.log10(high))) + 2)
-    found: list[float] = []
     for digits in ((1,), (1, 3), (1, 2, 5), (1, 1.5, 2, 3, 4, 5, 6, 8)):
         found = [d * 10.0**k for k in decades for d in digits if low <= d * 10.0**k <= high]
         if len(found) >= 3:
             return found
-    return found or [low, high]
+    ticks = [float(x) for x in MaxNLocator(5).tick_values(low, high) if low <= x <= high]
+    return ticks

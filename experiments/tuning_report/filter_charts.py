@@ -33,7 +33,7 @@ def density_chart(before: Innovations, after: Innovations) -> str:
         axes.stairs(old, bins, color=BEFORE, linewidth=1.3, label="before")
         x = np.linspace(end / 400, end, 400)
         density = expected_density(x, after)
-        axes.plot(x, density, color=VERMILION, linewidth=1.6, label=f"{_expected(after)}, if the filter is consistent")
+        axes.plot(x, density, color=VERMILION, linewidth=1.6, label=f"consistent ({_expected(after)})")
         # Before a fit the first bin may tower over all the rest, which is then cut off.
         peak = float(density[x > bins[1] / 2].max())
         highest = max(peak, min(float(max(old.max(), new.max())), 2.5 * peak))
@@ -41,7 +41,7 @@ def density_chart(before: Innovations, after: Innovations) -> str:
         beyond = [f"{np.mean(values.nis > end):.1%}".replace("%", " %") for values in (before, after)]
         axes.legend(loc="upper right", title=f"beyond the axis: {beyond[0]} before, {beyond[1]} after",
                     title_fontsize=8, alignment="left")  # fmt: skip
-        axes.set_title(f"NIS against {_expected(after)}")
+        axes.set_title("NIS of all rows")
         plain(axes, "")
 
     return drawn(draw, NARROW, NARROW * 0.92)
@@ -109,7 +109,7 @@ def rmse_chart(errors: Sequence[ErrorTrack], unit: str) -> str:
         axes.plot([r[1] for r in kept], places, "o", color=BLUE, markersize=6, label="after")
         axes.set_yticks(places, [literal(_short(r[2])) for r in kept])
         axes.set(xlabel=f"RMSE ({unit})", ylim=(-0.6, len(kept) - 0.4))
-        axes.set_xlim(left=0)
+        axes.set_xlim(0, 1.06 * max(max(r[:2]) for r in kept))
         axes.legend(loc="lower left", bbox_to_anchor=(-0.01, 1.0), ncols=2)
         plain(axes, "x")
 
@@ -164,7 +164,7 @@ def _over_time(track: ErrorTrack, unit: str, top: float) -> str:
 
 
 def _expected(innovations: Innovations) -> str:
-    return "χ²" if innovations.tail is None else f"its distribution at {innovations.tail:.3g} dof of the noise"
+    return "χ²" if innovations.tail is None else "Student's t"
 
 
 def _smooth(track: ErrorTrack) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -76,7 +76,7 @@ def _section(identity: str, heading: str, lead: str, content: str) -> str:
 def _asked(e: TuningEvidence) -> Part:
     held_out = _listed(e.held_out) if e.held_out else "none: nothing here shows how the result does elsewhere"
     rows = [
-        ("Command", f"<code>{escape(e.command)}</code>"),
+        ("Command", f"<code>{_words(e.command)}</code>"),
         ("Tracker", f"<b>{escape(e.tracker)}</b>: {escape(e.tracker_about)}"),
         ("Made small", escape(e.objective_about)),
         ("Tuned on", escape(_listed(e.training))),
@@ -208,7 +208,7 @@ def _errors(e: TuningEvidence) -> Part | None:
 
 
 def _again(e: TuningEvidence) -> Part:
-    commands = "".join(f"<pre>{escape(c)}</pre>" for c in e.again)
+    commands = "".join(f"<pre>{_words(c)}</pre>" for c in e.again)
     return "again", "Use it, run it again", "", commands
 
 
@@ -223,6 +223,11 @@ def _cells(cells: Sequence[str], labels: Sequence[str]) -> str:
         f'<td data-label="{escape(label)}"{CLASS_AFTER if label == "after" else ""}>{cell}</td>'
         for cell, label in zip(cells, labels, strict=True)
     )
+
+
+def _words(command: str) -> str:
+    """A command whose lines break between words and not after hyphens."""
+    return " ".join(f"<span>{escape(word)}</span>" for word in command.split(" "))
 
 
 def _table(kind: str, head: str, rows: str) -> str:

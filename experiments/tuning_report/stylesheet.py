@@ -27,6 +27,7 @@ dd { margin: 0; overflow-wrap: anywhere; }
 code, pre { font: .86em/1.5 Menlo, Consolas, "Liberation Mono", monospace; }
 pre { margin: .4rem 0; padding: .8rem 1rem; background: var(--wash); border-radius: 4px; white-space: pre-wrap;
   overflow-wrap: anywhere; }
+code span, pre span { display: inline-block; max-width: 100%; overflow-wrap: anywhere; }
 .scroll { overflow-x: auto; }
 table { border-collapse: collapse; width: 100%; font-size: .93rem; }
 th { color: var(--soft); font-weight: 400; font-size: .84rem; text-align: right; vertical-align: bottom;
