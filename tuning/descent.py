@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
-from tuning.objectives import AbstractObjective
 from tuning.optimisers import AbstractOptimiser
 from tuning.problem import Evaluations, Problem
 
@@ -155,7 +155,8 @@ class Descent:
 
     def _enough(self, found: Evaluations) -> np.ndarray:
         """The least gain (S,) that is worth another step."""
-        return np.array([enough(self.problem.objective, v, s) for v, s in zip(found.values, found.sums, strict=True)])
+        units = [self.problem.objective.log_likelihood_units(s) for s in found.sums]
+        return np.array([enough(v, u) for v, u in zip(found.values, units, strict=True)])
 
     @property
     def _noisy(self) -> bool:
@@ -166,13 +167,29 @@ class Descent:
         return self.problem.filter_runs + (0 if self.held_out is None else self.held_out.filter_runs)
 
 
-def enough(objective: AbstractObjective, value: float, sums: np.ndarray) -> float:
+def enough(value: float, units: float) -> float:
     """The least gain worth a step: a hundredth of a nat, or a hundred-thousandth of a figure that is no likelihood.
 
     No less than what single precision can tell apart.
     """
-    units = objective.log_likelihood_units(sums)
     return max(NATS / units, 1e-7 * abs(value)) if np.isfinite(units) else 1e-5 * abs(value)
+
+
+def stored(state: FitState) -> list[np.ndarray]:
+    """The arrays of a state, for a file."""
+    return [np.asarray(leaf) for leaf in jax.tree_util.tree_leaves(state)]
+
+
+def restored(optimiser: AbstractOptimiser, arrays: Sequence[np.ndarray]) -> FitState:
+    """The state of a fit with this optimiser that `stored` gave the arrays of; ValueError where they are not its."""
+    number, vectors = arrays[:2]
+    empty = FitState(
+        number, vectors, Evaluations(*[number] * len(Evaluations._fields)), optimiser.begin(vectors), *[number] * 8
+    )
+    leaves, structure = jax.tree_util.tree_flatten(empty)
+    if len(leaves) != len(arrays):
+        raise ValueError(f"a fit's state has {len(leaves)} arrays here, found {len(arrays)}")
+    return FitState(*jax.tree_util.tree_unflatten(structure, list(arrays)))
 
 
 def _light(found: Evaluations) -> Evaluations:

@@ -12,13 +12,14 @@ import numpy as np
 from trackers.core.chunks import CHUNK
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker
-from tuning.curvature import STEP, hessian, newton_step, standard_errors
-from tuning.descent import Descent, FitState, enough
+from tuning.descent import Descent, FitState, enough, restored
 from tuning.objectives import AbstractObjective
 from tuning.optimisers import LBFGS, AbstractOptimiser, Adam
 from tuning.parameters import Parameter, chosen, flatten, limits, physical, placed_in
+from tuning.priors import Prior
 from tuning.problem import Problem
 from tuning.starts import coarse_grid
+from tuning.uncertainty import STEP, Optimum, Uncertainty, assessed, determined, optimum
 
 NEWTON_STEPS = 4
 
@@ -36,24 +37,30 @@ class Step:
 class FitResult:
     """A tuned tracker and how it came about.
 
-    `value`, `start_value`: the objective. `trace`: the steps of the start that won; `starts`: those of all.
-    `left_out`: trajectories without usable derivatives. `problem` and `vector`: the objective as a function, and
-    where it is least. `interrupted`: the fit was stopped, and has no standard errors.
+    `values`: physical, by label. `value`, `start_value`: the objective. `left_out`: trajectories without usable
+    derivatives. `problem` and `vector`: the objective as a function, and where it is least. `uncertainty`: None where
+    the fit was interrupted. `trace`: the steps of the start that won; `starts`: those of all.
     """
 
     tracker: AbstractTracker
     parameters: list[Parameter]
     values: dict[str, Any]
-    standard_errors: dict[str, Any]
     value: float
     start_value: float
     left_out: int
     problem: Problem
     vector: np.ndarray
     filter_runs: int
-    interrupted: bool = False
+    uncertainty: Uncertainty | None
     trace: list[Step] = field(default_factory=list)
     starts: list[list[Step]] = field(default_factory=list)
+
+    @property
+    def standard_errors(self) -> dict[str, Any]:
+        """Of the physical values by label, by the curvature of a likelihood, else NaN."""
+        if self.uncertainty is None:
+            return {p.label: np.full(np.shape(p.example.raw), np.nan) for p in self.parameters}
+        return self.uncertainty.standard_errors()
 
 
 def fit(
@@ -69,62 +76,62 @@ def fit(
     starts: int = 1,
     held_out: Batch | Sequence[Batch] = (),
     minibatch: int | None = None,
+    priors: Sequence[Prior] = (),
+    guesses: Sequence[AbstractTracker] = (),
     seed: int = 0,
     chunk: int = CHUNK,
-    resume: FitState | None = None,
+    resume: Sequence[np.ndarray] | None = None,
     report: Callable[[FitState], None] = lambda state: None,
 ) -> FitResult:
     """The tracker with the tunables that `tune` names (shell patterns) fitted for the least objective.
 
     `frozen`: patterns of tunables that stay as they are. `bounds`: lowest and highest physical value by pattern.
     `optimiser`: default `LBFGS`, or `Adam` for particles and minibatches. `starts`:
-    how many of a coarse grid's best points are followed, side by side, the tracker's own among them. `held_out`:
-    recordings that decide which point is the best, and when to stop. `minibatch`: trajectories per step. `report` gets
-    the state after every step, `resume` takes one up again with the same result to the bit.
+    how many points are followed, side by side: the tracker's own, and the best of the `guesses`' and of a coarse grid's.
+    `held_out`: recordings that decide which point is the best, and when to stop. `minibatch`: trajectories per step.
+    `priors`: beside a likelihood. `report` gets the state after every step; `resume` takes up again what
+    `tuning.descent.stored` made of one, with the same result to the bit.
 
     A step after which the objective isn't finite, or that doesn't help, is taken back and shortened; for a likelihood a
     few Newton steps follow. The best point met is returned, never a worse one than the start; an interrupt (Ctrl-C)
-    ends the fit there. Standard errors come from the curvature where the objective is a likelihood, else they are NaN;
-    they hold for readings with independent noise. Raises ValueError for patterns that name nothing or nothing that can
-    be tied and for bounds without room, FloatingPointError where the objective is not finite at the start.
+    ends the fit there. Raises ValueError for patterns that name nothing or nothing that can be tied, for bounds without
+    room and priors without a likelihood, FloatingPointError where the objective is not finite at the start.
     """
     parameters = chosen(tracker, tune, frozen)
-    problem = Problem(
-        tracker, _several(batches), objective, parameters, chunk if minibatch is None else min(chunk, minibatch)
-    )
+    if priors and not objective.is_likelihood:
+        raise ValueError("priors are weighed against a likelihood; with another objective give bounds")
+    lanes = chunk if minibatch is None else min(chunk, minibatch)
+    problem = Problem(tracker, _several(batches), objective, parameters, lanes, priors)
     judge = Problem(tracker, _several(held_out), objective, parameters, chunk) if held_out else None
     low, high = limits(parameters, bounds or {})
-    optimiser = optimiser or usual(problem, minibatch, steps)
+    optimiser = optimiser or (Adam(steps) if minibatch is not None or problem.random else LBFGS())
     parts = None if minibatch is None else max(1, minibatch // problem.chunks[0].size)
     descent = Descent(problem, optimiser, steps, low, high, judge, minibatch=parts, seed=seed)
-    state = resume if resume is not None else begun(descent, parameters, starts)
-    interrupted = False
+    if resume is not None:
+        state = restored(optimiser, resume)
+    else:
+        others = [flatten(chosen(guess, tune, frozen)) for guess in guesses]
+        state = begun(descent, np.stack([flatten(parameters), *others]), starts)
     try:
         report(state)
         while not descent.over(state):
             state = descent.advance(state)
             report(state)
     except KeyboardInterrupt:
-        interrupted = True
-    return _finished(tracker, descent, state, interrupted)
+        return _finished(tracker, descent, state, interrupted=True)
+    return _finished(tracker, descent, state, interrupted=False)
 
 
 def _several(batches: Batch | Sequence[Batch]) -> list[Batch]:
     return [batches] if isinstance(batches, Batch) else list(batches)
 
 
-def usual(problem: Problem, minibatch: int | None, steps: int) -> AbstractOptimiser:
-    """The optimiser that suits the problem."""
-    if minibatch is not None or problem.random:
-        return Adam(steps)
-    return LBFGS()
-
-
-def begun(descent: Descent, parameters: Sequence[Parameter], starts: int) -> FitState:
-    """The state at the tracker's own values and at the best of a coarse grid, `starts` together."""
-    vector = flatten(parameters)
-    state = descent.begin(vector if starts == 1 else coarse_grid(parameters, vector))
-    if not np.isfinite(state.found.values[0]):
+def begun(descent: Descent, vectors: np.ndarray, starts: int) -> FitState:
+    """The state at the first of the vectors and at the best of the others and of a coarse grid, `starts` together."""
+    if starts > 1:
+        vectors = np.concatenate([vectors, coarse_grid(descent.problem.parameters, vectors[0])[1:]])
+    state = descent.begin(vectors)
+    if not state.active[0]:
         raise FloatingPointError(
             f"the objective is not finite at the start ({state.found.values[0]}): no row is scored, or truth is missing"
         )
@@ -136,28 +143,26 @@ def _finished(tracker: AbstractTracker, descent: Descent, state: FitState, inter
     """The result at the best point met, after a few Newton steps of a likelihood."""
     problem, parameters = descent.problem, descent.problem.parameters
     winner = int(np.argmin(state.best_scores))
-    vector = state.best_vectors[winner]
-    best = problem.evaluate(vector)
-    value, units = float(best.values[0]), problem.objective.log_likelihood_units(best.sums[0])
-    errors = [np.full(np.shape(p.example.raw), np.nan) for p in parameters]
-    if np.isfinite(units) and not interrupted and not problem.random:
-        value, vector, curvature = _polished(descent, value, vector)
-        errors = standard_errors(parameters, vector, units * curvature)
+    vector, sure, effort = state.best_vectors[winner], None, problem.filter_runs
+    if interrupted:
+        value, left_out = float(problem.evaluate(vector).values[0]), problem.left_out
+    else:
+        found, left_out = _polished(descent, optimum(problem, vector))
+        vector, value, sure = found.vector, found.value, assessed(problem, found)
     traces = [_trace(parameters, state, k) for k in range(len(state.vectors))]
     return FitResult(
-        placed_in(tracker, parameters, vector),
-        parameters,
-        named(parameters, vector),
-        dict(zip((p.label for p in parameters), errors, strict=True)),
-        value,
-        float(state.past_values[0, 0]),
-        problem.left_out,
-        problem,
-        vector,
-        int(state.filter_runs),
-        interrupted,
-        traces[winner],
-        traces,
+        tracker=placed_in(tracker, parameters, vector),
+        parameters=parameters,
+        values=named(parameters, vector),
+        value=value,
+        start_value=float(state.past_values[0, 0]),
+        left_out=left_out,
+        problem=problem,
+        vector=vector,
+        filter_runs=int(state.filter_runs) + problem.filter_runs - effort,
+        uncertainty=sure,
+        trace=traces[winner],
+        starts=traces,
     )
 
 
@@ -183,22 +188,27 @@ def _trace(parameters: Sequence[Parameter], state: FitState, start: int) -> list
     ]
 
 
-def _polished(descent: Descent, value: float, vector: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """A few Newton steps, as long as they help, and the second derivatives at the end."""
-    problem = descent.problem
-    here = problem.evaluate(vector)
+def _polished(descent: Descent, found: Optimum) -> tuple[Optimum, int]:
+    """A few Newton steps of a likelihood, as long as they help; and how many trajectories had no say.
+
+    Not where its values have noise, or other recordings decide.
+    """
+    problem, left_out = descent.problem, descent.problem.left_out
+    if not np.isfinite(found.units) or descent.held_out is not None or problem.random:
+        return found, left_out
+    value = problem.evaluate(found.vector).values[0]
     for _ in range(NEWTON_STEPS):
-        curvature = hessian(lambda v: problem.evaluate(v).gradients, vector)
-        if descent.held_out is not None or not np.all(np.isfinite(curvature)):
+        _, inverse, _ = determined(found.hessian)
+        step = -inverse @ found.gradient
+        step = step / max(1.0, float(np.linalg.norm(step)))
+        vector = np.clip(found.vector + step, descent.low, descent.high)
+        if not np.all(np.isfinite(step)):
             break
-        step = newton_step(curvature, here.gradients[0])
-        new = np.clip(vector + step, descent.low, descent.high)
-        there = problem.evaluate(new)
-        if not there.values[0] < value:
+        there = problem.evaluate(vector).values[0]
+        if not there < value:
             break
-        gain = value - float(there.values[0])
-        value, vector, here = float(there.values[0]), new, there
-        if np.linalg.norm(step) < STEP or gain < enough(problem.objective, value, there.sums[0]):
+        gain, value = value - there, there
+        found, left_out = optimum(problem, vector), problem.left_out
+        if np.linalg.norm(step) < STEP or gain < enough(value, found.units):
             break
-    problem.evaluate(vector)
-    return value, vector, curvature
+    return found, left_out

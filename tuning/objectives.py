@@ -5,6 +5,7 @@ e  estimate − truth of a quantity, d numbers        S  its reported covariance
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from typing import Any, NamedTuple
 
@@ -47,6 +48,11 @@ class AbstractObjective(eqx.Module):
     @abstractmethod
     def log_likelihood_units(self, sums: Any) -> float:
         """What the figure is to be multiplied with to be a negative log-likelihood in nats; NaN where it isn't one."""
+
+    @property
+    def is_likelihood(self) -> bool:
+        """Whether the figure is a negative log-likelihood in some unit."""
+        return math.isfinite(self.log_likelihood_units([1.0] * self.size))
 
     def informed(self, tracker: Any) -> AbstractObjective:
         """The objective with what it has to know of the tracker whose rows it judges; most know enough."""

@@ -17,6 +17,7 @@ from trackers.core.tracker import AbstractTracker
 from tuning.gauss_newton import row_terms
 from tuning.objectives import AbstractObjective
 from tuning.parameters import Parameter, placed_in
+from tuning.priors import Penalty, Prior, penalty
 
 WIDTH = 8
 """The most vectors that one compiled call takes: with few recordings, eight cost little more than one."""
@@ -46,7 +47,7 @@ class Problem:
     """The objective of a tracker over batches as a function of unconstrained vectors, compiled once per shape.
 
     `filter_runs` counts trajectories filtered, one for each vector; `left_out`: trajectories without usable derivatives
-    at the last vectors but one of them.
+    at the last vectors but one of them. `priors` count beside a likelihood; nothing else can be weighed against them.
     """
 
     def __init__(
@@ -56,7 +57,9 @@ class Problem:
         objective: AbstractObjective,
         parameters: Sequence[Parameter],
         chunk: int = CHUNK,
+        priors: Sequence[Prior] = (),
     ):
+        self.priors = tuple(priors)
         self.objective, self.parameters = objective.informed(tracker), list(parameters)
         self.dtype = batches[0].dt.dtype
         self.tracker = prepared(tracker, self.dtype)
@@ -94,17 +97,20 @@ class Problem:
         self.left_out = int(np.min(np.sum(~used & valid, axis=1)))
         with np.errstate(invalid="ignore"):  # where nothing is scored figure and gradient are NaN
             gradients = np.einsum("sk,skp->sp", by_sum, slope)
+        # The priors of a part of the trajectories weigh as much less as they are fewer.
+        said = self.against(vectors, sums, float(valid.sum() / self.valid.sum()))
+        values, gradients = values + said.values, gradients + said.gradients
         curvatures = np.full((len(values), slope.shape[-1], slope.shape[-1]), np.nan)
         if curvature:
             curved = used & np.isfinite(information[0]).all(axis=(1, 2))
-            units = np.array([self.objective.log_likelihood_units(s) for s in sums])
-            curvatures = _added(information[0], curved * count) / units[:, None, None]
+            curvatures = _added(information[0], curved * count) / self._units(sums)[:, None, None] + said.curvature
         return Evaluations(values, gradients, sums, terms, slopes, used & valid, curvatures)
 
     def values(self, vectors: np.ndarray, turn: int = 0) -> np.ndarray:
         """The objective (S,) at vectors (S, p), without derivatives: a third of the work."""
         terms = self.terms(vectors, turn)
-        return self.figures(_added(terms, np.isfinite(terms).all(axis=1)))
+        sums = _added(terms, np.isfinite(terms).all(axis=1))
+        return self.figures(sums) + self.against(vectors, sums).values
 
     def terms(self, vectors: np.ndarray, turn: int = 0) -> np.ndarray:
         """The sums per vector, term and trajectory (S, k, n), without derivatives."""
@@ -113,6 +119,18 @@ class Problem:
     def figures(self, sums: np.ndarray) -> np.ndarray:
         """The objective (S,) that sums (S, k) make."""
         return np.asarray(_figures(self.objective, jnp.asarray(sums))[0], float)
+
+    def against(self, vectors: np.ndarray, sums: np.ndarray, share: float = 1.0) -> Penalty:
+        """What the priors add to the objective (S,) and its derivatives, where a likelihood has these sums (S, k)."""
+        vectors = np.atleast_2d(np.asarray(vectors, float))
+        said = penalty(self.priors, self.parameters, vectors)
+        if not self.priors:
+            return said
+        scale = share / self._units(sums)
+        return Penalty(said.values * scale, said.gradients * scale[:, None], said.curvature * scale[:, None, None])
+
+    def _units(self, sums: np.ndarray) -> np.ndarray:
+        return np.array([self.objective.log_likelihood_units(s) for s in sums])
 
     @property
     def random(self) -> bool:

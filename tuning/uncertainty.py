@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from trackers.core.tunable import Covariance
 from tuning.objectives import AbstractObjective
 from tuning.parameters import Parameter, physical, physical_errors
 from tuning.row_scores import row_information
@@ -91,7 +92,7 @@ class Uncertainty:
         errors = self.standard_errors(sandwich)
         found = {}
         for p, middle, a, b in zip(self.parameters, values, low, high, strict=True):
-            if type(p.example).__name__ == "Covariance":
+            if isinstance(p.example, Covariance):
                 a, b = (np.asarray(middle) + sign * z * errors[p.label] for sign in (-1.0, 1.0))
             found[p.label] = (np.asarray(a, float), np.asarray(b, float))
         return found
@@ -106,15 +107,20 @@ class Uncertainty:
 
 
 def uncertainty(problem: Any, vector: np.ndarray) -> Uncertainty:
-    """How sure the optimum `vector` of a `tuning.problem.Problem` is, in 2p + 1 evaluations.
+    """How sure the optimum `vector` of a `tuning.problem.Problem` is, in 2p + 1 evaluations."""
+    return assessed(problem, optimum(problem, vector))
+
+
+def assessed(problem: Any, found: Optimum) -> Uncertainty:
+    """How sure an optimum is.
 
     Of particles, whose likelihood is not smooth, the scatter of the trajectories stands for the second derivatives.
     """
-    found = optimum(problem, vector)
     scatter, clusters = _scatter(problem, found)
     if problem.random:
         found = found._replace(hessian=found.units * scatter)
     _, inverse, undetermined = determined(found.hessian)
+    undetermined &= ~unused(problem.parameters)
     observed = inverse / found.units if np.isfinite(found.units) else np.full(inverse.shape, np.nan)
     return Uncertainty(problem.parameters, found, observed, inverse @ scatter @ inverse, undetermined, clusters)
 
@@ -142,10 +148,13 @@ def optimum(problem: Any, vector: np.ndarray) -> Optimum:
     vector = np.asarray(vector, float)
     p = len(vector)
     shifts = STEP * np.eye(p)
-    evaluated = problem.evaluate(np.concatenate([vector[None], vector + shifts, vector - shifts]))
+    vectors = np.concatenate([vector[None], vector + shifts, vector - shifts])
+    evaluated = problem.evaluate(vectors)
     used = evaluated.used.all(axis=0)
     terms, slopes = evaluated.terms[..., used], evaluated.slopes[..., used]
     values, gradients = figures(problem.objective, terms.sum(axis=-1), slopes.sum(axis=-1))
+    said = problem.against(vectors, terms.sum(axis=-1))
+    values, gradients = values + said.values, gradients + said.gradients
     rows = (gradients[1 : p + 1] - gradients[p + 1 :]) / (2 * STEP)
     units = problem.objective.log_likelihood_units(terms[0].sum(axis=-1))
     psi = influence(problem.objective, terms[0], slopes[0])
@@ -165,6 +174,15 @@ def influence(objective: AbstractObjective, terms: np.ndarray, slopes: np.ndarra
     """
     first, second = (np.asarray(x, float) for x in _by_sums(objective, jnp.asarray(terms.sum(axis=-1))))
     return np.einsum("k,kpn->np", first, slopes) + np.einsum("kn,kl,lp->np", terms, second, slopes.sum(axis=-1))
+
+
+def unused(parameters: Sequence[Parameter]) -> np.ndarray:
+    """Which unconstrained numbers (p,) make nothing: those above the diagonal of a covariance's factor."""
+    parts = []
+    for p in parameters:
+        shape = np.shape(p.example.raw)
+        parts.append(np.triu(np.ones(shape), 1) > 0 if isinstance(p.example, Covariance) else np.zeros(shape, bool))
+    return np.concatenate([np.ravel(x) for x in parts])
 
 
 @eqx.filter_jit
