@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import jax
@@ -12,7 +13,7 @@ from trackers.core.draws import draws
 from trackers.core.ekf import Gaussian
 from trackers.core.motion import AbstractMotion
 from trackers.core.particles import ParticleFilter, Particles
-from trackers.core.resampling import NOTHING, effective_sample_size, even_weights, systematic
+from trackers.core.resampling import NOTHING
 from trackers.core.state import State, dimension, retract
 
 
@@ -25,8 +26,13 @@ class Reparameterised(ParticleFilter):
 
     def predict(self, belief: Particles, motion: AbstractMotion, inputs: Any, dt: Scalar) -> Particles:
         key, place, w = draws(belief.key, motion.noise_dimension, self.n_particles, belief.log_weights.dtype)
-        few = effective_sample_size(belief.log_weights) < self.fraction * self.n_particles
-        ancestors = systematic(jax.lax.stop_gradient(belief.log_weights), place)
+        weights = jax.lax.stop_gradient(belief.linear())
+        # Drawn again by a search in the cumulative weights, which shares no code with the filter's own resampling.
+        weights = jnp.exp(jax.lax.stop_gradient(belief.log_weights))
+        few = jnp.sum(weights * weights) * (self.fraction * self.n_particles) > 1.0
+        ends = jnp.cumsum(weights)
+        places = (jnp.arange(self.n_particles) + place) * (ends[-1] / self.n_particles)
+        ancestors = jnp.minimum(jnp.searchsorted(ends, places.astype(ends.dtype)), self.n_particles - 1)
         states, again = jax.tree_util.tree_map(lambda x: x[..., ancestors], (belief.states, belief.log_weights))
         states = jax.tree_util.tree_map(lambda a, b: jnp.where(few, a, b), states, belief.states)
         log_weights = jnp.where(few, self.inherited(again), belief.log_weights)
@@ -52,12 +58,15 @@ class Reparameterised(ParticleFilter):
 
     def inherited(self, ancestors: Any) -> Any:
         """The log-weights (N,) of offspring, of those of their ancestors: even, with the derivative that these have."""
-        stopped = jax.lax.stop_gradient(ancestors)
-        return even_weights(stopped) + (ancestors - stopped)
+        return self.even(ancestors) + (ancestors - jax.lax.stop_gradient(ancestors))
+
+    def even(self, ancestors: Any) -> Any:
+        """The same without derivative; a copy of a particle of weight zero has none."""
+        return jnp.where(ancestors > 0.5 * NOTHING, jnp.full_like(ancestors, -math.log(self.n_particles)), NOTHING)
 
 
 class Naive(Reparameterised):
     """The program differentiated as it stands: a choice of ancestors has no derivative, and equal weights none."""
 
     def inherited(self, ancestors: Any) -> Any:
-        return even_weights(jax.lax.stop_gradient(ancestors))
+        return self.even(ancestors)

@@ -9,6 +9,7 @@ from functools import lru_cache
 from statistics import NormalDist
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -23,16 +24,24 @@ def draws(key: Any, rows: int, count: int, dtype: Any) -> tuple[Any, Scalar, lis
 
     A normal number takes 16 random bits: one of the middles of 65,536 equally likely intervals, none beyond 4.3.
     """
-    first, second = threefry(key, jnp.arange(2, dtype=jnp.uint32), jnp.zeros(2, jnp.uint32))
-    following, spare = jnp.stack([first[0], second[0]]), first[1]
-    quarter, table = -(-count // 4), jnp.asarray(_middles(), dtype)
+    spare = words(key, 0, 2)
+    table = jnp.asarray(_middles(), dtype)
     normals = []
     for row in range(rows):
-        x, y = threefry(key, jnp.arange(quarter, dtype=jnp.uint32), jnp.full(quarter, row + 1, jnp.uint32))
-        halves = [x >> np.uint32(16), y >> np.uint32(16), x & np.uint32(0xFFFF), y & np.uint32(0xFFFF)]
-        bits = jnp.concatenate(halves)[:count].astype(jnp.int32)
+        both = words(key, row + 1, -(-count // 4)).reshape(-1)
+        bits = jnp.concatenate([both >> np.uint32(16), both & np.uint32(0xFFFF)])[:count].astype(jnp.int32)
         normals.append(table.at[bits].get(mode="promise_in_bounds"))
-    return following, (spare >> np.uint32(9)).astype(dtype) * 2.0**-23, normals
+    return spare[:, 0], (spare[0, 1] >> np.uint32(9)).astype(dtype) * 2.0**-23, normals
+
+
+def words(key: Any, stream: int, count: int) -> Any:
+    """Random words (2, count) under a raw key: the first and second words of a stream's first `count` counters.
+
+    Both are made for either, and one is taken: with two results XLA makes a pass over memory of every round.
+    """
+    shape = (2, count)
+    x, y = threefry(key, jax.lax.broadcasted_iota(jnp.uint32, shape, 1), jnp.full(shape, stream, jnp.uint32))
+    return jnp.where(jax.lax.broadcasted_iota(jnp.uint32, shape, 0) == 0, x, y)
 
 
 @lru_cache(maxsize=1)

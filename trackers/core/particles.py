@@ -17,7 +17,7 @@ from trackers.core.algebra import Scalar, Vector, cholesky, inverse_or_zero, tot
 from trackers.core.draws import draws
 from trackers.core.ekf import Gaussian, Innovation
 from trackers.core.motion import AbstractMotion
-from trackers.core.resampling import NOTHING, effective_sample_size, log_sum
+from trackers.core.resampling import NOTHING, effective_sample_size, exponential
 from trackers.core.scores import drawn_with_scores, normal_density, with_score
 from trackers.core.sensor import AbstractSensor, Reading, Residual
 from trackers.core.state import State, dimension, local, retract
@@ -25,11 +25,19 @@ from trackers.core.walls import AbstractPotential
 
 
 class Particles(NamedTuple):
-    """A belief: states whose leaves end with an axis of N particles, their log-weights (N,), and a raw key (2,)."""
+    """A belief: states whose leaves end with an axis of N particles, their log-weights (N,), and a raw key (2,).
+
+    `weights`: exp(log_weights) where someone knows it already, so that not every pass makes it again; else None.
+    """
 
     states: State
     log_weights: Any
     key: Any
+    weights: Any = None
+
+    def linear(self) -> Any:
+        """The weights (N,) themselves, with the derivative that their logarithms have."""
+        return jnp.exp(self.log_weights) if self.weights is None else exponential(self.log_weights, self.weights)
 
 
 class AbstractReport(eqx.Module):
@@ -76,14 +84,18 @@ class ParticleFilter(eqx.Module):
         # Their score differs from lane to lane: so must they, or jax (0.10) mixes up the axes of both.
         even = 0.0 * w[0] - math.log(self.n_particles)
         states = jax.lax.stop_gradient(states)
-        return Particles(states, with_score(even, belief, states, log_density=normal_density), key)
+        log_weights = with_score(even, belief, states, log_density=normal_density)
+        return Particles(states, log_weights, key, jax.lax.stop_gradient(jnp.exp(even)))
 
     def predict(self, belief: Particles, motion: AbstractMotion, inputs: Any, dt: Scalar) -> Particles:
         """The belief `dt` seconds later (1.23), drawn again before where too few particles carry the weight."""
         dtype = belief.log_weights.dtype
         key, place, w = draws(belief.key, motion.noise_dimension, self.n_particles, dtype)
-        few = effective_sample_size(belief.log_weights) < self.fraction * self.n_particles
-        states, log_weights = drawn_with_scores(few, place, belief.states, belief.log_weights, discount=self.discount)
+        weights = jax.lax.stop_gradient(belief.linear())
+        few = effective_sample_size(weights) < self.fraction * self.n_particles
+        states, log_weights, weights = drawn_with_scores(
+            few, place, belief.states, belief.log_weights, weights, discount=self.discount
+        )
 
         def step(state: State, w: list[Any]) -> State:
             return motion.step(state, inputs, dt, Vector.of(w))
@@ -94,8 +106,8 @@ class ParticleFilter(eqx.Module):
         if self.potential is not None:
             moves = jax.vmap(motion.view, in_axes=-1, out_axes=-1)
             said = jax.vmap(self.potential.log_weight, in_axes=-1, out_axes=-1)(moves(states), moves(moved))
-            log_weights = jnp.maximum(log_weights + said, NOTHING)
-        return Particles(moved, log_weights, key)
+            log_weights, weights = jnp.maximum(log_weights + said, NOTHING), None
+        return Particles(moved, log_weights, key, weights)
 
     def update(
         self, belief: Particles, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Any
@@ -109,21 +121,24 @@ class ParticleFilter(eqx.Module):
         seen = weighed(belief.states, motion, sensor, reading, inputs)
         whitened, densities = seen.whitened, seen.log_density
         weighted = jnp.maximum(belief.log_weights + densities, NOTHING)
-        after = log_sum(weighted)
+        top = jax.lax.stop_gradient(jnp.max(weighted))
+        heights = jnp.exp(weighted - top)
+        height = jnp.sum(heights)
         # With no weight left there is no belief: not finite, so that the tracker starts again.
-        after = jnp.where(after > 0.5 * NOTHING, after, jnp.nan)
+        after = jnp.where(top > 0.5 * NOTHING, top + jnp.log(height), jnp.nan)
         kept = jnp.where(weighted > 0.5 * NOTHING, weighted - after, NOTHING + 0 * after)
-        weights = jnp.exp(belief.log_weights)
+        weights = belief.linear()
         if self.potential is not None:
             weights = weights / jnp.maximum(jnp.sum(weights), jnp.finfo(weights.dtype).tiny)
         nis = normalised_square(whitened, weights, seen.tail)
         wrapped = 0.0 * after if seen.wrapped is None else jnp.sum(weights * seen.wrapped)
         innovation = Innovation(after, nis, seen.count, wrapped)
-        return belief._replace(log_weights=kept), innovation
+        known = jax.lax.stop_gradient(heights * jnp.where(top > 0.5 * NOTHING, 1.0 / height, jnp.nan))
+        return belief._replace(log_weights=kept, weights=known), innovation
 
     def moments(self, belief: Particles) -> tuple[State, tuple[Scalar, ...]]:
         """The weighted mean (1.28) and the covariance's upper triangle, of the shown quantity where there is one."""
-        return weighted_moments(belief.states, jnp.exp(belief.log_weights), self.report)
+        return weighted_moments(belief.states, belief.linear(), self.report)
 
 
 def density_of_draws(motion: AbstractMotion, states: State, inputs: Any, dt: Scalar, w: list[Any]) -> Any:

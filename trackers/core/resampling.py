@@ -23,32 +23,68 @@ AT_ONCE = 8
 """Trajectories whose particles are drawn again together."""
 
 
+@jax.custom_jvp
+def exponential(log_weights: Any, weights: Any) -> Any:
+    """exp(log_weights), which is known already: `weights`; as a function of the first alone."""
+    return weights
+
+
+@exponential.defjvp
+def _exponential_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
+    weights = exponential(*primals)
+    return weights, weights * tangents[0]
+
+
+def drawn_again(few: Scalar, place: Scalar, states: Any, log_weights: Any, weights: Any) -> tuple[Any, Any, Any]:
+    """States, log-weights and weights drawn again at `place` in [0, 1) where `few` says so, else as they are.
+
+    `weights`: as many as particles, adding to 1. None of weight zero has offspring, so all offspring weigh the same.
+    """
+    n = weights.shape[-1]
+    states = offspring(few, place, states, weights)
+    return states, jnp.where(few, -math.log(n), log_weights), jnp.where(few, 1.0 / n, weights)
+
+
 @custom_vmap
-def drawn_again(few: Scalar, place: Scalar, states: Any, log_weights: Any) -> tuple[Any, Any]:
-    """States and log-weights drawn again at `place` in [0, 1) where `few` says so, else as they are."""
-    return jax.lax.cond(few, _drawn, lambda place, *belief: belief, place, states, log_weights)
+def offspring(few: Scalar, place: Scalar, states: Any, weights: Any) -> Any:
+    """The states drawn again, where `few` says so."""
+
+    def drawn() -> Any:
+        ancestors = systematic(weights, place)
+        return jax.tree_util.tree_map(lambda x: jnp.take(x, ancestors, axis=-1, mode="clip"), states)
+
+    return jax.lax.cond(few, drawn, lambda: states)
 
 
-@drawn_again.def_vmap
-def _in_lanes(size: int, batched: Any, few: Any, place: Any, states: Any, log_weights: Any) -> tuple[Any, Any]:
+@offspring.def_vmap
+def _in_lanes(size: int, batched: Any, few: Any, place: Any, states: Any, weights: Any) -> tuple[Any, Any]:
     """Only the lanes that need it are drawn again, a few at a time: that is one in several, and the dearest part."""
 
     def spread(x: Any, has: bool) -> Any:
         return x if has else jnp.broadcast_to(x[None], (size, *x.shape))
 
-    arguments = few, place, states, log_weights
-    few, place, states, log_weights = jax.tree_util.tree_map(spread, arguments, tuple(batched))
+    few, place, states, weights = jax.tree_util.tree_map(spread, (few, place, states, weights), tuple(batched))
     at_once = min(AT_ONCE, size)
 
     def some(loop: tuple[Any, Any]) -> tuple[Any, Any]:
-        need, belief = loop
+        need, states = loop
         index = jnp.nonzero(need, size=at_once, fill_value=size)[0]
-        mine = jax.tree_util.tree_map(lambda x: jnp.take(x, index, axis=0, mode="clip"), belief)
-        fresh = jax.vmap(_drawn)(jnp.take(place, index, mode="clip"), *mine)
-        return need.at[index].set(False, mode="drop"), put(belief, fresh, index)
+        lanes = jnp.minimum(index, size - 1)
+        ancestors = systematic(jnp.take(weights, lanes, axis=0), jnp.take(place, lanes))
+        fresh = jax.tree_util.tree_map(lambda x: taken(x, lanes, ancestors), states)
+        return need.at[index].set(False, mode="drop"), put(states, fresh, index)
 
-    _, belief = jax.lax.while_loop(lambda loop: jnp.any(loop[0]), some, (few, (states, log_weights)))
-    return belief, jax.tree_util.tree_map(lambda _: True, belief)
+    _, states = jax.lax.while_loop(lambda loop: jnp.any(loop[0]), some, (few, states))
+    return states, jax.tree_util.tree_map(lambda _: True, states)
+
+
+def taken(x: Any, lanes: Any, ancestors: Any) -> Any:
+    """x[lane, ..., ancestors] of some lanes (k,) and their ancestors (k, N), of an array (lanes, ..., N)."""
+    inner, n = math.prod(x.shape[1:-1]), x.shape[-1]
+    # From one long array: an index of two numbers would be put together in memory first.
+    begin = (lanes.astype(jnp.int32)[:, None] * inner + jnp.arange(inner, dtype=jnp.int32)[None, :]) * n
+    places = begin[:, :, None] + ancestors[:, None, :]
+    return x.reshape(-1).at[places].get(mode="promise_in_bounds").reshape(len(lanes), *x.shape[1:])
 
 
 def put(belief: Any, fresh: Any, index: Any) -> Any:
@@ -62,24 +98,15 @@ def put(belief: Any, fresh: Any, index: Any) -> Any:
     return jax.tree_util.tree_unflatten(structure, done)
 
 
-def _drawn(place: Scalar, states: Any, log_weights: Any) -> tuple[Any, Any]:
-    ancestors = systematic(log_weights, place)
-
-    def take(x: Any) -> Any:
-        return jnp.take(x, ancestors, axis=-1, mode="clip")
-
-    return jax.tree_util.tree_map(take, states), even_weights(take(log_weights))
-
-
 def log_sum(log_weights: Any) -> Scalar:
     """The logarithm of the sum of the weights."""
     top = jnp.max(log_weights)
     return top + jnp.log(jnp.sum(jnp.exp(log_weights - top)))
 
 
-def effective_sample_size(log_weights: Any) -> Scalar:
+def effective_sample_size(weights: Any) -> Scalar:
     """M/(1 + CV²) = 1/Σw² (1.29), (1.30), with CV² = var(w)/E(w)²; the weights add to 1."""
-    return 1.0 / jnp.sum(jnp.exp(2.0 * log_weights))
+    return 1.0 / jnp.sum(weights * weights)
 
 
 def even_weights(log_weights: Any) -> Any:
@@ -89,35 +116,39 @@ def even_weights(log_weights: Any) -> Any:
     return jnp.where(alive, -jnp.log(count), NOTHING)
 
 
-def systematic(log_weights: Any, u: Scalar) -> Any:
-    """The ancestors (N,) of N offspring at the places (k + u)/N of the cumulative weights, rising (Kitagawa 1996).
+def systematic(weights: Any, u: Any) -> Any:
+    """The ancestors (..., N) of N offspring at the places (k + u)/N of the cumulative weights, rising (Kitagawa 1996).
 
-    Weights are first made whole numbers that add to less than the largest below which the number format has all of
-    them. Their cumulative sums are then exact and rise, and no particle of weight zero has offspring; a weight is off
-    by at most 2⁻²⁴ of the sum in single precision.
+    `weights` (..., N), `u` (...). Weights are first made whole numbers that add to less than the largest below which
+    the number format has all of them. Their cumulative sums are then exact and rise, and no particle of weight zero has
+    offspring; a weight is off by at most 2⁻²⁴ of the sum in single precision.
     """
-    n = log_weights.shape[-1]
-    dtype = log_weights.dtype
-    weights = jnp.exp(log_weights - jnp.max(log_weights))
+    n = weights.shape[-1]
+    dtype = weights.dtype
     quanta = float(2 ** (jnp.finfo(dtype).nmant + 1) - 4 * n)
-    ends = running_sum(jnp.floor(weights * (quanta / jnp.sum(weights))))
-    whole = ends[-1]
+    ends = running_sum(jnp.floor(weights * (quanta / jnp.sum(weights, axis=-1, keepdims=True))))
+    whole = ends[..., -1:]
     # The number of offspring up to and including each particle; rounding is the same for equal sums and keeps order.
-    offspring = jnp.clip(jnp.ceil(ends * (n / whole) - u), 0, n)
-    offspring = jnp.where(ends == whole, n, offspring.astype(jnp.int32))
+    offspring = jnp.clip(jnp.ceil(ends * (n / whole) - u[..., None]), 0, n)
+    offspring = jnp.where(ends == whole, n, offspring.astype(jnp.int32)).reshape(-1, n)
     # Offspring k descends from the first particle up to which there are more than k: as many end at k or before.
-    ending = jnp.zeros(n, dtype).at[offspring].add(jnp.ones(n, dtype), mode="drop")
-    return running_sum(ending).astype(jnp.int32)
+    lanes = len(offspring)
+    slots = offspring + jnp.arange(lanes, dtype=jnp.int32)[:, None] * (n + 1)
+    ending = jnp.zeros(lanes * (n + 1), dtype).at[slots].add(jnp.ones((lanes, n), dtype), mode="promise_in_bounds")
+    return running_sum(ending.reshape(lanes, n + 1)[:, :n]).astype(jnp.int32).reshape(weights.shape)
 
 
 def running_sum(x: Any) -> Any:
-    """The cumulative sums of (N,) numbers by products with triangular matrices of about √N rows."""
+    """The cumulative sums of (..., N) numbers by products with triangular matrices of about √N rows."""
     n = x.shape[-1]
-    columns = max(1, math.isqrt(n - 1) + 1)
+    root = max(1, math.isqrt(n - 1) + 1)
+    # Whole rows where a number of columns near √N divides N, else the last is filled up.
+    columns = next((c for c in range(root, 2 * root) if n % c == 0), root)
     rows = -(-n // columns)
-    table = jnp.pad(x, (0, rows * columns - n)).reshape(rows, columns)
-    upper, below = (np.triu(np.ones((columns, columns))), np.tril(np.ones((rows, rows)), -1))
+    lead = x.shape[:-1]
+    table = jnp.pad(x, [(0, 0)] * len(lead) + [(0, rows * columns - n)]).reshape(*lead, rows, columns)
+    upper, below = (np.triu(np.ones((columns, columns))), np.triu(np.ones((rows, rows)), 1))
     # On accelerators the default precision of a product would not keep whole numbers whole.
     inside = jnp.matmul(table, jnp.asarray(upper, x.dtype), precision="highest")
-    before = jnp.matmul(jnp.asarray(below, x.dtype), inside[:, -1], precision="highest")
-    return (inside + before[:, None]).reshape(-1)[:n]
+    before = jnp.matmul(inside[..., -1], jnp.asarray(below, x.dtype), precision="highest")
+    return (inside + before[..., None]).reshape(*lead, rows * columns)[..., :n]

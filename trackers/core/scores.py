@@ -50,21 +50,24 @@ def _with_score(primals: Any, tangents: Any, *, log_density: Callable[..., Any])
 
 
 @eqx.filter_custom_jvp
-def drawn_with_scores(few: Scalar, place: Scalar, states: Any, log_weights: Any, *, discount: float) -> tuple[Any, Any]:
+def drawn_with_scores(
+    few: Scalar, place: Scalar, states: Any, log_weights: Any, weights: Any, *, discount: float
+) -> tuple[Any, Any, Any]:
     """`drawn_again`, where an offspring's log-weight has `discount` times the derivative of its ancestor's."""
-    return drawn_again(few, place, states, log_weights)
+    return drawn_again(few, place, states, log_weights, weights)
 
 
 @drawn_with_scores.def_jvp
 def _drawn_with_scores(primals: Any, tangents: Any, *, discount: float) -> tuple[Any, Any]:
-    few, place, states, log_weights = primals
+    few, place, states, log_weights, weights = primals
     slope = tangents[3]
     still = jax.tree_util.tree_map(lambda _: None, states)
     if slope is None:
-        return drawn_again(few, place, states, log_weights), (still, None)
+        return drawn_again(few, place, states, log_weights, weights), (still, None, None)
     # What a log-weight owes goes with the particle, as if it were part of its state.
-    (states, slope), log_weights = drawn_again(few, place, (states, slope), log_weights)
-    return (states, log_weights), (still, slope if discount == 1 else jnp.where(few, discount * slope, slope))
+    (states, slope), log_weights, weights = drawn_again(few, place, (states, slope), log_weights, weights)
+    slope = slope if discount == 1 else jnp.where(few, discount * slope, slope)
+    return (states, log_weights, weights), (still, slope, None)
 
 
 def normal_density(belief: Gaussian, states: State) -> Any:

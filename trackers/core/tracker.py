@@ -156,12 +156,13 @@ class Tracker(AbstractTracker):
             belief, innovation = self.filter.update(belief, self.motion, sensor, row.readings[name], row.inputs)
             said.append(innovation)
         log_likelihood, nis, count, wrapped = (total(x) for x in zip(*said, strict=True))
-        belief, log_likelihood, nis = shared((belief, log_likelihood, nis))
+        if is_heavy(self):
+            log_likelihood, nis = shared((log_likelihood, nis))
+        else:
+            belief, log_likelihood, nis = shared((belief, log_likelihood, nis))
         numbers = jax.tree_util.tree_leaves(eqx.filter(belief, eqx.is_inexact_array))
         # Leaves of one shape are added first: what particles have many of is then summed in one pass.
-        sizes = [
-            total(jnp.abs(x) for x in numbers if jnp.shape(x) == shape) for shape in {jnp.shape(x): 0 for x in numbers}
-        ]
+        sizes = [total(x for x in numbers if jnp.shape(x) == shape) for shape in {jnp.shape(x): 0 for x in numbers}]
         finite = jnp.isfinite(shared(total(jnp.sum(x) for x in sizes)))
         heard = count > 0
         surprise = carry.surprise + jnp.where(
