@@ -11,7 +11,7 @@ import numpy as np
 
 from trackers.core.tunable import Scale
 from tuning.parameters import Parameter
-from tuning.uncertainty import PART, Uncertainty, determined
+from tuning.uncertainty import PART, Uncertainty, determined, unused
 
 LOOSE = 1.0
 """Standard deviation of an unconstrained number from which on it is hardly determined: a factor of e either way."""
@@ -32,9 +32,10 @@ def judgements(found: Uncertainty, slopes: np.ndarray) -> list[Judgement]:
     effect at all.
     """
     names, kinds = names_of(found.parameters), kinds_of(found.parameters)
-    idle = without_effect(slopes)
-    said = [Judgement((names[k],), f"{names[k]} has no effect on the objective") for k in np.flatnonzero(idle)]
-    lively = np.flatnonzero(~idle)
+    idle, void = without_effect(slopes), unused(found.parameters)
+    nothing = np.flatnonzero(idle & ~void)
+    said = [Judgement((names[k],), f"{names[k]} has no effect on the objective") for k in nothing]
+    lively = np.flatnonzero(~idle & ~void)
     if not len(lively) or not np.all(np.isfinite(found.optimum.hessian)):
         return said
     missing, _, _ = determined(found.optimum.hessian[np.ix_(lively, lively)])

@@ -10,6 +10,7 @@ few, of a likelihood, J is that of blocks of rows, and errors that last longer t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
 from typing import Any, NamedTuple

@@ -16,7 +16,7 @@ from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
 from tuning.parameters import Parameter, chosen, flatten
 from tuning.problem import Problem
 from tuning.profiles import bootstrap, percentile_intervals, profile, refit
-from tuning.uncertainty import optimum, uncertainty
+from tuning.uncertainty import optimum, uncertainty, unused
 
 TYPICAL = 0.5
 
@@ -34,6 +34,10 @@ class Numbers:
     places: np.ndarray
     random: bool = False
     objective: NegativeLogLikelihood = field(default_factory=NegativeLogLikelihood)
+
+    def against(self, vectors, sums):
+        """No prior."""
+        return SimpleNamespace(values=np.zeros(len(vectors)), gradients=np.zeros(vectors.shape))
 
     def evaluate(self, vectors, weights=None):
         vectors = np.atleast_2d(vectors)
@@ -119,6 +123,18 @@ def test_intervals_are_in_physical_units_of_every_kind():
     np.testing.assert_allclose([every["matrix"][k][1, 1] for k in (0, 1)], [4 - 1.568, 4 + 1.568], atol=1e-3)
     open_ = made(parameters, found, cov, cov, np.array([True] + [False] * 4), 25).intervals()
     assert [float(x) for x in open_["share"]] == [0.0, 1.0]
+
+
+def test_what_stands_above_a_factors_diagonal_is_nobodys_fault():
+    parameters = [Parameter(("matrix",), Covariance(np.diag([1.0, 4.0])), "matrix")]
+    found = SimpleNamespace(
+        optimum=SimpleNamespace(hessian=np.diag([50.0, 0.0, 70.0, 60.0])),
+        parameters=parameters,
+        observed=np.diag([0.02, 0.0, 0.01, 0.02]),
+    )
+    slopes = np.ones((2, 4, 20)) * np.array([1.0, 0.0, 1.0, 1.0])[:, None]
+    assert unused(parameters).tolist() == [False, True, False, False]
+    assert judgements(found, slopes) == []
 
 
 def _product(y, weights):
