@@ -1,0 +1,108 @@
+"""Walls: which ways cross one, what dies, and what that does to the likelihood."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from trackers.core.algebra import Vector
+from trackers.core.motion import ConstantPosition, Placed
+from trackers.core.particles import ParticleFilter, Particles
+from trackers.core.resampling import NOTHING
+from trackers.core.sensor import AbstractSensor, Channel, Reading, independent
+from trackers.core.tunable import Fixed
+from trackers.core.walls import Walls
+
+CORNER = [[0.0, -2.0, 0.0, 0.0], [0.0, 0.0, 2.0, 0.0]]
+"""Two walls that meet at the origin."""
+
+
+def _crosses(walls, start, end):
+    said = Walls(walls).log_weight(Placed(Vector(*map(jnp.asarray, start))), Placed(Vector(*map(jnp.asarray, end))))
+    assert said in (0.0, NOTHING)
+    return bool(said == NOTHING)
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "crosses"),
+    [
+        ((-1.0, -1.0), (1.0, -1.0), True),
+        ((1.0, -1.0), (-1.0, -1.0), True),
+        ((1.0, -1.0), (1.0, 1.0), True),
+        ((-1.0, -1.0), (-1.0, 1.0), False),
+        ((-1.0, 1.0), (1.0, 1.0), False),
+        ((-1.0, -3.0), (1.0, -3.0), False),
+        ((1.0, -1.0), (1.0, -1.0), False),
+        ((0.5, -0.5), (1.5, -1.5), False),
+        # Through the very corner that both share: there is no gap.
+        ((1.0, -1.0), (-1.0, 1.0), True),
+    ],
+)
+def test_a_way_crosses_a_wall_or_passes_beside_it(start, end, crosses):
+    assert _crosses(CORNER, start, end) == crosses
+
+
+def test_nothing_gets_through_a_wall_by_resting_on_it():
+    ways = [((-1.0, -1.0), (0.0, -1.0)), ((0.0, -1.0), (1.0, -1.0))]
+    assert sum(_crosses(CORNER, *way) for way in ways) == 1
+
+
+def test_a_closed_room_is_left_by_no_way_however_it_is_drawn():
+    rng = np.random.default_rng(0)
+    corners = np.array([[0, 0], [3, 0.5], [2.5, 2], [1, 2.5], [-0.5, 1]])
+    room = np.hstack([corners, np.roll(corners, -1, axis=0)])
+    inside = corners.mean(axis=0) + rng.uniform(-0.5, 0.5, (200, 2))
+    angle = rng.uniform(0, 2 * np.pi, 200)
+    outside = inside + 9 * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    # Straight at the corners too.
+    outside[:5] = inside[:5] + 9 * (corners - inside[:5])
+    walls = Walls(room)
+    each = jax.vmap(lambda a, b: walls.log_weight(Placed(Vector(a[0], a[1])), Placed(Vector(b[0], b[1]))))
+    assert np.all(each(jnp.asarray(inside), jnp.asarray(outside)) == NOTHING)
+    assert np.all(each(jnp.asarray(inside), jnp.asarray(np.roll(inside, 1, axis=0))) == 0)
+
+
+@pytest.mark.parametrize(
+    ("segments", "word"),
+    [
+        ([], "list of"),
+        ([[0, 0, 1]], "list of"),
+        ([[0, 0, np.nan, 1]], "wall 0 is not finite"),
+        ([[0, 0, 1, 1], [2, 1, 2, 1]], "wall 1"),
+    ],
+)
+def test_walls_that_are_none_are_refused(segments, word):
+    with pytest.raises(ValueError, match=word):
+        Walls(segments)
+
+
+class Place(AbstractSensor):
+    @property
+    def channels(self):
+        return (Channel("x", "m"),)
+
+    def measure(self, view, inputs):
+        return [view.position[0]]
+
+    def residual(self, reading, predicted):
+        return independent([reading.values[0] - predicted[0]], [1.0], reading.seen)
+
+
+def test_the_log_likelihood_of_a_row_without_reading_is_that_of_staying_alive():
+    n, wall = 4096, 0.5
+    key = jax.random.key_data(jax.random.key(3))
+    belief = Particles(Placed(Vector(jnp.zeros(n), jnp.zeros(n))), jnp.full(n, -np.log(n)), key)
+    filter = ParticleFilter(n, potential=Walls([[wall, -100.0, wall, 100.0]]))
+    motion = ConstantPosition(Fixed(1.0), 2)
+
+    @jax.jit
+    def row(belief):
+        moved = filter.predict(belief, motion, {}, jnp.asarray(1.0))
+        return filter.update(moved, motion, Place(), Reading(jnp.zeros(1), jnp.array([False]), ()), {})
+
+    after, said = row(belief)
+    # Φ(0.5), with the binomial's four standard errors.
+    assert np.exp(said.log_likelihood) == pytest.approx(0.69146, abs=4 * np.sqrt(0.69 * 0.31 / n))
+    assert np.all(after.states.position[0][after.log_weights > 0.5 * NOTHING] <= wall)
+    np.testing.assert_allclose(np.exp(after.log_weights).sum(), 1.0, rtol=1e-9)
+    assert said.nis == 0.0
