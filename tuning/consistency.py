@@ -56,7 +56,10 @@ class Consistency(AbstractObjective):
         return self.kind == "nees"
 
     def informed(self, tracker: Any) -> Consistency:
-        """With the tail of the tracker's sensors; raises ValueError where they differ in it."""
+        """With the tail that the tracker's sensors have now; raises ValueError where they differ in it.
+
+        A fit that tunes the tail, too, goes on to judge by the one that it began with.
+        """
         return Consistency(self.kind, self.quantity, self.dimensions, tail_of(tracker), True)
 
     def terms(self, output: Output, truth: Truth) -> tuple[Scalar, ...]:
