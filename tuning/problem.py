@@ -13,7 +13,7 @@ import numpy as np
 from trackers.core.chunks import CHUNK, chunks, over_lanes, prepared
 from trackers.core.particles import ParticleFilter
 from trackers.core.recording import Batch
-from trackers.core.tracker import AbstractTracker
+from trackers.core.tracker import AbstractTracker, Tracker, is_heavy
 from tuning.gauss_newton import row_terms
 from tuning.objectives import AbstractObjective
 from tuning.parameters import Parameter, placed_in
@@ -66,8 +66,10 @@ class Problem:
         self.chunks = [part for batch in batches for part in chunks(batch, chunk)]
         self.valid = np.concatenate([np.asarray(part.valid).any(axis=0) for part in self.chunks])
         lanes = max(part.size for part in self.chunks)
-        # As many vectors at once as keep a compiled call about as large as a full chunk.
-        self.width = 1 if self.random else max(1, min(WIDTH, CHUNK // (1 << (lanes - 1).bit_length())))
+        # As many vectors at once as keep a compiled call about as large as a full chunk. A filter with an axis of its
+        # own gains nothing by more than one, and would compute both sides of its conditions at every row.
+        heavy = isinstance(self.tracker, Tracker) and is_heavy(self.tracker)
+        self.width = 1 if heavy else max(1, min(WIDTH, CHUNK // (1 << (lanes - 1).bit_length())))
         self.filter_runs = 0
         self.left_out = 0
 
