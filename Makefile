@@ -43,6 +43,7 @@ bench: env
 bench-peers: .venv-peers/installed
 	$(PEERS)/python -m experiments.bench --peers
 	$(PEERS)/python -m experiments.bench.imu
+	$(PEERS)/python -m experiments.bench.particle_peers
 
 clean:
 	rm -rf .venv .venv-peers out *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis

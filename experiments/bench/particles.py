@@ -29,18 +29,16 @@ FLOOR = 4.0
 def main() -> int:
     """Measure, print a table, and return 1 where ours is below the floor."""
     set_flags()
-    from sim.line import THESIS_KNOTS, simulate_line
+    from sim.line import THESIS_KNOTS
 
-    world = simulate_line("constant", TRAJECTORIES, seed=20, rest_s=3.0, rate_hz=2.0 * ROWS / 120.0)
-    fixes, times = world.fixes[:, :ROWS], world.times[:ROWS]
+    fixes, times, positions = task()
     versions = {"ours": ours(fixes, times), "textbook": textbook(fixes, times, THESIS_KNOTS)}
     first, errors = {}, {}
     for name, run in versions.items():
         began = time.perf_counter()
         places = run()
         first[name] = time.perf_counter() - began
-        # The first row is where the filters start, each in its own way.
-        errors[name] = float(np.sqrt(np.mean(np.sum((places[:, 1:] - world.positions[:, 1:ROWS]) ** 2, axis=-1))))
+        errors[name] = rmse(places, positions)
     seconds = {name: np.zeros((ROUNDS, 2)) for name in versions}
     for turn in range(ROUNDS):
         for name, run in versions.items():
@@ -58,6 +56,19 @@ def main() -> int:
         )
     print(f"ours is {faster:.1f} times as fast, {faster_cpu:.1f} times per processor second; floor {FLOOR:g}")
     return int(faster < FLOOR)
+
+
+def task() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Fixes (n, T, 2), m, their times (T,), s, and the true places (n, T, 2), m, of carts on the thesis's line."""
+    from sim.line import simulate_line
+
+    world = simulate_line("constant", TRAJECTORIES, seed=20, rest_s=3.0, rate_hz=2.0 * ROWS / 120.0)
+    return world.fixes[:, :ROWS], world.times[:ROWS], world.positions[:, :ROWS]
+
+
+def rmse(places: np.ndarray, positions: np.ndarray) -> float:
+    """The error of places (n, T, 2), m, without the first row, where the filters start, each in its own way."""
+    return float(np.sqrt(np.mean(np.sum((places - positions)[:, 1:] ** 2, axis=-1))))
 
 
 def ours(fixes: np.ndarray, times: np.ndarray) -> Callable[[], np.ndarray]:

@@ -1,0 +1,219 @@
+"""The particle filter on a line beside `particles` and cuthbert: `python -m experiments.bench.particle_peers`.
+
+All filter fixes of the same carts with the motion, the 1,000 particles, the systematic resampling below half of them
+and the start of the textbook version in `experiments/bench/particles.py`. Each library is measured in a process of its
+own, taking turns with ours there: `particles` one trajectory after the other on NumPy, as it is made, cuthbert under
+`vmap`, with the flags of the command line. Both are extra dependencies (`pip install trackwright[peers]`).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.bench.__main__ import machine
+from experiments.bench.particles import PARTICLES, SIGMA_A, SIGMA_P, ours, rmse, task
+from experiments.runtime import set_flags
+from experiments.writing import atomic_write, json_text
+
+SLICES = {"particles": 4, "cuthbert": 32}
+"""Trajectories for the versions that are dozens of times slower; cuthbert keeps every particle of every row."""
+
+ROUNDS = 5
+LIMIT_S = 300.0
+FLOOR = 25.0
+"""How many times faster than theirs ours is to be."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure beside every library, print the figures and write them as JSON; 1 where ours is below the floor."""
+    parser = argparse.ArgumentParser(
+        prog="python -m experiments.bench.particle_peers", description=(__doc__ or "").split("\n\n")[0]
+    )
+    parser.add_argument("--out", type=Path, default=Path("out/bench-particles.json"), help="where the figures go")
+    parser.add_argument("--peer", choices=SLICES, help=argparse.SUPPRESS)
+    options = parser.parse_args(arguments)
+    if options.peer:
+        print(json_text(beside(options.peer)))
+        return 0
+    began, host = datetime.now(UTC), machine()
+    peers = {peer: _in_process(peer) for peer in SLICES}
+    figures = {
+        "date": began.isoformat(timespec="seconds"),
+        "command": ["python", "-m", "experiments.bench.particle_peers"],
+        "machine": host,
+        "particles": PARTICLES,
+        "peers": peers,
+        "took_s": (datetime.now(UTC) - began).total_seconds(),
+    }
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    atomic_write(options.out, lambda path: path.write_text(json_text(figures), "utf-8"))
+    slowest = np.inf
+    for peer, found in peers.items():
+        if "failed" in found:
+            print(f"{peer}: left out: {found['failed']}")
+            continue
+        for name, v in found["versions"].items():
+            print(
+                f"{name:10s} {v['trajectories']:4d} x {v['rows']}  {v['run_s']:7.3f} s  "
+                f"{v['million_steps_per_s']:8.5f} million trajectory-steps/s  first call {v['first_s']:5.1f} s  "
+                f"RMSE {v['rmse_m']:.3f} m"
+            )
+        faster = found["ours_is_faster_by"]
+        slowest = min(slowest, faster)
+        print(
+            f"ours is {faster:.0f} times as fast, {found['ours_is_faster_by_per_cpu_second']:.0f} per processor second"
+        )
+    print(f"floor {FLOOR:g}. Written: {options.out}")
+    return int(slowest < FLOOR)
+
+
+def _in_process(peer: str) -> dict[str, Any]:
+    print(f"measuring: {peer} …", file=sys.stderr, flush=True)
+    environment = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
+    command = [sys.executable, "-m", "experiments.bench.particle_peers", "--peer", peer]
+    try:
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=LIMIT_S, check=False)
+    except subprocess.TimeoutExpired:
+        return {"failed": f"took over {LIMIT_S:.0f} s"}
+    if done.returncode:
+        return {"failed": (done.stderr.strip().splitlines() or ["no message"])[-1]}
+    return json.loads(done.stdout)
+
+
+def beside(peer: str) -> dict[str, Any]:
+    """Ours and a library's, taking turns in this process: medians over rounds, ratios within rounds."""
+    set_flags()
+    from sim.line import THESIS_KNOTS
+
+    fixes, times, positions = task()
+    few = SLICES[peer]
+    build = {"particles": with_particles, "cuthbert": with_cuthbert}[peer]
+    versions = {
+        "ours": (len(fixes), ours(fixes, times)),
+        peer: (few, build(fixes[:few], float(times[1] - times[0]), np.asarray(THESIS_KNOTS, float))),
+    }
+    found: dict[str, Any] = {}
+    for name, (size, run) in versions.items():
+        began = time.perf_counter()
+        places = run()
+        found[name] = {
+            "trajectories": size,
+            "rows": fixes.shape[1],
+            "first_s": time.perf_counter() - began,
+            "rmse_m": rmse(places, positions[:size]),
+        }
+    seconds = np.zeros((ROUNDS, 2, 2))
+    for turn in range(ROUNDS):
+        for k, (_, run) in enumerate(versions.values()):
+            began, began_cpu = time.perf_counter(), time.process_time()
+            run()
+            seconds[turn, k] = time.perf_counter() - began, time.process_time() - began_cpu
+    rates = np.array([size * fixes.shape[1] for size, _ in versions.values()])[:, None] / seconds
+    for k, name in enumerate(versions):
+        found[name]["run_s"] = float(np.median(seconds[:, k, 0]))
+        found[name]["cpu_s"] = float(np.median(seconds[:, k, 1]))
+        found[name]["million_steps_per_s"] = float(np.median(rates[:, k, 0])) / 1e6
+    faster = np.median(rates[:, 0] / rates[:, 1], axis=0)
+    return {
+        "versions": found,
+        "ours_is_faster_by": float(faster[0]),
+        "ours_is_faster_by_per_cpu_second": float(faster[1]),
+        "packages": {name: version(name) for name in ("jax", "jaxlib", "numpy", peer)},
+        "xla_flags": os.environ["XLA_FLAGS"],
+    }
+
+
+def with_particles(fixes: np.ndarray, dt: float, knots: np.ndarray) -> Callable[[], np.ndarray]:
+    """`particles.SMC` on a model in NumPy, collecting moments; a function that returns places (n, T, 2), m."""
+    import particles
+    from particles.collectors import Moments
+
+    random = np.random.default_rng(0)
+    marks = np.concatenate([[0.0], np.cumsum(np.sqrt((np.diff(knots, axis=0) ** 2).sum(axis=1)))])
+
+    class Line(particles.FeynmanKac):
+        """The line's motion and fixes (T, 2) of one cart; states are arclengths, m, and speeds, m/s, (N, 2)."""
+
+        def __init__(self, fixes: np.ndarray):
+            super().__init__(len(fixes))
+            self.fixes = fixes
+
+        def M0(self, N: int) -> np.ndarray:
+            return np.maximum(random.standard_normal((N, 2)) * [0.5, 0.1], 0.0)
+
+        def M(self, t: int, xp: np.ndarray) -> np.ndarray:
+            x = np.empty_like(xp)
+            x[:, 0] = np.clip(xp[:, 0] + dt * xp[:, 1], 0.0, marks[-1])
+            x[:, 1] = np.maximum(xp[:, 1] + SIGMA_A * dt**0.5 * random.standard_normal(len(xp)), 0.0)
+            return x
+
+        def logG(self, t: int, xp: np.ndarray, x: np.ndarray) -> np.ndarray:
+            if t == 0:
+                return np.zeros(len(x))
+            east = np.interp(x[:, 0], marks, knots[:, 0]) - self.fixes[t, 0]
+            north = np.interp(x[:, 0], marks, knots[:, 1]) - self.fixes[t, 1]
+            return (east * east + north * north) * (-0.5 / SIGMA_P**2) - np.log(2 * np.pi * SIGMA_P**2)
+
+    def run() -> np.ndarray:
+        along = np.empty(fixes.shape[:2])
+        for lane, rows in enumerate(fixes):
+            smc = particles.SMC(fk=Line(rows), N=PARTICLES, resampling="systematic", ESSrmin=0.5, collect=[Moments()])
+            smc.run()
+            along[lane] = [moments["mean"][0] for moments in smc.summaries.moments]
+        return np.stack([np.interp(along, marks, knots[:, k]) for k in (0, 1)], axis=-1)
+
+    return run
+
+
+def with_cuthbert(fixes: np.ndarray, dt: float, knots: np.ndarray) -> Callable[[], np.ndarray]:
+    """cuthbert's particle filter under `jit` and `vmap`; a function that returns places (n, T, 2), m."""
+    import cuthbert
+    import jax
+    import jax.numpy as jnp
+    from cuthbert.smc.particle_filter import build_filter
+    from cuthbertlib.resampling.adaptive import ess_decorator
+    from cuthbertlib.resampling.systematic import resampling
+
+    marks = np.concatenate([[0.0], np.cumsum(np.sqrt((np.diff(knots, axis=0) ** 2).sum(axis=1)))]).astype(np.float32)
+    table = knots.astype(np.float32)
+
+    def place(d: Any) -> Any:
+        return jnp.stack([jnp.interp(d, marks, table[:, 0]), jnp.interp(d, marks, table[:, 1])], axis=-1)
+
+    def start(key: Any) -> Any:
+        return jnp.maximum(jax.random.normal(key, (2,)) * jnp.array([0.5, 0.1]), 0.0)
+
+    def step(key: Any, state: Any, fix: Any) -> Any:
+        speed = jnp.maximum(state[1] + SIGMA_A * dt**0.5 * jax.random.normal(key), 0.0)
+        return jnp.stack([jnp.clip(state[0] + dt * state[1], 0.0, marks[-1]), speed])
+
+    def density(before: Any, state: Any, fix: Any) -> Any:
+        return -0.5 * jnp.sum((fix - place(state[0])) ** 2) / SIGMA_P**2 - jnp.log(2 * jnp.pi * SIGMA_P**2)
+
+    smc = build_filter(start, step, density, PARTICLES, ess_decorator(resampling, 0.5))
+
+    def one(key: Any, rows: Any) -> Any:
+        first, rest = jax.random.split(key)
+        states = cuthbert.filter(smc, rows[1:], smc.init_prepare(key=first), key=rest)
+        weights = jax.nn.softmax(states.log_weights, axis=-1)
+        return place(jnp.sum(weights * states.particles[..., 0], axis=-1))
+
+    filtered = jax.jit(jax.vmap(one))
+    keys, rows = jax.random.split(jax.random.key(0), len(fixes)), jnp.asarray(fixes, jnp.float32)
+    return lambda: np.asarray(jax.block_until_ready(filtered(keys, rows)))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
