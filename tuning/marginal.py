@@ -98,7 +98,7 @@ def _of_lane(model: Any, vector: Any, lane: Batch) -> tuple[Any, Any]:
     )
     empty = jax.tree_util.tree_map(jnp.zeros_like, begin)
     last, _ = jax.lax.scan(step, empty, rows)
-    score = jnp.sum(jnp.exp(last.belief.log_weights) * last.owed, axis=-1)
+    score = jnp.sum(jnp.exp(last.belief.log_weights)[None, :] * last.owed, axis=-1)
     return jnp.where(last.begun, last.value, jnp.nan), score
 
 

@@ -31,8 +31,8 @@ class Reparameterised(ParticleFilter):
         weights = jnp.exp(jax.lax.stop_gradient(belief.log_weights))
         few = jnp.sum(weights * weights) * (self.fraction * self.n_particles) > 1.0
         ends = jnp.cumsum(weights)
-        places = (jnp.arange(self.n_particles) + place) * (ends[-1] / self.n_particles)
-        ancestors = jnp.minimum(jnp.searchsorted(ends, places.astype(ends.dtype)), self.n_particles - 1)
+        places = (jnp.arange(self.n_particles, dtype=ends.dtype) + place) * (ends[-1] / self.n_particles)
+        ancestors = jnp.minimum(jnp.searchsorted(ends, places), self.n_particles - 1)
         states, again = jax.tree_util.tree_map(lambda x: x[..., ancestors], (belief.states, belief.log_weights))
         states = jax.tree_util.tree_map(lambda a, b: jnp.where(few, a, b), states, belief.states)
         log_weights = jnp.where(few, self.inherited(again), belief.log_weights)

@@ -1,0 +1,42 @@
+"""The particles' score by every number of the line's tracker, initial spread included, against the grid's gradient."""
+
+import numpy as np
+import pytest
+
+from experiments.verify.gradients import gradients
+from tests.known_start import NEVER_LOST
+from tests.line.test_line_filters import GRID, REPORT, STARTS, _lanes
+from trackers.core.particles import ParticleFilter
+from trackers.core.recording import stack
+from trackers.core.tracker import Tracker
+from trackers.core.tunable import Scale
+from trackers.line.fixes import FIXES, FloorFixes
+from trackers.line.tracker import LineStart
+
+KEYS, PARTICLES = 64, 500
+TUNED = ("motion.*", "sensors.*", "start.sigma_start")
+
+
+@pytest.fixture(scope="module")
+def slopes():
+    motion = STARTS["halting"][0]
+    start = LineStart(motion.line, Scale(0.5, "m"), Scale(0.1, "m/s"), resting=True)
+
+    def of(filter, keys):
+        tracker = Tracker(motion, {FIXES: FloorFixes(0.25)}, start, filter, NEVER_LOST)
+        return gradients(tracker, stack(_lanes("halting", keys)), TUNED)
+
+    return of(GRID, 1).slopes[:, 0], of(ParticleFilter(PARTICLES, report=REPORT), KEYS).slopes
+
+
+def test_the_mean_score_of_rests_departures_fixes_and_start_is_the_grids_gradient(slopes):
+    exact, found = slopes
+    assert len(exact) == 6
+    error = np.abs(found.mean(axis=1) - exact)
+    # The grid's own gradient is off by the square of its cells: 0.002. Of six numbers one is beyond four standard
+    # errors in one of 2,600 choices of keys.
+    assert np.all(error < 4 * found.std(axis=1) / np.sqrt(KEYS) + 0.002)
+
+
+def test_every_key_has_a_score_of_its_own(slopes):
+    assert np.all(slopes[1].std(axis=1) > 0)
