@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Protocol
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -16,8 +17,14 @@ from experiments.folder import Folder, read_folder
 ERRORS = Console(stderr=True, highlight=False, soft_wrap=True)
 
 
+class Advance(Protocol):
+    """Counts work done; `now` says in a few words how it stands."""
+
+    def __call__(self, done: int, now: str = "") -> None: ...
+
+
 @contextmanager
-def progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
+def progress(what: str, total: int) -> Iterator[Advance]:
     """A function that counts work done; draws a bar where standard error is a terminal."""
     columns = (
         TextColumn("{task.description}"),
@@ -28,7 +35,11 @@ def progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
     )
     with Progress(*columns, console=ERRORS, disable=not sys.stderr.isatty(), transient=True) as bar:
         task = bar.add_task(what, total=total)
-        yield lambda done: bar.advance(task, done)
+
+        def advance(done: int, now: str = "") -> None:
+            bar.update(task, advance=done, description=f"{what} {now}" if now else what)
+
+        yield advance
 
 
 def notice(text: str) -> None:

@@ -17,9 +17,15 @@ from trackers.core.tracker import AbstractTracker
 from trackers.core.tunable import replaced, tunables
 from tuning import FitResult
 
+Interval = tuple[np.ndarray, np.ndarray]
+"""Lowest and highest value."""
 
-def write_tuned(path: Path, tracker: str, objective: str, result: FitResult) -> Path:
-    """Write the fit's numbers: value, unit and standard error (nan: not determined, or no likelihood) by name."""
+
+def write_tuned(path: Path, tracker: str, objective: str, result: FitResult, intervals: Mapping[str, Interval]) -> Path:
+    """Write the fit's numbers by name: value, unit, standard error (nan: not determined, or no likelihood), interval.
+
+    `intervals`: 95 %, by label; nan for what has none.
+    """
     lines = [
         "# Written by `trackwright tune`; read by `trackwright track --noise`.",
         f'tracker = "{tracker}"',
@@ -30,11 +36,15 @@ def write_tuned(path: Path, tracker: str, objective: str, result: FitResult) -> 
     ]
     # Tied tunables stand here one by one: a pattern for them may match others of the tracker too.
     for parameter, name in ((p, name) for p in result.parameters for name in p.names):
+        nothing = np.full(np.shape(result.values[parameter.label]), np.nan)
+        low, high = intervals.get(parameter.label, (nothing, nothing))
         lines += [
             f"[tunables.{json.dumps(name, ensure_ascii=False)}]",
             f"value = {_number(result.values[parameter.label])}",
             f'unit = "{parameter.example.unit}"',
             f"standard_error = {_number(result.standard_errors[parameter.label])}",
+            f"lowest_95 = {_number(low)}",
+            f"highest_95 = {_number(high)}",
             "",
         ]
     return atomic_write(path, lambda temporary: temporary.write_text("\n".join(lines), encoding="utf-8"))

@@ -87,7 +87,7 @@ def fit(
 
     `frozen`: patterns of tunables that stay as they are. `bounds`: lowest and highest physical value by pattern.
     `optimiser`: default `LBFGS`, or `Adam` for particles and minibatches. `starts`:
-    how many points are followed, side by side: the tracker's own, and the best of the `guesses`' and of a coarse grid's.
+    how many points are followed, side by side: the tracker's own, and the best of the `guesses` and of a coarse grid.
     `held_out`: recordings that decide which point is the best, and when to stop. `minibatch`: trajectories per step.
     `priors`: beside a likelihood. `report` gets the state after every step; `resume` takes up again what
     `tuning.descent.stored` made of one, with the same result to the bit.

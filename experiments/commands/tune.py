@@ -3,62 +3,88 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+import time
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-import numpy as np
-import polars as pl
 import tyro
 
+from experiments import checkpoint
 from experiments.catalogue import fitting, groups
-from experiments.entry import Group
 from experiments.errors import UnusableInput
-from experiments.filter_figures import tuning_trace
-from experiments.lanes import Lane, pieces
-from experiments.manifest import write_manifest
-from experiments.screen import notice, output_folder, progress, read_all
-from experiments.tracks import batches
-from experiments.tuned_file import read_tuned, with_noise, write_tuned
-from experiments.writing import atomic_write
-from trackers.core.particles import ParticleFilter
-from trackers.core.tracker import AbstractTracker
-from tuning import FitResult, NegativeLogLikelihood, RootMeanSquareError, fit
-from tuning.objectives import AbstractObjective
-from tuning.parameters import chosen
+from experiments.screen import Advance, notice, output_folder, progress, read_all
+from experiments.tuned_file import read_tuned, with_noise
+from experiments.tuning_files import Run, write_run
+from experiments.tuning_job import Job, bounds_of, checked, job_of
+from tuning import FitResult, fit
+from tuning.descent import FitState, stored
+from tuning.first_guess import first_guess
+from tuning.optimisers import LBFGS, AbstractOptimiser, Adam, GaussNewton
+from tuning.parameters import chosen, flatten
 
 EVERYTHING = "*.sigma_*"
+INTERRUPTED = 130
+"""The exit code of a command that Ctrl-C ended, as shells have it."""
+
+OPTIMISERS: dict[str, Callable[[int], AbstractOptimiser | None]] = {
+    "auto": lambda steps: None,
+    "lbfgs": lambda steps: LBFGS(),
+    "gauss-newton": lambda steps: GaussNewton(),
+    "adam": Adam,
+}
 
 
 def tune(
     recordings: Annotated[tuple[Path, ...], tyro.conf.Positional],
     out: Path,
     tracker: str | None = None,
-    objective: Literal["nll", "rmse"] = "nll",
+    objective: str = "nll",
     tune: tuple[str, ...] = (EVERYTHING,),
+    freeze: tuple[str, ...] = (),
+    bound: tuple[str, ...] = (),
+    prior: tuple[str, ...] = (),
+    held_out: tuple[Path, ...] = (),
     start: Path | None = None,
-    free_height: bool = False,
+    starts: int = 4,
+    optimiser: Literal["auto", "lbfgs", "gauss-newton", "adam"] = "auto",
     steps: int = 60,
+    minibatch: int | None = None,
+    resume: bool = False,
+    free_height: bool = False,
     piece_rows: int = 8000,
 ) -> int:
-    """Fit noise levels (and other tunables) to recordings by gradient: writes tuned.toml, trace.csv and tuning.png.
+    """Fit noise levels (and other tunables) to recordings by gradient: writes tuned.toml, report.html, trace.csv.
 
     Args:
         recordings: recording folders to fit to, all at once.
         out: the folder to write to.
         tracker: as in `track`; default: what fits the tables.
-        objective: nll, the negative log-likelihood (needs no truth), or rmse, the position error (needs truth).
+        objective: nll, the negative log-likelihood (needs no truth); rmse, the position error, state-nll, nees-shape
+            (need truth); nis-shape; or a weighted sum, as 'nll+0.1*rmse'.
         tune: shell patterns of tunables, as 'motion.*' 'sensors.*.sigma_p'; 'tied:PATTERN' keeps all that match equal.
+        freeze: patterns of tunables that stay as they are.
+        bound: PATTERN=LOWEST:HIGHEST, physical bounds of tuned numbers.
+        prior: PATTERN=0.2x2, known within a factor of 2, or of an offset PATTERN=0+-0.1; for nll.
+        held_out: recordings that are not fitted, but decide which point is the best and when to stop; and are reported.
         start: a tuned.toml to start from.
+        starts: how many starts are followed side by side: the given one, and the best of a guess from the data and of
+            a coarse grid.
+        optimiser: auto is lbfgs, or adam where the tracker draws random numbers, and for minibatches.
+        steps: the most steps of a start.
+        minibatch: trajectories per step, drawn anew for each; default all.
+        resume: go on from the checkpoint in --out, with the same result to the bit.
         free_height: estimate the height of tags whose height the rig gives.
-        steps: gradient steps.
         piece_rows: long recordings are cut into pieces of about this many rows, which are fitted side by side.
     """
-    started = datetime.now(UTC)
-    if steps < 1 or piece_rows < 10:
-        raise UnusableInput(f"--steps {steps} --piece-rows {piece_rows}: expected at least 1 and 10")
-    folders = read_all(recordings)
+    started, clock = datetime.now(UTC), time.perf_counter()
+    if steps < 1 or piece_rows < 10 or starts < 1 or (minibatch is not None and minibatch < 1):
+        raise UnusableInput(
+            f"--steps {steps} --piece-rows {piece_rows} --starts {starts} --minibatch {minibatch}: expected at least "
+            "1, 10, 1 and 1"
+        )
+    folders = read_all((*recordings, *held_out))
     name = tracker or fitting(folders[0])
     if tracker is None:
         notice(f"tracker: {name}; choose another with --tracker")
@@ -68,110 +94,77 @@ def tune(
             f"the recordings need {len(found)} different '{name}' trackers (other geometry, or heights known for some "
             "tags only); expected one; tune them apart, or give --free-height"
         )
-    model, lanes, goal = _problem(found[0], objective, tune, start, piece_rows)
+    tracked = found[0].tracker if start is None else with_noise(found[0].tracker, read_tuned(start), start)
+    job = job_of(found[0], tracked, objective, held_out, piece_rows)
+    bounds = bounds_of(bound)
+    priors = checked(job, tune, freeze, bounds, prior)
     output_folder(out)
-    result = _fitted(model, lanes, goal, tune, steps)
-    write_tuned(out / "tuned.toml", name, objective, result)
-    unit = "rad" if found[0].lanes[0].station else "m"
-    _write_trace(out, result, objective, unit)
-    config = {
+    options = {
         "tracker": name,
         "objective": objective,
         "tune": tune,
+        "freeze": freeze,
+        "bound": bound,
+        "prior": prior,
+        "held_out": held_out,
         "start": start,
-        "free_height": free_height,
+        "starts": starts,
+        "optimiser": optimiser,
         "steps": steps,
+        "minibatch": minibatch,
+        "free_height": free_height,
         "piece_rows": piece_rows,
     }
-    write_manifest(out, sys.argv, config, started, extra={"recordings": [str(p) for p in recordings]})
-    print(_table(result, objective))
-    tuned = out / "tuned.toml"
-    print(f"wrote {tuned}, trace.csv, tuning.png and manifest.json; use it: trackwright track … --noise {tuned}")
+    result = _fitted(job, out, options, bounds, priors, resume)
+    run = Run(name, options, recordings, time.perf_counter() - clock, started, sys.argv)
+    for line in write_run(out, job, result, run):
+        print(line)
+    if result.uncertainty is None:
+        notice("stopped: tuned.toml holds the best so far; go on with the same command and --resume")
+        return INTERRUPTED
     return 0
 
 
-def _problem(
-    group: Group, objective: str, patterns: Sequence[str], start: Path | None, piece_rows: int
-) -> tuple[AbstractTracker, list[Lane], AbstractObjective]:
-    """What is fitted, to which pieces of the recordings, and for the least of what; raises UnusableInput."""
-    tracker = group.tracker if start is None else with_noise(group.tracker, read_tuned(start), start)
-    if isinstance(getattr(tracker, "filter", None), ParticleFilter):
-        raise UnusableInput(
-            "tune: a derivative through the resampling of particles is wrong; expected a tracker without them; use "
-            "--tracker line-grid, whose model is the same, and give the result to `track --tracker line-pf --noise`"
-        )
-    try:
-        chosen(tracker, patterns)
-    except ValueError as error:
-        raise UnusableInput(f"--tune {' '.join(patterns)}: {error}") from error
-    lanes = [piece for lane in group.lanes for piece in pieces(lane, piece_rows)]
-    if objective == "nll":
-        return tracker, lanes, NegativeLogLikelihood()
-    if group.planar and lanes[0].station:
-        raise UnusableInput(
-            "--objective rmse: azimuth and elevation of a tag in a flat array's own plane are singular; expected a tag "
-            "above or below it; use --objective nll"
-        )
-    quantity = next(iter(lanes[0].recording.truth))
-    lanes = [lane for lane in lanes if lane.recording.truth[quantity][1].any()]
-    if not lanes:
-        raise UnusableInput("--objective rmse needs truth, and these recordings have none; use --objective nll")
-    return tracker, lanes, RootMeanSquareError(quantity, 2 if quantity == "direction" or group.planar else 3)
-
-
-def _fitted(
-    tracker: AbstractTracker, lanes: list[Lane], goal: AbstractObjective, patterns: Sequence[str], steps: int
-) -> FitResult:
-    with progress("tuning", steps + 1) as advance:
+def _fitted(job: Job, out: Path, options: dict[str, Any], bounds: Any, priors: Any, resume: bool) -> FitResult:
+    """The fit, with a checkpoint after every step; raises UnusableInput where it can't begin."""
+    rows, judges = job.rows(), job.rows(held_out=True)
+    mark = checkpoint.fingerprint(options, [*rows, *judges], flatten(chosen(job.tracker, "*")))
+    kept = checkpoint.load(out, mark) if resume else None
+    if resume and kept is None:
+        notice(f"notice: {out}: no checkpoint there; the fit begins anew")
+    steps, starts, freeze = options["steps"], options["starts"], options["freeze"]
+    with progress("tuning", steps) as advance:
+        advance(0, "(looking for starts)")
         try:
             result = fit(
-                tracker,
-                [batch for _, batch in batches(lanes)],
-                goal,
-                patterns,
+                job.tracker,
+                rows,
+                job.goal,
+                options["tune"],
+                frozen=freeze,
+                bounds=bounds,
+                optimiser=OPTIMISERS[options["optimiser"]](steps),
                 steps=steps,
-                report=lambda number, step: advance(1),
+                starts=starts,
+                held_out=judges,
+                minibatch=options["minibatch"],
+                priors=priors,
+                guesses=[first_guess(job.tracker, rows, freeze)] if starts > 1 and kept is None else [],
+                resume=kept,
+                report=lambda state: _after_step(out, mark, state, advance),
             )
         except FloatingPointError as error:
             raise UnusableInput(f"{error}; ask `trackwright check` about the recordings") from error
     if result.left_out:
         notice(
-            f"notice: {result.left_out} of {len(lanes)} pieces had no say: their figures were not finite, or depend on "
-            "the tunables without measure"
+            f"notice: {result.left_out} of {len(job.training)} pieces had no say: their figures were not finite, or "
+            "depend on the tunables without measure"
         )
     return result
 
 
-def _write_trace(out: Path, result: FitResult, objective: str, unit: str) -> None:
-    trace = result.trace
-    columns: dict[str, list[float]] = {
-        objective: [s.value for s in trace],
-        "gradient_norm": [s.gradient_norm for s in trace],
-    }
-    units: dict[str, str] = {}
-    drawn: dict[str, np.ndarray] = {}
-    for parameter in result.parameters:
-        values = np.stack([np.asarray(s.values[parameter.label]) for s in trace])
-        parts = values.reshape(len(trace), -1)
-        for k in range(parts.shape[1]):
-            label = parameter.label + (f".{k}" if values.ndim > 1 else "")
-            columns[label] = parts[:, k].tolist()
-            drawn[label], units[label] = parts[:, k], parameter.example.unit
-    atomic_write(out / "trace.csv", pl.DataFrame(columns).write_csv)
-    names = {"nll": "negative log-likelihood per number (nats)", "rmse": f"RMSE ({unit})"}
-    tuning_trace(out / "tuning.png", np.array(columns[objective]), drawn, units, names[objective])
-
-
-def _table(result: FitResult, objective: str) -> str:
-    first = result.trace[0].values
-    rows: list[tuple[str, ...]] = [("tunable", "before", "after", "standard error", "unit")]
-    for parameter in result.parameters:
-        name = parameter.label
-        triple = (first[name], result.values[name], result.standard_errors[name])
-        for k, numbers in enumerate(zip(*(np.ravel(x) for x in triple), strict=True)):
-            label = name if np.ndim(result.values[name]) == 0 else f"{name}.{k}"
-            shown = ["-" if np.isnan(x) else f"{x:.4g}" for x in numbers]
-            rows.append((label, *shown, parameter.example.unit))
-    widths = [max(len(r[k]) for r in rows) for k in range(5)]
-    lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
-    return "\n".join([*lines, f"{objective}: {result.start_value:.5g} -> {result.value:.5g}"])
+def _after_step(out: Path, mark: str, state: FitState, advance: Advance) -> None:
+    checkpoint.save(out, stored(state), mark)
+    best = int(state.best_scores.argmin())
+    now = f"(objective {state.best_scores[best]:.5g}, gradient {state.past_norms[-1, best]:.2g})"
+    advance(min(1, int(state.number)), now)

@@ -113,10 +113,15 @@ def test_forward_and_reverse_mode_agree_on_beams():
     np.testing.assert_allclose(problem.value_and_gradient(vector)[1], _reverse(problem, vector), rtol=1e-9, atol=1e-14)
 
 
-@pytest.mark.parametrize("wrong_a", [10.0, 0.1])
-@pytest.mark.parametrize("wrong_p", [10.0, 0.1])
-@pytest.mark.parametrize("optimiser", [LBFGS(), GaussNewton(), Adam(60, 0.2)], ids=["LBFGS", "GaussNewton", "Adam"])
-def test_noise_levels_are_recovered_from_starts_wrong_by_a_factor_of_ten(beam_world, wrong_a, wrong_p, optimiser):
+@pytest.mark.parametrize(
+    ("optimiser", "wrong_a", "wrong_p"),
+    [
+        *((LBFGS(), a, p) for a in (10.0, 0.1) for p in (10.0, 0.1)),
+        (GaussNewton(), 10.0, 0.1),
+        (Adam(40, 0.2), 10.0, 0.1),
+    ],
+)
+def test_noise_levels_are_recovered_from_starts_wrong_by_a_factor_of_ten(beam_world, optimiser, wrong_a, wrong_p):
     start = beam_tracker(STATION, "1", SIGMA_A * wrong_a, SIGMA_P * wrong_p)
     result = fit(start, beam_world, NLL, NOISE, optimiser=optimiser)
     for name, true in zip(("motion.sigma_a", "sensors.1.sigma_p"), (SIGMA_A, SIGMA_P), strict=True):

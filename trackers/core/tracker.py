@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -41,7 +41,12 @@ class Row(NamedTuple):
 
 
 class AbstractStart(eqx.Module):
-    """How a tracker finds its first belief from a single row; after a track loss the same code finds it again."""
+    """How a tracker finds its first belief from a single row; after a track loss the same code finds it again.
+
+    `smooth`: what `acquire` finds has derivatives by the sensors' numbers, as a weighted mean has and a best one not.
+    """
+
+    smooth: ClassVar[bool] = False
 
     @abstractmethod
     def ready(self, row: Row) -> Scalar:
@@ -49,7 +54,7 @@ class AbstractStart(eqx.Module):
 
     @abstractmethod
     def acquire(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
-        """The expensive part, run only for trajectories that need it; its result is not differentiated."""
+        """The expensive part, run only for trajectories that need it; differentiated only where it is `smooth`."""
 
     @abstractmethod
     def begin(self, found: Any, row: Row) -> Gaussian:
@@ -268,7 +273,7 @@ def start_again(tracker: Tracker, carry: Carry, row: Row, said: Said) -> tuple[C
 def search(tracker: Tracker, row: Row, need: Any) -> Any:
     """`start.acquire` for the lanes that need it, a few at a time, so that a lone loss costs little."""
     numbers, rest = eqx.partition((tracker.start, tracker.sensors), eqx.is_array)
-    start, sensors = eqx.combine(jax.lax.stop_gradient(numbers), rest)
+    start, sensors = eqx.combine(numbers if tracker.start.smooth else jax.lax.stop_gradient(numbers), rest)
     row = jax.lax.stop_gradient(row)
     acquire = jax.vmap(lambda r: start.acquire(sensors, r), in_axes=-1, out_axes=-1)
     size = need.shape[0]
@@ -280,7 +285,11 @@ def search(tracker: Tracker, row: Row, need: Any) -> Any:
         need, found = state
         index = jnp.nonzero(need, size=at_once, fill_value=size)[0]
         few = jax.tree_util.tree_map(lambda x: jnp.take(x, index, axis=-1, mode="clip"), row)
-        found = jax.tree_util.tree_map(lambda a, b: a.at[..., index].set(b, mode="drop"), found, acquire(few))
-        return need.at[index].set(False, mode="drop"), found
+        # Each lane takes its own, instead of being given it: XLA (jaxlib 0.10, multi-output fusion) aborts on several
+        # scatters that share an index.
+        place = jnp.cumsum(need.astype(jnp.int32)) - 1
+        now = need & (place < at_once)
+        taken = jax.tree_util.tree_map(lambda x: jnp.take(x, place, axis=-1, mode="clip"), acquire(few))
+        return need & ~now, select(now, taken, found)
 
     return jax.lax.while_loop(lambda state: jnp.any(state[0]), some, (need, nothing))[1]

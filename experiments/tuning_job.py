@@ -1,0 +1,103 @@
+"""What a tuning run works on: the tracker, the rows it is fitted to and judged on, and what it is to make small."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from experiments.entry import Group
+from experiments.errors import UnusableInput
+from experiments.lanes import Lane, pieces
+from experiments.tracks import batches
+from trackers.core.recording import Batch
+from trackers.core.tracker import AbstractTracker
+from tuning.figures import parse_objective
+from tuning.objectives import AbstractObjective
+from tuning.parameters import chosen, flatten, limits
+from tuning.priors import Prior, parse_prior, penalty
+
+
+@dataclass(frozen=True)
+class Job:
+    """A tracker to be tuned on the rows of some lanes for the least `goal`, and judged on those of others."""
+
+    tracker: AbstractTracker
+    goal: AbstractObjective
+    planar: bool
+    training: list[Lane]
+    held_out: list[Lane]
+
+    def rows(self, held_out: bool = False) -> list[Batch]:
+        """The lanes' rows, as a fit takes them."""
+        lanes = self.held_out if held_out else self.training
+        return [batch for _, batch in batches(lanes)] if lanes else []
+
+
+def job_of(group: Group, tracker: AbstractTracker, objective: str, held_out: Sequence[Path], piece_rows: int) -> Job:
+    """The job of a group's lanes, cut into pieces; raises UnusableInput for an objective that they can't be put to."""
+    lanes = [piece for lane in group.lanes for piece in pieces(lane, piece_rows)]
+    quantity = next(iter(lanes[0].recording.truth))
+    floor = quantity == "direction" or group.planar
+    try:
+        goal = parse_objective(objective, quantity, 2 if floor else 3)
+        goal.informed(tracker)
+    except ValueError as error:
+        raise UnusableInput(f"--objective {objective}: {error}") from error
+    if goal.needs_truth and group.planar and lanes[0].station:
+        raise UnusableInput(
+            f"--objective {objective}: azimuth and elevation of a tag in a flat array's own plane are singular; "
+            "expected a tag above or below it; use --objective nll"
+        )
+    apart = {path.resolve() for path in held_out}
+
+    def is_apart(lane: Lane) -> bool:
+        return lane.folder.path is not None and lane.folder.path.resolve() in apart
+
+    parts: tuple[list[Lane], list[Lane]] = ([], [])
+    for lane in lanes:
+        if not goal.needs_truth or lane.recording.truth[quantity][1].any():
+            parts[is_apart(lane)].append(lane)
+    for part, wanted, where in zip(parts, (True, bool(held_out)), ("these recordings", "those held out"), strict=True):
+        if wanted and not part:
+            raise UnusableInput(f"--objective {objective} needs truth, and {where} have none; use --objective nll")
+    return Job(tracker, goal, group.planar, *parts)
+
+
+def bounds_of(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Bounds by pattern, from texts as `sensors.*.sigma_p=0.01:1`; raises UnusableInput."""
+    found = {}
+    for text in texts:
+        pattern, _, numbers = text.partition("=")
+        low, _, high = numbers.partition(":")
+        try:
+            found[pattern] = float(low), float(high)
+        except ValueError as error:
+            raise UnusableInput(
+                f"--bound {text}: expected PATTERN=LOWEST:HIGHEST, as 'sensors.*.sigma_p=0.01:1'"
+            ) from error
+    return found
+
+
+def checked(
+    job: Job, tune: Sequence[str], freeze: Sequence[str], bounds: dict[str, tuple[float, float]], prior: Sequence[str]
+) -> list[Prior]:
+    """The priors, with all that is tuned looked at; raises UnusableInput where patterns, bounds or priors don't fit."""
+    option = f"--tune {' '.join(tune)}"
+    try:
+        parameters = chosen(job.tracker, tune, freeze)
+        option = "--bound"
+        low, high = limits(parameters, bounds)
+        vector = flatten(parameters)
+        if np.any((vector < low) | (vector > high)):
+            raise ValueError("the starting value of a bounded number is outside; give others with --start")
+        option = f"--prior {' '.join(prior)}"
+        priors = [parse_prior(text) for text in prior]
+        penalty(priors, parameters, vector)
+        if priors and not job.goal.is_likelihood:
+            raise ValueError("a prior is weighed against a likelihood; use --objective nll, or --bound")
+    except ValueError as error:
+        raise UnusableInput(f"{option}: {error}") from error
+    return priors
