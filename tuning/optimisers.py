@@ -141,5 +141,9 @@ def _limited(steps: np.ndarray) -> np.ndarray:
 
 @eqx.filter_jit
 def _updated(transformation: Any, gradients: jax.Array, memory: Any, vectors: jax.Array) -> tuple[jax.Array, Any]:
-    """The updates of optax, for every start by itself."""
-    return jax.vmap(transformation.update)(gradients, memory, vectors)  # type: ignore[no-any-return]
+    """The updates of optax, for every start by itself.
+
+    One after the other: mapped side by side, L-BFGS makes XLA's CPU compiler abort where it fuses several outputs.
+    """
+    updates, memory = jax.lax.map(lambda start: transformation.update(*start), (gradients, memory, vectors))
+    return updates, memory
