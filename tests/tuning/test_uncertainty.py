@@ -293,3 +293,19 @@ def test_few_trajectories_are_cut_into_blocks_of_rows():
     # of a true model both are the same; 50 blocks know a variance to a fifth
     ratio = np.diagonal(found.sandwich) / np.diagonal(found.observed)
     assert np.all((ratio > 0.4) & (ratio < 1.9))
+
+
+def test_of_a_tracker_all_kinds_of_uncertainty_agree():
+    tracker = line_tracker()
+    parameters = chosen(tracker, ("motion.sigma_v", "sensors.gauge.sigma"))
+    problem = Problem(tracker, [stack(walks([120] * 32, 3))], NegativeLogLikelihood(), parameters)
+    start = flatten(parameters)[None]
+    best = refit(problem, start, optimum(problem, start[0]).hessian, rounds=6).vectors[0]
+    found = uncertainty(problem, best)
+    by_curvature = found.intervals()["motion.sigma_v"]
+    by_profile = profile(problem, found.optimum, 0)
+    # about 3,000 readings: the likelihood is nearly normal, half an interval is 7 % of the level
+    np.testing.assert_allclose([by_profile.low, by_profile.high], by_curvature, rtol=0.01)
+    spread = bootstrap(problem, found.optimum, replicates=64).std(axis=0)
+    # 64 replicates know a standard deviation to 9 %, 32 trajectories to 13 %
+    np.testing.assert_allclose(spread / np.sqrt(np.diagonal(found.observed)), 1.0, atol=0.5)
