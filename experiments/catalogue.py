@@ -9,13 +9,14 @@ from experiments.entry import Entry, Group
 from experiments.errors import UnusableInput
 from experiments.folder import Folder
 from experiments.lanes import Lane
-from experiments.systems import aoa, baselines, line, mhk, uwb, uwb_imu
+from experiments.systems import aoa, baselines, floor, line, mhk, uwb, uwb_imu
 
 TRACKERS: dict[str, Entry] = {
     **aoa.TRACKERS,
     **line.TRACKERS,
     **uwb_imu.TRACKERS,
     **uwb.TRACKERS,
+    **floor.TRACKERS,
     **baselines.TRACKERS,
     **mhk.TRACKERS,
 }

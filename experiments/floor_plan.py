@@ -37,11 +37,13 @@ def floor_plan(
     stations: Mapping[str, Station] | None = None,
     anchors: Mapping[str, np.ndarray] | None = None,
     title: str = "Tracks on the floor plan",
+    walls: np.ndarray | None = None,
 ) -> Path:
     """Writes the tracks of one recording from above, with truth, rig and some 95 % ellipses; returns the path.
 
     `tracks`: rows of tag, t_s, x_m, y_m and, for ellipses, std_x_m, std_y_m, cov_xy_m2. `truth`: t_s, tag, x_m, y_m.
-    At most six tags are drawn, and estimates far from everything don't decide the scale; the picture says so.
+    `walls`: (n, 4) m, x1, y1, x2, y2. At most six tags are drawn, and estimates far from everything don't decide the
+    scale; the picture says so.
     """
     tags = sorted(tracks["tag"].cast(pl.String).unique().to_list())
     drawn = tags[: len(LINES)]
@@ -49,11 +51,15 @@ def floor_plan(
     true = [] if truth is None else [_path_of(truth, tag) for tag in drawn]
     mounted = {name: np.asarray(place)[:2] for name, place in (anchors or {}).items()}
     mounted |= {name: np.asarray(station.position)[:2] for name, station in (stations or {}).items()}
-    low, high = _frame([p.places for p in estimated], [*(p.places for p in true), *(p[None] for p in mounted.values())])
+    certain = [*(p.places for p in true), *(p[None] for p in mounted.values())]
+    certain += [] if walls is None else [walls.reshape(-1, 2)]
+    low, high = _frame([p.places for p in estimated], certain)
     width, height = _size(high - low)
     with drawing(path, width, height, title) as figure:
         axes = figure.add_subplot(aspect="equal", xlabel="x (m)", ylabel="y (m)")
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+        for x1, y1, x2, y2 in [] if walls is None else walls:
+            axes.plot([x1, x2], [y1, y2], color=GREY, linewidth=2.0, solid_capstyle="round", zorder=2)
         _draw_rig(axes, stations or {}, anchors or {}, float(np.max(high - low)))
         for line, colour in zip(estimated, LINES, strict=False):
             _draw_track(axes, line, colour, min(ELLIPSES // len(drawn), ELLIPSES // 2))

@@ -32,9 +32,9 @@ def draw_tracks(out: Path, tracks: pl.DataFrame, folders: Sequence[Folder], grou
         rows = tracks.filter(pl.col("recording") == folder.name)
         suffix = "" if len(folders) == 1 else f"-{_plain(folder.name)}"
         truth = folder.tables.get("truth")
-        floor_plan(
-            _png(out, drawn, "floor-plan" + suffix), rows, truth, folder.rig.stations, folder.rig.anchors, folder.name
-        )
+        rig = folder.rig
+        plan = _png(out, drawn, "floor-plan" + suffix)
+        floor_plan(plan, rows, truth, rig.stations, rig.anchors, folder.name, rig.all_walls())
         if truth is not None:
             _draw_errors(out, drawn, suffix, rows, folder, groups)
     return drawn

@@ -19,7 +19,7 @@ FORMAT = 1
 RIG_FILE = "rig.toml"
 NORM_TOLERANCE = 1e-3  # of a quaternion written with three decimals or more
 
-_TOP = ("format", "name", "about", "licence", "source", "anchors", "stations", "tags", "path")
+_TOP = ("format", "name", "about", "licence", "source", "anchors", "stations", "tags", "path", "floor")
 _STATION = ("position_m", "rotation_wxyz", "wavelength_m", "antennas_m")
 _TAG = ("height_m", "offset_m")
 
@@ -62,12 +62,21 @@ class _Reader:
         self.known(path, ("knots_m",), "[path]")
         if "path" in content and "knots_m" not in path:
             raise UnusableInput(f"{self.path}: [path] has no knots_m, expected a list of [x, y] corners in metres")
+        floor = self.table(content, "floor")
+        self.known(floor, ("walls_m", "outline_m"), "[floor]")
+        if "floor" in content and not floor.keys() & {"walls_m", "outline_m"}:
+            raise UnusableInput(
+                f"{self.path}: [floor] has neither walls_m nor outline_m, expected lists of [x1, y1, x2, y2] and of "
+                "[x, y] corners in metres"
+            )
         rig = Rig(
             name=words["name"] or self.path.resolve().parent.name,
             anchors={key: self.vector(f"anchors.{key}", v, 3) for key, v in self.table(content, "anchors").items()},
             stations={key: self.station(f"stations.{key}", v) for key, v in self.table(content, "stations").items()},
             tags={key: self.tag(f"tags.{key}", v) for key, v in self.table(content, "tags").items()},
             path_knots=self.points("path.knots_m", path["knots_m"]) if path else None,
+            walls=self.points("floor.walls_m", floor["walls_m"], 4, 1) if "walls_m" in floor else None,
+            outline=self.points("floor.outline_m", floor["outline_m"], 2, 3) if "outline_m" in floor else None,
             about=words["about"],
             licence=words["licence"],
             source=words["source"],
@@ -115,10 +124,11 @@ class _Reader:
             self.refuse(key, value, f"a table [{key}]")
         return value
 
-    def points(self, where: str, value: Any) -> np.ndarray:
-        if not isinstance(value, list) or len(value) < 2:
-            self.refuse(where, value, "a list of at least two [x, y] in metres")
-        return np.stack([self.vector(f"{where}[{i}]", point, 2) for i, point in enumerate(value)])
+    def points(self, where: str, value: Any, size: int = 2, least: int = 2) -> np.ndarray:
+        if not isinstance(value, list) or len(value) < least:
+            counts, names = {1: "one", 2: "two", 3: "three"}, {2: "[x, y]", 4: "[x1, y1, x2, y2]"}
+            self.refuse(where, value, f"a list of at least {counts[least]} {names[size]} in metres")
+        return np.stack([self.vector(f"{where}[{i}]", point, size) for i, point in enumerate(value)])
 
     def vector(self, where: str, value: Any, size: int) -> np.ndarray:
         if not isinstance(value, list) or len(value) != size:
@@ -166,6 +176,10 @@ def rig_text(rig: Rig) -> str:
         lines += [] if tag.offset is None else [f"offset_m = {_list(tag.offset)}"]
     if rig.path_knots is not None:
         lines += ["", "[path]", f"knots_m = {_list(rig.path_knots)}"]
+    if rig.walls is not None or rig.outline is not None:
+        lines += ["", "[floor]"]
+        lines += [] if rig.walls is None else [f"walls_m = {_list(rig.walls)}"]
+        lines += [] if rig.outline is None else [f"outline_m = {_list(rig.outline)}"]
     return "\n".join(lines) + "\n"
 
 

@@ -65,7 +65,7 @@ def test_a_closed_room_is_left_by_no_way_however_it_is_drawn():
 @pytest.mark.parametrize(
     ("segments", "word"),
     [
-        ([], "list of"),
+        ([], "found neither"),
         ([[0, 0, 1]], "list of"),
         ([[0, 0, np.nan, 1]], "wall 0 is not finite"),
         ([[0, 0, 1, 1], [2, 1, 2, 1]], "wall 1"),

@@ -61,7 +61,8 @@ class Tag:
 class Rig:
     """Everything that stays in place during a recording.
 
-    `path_knots`: (k, 2) m, corners of a known path on the floor. `about`, `licence`, `source`: words for people.
+    `path_knots`: (k, 2) m, corners of a known path on the floor. `walls`: (n, 4) m, x1, y1, x2, y2 of each; `outline`:
+    (m, 2) m, corners of the floor that holds the tags. `about`, `licence`, `source`: words for people.
     """
 
     name: str
@@ -69,6 +70,14 @@ class Rig:
     stations: Mapping[str, Station] = field(default_factory=dict)
     tags: Mapping[str, Tag] = field(default_factory=dict)
     path_knots: np.ndarray | None = None
+    walls: np.ndarray | None = None
+    outline: np.ndarray | None = None
     about: str = ""
     licence: str = ""
     source: str = ""
+
+    def all_walls(self) -> np.ndarray:
+        """The walls and the edges of the outline, (n, 4), m."""
+        walls = np.zeros((0, 4)) if self.walls is None else self.walls
+        corners = np.zeros((0, 2)) if self.outline is None else self.outline
+        return np.vstack([walls, np.hstack([corners, np.roll(corners, -1, axis=0)])])

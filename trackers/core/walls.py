@@ -25,26 +25,33 @@ class AbstractPotential(eqx.Module):
 
 
 class Walls(AbstractPotential):
-    """Straight walls: `segments` (n, 4), x1, y1, x2, y2 in m; a particle whose way between two rows crosses one dies.
+    """A floor plan: a particle dies whose straight way between two rows crosses a wall or isn't inside.
 
-    The way is a straight line over the floor (Nurminen et al. 2013 and others weigh by maps in this way). A place on a
-    wall counts as its right-hand side, seen from the first end to the second, and walls that share an end leave no gap.
-    Raises ValueError for segments that aren't finite or have no length.
+    `segments` (n, 4): walls, x1, y1, x2, y2 in m. `outline` (m, 2): the corners of the floor, m, in order, within which
+    a tag is; its edges are walls. A place on a wall counts to the right of it, seen from its first end, and walls that
+    share an end leave no gap. Raises ValueError without either, and for what isn't finite or has no length.
     """
 
     segments: Any
+    outline: Any
 
-    def __init__(self, segments: Any):
-        segments = np.asarray(segments, float)
-        if segments.ndim != 2 or segments.shape[1:] != (4,) or len(segments) == 0:
-            raise ValueError(f"walls are a list of [x1, y1, x2, y2], found an array of shape {segments.shape}")
-        if not np.all(np.isfinite(segments)):
-            raise ValueError(f"wall {int(np.argmin(np.isfinite(segments).all(axis=1)))} is not finite")
-        lengths = np.hypot(*(segments[:, 2:] - segments[:, :2]).T)
+    def __init__(self, segments: Any = (), outline: Any = ()):
+        edges = np.asarray(outline, float).reshape(-1, 2) if np.size(outline) else np.zeros((0, 2))
+        if 0 < len(edges) < 3:
+            raise ValueError(f"an outline has at least three corners [x, y], found {len(edges)}")
+        walls = np.asarray(segments, float) if np.size(segments) else np.zeros((0, 4))
+        if walls.ndim != 2 or walls.shape[1] != 4:
+            raise ValueError(f"walls are a list of [x1, y1, x2, y2], found an array of shape {walls.shape}")
+        walls = np.vstack([walls, np.hstack([edges, np.roll(edges, -1, axis=0)])])
+        if len(walls) == 0:
+            raise ValueError("a floor plan has walls or an outline, found neither")
+        if not np.all(np.isfinite(walls)):
+            raise ValueError(f"wall {int(np.argmin(np.isfinite(walls).all(axis=1)))} is not finite")
+        lengths = np.hypot(*(walls[:, 2:] - walls[:, :2]).T)
         if not np.all(lengths > 0):
             k = int(np.argmin(lengths))
-            raise ValueError(f"wall {k}, {segments[k].tolist()}, has no length; leave it out")
-        self.segments = segments
+            raise ValueError(f"wall {k}, {walls[k].tolist()}, has no length; leave it out")
+        self.segments, self.outline = walls, edges
 
     def log_weight(self, before: Any, after: Any) -> Scalar:
         start, end = tuple(before.position)[:2], tuple(after.position)[:2]
@@ -52,7 +59,18 @@ class Walls(AbstractPotential):
         crosses = (_left(first, last, start) != _left(first, last, end)) & (
             _left(start, end, first) != _left(start, end, last)
         )
-        return jnp.where(jnp.any(crosses), NOTHING, 0.0).astype(start[0].dtype)
+        dies = jnp.any(crosses)
+        if len(self.outline):
+            # The start too: a track's first particles come from a belief that knows no walls.
+            dies = dies | ~self._inside(start) | ~self._inside(end)
+        return jnp.where(dies, NOTHING, 0.0).astype(start[0].dtype)
+
+    def _inside(self, place: Any) -> Scalar:
+        """Whether the way from a place to the right, for ever, crosses an odd number of the outline's edges."""
+        a, b = self.outline.T, jnp.roll(self.outline, -1, axis=0).T
+        rises = b[1] > a[1]
+        passes = ((a[1] > place[1]) != (b[1] > place[1])) & (_left(a, b, place) == rises)
+        return jnp.sum(passes.astype(jnp.int32)) % 2 == 1
 
 
 def _left(a: Any, b: Any, p: Any) -> Any:

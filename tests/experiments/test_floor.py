@@ -1,0 +1,126 @@
+"""A floor with walls, from rig.toml to the tracks: what is read, what is refused, and what the walls are good for."""
+
+import numpy as np
+import polars as pl
+import pytest
+
+from experiments.errors import UnusableInput
+from experiments.folder import Folder, read_folder, write_folder
+from tests.experiments.in_process import assert_refused, trackwright
+from trackers.core.algebra import Vector
+from trackers.core.motion import Placed
+from trackers.core.resampling import NOTHING
+from trackers.core.rig import Rig
+from trackers.core.walls import Walls
+
+OUTLINE = np.array([[0.0, 0.0], [12.0, 0.0], [12.0, 8.0], [10.5, 8.0], [10.5, 1.5], [0.0, 1.5]])
+"""A corridor 1.5 m wide that turns left, m."""
+
+SPARE = np.array([[11.5, 9.0, 12.0, 9.0]])
+"""A wall that nobody meets."""
+
+
+def _folder():
+    """A tag that walks along the middle of the corridor; its errors last for seconds and reach through the walls."""
+    rng = np.random.default_rng(1)
+    times = np.arange(160) * 0.25
+    along = np.interp(times, [0, 40], [0.8, 17.0])
+    truth = np.stack([np.minimum(along, 11.25), 0.75 + np.maximum(along - 11.25, 0.0)], axis=1)
+    slow = np.zeros((160, 2))
+    for k in range(1, 160):
+        slow[k] = 0.9 * slow[k - 1] + 0.45 * rng.standard_normal(2)
+    fixes = truth + slow + 0.2 * rng.standard_normal((160, 2))
+
+    def table(places):
+        return pl.DataFrame({"t_s": times, "tag": "1", "x_m": places[:, 0], "y_m": places[:, 1], "z_m": 1.0})
+
+    rig = Rig("corner", outline=OUTLINE, walls=SPARE)
+    return Folder("corner", None, rig, {"fixes": table(fixes), "truth": table(truth)})
+
+
+@pytest.fixture(scope="module")
+def there(tmp_path_factory):
+    path = tmp_path_factory.mktemp("floor")
+    write_folder(_folder(), path / "corner")
+    return path
+
+
+@pytest.fixture(scope="module")
+def tracked(there):
+    said = trackwright("track", there / "corner", "--out", there / "picked")
+    assert said.code == 0, said.err
+    assert said.err.startswith("tracker: floor-pf (")
+    return pl.read_parquet(there / "picked" / "tracks.parquet")
+
+
+def test_walls_and_outline_are_written_and_read_back(there):
+    rig = read_folder(there / "corner").rig
+    np.testing.assert_array_equal(rig.walls, SPARE)
+    np.testing.assert_array_equal(rig.outline, OUTLINE)
+    np.testing.assert_array_equal(rig.all_walls()[:2], [SPARE[0], [0.0, 0.0, 12.0, 0.0]])
+
+
+def test_a_folder_with_a_floor_plan_is_tracked_between_its_walls(tracked):
+    assert (tracked["status"] == "ok").mean() > 0.95
+    inside = Walls(outline=OUTLINE)
+    places = tracked.filter(pl.col("status") == "ok").select("x_m", "y_m").to_numpy()
+    # A mean of places on both sides of a corner may itself be beyond it.
+    assert np.mean([_outside(inside, place) for place in places]) < 0.02
+
+
+def _outside(walls, place):
+    x, y = np.asarray(place)
+    odd = sum(
+        ((a[1] > y) != (b[1] > y)) and x < (b[0] - a[0]) * (y - a[1]) / (b[1] - a[1]) + a[0]
+        for a, b in zip(walls.outline, np.roll(walls.outline, -1, axis=0), strict=True)
+    )
+    return odd % 2 == 0
+
+
+def test_the_walls_take_a_quarter_of_the_error_across_the_corridor(there, tracked):
+    assert trackwright("track", there / "corner", "--tracker", "fix-kf", "--out", there / "free").code == 0
+    errors = []
+    for table in (tracked, pl.read_parquet(there / "free" / "tracks.parquet")):
+        both = table.join(_folder().tables["truth"], on="t_s", suffix="_true").filter(pl.col("x_m_true") < 10.0)
+        errors.append(float(np.sqrt(np.nanmean((both["y_m"] - both["y_m_true"]).to_numpy() ** 2))))
+    assert errors[0] < 0.75 * errors[1]
+
+
+def test_without_a_floor_plan_the_tracker_is_refused(there):
+    bare = Folder("bare", None, Rig("bare"), _folder().tables)
+    write_folder(bare, there / "bare")
+    said = trackwright("track", there / "bare", "--tracker", "floor-pf", "--out", there / "none")
+    assert_refused(said, "floor-pf", "[floor]", "walls_m or outline_m")
+
+
+@pytest.mark.parametrize(
+    ("lines", "words"),
+    [
+        ("[floor]", "neither walls_m nor outline_m"),
+        ("[floor]\nwalls_m = []", "at least one"),
+        ("[floor]\nwalls_m = [[0, 0, 1]]", "4 numbers"),
+        ("[floor]\noutline_m = [[0, 0], [1, 1]]", "at least three"),
+        ("[floor]\nwall_m = [[0, 0, 1, 1]]", "expected walls_m"),
+    ],
+)
+def test_a_floor_plan_that_is_none_is_refused_with_its_key(there, tmp_path, lines, words):
+    write_folder(_folder(), tmp_path / "a")
+    rig = tmp_path / "a" / "rig.toml"
+    rig.write_text(f'format = 1\nname = "a"\n\n{lines}\n')
+    with pytest.raises(UnusableInput, match=words):
+        read_folder(tmp_path / "a")
+
+
+def test_a_wall_without_length_is_refused_in_one_line(tmp_path):
+    write_folder(Folder("a", None, Rig("a", walls=np.array([[1.0, 2.0, 1.0, 2.0]])), _folder().tables), tmp_path / "a")
+    said = trackwright("track", tmp_path / "a", "--tracker", "floor-pf", "--out", tmp_path / "out")
+    assert_refused(said, "rig.toml, [floor]: wall 0", "no length")
+
+
+def test_what_begins_outside_the_outline_dies_at_its_first_move():
+    walls = Walls(outline=OUTLINE)
+    outside, inside = Placed(Vector(*np.array([-1.0, 0.7]))), Placed(Vector(*np.array([1.0, 0.7])))
+    assert walls.log_weight(outside, outside) == NOTHING
+    assert walls.log_weight(inside, inside) == 0
+    # Across the inner corner: both ends are inside, the way is not.
+    assert walls.log_weight(Placed(Vector(*np.array([9.0, 1.0]))), Placed(Vector(*np.array([11.0, 6.0])))) == NOTHING
