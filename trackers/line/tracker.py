@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -47,6 +47,8 @@ class LineStart(AbstractStart):
     sigma_start: Noise
     sigma_speed: Noise
     resting: bool = eqx.field(static=True)
+
+    smooth: ClassVar[bool] = True
 
     def ready(self, row: Row) -> Scalar:
         seen = [jnp.any(reading.seen) for reading in row.readings.values()]
