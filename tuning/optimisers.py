@@ -58,10 +58,7 @@ class Adam(AbstractOptimiser):
         return jax.vmap(self._transformation().init)(jnp.asarray(vectors))
 
     def direction(self, memory: Any, vectors: np.ndarray, found: Evaluations) -> tuple[Any, Any]:
-        # Adam raises a float to the power of an integer count, which strict promotion would refuse.
-        with jax.numpy_dtype_promotion("standard"):
-            steps, memory = _updated(self._transformation(), jnp.asarray(found.gradients), memory, jnp.asarray(vectors))
-        return np.asarray(steps, float), memory
+        return _updated(self._transformation(), found.gradients, memory, vectors)
 
     def step(self, direction: Any, attempt: int) -> np.ndarray:
         return np.asarray(direction / 2.0**attempt)
@@ -85,10 +82,8 @@ class LBFGS(AbstractOptimiser):
         return jax.vmap(optax.scale_by_lbfgs().init)(jnp.asarray(vectors))
 
     def direction(self, memory: Any, vectors: np.ndarray, found: Evaluations) -> tuple[Any, Any]:
-        gradients, points = jnp.asarray(found.gradients), jnp.asarray(vectors)
-        with jax.numpy_dtype_promotion("standard"):
-            steps, memory = _updated(optax.scale_by_lbfgs(), gradients, memory, points)
-        downhill = -np.asarray(steps, float)
+        steps, memory = _updated(optax.scale_by_lbfgs(), found.gradients, memory, vectors)
+        downhill = -steps
         uphill = np.sum(downhill * found.gradients, axis=1) >= 0
         return _limited(np.where(uphill[:, None], -found.gradients, downhill)), memory
 
@@ -139,11 +134,21 @@ def _limited(steps: np.ndarray) -> np.ndarray:
     return steps / np.maximum(1.0, np.linalg.norm(steps, axis=1, keepdims=True) / LONGEST)
 
 
-@eqx.filter_jit
-def _updated(transformation: Any, gradients: jax.Array, memory: Any, vectors: jax.Array) -> tuple[jax.Array, Any]:
-    """The updates of optax, for every start by itself.
+def _updated(transformation: Any, gradients: np.ndarray, memory: Any, vectors: np.ndarray) -> tuple[np.ndarray, Any]:
+    """The updates (S, p) of optax and what it remembers, of one start after another.
 
-    One after the other: mapped side by side, L-BFGS makes XLA's CPU compiler abort where it fuses several outputs.
+    Not under `vmap`: XLA (jaxlib 0.10, multi-output fusion) aborts on the scatters that L-BFGS makes there.
     """
-    updates, memory = jax.lax.map(lambda start: transformation.update(*start), (gradients, memory, vectors))
-    return updates, memory
+    of_starts = []
+    for k, (gradient, vector) in enumerate(zip(gradients, vectors, strict=True)):
+        mine = jax.tree_util.tree_map(lambda leaf: jnp.asarray(leaf[k]), memory)  # noqa: B023
+        # Adam raises a float to the power of an integer count, which strict promotion would refuse.
+        with jax.numpy_dtype_promotion("standard"):
+            of_starts.append(_one(transformation, jnp.asarray(gradient), mine, jnp.asarray(vector)))
+    steps, memories = zip(*of_starts, strict=True)
+    return np.stack(steps).astype(float), jax.tree_util.tree_map(lambda *x: np.stack(x), *memories)
+
+
+@eqx.filter_jit
+def _one(transformation: Any, gradient: jax.Array, memory: Any, vector: jax.Array) -> tuple[jax.Array, Any]:
+    return transformation.update(gradient, memory, vector)  # type: ignore[no-any-return]

@@ -12,9 +12,11 @@ from trackers.core.chunks import mapped
 from trackers.core.recording import Readings, Recording, stack
 from trackers.core.tunable import tunables
 from tuning import NegativeLogLikelihood, RootMeanSquareError
+from tuning.descent import stored
 from tuning.fit import fit
 from tuning.optimisers import LBFGS, Adam, GaussNewton
 from tuning.parameters import chosen, flatten, placed_in
+from tuning.priors import Prior
 from tuning.problem import Problem, term_sums
 
 SIGMA_A, SIGMA_P = 0.15, 0.2
@@ -263,3 +265,84 @@ def test_a_world_in_which_nothing_is_scored_is_refused(objective):
     blind = [Recording(r.times, r.readings, r.inputs, nowhere) for r in silent]
     with pytest.raises(FloatingPointError, match="not finite at the start"):
         fit(line_tracker(), stack(blind), objective, LEVELS, steps=2)
+
+
+@pytest.mark.parametrize("optimiser", [LBFGS(), GaussNewton(), Adam(5)], ids=["LBFGS", "GaussNewton", "Adam"])
+def test_a_fit_taken_up_again_at_any_step_ends_the_same_to_the_bit(line_world, optimiser):
+    kept = []
+    options = {"steps": 5, "starts": 3, "optimiser": optimiser}
+    whole = fit(line_tracker(), line_world, NLL, LEVELS, report=lambda s: kept.append(stored(s)), **options)
+    for arrays in kept[:-1:2]:
+        again = fit(line_tracker(), line_world, NLL, LEVELS, resume=arrays, **options)
+        assert np.array_equal(again.vector, whole.vector)
+        assert again.starts == whole.starts
+        assert again.filter_runs == whole.filter_runs
+
+
+def test_an_interrupted_fit_keeps_its_best_point(line_world):
+    def stop(state):
+        if state.number == 2:
+            raise KeyboardInterrupt
+
+    result = fit(line_tracker(sigma=2.0), line_world, NLL, LEVELS, report=stop)
+    assert result.uncertainty is None
+    assert result.value < result.start_value
+    assert len(result.trace) == 3
+
+
+def test_bounds_and_frozen_numbers_hold(line_world):
+    bounds = {"sensors.gauge.*": (0.25, 0.5)}
+    tune = ("motion.*", "sensors.*.sigma", "*.offset")
+    result = fit(line_tracker(sigma=0.3), line_world, NLL, tune, frozen=["*.offset"], bounds=bounds, starts=4)
+    # the best noise level, 0.2 m, lies below
+    assert result.values["sensors.gauge.sigma"] == pytest.approx(0.25, rel=1e-12)
+    assert set(result.values) == {"motion.sigma_v", "sensors.gauge.sigma"}
+
+
+@pytest.mark.parametrize(
+    ("bounds", "words"),
+    [
+        ({"nothing.*": (1.0, 2.0)}, "no tuned number"),
+        ({"*.sigma": (2.0, 1.0)}, "not below"),
+        ({"*.sigma": (-1.0, 1.0)}, "positive"),
+    ],
+)
+def test_bounds_that_nothing_can_have_are_refused(line_world, bounds, words):
+    with pytest.raises(ValueError, match=words):
+        fit(line_tracker(), line_world, NLL, LEVELS, bounds=bounds, steps=1)
+
+
+def test_many_starts_find_at_least_what_each_of_them_finds(line_world):
+    wrong = line_tracker(sigma=30.0)
+    together = fit(wrong, line_world, NLL, LEVELS, starts=4)
+    alone = fit(wrong, line_world, NLL, LEVELS)
+    assert len(together.starts) == 4
+    assert together.starts[0][0].value == alone.start_value
+    assert together.value <= alone.value * (1 + 1e-9)
+
+
+def test_held_out_recordings_decide_which_point_is_the_best():
+    quiet, loud = stack(walks([40] * 8, 3)), stack(walks([40] * 8, 4, sigma=0.7))
+    result = fit(line_tracker(), quiet, NLL, LEVELS, held_out=loud)
+    alone = fit(line_tracker(), quiet, NLL, LEVELS)
+    # what fits the quiet ones best is too sure of itself for the loud ones
+    assert result.values["sensors.gauge.sigma"] > alone.values["sensors.gauge.sigma"]
+
+
+def test_minibatches_come_near_the_whole():
+    world = stack(walks([40] * 64, 3))
+    whole = fit(line_tracker(sigma=0.4), world, NLL, LEVELS)
+    part = fit(line_tracker(sigma=0.4), world, NLL, LEVELS, minibatch=16, steps=60, seed=1)
+    for name in LEVELS:
+        # a minibatch knows a level to about 5 %, and the steps are averaged by a falling rate
+        assert part.values[name] == pytest.approx(float(whole.values[name]), rel=0.1)
+    assert part.filter_runs < 64 * 3 * 61
+
+
+def test_a_prior_pulls_as_its_density_says(line_world):
+    tight = Prior("sensors.gauge.sigma", 0.4, factor=1.0001)
+    result = fit(line_tracker(), line_world, NLL, LEVELS, priors=[tight])
+    # so tight a prior leaves the readings no say: 320 of them know a level to 4 %, the prior to 0.01 %
+    assert result.values["sensors.gauge.sigma"] == pytest.approx(0.4, rel=1e-3)
+    with pytest.raises(ValueError, match="likelihood"):
+        fit(line_tracker(), line_world, RootMeanSquareError(dimensions=1), LEVELS, priors=[tight])

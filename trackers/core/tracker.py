@@ -285,11 +285,7 @@ def search(tracker: Tracker, row: Row, need: Any) -> Any:
         need, found = state
         index = jnp.nonzero(need, size=at_once, fill_value=size)[0]
         few = jax.tree_util.tree_map(lambda x: jnp.take(x, index, axis=-1, mode="clip"), row)
-        # Each lane takes its own, instead of being given it: XLA (jaxlib 0.10, multi-output fusion) aborts on several
-        # scatters that share an index.
-        place = jnp.cumsum(need.astype(jnp.int32)) - 1
-        now = need & (place < at_once)
-        taken = jax.tree_util.tree_map(lambda x: jnp.take(x, place, axis=-1, mode="clip"), acquire(few))
-        return need & ~now, select(now, taken, found)
+        found = jax.tree_util.tree_map(lambda a, b: a.at[..., index].set(b, mode="drop"), found, acquire(few))
+        return need.at[index].set(False, mode="drop"), found
 
     return jax.lax.while_loop(lambda state: jnp.any(state[0]), some, (need, nothing))[1]
