@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
 
 import numpy as np
 
@@ -50,7 +52,6 @@ class Asked:
     objective: str
     seconds: float
     notes: tuple[str, ...] = ()
-    provenance: tuple[tuple[str, str], ...] = ()
 
 
 def gather(
@@ -80,7 +81,7 @@ def gather(
     for tracker in (before, result.tracker):
         seen = [(lane, one) for lanes, batch in batches(judged) for lane, one in _each(lanes, tracker.run(batch))]
         rows.append(_innovations([one for _, one in seen], tracker))
-        tracks.append({_name(lane): _errors(lane, one, quantity, scale) for lane, one in seen})
+        tracks.append({_name(lane): _errors(tracker, lane, one, quantity, scale) for lane, one in seen})
     errors = tuple(
         ErrorTrack(name, times, old, tracks[1][name][1])
         for name, (times, old) in tracks[0].items()
@@ -97,7 +98,10 @@ def gather(
         training=_recordings(training),
         held_out=_recordings(held_out),
         numbers=numbers,
-        scores=_scores(before, result.tracker, training, held_out, quantity, dimensions),
+        scores=(
+            *_own_score(asked.objective, result),
+            *_scores(before, result.tracker, training, held_out, quantity, dimensions),
+        ),
         descents=_descents(result),
         landscape=landscape_of(result, sure),
         judged_on=where,
@@ -107,12 +111,24 @@ def gather(
         filter_runs=effort,
         seconds=asked.seconds,
         judgements=tuple(j.text for j in judgements),
-        notes=(*asked.notes, *([] if known else [NO_DISTRIBUTION])),
-        provenance=asked.provenance,
+        notes=(*asked.notes, *([JUDGES] if held_out else []), *([] if known else [NO_DISTRIBUTION])),
+        provenance=(
+            ("trackwright", version("trackwright")),
+            ("made", datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")),
+        ),
     )
 
 
+JUDGES = "The held-out recordings were not fitted, but decided which of the points met is the best and when to stop."
 NO_DISTRIBUTION = "The NIS of this tracker has no known distribution, so that it is not drawn."
+
+
+def _own_score(objective: str, result: FitResult) -> list[Score]:
+    """The objective itself where it is a sum of several."""
+    if objective in TITLES:
+        return []
+    nan = float("nan")
+    return [Score(objective, objective, "1", (result.start_value, result.value), (nan, nan))]
 
 
 def _about(objective: str, unit: str) -> str:
@@ -135,14 +151,23 @@ def _each(lanes: Sequence[Lane], estimates: Estimates) -> list[tuple[Lane, Estim
     return [(lane, estimates[k][: len(lane.recording)]) for k, lane in enumerate(lanes)]
 
 
-def _errors(lane: Lane, one: Estimates, quantity: str, scale: float) -> tuple[np.ndarray, np.ndarray]:
-    """Times and lengths of the errors, over the floor, or of a direction's two angles; NaN where there is none."""
+def _errors(
+    tracker: AbstractTracker, lane: Lane, one: Estimates, quantity: str, scale: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Times and lengths of the errors, over the floor, or of a direction's two angles; NaN where there is none.
+
+    At the times for which the tracker dates its estimates, with the truth between rows where these are not the rows'.
+    """
+    rows = lane.recording.times
     true, known = lane.recording.truth[quantity]
-    if not hasattr(one.mean, quantity):
-        return lane.recording.times, np.full(len(lane.recording), np.nan)
-    mean = np.stack([np.asarray(x) for x in getattr(one.mean, quantity)], axis=1)[:, :2]
-    length = scale * np.sqrt(((mean - true[:, :2]) ** 2).sum(axis=1))
-    return lane.recording.times, np.where(known & one.usable, length, np.nan)
+    times, dated = tracker.dated(rows, one)
+    if not (hasattr(dated.mean, quantity) and known.any()):
+        return times, np.full(len(times), np.nan)
+    there = (np.interp(times, rows, known) > 1 - 1e-9) & (times >= rows[0])
+    mean = np.stack([np.asarray(x) for x in getattr(dated.mean, quantity)], axis=1)[:, :2]
+    moved = np.stack([np.interp(times, rows[known], true[known, k]) for k in range(2)], axis=1)
+    length = scale * np.sqrt(((mean - moved) ** 2).sum(axis=1))
+    return times, np.where(there & dated.usable, length, np.nan)
 
 
 def _innovations(every: Sequence[Estimates], tracker: AbstractTracker) -> Innovations | None:
@@ -190,7 +215,7 @@ def _numbers(result: FitResult, sure: Uncertainty | None, judgements: Sequence[J
     doubted = {name for judgement in judgements for name in judgement.names}
     names = names_of(result.parameters)
     units = [p.example.unit for p in result.parameters for _ in range(int(np.size(p.example.raw)))]
-    old, new = (_flat(result.parameters, values) for values in (result.trace[0].values, result.values))
+    old, new = (_flat(result.parameters, values) for values in (_own(result)[0].values, result.values))
     low, high = (_flat(result.parameters, b) if b else np.full(len(names), np.nan) for b in bounds)
     unknown = np.isfinite(low) & np.isfinite(high)
     return tuple(
@@ -213,8 +238,13 @@ def _flat(parameters: Sequence[Parameter], values: dict[str, np.ndarray]) -> np.
     return np.concatenate([np.ravel(np.asarray(values[p.label], float)) for p in parameters])
 
 
+def _own(result: FitResult) -> list[Step]:
+    """The way from the tracker's own numbers, which is the first start."""
+    return result.starts[0] if result.starts else result.trace
+
+
 def _descents(result: FitResult) -> tuple[Descent, ...]:
-    """The ways of all starts, the one that ended lowest first."""
+    """The ways of all starts, the one that won first."""
     ways = sorted(result.starts or [result.trace], key=lambda steps: steps is not result.trace)
     return tuple(_descent(f"start {k + 1}", steps, result.parameters) for k, steps in enumerate(ways))
 

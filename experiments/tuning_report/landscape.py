@@ -15,8 +15,8 @@ from tuning.parameters import Parameter, physical
 from tuning.sweep import comparable_values
 from tuning.uncertainty import Uncertainty
 
-POINTS = 9
-"""Values along an axis of two; a curve over one number has two more than twice as many."""
+POINTS, FEW = 9, 6
+"""Values along an axis of two, and of filters that take long; a curve over one number has twice as many."""
 
 FINE = 61
 """Values along an axis after interpolation."""
@@ -34,7 +34,7 @@ def landscape_of(result: FitResult, sure: Uncertainty | None) -> Landscape | Non
     axes = _axes(result, sure)
     if not axes:
         return None
-    count = POINTS if len(axes) == 2 else 2 * POINTS + 2
+    count = (FEW if result.problem.width == 1 else POINTS) * (3 - len(axes))
     steps = [_half_width(result, sure, k) * np.linspace(-1, 1, count) for k in axes]
     shifts = np.stack([m.ravel() for m in np.meshgrid(*steps, indexing="ij")], axis=1)
     vectors = np.repeat(result.vector[None], len(shifts), axis=0)

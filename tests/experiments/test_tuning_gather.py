@@ -1,0 +1,109 @@
+"""The evidence that a report is made of, against the fit and the tracks that it is about."""
+
+import numpy as np
+import polars as pl
+import pytest
+
+from experiments.catalogue import groups
+from experiments.folder import Folder
+from experiments.tracks import batches
+from experiments.tuning_report.gather import Asked, gather
+from experiments.tuning_report.page import page
+from trackers.core.rig import Rig
+from tuning import fit
+from tuning.figures import parse_objective
+from tuning.judgement import Judgement
+
+PATTERNS = ("motion.sigma_a", "sensors.fixes.sigma_horizontal")
+NLL = "nll"
+
+
+def _walk(name, seed, rows=64):
+    """Fixes of a tag at a known height that walks at random, with its truth."""
+    rng = np.random.default_rng(seed)
+    times = np.arange(rows) * 0.2
+    place = np.cumsum(0.1 * rng.normal(size=(rows, 3)), axis=0) + [2.0, 3.0, 1.0]
+    read = place + 0.25 * rng.normal(size=place.shape)
+    ids = {"t_s": times, "tag": ["7"] * rows}
+    tables = {
+        kind: pl.DataFrame(ids | {f"{a}_m": values[:, k] for k, a in enumerate("xyz")})
+        for kind, values in (("fixes", read), ("truth", place))
+    }
+    return Folder(name, None, Rig(name), tables)
+
+
+@pytest.fixture(scope="module")
+def run():
+    (group,) = groups([_walk(name, k) for k, name in enumerate("abcd")], "fix-kf", False)
+    training, held_out = group.lanes[:2], group.lanes[2:]
+    rows = [batch for _, batch in batches(training)]
+    result = fit(group.tracker, rows, parse_objective(NLL, "position", 3), PATTERNS, steps=6, starts=2)
+    asked = Asked("trackwright tune a b", ("trackwright track c",), "fix-kf", "a Kalman filter", NLL, 1.5)
+    doubt = [Judgement((PATTERNS[0],), "a doubt")]
+    return result, gather(asked, group.tracker, result, training, held_out, group.planar, result.uncertainty, doubt)
+
+
+def test_numbers_are_those_of_the_fit_and_a_doubted_one_is_not_determined(run):
+    result, evidence = run
+    for number, name in zip(evidence.numbers, PATTERNS, strict=True):
+        assert number.name == name
+        assert number.before == float(result.starts[0][0].values[name])
+        assert number.after == float(result.values[name])
+        assert number.determined is (name != PATTERNS[0])
+    assert evidence.numbers[1].low < evidence.numbers[1].after < evidence.numbers[1].high
+    assert evidence.judgements == ("a doubt",)
+
+
+def test_the_scores_of_the_objective_are_those_of_the_fit(run):
+    result, evidence = run
+    before, after = evidence.score(NLL).training
+    # single precision, rows added in another order
+    assert (before, after) == pytest.approx((result.start_value, result.value), rel=1e-4)
+    assert {s.key for s in evidence.scores} == {"nll", "rmse", "rmse-3d", "state-nll", "nis-shape", "nees-shape"}
+
+
+def test_the_errors_row_by_row_have_the_rmse_of_the_table(run):
+    _, evidence = run
+    assert [e.name for e in evidence.errors] == ["c, tag 7", "d, tag 7"]
+    for side, which in enumerate(("before", "after")):
+        pooled = np.concatenate([getattr(e, which) for e in evidence.errors])
+        known = pooled[np.isfinite(pooled)]
+        # both take the truth where a late fix was; the batch's times are sums of float32 steps
+        assert np.sqrt(np.mean(known**2)) == pytest.approx(evidence.score("rmse").held_out[side], rel=1e-4)
+
+
+def test_recordings_tuned_on_and_held_out_are_kept_apart(run):
+    _, evidence = run
+    assert evidence.training == ("a", "b")
+    assert evidence.held_out == ("c", "d")
+    assert evidence.judged_on == "held-out recordings"
+    assert [len(np.unique(side.lane)) for side in evidence.innovations] == [2, 2]
+
+
+def test_every_start_ends_in_the_trace_and_the_winner_is_first(run):
+    result, evidence = run
+    assert len(evidence.descents) == len(result.starts)
+    np.testing.assert_array_equal(evidence.descents[0].objective, [s.value for s in result.trace])
+
+
+def test_the_landscape_is_least_at_the_optimum(run):
+    result, evidence = run
+    found = evidence.landscape
+    assert found.axes == (0, 1)
+    middle = tuple(n // 2 for n in found.values.shape)
+    # the optimum is a point of the grid, between which a cubic was laid; single precision
+    assert found.values[middle] == pytest.approx(result.value, rel=1e-4)
+    assert found.values.min() == pytest.approx(result.value, abs=0.01)
+    for grid, number in zip(found.grids, evidence.numbers, strict=True):
+        assert grid[len(grid) // 2] == pytest.approx(number.after, rel=1e-5)
+
+
+def test_the_evidence_makes_a_page(run):
+    text = page(run[1])
+    for word in (
+        "a doubt",
+        "<span>trackwright</span> <span>tune</span>",
+        "held-out recordings",
+        "decided which of the points",
+    ):
+        assert word in text
