@@ -34,7 +34,8 @@ def judgements(found: Uncertainty, slopes: np.ndarray) -> list[Judgement]:
     names, kinds = names_of(found.parameters), kinds_of(found.parameters)
     idle, void = without_effect(slopes), unused(found.parameters)
     nothing = np.flatnonzero(idle & ~void)
-    said = [Judgement((names[k],), f"{names[k]} has no effect on the objective") for k in nothing]
+    without = [names[k] for k in nothing]
+    said = [Judgement(tuple(without), f"{_listed(without)} on the objective")] if without else []
     lively = np.flatnonzero(~idle & ~void)
     if not len(lively) or not np.all(np.isfinite(found.optimum.hessian)):
         return said
@@ -84,6 +85,14 @@ def _words(names: list[str], kinds: list[Any], direction: np.ndarray, deviation:
     return (
         f"{', '.join(names[:-1])} and {names[-1]} are {degree} one by one: changed together ({moves}) they do nothing"
     )
+
+
+def _listed(names: list[str]) -> str:
+    """That one or several numbers have no effect, at most four of them by name."""
+    if len(names) == 1:
+        return f"{names[0]} has no effect"
+    shown, rest = (names[:-1], names[-1]) if len(names) <= 4 else (names[:3], f"{len(names) - 3} others")
+    return f"{', '.join(shown)} and {rest} have no effect"
 
 
 def _factor(deviation: float) -> str:

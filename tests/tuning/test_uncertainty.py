@@ -169,6 +169,17 @@ def test_what_is_not_determined_is_said_in_words(numbers, weights, says):
     assert high == np.inf
 
 
+def test_numbers_without_effect_are_named_in_one_sentence(numbers):
+    problem, start = _product(numbers, [1, 0, 0])
+    said = judgements(uncertainty(problem, start), problem.evaluate(start).slopes)
+    assert [j.text for j in said] == ["b and c have no effect on the objective"]
+    assert said[0].names == ("b", "c")
+    many = [Parameter(("bias",), Real(np.zeros(8)), "bias")]
+    found = SimpleNamespace(optimum=SimpleNamespace(hessian=np.eye(8)), parameters=many, observed=np.eye(8))
+    text = judgements(found, np.zeros((2, 8, 3)))[0].text
+    assert text == "bias.0, bias.1, bias.2 and 5 others have no effect on the objective"
+
+
 def test_several_numbers_that_hang_together_are_named_together(numbers):
     problem, start = _product(numbers, [1, 1, 1])
     said = judgements(uncertainty(problem, start), problem.evaluate(start).slopes)
