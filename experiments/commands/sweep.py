@@ -14,18 +14,13 @@ import polars as pl
 import tyro
 
 from experiments.catalogue import fitting, groups
-from experiments.entry import Group
 from experiments.errors import UnusableInput
-from experiments.lanes import pieces
 from experiments.manifest import write_manifest
 from experiments.screen import notice, output_folder, progress, read_all
 from experiments.sweep_figures import sweep_figure
-from experiments.tracks import batches
 from experiments.tuned_file import read_tuned, with_noise
+from experiments.tuning_job import job_of
 from experiments.writing import atomic_write
-from trackers.core.recording import Batch
-from tuning.figures import parse_objective
-from tuning.objectives import AbstractObjective
 from tuning.sweep import Sweep, grid_vectors, swept_parameters
 from tuning.sweep import sweep as run
 
@@ -74,7 +69,7 @@ def sweep(
         )
     group = found[0]
     model = group.tracker if noise is None else with_noise(group.tracker, read_tuned(noise), noise)
-    goal, rows = _goal(group, objective, piece_rows)
+    job = job_of(group, model, objective, (), piece_rows)
     try:
         parameters = swept_parameters(model, list(grids))
         points = grid_vectors(parameters, list(grids.values()))
@@ -83,7 +78,7 @@ def sweep(
     ways = [] if path is None else _ways(path, [p.label for p in parameters])
     output_folder(out)
     with progress("sweeping", len(points) * repeats) as advance:
-        swept = run(model, rows, goal, grids, repeats, report=advance)
+        swept = run(model, job.rows(), job.goal, grids, repeats, report=advance)
     seconds = time.perf_counter() - clock
     if not np.isfinite(swept.mean).any():
         raise UnusableInput("the objective is finite at no value of the grid; ask `trackwright check` about the data")
@@ -128,26 +123,6 @@ def _grids(over: Sequence[str]) -> dict[str, np.ndarray]:
             raise UnusableInput(f"--over {pattern}: given twice, expected two different patterns")
         grids[pattern] = np.linspace(start, stop, count)
     return grids
-
-
-def _goal(group: Group, objective: str, piece_rows: int) -> tuple[AbstractObjective, list[Batch]]:
-    """The objective and the rows that it is taken over; raises UnusableInput."""
-    lanes = [piece for lane in group.lanes for piece in pieces(lane, piece_rows)]
-    quantity = next(iter(lanes[0].recording.truth))
-    try:
-        goal = parse_objective(objective, quantity, 2 if quantity == "direction" or group.planar else 3)
-    except ValueError as error:
-        raise UnusableInput(f"--objective {error}") from error
-    if goal.needs_truth:
-        if group.planar and lanes[0].station:
-            raise UnusableInput(
-                f"--objective {objective}: azimuth and elevation of a tag in a flat array's own plane are singular; "
-                "expected a tag above or below it; use --objective nll"
-            )
-        lanes = [lane for lane in lanes if lane.recording.truth[quantity][1].any()]
-        if not lanes:
-            raise UnusableInput(f"--objective {objective} needs truth, and these recordings have none; use nll")
-    return goal, [batch for _, batch in batches(lanes)]
 
 
 def _explained(problem: str) -> str:
