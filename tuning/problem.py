@@ -243,16 +243,15 @@ def plain_sums(point: Point, batch: Batch) -> tuple[jax.Array]:
 def term_sums(point: Point, batch: Batch) -> tuple[jax.Array, jax.Array]:
     """The sums per vector, term and trajectory (S, k, B), and their derivatives (S, k, p, B), all tangents at once."""
 
-    def sums(v: jax.Array) -> tuple[jax.Array, jax.Array]:
-        stacked = jnp.stack(point.placed(v).accumulate(batch, point.objective.terms))
-        return stacked, stacked
+    def sums(vectors: jax.Array) -> jax.Array:
+        return plain_sums(eqx.tree_at(lambda p: p.vectors, point, vectors), batch)[0]
 
-    def both(v: jax.Array) -> tuple[jax.Array, jax.Array]:
-        slopes, values = jax.jacfwd(sums, has_aux=True)(v)
-        return values, jnp.moveaxis(slopes, -1, 1)
+    def along(direction: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """The sums, and their derivatives along one direction, the same for every vector."""
+        return jax.jvp(sums, (point.vectors,), (jnp.broadcast_to(direction, point.vectors.shape),))
 
-    values, slopes = point.each(both)
-    return values, slopes
+    # Vectors inside and directions outside: the other way round, what jax traces is half as large again.
+    return jax.vmap(along, out_axes=(None, 2))(jnp.eye(point.vectors.shape[1], dtype=point.vectors.dtype))
 
 
 def curved_sums(point: Point, batch: Batch) -> tuple[jax.Array, jax.Array, jax.Array]:
