@@ -22,8 +22,8 @@ from trackers.core.tracker import AbstractStart, Row, Tracker
 from trackers.core.walls import Walls
 from trackers.line.fixes import FIXES, FloorFixes
 
-TUNED = "motion.sigma_v"
-"""The tunable whose derivative `corridor_grid.slope` is."""
+TUNED = ("motion.sigma_v", "sensors.fixes.sigma_p")
+"""The tunables of its tracker, in the order of the oracle's slopes."""
 
 NEVER_LOST = LossPolicy(limit=np.inf, patience=np.inf)
 
@@ -69,7 +69,7 @@ class BoxedReparameterised(Boxed, Reparameterised):
 
 
 def corridor_tracker(particles: ParticleFilter) -> Tracker:
-    """The tracker whose model is the corridor's world; tunables `motion.sigma_v` and `sensors.fixes.sigma_p`."""
+    """The tracker whose model is the corridor's world."""
     sensors = {FIXES: FloorFixes(SIGMA_FIX)}
     return Tracker(ConstantPosition(SIGMA_MOVE, 2), sensors, InBox(), particles, NEVER_LOST)
 

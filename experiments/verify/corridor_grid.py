@@ -44,10 +44,12 @@ def log_likelihood(
     return value
 
 
-def slope(fixes: np.ndarray, points: tuple[int, int] = POINTS) -> float:
-    """d log L / d log σ of the moves, by a central difference."""
-    ends = [log_likelihood(fixes, SIGMA_MOVE * math.exp(s * STEP), points=points) for s in (1, -1)]
-    return (ends[0] - ends[1]) / (2 * STEP)
+def slopes(fixes: np.ndarray, points: tuple[int, int] = POINTS) -> tuple[float, float]:
+    """d log L / d log σ of the moves and of the fixes, by central differences."""
+    up, down = math.exp(STEP), math.exp(-STEP)
+    moves = [log_likelihood(fixes, SIGMA_MOVE * f, points=points) for f in (up, down)]
+    readings = [log_likelihood(fixes, sigma_fix=SIGMA_FIX * f, points=points) for f in (up, down)]
+    return (moves[0] - moves[1]) / (2 * STEP), (readings[0] - readings[1]) / (2 * STEP)
 
 
 def _axis(k: int, sigma: float, count: int) -> Axis:

@@ -25,7 +25,7 @@ def test_the_corridor_by_quadrature_is_the_same_at_three_sizes(rows, value, slop
     fixes = corridor_fixes(rows)
     for points in ((48, 18), (64, 24), (96, 36)):
         assert corridor_grid.log_likelihood(fixes, points=points) == pytest.approx(value, abs=1e-8)
-        assert corridor_grid.slope(fixes, points) == pytest.approx(slope, abs=1e-7)
+        assert corridor_grid.slopes(fixes, points)[0] == pytest.approx(slope, abs=1e-7)
 
 
 def test_the_halt_by_quadrature_is_the_same_at_three_sizes():
@@ -47,7 +47,7 @@ def _score(kind):
 
 def _apart(scores):
     """How many standard errors the mean is off."""
-    return abs(scores.mean() - corridor_grid.slope(corridor_fixes(25))) / scores.std() * np.sqrt(len(scores))
+    return abs(scores.mean() - corridor_grid.slopes(corridor_fixes(25))[0]) / scores.std() * np.sqrt(len(scores))
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +89,7 @@ def test_the_marginal_score_scatters_less_than_half_as_much_as_the_same_particle
 
 def test_rows_in_no_time_and_without_readings_do_not_change_the_marginal_score(marginal):
     _, plain, twice = marginal
-    exact = corridor_grid.slope(corridor_fixes(25)[:4])
+    exact = corridor_grid.slopes(corridor_fixes(25)[:4])[0]
     for found in (plain, twice):
         assert abs(found.mean() - exact) < 4 * found.std() / np.sqrt(KEYS)
 
