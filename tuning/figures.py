@@ -17,6 +17,7 @@ from trackers.core.tracker import AbstractTracker
 from tuning.consistency import Consistency
 from tuning.objectives import (
     AbstractObjective,
+    MissingQuantityError,
     NegativeLogLikelihood,
     RootMeanSquareError,
     StateLogLikelihood,
@@ -78,11 +79,22 @@ def every_figure(
     """
     batches = [batches] if isinstance(batches, Batch) else list(batches)
     judges = _judges(tracker, batches, quantity, dimensions)
+    try:
+        found = _figures(tracker, batches, judges, chunk)
+    except MissingQuantityError:
+        judges = {name: judge for name, judge in judges.items() if not judge.needs_truth}
+        found = _figures(tracker, batches, judges, chunk)
+    return dict.fromkeys([*OBJECTIVES, "rmse-3d"], math.nan) | found
+
+
+def _figures(
+    tracker: AbstractTracker, batches: Sequence[Batch], judges: Mapping[str, AbstractObjective], chunk: int
+) -> dict[str, float]:
     every = Weighted(tuple(judges.values()), (1.0,) * len(judges)).informed(tracker)
     model = prepared((tracker, every), batches[0].dt.dtype)
     parts = [over_lanes(_sums, model, part) for batch in batches for part in chunks(batch, chunk)]
     sums = np.concatenate([np.asarray(part, float) for part in parts], axis=-1)
-    figures = dict.fromkeys([*OBJECTIVES, "rmse-3d"], math.nan)
+    figures = {}
     for name, judge, own in zip(judges, every.parts, every.shares(sums), strict=True):
         total = own[:, np.isfinite(own).all(axis=0)].sum(axis=-1)
         if total[-1] > 0:  # every objective's last sum is how much it counted

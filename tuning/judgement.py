@@ -74,7 +74,7 @@ def _words(names: list[str], kinds: list[Any], direction: np.ndarray, deviation:
     degree = "not determined" if math.isinf(deviation) else "hardly determined"
     if len(names) == 1:
         if math.isinf(deviation):
-            return f"{names[0]} is {degree}: the objective is the same whatever it is"
+            return f"{names[0]} is {degree}: near this value the objective does not depend on it"
         if kinds[0] is Scale:
             return f"{names[0]} is {degree}: it may as well be {_factor(deviation)} times larger or smaller"
         return f"{names[0]} is {degree}"

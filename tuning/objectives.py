@@ -24,6 +24,10 @@ Truth = dict[str, tuple[Any, Any]]
 """The truth of a row by quantity: its components, each (B,), and where it is known (B,)."""
 
 
+class MissingQuantityError(ValueError):
+    """A tracker's states do not show the quantity whose truth they are to be judged by."""
+
+
 class AbstractObjective(eqx.Module):
     """A figure made of sums: `terms` of every row are added over rows and trajectories, `value` is made of the sums."""
 
@@ -191,7 +195,9 @@ class Judged(NamedTuple):
 
 
 def errors_of(output: Output, truth: Truth, quantity: str, dimensions: int) -> tuple[list[Scalar], Scalar]:
-    """Estimate less truth of a quantity's first components, and whether the row has both."""
+    """Estimate less truth of a quantity's first components, and whether the row has both; or `MissingQuantityError`."""
+    if not hasattr(output.mean, quantity):
+        raise MissingQuantityError(f"the tracker's state is a {type(output.mean).__name__}, which shows no {quantity}")
     true, known = truth[quantity]
     usable = (output.status == Status.OK) | (output.status == Status.RESTARTED) | (output.status == Status.LOST)
     components = list(getattr(output.mean, quantity))[:dimensions]

@@ -15,7 +15,7 @@ from trackers.core.algebra import Vector
 from trackers.core.estimates import Estimates, Status
 from trackers.core.fixes import cov_before, moved_back
 from trackers.core.motion import Kinematic
-from trackers.core.recording import stack
+from trackers.core.recording import Recording, stack
 from trackers.core.tracker import Output
 from tuning.consistency import Consistency, chi_square_below, legendre, tail_of, tailed_below
 from tuning.figures import every_figure, parse_objective
@@ -160,6 +160,13 @@ def test_every_figure_is_best_for_the_true_model(figures):
 def test_without_truth_what_needs_none_is_left(figures):
     silent = [r.__class__(r.times, r.readings, r.inputs) for r in walks([200] * 64, 1)]
     found = every_figure(line_tracker(), stack(silent), "position", 1)
+    assert {k for k, v in found.items() if np.isfinite(v)} == {"nll", "nis-shape"}
+    assert found["nll"] == pytest.approx(figures["true"]["nll"], rel=1e-12)
+
+
+def test_a_quantity_that_no_state_shows_has_no_figures(figures):
+    lanes = [Recording(r.times, r.readings, r.inputs, {"heading": r.truth["position"]}) for r in walks([200] * 64, 1)]
+    found = every_figure(line_tracker(), stack(lanes), "heading", 1)
     assert {k for k, v in found.items() if np.isfinite(v)} == {"nll", "nis-shape"}
     assert found["nll"] == pytest.approx(figures["true"]["nll"], rel=1e-12)
 
