@@ -138,6 +138,25 @@ batching.defvectorized(_shared_p)
 mlir.register_lowering(_shared_p, mlir.lower_fun(_divided, multiple_results=False))
 
 
+def related(tree: Tree, numbers: Any) -> Tree:
+    """The same tree, to the bit, as a function of the floating arrays in `numbers`: what a scan over them begins with.
+
+    jax finds out by tracing which parts of a scan's carry have a derivative or differ from one set of numbers to the
+    next, and traces the whole step again for every round in which more of them turn out to: seconds for large states.
+    """
+    found = [x for x in jax.tree_util.tree_leaves(numbers) if hasattr(x, "dtype") and x.size]
+    floating = [jnp.ravel(x)[0] for x in found if jnp.issubdtype(x.dtype, jnp.floating)]
+    if not floating:
+        return tree
+    number = total(floating)
+
+    def of(x: Any) -> Any:
+        other = number if jnp.issubdtype(x.dtype, jnp.floating) else number > 0
+        return jax.lax.select(jnp.zeros(x.shape, bool), jnp.broadcast_to(other.astype(x.dtype), x.shape), x)
+
+    return jax.tree_util.tree_map(of, tree)
+
+
 def triangle(n: int) -> list[tuple[int, int]]:
     """Index pairs (row, column) of an upper triangle, row by row: the order in which covariances are stored."""
     return [(i, j) for i in range(n) for j in range(i, n)]

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.algebra import Scalar, shared, total
+from trackers.core.algebra import Scalar, related, shared, total
 from trackers.core.chunks import CHUNK, chunks, over_lanes, prepared
 from trackers.core.ekf import ExtendedKalman, Gaussian
 from trackers.core.estimates import Estimates, Status
@@ -226,33 +226,10 @@ def scan_rows(tracker: Tracker, batch: Batch, score: Score | None = None) -> tup
         mean, cov = moments(empty.belief)
         shapes = jax.eval_shape(lambda: score(Output(mean, cov, *said), first_truth))
         sums = tuple(jnp.zeros(s.shape, s.dtype) for s in shapes)
-    (_, sums), outputs = jax.lax.scan(body, related(tracker, empty, sums), (rows, batch.truth))
+    # Particles have no derivative, and stay as they are.
+    begin = (empty, sums) if is_heavy(tracker) else related((empty, sums), tracker)
+    (_, sums), outputs = jax.lax.scan(body, begin, (rows, batch.truth))
     return sums, outputs
-
-
-def related(tracker: Tracker, empty: Carry, sums: Any) -> tuple[Carry, Any]:
-    """What a scan begins with, to the bit, as a function of the tracker's numbers, on which all that follows depends.
-
-    jax finds out by tracing which parts of a carry have a derivative or differ between the tracker's values, and traces
-    the whole step again for every round in which more of them turn out to: seconds for large states. Particles have no
-    derivative, and stay as they are.
-    """
-    numbers = [jnp.ravel(x)[0] for x in jax.tree_util.tree_leaves(tracker) if eqx.is_inexact_array(x) and x.size]
-    if is_heavy(tracker) or not numbers:
-        return empty, sums
-    number = total(numbers)
-    still = jax.lax.stop_gradient(number)
-
-    def of(number: Scalar, x: Any) -> Any:
-        other = number.astype(x.dtype) if eqx.is_inexact_array(x) else (still > 0).astype(x.dtype)
-        return jax.lax.select(jnp.zeros(x.shape, bool), jnp.broadcast_to(other, x.shape), x)
-
-    def each(number: Scalar, tree: Any) -> Any:
-        return jax.tree_util.tree_map(lambda x: of(number, x), tree)
-
-    belief, surprise, sums = each(number, (empty.belief, empty.surprise, sums))
-    running, begun, silence = each(still, (empty.running, empty.begun, empty.silence))
-    return Carry(belief, running, begun, surprise, silence), sums
 
 
 def carry_axes(tracker: Tracker) -> Carry:
