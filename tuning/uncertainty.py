@@ -82,10 +82,13 @@ class Uncertainty:
     def intervals(self, level: float = 0.95, sandwich: bool = False) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Lowest and highest physical value by label: of a Scale by its logarithm, of a Fraction by its odds.
 
-        What is not determined may be anything. Of a matrix, entry by entry by the delta method.
+        What is not determined may be anything. Of a matrix, entry by entry by the delta method. A sandwich of few
+        clusters is itself not well known: its intervals are those of Student's t (Cameron & Miller 2015, section 6).
         """
         cov = self.sandwich if sandwich else self.observed
         z, vector = NormalDist().inv_cdf(0.5 + level / 2), self.optimum.vector
+        if sandwich:
+            z = students(z, max(self.clusters - 1, 1))
         sigma = np.sqrt(np.maximum(np.diagonal(cov), 0.0))
         reach = np.where(self.undetermined, np.inf, z * sigma)
         values = physical(self.parameters, vector)
@@ -105,6 +108,12 @@ class Uncertainty:
             parts.append(flags[start : start + int(np.prod(shape, dtype=int))].reshape(shape))
             start += parts[-1].size
         return parts
+
+
+def students(z: float, freedom: int) -> float:
+    """The quantile of Student's t where the standard normal one is z (Abramowitz & Stegun 1964, 26.7.5)."""
+    first, second = (z**3 + z) / 4, (5 * z**5 + 16 * z**3 + 3 * z) / 96
+    return z + first / freedom + second / freedom**2 + (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384 / freedom**3
 
 
 def uncertainty(problem: Any, vector: np.ndarray) -> Uncertainty:

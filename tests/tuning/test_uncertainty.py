@@ -16,7 +16,7 @@ from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
 from tuning.parameters import Parameter, chosen, flatten
 from tuning.problem import Problem
 from tuning.profiles import bootstrap, percentile_intervals, profile, refit
-from tuning.uncertainty import optimum, uncertainty, unused
+from tuning.uncertainty import optimum, students, uncertainty, unused
 
 TYPICAL = 0.5
 
@@ -105,6 +105,23 @@ def test_the_sandwich_is_right_where_trajectories_differ_and_the_information_is_
     # 400 repetitions know a variance to 7 %; that the cov of few and skewed clusters is low by some more is known
     assert np.mean(sandwich) / np.var(fits) == pytest.approx(1.0, abs=0.25)
     assert np.mean(observed) / np.var(fits) < 0.2
+
+
+def test_intervals_of_few_trajectories_cover_as_often_as_they_say():
+    rng = np.random.default_rng(7)
+    covered = []
+    for _ in range(400):
+        problem, best = _level_and_place(rng.normal(0.3, 0.7, (20, 25)))
+        ends = uncertainty(problem, best).intervals(sandwich=True)
+        covered.append([ends["sigma"][0] < 0.7 < ends["sigma"][1], ends["mu"][0] < 0.3 < ends["mu"][1]])
+    # 400 repetitions know 95 % to 1.1 %; of a level, whose squares are skewed, 20 trajectories are few
+    assert np.all(np.abs(np.mean(covered, axis=0) - [0.94, 0.95]) < 0.035)
+
+
+@pytest.mark.parametrize("freedom", [5, 19, 49])
+def test_students_quantile_is_scipys(freedom):
+    # the expansion's next term is of order 1/freedom⁴
+    assert students(stats.norm.ppf(0.975), freedom) == pytest.approx(stats.t.ppf(0.975, freedom), rel=2e-3)
 
 
 def test_intervals_are_in_physical_units_of_every_kind():
