@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -11,6 +13,7 @@ from experiments.figure_style import BLUE, literal
 from experiments.landscapes import contours, curve, named, scale_axis
 from experiments.tuning_report.drawings import NARROW, WIDTH, drawn, plain
 from experiments.tuning_report.evidence import Descent, Landscape, TuningEvidence
+from experiments.tuning_report.judgement import number
 
 PALE = "#c3ccd6"
 
@@ -23,16 +26,18 @@ def objective_chart(evidence: TuningEvidence) -> str:
         _lines(axes, evidence.descents, lambda d: d.objective)
         shown = np.concatenate([d.objective for d in evidence.descents])
         shown = shown[np.isfinite(shown)]
-        best = float(shown.min())
+        best, longest = float(shown.min()), max(len(d.objective) for d in evidence.descents)
         # A start that is far off must not flatten all the rest.
         top = min(float(shown.max()), best + 6 * float(np.quantile(shown, 0.75) - best) or np.inf)
         margin = 0.06 * (top - best) or 0.1 * abs(best) or 1.0
         axes.set(xlabel="step", ylim=(best - margin, top + margin))
         axes.set_title(literal(evidence.objective_about))
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        step, value = _taken(evidence)
+        axes.plot([step], [value], "o", color=BLUE, markersize=6, markeredgecolor="white", zorder=3)
         axes.annotate(
-            f"{best:.4g}", (1, best), xycoords=("axes fraction", "data"), xytext=(0, 5), textcoords="offset points",
-            ha="right", color=BLUE, fontsize=9, fontweight="bold",
+            number(value), (step, value), xytext=(0, 7), textcoords="offset points",
+            ha="right" if step > 0.5 * longest else "left", color=BLUE, fontsize=9, fontweight="bold",
         )  # fmt: skip
         if len(evidence.descents) > 1:
             axes.legend(*(x[::-1] for x in axes.get_legend_handles_labels()), loc="upper right")
@@ -78,9 +83,16 @@ def landscape_chart(evidence: TuningEvidence, landscape: Landscape) -> str:
     return drawn(draw, WIDTH, 3.6)
 
 
-def _lines(axes: Axes, descents: tuple[Descent, ...], take) -> None:  # type: ignore[no-untyped-def]
-    for number, descent in reversed(list(enumerate(descents))):
-        label = {0: "best start", 1: "other starts"}.get(number)
-        axes.plot(
-            take(descent), color=BLUE if number == 0 else PALE, linewidth=1.8 if number == 0 else 1.1, label=label
-        )
+def _taken(evidence: TuningEvidence) -> tuple[int, float]:
+    """The step of the best start whose numbers are nearest to those taken, and the objective there."""
+    descent = evidence.descents[0]
+    after = np.array([n.after for n in evidence.numbers])
+    size = np.maximum(np.abs(after), np.finfo(float).tiny)
+    step = int(np.argmin((np.abs(descent.numbers - after) / size).max(axis=1)))
+    return step, float(descent.objective[step])
+
+
+def _lines(axes: Axes, descents: tuple[Descent, ...], take: Callable[[Descent], np.ndarray]) -> None:
+    for k, descent in reversed(list(enumerate(descents))):
+        label = {0: "best start", 1: "other starts"}.get(k)
+        axes.plot(take(descent), color=BLUE if k == 0 else PALE, linewidth=1.8 if k == 0 else 1.1, label=label)

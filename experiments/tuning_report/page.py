@@ -84,7 +84,7 @@ def _asked(e: TuningEvidence) -> Part:
         ("Effort", f"{e.filter_runs:,} trajectories filtered in {_duration(e.seconds)}".replace(",", "\u202f")),
     ]
     listed = "".join(f"<dt>{title}</dt><dd>{text}</dd>" for title, text in rows)
-    notes = "".join(f'<p class="lead">{escape(note)}</p>' for note in e.notes)
+    notes = "".join(f'<p class="under">{escape(note)}</p>' for note in e.notes)
     return "asked", "What was asked", "", f"<dl>{listed}</dl>{notes}"
 
 
@@ -137,15 +137,19 @@ def _score_row(s: Score, goal: str, held: bool) -> str:
 
 
 def _changed(s: Score, pair: tuple[float, float]) -> str:
-    """The change as a sign, a figure where it means something, and a word where it matters."""
-    relative = percent(pair) if s.target is None else ""
+    """The change as a difference or in per cent where that means something, and a word where it matters."""
+    if not all(map(math.isfinite, pair)):
+        return "–"
+    change = ""
     if s.unit == "nats":  # the zero of a log-density is nowhere in particular
-        relative = f"{pair[1] - pair[0]:+.3g}".replace("-", "−")
+        change = ("+" if pair[1] >= pair[0] else "") + number(pair[1] - pair[0])
+    elif s.unit != "1":  # and a distance between distributions is near zero if all is well
+        change = percent(pair)
     if is_worse(s, pair):
-        return f'<span class="worse">{relative} worse</span>'
+        return f'<span class="worse">{f"{change} worse".strip()}</span>'
     if is_better(s, pair):
-        return f'<span class="better">{relative or "better"}</span>'
-    return relative or ("–" if math.isnan(pair[0]) else "same")
+        return f'<span class="better">{change or "better"}</span>'
+    return change or "same"
 
 
 def _descents(e: TuningEvidence) -> Part | None:
@@ -161,7 +165,9 @@ def _descents(e: TuningEvidence) -> Part | None:
         drawings.append(_figure(descent_charts.landscape_chart(e, e.landscape), caption, f"Objective over {names}"))
     ways = [_figure(descent_charts.number_chart(e, k), "", n.name) for k, n in enumerate(e.numbers)]
     lead = "Starts that end in one place agree on the optimum." if many else ""
-    return "descent", "How it got there", lead, _charts(drawings) + _charts(ways, "charts three")
+    if e.held_out:
+        lead += " The point taken is the one that was best on the held-out recordings."
+    return "descent", "How it got there", lead.strip(), _charts(drawings) + _charts(ways, "charts three")
 
 
 def _consistency(e: TuningEvidence) -> Part | None:

@@ -53,7 +53,7 @@ figure img { display: block; width: 100%; height: auto; }
 figcaption { margin-top: .35rem; color: var(--soft); font-size: .86rem; line-height: 1.45; max-width: 44rem; }
 footer { margin-top: 3rem; padding-top: 1rem; border-top: 1px solid var(--line);
   color: var(--soft); font-size: .84rem; }
-@media (max-width: 720px) {
+@media screen and (max-width: 720px) {
   main { padding: 1.4rem 1rem 3rem; }
   section { margin-top: 2.2rem; }
   .charts, .charts.three { grid-template-columns: minmax(0, 1fr); }
@@ -74,7 +74,7 @@ footer { margin-top: 3rem; padding-top: 1rem; border-top: 1px solid var(--line);
   main { max-width: none; padding: 0; }
   section { margin-top: 1.6rem; }
   h2, .lead { break-after: avoid; }
-  tr, .warnings { break-inside: avoid; }
+  tr, .warnings, #asked, #numbers, #scores { break-inside: avoid; }
   .scroll { overflow: visible; }
 }
 """
