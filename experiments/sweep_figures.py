@@ -40,5 +40,7 @@ def sweep_figure(path: Path | str, swept: Sweep, objective: str, paths: Sequence
             contours(axes, swept.grids, mean, paths, (float(best[0]), float(best[1])))
             axes.set(xlim=swept.grids[0][[0, -1]], ylim=swept.grids[1][[0, -1]], ylabel=labels[1])
         axes.set_xlabel(labels[0])
-        axes.set_title(literal(f"least {mean[at]:.5g} at {shown}"), loc="right", fontsize=9)
+        # Over contours a legend stands between them and the title.
+        above = 22 if len(labels) == 2 and paths else 6
+        axes.set_title(literal(f"least {mean[at]:.5g} at {shown}"), fontsize=9, pad=above)
     return Path(path)

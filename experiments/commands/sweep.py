@@ -117,8 +117,8 @@ def _grids(over: Sequence[str]) -> dict[str, np.ndarray]:
             raise UnusableInput(f"--over {text}: expected {FORM}") from error
         if not pattern or not (np.isfinite(start) and np.isfinite(stop)):
             raise UnusableInput(f"--over {text}: expected {FORM}")
-        if count < 1 or (count > 1 and start >= stop):
-            raise UnusableInput(f"--over {text}: an empty grid; expected {FORM}, START below STOP and COUNT at least 1")
+        if count < 2 or start >= stop:
+            raise UnusableInput(f"--over {text}: no grid; expected {FORM}, START below STOP and COUNT at least 2")
         if pattern in grids:
             raise UnusableInput(f"--over {pattern}: given twice, expected two different patterns")
         grids[pattern] = np.linspace(start, stop, count)

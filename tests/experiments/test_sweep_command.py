@@ -112,8 +112,9 @@ def test_particles_are_swept_with_repeats_and_their_spread(world):
     ("arguments", "words"),
     [
         (("--over", "no.such=0.1:1:5"), ("no.such", "matches no tunable", SIGMA_P)),
-        (("--over", f"{SIGMA_P}=0.1:1:0"), ("empty grid", "COUNT at least 1")),
-        (("--over", f"{SIGMA_P}=1:0.1:5"), ("empty grid", "START below STOP")),
+        (("--over", f"{SIGMA_P}=0.1:1:0"), ("no grid", "COUNT at least 2")),
+        (("--over", f"{SIGMA_P}=0.1:1:1"), ("no grid", "COUNT at least 2")),
+        (("--over", f"{SIGMA_P}=1:0.1:5"), ("no grid", "START below STOP")),
         (("--over", f"{SIGMA_P}=-0.1:1:5"), ("a Scale is positive", "-0.1", "small positive value")),
         (("--over", f"{SIGMA_P}=0:1:101"), ("a Scale is positive", "left out", "small positive value")),
         (("--over", SIGMA_P), ("expected PATTERN=START:STOP:COUNT",)),
