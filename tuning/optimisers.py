@@ -6,6 +6,7 @@ Everything of a start stands at its number along the first axis, so that starts 
 from __future__ import annotations
 
 from abc import abstractmethod
+from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -55,10 +56,10 @@ class Adam(AbstractOptimiser):
     descends: ClassVar[bool] = False
 
     def begin(self, vectors: np.ndarray) -> Any:
-        return jax.vmap(self._transformation().init)(jnp.asarray(vectors))
+        return jax.vmap(_adam(self.steps, self.rate).init)(jnp.asarray(vectors))
 
     def direction(self, memory: Any, vectors: np.ndarray, found: Evaluations) -> tuple[Any, Any]:
-        return _updated(self._transformation(), found.gradients, memory, vectors)
+        return _updated(_adam(self.steps, self.rate), found.gradients, memory, vectors)
 
     def step(self, direction: Any, attempt: int) -> np.ndarray:
         return np.asarray(direction / 2.0**attempt)
@@ -66,10 +67,15 @@ class Adam(AbstractOptimiser):
     def judged(self, memory: Any, attempts: np.ndarray) -> Any:
         return memory
 
-    def _transformation(self) -> Any:
-        schedule = optax.cosine_decay_schedule(self.rate, self.steps, 0.01)
-        # A filter on the brink of losing a track has enormous derivatives; one such step must not drown all others.
-        return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(schedule))
+
+@lru_cache
+def _adam(steps: int, rate: float) -> Any:
+    """Adam of optax; kept, since one made anew would be compiled anew."""
+    # A filter on the brink of losing a track has enormous derivatives; one such step must not drown all others.
+    return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(optax.cosine_decay_schedule(rate, steps, 0.01)))
+
+
+_lbfgs = optax.scale_by_lbfgs()
 
 
 class LBFGS(AbstractOptimiser):
@@ -79,10 +85,10 @@ class LBFGS(AbstractOptimiser):
     descends: ClassVar[bool] = True
 
     def begin(self, vectors: np.ndarray) -> Any:
-        return jax.vmap(optax.scale_by_lbfgs().init)(jnp.asarray(vectors))
+        return jax.vmap(_lbfgs.init)(jnp.asarray(vectors))
 
     def direction(self, memory: Any, vectors: np.ndarray, found: Evaluations) -> tuple[Any, Any]:
-        steps, memory = _updated(optax.scale_by_lbfgs(), found.gradients, memory, vectors)
+        steps, memory = _updated(_lbfgs, found.gradients, memory, vectors)
         downhill = -steps
         uphill = np.sum(downhill * found.gradients, axis=1) >= 0
         return _limited(np.where(uphill[:, None], -found.gradients, downhill)), memory
