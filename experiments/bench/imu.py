@@ -23,8 +23,8 @@ from experiments.runtime import set_flags
 from experiments.writing import atomic_write, json_text
 
 TRAJECTORIES, ROWS, SLICE = 1024, 2000, (64, 200)
-COMPILED = (256, 100)
-"""Trajectories and rows of the fifteen-state filter, of which only the compiling counts."""
+COMPILED = (512, 100)
+"""Trajectories and rows of the fifteen-state filter, of which only the compiling counts: a full chunk, one vector."""
 
 STEP_S, SIGMA_R = 0.01, 0.1
 ANCHORS = np.array([[0.0, 0.0, 2.0], [10.0, 0.0, 2.0], [10.0, 10.0, 2.0], [0.0, 10.0, 2.0]])
