@@ -9,7 +9,7 @@ import numpy as np
 
 from experiments.verify import corridor, corridor_grid, halt, halt_grid
 from experiments.verify.estimators import Naive, Reparameterised
-from experiments.verify.findings import Finding, random
+from experiments.verify.findings import ERRORS, Finding, random
 from experiments.verify.gradients import Gradients, gradients, marginal_gradients
 from sim.corridor import corridor_fixes
 from trackers.core.particles import ParticleFilter
@@ -18,7 +18,7 @@ KEYS, PARTICLES = 400, 2000
 """How often an estimate is made, each time with other random numbers, and from how many particles."""
 
 PAIRS, PAIRS_KEYS = 200, 200
-"""The same of the marginal score, whose cost is the particles' number squared."""
+"""The same of the marginal score, whose cost is the particles' number squared; of fewer particles more keys."""
 
 SIZES = (125, 500, 2000)
 """Numbers of particles over which bias and spread are followed, with keys that make all of them equally dear."""
@@ -37,11 +37,25 @@ def corridor_findings(rows: int) -> list[Finding]:
     ]
 
 
-def corridor_pairs_findings(rows: int) -> list[Finding]:
-    """The marginal score between walls."""
-    tracker = corridor.corridor_tracker(corridor.corridor_filter(PAIRS))
-    found = marginal_gradients(tracker, corridor.corridor_batch(rows, PAIRS_KEYS), corridor.TUNED)
-    return _slopes(f"corridor {rows}", "marginal score", corridor_grid.slopes(corridor_fixes(rows)), found)
+def corridor_pairs_findings() -> list[Finding]:
+    """The marginal score between walls: itself, and the limit of many particles over a hundred rows.
+
+    Its spread is so small that the bias of some hundred particles shows over many rows, and that it falls as 1/N.
+    """
+
+    def run(rows: int, n: int, keys: int) -> Gradients:
+        tracker = corridor.corridor_tracker(corridor.corridor_filter(n))
+        return marginal_gradients(tracker, corridor.corridor_batch(rows, keys), corridor.TUNED)
+
+    name, sizes = "marginal score", (PAIRS // 4, PAIRS // 2, PAIRS)
+    found = [run(100, n, PAIRS_KEYS * PAIRS // n) for n in sizes]
+    exact = corridor_grid.slopes(corridor_fixes(100))
+    biases = [f.slopes[1].mean() - exact[1] for f in found]
+    return [
+        *_slopes("corridor 25", name, corridor_grid.slopes(corridor_fixes(25)), run(25, PAIRS, PAIRS_KEYS)),
+        *_limits("corridor 100", name, exact, sizes, found),
+        _power("corridor 100", name, sizes, np.array(biases), np.array([_error(f.slopes[1]) for f in found])),
+    ]
 
 
 def corridor_wrong_findings() -> list[Finding]:
@@ -89,28 +103,42 @@ def _orders(world: str, exact: tuple[float, ...], value: float, run: Callable[[i
     """What bias infinitely many particles would leave, and with which power of N bias and spread fall.
 
     The derivative of the likelihood itself is unbiased for any N, E(L̂s) = L·slope. So the bias of s, the derivative of
-    its logarithm, is −cov(L̂/L, s), which is known many times better than the mean of s. The derivative by the noise of
-    the fixes has most of it.
+    its logarithm, is −cov(L̂/L, s), which is known many times better than the mean of s.
     """
     found = [run(n, KEYS * PARTICLES // n) for n in SIZES]
-    names = ("moves", "fixes")
-    findings = []
-    for k, name in enumerate(names):
-        estimates = [f.slopes[k] for f in found]
-        errors = np.array([e.std(ddof=1) / math.sqrt(len(e)) for e in estimates])
-        biases = np.array([e.mean() for e in estimates]) - exact[k]
-        (left, _), error = _line(1.0 / np.array(SIZES), biases, errors)
-        findings.append(Finding(world, f"bias at 1/N = 0, {name}", "score form", 0.0, left, 4 * error[0], error[0]))
     spreads = np.array([f.slopes[0].std(ddof=1) for f in found])
     power = float(np.polyfit(np.log(SIZES), np.log(spreads), 1)[0])
-    findings.append(Finding(world, "power of N of the spread, moves", "score form", -0.5, power, ORDER))
     products = [-(np.exp(f.values - value) - 1.0) * (f.slopes[1] - f.slopes[1].mean()) for f in found]
-    biases = np.array([p.mean() for p in products])
-    errors = np.array([p.std(ddof=1) / math.sqrt(len(p)) for p in products])
-    (_, power), error = _line(np.log(SIZES), np.log(np.abs(biases)), errors / np.abs(biases))
-    allowed = 4 * error[1]
-    findings.append(Finding(world, "power of N of the bias, fixes", "score form", -1.0, power, allowed, error[1]))
+    biases, errors = (np.array(x) for x in zip(*((p.mean(), _error(p)) for p in products), strict=True))
+    return [
+        *_limits(world, "score form", exact, SIZES, found),
+        Finding(world, "power of N of the spread, moves", "score form", -0.5, power, ORDER),
+        _power(world, "score form", SIZES, biases, errors),
+    ]
+
+
+def _limits(
+    world: str, estimator: str, exact: tuple[float, ...], sizes: tuple[int, ...], found: list[Gradients]
+) -> list[Finding]:
+    """Which bias infinitely many particles would leave, by bias = a + c/N: by the noise of moves and of fixes."""
+    findings = []
+    for k, name in enumerate(("moves", "fixes")):
+        estimates = [f.slopes[k] for f in found]
+        biases = np.array([e.mean() for e in estimates]) - exact[k]
+        (left, _), (error, _) = _line(1.0 / np.array(sizes), biases, np.array([_error(e) for e in estimates]))
+        findings.append(Finding(world, f"bias at 1/N = 0, {name}", estimator, 0.0, left, ERRORS * error, error))
     return findings
+
+
+def _power(world: str, estimator: str, sizes: tuple[int, ...], biases: np.ndarray, errors: np.ndarray) -> Finding:
+    """With which power of N the bias by the noise of fixes falls, which has most of it."""
+    (_, power), (_, error) = _line(np.log(sizes), np.log(np.abs(biases)), errors / np.abs(biases))
+    return Finding(world, "power of N of the bias, fixes", estimator, -1.0, power, ERRORS * error, error)
+
+
+def _error(x: np.ndarray) -> float:
+    """The standard error of a mean."""
+    return float(x.std(ddof=1) / math.sqrt(len(x)))
 
 
 def _line(x: np.ndarray, y: np.ndarray, errors: np.ndarray) -> tuple[tuple[float, float], tuple[float, float]]:
