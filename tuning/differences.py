@@ -50,7 +50,7 @@ class PlaceLevels:
             found = self.acceleration
         elif "motion" in path and unit == "m/sqrt(s)" and vertical:
             found = self.walk
-        elif "sensors" in path and FIXES in path and unit in ("m", "m^2") and last != "sigma_floor":
+        elif "sensors" in path and FIXES in path and unit in ("m", "m^2"):
             found = self.up if vertical else self.across
         return found if np.isfinite(found) and found > 0 else None
 

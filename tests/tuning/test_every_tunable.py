@@ -91,7 +91,7 @@ def _folder(kind):
         return replace(made, tables=made.tables | {"fixes": made.tables["fixes"].with_columns(**reported)})
     if kind == "imu":
         # A gap in the IMU, for what stands in for it there.
-        return simulated_uwb_imu(simulate_uwb_imu(chamber(), n=1, n_points=60, gap_s=(0.6, 1.0)), kind)
+        return simulated_uwb_imu(simulate_uwb_imu(chamber(), n=1, n_points=60, gap_s=(0.1, 1.0)), kind)
     made = simulated_ranging(simulate_ranges(chamber(), n=1, n_points=15), kind)
     if kind == "level":
         return replace(made, rig=replace(made.rig, tags={"0": Tag(height=1.2, offset=None)}))

@@ -35,12 +35,13 @@ class SideSensor(AbstractFixSensor, AbstractSwitching):
     """x, y, the distance d from the anchors' plane, and how far under the floor, always read as 0, m.
 
     One mode for a tag `BELOW` the plane, one for `ABOVE`; without modes it is below. `offset` m, `shrink`: as in the
-    module's head. `floor`: its height, m; `sigma_floor` m: how far under it a height may be. Input: `plane`, h, m.
+    module's head. `floor`: its height, m; `give` m: how far under it a height may be, which no reading tells
+    (the floor is always read as 0, so that a likelihood would make it nothing). Input: `plane`, h, m.
     """
 
     sigma_horizontal: Noise
     sigma_vertical: Noise
-    sigma_floor: Noise
+    give: Noise
     offset: Noise
     shrink: Noise
     floor: Noise
@@ -54,7 +55,7 @@ class SideSensor(AbstractFixSensor, AbstractSwitching):
     ):
         self.sigma_horizontal, self.sigma_vertical = Scale(sigma_horizontal, "m"), Scale(sigma_vertical, "m")
         self.offset, self.shrink = Real(offset, "m", typical=0.1), Scale(shrink)
-        self.floor, self.sigma_floor = Real(0.0, "m"), Scale(0.3, "m")
+        self.floor, self.give = Real(0.0, "m"), Scale(0.3, "m")
         self.trust, self.tail = Scale(1.0), None if tail is None else Scale(tail)
         self.latency = Real(0.0, "s", typical=0.5)
         self.side = -1.0
@@ -73,7 +74,7 @@ class SideSensor(AbstractFixSensor, AbstractSwitching):
         return [x, y, off_plane, jnp.minimum(z - self.floor.value, 0.0)]
 
     def noise(self) -> list[list[Scalar]]:
-        sigmas = (self.sigma_horizontal, self.sigma_horizontal, self.sigma_vertical, self.sigma_floor)
+        sigmas = (self.sigma_horizontal, self.sigma_horizontal, self.sigma_vertical, self.give)
         return [[sigma.value**2 if i == j else 0.0 for j in range(4)] for i, sigma in enumerate(sigmas)]
 
 
