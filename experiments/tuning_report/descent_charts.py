@@ -27,8 +27,9 @@ def objective_chart(evidence: TuningEvidence) -> str:
         shown = np.concatenate([d.objective for d in evidence.descents])
         shown = shown[np.isfinite(shown)]
         best, longest = float(shown.min()), max(len(d.objective) for d in evidence.descents)
-        # A start that is far off must not flatten all the rest.
-        top = min(float(shown.max()), best + 6 * float(np.quantile(shown, 0.75) - best) or np.inf)
+        # Another start that is far off must not flatten all the rest.
+        usual = best + 6 * float(np.quantile(shown, 0.75) - best) or np.inf
+        top = max(float(np.nanmax(evidence.descents[0].objective)), min(float(shown.max()), usual))
         margin = 0.06 * (top - best) or 0.1 * abs(best) or 1.0
         axes.set(xlabel="step", ylim=(best - margin, top + margin))
         axes.set_title(literal(evidence.objective_about))

@@ -21,6 +21,7 @@ from experiments.tuning_report.evidence import (
 )
 from experiments.tuning_report.landscape import landscape_of
 from trackers.core.estimates import Estimates
+from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker
 from tuning import FitResult
 from tuning.consistency import tail_of
@@ -77,9 +78,10 @@ def gather(
     numbers = _numbers(result, sure, judgements)
     judged, where = (held_out, "held-out recordings") if held_out else (training, "the recordings tuned on")
     unit, scale = ("°", 180 / np.pi) if angles else ("m", 1.0)
-    rows, tracks = [], []
+    rows, tracks, comparable = [], [], True
     for tracker in (before, result.tracker):
         seen = [(lane, one) for lanes, batch in batches(judged) for lane, one in _each(lanes, tracker.run(batch))]
+        comparable &= all(hasattr(one.mean, quantity) for _, one in seen)
         rows.append(_innovations([one for _, one in seen], tracker))
         tracks.append({_name(lane): _errors(tracker, lane, one, quantity, scale) for lane, one in seen})
     errors = tuple(
@@ -100,7 +102,9 @@ def gather(
         numbers=numbers,
         scores=(
             *_own_score(asked.objective, result),
-            *_scores(before, result.tracker, training, held_out, quantity, dimensions),
+            *_scores(
+                (before, result.tracker), [_rows(x, comparable) for x in (training, held_out)], quantity, dimensions
+            ),
         ),
         descents=_descents(result),
         landscape=landscape_of(result, sure),
@@ -185,19 +189,17 @@ def _innovations(every: Sequence[Estimates], tracker: AbstractTracker) -> Innova
     return Innovations(nis, dof, np.concatenate(lane), None if tail is None else float(np.asarray(tail)))
 
 
+def _rows(lanes: Sequence[Lane], comparable: bool) -> list[Batch]:
+    """The lanes' rows, without truth where the state has no such quantity: a beam in a flat array's plane has none."""
+    rows = [batch for _, batch in batches(lanes)] if lanes else []
+    return rows if comparable else [batch._replace(truth={}) for batch in rows]
+
+
 def _scores(
-    before: AbstractTracker,
-    after: AbstractTracker,
-    training: Sequence[Lane],
-    held_out: Sequence[Lane],
-    quantity: str,
-    dimensions: int,
+    trackers: Sequence[AbstractTracker], recordings: Sequence[list[Batch]], quantity: str, dimensions: int
 ) -> tuple[Score, ...]:
-    """Every figure that there is, before and after, on both kinds of recordings."""
-    found = []
-    for lanes in (training, held_out):
-        rows = [batch for _, batch in batches(lanes)] if lanes else []
-        found.append([every_figure(t, rows, quantity, dimensions) if rows else {} for t in (before, after)])
+    """Every figure that there is, before and after, on the recordings tuned on and on those held out."""
+    found = [[every_figure(t, rows, quantity, dimensions) if rows else {} for t in trackers] for rows in recordings]
     unit = "rad" if quantity == "direction" else "m"
     nan = float("nan")
     scores = []

@@ -13,6 +13,9 @@ WORSE = 0.02
 WORSE_BY = 0.01
 """The same in nats, whose zero is nowhere in particular, and in distances between distributions, near zero if good."""
 
+FAR = 0.1
+"""Distance of NIS or NEES from its distribution (`tuning.consistency`) above which covariances mislead."""
+
 ADVICE = "Do not read such a number as measured: keep it fixed, tie numbers that act alike, or record more motion."
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 SHAPES = ("nis-shape", "nees-shape")
@@ -20,8 +23,9 @@ SHAPES = ("nis-shape", "nees-shape")
 
 @dataclass(frozen=True)
 class Judgement:
-    """`verdict`: one sentence; `warnings`: what speaks against the result; `good`: whether nothing does."""
+    """`word`: what to do; `verdict`: one sentence; `warnings`: what to beware of; `good`: whether there is nothing."""
 
+    word: str
     verdict: str
     good: bool
     warnings: tuple[str, ...]
@@ -29,7 +33,8 @@ class Judgement:
 
 def judged(evidence: TuningEvidence) -> Judgement:
     """What the evidence says."""
-    warnings = [*_worse(evidence), *_undetermined(evidence)]
+    against = [*_unmoved(evidence), *_worse(evidence), *_undetermined(evidence)]
+    doubts = _inconsistent(evidence)
     best = evidence.score(evidence.objective)
     parts = [_change(best, best.training) if best else f"{evidence.objective_about} was tuned"]
     rmse = evidence.score("rmse")
@@ -41,7 +46,8 @@ def judged(evidence: TuningEvidence) -> Judgement:
     if told:
         parts.append(_determined(sum(told), len(told)))
     sentence = "; ".join(parts)
-    return Judgement(f"{sentence[0].upper()}{sentence[1:]}.", not warnings, tuple(warnings))
+    word = "Look before you use it." if against else "Use its estimates, not its covariances." if doubts else "Use it."
+    return Judgement(word, f"{sentence[0].upper()}{sentence[1:]}.", not (against or doubts), (*against, *doubts))
 
 
 def is_worse(score: Score, pair: tuple[float, float]) -> bool:
@@ -86,6 +92,32 @@ def _change(score: Score, pair: tuple[float, float]) -> str:
     change = f" ({relative})" if relative else ""
     title = score.title[0].lower() + score.title[1:] if not score.title[:2].isupper() else score.title
     return f"{title} went from {number(pair[0])} to {number(pair[1])}{unit}{change}"
+
+
+def _unmoved(evidence: TuningEvidence) -> list[str]:
+    """Whether nothing was gained."""
+    if not evidence.numbers or any(abs(n.after - n.before) > 1e-6 * abs(n.before) for n in evidence.numbers):
+        return []
+    where = "on the held-out recordings " if evidence.held_out else ""
+    return [f"Nothing was gained: no point that the fit met is better {where}than the numbers that it began with."]
+
+
+def _inconsistent(evidence: TuningEvidence) -> list[str]:
+    """Which distributions are far from what they should be, even if not further than before."""
+    found = []
+    for key in SHAPES:
+        score = evidence.score(key)
+        if score is None:
+            continue
+        held_out = math.isfinite(score.held_out[1])
+        value = (score.held_out if held_out else score.training)[1]
+        if value > FAR:
+            where = "held-out recordings" if held_out else "the recordings tuned on"
+            found.append(
+                f"The {key.removesuffix('-shape').upper()} is far from its distribution on {where} ({number(value)}; "
+                f"below {FAR} is fair): whatever the numbers, this model does not know how wrong it is there."
+            )
+    return found
 
 
 def _worse(evidence: TuningEvidence) -> list[str]:

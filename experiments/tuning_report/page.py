@@ -58,10 +58,10 @@ def page(evidence: TuningEvidence) -> str:
 
 
 def _verdict(judgement: Judgement) -> str:
-    kind, word = ("verdict", "Use it.") if judgement.good else ("verdict beware", "Look before you use it.")
+    kind = "verdict" if judgement.good else "verdict beware"
     items = "".join(f"<li>{escape(w)}</li>" for w in judgement.warnings)
     listed = f'\n<ul class="warnings">{items}</ul>' if items else ""
-    return f'<p class="{kind}"><b>{word}</b> {escape(judgement.verdict)}</p>{listed}'
+    return f'<p class="{kind}"><b>{judgement.word}</b> {escape(judgement.verdict)}</p>{listed}'
 
 
 Part = tuple[str, str, str, str]
@@ -140,6 +140,8 @@ def _changed(s: Score, pair: tuple[float, float]) -> str:
     """The change as a difference or in per cent where that means something, and a word where it matters."""
     if not all(map(math.isfinite, pair)):
         return "–"
+    if pair[0] == pair[1]:
+        return "same"
     change = ""
     if s.unit == "nats":  # the zero of a log-density is nowhere in particular
         change = ("+" if pair[1] >= pair[0] else "") + number(pair[1] - pair[0])

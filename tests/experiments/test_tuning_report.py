@@ -99,6 +99,7 @@ def test_a_good_result_is_recommended_and_nothing_warns():
     kept = tuple(n for n in evidence().numbers if n.determined)
     verdict = judged(evidence(numbers=kept))
     assert verdict.good
+    assert verdict.word == "Use it."
     assert verdict.warnings == ()
     assert "0.4812 to 0.1327 nats" in verdict.verdict
     assert "held-out recordings RMSE went from 0.3233 to 0.2517 m (−22 %)" in verdict.verdict
@@ -127,6 +128,20 @@ def test_what_got_worse_is_said_in_words(changes, words):
     verdict = judged(evidence(**changes))
     assert not verdict.good
     assert any(all(word in warning for word in words) for warning in verdict.warnings)
+
+
+def test_a_filter_that_was_made_no_worse_but_does_not_know_how_wrong_it_is_has_its_covariances_doubted():
+    kept = tuple(n for n in evidence().numbers if n.determined)
+    verdict = judged(evidence(numbers=kept, scores=_with_score("nis-shape", held_out=(0.5, 0.3))))
+    assert verdict.word == "Use its estimates, not its covariances."
+    assert "NIS is far from its distribution on held-out recordings (0.3" in verdict.warnings[0]
+
+
+def test_a_fit_that_met_nothing_better_says_so():
+    same = tuple(TunedNumber(**(vars(n) | {"after": n.before, "determined": True})) for n in evidence().numbers)
+    verdict = judged(evidence(numbers=same))
+    assert verdict.word == "Look before you use it."
+    assert "Nothing was gained" in verdict.warnings[0]
 
 
 def test_a_held_out_error_within_two_per_cent_warns_nobody():
