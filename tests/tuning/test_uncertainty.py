@@ -94,7 +94,7 @@ def test_the_observed_information_is_the_closed_form(numbers):
 def test_the_sandwich_is_right_where_trajectories_differ_and_the_information_is_not():
     rng = np.random.default_rng(1)
     fits, observed, sandwich = [], [], []
-    for _ in range(400):
+    for _ in range(200):
         # recordings with noise levels of their own, of which the model knows nothing
         levels = np.exp(rng.normal(0, 0.4, (60, 1)))
         problem, best = _level_and_place(rng.normal(0, levels, (60, 25)))
@@ -102,7 +102,7 @@ def test_the_sandwich_is_right_where_trajectories_differ_and_the_information_is_
         fits.append(best[0])
         observed.append(found.observed[0, 0])
         sandwich.append(found.sandwich[0, 0])
-    # 400 repetitions know a variance to 7 %; that the cov of few and skewed clusters is low by some more is known
+    # 200 repetitions know a variance to 10 %; that of few and skewed clusters is low by some more
     assert np.mean(sandwich) / np.var(fits) == pytest.approx(1.0, abs=0.25)
     assert np.mean(observed) / np.var(fits) < 0.2
 
@@ -110,12 +110,12 @@ def test_the_sandwich_is_right_where_trajectories_differ_and_the_information_is_
 def test_intervals_of_few_trajectories_cover_as_often_as_they_say():
     rng = np.random.default_rng(7)
     covered = []
-    for _ in range(400):
+    for _ in range(200):
         problem, best = _level_and_place(rng.normal(0.3, 0.7, (20, 25)))
         ends = uncertainty(problem, best).intervals(sandwich=True)
         covered.append([ends["sigma"][0] < 0.7 < ends["sigma"][1], ends["mu"][0] < 0.3 < ends["mu"][1]])
-    # 400 repetitions know 95 % to 1.1 %; of a level, whose squares are skewed, 20 trajectories are few
-    assert np.all(np.abs(np.mean(covered, axis=0) - [0.94, 0.95]) < 0.035)
+    # 200 repetitions know 95 % to 1.5 %; of a level, whose squares are skewed, 20 trajectories are few
+    assert np.all(np.abs(np.mean(covered, axis=0) - [0.94, 0.95]) < 0.045)
 
 
 @pytest.mark.parametrize("freedom", [5, 19, 49])
