@@ -32,8 +32,9 @@ from trackers.core.ekf import ExtendedKalman, Gaussian
 from trackers.core.estimates import Estimates, Status
 from trackers.core.motion import AbstractMotion
 from trackers.core.recording import Batch
+from trackers.core.selection import select
 from trackers.core.state import State, local, retract
-from trackers.core.tracker import AbstractTracker, Output, Score, Tracker, scan_rows, select
+from trackers.core.tracker import AbstractTracker, Output, Score, Tracker, scan_rows
 from trackers.core.tunable import resolved
 
 

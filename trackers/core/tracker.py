@@ -22,6 +22,7 @@ from trackers.core.estimates import Estimates, Status
 from trackers.core.loss import LossPolicy
 from trackers.core.motion import AbstractMotion
 from trackers.core.recording import Batch, Recording, stack
+from trackers.core.selection import select, usually
 from trackers.core.sensor import AbstractSensor, Reading
 from trackers.core.tunable import resolved
 
@@ -162,13 +163,13 @@ class Tracker(AbstractTracker):
             said.append(innovation)
         log_likelihood, nis, count, wrapped = (total(x) for x in zip(*said, strict=True))
         if is_heavy(self):
+            # A belief that isn't finite says so by its likelihood; a sum over all its numbers is a pass over memory.
             log_likelihood, nis = shared((log_likelihood, nis))
+            finite = jnp.isfinite(log_likelihood)
         else:
             belief, log_likelihood, nis = shared((belief, log_likelihood, nis))
-        numbers = jax.tree_util.tree_leaves(eqx.filter(belief, eqx.is_inexact_array))
-        # Leaves of one shape are added first: what particles have many of is then summed in one pass.
-        sizes = [total(x for x in numbers if jnp.shape(x) == shape) for shape in {jnp.shape(x): 0 for x in numbers}]
-        finite = jnp.isfinite(shared(total(jnp.sum(x) for x in sizes)))
+            numbers = jax.tree_util.tree_leaves(eqx.filter(belief, eqx.is_inexact_array))
+            finite = jnp.isfinite(shared(total(jnp.sum(x) for x in numbers)))
         heard = count > 0
         surprise = carry.surprise + jnp.where(
             heard, (nis / jnp.maximum(count, 1.0) - carry.surprise) / self.loss.memory.value, 0.0
@@ -180,16 +181,12 @@ class Tracker(AbstractTracker):
         status = jnp.where(carry.running, status, jnp.where(carry.begun, Status.LOST, Status.WAITING))
         moved = Carry(belief, carry.running & finite & ~lost, carry.begun, surprise, silence)
         keep = row.valid & carry.running & finite
-        after = Carry(*select(keep, moved[:1], carry[:1]), *select(row.valid, moved[1:], carry[1:]))
+        chosen = (usually if is_heavy(self) else select)(keep, belief, carry.belief)
+        after = Carry(chosen, *select(row.valid, moved[1:], carry[1:]))
         zero = jnp.zeros_like(nis)
         log_likelihood, nis, count, wrapped = select(keep, (log_likelihood, nis, count, wrapped), (zero,) * 4)
         status = jnp.where(row.valid, status, Status.PADDING).astype(jnp.int8)
         return after, Said(log_likelihood, nis, count, wrapped, status)
-
-
-def select(condition: Scalar, yes: Any, no: Any) -> Any:
-    """One of two trees of numbers."""
-    return jax.tree_util.tree_map(lambda a, b: jnp.where(condition, a, b), yes, no)
 
 
 def scan_rows(tracker: Tracker, batch: Batch, score: Score | None = None) -> tuple[tuple[Any, ...], Output | None]:
