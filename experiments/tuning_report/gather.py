@@ -219,11 +219,13 @@ def _numbers(result: FitResult, sure: Uncertainty | None, judgements: Sequence[J
     units = [p.example.unit for p in result.parameters for _ in range(int(np.size(p.example.raw)))]
     old, new = (_flat(result.parameters, values) for values in (_own(result)[0].values, result.values))
     low, high = (_flat(result.parameters, b) if b else np.full(len(names), np.nan) for b in bounds)
-    unknown = np.isfinite(low) & np.isfinite(high)
+    finite = np.isfinite(low) & np.isfinite(high)
+    # Without any interval nothing is known of how sure the numbers are; with some, one that lacks it is undetermined.
+    known = bool(finite.any())
     return tuple(
         TunedNumber(name, unit, float(a), float(b), float(lo) if ok else np.nan, float(hi) if ok else np.nan,
-                    None if sure is None else bool(ok and name not in doubted))
-        for name, unit, a, b, lo, hi, ok in zip(names, units, old, new, low, high, unknown, strict=True)
+                    False if name in doubted else bool(ok) if known else None)
+        for name, unit, a, b, lo, hi, ok in zip(names, units, old, new, low, high, finite, strict=True)
     )  # fmt: skip
 
 

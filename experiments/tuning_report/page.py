@@ -96,7 +96,7 @@ def _numbers(e: TuningEvidence) -> Part:
         "An interval that spans a factor of ten, or a number that is not determined, says that these recordings hold "
         "too little about it."
         if sure
-        else "This objective says nothing on how sure the numbers are."
+        else "No intervals: of an error, or with particles, they take the scatter of twenty trajectories or more."
     )
     return "numbers", "The numbers", lead, _table("numbers", head, rows)
 

@@ -1,5 +1,7 @@
 """The evidence that a report is made of, against the fit and the tracks that it is about."""
 
+from dataclasses import replace
+
 import numpy as np
 import polars as pl
 import pytest
@@ -7,7 +9,7 @@ import pytest
 from experiments.catalogue import groups
 from experiments.folder import Folder
 from experiments.tracks import batches
-from experiments.tuning_report.gather import Asked, gather
+from experiments.tuning_report.gather import Asked, _numbers, gather
 from experiments.tuning_report.page import page
 from trackers.core.rig import Rig
 from tuning import fit
@@ -107,3 +109,11 @@ def test_the_evidence_makes_a_page(run):
         "decided which of the points",
     ):
         assert word in text
+
+
+def test_without_any_interval_nothing_is_said_of_what_is_determined(run):
+    result, _ = run
+    p = len(result.vector)
+    silent = replace(result.uncertainty, observed=np.full((p, p), np.nan), sandwich=np.full((p, p), np.nan))
+    assert [n.determined for n in _numbers(result, silent, [])] == [None, None]
+    assert [n.determined for n in _numbers(result, silent, [Judgement((PATTERNS[0],), "a doubt")])] == [False, None]
