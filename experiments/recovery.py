@@ -230,7 +230,7 @@ def judged(name: str, system: System, replicates: int, seed: int) -> bool:
     good = ((inside >= COVERED[0]) & (inside <= COVERED[1]) & (np.abs(bias) < UNBIASED))[making]
     seconds = time.perf_counter() - began
     print(f"system {name}: {replicates} fits in {seconds:.0f} s, {worse} ended worse than they began")
-    for k in np.flatnonzero(making):
+    for k in np.flatnonzero(making).tolist():
         holds = f"95 % intervals hold {100 * inside[k]:5.1f} %"
         print(f"  {labels[k]:32s} {holds}   bias {bias[k]:+.2f} standard errors   spread {error[:, k].std():.4f}")
     return bool(good.all()) and worse == 0

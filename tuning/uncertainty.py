@@ -141,7 +141,7 @@ def _scatter(problem: Any, found: Optimum) -> tuple[np.ndarray, int]:
     if clusters >= TRAJECTORIES:
         return found.influence.T @ found.influence * (clusters / (clusters - 1)), clusters
     p = len(found.vector)
-    if problem.random or not np.isfinite(found.units):
+    if problem.random or not found.units > 0:
         return np.full((p, p), np.nan), clusters
     rows = np.concatenate([np.asarray(part.valid).sum(axis=0) for part in problem.chunks])
     block = max(1, -(-int(rows.sum()) // BLOCKS))

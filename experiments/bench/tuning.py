@@ -1,0 +1,171 @@
+"""How long a fit takes: `python -m experiments.bench.tuning`, with `--peers` beside scipy and dynamax.
+
+System A, 4,096 trajectories of 200 rows, σ_a and σ_p, from starts wrong by a factor of ten, until nothing is gained.
+Beside it, in the same process, scipy's L-BFGS-B on finite differences of the same jitted objective, and Adam of optax
+on the likelihood of dynamax's filter, of which a small slice is run: larger batches of its solves deadlock.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.runtime import set_flags
+
+LIMIT_S = 5.0
+"""What a fit may take once it is compiled."""
+
+CORNERS = ((10.0, 10.0), (0.1, 0.1), (10.0, 0.1), (0.1, 10.0))
+DYNAMAX_SLICE, DYNAMAX_STEPS = (16, 50), 20
+
+
+def main() -> int:
+    """Measure, print and write the figures; 1 where a fit takes too long."""
+    about = (__doc__ or "").split("\n\n")[0]
+    parser = argparse.ArgumentParser(prog="python -m experiments.bench.tuning", description=about)
+    parser.add_argument("--peers", action="store_true", help="also scipy and dynamax (extra: peers)")
+    parser.add_argument("--out", type=Path, default=Path("out/bench-tuning.json"), help="where the figures go")
+    options = parser.parse_args()
+    set_flags()
+    from experiments.bench.__main__ import machine
+    from experiments.writing import atomic_write, json_text
+
+    command = ["python", "-m", "experiments.bench.tuning", *sys.argv[1:]]
+    figures: dict[str, Any] = {"command": command, "machine": machine(), "ours": ours()}
+    if options.peers:
+        figures |= {"scipy": with_scipy(), "dynamax": with_dynamax()}
+    print(json.dumps(figures, indent=2))
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    atomic_write(options.out, lambda path: path.write_text(json_text(figures), "utf-8"))
+    slowest = max(run["seconds"] for run in figures["ours"]["fits"])
+    print(f"the slowest of {len(CORNERS)} fits took {slowest:.2f} s; limit {LIMIT_S:g} s")
+    return int(slowest > LIMIT_S)
+
+
+def wrong(corner: tuple[float, float]) -> Any:
+    """The benchmark's tracker with both noise levels wrong by these factors."""
+    from experiments.bench.measure import TUNED, trackers
+    from tuning.parameters import chosen, flatten, placed_in
+
+    tracker = trackers()[1]
+    parameters = chosen(tracker, TUNED)
+    return placed_in(tracker, parameters, flatten(parameters) + np.log(corner))
+
+
+def ours() -> dict[str, Any]:
+    """Every start once for compiling, and once for the clock."""
+    from experiments.bench.measure import ROWS, TRAJECTORIES, TUNED, simulate
+    from tuning import NegativeLogLikelihood, fit
+
+    batch = simulate(TRAJECTORIES, ROWS).batch
+
+    def run(corner: tuple[float, float]) -> tuple[float, Any]:
+        began = time.perf_counter()
+        result = fit(wrong(corner), batch, NegativeLogLikelihood(), TUNED)
+        return time.perf_counter() - began, result
+
+    first = run(CORNERS[0])[0]
+    fits = []
+    for corner in CORNERS:
+        seconds, result = run(corner)
+        fits.append(
+            {
+                "wrong_by": corner,
+                "seconds": seconds,
+                "evaluations": result.filter_runs / TRAJECTORIES,
+                "value": result.value,
+                "values": {name: float(x) for name, x in result.values.items()},
+                "standard_errors": {name: float(x) for name, x in result.standard_errors.items()},
+            }
+        )
+    return {"first_s": first, "fits": fits}
+
+
+def with_scipy() -> dict[str, Any]:
+    """scipy's L-BFGS-B, which differences the objective itself; the step suits single precision."""
+    from scipy.optimize import minimize
+
+    from experiments.bench.measure import ROWS, TRAJECTORIES, TUNED, simulate
+    from tuning import NegativeLogLikelihood
+    from tuning.parameters import chosen, flatten
+    from tuning.problem import Problem
+
+    tracker = wrong((1.0, 1.0))
+    parameters = chosen(tracker, TUNED)
+    problem = Problem(tracker, [simulate(TRAJECTORIES, ROWS).batch], NegativeLogLikelihood(), parameters)
+    problem.values(flatten(parameters))
+    fits = []
+    for corner in CORNERS:
+        before, began = problem.filter_runs, time.perf_counter()
+        start = flatten(parameters) + np.log(corner)
+        found = minimize(lambda v: float(problem.values(v)[0]), start, method="L-BFGS-B", options={"eps": 1e-3})
+        fits.append(
+            {
+                "wrong_by": corner,
+                "seconds": time.perf_counter() - began,
+                "evaluations": (problem.filter_runs - before) / TRAJECTORIES,
+                "value": float(found.fun),
+            }
+        )
+    return {"fits": fits}
+
+
+def with_dynamax() -> dict[str, Any]:
+    """Adam on the mean negative log-likelihood of dynamax's filter: some steps on a slice, and what all would take."""
+    import jax
+    import jax.numpy as jnp
+    import optax
+
+    from experiments.bench.measure import ROWS, SIGMA_A, SIGMA_P, TRAJECTORIES, simulate
+    from experiments.bench.peers import with_dynamax as build
+    from experiments.bench.textbook import all_pairs
+    from trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
+
+    part = simulate(TRAJECTORIES, ROWS).part(*DYNAMAX_SLICE)
+    pairs = all_pairs(DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH)
+
+    def figure(v: Any) -> Any:
+        levels: Any = jnp.exp(v)
+        return -jnp.mean(build(pairs, levels[0], levels[1])(*part)[2]) / DYNAMAX_SLICE[1]
+
+    optimiser = optax.adam(0.15)
+
+    @jax.jit
+    def step(v: Any, state: Any) -> tuple[Any, Any, Any]:
+        value, gradient = jax.value_and_grad(figure)(v)
+        update, state = optimiser.update(gradient, state)
+        return v + update, state, value
+
+    vector = jnp.log(jnp.array([10 * SIGMA_A, 10 * SIGMA_P], jnp.float32))
+    state = optimiser.init(vector)
+    first, _ = _clocked(lambda: jax.block_until_ready(step(vector, state)))
+    began, values = time.perf_counter(), []
+    for _ in range(DYNAMAX_STEPS):
+        vector, state, value = step(vector, state)
+        values.append(float(value))
+    seconds = (time.perf_counter() - began) / DYNAMAX_STEPS
+    whole = TRAJECTORIES * ROWS / (DYNAMAX_SLICE[0] * DYNAMAX_SLICE[1])
+    return {
+        "slice": DYNAMAX_SLICE,
+        "first_s": first,
+        "seconds_per_gradient": seconds,
+        "seconds_per_gradient_of_all": seconds * whole,
+        "values": values,
+    }
+
+
+def _clocked(work: Callable[[], Any]) -> tuple[float, Any]:
+    began = time.perf_counter()
+    result = work()
+    return time.perf_counter() - began, result
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,90 @@
+"""Real recordings tuned by likelihood, no truth used, on one part of each group and shown on the other.
+
+`python -m experiments.tuned_recordings [GROUP …]` prints for the recordings that were not tuned on: the objective, the
+RMSE and the distance of the NIS from its distribution, before (the tracker's defaults) and after. The recordings are
+not part of this repository: TRACKWRIGHT_RECORDINGS, default `../shared/recordings`.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+from experiments.runtime import set_flags
+
+set_flags()
+
+from experiments.catalogue import fitting, groups  # noqa: E402  (flags come before jax)
+from experiments.commanded import real_recordings  # noqa: E402
+from experiments.screen import read_all  # noqa: E402
+from experiments.tuning_job import job_of  # noqa: E402
+from tuning import NegativeLogLikelihood, fit  # noqa: E402
+from tuning.figures import every_figure  # noqa: E402
+
+WORSE = 1.02
+"""Ratio of held-out RMSE from which on a likelihood's choice counts as worse."""
+
+PIECE_ROWS = 4000
+
+
+class Split(NamedTuple):
+    """Recordings of one group: those tuned on, those judged, the tracker's name (None: what fits), what is tuned."""
+
+    tuned: tuple[str, ...]
+    judged: tuple[str, ...]
+    tracker: str | None = None
+    tune: tuple[str, ...] = ("*.sigma_*",)
+
+
+GROUPS = {
+    "walks": Split(tuple(f"ble51-walk-u{k}-r1" for k in (1, 2, 3)), tuple(f"ble51-walk-u{k}-r2" for k in (1, 2, 3))),
+    "uca": Split(
+        tuple(f"ble51-uca-{p}" for p in ("x0y2", "x2y0", "x3y3")),
+        tuple(f"ble51-uca-{p}" for p in ("x1y1", "x2y2", "x4y2")),
+        "beam",
+    ),
+    "lias": Split(("lias-still-p1-0", "lias-still-p3-180", "lias-still-p5-0"), ("lias-planar-fast",), "uwb"),
+    "ngbui": Split(("ngbui-line-1-1",), ("ngbui-line-2-1", "ngbui-line-3-1"), "line-grid"),
+    "tiers": Split(("tiers-1tag-01",), ("tiers-2tag-01", "tiers-2tag-03", "tiers-2tag-06"), "fix-mirror"),
+}
+
+
+def main(names: list[str]) -> int:
+    """Tune and judge the groups named, or all; 1 where the RMSE of one got worse."""
+    folder = real_recordings()
+    if folder is None:
+        sys.exit(
+            "tuned_recordings: no folder of real recordings, expected ../shared/recordings or what "
+            "TRACKWRIGHT_RECORDINGS names"
+        )
+    print(f"{'group':8s}{'tracker':12s}{'figure, on recordings not tuned on':38s}{'before':>10s}{'after':>10s}")
+    worse = [name for name in names or GROUPS if shown(name, GROUPS[name], folder)]
+    print("worse by likelihood: " + (", ".join(worse) or "none"))
+    return int(bool(worse))
+
+
+def shown(name: str, split: Split, folder: Path) -> bool:
+    """Tune one group, print its figures, and say whether the RMSE got worse."""
+    began = time.perf_counter()
+    folders = read_all([folder / x for x in (*split.tuned, *split.judged)])
+    tracker = split.tracker or fitting(folders[0])
+    group = groups(folders, tracker, False)[0]
+    job = job_of(group, group.tracker, "nll", [folder / x for x in split.judged], PIECE_ROWS)
+    result = fit(job.tracker, job.rows(), NegativeLogLikelihood(), split.tune, starts=2)
+    quantity = next(iter(job.held_out[0].recording.truth))
+    dimensions = 2 if job.planar or quantity == "direction" else 3
+    before, after = (
+        every_figure(t, job.rows(held_out=True), quantity, dimensions) for t in (job.tracker, result.tracker)
+    )
+    for figure in ("nll", "rmse", "rmse-3d", "nis-shape"):
+        if before[figure] == before[figure]:
+            print(f"{name:8s}{tracker:12s}{figure:38s}{before[figure]:10.4g}{after[figure]:10.4g}", flush=True)
+    numbers = ", ".join(f"{k} {v:.3g}" for k, v in result.values.items() if v.ndim == 0)
+    print(f"        {time.perf_counter() - began:.0f} s; {numbers}", flush=True)
+    return bool(after["rmse"] > WORSE * before["rmse"])
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
