@@ -12,13 +12,11 @@ from typing import Any
 import numpy as np
 
 from experiments.errors import UnusableInput
+from experiments.intervals import Interval
 from experiments.writing import atomic_write
 from trackers.core.tracker import AbstractTracker
 from trackers.core.tunable import replaced, tunables
 from tuning import FitResult
-
-Interval = tuple[np.ndarray, np.ndarray]
-"""Lowest and highest value."""
 
 
 def write_tuned(path: Path, tracker: str, objective: str, result: FitResult, intervals: Mapping[str, Interval]) -> Path:

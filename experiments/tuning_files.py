@@ -14,15 +14,15 @@ import polars as pl
 
 from experiments.catalogue import TRACKERS
 from experiments.filter_figures import tuning_trace
+from experiments.intervals import Interval, intervals_of
 from experiments.manifest import write_manifest
-from experiments.tuned_file import Interval, write_tuned
+from experiments.tuned_file import write_tuned
 from experiments.tuning_job import Job
 from experiments.tuning_report.gather import Asked, gather
 from experiments.tuning_report.page import write_report
 from experiments.writing import atomic_write
 from tuning import FitResult
 from tuning.judgement import Judgement, judgements
-from tuning.uncertainty import Uncertainty
 
 
 @dataclass(frozen=True)
@@ -40,12 +40,12 @@ class Run:
 def write_run(out: Path, job: Job, result: FitResult, run: Run) -> list[str]:
     """Write everything to the folder; the lines to print."""
     objective, unit = run.options["objective"], "rad" if job.training[0].station else "m"
-    intervals = intervals_of(result.uncertainty)
+    intervals = intervals_of(result, run.options["intervals"])
     write_tuned(out / "tuned.toml", run.tracker, objective, result, intervals)
     _write_trace(out, result, objective, unit)
     lines = table(result, objective, intervals)
     doubts = _doubts(result)
-    lines += [f"not determined: {doubt.text}" for doubt in doubts]
+    lines += [f"notice: {doubt.text}" for doubt in doubts]
     words = ["trackwright", *run.command[1:]]
     tuned = out / "tuned.toml"
     use = f"trackwright track … --noise {tuned}"
@@ -58,18 +58,11 @@ def write_run(out: Path, job: Job, result: FitResult, run: Run) -> list[str]:
         seconds=run.seconds,
         notes=(f"{result.left_out} of {len(job.training)} pieces had no say.",) if result.left_out else (),
     )
-    evidence = gather(asked, job.tracker, result, job.training, job.held_out, job.planar, result.uncertainty, doubts)
+    evidence = gather(asked, job.tracker, result, job.training, job.held_out, job.planar, intervals, doubts)
     write_report(out / "report.html", evidence)
     extra = {"recordings": [str(p) for p in run.recordings], "filter_runs": result.filter_runs}
     write_manifest(out, run.command, run.options, run.started, extra=extra)
     return [*lines, f"wrote {out / 'report.html'}, tuned.toml, trace.csv, tuning.png and manifest.json; use it: {use}"]
-
-
-def intervals_of(sure: Uncertainty | None) -> dict[str, Interval]:
-    """95 % intervals by label: by the scatter of trajectories or blocks where it is known, else by the curvature."""
-    if sure is None:
-        return {}
-    return dict(sure.intervals(sandwich=bool(np.all(np.isfinite(sure.sandwich)))))
 
 
 def _doubts(result: FitResult) -> list[Judgement]:

@@ -88,10 +88,14 @@ class LBFGS(AbstractOptimiser):
         return jax.vmap(_lbfgs.init)(jnp.asarray(vectors))
 
     def direction(self, memory: Any, vectors: np.ndarray, found: Evaluations) -> tuple[Any, Any]:
+        first = np.asarray(memory.count) == 0
         steps, memory = _updated(_lbfgs, found.gradients, memory, vectors)
-        downhill = -steps
-        uphill = np.sum(downhill * found.gradients, axis=1) >= 0
-        return _limited(np.where(uphill[:, None], -found.gradients, downhill)), memory
+        # Nothing lengthens the first step, from which the later ones take their scale: a factor of e is one that helps
+        # a noise level, and a shorter one is found by halving.
+        length = np.linalg.norm(found.gradients, axis=1, keepdims=True)
+        steepest = -found.gradients / np.where(length > 0, length, 1.0)
+        uphill = np.sum(steps * found.gradients, axis=1) <= 0
+        return _limited(np.where((first | uphill)[:, None], steepest, -steps)), memory
 
     def step(self, direction: Any, attempt: int) -> np.ndarray:
         return np.asarray(direction / 2.0**attempt)

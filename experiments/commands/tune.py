@@ -51,6 +51,7 @@ def tune(
     optimiser: Literal["auto", "lbfgs", "gauss-newton", "adam"] = "auto",
     steps: int = 60,
     minibatch: int | None = None,
+    intervals: Literal["curvature", "profile", "bootstrap"] = "curvature",
     resume: bool = False,
     free_height: bool = False,
     piece_rows: int = 8000,
@@ -74,6 +75,8 @@ def tune(
         optimiser: auto is lbfgs, or adam where the tracker draws random numbers, and for minibatches.
         steps: the most steps of a start.
         minibatch: trajectories per step, drawn anew for each; default all.
+        intervals: how sure the numbers are: by curvature and scatter of the trajectories, by the profile of a
+            likelihood, or by fits to trajectories drawn anew (needs five).
         resume: go on from the checkpoint in --out, with the same result to the bit.
         free_height: estimate the height of tags whose height the rig gives.
         piece_rows: long recordings are cut into pieces of about this many rows, which are fitted side by side.
@@ -112,6 +115,7 @@ def tune(
         "optimiser": optimiser,
         "steps": steps,
         "minibatch": minibatch,
+        "intervals": intervals,
         "free_height": free_height,
         "piece_rows": piece_rows,
     }

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 
 import numpy as np
 
+from experiments.intervals import Interval
 from experiments.lanes import Lane
 from experiments.tracks import batches
 from experiments.tuning_report.evidence import (
@@ -29,7 +30,6 @@ from tuning.figures import every_figure
 from tuning.fit import Step
 from tuning.judgement import Judgement, names_of
 from tuning.parameters import Parameter
-from tuning.uncertainty import Uncertainty
 
 TITLES = {
     "nll": ("Negative log-likelihood per number read", "nats"),
@@ -62,20 +62,20 @@ def gather(
     training: Sequence[Lane],
     held_out: Sequence[Lane],
     planar: bool,
-    sure: Uncertainty | None,
+    intervals: Mapping[str, Interval],
     judgements: Sequence[Judgement] = (),
 ) -> TuningEvidence:
     """The evidence: figures of both trackers on all lanes, and what they say on those held out, if any, row by row.
 
-    `training`: the lanes that were tuned on. `planar`: whether only the place over the floor is estimated. `sure`,
-    `judgements`: how sure the fit is; None where it was stopped. The landscape round the optimum takes about as many
-    values as the fit took steps.
+    `training`: the lanes that were tuned on. `planar`: whether only the place over the floor is estimated.
+    `intervals`: 95 %, by label, none where the fit was stopped; `judgements`: what is not determined. The landscape
+    round the optimum takes about as many values as the fit took steps.
     """
     effort = result.filter_runs
     quantity = next(iter(training[0].recording.truth))
     angles = quantity == "direction"
     dimensions = 2 if angles or planar else 3
-    numbers = _numbers(result, sure, judgements)
+    numbers = _numbers(result, intervals, judgements)
     judged, where = (held_out, "held-out recordings") if held_out else (training, "the recordings tuned on")
     unit, scale = ("°", 180 / np.pi) if angles else ("m", 1.0)
     rows, tracks, comparable = [], [], True
@@ -107,7 +107,7 @@ def gather(
             ),
         ),
         descents=_descents(result),
-        landscape=landscape_of(result, sure),
+        landscape=landscape_of(result, result.uncertainty),
         judged_on=where,
         innovations=known,
         errors=errors,
@@ -211,14 +211,17 @@ def _scores(
     return tuple(scores)
 
 
-def _numbers(result: FitResult, sure: Uncertainty | None, judgements: Sequence[Judgement]) -> tuple[TunedNumber, ...]:
-    """The table of tuned numbers; an interval by the sandwich where there is one, else by the observed information."""
-    bounds = _bounds(sure)
+def _numbers(
+    result: FitResult, intervals: Mapping[str, Interval], judgements: Sequence[Judgement]
+) -> tuple[TunedNumber, ...]:
+    """The table of tuned numbers."""
     doubted = {name for judgement in judgements for name in judgement.names}
     names = names_of(result.parameters)
     units = [p.example.unit for p in result.parameters for _ in range(int(np.size(p.example.raw)))]
     old, new = (_flat(result.parameters, values) for values in (_own(result)[0].values, result.values))
-    low, high = (_flat(result.parameters, b) if b else np.full(len(names), np.nan) for b in bounds)
+    nothing = {label: (np.full(np.shape(x), np.nan),) * 2 for label, x in result.values.items()}
+    both = {**nothing, **intervals}
+    low, high = (_flat(result.parameters, {label: both[label][k] for label in both}) for k in (0, 1))
     finite = np.isfinite(low) & np.isfinite(high)
     # Without any interval nothing is known of how sure the numbers are; with some, one that lacks it is undetermined.
     known = bool(finite.any())
@@ -227,15 +230,6 @@ def _numbers(result: FitResult, sure: Uncertainty | None, judgements: Sequence[J
                     False if name in doubted else bool(ok) if known else None)
         for name, unit, a, b, lo, hi, ok in zip(names, units, old, new, low, high, finite, strict=True)
     )  # fmt: skip
-
-
-def _bounds(sure: Uncertainty | None) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """The lowest and the highest values by label, 95 %."""
-    if sure is None:
-        return {}, {}
-    robust = bool(np.all(np.isfinite(sure.sandwich)))
-    both = sure.intervals(sandwich=robust)
-    return {k: v[0] for k, v in both.items()}, {k: v[1] for k, v in both.items()}
 
 
 def _flat(parameters: Sequence[Parameter], values: dict[str, np.ndarray]) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,6 @@ from sim.scenarios import work_station
 from trackers.aoa.direct import direct_tracker
 from trackers.aoa.fusion import bearing_tracker
 from trackers.core.tunable import tunables
-from tuning import FitResult
 from tuning.parameters import chosen, flatten, physical, placed_in
 
 
@@ -24,7 +24,14 @@ def _result(tracker, patterns):
     labels, values = [p.label for p in parameters], map(np.asarray, physical(parameters, vector))
     named = dict(zip(labels, values, strict=True))
     errors = {k: np.full(v.shape, np.nan) if k.endswith("a") else 0.1 * np.abs(v) for k, v in named.items()}
-    return FitResult(placed_in(tracker, parameters, vector), parameters, named, errors, 1.25, 2.5, 0)
+    return SimpleNamespace(
+        tracker=placed_in(tracker, parameters, vector),
+        parameters=parameters,
+        values=named,
+        standard_errors=errors,
+        value=1.25,
+        start_value=2.5,
+    )
 
 
 def _numbers(tracker):
@@ -47,7 +54,7 @@ def _direct(*names):
 )
 def test_what_was_tuned_comes_back_and_nothing_else_changes(tmp_path, tracker, patterns):
     result = _result(tracker, patterns)
-    write_tuned(tmp_path / "tuned.toml", "any", "nll", result)
+    write_tuned(tmp_path / "tuned.toml", "any", "nll", result, {})
     back = with_noise(tracker, read_tuned(tmp_path / "tuned.toml"), tmp_path / "tuned.toml")
     expected, found = _numbers(result.tracker), _numbers(back)
     assert set(expected) == set(found)
@@ -58,7 +65,7 @@ def test_what_was_tuned_comes_back_and_nothing_else_changes(tmp_path, tracker, p
 
 def test_the_file_says_value_unit_and_standard_error_of_each(tmp_path):
     result = _result(bearing_tracker(), ["motion.sigma_a", "sensors.*.offsets"])
-    write_tuned(tmp_path / "tuned.toml", "bearings", "nll", result)
+    write_tuned(tmp_path / "tuned.toml", "bearings", "nll", result, {"motion.sigma_a": (np.array(0.1), np.array(0.4))})
     content = tomllib.loads((tmp_path / "tuned.toml").read_text())
     assert (content["tracker"], content["objective"]) == ("bearings", "nll")
     assert (content["before"], content["after"]) == (2.5, 1.25)
@@ -66,6 +73,8 @@ def test_the_file_says_value_unit_and_standard_error_of_each(tmp_path):
     assert sigma_a["unit"] == "m/s^2/sqrt(Hz)"
     assert sigma_a["value"] == float(result.values["motion.sigma_a"])
     assert np.isnan(sigma_a["standard_error"])
+    assert (sigma_a["lowest_95"], sigma_a["highest_95"]) == (0.1, 0.4)
+    assert np.isnan(offsets["lowest_95"]).all()
     assert offsets["value"] == result.values["sensors.bearings.offsets"].tolist()
     assert offsets["standard_error"] == pytest.approx(0.1 * np.abs(offsets["value"]))
 

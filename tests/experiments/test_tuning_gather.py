@@ -1,13 +1,12 @@
 """The evidence that a report is made of, against the fit and the tracks that it is about."""
 
-from dataclasses import replace
-
 import numpy as np
 import polars as pl
 import pytest
 
 from experiments.catalogue import groups
 from experiments.folder import Folder
+from experiments.intervals import intervals_of
 from experiments.tracks import batches
 from experiments.tuning_report.gather import Asked, _numbers, gather
 from experiments.tuning_report.page import page
@@ -42,7 +41,7 @@ def run():
     result = fit(group.tracker, rows, parse_objective(NLL, "position", 3), PATTERNS, steps=6, starts=2)
     asked = Asked("trackwright tune a b", ("trackwright track c",), "fix-kf", "a Kalman filter", NLL, 1.5)
     doubt = [Judgement((PATTERNS[0],), "a doubt")]
-    return result, gather(asked, group.tracker, result, training, held_out, group.planar, result.uncertainty, doubt)
+    return result, gather(asked, group.tracker, result, training, held_out, group.planar, intervals_of(result), doubt)
 
 
 def test_numbers_are_those_of_the_fit_and_a_doubted_one_is_not_determined(run):
@@ -113,7 +112,5 @@ def test_the_evidence_makes_a_page(run):
 
 def test_without_any_interval_nothing_is_said_of_what_is_determined(run):
     result, _ = run
-    p = len(result.vector)
-    silent = replace(result.uncertainty, observed=np.full((p, p), np.nan), sandwich=np.full((p, p), np.nan))
-    assert [n.determined for n in _numbers(result, silent, [])] == [None, None]
-    assert [n.determined for n in _numbers(result, silent, [Judgement((PATTERNS[0],), "a doubt")])] == [False, None]
+    assert [n.determined for n in _numbers(result, {}, [])] == [None, None]
+    assert [n.determined for n in _numbers(result, {}, [Judgement((PATTERNS[0],), "a doubt")])] == [False, None]

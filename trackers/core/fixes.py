@@ -182,7 +182,8 @@ def cov_before(mean: Any, upper: Sequence[Scalar], seconds: Scalar) -> tuple[Sca
 
 def truth_before(batch: Batch, seconds: Scalar) -> dict[str, tuple[Any, Any]]:
     """The truth of a batch `seconds` before each row, linear between rows and differentiable in `seconds`."""
-    times = jnp.cumsum(jnp.asarray(batch.dt), axis=0)
+    # Padding has no time of its own; that of the last row is to be that row's alone.
+    times = jnp.cumsum(jnp.where(batch.valid, batch.dt, jnp.ones_like(batch.dt)), axis=0)
 
     def lane(times: Any, values: Any, known: Any) -> tuple[Any, Any]:
         before = times - seconds

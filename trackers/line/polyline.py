@@ -14,12 +14,13 @@ from trackers.core.algebra import Scalar, Vector, total
 class Polyline(eqx.Module):
     """The path through `knots` (k, 2) m, by arclength d in m from its first knot; beyond its ends it stays there.
 
-    Places are sums over segments of a clamped length, so that thousands of particles need no look-up: x(d) = x₀ +
-    Σ uₖ·clip(d − sₖ, 0, Lₖ), which is (2.5) of the thesis for its five segments. Raises ValueError for a knot that is
-    not finite or repeats the one before.
+    Places are sums over the joins sₖ, so that thousands of particles need no look-up: x(d) = x₀ + u₀·d +
+    Σ (uₖ − uₖ₋₁)·max(d − sₖ, 0) with d cut off at the ends, which is (2.5) of the thesis for its five segments. Raises
+    ValueError for a knot that is not finite or repeats the one before.
     """
 
     first: Any
+    last: Any
     directions: Any
     starts: Any
     lengths: Any
@@ -36,7 +37,7 @@ class Polyline(eqx.Module):
         if not np.all(lengths > 0):
             k = int(np.argmin(lengths)) + 1
             raise ValueError(f"knot {k} of the path repeats the one before, {knots[k].tolist()}; leave one of them out")
-        self.first = knots[0]
+        self.first, self.last = knots[0], knots[-1]
         self.directions = steps / lengths[:, None]
         self.starts = np.concatenate([[0.0], np.cumsum(lengths)[:-1]])
         self.lengths = lengths
@@ -49,10 +50,15 @@ class Polyline(eqx.Module):
 
     def position(self, arclength: Scalar) -> Vector:
         """The place at this arclength, m."""
-        along = [jnp.clip(arclength - s, 0.0, n) for s, n in zip(self.starts, self.lengths, strict=True)]
-        return Vector.of(
-            self.first[a] + total(u[a] * x for u, x in zip(self.directions, along, strict=True)) for a in (0, 1)
-        )
+        along = jnp.clip(arclength, 0.0, self.length)
+        joins, (x0, _), (_, y1) = self.starts[1:], self.first, self.last
+        turns = [b - a for a, b in zip(self.directions[:-1], self.directions[1:], strict=True)]
+        # y from the far end: terms that both sums share would go through memory, one array of particles each.
+        x = x0 + self.directions[0][0] * along
+        y = y1 - self.directions[-1][1] * (self.length - along)
+        for turn, s in zip(turns, joins, strict=True):
+            x, y = x + turn[0] * jnp.maximum(along - s, 0.0), y + turn[1] * jnp.maximum(s - along, 0.0)
+        return Vector(x, y)
 
     def direction(self, arclength: Scalar) -> Vector:
         """The unit vector of the segment at this arclength; at a join that of the segment which begins there."""
