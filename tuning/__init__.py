@@ -7,17 +7,25 @@ from tuning.first_guess import first_guess as first_guess
 from tuning.fit import FitResult as FitResult
 from tuning.fit import fit as fit
 from tuning.judgement import judgements as judgements
+from tuning.marginal import marginal_scores as marginal_scores
 from tuning.objectives import NegativeLogLikelihood as NegativeLogLikelihood
 from tuning.objectives import RootMeanSquareError as RootMeanSquareError
 from tuning.objectives import StateLogLikelihood as StateLogLikelihood
 from tuning.objectives import Weighted as Weighted
+from tuning.optimisers import LBFGS as LBFGS
+from tuning.optimisers import Adam as Adam
+from tuning.optimisers import GaussNewton as GaussNewton
 from tuning.priors import Prior as Prior
 from tuning.profiles import bootstrap as bootstrap
 from tuning.profiles import profile as profile
+from tuning.sweep import sweep as sweep
 
 __all__ = [
+    "LBFGS",
+    "Adam",
     "Consistency",
     "FitResult",
+    "GaussNewton",
     "NegativeLogLikelihood",
     "Prior",
     "RootMeanSquareError",
@@ -28,6 +36,8 @@ __all__ = [
     "first_guess",
     "fit",
     "judgements",
+    "marginal_scores",
     "parse_objective",
     "profile",
+    "sweep",
 ]
