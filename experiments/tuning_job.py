@@ -85,7 +85,7 @@ def checked(
     job: Job, tune: Sequence[str], freeze: Sequence[str], bounds: dict[str, tuple[float, float]], prior: Sequence[str]
 ) -> list[Prior]:
     """The priors, with all that is tuned looked at; raises UnusableInput where patterns, bounds or priors don't fit."""
-    option = f"--tune {' '.join(tune)}"
+    option = f"--tune {' '.join(tune)}" + (f" --freeze {' '.join(freeze)}" if freeze else "")
     try:
         parameters = chosen(job.tracker, tune, freeze)
         option = "--bound"

@@ -298,7 +298,8 @@ def test_tuned_noise_levels_are_written_and_used(runs, there, world):
     said = trackwright("tune", world, "--tracker", "beam", "--steps", 3, "--out", there / "tuned")
     assert said.code == 0, said
     folder = there / "tuned"
-    assert sorted(p.name for p in folder.iterdir()) == ["manifest.json", "trace.csv", "tuned.toml", "tuning.png"]
+    written = ["checkpoint.npz", "manifest.json", "report.html", "trace.csv", "tuned.toml", "tuning.png"]
+    assert sorted(p.name for p in folder.iterdir()) == written
     content = tomllib.loads((folder / "tuned.toml").read_text())
     assert (content["tracker"], content["objective"]) == ("beam", "nll")
     assert content["after"] < content["before"]
@@ -307,8 +308,12 @@ def test_tuned_noise_levels_are_written_and_used(runs, there, world):
     assert abs(sigma_p["value"] - 0.2) < 4 * sigma_p["standard_error"] < 0.05
     assert set(content["tunables"]) == {f"{k}" for k in content["tunables"] if ".sigma_" in k}
     assert "sensors.phases.sigma_p" in said.out
+    assert sigma_p["lowest_95"] < sigma_p["value"] < sigma_p["highest_95"]
+    report = (folder / "report.html").read_text("utf-8")
+    assert "sensors.phases.sigma_p" in report
+    assert f"{content['after']:.3f}"[:5] in report
     trace = pl.read_csv(folder / "trace.csv")
-    assert trace.height == 4
+    assert 1 < trace.height <= 4
     assert trace.columns[:2] == ["nll", "gradient_norm"]
     assert set(trace.columns[2:]) == set(content["tunables"])
     again = trackwright(

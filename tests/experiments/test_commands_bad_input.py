@@ -9,6 +9,7 @@ import numpy as np
 import polars as pl
 import pytest
 
+from experiments.checkpoint import save
 from experiments.commands import track as track_command
 from experiments.commands import tune as tune_command
 from tests.experiments.broken import BROKEN, ODD
@@ -257,7 +258,41 @@ def test_a_world_is_not_written_over_something(tmp_path):
     assert _contents(tmp_path / "out") == {"precious": b"x"}
 
 
-@pytest.mark.parametrize("options", [("--steps", 0), ("--piece-rows", 3)])
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        (("--bound", "motion.sigma_a=low:high"), "PATTERN=LOWEST:HIGHEST"),
+        (("--bound", "nothing.*=1:2"), "no tuned number matches"),
+        (("--bound", "motion.sigma_a=2:1"), "is not below"),
+        (("--bound", "motion.sigma_a=100:200"), "starting value"),
+        (("--prior", "motion.sigma_a=often"), "is no prior"),
+        (("--prior", "nothing.*=0.2x2"), "matches nothing that is tuned"),
+        (("--prior", "motion.sigma_a=0.2x2", "--objective", "rmse"), "weighed against a likelihood"),
+        (("--freeze", "*"), "what is frozen"),
+        (("--objective", "nll+best"), "is no objective"),
+    ],
+)
+def test_options_of_a_fit_that_nothing_can_follow_are_refused(tmp_path, simulated, options, word):
+    said = trackwright("tune", simulated, "--tracker", "beam", *options, "--out", tmp_path / "out")
+    assert_refused(said, options[0], word)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("broken", [b"", b"no archive", None])
+def test_a_checkpoint_of_something_else_is_refused_and_kept(tmp_path, simulated, broken):
+    out = tmp_path / "out"
+    out.mkdir()
+    if broken is None:
+        save(out, [np.zeros(2)], "another fit")
+    else:
+        (out / "checkpoint.npz").write_bytes(broken)
+    before = (out / "checkpoint.npz").read_bytes()
+    said = trackwright("tune", simulated, "--tracker", "beam", "--resume", "--out", out)
+    assert_refused(said, "checkpoint.npz", "--resume")
+    assert (out / "checkpoint.npz").read_bytes() == before
+
+
+@pytest.mark.parametrize("options", [("--steps", 0), ("--piece-rows", 3), ("--starts", 0), ("--minibatch", 0)])
 def test_fits_of_no_steps_or_to_no_rows_are_refused(tmp_path, beginnings, options):
     assert_refused(trackwright("tune", beginnings / "good", "--out", tmp_path / "out", *options), *map(str, options))
 
@@ -268,7 +303,7 @@ def test_fits_of_no_steps_or_to_no_rows_are_refused(tmp_path, beginnings, option
         ("simulate", "--out", "out", "--n", "many"),
         ("simulate",),
         ("track", "recording"),
-        ("tune", "recording", "--out", "out", "--objective", "best"),
+        ("tune", "recording", "--out", "out", "--optimiser", "best"),
         ("track", "recording", "--out", "out", "--speed", "3"),
         ("race", "recording"),
     ],
