@@ -39,11 +39,13 @@ bench: env
 	$(BIN)/python -m experiments.bench
 	$(BIN)/python -m experiments.bench.particles
 	$(BIN)/python -m experiments.bench.chain
+	$(BIN)/python -m experiments.bench.tuning
 
 bench-peers: .venv-peers/installed
 	$(PEERS)/python -m experiments.bench --peers
 	$(PEERS)/python -m experiments.bench.imu
 	$(PEERS)/python -m experiments.bench.particle_peers
+	$(PEERS)/python -m experiments.bench.tuning --peers
 
 clean:
 	rm -rf .venv .venv-peers out *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tomllib
+
 import polars as pl
 import pytest
 
@@ -53,6 +55,12 @@ def test_a_world_that_can_not_be_is_refused_with_its_option(tmp_path, command, o
     assert not (tmp_path / "out").exists()
 
 
-def test_particles_are_not_tuned_by_a_wrong_gradient(worlds, tmp_path):
-    said = trackwright("tune", worlds / "simulate-line", "--tracker", "line-pf", "--out", tmp_path / "out")
-    assert_refused(said, "particles", "--tracker line-grid")
+def test_particles_are_tuned_by_their_score(worlds, tmp_path):
+    options = ("--tracker", "line-pf", "--tune", "sensors.*.sigma_p", "--steps", 6, "--starts", 1)
+    start = tmp_path / "start.toml"
+    start.write_text('[tunables."sensors.fixes.sigma_p"]\nvalue = 3.0\n')
+    said = trackwright("tune", worlds / "simulate-line", *options, "--start", start, "--out", tmp_path / "out")
+    assert said.code == 0, said
+    content = tomllib.loads((tmp_path / "out" / "tuned.toml").read_text())
+    assert content["after"] < content["before"]
+    assert content["tunables"]["sensors.fixes.sigma_p"]["value"] < 3.0
