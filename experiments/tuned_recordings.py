@@ -16,10 +16,8 @@ from experiments.runtime import set_flags
 
 set_flags()
 
-from experiments.catalogue import fitting, groups  # noqa: E402  (flags come before jax)
 from experiments.commanded import real_recordings  # noqa: E402
-from experiments.screen import read_all  # noqa: E402
-from experiments.tuning_job import job_of  # noqa: E402
+from experiments.tuning_job import job_of, only_group  # noqa: E402
 from tuning import NegativeLogLikelihood, fit  # noqa: E402
 from tuning.figures import every_figure  # noqa: E402
 
@@ -68,10 +66,9 @@ def main(names: list[str]) -> int:
 def shown(name: str, split: Split, folder: Path) -> bool:
     """Tune one group, print its figures, and say whether the RMSE got worse."""
     began = time.perf_counter()
-    folders = read_all([folder / x for x in (*split.tuned, *split.judged)])
-    tracker = split.tracker or fitting(folders[0])
-    group = groups(folders, tracker, False)[0]
-    job = job_of(group, group.tracker, "nll", [folder / x for x in split.judged], PIECE_ROWS)
+    paths = [folder / x for x in (*split.tuned, *split.judged)]
+    tracker, group = only_group(paths, split.tracker, None, False)
+    job = job_of(group, "nll", [folder / x for x in split.judged], PIECE_ROWS)
     result = fit(job.tracker, job.rows(), NegativeLogLikelihood(), split.tune, starts=2)
     quantity = next(iter(job.held_out[0].recording.truth))
     dimensions = 2 if job.planar or quantity == "direction" else 3

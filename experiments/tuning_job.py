@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from experiments.catalogue import fitting, groups
 from experiments.entry import Group
 from experiments.errors import UnusableInput
 from experiments.lanes import Lane, pieces
+from experiments.screen import notice, read_all
 from experiments.tracks import batches
+from experiments.tuned_file import read_tuned, with_noise
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker
 from tuning.figures import parse_objective
@@ -36,14 +39,37 @@ class Job:
         return [batch for _, batch in batches(lanes)] if lanes else []
 
 
-def job_of(group: Group, tracker: AbstractTracker, objective: str, held_out: Sequence[Path], piece_rows: int) -> Job:
+def only_group(
+    recordings: Sequence[Path], tracker: str | None, noise: Path | None, free_height: bool
+) -> tuple[str, Group]:
+    """The recordings' lanes for one tracker, named or what fits, with numbers from a tuned.toml; and its name.
+
+    Raises UnusableInput where they need several trackers: those have no numbers in common.
+    """
+    folders = read_all(recordings)
+    name = tracker or fitting(folders[0])
+    if tracker is None:
+        notice(f"tracker: {name}; choose another with --tracker")
+    found = groups(folders, name, free_height)
+    if len(found) > 1:
+        raise UnusableInput(
+            f"the recordings need {len(found)} different '{name}' trackers (other geometry, or heights known for some "
+            "tags only); expected one; take them apart, or give --free-height"
+        )
+    group = found[0]
+    if noise is not None:
+        group = replace(group, tracker=with_noise(group.tracker, read_tuned(noise), noise))
+    return name, group
+
+
+def job_of(group: Group, objective: str, held_out: Sequence[Path], piece_rows: int) -> Job:
     """The job of a group's lanes, cut into pieces; raises UnusableInput for an objective that they can't be put to."""
     lanes = [piece for lane in group.lanes for piece in pieces(lane, piece_rows)]
     quantity = next(iter(lanes[0].recording.truth))
     floor = quantity == "direction" or group.planar
     try:
         goal = parse_objective(objective, quantity, 2 if floor else 3)
-        goal.informed(tracker)
+        goal.informed(group.tracker)
     except ValueError as error:
         raise UnusableInput(f"--objective {objective}: {error}") from error
     if goal.needs_truth and group.planar and lanes[0].station:
@@ -63,7 +89,7 @@ def job_of(group: Group, tracker: AbstractTracker, objective: str, held_out: Seq
     for part, wanted, where in zip(parts, (True, bool(held_out)), ("these recordings", "those held out"), strict=True):
         if wanted and not part:
             raise UnusableInput(f"--objective {objective} needs truth, and {where} have none; use --objective nll")
-    return Job(tracker, goal, group.planar, *parts)
+    return Job(group.tracker, goal, group.planar, *parts)
 
 
 def bounds_of(texts: Sequence[str]) -> dict[str, tuple[float, float]]:

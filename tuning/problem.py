@@ -94,7 +94,7 @@ class Problem:
         count = np.ones(1) if weights is None else np.atleast_2d(np.asarray(weights, float))
         sums = _added(terms, finite * count)
         slope = _added(slopes, used * count)
-        values, by_sum = (np.asarray(x, float) for x in _figures(self.objective, jnp.asarray(sums)))
+        values, by_sum = (np.asarray(x, float) for x in figures(self.objective, jnp.asarray(sums)))
         valid = self._valid(parts)
         self.left_out = int(np.min(np.sum(~used & valid, axis=1)))
         with np.errstate(invalid="ignore"):  # where nothing is scored figure and gradient are NaN
@@ -120,7 +120,7 @@ class Problem:
 
     def figures(self, sums: np.ndarray) -> np.ndarray:
         """The objective (S,) that sums (S, k) make."""
-        return np.asarray(_figures(self.objective, jnp.asarray(sums))[0], float)
+        return np.asarray(figures(self.objective, jnp.asarray(sums))[0], float)
 
     def against(self, vectors: np.ndarray, sums: np.ndarray, share: float = 1.0) -> Penalty:
         """What the priors add to the objective (S,) and its derivatives, where a likelihood has these sums (S, k)."""
@@ -199,7 +199,7 @@ def _steady(slopes: np.ndarray) -> np.ndarray:
 
 
 @eqx.filter_jit
-def _figures(objective: AbstractObjective, sums: jax.Array) -> tuple[jax.Array, jax.Array]:
+def figures(objective: AbstractObjective, sums: jax.Array) -> tuple[jax.Array, jax.Array]:
     """The figures (S,) of sums (S, k), and their derivatives by the sums."""
     return jax.vmap(jax.value_and_grad(objective.value))(sums)
 

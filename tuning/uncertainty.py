@@ -23,6 +23,7 @@ import numpy as np
 from trackers.core.tunable import Covariance
 from tuning.objectives import AbstractObjective
 from tuning.parameters import Parameter, physical, physical_errors
+from tuning.problem import figures
 from tuning.row_scores import row_information
 
 STEP = 0.02
@@ -162,19 +163,14 @@ def optimum(problem: Any, vector: np.ndarray) -> Optimum:
     evaluated = problem.evaluate(vectors)
     used = evaluated.used.all(axis=0)
     terms, slopes = evaluated.terms[..., used], evaluated.slopes[..., used]
-    values, gradients = figures(problem.objective, terms.sum(axis=-1), slopes.sum(axis=-1))
+    values, by_sum = (np.asarray(x, float) for x in figures(problem.objective, jnp.asarray(terms.sum(axis=-1))))
+    gradients = np.einsum("sk,skp->sp", by_sum, slopes.sum(axis=-1))
     said = problem.against(vectors, terms.sum(axis=-1))
     values, gradients = values + said.values, gradients + said.gradients
     rows = (gradients[1 : p + 1] - gradients[p + 1 :]) / (2 * STEP)
     units = problem.objective.log_likelihood_units(terms[0].sum(axis=-1))
     psi = influence(problem.objective, terms[0], slopes[0])
     return Optimum(vector, float(values[0]), gradients[0], 0.5 * (rows + rows.T), psi, units, used)
-
-
-def figures(objective: AbstractObjective, sums: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The objective (S,) and its gradients (S, p) from sums (S, k) and their derivatives (S, k, p)."""
-    values, by_sum = _of_sums(objective, jnp.asarray(sums))
-    return np.asarray(values, float), np.einsum("sk,skp->sp", np.asarray(by_sum, float), slopes)
 
 
 def influence(objective: AbstractObjective, terms: np.ndarray, slopes: np.ndarray) -> np.ndarray:
@@ -193,11 +189,6 @@ def unused(parameters: Sequence[Parameter]) -> np.ndarray:
         shape = np.shape(p.example.raw)
         parts.append(np.triu(np.ones(shape), 1) > 0 if isinstance(p.example, Covariance) else np.zeros(shape, bool))
     return np.concatenate([np.ravel(x) for x in parts])
-
-
-@eqx.filter_jit
-def _of_sums(objective: AbstractObjective, sums: jax.Array) -> tuple[jax.Array, jax.Array]:
-    return jax.vmap(jax.value_and_grad(objective.value))(sums)
 
 
 @eqx.filter_jit

@@ -13,13 +13,11 @@ import numpy as np
 import polars as pl
 import tyro
 
-from experiments.catalogue import fitting, groups
 from experiments.errors import UnusableInput
 from experiments.manifest import write_manifest
-from experiments.screen import notice, output_folder, progress, read_all
+from experiments.screen import output_folder, progress
 from experiments.sweep_figures import sweep_figure
-from experiments.tuned_file import read_tuned, with_noise
-from experiments.tuning_job import job_of
+from experiments.tuning_job import job_of, only_group
 from experiments.writing import atomic_write
 from tuning.sweep import Sweep, grid_vectors, swept_parameters
 from tuning.sweep import sweep as run
@@ -57,19 +55,9 @@ def sweep(
     if repeats < 1 or piece_rows < 10:
         raise UnusableInput(f"--repeats {repeats} --piece-rows {piece_rows}: expected at least 1 and 10")
     grids = _grids(over)
-    folders = read_all(recordings)
-    name = tracker or fitting(folders[0])
-    if tracker is None:
-        notice(f"tracker: {name}; choose another with --tracker")
-    found = groups(folders, name, free_height)
-    if len(found) > 1:
-        raise UnusableInput(
-            f"the recordings need {len(found)} different '{name}' trackers (other geometry, or heights known for some "
-            "tags only); expected one; sweep them apart, or give --free-height"
-        )
-    group = found[0]
-    model = group.tracker if noise is None else with_noise(group.tracker, read_tuned(noise), noise)
-    job = job_of(group, model, objective, (), piece_rows)
+    name, group = only_group(recordings, tracker, noise, free_height)
+    model = group.tracker
+    job = job_of(group, objective, (), piece_rows)
     try:
         parameters = swept_parameters(model, list(grids))
         points = grid_vectors(parameters, list(grids.values()))

@@ -12,12 +12,10 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from experiments import checkpoint
-from experiments.catalogue import fitting, groups
 from experiments.errors import UnusableInput
-from experiments.screen import Advance, notice, output_folder, progress, read_all
-from experiments.tuned_file import read_tuned, with_noise
+from experiments.screen import Advance, notice, output_folder, progress
 from experiments.tuning_files import Run, write_run
-from experiments.tuning_job import Job, bounds_of, checked, job_of
+from experiments.tuning_job import Job, bounds_of, checked, job_of, only_group
 from tuning import FitResult, fit
 from tuning.descent import FitState, stored
 from tuning.first_guess import first_guess
@@ -87,18 +85,8 @@ def tune(
             f"--steps {steps} --piece-rows {piece_rows} --starts {starts} --minibatch {minibatch}: expected at least "
             "1, 10, 1 and 1"
         )
-    folders = read_all((*recordings, *held_out))
-    name = tracker or fitting(folders[0])
-    if tracker is None:
-        notice(f"tracker: {name}; choose another with --tracker")
-    found = groups(folders, name, free_height)
-    if len(found) > 1:
-        raise UnusableInput(
-            f"the recordings need {len(found)} different '{name}' trackers (other geometry, or heights known for some "
-            "tags only); expected one; tune them apart, or give --free-height"
-        )
-    tracked = found[0].tracker if start is None else with_noise(found[0].tracker, read_tuned(start), start)
-    job = job_of(found[0], tracked, objective, held_out, piece_rows)
+    name, group = only_group((*recordings, *held_out), tracker, start, free_height)
+    job = job_of(group, objective, held_out, piece_rows)
     bounds = bounds_of(bound)
     priors = checked(job, tune, freeze, bounds, prior)
     output_folder(out)
