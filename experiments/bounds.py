@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import numpy as np
@@ -65,5 +66,8 @@ def _is_kinematic(tracker: Tracker, batch: Batch) -> bool:
     """Whether position and velocity, which the truth gives, are all that the tracker estimates."""
     row = Row(batch.dt, batch.valid, batch.readings, batch.inputs, None, None)
     first = jax.tree_util.tree_map(lambda x: x[0, ..., 0], row)
-    found = tracker.start.acquire(tracker.sensors, first)
-    return isinstance(tracker.start.begin(found, first).mean, Kinematic)
+
+    def begun(first: Row) -> Any:
+        return tracker.start.begin(tracker.start.acquire(tracker.sensors, first), first).mean
+
+    return isinstance(jax.eval_shape(begun, first), Kinematic)
