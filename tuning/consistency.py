@@ -78,9 +78,6 @@ class Consistency(AbstractObjective):
     def value(self, sums: Any) -> Scalar:
         return total((sums[k] / sums[ORDERS]) ** 2 for k in range(ORDERS))
 
-    def log_likelihood_units(self, sums: Any) -> float:
-        return float("nan")
-
 
 def tail_of(tracker: Any) -> Scalar | None:
     """The degrees of freedom of the noise that makes the tracker's NIS; None where it is normal, or there is no NIS.

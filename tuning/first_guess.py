@@ -70,9 +70,6 @@ class Steady(AbstractObjective):
     def value(self, sums: Any) -> Scalar:
         return sums[0] / sums[1] + LOSS * sums[2] / sums[3]
 
-    def log_likelihood_units(self, sums: Any) -> float:
-        return float("nan")
-
 
 def first_guess(
     tracker: AbstractTracker, batches: Batch | Sequence[Batch], frozen: Sequence[str] = ()

@@ -49,9 +49,9 @@ class AbstractObjective(eqx.Module):
     def value(self, sums: Any) -> Scalar:
         """The figure, from the sums (one number per term)."""
 
-    @abstractmethod
     def log_likelihood_units(self, sums: Any) -> float:
-        """What the figure is to be multiplied with to be a negative log-likelihood in nats; NaN where it isn't one."""
+        """What the figure is to be multiplied with to be a negative log-likelihood in nats; NaN: most are none."""
+        return math.nan
 
     @property
     def is_likelihood(self) -> bool:
@@ -109,9 +109,6 @@ class RootMeanSquareError(AbstractObjective):
     def value(self, sums: Any) -> Scalar:
         return jnp.sqrt(sums[0] / sums[1])
 
-    def log_likelihood_units(self, sums: Any) -> float:
-        return float("nan")
-
 
 class StateLogLikelihood(AbstractObjective):
     """The mean negative log density of the truth under each row's mean and covariance, nats per row.
@@ -138,9 +135,6 @@ class StateLogLikelihood(AbstractObjective):
 
     def value(self, sums: Any) -> Scalar:
         return sums[0] / sums[1]
-
-    def log_likelihood_units(self, sums: Any) -> float:
-        return float("nan")
 
 
 class Weighted(AbstractObjective):

@@ -38,16 +38,13 @@ class Evaluations(NamedTuple):
     used: np.ndarray
     curvatures: np.ndarray
 
-    def of(self, which: Any) -> Evaluations:
-        """Those of some of the vectors: a mask or numbers."""
-        return Evaluations(*(x[which] for x in self))
-
 
 class Problem:
     """The objective of a tracker over batches as a function of unconstrained vectors, compiled once per shape.
 
     `filter_runs` counts trajectories filtered, one for each vector; `left_out`: trajectories without usable derivatives
-    at the last vectors but one of them. `priors` count beside a likelihood; nothing else can be weighed against them.
+    at that one of the last vectors where they were fewest. `priors` count beside a likelihood; nothing else can be
+    weighed against them.
     """
 
     def __init__(

@@ -18,6 +18,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from experiments.bench.processes import new_interpreter
 from experiments.errors import UnusableInput
 from experiments.runtime import set_flags
 from experiments.writing import atomic_write, json_text
@@ -90,10 +91,8 @@ def measured(peers: bool) -> dict[str, Any]:
 def in_process(name: str, peer: str | None = None) -> dict[str, Any]:
     """The figures of one part, measured by a new interpreter without the user's own flags."""
     print(f"measuring: {TITLES.get(name, name)}{f', {peer}' if peer else ''} …", file=sys.stderr, flush=True)
-    command = [sys.executable, "-m", "experiments.bench", "--part", name, *(["--peer", peer] if peer else [])]
-    environment = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
     try:
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=LIMIT_S, check=False)
+        done = new_interpreter(["experiments.bench", "--part", name, *(["--peer", peer] if peer else [])], LIMIT_S)
     except subprocess.TimeoutExpired:
         raise UnusableInput(
             f"part '{name}'{f' with {peer}' if peer else ''} took over {LIMIT_S:.0f} s; expected a minute or two; "

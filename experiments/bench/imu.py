@@ -8,9 +8,7 @@ flags that the command line sets. dynamax (extra: peers) and the textbook versio
 from __future__ import annotations
 
 import argparse
-import json
 import os
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -19,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from experiments.bench.processes import figures_apart
 from experiments.runtime import set_flags
 from experiments.writing import atomic_write, json_text
 
@@ -47,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             set_flags()
         print(json_text(_dynamax() if options.part == "dynamax" else _ours()))
         return 0
-    figures = {part: _in_process(part) for part in PARTS}
+    figures = {part: figures_apart("experiments.bench.imu", "--part", part, LIMIT_S) for part in PARTS}
     options.out.parent.mkdir(parents=True, exist_ok=True)
     atomic_write(options.out, lambda path: path.write_text(json_text(figures), "utf-8"))
     for part, found in figures.items():
@@ -59,19 +58,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"\nours with the command line's flags is {ours / peer:.0f} × faster than dynamax")
     print(f"Written: {options.out}")
     return 0
-
-
-def _in_process(part: str) -> dict[str, Any]:
-    print(f"measuring: {part} …", file=sys.stderr, flush=True)
-    environment = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
-    command = [sys.executable, "-m", "experiments.bench.imu", "--part", part]
-    try:
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=LIMIT_S, check=False)
-    except subprocess.TimeoutExpired:
-        return {"failed": f"took over {LIMIT_S:.0f} s"}
-    if done.returncode:
-        return {"failed": (done.stderr.strip().splitlines() or ["no message"])[-1]}
-    return json.loads(done.stdout)
 
 
 def _world(trajectories: int, rows: int) -> dict[str, np.ndarray]:

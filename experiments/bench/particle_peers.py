@@ -9,9 +9,7 @@ own, taking turns with ours there: `particles` one trajectory after the other on
 from __future__ import annotations
 
 import argparse
-import json
 import os
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -24,6 +22,7 @@ import numpy as np
 
 from experiments.bench.__main__ import machine
 from experiments.bench.particles import PARTICLES, SIGMA_A, SIGMA_P, ours, rmse, task
+from experiments.bench.processes import figures_apart
 from experiments.runtime import set_flags
 from experiments.writing import atomic_write, json_text
 
@@ -48,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(json_text(beside(options.peer)))
         return 0
     began, host = datetime.now(UTC), machine()
-    peers = {peer: _in_process(peer) for peer in SLICES}
+    peers = {peer: figures_apart("experiments.bench.particle_peers", "--peer", peer, LIMIT_S) for peer in SLICES}
     figures = {
         "date": began.isoformat(timespec="seconds"),
         "command": ["python", "-m", "experiments.bench.particle_peers"],
@@ -77,19 +76,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
     print(f"floor {FLOOR:g}. Written: {options.out}")
     return int(slowest < FLOOR)
-
-
-def _in_process(peer: str) -> dict[str, Any]:
-    print(f"measuring: {peer} …", file=sys.stderr, flush=True)
-    environment = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
-    command = [sys.executable, "-m", "experiments.bench.particle_peers", "--peer", peer]
-    try:
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=LIMIT_S, check=False)
-    except subprocess.TimeoutExpired:
-        return {"failed": f"took over {LIMIT_S:.0f} s"}
-    if done.returncode:
-        return {"failed": (done.stderr.strip().splitlines() or ["no message"])[-1]}
-    return json.loads(done.stdout)
 
 
 def beside(peer: str) -> dict[str, Any]:

@@ -98,12 +98,6 @@ def put(belief: Any, fresh: Any, index: Any) -> Any:
     return jax.tree_util.tree_unflatten(structure, done)
 
 
-def log_sum(log_weights: Any) -> Scalar:
-    """The logarithm of the sum of the weights."""
-    top = jnp.max(log_weights)
-    return top + jnp.log(jnp.sum(jnp.exp(log_weights - top)))
-
-
 def effective_sample_size(weights: Any) -> Scalar:
     """M/(1 + CV²) = 1/Σw² (1.29), (1.30), with CV² = var(w)/E(w)²; the weights add to 1."""
     return 1.0 / jnp.sum(weights * weights)
