@@ -182,7 +182,10 @@ def congruence(rows: Sequence[SparseRow], upper: Sequence[Scalar], added: Sequen
     """F P Fᵀ + G Gᵀ as an upper triangle; F = `rows`, P = `upper`, G = `added`, all without their structural zeros."""
     n = len(rows)
     P = full(upper, n)
-    products = [[total(times(f, P[j][k]) for j, f in row.items()) for k in range(n)] for row in rows]
+    # Of F P the columns that the rows from the diagonal on multiply: in a motion whose later states drive the earlier
+    # ones little more than half of it.
+    needed = [sorted({j for later in rows[i:] for j in later}) for i in range(n)]
+    products = [{k: total(times(f, P[j][k]) for j, f in rows[i].items()) for k in needed[i]} for i in range(n)]
     # Each goes into many sums. Computed again in every one of them, 15 states took twice as long to compile and ten
     # times as long to run.
     FP = [shared(entries) if len(row) > 1 else entries for row, entries in zip(rows, products, strict=True)]

@@ -169,7 +169,7 @@ class Tracker(AbstractTracker):
         else:
             belief, log_likelihood, nis = shared((belief, log_likelihood, nis))
             numbers = jax.tree_util.tree_leaves(eqx.filter(belief, eqx.is_inexact_array))
-            finite = jnp.isfinite(shared(total(jnp.sum(x) for x in numbers)))
+            finite = jnp.isfinite(shared(total(x if x.ndim == 0 else jnp.sum(x) for x in numbers)))
         heard = count > 0
         surprise = carry.surprise + jnp.where(
             heard, (nis / jnp.maximum(count, 1.0) - carry.surprise) / self.loss.memory.value, 0.0
