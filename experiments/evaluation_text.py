@@ -5,8 +5,8 @@ from __future__ import annotations
 import io
 import math
 from collections import Counter
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 from rich import box
 from rich.console import Console
@@ -56,11 +56,11 @@ BELIEF_COLUMNS = (
 )
 
 
-def to_json(evaluation: Evaluation) -> str:
-    """Every figure as JSON, the missing ones as null."""
+def to_json(evaluation: Evaluation, work: Mapping[str, Any] | None = None) -> str:
+    """Every figure as JSON, the missing ones as null; `work`: what there is to say of points of work."""
     kind = "bearing" if evaluation.bearing else "position"
     parts = {"overall": evaluation.overall, "recordings": evaluation.recordings, "tracks": evaluation.tracks}
-    return json_text({"kind": kind, **parts})
+    return json_text({"kind": kind, **parts} | ({} if work is None else {"worksteps": work}))
 
 
 def to_text(evaluation: Evaluation, width: int = 120) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from pathlib import Path
 from typing import Annotated
@@ -16,6 +17,8 @@ from experiments.fail_if import fails
 from experiments.folder import Folder
 from experiments.matching import read_tracks
 from experiments.screen import notice, read_all
+from experiments.worksteps_text import to_text as work_text
+from experiments.worksteps_tracks import WorkReport, work_report
 from experiments.writing import atomic_write
 
 SOURCES = "recordings.txt"
@@ -28,6 +31,8 @@ def evaluate_tracks(
     json: bool = False,
     fail_if: str | None = None,
     every_s: float | None = None,
+    worksteps: Path | None = None,
+    tolerance: float | None = None,
 ) -> int:
     """Error figures of tracks against truth, horizontal and 3-D, per recording, tag and overall. Exit 1 with --fail-if.
 
@@ -37,13 +42,24 @@ def evaluate_tracks(
         json: print every figure as JSON instead of a table.
         fail_if: exit 1 where this holds of the overall figures, as "p95_m>0.5" or "rmse_m>0.2 or lost_fraction>0".
         every_s: judge only the last estimate in every so many seconds, so that busy tags don't weigh more.
+        worksteps: a table of points of work, name, x_m, y_m and optionally z_m: how often the right one is released.
+        tolerance: how near to a point, m, the tool is at it; default: half the smallest distance between two points.
     """
     if every_s is not None and not (math.isfinite(every_s) and every_s > 0):
         raise UnusableInput(f"--every-s {every_s}: expected a number of seconds above 0")
+    if tolerance is not None and worksteps is None:
+        raise UnusableInput(f"--tolerance {tolerance:g}: is of points of work; expected --worksteps POINTS with it")
     tracks = read_tracks(folder)
-    evaluation = judge(tracks, read_all(truth or sources(folder)), every_s)
-    atomic_write(folder / "evaluation.json", lambda path: path.write_text(to_json(evaluation), encoding="utf-8"))
-    print(to_json(evaluation) if json else to_text(evaluation), end="")
+    folders = read_all(truth or sources(folder))
+    evaluation, work = judge(tracks, folders, every_s), None
+    if worksteps is not None:
+        work = work_report(
+            tracks, {f.name: f.tables["truth"] for f in folders if "truth" in f.tables}, worksteps, tolerance
+        )
+        evaluation = with_work(evaluation, work)
+    text = to_json(evaluation, None if work is None else work.plain())
+    atomic_write(folder / "evaluation.json", lambda path: path.write_text(text, encoding="utf-8"))
+    print(text if json else to_text(evaluation) + ("" if work is None else "\n" + work_text(work)), end="")
     if fail_if is not None:
         why = fails(evaluation, fail_if)
         if why is not None:
@@ -59,6 +75,15 @@ def judge(tracks: pl.DataFrame, folders: list[Folder], every_s: float | None = N
         names = ", ".join(str(f.path) for f in folders)
         raise UnusableInput(f"{names}: no truth table, expected one to evaluate against; give it with --truth")
     return evaluate(tracks, truths, {f.name: f.rig.stations for f in folders}, every_s)
+
+
+def with_work(evaluation: Evaluation, work: WorkReport) -> Evaluation:
+    """The evaluation with the shares of right and wrong releases among its figures, overall and by recording."""
+    recordings = [
+        figures | (work.figures(figures["recording"]) if figures["recording"] in work.recordings else {})
+        for figures in evaluation.recordings
+    ]
+    return dataclasses.replace(evaluation, overall=evaluation.overall | work.figures(), recordings=recordings)
 
 
 def sources(folder: Path) -> tuple[Path, ...]:

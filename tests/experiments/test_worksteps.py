@@ -1,0 +1,177 @@
+"""Which point of work the tool is at: probabilities, releases, their figures, and `evaluate --worksteps`."""
+
+import json
+
+import numpy as np
+import polars as pl
+import pytest
+
+from experiments.worksteps import NOWHERE, WorkPoints, at_work, decide, probabilities, visits_of
+from experiments.worksteps_figures import calibration, judge, share, workstep
+from tests.experiments.faulty import good_tables
+from tests.experiments.in_process import assert_refused, trackwright
+
+HOLES = WorkPoints(("a", "b", "c"), np.array([[0.0, 0.0, 1.0], [0.1, 0.0, 1.0], [0.0, 0.12, 1.05]]))
+P = np.array([[4.0, 1.0, -0.5], [1.0, 2.0, 0.3], [-0.5, 0.3, 3.0]]) * 1e-3
+
+
+def _visits(spread, believed, seed=0, visits=4000, rows=3, play=0.01):
+    """Judged rows of visits to the holes: errors of covariance `spread`, reported as `believed`, the tip with play."""
+    rng = np.random.default_rng(seed)
+    here = rng.integers(0, 3, visits)
+    tip = np.repeat(HOLES.places[here] + play * rng.standard_normal((visits, 3)), rows, axis=0)
+    means = tip + rng.multivariate_normal(np.zeros(3), spread, len(tip))
+    starts = np.arange(0, len(tip), rows)
+    return judge(means, np.broadcast_to(believed, (len(tip), 3, 3)), tip, starts, HOLES, 0.055, play)
+
+
+def test_a_points_probability_is_that_of_tips_drawn_from_the_estimate_lying_about_it():
+    # The tip is drawn where the tracker believes it; each draw speaks for a point as the play about it allows.
+    rng, mean, play = np.random.default_rng(1), np.array([0.04, 0.05, 1.02]), 0.03
+    tips = rng.multivariate_normal(mean, P, 400_000)
+    weight = np.array([np.exp(-0.5 * np.sum((tips - c) ** 2, axis=1) / play**2) for c in HOLES.places])
+    drawn = weight.mean(axis=1) / weight.mean(axis=1).sum()
+    # The spread of the drawn shares over seeds is 0.0015.
+    assert probabilities(mean[None], P[None], HOLES, play)[0] == pytest.approx(drawn, abs=6e-3)
+
+
+def test_far_from_all_points_probabilities_still_add_up_to_one():
+    far = probabilities(np.array([[50.0, 0.0, 1.0]]), 1e-6 * np.eye(3)[None], HOLES, 0.0)
+    assert far[0] == pytest.approx([0.0, 1.0, 0.0])
+
+
+def test_an_estimate_without_covariance_counts_as_exact_and_one_without_numbers_releases_nothing():
+    means = np.array([[0.01, 0.0, 1.0], [np.nan, 0.0, 1.0]])
+    d = decide(means, np.full((2, 3, 3), np.nan), HOLES, 0.05, 0.02)
+    assert d.point.tolist() == [0, NOWHERE]
+    assert d.released.tolist() == [True, False]
+    assert np.isnan(d.probability[1])
+
+
+def test_a_release_needs_both_the_probability_and_the_tolerance():
+    means = np.array([[0.0, 0.0, 1.0], [0.05, 0.0, 1.0], [-0.07, 0.0, 1.0]])
+    d = decide(means, np.broadcast_to(1e-4 * np.eye(3), (3, 3, 3)), HOLES, 0.06, 0.0)
+    assert d.released.tolist() == [True, False, False]  # at the hole; half-way; sure, but too far off
+
+
+def test_right_covariances_make_95_percent_mean_95_percent():
+    judged = _visits(P, P)
+    w = workstep(judged)
+    assert w.claimed == pytest.approx(w.named.value, abs=0.01)  # the share's own spread is 0.004
+    for b in calibration(judged):
+        if b.right.n > 300:
+            # 3.3 standard errors of a share for some six bins; tips beyond the tolerance, which aren't judged, are 5e-6.
+            assert abs(b.right.value - b.claimed) < 3.3 * np.sqrt(0.25 / b.right.n), b
+    wrong_among_releases = w.false.value
+    assert wrong_among_releases < 0.05
+
+
+def test_covariances_too_small_claim_more_than_they_name():
+    w = workstep(_visits(P, P / 9))
+    assert w.claimed > w.named.value + 0.1
+    assert w.false.high > w.false.value > 0.05
+
+
+def test_right_wrong_and_missed_add_up_to_all_rows_at_work():
+    w = workstep(_visits(P, P))
+    assert w.right.value + w.wrong.value + w.missed.value == pytest.approx(1.0)
+    assert w.right.n == 12_000
+    assert w.visits_right.n == 4000
+
+
+def test_a_tip_is_at_the_nearest_point_within_the_tolerance_and_visits_are_rows_in_a_row():
+    truth = np.array([[0.0, 0.0, 1.0], [0.02, 0.0, 1.0], [0.06, 0.0, 1.0], [0.5, 0.0, 1.0], [0.0, 0.0, 1.0]])
+    at = at_work(truth, HOLES, 0.05)
+    assert at.tolist() == [0, 0, 1, NOWHERE, 0]
+    assert visits_of(np.array([0, 0, 1, 1, 1, 0]), np.array([0, 3])).tolist() == [1, 1, 2, 3, 3, 4]
+
+
+def test_wilsons_interval_of_independent_rows_is_the_textbooks():
+    hits = np.arange(100) < 10
+    found = share(hits, np.arange(100))
+    # Wilson 1927: 10 of 100. The design effect of clusters of one is n / (n - 1).
+    assert (found.low, found.high) == pytest.approx((0.0552, 0.1744), abs=5e-4)
+
+
+def test_intervals_of_rows_that_agree_within_visits_hold_the_truth_as_often_as_they_say():
+    rng, hits = np.random.default_rng(0), 0
+    for _ in range(600):
+        each = rng.beta(0.5 * 1.5, 0.5 * 1.5, 60)
+        cluster = np.repeat(np.arange(60), rng.integers(1, 20, 60))
+        found = share(rng.random(len(cluster)) < each[cluster], cluster)
+        hits += found.low <= 0.5 <= found.high
+    assert 0.92 < hits / 600 < 0.98  # 3 standard errors of 600 repeats are 0.027
+
+
+def test_no_rows_have_no_share():
+    assert np.isnan(share(np.zeros(0, bool), np.zeros(0)).value)
+
+
+# the command line
+
+
+@pytest.fixture
+def tracked(beginnings, tmp_path):
+    """Tracks with a covariance 1 cm off the truth, and a table of points on the way of one tag."""
+    truth = good_tables()["truth"]
+    tracks = truth.select(
+        recording=pl.lit("good"), tag="tag", t_s="t_s", x_m=pl.col("x_m") + 0.01, y_m="y_m", z_m="z_m",
+        std_x_m=pl.lit(0.02), std_y_m=pl.lit(0.02), std_z_m=pl.lit(0.02), status=pl.lit("ok"),
+    )  # fmt: skip
+    tracks.write_parquet(tmp_path / "tracks.parquet")
+    (tmp_path / "recordings.txt").write_text(f"{beginnings / 'good'}\n")
+    (tmp_path / "points.csv").write_text("name,x_m,y_m\nstart,3.0,2.0\nright,4.0,2.0\nfar,9.0,9.0\n")
+    return tmp_path
+
+
+def test_evaluate_tells_of_right_and_wrong_releases(tracked):
+    said = trackwright("evaluate", tracked, "--worksteps", tracked / "points.csv", "--tolerance", 0.2)
+    assert said.code == 0, said
+    assert "Right place?" in said.out
+    assert "At 1 of 3 points the tool never was." in said.out
+    found = json.loads((tracked / "evaluation.json").read_text())
+    assert found["worksteps"]["overall"]["right"]["value"] > 0.7
+    assert found["overall"]["work_wrong"] == 0.0
+    assert found["recordings"][0]["work_right"] == found["overall"]["work_right"]
+
+
+def test_a_pipeline_can_stop_on_missed_releases(tracked):
+    said = trackwright(
+        "evaluate", tracked, "--worksteps", tracked / "points.csv", "--tolerance", 0.2, "--fail-if", "work_missed > 0.9"
+    )
+    assert said.code == 0
+    points = tracked / "points.csv"
+    said = trackwright("evaluate", tracked, "--worksteps", points, "--tolerance", 0.2, "--fail-if", "work_right > 0")
+    assert said.code == 1
+
+
+BAD_POINTS = {
+    "columns": ("name,x,y\na,1,2\n", "no column x_m"),
+    "unknown column": ("name,x_m,y_m,z\na,3,2,1\n", "unknown column 'z'"),
+    "doubled name": ("name,x_m,y_m\na,3,2\nb,4,2\na,5,2\n", "stands in row 1 too"),
+    "same place": ("name,x_m,y_m\na,3,2\nb,3,2\n", "same place"),
+    "no name": ("name,x_m,y_m\n,3,2\n", "expected a name"),
+    "infinite": ("name,x_m,y_m\na,inf,2\nb,4,2\n", "'inf', expected a finite number"),
+    "empty cell": ("name,x_m,y_m\na,3,\nb,4,2\n", "empty, expected a finite number"),
+    "text": ("name,x_m,y_m\na,3,two\nb,4,2\n", "'two', expected a finite number"),
+    "no rows": ("name,x_m,y_m\n", "no rows"),
+    "nothing near": ("name,x_m,y_m\na,3000,2000\nb,4000,2000\n", "check units and origin"),
+    "one point": ("name,x_m,y_m\na,3,2\n", "give --tolerance"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_POINTS)
+def test_points_that_cannot_be_used_are_refused_in_one_line(tracked, name):
+    text, words = BAD_POINTS[name]
+    (tracked / "bad.csv").write_text(text)
+    given = ("--tolerance", 0.1) if name == "nothing near" else ()
+    assert_refused(trackwright("evaluate", tracked, "--worksteps", tracked / "bad.csv", *given), words)
+    assert not (tracked / "evaluation.json").exists()
+
+
+def test_a_missing_file_and_a_senseless_tolerance_are_refused(tracked):
+    assert_refused(trackwright("evaluate", tracked, "--worksteps", tracked / "none.csv"), "no such file")
+    for tolerance in (0, -1, "nan"):
+        said = trackwright("evaluate", tracked, "--worksteps", tracked / "points.csv", "--tolerance", tolerance)
+        assert_refused(said, "expected a number of metres above 0")
+    assert_refused(trackwright("evaluate", tracked, "--tolerance", 0.1), "--worksteps")
