@@ -40,12 +40,18 @@ def groups(folders: Sequence[Folder], name: str, free_height: bool) -> list[Grou
     entry = TRACKERS.get(name)
     if entry is None:
         raise UnusableInput(f"--tracker {name}: unknown; expected one of {', '.join(TRACKERS)}")
+    return grouped(folders, entry, name, free_height)
+
+
+def grouped(folders: Sequence[Folder], entry: Entry, name: str, free_height: bool) -> list[Group]:
+    """The lanes of all folders for a tracker's entry, batched where one tracker serves them; raises UnusableInput."""
     batches: dict[tuple[bool, Hashable], list[Lane]] = defaultdict(list)
     for folder in folders:
         lacking = entry.lacks(folder)
         if lacking is not None:
             raise UnusableInput(
-                f"{folder.path}: tracker '{name}' needs {lacking}; its tables: {', '.join(folder.tables)}"
+                f"{folder.path or folder.name}: tracker '{name}' needs {lacking}; its tables: "
+                f"{', '.join(folder.tables)}"
             )
         for lane in entry.lanes(folder, free_height):
             batches[entry.planar(lane, free_height), entry.geometry(lane)].append(lane)

@@ -14,7 +14,7 @@ def main() -> None:
     # jax reads its flags when it is first imported, so nothing that imports it may stand above.
     import tyro
 
-    from experiments.commands import check, evaluate, simulate, simulate_worlds, sweep, track, truth, tune, verify
+    from experiments.commands import check, evaluate, simulate, simulate_worlds, study, sweep, track, truth, tune, verify
     from experiments.errors import UnusableInput
 
     commands: dict[str, Any] = {
@@ -28,6 +28,7 @@ def main() -> None:
         "evaluate": evaluate.evaluate_tracks,
         "tune": tune.tune,
         "sweep": sweep.sweep,
+        "study": study.study,
         "truth": truth.truth,
         "verify": verify.verify,
     }

@@ -33,10 +33,10 @@ def batches(lanes: Sequence[Lane]) -> list[tuple[list[Lane], Batch]]:
     size = CHUNK * jax.local_device_count()
     ordered = sorted(lanes, key=lambda lane: len(lane.recording))
     parts = [ordered[k : k + size] for k in range(0, len(ordered), size)]
-    return [(part, stack([x.recording for x in part], rows=_rounded(len(part[-1].recording)))) for part in parts]
+    return [(part, stack([x.recording for x in part], rows=rounded(len(part[-1].recording)))) for part in parts]
 
 
-def _rounded(rows: int) -> int:
+def rounded(rows: int) -> int:
     """At least `rows`, with three significant bits: recordings of all lengths then share few compiled programs."""
     step = 1 << max(rows.bit_length() - 3, 0)
     return -(-rows // step) * step
@@ -66,7 +66,7 @@ def _table(lane: Lane, tracker: AbstractTracker, estimates: Estimates) -> pl.Dat
     last = np.append(np.diff(recording.times) > 0, True)
     status = estimates.status[:rows]
     usable = estimates.usable[:rows]
-    columns = _angles(estimates) if lane.station else _positions(estimates, recording.inputs["height"], rows)
+    columns = angles(estimates) if lane.station else _positions(estimates, recording.inputs["height"], rows)
     ids: dict[str, Any] = {"recording": lane.folder.name, "tag": lane.tag}
     if lane.station:
         ids["station"] = lane.station
@@ -96,7 +96,7 @@ def _positions(estimates: Estimates, height: np.ndarray, rows: int) -> dict[str,
     return columns | {f"v{a}_mps": v for a, v in zip(AXES, velocity, strict=False)}
 
 
-def _angles(estimates: Estimates) -> dict[str, np.ndarray]:
+def angles(estimates: Estimates) -> dict[str, np.ndarray]:
     """Azimuth and elevation; a direction in the array's plane has azimuth ±90° and its spread in the elevation."""
     if hasattr(estimates.mean, "heading"):
         angle = np.asarray(estimates.mean.heading.angle)

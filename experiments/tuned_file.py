@@ -81,7 +81,7 @@ def read_tuned(path: Path) -> dict[str, Any]:
     return values
 
 
-def with_noise(tracker: AbstractTracker, values: Mapping[str, Any], source: Path) -> AbstractTracker:
+def with_noise(tracker: AbstractTracker, values: Mapping[str, Any], source: Path | str) -> AbstractTracker:
     """The tracker with the values put in by name or pattern; raises UnusableInput for what doesn't fit it."""
     own = tunables(tracker)
     new = {}

@@ -12,9 +12,7 @@ import numpy as np
 from experiments.errors import UnusableInput
 from experiments.folder import write_folder
 from experiments.manifest import write_manifest
-from experiments.worlds.phases import as_folder
-from sim import corruptions
-from sim.scenarios import simulate_phases, work_station
+from experiments.worlds.named import station
 
 
 def simulate(
@@ -61,32 +59,16 @@ def simulate(
     for name, value in (("outliers", outliers), ("drop-outs", drop_outs)):
         if not 0 <= value < 1:
             raise UnusableInput(f"--{name} {value}: expected a probability from 0 to below 1")
-    rig = work_station()
-    names = list(rig.stations)
-    pieces: dict[str, corruptions.Corruption] = {}
-    if gauss_markov > 0:
-        pieces["gauss-markov"] = corruptions.gauss_markov(gauss_markov, 1.0)
-    if outliers > 0:
-        pieces["outliers"] = corruptions.outliers(outliers, np.pi)
-    if drop_outs > 0:
-        pieces["drop-outs"] = corruptions.drop_outs(drop_outs)
-    if lost_station is not None:
-        pieces["lost station"] = corruptions.lose_station(_index(names, lost_station, "lost-station"))
-    if masked_antenna is not None:
-        station, antenna = masked_antenna
-        if not 1 <= antenna <= 8:
-            raise UnusableInput(f"--masked-antenna {antenna}: expected an antenna from 1 to 8")
-        pieces["masked antenna"] = corruptions.mask_antenna(_index(names, station, "masked-antenna"), antenna - 1)
-    world = simulate_phases(rig, path, n, seed, rate_hz=rate_hz, n_points=rows, sigma_p=sigma_p, corruptions=pieces)
-    folder = as_folder(world, f"simulated-{path}-{seed}")
+    numbers = {
+        "path": path, "rows": rows, "rate_hz": rate_hz, "sigma_p": sigma_p, "outliers": outliers,
+        "drop_outs": drop_outs, "gauss_markov": gauss_markov, "lost_station": lost_station,
+        "masked_antenna": masked_antenna,
+    }  # fmt: skip
+    try:
+        folder = station(np.arange(n), seed, **numbers)  # type: ignore[arg-type]
+    except ValueError as error:
+        raise UnusableInput(f"--{error}") from error
     write_folder(folder, out)
-    config = {"path": path, "n": n, "rows": rows, "rate_hz": rate_hz, "sigma_p": sigma_p, "corruptions": list(pieces)}
-    write_manifest(out, sys.argv, config, started, seeds=(seed,))
-    print(f"wrote {out}: {n} tags x {rows} rows x {len(names)} stations, with truth")
+    write_manifest(out, sys.argv, {"n": n, **numbers}, started, seeds=(seed,))
+    print(f"wrote {out}: {n} tags x {rows} rows x {len(folder.rig.stations)} stations, with truth")
     return 0
-
-
-def _index(names: list[str], name: str, option: str) -> int:
-    if name not in names:
-        raise UnusableInput(f"--{option} {name}: unknown station, expected one of {', '.join(names)}")
-    return names.index(name)

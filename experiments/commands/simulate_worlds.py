@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from experiments.errors import UnusableInput
 from experiments.folder import Folder, write_folder
 from experiments.manifest import write_manifest
-from experiments.worlds.agv import simulated_agv
-from experiments.worlds.line import simulated_line
-from experiments.worlds.ranging import simulated_ranging
-from experiments.worlds.uwb_imu import simulated_uwb_imu
-from sim import agv, imu, line, ranging
-from sim.corruptions import Corruption, drop_outs, outliers, white_noise
-from sim.fixes import late, mirrored
+from experiments.worlds import named
 
 
 def simulate_line(
@@ -40,9 +36,8 @@ def simulate_line(
     """
     started = datetime.now(UTC)
     _within(n=(n, 1, 10**7), seed=(seed, 0, 2**63 - 1), speed=(speed, 0.01, 10.0), rate_hz=(rate_hz, 0.1, 1000.0))
-    world = line.simulate_line(situation, n, seed, speed=speed, rate_hz=rate_hz)
-    config = {"situation": situation, "n": n, "speed": speed, "rate_hz": rate_hz}
-    return _write(simulated_line(world, f"simulated-line-{situation}-{seed}"), out, config, seed, started)
+    numbers = {"situation": situation, "speed": speed, "rate_hz": rate_hz}
+    return _write(named.line, numbers, out, n, seed, started)
 
 
 def simulate_ranges(
@@ -74,20 +69,8 @@ def simulate_ranges(
         n=(n, 1, 10**7), seed=(seed, 0, 2**63 - 1), rows=(rows, 1, 10**7), rate_hz=(rate_hz, 0.1, 1000.0),
         sigma_r=(sigma_r, 0.0, 10.0), bias=(bias, 0.0, 10.0), hidden=(hidden, 0.0, 0.9), lost=(lost, 0.0, 0.99),
     )  # fmt: skip
-    pieces: dict[str, Corruption] = {}
-    if bias > 0:
-        pieces["biases"] = ranging.antenna_biases(bias)
-    if hidden > 0:
-        pieces["hidden"] = ranging.obstruction(hidden, 2.0, 0.3, 0.3)
-    if sigma_r > 0:
-        pieces["white"] = white_noise(sigma_r)
-    if lost > 0:
-        pieces["lost"] = drop_outs(lost)
-    world = ranging.simulate_ranges(
-        ranging.chamber(), n=n, seed=seed, rate_hz=rate_hz, n_points=rows, corruptions=pieces
-    )
-    config = {"n": n, "rows": rows, "rate_hz": rate_hz, "sigma_r": sigma_r, "pieces": list(pieces)}
-    return _write(simulated_ranging(world, f"simulated-ranges-{seed}"), out, config, seed, started)
+    numbers = {"rows": rows, "rate_hz": rate_hz, "sigma_r": sigma_r, "bias": bias, "hidden": hidden, "lost": lost}
+    return _write(named.ranges, numbers, out, n, seed, started)
 
 
 def simulate_imu(
@@ -112,9 +95,7 @@ def simulate_imu(
     _within(n=(n, 1, 10**6), seed=(seed, 0, 2**63 - 1), rows=(rows, 1, 10**7), rate_hz=(rate_hz, 1.0, 1000.0))
     if gap is not None and not 0 <= gap[0] < gap[1]:
         raise UnusableInput(f"--gap {gap[0]:g} {gap[1]:g}: expected two times in seconds, the first before the second")
-    world = imu.simulate_uwb_imu(ranging.chamber(), n=n, seed=seed, rate_hz=rate_hz, n_points=rows, gap_s=gap)
-    config = {"n": n, "rows": rows, "rate_hz": rate_hz, "gap": gap}
-    return _write(simulated_uwb_imu(world, f"simulated-imu-{seed}"), out, config, seed, started)
+    return _write(named.tool, {"rows": rows, "rate_hz": rate_hz, "gap": gap}, out, n, seed, started)
 
 
 def simulate_agv(
@@ -144,18 +125,8 @@ def simulate_agv(
         n=(n, 1, 10**7), seed=(seed, 0, 2**63 - 1), rows=(rows, 1, 10**7), speed=(speed, 0.01, 2.0),
         wild=(wild, 0.0, 0.99), latency=(latency, 0.0, 10.0), mirror=(mirror, 0.0, 0.99),
     )  # fmt: skip
-    # What depends on where the tag was comes before what adds noise.
-    pieces: dict[str, Corruption] = {}
-    if latency > 0:
-        pieces["late"] = late(latency)
-    if mirror > 0:
-        pieces["mirrored"] = mirrored(agv.ANCHOR_HEIGHT, mirror, 3.0)
-    pieces |= agv.FIX_ERRORS
-    if wild > 0:
-        pieces["wild"] = outliers(wild, 2.0)
-    world = agv.simulate_agv(n, seed, speed=speed, rows=rows, errors=pieces)
-    config = {"n": n, "rows": rows, "speed": speed, "pieces": list(pieces)}
-    return _write(simulated_agv(world, f"simulated-agv-{seed}"), out, config, seed, started)
+    numbers = {"rows": rows, "speed": speed, "wild": wild, "latency": latency, "mirror": mirror}
+    return _write(named.agv, numbers, out, n, seed, started)
 
 
 def _within(**limits: tuple[float, float, float]) -> None:
@@ -165,9 +136,12 @@ def _within(**limits: tuple[float, float, float]) -> None:
             raise UnusableInput(f"--{name.replace('_', '-')} {value}: expected a number from {low:g} to {high:g}")
 
 
-def _write(folder: Folder, out: Path, config: Mapping[str, Any], seed: int, started: datetime) -> int:
+def _write(
+    world: Callable[..., Folder], numbers: Mapping[str, Any], out: Path, n: int, seed: int, started: datetime
+) -> int:
+    folder = world(np.arange(n), seed, **numbers)
     write_folder(folder, out)
-    write_manifest(out, sys.argv, dict(config), started, seeds=(seed,))
+    write_manifest(out, sys.argv, {"n": n, **numbers}, started, seeds=(seed,))
     sizes = ", ".join(f"{name} {len(table)} rows" for name, table in folder.tables.items())
     print(f"wrote {out}: {len(folder.rig.tags)} tags, {sizes}")
     return 0
