@@ -85,9 +85,9 @@ class Study:
     """Worlds × trackers × grid × runs. Trajectory ids are 0 … runs − 1 in all cells: differences are paired.
 
     The first tracker is the one that others are compared with. `grid`: `world.` and a keyword of the worlds, or a
-    tunable's name or pattern, or several such with commas, to their values; all combinations. `measures`: figures of the study's own, numbers (n,) of
-    n trajectories, NaN for none. `figures`: what the report's table shows. `claims`: what was printed elsewhere, beside
-    what came out. `draw`: pictures of its own, as files in a folder; their names.
+    tunable's name or pattern, or several such with commas, to their values; all combinations. `measures`: figures of
+    the study's own, numbers (n,) of n trajectories, NaN for none. `figures`: what the report's table shows. `claims`:
+    what was printed elsewhere, beside what came out. `draw`: pictures of its own, as files in a folder; their names.
     """
 
     name: str
