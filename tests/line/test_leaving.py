@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from trackers.line.leaving import absences
+from trackers.line.leaving import absences, evidence
 
 TIMES = np.arange(0, 60, 0.5)
 
@@ -32,3 +32,13 @@ def test_rows_without_a_free_estimate_say_nothing():
     (stay,) = absences(TIMES, gaps, 1.0, 2.0)
     assert (TIMES[stay.start], stay.farthest) == (20.0, 2.0)
     assert absences(TIMES, np.full(len(TIMES), np.nan), 1.0, 2.0) == []
+
+
+def test_the_evidence_is_distance_beyond_the_slack_summed_over_time_and_never_negative():
+    apart = np.where((TIMES >= 20) & (TIMES < 30), 2.0, 0.2)
+    sums = evidence(TIMES, apart, 1.0)
+    # Ten seconds of one metre too much, then 0.8 m/s less.
+    assert sums[TIMES < 20].max() == 0.0
+    assert sums.max() == 10.0
+    assert abs(sums[TIMES == 35.0][0] - (10.0 - 0.8 * 5.5)) < 1e-9
+    assert evidence(TIMES, apart, 1.0, 4.0).max() == 4.0
