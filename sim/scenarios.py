@@ -52,18 +52,18 @@ class SimulatedPhases:
     ids: np.ndarray
 
 
-def work_station(antennas: np.ndarray | None = None) -> Rig:
-    """The paper's work stand: three stations 1 m above the lid of the work volume, 0.4 m off its middle line.
+def work_station(antennas: np.ndarray | None = None, radius: float = 0.4) -> Rig:
+    """The paper's work stand: three stations 1 m above the lid of the work volume, `radius` m off its middle line.
 
-    Each looks at the middle of the volume, all of which it has within 29 degrees; its array's x axis lies level along
-    the world's -x. `antennas` (n, 2), m: another array in place of the default one, whose layout is fitted
+    Each looks at the middle of the volume, all of which it has within 29 degrees (at 0.4 m); its array's x axis lies
+    level along the world's -x. `antennas` (n, 2), m: another array in place of the default one, whose layout is fitted
     (`python -m experiments.fit_array_layout`). The paper prints no station positions: these are chosen.
     """
     layout = DEFAULT_ANTENNAS if antennas is None else np.asarray(antennas, float)
     lower, upper = WORK_VOLUME
     stations = {}
     for number, angle in enumerate(np.deg2rad([90.0, 210.0, 330.0]), start=1):
-        position = np.array([0.4 * np.cos(angle), 0.4 * np.sin(angle), upper[2] + 1.0])
+        position = np.array([radius * np.cos(angle), radius * np.sin(angle), upper[2] + 1.0])
         rotation = facing(position, (lower + upper) / 2)
         stations[str(number)] = Station(position, rotation, layout, DEFAULT_WAVELENGTH)
     return Rig(name="work-station", stations=stations)
