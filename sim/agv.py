@@ -66,6 +66,13 @@ class Route:
         back = np.where(straight, side - along, 0.0)
         return corner[quarter] + self.radius * outward - back[..., None] * direction
 
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """How far points (..., 2), m, are from the route, inside it or outside: the error that knows no time."""
+        half = np.array([self.width, self.depth]) / 2 - self.radius
+        beyond = np.abs(np.asarray(points, float)) - half
+        outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1)
+        return np.abs(outside + np.minimum(beyond.max(axis=-1), 0.0) - self.radius)
+
     def knots(self, spacing: float = 0.05) -> np.ndarray:
         """The route as corners (k, 2), m, of a closed polyline, `spacing` m apart."""
         return self.at(np.linspace(0, self.length, int(np.ceil(self.length / spacing)) + 1))
