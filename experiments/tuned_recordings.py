@@ -16,8 +16,13 @@ from experiments.runtime import set_flags
 
 set_flags()
 
+from experiments.catalogue import groups  # noqa: E402
 from experiments.commanded import real_recordings  # noqa: E402
+from experiments.folder import read_folder  # noqa: E402
+from experiments.tracks import batches  # noqa: E402
+from experiments.tuned_file import with_noise  # noqa: E402
 from experiments.tuning_job import job_of, only_group  # noqa: E402
+from trackers.core.tunable import tunables  # noqa: E402
 from tuning import NegativeLogLikelihood, fit  # noqa: E402
 from tuning.figures import every_figure  # noqa: E402
 
@@ -43,7 +48,12 @@ GROUPS = {
         tuple(f"ble51-uca-{p}" for p in ("x1y1", "x2y2", "x4y2")),
         "beam",
     ),
-    "lias": Split(("lias-still-p1-0", "lias-still-p3-180", "lias-still-p5-0"), ("lias-planar-fast",), "uwb"),
+    "lias": Split(
+        ("lias-still-p1-0", "lias-still-p3-180", "lias-still-p5-0"),
+        ("lias-planar-fast",),
+        "uwb",
+        ("*.sigma_r", "*.sigma_bias"),
+    ),
     "ngbui": Split(("ngbui-line-1-1",), ("ngbui-line-2-1", "ngbui-line-3-1"), "line-grid"),
     "tiers": Split(("tiers-1tag-01",), ("tiers-2tag-01", "tiers-2tag-03", "tiers-2tag-06"), "fix-mirror"),
 }
@@ -66,21 +76,29 @@ def main(names: list[str]) -> int:
 def shown(name: str, split: Split, folder: Path) -> bool:
     """Tune one group, print its figures, and say whether the RMSE got worse."""
     began = time.perf_counter()
-    paths = [folder / x for x in (*split.tuned, *split.judged)]
-    tracker, group = only_group(paths, split.tracker, None, False)
-    job = job_of(group, "nll", [folder / x for x in split.judged], PIECE_ROWS)
+    tracker, group = only_group([folder / x for x in split.tuned], split.tracker, None, False)
+    job = job_of(group, "nll", [], PIECE_ROWS)
     result = fit(job.tracker, job.rows(), NegativeLogLikelihood(), split.tune, starts=2)
-    quantity = next(iter(job.held_out[0].recording.truth))
-    dimensions = 2 if job.planar or quantity == "direction" else 3
-    before, after = (
-        every_figure(t, job.rows(held_out=True), quantity, dimensions) for t in (job.tracker, result.tracker)
-    )
-    for figure in ("nll", "rmse", "rmse-3d", "nis-shape"):
-        if before[figure] == before[figure]:
-            print(f"{name:8s}{tracker:12s}{figure:38s}{before[figure]:10.4g}{after[figure]:10.4g}", flush=True)
-    numbers = ", ".join(f"{k} {v:.3g}" for k, v in result.values.items() if v.ndim == 0)
-    print(f"        {time.perf_counter() - began:.0f} s; {numbers}", flush=True)
-    return bool(after["rmse"] > WORSE * before["rmse"])
+    numbers = {name: own.value for name, own in tunables(result.tracker).items()}
+    worse = False
+    # Recordings with another path or other anchors have a tracker of their own, which takes the numbers by name.
+    for judged in groups([read_folder(folder / x) for x in split.judged], tracker, False):
+        rows = [batch for _, batch in batches(judged.lanes)]
+        quantity = next(iter(judged.lanes[0].recording.truth))
+        dimensions = 2 if judged.planar or quantity == "direction" else 3
+        tuned = {k: v for p in result.parameters for k in p.names for v in [numbers[k]]}
+        before, after = (
+            every_figure(t, rows, quantity, dimensions)
+            for t in (judged.tracker, with_noise(judged.tracker, tuned, name))
+        )
+        print(f"{name:8s}{tracker:12s}{', '.join(sorted({x.folder.name for x in judged.lanes}))}")
+        for figure in ("nll", "rmse", "rmse-3d", "nis-shape"):
+            if before[figure] == before[figure]:
+                print(f"{'':20s}{figure:38s}{before[figure]:10.4g}{after[figure]:10.4g}", flush=True)
+        worse |= bool(after["rmse"] > WORSE * before["rmse"])
+    listed = ", ".join(f"{k} {v:.3g}" for k, v in result.values.items() if v.ndim == 0)
+    print(f"{'':20s}{time.perf_counter() - began:.0f} s; {listed}", flush=True)
+    return worse
 
 
 if __name__ == "__main__":

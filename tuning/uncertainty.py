@@ -168,7 +168,8 @@ def optimum(problem: Any, vector: np.ndarray) -> Optimum:
     said = problem.against(vectors, terms.sum(axis=-1))
     values, gradients = values + said.values, gradients + said.gradients
     rows = (gradients[1 : p + 1] - gradients[p + 1 :]) / (2 * STEP)
-    units = problem.objective.log_likelihood_units(terms[0].sum(axis=-1))
+    # Without a single usable trajectory there is no likelihood to speak of.
+    units = problem.objective.log_likelihood_units(terms[0].sum(axis=-1)) if used.any() else np.nan
     psi = influence(problem.objective, terms[0], slopes[0])
     return Optimum(vector, float(values[0]), gradients[0], 0.5 * (rows + rows.T), psi, units, used)
 

@@ -103,7 +103,8 @@ class InteractingModels(eqx.Module):
 
     def predict(self, belief: Mixture, motion: AbstractMotion, inputs: Any, dt: Scalar) -> Mixture:
         """The belief `dt` seconds later, the modes mixed first."""
-        tiny = jnp.finfo(dt.dtype).tiny
+        # Its square has an inverse still, which the derivative of a quotient takes.
+        tiny = float(jnp.finfo(dt.dtype).tiny) ** 0.5
         weights = [jnp.exp(w) for w in belief.log_weights]
         rates = self.rates(belief, inputs)
         anew = [-jnp.expm1(-rate * dt) * w for rate, w in zip(rates, weights, strict=True)]
