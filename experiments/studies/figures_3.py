@@ -5,8 +5,8 @@ their averages, of set 1 of each situation. Their captions print two figures eac
 the particle filter is better than the Kalman filter; those of measurements are fitted (`fit_table_3_1`), the three
 improvements are predicted. As in Table 3.1 a printed one is one recording and ours the mean over many.
 
-The worlds `… ten runs` hold one recording over and over, and particles of other random numbers: the thesis averages ten
-such runs, "since a single trial is not representative".
+The worlds `… run again` hold one recording over and over, for particles of other random numbers: the thesis averages ten
+such runs, since a single one "does not necessarily provide a representative output".
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def claims(results: Results) -> list[Claim | Conclusion]:
         runs = seen(results.study, world, np.arange(results.study.chunk))
         below = distances(runs["particle"]) < distances(runs["Kalman"])
         shares.append(float(below[runs["particle"].known].mean()))
-        scatter.append(100 * results.numbers("error_m", f"{world}, ten runs", "particle").std(ddof=1))
+        scatter.append(100 * results.numbers("error_m", f"{world}, run again", "particle").std(ddof=1))
         spread.append(100 * results.numbers("error_m", world, "particle").std(ddof=1))
     stays = Conclusion(
         "the particle filter's output always stays on the assembly line, the Kalman filter strays away",
@@ -111,7 +111,7 @@ def draw(results: Results, folder: Path) -> list[str]:
     """The path and the errors over time, for each situation."""
     names = []
     for number, (situation, world) in enumerate(FIRST.items()):
-        runs = seen(results.study, f"{world}, ten runs", np.arange(results.study.chunk))
+        runs = seen(results.study, f"{world}, run again", np.arange(results.study.chunk))
         pair = f"Figures 3.{2 * number + 1} and 3.{2 * number + 2}"
         names.append(
             picture(folder, f"{situation.replace(' ', '_')}.svg", _panels(runs, f"{pair}: {situation}"), 5.0, 6.4)
@@ -154,7 +154,7 @@ _MANY = worlds(NUMBERS, tuple(FIRST.values()))
 STUDY = Study(
     name="figures-3",
     about="How do both filters' errors run over one recording of each situation, and which is the better, when?",
-    worlds=_MANY | {f"{name}, ten runs": World(over_and_over, world.numbers) for name, world in _MANY.items()},
+    worlds=_MANY | {f"{name}, run again": World(over_and_over, world.numbers) for name, world in _MANY.items()},
     trackers={
         "particle": with_noise(PARTICLE, NUMBERS["sigma_particle"]),
         "Kalman": with_noise(KALMAN, NUMBERS["sigma_kalman"]),
