@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
+import jax
 import tyro
 
 from experiments.errors import UnusableInput
@@ -16,7 +17,6 @@ from experiments.manifest import write_manifest
 from experiments.screen import notice, output_folder, progress
 from experiments.study.declaration import checked
 from experiments.study.page import write_page
-from experiments.study.run import devices
 from experiments.study.sources import names, study_of
 from experiments.study.store import CHUNKS, merged
 from experiments.study.text import study_names, to_json, to_text
@@ -73,7 +73,7 @@ def study(
     total = len(declared.cells) * declared.chunks
     notice(
         f"{declared.name}: {declared.about} {len(declared.cells)} cells × {declared.runs} runs × "
-        f"{len(declared.trackers)} trackers in {total} chunks of {declared.chunk}, on {devices()} devices"
+        f"{len(declared.trackers)} trackers in {total} chunks of {declared.chunk}, on {jax.local_device_count()} devices"
     )
     with progress(declared.name, total // part[1] if part[1] > 1 else total) as advance:
         results = carry_out(declared, folder, part, enough, advance)

@@ -7,6 +7,7 @@ paired one. Beyond 512 trajectories groups of them, id modulo 512, are resampled
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -95,7 +96,6 @@ class Results:
 
     def __init__(self, study: Study, kept: Mapping[tuple[int, str], Kept], runs: Mapping[int, int]):
         self.study, self.kept, self.runs = study, kept, runs
-        self._weights: dict[int, np.ndarray] = {}
         self._samples: dict[tuple[int, str], tuple[Sample, Sample]] = {}
 
     def cell(self, world: str, **point: Any) -> Cell:
@@ -149,7 +149,7 @@ class Results:
         if figure in CONSTANT:
             value = kept.us_per_row if figure == "us_per_row" else kept.bounds[int(figure == "bound_3d_m")]
             return value, np.full(REPLICATES, value)
-        weights = self._resampled(self.runs[cell.index])
+        weights = resampled(self.study.seed, min(self.runs[cell.index], BLOCKS))
         if figure in kept.measures:
             return _mean_of(kept.measures[figure], weights)
         whole, many = self._sampled(cell, tracker, weights)
@@ -173,13 +173,8 @@ class Results:
             self._samples[key] = whole, many
         return self._samples[key]
 
-    def _resampled(self, runs: int) -> np.ndarray:
-        """How often every block is in every resampling (R, blocks), the same for all cells of as many runs."""
-        if runs not in self._weights:
-            self._weights[runs] = resampled(self.study.seed, min(runs, BLOCKS))
-        return self._weights[runs]
 
-
+@functools.lru_cache(maxsize=8)
 def resampled(seed: int, count: int) -> np.ndarray:
     """How often each of `count` things is in every resampling (REPLICATES, count), drawn with replacement."""
     rng = np.random.default_rng([seed, count])

@@ -7,7 +7,6 @@ import time
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 
 from experiments.bounds import bounds_of
@@ -219,8 +218,3 @@ def _bounds(folder: Folder, groups: list[Group]) -> np.ndarray:
         return np.full(2, np.nan)
     squares = (found[1][len(found[1]) // 2 :] ** 2).mean(axis=0)
     return np.sqrt([squares[:2].sum(), squares.sum()])
-
-
-def devices() -> int:
-    """How many devices of this host share the work."""
-    return jax.local_device_count()

@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
+from queue import SimpleQueue
+from typing import Any
 
+import jax
 import numpy as np
 
 from experiments.errors import UnusableInput
 from experiments.screen import Advance
 from experiments.study.declaration import Cell, Study
 from experiments.study.results import NAMES, Results
-from experiments.study.run import devices, trajectories
+from experiments.study.run import trajectories
 from experiments.study.store import Store
-from experiments.study.tally import BINS
 
-TOGETHER = 2
-"""Neighbouring chunks that one shard takes, so that two devices have work."""
+CHUNKS_PER_DEVICE = 4
+"""A device takes part from so many chunks on: every device compiles the trackers for itself."""
 
 
 @dataclass(frozen=True)
@@ -58,61 +62,52 @@ def carry_out(
     if until is not None and shard != (1, 1):
         raise UnusableInput("--until with --shard: a shard doesn't see the others' runs; leave one of them out")
     store = Store(folder, study).opened()
-    runs = {}
-    for cell in study.cells:
-        if until is None:
-            _complete(store, cell, _mine(study, cell, shard), advance)
-            runs[cell.index] = study.runs
-        else:
-            runs[cell.index] = _run_until(store, cell, until, advance)
+    if until is None:
+        every = [(cell, k) for cell in study.cells for k in range(study.chunks)]
+        complete(store, every[shard[0] - 1 :: shard[1]], advance)
+        runs = {cell.index: study.runs for cell in study.cells}
+    else:
+        runs = {cell.index: _run_until(store, cell, until, advance) for cell in study.cells}
     whole = all(store.has(cell, k) for cell, n in runs.items() for k in range(-(-n // study.chunk)))
     return store.results(runs) if whole else None
 
 
-def _mine(study: Study, cell: Cell, shard: tuple[int, int]) -> list[int]:
-    """The chunks of a cell that a shard, i of n, runs."""
-    first = cell.index * -(-study.chunks // TOGETHER)
-    return [k for k in range(study.chunks) if (first + k // TOGETHER) % shard[1] == shard[0] - 1]
-
-
 def _run_until(store: Store, cell: Cell, until: Until, advance: Advance) -> int:
-    study, enough = store.study, 1
+    study, enough, done = store.study, 1, 0
     while True:
-        _complete(store, cell, list(range(min(enough, study.chunks))), advance)
-        runs = min(enough * study.chunk, study.runs)
+        wanted = min(enough, study.chunks)
+        complete(store, [(cell, k) for k in range(done, wanted)], advance)
+        runs, done = min(enough * study.chunk, study.runs), wanted
         if runs == study.runs or until.reached(store.results({cell.index: runs}), cell):
-            advance(study.chunks - min(enough, study.chunks))
+            advance(study.chunks - wanted)
             return runs
         enough *= 2
 
 
-def _complete(store: Store, cell: Cell, chunks: list[int], advance: Advance) -> None:
-    """Run those of the chunks that aren't there yet, as many together as there are devices."""
-    study = store.study
-    missing = [k for k in chunks if not store.has(cell.index, k)]
+def complete(store: Store, chunks: Sequence[tuple[Cell, int]], advance: Advance) -> None:
+    """Run those of the chunks that aren't there yet, one at a time on every device."""
+    missing = [(cell, k) for cell, k in chunks if not store.has(cell.index, k)]
     advance(len(chunks) - len(missing))
-    while missing:
-        together = [missing.pop(0)]
-        while missing and len(together) < devices() and missing[0] == together[-1] + 1 and together[0] > 0:
-            together.append(missing.pop(0))
-        # A first chunk is alone: its bounds are averages over itself.
-        ids = np.arange(together[0] * study.chunk, (together[-1] + 1) * study.chunk)
-        kept = trajectories(study, cell, ids, first=together[0] == 0)
-        for place, k in enumerate(together):
-            part = slice(place * study.chunk, (place + 1) * study.chunk)
-            store.put(cell.index, k, [_part_of(own, part) for own in kept])
-        advance(len(together), cell.label)
+    devices: SimpleQueue[Any] = SimpleQueue()
+    taking_part = jax.local_devices()[: max(1, len(missing) // CHUNKS_PER_DEVICE)]
+    for device in taking_part:
+        devices.put(device)
+    size = store.study.chunk
 
+    def run(cell: Cell, chunk: int) -> None:
+        device = devices.get()
+        try:
+            with jax.default_device(device):
+                ids = np.arange(chunk * size, (chunk + 1) * size)
+                store.put(cell.index, chunk, trajectories(store.study, cell, ids, first=chunk == 0))
+        finally:
+            devices.put(device)
+        advance(1, cell.label)
 
-def _part_of(own: dict[str, np.ndarray], part: slice) -> dict[str, np.ndarray]:
-    """What was kept of some of the trajectories."""
-    made: dict[str, np.ndarray] = {}
-    for name, values in own.items():
-        kind = name.partition(" ")[2]
-        if name.startswith("cells "):
-            mine = (values // BINS >= part.start) & (values // BINS < part.stop)
-            made[name] = values[mine] - part.start * BINS
-            made[f"counts {kind}"] = own[f"counts {kind}"][mine]
-        elif not name.startswith("counts "):
-            made[name] = values[part] if values.ndim and name != "bounds" else values
-    return made
+    with ThreadPoolExecutor(len(taking_part)) as pool:
+        waiting = [pool.submit(run, *one) for one in missing]
+        try:
+            for one in as_completed(waiting):
+                one.result()
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)

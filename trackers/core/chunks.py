@@ -33,8 +33,13 @@ def prepared(tree: Tree, dtype: Any) -> Tree:
 
 
 def chunks(batch: Batch, chunk: int) -> Iterator[Batch]:
-    """The batch in parts of `chunk` lanes per device, on the devices; all devices of the host share a part's lanes."""
-    devices = jax.local_devices()
+    """The batch in parts of `chunk` lanes per device; all devices of the host share a part's lanes.
+
+    Under `jax.default_device` that one alone: then what is compiled is the same program however many there are, and
+    so are its results to the bit. XLA fuses the program of several devices otherwise, which moves last bits.
+    """
+    only = jax.config.jax_default_device  # type: ignore[attr-defined]
+    devices = jax.local_devices() if only is None else [only]
     # A small batch gets a small chunk, a power of two so that few shapes are ever compiled.
     chunk = min(chunk, 1 << (batch.size - 1).bit_length())
     if batch.size <= chunk:
