@@ -5,8 +5,8 @@ their averages, of set 1 of each situation. Their captions print two figures eac
 the particle filter is better than the Kalman filter; those of measurements are fitted (`fit_table_3_1`), the three
 improvements are predicted. As in Table 3.1 a printed one is one recording and ours the mean over many.
 
-The worlds `… run again` hold one recording over and over, for particles of other random numbers: the thesis averages ten
-such runs, since a single one "does not necessarily provide a representative output".
+The worlds `… run again` hold one recording over and over, for particles of other random numbers: the thesis averages
+ten such runs, since a single one "does not necessarily provide a representative output".
 """
 
 from __future__ import annotations

@@ -162,7 +162,7 @@ STUDY = Study(
         "grid": Entrant(dataclasses.replace(TRACKERS["line-grid"], about="grid, no segment", build=_plain_grid)),
         "grid, segment": Entrant(TRACKERS["line-grid"], _NOISE),
     },
-    runs=40,
+    runs=30,
     grid={SIGMA: SWEPT},
     measures={"error_m": error, "rest_error_m": rest_error, "overshoot_m": overshoot},
     figures=("mean_m", "rmse_m", "nees_mean"),
