@@ -1,11 +1,11 @@
-# Targets: env demo test test-slow lint bench bench-peers clean. Each makes the environment it needs.
+# Targets: env demo test test-slow lint papers bench bench-peers clean. Each makes the environment it needs.
 
 PYTHON ?= python3
 BIN := .venv/bin
 PEERS := .venv-peers/bin
 OLD_PYTHON := trackwright needs Python 3.11 or newer; name one with `make PYTHON=/path/to/python3.11 ...`
 
-.PHONY: env demo test test-slow lint bench bench-peers clean
+.PHONY: env demo test test-slow lint papers bench bench-peers clean
 
 env: .venv/installed
 
@@ -34,6 +34,9 @@ lint: env
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+papers: env
+	$(BIN)/python -m experiments.papers
 
 bench: env
 	$(BIN)/python -m experiments.bench

@@ -14,7 +14,19 @@ def main() -> None:
     # jax reads its flags when it is first imported, so nothing that imports it may stand above.
     import tyro
 
-    from experiments.commands import check, evaluate, simulate, simulate_worlds, study, sweep, track, truth, tune, verify
+    from experiments.commands import (
+        check,
+        evaluate,
+        report,
+        simulate,
+        simulate_worlds,
+        study,
+        sweep,
+        track,
+        truth,
+        tune,
+        verify,
+    )
     from experiments.errors import UnusableInput
 
     commands: dict[str, Any] = {
@@ -29,6 +41,7 @@ def main() -> None:
         "tune": tune.tune,
         "sweep": sweep.sweep,
         "study": study.study,
+        "report": report.report,
         "truth": truth.truth,
         "verify": verify.verify,
     }

@@ -73,7 +73,8 @@ def study(
     total = len(declared.cells) * declared.chunks
     notice(
         f"{declared.name}: {declared.about} {len(declared.cells)} cells × {declared.runs} runs × "
-        f"{len(declared.trackers)} trackers in {total} chunks of {declared.chunk}, on {jax.local_device_count()} devices"
+        f"{len(declared.trackers)} trackers in {total} chunks of {declared.chunk}, "
+        f"on {jax.local_device_count()} devices"
     )
     with progress(declared.name, total // part[1] if part[1] > 1 else total) as advance:
         results = carry_out(declared, folder, part, enough, advance)
