@@ -1,0 +1,57 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from tests.experiments.test_study import TOML, command
+
+pytestmark = pytest.mark.slow
+
+
+def sha(folder):
+    return json.loads((folder / "results.json").read_text())["sha256"]
+
+
+@pytest.fixture
+def study(tmp_path):
+    file = tmp_path / "small.toml"
+    file.write_text(TOML.replace("runs = 12", "runs = 1000") + "[grid]\n'world.speed' = [0.2, 0.3, 0.4]\n")
+    return file
+
+
+def test_killed_five_times_at_random_moments_it_ends_with_the_same_numbers(study, tmp_path):
+    began = time.perf_counter()
+    assert command(study, "--out", tmp_path / "whole").returncode == 0
+    seconds, rng, chunks = time.perf_counter() - began, np.random.default_rng(5), []
+    for _ in range(5):
+        words = [sys.executable, "-m", "experiments", "study", str(study), "--out", str(tmp_path / "killed")]
+        running = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        time.sleep(rng.uniform(0.2, 0.6) * seconds)
+        running.send_signal(signal.SIGKILL)
+        running.wait()
+        chunks.append(len([*(tmp_path / "killed").glob("chunks/*.npz")]))
+    assert chunks == sorted(chunks)
+    assert command(study, "--out", tmp_path / "killed").returncode == 0
+    assert sha(tmp_path / "killed") == sha(tmp_path / "whole")
+
+
+def test_a_full_disk_is_one_line_and_costs_nothing_that_was_written(study, tmp_path):
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(disk)], capture_output=True)
+    if mounted.returncode:
+        pytest.skip("no right to mount a small file system here")
+    try:
+        said = command(study, "--out", disk / "out")
+        assert said.returncode == 2, said.stderr
+        assert "No space left" in said.stderr.splitlines()[-1]
+        assert not [name for _, _, files in os.walk(disk) for name in files if name.startswith(".")]
+        for path in (disk / "out" / "chunks").glob("*.npz"):
+            np.load(path).close()
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)
