@@ -20,7 +20,7 @@ from experiments.studies._fitted import fitted
 from experiments.study import Entrant
 from experiments.systems.aoa import PHASES, TRACKERS
 from experiments.worlds.phases import as_folder
-from sim.corruptions import Corruption, lose_station
+from sim.corruptions import Corruption, lose_station, outliers
 from sim.keys import Keys
 from sim.scenarios import simulate_phases, work_station
 from trackers.aoa.beam import beam_tracker
@@ -81,17 +81,24 @@ def recorded(
     radius: float = 0.4,
     aperture: float = 1.0,
     rate_hz: float = RATE_HZ,
-    n_points: int = POINTS,
-    path: str = HELIX,
+    outlying: float = 0.0,
+    size: float = 0.0,
 ) -> Folder:
-    """Phases at the stand, a trajectory for each id: an antenna set, a lost station (0: none), a wave, a geometry."""
+    """Phases at the stand on the helix, a trajectory for each id, in 20 s at any rate.
+
+    An antenna set, a `lost` station (0: none), a wave, the geometry, and a share of phases that are `outlying`, with an
+    error of standard deviation `size`, rad, on top.
+    """
     numbers = fitted("table_1")
     corruptions: dict[str, Corruption] = {"covered": covered(antennas)} if antennas != ALL else {}
     if lost:
         corruptions["lost station"] = lose_station(lost - 1)
+    if outlying:
+        corruptions["outliers"] = outliers(outlying, size)
     world = simulate_phases(
-        stand(numbers, radius, aperture), path, len(ids), seed, rate_hz=rate_hz, n_points=n_points,
-        sigma_p=numbers["sigma_p"], wave=wave, corruptions=corruptions, ids=ids,
+        stand(numbers, radius, aperture), HELIX, len(ids), seed, rate_hz=rate_hz,
+        n_points=round(POINTS * rate_hz / RATE_HZ), sigma_p=numbers["sigma_p"], wave=wave, corruptions=corruptions,
+        ids=ids,
     )  # fmt: skip
     return as_folder(world, "work stand")
 

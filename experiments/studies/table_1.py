@@ -1,9 +1,10 @@
 """Table 1 of paper A: errors of the beam tracker on the helix with five sets of antennas.
 
-Fitted (`fit_table_1`): the places of the eight antennas, the phase noise and the filter's process noise, eighteen
-numbers to the table's ten; no degree of freedom is left, so the table shows that the system can have had these errors,
-not that it must. The errors here come of other noise than the fit's. The orders of the antenna sets follow from the ten
-numbers and are as little predicted. What the fit did not use: `figures_6_7`, `figure_8`, `figure_10`, `rate_aperture`.
+Fitted (`fit_table_1`): the places of the eight antennas and the phase noise, seventeen numbers to the table's ten; the
+filter's process noise and the rate are chosen. No degree of freedom is left, so the table shows that the system can
+have had these errors, not that it must. The errors here come of other noise than the fit's. The orders of the antenna
+sets follow from the ten numbers and are as little predicted. What the fit did not use: `figures_6_7`, `figure_8`,
+`figure_10`, `rate_aperture`.
 
 Beside the default form of the filter stands the paper's, which wraps each of the 28 differences (8)-(17).
 """
@@ -13,6 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from experiments.studies._work_stand import ALL, PRINTED_FORM, SETS, beam, recorded
+from experiments.studies.fit_figure_8 import radius
 from experiments.studies.fit_table_1 import PRINTED
 from experiments.study import Claim, Conclusion, Results, Study, Value, World
 
@@ -67,7 +69,7 @@ def _conclusions(results: Results) -> list[Claim | Conclusion]:
 STUDY = Study(
     name="table-1",
     about="How well do five sets of antennas follow azimuth and elevation of a beacon?",
-    worlds={name: World(recorded, {"antennas": name}) for name in SETS},
+    worlds={name: World(recorded, {"antennas": name, "radius": radius()}) for name in SETS},
     trackers={"EKF": beam(), "EKF, each difference wrapped": beam(PRINTED_FORM)},
     figures=("rmse_azimuth_rad", "rmse_elevation_rad", "p95_direction_rad", "diverged", "nis_ratio"),
     claims=claims,
