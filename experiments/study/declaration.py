@@ -24,7 +24,9 @@ if TYPE_CHECKING:
 WORLD = "world."
 """What a grid's name begins with where it names a number of the worlds; other names are patterns of tunables."""
 
-LARGEST_CHUNK = 128
+CHUNK, CHUNKS, LARGEST_CHUNK = 128, 512, 1024
+"""Trajectories that are run together, more of them only where there would be more chunks than so many."""
+
 FIGURES = ("rmse_m", "median_m", "p95_m", "bound_m", "nees_mean", "nis_ratio", "diverged", "us_per_row")
 
 
@@ -111,8 +113,8 @@ class Study:
 
     @property
     def chunk(self) -> int:
-        """Trajectories that are run together: so many that two devices share a small study."""
-        return min(LARGEST_CHUNK, max(1, math.ceil(self.runs / 2)))
+        """Trajectories that are run together: a small study has two chunks, so that little is lost with one."""
+        return min(max(CHUNK, self.runs // CHUNKS), LARGEST_CHUNK, math.ceil(self.runs / 2))
 
     @property
     def chunks(self) -> int:
