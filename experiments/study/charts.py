@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import PercentFormatter
+from matplotlib.ticker import NullLocator, PercentFormatter
 
 from experiments.figure_style import LINES, literal
 from experiments.study.declaration import Cell, short
@@ -38,14 +38,17 @@ def figure_chart(results: Results, figure: str) -> str:
                 x = [float(c.point[along]) for c in cells]
                 values = np.array([found[c.index, tracker].times(unit.factor) for c in cells])
                 colour, mark = LINES[number % len(LINES)], MARKS[number % len(MARKS)]
+                number += 1
+                if np.isnan(values[:, 0]).all():
+                    continue
                 name = tracker if len(study.worlds) == 1 else f"{world}: {tracker}"
                 axes.plot(x, values[:, 0], color=colour, marker=mark, markersize=4, label=literal(name))
                 axes.fill_between(x, values[:, 1], values[:, 2], color=colour, alpha=0.18, linewidth=0)
-                number += 1
         low, high = min(study.grid[along]), max(study.grid[along])
         if low > 0 and high / low >= 8:
             axes.set_xscale("log")
             axes.set_xticks(sorted(study.grid[along]), [f"{v:g}" for v in sorted(study.grid[along])])
+            axes.xaxis.set_minor_locator(NullLocator())
         axes.set(xlabel=literal(short(along)), ylim=(0, None))
         axes.set_title(_title(figure, unit.name))
         axes.legend(loc="best")

@@ -14,7 +14,7 @@ import numpy as np
 from experiments.study.charts import SHOWN_CELLS, distribution_chart, figure_chart
 from experiments.study.claims import Claim, Conclusion
 from experiments.study.results import Results
-from experiments.study.wording import Unit, heading, said, unit_of, with_interval
+from experiments.study.wording import Unit, heading, units_of, with_interval
 from experiments.tuning_report.stylesheet import STYLESHEET
 from experiments.writing import atomic_write
 
@@ -23,7 +23,7 @@ KINDS = {".svg": "image/svg+xml", ".png": "image/png"}
 EXTRA = """
 table.wide td:first-child { min-width: 11rem; }
 td.no { color: var(--warn); font-weight: 700; }
-td.text { text-align: left; white-space: normal; }
+td.text, th.text { text-align: left; white-space: normal; }
 figure.own { grid-column: 1 / -1; }
 """
 
@@ -77,7 +77,7 @@ def section(identity: str, name: str, lead: str, content: str) -> str:
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], kinds: Sequence[str] = ()) -> str:
     """A table whose first column names the rows; `kinds`: a class for the cells of each column."""
     kinds = kinds or [""] * len(head)
-    top = "".join(f"<th>{escape(h)}</th>" for h in head)
+    top = "".join(f'<th class="{kind}">{escape(h)}</th>' for h, kind in zip(head, kinds, strict=True))
     body = "".join(
         "<tr>"
         + "".join(
@@ -130,9 +130,10 @@ def _own(pictures: Sequence[Path]) -> str:
 def _figures(results: Results) -> str:
     study = results.study
     head, columns = ["world", "tracker"], []
-    for figure in study.figures:
-        found = {(c.index, t): results.at(figure, c, t) for c in study.cells for t in study.trackers}
-        unit = unit_of(figure, [v.value for v in found.values()])
+    shown = results.shown()
+    units = units_of({f: [v.value for v in found.values()] for f, found in shown.items()})
+    for figure, found in shown.items():
+        unit = units[figure]
         head.append(heading(figure) + (f", {unit.name}" if unit.name else ""))
         columns.append({k: with_interval(v, unit) for k, v in found.items()})
     rows = [[c.label, t, *(column[c.index, t] for column in columns)] for c in study.cells for t in study.trackers]
@@ -185,7 +186,7 @@ def _asked(results: Results, command: Sequence[str]) -> str:
         ("Worlds", ", ".join(study.worlds)),
         ("Trackers", ", ".join(study.trackers)),
         ("Grid", "; ".join(f"{k}: {', '.join(map(str, v))}" for k, v in study.grid.items()) or "none"),
-        ("Runs", f"{said(study.runs, 1)} per cell, seed {study.seed}, in chunks of {study.chunk}"),
+        ("Runs", f"{study.runs} per cell, seed {study.seed}, in chunks of {study.chunk}"),
     ]
     listed = "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in rows)
     words = ["trackwright", *command[1:]]

@@ -134,6 +134,11 @@ class Results:
         drawn = [self._drawn(figure, self.cell(world, **point), tracker) for world, tracker in cells]
         return _interval(np.mean([d[0] for d in drawn]), np.mean([d[1] for d in drawn], axis=0))
 
+    def shown(self) -> dict[str, dict[tuple[int, str], Value]]:
+        """The study's main figures, each by cell and tracker."""
+        every = [(c, t) for c in self.study.cells for t in self.study.trackers]
+        return {f: {(c.index, t): self.at(f, c, t) for c, t in every} for f in self.study.figures}
+
     def numbers(self, measure: str, world: str, tracker: str, **point: Any) -> np.ndarray:
         """A measure's numbers (n,), trajectory by trajectory."""
         return self.kept[self.cell(world, **point).index, tracker].measures[measure]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rich import box
@@ -14,7 +14,7 @@ from rich.table import Table
 from experiments.study.claims import Claim, Conclusion
 from experiments.study.declaration import Study
 from experiments.study.results import NAMES, Results, Value
-from experiments.study.wording import heading, said, unit_of, with_interval
+from experiments.study.wording import Unit, heading, said, units_of, with_interval
 from experiments.writing import json_text
 
 WIDTH = 160
@@ -24,18 +24,17 @@ def to_text(results: Results, claims: Sequence[Claim | Conclusion]) -> str:
     """The main figures of every cell and tracker, and what was printed beside ours."""
     page = io.StringIO()
     console = Console(file=page, width=WIDTH, highlight=False)
-    for figure in results.study.figures:
-        console.print(_table(results, figure))
+    shown = results.shown()
+    units = units_of({f: [v.value for v in found.values()] for f, found in shown.items()})
+    for figure, found in shown.items():
+        console.print(_table(results.study, figure, found, units[figure]))
     if claims:
         for printed in (c for c in (_claims(claims), _conclusions(claims)) if c is not None):
             console.print(printed)
     return "\n".join(line.rstrip() for line in page.getvalue().splitlines()) + "\n"
 
 
-def _table(results: Results, figure: str) -> Table:
-    study = results.study
-    found = {(c.index, t): results.at(figure, c, t) for c in study.cells for t in study.trackers}
-    unit = unit_of(figure, [v.value for v in found.values()])
+def _table(study: Study, figure: str, found: Mapping[tuple[int, str], Value], unit: Unit) -> Table:
     title = heading(figure) + (f", {unit.name}" if unit.name else "")
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
     table.add_column("world")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -48,6 +48,13 @@ def unit_of(figure: str, values: Iterable[float]) -> Unit:
     return Unit("s" if figure.endswith("_s") else "", 1.0)
 
 
+def units_of(values: Mapping[str, Sequence[float]]) -> dict[str, Unit]:
+    """The units of figures that stand side by side: all lengths in that of the first."""
+    units = {figure: unit_of(figure, numbers) for figure, numbers in values.items()}
+    lengths = [figure for figure in units if figure.endswith("_m")]
+    return units | dict.fromkeys(lengths, units[lengths[0]])
+
+
 def heading(figure: str) -> str:
     """A figure's name in words."""
     if figure in WORDS:
@@ -67,8 +74,8 @@ def said(value: float, spread: float) -> str:
         return "–"
     if value == 0:
         return "0"
-    size = spread / 2 if math.isfinite(spread) and spread > 0 else abs(value) / 100
-    digits = min(max(1 - math.floor(math.log10(size)), 0), 6)
+    size = spread / 2 if math.isfinite(spread) and spread > 0 else abs(value) / 10
+    digits = min(max(1 - math.floor(math.log10(size) + 0.5), 0), 6)
     return f"{value:.{digits}f}"
 
 
