@@ -100,6 +100,13 @@ def test_the_stand_is_the_simulated_one_with_other_numbers_and_antennas():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("radius", [0.2, 0.4])
+def test_where_the_stations_stand_matters_little_for_the_table(radius):
+    found = fit_table_1.errors(_fitted.fitted("table_1"), 64, 0, True, radius)
+    assert found == pytest.approx(np.array(list(fit_table_1.PRINTED.values())), rel=0.1)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_a_study_computes_its_claims_and_draws_its_pictures(tmp_path_factory, tmp_path, name):
     results = carried_out(tmp_path_factory, name, 4)
