@@ -6,7 +6,7 @@ The pieces that spoil readings are `sim.corruptions.Corruption` on (n, T, 3) acc
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from sim.corruptions import Corruption, corrupted
-from sim.keys import Keys, normals, stream, trajectory_keys
+from sim.keys import Keys, normals, stream, trajectory_keys, uniforms
 from sim.ranging import WALK, Protocol, SimulatedRanges, one_at_a_time, simulate_ranges
 from sim.scenarios import PathFunction
 from trackers.core.algebra import Vector
@@ -54,6 +54,13 @@ def swinging(
     return np.stack(quaternion, axis=-1)
 
 
+def level(keys: Keys, times: np.ndarray) -> np.ndarray:
+    """Attitudes (n, T, 4) of a thing that stands or slides level, its yaw random and always the same."""
+    half = np.pi * uniforms(stream(keys, "yaw"), (1,)).astype(float) + 0.0 * np.asarray(times, float)
+    nothing = np.zeros_like(half)
+    return np.stack([np.cos(half), nothing, nothing, np.sin(half)], axis=-1)
+
+
 def ideal_readings(times: np.ndarray, positions: np.ndarray, attitudes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Specific force (n, T, 3), m/s², and turning rate (n, T, 3), rad/s, in body axes, from path and attitudes.
 
@@ -74,17 +81,21 @@ def ideal_readings(times: np.ndarray, positions: np.ndarray, attitudes: np.ndarr
 
 def _felt(force: np.ndarray, attitudes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Room-axes forces (n, T − 1, 3) in the body's axes half-way between two attitudes, and the turns between these."""
-
-    def one(force: Any, before: Any, after: Any) -> tuple[Any, Any]:
-        first, second = Rotation(*before), Rotation(*after)
-        turn = first.local(second)
-        middle = first.retract([0.5 * x for x in turn])
-        return middle.inverse().apply(Vector(*force)).array(), jnp.stack(turn)
-
     with jax.enable_x64(True):
-        run = jax.jit(jax.vmap(jax.vmap(one)))
-        result = run(*(jnp.asarray(np.asarray(x, np.float64)) for x in (force, attitudes[:, :-1], attitudes[:, 1:])))
+        result = _felt_each(
+            *(jnp.asarray(np.asarray(x, np.float64)) for x in (force, attitudes[:, :-1], attitudes[:, 1:]))
+        )
         return np.asarray(result[0]), np.asarray(result[1])
+
+
+@jax.jit
+@jax.vmap
+@jax.vmap
+def _felt_each(force: Any, before: Any, after: Any) -> tuple[Any, Any]:
+    first, second = Rotation(*before), Rotation(*after)
+    turn = first.local(second)
+    middle = first.retract([0.5 * x for x in turn])
+    return middle.inverse().apply(Vector(*force)).array(), jnp.stack(turn)
 
 
 def constant_bias(sigma: float) -> Corruption:
@@ -167,13 +178,14 @@ def simulate_uwb_imu(
     accel: Mapping[str, Corruption] = MEMS_ACCEL,
     gyro: Mapping[str, Corruption] = MEMS_GYRO,
     gap_s: tuple[float, float] | None = None,
+    attitude: Callable[[Keys, np.ndarray], np.ndarray] = swinging,
     ids: Sequence[int] | np.ndarray | None = None,
 ) -> SimulatedUwbImu:
     """`n` tags with an IMU of their own on smooth paths of (keys, times), by default one anchor's range at a time.
 
     `rate_hz`, `n_points`, `protocol`, `corruptions` and `ids` as for `simulate_ranges`; so many IMU `samples` for each
     of its rows; `accel`, `gyro`: what their readings suffer, name -> piece; `gap_s`: from when to when, s, the IMU is
-    silent. A body depends on the seed and its id, on no other.
+    silent; `attitude`: of (keys, times), how the body turns. A body depends on the seed and its id, on no other.
     """
     ranges = simulate_ranges(
         rig, path, n, seed, rate_hz=rate_hz, n_points=n_points, protocol=protocol, corruptions=corruptions, ids=ids
@@ -181,7 +193,7 @@ def simulate_uwb_imu(
     keys = trajectory_keys(seed, ranges.ids)
     times = np.arange((n_points - 1) * samples + 1) / (rate_hz * samples)
     positions = path(stream(keys, "path"), times)
-    attitudes = swinging(stream(keys, "attitude"), times)
+    attitudes = attitude(stream(keys, "attitude"), times)
     force, rate = ideal_readings(times, positions, attitudes)
     seen = np.ones((n, len(times)), bool)
     if gap_s is not None:

@@ -101,6 +101,18 @@ def obstruction(share: float, mean_length_s: float, bias: float, tail: float) ->
     return corrupt
 
 
+def on_anchors(anchors: Sequence[int], piece: Corruption) -> Corruption:
+    """The piece on the ranges of some anchors alone; they count from 0 in the rig's order."""
+    chosen = list(anchors)
+
+    def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        values, seen = values.copy(), seen.copy()
+        values[..., chosen], seen[..., chosen] = piece(keys, times, values[..., chosen], seen[..., chosen])
+        return values, seen
+
+    return corrupt
+
+
 def one_at_a_time() -> Corruption:
     """Anchors in turn, one a row, where otherwise a row holds all of them."""
 

@@ -6,8 +6,19 @@ import pytest
 from experiments.systems.uwb import range_lanes
 from experiments.worlds.ranging import simulated_ranging
 from sim.corruptions import drop_outs
+from sim.imu import level, simulate_uwb_imu
 from sim.keys import trajectory_keys
-from sim.ranging import CHAMBER, Protocol, antenna_biases, chamber, obstruction, one_at_a_time, simulate_ranges, two_way
+from sim.ranging import (
+    CHAMBER,
+    Protocol,
+    antenna_biases,
+    chamber,
+    obstruction,
+    on_anchors,
+    one_at_a_time,
+    simulate_ranges,
+    two_way,
+)
 from trackers.core.rig import Rig
 from trackers.uwb_imu.ranging import SPEED_OF_LIGHT
 
@@ -95,6 +106,26 @@ def test_the_folder_holds_what_was_seen_and_trackers_take_it():
     # Double-sided ranging with stamps of 0.1 ns: 2.6 cm.
     assert np.abs(lanes[1].recording.readings["ranges"].values[:, 0] - distances).max() < 0.15
     assert np.array_equal(np.unique(lanes[1].recording.inputs["anchors"], axis=0), np.unique(CHAMBER, axis=0))
+
+
+def test_a_piece_on_some_anchors_leaves_the_others_alone():
+    keys, times = trajectory_keys(0, np.arange(2)), np.arange(5.0)
+    ranges, seen = np.full((2, 5, 4), 3.0), np.ones((2, 5, 4), bool)
+    piece = on_anchors([1, 3], obstruction(0.9, 0.0, 0.5, 0.0))
+    found, still_seen = piece(keys, times, ranges, seen)
+    assert still_seen.all()
+    assert np.array_equal(found[..., [0, 2]], ranges[..., [0, 2]])
+    assert set(np.unique(found[..., [1, 3]])) == {3.0, 3.5}
+    assert (ranges == 3.0).all()
+
+
+def test_a_level_body_at_rest_feels_gravity_alone():
+    def rest(keys, times):
+        return np.ones((len(keys), len(times), 3))
+
+    world = simulate_uwb_imu(chamber(), rest, 2, n_points=4, accel={}, gyro={}, attitude=level)
+    np.testing.assert_allclose(world.accel, np.tile([0.0, 0.0, 9.81], (2, 10, 1)), atol=1e-9)
+    np.testing.assert_allclose(world.gyro, 0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize(
