@@ -52,7 +52,7 @@ def units_of(values: Mapping[str, Sequence[float]]) -> dict[str, Unit]:
     """The units of figures that stand side by side: all lengths in that of the first."""
     units = {figure: unit_of(figure, numbers) for figure, numbers in values.items()}
     lengths = [figure for figure in units if figure.endswith("_m")]
-    return units | dict.fromkeys(lengths, units[lengths[0]])
+    return units | dict.fromkeys(lengths, units[lengths[0]] if lengths else Unit("", 1.0))
 
 
 def heading(figure: str) -> str:
