@@ -17,8 +17,13 @@ case of (2.5) has no upper end, and neither has the path of these particles: the
 
 from __future__ import annotations
 
-import numpy as np
+from pathlib import Path
 
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from experiments.figure_style import BLUE, SKY, VERMILION
 from experiments.studies._assembly_line import (
     KALMAN,
     PARTICLE,
@@ -32,14 +37,15 @@ from experiments.studies._assembly_line import (
     worlds,
 )
 from experiments.studies._fitted import fitted
+from experiments.studies._pictures import picture
 from experiments.studies._printed_table_3_1 import AVERAGES, COLUMNS, PRINTED
 from experiments.study import Claim, Conclusion, Results, Study, Value
+from experiments.tuning_report.drawings import plain
 
 
 def claims(results: Results) -> list[Claim | Conclusion]:
     """The 27 figures, their averages, and what the thesis concludes from them."""
-    noise = {tracker: least(results, tracker) for tracker in COLUMNS[1:]}
-    noise["raw"] = results.study.grid[SIGMA][0]
+    noise = _noise(results)
     made: list[Claim | Conclusion] = [_figure(results, noise, name, k) for name in RECORDINGS for k in range(3)]
     for k, tracker in enumerate(COLUMNS):
         cells = [(name, tracker) for name in RECORDINGS]
@@ -54,6 +60,11 @@ def claims(results: Results) -> list[Claim | Conclusion]:
         text = f"chapter 3, improvement of the particle filter over {other}"
         made.append(Claim(text, printed, _improvement(results, noise, other), "%", False))
     return made + _conclusions(results, noise)
+
+
+def _noise(results: Results) -> dict[str, float]:
+    """One dynamic noise of each filter for all nine; measurements have none: any point of the grid will do."""
+    return {"raw": results.study.grid[SIGMA][0]} | {tracker: least(results, tracker) for tracker in COLUMNS[1:]}
 
 
 def _figure(results: Results, noise: dict[str, float], name: str, k: int) -> Claim:
@@ -100,6 +111,31 @@ def _conclusions(results: Results, noise: dict[str, float]) -> list[Claim | Conc
     return made
 
 
+def draw(results: Results, folder: Path) -> list[str]:
+    """The table as a picture: what single recordings of this world give, and what was printed."""
+    noise = _noise(results)
+
+    def table(figure: Figure) -> None:
+        panels = figure.subplots(1, 3, sharey=True)
+        for k, (axes, tracker) in enumerate(zip(panels, COLUMNS, strict=True)):
+            for row, name in enumerate(RECORDINGS):
+                low, high = np.quantile(100 * _draws(results, noise, name, tracker), [0.025, 0.975])
+                mean = results.value("error_m", name, tracker, **{SIGMA: noise[tracker]}).value
+                axes.plot([low, high], [row, row], color=SKY, linewidth=5, solid_capstyle="butt")
+                axes.plot(100 * mean, row, "|", color=BLUE, markersize=9, markeredgewidth=1.6)
+                axes.plot(PRINTED[name][k], row, "o", color=VERMILION, markersize=4)
+            axes.set_title(f"{tracker}, {'fitted' if k < 2 else 'predicted'}")
+            axes.set_xlabel("average error, cm")
+            plain(axes, "x")
+        panels[0].set_yticks(range(len(RECORDINGS)), RECORDINGS)
+        panels[0].invert_yaxis()
+        marks = [("o", VERMILION, "printed"), ("|", BLUE, "ours, mean"), ("s", SKY, "ours, 95 % of single recordings")]
+        handles = [Line2D([], [], marker=m, color=c, linestyle="", label=text) for m, c, text in marks]
+        figure.legend(handles=handles, loc="outside upper center", ncols=3)
+
+    return [picture(folder, "table_3_1.svg", table, 7.2, 3.6)]
+
+
 STUDY = Study(
     name="table-3-1",
     about="How accurate are a Kalman filter and particles that know the path, on nine recordings of an assembly line?",
@@ -110,4 +146,5 @@ STUDY = Study(
     measures={"error_m": error, "rms_m": root_mean_square},
     figures=("mean_m", "rmse_m", "p95_m"),
     claims=claims,
+    draw=draw,
 )
