@@ -144,7 +144,7 @@ STUDY = Study(
     runs=40,
     grid={SIGMA: SWEPT},
     measures={"error_m": error, "rms_m": root_mean_square},
-    figures=("mean_m", "rmse_m", "p95_m"),
+    figures=("mean_m",),
     claims=claims,
     draw=draw,
 )
