@@ -142,16 +142,16 @@ def beams() -> System:
 
 def carts() -> System:
     """B: a cart on a line with a bend, by the grid filter; on a coarser grid the fixes would seem less noisy."""
-    line, sigma_p = Polyline([[0.0, 0.0], [3.0, 0.0], [3.0, 3.0]]), 0.3
-    tracker = line_grid_tracker(LineMotion(line, 0.04), {FIXES: FloorFixes(sigma_p)}, 0.03, 0.6, 48)
+    line, sigma_p = Polyline([[0.0, 0.0], [1.5, 0.0], [1.5, 1.5]]), 0.3
+    tracker = line_grid_tracker(LineMotion(line, 0.04), {FIXES: FloorFixes(sigma_p)}, 0.03, 0.6, 32)
 
     def read(view: Any, rng: np.random.Generator) -> np.ndarray:
         place = np.stack([np.asarray(x) for x in view.position], axis=-1)[:, :2]
         return place + sigma_p * rng.normal(size=place.shape)
 
-    start = Known(lambda x: OnLine(*x), (1.0, 0.15), (0.2, 0.03))
+    start = Known(lambda x: OnLine(*x), (0.5, 0.15), (0.15, 0.03))
     known = Tracker(tracker.motion, tracker.sensors, start, tracker.filter, NEVER_LOST)
-    return System(known, ("motion.sigma_a", "sensors.*.sigma_p"), read, {}, 16, 40, 0.5)
+    return System(known, ("motion.sigma_a", "sensors.*.sigma_p"), read, {}, 16, 32, 0.5)
 
 
 def ranges() -> System:
