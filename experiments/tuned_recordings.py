@@ -22,6 +22,8 @@ from experiments.folder import read_folder  # noqa: E402
 from experiments.tracks import batches  # noqa: E402
 from experiments.tuned_file import with_noise  # noqa: E402
 from experiments.tuning_job import job_of, only_group  # noqa: E402
+from experiments.tuning_report.assumptions import contradicted  # noqa: E402
+from experiments.tuning_report.gather import innovations_of  # noqa: E402
 from trackers.core.tunable import tunables  # noqa: E402
 from tuning import NegativeLogLikelihood, fit  # noqa: E402
 from tuning.figures import every_figure  # noqa: E402
@@ -95,7 +97,13 @@ def shown(name: str, split: Split, folder: Path) -> bool:
         for figure in ("nll", "rmse", "rmse-3d", "nis-shape"):
             if before[figure] == before[figure]:
                 print(f"{'':20s}{figure:38s}{before[figure]:10.4g}{after[figure]:10.4g}", flush=True)
-        worse |= bool(after["rmse"] > WORSE * before["rmse"])
+        if after["rmse"] > WORSE * before["rmse"]:
+            worse = True
+            tracked = with_noise(judged.tracker, tuned, name)
+            runs = [(tracked.run(x), x.size) for x in rows]
+            said = innovations_of([found[k] for found, size in runs for k in range(size)], tracked)
+            why = [] if said is None else contradicted(said)
+            print(f"{'':20s}worse; the innovations contradict: {'; '.join(why) or 'nothing'}", flush=True)
     listed = ", ".join(f"{k} {v:.3g}" for k, v in result.values.items() if v.ndim == 0)
     print(f"{'':20s}{time.perf_counter() - began:.0f} s; {listed}", flush=True)
     return worse

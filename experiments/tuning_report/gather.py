@@ -82,7 +82,7 @@ def gather(
     for tracker in (before, result.tracker):
         seen = [(lane, one) for lanes, batch in batches(judged) for lane, one in _each(lanes, tracker.run(batch))]
         comparable &= all(hasattr(one.mean, quantity) for _, one in seen)
-        rows.append(_innovations([one for _, one in seen], tracker))
+        rows.append(innovations_of([one for _, one in seen], tracker))
         tracks.append({_name(lane): _errors(tracker, lane, one, quantity, scale) for lane, one in seen})
     errors = tuple(
         ErrorTrack(name, times, old, tracks[1][name][1])
@@ -174,7 +174,7 @@ def _errors(
     return times, np.where(there & dated.usable, length, np.nan)
 
 
-def _innovations(every: Sequence[Estimates], tracker: AbstractTracker) -> Innovations | None:
+def innovations_of(every: Sequence[Estimates], tracker: AbstractTracker) -> Innovations | None:
     """The NIS of all rows that have one; None where its distribution isn't known."""
     try:
         tail = tail_of(tracker)

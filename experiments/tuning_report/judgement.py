@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from experiments.tuning_report.assumptions import contradicted
 from experiments.tuning_report.evidence import Score, TuningEvidence
 
 WORSE = 0.02
@@ -130,7 +131,7 @@ def _worse(evidence: TuningEvidence) -> list[str]:
     if rmse is not None and is_worse(rmse, rmse.held_out):
         found.append(
             f"Held-out {_change(rmse, rmse.held_out)}: more than {WORSE:.0%} worse. ".replace("%", " %")
-            + "The noise model does not fit these recordings, or too few were tuned on."
+            + _why(evidence)
         )
     for key in SHAPES:
         score = evidence.score(key)
@@ -148,6 +149,14 @@ def _worse(evidence: TuningEvidence) -> list[str]:
                 "the covariances that this filter reports deserve less belief than the old ones."
             )
     return found
+
+
+def _why(evidence: TuningEvidence) -> str:
+    """Which assumption fails, by the innovations after the fit."""
+    found = [] if evidence.innovations is None else contradicted(evidence.innovations[1])
+    if not found:
+        return "Its innovations contradict no assumption on the noise: perhaps too few recordings were tuned on."
+    return f"What the innovations contradict: {'; '.join(found)}."
 
 
 def _undetermined(evidence: TuningEvidence) -> list[str]:
