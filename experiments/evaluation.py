@@ -64,7 +64,7 @@ def evaluate(
     """
     matched = match_truth(tracks, truths)
     _refuse_without_overlap(matched, truths)
-    kept = _last_of_every(matched, every) if every else np.flatnonzero(matched.counts)
+    kept = last_of_every(matched, every) if every else np.flatnonzero(matched.counts)
     judged = _bearings(matched, kept, stations or {}) if is_bearing(tracks) else _positions(matched, kept)
     names = matched.rows.select(track_keys(tracks))[matched.starts[:-1]].to_dicts()
     last = len(names)
@@ -187,7 +187,7 @@ def _lost(matched: Matched) -> np.ndarray:
     return table
 
 
-def _last_of_every(matched: Matched, every: float) -> np.ndarray:
+def last_of_every(matched: Matched, every: float) -> np.ndarray:
     """Of the rows that count those that are the last of their track in their interval of `every` seconds."""
     rows = np.flatnonzero(matched.counts)
     # A time such as 0.3 s belongs to the interval it opens although 0.3 / 0.1 is 2.9999999999999996.

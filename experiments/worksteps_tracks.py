@@ -11,7 +11,7 @@ import numpy as np
 import polars as pl
 
 from experiments.errors import UnusableInput
-from experiments.evaluation import covariances
+from experiments.evaluation import covariances, last_of_every
 from experiments.matching import Matched, is_bearing, match_truth, numbers
 from experiments.worksteps import LEVEL, NOWHERE, WorkPoints
 from experiments.worksteps_figures import Bin, Judged, Workstep, calibration, judge, workstep
@@ -62,9 +62,15 @@ class WorkReport:
 
 
 def work_report(
-    tracks: pl.DataFrame, truths: Mapping[str, pl.DataFrame], path: Path, tolerance: float | None
+    tracks: pl.DataFrame,
+    truths: Mapping[str, pl.DataFrame],
+    path: Path,
+    tolerance: float | None,
+    every: float | None = None,
 ) -> WorkReport:
     """The report on the points in the file `path`; `tolerance` m, by default half the points' spacing.
+
+    `every`: s, judge only the last estimate in every so many seconds.
 
     A tip counts as being at a point anywhere within the tolerance: its play is half of that, as the standard deviation
     per axis of places spread evenly over a disc. Raises UnusableInput for points or tracks that cannot be used.
@@ -77,9 +83,9 @@ def work_report(
     matched = match_truth(tracks, truths)
     d = points.dimensions
     means = np.stack([numbers(matched.rows, f"{axis}_m") for axis in "xyz"[:d]], axis=1)
-    kept = np.flatnonzero(
-        matched.counts & np.isfinite(means).all(axis=1) & np.isfinite(matched.truth[:, :d]).all(axis=1)
-    )
+    placed = np.isfinite(means).all(axis=1) & np.isfinite(matched.truth[:, :d]).all(axis=1)
+    counted = last_of_every(matched, every) if every else np.flatnonzero(matched.counts)
+    kept = counted[placed[counted]]
     if not len(kept):
         raise UnusableInput(
             f"{path}: has z_m, but no estimate with a height meets a truth with one; expected heights in both; "

@@ -53,9 +53,8 @@ def evaluate_tracks(
     folders = read_all(truth or sources(folder))
     evaluation, work = judge(tracks, folders, every_s), None
     if worksteps is not None:
-        work = work_report(
-            tracks, {f.name: f.tables["truth"] for f in folders if "truth" in f.tables}, worksteps, tolerance
-        )
+        truths = {f.name: f.tables["truth"] for f in folders if "truth" in f.tables}
+        work = work_report(tracks, truths, worksteps, tolerance, every_s)
         evaluation = with_work(evaluation, work)
     text = to_json(evaluation, None if work is None else work.plain())
     atomic_write(folder / "evaluation.json", lambda path: path.write_text(text, encoding="utf-8"))

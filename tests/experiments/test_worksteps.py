@@ -6,10 +6,14 @@ import numpy as np
 import polars as pl
 import pytest
 
+from experiments.folder import Folder
+from experiments.studies._bench import MEASURES
+from experiments.study.run import Run
 from experiments.worksteps import NOWHERE, WorkPoints, at_work, decide, probabilities, visits_of
 from experiments.worksteps_figures import calibration, judge, share, workstep
 from tests.experiments.faulty import good_tables
 from tests.experiments.in_process import assert_refused, trackwright
+from trackers.core.rig import Rig
 
 HOLES = WorkPoints(("a", "b", "c"), np.array([[0.0, 0.0, 1.0], [0.1, 0.0, 1.0], [0.0, 0.12, 1.05]]))
 P = np.array([[4.0, 1.0, -0.5], [1.0, 2.0, 0.3], [-0.5, 0.3, 3.0]]) * 1e-3
@@ -107,6 +111,22 @@ def test_no_rows_have_no_share():
     assert np.isnan(share(np.zeros(0, bool), np.zeros(0)).value)
 
 
+def test_the_studys_measures_count_rows_at_rest_alone():
+    # Two trajectories of four rows: moving, at rest and released, at rest and too unsure, at rest at the wrong point.
+    truth = np.array([[0.03, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.1, 0.0, 0.0]])
+    seen = np.array([[0.03, 0.0, 0.0], [0.01, 0.0, 0.0], [0.04, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    spread = np.array([1e-4, 1e-4, 1.0, 1e-4])[:, None, None] * np.eye(3)
+    table = pl.DataFrame({"name": ["a", "b"], "x_m": [0.0, 0.1], "y_m": [0.0, 0.0], "z_m": [0.0, 0.0]})
+    twice = [np.stack([x, x]) for x in (np.array([1.0, 2.0, 3.0, 4.0]), seen, spread, truth)]
+    known, status = np.array([[True] * 4, [False] * 4]), np.zeros((2, 4), int)
+    folder = Folder("bench", None, Rig("bench"), {"points": table})
+    run = Run(*twice, known, status, np.zeros((2, 4)), np.zeros((2, 4)), folder)
+    found = {name: measure(run) for name, measure in MEASURES.items()}
+    third = 1 / 3
+    assert found["named_right"] == pytest.approx([2 * third, np.nan], nan_ok=True)
+    assert [found[k][0] for k in ("released_right", "released_wrong", "missed")] == pytest.approx([third] * 3)
+
+
 # the command line
 
 
@@ -143,6 +163,12 @@ def test_a_pipeline_can_stop_on_missed_releases(tracked):
     points = tracked / "points.csv"
     said = trackwright("evaluate", tracked, "--worksteps", points, "--tolerance", 0.2, "--fail-if", "work_right > 0")
     assert said.code == 1
+
+
+def test_the_last_estimate_of_every_interval_can_be_judged_alone(tracked):
+    given = ("evaluate", tracked, "--worksteps", tracked / "points.csv", "--tolerance", 0.2, "--json")
+    whole, thinned = (json.loads(trackwright(*given, *more).out)["worksteps"] for more in ((), ("--every-s", 0.2)))
+    assert 0 < thinned["overall"]["right"]["n"] < whole["overall"]["right"]["n"]
 
 
 BAD_POINTS = {
