@@ -77,6 +77,10 @@ def _sentences(report: WorkReport) -> list[str]:
         said.append("No covariance is reported: estimates were taken as exact, so that probabilities mean little.")
         return said
     said.append(f"The named point was claimed with {w.claimed:.1%} on average and was right in {w.named.value:.1%}.")
+    if w.claimed < w.named.low:
+        said.append("Less was claimed than is true: covariances are too large, and tuned ones would release more.")
+    if w.claimed > w.named.high:
+        said.append("More was claimed than is true: covariances are too small, and releases less sure than they look.")
     sure = [b for b in report.calibrated if b.low >= SURE and b.right.n]
     if sure:
         n = [b.right.n for b in sure]

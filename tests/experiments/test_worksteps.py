@@ -155,6 +155,21 @@ def test_evaluate_tells_of_right_and_wrong_releases(tracked):
     assert found["recordings"][0]["work_right"] == found["overall"]["work_right"]
 
 
+def test_the_text_says_where_covariances_are_too_large_or_too_small(tracked):
+    # A hundred points on the way, 5 cm apart: with 2 m of spread none is likely, yet the nearest is the right one.
+    (tracked / "dense.csv").write_text(
+        "name,x_m,y_m\n"
+        + "".join(f"p{k},{2 + np.cos(a):.6f},{2 + np.sin(a):.6f}\n" for k, a in enumerate(np.arange(0, 5, 0.05)))
+    )
+    tracks = pl.read_parquet(tracked / "tracks.parquet")
+    for spread, shift, words in ((2.0, 0.0, "covariances are too large"), (1e-4, 0.06, "covariances are too small")):
+        told = tracks.with_columns(
+            pl.lit(spread).alias("std_x_m"), pl.lit(spread).alias("std_y_m"), x_m=pl.col("x_m") + shift
+        )
+        told.write_parquet(tracked / "tracks.parquet")
+        assert words in trackwright("evaluate", tracked, "--worksteps", tracked / "dense.csv", "--tolerance", 0.01).out
+
+
 def test_a_pipeline_can_stop_on_missed_releases(tracked):
     said = trackwright(
         "evaluate", tracked, "--worksteps", tracked / "points.csv", "--tolerance", 0.2, "--fail-if", "work_missed > 0.9"
