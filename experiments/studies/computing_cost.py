@@ -46,7 +46,7 @@ def claims(results: Results) -> list[Claim | Conclusion]:
         Conclusion("the beamformer's effort grows with the resolution of its search space, the EKF has none",
                    coarse < usual < fine and fine > 2 * usual,
                    f"at half the step {fine / usual:.1f} times, at twice the step {usual / coarse:.1f} times less"),
-        Conclusion("no finer search brings the beamformer to the accuracy of the EKF", rmse["DAS, 0.3 deg"] > rmse["EKF"],
+        Conclusion("no finer search makes the beamformer as accurate as the EKF", rmse["DAS, 0.3 deg"] > rmse["EKF"],
                    ", ".join(f"{t} {v:.2f} deg" for t, v in rmse.items())),
     ]  # fmt: skip
 

@@ -16,7 +16,7 @@ from trackers.aoa.layout import DEFAULT_WAVELENGTH
 NAMES = ("table-1", "figures-6-7", "figure-8", "figure-10", "computing-cost", "rate-aperture")
 
 
-def carried_out(tmp_path_factory, name, runs, **changed):
+def _carried_out(tmp_path_factory, name, runs, **changed):
     study = study_of(name)
     study = type(study)(**{**vars(study), "runs": runs, **changed})
     return carry_out(study, tmp_path_factory.mktemp(name), (1, 1), None, lambda done, now="": None)
@@ -25,7 +25,7 @@ def carried_out(tmp_path_factory, name, runs, **changed):
 @pytest.fixture(scope="module")
 def table_1(tmp_path_factory):
     study = study_of("table-1")
-    return carried_out(tmp_path_factory, "table-1", 8, trackers={"EKF": study.trackers["EKF"]}, figures=())
+    return _carried_out(tmp_path_factory, "table-1", 8, trackers={"EKF": study.trackers["EKF"]}, figures=())
 
 
 def test_the_studies_of_the_work_stand_are_listed():
@@ -109,7 +109,7 @@ def test_where_the_stations_stand_matters_little_for_the_table(radius):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_a_study_computes_its_claims_and_draws_its_pictures(tmp_path_factory, tmp_path, name):
-    results = carried_out(tmp_path_factory, name, 4)
+    results = _carried_out(tmp_path_factory, name, 4)
     made = results.study.claims(results)
     assert made
     assert all(isinstance(one, Claim | Conclusion) for one in made)
@@ -123,7 +123,7 @@ def test_a_study_computes_its_claims_and_draws_its_pictures(tmp_path_factory, tm
 @pytest.mark.slow
 def test_all_printed_errors_are_reached_within_a_tenth(tmp_path_factory):
     for name, count in (("table-1", 10), ("figure-8", 1)):
-        results = carried_out(tmp_path_factory, name, 100)
+        results = _carried_out(tmp_path_factory, name, 100)
         asked = [one for one in results.study.claims(results) if isinstance(one, Claim) and one.within is not None]
         assert len(asked) == count
         assert all(one.reached for one in asked)
