@@ -7,7 +7,7 @@ from experiments.tuning_report.evidence import Innovations
 ROWS = 20_000
 
 
-def squares(noise):
+def _squares(noise):
     """Innovations of two numbers a row, from standardised noise (n, 2)."""
     return Innovations((noise**2).sum(axis=1), np.full(len(noise), 2.0), np.zeros(len(noise), int))
 
@@ -17,7 +17,7 @@ def white():
     return np.random.default_rng(3).normal(size=(ROWS, 2))
 
 
-def lasting(white):
+def _lasting(white):
     """First-order Gauss-Markov noise of unit variance, two rows in a row correlated by 0.8."""
     noise = white.copy()
     for k in range(1, ROWS):
@@ -25,26 +25,26 @@ def lasting(white):
     return noise
 
 
-def wild(white):
+def _wild(white):
     """One row in fifty five times as large, the whole of unit variance."""
     noise = np.where(np.random.default_rng(4).uniform(size=(ROWS, 1)) < 0.02, 5.0, 1.0) * white
     return noise / noise.std()
 
 
 def test_white_normal_noise_of_the_right_size_contradicts_nothing(white):
-    assert contradicted(squares(white)) == []
+    assert contradicted(_squares(white)) == []
 
 
 @pytest.mark.parametrize(
     ("made", "says"),
-    [(lasting, "independent"), (lambda x: 2 * x, "as large here"), (wild, "as rare as")],
+    [(_lasting, "independent"), (lambda x: 2 * x, "as large here"), (_wild, "as rare as")],
 )
 def test_the_assumption_that_fails_is_the_one_that_is_named(white, made, says):
-    (found,) = [x for x in contradicted(squares(made(white))) if says in x]
-    others = [x for x in contradicted(squares(made(white))) if x != found]
+    (found,) = [x for x in contradicted(_squares(made(white))) if says in x]
+    others = [x for x in contradicted(_squares(made(white))) if x != found]
     # Noise twice as large has large errors too often, too.
     assert not others or says == "as large here"
 
 
 def test_without_rows_nothing_is_said():
-    assert contradicted(squares(np.zeros((0, 2)))) == []
+    assert contradicted(_squares(np.zeros((0, 2)))) == []

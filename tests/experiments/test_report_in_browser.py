@@ -8,7 +8,7 @@ from experiments.study import Claim, Conclusion
 from experiments.study.page import page
 from experiments.study.results import Value
 from experiments.study.work import carry_out
-from tests.experiments.test_study import SMALL, nothing
+from tests.experiments.small_study import SMALL, no_progress
 
 pytestmark = pytest.mark.slow
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -23,7 +23,7 @@ MEASURE = """<script>addEventListener("load", () => {
 @pytest.fixture(scope="module")
 def report(tmp_path_factory):
     folder = tmp_path_factory.mktemp("browser")
-    results = carry_out(SMALL, folder, (1, 1), None, nothing)
+    results = carry_out(SMALL, folder, (1, 1), None, no_progress)
     claims = [
         Claim(
             "Table 1, antennas 3-7-8, elevation", 10.731, Value(10.2, 9.9, 10.6), "°", fitted=False, note="A remark."

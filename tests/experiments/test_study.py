@@ -1,14 +1,10 @@
 import dataclasses
 import json
-import os
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 
 from experiments.errors import UnusableInput
-from experiments.study import Entrant, Study, World
 from experiments.study.judged import judged
 from experiments.study.results import FIGURES, Gathered, Results
 from experiments.study.run import Run
@@ -16,40 +12,22 @@ from experiments.study.store import Store, merged
 from experiments.study.tally import COLUMN, KINDS, SUMS, histograms
 from experiments.study.text import to_json, to_text
 from experiments.study.work import Until, carry_out, complete
-from experiments.worlds.named import line
+from tests.experiments.small_study import SMALL, TOML, no_progress, study_command
 from trackers.core.estimates import Status
 from trackers.core.metrics import chi_square_quantile
 
-SMALL = Study(
-    name="small",
-    about="Does it run?",
-    worlds={w: World(line, {"situation": w, "rate_hz": 1.0}) for w in ("constant", "halts")},
-    trackers={
-        "kalman": Entrant("fix-kf"),
-        "window": Entrant("moving-average"),
-        "stiffer": Entrant("fix-kf", {"motion.sigma_a": 0.2}),
-    },
-    runs=12,
-    measures={"last_m": lambda run: np.linalg.norm((run.estimates - run.truth)[:, -1, :2], axis=-1)},
-    figures=("rmse_m", "bound_m", "last_m"),
-)
 
-
-def nothing(done, now=""):
-    """Progress that nobody sees."""
-
-
-def sha(results):
+def _sha(results):
     return json.loads(to_json(results, []))["sha256"]
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     folder = tmp_path_factory.mktemp("study")
-    return folder, carry_out(SMALL, folder, (1, 1), None, nothing)
+    return folder, carry_out(SMALL, folder, (1, 1), None, no_progress)
 
 
-def normal_run(seed, n=7, rows=50):
+def _normal_run(seed, n=7, rows=50):
     """Errors and covariances drawn here, so that every figure can be had from the rows at once."""
     rng = np.random.default_rng(seed)
     truth, scale = rng.normal(size=(n, rows, 3)), np.exp(rng.normal(size=(n, 1, 1)))
@@ -61,15 +39,15 @@ def normal_run(seed, n=7, rows=50):
     return run, errors
 
 
-def results_of(kept, runs, study=SMALL):
+def _results_of(kept, runs, study=SMALL):
     gathered = Gathered(runs)
     gathered.add(0, kept)
     return Results(study, {(0, "kalman"): gathered.kept()}, {0: runs})
 
 
 def test_figures_are_those_of_all_rows_at_once():
-    run, errors = normal_run(3)
-    found = results_of(judged(run), 7)
+    run, errors = _normal_run(3)
+    found = _results_of(judged(run), 7)
     flat, solid = (np.linalg.norm(errors[..., :d], axis=-1)[run.known] for d in (2, 3))
     value = {
         name: found.at(name, SMALL.cells[0], "kalman").value for name in (*FIGURES, "diverged") if "rad" not in name
@@ -90,7 +68,7 @@ def test_figures_are_those_of_all_rows_at_once():
     assert value["diverged"] == np.mean((run.status == Status.LOST).any(axis=1))
 
 
-def kept_of(sizes, histogram):
+def _kept_of(sizes, histogram):
     """What is kept of errors (n, T), without a run."""
     sums, largest = np.zeros((len(sizes), len(SUMS))), np.full((len(sizes), len(KINDS)), np.nan)
     for what, values in (("n", np.ones_like(sizes)), ("sum", sizes), ("squares", sizes**2)):
@@ -102,27 +80,27 @@ def kept_of(sizes, histogram):
     return kept
 
 
-def coverage(figure, true, rng, repeats=1000, n=200, rows=20):
+def _coverage(figure, true, rng, repeats=1000, n=200, rows=20):
     """How often the interval holds the truth: Rayleigh errors whose scale differs from trajectory to trajectory."""
     inside = 0
     for _ in range(repeats):
         scale = np.exp(0.3 * rng.normal(size=(n, 1, 1)))
         sizes = np.linalg.norm(scale * rng.normal(size=(n, rows, 2)), axis=-1)
-        value = results_of(kept_of(sizes, figure != "rmse_m"), n).at(figure, SMALL.cells[0], "kalman")
+        value = _results_of(_kept_of(sizes, figure != "rmse_m"), n).at(figure, SMALL.cells[0], "kalman")
         inside += value.low <= true <= value.high
     return inside / repeats
 
 
 def test_95_percent_intervals_hold_the_true_rmse_in_93_to_97_percent_of_1000_repeats():
     # The mean square is 2 E[s²] = 2 exp(2·0.3²).
-    assert 0.93 <= coverage("rmse_m", np.sqrt(2 * np.exp(2 * 0.3**2)), np.random.default_rng(11)) <= 0.97
+    assert 0.93 <= _coverage("rmse_m", np.sqrt(2 * np.exp(2 * 0.3**2)), np.random.default_rng(11)) <= 0.97
 
 
 @pytest.mark.slow
 def test_95_percent_intervals_hold_the_true_median_in_93_to_97_percent_of_1000_repeats():
     rng = np.random.default_rng(12)
     draws = rng.normal(size=(4_000_000, 2)) * np.exp(0.3 * rng.normal(size=(4_000_000, 1)))
-    assert 0.93 <= coverage("median_m", np.median(np.linalg.norm(draws, axis=1)), rng) <= 0.97
+    assert 0.93 <= _coverage("median_m", np.median(np.linalg.norm(draws, axis=1)), rng) <= 0.97
 
 
 def test_a_difference_of_trackers_on_the_same_runs_is_known_better_than_either(whole):
@@ -156,50 +134,29 @@ def test_chunks_in_another_order_and_shards_merged_give_the_same_numbers(whole, 
     backwards = Store(tmp_path / "backwards", SMALL).opened()
     for cell in reversed(SMALL.cells):
         for chunk in reversed(range(SMALL.chunks)):
-            complete(backwards, [(cell, chunk)], nothing)
-    assert sha(backwards.results({c.index: SMALL.runs for c in SMALL.cells})) == sha(whole[1])
+            complete(backwards, [(cell, chunk)], no_progress)
+    assert _sha(backwards.results({c.index: SMALL.runs for c in SMALL.cells})) == _sha(whole[1])
     parts = [tmp_path / f"part-{k}" for k in (1, 2)]
     for k, part in enumerate(parts, start=1):
-        assert carry_out(SMALL, part, (k, 2), None, nothing) is None
+        assert carry_out(SMALL, part, (k, 2), None, no_progress) is None
     assert merged(parts, tmp_path / "merged") == 4
-    assert sha(carry_out(SMALL, tmp_path / "merged", (1, 1), None, nothing)) == sha(whole[1])
+    assert _sha(carry_out(SMALL, tmp_path / "merged", (1, 1), None, no_progress)) == _sha(whole[1])
 
 
 def test_a_study_goes_on_where_it_was_and_reads_a_torn_chunk_as_missing(whole, tmp_path):
     store = Store(tmp_path, SMALL).opened()
-    complete(store, [(SMALL.cells[1], 1)], nothing)
+    complete(store, [(SMALL.cells[1], 1)], no_progress)
     made = store.path(1, 1).stat().st_mtime_ns
     store.path(0, 0).write_bytes(b"torn")
-    assert sha(carry_out(SMALL, tmp_path, (1, 1), None, nothing)) == sha(whole[1])
+    assert _sha(carry_out(SMALL, tmp_path, (1, 1), None, no_progress)) == _sha(whole[1])
     assert store.path(1, 1).stat().st_mtime_ns == made
-
-
-TOML = """
-name = "small"
-runs = 12
-figures = ["rmse_m"]
-[worlds.line]
-rate_hz = 1.0
-[trackers.fix-kf]
-[trackers.moving-average]
-"""
-
-
-def command(*words, devices=None):
-    environment = dict(os.environ)
-    if devices:
-        environment["XLA_FLAGS"] = f"--xla_force_host_platform_device_count={devices}"
-    return subprocess.run(
-        [sys.executable, "-m", "experiments", "study", *map(str, words)],
-        env=environment, capture_output=True, text=True, check=False,
-    )  # fmt: skip
 
 
 def test_one_and_two_devices_give_the_same_numbers_and_a_report(tmp_path):
     file, shas = tmp_path / "small.toml", []
     file.write_text(TOML.replace("runs = 12", "runs = 1000"))  # eight chunks: the second device takes part from there
     for devices in (1, 2):
-        done = command(file, "--out", tmp_path / f"{devices}", devices=devices)
+        done = study_command(file, "--out", tmp_path / f"{devices}", devices=devices)
         assert done.returncode == 0, done.stderr
         assert f"on {devices} devices" in done.stderr
         shas.append(json.loads((tmp_path / f"{devices}" / "results.json").read_text())["sha256"])
@@ -211,12 +168,12 @@ def test_one_and_two_devices_give_the_same_numbers_and_a_report(tmp_path):
 
 def test_until_ends_a_cell_as_soon_as_its_figure_is_known_well_enough(tmp_path):
     study = dataclasses.replace(SMALL, runs=64, worlds={"constant": SMALL.worlds["constant"]})
-    wide = carry_out(study, tmp_path / "wide", (1, 1), Until.parsed("rmse_m±30%", study), nothing)
-    narrow = carry_out(study, tmp_path / "narrow", (1, 1), Until.parsed("rmse_m +- 0.01 %", study), nothing)
+    wide = carry_out(study, tmp_path / "wide", (1, 1), Until.parsed("rmse_m±30%", study), no_progress)
+    narrow = carry_out(study, tmp_path / "narrow", (1, 1), Until.parsed("rmse_m +- 0.01 %", study), no_progress)
     assert wide.runs[0] == 32
     assert narrow.runs[0] == 64
     with pytest.raises(UnusableInput, match="--shard"):
-        carry_out(study, tmp_path / "shard", (1, 2), Until.parsed("rmse_m±1%", study), nothing)
+        carry_out(study, tmp_path / "shard", (1, 2), Until.parsed("rmse_m±1%", study), no_progress)
 
 
 @pytest.mark.parametrize(
@@ -239,7 +196,7 @@ def test_a_study_that_cannot_be_run_is_refused_in_one_line(tmp_path, change, say
     file = tmp_path / "study.toml"
     file.write_text(TOML.replace(*change))
     with pytest.raises(UnusableInput) as refused:
-        carry_out(study_of(str(file)), tmp_path / "out", (1, 1), None, nothing)
+        carry_out(study_of(str(file)), tmp_path / "out", (1, 1), None, no_progress)
     assert says in str(refused.value)
     assert "\n" not in str(refused.value)
     assert not [*tmp_path.glob("out/chunks/*.npz")]
@@ -255,7 +212,7 @@ def test_the_command_line_refuses_what_is_no_study(tmp_path, whole):
         (("merge", whole[0], tmp_path, "--out", tmp_path / "b"), "study.json"),
         ((file, "--until", "rmse±1", "--out", tmp_path / "c"), "--until"),
     ):
-        done = command(*words)
+        done = study_command(*words)
         assert done.returncode == 2, (words, done.stderr)
         assert says in done.stderr.splitlines()[-1]
 

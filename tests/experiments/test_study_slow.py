@@ -8,12 +8,12 @@ import time
 import numpy as np
 import pytest
 
-from tests.experiments.test_study import TOML, command
+from tests.experiments.small_study import TOML, study_command
 
 pytestmark = pytest.mark.slow
 
 
-def sha(folder):
+def _sha(folder):
     return json.loads((folder / "results.json").read_text())["sha256"]
 
 
@@ -26,7 +26,7 @@ def study(tmp_path):
 
 def test_killed_five_times_at_random_moments_it_ends_with_the_same_numbers(study, tmp_path):
     began = time.perf_counter()
-    assert command(study, "--out", tmp_path / "whole").returncode == 0
+    assert study_command(study, "--out", tmp_path / "whole").returncode == 0
     seconds, rng, chunks = time.perf_counter() - began, np.random.default_rng(5), []
     for _ in range(5):
         words = [sys.executable, "-m", "experiments", "study", str(study), "--out", str(tmp_path / "killed")]
@@ -36,8 +36,8 @@ def test_killed_five_times_at_random_moments_it_ends_with_the_same_numbers(study
         running.wait()
         chunks.append(len([*(tmp_path / "killed").glob("chunks/*.npz")]))
     assert chunks == sorted(chunks)
-    assert command(study, "--out", tmp_path / "killed").returncode == 0
-    assert sha(tmp_path / "killed") == sha(tmp_path / "whole")
+    assert study_command(study, "--out", tmp_path / "killed").returncode == 0
+    assert _sha(tmp_path / "killed") == _sha(tmp_path / "whole")
 
 
 def test_a_full_disk_is_one_line_and_costs_nothing_that_was_written(study, tmp_path):
@@ -47,7 +47,7 @@ def test_a_full_disk_is_one_line_and_costs_nothing_that_was_written(study, tmp_p
     if mounted.returncode:
         pytest.skip("no right to mount a small file system here")
     try:
-        said = command(study, "--out", disk / "out")
+        said = study_command(study, "--out", disk / "out")
         assert said.returncode == 2, said.stderr
         assert "No space left" in said.stderr.splitlines()[-1]
         assert not [name for _, _, files in os.walk(disk) for name in files if name.startswith(".")]

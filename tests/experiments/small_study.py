@@ -1,0 +1,50 @@
+"""A study of seconds, in Python and in TOML, and the command that runs one."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+
+from experiments.study import Entrant, Study, World
+from experiments.worlds.named import line
+
+SMALL = Study(
+    name="small",
+    about="Does it run?",
+    worlds={w: World(line, {"situation": w, "rate_hz": 1.0}) for w in ("constant", "halts")},
+    trackers={
+        "kalman": Entrant("fix-kf"),
+        "window": Entrant("moving-average"),
+        "stiffer": Entrant("fix-kf", {"motion.sigma_a": 0.2}),
+    },
+    runs=12,
+    measures={"last_m": lambda run: np.linalg.norm((run.estimates - run.truth)[:, -1, :2], axis=-1)},
+    figures=("rmse_m", "bound_m", "last_m"),
+)
+
+
+def no_progress(done, now=""):
+    """Progress that nobody sees."""
+
+
+TOML = """
+name = "small"
+runs = 12
+figures = ["rmse_m"]
+[worlds.line]
+rate_hz = 1.0
+[trackers.fix-kf]
+[trackers.moving-average]
+"""
+
+
+def study_command(*words, devices=None):
+    """`trackwright study` with these words, on so many devices."""
+    environment = dict(os.environ)
+    if devices:
+        environment["XLA_FLAGS"] = f"--xla_force_host_platform_device_count={devices}"
+    return subprocess.run(
+        [sys.executable, "-m", "experiments", "study", *map(str, words)],
+        env=environment, capture_output=True, text=True, check=False,
+    )  # fmt: skip
