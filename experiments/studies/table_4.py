@@ -117,7 +117,7 @@ def figure_10(results: Results, folder: Path) -> list[str]:
                 axes.axhline(1e3 * TAG[0], color=BLACK, linewidth=0.6)
                 axes.set_title(f"{letter}, mm")
         panels[1].set_xlabel("time, s")
-        panels[0].legend(ncols=4, loc="upper center")
+        figure.legend(*panels[0].get_legend_handles_labels(), ncols=4, loc="outside lower center")
         for axes in panels:
             plain(axes)
 
@@ -138,6 +138,7 @@ def entrants(sigma_a: float) -> dict[str, Entrant]:
         # Nothing is in the way: normal noise.
         "sensors.ranges.stretch": 1.0,
         "sensors.ranges.tail": 1e3,
+        "sensors.ranges.bias": np.zeros(3),
     }
     return {
         "proposed": Entrant("uwb-imu", proposed, every=1 / RATE_HZ),
