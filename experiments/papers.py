@@ -11,7 +11,6 @@ import json
 import os
 import platform
 import sys
-import time
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -36,23 +35,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--results", type=Path, default=RESULTS, help="the page to write")
     options = parser.parse_args(arguments)
     chosen = [study for study in map(study_of, names()) if study.claims is not None]
-    parts, failed, began = [], [], time.perf_counter()
+    parts, failed, seconds = [], [], 0.0
     with progress("papers", len(chosen)) as advance:
         for study in chosen:
-            folder, start = options.out / study.name, time.perf_counter()
+            folder = options.out / study.name
             done = new_interpreter(["experiments", "study", study.name, "--out", str(folder)], LIMIT_S)
-            seconds = time.perf_counter() - start
             if done.returncode:
                 failed.append(study.name)
                 notice(f"{study.name} failed: {(done.stderr.strip().splitlines() or ['no message'])[-1]}")
             else:
-                parts.append(part(json.loads((folder / "results.json").read_text("utf-8")), seconds))
-                notice(f"{study.name}: {seconds:.0f} s")
+                found = json.loads((folder / "results.json").read_text("utf-8"))
+                parts.append(part(found))
+                seconds += found["computing_s"]
+                notice(f"{study.name}: {found['computing_s']:.0f} s")
             advance(1, study.name)
     if failed:
         notice(f"{options.results} is left as it was: {', '.join(failed)} could not be run")
         return 1
-    text = page(parts, time.perf_counter() - began)
+    text = page(parts, seconds)
     try:
         print(f"wrote {atomic_write(options.results, lambda path: path.write_text(text, 'utf-8'))}")
     except UnusableInput as problem:
@@ -66,7 +66,7 @@ def page(parts: Sequence[str], seconds: float) -> str:
     machine = f"{os.cpu_count()} cores, {platform.machine()}, jax {version('jax')}, Python {platform.python_version()}"
     return f"""# What is printed, and what came out
 
-Written by `make papers` ({machine}; {seconds / 60:.0f} minutes). Every number is read from the results of a study that
+Written by `make papers` ({machine}; {seconds / 60:.0f} minutes of computing). Every number is read from the results of a study that
 `trackwright study NAME` runs again; the report of a study has its figures and pictures. In brackets are 95 % intervals
 over the study's runs. *Fitted*: the printed number was used to choose what the paper does not print, as the study's
 file says; *predicted*: it was not.
@@ -74,7 +74,7 @@ file says; *predicted*: it was not.
 {chr(10).join(parts)}"""
 
 
-def part(found: dict[str, Any], seconds: float) -> str:
+def part(found: dict[str, Any]) -> str:
     """The section of a study, from its results.json."""
     claims = [c for c in found["claims"] if "printed" in c]
     judged = [c for c in claims if c["reached"] is not None]
@@ -87,7 +87,7 @@ def part(found: dict[str, Any], seconds: float) -> str:
         lines += [""] if any(c["note"] for c in claims) else []
     stated = [c for c in found["claims"] if "says" in c]
     lines += [f"- {'Holds' if c['holds'] else '**Does not hold**'}: {c['says']}. {c['evidence']}" for c in stated]
-    lines += ["", f"`trackwright study {found['study']}`, {seconds:.0f} s.", ""]
+    lines += ["", f"`trackwright study {found['study']}`, {found['computing_s']:.0f} s of computing.", ""]
     return "\n".join(lines)
 
 

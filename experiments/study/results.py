@@ -35,7 +35,8 @@ class Kept(NamedTuple):
     """What is kept of a cell and tracker, added up over blocks of trajectories.
 
     `sums` (blocks, columns), `largest` (blocks, kinds), `histograms`: kind -> (blocks, BINS); `measures`: name -> (n,)
-    of all trajectories; `bounds` (2,) m; `us_per_row`.
+    of all trajectories; `bounds` (2,) m; `us_per_row`; `seconds` that the chunks took, with compiling, told of a cell's
+    first tracker for all of them.
     """
 
     sums: np.ndarray
@@ -44,6 +45,7 @@ class Kept(NamedTuple):
     measures: dict[str, np.ndarray]
     bounds: np.ndarray
     us_per_row: float
+    seconds: float
 
 
 class Sample(NamedTuple):
@@ -139,6 +141,11 @@ class Results:
         every = [(c, t) for c in self.study.cells for t in self.study.trackers]
         return {f: {(c.index, t): self.at(f, c, t) for c, t in every} for f in self.study.figures}
 
+    @property
+    def seconds(self) -> float:
+        """Computing time of all chunks, whichever run, machine or device made them."""
+        return sum(kept.seconds for kept in self.kept.values())
+
     def numbers(self, measure: str, world: str, tracker: str, **point: Any) -> np.ndarray:
         """A measure's numbers (n,), trajectory by trajectory."""
         return self.kept[self.cell(world, **point).index, tracker].measures[measure]
@@ -217,7 +224,7 @@ class Gathered:
         self.largest = np.full((self.blocks, len(KINDS)), np.nan)
         self.histograms: dict[str, np.ndarray] = {}
         self.measures: dict[str, np.ndarray] = {}
-        self.bounds, self.us_per_row = np.full(2, np.nan), np.nan
+        self.bounds, self.us_per_row, self.seconds = np.full(2, np.nan), np.nan, 0.0
 
     def add(self, start: int, arrays: Mapping[str, np.ndarray]) -> None:
         """A chunk whose first trajectory is `start`; those beyond the last run are left out."""
@@ -239,7 +246,9 @@ class Gathered:
                 self.bounds = values
             elif name == "us_per_row":
                 self.us_per_row = float(values)
+            elif name == "seconds":
+                self.seconds += float(values)
 
     def kept(self) -> Kept:
         """What was added up."""
-        return Kept(self.sums, self.largest, self.histograms, self.measures, self.bounds, self.us_per_row)
+        return Kept(self.sums, self.largest, self.histograms, self.measures, self.bounds, self.us_per_row, self.seconds)

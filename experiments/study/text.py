@@ -82,6 +82,7 @@ def to_json(results: Results, claims: Sequence[Claim | Conclusion]) -> str:
             "about": results.study.about,
             "seed": results.study.seed,
             "sha256": digest(figures),
+            "computing_s": results.seconds,
             "cells": figures,
             "us_per_row": {
                 c.label: {t: results.at("us_per_row", c, t).value for t in results.study.trackers}

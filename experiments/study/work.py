@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
@@ -98,8 +99,10 @@ def complete(store: Store, chunks: Sequence[tuple[Cell, int]], advance: Advance)
         device = devices.get()
         try:
             with jax.default_device(device):
-                ids = np.arange(chunk * size, (chunk + 1) * size)
-                store.put(cell.index, chunk, trajectories(store.study, cell, ids, first=chunk == 0))
+                began, ids = time.perf_counter(), np.arange(chunk * size, (chunk + 1) * size)
+                kept = trajectories(store.study, cell, ids, first=chunk == 0)
+                kept[0]["seconds"] = np.array(time.perf_counter() - began)
+                store.put(cell.index, chunk, kept)
         finally:
             devices.put(device)
         advance(1, cell.label)
