@@ -66,10 +66,10 @@ def page(parts: Sequence[str], seconds: float) -> str:
     machine = f"{os.cpu_count()} cores, {platform.machine()}, jax {version('jax')}, Python {platform.python_version()}"
     return f"""# What is printed, and what came out
 
-Written by `make papers` ({machine}; {seconds / 60:.0f} minutes of computing). Every number is read from the results of a study that
-`trackwright study NAME` runs again; the report of a study has its figures and pictures. In brackets are 95 % intervals
-over the study's runs. *Fitted*: the printed number was used to choose what the paper does not print, as the study's
-file says; *predicted*: it was not.
+Written by `make papers` ({machine}; {seconds / 60:.0f} minutes of computing). Every number is read from the
+results of a study that `trackwright study NAME` runs again; the report of a study has its figures and pictures. In
+brackets are 95 % intervals over the study's runs. *Fitted*: the printed number was used to choose what the paper does
+not print, as the study's file says; *predicted*: it was not.
 
 {chr(10).join(parts)}"""
 
