@@ -88,7 +88,7 @@ def distribution_chart(results: Results, cell: Cell) -> str:
 
     def draw(figure_: Figure) -> None:
         axes = figure_.subplots()
-        kind = next((k for k in KINDS for t in study.trackers if k in results.kept[cell.index, t].histograms), "m")
+        kind = _kind(results, cell)
         unit = unit_of(f"median_{kind}", [results.at(f"median_{kind}", cell, t).value for t in study.trackers])
         end = 0.0
         for number, tracker in enumerate(study.trackers):
@@ -104,6 +104,15 @@ def distribution_chart(results: Results, cell: Cell) -> str:
         plain(axes, "both")
 
     return drawn(draw, WIDTH, HEIGHT)
+
+
+def _kind(results: Results, cell: Cell) -> str:
+    """The kind of errors that the study's figures are about: of the first that names one, else what there is."""
+    there = {k for t in results.study.trackers for k in results.kept[cell.index, t].histograms}
+    # The longer suffixes first: `3d_m` ends in `m` too.
+    kinds = sorted(there, key=len, reverse=True)
+    asked = (k for f in results.study.figures for k in kinds if f.endswith(f"_{k}"))
+    return next(asked, next(k for k in KINDS if k in there))
 
 
 def _axis(results: Results) -> str | None:
