@@ -3,9 +3,9 @@
 The spread of an axis is the largest less the smallest of 380 estimates, the filters settled. The paper prints neither
 anchors, rate and noise nor the numbers of its filters. Assumed: 40 rows a second, three anchors 0.7 m above the tag,
 two on one side 5 m from the third, and an accelerometer of 0.001 m/s²/√Hz, which the proposed filter knows. Fitted,
-as `fitted/table_4.toml` says: five numbers and the length of the window. The two anchors on one side have slow errors:
-without them no filter could help y less than x by as much as printed. Eight printed figures, six numbers: two degrees
-of freedom are left. The still tag says nothing of a filter's lag, which is why its paper can tune it at will.
+as `fitted/table_4.toml` says: five numbers and the length of the window. The two anchors on one side have slow errors,
+which are felt in y more than in x, so that filters help y less, as printed. Eight printed figures, six numbers: two
+degrees of freedom are left. The still tag says nothing of a filter's lag, which is why its paper can tune it at will.
 """
 
 from __future__ import annotations

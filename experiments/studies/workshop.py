@@ -30,7 +30,7 @@ from trackers.mhk.tracker import STILL
 
 ROUTE = Route()
 LASTING_S = 10.0
-"""How long a drift lasts; from 5 s to 40 s the figures stay as they are within 4 %."""
+"""How long a drift lasts: much longer than the median's window, which then leaves it as it is."""
 
 
 def workshop(ids: np.ndarray, seed: int, drift: float, share: float, size: float, speed: float = 0.5) -> Folder:

@@ -153,4 +153,4 @@ def test_a_study_says_what_it_found(name, tmp_path):
     assert all(np.isfinite(c.ours.value) for c in found if isinstance(c, Claim))
     assert all(c.evidence for c in found if isinstance(c, Conclusion))
     if study.draw is not None:
-        assert all((tmp_path / name).read_text("utf-8").startswith("<?xml") for name in study.draw(results, tmp_path))
+        assert all((tmp_path / name).read_text("utf-8").startswith("<svg") for name in study.draw(results, tmp_path))
