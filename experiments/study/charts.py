@@ -16,16 +16,21 @@ from experiments.study.wording import heading, unit_of
 from experiments.tuning_report.drawings import HEIGHT, WIDTH, drawn, plain
 
 MARKS = "osD^vP"
-SHOWN_CELLS = 6
-"""The most cells whose distributions are drawn."""
+SHOWN_CELLS, LINES_SHOWN, ROWS_SHOWN = 6, 8, 40
+"""The most cells whose distributions are drawn, lines of a drawing, and rows of one."""
 
 
-def figure_chart(results: Results, figure: str) -> str:
-    """A figure with its intervals: along the grid where that is one row of numbers, else cell by cell."""
+def figure_chart(results: Results, figure: str) -> str | None:
+    """A figure with its intervals: along the grid where that is one row of numbers, else cell by cell.
+
+    None where there would be more lines or rows than a drawing has room for.
+    """
     study = results.study
     along = _axis(results)
     if along is None:
-        return _bars(results, figure)
+        return _bars(results, figure) if len(study.cells) * len(study.trackers) <= ROWS_SHOWN else None
+    if len(study.worlds) * len(study.trackers) > LINES_SHOWN:
+        return None
     found = {(c.index, t): results.at(figure, c, t) for c in study.cells for t in study.trackers}
     unit = unit_of(figure, [v.value for v in found.values()])
 

@@ -171,6 +171,7 @@ def _ratio(a: Any, b: Any) -> Any:
 
 def _charts(results: Results) -> str:
     drawings = [figure_chart(results, f) for f in results.study.figures[:4] if f != "us_per_row"]
+    drawings = [x for x in drawings if x is not None]
     drawings += [distribution_chart(results, c) for c in results.study.cells[:SHOWN_CELLS]]
     images = "".join(f'<figure><img alt="" src="{source}"></figure>' for source in drawings)
     more = len(results.study.cells) - SHOWN_CELLS
