@@ -17,8 +17,8 @@ from experiments.fail_if import fails
 from experiments.folder import Folder
 from experiments.matching import read_tracks
 from experiments.screen import notice, read_all
-from experiments.worksteps_text import to_text as work_text
-from experiments.worksteps_tracks import WorkReport, work_report
+from experiments.worksteps.text import to_text as work_text
+from experiments.worksteps.tracks import WorkReport, work_report
 from experiments.writing import atomic_write
 
 SOURCES = "recordings.txt"

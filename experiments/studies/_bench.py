@@ -11,7 +11,7 @@ import polars as pl
 
 from experiments.folder import Folder
 from experiments.study.run import Run
-from experiments.worksteps import NOWHERE, Decisions, WorkPoints, at_work, decide
+from experiments.worksteps.decisions import NOWHERE, Decisions, WorkPoints, at_work, decide
 from experiments.worlds.phases import as_folder
 from experiments.worlds.uwb_imu import simulated_uwb_imu
 from sim.corruptions import white_noise

@@ -9,8 +9,8 @@ import pytest
 from experiments.folder import Folder
 from experiments.studies._bench import MEASURES
 from experiments.study.run import Run
-from experiments.worksteps import NOWHERE, WorkPoints, at_work, decide, probabilities, visits_of
-from experiments.worksteps_figures import calibration, judge, share, workstep
+from experiments.worksteps.decisions import NOWHERE, WorkPoints, at_work, decide, probabilities, visits_of
+from experiments.worksteps.figures import calibration, judge, share, workstep
 from tests.experiments.faulty import good_tables
 from tests.experiments.in_process import assert_refused, trackwright
 from trackers.core.rig import Rig

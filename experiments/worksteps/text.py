@@ -9,9 +9,9 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from experiments.worksteps import LEVEL
-from experiments.worksteps_figures import Share, Workstep
-from experiments.worksteps_tracks import WorkReport
+from experiments.worksteps.decisions import LEVEL
+from experiments.worksteps.figures import Share, Workstep
+from experiments.worksteps.tracks import WorkReport
 
 SHOWN_POINTS = 20
 """More points than this are not listed; those with most wrong releases are."""

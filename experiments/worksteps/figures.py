@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.worksteps import LEVEL, NOWHERE, Decisions, WorkPoints, at_work, decide, visits_of
+from experiments.worksteps.decisions import LEVEL, NOWHERE, Decisions, WorkPoints, at_work, decide, visits_of
 
 EDGES = (0.0, 0.5, 0.8, 0.9, 0.95, 0.99, 1.0)
 """Between which claimed probabilities rows are counted together to see how often they are right."""

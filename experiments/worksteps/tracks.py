@@ -13,9 +13,9 @@ import polars as pl
 from experiments.errors import UnusableInput
 from experiments.evaluation import covariances, last_of_every
 from experiments.matching import Matched, is_bearing, match_truth, numbers
-from experiments.worksteps import LEVEL, NOWHERE, WorkPoints
-from experiments.worksteps_figures import Bin, Judged, Workstep, calibration, judge, workstep
-from experiments.worksteps_file import read_points
+from experiments.worksteps.decisions import LEVEL, NOWHERE, WorkPoints
+from experiments.worksteps.figures import Bin, Judged, Workstep, calibration, judge, workstep
+from experiments.worksteps.points_file import read_points
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import polars as pl
 
 from experiments.cells import SUFFIXES, Cells, read_cells
 from experiments.errors import UnusableInput
-from experiments.worksteps import WorkPoints
+from experiments.worksteps.decisions import WorkPoints
 
 _REQUIRED, _HEIGHT = ("name", "x_m", "y_m"), "z_m"
 _EXPECTED = "expected name, x_m, y_m and optionally z_m"
