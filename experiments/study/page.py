@@ -24,7 +24,8 @@ EXTRA = """
 table.wide td:first-child { min-width: 11rem; }
 td.no { color: var(--warn); font-weight: 700; }
 td.text, th.text { text-align: left; white-space: normal; }
-figure.own { grid-column: 1 / -1; }
+figure.own { grid-column: 1 / -1; max-width: 46rem; }
+table.wide th { min-width: 5.2rem; }
 """
 
 
@@ -140,6 +141,8 @@ def _figures(results: Results) -> str:
     counts = sorted(set(results.runs.values()))
     runs = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
     lead = f"{runs} trajectories per row, the same for all trackers. In brackets 95 % intervals by resampling them."
+    if any(f.startswith("bound") for f in study.figures):
+        lead += " The bound is by the tracker's own noise levels, over the second half of the rows."
     return section("figures", "Figures", lead, table(head, rows, ["", "text", *[""] * len(columns)]))
 
 

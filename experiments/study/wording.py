@@ -13,7 +13,7 @@ from experiments.study.results import Value
 
 WORDS = {
     "rmse": "RMSE", "mean": "mean error", "median": "median", "p90": "90 % below", "p95": "95 % below",
-    "p99": "99 % below", "max": "largest error", "bound": "Cramér–Rao bound, once settled,",
+    "p99": "99 % below", "max": "largest error", "bound": "Cramér–Rao bound",
     "variance_m2": "variance of the error",
     "nees_mean": "NEES, 2 expected", "nees_3d_mean": "NEES in space, 3 expected",
     "coverage_95": "inside the 95 % ellipse", "nis_ratio": "NIS per degree of freedom, 1 expected",
@@ -61,7 +61,7 @@ def heading(figure: str) -> str:
         return WORDS[figure]
     what, _, suffix = figure.partition("_")
     if what in WORDS and suffix in SUFFIXES:
-        return f"{WORDS[what]} {SUFFIXES[suffix]}".strip().removesuffix(",")
+        return f"{WORDS[what]} {SUFFIXES[suffix]}".strip()
     for ending, words in SUFFIXES.items():
         if figure.endswith(f"_{ending}"):
             return f"{figure[: -len(ending) - 1].replace('_', ' ')} {words}".strip()
