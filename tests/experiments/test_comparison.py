@@ -1,0 +1,104 @@
+import json
+import math
+
+import numpy as np
+import pytest
+
+from experiments.commands.report import report
+from experiments.errors import UnusableInput
+from experiments.papers import part
+from experiments.study.compared import pairs
+
+
+def _value(value, width):
+    return {"value": value, "low": value - width / 2, "high": value + width / 2}
+
+
+def _study(folder, rmse, width=0.02, tracker="direct"):
+    folder.mkdir()
+    cell = {"world": "hand", "point": {"world.sigma_p": 0.1}, "tracker": tracker}
+    content = {"cells": [cell | {"figures": {"rmse_m": _value(rmse, width), "nees_mean": _value(2.0, 0.1)}}]}
+    (folder / "results.json").write_text(json.dumps(content))
+    return folder
+
+
+def _evaluation(folder, rmse):
+    folder.mkdir()
+    figures = {"rmse_m": rmse, "n": 100, "nees_mean": None}
+    content = {"overall": figures, "recordings": [{"recording": "walk", **figures}]}
+    (folder / "evaluation.json").write_text(json.dumps(content))
+    return folder
+
+
+def test_two_studies_differ_where_the_difference_is_larger_than_both_intervals_allow(tmp_path):
+    first, second = _study(tmp_path / "a", 0.10), _study(tmp_path / "b", 0.12)
+    found = {p.figure: p for p in pairs(first, second)[0]}
+    assert found["rmse_m"].ratio == pytest.approx(1.2)
+    assert found["rmse_m"].differs is True
+    assert found["nees_mean"].differs is False
+    assert found["rmse_m"].whose == "hand, sigma_p 0.1, direct"
+
+
+def test_a_difference_of_two_normal_means_is_called_one_in_5_percent_of_cases_where_there_is_none(tmp_path):
+    # Half widths of 1.96 sigma each: their root sum of squares is 1.96 of the difference's sigma.
+    from experiments.study.compared import Pair, Value
+
+    rng = np.random.default_rng(1)
+    a, b = rng.normal(size=(2, 4000))
+    called = [
+        Pair("", "", Value(x, x - 1.96, x + 1.96), Value(y, y - 1.96, y + 1.96)).differs
+        for x, y in zip(a, b, strict=True)
+    ]
+    assert 0.035 < np.mean(called) < 0.065
+
+
+def test_two_evaluations_are_compared_without_counts_and_without_intervals(tmp_path):
+    found, alone = pairs(_evaluation(tmp_path / "a", 0.2), _evaluation(tmp_path / "b", 0.1))
+    assert [(p.whose, p.figure) for p in found] == [("all recordings", "rmse_m"), ("walk", "rmse_m")]
+    assert all(p.differs is None and math.isnan(p.before.low) for p in found)
+    assert alone == []
+
+
+def test_the_command_prints_both_and_writes_one_page(tmp_path, capsys):
+    first, second = _study(tmp_path / "a", 0.10), _study(tmp_path / "b", 0.12)
+    assert report((first, second), tmp_path / "page" / "comparison.html") == 0
+    printed = capsys.readouterr().out
+    assert "10.0 (9.0 … 11.0)" in printed
+    assert "12.0 (11.0 … 13.0)" in printed
+    page = (tmp_path / "page" / "comparison.html").read_text()
+    assert "1.200" in page
+    assert "http" not in page
+
+
+def test_runs_that_cannot_be_compared_are_refused_in_one_line(tmp_path):
+    study, evaluation = _study(tmp_path / "a", 0.1), _evaluation(tmp_path / "b", 0.1)
+    other, broken = _study(tmp_path / "c", 0.1, tracker="beam"), tmp_path / "d"
+    broken.mkdir()
+    (broken / "results.json").write_text("{")
+    for runs, says in (
+        ((study, evaluation), "two runs of one kind"),
+        ((study, other), "in common"),
+        ((study, broken), "JSON"),
+        ((study, tmp_path), "no results.json"),
+        ((study,), "found 1 folders"),
+    ):
+        with pytest.raises(UnusableInput, match=says):
+            report(runs, tmp_path / "comparison.html")
+    with pytest.raises(UnusableInput, match="--figures speed"):
+        report((study, study), tmp_path / "comparison.html", ("speed",))
+
+
+def test_the_page_of_all_reproductions_says_what_is_fitted_and_what_was_not_reached():
+    claims = [
+        {"figure": "Table 1", "printed": 10.0, "ours": _value(10.4, 0.2), "unit": "cm", "ratio": 1.04, "fitted": True,
+         "reached": True, "note": ""},
+        {"figure": "Table 2", "printed": 10.0, "ours": _value(14.0, 0.2), "unit": "cm", "ratio": 1.4, "fitted": False,
+         "reached": False, "note": "The nearest is this."},
+        {"says": "A is better", "holds": False, "evidence": "1 against 2"},
+    ]  # fmt: skip
+    text = part({"study": "some", "about": "What?", "claims": claims, "computing_s": 12.0})
+    assert "| Table 1 | 10 cm | 10.40 (10.30 … 10.50) | 1.04 | fitted | yes |" in text
+    assert "| 1.40 | predicted | **no** |" in text
+    assert "1 of 2 are as near as asked." in text
+    assert "The nearest is this." in text
+    assert "**Does not hold**: A is better. 1 against 2" in text
