@@ -91,6 +91,7 @@ def _coverage(figure, true, rng, repeats=1000, n=200, rows=20):
     return inside / repeats
 
 
+@pytest.mark.slow
 def test_95_percent_intervals_hold_the_true_rmse_in_93_to_97_percent_of_1000_repeats():
     # The mean square is 2 E[s²] = 2 exp(2·0.3²).
     assert 0.93 <= _coverage("rmse_m", np.sqrt(2 * np.exp(2 * 0.3**2)), np.random.default_rng(11)) <= 0.97
