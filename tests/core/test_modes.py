@@ -9,8 +9,12 @@ from tests.oracles import normal_log_density, van_loan
 from trackers.core.algebra import Vector
 from trackers.core.modes import InteractingModels, SwitchingMotion
 from trackers.core.motion import ConstantVelocity, Kinematic
+from trackers.core.recording import stack
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import matching
+from tuning.objectives import NegativeLogLikelihood
+from tuning.parameters import chosen, flatten
+from tuning.problem import Problem
 
 SIGMAS, RATE, ODDS = (0.1, 1.0, 5.0), 0.8, (2.0, 1.0, 1.0)
 H, R = np.array([[1.0, 0.0], [0.3, 1.0]]), np.array([0.2, 0.4])
@@ -98,6 +102,21 @@ def test_three_equal_models_are_one(three):
     np.testing.assert_allclose(flat(same.mean), flat(plain.mean), rtol=1e-11, atol=1e-12)
     np.testing.assert_allclose(same.cov_upper, plain.cov_upper, rtol=1e-11, atol=1e-12)
     assert not np.allclose(flat(three.mean), flat(plain.mean), atol=1e-3)
+
+
+def test_where_rows_share_their_time_and_nothing_is_drawn_anew_the_gradient_is_the_central_difference():
+    times, values, seen = _rows()
+    assert np.any(np.diff(times) == 0)
+    motion = SwitchingMotion(tuple(ConstantVelocity(s, 1) for s in SIGMAS))
+    sensors = {"z": LinearSensor(H, R, 2)}
+    tracker = Tracker(motion, sensors, KnownStart(_state), InteractingModels(RATE, ODDS), NEVER_LOST)
+    parameters = chosen(tracker, ("filter.rate", "motion.*"))
+    batch = stack([recording(times, {"z": (values, seen)}, MEAN, COV)])
+    problem, vector, h = Problem(tracker, [batch], NegativeLogLikelihood(), parameters), flatten(parameters), 1e-5
+    shifts = h * np.eye(len(vector))
+    differences = (problem.values(vector + shifts) - problem.values(vector - shifts)) / (2 * h)
+    # In double precision a central difference of this step is good to some 1e-9.
+    np.testing.assert_allclose(problem.evaluate(vector).gradients[0], differences, rtol=1e-6, atol=1e-8)
 
 
 def test_a_filter_without_modes_sees_the_first_motion():
