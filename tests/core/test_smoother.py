@@ -126,6 +126,7 @@ def test_single_precision_smooths_as_double_precision_does():
     np.testing.assert_allclose(np.sqrt(np.einsum("...ii->...i", single.covariance)), sigma, rtol=0.01)
 
 
+@pytest.mark.slow
 def test_the_gradient_of_a_smoothed_figure_is_the_central_difference(world):
     def figure(sigma):
         tracker = Smoothed(

@@ -136,6 +136,7 @@ def table(tmp_path_factory):
     return carry_out(study, tmp_path_factory.mktemp("table"), (1, 1), None, lambda done, now="": None)
 
 
+@pytest.mark.slow
 def test_the_filters_stand_in_the_order_of_the_table(table):
     raw, kalman, particle = (
         table.average("error_m", [(name, t) for name in RECORDINGS]).value for t in table_3_1.COLUMNS
@@ -145,6 +146,7 @@ def test_the_filters_stand_in_the_order_of_the_table(table):
     assert least(table, "Kalman") == table.study.grid[SIGMA][0]
 
 
+@pytest.mark.slow
 def test_the_table_has_its_27_figures_and_says_which_were_fitted(table):
     claims = table_3_1.claims(table)
     cells = [c for c in claims if isinstance(c, Claim) and ", set " in c.figure]

@@ -66,6 +66,7 @@ def test_the_raw_fixes_of_the_workshop_are_as_far_off_the_route_as_its_polyline_
     np.testing.assert_allclose(ours, distances_to_path(fixes, folder.rig.path_knots), atol=4e-4)
 
 
+@pytest.mark.slow
 def test_the_workshop_has_nine_printed_figures_of_which_four_are_predicted(tmp_path):
     found = workshop.claims(_results(workshop.STUDY, 4, tmp_path))
     claims = [c for c in found if isinstance(c, Claim)]
@@ -75,6 +76,7 @@ def test_the_workshop_has_nine_printed_figures_of_which_four_are_predicted(tmp_p
     assert all(abs(c.ratio - 1) < 0.25 for c in claims)
 
 
+@pytest.mark.slow
 def test_lengthening_every_range_makes_trilateration_worse_and_a_fourth_range_makes_it_better():
     study = trilateration.STUDY
     three = {k: study.trackers[k] for k in ("trilateration", "with (14)", "least squares")}

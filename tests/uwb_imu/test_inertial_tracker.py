@@ -62,6 +62,7 @@ def runs(folder):
     return every, inertial_tracker(sigma_r=0.05, stretch=1.1, tail=10.0, bias=0.0).run(stack(every))
 
 
+@pytest.mark.slow
 def test_the_imu_takes_a_fifth_or_more_off_the_error_of_ranges_alone(runs):
     recordings, estimates = runs
     with_imu, without = (_rmse(_errors(estimates[a:b], recordings[a:b])) for a, b in ((0, TAGS), (TAGS, 2 * TAGS)))
