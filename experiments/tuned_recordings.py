@@ -81,25 +81,22 @@ def shown(name: str, split: Split, folder: Path) -> bool:
     tracker, group = only_group([folder / x for x in split.tuned], split.tracker, None, False)
     job = job_of(group, "nll", [], PIECE_ROWS)
     result = fit(job.tracker, job.rows(), NegativeLogLikelihood(), split.tune, starts=2)
-    numbers = {name: own.value for name, own in tunables(result.tracker).items()}
+    numbers = tunables(result.tracker)
+    tuned = {k: numbers[k].value for p in result.parameters for k in p.names}
     worse = False
     # Recordings with another path or other anchors have a tracker of their own, which takes the numbers by name.
     for judged in groups([read_folder(folder / x) for x in split.judged], tracker, False):
         rows = [batch for _, batch in batches(judged.lanes)]
         quantity = next(iter(judged.lanes[0].recording.truth))
         dimensions = 2 if judged.planar or quantity == "direction" else 3
-        tuned = {k: v for p in result.parameters for k in p.names for v in [numbers[k]]}
-        before, after = (
-            every_figure(t, rows, quantity, dimensions)
-            for t in (judged.tracker, with_noise(judged.tracker, tuned, name))
-        )
+        tracked = with_noise(judged.tracker, tuned, name)
+        before, after = (every_figure(t, rows, quantity, dimensions) for t in (judged.tracker, tracked))
         print(f"{name:8s}{tracker:12s}{', '.join(sorted({x.folder.name for x in judged.lanes}))}")
         for figure in ("nll", "rmse", "rmse-3d", "nis-shape"):
             if before[figure] == before[figure]:
                 print(f"{'':20s}{figure:38s}{before[figure]:10.4g}{after[figure]:10.4g}", flush=True)
         if after["rmse"] > WORSE * before["rmse"]:
             worse = True
-            tracked = with_noise(judged.tracker, tuned, name)
             runs = [(tracked.run(x), x.size) for x in rows]
             said = innovations_of([found[k] for found, size in runs for k in range(size)], tracked)
             why = [] if said is None else contradicted(said)

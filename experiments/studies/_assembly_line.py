@@ -47,8 +47,18 @@ SWEPT = (0.06, 0.09, 0.13, 0.18, 0.25, 0.35)
 """m/s per √s; at 5 Hz a change of 3 … 16 cm/s per step, inside the 0 … 100 cm that the thesis looks through."""
 
 
-def recording(
-    ids: np.ndarray,
+def recording(ids: np.ndarray, seed: int, number: int, **numbers: Any) -> Folder:
+    """Draws of recording `number` of Table 3.1, one for each id, with the truth that least squares find in its fixes.
+
+    `numbers`: `situation`, `speed` m/s, `rate_hz`; `white`, `slow`: standard deviations, m, of independent errors and
+    of those with the time constant `tau` s; `fitted_truth`: whether to fit it, as the thesis does.
+    """
+    return _recording(tuple(np.asarray(ids).tolist()), seed, number, **numbers)
+
+
+@lru_cache(maxsize=8)
+def _recording(
+    ids: tuple[int, ...],
     seed: int,
     number: int,
     situation: str,
@@ -59,32 +69,10 @@ def recording(
     rate_hz: float,
     fitted_truth: bool = True,
 ) -> Folder:
-    """Draws of recording `number` of Table 3.1, one for each id, with the truth that least squares find in its fixes.
-
-    `white`, `slow`: standard deviations, m, of independent errors and of those with the time constant `tau` s.
-    """
-    key = np.asarray(ids).tobytes(), np.asarray(ids).dtype.str
-    return _recording(key, seed, number, situation, white, slow, tau, speed, rate_hz, fitted_truth)
-
-
-@lru_cache(maxsize=8)
-def _recording(
-    ids: tuple[bytes, str],
-    seed: int,
-    number: int,
-    situation: str,
-    white: float,
-    slow: float,
-    tau: float,
-    speed: float,
-    rate_hz: float,
-    fitted_truth: bool,
-) -> Folder:
     """Kept, since a sweep asks for the same recordings at every value, and least squares take their time."""
     errors = {"white": white_noise(white), "slow": gauss_markov(slow, tau)}
-    numbers = np.frombuffer(ids[0], ids[1]).tolist()
     # Nine recordings are nine draws: each has a seed of its own.
-    world = simulate_line(situation, numbers, 10 * seed + number, speed=speed, rate_hz=rate_hz, errors=errors)
+    world = simulate_line(situation, ids, 10 * seed + number, speed=speed, rate_hz=rate_hz, errors=errors)
     if fitted_truth:
         places = [knot_times(world.knots, world.times, fixes).places(world.times) for fixes in world.fixes]
         world = dataclasses.replace(world, positions=np.stack(places))

@@ -7,6 +7,7 @@ paired one. Beyond 512 trajectories groups of them, id modulo 512, are resampled
 
 from __future__ import annotations
 
+import contextlib
 import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -98,7 +99,7 @@ class Results:
 
     def __init__(self, study: Study, kept: Mapping[tuple[int, str], Kept], runs: Mapping[int, int]):
         self.study, self.kept, self.runs = study, kept, runs
-        self._samples: dict[tuple[int, str], tuple[Sample, Sample]] = {}
+        self._figures: dict[tuple[int, str], dict[str, tuple[Any, np.ndarray]]] = {}
 
     def cell(self, world: str, **point: Any) -> Cell:
         """The cell of a world at a point of the grid; names with dots are given as `**{"world.rate_hz": 5}`.
@@ -164,26 +165,30 @@ class Results:
         weights = resampled(self.study.seed, min(self.runs[cell.index], BLOCKS))
         if figure in kept.measures:
             return _mean_of(kept.measures[figure], weights)
-        whole, many = self._sampled(cell, tracker, weights)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            if figure in SHARES:
-                per_block = _block_sizes(self.runs[cell.index])
-                return whole.sum(figure) / per_block.sum(), many.sum(figure) / (weights @ per_block)
-            return FIGURES[figure](whole), FIGURES[figure](many)
-
-    def _sampled(self, cell: Cell, tracker: str, weights: np.ndarray) -> tuple[Sample, Sample]:
         key = (cell.index, tracker)
-        if key not in self._samples:
-            kept = self.kept[key]
-            drawn = weights > 0
-            largest = np.stack(
-                [np.where(drawn, np.nan_to_num(x, nan=-np.inf), -np.inf).max(axis=1) for x in kept.largest.T], axis=-1
-            )
-            many = Sample(weights @ kept.sums, largest, {k: weights @ h for k, h in kept.histograms.items()})
-            top = np.nan_to_num(kept.largest, nan=-np.inf).max(axis=0)
-            whole = Sample(kept.sums.sum(axis=0), top, {k: h.sum(axis=0) for k, h in kept.histograms.items()})
-            self._samples[key] = whole, many
-        return self._samples[key]
+        if key not in self._figures:
+            # All figures at once: histograms of all resamplings take megabytes, figures kilobytes.
+            self._figures[key] = _figures_of(kept, weights, _block_sizes(self.runs[cell.index]))
+        return self._figures[key][figure]
+
+
+def _figures_of(kept: Kept, weights: np.ndarray, per_block: np.ndarray) -> dict[str, tuple[Any, np.ndarray]]:
+    """Every figure of all trajectories, and of every resampling (R,); of the kinds of errors that there are."""
+    drawn = weights > 0
+    largest = np.stack(
+        [np.where(drawn, np.nan_to_num(x, nan=-np.inf), -np.inf).max(axis=1) for x in kept.largest.T], axis=-1
+    )
+    many = Sample(weights @ kept.sums, largest, {k: weights @ h for k, h in kept.histograms.items()})
+    top = np.nan_to_num(kept.largest, nan=-np.inf).max(axis=0)
+    whole = Sample(kept.sums.sum(axis=0), top, {k: h.sum(axis=0) for k, h in kept.histograms.items()})
+    found = {}
+    with np.errstate(invalid="ignore", divide="ignore"):
+        for name in SHARES:
+            found[name] = whole.sum(name) / per_block.sum(), many.sum(name) / (weights @ per_block)
+        for name, figure in FIGURES.items():
+            with contextlib.suppress(KeyError):  # a percentile of a kind of errors that the tracker doesn't have
+                found[name] = figure(whole), figure(many)
+    return found
 
 
 @functools.lru_cache(maxsize=8)

@@ -58,10 +58,11 @@ def trajectories(study: Study, cell: Cell, ids: np.ndarray, first: bool) -> list
         folder = made.make(ids, study.seed, **study.numbers(cell))
     except (TypeError, ValueError) as error:
         raise UnusableInput(f"study '{study.name}', world '{cell.world}': {error}") from error
-    _all_taken(study, cell, folder)
+    plain = {name: grouped([folder], e.entry, name, e.free_height) for name, e in study.trackers.items()}
+    _all_taken(study, cell, plain)
     kept = []
     for name, entrant in study.trackers.items():
-        groups = entered(study, cell, name, entrant, folder)
+        groups = _with_numbers(study, cell, name, entrant, plain[name])
         run, seconds = _run(groups, ids, study.chunk, entrant)
         own = judged(run)
         for measure, function in study.measures.items():
@@ -79,9 +80,13 @@ def trajectories(study: Study, cell: Cell, ids: np.ndarray, first: bool) -> list
 
 def entered(study: Study, cell: Cell, name: str, entrant: Entrant, folder: Folder) -> list[Group]:
     """The lanes of a folder with the tracker as it enters a cell; raises UnusableInput where they don't fit."""
+    return _with_numbers(study, cell, name, entrant, grouped([folder], entrant.entry, name, entrant.free_height))
+
+
+def _with_numbers(study: Study, cell: Cell, name: str, entrant: Entrant, groups: list[Group]) -> list[Group]:
     where = f"study '{study.name}', tracker '{name}'"
     made = []
-    for group in grouped([folder], entrant.entry, name, entrant.free_height):
+    for group in groups:
         tracker = with_noise(group.tracker, dict(entrant.tunables), where)
         tracker = with_noise(tracker, _of_grid(cell, tracker), where)
         if entrant.smooth:
@@ -101,17 +106,11 @@ def _of_grid(cell: Cell, tracker: AbstractTracker) -> dict[str, Any]:
     return {k: v for k, v in cell.numbers.items() if not k.startswith(WORLD) and fnmatch.filter(own, k)}
 
 
-def _all_taken(study: Study, cell: Cell, folder: Folder) -> None:
+def _all_taken(study: Study, cell: Cell, plain: Mapping[str, list[Group]]) -> None:
     """Refuse a number of the grid that no tracker has."""
-    wanted = [k for k in cell.numbers if not k.startswith(WORLD)]
-    if not wanted:
-        return
-    own: set[str] = set()
-    for name, entrant in study.trackers.items():
-        for group in grouped([folder], entrant.entry, name, entrant.free_height)[:1]:
-            own |= set(tunables(group.tracker))
-    for pattern in wanted:
-        if not fnmatch.filter(own, pattern):
+    own = {name for groups in plain.values() for group in groups for name in tunables(group.tracker)}
+    for pattern in cell.numbers:
+        if not pattern.startswith(WORLD) and not fnmatch.filter(own, pattern):
             raise UnusableInput(
                 f"study '{study.name}': grid '{pattern}': no tracker has it; expected 'world.' and a number of the "
                 f"worlds, or one of {', '.join(sorted(own))}"

@@ -96,10 +96,10 @@ class Store:
 
         atomic_write(self.path(cell, chunk), write)
 
-    def results(self, runs: Mapping[int, int], cells: Sequence[int] | None = None) -> Results:
-        """The figures of all cells, or of some, of which so many runs are there."""
+    def results(self, runs: Mapping[int, int]) -> Results:
+        """The figures of the cells of which so many runs are there."""
         kept: dict[tuple[int, str], Kept] = {}
-        for cell in runs if cells is None else cells:
+        for cell in runs:
             gathered = {name: Gathered(runs[cell]) for name in self.study.trackers}
             for chunk in range(-(-runs[cell] // self.study.chunk)):
                 with self._file(cell, chunk) as file:
