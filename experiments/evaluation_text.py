@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -13,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from experiments.evaluation import Evaluation, Figures
+from experiments.screen import rendered
 from experiments.writing import json_text
 
 SHOWN_TRACKS = 10
@@ -65,17 +65,13 @@ def to_json(evaluation: Evaluation, work: Mapping[str, Any] | None = None) -> st
 
 def to_text(evaluation: Evaluation, width: int = 120) -> str:
     """The figures as a table and what was not counted; the main figures only where `width` characters hold no more."""
-    page = io.StringIO()
-    console = Console(file=page, width=width, highlight=False)
+    console = Console(width=width)
     columns = (BEARING_COLUMNS if evaluation.bearing else POSITION_COLUMNS) + BELIEF_COLUMNS
     table = _table(evaluation, columns)
     if console.measure(table, options=console.options.update(max_width=10_000)).maximum > width:
         columns = tuple(column for column in columns if column.main)
         table = _table(evaluation, columns)
-    console.print(table)
-    for note in _notes(evaluation, columns):
-        console.print(note, markup=False)
-    return "\n".join(line.rstrip() for line in page.getvalue().splitlines()) + "\n"
+    return rendered(width, table, *_notes(evaluation, columns))
 
 
 def _table(evaluation: Evaluation, columns: Sequence[Column]) -> Table:

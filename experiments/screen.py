@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Protocol
 
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from experiments.errors import UnusableInput
@@ -40,6 +41,15 @@ def progress(what: str, total: int) -> Iterator[Advance]:
             bar.update(task, advance=done, description=f"{what} {now}" if now else what)
 
         yield advance
+
+
+def rendered(width: int, *parts: RenderableType) -> str:
+    """Tables and plain lines as text of at most so many characters a line, without blanks at their ends."""
+    page = io.StringIO()
+    console = Console(file=page, width=width, highlight=False)
+    for part in parts:
+        console.print(part, markup=False)
+    return "\n".join(line.rstrip() for line in page.getvalue().splitlines()) + "\n"
 
 
 def notice(text: str) -> None:

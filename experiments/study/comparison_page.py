@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 import shlex
 from collections.abc import Sequence
@@ -10,14 +9,13 @@ from html import escape
 from pathlib import Path
 
 from rich import box
-from rich.console import Console
 from rich.table import Table
 
-from experiments.screen import output_folder
+from experiments.html_page import document, section
+from experiments.screen import output_folder, rendered
 from experiments.study.compared import Pair
-from experiments.study.page import EXTRA, section, table
+from experiments.study.page import EXTRA, table
 from experiments.study.wording import Unit, heading, unit_of, with_interval
-from experiments.tuning_report.stylesheet import STYLESHEET
 from experiments.writing import atomic_write
 
 SHOWN = (
@@ -41,15 +39,12 @@ def rows(found: Sequence[Pair]) -> list[list[str]]:
 
 def comparison_text(runs: Sequence[Path], found: Sequence[Pair]) -> str:
     """The figures side by side on a terminal."""
-    page = io.StringIO()
-    console = Console(file=page, width=150, highlight=False)
     shown = Table(title=f"first: {runs[0]}, second: {runs[1]}", title_justify="left", box=box.SIMPLE_HEAD)
     for k, name in enumerate(HEAD):
         shown.add_column(name, justify="left" if k < 2 else "right")
     for row in rows(found):
         shown.add_row(*row)
-    console.print(shown)
-    return "\n".join(line.rstrip() for line in page.getvalue().splitlines()) + "\n"
+    return rendered(150, shown)
 
 
 def write_comparison(path: Path, runs: Sequence[Path], found: Sequence[Pair], command: Sequence[str]) -> Path:
@@ -60,23 +55,6 @@ def write_comparison(path: Path, runs: Sequence[Path], found: Sequence[Pair], co
     lead = "In brackets 95 % intervals." if known else "An evaluation of recordings has no intervals."
     content = table(HEAD, rows(found), ["", "text", "", "after", "", ""])
     again = f"<p><code>{escape(shlex.join(['trackwright', *command[1:]]))}</code></p>"
-    text = f"""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{escape(names)}</title>
-<style>{STYLESHEET}{EXTRA}</style>
-</head>
-<body>
-<main>
-<header>
-<p class="kind">trackwright · comparison</p>
-<h1>{escape(names)}</h1>
-</header>
-{section("figures", "Figures", lead, content)}{section("again", "Again", "", again)}
-</main>
-</body>
-</html>
-"""
+    body = section("figures", "Figures", lead, content) + section("again", "Again", "", again)
+    text = document("comparison", names, "", body, EXTRA)
     return atomic_write(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from experiments.html_page import document, section
 from experiments.study.charts import SHOWN_CELLS, distribution_chart, figure_chart
 from experiments.study.claims import Claim, Conclusion
 from experiments.study.results import Results
 from experiments.study.wording import Unit, heading, units_of, with_interval
-from experiments.tuning_report.stylesheet import STYLESHEET
 from experiments.writing import atomic_write
 
 REPORT = "report.html"
@@ -45,34 +45,7 @@ def page(
     title = study.name.replace("-", " ").capitalize()
     parts = [_claims(claims), _conclusions(claims), _own(pictures), _figures(results), _differences(results)]
     parts += [_charts(results), _asked(results, command)]
-    return f"""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{escape(title)}</title>
-<style>{STYLESHEET}{EXTRA}</style>
-</head>
-<body>
-<main>
-<header>
-<p class="kind">trackwright · study</p>
-<h1>{escape(title)}</h1>
-<p class="verdict">{escape(study.about)}</p>
-</header>
-{"".join(parts)}
-</main>
-</body>
-</html>
-"""
-
-
-def section(identity: str, name: str, lead: str, content: str) -> str:
-    """A part of the page; nothing where it has no content."""
-    if not content:
-        return ""
-    under = f'<p class="lead">{escape(lead)}</p>' if lead else ""
-    return f'<section id="{identity}">\n<h2>{escape(name)}</h2>\n{under}\n{content}\n</section>\n'
+    return document("study", title, f'<p class="verdict">{escape(study.about)}</p>', "".join(parts), EXTRA)
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], kinds: Sequence[str] = ()) -> str:

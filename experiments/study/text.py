@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import io
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rich import box
-from rich.console import Console
 from rich.table import Table
 
+from experiments.screen import rendered
 from experiments.study.claims import Claim, Conclusion
 from experiments.study.declaration import Study
 from experiments.study.results import NAMES, Results, Value
@@ -22,16 +21,11 @@ WIDTH = 160
 
 def to_text(results: Results, claims: Sequence[Claim | Conclusion]) -> str:
     """The main figures of every cell and tracker, and what was printed beside ours."""
-    page = io.StringIO()
-    console = Console(file=page, width=WIDTH, highlight=False)
     shown = results.shown()
     units = units_of({f: [v.value for v in found.values()] for f, found in shown.items()})
-    for figure, found in shown.items():
-        console.print(_table(results.study, figure, found, units[figure]))
-    if claims:
-        for printed in (c for c in (_claims(claims), _conclusions(claims)) if c is not None):
-            console.print(printed)
-    return "\n".join(line.rstrip() for line in page.getvalue().splitlines()) + "\n"
+    tables = [_table(results.study, figure, found, units[figure]) for figure, found in shown.items()]
+    printed = [t for t in (_claims(claims), _conclusions(claims)) if t is not None]
+    return rendered(WIDTH, *tables, *printed)
 
 
 def _table(study: Study, figure: str, found: Mapping[tuple[int, str], Value], unit: Unit) -> Table:

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
+from experiments.html_page import document, section
 from experiments.tuning_report import descent_charts, filter_charts
 from experiments.tuning_report.evidence import Score, TunedNumber, TuningEvidence
 from experiments.tuning_report.judgement import Judgement, is_better, is_worse, judged, number, percent
-from experiments.tuning_report.stylesheet import STYLESHEET
 from experiments.writing import atomic_write
 
 REPORT = "report.html"
@@ -29,32 +29,12 @@ def page(evidence: TuningEvidence) -> str:
     judgement = judged(evidence)
     title = f"{evidence.tracker}, tuned on {_counted(len(evidence.training), 'recording')}"
     sections = "".join(
-        _section(*parts)
+        section(*parts)
         for parts in (_asked(evidence), _numbers(evidence), _scores(evidence), _descents(evidence),
                       _consistency(evidence), _errors(evidence), _again(evidence))
         if parts is not None
     )  # fmt: skip
-    return f"""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{escape(title)}</title>
-<style>{STYLESHEET}</style>
-</head>
-<body>
-<main>
-<header>
-<p class="kind">trackwright · tuning report</p>
-<h1>{escape(title)}</h1>
-{_verdict(judgement)}
-</header>
-{sections}
-{_footer(evidence)}
-</main>
-</body>
-</html>
-"""
+    return document("tuning report", title, _verdict(judgement), f"{sections}\n{_footer(evidence)}")
 
 
 def _verdict(judgement: Judgement) -> str:
@@ -66,11 +46,6 @@ def _verdict(judgement: Judgement) -> str:
 
 Part = tuple[str, str, str, str]
 """A section's id, heading, sentence under it and content; the sentence is plain text, the content HTML."""
-
-
-def _section(identity: str, heading: str, lead: str, content: str) -> str:
-    under = f'<p class="lead">{escape(lead)}</p>' if lead else ""
-    return f'<section id="{identity}">\n<h2>{escape(heading)}</h2>\n{under}\n{content}\n</section>\n'
 
 
 def _asked(e: TuningEvidence) -> Part:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import io
-
 import numpy as np
 from rich import box
-from rich.console import Console
 from rich.table import Table
 
+from experiments.screen import rendered
 from experiments.worksteps.decisions import LEVEL
 from experiments.worksteps.figures import Share, Workstep
 from experiments.worksteps.tracks import WorkReport
@@ -22,12 +20,7 @@ SURE = 0.95
 
 def to_text(report: WorkReport, width: int = 120) -> str:
     """A table of the points with the share of rows released rightly, wrongly or not, and sentences on the whole."""
-    page = io.StringIO()
-    console = Console(file=page, width=width, highlight=False)
-    console.print(_table(report))
-    for line in _sentences(report):
-        console.print(line, markup=False)
-    return "\n".join(line.rstrip() for line in page.getvalue().splitlines()) + "\n"
+    return rendered(width, _table(report), *_sentences(report))
 
 
 def _table(report: WorkReport) -> Table:
