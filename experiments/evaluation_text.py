@@ -7,12 +7,11 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from rich import box
 from rich.console import Console
 from rich.table import Table
 
 from experiments.evaluation import Evaluation, Figures
-from experiments.screen import rendered
+from experiments.screen import close_table, rendered
 from experiments.writing import json_text
 
 SHOWN_TRACKS = 10
@@ -77,15 +76,7 @@ def to_text(evaluation: Evaluation, width: int = 120) -> str:
 def _table(evaluation: Evaluation, columns: Sequence[Column]) -> Table:
     unit, scale, digits = _unit(evaluation)
     what = "Bearing errors" if evaluation.bearing else "Horizontal and 3-D position errors"
-    table = Table(
-        title=f"{what} in {unit}",
-        title_justify="left",
-        title_style="bold",
-        box=box.SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
-        pad_edge=False,
-        collapse_padding=True,
-    )
+    table = close_table(f"{what} in {unit}")
     for name in _labels(evaluation):
         table.add_column(name, overflow="fold")
     for name in ("n", *(column.title for column in columns)):

@@ -9,8 +9,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Protocol
 
+from rich import box
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
 
 from experiments.errors import UnusableInput
 from experiments.folder import Folder, read_folder
@@ -41,6 +43,19 @@ def progress(what: str, total: int) -> Iterator[Advance]:
             bar.update(task, advance=done, description=f"{what} {now}" if now else what)
 
         yield advance
+
+
+def close_table(title: str) -> Table:
+    """A table with a bold title and little room between its columns, for many of them."""
+    return Table(
+        title=title,
+        title_justify="left",
+        title_style="bold",
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+        pad_edge=False,
+        collapse_padding=True,
+    )
 
 
 def rendered(width: int, *parts: RenderableType) -> str:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from rich import box
 from rich.table import Table
 
-from experiments.screen import rendered
+from experiments.screen import close_table, rendered
 from experiments.worksteps.decisions import LEVEL
 from experiments.worksteps.figures import Share, Workstep
 from experiments.worksteps.tracks import WorkReport
@@ -24,14 +23,8 @@ def to_text(report: WorkReport, width: int = 120) -> str:
 
 
 def _table(report: WorkReport) -> Table:
-    table = Table(
-        title=f"Right place? Released from {LEVEL:.0%} on, within {report.tolerance:g} m; % of rows at work [95 %]",
-        title_justify="left",
-        title_style="bold",
-        box=box.SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
-        pad_edge=False,
-        collapse_padding=True,
+    table = close_table(
+        f"Right place? Released from {LEVEL:.0%} on, within {report.tolerance:g} m; % of rows at work [95 %]"
     )
     table.add_column("point", overflow="fold")
     for name in ("n", "visits", "right", "wrong", "missed", "named right"):
