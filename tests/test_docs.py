@@ -30,6 +30,7 @@ def test_a_motion_and_a_sensor_of_ones_own_take_under_30_lines_together():
     assert sum(1 for line in code if line.strip()) < 30
 
 
+@pytest.mark.slow
 def test_the_extended_tracker_follows_its_walk(extended):
     estimates, true = extended["estimates"], extended["walks"][0].truth["position"][0]
     error = np.linalg.norm(np.stack(list(estimates.mean.position), axis=-1) - true, axis=-1)

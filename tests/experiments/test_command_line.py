@@ -327,6 +327,7 @@ def test_tuned_noise_levels_are_written_and_used(runs, there, world):
     assert tuned["log_likelihood"].sum() > default["log_likelihood"].sum()
 
 
+@pytest.mark.slow
 def test_tuning_for_the_least_error_lowers_it_and_names_no_standard_errors(there, world):
     start = there / "start.toml"
     start.write_text('[tunables."motion.sigma_a"]\nvalue = 20.0\n')

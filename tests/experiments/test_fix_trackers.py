@@ -125,12 +125,14 @@ def tuned(folder, tmp_path_factory):
     return out
 
 
+@pytest.mark.slow
 def test_a_latency_is_found_by_the_error_against_truth(tuned):
     found = tomllib.loads((tuned / "fit" / "tuned.toml").read_text())["tunables"]["sensors.fixes.latency"]["value"]
     # A filter that lags in corners of 1 m/s² by what half a row covers.
     assert found == pytest.approx(LATENCY, abs=0.05)
 
 
+@pytest.mark.slow
 def test_estimates_stand_at_the_time_for_which_late_fixes_speak(tuned, world):
     tracks = read_tracks(tuned / "tracks").filter(tag="0").sort("t_s")
     shift = world.tables["fixes"].filter(tag="0")["t_s"][0] - tracks["t_s"][0]

@@ -55,6 +55,7 @@ def test_a_world_that_can_not_be_is_refused_with_its_option(tmp_path, command, o
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_particles_are_tuned_by_their_score(worlds, tmp_path):
     options = ("--tracker", "line-pf", "--tune", "sensors.*.sigma_p", "--steps", 6, "--starts", 1)
     start = tmp_path / "start.toml"

@@ -57,6 +57,7 @@ def test_the_fitted_numbers_give_the_misfits_that_their_files_tell():
     assert fit_figure_8.error_cm(fit_figure_8.radius()) == pytest.approx(_fitted.fitted("figure_8")["error"], rel=1e-3)
 
 
+@pytest.mark.slow
 def test_the_ten_errors_of_the_fit_lie_near_print_where_no_track_is_left_out():
     numbers = _fitted.fitted("table_1")
     found = fit_table_1.errors(numbers, 8, 3, True)
@@ -64,6 +65,7 @@ def test_the_ten_errors_of_the_fit_lie_near_print_where_no_track_is_left_out():
     assert found == pytest.approx(np.array(list(fit_table_1.PRINTED.values())), rel=0.15)
 
 
+@pytest.mark.slow
 def test_the_fit_judges_tracks_as_the_study_does(table_1):
     numbers = _fitted.fitted("table_1")
     found = fit_table_1.errors(numbers, 8, 0, True, fit_figure_8.radius())

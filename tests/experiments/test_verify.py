@@ -81,6 +81,7 @@ def marginal():
     return np.split(marginal_gradients(tracker, batch, corridor.TUNED).slopes[0], 3)
 
 
+@pytest.mark.slow
 def test_the_marginal_score_scatters_less_than_half_as_much_as_the_same_particles_would(marginal, scores):
     # The bias of 100 particles, some 0.1 of −8.1, is one standard error.
     assert _apart(marginal[0]) < 5

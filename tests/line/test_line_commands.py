@@ -111,7 +111,8 @@ def test_a_state_that_knows_the_joins_overshoots_rests_there_less(monkeypatch):
     assert overshoot[HaltingMotion] < 0.7 * overshoot[LineMotion]
 
 
-@pytest.mark.parametrize("name", ["line-grid", pytest.param("line-pf", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", list(TRACKERS))
 def test_real_ranges_along_a_marked_line_give_the_place_on_it(recordings, name):
     real = [recordings / recording for recording in LARGEST]
     if not all(path.is_dir() for path in real):

@@ -81,9 +81,7 @@ def test_estimates_over_200_keys_are_the_grids_within_3_standard_errors(pair):
     # The grid itself is off by the square of its steps over the spread: 1 mm, and 2 mm/s.
     error, slack = np.abs(means.mean(axis=0) - exact), np.array([0.001, 0.002])
     standard = means.std(axis=0) / np.sqrt(KEYS)
-    # Of 22 numbers the largest is beyond 3 standard errors in one run of 17, beyond 3.5 in one of a hundred.
-    assert np.all(error < 3.5 * standard + slack)
-    assert np.mean(error < 3 * standard + slack) > 0.95
+    assert np.all(error < 3 * standard + slack)
 
 
 def test_the_likelihood_of_the_particles_has_the_grids_as_its_mean(pair):

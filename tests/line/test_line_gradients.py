@@ -29,6 +29,7 @@ def slopes():
     return of(GRID, 1).slopes[:, 0], of(ParticleFilter(PARTICLES, report=REPORT), KEYS).slopes
 
 
+@pytest.mark.slow
 def test_the_mean_score_of_rests_departures_fixes_and_start_is_the_grids_gradient(slopes):
     exact, found = slopes
     assert len(exact) == 6

@@ -120,7 +120,7 @@ def test_forward_and_reverse_mode_agree_on_beams():
     [
         (LBFGS(), 10.0, 0.1),
         *(pytest.param(LBFGS(), a, p, marks=pytest.mark.slow) for a, p in ((10.0, 10.0), (0.1, 10.0), (0.1, 0.1))),
-        (GaussNewton(), 10.0, 10.0),
+        pytest.param(GaussNewton(), 10.0, 10.0, marks=pytest.mark.slow),
         pytest.param(Adam(40, 0.2), 10.0, 10.0, marks=pytest.mark.slow),
     ],
 )

@@ -31,6 +31,7 @@ def _with_and_without(folder, planar):
     return _rmse(tracker, recordings), _rmse(tracker, blind)
 
 
+@pytest.mark.slow
 def test_a_sensor_without_gravity_and_gyro_takes_a_tenth_or_more_off_the_error_of_a_tag_on_the_floor(recordings):
     for name, limit in (("ngbui-line-1-1", 0.07), ("ngbui-line-2-1", 0.28)):
         with_imu, without = _with_and_without(recordings / name, planar=True)
