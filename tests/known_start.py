@@ -64,14 +64,4 @@ def recording(times, readings, mean, cov, inputs=None, name="test"):
 
 def flat(mean):
     """The components of an estimate's mean state along a last axis."""
-    leaves = []
-
-    def walk(node):
-        if hasattr(node, "shape"):
-            leaves.append(np.asarray(node))
-        else:
-            for part in node:
-                walk(part)
-
-    walk(mean)
-    return np.stack(leaves, axis=-1)
+    return np.stack([np.asarray(x) for x in jax.tree_util.tree_leaves(mean)], axis=-1)

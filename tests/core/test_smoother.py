@@ -144,5 +144,5 @@ def test_the_gradient_of_a_smoothed_figure_is_the_central_difference(world):
 
 
 def test_a_tracker_without_a_kalman_filter_is_refused(world):
-    with pytest.raises(TypeError, match="extended Kalman"):
+    with pytest.raises(TypeError, match="Kalman filters"):
         Smoothed(Smoothed(world.tracker))

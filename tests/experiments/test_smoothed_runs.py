@@ -18,7 +18,7 @@ def runs(tmp_path_factory, beginnings):
     folder = tmp_path_factory.mktemp("smoothed")
     options = {"filtered": (), "smoothed": ("--smooth",), "lagged": ("--lag", 0.5)}
     for name, extra in options.items():
-        said = trackwright("track", beginnings / "good", "--tracker", "bearings", *extra, "--out", folder / name)
+        said = trackwright("track", beginnings / "good", "--tracker", "fix-kf", *extra, "--out", folder / name)
         assert said.code == 0, said
     return {name: pl.read_parquet(folder / name / "tracks.parquet") for name in options}
 
@@ -39,7 +39,7 @@ def test_the_last_row_has_nothing_to_come(runs):
     assert runs["smoothed"]["x_m"][-1] == runs["filtered"]["x_m"][-1]
 
 
-@pytest.mark.parametrize(("extra", "word"), [(("--lag", -1), "--lag"), (("--smooth",), "extended Kalman")])
+@pytest.mark.parametrize(("extra", "word"), [(("--lag", -1), "--lag"), (("--smooth",), "Kalman filters")])
 def test_what_can_not_be_smoothed_is_refused(tmp_path, simulated, extra, word):
     said = trackwright("track", simulated, "--tracker", "cascade", *extra, "--out", tmp_path / "out")
     assert_refused(said, word)

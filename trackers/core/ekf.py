@@ -31,6 +31,7 @@ from trackers.core.algebra import (
     triangle,
 )
 from trackers.core.linearise import linearise
+from trackers.core.links import Link, link, linked
 from trackers.core.motion import AbstractMotion
 from trackers.core.sensor import AbstractSensor, Reading
 from trackers.core.state import State, coordinates, local, retract
@@ -114,6 +115,14 @@ class ExtendedKalman(eqx.Module):
         step, cov, nis, log_density = joseph(belief.cov, residual, H, len(point), tail if heavy[0] else None)
         innovation = Innovation(log_scale + log_density - 0.5 * apart, nis + apart, count, wrapped)
         return Gaussian(retract(belief.mean, step), cov), innovation
+
+    def link(self, belief: Gaussian, motion: AbstractMotion, joined: Scalar, dt: Scalar, inputs: Any) -> Link:
+        """What ties a row's belief to the next row's, `dt` seconds later; `joined` if that goes on with the track."""
+        return link(belief, *self.jacobians(belief.mean, motion, inputs, dt), joined, dt == 0)
+
+    def linked(self, link: Link, after: Gaussian) -> Gaussian:
+        """The smoothed belief of a row, from the next row's."""
+        return linked(link, after)
 
 
 def compressed(

@@ -26,6 +26,7 @@ import numpy as np
 
 from trackers.core.algebra import Scalar, Vector, shared, total, triangle
 from trackers.core.ekf import ExtendedKalman, Gaussian, Innovation
+from trackers.core.links import Link
 from trackers.core.motion import AbstractMotion, Noise
 from trackers.core.sensor import AbstractSensor, Reading
 from trackers.core.state import State, local, retract
@@ -37,6 +38,27 @@ class Mixture(NamedTuple):
 
     components: tuple[Gaussian, ...]
     log_weights: tuple[Scalar, ...]
+
+
+class Drawn(NamedTuple):
+    """How the modes of a row become those of the next: probabilities there, and those of here kept and drawn anew."""
+
+    after: list[Scalar]
+    kept: list[Scalar]
+    anew: list[Scalar]
+    whole: Scalar
+
+
+class ModeLinks(NamedTuple):
+    """What ties mode i of a row to mode j of the next: `chances[i][j]`, P(i here | j there), and `each[i][j]`.
+
+    `each[i]` holds one link where the modes move alike.
+    """
+
+    filtered: Mixture
+    each: tuple[tuple[Link, ...], ...]
+    chances: tuple[tuple[Scalar, ...], ...]
+    joined: Scalar
 
 
 class AbstractSwitching(eqx.Module):
@@ -101,23 +123,28 @@ class InteractingModels(eqx.Module):
         """The mean and covariance of the mixture."""
         return merged(belief.components, [jnp.exp(w) for w in belief.log_weights])
 
-    def predict(self, belief: Mixture, motion: AbstractMotion, inputs: Any, dt: Scalar) -> Mixture:
-        """The belief `dt` seconds later, the modes mixed first."""
+    def drawn(self, belief: Mixture, inputs: Any, dt: Scalar) -> Drawn:
+        """The modes' probabilities `dt` seconds later, and what they come of."""
         # Its square has an inverse still, which the derivative of a quotient takes.
         tiny = float(jnp.finfo(dt.dtype).tiny) ** 0.5
         weights = [jnp.exp(w) for w in belief.log_weights]
         rates = self.rates(belief, inputs)
+        kept = [w * jnp.exp(-rate * dt) for rate, w in zip(rates, weights, strict=True)]
         anew = [-jnp.expm1(-rate * dt) * w for rate, w in zip(rates, weights, strict=True)]
-        drawn = jnp.maximum(total(anew), tiny)
-        whole = shared(merged(belief.components, [x / drawn for x in anew]))
-        components, log_weights = [], []
+        whole = jnp.maximum(total(anew), tiny)
+        after = [jnp.maximum(k + whole * share, tiny) for k, share in zip(kept, self.shares(), strict=True)]
+        return Drawn(after, kept, anew, whole)
+
+    def predict(self, belief: Mixture, motion: AbstractMotion, inputs: Any, dt: Scalar) -> Mixture:
+        """The belief `dt` seconds later, the modes mixed first."""
+        drawn = self.drawn(belief, inputs, dt)
+        mixture = shared(merged(belief.components, [x / drawn.whole for x in drawn.anew]))
+        components = []
         for mode, share in enumerate(self.shares()):
-            probability = jnp.maximum(weights[mode] * jnp.exp(-rates[mode] * dt) + drawn * share, tiny)
-            part = drawn * share / probability
-            mixed = shared(merged((belief.components[mode], whole), [1.0 - part, part]))
+            part = drawn.whole * share / drawn.after[mode]
+            mixed = shared(merged((belief.components[mode], mixture), [1.0 - part, part]))
             components.append(self.filter.predict(mixed, _of(motion, mode), inputs, dt))
-            log_weights.append(jnp.log(probability))
-        return Mixture(tuple(components), tuple(log_weights))
+        return Mixture(tuple(components), tuple(jnp.log(x) for x in drawn.after))
 
     def update(
         self, belief: Mixture, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Any
@@ -137,6 +164,45 @@ class InteractingModels(eqx.Module):
         first = found[0][1]
         innovation = Innovation(log_likelihood, nis, first.count, first.wrapped)
         return Mixture(tuple(g for g, _ in found), log_weights), innovation
+
+    def link(self, belief: Mixture, motion: AbstractMotion, joined: Scalar, dt: Scalar, inputs: Any) -> ModeLinks:
+        """What ties a row's belief to the next row's, every mode to every mode."""
+        drawn, shares = self.drawn(belief, inputs, dt), self.shares()
+        pairs = list(zip(drawn.kept, drawn.anew, strict=True))
+        chances = tuple(
+            tuple(((kept if i == j else 0.0) + anew * shares[j]) / drawn.after[j] for j in range(len(shares)))
+            for i, (kept, anew) in enumerate(pairs)
+        )
+        motions = [motion.in_mode(j) for j in range(len(shares))] if isinstance(motion, AbstractSwitching) else [motion]
+        each = tuple(
+            tuple(self.filter.link(component, one, joined, dt, inputs) for one in motions)
+            for component in belief.components
+        )
+        return ModeLinks(belief, each, chances, joined)
+
+    def linked(self, link: ModeLinks, after: Mixture) -> Mixture:
+        """The smoothed belief of a row, from the next row's (Kim, "Dynamic linear models with Markov-switching", 1994).
+
+        Each mode is the mixture of what follows for it from every mode of the next row. As Kim does it takes which mode
+        a row was in, given the next row's mode, from the rows up to here alone: exact only where no mode is drawn anew.
+        """
+        tiny = float(jnp.finfo(after.log_weights[0].dtype).tiny) ** 0.5
+        later = [jnp.exp(w) for w in after.log_weights]
+        components, log_weights = [], []
+        for i, (chances, links) in enumerate(zip(link.chances, link.each, strict=True)):
+            # A mode that nothing comes of goes on as itself, so that its weights add up to one too.
+            joint = [p * w + (tiny if i == j else 0.0) for j, (p, w) in enumerate(zip(chances, later, strict=True))]
+            probability = shared(total(joint))
+            weights = [x / probability for x in joint]
+            if len(links) == 1:
+                found = self.filter.linked(links[0], merged(after.components, weights))
+            else:
+                found = merged(
+                    [self.filter.linked(a, b) for a, b in zip(links, after.components, strict=True)], weights
+                )
+            components.append(shared(found))
+            log_weights.append(jnp.where(link.joined, jnp.log(probability), link.filtered.log_weights[i]))
+        return Mixture(tuple(components), tuple(log_weights))
 
 
 def merged(components: Sequence[Gaussian], weights: Sequence[Scalar]) -> Gaussian:

@@ -23,6 +23,14 @@ class Yaws(NamedTuple):
     log_weights: Any
 
 
+class YawLinks(NamedTuple):
+    """What ties each yaw's belief to its next one, and the filtered weights, which stand where no row follows."""
+
+    each: Any
+    log_weights: Any
+    joined: Scalar
+
+
 class YawBank(eqx.Module):
     """A Gaussian sum filter (Alspach & Sorenson 1972) over K yaws, evenly round the circle from the start's.
 
@@ -77,6 +85,16 @@ class YawBank(eqx.Module):
             for i, j in triangle(n)
         )
         return retract(centre, mean), cov
+
+    def link(self, belief: Yaws, motion: AbstractMotion, joined: Scalar, dt: Scalar, inputs: Any) -> YawLinks:
+        """What ties a row's belief to the next row's: each yaw to itself, since none becomes another."""
+        each = jax.vmap(lambda b: self.kalman.link(b, motion, joined, dt, inputs))
+        return YawLinks(each(belief.beliefs), belief.log_weights, joined)
+
+    def linked(self, link: YawLinks, after: Yaws) -> Yaws:
+        """Every yaw smoothed by itself, weighed by what it had foretold of all rows to come."""
+        log_weights = jnp.where(link.joined, after.log_weights, link.log_weights)
+        return Yaws(jax.vmap(self.kalman.linked)(link.each, after.beliefs), log_weights)
 
 
 def turned(state: State, angle: Scalar) -> State:

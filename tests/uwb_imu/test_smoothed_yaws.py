@@ -1,0 +1,84 @@
+"""A smoothed bank of yaws is each yaw smoothed by itself, weighed by what it had foretold of the whole track."""
+
+import numpy as np
+import pytest
+
+from tests.known_start import NEVER_LOST, KnownStart, flat, recording
+from trackers.core.algebra import Vector
+from trackers.core.ekf import ExtendedKalman
+from trackers.core.smoother import Smoothed
+from trackers.core.state import Heading
+from trackers.core.tracker import Tracker
+from trackers.uwb_imu.ranges import RangeSensor
+from trackers.uwb_imu.strapdown import ImuNoise, PlanarInertial, PlanarStrapdown
+from trackers.uwb_imu.yaws import YawBank, turned
+
+ROWS, STEP_S, SIGMA_R, RADIUS = 24, 0.05, 0.3, 3.0
+ANCHORS = np.array([[0.0, 0.0, 2.0], [10.0, 0.0, 2.0], [10.0, 10.0, 2.0], [0.0, 10.0, 2.0]])
+
+
+def _state(x):
+    return PlanarInertial(Vector(*x[:2]), Vector(*x[2:4]), Vector(*x[4:6]), Heading(x[6]), x[7])
+
+
+def _recording():
+    """A body on a circle at 1 rad/s, a range a row; its velocity is known too badly to tell the yaw at once."""
+    rng, times = np.random.default_rng(1), STEP_S * np.arange(ROWS)
+    place = 5.0 + RADIUS * np.stack([np.cos(times), np.sin(times)], axis=1)
+    anchors = ANCHORS[np.arange(ROWS) % 4]
+    ranges = np.sqrt(((place - anchors[:, :2]) ** 2).sum(axis=1) + 1.0) + SIGMA_R * rng.normal(size=ROWS)
+    inputs = {
+        "accel": np.tile([-RADIUS, 0.0, 9.81], (ROWS, 1)),
+        "gyro": np.tile([0.0, 0.0, 1.0], (ROWS, 1)),
+        "imu": np.ones((ROWS, 2)),
+        "anchors": anchors,
+        "anchor": np.zeros((ROWS, 1)),
+        "height": np.ones(ROWS),
+    }
+    mean = np.array([*place[0], 0.0, RADIUS, 0.0, 0.0, 0.3, 0.0])
+    cov = np.diag([0.5, 0.5, 3.0, 3.0, 0.2, 0.2, 0.3, 0.02]) ** 2
+    readings = {"ranges": (ranges[:, None], np.ones((ROWS, 1), bool), np.zeros((ROWS, 0)))}
+    return recording(times, readings, mean, cov, inputs)
+
+
+def _smoothed(filter, yaw=0.0):
+    sensors = {"ranges": RangeSensor(1, 0, SIGMA_R, 1.0, 1e6, 0.0)}
+    start = KnownStart(lambda x: turned(_state(x), yaw))
+    return Smoothed(Tracker(PlanarStrapdown(ImuNoise(0.05, 0.005, 0.005, 0.0005)), sensors, start, filter, NEVER_LOST))
+
+
+@pytest.fixture(scope="module")
+def runs():
+    rec = _recording()
+    return _smoothed(YawBank(count=2)).run(rec), [_smoothed(ExtendedKalman(), y).run(rec) for y in (0.0, np.pi)]
+
+
+def test_the_mean_of_the_bank_is_the_yaws_own_by_their_likelihood(runs):
+    bank, yaws = runs
+    evidence = np.array([one.log_likelihood.sum() for one in yaws])
+    weights = np.exp(evidence - np.logaddexp.reduce(evidence))
+    # Both have a say, so that the weights are of the rows to come and not of the first ones.
+    assert weights.max() < 1 - 1e-6
+    parts = [flat(one.mean) for one in yaws]
+    angle = 6
+    apart = (parts[1] - parts[0])[1:]
+    apart[:, angle] = (apart[:, angle] + np.pi) % (2 * np.pi) - np.pi
+    # About the likelier one's yaw, as angles are averaged.
+    best = int(np.argmax(weights))
+    mean = parts[best][1:] + (weights[1] if best == 0 else -weights[0]) * apart
+    found = flat(bank.mean)[1:]
+    found[:, angle] += 2 * np.pi * np.round((mean - found)[:, angle] / (2 * np.pi))
+    np.testing.assert_allclose(found, mean, rtol=1e-9, atol=1e-9)
+
+
+def test_the_spread_of_the_bank_is_within_the_yaws_and_between_them(runs):
+    bank, yaws = runs
+    evidence = np.array([one.log_likelihood.sum() for one in yaws])
+    weights = np.exp(evidence - np.logaddexp.reduce(evidence))
+    means = [flat(one.mean)[1:, :6] for one in yaws]
+    centre = weights[0] * means[0] + weights[1] * means[1]
+    expected = sum(
+        w * (one.covariance[1:, :6, :6] + (m - centre)[:, :, None] * (m - centre)[:, None])
+        for w, one, m in zip(weights, yaws, means, strict=True)
+    )
+    np.testing.assert_allclose(bank.covariance[1:, :6, :6], expected, rtol=1e-8, atol=1e-10)
