@@ -7,7 +7,7 @@ P⁻ = FPFᵀ + GGᵀ the prediction:
 
 The covariance is a sum of squares (Joseph's form, which holds whatever the rounding of C), not P + C(Pˢ₊ − P⁻)Cᵀ.
 
-In whole matrices, not entry by entry as the filter: C has no zeros, and of 15 states the entries' program had 17 MB.
+In whole matrices, not entry by entry as the filter: C has no zeros, and entries of 15 states compile for minutes.
 """
 
 from __future__ import annotations
