@@ -6,6 +6,7 @@ are not judged. The recordings are not part of this repository: TRACKWRIGHT_RECO
 
 from __future__ import annotations
 
+import argparse
 import re
 import sys
 from collections.abc import Sequence
@@ -18,14 +19,17 @@ OUT = Path("out/recorded")
 
 
 class Run(NamedTuple):
-    """Recordings of one kind: which are judged, by which tracker, and with what it is tuned before, on which others."""
+    """Recordings of one kind: which are judged, by which tracker, and with what it is tuned before, on which others.
+
+    `smooth`: the tracker has a smoother, so that its smoothed tracks are judged too.
+    """
 
     name: str
     judged: tuple[str, ...]
     tracker: str
-    options: tuple[str, ...] = ()
     tuned_on: tuple[str, ...] = ()
     tune: tuple[str, ...] = ()
+    smooth: bool = True
 
 
 RUNS = (
@@ -38,7 +42,7 @@ RUNS = (
         tune=("--objective", "rmse", "--tune", "sensors.*.bias", "--steps", "20"),
     ),
     Run("labyrinth", ("labyrinth",), "uwb"),
-    Run("line", ("ngbui-line-1-1", "ngbui-line-2-1", "ngbui-line-3-1"), "line-grid"),
+    Run("line", ("ngbui-line-1-1", "ngbui-line-2-1", "ngbui-line-3-1"), "line-grid", smooth=False),
     Run(
         "tiers", ("tiers-2tag-01", "tiers-2tag-03", "tiers-2tag-06"), "fix-mirror",
         tuned_on=("tiers-1tag-01",), tune=("--objective", "rmse", "--tune", "*latency*"),
@@ -46,24 +50,30 @@ RUNS = (
 )  # fmt: skip
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Track every kind, smoothed too where its tracker can be, and print the table."""
+    parser = argparse.ArgumentParser(
+        prog="python -m experiments.recorded", description=(__doc__ or "").split("\n\n")[0]
+    )
+    names = [run.name for run in RUNS]
+    parser.add_argument("kinds", nargs="*", metavar="KIND", help=f"of {', '.join(names)}; all where none is named")
+    kinds = parser.parse_args(arguments).kinds
+    if unknown := [name for name in kinds if name not in names]:
+        parser.error(f"unknown: {', '.join(unknown)}; expected of {', '.join(names)}")
     folder = real_recordings()
     if folder is None:
-        sys.exit(
-            "recorded: no folder of real recordings, expected ../shared/recordings or what TRACKWRIGHT_RECORDINGS names"
-        )
+        parser.error("no folder of real recordings, expected ../shared/recordings or what TRACKWRIGHT_RECORDINGS names")
     best = baselines(folder / "README.md")
-    names = sys.argv[1:] or [run.name for run in RUNS]
     table: list[tuple[str, ...]] = []
     for run in RUNS:
-        if run.name in names:
+        if run.name in (kinds or names):
             table += judged(folder, run, best)
     print("\nRMSE in m; the baseline is a Kalman filter tuned on the very recording")
-    head = ("recording", "tracker", "horizontal", "baseline", "3-D", "baseline")
+    head = ("recording", "tracker", "horizontal", "smoothed", "baseline", "3-D", "smoothed", "baseline")
     widths = [max(len(row[k]) for row in [head, *table]) for k in range(len(head))]
     for row in [head, *table]:
         print("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip())
+    return 0
 
 
 def judged(folder: Path, run: Run, best: dict[tuple[str, bool], float]) -> list[tuple[str, ...]]:
@@ -73,23 +83,23 @@ def judged(folder: Path, run: Run, best: dict[tuple[str, bool], float]) -> list[
         out = OUT / f"{run.name}-tuned"
         command("tune", *(folder / name for name in run.tuned_on), "--tracker", run.tracker, *run.tune, "--out", out)
         noise = ("--noise", out / "tuned.toml")
-    rows: list[tuple[str, ...]] = []
-    out = OUT / run.name
     paths = [folder / name for name in run.judged]
-    command("track", *paths, "--tracker", run.tracker, *noise, *run.options, "--out", out)
-    for found in figures(out)["recordings"]:
+    command("track", *paths, "--tracker", run.tracker, *noise, "--out", OUT / run.name)
+    errors = figures(OUT / run.name)["recordings"]
+    smoothed: dict[str, dict[str, float]] = {}
+    if run.smooth:
+        out = OUT / f"{run.name}-smoothed"
+        command("track", *paths, "--tracker", run.tracker, *noise, "--smooth", "--out", out)
+        smoothed = {found["recording"]: found for found in figures(out)["recordings"]}
+    rows: list[tuple[str, ...]] = []
+    for found in errors:
         name = found["recording"]
-        solid = found["rmse_3d_m"]
-        rows.append(
-            (
-                name,
-                run.tracker,
-                f"{found['rmse_m']:.3f}",
-                _known(best.get((name, False))),
-                "" if solid is None else f"{solid:.3f}",
-                _known(best.get((name, True))),
-            )
-        )
+        cells = [
+            _known(x)
+            for key, solid in (("rmse_m", False), ("rmse_3d_m", True))
+            for x in (found[key], smoothed.get(name, {}).get(key), best.get((name, solid)))
+        ]
+        rows.append((name, run.tracker, *cells))
     return rows
 
 
@@ -115,4 +125,4 @@ def baselines(readme: Path) -> dict[tuple[str, bool], float]:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

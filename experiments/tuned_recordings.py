@@ -7,8 +7,10 @@ not part of this repository: TRACKWRIGHT_RECORDINGS, default `../shared/recordin
 
 from __future__ import annotations
 
+import argparse
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -61,14 +63,18 @@ GROUPS = {
 }
 
 
-def main(names: list[str]) -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Tune and judge the groups named, or all; 1 where the RMSE of one got worse."""
+    parser = argparse.ArgumentParser(
+        prog="python -m experiments.tuned_recordings", description=(__doc__ or "").split("\n\n")[0]
+    )
+    parser.add_argument("groups", nargs="*", metavar="GROUP", help=f"of {', '.join(GROUPS)}; all where none is named")
+    names = parser.parse_args(arguments).groups
+    if unknown := [name for name in names if name not in GROUPS]:
+        parser.error(f"unknown: {', '.join(unknown)}; expected of {', '.join(GROUPS)}")
     folder = real_recordings()
     if folder is None:
-        sys.exit(
-            "tuned_recordings: no folder of real recordings, expected ../shared/recordings or what "
-            "TRACKWRIGHT_RECORDINGS names"
-        )
+        parser.error("no folder of real recordings, expected ../shared/recordings or what TRACKWRIGHT_RECORDINGS names")
     print(f"{'group':8s}{'tracker':12s}{'figure, on recordings not tuned on':38s}{'before':>10s}{'after':>10s}")
     worse = [name for name in names or GROUPS if shown(name, GROUPS[name], folder)]
     print("worse by likelihood: " + (", ".join(worse) or "none"))
@@ -107,4 +113,4 @@ def shown(name: str, split: Split, folder: Path) -> bool:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main())

@@ -13,7 +13,7 @@ from experiments.screen import rendered
 from experiments.study.claims import Claim, Conclusion
 from experiments.study.declaration import Study
 from experiments.study.results import NAMES, Results, Value
-from experiments.study.wording import Unit, heading, said, units_of, with_interval
+from experiments.study.wording import Unit, heading, units_of, with_interval
 from experiments.writing import json_text
 
 WIDTH = 160
@@ -47,9 +47,8 @@ def _claims(claims: Sequence[Claim | Conclusion]) -> Table | None:
     for name in ("figure", "printed", "ours (95 %)", "unit", "ratio", "", "reached"):
         table.add_column(name, justify="left" if name in ("figure", "unit", "", "reached") else "right")
     for c in own:
-        spread = c.ours.high - c.ours.low
         reached = "" if c.reached is None else "yes" if c.reached else "no"
-        interval = f"{said(c.ours.value, spread)} ({said(c.ours.low, spread)} … {said(c.ours.high, spread)})"
+        interval = with_interval(c.ours, Unit(c.unit, 1.0))
         kind = "fitted" if c.fitted else "predicted"
         table.add_row(c.figure, f"{c.printed:g}", interval, c.unit, f"{c.ratio:.2f}", kind, reached)
     return table

@@ -12,8 +12,8 @@ from experiments.figure_style import length_unit
 from experiments.study.results import Value
 
 WORDS = {
-    "rmse": "RMSE", "mean": "mean error", "median": "median", "p90": "90 % below", "p95": "95 % below",
-    "p99": "99 % below", "max": "largest error", "bound": "Cramér–Rao bound",
+    "rmse": "RMSE", "mean": "mean error", "median": "median error", "p90": "90th percentile",
+    "p95": "95th percentile", "p99": "99th percentile", "max": "largest error", "bound": "Cramér–Rao bound",
     "variance_m2": "variance of the error",
     "nees_mean": "NEES, 2 expected", "nees_3d_mean": "NEES in space, 3 expected",
     "coverage_95": "inside the 95 % ellipse", "nis_ratio": "NIS per degree of freedom, 1 expected",
@@ -64,12 +64,16 @@ def heading(figure: str) -> str:
         return f"{WORDS[what]} {SUFFIXES[suffix]}".strip()
     for ending, words in SUFFIXES.items():
         if figure.endswith(f"_{ending}"):
-            return f"{figure[: -len(ending) - 1].replace('_', ' ')} {words}".strip()
-    return figure.removesuffix("_share").replace("_", " ")
+            return f"{_spoken(figure[: -len(ending) - 1])} {words}".strip()
+    return _spoken(figure.removesuffix("_share"))
+
+
+def _spoken(name: str) -> str:
+    return " ".join("RMSE" if word == "rmse" else word for word in name.split("_"))
 
 
 def said(value: float, spread: float) -> str:
-    """A number with the digits that its spread leaves it, three where the spread is unknown."""
+    """A number with the digits that its spread leaves it, two or three where the spread is unknown."""
     if not math.isfinite(value):
         return "–"
     if value == 0:
@@ -80,10 +84,10 @@ def said(value: float, spread: float) -> str:
 
 
 def with_interval(value: Value, unit: Unit) -> str:
-    """A figure with its interval."""
+    """A figure with its interval; without it where there is none, or its ends are the same but for rounding."""
     scaled = value.times(unit.factor)
     spread = scaled.high - scaled.low
-    text = said(scaled.value, spread)
-    if not (math.isfinite(spread) and spread > 0):
-        return text
-    return f"{text} ({said(scaled.low, spread)} … {said(scaled.high, spread)})"
+    low, high = said(scaled.low, spread), said(scaled.high, spread)
+    if not math.isfinite(spread) or low == high:
+        return said(scaled.value, math.nan)
+    return f"{said(scaled.value, spread)} ({low} … {high})"
