@@ -37,7 +37,7 @@ def maps(
             shades = axes.contourf(x, y, 100 * field.T, levels=levels, cmap="viridis_r")
             also(axes, layout)
             mean = 100 * float(np.sqrt(np.mean(field**2)))
-            axes.set_title(f"{layout}: {mean:.1f} cm")
+            axes.set_title(f"{layout}: {mean:.1f} cm on the map")
             axes.set_aspect("equal")
             axes.grid(visible=False)
             axes.set(xlabel="" if stacked and axes is not panels[-1] else "x, m")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import re
 import shlex
 from collections.abc import Sequence
 from html import escape
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from experiments.html_page import document, section
-from experiments.study.charts import SHOWN_CELLS, distribution_chart, figure_chart
+from experiments.study.charts import SHOWN_CELLS, Drawing, distribution_charts, figure_chart
 from experiments.study.claims import Claim, Conclusion
 from experiments.study.results import Results
 from experiments.study.wording import Unit, heading, units_of, with_interval
@@ -22,10 +23,14 @@ REPORT = "report.html"
 KINDS = {".svg": "image/svg+xml", ".png": "image/png"}
 EXTRA = """
 table.wide td:first-child { min-width: 11rem; }
-td.no { color: var(--warn); font-weight: 700; }
-td.text, th.text { text-align: left; white-space: normal; }
-figure.own { grid-column: 1 / -1; max-width: 46rem; }
-table.wide th { min-width: 5.2rem; }
+table.wide th { min-width: 4.6rem; }
+table.wide td { white-space: normal; }
+td.text, th.text { text-align: left; }
+td.judged.no { color: var(--warn); font-weight: 700; }
+.interval { display: inline-block; color: var(--soft); font-weight: 400; white-space: nowrap; }
+.pictures { display: flex; flex-wrap: wrap; gap: 1.6rem 2rem; }
+.pictures figure { max-width: min(46rem, 100%); }
+.pictures img { width: auto; max-width: 100%; }
 """
 
 
@@ -42,26 +47,37 @@ def page(
 ) -> str:
     """The report as HTML."""
     study = results.study
-    title = study.name.replace("-", " ").capitalize()
-    parts = [_claims(claims), _conclusions(claims), _own(pictures), _figures(results), _differences(results)]
-    parts += [_charts(results), _asked(results, command)]
+    # Not between numbers: "figures-6-7" are Figures 6-7.
+    title = re.sub(r"-(?!\d)|(?<!\d)-", " ", study.name).capitalize()
+    parts = [_claims(claims), _conclusions(claims), _own(pictures), _charts(results), _figures(results)]
+    parts += [_differences(results), _asked(results, command)]
     return document("study", title, f'<p class="verdict">{escape(study.about)}</p>', "".join(parts), EXTRA)
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], kinds: Sequence[str] = ()) -> str:
-    """A table whose first column names the rows; `kinds`: a class for the cells of each column."""
+    """A table whose first column names the rows; `kinds`: a class for the cells of each column.
+
+    `judged` is that of a column of yes and no, in which a no is to be seen.
+    """
     kinds = kinds or [""] * len(head)
     top = "".join(f'<th class="{kind}">{escape(h)}</th>' for h, kind in zip(head, kinds, strict=True))
     body = "".join(
         "<tr>"
         + "".join(
-            f'<td class="{kind}" data-label="{escape(h)}">{escape(text)}</td>'
+            f'<td class="{kind} no" data-label="{escape(h)}">no</td>'
+            if (kind, text) == ("judged", "no")
+            else f'<td class="{kind}" data-label="{escape(h)}">{_wrapping(text)}</td>'
             for h, kind, text in zip(head, kinds, row, strict=True)
         )
         + "</tr>"
         for row in rows
     )
     return f'<div class="scroll"><table class="wide"><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+def _wrapping(text: str) -> str:
+    """A cell's text: where its column is narrow an interval goes under its value, whole."""
+    return re.sub(r"^(\S+) (\(\S+ … \S+\))$", r'\1 <span class="interval">\2</span>', escape(text))
 
 
 def _claims(claims: Sequence[Claim | Conclusion]) -> str:
@@ -71,22 +87,25 @@ def _claims(claims: Sequence[Claim | Conclusion]) -> str:
         reached = "" if c.reached is None else "yes" if c.reached else "no"
         kind = "fitted" if c.fitted else "predicted"
         rows.append(
-            [c.figure, f"{c.printed:g} {c.unit}", with_interval(c.ours, Unit(c.unit, 1.0)), f"{c.ratio:.2f}", kind,
+            [c.figure, f"{c.printed:g}\u00a0{c.unit}", with_interval(c.ours, Unit(c.unit, 1.0)), f"{c.ratio:.2f}", kind,
              reached, c.note]
         )  # fmt: skip
     judged = [c for c in own if c.reached is not None]
+    widths = {f"{c.within:.0%}".replace("%", " %") for c in judged if c.within is not None}
+    asked = f"{widths.pop()} of what is printed" if len(widths) == 1 else "what was asked"
     lead = (
-        f"{sum(bool(c.reached) for c in judged)} of {len(judged)} within what was asked. Fitted: the printed number "
-        "was used to choose what the paper does not print; predicted: it was not."
-    )
-    head = ["figure", "printed", "ours (95 % interval)", "ratio", "", "reached", "remark"]
-    content = table(head, rows, ["", "", "after", "", "", "", "text"]) if rows else ""
+        f"{sum(bool(c.reached) for c in judged)} of {len(judged)} within {asked}. " if judged else ""
+    ) + "Fitted: the printed number was used to choose what the paper does not print; predicted: it was not."
+    head = ["figure", "printed", "ours (95 % interval)", "ours / printed", "kind", "reached", "remark"]
+    kinds = ["", "", "after", "", "", "judged", "text"]
+    shown = len(head) if any(c.note for c in own) else len(head) - 1
+    content = table(head[:shown], [row[:shown] for row in rows], kinds[:shown]) if rows else ""
     return section("printed", "What is printed, and what came out", lead, content)
 
 
 def _conclusions(claims: Sequence[Claim | Conclusion]) -> str:
     rows = [[c.says, "yes" if c.holds else "no", c.evidence] for c in claims if isinstance(c, Conclusion)]
-    content = table(["conclusion", "holds", "evidence"], rows, ["", "", "text"]) if rows else ""
+    content = table(["conclusion", "holds", "evidence"], rows, ["", "judged", "text"]) if rows else ""
     return section("conclusions", "Conclusions", "", content)
 
 
@@ -96,8 +115,8 @@ def _own(pictures: Sequence[Path]) -> str:
         data = base64.b64encode(path.read_bytes()).decode()
         name = path.stem.replace("-", " ").replace("_", " ")
         image = f'<img alt="{escape(name)}" src="data:{KINDS[path.suffix]};base64,{data}">'
-        parts.append(f'<figure class="own">{image}<figcaption>{escape(name)}</figcaption></figure>')
-    content = f'<div class="charts">{"".join(parts)}</div>' if parts else ""
+        parts.append(f'<figure>{image}<figcaption>{escape(path.name)}</figcaption></figure>')
+    content = f'<div class="pictures">{"".join(parts)}</div>' if parts else ""
     return section("pictures", "Pictures", "", content)
 
 
@@ -108,7 +127,7 @@ def _figures(results: Results) -> str:
     units = units_of({f: [v.value for v in found.values()] for f, found in shown.items()})
     for figure, found in shown.items():
         unit = units[figure]
-        head.append(heading(figure) + (f", {unit.name}" if unit.name else ""))
+        head.append(heading(figure) + (f",\u00a0{unit.name}" if unit.name else ""))
         columns.append({k: with_interval(v, unit) for k, v in found.items()})
     rows = [[c.label, t, *(column[c.index, t] for column in columns)] for c in study.cells for t in study.trackers]
     counts = sorted(set(results.runs.values()))
@@ -129,11 +148,13 @@ def _differences(results: Results) -> str:
     pairs = [(c, t) for c in study.cells for t in names[1:]]
     for figure in figures:
         found = [results.compared(_ratio, figure, c, t, names[0]) for c, t in pairs]
+        if not any(np.isfinite(v.value) for v in found):
+            continue
         head.append(heading(figure))
         columns.append([with_interval(v, Unit("", 1.0)) for v in found])
     rows = [[c.label, t, *(column[k] for column in columns)] for k, (c, t) in enumerate(pairs)]
     lead = (
-        f"Every figure over that of {names[0]}: paired, so that what both have in common does not widen the interval."
+        f"Every figure over that of “{names[0]}”: paired, so that what both have in common does not widen the interval."
     )
     return section(
         "differences", "Beside the first tracker", lead, table(head, rows, ["", "text", *[""] * len(columns)])
@@ -146,22 +167,27 @@ def _ratio(a: Any, b: Any) -> Any:
 
 
 def _charts(results: Results) -> str:
-    drawings = [figure_chart(results, f) for f in results.study.figures[:4] if f != "us_per_row"]
-    drawings = [x for x in drawings if x is not None]
-    drawings += [distribution_chart(results, c) for c in results.study.cells[:SHOWN_CELLS]]
-    images = "".join(f'<figure><img alt="" src="{source}"></figure>' for source in drawings)
+    found = results.shown()
+    units = units_of({f: [v.value for v in values.values()] for f, values in found.items()})
+    names = [f for f in results.study.figures if f != "us_per_row"][:4]
+    drawings = [x for f in names if (x := figure_chart(results, f, found[f], units[f])) is not None]
     more = len(results.study.cells) - SHOWN_CELLS
     lead = "Bands and bars are the 95 % intervals." + (
-        f" Distributions of {more} more cells: results.json." if more > 0 else ""
+        f" Distributions of the first {SHOWN_CELLS} of {len(results.study.cells)} cells." if more > 0 else ""
     )
-    return section("charts", "Drawn", lead, f'<div class="charts">{images}</div>')
+    return section("charts", "Charts", lead, _abreast(drawings) + _abreast(distribution_charts(results)))
+
+
+def _abreast(drawings: Sequence[Drawing]) -> str:
+    images = "".join(f'<figure><img alt="{escape(x.says)}" src="{x.source}"></figure>' for x in drawings)
+    return f'<div class="charts">{images}</div>' if images else ""
 
 
 def _asked(results: Results, command: Sequence[str]) -> str:
     study = results.study
     rows = [
-        ("Worlds", ", ".join(study.worlds)),
-        ("Trackers", ", ".join(study.trackers)),
+        ("Worlds", "; ".join(study.worlds)),
+        ("Trackers", "; ".join(study.trackers)),
         ("Grid", "; ".join(f"{k}: {', '.join(map(str, v))}" for k, v in study.grid.items()) or "none"),
         ("Runs", f"{study.runs} per cell, seed {study.seed}, in chunks of {study.chunk}"),
     ]
