@@ -44,8 +44,7 @@ def events_of(tracks: pl.DataFrame, entry: Entry, groups: Sequence[Group]) -> pl
 def off_the_path(lane: Lane, tracks: pl.DataFrame) -> list[tuple[float, str, str]]:
     """When a freely tracked tag was off the prescribed path of its rig: the alarm of Kwon et al. 2021, section 1.
 
-    An estimate is off by what it lies beyond `TOLERANCE` and twice its own spread. Raises UnusableInput for a path that
-    is none.
+    An estimate is off by what it lies beyond `TOLERANCE` and twice its own spread.
     """
     known = tracks.filter(pl.all_horizontal(pl.col("x_m", "y_m").is_finite()))
     if lane.folder.rig.path_knots is None or known.is_empty():

@@ -14,6 +14,7 @@ import numpy as np
 
 from experiments.errors import UnusableInput
 from trackers.core.rig import Rig, Station, Tag
+from trackers.line.polyline import Polyline
 
 FORMAT = 1
 RIG_FILE = "rig.toml"
@@ -74,7 +75,7 @@ class _Reader:
             anchors={key: self.vector(f"anchors.{key}", v, 3) for key, v in self.table(content, "anchors").items()},
             stations={key: self.station(f"stations.{key}", v) for key, v in self.table(content, "stations").items()},
             tags={key: self.tag(f"tags.{key}", v) for key, v in self.table(content, "tags").items()},
-            path_knots=self.points("path.knots_m", path["knots_m"]) if path else None,
+            path_knots=self.knots(path["knots_m"]) if path else None,
             walls=self.points("floor.walls_m", floor["walls_m"], 4, 1) if "walls_m" in floor else None,
             outline=self.points("floor.outline_m", floor["outline_m"], 2, 3) if "outline_m" in floor else None,
             about=words["about"],
@@ -117,6 +118,14 @@ class _Reader:
             height=self.number(f"{where}.height_m", content["height_m"]) if "height_m" in content else None,
             offset=self.vector(f"{where}.offset_m", content["offset_m"], 3) if "offset_m" in content else None,
         )
+
+    def knots(self, value: Any) -> np.ndarray:
+        knots = self.points("path.knots_m", value)
+        try:
+            Polyline(knots)
+        except ValueError as problem:
+            raise UnusableInput(f"{self.path}: path.knots_m: {problem}") from problem
+        return knots
 
     def table(self, content: dict[str, Any], key: str) -> dict[str, Any]:
         value = content.get(key, {})

@@ -57,13 +57,10 @@ def line_lanes(folder: Folder, free_height: bool) -> Iterator[Lane]:
 
 
 def path_of(folder: Folder) -> Polyline:
-    """The folder's known path; raises UnusableInput where there is none or it is none."""
+    """The folder's known path; raises UnusableInput where there is none."""
     if folder.rig.path_knots is None:
         raise UnusableInput(f"{folder.path}: no [path] in rig.toml, expected its knots_m = [[x, y], …]; add them")
-    try:
-        return Polyline(folder.rig.path_knots)
-    except ValueError as problem:
-        raise UnusableInput(f"{folder.path}: rig.toml, [path] knots_m: {problem}") from problem
+    return Polyline(folder.rig.path_knots)
 
 
 def left_the_line(lane: Lane, tracks: pl.DataFrame) -> list[tuple[float, str, str]]:

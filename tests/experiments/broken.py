@@ -96,6 +96,7 @@ BROKEN: dict[str, Builder] = {
     "antennas in 3-D": with_rig("[[0.02, 0.0],", "[[0.02, 0.0, 0.0],", "antennas_m"),
     "tag height a text": with_rig("height_m = 1.0", 'height_m = "1 m"', "tags.T1.height_m"),
     "path of one corner": with_rig("[[1.0, 1.0], [5.0, 1.0], [5.0, 4.0]]", "[[1.0, 1.0]]", "knots_m"),
+    "path that stays": with_rig("[5.0, 1.0], [5.0, 4.0]]", "[5.0, 1.0], [5.0, 1.0]]", "knot 2 of the path repeats"),
     "path without corners": with_rig("knots_m = [[1.0, 1.0], [5.0, 1.0], [5.0, 4.0]]", "", "knots_m"),
     # a table's file
     "empty file": with_file("ranges.csv", b""),

@@ -77,14 +77,6 @@ def test_an_unknown_path_is_refused_in_one_line(folders):
         groups([nowhere], "line-pf", False)
 
 
-def test_a_path_with_a_repeated_knot_is_refused_in_one_line(folders):
-    knots = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 0.0]])
-    doubled = Folder("x", None, Rig("x", path_knots=knots), folders[0].tables)
-    with pytest.raises(UnusableInput, match=r"knots_m: knot 2 of the path repeats the one before") as refused:
-        path_of(doubled)
-    assert "\n" not in str(refused.value)
-
-
 def test_ranges_to_tags_of_unknown_height_are_refused_in_words(folders):
     ranges = pl.DataFrame({"t_s": [0.0], "tag": ["0"], "anchor": ["a"], "range_m": [1.0]})
     folder = Folder("x", None, Rig("x", path_knots=folders[0].rig.path_knots), {"ranges": ranges})
