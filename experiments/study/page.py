@@ -21,16 +21,27 @@ from experiments.writing import atomic_write
 
 REPORT = "report.html"
 KINDS = {".svg": "image/svg+xml", ".png": "image/png"}
+LINE = 132
+"""The most characters of a line of a table whose intervals stand beside their values; of longer ones, under them."""
+
 EXTRA = """
-table.wide td:first-child { min-width: 11rem; }
+table.wide td:first-child { min-width: 8rem; }
 table.wide th { min-width: 4.6rem; }
 table.wide td { white-space: normal; }
-td.text, th.text { text-align: left; }
+td.text, th.text, td.long, th.long { text-align: left; }
 td.judged.no { color: var(--warn); font-weight: 700; }
 .interval { display: inline-block; color: var(--soft); font-weight: 400; white-space: nowrap; }
+table.under .interval { display: block; font-size: .9em; }
 .pictures { display: flex; flex-wrap: wrap; gap: 1.6rem 2rem; }
 .pictures figure { max-width: min(46rem, 100%); }
 .pictures img { width: auto; max-width: 100%; }
+@media screen and (max-width: 720px) {
+  td.long { grid-column: 1 / -1; }
+  td:empty { display: none; }
+}
+@media not all and (max-width: 720px) {
+  table.under :is(th, td):not(:first-child) { padding-inline: .4rem; }
+}
 """
 
 
@@ -57,7 +68,7 @@ def page(
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], kinds: Sequence[str] = ()) -> str:
     """A table whose first column names the rows; `kinds`: a class for the cells of each column.
 
-    `judged` is that of a column of yes and no, in which a no is to be seen.
+    `text` is that of names, `long` that of sentences, `judged` that of yes and no, where a no is to be seen.
     """
     kinds = kinds or [""] * len(head)
     top = "".join(f'<th class="{kind}">{escape(h)}</th>' for h, kind in zip(head, kinds, strict=True))
@@ -72,11 +83,13 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], kinds: Sequence[st
         + "</tr>"
         for row in rows
     )
-    return f'<div class="scroll"><table class="wide"><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
+    line = sum(max(map(len, column)) + 3 for column in zip(*rows, strict=True))
+    kind = "wide under" if line > LINE else "wide"
+    return f'<div class="scroll"><table class="{kind}"><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
 
 
 def _wrapping(text: str) -> str:
-    """A cell's text: where its column is narrow an interval goes under its value, whole."""
+    """A cell's text, in which an interval is kept whole and may go under its value."""
     return re.sub(r"^(\S+) (\(\S+ … \S+\))$", r'\1 <span class="interval">\2</span>', escape(text))
 
 
@@ -97,7 +110,7 @@ def _claims(claims: Sequence[Claim | Conclusion]) -> str:
         f"{sum(bool(c.reached) for c in judged)} of {len(judged)} within {asked}. " if judged else ""
     ) + "Fitted: the printed number was used to choose what the paper does not print; predicted: it was not."
     head = ["figure", "printed", "ours (95 % interval)", "ours / printed", "kind", "reached", "remark"]
-    kinds = ["", "", "after", "", "", "judged", "text"]
+    kinds = ["", "", "after", "", "", "judged", "long"]
     shown = len(head) if any(c.note for c in own) else len(head) - 1
     content = table(head[:shown], [row[:shown] for row in rows], kinds[:shown]) if rows else ""
     return section("printed", "What is printed, and what came out", lead, content)
@@ -105,7 +118,7 @@ def _claims(claims: Sequence[Claim | Conclusion]) -> str:
 
 def _conclusions(claims: Sequence[Claim | Conclusion]) -> str:
     rows = [[c.says, "yes" if c.holds else "no", c.evidence] for c in claims if isinstance(c, Conclusion)]
-    content = table(["conclusion", "holds", "evidence"], rows, ["", "judged", "text"]) if rows else ""
+    content = table(["conclusion", "holds", "evidence"], rows, ["", "judged", "long"]) if rows else ""
     return section("conclusions", "Conclusions", "", content)
 
 
@@ -115,7 +128,7 @@ def _own(pictures: Sequence[Path]) -> str:
         data = base64.b64encode(path.read_bytes()).decode()
         name = path.stem.replace("-", " ").replace("_", " ")
         image = f'<img alt="{escape(name)}" src="data:{KINDS[path.suffix]};base64,{data}">'
-        parts.append(f'<figure>{image}<figcaption>{escape(path.name)}</figcaption></figure>')
+        parts.append(f"<figure>{image}<figcaption>{escape(path.name)}</figcaption></figure>")
     content = f'<div class="pictures">{"".join(parts)}</div>' if parts else ""
     return section("pictures", "Pictures", "", content)
 
