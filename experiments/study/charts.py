@@ -118,13 +118,16 @@ def _bars(results: Results, values: Mapping[tuple[int, str], np.ndarray], title:
     return drawn(draw, WIDTH, max(1.3, 0.75 + 0.24 * len(rows)))
 
 
-def distribution_charts(results: Results) -> list[Drawing]:
-    """The share of estimates whose error is at most so large, of every tracker, in the first cells."""
+def distribution_charts(results: Results, lengths: Unit | None) -> list[Drawing]:
+    """The share of estimates whose error is at most so large, of every tracker, in the first cells.
+
+    `lengths`: the unit of lengths on the page, None where it has none.
+    """
     study = results.study
     cells = study.cells[:SHOWN_CELLS]
     kinds = [_kind(results, cell) for cell in cells]
     medians = [results.at(f"median_{k}", c, t).value for c, k in zip(cells, kinds, strict=True) for t in study.trackers]
-    units = {kind: unit_of(f"median_{kind}", medians) for kind in kinds}
+    units = {k: lengths if lengths and k.endswith("m") else unit_of(f"median_{k}", medians) for k in kinds}
     curves = [_curves(results, c, k, units[k].factor) for c, k in zip(cells, kinds, strict=True)]
     ends = [max(float(x[np.searchsorted(share, 0.98)]) for x, share in own.values()) for own in curves]
     if len(set(kinds)) == 1 and max(ends) <= ALIKE * min(ends):
@@ -211,4 +214,6 @@ def _axis(results: Results) -> str | None:
 
 
 def _row_name(results: Results, cell: Cell, tracker: str) -> str:
+    if len(results.study.trackers) == 1:
+        return cell.label
     return tracker if len(results.study.cells) == 1 else f"{cell.label}: {tracker}"

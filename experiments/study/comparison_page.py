@@ -15,7 +15,7 @@ from experiments.html_page import document, section
 from experiments.screen import output_folder, rendered
 from experiments.study.compared import Pair
 from experiments.study.page import EXTRA, table
-from experiments.study.wording import Unit, heading, unit_of, with_interval
+from experiments.study.wording import heading, units_of, with_interval
 from experiments.writing import atomic_write
 
 SHOWN = (
@@ -27,13 +27,16 @@ HEAD = ("", "figure", "first", "second", "second / first", "differ?")
 
 def rows(found: Sequence[Pair]) -> list[list[str]]:
     """The cells of the table."""
-    made = []
+    values: dict[str, list[float]] = {}
     for pair in found:
-        unit: Unit = unit_of(pair.figure, [pair.before.value, pair.after.value])
+        values.setdefault(pair.figure, []).extend([pair.before.value, pair.after.value])
+    units, made = units_of(values), []
+    for pair in found:
+        unit = units[pair.figure]
         name = heading(pair.figure) + (f", {unit.name}" if unit.name else "")
         differs = "" if pair.differs is None else "yes" if pair.differs else "no"
-        values = (with_interval(pair.before, unit), with_interval(pair.after, unit))
-        made.append([pair.whose, name, *values, f"{pair.ratio:.3f}" if math.isfinite(pair.ratio) else "–", differs])
+        both = (with_interval(pair.before, unit), with_interval(pair.after, unit))
+        made.append([pair.whose, name, *both, f"{pair.ratio:.3f}" if math.isfinite(pair.ratio) else "–", differs])
     return made
 
 

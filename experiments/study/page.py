@@ -40,7 +40,7 @@ table.under .interval { display: block; font-size: .9em; }
   td:empty { display: none; }
 }
 @media not all and (max-width: 720px) {
-  table.under :is(th, td):not(:first-child) { padding-inline: .4rem; }
+  table.under :is(th, td):not(:first-child, .long) { padding-inline: .4rem; }
 }
 """
 
@@ -188,7 +188,8 @@ def _charts(results: Results) -> str:
     lead = "Bands and bars are the 95 % intervals." + (
         f" Distributions of the first {SHOWN_CELLS} of {len(results.study.cells)} cells." if more > 0 else ""
     )
-    return section("charts", "Charts", lead, _abreast(drawings) + _abreast(distribution_charts(results)))
+    lengths = next((unit for figure, unit in units.items() if figure.endswith("_m")), None)
+    return section("charts", "Charts", lead, _abreast(drawings) + _abreast(distribution_charts(results, lengths)))
 
 
 def _abreast(drawings: Sequence[Drawing]) -> str:
