@@ -89,7 +89,8 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], kinds: Sequence[st
 
 
 def _wrapping(text: str) -> str:
-    """A cell's text, in which an interval is kept whole and may go under its value."""
+    """A cell's text, with minus signs, in which an interval is kept whole and may go under its value."""
+    text = re.sub(r"(?<![\w.-])-(?=\d)", "\u2212", text)
     return re.sub(r"^(\S+) (\(\S+ … \S+\))$", r'\1 <span class="interval">\2</span>', escape(text))
 
 
@@ -104,10 +105,9 @@ def _claims(claims: Sequence[Claim | Conclusion]) -> str:
              reached, c.note]
         )  # fmt: skip
     judged = [c for c in own if c.reached is not None]
-    widths = {f"{c.within:.0%}".replace("%", " %") for c in judged if c.within is not None}
-    asked = f"{widths.pop()} of what is printed" if len(widths) == 1 else "what was asked"
+    asked = " or ".join(f"{100 * width:g} %" for width in sorted({c.within for c in judged if c.within is not None}))
     lead = (
-        f"{sum(bool(c.reached) for c in judged)} of {len(judged)} within {asked}. " if judged else ""
+        f"{sum(bool(c.reached) for c in judged)} of {len(judged)} within {asked} of what is printed. " if judged else ""
     ) + "Fitted: the printed number was used to choose what the paper does not print; predicted: it was not."
     head = ["figure", "printed", "ours (95 % interval)", "ours / printed", "kind", "reached", "remark"]
     kinds = ["", "", "after", "", "", "judged", "long"]
