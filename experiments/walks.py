@@ -20,7 +20,9 @@ def main() -> None:
             "walks: no folder of real recordings, expected ../shared/recordings or what TRACKWRIGHT_RECORDINGS names"
         )
     first, second = ([folder / f"ble51-walk-{u}-r{run}" for u in USE_CASES] for run in (1, 2))
-    goal = ("--free-height", "--objective", "rmse", "--steps", "80", "--tune", *PATTERNS)
+    # From the tracker's own levels alone: an error knows no scale, and other starts find lower places on three walks
+    # that do not hold on others.
+    goal = ("--free-height", "--objective", "rmse", "--steps", "80", "--starts", "1", "--tune", *PATTERNS)
     command("tune", *first, *goal, "--out", OUT / "tuned")
     noise = ("--noise", OUT / "tuned" / "tuned.toml")
     command("track", *second, *noise, "--out", OUT / "known-height")

@@ -86,7 +86,7 @@ def fit(
     """The tracker with the tunables that `tune` names (shell patterns) fitted for the least objective.
 
     `frozen`: patterns of tunables that stay as they are. `bounds`: lowest and highest physical value by pattern.
-    `optimiser`: default `LBFGS`, or `Adam` for particles and minibatches. `starts`:
+    `optimiser`: default `LBFGS` for likelihoods, `Adam` for particles, minibatches and other objectives. `starts`:
     how many points are followed, side by side: the tracker's own, and the best of the `guesses` and of a coarse grid.
     `held_out`: recordings that decide which point is the best, and when to stop. `minibatch`: trajectories per step.
     `priors`: beside a likelihood. `report` gets the state after every step; `resume` takes up again what
@@ -104,7 +104,9 @@ def fit(
     problem = Problem(tracker, _several(batches), objective, parameters, lanes, priors)
     judge = Problem(tracker, _several(held_out), objective, parameters, chunk) if held_out else None
     low, high = limits(parameters, bounds or {})
-    optimiser = optimiser or (Adam(steps) if minibatch is not None or problem.random else LBFGS())
+    # An error has steps where a track is nearly lost, at which a line search ends; Adam goes over them.
+    steady = objective.is_likelihood and minibatch is None and not problem.random
+    optimiser = optimiser or (LBFGS() if steady else Adam(steps))
     parts = None if minibatch is None else max(1, minibatch // problem.chunks[0].size)
     descent = Descent(problem, optimiser, steps, low, high, judge, minibatch=parts, seed=seed)
     if resume is not None:
@@ -144,11 +146,11 @@ def _finished(tracker: AbstractTracker, descent: Descent, state: FitState, inter
     problem, parameters = descent.problem, descent.problem.parameters
     winner = int(np.argmin(state.best_scores))
     vector, sure, effort = state.best_vectors[winner], None, problem.filter_runs
-    if interrupted:
-        value, left_out = float(problem.evaluate(vector).values[0]), problem.left_out
-    else:
-        found, left_out = _polished(descent, optimum(problem, vector))
-        vector, value, sure = found.vector, found.value, assessed(problem, found)
+    if not interrupted:
+        found = _polished(descent, optimum(problem, vector))
+        vector, sure = found.vector, assessed(problem, found)
+    # Of all trajectories, as at the start; an optimum's own figure leaves out those without usable derivatives.
+    value, left_out = float(problem.evaluate(vector).values[0]), problem.left_out
     traces = [_trace(parameters, state, k) for k in range(len(state.vectors))]
     return FitResult(
         tracker=placed_in(tracker, parameters, vector),
@@ -188,14 +190,14 @@ def _trace(parameters: Sequence[Parameter], state: FitState, start: int) -> list
     ]
 
 
-def _polished(descent: Descent, found: Optimum) -> tuple[Optimum, int]:
-    """A few Newton steps of a likelihood, as long as they help; and how many trajectories had no say.
+def _polished(descent: Descent, found: Optimum) -> Optimum:
+    """A few Newton steps of a likelihood, as long as they help.
 
     Not where its values have noise, or other recordings decide.
     """
-    problem, left_out = descent.problem, descent.problem.left_out
+    problem = descent.problem
     if not np.isfinite(found.units) or descent.held_out is not None or problem.random:
-        return found, left_out
+        return found
     for _ in range(NEWTON_STEPS):
         _, inverse, _ = determined(found.hessian)
         step = -inverse @ found.gradient
@@ -206,5 +208,5 @@ def _polished(descent: Descent, found: Optimum) -> tuple[Optimum, int]:
         vector = np.clip(found.vector + step, descent.low, descent.high)
         if not np.diff(problem.evaluate(np.stack([found.vector, vector])).values)[0] < 0:
             break
-        found, left_out = optimum(problem, vector), problem.left_out
-    return found, left_out
+        found = optimum(problem, vector)
+    return found

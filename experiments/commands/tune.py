@@ -70,7 +70,7 @@ def tune(
         start: a tuned.toml to start from.
         starts: how many starts are followed side by side: the given one, and the best of a guess from the data and of
             a coarse grid.
-        optimiser: auto is lbfgs, or adam where the tracker draws random numbers, and for minibatches.
+        optimiser: auto is lbfgs for a likelihood, adam for other objectives, minibatches and trackers that draw.
         steps: the most steps of a start.
         minibatch: trajectories per step, drawn anew for each; default all.
         intervals: how sure the numbers are: by curvature and scatter of the trajectories, by the profile of a
