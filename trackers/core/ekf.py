@@ -34,7 +34,7 @@ from trackers.core.linearise import linearise
 from trackers.core.links import Link, link, linked
 from trackers.core.motion import AbstractMotion
 from trackers.core.sensor import AbstractSensor, Reading
-from trackers.core.state import State, coordinates, local, retract
+from trackers.core.state import State, coordinates, local_after, retract
 
 
 class Gaussian(NamedTuple):
@@ -66,20 +66,25 @@ class ExtendedKalman(eqx.Module):
 
     def predict(self, belief: Gaussian, motion: AbstractMotion, inputs: Any, dt: Scalar) -> Gaussian:
         """The belief `dt` seconds later."""
-        moved, F, G = self.jacobians(belief.mean, motion, inputs, dt)
-        return shared(Gaussian(moved, congruence(F, belief.cov, G)))
+        mean, cov = belief
+        for stage in motion.stages:
+            mean, F, G = self.jacobians(mean, motion, stage, inputs, dt)
+            # What a stage leaves as it is need not be shared again.
+            cov = tuple(a if a is b else shared(a) for a, b in zip(congruence(F, cov, G), cov, strict=True))
+        return Gaussian(shared(mean), cov)
 
     def jacobians(
-        self, state: State, motion: AbstractMotion, inputs: Any, dt: Scalar
+        self, state: State, motion: AbstractMotion, stage: Any, inputs: Any, dt: Scalar
     ) -> tuple[State, list[SparseRow], list[SparseRow]]:
-        """The state `dt` seconds later without noise, and the derivatives F by the state and G by the noise."""
+        """The state after one stage without noise, and the derivatives F by the state and G by the noise."""
         point, rebuild = coordinates(state)
         zero = jnp.zeros_like(point[0])
         n = len(point)
-        moved = motion.step(state, inputs, dt, Vector.of([zero] * motion.noise_dimension))
+        moved = stage(state, inputs, dt, Vector.of([zero] * motion.noise_dimension))
 
         def step(*values: Scalar) -> list[Scalar]:
-            return local(moved, motion.step(rebuild(values[:n]), inputs, dt, Vector.of(values[n:])))
+            before = rebuild(values[:n])
+            return local_after(moved, before, values[:n], stage(before, inputs, dt, Vector.of(values[n:])))
 
         _, rows = linearise(step, [*point, *[zero] * motion.noise_dimension])
         F = [{j: v for j, v in row.items() if j < n} for row in rows]
@@ -118,7 +123,11 @@ class ExtendedKalman(eqx.Module):
 
     def link(self, belief: Gaussian, motion: AbstractMotion, joined: Scalar, dt: Scalar, inputs: Any) -> Link:
         """What ties a row's belief to the next row's, `dt` seconds later; `joined` if that goes on with the track."""
-        return link(belief, *self.jacobians(belief.mean, motion, inputs, dt), joined, dt == 0)
+        moved, slopes = belief.mean, []
+        for stage in motion.stages:
+            moved, F, G = self.jacobians(moved, motion, stage, inputs, dt)
+            slopes.append((F, G))
+        return link(belief, moved, slopes, joined, dt == 0)
 
     def linked(self, link: Link, after: Gaussian) -> Gaussian:
         """The smoothed belief of a row, from the next row's."""

@@ -37,11 +37,24 @@ class Link(NamedTuple):
 
 
 def link(
-    belief: Any, moved: State, F: Sequence[SparseRow], G: Sequence[SparseRow], joined: Scalar, same: Scalar
+    belief: Any,
+    moved: State,
+    slopes: Sequence[tuple[Sequence[SparseRow], Sequence[SparseRow]]],
+    joined: Scalar,
+    same: Scalar,
 ) -> Link:
-    """The link of one row of one trajectory to the next row, from its belief (mean, cov), its prediction, F and G."""
-    n, zero = len(F), jnp.zeros_like(belief.cov[0])
-    P, moves, noise = shared((dense(belief.cov, n), _filled(F, n, zero), _filled(G, _width(G), zero)))
+    """The link of one row of one trajectory to the next row.
+
+    From its belief (mean, cov), its prediction `moved`, and the `slopes` F and G of each stage of the motion.
+    """
+    zero = jnp.zeros_like(belief.cov[0])
+    n = len(slopes[0][0])
+    P, moves, noise = dense(belief.cov, n), jnp.eye(n, dtype=zero.dtype), jnp.zeros((n, 0), zero.dtype)
+    for F, G in slopes:
+        stage = shared(_filled(F, n, zero))
+        moves = shared(_product(stage, moves))
+        noise = jnp.concatenate([_product(stage, noise), _filled(G, _width(G), zero)], axis=1)
+    P, moves, noise = shared((P, moves, noise))
     moved_P = shared(_product(moves, P))
     C = shared(_divided(moved_P.T, shared(_product(moved_P, moves.T) + _product(noise, noise.T))))
     rest, pushed = shared((jnp.eye(n, dtype=P.dtype) - _product(C, moves), _product(C, noise)))
@@ -72,7 +85,8 @@ def _filled(rows: Sequence[SparseRow], columns: int, zero: Scalar) -> Any:
 
 def _product(A: Any, B: Any) -> Any:
     """AB as a sum of outer products, which XLA does for all lanes at once; it multiplies small matrices one by one."""
-    return total(jnp.outer(A[:, k], B[k]) for k in range(A.shape[1]))
+    terms = [jnp.outer(A[:, k], B[k]) for k in range(A.shape[1])]
+    return total(terms) if terms else jnp.zeros((A.shape[0], B.shape[1]), A.dtype)
 
 
 def _divided(rows: Any, cov: Any) -> Any:

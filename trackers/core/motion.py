@@ -7,6 +7,7 @@ disagree. Its law: `dt = 0` leaves the state as it is, whatever the noise.
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -31,6 +32,11 @@ class AbstractMotion(eqx.Module):
     @abstractmethod
     def step(self, state: State, inputs: Any, dt: Scalar, w: Vector) -> State:
         """The state `dt` seconds later under the known inputs and the noise draw `w`."""
+
+    @property
+    def stages(self) -> tuple[Callable[[State, Any, Scalar, Vector], State], ...]:
+        """What `step` does one after another, each as sparse as can be; a filter carries its covariance over each."""
+        return (self.step,)
 
     def log_density(self, state: State, inputs: Any, dt: Scalar, w: Vector) -> Scalar:
         """The log density of what was drawn in a step by `w`, in physical units and up to what no tunable changes.

@@ -193,6 +193,21 @@ def local(origin: State, other: State) -> list[Scalar]:
     return steps
 
 
+def local_after(origin: State, before: State, values: Sequence[Scalar], after: State) -> list[Scalar]:
+    """`local(origin, after)`, where `before` was made of the coordinates `values` about `origin`.
+
+    A curved leaf that `after` has from `before` as it is gives its coordinates back, which a derivative then sees.
+    """
+    steps, leaves = local(origin, after), _leaves(before)[0]
+    start = 0
+    for a, b in zip(leaves, _leaves(after)[0], strict=True):
+        size = _dimension(a)
+        if a is b and isinstance(a, AbstractCurved):
+            steps[start : start + size] = values[start : start + size]
+        start += size
+    return steps
+
+
 def coordinates(state: State) -> tuple[list[Scalar], Any]:
     """Coordinates around `state` and the function that turns such coordinates back into a state.
 

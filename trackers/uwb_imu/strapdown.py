@@ -120,6 +120,14 @@ class PlanarStrapdown(AbstractMotion):
         return 8 + self.biases
 
     def step(self, state: PlanarInertial, inputs: Any, dt: Scalar, w: Vector) -> PlanarInertial:
+        return in_stages(self, state, inputs, dt, w)
+
+    @property
+    def stages(self) -> Any:
+        return coasted, self.driven, coasted
+
+    def driven(self, state: PlanarInertial, inputs: Any, dt: Scalar, w: Vector) -> PlanarInertial:
+        """What the IMU's readings and the noise change."""
         saw_accel, saw_gyro = present(inputs)
         kick, turn, accel_walk, gyro_walk = self.noise.kicks(inputs, dt)
         rate = jnp.where(saw_gyro, inputs["gyro"][2] - state.gyro_bias, 0.0)
@@ -131,7 +139,7 @@ class PlanarStrapdown(AbstractMotion):
         if self.transport:
             felt = felt + Vector(rate * state.velocity[1], -rate * state.velocity[0])
         acceleration = Vector.of(jnp.where(saw_accel, a, 0.0) for a in felt)
-        position, velocity = moved(state.position, state.velocity, acceleration, dt, kick, w)
+        position, velocity = pushed(state.position, state.velocity, acceleration, dt, kick, w)
         return PlanarInertial(
             position,
             velocity,
@@ -167,6 +175,14 @@ class Strapdown(AbstractMotion):
         return 15 + self.biases
 
     def step(self, state: Inertial, inputs: Any, dt: Scalar, w: Vector) -> Inertial:
+        return in_stages(self, state, inputs, dt, w)
+
+    @property
+    def stages(self) -> Any:
+        return coasted, self.driven, coasted
+
+    def driven(self, state: Inertial, inputs: Any, dt: Scalar, w: Vector) -> Inertial:
+        """What the IMU's readings and the noise change."""
         saw_accel, saw_gyro = present(inputs)
         kick, turn, accel_walk, gyro_walk = self.noise.kicks(inputs, dt)
         rate = Vector.of(jnp.where(saw_gyro, inputs["gyro"][k] - state.gyro_bias[k], 0.0) for k in range(3))
@@ -174,7 +190,7 @@ class Strapdown(AbstractMotion):
         # Half a step's turn, to first order: what the body feels in the middle of the step, in its first axes.
         x, y, z = state.attitude.apply(force + rate.cross(force) * (0.5 * dt))
         acceleration = Vector.of(jnp.where(saw_accel, a, 0.0) for a in (x, y, z - self.gravity.value))
-        position, velocity = moved(state.position, state.velocity, acceleration, dt, kick, w)
+        position, velocity = pushed(state.position, state.velocity, acceleration, dt, kick, w)
         turned = kept_unit(state.attitude @ Rotation.exp(rate * dt + Vector(*w.parts[6:9]) * turn), dt)
         if "arm" in inputs:
             arm = Vector.of(inputs["arm"][k] for k in range(3))
@@ -197,20 +213,30 @@ def present(inputs: Any) -> tuple[Scalar, Scalar]:
     return inputs["imu"][0] > 0.5, inputs["imu"][1] > 0.5
 
 
-def moved(
+def in_stages(motion: AbstractMotion, state: Any, inputs: Any, dt: Scalar, w: Vector) -> Any:
+    """A step by its stages."""
+    for stage in motion.stages:
+        state = stage(state, inputs, dt, w)
+    return state
+
+
+def coasted(state: Any, inputs: Any, dt: Scalar, w: Vector) -> Any:
+    """The state half a step further at its velocity."""
+    return state._replace(position=state.position + state.velocity * (0.5 * dt))
+
+
+def pushed(
     position: Vector, velocity: Vector, acceleration: Vector, dt: Scalar, kick: Scalar, w: Vector
 ) -> tuple[Vector, Vector]:
-    """Position and velocity under an acceleration with white noise, exact for any interval; `kick` m/s.
+    """Position and velocity pushed by an acceleration with white noise between two halves of a coasting step.
 
-    The noise is the same in all directions, so it may enter in room axes whatever the attitude.
+    Together exact for any interval; `kick` m/s. The noise is the same in all directions, so it may enter in room axes
+    whatever the attitude. In one piece position would depend on all that the velocity does: half as much again for a
+    covariance of fifteen states to be carried over.
     """
     n = len(position)
     along, across = Vector(*w.parts[:n]), Vector(*w.parts[n : 2 * n])
-    drift = along * (0.5 * kick * dt) + across * (kick * dt / 12**0.5)
-    return (
-        position + velocity * dt + acceleration * (0.5 * dt * dt) + drift,
-        velocity + acceleration * dt + along * kick,
-    )
+    return position + across * (kick * dt / 12**0.5), velocity + acceleration * dt + along * kick
 
 
 def kept_unit(attitude: Rotation, dt: Scalar) -> Rotation:
