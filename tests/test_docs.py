@@ -39,6 +39,7 @@ def test_the_extended_tracker_follows_its_walk(extended):
     assert np.sqrt(np.mean(error[10:] ** 2)) < 0.3
 
 
+@pytest.mark.slow
 def test_fitting_the_extended_tracker_finds_the_noise_its_ranges_were_drawn_with(extended):
     result = extended["result"]
     found, error = result.values["sensors.ranges.sigma_r"], result.standard_errors["sensors.ranges.sigma_r"]

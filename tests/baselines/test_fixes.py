@@ -81,6 +81,7 @@ def _late(latency):
     return eqx.tree_at(lambda t: t.sensors[FIXES].latency, fix_tracker(), FixSensor(0.1, 0.3, None, latency).latency)
 
 
+@pytest.mark.slow
 def test_the_derivative_with_respect_to_the_latency_is_the_finite_difference(circling):
     batch = stack([circling[0]]).rows(slice(0, 60))
     tracker = prepared(_late(0.3), batch.dt.dtype)

@@ -146,6 +146,7 @@ def test_a_track_begins_on_the_side_that_its_first_fix_showed(climbing):
     assert np.abs(estimates.mean.position[2] - z)[5:30].max() < 0.6
 
 
+@pytest.mark.slow
 def test_heights_that_flip_for_seconds_do_not_take_a_track_with_them():
     errors = {"mirror": mirrored(2.5, 0.3, 3.0), "noise": correlated_noise(STILL)}
     world = simulate_agv([0, 1, 2], rows=400, height=1.2, errors=errors)

@@ -104,6 +104,7 @@ def test_three_equal_models_are_one(three):
     assert not np.allclose(flat(three.mean), flat(plain.mean), atol=1e-3)
 
 
+@pytest.mark.slow
 def test_where_rows_share_their_time_and_nothing_is_drawn_anew_the_gradient_is_the_central_difference():
     times, values, seen = _rows()
     assert np.any(np.diff(times) == 0)

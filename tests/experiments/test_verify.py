@@ -88,6 +88,7 @@ def test_the_marginal_score_scatters_less_than_half_as_much_as_the_same_particle
     assert marginal[0].std() < 0.5 * 2 * scores.std()
 
 
+@pytest.mark.slow
 def test_rows_in_no_time_and_without_readings_do_not_change_the_marginal_score(marginal):
     _, plain, twice = marginal
     exact = corridor_grid.slopes(corridor_fixes(25)[:4])[0]

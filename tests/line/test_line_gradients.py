@@ -39,5 +39,6 @@ def test_the_mean_score_of_rests_departures_fixes_and_start_is_the_grids_gradien
     assert np.all(error < 4 * found.std(axis=1) / np.sqrt(KEYS) + 0.002)
 
 
+@pytest.mark.slow
 def test_every_key_has_a_score_of_its_own(slopes):
     assert np.all(slopes[1].std(axis=1) > 0)

@@ -27,7 +27,7 @@ def _recording(rows=60, seed=0, dt=0.1):
     return Recording(times, {FIXES: Readings(fixes, np.ones((rows, 3), bool))}, name=f"tag {seed}")
 
 
-@pytest.fixture(scope="module", params=[None, 1.0], ids=["as printed", "sticky"])
+@pytest.fixture(scope="module", params=[None, pytest.param(1.0, marks=pytest.mark.slow)], ids=["as printed", "sticky"])
 def tracker(request):
     return mhk_tracker(rate=request.param)
 

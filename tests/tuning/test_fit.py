@@ -83,6 +83,7 @@ def test_the_gradient_of_the_beam_tracker_is_the_central_difference_for_every_tu
     _assert_gradient_is_the_central_difference(problem, vector)
 
 
+@pytest.mark.slow
 def test_the_gradient_of_the_bearing_tracker_is_the_central_difference_for_every_tunable():
     problem, vector = _problem(bearing_tracker(), [_bearings(n, n) for n in (20, 31)], SMOOTH, rows=32)
     assert len(vector) == len([k for k in tunables(bearing_tracker()) if not k.startswith("loss.")]) + 2

@@ -70,6 +70,7 @@ def test_the_imu_takes_a_fifth_or_more_off_the_error_of_ranges_alone(runs):
     assert with_imu < 0.8 * without
 
 
+@pytest.mark.slow
 def test_the_yaw_that_nobody_told_is_found(runs, folder):
     recordings, estimates = runs
     truth = folder.tables["truth"]
@@ -81,6 +82,7 @@ def test_the_yaw_that_nobody_told_is_found(runs, folder):
         assert np.linalg.norm(turn) < 0.5
 
 
+@pytest.mark.slow
 def test_an_imu_without_ranges_drifts_and_says_so(runs):
     recordings, estimates = runs
     k = 2 * TAGS
