@@ -61,7 +61,7 @@ def _rmse(errors):
     return float(np.sqrt(np.nanmean((errors**2).sum(axis=-1))))
 
 
-@pytest.mark.parametrize("tracker", TRACKERS)
+@pytest.mark.parametrize("tracker", ["direct", pytest.param("cascade", marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     ("world", "bound"),
     [
@@ -82,6 +82,7 @@ def test_positions_are_found_to_centimetres_whatever_is_missing(runs, tracker, w
     assert set(np.unique(estimates.status)) <= {Status.OK, Status.WAITING} | started_again
 
 
+@pytest.mark.slow
 def test_direct_is_better_than_the_cascade(runs):
     assert _rmse(runs["direct", "whole"][1]) < _rmse(runs["cascade", "whole"][1])
 

@@ -155,6 +155,7 @@ def test_without_latency_estimates_are_of_the_rows_own_times(circling):
     assert same is estimates
 
 
+@pytest.mark.slow
 def test_a_wild_fix_hardly_moves_a_track_with_a_heavy_tail(circling):
     recording, _ = circling
     values = recording.readings[FIXES].values.copy()

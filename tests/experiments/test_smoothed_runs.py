@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import polars as pl
 import pytest
@@ -11,32 +13,43 @@ from experiments.events import events_of, off_the_path
 from experiments.folder import read_folder
 from tests.experiments.in_process import assert_refused, trackwright
 
+OPTIONS = {"filtered": (), "smoothed": ("--smooth",), "lagged": ("--lag", 0.5)}
+
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory, beginnings):
-    """The tracks of one recording, filtered, smoothed, and smoothed with half a second to come."""
+    """The tracks of one recording, filtered, smoothed, and smoothed with half a second to come; made when asked for."""
     folder = tmp_path_factory.mktemp("smoothed")
-    options = {"filtered": (), "smoothed": ("--smooth",), "lagged": ("--lag", 0.5)}
-    for name, extra in options.items():
-        said = trackwright("track", beginnings / "good", "--tracker", "fix-kf", *extra, "--out", folder / name)
+
+    @cache
+    def run(name):
+        line = ("track", beginnings / "good", "--tracker", "fix-kf", *OPTIONS[name])
+        said = trackwright(*line, "--out", folder / name)
         assert said.code == 0, said
-    return {name: pl.read_parquet(folder / name / "tracks.parquet") for name in options}
+        return pl.read_parquet(folder / name / "tracks.parquet")
+
+    return run
 
 
-def test_smoothed_tracks_have_the_rows_columns_and_likelihoods_of_filtered_ones(runs):
-    for name in ("smoothed", "lagged"):
-        for column in ("t_s", "tag", "nis", "log_likelihood", "status"):
-            assert runs[name][column].equals(runs["filtered"][column])
-        assert runs[name].columns == runs["filtered"].columns
+@pytest.mark.parametrize("name", ["smoothed", pytest.param("lagged", marks=pytest.mark.slow)])
+def test_smoothed_tracks_have_the_rows_columns_and_likelihoods_of_filtered_ones(runs, name):
+    for column in ("t_s", "tag", "nis", "log_likelihood", "status"):
+        assert runs(name)[column].equals(runs("filtered")[column])
+    assert runs(name).columns == runs("filtered").columns
 
 
-def test_the_more_rows_are_used_the_smaller_the_spread_is(runs):
-    spread = [runs[name]["std_x_m"].mean() for name in ("filtered", "lagged", "smoothed")]
-    assert spread[0] > spread[1] > spread[2]
+def test_rows_to_come_make_the_spread_smaller(runs):
+    assert runs("filtered")["std_x_m"].mean() > runs("smoothed")["std_x_m"].mean()
+
+
+@pytest.mark.slow
+def test_a_lag_has_a_spread_between_that_of_all_rows_and_that_of_none(runs):
+    spread = [runs(name)["std_x_m"].mean() for name in OPTIONS]
+    assert spread[0] > spread[2] > spread[1]
 
 
 def test_the_last_row_has_nothing_to_come(runs):
-    assert runs["smoothed"]["x_m"][-1] == runs["filtered"]["x_m"][-1]
+    assert runs("smoothed")["x_m"][-1] == runs("filtered")["x_m"][-1]
 
 
 @pytest.mark.parametrize(("extra", "word"), [(("--lag", -1), "--lag"), (("--smooth",), "Kalman filters")])

@@ -12,6 +12,7 @@ from experiments.study.store import Store, merged
 from experiments.study.tally import COLUMN, KINDS, SUMS, histograms
 from experiments.study.text import to_json, to_text
 from experiments.study.work import Until, carry_out, complete
+from tests.experiments.in_process import trackwright
 from tests.experiments.small_study import SMALL, TOML, no_progress, study_command
 from trackers.core.estimates import Status
 from trackers.core.metrics import chi_square_quantile
@@ -215,9 +216,9 @@ def test_the_command_line_refuses_what_is_no_study(tmp_path, whole):
         (("merge", whole[0], tmp_path, "--out", tmp_path / "b"), "study.json"),
         ((file, "--until", "rmse±1", "--out", tmp_path / "c"), "--until"),
     ):
-        done = study_command(*words)
-        assert done.returncode == 2, (words, done.stderr)
-        assert says in done.stderr.splitlines()[-1]
+        said = trackwright("study", *words)
+        assert said.code == 2, (words, said)
+        assert says in said.err.splitlines()[-1]
 
 
 def test_shards_of_different_studies_are_not_merged(whole, tmp_path):

@@ -130,6 +130,7 @@ def test_a_change_of_speed_has_the_mean_and_variance_of_the_motion(sigma):
     assert changes[20] @ steps**2 == pytest.approx(sigma**2, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_the_gradient_of_the_grids_likelihood_is_the_central_difference():
     batch = stack(_lanes("halting", 1))
 

@@ -68,6 +68,7 @@ def beam_world():
     return stack(beams(64, 100, SIGMA_A, SIGMA_P, seed=0, missing=0.25))
 
 
+@pytest.mark.slow
 def test_the_gradient_of_the_beam_trackers_noise_levels_is_the_central_difference(beam_world):
     tracker = beam_tracker(STATION, "1", 0.3, 0.25)
     parameters = chosen(tracker, NOISE)
@@ -179,6 +180,7 @@ def test_what_the_readings_do_not_determine_has_no_standard_error(line_world):
     assert 0 < errors["sensors.gauge.sigma"] < 0.05
 
 
+@pytest.mark.slow
 def test_tied_tunables_are_fitted_as_one(line_world):
     both = fit(line_tracker(), line_world, NLL, "tied:sensors.gauge.[ob]*", steps=20)
     alone = fit(line_tracker(), line_world, NLL, "sensors.gauge.offset", steps=20)
@@ -334,6 +336,7 @@ def test_held_out_recordings_decide_which_point_is_the_best():
     assert result.values["sensors.gauge.sigma"] > alone.values["sensors.gauge.sigma"]
 
 
+@pytest.mark.slow
 def test_minibatches_come_near_the_whole():
     world = stack(walks([40] * 64, 3))
     whole = fit(line_tracker(sigma=0.4), world, NLL, LEVELS)
