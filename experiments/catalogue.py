@@ -26,7 +26,7 @@ TRACKERS: dict[str, Entry] = {
 def fitting(folder: Folder) -> str:
     """The name of the tracker that fits the folder's tables; raises UnusableInput where none does."""
     for name, entry in TRACKERS.items():
-        if entry.automatic and entry.lacks(folder) is None:
+        if entry.lacks(folder) is None and entry.automatic(folder):
             return name
     needs = ", ".join(sorted({e.table for e in TRACKERS.values()}))
     raise UnusableInput(

@@ -26,6 +26,11 @@ def at_known_height(lane: Lane, free_height: bool) -> bool:
     return not free_height and known_height(lane.folder, lane.tag) is not None
 
 
+def on_request(folder: Folder) -> bool:
+    """Never: such a tracker is taken only where it is named."""
+    return False
+
+
 @dataclass(frozen=True)
 class Entry:
     """A tracker by name.
@@ -33,8 +38,9 @@ class Entry:
     `table`: what it reads. `lacks`: what a folder lacks for it, in words, or None where it fits. `lanes`: the lanes of
     a folder; the flag is --free-height. `build`: the tracker of a lane; the flag is `planar` of that lane. `geometry`:
     what of a lane is part of its tracker; lanes that agree in it, and in `planar`, share one. `automatic`: whether it
-    is taken where no tracker is named. `bearing_only`: whether it estimates directions. `events`: what happened in a
-    lane, from its rows of the tracks table: time s, event, detail; None where only lost tracks are told.
+    is taken for a folder that it fits where no tracker is named. `bearing_only`: whether it estimates directions.
+    `events`: what happened in a lane, from its rows of the tracks table: time s, event, detail; None where only lost
+    tracks are told.
     """
 
     about: str
@@ -44,6 +50,6 @@ class Entry:
     build: Callable[[Lane, bool], AbstractTracker]
     geometry: Callable[[Lane], Hashable] = lambda lane: ()
     planar: Callable[[Lane, bool], bool] = at_known_height
-    automatic: bool = True
+    automatic: Callable[[Folder], bool] = lambda folder: True
     bearing_only: bool = False
     events: Callable[[Lane, pl.DataFrame], list[tuple[float, str, str]]] | None = None

@@ -68,6 +68,12 @@ def known_height(folder: Folder, tag: str) -> float | None:
     return None if known is None else known.height
 
 
+def shown_height(lane: Lane) -> np.ndarray:
+    """What estimates over the floor show as the tag's height (T,), m: NaN where nobody knows it."""
+    height = known_height(lane.folder, lane.tag)
+    return np.full(len(lane.recording), np.nan if height is None else height)
+
+
 def true_paths(folder: Folder) -> dict[str, Path]:
     """The true paths by tag, as `lane_of` takes them; empty without truth."""
     return truth_paths(folder.tables["truth"], folder.name) if "truth" in folder.tables else {}

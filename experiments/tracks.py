@@ -11,7 +11,7 @@ import numpy as np
 import polars as pl
 
 from experiments.entry import Group
-from experiments.lanes import Lane
+from experiments.lanes import Lane, shown_height
 from trackers.core.chunks import CHUNK
 from trackers.core.estimates import Estimates, Status
 from trackers.core.recording import Batch, stack
@@ -66,7 +66,7 @@ def _table(lane: Lane, tracker: AbstractTracker, estimates: Estimates) -> pl.Dat
     last = np.append(np.diff(recording.times) > 0, True)
     status = estimates.status[:rows]
     usable = estimates.usable[:rows]
-    columns = angles(estimates) if lane.station else _positions(estimates, recording.inputs["height"], rows)
+    columns = angles(estimates) if lane.station else _positions(estimates, shown_height(lane), rows)
     ids: dict[str, Any] = {"recording": lane.folder.name, "tag": lane.tag}
     if lane.station:
         ids["station"] = lane.station
@@ -85,7 +85,7 @@ def _positions(estimates: Estimates, height: np.ndarray, rows: int) -> dict[str,
     mean = [np.asarray(x)[:rows] for x in estimates.mean.position]
     sigmas = [estimates.sigmas[f"position.{k}"][:rows] for k in range(len(mean))]
     if len(mean) == 2:
-        mean, sigmas = [*mean, height], [*sigmas, np.zeros(rows)]
+        mean, sigmas = [*mean, height], [*sigmas, 0.0 * height]
     columns = {f"{a}_m": x for a, x in zip(AXES, mean, strict=True)}
     columns |= {f"std_{a}_m": s for a, s in zip(AXES, sigmas, strict=True)}
     cov = estimates.covariance[:rows]

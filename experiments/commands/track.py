@@ -14,6 +14,7 @@ from experiments.commands.evaluate import SOURCES, judge
 from experiments.errors import UnusableInput
 from experiments.evaluation_text import to_text
 from experiments.events import EVENTS, events_of
+from experiments.lanes import known_height
 from experiments.manifest import write_manifest
 from experiments.pictures import draw_tracks
 from experiments.screen import notice, output_folder, progress, read_all
@@ -46,7 +47,8 @@ def track(  # noqa: D103
         batches = [type(g)(with_noise(g.tracker, values, noise), g.lanes, g.planar) for g in batches]
     if smooth or lag is not None:
         batches = [type(g)(_smoothed(g.tracker, name, lag), g.lanes, g.planar) for g in batches]
-    heights = sum(len(g.lanes) for g in batches if g.planar)
+    flat = [lane for g in batches if g.planar for lane in g.lanes]
+    heights = sum(known_height(lane.folder, lane.tag) is not None for lane in flat)
     if heights and not TRACKERS[name].bearing_only:
         notice(f"height: known from rig.toml for {heights} tag(s) and used; estimate it with --free-height")
     output_folder(out)

@@ -14,7 +14,7 @@ from experiments.catalogue import grouped
 from experiments.entry import Group
 from experiments.errors import UnusableInput
 from experiments.folder import Folder
-from experiments.lanes import Lane, true_paths
+from experiments.lanes import Lane, shown_height, true_paths
 from experiments.matching import Verdict, interpolated
 from experiments.study.declaration import WORLD, Cell, Entrant, Study
 from experiments.study.judged import judged
@@ -170,7 +170,7 @@ def _moments(lane: Lane, own: Estimates, size: int) -> tuple[np.ndarray, np.ndar
     else:
         parts = [np.asarray(x, float) for x in own.mean.position]
         d = len(parts)
-        place = np.stack(parts if d == 3 else [*parts, np.asarray(lane.recording.inputs["height"], float)], axis=-1)
+        place = np.stack(parts if d == 3 else [*parts, shown_height(lane)], axis=-1)
         index = {pair: k for k, pair in enumerate(triangle(own.dimension))}
         P = np.stack(
             [np.stack([own.cov_upper[index[min(i, j), max(i, j)]] for j in range(d)], -1) for i in range(d)], -2

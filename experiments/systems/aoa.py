@@ -6,7 +6,7 @@ from collections.abc import Callable, Hashable, Iterator
 
 import numpy as np
 
-from experiments.entry import Entry
+from experiments.entry import Entry, on_request
 from experiments.folder import Folder
 from experiments.lanes import Lane, by_tag, known_height, lane_of, true_paths, values_of
 from experiments.matching import numbers
@@ -140,7 +140,7 @@ TRACKERS = {
     "cascade": Entry(
         "3-D position: a beam tracker per station, then fusion (the paper's)", "phases", stations_of("phases", 2),
         phase_lanes, lambda lane, planar: cascade_tracker(_arrays(lane)), _all_arrays,
-        planar=lambda lane, free_height: False, automatic=False,
+        planar=lambda lane, free_height: False, automatic=on_request,
     ),
     "beam": Entry(
         "azimuth and elevation per station, EKF on phases", "phases", stations_of("phases", 1),
@@ -150,7 +150,7 @@ TRACKERS = {
         "azimuth and elevation per station, delay-and-sum on each row: the baseline", "phases",
         stations_of("phases", 1), beam_lanes,
         lambda lane, planar: DelayAndSum.of(_station(lane), PHASES, planar), _one_array, _in_plane,
-        automatic=False, bearing_only=True,
+        automatic=on_request, bearing_only=True,
     ),
     "bearings": Entry(
         "position from azimuths and elevations of any number of stations", "bearings", stations_of("bearings", 1),

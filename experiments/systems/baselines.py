@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from experiments.entry import Entry
+from experiments.entry import Entry, on_request
 from experiments.folder import Folder
 from experiments.lanes import Lane, by_tag, known_height, lane_of, true_paths, values_of
 from experiments.matching import numbers
@@ -80,22 +80,22 @@ TRACKERS = {
     ),
     "fix-singer": Entry(
         "position from fixes, Singer's fading acceleration", "fixes", lacks_fixes,
-        fix_lanes, lambda lane, planar: singer_tracker(planar=planar), automatic=False,
+        fix_lanes, lambda lane, planar: singer_tracker(planar=planar), automatic=on_request,
     ),
     "imm": Entry(
         "position from fixes, interacting constant-velocity models from calm to brisk", "fixes", lacks_fixes,
-        fix_lanes, lambda lane, planar: switching_tracker(planar=planar), automatic=False,
+        fix_lanes, lambda lane, planar: switching_tracker(planar=planar), automatic=on_request,
     ),
     "fix-mirror": Entry(
         "position from fixes that may be mirrored at the plane of the anchors, two branches", "fixes", lacks_plane,
-        side_lanes, lambda lane, planar: mirror_tracker(), planar=lambda lane, free_height: False, automatic=False,
+        side_lanes, lambda lane, planar: mirror_tracker(), planar=lambda lane, free_height: False, automatic=on_request,
     ),
     "moving-average": Entry(
         f"mean of the last {WINDOW} fixes", "fixes", lacks_fixes,
-        fix_lanes, lambda lane, planar: MovingWindow(WINDOW, median=False, planar=planar), automatic=False,
+        fix_lanes, lambda lane, planar: MovingWindow(WINDOW, median=False, planar=planar), automatic=on_request,
     ),
     "median": Entry(
         f"median of the last {WINDOW} fixes, axis by axis", "fixes", lacks_fixes,
-        fix_lanes, lambda lane, planar: MovingWindow(WINDOW, median=True, planar=planar), automatic=False,
+        fix_lanes, lambda lane, planar: MovingWindow(WINDOW, median=True, planar=planar), automatic=on_request,
     ),
 }  # fmt: skip

@@ -7,7 +7,7 @@ from collections.abc import Callable, Hashable, Iterator
 import numpy as np
 import polars as pl
 
-from experiments.entry import Entry
+from experiments.entry import Entry, on_request
 from experiments.errors import UnusableInput
 from experiments.folder import Folder
 from experiments.lanes import Lane, by_tag, known_height, lane_of, true_paths, values_of
@@ -57,10 +57,14 @@ def line_lanes(folder: Folder, free_height: bool) -> Iterator[Lane]:
 
 
 def path_of(folder: Folder) -> Polyline:
-    """The folder's known path; raises UnusableInput where there is none."""
+    """The folder's known path, closed where its ends nearly meet; raises UnusableInput where there is none."""
     if folder.rig.path_knots is None:
         raise UnusableInput(f"{folder.path}: no [path] in rig.toml, expected its knots_m = [[x, y], …]; add them")
-    return Polyline(folder.rig.path_knots)
+    knots = np.asarray(folder.rig.path_knots, float)
+    gap = float(np.linalg.norm(knots[-1] - knots[0]))
+    if 0.0 < gap <= CLOSED * np.linalg.norm(np.diff(knots, axis=0), axis=1).max():
+        knots = np.vstack([knots, knots[:1]])
+    return Polyline(knots)
 
 
 def left_the_line(lane: Lane, tracks: pl.DataFrame) -> list[tuple[float, str, str]]:
@@ -132,14 +136,19 @@ def _lacks(folder: Folder) -> str | None:
     """What a folder lacks for a tracker on a line."""
     if folder.rig.path_knots is None:
         return "a known path, [path] with knots_m in rig.toml, found none"
-    knots = np.asarray(folder.rig.path_knots, float)
-    if np.linalg.norm(knots[-1] - knots[0]) <= CLOSED * np.linalg.norm(np.diff(knots, axis=0), axis=1).max():
-        return "a path with two ends in rig.toml, found one that returns to its start"
     if _reads_ranges(folder) or "fixes" in folder.tables:
         return None
     if "ranges" in folder.tables:
         return "height_m of every tag in rig.toml to read ranges, or a fixes table, found neither"
     return "a ranges or fixes table, found none"
+
+
+def _loses_no_height(folder: Folder) -> bool:
+    """Whether a place on the floor is all there is to know: no fix tells of a height that the rig does not give."""
+    if _reads_ranges(folder):
+        return True
+    tags = folder.tables["fixes"].filter(pl.col("z_m").is_not_null())["tag"].unique()
+    return all(known_height(folder, str(tag)) is not None for tag in tags)
 
 
 def _geometry(lane: Lane) -> Hashable:
@@ -165,11 +174,11 @@ TRACKERS = {
     "line-grid": Entry(
         "position on a known path, by a grid of arclength and speed", "ranges or fixes, and [path]", _lacks,
         line_lanes, _assembled(line_grid_tracker), _geometry, lambda lane, free_height: True,
-        events=left_the_line,
+        automatic=_loses_no_height, events=left_the_line,
     ),
     "line-pf": Entry(
         "position on a known path, by 1,000 particles (the thesis's)", "ranges or fixes, and [path]", _lacks,
-        line_lanes, _assembled(line_tracker), _geometry, lambda lane, free_height: True, automatic=False,
+        line_lanes, _assembled(line_tracker), _geometry, lambda lane, free_height: True, automatic=on_request,
         events=left_the_line,
     ),
 }  # fmt: skip

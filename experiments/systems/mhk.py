@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from experiments.entry import Entry
+from experiments.entry import Entry, on_request
 from experiments.folder import Folder
 from experiments.lanes import Lane, known_height
 from experiments.systems.baselines import fix_lanes, lacks_fixes
@@ -33,11 +33,11 @@ def space_lanes(folder: Folder, free_height: bool) -> Iterator[Lane]:
 TRACKERS = {
     "mhk": Entry(
         "position from fixes: median, Markov model of accelerations, Kalman filter (the paper's)", "fixes", lacks_fixes,
-        space_lanes, lambda lane, planar: mhk_tracker(), planar=lambda lane, free_height: False, automatic=False,
+        space_lanes, lambda lane, planar: mhk_tracker(), planar=lambda lane, free_height: False, automatic=on_request,
     ),
     "mhk-stamped": Entry(
         "the same, each estimate with the time of its median's middle", "fixes", lacks_fixes,
         space_lanes, lambda lane, planar: mhk_tracker(stamped=True), planar=lambda lane, free_height: False,
-        automatic=False,
+        automatic=on_request,
     ),
 }  # fmt: skip

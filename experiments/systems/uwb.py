@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 import polars as pl
 
-from experiments.entry import Entry
+from experiments.entry import Entry, on_request
 from experiments.folder import Folder
 from experiments.lanes import Lane, by_tag, known_height, lane_of, true_paths, values_of
 from experiments.matching import numbers
@@ -157,16 +157,16 @@ TRACKERS = {
     "multilateration": Entry(
         "position from the ranges of the moment, robust least squares: a baseline", "ranges", lacks_ranges,
         snapshot_lanes, lambda lane, planar: multilateration_tracker(planar),
-        lambda lane: len(lane.folder.rig.anchors), automatic=False,
+        lambda lane: len(lane.folder.rig.anchors), automatic=on_request,
     ),
     "trilateration": Entry(
         "position from three ranges, by circles and without the paper's (14)", "ranges", _lacks_known_height,
         triple_lanes, lambda lane, planar: trilateration_tracker(compensated=False),
-        planar=lambda lane, free_height: True, automatic=False,
+        planar=lambda lane, free_height: True, automatic=on_request,
     ),
     "trilateration-compensated": Entry(
         "position from three ranges, by circles, each range lengthened by (14): the paper's", "ranges",
         _lacks_known_height, triple_lanes, lambda lane, planar: trilateration_tracker(compensated=True),
-        planar=lambda lane, free_height: True, automatic=False,
+        planar=lambda lane, free_height: True, automatic=on_request,
     ),
 }  # fmt: skip

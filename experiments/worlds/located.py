@@ -9,6 +9,7 @@ import polars as pl
 
 from experiments.catalogue import groups
 from experiments.folder import Folder
+from experiments.lanes import shown_height
 from experiments.tracks import batches
 
 
@@ -21,7 +22,7 @@ def located(folder: Folder, tracker: str, free_height: bool = False) -> Folder:
             for k, lane in enumerate(lanes):
                 one, rows = estimates[k], len(lane.recording)
                 place = [np.asarray(x, float)[:rows] for x in one.mean.position]
-                axes = place if len(place) == 3 else [*place, lane.recording.inputs["height"]]
+                axes = place if len(place) == 3 else [*place, shown_height(lane)]
                 columns = {f"{a}_m": x for a, x in zip("xyz", axes, strict=True)}
                 tag = pl.repeat(lane.tag, rows, eager=True)
                 found = pl.DataFrame({"t_s": lane.recording.times, "tag": tag} | columns)

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import replace
 
+import numpy as np
 import polars as pl
 import pytest
 
 from experiments.catalogue import fitting
 from experiments.folder import read_folder
+from experiments.systems.line import path_of
 from tests.experiments.in_process import assert_refused, trackwright
 
 WORLDS = {
     "simulate-line": (("--rate-hz", 2), {"fixes", "truth"}, "line-grid"),
     "simulate-ranges": (("--rows", 30), {"ranges", "truth"}, "uwb"),
     "simulate-imu": (("--rows", 40), {"ranges", "imu", "truth"}, "uwb-imu"),
-    # Round and round is no line with two ends.
+    # Its fixes have heights, which a tracker on a line would lose.
     "simulate-agv": (("--rows", 50, "--latency", 0.3, "--mirror", 0.1, "--wild", 0.01), {"fixes", "truth"}, "fix-kf"),
 }
 
@@ -53,6 +56,22 @@ def test_a_tag_of_a_world_depends_on_seed_and_number_alone(worlds, tmp_path):
 def test_a_world_that_can_not_be_is_refused_with_its_option(tmp_path, command, option, value):
     assert_refused(trackwright(command, option, value, "--out", tmp_path / "out"), option, "expected a number from")
     assert not (tmp_path / "out").exists()
+
+
+def test_a_tag_on_a_closed_path_is_tracked_round_it_and_has_no_height(worlds, tmp_path):
+    folder = read_folder(worlds / "simulate-agv")
+    knots = folder.rig.path_knots
+    # Ends that nearly meet close the path, too.
+    gap, part = np.vstack([knots[:-1:60], knots[-1] + 0.01]), knots[:300]
+    closed = [path_of(replace(folder, rig=replace(folder.rig, path_knots=k))).closed for k in (knots, gap, part)]
+    assert closed == [True, True, False]
+    said = trackwright("track", worlds / "simulate-agv", "--tracker", "line-grid", "--out", tmp_path / "out")
+    assert said.code == 0, said
+    assert "height" not in said.err
+    tracks = pl.read_parquet(tmp_path / "out" / "tracks.parquet")
+    assert tracks["z_m"].null_count() == len(tracks)
+    places = tracks.select("x_m", "y_m").to_numpy()
+    assert path_of(folder).nearest(places)[1].max() < 1e-4
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ from trackers.core.motion import Kinematic
 from trackers.line.fixes import FloorFixes
 from trackers.line.motion import HaltingMotion, LineMotion, OnLine, OnSegment
 from trackers.line.polyline import Polyline
+from trackers.line.tracker import line_motion
 
 KNOTS = [[2.615, 8.26], [6.665, 8.26], [6.665, 6.151], [2.615, 6.151], [2.615, 4.065], [6.665, 4.065]]
 
@@ -101,3 +102,27 @@ def test_a_tag_that_reaches_a_join_rests_on_it_or_goes_on_and_leaves_again():
     assert [float(x) for x in left] == [pytest.approx(4.05), 1.0, 0.0]
     onward = motion.step(left, {}, dt, Vector(0.0, -9.0))
     assert [float(x) for x in onward] == [pytest.approx(5.05), 1.0, 0.0]
+
+
+@pytest.mark.parametrize("closed", [False, True])
+def test_a_path_of_many_knots_is_the_polyline_through_them(closed):
+    angles = np.linspace(0.0, 2 * np.pi if closed else 5.0, 40)
+    knots = np.stack([2 * np.cos(angles), np.sin(angles)], axis=1)
+    knots[-1] = knots[0] if closed else knots[-1]
+    line = Polyline(knots)
+    starts = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(knots, axis=0), axis=1))])
+    d = np.linspace(1e-6, line.length - 1e-6, 333)
+    places = np.stack([np.interp(d, starts, axis) for axis in knots.T])
+    np.testing.assert_allclose(list(line.position(jnp.asarray(d))), places, atol=1e-9)
+    slopes = (np.asarray(list(line.position(jnp.asarray(d + 1e-7)))) - places) / 1e-7
+    np.testing.assert_allclose(list(line.direction(jnp.asarray(d))), slopes, atol=1e-5)
+    joins = starts[1:] if closed else starts[1:-1]
+    expected = [min((j for j in joins if j > x), default=np.inf) for x in d]
+    np.testing.assert_allclose(line.next_join(jnp.asarray(d)), expected, atol=1e-9)
+
+
+def test_knots_that_draw_a_curve_are_no_places_to_rest():
+    angles = np.linspace(0.0, 6.0, 61)
+    assert isinstance(line_motion(Polyline(np.stack([np.cos(angles), np.sin(angles)], axis=1))), LineMotion)
+    assert isinstance(line_motion(Polyline(KNOTS)), HaltingMotion)
+    assert isinstance(line_motion(Polyline(KNOTS[:2])), LineMotion)

@@ -44,7 +44,7 @@ class AbstractReport(eqx.Module):
     """What a filter shows of a state, where that is another quantity: a place on the floor for one on a line."""
 
     @abstractmethod
-    def moments(self, mean: State, states: State, weights: Any) -> tuple[State, tuple[Scalar, ...]]:
+    def moments(self, states: State, weights: Any) -> tuple[State, tuple[Scalar, ...]]:
         """The shown quantity of the mean state, and the upper triangle of its spread about that.
 
         `states`: leaves that end with an axis along `weights`, which add to 1.
@@ -186,15 +186,20 @@ def weighted_moments(
 ) -> tuple[State, tuple[Scalar, ...]]:
     """Mean and covariance (upper triangle) of states whose leaves end with an axis along `weights`, which add to 1.
 
-    With a `report`: what it makes of the mean state and of the states.
+    With a `report`: what it makes of the states.
     """
-    first = jax.tree_util.tree_map(lambda x: x[..., 0], states)
-    apart = jax.vmap(lambda s: local(first, s), in_axes=-1, out_axes=-1)(states)
-    mean = retract(first, [jnp.sum(weights * step) for step in apart])
     if report is not None:
-        return report.moments(mean, states, weights)
+        return report.moments(states, weights)
+    mean = weighted_mean(states, weights)
     about = jax.vmap(lambda s: local(mean, s), in_axes=-1, out_axes=-1)(states)
     return mean, second_moments(about, weights)
+
+
+def weighted_mean(states: State, weights: Any) -> State:
+    """The mean of states whose leaves end with an axis along `weights`, which add to 1."""
+    first = jax.tree_util.tree_map(lambda x: x[..., 0], states)
+    apart = jax.vmap(lambda s: local(first, s), in_axes=-1, out_axes=-1)(states)
+    return retract(first, [jnp.sum(weights * step) for step in apart])
 
 
 def second_moments(values: list[Any], weights: Any) -> tuple[Scalar, ...]:

@@ -13,13 +13,17 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr
 
-from trackers.core.algebra import Scalar, shared
+from trackers.core.algebra import Scalar, shared, total
 from trackers.core.ekf import Gaussian, Innovation
 from trackers.core.motion import AbstractMotion
 from trackers.core.particles import normalised_square, weighed, weighted_moments
 from trackers.core.sensor import AbstractSensor, Reading
 from trackers.core.state import State
 from trackers.line.motion import HaltingMotion, LineMotion, OnFloor, OnLine
+from trackers.line.polyline import Polyline
+
+ROUNDS = 2
+"""Rounds of a closed path that a belief may reach either way when it begins."""
 
 
 class Discrete(NamedTuple):
@@ -32,6 +36,8 @@ class Discrete(NamedTuple):
 class GridFilter(eqx.Module):
     """`cells` places along the path, the first and last at its ends, and `speeds` from 0 to `fastest` m/s.
 
+    Of a closed path the place after the last is the first.
+
     The motion is a `LineMotion` or a `HaltingMotion`, whose steps are copied law for law: travel shares a cell's
     probability between the two cells it falls between, a change of speed is the heat kernel of the grid, whose mean and
     variance are right however small the change. Sensors read the position. Nothing is faster than `fastest`.
@@ -43,6 +49,11 @@ class GridFilter(eqx.Module):
     fastest: float = eqx.field(static=True)
 
     @property
+    def line(self) -> Polyline:
+        """The path."""
+        return self.report.line
+
+    @property
     def heavy(self) -> bool:
         """A belief has axes of its own: see `is_heavy` in `trackers/core/tracker.py`."""
         return True
@@ -50,10 +61,10 @@ class GridFilter(eqx.Module):
     def init(self, belief: Gaussian, key: Any) -> Discrete:
         """The probabilities of a normal belief with independent components; what is off the grid counts at its edge."""
         variances = belief.cov[0], belief.cov[len(belief.mean)]
-        along, fast = (
-            _masses(grid, mean, jnp.sqrt(jnp.maximum(v, 1e-12)))
-            for grid, mean, v in zip(self._axes(belief.mean[0].dtype), belief.mean[:2], variances, strict=True)
-        )
+        (place, speed), sigmas = belief.mean[:2], [jnp.sqrt(jnp.maximum(v, 1e-12)) for v in variances]
+        cells, fast = self._axes(place.dtype)
+        fast = _masses(fast, speed, sigmas[1])
+        along = self._around(cells, place, sigmas[0]) if self.line.closed else _masses(cells, place, sigmas[0])
         resting = belief.mean.resting if hasattr(belief.mean, "resting") else 0.0
         return Discrete(along[:, None] * fast[None, :] * (1.0 - resting), along * resting)
 
@@ -104,17 +115,28 @@ class GridFilter(eqx.Module):
         weights = jnp.concatenate([belief.travelling.reshape(-1), belief.resting])
         return weighted_moments(states, weights, self.report)
 
+    def _around(self, cells: Any, mean: Scalar, sigma: Scalar) -> Any:
+        """The probabilities of a normal number in the cells of a closed path, rounds of which are the same."""
+        middles = cells - 0.5 * cells[1]
+        edges = jnp.append(middles, middles[0] + self.line.length)
+        rounds = [ndtr((edges + (k * self.line.length - mean)) / sigma) for k in range(-ROUNDS, ROUNDS + 1)]
+        masses = total(jnp.diff(edges) for edges in rounds)
+        return masses / jnp.sum(masses)
+
     def _axes(self, dtype: Any) -> tuple[Any, Any]:
         """The places (cells,), m, and the speeds (speeds,), m/s."""
-        spacing = jnp.asarray(self.report.line.length, dtype) / (self.cells - 1)
+        spacing = jnp.asarray(self.line.length, dtype) / (self.cells if self.line.closed else self.cells - 1)
         steps = jnp.arange(self.speeds, dtype=dtype) * (self.fastest / (self.speeds - 1))
         return jnp.arange(self.cells, dtype=dtype) * spacing, steps
 
     def _moved(self, travelling: Any, shift: Any) -> Any:
-        """Every column moved on by its own number of cells, (speeds,); at the end of the path it stays."""
+        """Every column moved on by its own number of cells, (speeds,); at the end of a path with ends it stays."""
         whole = jnp.minimum(jnp.floor(shift), self.cells)
         part = jnp.clip(shift - whole, 0.0, 1.0)[None, :]
         source = jnp.arange(self.cells, dtype=jnp.int32)[:, None] - whole.astype(jnp.int32)[None, :]
+        if self.line.closed:
+            pieces = [jnp.take_along_axis(travelling, s % self.cells, axis=0) for s in (source, source - 1)]
+            return (1.0 - part) * pieces[0] + part * pieces[1]
         pieces = [
             jnp.where(s >= 0, jnp.take_along_axis(travelling, jnp.maximum(s, 0), axis=0), 0.0)
             for s in (source, source - 1)
@@ -140,15 +162,11 @@ class GridFilter(eqx.Module):
 
     def _halted(self, travelling: Any, motion: HaltingMotion, along: Any, steps: Any) -> tuple[Any, Any]:
         """What travels on, and what halts at the first join it reaches in steps of (speeds,) m, by cell."""
-        halted, free = jnp.zeros_like(along), jnp.ones_like(travelling)
         tolerance = 1e-3 * along[1]
-        for join in motion.line.joins:
-            reached = (along[:, None] < join - tolerance) & (join - tolerance <= along[:, None] + steps[None, :])
-            crossing = jnp.where(reached, free, 0.0)
-            here = (along >= join - tolerance) & (along - along[1] < join - tolerance)
-            halted = halted + jnp.where(here, motion.halting.value * jnp.sum(travelling * crossing), 0.0)
-            free = free - crossing
-        return travelling * (1.0 - motion.halting.value * (1.0 - free)), halted
+        ahead = self.line.next_join(along + tolerance) - tolerance
+        halting = jnp.where(ahead[:, None] <= along[:, None] + steps[None, :], travelling * motion.halting.value, 0.0)
+        there = jnp.ceil(jnp.where(jnp.isfinite(ahead), ahead, 0.0) / along[1]).astype(jnp.int32) % self.cells
+        return travelling - halting, jnp.zeros_like(along).at[there].add(jnp.sum(halting, axis=1))
 
 
 def _masses(grid: Any, mean: Scalar, sigma: Scalar) -> Any:

@@ -9,7 +9,7 @@ from jax.scipy.special import ndtri
 
 from trackers.core.algebra import Scalar, Vector
 from trackers.core.motion import AbstractMotion, Kinematic, Noise, scaled
-from trackers.core.particles import AbstractReport, second_moments
+from trackers.core.particles import AbstractReport, second_moments, weighted_mean
 from trackers.core.tunable import Fraction, Scale
 from trackers.line.polyline import Polyline
 
@@ -34,7 +34,7 @@ class OnSegment(NamedTuple):
 
 
 class LineMotion(AbstractMotion):
-    """d ← d + speed·dt, speed ← max(0, speed + a) with a normal (2.2), up to the end of the path.
+    """d ← d + speed·dt, speed ← max(0, speed + a) with a normal (2.2), up to the end of the path or round it.
 
     `sigma_a`: m/s per √s. The thesis has a standard deviation per step; per √s it does not depend on the rate.
     """
@@ -52,9 +52,10 @@ class LineMotion(AbstractMotion):
 
     def step(self, state: OnLine, inputs: Any, dt: Scalar, w: Vector) -> OnLine:
         # A belief that was given as a normal one reaches beyond the path and below no speed: it is cut off here.
-        along = jnp.maximum(state.arclength, 0.0) + jnp.maximum(state.speed, 0.0) * dt
-        arclength = jnp.minimum(along, self.line.length)
-        return OnLine(arclength, jnp.maximum(state.speed + w[0] * (self.sigma_a.value * jnp.sqrt(dt)), 0.0))
+        along = self.line.on_path(state.arclength) + jnp.maximum(state.speed, 0.0) * dt
+        return OnLine(
+            self.line.on_path(along), jnp.maximum(state.speed + w[0] * (self.sigma_a.value * jnp.sqrt(dt)), 0.0)
+        )
 
     def log_density(self, state: OnLine, inputs: Any, dt: Scalar, w: Vector) -> Scalar:
         return scaled(w[0], self.sigma_a.value)
@@ -92,8 +93,9 @@ class HaltingMotion(AbstractMotion):
     def step(self, state: OnSegment, inputs: Any, dt: Scalar, w: Vector) -> OnSegment:
         travelled, ahead = self._travelled(state, inputs, dt, w)
         resting, halts, leaves = self._choices(state, ahead, dt, w)
-        here = jnp.clip(state.arclength, 0.0, self.line.length)
-        arclength = jnp.where(resting, here, jnp.where(halts, ahead, travelled.arclength))
+        here = self.line.on_path(state.arclength)
+        stop = jnp.where(halts, self.line.on_path(ahead), travelled.arclength)
+        arclength = jnp.where(resting, here, stop)
         # A tag at rest has no speed; the one with which it leaves is drawn from the same number as a change of speed.
         departure = jnp.where(leaves, jnp.abs(w[0]) * self.sigma_departure.value, 0.0)
         speed = jnp.where(resting, departure, jnp.where(halts, 0.0, travelled.speed))
@@ -114,10 +116,9 @@ class HaltingMotion(AbstractMotion):
     def _travelled(self, state: OnSegment, inputs: Any, dt: Scalar, w: Vector) -> tuple[OnLine, Scalar]:
         """The state after travel without joins, and the arclength of the first join on its way; infinite for none."""
         travelled = LineMotion(self.line, self.sigma_a).step(OnLine(state.arclength, state.speed), inputs, dt, w)
-        ahead = jnp.full_like(travelled.arclength, jnp.inf)
-        for join in reversed(self.line.joins):
-            ahead = jnp.where((state.arclength < join) & (join <= travelled.arclength), join, ahead)
-        return travelled, ahead
+        here = self.line.on_path(state.arclength)
+        ahead = self.line.next_join(here)
+        return travelled, jnp.where(ahead <= here + jnp.maximum(state.speed, 0.0) * dt, ahead, jnp.inf)
 
     def _choices(self, state: OnSegment, ahead: Scalar, dt: Scalar, w: Vector) -> tuple[Scalar, Scalar, Scalar]:
         """Whether the tag rests, halts at the join ahead, leaves its rest."""
@@ -144,8 +145,9 @@ class OnFloor(AbstractReport):
     line: Polyline
     sigma_line: Noise
 
-    def moments(self, mean: Any, states: Any, weights: Any) -> tuple[Kinematic, tuple[Scalar, ...]]:
+    def moments(self, states: Any, weights: Any) -> tuple[Kinematic, tuple[Scalar, ...]]:
         """The mean state's place and velocity; the spread of places about it, velocities along the segment there."""
+        mean = weighted_mean(states._replace(arclength=self.line.gathered(states.arclength, weights)), weights)
         shown = on_floor(self.line, mean)
         places = self.line.position(states.arclength) - shown.position
         xx, xy, xs, yy, ys, ss = second_moments([*places, states.speed - mean.speed], weights)

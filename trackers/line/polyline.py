@@ -9,22 +9,30 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.core.algebra import Scalar, Vector, total
+from trackers.core.state import wrap
+
+FEW = 16
+"""Segments up to which places are sums over the joins; on a path of more its segment is looked up."""
+
+LOOK_UP = "scan_unrolled"
+"""Halving without a loop, which an accelerator and a batch of particles both like."""
 
 
 class Polyline(eqx.Module):
     """The path through `knots` (k, 2) m, by arclength d in m from its first knot; beyond its ends it stays there.
 
-    Places are sums over the joins sₖ, so that thousands of particles need no look-up: x(d) = x₀ + u₀·d +
-    Σ (uₖ − uₖ₋₁)·max(d − sₖ, 0) with d cut off at the ends, which is (2.5) of the thesis for its five segments. Raises
-    ValueError for a knot that is not finite or repeats the one before.
+    A path whose last knot is its first is closed, and goes on round and round: d and d + length are the same place.
+    Places on few segments are sums over the joins sₖ, so that thousands of particles need no look-up: x(d) = x₀ +
+    u₀·d + Σ (uₖ − uₖ₋₁)·max(d − sₖ, 0) with d cut off at the ends, which is (2.5) of the thesis for its five segments.
+    Raises ValueError for a knot that is not finite or repeats the one before.
     """
 
-    first: Any
-    last: Any
+    knots: Any
     directions: Any
     starts: Any
     lengths: Any
     length: Any
+    closed: bool = eqx.field(static=True)
 
     def __init__(self, knots: Any):
         knots = np.asarray(knots, float)
@@ -37,21 +45,52 @@ class Polyline(eqx.Module):
         if not np.all(lengths > 0):
             k = int(np.argmin(lengths)) + 1
             raise ValueError(f"knot {k} of the path repeats the one before, {knots[k].tolist()}; leave one of them out")
-        self.first, self.last = knots[0], knots[-1]
+        self.knots = knots
         self.directions = steps / lengths[:, None]
         self.starts = np.concatenate([[0.0], np.cumsum(lengths)[:-1]])
         self.lengths = lengths
         self.length = float(lengths.sum())
+        self.closed = bool(np.array_equal(knots[0], knots[-1]))
 
     @property
-    def joins(self) -> list[Scalar]:
-        """The arclengths at which two segments meet, m."""
-        return [self.starts[k] for k in range(1, np.shape(self.starts)[0])]
+    def joins(self) -> Any:
+        """The arclengths at which two segments meet, m, in their order; of a closed path its end is one too."""
+        return jnp.append(self.starts[1:], self.length) if self.closed else self.starts[1:]
+
+    def next_join(self, arclength: Any) -> Any:
+        """The first join beyond these arclengths on the path, m; infinite where there is none."""
+        joins = self.joins
+        if len(joins) > FEW:
+            return jnp.append(joins, jnp.inf)[jnp.searchsorted(joins, arclength, side="right", method=LOOK_UP)]
+        ahead = jnp.full_like(arclength, jnp.inf)
+        for k in reversed(range(len(joins))):
+            ahead = jnp.where(arclength < joins[k], joins[k], ahead)
+        return ahead
+
+    def on_path(self, arclength: Scalar) -> Scalar:
+        """The arclength brought to 0 … `length`: cut off at the ends, or less whole rounds of a closed path."""
+        return jnp.clip(self.unwound(arclength), 0.0, self.length)
+
+    def unwound(self, arclength: Scalar) -> Scalar:
+        """The arclength, less the whole rounds of a closed path that are in it."""
+        return arclength - self.length * jnp.floor(arclength / self.length) if self.closed else arclength
+
+    def gathered(self, arclength: Any, weights: Any) -> Any:
+        """Arclengths (N,) that may be averaged: of a closed path within half a round of their mean on the circle."""
+        if not self.closed:
+            return arclength
+        angle = arclength * (2.0 * jnp.pi / self.length)
+        mean = jnp.arctan2(jnp.sum(weights * jnp.sin(angle)), jnp.sum(weights * jnp.cos(angle)))
+        return (mean + wrap(angle - mean)) * (self.length / (2.0 * jnp.pi))
 
     def position(self, arclength: Scalar) -> Vector:
         """The place at this arclength, m."""
-        along = jnp.clip(arclength, 0.0, self.length)
-        joins, (x0, _), (_, y1) = self.starts[1:], self.first, self.last
+        along = self.on_path(arclength)
+        if len(self.starts) > FEW:
+            k = self._segment(along)
+            corner, ahead = jnp.asarray(self.knots)[k], self.direction(arclength)
+            return Vector.of(corner[..., a] + ahead[a] * (along - jnp.asarray(self.starts)[k]) for a in (0, 1))
+        joins, (x0, _), (_, y1) = self.starts[1:], self.knots[0], self.knots[-1]
         turns = [b - a for a, b in zip(self.directions[:-1], self.directions[1:], strict=True)]
         # y from the far end: terms that both sums share would go through memory, one array of particles each.
         x = x0 + self.directions[0][0] * along
@@ -62,18 +101,24 @@ class Polyline(eqx.Module):
 
     def direction(self, arclength: Scalar) -> Vector:
         """The unit vector of the segment at this arclength; at a join that of the segment which begins there."""
-        here = [jnp.where(arclength >= s, 1.0, 0.0) for s in self.starts[1:]]
+        along = self.on_path(arclength)
+        if len(self.starts) > FEW:
+            directions = jnp.asarray(self.directions)[self._segment(along)]
+            return Vector(directions[..., 0], directions[..., 1])
+        here = [jnp.where(along >= s, 1.0, 0.0) for s in self.starts[1:]]
         turns = [b - a for a, b in zip(self.directions[:-1], self.directions[1:], strict=True)]
         return Vector.of(
             self.directions[0][a] + total(t[a] * h for t, h in zip(turns, here, strict=True)) for a in (0, 1)
         )
 
+    def _segment(self, along: Any) -> Any:
+        return jnp.searchsorted(self.starts[1:], along, side="right", method=LOOK_UP)
+
     def nearest(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The arclengths of the points of the path nearest to `places` (..., 2), and their distances, m; NumPy."""
-        first, directions = np.asarray(self.first, float), np.asarray(self.directions, float)
+        knots, directions = np.asarray(self.knots, float), np.asarray(self.directions, float)
         starts, lengths = np.asarray(self.starts, float), np.asarray(self.lengths, float)
-        corners = first + np.concatenate([[[0.0, 0.0]], np.cumsum(directions * lengths[:, None], axis=0)[:-1]])
-        apart = np.asarray(places, float)[..., None, :] - corners
+        apart = np.asarray(places, float)[..., None, :] - knots[:-1]
         along = np.clip((apart * directions).sum(axis=-1), 0.0, lengths)
         distance = np.sqrt(((apart - along[..., None] * directions) ** 2).sum(axis=-1))
         best = np.argmin(distance, axis=-1)[..., None]

@@ -28,6 +28,9 @@ SIGMA_A = 0.05
 SIGMA_LINE = 0.02
 """How well a marked path is known, m."""
 
+DRAWN = 0.5
+"""Metres between knots below which they draw a curve."""
+
 PATIENT = LossPolicy(limit=30.0, patience=np.inf)
 """A path that is known keeps a silent tag, and errors of fixes last for seconds; whether it left: `leaving.py`."""
 
@@ -39,8 +42,9 @@ class LineStart(AbstractStart):
     """Where the first row's readings put a tag on the line, of which it more likely has just entered the beginning.
 
     Before them, half of the belief stands on the first knot, the other half of a normal one whose scale is half the
-    path's length. Afterwards the tag may be off by `sigma_start` m beyond what they say, since a first reading can be
-    wild. Half of the belief has no speed, the rest one of scale `sigma_speed` m/s, or `resting` says that it rests.
+    path's length; on a closed path all places are as likely. Afterwards the tag may be off by `sigma_start` m beyond
+    what they say, since a first reading can be wild. Half of the belief has no speed, the rest one of scale
+    `sigma_speed` m/s, or `resting` says that it rests.
     """
 
     line: Polyline
@@ -57,6 +61,8 @@ class LineStart(AbstractStart):
     def acquire(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
         along = jnp.arange(PLACES, dtype=row.dt.dtype) * (self.line.length / (PLACES - 1))
         prior = jnp.exp(-2.0 * (along / self.line.length) ** 2)
+        # Of a closed path the first place is the last one again.
+        prior = jnp.ones_like(along).at[0].set(0.0) if self.line.closed else prior.at[0].set(jnp.sum(prior))
 
         def weigh(arclength: Scalar) -> Scalar:
             view = on_floor(self.line, OnLine(arclength, 0.0 * arclength))
@@ -67,8 +73,9 @@ class LineStart(AbstractStart):
             return total(densities)
 
         densities = jax.vmap(weigh)(along)
-        weights = jnp.exp(densities - jnp.max(densities)) * prior.at[0].set(jnp.sum(prior))
+        weights = jnp.exp(densities - jnp.max(densities)) * prior
         weights = weights / jnp.sum(weights)
+        along = self.line.gathered(along, weights)
         mean = jnp.sum(weights * along)
         return jnp.stack([mean, jnp.sum(weights * (along - mean) ** 2)])
 
@@ -81,8 +88,13 @@ class LineStart(AbstractStart):
 
 
 def line_motion(line: Polyline, sigma_a: float = SIGMA_A) -> LineMotion | HaltingMotion:
-    """Travel that halts at joins where the path has any; σa in m/s per √s."""
-    return HaltingMotion(line, sigma_a) if len(line.joins) else LineMotion(line, sigma_a)
+    """Travel that halts at joins; σa in m/s per √s.
+
+    Plain travel where the path has none, or where its segments are shorter than `DRAWN` on average: the knots of a
+    curve are no places to rest.
+    """
+    drawn = line.length < DRAWN * len(line.lengths)
+    return LineMotion(line, sigma_a) if drawn or not len(line.joins) else HaltingMotion(line, sigma_a)
 
 
 def line_tracker(
