@@ -93,6 +93,7 @@ def test_nothing_reaches_back_over_a_new_start(world):
         np.testing.assert_array_equal(flat(filtered[lane].mean)[row], flat(smoothed[lane].mean)[row])
 
 
+@pytest.mark.slow
 def test_a_padded_recording_is_smoothed_as_the_unpadded_one_to_the_bit(world):
     short = stack([recording(t, {"z": (z, s)}, world.mean, world.cov) for t, z, s in world.lanes[:1]])
     padded = stack([recording(t, {"z": (z, s)}, world.mean, world.cov) for t, z, s in world.lanes[:1]], rows=20)

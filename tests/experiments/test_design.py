@@ -95,6 +95,7 @@ def ceiling():
     return layout, jax.jit(jax.value_and_grad(layout.objective(TOOL_POINTS)))
 
 
+@pytest.mark.slow
 def test_stations_on_a_ceiling_have_the_bound_of_those_that_the_simulator_turns_to_the_target(ceiling):
     layout, evaluate = ceiling
     theta = np.array([[0.2, 0.3], [0.8, 0.4], [0.5, 0.9]])

@@ -60,6 +60,7 @@ def test_the_score_form_sees_walls(scores):
     assert _apart(scores) < 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [corridor.BoxedNaive, corridor.BoxedReparameterised])
 def test_estimators_along_moves_do_not_see_walls(kind):
     assert _apart(_score(kind)) > 12

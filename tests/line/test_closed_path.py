@@ -50,7 +50,7 @@ def _filter(kind, line):
 
 
 @pytest.mark.parametrize("filter", ["particles", "grid"])
-@pytest.mark.parametrize("motion", ["plain", "halting"])
+@pytest.mark.parametrize("motion", [pytest.param("plain", marks=pytest.mark.slow), "halting"])
 def test_going_round_is_going_on_along_rounds_laid_out(motion, filter):
     # The belief begins so near the first knot that it reaches round it before any step.
     closed = _run(motion, LOOP, _filter(filter, LOOP), -0.1)
@@ -75,6 +75,7 @@ def test_means_of_arclengths_on_both_sides_of_the_first_knot_are_between_them():
     np.testing.assert_allclose(LOOP.position(jnp.asarray(-0.075)), [0.0, 0.075], atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [line_grid_tracker, line_tracker])
 def test_a_tag_that_goes_round_and_round_is_followed_from_wherever_it_is_first_seen(make):
     rng, times = np.random.default_rng(1), 0.25 * np.arange(240)

@@ -64,7 +64,7 @@ class Pair:
         self.particles = _tracker(kind, ParticleFilter(1000, report=REPORT)).run(stack(_lanes(kind, KEYS)))
 
 
-@pytest.fixture(scope="module", params=STARTS)
+@pytest.fixture(scope="module", params=[pytest.param("plain", marks=pytest.mark.slow), "halting"])
 def pair(request):
     return Pair(request.param)
 

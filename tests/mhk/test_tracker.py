@@ -32,6 +32,7 @@ def tracker(request):
     return mhk_tracker(rate=request.param)
 
 
+@pytest.mark.slow
 def test_tags_in_a_ragged_batch_are_as_each_alone(tracker):
     recordings = [_recording(60, 0), _recording(30, 1)]
     together = tracker.run(stack(recordings))

@@ -148,6 +148,7 @@ def test_the_ideal_imu_reads_circle_and_gravity():
     np.testing.assert_allclose(gyro[0], np.tile([0, 0, 1], (len(t), 1)), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_body_depends_on_seed_and_id_alone():
     many, one = (
         simulate_uwb_imu(chamber(), n=n, seed=4, n_points=20, ids=ids) for n, ids in ((3, [5, 6, 7]), (1, [6]))

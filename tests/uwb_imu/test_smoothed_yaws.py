@@ -54,6 +54,7 @@ def runs():
     return _smoothed(YawBank(count=2)).run(_recording()), [both[0], both[1]]
 
 
+@pytest.mark.slow
 def test_the_mean_of_the_bank_is_the_yaws_own_by_their_likelihood(runs):
     bank, yaws = runs
     evidence = np.array([one.log_likelihood.sum() for one in yaws])
@@ -72,6 +73,7 @@ def test_the_mean_of_the_bank_is_the_yaws_own_by_their_likelihood(runs):
     np.testing.assert_allclose(found, mean, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_spread_of_the_bank_is_within_the_yaws_and_between_them(runs):
     bank, yaws = runs
     evidence = np.array([one.log_likelihood.sum() for one in yaws])
