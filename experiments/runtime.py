@@ -14,12 +14,8 @@ COLLECT_AFTER = 200_000
 
 
 def set_flags() -> None:
-    """Add to XLA_FLAGS, unless the user already says so there: multi-output fusion and one device per core.
-
-    Also lets Python look for garbage less often.
-    """
+    """Add multi-output fusion to XLA_FLAGS, unless the user already says so there; look for garbage less often."""
     gc.set_threshold(COLLECT_AFTER, *gc.get_threshold()[1:])
     present = os.environ.get("XLA_FLAGS", "")
-    wanted = [FUSION, f"--xla_force_host_platform_device_count={len(os.sched_getaffinity(0))}"]
-    added = [flag for flag in wanted if flag.split("=")[0] not in present]
-    os.environ["XLA_FLAGS"] = " ".join([present, *added]).strip()
+    if FUSION.split("=")[0] not in present:
+        os.environ["XLA_FLAGS"] = f"{present} {FUSION}".strip()

@@ -6,7 +6,6 @@ import re
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import jax
 import numpy as np
 import polars as pl
 
@@ -27,12 +26,14 @@ WORDS = {
 }
 AXES = "xyz"
 
+TOGETHER = 8 * CHUNK
+"""Trajectories in memory at once: as many on every machine, since a batch's last chunk has a shape of its own."""
+
 
 def batches(lanes: Sequence[Lane]) -> list[tuple[list[Lane], Batch]]:
-    """The lanes in batches of at most a chunk per device, those of like length together, padded to few lengths."""
-    size = CHUNK * jax.local_device_count()
+    """The lanes in batches of at most `TOGETHER`, those of like length together, padded to few lengths."""
     ordered = sorted(lanes, key=lambda lane: len(lane.recording))
-    parts = [ordered[k : k + size] for k in range(0, len(ordered), size)]
+    parts = [ordered[k : k + TOGETHER] for k in range(0, len(ordered), TOGETHER)]
     return [(part, stack([x.recording for x in part], rows=rounded(len(part[-1].recording)))) for part in parts]
 
 

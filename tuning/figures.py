@@ -11,7 +11,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.chunks import CHUNK, chunks, over_lanes, prepared
+from trackers.core.chunks import CHUNK, chunks, over_parts, prepared
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker
 from tuning.consistency import Consistency
@@ -92,7 +92,7 @@ def _figures(
 ) -> dict[str, float]:
     every = Weighted(tuple(judges.values()), (1.0,) * len(judges)).informed(tracker)
     model = prepared((tracker, every), batches[0].dt.dtype)
-    parts = [over_lanes(_sums, model, part) for batch in batches for part in chunks(batch, chunk)]
+    parts = over_parts(_sums, [(model, part) for batch in batches for part in chunks(batch, chunk)])
     sums = np.concatenate([np.asarray(part, float) for part in parts], axis=-1)
     figures = {}
     for name, judge, own in zip(judges, every.parts, every.shares(sums), strict=True):

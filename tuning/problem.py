@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.chunks import CHUNK, chunks, over_lanes, prepared
+from trackers.core.chunks import CHUNK, chunks, over_parts, prepared
 from trackers.core.particles import ParticleFilter
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker, Tracker, is_heavy
@@ -152,11 +152,10 @@ class Problem:
         some = self.chunks if parts is None else [self.chunks[k] for k in parts]
         if self.random and turn:
             some = [fresh_keys(part, turn) for part in some]
-        # All are started before the first is waited for.
-        running = [[over_lanes(function, block, part) for block in blocks] for part in some]
+        found = over_parts(function, [(block, part) for part in some for block in blocks])
         return [
             tuple(np.concatenate([np.asarray(x, float) for x in xs])[:size] for xs in zip(*of_part, strict=True))
-            for of_part in running
+            for of_part in (found[k : k + len(blocks)] for k in range(0, len(found), len(blocks)))
         ]
 
     def _valid(self, parts: Sequence[int] | None) -> np.ndarray:

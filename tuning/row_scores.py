@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.chunks import over_lanes, prepared
+from trackers.core.chunks import over_parts, prepared
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker
 from tuning.parameters import Parameter, placed_in
@@ -52,7 +52,7 @@ def row_information(
     dtype = parts[0].dt.dtype
     names, examples = tuple(p.names for p in parameters), tuple(p.example for p in parameters)
     model = _Model(prepared(tracker, dtype), names, prepared(examples, dtype), jnp.asarray(vectors, dtype), block)
-    found = [over_lanes(_of_every_vector, model, part) for part in parts]
+    found = over_parts(_of_every_vector, [(model, part) for part in parts])
     return RowInformation(*(np.concatenate([np.asarray(x, float) for x in xs], -1) for xs in zip(*found, strict=True)))
 
 

@@ -87,7 +87,7 @@ def _ours(fifteen: bool) -> dict[str, Any]:
     import jax.numpy as jnp
 
     from trackers.core.algebra import Vector, diagonal
-    from trackers.core.chunks import CHUNK, chunks, over_lanes, prepared
+    from trackers.core.chunks import CHUNK, chunks, over_parts, prepared
     from trackers.core.ekf import Gaussian
     from trackers.core.loss import LossPolicy
     from trackers.core.recording import Batch
@@ -141,7 +141,7 @@ def _ours(fifteen: bool) -> dict[str, Any]:
         world = _world(*size)
         batch, one = batch_of(world), tracker(planar)
         model = prepared(one, batch.dt.dtype)
-        result, forward = _timed(lambda: [over_lanes(scanned, model, part) for part in chunks(batch, CHUNK)])
+        result, forward = _timed(lambda: over_parts(scanned, [(model, part) for part in chunks(batch, CHUNK)]))
         parameters = chosen(one, TUNED)
         problem, vector = Problem(one, [batch], NegativeLogLikelihood(), parameters, CHUNK), flatten(parameters)
         _, gradient = _timed(lambda: problem.evaluate(vector)[:2])

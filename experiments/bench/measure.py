@@ -18,7 +18,7 @@ from experiments.bench.textbook import all_pairs, textbook
 from trackers.aoa.beam import Beam, beam_tracker
 from trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
 from trackers.core.algebra import diagonal
-from trackers.core.chunks import CHUNK, chunks, mapped, over_lanes, prepared
+from trackers.core.chunks import CHUNK, chunks, mapped, over_parts, prepared
 from trackers.core.ekf import Gaussian
 from trackers.core.recording import Batch
 from trackers.core.rig import Station
@@ -134,7 +134,7 @@ def versions(world: World, peer: str | None) -> list[Version]:
 
     def ours(tracker: AbstractTracker) -> Any:
         model = prepared(tracker, world.batch.dt.dtype)
-        return lambda: [over_lanes(scanned, model, part) for part in chunks(world.batch, CHUNK)]
+        return lambda: over_parts(scanned, [(model, part) for part in chunks(world.batch, CHUNK)])
 
     def last(parts: Any) -> np.ndarray:
         return np.concatenate([np.asarray(part.mean.azimuth[-1]) for part in parts])
@@ -217,7 +217,7 @@ def memory() -> dict[str, Any]:
         batch = jax.tree_util.tree_map(lambda x, times=times: np.concatenate([x] * times), few)._replace(key=few.key)
         problem = Problem(given, [batch], NegativeLogLikelihood(), parameters, CHUNK)
         part = problem.chunks[0]
-        arguments = term_sums, problem.at(flatten(parameters)), part, part.dt.sharding.mesh
+        arguments = term_sums, problem.at(flatten(parameters)), part
         program = compiled.lower(*arguments).compile()
         jax.block_until_ready(program(*arguments))
         found["temporaries"][str(rows)] = program.compiled.memory_analysis().temp_size_in_bytes

@@ -9,7 +9,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
-import jax
 import tyro
 
 from experiments.errors import UnusableInput
@@ -22,6 +21,7 @@ from experiments.study.store import CHUNKS, merged
 from experiments.study.text import study_names, to_json, to_text
 from experiments.study.work import Until, carry_out
 from experiments.writing import atomic_write
+from trackers.core.chunks import at_once
 
 MERGE = "merge"
 RESULTS = "results.json"
@@ -74,7 +74,7 @@ def study(
     notice(
         f"{declared.name}: {declared.about} {len(declared.cells)} cells × {declared.runs} runs × "
         f"{len(declared.trackers)} trackers in {total} chunks of {declared.chunk}, "
-        f"on {jax.local_device_count()} devices"
+        f"{at_once()} at a time"
     )
     with progress(declared.name, total // part[1] if part[1] > 1 else total) as advance:
         results = carry_out(declared, folder, part, enough, advance)

@@ -20,6 +20,7 @@ from experiments.study.declaration import Cell, Study
 from experiments.study.results import NAMES, Results
 from experiments.study.run import trajectories
 from experiments.study.store import Store
+from trackers.core.chunks import at_once
 
 CHUNKS_PER_DEVICE = 4
 """A device takes part from so many chunks on: every device compiles the trackers for itself."""
@@ -86,13 +87,14 @@ def _run_until(store: Store, cell: Cell, until: Until, advance: Advance) -> int:
 
 
 def complete(store: Store, chunks: Sequence[tuple[Cell, int]], advance: Advance) -> None:
-    """Run those of the chunks that aren't there yet, one at a time on every device."""
+    """Run those of the chunks that aren't there yet, as many at once as the host can."""
     missing = [(cell, k) for cell, k in chunks if not store.has(cell.index, k)]
     advance(len(chunks) - len(missing))
     devices: SimpleQueue[Any] = SimpleQueue()
     taking_part = jax.local_devices()[: max(1, len(missing) // CHUNKS_PER_DEVICE)]
-    for device in taking_part:
-        devices.put(device)
+    workers = at_once() * len(taking_part) // jax.local_device_count()
+    for k in range(workers):
+        devices.put(taking_part[k % len(taking_part)])
     size = store.study.chunk
 
     def run(cell: Cell, chunk: int) -> None:
@@ -107,7 +109,7 @@ def complete(store: Store, chunks: Sequence[tuple[Cell, int]], advance: Advance)
             devices.put(device)
         advance(1, cell.label)
 
-    with ThreadPoolExecutor(len(taking_part)) as pool:
+    with ThreadPoolExecutor(workers) as pool:
         waiting = [pool.submit(run, *one) for one in missing]
         try:
             for one in as_completed(waiting):

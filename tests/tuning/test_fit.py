@@ -144,7 +144,7 @@ def _temporaries(rows):
     assert len(flatten(parameters)) == 4
     problem = Problem(tracker, [batch], NLL, parameters, 512)
     part = problem.chunks[0]
-    lowered = mapped.lower(term_sums, problem.at(flatten(parameters)), part, part.dt.sharding.mesh)
+    lowered = mapped.lower(term_sums, problem.at(flatten(parameters)), part)
     return lowered.compile().compiled.memory_analysis().temp_size_in_bytes
 
 

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import os
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from threading import Lock
 from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import jaxpr_as_fun
-from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from trackers.core.recording import Batch
 
 Tree = TypeVar("Tree")
 
 CHUNK = 512
-"""Trajectories per chunk and device: large enough to amortise a step's overhead, small enough for the cache."""
+"""Trajectories per chunk: large enough to amortise a step's overhead, small enough for the cache."""
 
 
 def prepared(tree: Tree, dtype: Any) -> Tree:
@@ -33,60 +34,62 @@ def prepared(tree: Tree, dtype: Any) -> Tree:
 
 
 def chunks(batch: Batch, chunk: int) -> Iterator[Batch]:
-    """The batch in parts of `chunk` lanes per device; all devices of the host share a part's lanes.
+    """The batch in parts of `chunk` lanes, by turns on all devices of the host; under `jax.default_device` on that one.
 
-    Under `jax.default_device` that one alone: then what is compiled is the same program however many there are, and
-    so are its results to the bit. XLA fuses the program of several devices otherwise, which moves last bits.
+    No part is spread over devices: XLA fuses the program of several otherwise, which moves last bits.
     """
     only = jax.config.jax_default_device  # type: ignore[attr-defined]
     devices = jax.local_devices() if only is None else [only]
     # A small batch gets a small chunk, a power of two so that few shapes are ever compiled.
     chunk = min(chunk, 1 << (batch.size - 1).bit_length())
-    if batch.size <= chunk:
-        devices = devices[:1]
-    mesh = Mesh(np.array(devices), ("lanes",))
-
-    def spread(x: Any) -> jax.Array:
-        return jax.device_put(x, NamedSharding(mesh, _last(np.ndim(x))))
-
-    for k in range(0, batch.size, chunk * len(devices)):
-        yield jax.tree_util.tree_map(spread, batch.lanes(k, k + chunk * len(devices)))
+    for k, start in enumerate(range(0, batch.size, chunk)):
+        yield jax.device_put(batch.lanes(start, start + chunk), devices[k % len(devices)])
 
 
-def over_lanes(function: Callable[[Any, Batch], Tree], model: Any, part: Batch) -> Tree:
-    """`function(model, part)` for a part that `chunks` made, each device its lanes; results end with the lanes."""
-    return mapped(function, model, part, part.dt.sharding.mesh)
+def at_once() -> int:
+    """How many parts the host runs at once: one per device, and on CPUs one per core."""
+    devices = len(jax.local_devices())
+    return max(devices, len(os.sched_getaffinity(0))) if jax.default_backend() == "cpu" else devices
+
+
+def over_parts(function: Callable[[Any, Batch], Tree], pairs: Sequence[tuple[Any, Batch]]) -> list[Tree]:
+    """`function(model, part)` for pairs of a model and a part that `chunks` made, as NumPy arrays, in their order."""
+    double = bool(jax.config.jax_enable_x64)  # type: ignore[attr-defined]
+
+    def run(pair: tuple[Any, Batch]) -> Tree:
+        # A thread has settings of its own.
+        with jax.enable_x64(double):
+            return jax.tree_util.tree_map(np.asarray, _begun(function, *pair))
+
+    if len(pairs) == 1:
+        return [run(pairs[0])]
+    with ThreadPoolExecutor(min(at_once(), len(pairs))) as pool:
+        waiting = [pool.submit(run, pair) for pair in pairs]
+        try:
+            return [one.result() for one in waiting]
+        finally:
+            pool.shutdown(cancel_futures=True)
 
 
 @eqx.filter_jit
-def mapped(function: Callable[[Any, Batch], Tree], model: Any, part: Batch, mesh: Mesh) -> Tree:
-    """What `over_lanes` compiles, once per function, kind of model and shape of the part."""
-    if mesh.size == 1:
-        return function(model, part)
-    arrays, static = eqx.partition(model, eqx.is_array)
-
-    def run(arrays: Any, part: Batch) -> Tree:
-        return function(eqx.combine(arrays, static), part)
-
-    def share(x: Any) -> jax.ShapeDtypeStruct:
-        return jax.ShapeDtypeStruct((*x.shape[:-1], x.shape[-1] // mesh.size), x.dtype)
-
-    # Traced once, with the shapes of one device: a filter's program takes seconds to trace.
-    program, shapes = jax.make_jaxpr(run, return_shape=True)(arrays, jax.tree_util.tree_map(share, part))
-    traced = jaxpr_as_fun(program)
-
-    def each(arrays: Any, part: Batch) -> Tree:
-        flat = traced(*jax.tree_util.tree_leaves((arrays, part)))
-        return jax.tree_util.tree_unflatten(jax.tree_util.tree_structure(shapes), flat)
-
-    return jax.shard_map(
-        each,
-        mesh=mesh,
-        in_specs=(PartitionSpec(), jax.tree_util.tree_map(lambda x: _last(x.ndim), part)),
-        out_specs=jax.tree_util.tree_map(lambda x: _last(len(x.shape)), shapes),
-        check_vma=False,
-    )(arrays, part)
+def mapped(function: Callable[[Any, Batch], Tree], model: Any, part: Batch) -> Tree:
+    """What `over_parts` compiles, once per function, kind of model, shape of the part and device."""
+    return function(model, part)
 
 
-def _last(dimensions: int) -> PartitionSpec:
-    return PartitionSpec(*[None] * (dimensions - 1), "lanes")
+_compiling: dict[Hashable, Lock] = {}
+_compiled: set[Hashable] = set()
+"""Programs by what makes jax compile one: those that a thread is at work on, and those that are there."""
+
+
+def _begun(function: Callable[[Any, Batch], Tree], model: Any, part: Batch) -> Tree:
+    """The result of `mapped`, on its way; of threads that are the first to need a program one alone compiles it."""
+    leaves, kind = jax.tree_util.tree_flatten((model, part))
+    shapes = tuple((np.shape(x), x.dtype) if eqx.is_array(x) else x for x in leaves)
+    program = function, kind, shapes, part.dt.device
+    if program in _compiled:
+        return mapped(function, model, part)
+    with _compiling.setdefault(program, Lock()):
+        result = mapped(function, model, part)
+        _compiled.add(program)
+    return result

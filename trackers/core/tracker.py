@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.core.algebra import Scalar, related, shared, total
-from trackers.core.chunks import CHUNK, chunks, over_lanes, prepared
+from trackers.core.chunks import CHUNK, chunks, over_parts, prepared
 from trackers.core.ekf import ExtendedKalman, Gaussian
 from trackers.core.estimates import Estimates, Status
 from trackers.core.loss import LossPolicy
@@ -110,13 +110,11 @@ class AbstractTracker(eqx.Module):
         """Sums over rows of what `score` makes of each row's output, per trajectory; memory flat in the rows."""
 
     def run(self, recordings: Recording | Batch, chunk: int = CHUNK) -> Estimates:
-        """The estimates for one recording, or for a batch of them in chunks of `chunk` trajectories per device."""
+        """The estimates for one recording, or for a batch of them in chunks of `chunk` trajectories."""
         if isinstance(recordings, Recording):
             return self.run(stack([recordings]), chunk=1)[0]
         model = prepared(self, recordings.dt.dtype)
-        parts = [
-            jax.tree_util.tree_map(np.asarray, over_lanes(scanned, model, part)) for part in chunks(recordings, chunk)
-        ]
+        parts = over_parts(scanned, [(model, part) for part in chunks(recordings, chunk)])
 
         def join(*arrays: np.ndarray) -> np.ndarray:
             return np.moveaxis(np.concatenate(arrays, axis=-1)[..., : recordings.size], -1, 0)
