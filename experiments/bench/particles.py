@@ -20,7 +20,7 @@ TRAJECTORIES, ROWS, PARTICLES = 256, 200, 1000
 ROUNDS = 3
 SIGMA_A, SIGMA_P = 0.1, 0.3
 CHUNK = 64
-"""Trajectories per device at a time: so many clouds of particles stay in the processor's cache."""
+"""Trajectories per chunk: so many clouds of particles stay in the processor's cache."""
 
 FLOOR = 4.0
 """How many times faster than the textbook's ours is to be."""

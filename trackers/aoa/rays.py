@@ -31,7 +31,7 @@ def nearest_to_rays(rays: Sequence[tuple[Any, Any, Any]], centre: Any, height: A
     for origin, direction, counts in rays:
         across = jnp.where(counts, eye - jnp.outer(direction, direction), 0.0)
         information, sums = information + across, sums + across @ origin
-    # Cramer's rule: batched LAPACK calls can deadlock when several host devices share few cores.
+    # Cramer's rule: batched LAPACK calls can deadlock when several threads share few cores.
     a, b, c = information
     by_a, by_b, by_c = jnp.cross(b, c), jnp.cross(c, a), jnp.cross(a, b)
     return (by_a * sums[0] + by_b * sums[1] + by_c * sums[2]) / (a @ by_a)

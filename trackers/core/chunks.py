@@ -49,7 +49,9 @@ def chunks(batch: Batch, chunk: int) -> Iterator[Batch]:
 def at_once() -> int:
     """How many parts the host runs at once: one per device, and on CPUs one per core."""
     devices = len(jax.local_devices())
-    return max(devices, len(os.sched_getaffinity(0))) if jax.default_backend() == "cpu" else devices
+    # Not every system can say which cores are ours.
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(devices, cores) if jax.default_backend() == "cpu" else devices
 
 
 def over_parts(function: Callable[[Any, Batch], Tree], pairs: Sequence[tuple[Any, Batch]]) -> list[Tree]:
