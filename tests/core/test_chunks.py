@@ -14,15 +14,15 @@ from trackers.core.recording import Readings, Recording, stack
 
 HASHED = """
 import hashlib, jax, numpy as np
-from tests.core.test_chunks import many
+from tests.core.test_chunks import _many
 from trackers.baselines.fixes import fix_tracker
-found = fix_tracker().run(many(1100))
+found = fix_tracker().run(_many(1100))
 print(jax.device_count(), hashlib.sha256(b"".join(np.ascontiguousarray(x).tobytes() for x in
       [*found.mean.position, found.cov_upper, found.log_likelihood])).hexdigest())
 """
 
 
-def many(lanes, rows=30):
+def _many(lanes, rows=30):
     """Fixes of so many tags that walk at random."""
     rng, times = np.random.default_rng(5), 0.1 * np.arange(rows)
     walks = np.cumsum(0.1 * rng.normal(size=(lanes, rows, 3)), axis=1) + 0.2 * rng.normal(size=(lanes, rows, 3))
@@ -46,7 +46,7 @@ def test_one_device_and_two_give_the_same_bits():
 
 
 def test_parts_side_by_side_are_those_one_after_another_in_their_order():
-    parts = list(chunks(many(5 * 8, 6), 8))
+    parts = list(chunks(_many(5 * 8, 6), 8))
     together = over_parts(_summed, [(k, part) for k, part in enumerate(parts)])
     alone = [over_parts(_summed, [(k, part)])[0] for k, part in enumerate(parts)]
     np.testing.assert_array_equal(together, alone)
@@ -64,7 +64,7 @@ def test_threads_work_in_the_callers_precision_and_compile_once():
         return np.asarray(k, np.float32)
 
     with jax.enable_x64(False):
-        parts = list(chunks(many(4 * 16, 6), 16))
+        parts = list(chunks(_many(4 * 16, 6), 16))
         found = over_parts(function, [(model(k), part) for k, part in enumerate(parts)])
     assert {x.dtype for x in found} == {np.dtype(np.float32)}
     assert compiled == [np.dtype(np.float32)]
@@ -74,7 +74,7 @@ def test_an_error_in_one_part_is_the_callers():
     def function(model, part):
         raise ZeroDivisionError("in a thread")
 
-    parts = list(chunks(many(32, 6), 16))
+    parts = list(chunks(_many(32, 6), 16))
     before = threading.active_count()
     with pytest.raises(ZeroDivisionError, match="in a thread"):
         over_parts(function, [(None, part) for part in parts])
