@@ -193,12 +193,10 @@ def test_a_trajectory_of_a_batch_is_the_one_run_alone():
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
 
 
-def test_chunks_spread_over_devices_give_what_one_device_gives():
-    if len(jax.local_devices()) < 2:
-        pytest.skip("this run has one device; the suite's own XLA_FLAGS make two")
+def test_chunks_side_by_side_give_what_one_chunk_gives():
     batch = stack(_recordings(2, 1))
-    spread, together = _flat().run(batch, chunk=2), _flat().run(batch)
-    for a, b in zip(*map(jax.tree_util.tree_leaves, (_as_tree(spread), _as_tree(together))), strict=True):
+    apart, together = _flat().run(batch, chunk=2), _flat().run(batch)
+    for a, b in zip(*map(jax.tree_util.tree_leaves, (_as_tree(apart), _as_tree(together))), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
 
 
