@@ -51,11 +51,9 @@ class LineMotion(AbstractMotion):
         return 1
 
     def step(self, state: OnLine, inputs: Any, dt: Scalar, w: Vector) -> OnLine:
-        # A belief that was given as a normal one reaches beyond the path and below no speed: it is cut off here.
-        along = self.line.on_path(state.arclength) + jnp.maximum(state.speed, 0.0) * dt
-        return OnLine(
-            self.line.on_path(along), jnp.maximum(state.speed + w[0] * (self.sigma_a.value * jnp.sqrt(dt)), 0.0)
-        )
+        _, there = _travel(self.line, state, dt)
+        change = w[0] * (self.sigma_a.value * jnp.sqrt(dt))
+        return OnLine(self.line.on_path(there), jnp.maximum(state.speed + change, 0.0))
 
     def log_density(self, state: OnLine, inputs: Any, dt: Scalar, w: Vector) -> Scalar:
         return scaled(w[0], self.sigma_a.value)
@@ -93,9 +91,8 @@ class HaltingMotion(AbstractMotion):
     def step(self, state: OnSegment, inputs: Any, dt: Scalar, w: Vector) -> OnSegment:
         travelled, ahead = self._travelled(state, inputs, dt, w)
         resting, halts, leaves = self._choices(state, ahead, dt, w)
-        here = self.line.on_path(state.arclength)
-        stop = jnp.where(halts, self.line.on_path(ahead), travelled.arclength)
-        arclength = jnp.where(resting, here, stop)
+        there = self.line.on_path(jnp.where(halts, ahead, travelled.arclength))
+        arclength = jnp.where(resting, self.line.on_path(state.arclength), there)
         # A tag at rest has no speed; the one with which it leaves is drawn from the same number as a change of speed.
         departure = jnp.where(leaves, jnp.abs(w[0]) * self.sigma_departure.value, 0.0)
         speed = jnp.where(resting, departure, jnp.where(halts, 0.0, travelled.speed))
@@ -116,9 +113,9 @@ class HaltingMotion(AbstractMotion):
     def _travelled(self, state: OnSegment, inputs: Any, dt: Scalar, w: Vector) -> tuple[OnLine, Scalar]:
         """The state after travel without joins, and the arclength of the first join on its way; infinite for none."""
         travelled = LineMotion(self.line, self.sigma_a).step(OnLine(state.arclength, state.speed), inputs, dt, w)
-        here = self.line.on_path(state.arclength)
+        here, there = _travel(self.line, state, dt)
         ahead = self.line.next_join(here)
-        return travelled, jnp.where(ahead <= here + jnp.maximum(state.speed, 0.0) * dt, ahead, jnp.inf)
+        return travelled, jnp.where(ahead <= there, ahead, jnp.inf)
 
     def _choices(self, state: OnSegment, ahead: Scalar, dt: Scalar, w: Vector) -> tuple[Scalar, Scalar, Scalar]:
         """Whether the tag rests, halts at the join ahead, leaves its rest."""
@@ -132,6 +129,13 @@ class HaltingMotion(AbstractMotion):
 
     def view(self, state: Any) -> Kinematic:
         return on_floor(self.line, state)
+
+
+def _travel(line: Polyline, state: Any, dt: Scalar) -> tuple[Scalar, Scalar]:
+    """Where a tag is on its path, and how far it gets in `dt` s without a stop, which may be beyond the end, m."""
+    # A belief that was given as a normal one reaches beyond the path and below no speed: it is cut off here.
+    here = line.on_path(state.arclength)
+    return here, here + jnp.maximum(state.speed, 0.0) * dt
 
 
 def on_floor(line: Polyline, state: Any) -> Kinematic:

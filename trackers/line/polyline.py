@@ -88,8 +88,9 @@ class Polyline(eqx.Module):
         along = self.on_path(arclength)
         if len(self.starts) > FEW:
             k = self._segment(along)
-            corner, ahead = jnp.asarray(self.knots)[k], self.direction(arclength)
-            return Vector.of(corner[..., a] + ahead[a] * (along - jnp.asarray(self.starts)[k]) for a in (0, 1))
+            corner, ahead = jnp.asarray(self.knots)[k], jnp.asarray(self.directions)[k]
+            beyond = along - jnp.asarray(self.starts)[k]
+            return Vector.of(corner[..., a] + ahead[..., a] * beyond for a in (0, 1))
         joins, (x0, _), (_, y1) = self.starts[1:], self.knots[0], self.knots[-1]
         turns = [b - a for a, b in zip(self.directions[:-1], self.directions[1:], strict=True)]
         # y from the far end: terms that both sums share would go through memory, one array of particles each.
