@@ -13,6 +13,7 @@ from trackers.core.chunks import CHUNK
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker
 from tuning.descent import Descent, FitState, enough, restored
+from tuning.judgement import without_effect
 from tuning.objectives import AbstractObjective
 from tuning.optimisers import LBFGS, AbstractOptimiser, Adam
 from tuning.parameters import Parameter, chosen, flatten, limits, physical, placed_in
@@ -145,7 +146,8 @@ def _finished(tracker: AbstractTracker, descent: Descent, state: FitState, inter
     """The result at the best point met, after a few Newton steps of a likelihood."""
     problem, parameters = descent.problem, descent.problem.parameters
     winner = int(np.argmin(state.best_scores))
-    vector, sure, effort = state.best_vectors[winner], None, problem.filter_runs
+    effort = problem.filter_runs
+    vector, sure = _kept_where_idle(problem, state, winner), None
     if not interrupted:
         found = _polished(descent, optimum(problem, vector))
         vector, sure = found.vector, assessed(problem, found)
@@ -166,6 +168,21 @@ def _finished(tracker: AbstractTracker, descent: Descent, state: FitState, inter
         trace=traces[winner],
         starts=traces,
     )
+
+
+def _kept_where_idle(problem: Problem, state: FitState, winner: int) -> np.ndarray:
+    """The winner's best point, with the tracker's own numbers where these have no effect and it began with others.
+
+    Other recordings, in which they have one, then find what the user gave.
+    """
+    vector, (own, began) = state.best_vectors[winner], state.past_vectors[0, [0, winner]]
+    if np.array_equal(own, began):
+        return vector
+    found = problem.evaluate(vector)
+    idle = without_effect(found.slopes) & (found.gradients[0] == 0) & (own != began)
+    kept = np.where(idle, own, vector)
+    best, again = problem.evaluate(np.stack([vector, kept])).values if idle.any() else (0.0, np.inf)
+    return kept if again <= best else vector
 
 
 def named(parameters: Sequence[Parameter], vector: np.ndarray) -> dict[str, Any]:

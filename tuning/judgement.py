@@ -47,11 +47,17 @@ def judgements(found: Uncertainty, slopes: np.ndarray) -> list[Judgement]:
         variances, directions = np.linalg.eigh(cov[np.ix_(lively, lively)])
         wide = variances > LOOSE**2
         loose, deviations = directions[:, wide][:, ::-1], np.sqrt(variances[wide])[::-1].tolist()
+    # Directions in which the same numbers have a part are spoken of together.
+    together: dict[tuple[int, ...], list[tuple[np.ndarray, float]]] = {}
     for direction, deviation in zip([*missing.T, *loose.T], [math.inf] * missing.shape[1] + deviations, strict=True):
         part = np.abs(direction) > PART
-        own = [names[k] for k in lively[part]]
-        text = _words(own, [kinds[k] for k in lively[part]], direction[part], deviation)
-        said.append(Judgement(tuple(own), text))
+        together.setdefault(tuple(lively[part].tolist()), []).append((direction[part], deviation))
+    for own, ways in together.items():
+        mine, theirs = [names[k] for k in own], [kinds[k] for k in own]
+        if len(ways) == len(own) > 1:
+            said.append(Judgement(tuple(mine), _nothing(mine, min(deviation for _, deviation in ways))))
+        else:
+            said += [Judgement(tuple(mine), _words(mine, theirs, *way)) for way in ways]
     return said
 
 
@@ -70,8 +76,18 @@ def kinds_of(parameters: Sequence[Parameter]) -> list[type]:
     return [type(p.example) for p in parameters for _ in range(int(np.size(p.example.raw)))]
 
 
+def _degree(deviation: float) -> str:
+    return "not determined" if math.isinf(deviation) else "hardly determined"
+
+
+def _nothing(names: list[str], deviation: float) -> str:
+    """Of numbers that are as open as they are many; `deviation`: of what is best known of them."""
+    together = "together" if len(names) == 2 else "in any combination"
+    return f"{', '.join(names[:-1])} and {names[-1]} are {_degree(deviation)}, neither one by one nor {together}"
+
+
 def _words(names: list[str], kinds: list[Any], direction: np.ndarray, deviation: float) -> str:
-    degree = "not determined" if math.isinf(deviation) else "hardly determined"
+    degree = _degree(deviation)
     if len(names) == 1:
         if math.isinf(deviation):
             return f"{names[0]} is {degree}: near this value the objective does not depend on it"

@@ -1,4 +1,4 @@
-"""Where fits start from: a coarse grid over the motion's noise against the sensors', since valleys run there."""
+"""Where fits start from: a coarse grid over the motion's scales against all others, since valleys run there."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ APART = np.log(10.0)
 
 
 def coarse_grid(parameters: Sequence[Parameter], vector: np.ndarray) -> np.ndarray:
-    """Starts (S, p): the vector itself first, then with the motion's and all other noise levels a tenth or tenfold.
+    """Starts (S, p): the vector itself first, then with the motion's and all other scales a tenth or tenfold.
 
-    Numbers that are no noise level stay. Nine starts where both kinds of noise are tuned, three for one, one for none.
+    Scales: noise levels, and times and rates beside them; offsets and fractions stay. Nine starts where both kinds are
+    tuned, three for one, one for none.
     """
     motion, others = np.zeros_like(vector), np.zeros_like(vector)
     at = 0

@@ -17,7 +17,7 @@ WORSE_BY = 0.01
 FAR = 0.1
 """Distance of NIS or NEES from its distribution (`tuning.consistency`) above which covariances mislead."""
 
-ADVICE = "Do not read such a number as measured: keep it fixed, tie numbers that act alike, or record more motion."
+ADVICE = "Do not read such numbers as measured: keep them fixed, tie those that act alike, or record more motion."
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 SHAPES = ("nis-shape", "nees-shape")
 
@@ -162,7 +162,8 @@ def _why(evidence: TuningEvidence) -> str:
 def _undetermined(evidence: TuningEvidence) -> list[str]:
     """What the recordings leave open: in the words that came with the fit, or else by name."""
     if evidence.judgements:
-        return [f"{text}. {ADVICE}" for text in evidence.judgements]
+        *others, last = evidence.judgements
+        return [*(f"{text}." for text in others), f"{last}. {ADVICE}"]
     names = [n.name for n in evidence.numbers if n.determined is False]
     return [f"The recordings do not determine {', '.join(names)}: other values fit as well. {ADVICE}"] if names else []
 

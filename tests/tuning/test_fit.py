@@ -328,6 +328,17 @@ def test_many_starts_find_at_least_what_each_of_them_finds(line_world):
     assert together.value <= alone.value * (1 + 1e-9)
 
 
+def test_what_has_no_effect_stays_as_the_user_gave_it_whichever_start_wins():
+    # rows that are read at one and the same moment say nothing of how fast the place changes
+    still = walks([40] * 8, 5)
+    at_once = [Recording(0 * r.times, r.readings, r.inputs, r.truth) for r in still]
+    near = line_tracker(sigma_v=5.0)
+    result = fit(line_tracker(sigma=30.0), stack(at_once), NLL, LEVELS, guesses=[near], starts=2, steps=1)
+    assert result.trace is result.starts[1], "the guess is to win, in one step"
+    assert result.trace[0].values["motion.sigma_v"] == pytest.approx(5.0)
+    assert result.values["motion.sigma_v"] == pytest.approx(0.3, rel=1e-12)
+
+
 def test_held_out_recordings_decide_which_point_is_the_best():
     quiet, loud = stack(walks([40] * 8, 3)), stack(walks([40] * 8, 4, sigma=0.7))
     result = fit(line_tracker(), quiet, NLL, LEVELS, held_out=loud)

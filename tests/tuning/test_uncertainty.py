@@ -204,6 +204,25 @@ def test_several_numbers_that_hang_together_are_named_together(numbers):
     assert all("not determined one by one" in j.text for j in said)
 
 
+def test_two_numbers_of_which_not_even_a_product_is_known_are_said_to_be_open_once(numbers):
+    problem, _ = _level_and_place(numbers)
+    turned = np.array([[0.8, 0.6], [-0.6, 0.8]])
+
+    def said(curvatures, observed):
+        made = SimpleNamespace(
+            optimum=SimpleNamespace(hessian=turned @ np.diag(curvatures) @ turned.T),
+            parameters=problem.parameters,
+            observed=turned @ np.diag(observed) @ turned.T,
+            sandwich=np.full((2, 2), np.nan),
+        )
+        return [j.text for j in judgements(made, np.ones((2, 2, 20)))]
+
+    names = " and ".join(p.label for p in problem.parameters)
+    assert said([0.0, -1.0], [0.0, 0.0]) == [f"{names} are not determined, neither one by one nor together"]
+    assert said([0.0, 0.25], [0.0, 4.0]) == [f"{names} are hardly determined, neither one by one nor together"]
+    assert len(said([0.0, 100.0], [0.0, 0.01])) == 1
+
+
 def test_what_is_known_only_to_a_factor_is_said(numbers):
     problem, _ = _level_and_place(numbers)
     quadratic = SimpleNamespace(
