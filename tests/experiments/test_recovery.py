@@ -1,0 +1,15 @@
+"""Fits to data of a tracker's own model find its numbers, and say rightly how sure they are."""
+
+import pytest
+
+from experiments.recovery import main
+
+
+@pytest.mark.slow
+def test_two_hundred_fits_to_ranges_find_the_truth_and_know_how_sure_they_are():
+    assert main(["C"]) == 0
+
+
+def test_a_system_that_does_not_exist_is_refused(capsys):
+    assert main(["E"]) == 2
+    assert "unknown system E: expected some of A, B, C, D" in capsys.readouterr().err
