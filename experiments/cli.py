@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from typing import Any
 
@@ -10,6 +11,20 @@ from experiments.runtime import set_flags
 
 def main() -> None:
     """Run one command; exit 0, 1 (a check failed) or 2 (unusable input, one line on standard error)."""
+    try:
+        code = _run()
+        sys.stdout.flush()
+    except KeyboardInterrupt:
+        print("trackwright: interrupted; files already written are whole", file=sys.stderr)
+        code = 130
+    except BrokenPipeError:
+        # Who reads the output has seen enough; what Python still holds of it goes nowhere.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = 141
+    sys.exit(code)
+
+
+def _run() -> int:
     set_flags()
     # jax reads its flags when it is first imported, so nothing that imports it may stand above.
     import tyro
@@ -46,13 +61,10 @@ def main() -> None:
         "verify": verify.verify,
     }
     try:
-        code = tyro.extras.subcommand_cli_from_dict(
+        code: int | None = tyro.extras.subcommand_cli_from_dict(
             commands, prog="trackwright", description="How accurate is this tracker, and with which noise levels?"
         )
     except UnusableInput as problem:
         print(f"trackwright: {problem}", file=sys.stderr)
         code = 2
-    except KeyboardInterrupt:
-        print("trackwright: interrupted; files already written are whole", file=sys.stderr)
-        code = 130
-    sys.exit(code or 0)
+    return code or 0

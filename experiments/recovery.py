@@ -1,10 +1,10 @@
 """Do fits find the truth? `python -m experiments.recovery [SYSTEM …]`: 200 fits to data of each tracker's own model.
 
 Every replicate has fresh data and starts wrong by a factor of ten, up or down, in both kinds of noise. Judged are, for
-every number: the share of 95 % intervals that hold the truth, 89 to 99 % for 200 replicates, of those by the
-likelihood's curvature and of those that `tune` gives, by the scatter of rows; the mean error of the unconstrained
-number against its standard error, 3 at most; and that no fit ends worse than it began. Systems: A, the beam tracker; B,
-the grid on a line; C, ranges; D, MH-K's fusion of fixes with a full covariance.
+every number: the share of 95 % intervals that hold the truth, 89 to 99 % for 200 replicates, by the likelihood's
+curvature, by the scatter of rows, and the wider of both, which `tune` gives; the mean error of the unconstrained number
+against its standard error, 3 at most; and that no fit ends worse than it began. Systems: A, the beam tracker; B, the
+grid on a line; C, ranges; D, MH-K's fusion of fixes with a full covariance.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ from trackers.uwb_imu.ranges import RANGES, RangeSensor  # noqa: E402
 from tuning import NegativeLogLikelihood, fit  # noqa: E402
 from tuning.judgement import names_of  # noqa: E402
 from tuning.parameters import Parameter, chosen, flatten, placed_in  # noqa: E402
-from tuning.uncertainty import unused  # noqa: E402
+from tuning.uncertainty import By, unused  # noqa: E402
 
 REPLICATES = 200
 COVERED = (0.89, 0.99)
@@ -219,7 +219,7 @@ def judged(name: str, system: System, replicates: int, seed: int) -> bool:
     parameters = chosen(system.tracker, system.tune)
     truth = flatten(parameters)
     errors, worse = [], 0
-    holds: dict[str, list[np.ndarray]] = {"curvature": [], "scatter": []}
+    holds: dict[By, list[np.ndarray]] = {"curvature": [], "scatter": [], "either": []}
     with progress(f"system {name}", replicates) as advance:
         for k, batch in enumerate(batches):
             result = fit(wrong(system, k), batch, NegativeLogLikelihood(), system.tune, starts=4)
@@ -227,7 +227,7 @@ def judged(name: str, system: System, replicates: int, seed: int) -> bool:
             assert result.uncertainty is not None
             errors.append(result.vector - truth)
             for way, within in holds.items():
-                within.append(_held(result.uncertainty.intervals(sandwich=way == "scatter"), parameters))
+                within.append(_held(result.uncertainty.intervals(by=way), parameters))
             advance(1)
     error, making = np.array(errors), ~unused(parameters)
     shares = {way: np.mean(within, axis=0) for way, within in holds.items()}
@@ -236,7 +236,7 @@ def judged(name: str, system: System, replicates: int, seed: int) -> bool:
     seconds = time.perf_counter() - began
     print(f"system {name}: {replicates} fits in {seconds:.0f} s, {worse} ended worse than they began")
     for k in np.flatnonzero(making).tolist():
-        by = ", ".join(f"{100 * share[k]:5.1f} % by {way}" for way, share in shares.items())
+        by = ", ".join(f"{100 * share[k]:.1f} % by {way}" for way, share in shares.items())
         print(
             f"  {names_of(parameters)[k]:32s} 95 % intervals hold {by}   bias {bias[k]:+.2f} standard errors   "
             f"spread {error[:, k].std():.4f}",

@@ -73,9 +73,13 @@ def notice(text: str) -> None:
 
 
 def read_all(paths: Sequence[Path]) -> list[Folder]:
-    """All recording folders, their notices shown; raises UnusableInput for none, and for two of the same name."""
+    """All recording folders, their notices shown; raises UnusableInput for none, and for two of one name."""
     folders = []
     require_some(paths)
+    places = [path.resolve() for path in paths]
+    twice = next((path for path, place in zip(paths, places, strict=True) if places.count(place) > 1), None)
+    if twice is not None:
+        raise UnusableInput(f"{twice}: is given more than once; expected every recording in one place only")
     for path in paths:
         folders.append(read_folder(path))
         for text in folders[-1].notices:
@@ -96,7 +100,9 @@ def require_some(paths: Sequence[Path]) -> None:
 
 
 def output_folder(path: Path) -> Path:
-    """The folder, created where it isn't there; raises UnusableInput where that can't be."""
+    """The folder, created where it isn't there; raises UnusableInput where that can't be, and for a recording."""
+    if (path / "rig.toml").exists():
+        raise UnusableInput(f"--out {path}: is a recording folder; expected one for results")
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -20,10 +20,7 @@ from tuning import FitResult
 
 
 def write_tuned(path: Path, tracker: str, objective: str, result: FitResult, intervals: Mapping[str, Interval]) -> Path:
-    """Write the fit's numbers by name: value, unit, standard error (nan: not determined, or no likelihood), interval.
-
-    `intervals`: 95 %, by label; nan for what has none.
-    """
+    """Write the fit's numbers by name: value, unit, standard error and 95 % interval, by label; nan where not known."""
     lines = [
         "# Written by `trackwright tune`; read by `trackwright track --noise`.",
         f'tracker = "{tracker}"',
@@ -35,7 +32,8 @@ def write_tuned(path: Path, tracker: str, objective: str, result: FitResult, int
     # Tied tunables stand here one by one: a pattern for them may match others of the tracker too.
     for parameter, name in ((p, name) for p in result.parameters for name in p.names):
         nothing = np.full(np.shape(result.values[parameter.label]), np.nan)
-        low, high = intervals.get(parameter.label, (nothing, nothing))
+        ends = np.stack(intervals.get(parameter.label, (nothing, nothing)))
+        low, high = np.where(np.isfinite(ends).all(axis=0), ends, np.nan)
         lines += [
             f"[tunables.{json.dumps(name, ensure_ascii=False)}]",
             f"value = {_number(result.values[parameter.label])}",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -40,6 +40,8 @@ class Run:
 def write_run(out: Path, job: Job, result: FitResult, run: Run) -> list[str]:
     """Write everything to the folder; the lines to print."""
     objective, unit = run.options["objective"], "rad" if job.training[0].station else "m"
+    if run.options["prior"]:
+        objective += " + prior"
     intervals = intervals_of(result, run.options["intervals"])
     write_tuned(out / "tuned.toml", run.tracker, objective, result, intervals)
     _write_trace(out, result, objective, unit)
@@ -56,13 +58,20 @@ def write_run(out: Path, job: Job, result: FitResult, run: Run) -> list[str]:
         tracker_about=TRACKERS[run.tracker].about,
         objective=objective,
         seconds=run.seconds,
-        notes=(f"{result.left_out} of {len(job.training)} pieces had no say.",) if result.left_out else (),
+        notes=tuple(_notes(job, result)),
     )
-    evidence = gather(asked, job.tracker, result, job.training, job.held_out, job.planar, intervals, doubts)
+    evidence = gather(asked, result, job.training, job.held_out, job.planar, intervals, doubts)
     write_report(out / "report.html", evidence)
     extra = {"recordings": [str(p) for p in run.recordings], "filter_runs": result.filter_runs}
     write_manifest(out, run.command, run.options, run.started, extra=extra)
     return [*lines, f"wrote {out / 'report.html'}, tuned.toml, trace.csv, tuning.png and manifest.json; use it: {use}"]
+
+
+def _notes(job: Job, result: FitResult) -> Iterator[str]:
+    if result.uncertainty is None:
+        yield "This fit was stopped before its end: the numbers are the best met so far; --resume goes on."
+    if result.left_out:
+        yield f"{result.left_out} of {len(job.training)} pieces had no say."
 
 
 def _doubts(result: FitResult) -> list[Judgement]:

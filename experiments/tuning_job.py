@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,9 +17,11 @@ from experiments.tracks import batches
 from experiments.tuned_file import read_tuned, with_noise
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker
+from trackers.core.tunable import tunables
 from tuning.figures import parse_objective
+from tuning.judgement import names_of
 from tuning.objectives import AbstractObjective
-from tuning.parameters import chosen, flatten, limits
+from tuning.parameters import chosen, flatten, limits, physical
 from tuning.priors import Prior, parse_prior, penalty
 
 
@@ -98,6 +100,8 @@ def bounds_of(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
     for text in texts:
         pattern, _, numbers = text.partition("=")
         low, _, high = numbers.partition(":")
+        if pattern in found:
+            raise UnusableInput(f"--bound {text}: '{pattern}' is bounded twice; expected once")
         try:
             found[pattern] = float(low), float(high)
         except ValueError as error:
@@ -117,8 +121,10 @@ def checked(
         option = "--bound"
         low, high = limits(parameters, bounds)
         vector = flatten(parameters)
-        if np.any((vector < low) | (vector > high)):
-            raise ValueError("the starting value of a bounded number is outside; give others with --start")
+        values = np.concatenate([np.ravel(x) for x in physical(parameters, vector)])
+        for k in np.flatnonzero((vector < low) | (vector > high)):
+            name = names_of(parameters)[k]
+            raise ValueError(f"{name} begins outside, at {values[k]:.4g}; give another starting value with --start")
         option = f"--prior {' '.join(prior)}"
         priors = [parse_prior(text) for text in prior]
         penalty(priors, parameters, vector)
@@ -127,3 +133,13 @@ def checked(
     except ValueError as error:
         raise UnusableInput(f"{option}: {error}") from error
     return priors
+
+
+def tied_apart(job: Job, tune: Sequence[str], freeze: Sequence[str]) -> Iterator[str]:
+    """What begins elsewhere than the tracker has it, since tied numbers are equal."""
+    own = tunables(job.tracker)
+    for parameter in chosen(job.tracker, tune, freeze):
+        values = [np.asarray(own[name].value) for name in parameter.names]
+        if not all(np.array_equal(value, values[0]) for value in values):
+            listed = ", ".join(f"{float(value):.4g}" for value in values if value.ndim == 0)
+            yield f"{parameter.label}: tied numbers all begin as the first of them{f', of {listed}' if listed else ''}"

@@ -140,6 +140,10 @@ class Descent:
         """Whether nothing is left to do."""
         return bool(state.number >= self.steps or not state.active.any())
 
+    def resting(self, vector: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+        """Which numbers (p,) rest on a bound that the objective would have them cross."""
+        return ((vector <= self.low) & (gradient > 0)) | ((vector >= self.high) & (gradient < 0))
+
     def _evaluate(self, vectors: np.ndarray, number: int) -> Evaluations:
         parts = None
         if self.minibatch is not None:

@@ -15,7 +15,7 @@ from trackers.core.tracker import AbstractTracker
 from tuning.descent import Descent, FitState, enough, restored
 from tuning.judgement import without_effect
 from tuning.objectives import AbstractObjective
-from tuning.optimisers import LBFGS, AbstractOptimiser, Adam
+from tuning.optimisers import LBFGS, AbstractOptimiser, Adam, GaussNewton
 from tuning.parameters import Parameter, chosen, flatten, limits, physical, placed_in
 from tuning.priors import Prior
 from tuning.problem import Problem
@@ -40,7 +40,8 @@ class FitResult:
 
     `values`: physical, by label. `value`, `start_value`: the objective. `left_out`: trajectories without usable
     derivatives. `problem` and `vector`: the objective as a function, and where it is least. `uncertainty`: None where
-    the fit was interrupted. `trace`: the steps of the start that won; `starts`: those of all.
+    the fit was interrupted. `trace`: the steps of the start that won, the last one to the `vector`; `starts`: those of
+    all. `before`: the tracker that the fit began with, tied numbers equal and bounded ones within their bounds.
     """
 
     tracker: AbstractTracker
@@ -53,12 +54,13 @@ class FitResult:
     vector: np.ndarray
     filter_runs: int
     uncertainty: Uncertainty | None
+    before: AbstractTracker
     trace: list[Step] = field(default_factory=list)
     starts: list[list[Step]] = field(default_factory=list)
 
     @property
     def standard_errors(self) -> dict[str, Any]:
-        """Of the physical values by label, by the curvature of a likelihood, else NaN."""
+        """Of the physical values by label, as `Uncertainty` has them; NaN where the fit was interrupted."""
         if self.uncertainty is None:
             return {p.label: np.full(np.shape(p.example.raw), np.nan) for p in self.parameters}
         return self.uncertainty.standard_errors()
@@ -96,7 +98,7 @@ def fit(
     A step after which the objective isn't finite, or that doesn't help, is taken back and shortened; for a likelihood a
     few Newton steps follow. The best point met is returned, never a worse one than the start; an interrupt (Ctrl-C)
     ends the fit there. Raises ValueError for patterns that name nothing or nothing that can be tied, for bounds without
-    room and priors without a likelihood, FloatingPointError where the objective is not finite at the start.
+    room, priors and Gauss-Newton without a likelihood; FloatingPointError where the objective is not finite at first.
     """
     parameters = chosen(tracker, tune, frozen)
     if priors and not objective.is_likelihood:
@@ -106,6 +108,8 @@ def fit(
     judge = Problem(tracker, _several(held_out), objective, parameters, chunk) if held_out else None
     low, high = limits(parameters, bounds or {})
     # An error has steps where a track is nearly lost, at which a line search ends; Adam goes over them.
+    if isinstance(optimiser, GaussNewton) and not objective.is_likelihood:
+        raise ValueError("Gauss-Newton takes its steps from the innovations of a likelihood; use another optimiser")
     steady = objective.is_likelihood and minibatch is None and not problem.random
     optimiser = optimiser or (LBFGS() if steady else Adam(steps))
     parts = None if minibatch is None else max(1, minibatch // problem.chunks[0].size)
@@ -145,26 +149,33 @@ def begun(descent: Descent, vectors: np.ndarray, starts: int) -> FitState:
 def _finished(tracker: AbstractTracker, descent: Descent, state: FitState, interrupted: bool) -> FitResult:
     """The result at the best point met, after a few Newton steps of a likelihood."""
     problem, parameters = descent.problem, descent.problem.parameters
-    winner = int(np.argmin(state.best_scores))
+    winner, own = int(np.argmin(state.best_scores)), state.past_vectors[0, 0]
     effort = problem.filter_runs
     vector, sure = _kept_where_idle(problem, state, winner), None
     if not interrupted:
         found = _polished(descent, optimum(problem, vector))
-        vector, sure = found.vector, assessed(problem, found)
+        vector = found.vector
+        sure = assessed(problem, found, descent.resting(vector, found.gradient))
     # Of all trajectories, as at the start; an optimum's own figure leaves out those without usable derivatives.
-    value, left_out = float(problem.evaluate(vector).values[0]), problem.left_out
+    last = problem.evaluate(vector)
+    value, left_out = float(last.values[0]), problem.left_out
+    # The steps of minibatches saw parts of the trajectories only.
+    start_value = state.past_values[0, 0] if descent.minibatch is None else problem.evaluate(own).values[0]
     traces = [_trace(parameters, state, k) for k in range(len(state.vectors))]
+    if not np.array_equal(vector, state.best_vectors[winner]):
+        traces[winner].append(Step(value, float(np.linalg.norm(last.gradients)), named(parameters, vector)))
     return FitResult(
         tracker=placed_in(tracker, parameters, vector),
         parameters=parameters,
         values=named(parameters, vector),
         value=value,
-        start_value=float(state.past_values[0, 0]),
+        start_value=float(start_value),
         left_out=left_out,
         problem=problem,
         vector=vector,
         filter_runs=int(state.filter_runs) + problem.filter_runs - effort,
         uncertainty=sure,
+        before=placed_in(tracker, parameters, own),
         trace=traces[winner],
         starts=traces,
     )
@@ -216,7 +227,7 @@ def _polished(descent: Descent, found: Optimum) -> Optimum:
     if not np.isfinite(found.units) or descent.held_out is not None or problem.random:
         return found
     for _ in range(NEWTON_STEPS):
-        _, inverse, _ = determined(found.hessian)
+        _, inverse, _ = determined(found.hessian, ~descent.resting(found.vector, found.gradient))
         step = -inverse @ found.gradient
         # What the quadratic model has still to give is most often less than anyone would notice.
         if not -found.gradient @ step / 2 >= enough(found.value, found.units):

@@ -36,7 +36,11 @@ def judgements(found: Uncertainty, slopes: np.ndarray) -> list[Judgement]:
     nothing = np.flatnonzero(idle & ~void)
     without = [names[k] for k in nothing]
     said = [Judgement(tuple(without), f"{_listed(without)} on the objective")] if without else []
-    lively = np.flatnonzero(~idle & ~void)
+    slope = found.optimum.gradient
+    said += [Judgement((names[k],), _at_its_bound(names[k], slope[k])) for k in np.flatnonzero(found.held)]
+    if not found.settled:
+        return [*said, Judgement((), _elsewhere(found.astray))]
+    lively = np.flatnonzero(~idle & ~void & ~found.held)
     if not len(lively) or not np.all(np.isfinite(found.optimum.hessian)):
         return said
     missing, _, _ = determined(found.optimum.hessian[np.ix_(lively, lively)])
@@ -62,8 +66,10 @@ def judgements(found: Uncertainty, slopes: np.ndarray) -> list[Judgement]:
 
 
 def without_effect(slopes: np.ndarray) -> np.ndarray:
-    """Which of p numbers change nothing: derivatives (…, p, n) all zero where they are finite."""
-    return np.all(np.moveaxis(np.where(np.isfinite(slopes), slopes, 0.0) == 0, -2, 0).reshape(slopes.shape[-2], -1), 1)
+    """Which of p numbers change nothing: derivatives (…, p, n) all zero where they are finite, and some are."""
+    each = np.moveaxis(slopes, -2, 0).reshape(slopes.shape[-2], -1)
+    finite = np.isfinite(each)
+    return np.all((each == 0) | ~finite, axis=1) & finite.any(axis=1)
 
 
 def names_of(parameters: Sequence[Parameter]) -> list[str]:
@@ -74,6 +80,17 @@ def names_of(parameters: Sequence[Parameter]) -> list[str]:
 def kinds_of(parameters: Sequence[Parameter]) -> list[type]:
     """The kind of tunable of each unconstrained number."""
     return [type(p.example) for p in parameters for _ in range(int(np.size(p.example.raw)))]
+
+
+def _elsewhere(astray: float) -> str:
+    return (
+        f"the numbers are {astray:.2g} standard deviations from where the objective is least on the recordings tuned "
+        "on, since held-out recordings chose them or the fit ended early: they have no intervals"
+    )
+
+
+def _at_its_bound(name: str, gradient: float) -> str:
+    return f"{name} rests on its bound: the recordings would have it {'lower' if gradient > 0 else 'higher'}"
 
 
 def _degree(deviation: float) -> str:

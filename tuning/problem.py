@@ -134,7 +134,7 @@ class Problem:
     @property
     def random(self) -> bool:
         """Whether the tracker draws random numbers."""
-        return isinstance(getattr(self.tracker, "filter", None), ParticleFilter)
+        return is_random(self.tracker)
 
     def at(self, vectors: np.ndarray) -> Point:
         """What `term_sums` takes, at vectors (S, p)."""
@@ -163,6 +163,11 @@ class Problem:
             return self.valid
         starts = np.cumsum([0, *(part.size for part in self.chunks)])
         return np.concatenate([self.valid[starts[k] : starts[k + 1]] for k in parts])
+
+
+def is_random(tracker: AbstractTracker) -> bool:
+    """Whether the tracker draws random numbers."""
+    return isinstance(getattr(tracker, "filter", None), ParticleFilter)
 
 
 def fresh_keys(part: Batch, turn: int) -> Batch:

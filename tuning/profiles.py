@@ -18,6 +18,9 @@ REACH = 3.5
 WIDEST = float(np.log(1e3))
 """Furthest that a profile goes to either side in unconstrained coordinates, and how far where nothing is determined."""
 
+FEWEST = 5
+"""Trajectories without which resampling says little."""
+
 ROUNDS = 4
 """Steps of the other numbers at every point of a profile, from where the quadratic model has them."""
 
@@ -38,24 +41,34 @@ class Profile:
     high: float
 
 
-def profile(problem: Any, found: Optimum, component: int, level: float = 0.95, points: int = 15) -> Profile:
+def profile(
+    problem: Any,
+    found: Optimum,
+    component: int,
+    level: float = 0.95,
+    points: int = 15,
+    held: np.ndarray | None = None,
+) -> Profile:
     """The profile likelihood of the unconstrained number `component`, the others re-optimised, all points at once.
 
-    `found`: the optimum, as `tuning.uncertainty` has it. Raises ValueError for an objective that is no likelihood.
+    `found`: the optimum, as `tuning.uncertainty` has it; `held` (p,): the others that stay, resting on their bounds.
+    Raises ValueError for an objective that is no likelihood.
     """
     if not np.isfinite(found.units):
         raise ValueError("a profile is of a likelihood; for another objective resample the recordings (bootstrap)")
     p = len(found.vector)
     others = np.arange(p) != component
-    along = found.hessian[component, others]
-    _, inner, _ = determined(found.hessian[np.ix_(others, others)]) if p > 1 else (None, np.zeros((0, 0)), None)
+    if held is not None:
+        others &= ~held
+    along = found.hessian[component]
+    _, inner, _ = determined(found.hessian, others)
     curvature = found.units * (found.hessian[component, component] - along @ inner @ along)
     reach = min(REACH / np.sqrt(curvature), WIDEST) if curvature > 0 else WIDEST
     # An odd number of points has the optimum itself among them.
     offsets = np.linspace(-reach, reach, points + 1 - points % 2)
     vectors = np.tile(found.vector, (len(offsets), 1))
     vectors[:, component] += offsets
-    vectors[:, others] -= offsets[:, None] * (inner @ along)
+    vectors -= offsets[:, None] * (inner @ along)
     refitted = refit(problem, vectors, found.hessian, others, rounds=ROUNDS)
     rise = found.units * (refitted.values - min(found.value, np.nanmin(refitted.values)))
     ends = _crossings(offsets, rise, 0.5 * chi_square_quantile(level, 1))
@@ -87,7 +100,7 @@ def refit(
     Fletcher, Goldfarb & Shanno, on the inverse) is kept.
     """
     free = np.ones(vectors.shape[1], bool) if free is None else free
-    _, inverse, _ = determined(hessian[np.ix_(free, free)]) if free.any() else (None, np.zeros((0, 0)), None)
+    inverse = determined(hessian, free)[1][np.ix_(free, free)]
     inverses = np.tile(inverse, (len(vectors), 1, 1))
     here = vectors.copy()
     evaluated = problem.evaluate(here, weights)
@@ -111,20 +124,28 @@ def refit(
     return Refitted(here, values)
 
 
-def bootstrap(problem: Any, found: Optimum, replicates: int = 100, rounds: int = 3, seed: int = 0) -> np.ndarray:
+def bootstrap(
+    problem: Any,
+    found: Optimum,
+    replicates: int = 100,
+    rounds: int = 3,
+    seed: int = 0,
+    held: np.ndarray | None = None,
+) -> np.ndarray:
     """Vectors (replicates, p) fitted to trajectories drawn anew with replacement (Efron 1979), for any objective.
 
-    Each from the optimum by a few steps, all together. Raises ValueError for fewer than five trajectories, of which
-    resampling says little.
+    Each from the optimum by a few steps, all together, but for the numbers `held` (p,). Raises ValueError for fewer
+    than five trajectories, of which resampling says little.
     """
     count = int(found.used.sum())
-    if count < 5:
+    if count < FEWEST:
         raise ValueError(f"{count} trajectories are too few to resample; cut recordings into pieces, or take more")
     rng = np.random.default_rng(seed)
     weights = np.zeros((replicates, len(found.used)))
     weights[:, found.used] = rng.multinomial(count, np.full(count, 1.0 / count), size=replicates)
     start = np.tile(found.vector, (replicates, 1))
-    return refit(problem, start, found.hessian, weights=weights, rounds=rounds).vectors
+    free = None if held is None else ~held
+    return refit(problem, start, found.hessian, free, weights, rounds).vectors
 
 
 def percentile_intervals(

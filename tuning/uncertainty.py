@@ -5,7 +5,8 @@
 
 Observed information: (uH)⁻¹, right for a likelihood whose model is true. Sandwich: H⁻¹ J H⁻¹ with J the scatter of the
 ψ_n, right for any objective and a wrong model too (Huber 1967), by trajectories where there are many; where there are
-few, of a likelihood, J is that of blocks of rows, and errors that last longer than a block make it too small.
+few, of a likelihood, J is that of blocks of rows, and errors that last longer than a block make it too small. Where
+every ψ_n vanishes, as at a point of symmetry, so does J: what a user is told is the wider of the two.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -42,6 +43,13 @@ PART = 0.1
 """Part of a unit vector from which on a parameter belongs to a direction."""
 
 
+SETTLED = 1.0
+"""Standard deviations from where the objective is least, beyond which a point has no interval to speak of."""
+
+By = Literal["curvature", "scatter", "either"]
+"""What says how sure a number is: the observed information, the sandwich, or the one that is less sure."""
+
+
 class Optimum(NamedTuple):
     """The objective about an optimum: vector (p,), value, gradient (p,), H (p, p), ψ (n, p) and u, NaN for no nats.
 
@@ -62,8 +70,10 @@ class Uncertainty:
     """How sure a fit is.
 
     `observed`, `sandwich`: covariances (p, p) of the unconstrained vector, along the directions that are determined;
-    NaN where there is none. `undetermined`: (p,) what has a part in a direction that is not. `clusters`: how many
-    trajectories or blocks the sandwich is from. `optimum`: what it was made of.
+    NaN where there is none. `undetermined`: (p,) what has a part in a direction that is not. `held`: (p,) what rests on
+    a bound that the objective would have it cross; the others are as sure as they are with it there. `clusters`: how
+    many trajectories or blocks the sandwich is from. `optimum`: what it was made of. `astray`: how many standard
+    deviations the point is from where the objective is least by its quadratic model.
     """
 
     parameters: list[Parameter]
@@ -71,30 +81,45 @@ class Uncertainty:
     observed: np.ndarray
     sandwich: np.ndarray
     undetermined: np.ndarray
+    held: np.ndarray
     clusters: int
+    astray: float
 
-    def standard_errors(self, sandwich: bool = False) -> dict[str, np.ndarray]:
-        """Of the physical values, by label; NaN for what is not determined."""
-        cov = self.sandwich if sandwich else self.observed
+    @property
+    def settled(self) -> bool:
+        """Whether the point is where the objective is least, near enough for an interval round it."""
+        return self.astray <= SETTLED
+
+    def standard_errors(self, by: By = "either") -> dict[str, np.ndarray]:
+        """Of the physical values, by label; NaN for what is not determined, or rests on a bound."""
+        if by == "either":
+            one, other = self.standard_errors("curvature"), self.standard_errors("scatter")
+            return {label: np.fmax(one[label], other[label]) for label in one}
+        cov = self.observed if by == "curvature" else self.sandwich
         errors = physical_errors(self.parameters, self.optimum.vector, np.nan_to_num(cov))
-        bad = self._parts(self.undetermined | np.isnan(np.diagonal(cov)))
+        bad = self._parts(self.undetermined | self.held | np.isnan(np.diagonal(cov)) | (not self.settled))
         return {p.label: np.where(b, np.nan, e) for p, e, b in zip(self.parameters, errors, bad, strict=True)}
 
-    def intervals(self, level: float = 0.95, sandwich: bool = False) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    def intervals(self, level: float = 0.95, by: By = "either") -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Lowest and highest physical value by label: of a Scale by its logarithm, of a Fraction by its odds.
 
-        What is not determined may be anything. Of a matrix, entry by entry by the delta method. A sandwich of few
-        clusters is itself not well known: its intervals are those of Student's t (Cameron & Miller 2015, section 6).
+        What is not determined may be anything; NaN for what rests on a bound, and where the point is not the optimum.
+        Of a matrix, entry by entry by the delta method. A sandwich of few clusters is itself not well known: its
+        intervals are those of Student's t (Cameron & Miller 2015, section 6).
         """
-        cov = self.sandwich if sandwich else self.observed
+        if by == "either":
+            one, other = self.intervals(level, "curvature"), self.intervals(level, "scatter")
+            return {k: (np.fmin(one[k][0], other[k][0]), np.fmax(one[k][1], other[k][1])) for k in one}
+        cov = self.observed if by == "curvature" else self.sandwich
         z, vector = NormalDist().inv_cdf(0.5 + level / 2), self.optimum.vector
-        if sandwich:
+        if by == "scatter":
             z = students(z, max(self.clusters - 1, 1))
         sigma = np.sqrt(np.maximum(np.diagonal(cov), 0.0))
         reach = np.where(self.undetermined, np.inf, z * sigma)
+        reach = np.where(self.held | (not self.settled), np.nan, reach)
         values = physical(self.parameters, vector)
         low, high = (physical(self.parameters, vector + sign * reach) for sign in (-1.0, 1.0))
-        errors = self.standard_errors(sandwich)
+        errors = self.standard_errors(by)
         found = {}
         for p, middle, a, b in zip(self.parameters, values, low, high, strict=True):
             if isinstance(p.example, Covariance):
@@ -122,18 +147,29 @@ def uncertainty(problem: Any, vector: np.ndarray) -> Uncertainty:
     return assessed(problem, optimum(problem, vector))
 
 
-def assessed(problem: Any, found: Optimum) -> Uncertainty:
-    """How sure an optimum is.
+def assessed(problem: Any, found: Optimum, held: np.ndarray | None = None) -> Uncertainty:
+    """How sure an optimum is, whose numbers `held` (p,) rest on their bounds.
 
     Of particles, whose likelihood is not smooth, the scatter of the trajectories stands for the second derivatives.
     """
+    held = np.zeros(len(found.vector), bool) if held is None else held
     scatter, clusters = _scatter(problem, found)
     if problem.random:
         found = found._replace(hessian=found.units * scatter)
-    _, inverse, undetermined = determined(found.hessian)
+    _, inverse, undetermined = determined(found.hessian, ~held)
     undetermined &= ~unused(problem.parameters)
     observed = inverse / found.units if np.isfinite(found.units) else np.full(inverse.shape, np.nan)
-    return Uncertainty(problem.parameters, found, observed, inverse @ scatter @ inverse, undetermined, clusters)
+    sandwich = inverse @ scatter @ inverse
+    # The gradient of particles has noise, which says nothing of where the objective is least.
+    astray = 0.0 if problem.random else _astray(inverse @ found.gradient, observed, sandwich)
+    return Uncertainty(problem.parameters, found, observed, sandwich, undetermined, held, clusters, astray)
+
+
+def _astray(step: np.ndarray, *covariances: np.ndarray) -> float:
+    """The longest of steps (p,) in standard deviations, the larger ones of two covariances; 0 where there are none."""
+    sigma = np.sqrt(np.fmax(*(np.diagonal(cov) for cov in covariances)))
+    known = sigma > 0
+    return float(np.max(np.abs(step[known]) / sigma[known], initial=0.0))
 
 
 def _scatter(problem: Any, found: Optimum) -> tuple[np.ndarray, int]:
@@ -198,16 +234,22 @@ def _by_sums(objective: AbstractObjective, sums: jax.Array) -> tuple[jax.Array, 
     return jax.grad(objective.value)(sums), jax.hessian(objective.value)(sums)
 
 
-def determined(hessian: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def determined(hessian: np.ndarray, free: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The directions that are not determined (p, m), the inverse along all others, and who has a part in the former.
 
-    Not determined: without positive curvature, up to rounding; everything where the curvature isn't finite.
+    Not determined: without positive curvature, up to rounding; everything where the curvature isn't finite. Of the
+    numbers that are `free` (p,), default all; the others have no part in anything.
     """
     p = len(hessian)
-    if not np.all(np.isfinite(hessian)):
-        return np.eye(p), np.full((p, p), np.nan), np.ones(p, bool)
-    eigenvalues, directions = np.linalg.eigh(hessian)
-    known = eigenvalues > DETERMINED * max(float(eigenvalues.max()), 0.0)
-    inverse = (directions[:, known] / eigenvalues[known]) @ directions[:, known].T
-    missing = directions[:, ~known]
-    return missing, inverse, (np.abs(missing) > PART).any(axis=1)
+    free = np.ones(p, bool) if free is None else free
+    missing, inverse = np.eye(p)[:, free], np.zeros((p, p))
+    inner = hessian[np.ix_(free, free)]
+    if not np.all(np.isfinite(inner)):
+        inverse[np.ix_(free, free)] = np.nan
+    elif free.any():
+        eigenvalues, directions = np.linalg.eigh(inner)
+        known = eigenvalues > DETERMINED * max(float(eigenvalues.max()), 0.0)
+        inverse[np.ix_(free, free)] = (directions[:, known] / eigenvalues[known]) @ directions[:, known].T
+        missing = missing @ directions[:, ~known]
+    parts: np.ndarray = np.any(np.abs(missing) > PART, axis=1)
+    return missing, inverse, parts

@@ -19,6 +19,7 @@ from experiments.screen import output_folder, progress
 from experiments.sweep_figures import sweep_figure
 from experiments.tuning_job import job_of, only_group
 from experiments.writing import atomic_write
+from tuning.problem import is_random
 from tuning.sweep import Sweep, grid_vectors, swept_parameters
 from tuning.sweep import sweep as run
 
@@ -65,7 +66,8 @@ def sweep(
         raise UnusableInput(f"--over {' --over '.join(over)}: {_explained(str(error))}") from error
     ways = [] if path is None else _ways(path, [p.label for p in parameters])
     output_folder(out)
-    with progress("sweeping", len(points) * repeats) as advance:
+    turns = repeats if is_random(model) else 1
+    with progress("sweeping", len(points) * turns) as advance:
         swept = run(model, job.rows(), job.goal, grids, repeats, report=advance)
     seconds = time.perf_counter() - clock
     if not np.isfinite(swept.mean).any():

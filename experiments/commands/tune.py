@@ -13,9 +13,10 @@ import tyro
 
 from experiments import checkpoint
 from experiments.errors import UnusableInput
+from experiments.intervals import require_possible
 from experiments.screen import Advance, notice, output_folder, progress
 from experiments.tuning_files import Run, write_run
-from experiments.tuning_job import Job, bounds_of, checked, job_of, only_group
+from experiments.tuning_job import Job, bounds_of, checked, job_of, only_group, tied_apart
 from tuning import FitResult, fit
 from tuning.descent import FitState, stored
 from tuning.first_guess import first_guess
@@ -89,6 +90,11 @@ def tune(
     job = job_of(group, objective, held_out, piece_rows)
     bounds = bounds_of(bound)
     priors = checked(job, tune, freeze, bounds, prior)
+    require_possible(intervals, job.goal, len(job.training))
+    if optimiser == "gauss-newton" and not job.goal.is_likelihood:
+        raise UnusableInput(f"--optimiser gauss-newton: {objective} is no likelihood; expected lbfgs, adam or auto")
+    for text in tied_apart(job, tune, freeze):
+        notice(f"notice: {text}")
     output_folder(out)
     options = {
         "tracker": name,
@@ -120,7 +126,9 @@ def tune(
 def _fitted(job: Job, out: Path, options: dict[str, Any], bounds: Any, priors: Any, resume: bool) -> FitResult:
     """The fit, with a checkpoint after every step; raises UnusableInput where it can't begin."""
     rows, judges = job.rows(), job.rows(held_out=True)
-    mark = checkpoint.fingerprint(options, [*rows, *judges], flatten(chosen(job.tracker, "*")))
+    # What is done with the result does not make another fit of it.
+    config = {name: value for name, value in options.items() if name != "intervals"}
+    mark = checkpoint.fingerprint(config, [*rows, *judges], flatten(chosen(job.tracker, "*")))
     kept = checkpoint.load(out, mark) if resume else None
     if resume and kept is None:
         notice(f"notice: {out}: no checkpoint there; the fit begins anew")
@@ -147,6 +155,11 @@ def _fitted(job: Job, out: Path, options: dict[str, Any], bounds: Any, priors: A
             )
         except FloatingPointError as error:
             raise UnusableInput(f"{error}; ask `trackwright check` about the recordings") from error
+    if result.left_out == len(job.training):
+        raise UnusableInput(
+            f"at the best point met ({options['objective']} {result.value:.4g}) no piece of the recordings has finite "
+            "derivatives: where readings repeat exactly the least noise is the likeliest; give --bound or --prior"
+        )
     if result.left_out:
         notice(
             f"notice: {result.left_out} of {len(job.training)} pieces had no say: their figures were not finite, or "

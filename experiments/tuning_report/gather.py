@@ -57,7 +57,6 @@ class Asked:
 
 def gather(
     asked: Asked,
-    before: AbstractTracker,
     result: FitResult,
     training: Sequence[Lane],
     held_out: Sequence[Lane],
@@ -71,10 +70,12 @@ def gather(
     `intervals`: 95 %, by label, none where the fit was stopped; `judgements`: what is not determined. The landscape
     round the optimum takes about as many values as the fit took steps.
     """
-    effort = result.filter_runs
+    effort, before = result.filter_runs, result.before
     quantity = next(iter(training[0].recording.truth))
     angles = quantity == "direction"
     dimensions = 2 if angles or planar else 3
+    # Of the figures `rmse` is the error over the floor, and an error in space has another name.
+    goal = "rmse-3d" if asked.objective == "rmse" and dimensions == 3 else asked.objective
     numbers = _numbers(result, intervals, judgements)
     judged, where = (held_out, "held-out recordings") if held_out else (training, "the recordings tuned on")
     unit, scale = ("°", 180 / np.pi) if angles else ("m", 1.0)
@@ -95,13 +96,13 @@ def gather(
         again=asked.again,
         tracker=asked.tracker,
         tracker_about=asked.tracker_about,
-        objective=asked.objective,
-        objective_about=_about(asked.objective, "rad" if angles else "m"),
+        objective=goal,
+        objective_about=_about(goal, "rad" if angles else "m"),
         training=_recordings(training),
         held_out=_recordings(held_out),
         numbers=numbers,
         scores=(
-            *_own_score(asked.objective, result),
+            *_own_score(goal, result),
             *_scores(
                 (before, result.tracker), [_rows(x, comparable) for x in (training, held_out)], quantity, dimensions
             ),
@@ -128,7 +129,7 @@ NO_DISTRIBUTION = "The NIS of this tracker has no known distribution, so that it
 
 
 def _own_score(objective: str, result: FitResult) -> list[Score]:
-    """The objective itself where it is a sum of several."""
+    """The objective itself where it is a sum, of several or with priors."""
     if objective in TITLES:
         return []
     nan = float("nan")

@@ -43,12 +43,16 @@ def judged(evidence: TuningEvidence) -> Judgement:
         parts.append(f"on held-out recordings {_change(rmse, rmse.held_out)}")
     elif rmse is not None and best is not rmse and math.isfinite(rmse.training[0]):
         parts.append(_change(rmse, rmse.training))
-    told = [n.determined for n in evidence.numbers if n.determined is not None]
-    if told:
-        parts.append(_determined(sum(told), len(told)))
+    told = [n.determined for n in evidence.numbers]
+    if told and None not in told:
+        parts.append(_determined(told.count(True), len(told)))
+    elif False in told:
+        parts.append(f"the recordings leave {told.count(False)} of {len(told)} numbers open")
     sentence = "; ".join(parts)
+    if not sentence.startswith(evidence.objective):
+        sentence = sentence[0].upper() + sentence[1:]
     word = "Look before you use it." if against else "Use its estimates, not its covariances." if doubts else "Use it."
-    return Judgement(word, f"{sentence[0].upper()}{sentence[1:]}.", not (against or doubts), (*against, *doubts))
+    return Judgement(word, f"{sentence}.", not (against or doubts), (*against, *doubts))
 
 
 def is_worse(score: Score, pair: tuple[float, float]) -> bool:
@@ -116,7 +120,7 @@ def _inconsistent(evidence: TuningEvidence) -> list[str]:
             where = "held-out recordings" if held_out else "the recordings tuned on"
             found.append(
                 f"The {key.removesuffix('-shape').upper()} is far from its distribution on {where} ({number(value)}; "
-                f"below {FAR} is fair): whatever the numbers, this model does not know how wrong it is there."
+                f"below {FAR} is fair): with these numbers it does not know how wrong it is there."
             )
     return found
 
@@ -129,10 +133,8 @@ def _worse(evidence: TuningEvidence) -> list[str]:
         found.append(f"The objective itself got worse: {_change(goal, goal.training)}.")
     rmse = evidence.score("rmse")
     if rmse is not None and is_worse(rmse, rmse.held_out):
-        found.append(
-            f"Held-out {_change(rmse, rmse.held_out)}: more than {WORSE:.0%} worse. ".replace("%", " %")
-            + _why(evidence)
-        )
+        more = f"more than {100 * WORSE:.0f} % worse"
+        found.append(f"Held-out {_change(rmse, rmse.held_out)}: {more}. {_why(evidence)}")
     for key in SHAPES:
         score = evidence.score(key)
         if score is None:

@@ -73,8 +73,8 @@ def _sigmas(sure: Uncertainty | None) -> np.ndarray | None:
     """Standard errors of the unconstrained numbers, infinite where undetermined."""
     if sure is None:
         return None
-    cov = sure.sandwich if np.all(np.isfinite(sure.sandwich)) else sure.observed
-    sigmas: np.ndarray = np.where(sure.undetermined, np.inf, np.sqrt(np.maximum(np.diagonal(cov), 0.0)))
+    variances = np.fmax(np.diagonal(sure.sandwich), np.diagonal(sure.observed))
+    sigmas: np.ndarray = np.where(sure.undetermined, np.inf, np.sqrt(np.maximum(variances, 0.0)))
     return sigmas
 
 

@@ -71,7 +71,8 @@ def _numbers(e: TuningEvidence) -> Part:
         "An interval that spans a factor of ten, or a number that is not determined, says that these recordings hold "
         "too little about it."
         if sure
-        else "No intervals: of an error, or with particles, they take the scatter of twenty trajectories or more."
+        else "No intervals: they take a likelihood, or the scatter of twenty trajectories, and a fit that came to rest "
+        "where its objective is least."
     )
     return "numbers", "The numbers", lead, _table("numbers", head, rows)
 

@@ -313,7 +313,8 @@ def test_tuned_noise_levels_are_written_and_used(runs, there, world):
     assert "sensors.phases.sigma_p" in report
     assert f"{content['after']:.3f}"[:5] in report
     trace = pl.read_csv(folder / "trace.csv")
-    assert 1 < trace.height <= 4
+    assert 1 < trace.height <= 5, "the start, three steps, and where Newton steps end"
+    assert trace["nll"][-1] == pytest.approx(content["after"])
     assert trace.columns[:2] == ["nll", "gradient_norm"]
     assert set(trace.columns[2:]) == set(content["tunables"])
     again = trackwright(

@@ -41,7 +41,7 @@ def run():
     result = fit(group.tracker, rows, parse_objective(NLL, "position", 3), PATTERNS, steps=6, starts=2)
     asked = Asked("trackwright tune a b", ("trackwright track c",), "fix-kf", "a Kalman filter", NLL, 1.5)
     doubt = [Judgement((PATTERNS[0],), "a doubt")]
-    return result, gather(asked, group.tracker, result, training, held_out, group.planar, intervals_of(result), doubt)
+    return result, gather(asked, result, training, held_out, group.planar, intervals_of(result), doubt)
 
 
 def test_numbers_are_those_of_the_fit_and_a_doubted_one_is_not_determined(run):

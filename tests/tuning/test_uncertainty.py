@@ -16,7 +16,7 @@ from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
 from tuning.parameters import Parameter, chosen, flatten
 from tuning.problem import Problem
 from tuning.profiles import bootstrap, percentile_intervals, profile, refit
-from tuning.uncertainty import optimum, students, uncertainty, unused
+from tuning.uncertainty import Optimum, Uncertainty, assessed, optimum, students, uncertainty, unused
 
 TYPICAL = 0.5
 
@@ -82,10 +82,10 @@ def test_the_observed_information_is_the_closed_form(numbers):
     found = uncertainty(problem, best)
     total = numbers.size
     # of log σ: 1/(2N); of μ: σ²/N. Differences over 2 % of a level are off by (2 %)²·2/3
-    errors = found.standard_errors()
+    errors = found.standard_errors("curvature")
     assert errors["sigma"] == pytest.approx(numbers.std() / np.sqrt(2 * total), rel=1e-3)
     assert errors["mu"] == pytest.approx(numbers.std() / np.sqrt(total), rel=1e-3)
-    low, high = found.intervals()["sigma"]
+    low, high = found.intervals(by="curvature")["sigma"]
     assert high / low == pytest.approx(np.exp(2 * 1.96 / np.sqrt(2 * total)), rel=1e-3)
     assert low * high == pytest.approx(numbers.var())
     assert judgements(found, problem.evaluate(best).slopes) == []
@@ -112,7 +112,7 @@ def test_intervals_of_few_trajectories_cover_as_often_as_they_say():
     covered = []
     for _ in range(200):
         problem, best = _level_and_place(rng.normal(0.3, 0.7, (20, 25)))
-        ends = uncertainty(problem, best).intervals(sandwich=True)
+        ends = uncertainty(problem, best).intervals(by="scatter")
         covered.append([ends["sigma"][0] < 0.7 < ends["sigma"][1], ends["mu"][0] < 0.3 < ends["mu"][1]])
     # 200 repetitions know 95 % to 1.5 %; of a level, whose squares are skewed, 20 trajectories are few
     assert np.all(np.abs(np.mean(covered, axis=0) - [0.94, 0.95]) < 0.045)
@@ -131,24 +131,29 @@ def test_intervals_are_in_physical_units_of_every_kind():
     ]
     vector = np.concatenate([np.ravel(p.example.raw) for p in parameters])
     found = SimpleNamespace(vector=vector, hessian=np.eye(5), units=1.0)
-    made = type(uncertainty(*_level_and_place(np.random.default_rng(0).normal(size=(25, 4)))))
-    cov = 0.01 * np.eye(5)
-    every = made(parameters, found, cov, cov, np.array([False] * 5), 25).intervals()
+    cov, none = 0.01 * np.eye(5), np.zeros(5, bool)
+    every = Uncertainty(parameters, found, cov, cov, none, none, 25, 0.0).intervals(by="curvature")
     odds = np.array([x / (1 - x) for x in every["share"]])
     np.testing.assert_allclose(np.log(odds), np.log(0.3 / 0.7) + np.array([-0.196, 0.196]), atol=1e-4)
     # a variance of 4 m² whose log root is known to 0.1: ± 1.96 · 2 · 0.1 · 4
     np.testing.assert_allclose([every["matrix"][k][1, 1] for k in (0, 1)], [4 - 1.568, 4 + 1.568], atol=1e-3)
-    open_ = made(parameters, found, cov, cov, np.array([True] + [False] * 4), 25).intervals()
+    open_ = Uncertainty(parameters, found, cov, cov, np.array([True] + [False] * 4), none, 25, 0.0).intervals()
     assert [float(x) for x in open_["share"]] == [0.0, 1.0]
+
+
+def _found(parameters, hessian, observed, sandwich=None, held=None, astray=0.0):
+    """How sure a fit is, made up: second derivatives, covariances, what rests on a bound, how far off it is."""
+    p = len(hessian)
+    point = Optimum(np.zeros(p), 0.0, np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0])[:p], hessian,
+                    np.zeros((3, p)), 1.0, np.ones(3, bool))  # fmt: skip
+    nothing, none = np.full((p, p), np.nan), np.zeros(p, bool)
+    held = none if held is None else held
+    return Uncertainty(parameters, point, observed, nothing if sandwich is None else sandwich, none, held, 25, astray)
 
 
 def test_what_stands_above_a_factors_diagonal_is_nobodys_fault():
     parameters = [Parameter(("matrix",), Covariance(np.diag([1.0, 4.0])), "matrix")]
-    found = SimpleNamespace(
-        optimum=SimpleNamespace(hessian=np.diag([50.0, 0.0, 70.0, 60.0])),
-        parameters=parameters,
-        observed=np.diag([0.02, 0.0, 0.01, 0.02]),
-    )
+    found = _found(parameters, np.diag([50.0, 0.0, 70.0, 60.0]), np.diag([0.02, 0.0, 0.01, 0.02]))
     slopes = np.ones((2, 4, 20)) * np.array([1.0, 0.0, 1.0, 1.0])[:, None]
     assert unused(parameters).tolist() == [False, True, False, False]
     assert judgements(found, slopes) == []
@@ -192,7 +197,7 @@ def test_numbers_without_effect_are_named_in_one_sentence(numbers):
     assert [j.text for j in said] == ["b and c have no effect on the objective"]
     assert said[0].names == ("b", "c")
     many = [Parameter(("bias",), Real(np.zeros(8)), "bias")]
-    found = SimpleNamespace(optimum=SimpleNamespace(hessian=np.eye(8)), parameters=many, observed=np.eye(8))
+    found = _found(many, np.eye(8), np.eye(8))
     text = judgements(found, np.zeros((2, 8, 3)))[0].text
     assert text == "bias.0, bias.1, bias.2 and 5 others have no effect on the objective"
 
@@ -209,11 +214,8 @@ def test_two_numbers_of_which_not_even_a_product_is_known_are_said_to_be_open_on
     turned = np.array([[0.8, 0.6], [-0.6, 0.8]])
 
     def said(curvatures, observed):
-        made = SimpleNamespace(
-            optimum=SimpleNamespace(hessian=turned @ np.diag(curvatures) @ turned.T),
-            parameters=problem.parameters,
-            observed=turned @ np.diag(observed) @ turned.T,
-            sandwich=np.full((2, 2), np.nan),
+        made = _found(
+            problem.parameters, turned @ np.diag(curvatures) @ turned.T, turned @ np.diag(observed) @ turned.T
         )
         return [j.text for j in judgements(made, np.ones((2, 2, 20)))]
 
@@ -223,14 +225,49 @@ def test_two_numbers_of_which_not_even_a_product_is_known_are_said_to_be_open_on
     assert len(said([0.0, 100.0], [0.0, 0.01])) == 1
 
 
+def test_what_rests_on_its_bound_is_named_and_the_others_are_as_sure_as_with_it_there(numbers):
+    problem, best = _level_and_place(numbers)
+    # the level kept too high: the place is known as with this level, whatever the level's own gradient
+    high = best + [0.5, 0.0]
+    found = assessed(problem, optimum(problem, high), np.array([True, False]))
+    assert [j.text for j in judgements(found, problem.evaluate(high).slopes)] == [
+        "sigma rests on its bound: the recordings would have it lower"
+    ]
+    assert np.isnan(found.intervals()["sigma"]).all()
+    expected = np.exp(high[0]) / np.sqrt(numbers.size)
+    assert found.standard_errors("curvature")["mu"] == pytest.approx(expected, rel=1e-3)
+    at = profile(problem, found.optimum, 1, held=found.held)
+    assert at.high - at.low == pytest.approx(2 * 1.96 * expected, rel=1e-2)
+    drawn = bootstrap(problem, found.optimum, held=found.held)
+    assert (drawn[:, 0] == high[0]).all()
+
+
+def test_a_point_away_from_the_optimum_has_no_interval(numbers):
+    problem, best = _level_and_place(numbers)
+    sigma = 1 / np.sqrt(2 * numbers.size)
+    near, far = (uncertainty(problem, best + [k * sigma, 0.0]) for k in (0.5, 3.0))
+    assert near.settled
+    assert near.astray == pytest.approx(0.5, rel=0.1)
+    assert far.astray == pytest.approx(3.0, rel=0.2)
+    assert all(np.isnan(ends).all() for ends in far.intervals().values())
+    text = judgements(far, problem.evaluate(best).slopes)[0].text
+    assert "standard deviations from where the objective is least" in text
+
+
+def test_an_interval_is_the_wider_of_curvature_and_scatter(numbers):
+    problem, best = _level_and_place(numbers)
+    found = uncertainty(problem, best)
+    # where every trajectory's score vanishes, so does the scatter
+    flat = _found(problem.parameters, found.optimum.hessian, found.observed, 1e-9 * found.observed)
+    one, other = flat.intervals(by="curvature"), flat.intervals(by="scatter")
+    assert float(np.diff(other["mu"])[0]) < 1e-3 * float(np.diff(one["mu"])[0])
+    np.testing.assert_array_equal(flat.intervals()["mu"], one["mu"])
+    assert flat.standard_errors()["mu"] == flat.standard_errors("curvature")["mu"]
+
+
 def test_what_is_known_only_to_a_factor_is_said(numbers):
     problem, _ = _level_and_place(numbers)
-    quadratic = SimpleNamespace(
-        optimum=SimpleNamespace(hessian=np.diag([0.25, 100.0])),
-        parameters=problem.parameters,
-        observed=np.diag([4.0, 0.01]),
-        sandwich=np.diag([4.0, 0.01]),
-    )
+    quadratic = _found(problem.parameters, np.diag([0.25, 100.0]), np.diag([4.0, 0.01]))
     said = judgements(quadratic, np.ones((2, 2, 20)))
     assert [j.text for j in said] == ["sigma is hardly determined: it may as well be 7.4 times larger or smaller"]
 
