@@ -135,11 +135,17 @@ def checked(
     return priors
 
 
-def tied_apart(job: Job, tune: Sequence[str], freeze: Sequence[str]) -> Iterator[str]:
-    """What begins elsewhere than the tracker has it, since tied numbers are equal."""
+def oddities(job: Job, tune: Sequence[str], freeze: Sequence[str]) -> Iterator[str]:
+    """What a user may not expect of the numbers to be tuned: where tied ones begin, and what no likelihood can tell."""
     own = tunables(job.tracker)
     for parameter in chosen(job.tracker, tune, freeze):
         values = [np.asarray(own[name].value) for name in parameter.names]
         if not all(np.array_equal(value, values[0]) for value in values):
             listed = ", ".join(f"{float(value):.4g}" for value in values if value.ndim == 0)
             yield f"{parameter.label}: tied numbers all begin as the first of them{f', of {listed}' if listed else ''}"
+        alone = len(getattr(job.tracker, "sensors", ())) == 1
+        if parameter.label.endswith(".latency") and alone and not job.goal.needs_truth:
+            yield (
+                f"{parameter.label}: fixes alone do not tell how late they are, a tag that was there later looks the "
+                "same; give recordings with truth and --objective rmse"
+            )

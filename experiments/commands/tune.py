@@ -16,7 +16,7 @@ from experiments.errors import UnusableInput
 from experiments.intervals import require_possible
 from experiments.screen import Advance, notice, output_folder, progress
 from experiments.tuning_files import Run, write_run
-from experiments.tuning_job import Job, bounds_of, checked, job_of, only_group, tied_apart
+from experiments.tuning_job import Job, bounds_of, checked, job_of, oddities, only_group
 from tuning import FitResult, fit
 from tuning.descent import FitState, stored
 from tuning.first_guess import first_guess
@@ -93,7 +93,7 @@ def tune(
     require_possible(intervals, job.goal, len(job.training))
     if optimiser == "gauss-newton" and not job.goal.is_likelihood:
         raise UnusableInput(f"--optimiser gauss-newton: {objective} is no likelihood; expected lbfgs, adam or auto")
-    for text in tied_apart(job, tune, freeze):
+    for text in oddities(job, tune, freeze):
         notice(f"notice: {text}")
     output_folder(out)
     options = {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import polars as pl
@@ -12,9 +13,12 @@ import pytest
 from experiments.checkpoint import save
 from experiments.commands import track as track_command
 from experiments.commands import tune as tune_command
+from experiments.errors import UnusableInput
+from experiments.intervals import require_possible
 from tests.experiments.broken import BROKEN, ODD
 from tests.experiments.faulty import good_tables, write_good
 from tests.experiments.in_process import assert_refused, trackwright
+from tuning import NegativeLogLikelihood
 
 
 def _contents(folder: Path) -> dict[str, bytes]:
@@ -51,6 +55,21 @@ def test_two_recordings_of_one_name_are_refused(tmp_path, beginnings, command):
     write_good(tmp_path / "copy")
     said = trackwright(command, beginnings / "good", tmp_path / "copy", "--out", tmp_path / "out")
     assert_refused(said, "both named 'good'", "rename")
+
+
+@pytest.mark.parametrize("command", ["track", "tune"])
+def test_a_recording_given_twice_is_refused(tmp_path, beginnings, command):
+    good = beginnings / "good"
+    again = good.parent / "." / "tracked" / ".." / "good"
+    assert_refused(trackwright(command, good, again, "--out", tmp_path / "out"), "given more than once")
+
+
+def test_results_are_not_written_among_a_recording(tmp_path, simulated):
+    before = _contents(simulated)
+    for command in ("track", "tune"):
+        said = trackwright(command, simulated, "--tracker", "beam", "--out", simulated)
+        assert_refused(said, f"--out {simulated}: is a recording folder")
+    assert _contents(simulated) == before
 
 
 @pytest.mark.parametrize("command", [("track", "--out", "out"), ("tune", "--out", "out"), ("check",)])
@@ -116,6 +135,22 @@ def test_a_fit_that_cannot_begin_says_why(tmp_path, simulated, monkeypatch):
     monkeypatch.setattr(tune_command, "fit", nothing_scored)
     said = trackwright("tune", simulated, "--tracker", "beam", "--out", tmp_path / "out")
     assert_refused(said, "the objective is not finite at the start", "trackwright check")
+
+
+def test_a_fit_that_ran_away_with_all_recordings_gives_no_numbers(tmp_path, simulated, monkeypatch):
+    def ran_away(*arguments, **options):
+        return SimpleNamespace(left_out=6, value=-34.5)
+
+    monkeypatch.setattr(tune_command, "fit", ran_away)
+    said = trackwright("tune", simulated, "--tracker", "beam", "--starts", 1, "--out", tmp_path / "out")
+    assert_refused(said, "nll -34.5", "no piece of the recordings has finite derivatives", "--bound")
+    assert not list((tmp_path / "out").iterdir())
+
+
+def test_intervals_of_too_few_pieces_are_refused_before_the_fit():
+    with pytest.raises(UnusableInput, match="found 4 pieces of recordings, expected at least 5"):
+        require_possible("bootstrap", NegativeLogLikelihood(), 4)
+    require_possible("bootstrap", NegativeLogLikelihood(), 5)
 
 
 def test_phases_that_are_odd_are_tracked_with_a_notice(tmp_path, monkeypatch):
@@ -264,7 +299,10 @@ def test_a_world_is_not_written_over_something(tmp_path):
         (("--bound", "motion.sigma_a=low:high"), "PATTERN=LOWEST:HIGHEST"),
         (("--bound", "nothing.*=1:2"), "no tuned number matches"),
         (("--bound", "motion.sigma_a=2:1"), "is not below"),
-        (("--bound", "motion.sigma_a=100:200"), "starting value"),
+        (("--bound", "motion.sigma_a=100:200"), "motion.sigma_a begins outside, at "),
+        (("--bound", "motion.sigma_a=0.01:2", "motion.sigma_a=0.1:1"), "bounded twice"),
+        (("--intervals", "profile", "--objective", "rmse"), "a profile is of a likelihood"),
+        (("--optimiser", "gauss-newton", "--objective", "rmse"), "rmse is no likelihood"),
         (("--prior", "motion.sigma_a=often"), "is no prior"),
         (("--prior", "nothing.*=0.2x2"), "matches nothing that is tuned"),
         (("--prior", "motion.sigma_a=0.2x2", "--objective", "rmse"), "weighed against a likelihood"),

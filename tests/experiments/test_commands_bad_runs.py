@@ -6,6 +6,8 @@ import errno
 import os
 import resource
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import polars as pl
@@ -194,6 +196,13 @@ def test_an_interrupted_command_says_so(beginnings, monkeypatch):
     said = trackwright("check", beginnings / "good")
     assert (said.code, said.out) == (130, "")
     assert said.err == "trackwright: interrupted; files already written are whole\n"
+
+
+def test_a_reader_that_has_seen_enough_gets_no_traceback():
+    run = subprocess.Popen([sys.executable, "-m", "experiments", "--help"], stdout=-1, stderr=-1)
+    run.stdout.close()
+    assert run.stderr.read() == b""
+    assert run.wait() == 141
 
 
 def test_a_fault_of_the_program_is_not_called_bad_input(beginnings, monkeypatch):

@@ -163,7 +163,9 @@ def matching(tree: Any, patterns: str | Sequence[str]) -> dict[str, AbstractTuna
     every = tunables(tree)
     for pattern in patterns:
         if not fnmatch.filter(every, pattern):
-            raise ValueError(f"the pattern '{pattern}' matches no tunable; this tracker has: {', '.join(every)}")
+            raise ValueError(
+                f"the pattern '{pattern}' matches no tunable; this tracker has: {', '.join(every) or 'none'}"
+            )
     return {name: node for name, node in every.items() if any(fnmatch.fnmatchcase(name, p) for p in patterns)}
 
 
