@@ -83,9 +83,10 @@ def kinds_of(parameters: Sequence[Parameter]) -> list[type]:
 
 
 def _elsewhere(astray: float) -> str:
+    away = f"{astray:.2g} standard deviations away" if astray < 100 else "far away"
     return (
-        f"the numbers are {astray:.2g} standard deviations from where the objective is least on the recordings tuned "
-        "on, since held-out recordings chose them or the fit ended early: they have no intervals"
+        f"the numbers are not where the objective is least on the recordings tuned on ({away}), and have no intervals: "
+        "held-out recordings chose them, or the fit ended early, as it does where the objective is not smooth"
     )
 
 

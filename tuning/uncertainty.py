@@ -46,6 +46,9 @@ PART = 0.1
 SETTLED = 1.0
 """Standard deviations from where the objective is least, beyond which a point has no interval to speak of."""
 
+FALLS = 1.0
+"""Nats that a likelihood falls by a change of e in a number, from which on it depends on that number."""
+
 By = Literal["curvature", "scatter", "either"]
 """What says how sure a number is: the observed information, the sandwich, or the one that is less sure."""
 
@@ -73,7 +76,7 @@ class Uncertainty:
     NaN where there is none. `undetermined`: (p,) what has a part in a direction that is not. `held`: (p,) what rests on
     a bound that the objective would have it cross; the others are as sure as they are with it there. `clusters`: how
     many trajectories or blocks the sandwich is from. `optimum`: what it was made of. `astray`: how many standard
-    deviations the point is from where the objective is least by its quadratic model.
+    deviations the point is from where the objective is least by its quadratic model; infinite where that has none.
     """
 
     parameters: list[Parameter]
@@ -156,12 +159,15 @@ def assessed(problem: Any, found: Optimum, held: np.ndarray | None = None) -> Un
     scatter, clusters = _scatter(problem, found)
     if problem.random:
         found = found._replace(hessian=found.units * scatter)
-    _, inverse, undetermined = determined(found.hessian, ~held)
+    missing, inverse, undetermined = determined(found.hessian, ~held)
     undetermined &= ~unused(problem.parameters)
     observed = inverse / found.units if np.isfinite(found.units) else np.full(inverse.shape, np.nan)
     sandwich = inverse @ scatter @ inverse
     # The gradient of particles has noise, which says nothing of where the objective is least.
     astray = 0.0 if problem.random else _astray(inverse @ found.gradient, observed, sandwich)
+    # Where an objective without curvature still falls nothing is open: the fit ended before it came to rest.
+    if not problem.random and np.any(np.abs(missing.T @ found.gradient) * found.units > FALLS):
+        astray = np.inf
     return Uncertainty(problem.parameters, found, observed, sandwich, undetermined, held, clusters, astray)
 
 

@@ -251,7 +251,17 @@ def test_a_point_away_from_the_optimum_has_no_interval(numbers):
     assert far.astray == pytest.approx(3.0, rel=0.2)
     assert all(np.isnan(ends).all() for ends in far.intervals().values())
     text = judgements(far, problem.evaluate(best).slopes)[0].text
-    assert "standard deviations from where the objective is least" in text
+    assert text.startswith("the numbers are not where the objective is least on the recordings tuned on (3")
+
+
+def test_a_fit_that_ended_on_a_slope_without_curvature_is_not_called_open(numbers):
+    problem, best = _level_and_place(numbers)
+    point = optimum(problem, best)
+    slope = np.array([2.0 / point.units, 0.0])
+    flat = assessed(problem, point._replace(hessian=np.diag([0.0, point.hessian[1, 1]]), gradient=slope))
+    assert flat.astray == np.inf
+    said = judgements(flat, problem.evaluate(best).slopes)
+    assert ["far away" in j.text for j in said] == [True]
 
 
 def test_an_interval_is_the_wider_of_curvature_and_scatter(numbers):
