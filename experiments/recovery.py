@@ -227,9 +227,9 @@ def judged(name: str, system: System, replicates: int, seed: int) -> bool:
             assert result.uncertainty is not None
             errors.append(result.vector - truth)
             for way, within in holds.items():
-                within.append(_held(result.uncertainty.intervals(by=way), parameters))
+                within.append(_inside(result.uncertainty.intervals(by=way), parameters))
             advance(1)
-    error, making = np.array(errors), ~unused(parameters)
+    error, making, labels = np.array(errors), ~unused(parameters), names_of(parameters)
     shares = {way: np.mean(within, axis=0) for way, within in holds.items()}
     bias = error.mean(axis=0) / (error.std(axis=0, ddof=1) / np.sqrt(replicates))
     good = [(share >= COVERED[0]) & (share <= COVERED[1]) for share in shares.values()] + [np.abs(bias) < UNBIASED]
@@ -238,14 +238,14 @@ def judged(name: str, system: System, replicates: int, seed: int) -> bool:
     for k in np.flatnonzero(making).tolist():
         by = ", ".join(f"{100 * share[k]:.1f} % by {way}" for way, share in shares.items())
         print(
-            f"  {names_of(parameters)[k]:32s} 95 % intervals hold {by}   bias {bias[k]:+.2f} standard errors   "
+            f"  {labels[k]:32s} 95 % intervals hold {by}   bias {bias[k]:+.2f} standard errors   "
             f"spread {error[:, k].std():.4f}",
             flush=True,
         )
     return bool(np.all(good, axis=0)[making].all()) and worse == 0
 
 
-def _held(intervals: Mapping[str, tuple[np.ndarray, np.ndarray]], parameters: Sequence[Parameter]) -> np.ndarray:
+def _inside(intervals: Mapping[str, tuple[np.ndarray, np.ndarray]], parameters: Sequence[Parameter]) -> np.ndarray:
     """Whether the intervals hold the parameters' values: of a matrix, entry by entry."""
     inside = []
     for parameter in parameters:

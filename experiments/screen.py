@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from rich import box
 from rich.console import Console, RenderableType
@@ -76,21 +76,23 @@ def read_all(paths: Sequence[Path]) -> list[Folder]:
     """All recording folders, their notices shown; raises UnusableInput for none, and for two of one name."""
     folders = []
     require_some(paths)
-    places = [path.resolve() for path in paths]
-    twice = next((path for path, place in zip(paths, places, strict=True) if places.count(place) > 1), None)
+    twice = _repeated([path.resolve() for path in paths])
     if twice is not None:
-        raise UnusableInput(f"{twice}: is given more than once; expected every recording in one place only")
+        raise UnusableInput(f"{paths[twice]}: is given more than once; expected every recording in one place only")
     for path in paths:
         folders.append(read_folder(path))
         for text in folders[-1].notices:
             notice(f"notice: {path}: {text}")
-    names = [f.name for f in folders]
-    double = next((n for n in names if names.count(n) > 1), None)
+    double = _repeated([folder.name for folder in folders])
     if double is not None:
-        raise UnusableInput(
-            f"two recordings are both named '{double}'; expected different names in rig.toml; rename one"
-        )
+        name = folders[double].name
+        raise UnusableInput(f"two recordings are both named '{name}'; expected different names in rig.toml; rename one")
     return folders
+
+
+def _repeated(items: Sequence[Any]) -> int | None:
+    """The place of the first item that stands there more than once."""
+    return next((k for k, item in enumerate(items) if items.count(item) > 1), None)
 
 
 def require_some(paths: Sequence[Path]) -> None:

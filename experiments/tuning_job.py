@@ -21,7 +21,7 @@ from trackers.core.tunable import tunables
 from tuning.figures import parse_objective
 from tuning.judgement import names_of
 from tuning.objectives import AbstractObjective
-from tuning.parameters import chosen, flatten, limits, physical
+from tuning.parameters import chosen, flatten, limits, physical_vector
 from tuning.priors import Prior, parse_prior, penalty
 
 
@@ -121,10 +121,10 @@ def checked(
         option = "--bound"
         low, high = limits(parameters, bounds)
         vector = flatten(parameters)
-        values = np.concatenate([np.ravel(x) for x in physical(parameters, vector)])
-        for k in np.flatnonzero((vector < low) | (vector > high)):
-            name = names_of(parameters)[k]
-            raise ValueError(f"{name} begins outside, at {values[k]:.4g}; give another starting value with --start")
+        outside = (vector < low) | (vector > high)
+        if outside.any():
+            name, value = names_of(parameters)[outside.argmax()], physical_vector(parameters, vector)[outside.argmax()]
+            raise ValueError(f"{name} begins outside, at {value:.4g}; give another starting value with --start")
         option = f"--prior {' '.join(prior)}"
         priors = [parse_prior(text) for text in prior]
         penalty(priors, parameters, vector)

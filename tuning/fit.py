@@ -13,14 +13,13 @@ from trackers.core.chunks import CHUNK
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker
 from tuning.descent import Descent, FitState, enough, restored
-from tuning.judgement import without_effect
 from tuning.objectives import AbstractObjective
 from tuning.optimisers import LBFGS, AbstractOptimiser, Adam, GaussNewton
 from tuning.parameters import Parameter, chosen, flatten, limits, physical, placed_in
 from tuning.priors import Prior
 from tuning.problem import Problem
 from tuning.starts import coarse_grid
-from tuning.uncertainty import Optimum, Uncertainty, assessed, determined, optimum
+from tuning.uncertainty import Optimum, Uncertainty, assessed, determined, optimum, without_effect
 
 NEWTON_STEPS = 4
 
@@ -103,13 +102,13 @@ def fit(
     parameters = chosen(tracker, tune, frozen)
     if priors and not objective.is_likelihood:
         raise ValueError("priors are weighed against a likelihood; with another objective give bounds")
+    if isinstance(optimiser, GaussNewton) and not objective.is_likelihood:
+        raise ValueError("Gauss-Newton takes its steps from the innovations of a likelihood; use another optimiser")
     lanes = chunk if minibatch is None else min(chunk, minibatch)
     problem = Problem(tracker, _several(batches), objective, parameters, lanes, priors)
     judge = Problem(tracker, _several(held_out), objective, parameters, chunk) if held_out else None
     low, high = limits(parameters, bounds or {})
     # An error has steps where a track is nearly lost, at which a line search ends; Adam goes over them.
-    if isinstance(optimiser, GaussNewton) and not objective.is_likelihood:
-        raise ValueError("Gauss-Newton takes its steps from the innovations of a likelihood; use another optimiser")
     steady = objective.is_likelihood and minibatch is None and not problem.random
     optimiser = optimiser or (LBFGS() if steady else Adam(steps))
     parts = None if minibatch is None else max(1, minibatch // problem.chunks[0].size)
@@ -191,9 +190,10 @@ def _kept_where_idle(problem: Problem, state: FitState, winner: int) -> np.ndarr
         return vector
     found = problem.evaluate(vector)
     idle = without_effect(found.slopes) & (found.gradients[0] == 0) & (own != began)
+    if not idle.any():
+        return vector
     kept = np.where(idle, own, vector)
-    best, again = problem.evaluate(np.stack([vector, kept])).values if idle.any() else (0.0, np.inf)
-    return kept if again <= best else vector
+    return kept if problem.evaluate(kept).values[0] <= found.values[0] else vector
 
 
 def named(parameters: Sequence[Parameter], vector: np.ndarray) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from trackers.core.tunable import Scale
 from tuning.parameters import Parameter
-from tuning.uncertainty import PART, Uncertainty, determined, unused
+from tuning.uncertainty import PART, Uncertainty, determined, unused, without_effect
 
 LOOSE = 1.0
 """Standard deviation of an unconstrained number from which on it is hardly determined: a factor of e either way."""
@@ -63,13 +63,6 @@ def judgements(found: Uncertainty, slopes: np.ndarray) -> list[Judgement]:
         else:
             said += [Judgement(tuple(mine), _words(mine, theirs, *way)) for way in ways]
     return said
-
-
-def without_effect(slopes: np.ndarray) -> np.ndarray:
-    """Which of p numbers change nothing: derivatives (…, p, n) all zero where they are finite, and some are."""
-    each = np.moveaxis(slopes, -2, 0).reshape(slopes.shape[-2], -1)
-    finite = np.isfinite(each)
-    return np.all((each == 0) | ~finite, axis=1) & finite.any(axis=1)
 
 
 def names_of(parameters: Sequence[Parameter]) -> list[str]:

@@ -115,6 +115,11 @@ def physical(parameters: Sequence[Parameter], vector: Any) -> list[Any]:
     return values
 
 
+def physical_vector(parameters: Sequence[Parameter], vector: Any) -> np.ndarray:
+    """The physical values of all parameters, one after another, where the unconstrained vector has them."""
+    return np.concatenate([np.ravel(np.asarray(x, float)) for x in physical(parameters, vector)])
+
+
 def physical_errors(parameters: Sequence[Parameter], vector: np.ndarray, cov: np.ndarray) -> list[np.ndarray]:
     """Standard errors of the physical values, by the delta method from the covariance of the unconstrained vector."""
     jacobians = jax.jacfwd(lambda v: physical(parameters, v))(jnp.asarray(vector))

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from trackers.core.metrics import chi_square_quantile
-from tuning.parameters import Parameter, physical
+from tuning.parameters import Parameter, physical, physical_vector
 from tuning.uncertainty import Optimum, determined
 
 REACH = 3.5
@@ -196,4 +196,4 @@ def _physical(parameters: list[Parameter], vector: np.ndarray, component: int, o
     """The physical value of one number, `offset` away from a vector in unconstrained coordinates."""
     moved = np.array(vector, float)
     moved[component] += offset
-    return float(np.concatenate([np.ravel(np.asarray(x, float)) for x in physical(parameters, moved)])[component])
+    return float(physical_vector(parameters, moved)[component])

@@ -42,7 +42,6 @@ BLOCKS = 50
 PART = 0.1
 """Part of a unit vector from which on a parameter belongs to a direction."""
 
-
 SETTLED = 1.0
 """Standard deviations from where the objective is least, beyond which a point has no interval to speak of."""
 
@@ -87,6 +86,11 @@ class Uncertainty:
     held: np.ndarray
     clusters: int
     astray: float
+
+    @property
+    def sigmas(self) -> np.ndarray:
+        """Standard deviations (p,) of the unconstrained vector, the larger of curvature's and scatter's."""
+        return _larger(self.observed, self.sandwich)
 
     @property
     def settled(self) -> bool:
@@ -164,16 +168,20 @@ def assessed(problem: Any, found: Optimum, held: np.ndarray | None = None) -> Un
     observed = inverse / found.units if np.isfinite(found.units) else np.full(inverse.shape, np.nan)
     sandwich = inverse @ scatter @ inverse
     # The gradient of particles has noise, which says nothing of where the objective is least.
-    astray = 0.0 if problem.random else _astray(inverse @ found.gradient, observed, sandwich)
+    astray = 0.0 if problem.random else _astray(inverse @ found.gradient, _larger(observed, sandwich))
     # Where an objective without curvature still falls nothing is open: the fit ended before it came to rest.
     if not problem.random and np.any(np.abs(missing.T @ found.gradient) * found.units > FALLS):
         astray = np.inf
     return Uncertainty(problem.parameters, found, observed, sandwich, undetermined, held, clusters, astray)
 
 
-def _astray(step: np.ndarray, *covariances: np.ndarray) -> float:
-    """The longest of steps (p,) in standard deviations, the larger ones of two covariances; 0 where there are none."""
-    sigma = np.sqrt(np.fmax(*(np.diagonal(cov) for cov in covariances)))
+def _larger(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """The larger standard deviations (p,) of two covariances, of which one may be NaN."""
+    return np.sqrt(np.maximum(np.fmax(np.diagonal(one), np.diagonal(other)), 0.0))
+
+
+def _astray(step: np.ndarray, sigma: np.ndarray) -> float:
+    """The longest of steps (p,) in standard deviations (p,); 0 where there are none."""
     known = sigma > 0
     return float(np.max(np.abs(step[known]) / sigma[known], initial=0.0))
 
@@ -232,6 +240,13 @@ def unused(parameters: Sequence[Parameter]) -> np.ndarray:
         shape = np.shape(p.example.raw)
         parts.append(np.triu(np.ones(shape), 1) > 0 if isinstance(p.example, Covariance) else np.zeros(shape, bool))
     return np.concatenate([np.ravel(x) for x in parts])
+
+
+def without_effect(slopes: np.ndarray) -> np.ndarray:
+    """Which of p numbers change nothing: derivatives (…, p, n) all zero where they are finite, and some are."""
+    each = np.moveaxis(slopes, -2, 0).reshape(slopes.shape[-2], -1)
+    finite = np.isfinite(each)
+    return np.all((each == 0) | ~finite, axis=1) & finite.any(axis=1)
 
 
 @eqx.filter_jit

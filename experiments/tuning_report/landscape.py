@@ -73,9 +73,7 @@ def _sigmas(sure: Uncertainty | None) -> np.ndarray | None:
     """Standard errors of the unconstrained numbers, infinite where undetermined."""
     if sure is None:
         return None
-    variances = np.fmax(np.diagonal(sure.sandwich), np.diagonal(sure.observed))
-    sigmas: np.ndarray = np.where(sure.undetermined, np.inf, np.sqrt(np.maximum(variances, 0.0)))
-    return sigmas
+    return np.where(sure.undetermined, np.inf, sure.sigmas)
 
 
 def _way(result: FitResult) -> np.ndarray:

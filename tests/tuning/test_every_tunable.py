@@ -32,10 +32,11 @@ from trackers.core.tracker import Tracker
 from trackers.core.tunable import tunables
 from trackers.mhk.tracker import mhk_tracker
 from trackers.uwb_imu.fusion import range_tracker
-from tuning.judgement import names_of, without_effect
+from tuning.judgement import names_of
 from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError, Weighted
 from tuning.parameters import chosen, flatten, placed_in
 from tuning.problem import Problem
+from tuning.uncertainty import without_effect
 
 STEP = 1e-5
 

@@ -11,12 +11,12 @@ from scipy.optimize import brentq
 from tests.tuning.worlds import line_tracker, walks
 from trackers.core.recording import stack
 from trackers.core.tunable import Covariance, Fraction, Real, Scale
-from tuning.judgement import judgements, without_effect
+from tuning.judgement import judgements
 from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
 from tuning.parameters import Parameter, chosen, flatten
 from tuning.problem import Problem
 from tuning.profiles import bootstrap, percentile_intervals, profile, refit
-from tuning.uncertainty import Optimum, Uncertainty, assessed, optimum, students, uncertainty, unused
+from tuning.uncertainty import Optimum, Uncertainty, assessed, optimum, students, uncertainty, unused, without_effect
 
 TYPICAL = 0.5
 
