@@ -22,7 +22,7 @@ env: .venv/installed
 	@touch $@
 
 demo: env
-	$(BIN)/python -m experiments.demo
+	$(BIN)/python -m experiments.validation.demo
 
 test: env
 	$(BIN)/python -m pytest
@@ -36,7 +36,7 @@ lint: env
 	$(BIN)/mypy
 
 papers: env
-	$(BIN)/python -m experiments.papers
+	$(BIN)/python -m experiments.papers.reproduce
 
 bench: env
 	$(BIN)/python -m experiments.bench

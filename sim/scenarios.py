@@ -57,7 +57,7 @@ def work_station(antennas: np.ndarray | None = None, radius: float = 0.4) -> Rig
 
     Each looks at the middle of the volume, all of which it has within 29 degrees (at 0.4 m); its array's x axis lies
     level along the world's -x. `antennas` (n, 2), m: another array in place of the default one, whose layout is fitted
-    (`python -m experiments.fit_array_layout`). The paper prints no station positions: these are chosen.
+    (`python -m experiments.papers.will_2020.fit_array_layout`). The paper prints no station positions: these are chosen.
     """
     layout = DEFAULT_ANTENNAS if antennas is None else np.asarray(antennas, float)
     lower, upper = WORK_VOLUME

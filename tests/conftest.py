@@ -3,7 +3,7 @@
 import os
 from pathlib import Path
 
-from experiments.runtime import FUSION
+from experiments.cli.runtime import FUSION
 
 # Before jax is imported: it halves the time that XLA takes to compile, which is what most of the suite waits for.
 os.environ.setdefault("XLA_FLAGS", FUSION)

@@ -10,9 +10,9 @@ import numpy as np
 
 from trackers.core.algebra import total
 from trackers.core.ekf import Gaussian
-from trackers.core.loss import LossPolicy
 from trackers.core.recording import Readings, Recording
 from trackers.core.sensor import AbstractSensor, Channel, independent
+from trackers.core.track_loss import LossPolicy
 from trackers.core.tracker import AbstractStart
 
 NEVER_LOST = LossPolicy(limit=np.inf, patience=np.inf)

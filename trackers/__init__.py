@@ -20,14 +20,12 @@ from trackers.baselines.fixes import fix_tracker, singer_tracker
 from trackers.baselines.switching import mirror_tracker, switching_tracker
 from trackers.baselines.windows import MovingWindow
 from trackers.core.algebra import Vector, diagonal
-from trackers.core.bound import posterior_bound
-from trackers.core.contract import BrokenContract, check_motion, check_sensor
+from trackers.core.checks import BrokenContract, check_motion, check_sensor
+from trackers.core.crlb import posterior_bound
 from trackers.core.ekf import ExtendedKalman, Gaussian
 from trackers.core.estimates import Estimates, Status
-from trackers.core.fixes import CorrelatedFixSensor, FixSensor
-from trackers.core.loss import LossPolicy
+from trackers.core.imm import InteractingModels, SwitchingMotion
 from trackers.core.metrics import bias, consistency, coverage, error_figures, nees, rmse, time_lost
-from trackers.core.modes import InteractingModels, SwitchingMotion
 from trackers.core.motion import (
     AbstractMotion,
     Accelerated,
@@ -37,14 +35,13 @@ from trackers.core.motion import (
     Kinematic,
     Placed,
 )
-from trackers.core.nearby import NearbyStart
-from trackers.core.particles import ParticleFilter
+from trackers.core.particle.filter import ParticleFilter
 from trackers.core.recording import Batch, Readings, Recording, stack
 from trackers.core.rig import Rig, Station, Tag
+from trackers.core.rts import Smoothed
 from trackers.core.sensor import AbstractSensor, Channel, Reading, Residual, independent
-from trackers.core.singer import Singer
-from trackers.core.smoother import Smoothed
 from trackers.core.state import Heading, Rotation, wrap
+from trackers.core.track_loss import LossPolicy
 from trackers.core.tracker import AbstractStart, AbstractTracker, Row, Tracker
 from trackers.core.tunable import Covariance, Fraction, Real, Scale, tunables
 from trackers.line.grid import GridFilter
@@ -53,10 +50,13 @@ from trackers.line.polyline import Polyline
 from trackers.line.tracker import line_grid_tracker, line_motion, line_tracker
 from trackers.line.truth import knot_times
 from trackers.mhk.tracker import mhk_tracker
+from trackers.parts.fixes import CorrelatedFixSensor, FixSensor
+from trackers.parts.ranges import RangeSensor
+from trackers.parts.singer import Singer
+from trackers.parts.start_nearby import NearbyStart
 from trackers.uwb_imu.fusion import range_tracker
 from trackers.uwb_imu.inertial import inertial_tracker
 from trackers.uwb_imu.multilateration import multilateration_tracker
-from trackers.uwb_imu.ranges import RangeSensor
 from trackers.uwb_imu.ranging import double_sided, single_sided
 from trackers.uwb_imu.strapdown import PlanarStrapdown, Strapdown
 from trackers.uwb_imu.trilateration import trilateration_tracker

@@ -1,13 +1,13 @@
 """Fit noise levels and other numbers of trackers to recordings by gradient."""
 
 from tuning.consistency import Consistency as Consistency
-from tuning.figures import every_figure as every_figure
-from tuning.figures import parse_objective as parse_objective
 from tuning.first_guess import first_guess as first_guess
 from tuning.fit import FitResult as FitResult
 from tuning.fit import fit as fit
-from tuning.judgement import judgements as judgements
-from tuning.marginal import marginal_scores as marginal_scores
+from tuning.identifiability import judgements as judgements
+from tuning.marginal_score import marginal_scores as marginal_scores
+from tuning.metrics import every_figure as every_figure
+from tuning.metrics import parse_objective as parse_objective
 from tuning.objectives import NegativeLogLikelihood as NegativeLogLikelihood
 from tuning.objectives import RootMeanSquareError as RootMeanSquareError
 from tuning.objectives import StateLogLikelihood as StateLogLikelihood

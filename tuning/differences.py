@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trackers.core.fixes import FIXES
 from trackers.core.recording import Batch
+from trackers.parts.fixes import FIXES
 
 LAGS = 1, 2, 4, 8, 16, 32
 """Rows between the readings of a difference."""

@@ -12,8 +12,8 @@ import numpy as np
 from trackers.core.chunks import CHUNK
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker
-from tuning.descent import Descent, FitState, enough, restored
 from tuning.objectives import AbstractObjective
+from tuning.optimisation import Descent, FitState, enough, restored
 from tuning.optimisers import LBFGS, AbstractOptimiser, Adam, GaussNewton
 from tuning.parameters import Parameter, chosen, flatten, limits, physical, placed_in
 from tuning.priors import Prior
@@ -92,7 +92,7 @@ def fit(
     how many points are followed, side by side: the tracker's own, and the best of the `guesses` and of a coarse grid.
     `held_out`: recordings that decide which point is the best, and when to stop. `minibatch`: trajectories per step.
     `priors`: beside a likelihood. `report` gets the state after every step; `resume` takes up again what
-    `tuning.descent.stored` made of one, with the same result to the bit.
+    `tuning.optimisation.stored` made of one, with the same result to the bit.
 
     A step after which the objective isn't finite, or that doesn't help, is taken back and shortened; for a likelihood a
     few Newton steps follow. The best point met is returned, never a worse one than the start; an interrupt (Ctrl-C)

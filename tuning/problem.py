@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.core.chunks import CHUNK, chunks, over_parts, prepared
-from trackers.core.particles import ParticleFilter
+from trackers.core.particle.filter import ParticleFilter
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker, Tracker, is_heavy
 from tuning.gauss_newton import row_terms

@@ -25,7 +25,7 @@ from trackers.core.tunable import Covariance
 from tuning.objectives import AbstractObjective
 from tuning.parameters import Parameter, physical, physical_errors
 from tuning.problem import figures
-from tuning.row_scores import row_information
+from tuning.row_information import row_information
 
 STEP = 0.02
 """Step of the central differences in unconstrained coordinates: 2 % of a noise level."""

@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import Any
 
 from experiments.bench.processes import new_interpreter
-from experiments.errors import UnusableInput
-from experiments.runtime import set_flags
-from experiments.writing import atomic_write, json_text
+from experiments.cli.runtime import set_flags
+from trackers.core.errors import UnusableInput
+from trackers.recordings.atomic import atomic_write, json_text
 
 DEFAULT, COMMAND_LINE, MEMORY = "default", "command-line", "memory"
 TITLES = {DEFAULT: "default flags", COMMAND_LINE: "flags of the command line"}

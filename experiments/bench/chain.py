@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.runtime import set_flags
+from experiments.cli.runtime import set_flags
 
 TRAJECTORIES, ROWS, ROUNDS = 256, 200, 3
 
@@ -59,8 +59,8 @@ def timed(run: Callable[[], Any]) -> tuple[float, float]:
 
 def filtered(world: Any, tracker: Any) -> Callable[[], Any]:
     """A function that runs the tracker over the world's fixes."""
-    from trackers.core.fixes import FIXES
     from trackers.core.recording import Readings, Recording, stack
+    from trackers.parts.fixes import FIXES
 
     readings = [{FIXES: Readings(f, s)} for f, s in zip(world.fixes, world.seen, strict=True)]
     inputs = {"height": np.zeros(len(world.times))}

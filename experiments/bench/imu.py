@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from experiments.bench.processes import figures_apart
-from experiments.runtime import set_flags
-from experiments.writing import atomic_write, json_text
+from experiments.cli.runtime import set_flags
+from trackers.recordings.atomic import atomic_write, json_text
 
 TRAJECTORIES, ROWS, SLICE = 1024, 2000, (64, 200)
 COMPILED = (512, 100)
@@ -89,12 +89,12 @@ def _ours(fifteen: bool) -> dict[str, Any]:
     from trackers.core.algebra import Vector, diagonal
     from trackers.core.chunks import CHUNK, chunks, over_parts, prepared
     from trackers.core.ekf import Gaussian
-    from trackers.core.loss import LossPolicy
     from trackers.core.recording import Batch
     from trackers.core.sensor import Reading
     from trackers.core.state import Heading, Rotation
+    from trackers.core.track_loss import LossPolicy
     from trackers.core.tracker import AbstractStart, Tracker, scanned
-    from trackers.uwb_imu.ranges import RangeSensor
+    from trackers.parts.ranges import RangeSensor
     from trackers.uwb_imu.strapdown import ImuNoise, Inertial, PlanarInertial, PlanarStrapdown, Strapdown
     from tuning.objectives import NegativeLogLikelihood
     from tuning.parameters import chosen, flatten

@@ -23,8 +23,8 @@ import numpy as np
 from experiments.bench.__main__ import machine
 from experiments.bench.particles import PARTICLES, SIGMA_A, SIGMA_P, ours, rmse, task
 from experiments.bench.processes import figures_apart
-from experiments.runtime import set_flags
-from experiments.writing import atomic_write, json_text
+from experiments.cli.runtime import set_flags
+from trackers.recordings.atomic import atomic_write, json_text
 
 SLICES = {"particles": 4, "cuthbert": 32}
 """Trajectories for the versions that are dozens of times slower; cuthbert keeps every particle of every row."""

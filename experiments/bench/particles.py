@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.runtime import set_flags
+from experiments.cli.runtime import set_flags
 
 TRAJECTORIES, ROWS, PARTICLES = 256, 200, 1000
 ROUNDS = 3

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.runtime import set_flags
+from experiments.cli.runtime import set_flags
 
 LIMIT_S = 5.0
 """What a fit may take once it is compiled."""
@@ -35,7 +35,7 @@ def main() -> int:
     options = parser.parse_args()
     set_flags()
     from experiments.bench.__main__ import machine
-    from experiments.writing import atomic_write, json_text
+    from trackers.recordings.atomic import atomic_write, json_text
 
     command = ["python", "-m", "experiments.bench.tuning", *sys.argv[1:]]
     figures: dict[str, Any] = {"command": command, "machine": machine(), "ours": ours()}

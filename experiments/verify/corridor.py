@@ -13,14 +13,14 @@ from experiments.verify.estimators import Naive, Reparameterised
 from sim.corridor import CORRIDOR, SIGMA_FIX, SIGMA_MOVE, START, corridor_fixes, rectangle
 from trackers.core.algebra import Scalar, Vector, diagonal
 from trackers.core.ekf import Gaussian
-from trackers.core.loss import LossPolicy
 from trackers.core.motion import ConstantPosition, Placed
-from trackers.core.particles import ParticleFilter, Particles
+from trackers.core.particle.filter import ParticleFilter, Particles
 from trackers.core.recording import Batch, Readings, Recording, stack
 from trackers.core.sensor import AbstractSensor
+from trackers.core.track_loss import LossPolicy
 from trackers.core.tracker import AbstractStart, Row, Tracker
-from trackers.core.walls import Walls
 from trackers.line.fixes import FIXES, FloorFixes
+from trackers.parts.walls import Walls
 
 TUNED = ("motion.sigma_v", "sensors.fixes.sigma_p")
 """The tunables of its tracker, in the order of the oracle's slopes."""

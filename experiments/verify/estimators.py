@@ -9,11 +9,11 @@ import jax
 import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar, Vector, cholesky, total, triangle
-from trackers.core.draws import draws
 from trackers.core.ekf import Gaussian
 from trackers.core.motion import AbstractMotion
-from trackers.core.particles import ParticleFilter, Particles
-from trackers.core.resampling import NOTHING
+from trackers.core.particle.filter import ParticleFilter, Particles
+from trackers.core.particle.random import draws
+from trackers.core.particle.resampling import NOTHING
 from trackers.core.state import State, dimension, retract
 
 

@@ -13,7 +13,6 @@ from experiments.verify import chain_enumeration, dense_kalman, halt, halt_grid
 from experiments.verify.findings import Finding
 from experiments.verify.gradients import gradients
 from trackers.baselines.fixes import fix_tracker
-from trackers.core.fixes import FIXES
 from trackers.core.recording import Readings, Recording, stack
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import Real, Scale, replaced
@@ -21,6 +20,7 @@ from trackers.line.grid import GridFilter
 from trackers.line.motion import OnFloor
 from trackers.line.polyline import Polyline
 from trackers.mhk.chain import heard, moved
+from trackers.parts.fixes import FIXES
 
 SINGLE = 1e-4
 """By how much of itself a derivative in single precision may be off, and of 1 where it is smaller."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker, Tracker
-from tuning.marginal import marginal_scores
+from tuning.marginal_score import marginal_scores
 from tuning.objectives import NegativeLogLikelihood
 from tuning.parameters import chosen, flatten
 from tuning.problem import Problem

@@ -12,7 +12,7 @@ from experiments.verify.estimators import Naive, Reparameterised
 from experiments.verify.findings import ERRORS, Finding, random
 from experiments.verify.gradients import Gradients, gradients, marginal_gradients
 from sim.corridor import corridor_fixes
-from trackers.core.particles import ParticleFilter
+from trackers.core.particle.filter import ParticleFilter
 
 KEYS, PARTICLES = 400, 2000
 """How often an estimate is made, each time with other random numbers, and from how many particles."""

@@ -15,7 +15,7 @@ from tests.oracles import beam_jacobian, beam_transition, cramer_rao, paper_beam
 from trackers.aoa.beam import Beam, BeamMotion
 from trackers.aoa.phases import PlanePhases
 from trackers.core.algebra import Vector
-from trackers.core.bound import posterior_bound
+from trackers.core.crlb import posterior_bound
 from trackers.core.metrics import consistency, nees
 from trackers.core.recording import stack
 from trackers.core.tracker import Tracker

@@ -10,11 +10,11 @@ from tests.known_start import NEVER_LOST, KnownStart, flat, recording
 from tests.oracles import kalman, van_loan
 from trackers.baselines.fixes import fix_tracker, singer_tracker
 from trackers.core.algebra import Vector
+from trackers.core.checks import check_sensor
 from trackers.core.chunks import prepared
-from trackers.core.contract import check_sensor
-from trackers.core.fixes import FIXES, CorrelatedFixSensor, FixSensor, FixTracker
 from trackers.core.motion import GroundMotion, Kinematic
 from trackers.core.recording import Readings, Recording, stack
+from trackers.parts.fixes import FIXES, CorrelatedFixSensor, FixSensor, FixTracker
 from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
 
 LATENCY, SIGMA_A, SIGMA_Z = 0.35, 0.8, 0.2

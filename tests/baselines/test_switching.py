@@ -6,21 +6,21 @@ import equinox as eqx
 import numpy as np
 import pytest
 
-from experiments.systems.baselines import side_lanes
-from experiments.worlds.agv import simulated_agv
 from sim.agv import simulate_agv
 from sim.fixes import correlated_noise, mirrored
+from sim.tables.agv import simulated_agv
 from tests.known_start import NEVER_LOST, KnownStart, recording
 from tests.oracles import normal_log_density, van_loan
+from trackers.baselines.rows import side_lanes
 from trackers.baselines.switching import SideSensor, mirror_tracker
 from trackers.core.algebra import Vector
-from trackers.core.contract import check_sensor
-from trackers.core.fixes import FIXES, FixTracker
-from trackers.core.modes import InteractingModels
+from trackers.core.checks import check_sensor
+from trackers.core.imm import InteractingModels
 from trackers.core.motion import GroundMotion, Kinematic
 from trackers.core.recording import Readings, Recording, stack
 from trackers.core.tunable import Real
 from trackers.mhk.tracker import STILL
+from trackers.parts.fixes import FIXES, FixTracker
 
 PLANE, OFFSET, SHRINK, SIGMA, SIGMA_A, SIGMA_Z = 1.5, 0.3, 0.8, 0.15, 0.5, 0.4
 MEAN, COV = np.array([0.1, 0.2, 1.2, 0.0, 0.0]), np.diag([1.0, 1.0, 0.6, 0.3, 0.3])

@@ -5,8 +5,8 @@ import pytest
 
 from trackers.baselines.windows import MovingWindow
 from trackers.core.estimates import Status
-from trackers.core.fixes import FIXES
 from trackers.core.recording import Readings, Recording, stack
+from trackers.parts.fixes import FIXES
 
 WINDOW, ROWS = 5, 30
 

@@ -10,7 +10,7 @@ from trackers.aoa.beam import Beam, BeamMotion, InPlaneBeam, InPlaneBeamMotion
 from trackers.aoa.fusion import BearingSensor, bearing_inputs
 from trackers.aoa.phases import InPlanePhases, PlanePhases, SphericalPhases
 from trackers.core.algebra import Vector
-from trackers.core.contract import BrokenContract, check_motion, check_sensor
+from trackers.core.checks import BrokenContract, check_motion, check_sensor
 from trackers.core.motion import (
     AbstractMotion,
     Accelerated,
@@ -21,9 +21,9 @@ from trackers.core.motion import (
     Placed,
 )
 from trackers.core.sensor import AbstractSensor, Channel, Residual, independent
-from trackers.core.singer import Singer
 from trackers.core.state import Heading
 from trackers.core.tunable import Scale
+from trackers.parts.singer import Singer
 
 MOVING = Kinematic(Vector(0.1, 0.2, 0.3), Vector(1.0, -1.0, 0.5))
 BEAM, TURNING = Beam(0.1, 0.2, 0.3, 0.4), InPlaneBeam(Heading(0.1), 0.4)

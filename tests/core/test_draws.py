@@ -5,7 +5,7 @@ import jax.extend
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.draws import draws, threefry
+from trackers.core.particle.random import draws, threefry
 
 
 def test_the_generator_is_the_one_of_jax():

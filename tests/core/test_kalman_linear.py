@@ -11,8 +11,8 @@ from tests.oracles import joint_conditioning, kalman, van_loan
 from trackers.core.algebra import Vector
 from trackers.core.motion import Accelerated, ConstantVelocity, Kinematic
 from trackers.core.recording import stack
-from trackers.core.singer import Singer
 from trackers.core.tracker import Tracker
+from trackers.parts.singer import Singer
 
 LANES, ROWS = 6, 10
 

@@ -12,7 +12,7 @@ from tests.known_start import NEVER_LOST, KnownStart, recording
 from trackers.core.algebra import Vector
 from trackers.core.estimates import Status
 from trackers.core.motion import AbstractMotion, ConstantVelocity, Kinematic, Noise
-from trackers.core.particles import ParticleFilter
+from trackers.core.particle.filter import ParticleFilter
 from trackers.core.recording import Recording, stack
 from trackers.core.sensor import AbstractSensor, Channel, independent
 from trackers.core.state import Heading, Rotation, wrap

@@ -7,7 +7,7 @@ import pytest
 from tests.known_start import NEVER_LOST, KnownStart, LinearSensor, flat, recording
 from tests.oracles import normal_log_density, van_loan
 from trackers.core.algebra import Vector
-from trackers.core.modes import InteractingModels, SwitchingMotion
+from trackers.core.imm import InteractingModels, SwitchingMotion
 from trackers.core.motion import ConstantVelocity, Kinematic
 from trackers.core.recording import stack
 from trackers.core.tracker import Tracker

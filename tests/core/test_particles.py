@@ -11,9 +11,9 @@ from trackers.core.algebra import Vector
 from trackers.core.ekf import Gaussian
 from trackers.core.estimates import Status
 from trackers.core.motion import ConstantPosition, Placed
-from trackers.core.particles import ParticleFilter, Particles
+from trackers.core.particle.filter import ParticleFilter, Particles
+from trackers.core.particle.resampling import NOTHING, effective_sample_size, even_weights, running_sum, systematic
 from trackers.core.recording import stack
-from trackers.core.resampling import NOTHING, effective_sample_size, even_weights, running_sum, systematic
 from trackers.core.sensor import AbstractSensor, Channel, Reading, independent
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import Fixed, Scale

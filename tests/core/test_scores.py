@@ -9,11 +9,11 @@ import pytest
 from trackers.core.algebra import Vector
 from trackers.core.ekf import Gaussian
 from trackers.core.motion import ConstantPosition, ConstantVelocity, GroundMotion, Kinematic, Placed
-from trackers.core.particles import ParticleFilter, Particles
-from trackers.core.resampling import drawn_again
-from trackers.core.scores import drawn_with_scores, normal_density, with_score
-from trackers.core.singer import Singer
+from trackers.core.particle.filter import ParticleFilter, Particles
+from trackers.core.particle.resampling import drawn_again
+from trackers.core.particle.score import drawn_with_scores, normal_density, with_score
 from trackers.core.tunable import Fixed, resolved
+from trackers.parts.singer import Singer
 
 N = 64
 

@@ -9,8 +9,8 @@ import pytest
 from tests.oracles import van_loan
 from trackers.core.algebra import Vector
 from trackers.core.motion import Accelerated
-from trackers.core.singer import Singer
 from trackers.core.tunable import resolved
+from trackers.parts.singer import Singer
 
 SIGMA, TAU = 1.7, 2.5
 STEPS = TAU * np.geomspace(1e-6, 1e4, 61)

@@ -8,10 +8,10 @@ import pytest
 from tests.known_start import NEVER_LOST, KnownStart, LinearSensor, flat, recording
 from tests.oracles import joint_conditioning, van_loan
 from trackers.core.algebra import Vector
-from trackers.core.modes import InteractingModels, SwitchingMotion
+from trackers.core.imm import InteractingModels, SwitchingMotion
 from trackers.core.motion import ConstantVelocity, Kinematic
 from trackers.core.recording import stack
-from trackers.core.smoother import Smoothed
+from trackers.core.rts import Smoothed
 from trackers.core.tracker import Tracker
 
 ROWS, SIGMAS, LAG = 8, (0.3, 3.0), 0.9

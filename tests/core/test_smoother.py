@@ -10,10 +10,10 @@ from tests.known_start import NEVER_LOST, KnownStart, LinearSensor, flat, record
 from tests.oracles import joint_conditioning, van_loan
 from trackers.core.algebra import Vector
 from trackers.core.estimates import Status
-from trackers.core.loss import LossPolicy
 from trackers.core.motion import ConstantVelocity, Kinematic
 from trackers.core.recording import stack
-from trackers.core.smoother import Smoothed
+from trackers.core.rts import Smoothed
+from trackers.core.track_loss import LossPolicy
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import Scale
 

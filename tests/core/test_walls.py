@@ -7,11 +7,11 @@ import pytest
 
 from trackers.core.algebra import Vector
 from trackers.core.motion import ConstantPosition, Placed
-from trackers.core.particles import ParticleFilter, Particles
-from trackers.core.resampling import NOTHING
+from trackers.core.particle.filter import ParticleFilter, Particles
+from trackers.core.particle.resampling import NOTHING
 from trackers.core.sensor import AbstractSensor, Channel, Reading, independent
 from trackers.core.tunable import Fixed
-from trackers.core.walls import Walls
+from trackers.parts.walls import Walls
 
 CORNER = [[0.0, -2.0, 0.0, 0.0], [0.0, 0.0, 2.0, 0.0]]
 """Two walls that meet at the origin."""

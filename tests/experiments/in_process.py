@@ -12,8 +12,8 @@ from unittest import mock
 
 import jax
 
-from experiments import figure_style
-from experiments.cli import main
+from experiments.cli.main import main
+from experiments.plots import style
 
 
 class Said(NamedTuple):
@@ -31,7 +31,7 @@ def trackwright(*arguments: str | Path | float) -> Said:
     with (
         mock.patch.object(sys, "argv", ["trackwright", *map(str, arguments)]),
         mock.patch.dict(os.environ),
-        mock.patch.dict(figure_style.STYLE, {"savefig.dpi": 40}),
+        mock.patch.dict(style.STYLE, {"savefig.dpi": 40}),
         contextlib.redirect_stdout(out),
         contextlib.redirect_stderr(err),
     ):

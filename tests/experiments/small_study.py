@@ -6,8 +6,8 @@ import sys
 
 import numpy as np
 
-from experiments.study import Entrant, Study, World
-from experiments.worlds.named import line
+from experiments.monte_carlo import Entrant, Study, World
+from sim.worlds import line
 
 SMALL = Study(
     name="small",

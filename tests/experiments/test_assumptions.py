@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from experiments.tuning_report.assumptions import contradicted
-from experiments.tuning_report.evidence import Innovations
+from experiments.reports.tuning_data import Innovations
+from tuning.assumptions import contradicted
 
 ROWS = 20_000
 

@@ -11,11 +11,11 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.check import Finding, check_folder, format_findings
-from experiments.folder import Folder, read_folder
 from tests.experiments.broken import ODD
 from tests.experiments.faulty import write_good
 from trackers.core.rig import Rig
+from trackers.recordings.checks.check import Finding, check_folder, format_findings
+from trackers.recordings.folder import Folder, read_folder
 
 RECORDINGS = Path(
     os.environ.get("TRACKWRIGHT_RECORDINGS", Path(__file__).resolve().parents[3] / "shared" / "recordings")

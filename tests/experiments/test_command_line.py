@@ -14,9 +14,9 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.catalogue import TRACKERS
 from sim.scenarios import facing
 from tests.experiments.in_process import assert_refused, trackwright
+from trackers.catalogue import TRACKERS
 from trackers.core.rig import Station
 
 TAGS, ROWS, SEED = 6, 40, 3

@@ -10,15 +10,15 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.checkpoint import save
-from experiments.commands import track as track_command
-from experiments.commands import tune as tune_command
-from experiments.errors import UnusableInput
-from experiments.intervals import require_possible
+from experiments.cli import track as track_command
+from experiments.cli import tune as tune_command
 from tests.experiments.broken import BROKEN, ODD
 from tests.experiments.faulty import good_tables, write_good
 from tests.experiments.in_process import assert_refused, trackwright
+from trackers.core.errors import UnusableInput
 from tuning import NegativeLogLikelihood
+from tuning.checkpoint import save
+from tuning.intervals import require_possible
 
 
 def _contents(folder: Path) -> dict[str, bytes]:

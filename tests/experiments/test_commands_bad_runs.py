@@ -13,10 +13,11 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from experiments import screen, writing
-from experiments.commands import check as check_command
+from experiments.cli import check as check_command
+from experiments.cli import console
 from tests.experiments.faulty import good_tables, write_good
 from tests.experiments.in_process import assert_refused, trackwright
+from trackers.recordings import atomic
 
 
 def _contents(folder: Path) -> dict[str, bytes]:
@@ -154,7 +155,7 @@ def _full(*arguments):
 
 def test_a_disk_that_is_full_when_a_file_gets_its_name_spoils_no_older_file(tracked_before, simulated, monkeypatch):
     before = _contents(tracked_before)
-    monkeypatch.setattr(writing.os, "replace", _full)
+    monkeypatch.setattr(atomic.os, "replace", _full)
     said = trackwright("track", simulated, "--tracker", "das", "--out", tracked_before)
     assert_refused(said, "cannot write", "tracks.parquet: No space left on device", "choose another --out")
     assert _contents(tracked_before) == before
@@ -208,6 +209,6 @@ def test_a_fault_of_the_program_is_not_called_bad_input(beginnings, monkeypatch)
     def broken(path):
         raise ZeroDivisionError("a bug")
 
-    monkeypatch.setattr(screen, "read_folder", broken)
+    monkeypatch.setattr(console, "read_folder", broken)
     with pytest.raises(ZeroDivisionError):
         trackwright("track", beginnings / "good", "--out", beginnings / "never")

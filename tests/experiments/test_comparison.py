@@ -4,10 +4,10 @@ import math
 import numpy as np
 import pytest
 
-from experiments.commands.report import report
-from experiments.errors import UnusableInput
-from experiments.papers import part
-from experiments.study.compared import pairs
+from experiments.cli.report import report
+from experiments.papers.reproduce import part
+from experiments.reports.comparison import pairs
+from trackers.core.errors import UnusableInput
 
 
 def _value(value, width):
@@ -41,7 +41,7 @@ def test_two_studies_differ_where_the_difference_is_larger_than_both_intervals_a
 
 def test_a_difference_of_two_normal_means_is_called_one_in_5_percent_of_cases_where_there_is_none(tmp_path):
     # Half widths of 1.96 sigma each: their root sum of squares is 1.96 of the difference's sigma.
-    from experiments.study.compared import Pair, Value
+    from experiments.reports.comparison import Pair, Value
 
     rng = np.random.default_rng(1)
     a, b = rng.normal(size=(2, 4000))

@@ -9,14 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from experiments.design.bound import Look, bounds, information, mean_bound, worst_bound
-from experiments.design.layouts import PlanarArray, WallAnchors, range_sensor, too_near
-from experiments.design.search import descend, exchange, exhaust
-from experiments.design.stations import CeilingStations
-from experiments.studies._designs import LAYOUTS, TAG_POINTS, TOOL_POINTS, designs, hall, stand
+from experiments.questions._designs import LAYOUTS, TAG_POINTS, TOOL_POINTS, designs, hall, stand
 from sim.scenarios import facing, work_station
 from trackers.aoa.layout import DEFAULT_WAVELENGTH, boresight_bounds
 from trackers.aoa.phases import PlanePhases
+from tuning.design.bound import Look, bounds, information, mean_bound, worst_bound
+from tuning.design.layouts import PlanarArray, WallAnchors, range_sensor, too_near
+from tuning.design.search import descend, exchange, exhaust
+from tuning.design.stations import CeilingStations
 
 ROOM = np.array([[0.0, 0.0], [6.0, 0.0], [6.0, 4.0], [0.0, 4.0]])
 BANDS = np.array([[0.2, 1.0], [2.0, 3.0], [0.2, 1.0], [2.0, 3.0]])

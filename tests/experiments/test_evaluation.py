@@ -9,12 +9,12 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.errors import UnusableInput
-from experiments.evaluation import evaluate
-from experiments.evaluation_text import to_json, to_text
-from experiments.fail_if import fails
-from experiments.matching import Verdict, match_truth, read_tracks
+from experiments.cli.fail_if import fails
+from experiments.reports.evaluation_text import to_json, to_text
+from trackers.core.errors import UnusableInput
 from trackers.core.rig import Station
+from trackers.evaluation import evaluate
+from trackers.recordings.truth import Verdict, match_truth, read_tracks
 
 RECORDINGS = Path(os.environ.get("TRACKWRIGHT_RECORDINGS", Path(__file__).parents[2] / ".." / "shared" / "recordings"))
 

@@ -5,12 +5,12 @@ import polars as pl
 import pytest
 from matplotlib.image import imread
 
-from experiments import figure_style
-from experiments.errors import UnusableInput
-from experiments.figure_style import BLACK, BLUE, LINES, SKY, VERMILION, broken_at_gaps, length_unit
-from experiments.figures import bearings_over_time, error_cdf, error_over_time
-from experiments.filter_figures import consistency, tuning_trace
-from experiments.floor_plan import floor_plan
+from experiments.plots import style
+from experiments.plots.filters import consistency, tuning_trace
+from experiments.plots.floor_plan import floor_plan
+from experiments.plots.style import BLACK, BLUE, LINES, SKY, VERMILION, broken_at_gaps, length_unit
+from experiments.plots.tracks import bearings_over_time, error_cdf, error_over_time
+from trackers.core.errors import UnusableInput
 from trackers.core.rig import Station
 
 T = np.arange(60) * 0.1
@@ -42,7 +42,7 @@ def _tracks(n_tags, sigma=0.2):
 @pytest.fixture(autouse=True)
 def _coarse(monkeypatch):
     """Fewer dots per inch than users get: most of the time goes into compressing pixels."""
-    monkeypatch.setitem(figure_style.STYLE, "savefig.dpi", 80)
+    monkeypatch.setitem(style.STYLE, "savefig.dpi", 80)
 
 
 @pytest.fixture

@@ -6,17 +6,17 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.folder import Folder, write_folder
-from experiments.matching import read_tracks
-from experiments.systems.baselines import fix_lanes, lacks_fixes, lacks_plane, side_lanes
-from experiments.systems.mhk import space_lanes
-from experiments.worlds.agv import simulated_agv
 from sim.agv import ANCHOR_HEIGHT, simulate_agv
 from sim.fixes import correlated_noise, late
+from sim.tables.agv import simulated_agv
 from tests.experiments.in_process import assert_refused, trackwright
-from trackers.core.fixes import FIXES
+from trackers.baselines.rows import fix_lanes, lacks_fixes, lacks_plane, side_lanes
 from trackers.core.rig import Rig, Tag
+from trackers.mhk.rows import space_lanes
 from trackers.mhk.tracker import STILL
+from trackers.parts.fixes import FIXES
+from trackers.recordings.folder import Folder, write_folder
+from trackers.recordings.truth import read_tracks
 
 LATENCY = 0.4
 

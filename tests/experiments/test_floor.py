@@ -4,15 +4,15 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.errors import UnusableInput
-from experiments.folder import Folder, read_folder, write_folder
-from experiments.tuned_file import read_tuned
 from tests.experiments.in_process import assert_refused, trackwright
 from trackers.core.algebra import Vector
+from trackers.core.errors import UnusableInput
 from trackers.core.motion import Placed
-from trackers.core.resampling import NOTHING
+from trackers.core.particle.resampling import NOTHING
 from trackers.core.rig import Rig
-from trackers.core.walls import Walls
+from trackers.parts.walls import Walls
+from trackers.recordings.folder import Folder, read_folder, write_folder
+from tuning.tuned_file import read_tuned
 
 OUTLINE = np.array([[0.0, 0.0], [12.0, 0.0], [12.0, 8.0], [10.5, 8.0], [10.5, 1.5], [0.0, 1.5]])
 """A corridor 1.5 m wide that turns left, m."""

@@ -11,10 +11,10 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.errors import UnusableInput
-from experiments.folder import Folder, read_folder, write_folder
 from tests.experiments.broken import BROKEN, ODD
 from tests.experiments.faulty import RIG, good_tables, write_good
+from trackers.core.errors import UnusableInput
+from trackers.recordings.folder import Folder, read_folder, write_folder
 
 KINDS = ("parquet", "csv.gz", "csv")
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from experiments.geometry import bearing_dilution, range_dilution, shape
 from trackers.core.rig import Station
+from trackers.recordings.checks.geometry import bearing_dilution, range_dilution, shape
 
 ONE_DEGREE = np.radians(1.0)
 

@@ -4,11 +4,11 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.folder import Folder, read_folder
-from experiments.lanes import cut, pieces
-from experiments.systems.aoa import PHASES, beam_lanes, bearing_lanes, phase_lanes
 from tests.experiments.faulty import write_good
 from trackers.aoa.fusion import BEARINGS
+from trackers.aoa.rows import PHASES, beam_lanes, bearing_lanes, phase_lanes
+from trackers.recordings.folder import Folder, read_folder
+from trackers.recordings.trajectories import cut, pieces
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.commands import track as track_command
+from experiments.cli import track as track_command
 from tests.experiments.faulty import then, with_table
 from tests.experiments.in_process import assert_refused, trackwright
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from experiments.recovery import main
+from experiments.validation.recovery import main
 
 
 @pytest.mark.slow

@@ -4,10 +4,10 @@ import subprocess
 
 import pytest
 
-from experiments.study import Claim, Conclusion
-from experiments.study.page import page
-from experiments.study.results import Value
-from experiments.study.work import carry_out
+from experiments.monte_carlo import Claim, Conclusion
+from experiments.monte_carlo.results import Value
+from experiments.monte_carlo.runner import carry_out
+from experiments.reports.study import page
 from tests.experiments.small_study import SMALL, no_progress
 
 pytestmark = pytest.mark.slow

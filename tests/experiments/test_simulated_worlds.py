@@ -9,10 +9,10 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.catalogue import fitting
-from experiments.folder import read_folder
-from experiments.systems.line import path_of
 from tests.experiments.in_process import assert_refused, trackwright
+from trackers.catalogue import fitting
+from trackers.line.rows import path_of
+from trackers.recordings.folder import read_folder
 
 WORLDS = {
     "simulate-line": (("--rate-hz", 2), {"fixes", "truth"}, "line-grid"),

@@ -8,10 +8,10 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.catalogue import TRACKERS
-from experiments.events import events_of, off_the_path
-from experiments.folder import read_folder
 from tests.experiments.in_process import assert_refused, trackwright
+from trackers.catalogue import TRACKERS
+from trackers.events import events_of, off_the_path
+from trackers.recordings.folder import read_folder
 
 OPTIONS = {"filtered": (), "smoothed": ("--smooth",), "lagged": ("--lag", 0.5)}
 

@@ -6,8 +6,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from experiments.studies import figures_3, leaving_line, rests_at_joins, sweep_curves, table_3_1
-from experiments.studies._assembly_line import (
+from experiments.monte_carlo import Claim, Conclusion
+from experiments.monte_carlo.runner import carry_out
+from experiments.papers import figures_3, leaving_line, rests_at_joins, sweep_curves, table_3_1
+from experiments.papers.fitting import fitted
+from experiments.papers.line_thesis._assembly_line import (
     RECORDINGS,
     SIGMA,
     distances,
@@ -18,10 +21,7 @@ from experiments.studies._assembly_line import (
     root_mean_square,
     worlds,
 )
-from experiments.studies._fitted import fitted
-from experiments.studies._printed_table_3_1 import AVERAGES, PRINTED
-from experiments.study import Claim, Conclusion
-from experiments.study.work import carry_out
+from experiments.papers.line_thesis._printed_table_3_1 import AVERAGES, PRINTED
 from sim.line import THESIS_KNOTS
 
 STUDIES = [figures_3, leaving_line, rests_at_joins, sweep_curves, table_3_1]
@@ -119,7 +119,7 @@ def test_the_area_under_the_roc_is_the_share_of_pairs_in_the_right_order():
 
 
 def test_every_number_of_the_worlds_is_in_the_file_of_the_fit():
-    made = worlds(fitted("table_3_1"))
+    made = worlds(fitted("line_thesis/table_3_1"))
     assert list(made) == list(RECORDINGS) == list(PRINTED)
     assert all(0 < w.numbers["white"] < 1 for w in made.values())
 
@@ -131,7 +131,7 @@ def test_a_study_is_called_as_its_file(module):
 
 @pytest.fixture(scope="module")
 def table(tmp_path_factory):
-    best = fitted("table_3_1")["sigma_particle"]
+    best = fitted("line_thesis/table_3_1")["sigma_particle"]
     study = dataclasses.replace(table_3_1.STUDY, runs=2, grid={SIGMA: (best,)})
     return carry_out(study, tmp_path_factory.mktemp("table"), (1, 1), None, lambda done, now="": None)
 

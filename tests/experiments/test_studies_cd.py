@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.studies import _fitted, chamber, line_of_sight, robot, table_4, trilateration, workshop
-from experiments.studies._fitted import Fitted, fitted, means, solved, write_fitted
-from experiments.study.claims import Claim, Conclusion
-from experiments.study.run import Run
-from experiments.study.sources import names, study_of
-from experiments.study.work import carry_out
+from experiments.monte_carlo.expectations import Claim, Conclusion
+from experiments.monte_carlo.runner import carry_out
+from experiments.monte_carlo.sources import names, study_of
+from experiments.monte_carlo.trajectories import Run
+from experiments.papers import _fitted, chamber, line_of_sight, robot, table_4, trilateration, workshop
+from experiments.papers.fitting import Fitted, fitted, means, solved, write_fitted
 from trackers.core.metrics import distances_to_path
 
 MINE = (
@@ -57,7 +57,7 @@ def test_fitted_numbers_are_read_as_they_were_written(tmp_path, monkeypatch):
 
 
 def test_the_raw_fixes_of_the_workshop_are_as_far_off_the_route_as_its_polyline_says():
-    numbers = {name: fitted("workshop")[name] for name in ("drift", "share", "size")}
+    numbers = {name: fitted("huang_2018/workshop")[name] for name in ("drift", "share", "size")}
     folder = workshop.workshop(np.arange(2), 3, **numbers)
     fixes = folder.tables["fixes"].filter(tag="1").select("x_m", "y_m").to_numpy()[:100]
     empty = np.zeros((2, 2000, 3))
@@ -126,7 +126,7 @@ def test_the_ends_of_strokes_are_measured_by_the_mean_of_what_was_estimated():
 
 
 def test_a_still_tags_fixes_come_of_its_ranges():
-    numbers = {k: v for k, v in fitted("table_4").items() if k != "sigma_a"}
+    numbers = {k: v for k, v in fitted("kwon_2021/table_4").items() if k != "sigma_a"}
     folder = table_4.still(np.arange(2), 0, **numbers)
     fixes = folder.tables["fixes"]
     assert len(fixes) == 2 * (table_4.SETTLING + table_4.JUDGED)

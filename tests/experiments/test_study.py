@@ -4,16 +4,16 @@ import json
 import numpy as np
 import pytest
 
-from experiments.errors import UnusableInput
-from experiments.study.judged import judged
-from experiments.study.results import FIGURES, Gathered, Results
-from experiments.study.run import Run
-from experiments.study.store import Store, merged
-from experiments.study.tally import COLUMN, KINDS, SUMS, histograms
-from experiments.study.text import to_json, to_text
-from experiments.study.work import Until, carry_out, complete
+from experiments.monte_carlo.accumulators import COLUMN, KINDS, SUMS, histograms
+from experiments.monte_carlo.errors import judged
+from experiments.monte_carlo.results import FIGURES, Gathered, Results
+from experiments.monte_carlo.runner import Until, carry_out, complete
+from experiments.monte_carlo.store import Store, merged
+from experiments.monte_carlo.trajectories import Run
+from experiments.reports.study_text import to_json, to_text
 from tests.experiments.in_process import trackwright
 from tests.experiments.small_study import SMALL, TOML, no_progress, study_command
+from trackers.core.errors import UnusableInput
 from trackers.core.estimates import Status
 from trackers.core.metrics import chi_square_quantile
 
@@ -195,7 +195,7 @@ def test_until_ends_a_cell_as_soon_as_its_figure_is_known_well_enough(tmp_path):
     ],
 )
 def test_a_study_that_cannot_be_run_is_refused_in_one_line(tmp_path, change, says):
-    from experiments.study.sources import study_of
+    from experiments.monte_carlo.sources import study_of
 
     file = tmp_path / "study.toml"
     file.write_text(TOML.replace(*change))

@@ -7,13 +7,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from experiments.errors import UnusableInput
-from experiments.tuned_file import read_tuned, with_noise, write_tuned
 from sim.scenarios import work_station
 from trackers.aoa.direct import direct_tracker
 from trackers.aoa.fusion import bearing_tracker
+from trackers.core.errors import UnusableInput
 from trackers.core.tunable import tunables
 from tuning.parameters import chosen, flatten, physical, placed_in
+from tuning.tuned_file import read_tuned, with_noise, write_tuned
 
 
 def _result(tracker, patterns):

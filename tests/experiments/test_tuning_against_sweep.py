@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from experiments.tuning_against_sweep import GOALS, SIGMA, Found, Judged, failed, recordings, table
+from experiments.validation.tuning_against_sweep import GOALS, SIGMA, Found, Judged, failed, recordings, table
 from trackers.core.tunable import tunables
 
 SWEPT = [Found("sweep", "particles", goal, 0.1, 9090, 400.0) for goal in GOALS]

@@ -4,16 +4,16 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.catalogue import groups
-from experiments.folder import Folder
-from experiments.intervals import intervals_of
-from experiments.tracks import batches
-from experiments.tuning_report.gather import Asked, _numbers, gather
-from experiments.tuning_report.page import page
+from experiments.reports.tuning import page
+from experiments.reports.tuning_collect import Asked, _numbers, gather
+from trackers.catalogue import groups
 from trackers.core.rig import Rig
+from trackers.recordings.folder import Folder
+from trackers.tracks import batches
 from tuning import fit
-from tuning.figures import parse_objective
-from tuning.judgement import Judgement
+from tuning.identifiability import Judgement
+from tuning.intervals import intervals_of
+from tuning.metrics import parse_objective
 
 PATTERNS = ("motion.sigma_a", "sensors.fixes.sigma_horizontal")
 NLL = "nll"

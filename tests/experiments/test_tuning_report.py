@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from experiments.tuning_report.evidence import Innovations, Score, TunedNumber
-from experiments.tuning_report.judgement import judged, number, percent
-from experiments.tuning_report.page import page, write_report
-from experiments.tuning_report.whiteness import autocorrelation, expected_density, normal_scores, probabilities
+from experiments.reports.advice import judged, number, percent
+from experiments.reports.tuning import page, write_report
+from experiments.reports.tuning_data import Innovations, Score, TunedNumber
 from tests.experiments.tuning_evidence import evidence, innovations
+from tuning.whiteness import autocorrelation, expected_density, normal_scores, probabilities
 
 EMPTY = {"meta", "img", "br", "link"}
 

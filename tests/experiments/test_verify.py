@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from experiments.commands import verify
+from experiments.cli import verify
 from experiments.verify import corridor, corridor_grid, halt, halt_grid
 from experiments.verify.exact_checks import chain_findings, kalman_findings
 from experiments.verify.findings import Finding, random, table
@@ -11,7 +11,7 @@ from experiments.verify.gradients import gradients, marginal_gradients
 from experiments.verify.particle_checks import corridor_order_findings, halt_findings, halt_order_findings
 from sim.corridor import corridor_fixes
 from tests.experiments.in_process import trackwright
-from trackers.core.particles import ParticleFilter
+from trackers.core.particle.filter import ParticleFilter
 from trackers.core.recording import Readings, Recording, stack
 from trackers.line.fixes import FIXES
 

@@ -6,14 +6,14 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.folder import Folder
-from experiments.studies._bench import MEASURES
-from experiments.study.run import Run
-from experiments.worksteps.decisions import NOWHERE, WorkPoints, at_work, decide, probabilities, visits_of
-from experiments.worksteps.figures import calibration, judge, share, workstep
+from experiments.monte_carlo.trajectories import Run
+from experiments.questions._bench import MEASURES
 from tests.experiments.faulty import good_tables
 from tests.experiments.in_process import assert_refused, trackwright
 from trackers.core.rig import Rig
+from trackers.recordings.folder import Folder
+from trackers.worksteps.decisions import NOWHERE, WorkPoints, at_work, decide, probabilities, visits_of
+from trackers.worksteps.metrics import calibration, judge, share, workstep
 
 HOLES = WorkPoints(("a", "b", "c"), np.array([[0.0, 0.0, 1.0], [0.1, 0.0, 1.0], [0.0, 0.12, 1.05]]))
 P = np.array([[4.0, 1.0, -0.5], [1.0, 2.0, 0.3], [-0.5, 0.3, 3.0]]) * 1e-3

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from experiments.tuning_report.evidence import (
+from experiments.reports.tuning_data import (
     Descent,
     ErrorTrack,
     Innovations,

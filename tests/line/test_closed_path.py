@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, recording
-from trackers.core.particles import ParticleFilter
+from trackers.core.particle.filter import ParticleFilter
 from trackers.core.recording import Readings, Recording
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import Scale

@@ -6,17 +6,17 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.catalogue import fitting, groups
-from experiments.commands.evaluate import judge
-from experiments.errors import UnusableInput
-from experiments.folder import Folder, read_folder
-from experiments.systems import line
-from experiments.systems.line import TRACKERS, left_the_line, path_of
-from experiments.tracks import track
-from experiments.worlds.line import simulated_line
+from experiments.cli.evaluate import judge
 from sim.line import simulate_line
+from sim.tables.line import simulated_line
+from trackers.catalogue import fitting, groups
+from trackers.core.errors import UnusableInput
 from trackers.core.rig import Rig
+from trackers.line import rows as line
 from trackers.line.motion import HaltingMotion, LineMotion
+from trackers.line.rows import TRACKERS, left_the_line, path_of
+from trackers.recordings.folder import Folder, read_folder
+from trackers.tracks import track
 
 SITUATIONS = ("constant", "halts", "speeds")
 

@@ -11,7 +11,7 @@ from trackers.core.algebra import diagonal
 from trackers.core.chunks import prepared
 from trackers.core.ekf import Gaussian
 from trackers.core.estimates import Status
-from trackers.core.particles import ParticleFilter
+from trackers.core.particle.filter import ParticleFilter
 from trackers.core.recording import stack
 from trackers.core.tracker import Tracker, scanned
 from trackers.core.tunable import Scale

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from trackers.core.algebra import Vector
-from trackers.core.contract import check_motion, check_sensor
+from trackers.core.checks import check_motion, check_sensor
 from trackers.core.motion import Kinematic
 from trackers.line.fixes import FloorFixes
 from trackers.line.motion import HaltingMotion, LineMotion, OnLine, OnSegment

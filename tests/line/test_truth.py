@@ -4,13 +4,13 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.commands.truth import truth
-from experiments.errors import UnusableInput
-from experiments.folder import read_folder, write_folder
-from experiments.worlds.line import simulated_line
+from experiments.cli.truth import truth
 from sim.corruptions import white_noise
 from sim.line import THESIS_KNOTS, simulate_line
+from sim.tables.line import simulated_line
+from trackers.core.errors import UnusableInput
 from trackers.line.truth import knot_times
+from trackers.recordings.folder import read_folder, write_folder
 
 
 @pytest.mark.parametrize("situation", ["constant", "halts", "speeds"])

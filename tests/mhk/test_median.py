@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from trackers.core.fixes import FIXES
 from trackers.core.recording import Readings, Recording, stack
 from trackers.mhk.median import LimitedMedian, limited
+from trackers.parts.fixes import FIXES
 
 
 def _medians(values, seen=None, dt=0.1, limit=1e6, window=9):

@@ -7,12 +7,12 @@ import pytest
 from tests.known_start import flat
 from trackers.core.ekf import ExtendedKalman
 from trackers.core.estimates import Status
-from trackers.core.fixes import FIXES
 from trackers.core.recording import Readings, Recording, stack
 from trackers.core.tunable import tunables
 from trackers.mhk.accelerations import AccelerationSphere
 from trackers.mhk.fusion import AccelerationFilter
 from trackers.mhk.tracker import mhk_tracker
+from trackers.parts.fixes import FIXES
 
 
 def _place(t):

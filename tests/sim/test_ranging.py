@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-from experiments.systems.uwb import range_lanes
-from experiments.worlds.ranging import simulated_ranging
 from sim.corruptions import drop_outs
 from sim.imu import level, simulate_uwb_imu
 from sim.keys import trajectory_keys
@@ -19,7 +17,9 @@ from sim.ranging import (
     simulate_ranges,
     two_way,
 )
+from sim.tables.ranging import simulated_ranging
 from trackers.core.rig import Rig
+from trackers.uwb_imu.range_rows import range_lanes
 from trackers.uwb_imu.ranging import SPEED_OF_LIGHT
 
 TAGS, ROWS = 40, 100

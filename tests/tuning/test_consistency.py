@@ -13,12 +13,12 @@ from trackers.aoa.direct import direct_tracker
 from trackers.aoa.fusion import bearing_tracker
 from trackers.core.algebra import Vector
 from trackers.core.estimates import Estimates, Status
-from trackers.core.fixes import cov_before, moved_back
 from trackers.core.motion import Kinematic
 from trackers.core.recording import Recording, stack
 from trackers.core.tracker import Output
+from trackers.parts.fixes import cov_before, moved_back
 from tuning.consistency import Consistency, chi_square_below, legendre, tail_of, tailed_below
-from tuning.figures import every_figure, parse_objective
+from tuning.metrics import every_figure, parse_objective
 from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError, StateLogLikelihood, Weighted
 
 LANES = 50

@@ -10,29 +10,29 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.catalogue import TRACKERS
-from experiments.lanes import cut
-from experiments.worlds.agv import simulated_agv
-from experiments.worlds.line import simulated_line
-from experiments.worlds.phases import as_folder
-from experiments.worlds.ranging import simulated_ranging
-from experiments.worlds.uwb_imu import simulated_uwb_imu
 from sim.agv import simulate_agv
 from sim.imu import simulate_uwb_imu
 from sim.line import simulate_line
 from sim.ranging import chamber, simulate_ranges
 from sim.scenarios import simulate_phases, work_station
+from sim.tables.agv import simulated_agv
+from sim.tables.line import simulated_line
+from sim.tables.phases import as_folder
+from sim.tables.ranging import simulated_ranging
+from sim.tables.uwb_imu import simulated_uwb_imu
 from tests.tuning.worlds import line_tracker, walks
 from trackers.aoa.fusion import bearing_tracker
+from trackers.catalogue import TRACKERS
 from trackers.core.chunks import prepared
-from trackers.core.loss import LossPolicy
 from trackers.core.recording import stack
 from trackers.core.rig import Tag
+from trackers.core.track_loss import LossPolicy
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import tunables
 from trackers.mhk.tracker import mhk_tracker
+from trackers.recordings.trajectories import cut
 from trackers.uwb_imu.fusion import range_tracker
-from tuning.judgement import names_of
+from tuning.identifiability import names_of
 from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError, Weighted
 from tuning.parameters import chosen, flatten, placed_in
 from tuning.problem import Problem

@@ -3,17 +3,15 @@
 import numpy as np
 import pytest
 
-from experiments.catalogue import TRACKERS
-from experiments.tracks import batches as in_batches
-from experiments.worlds.ranging import simulated_ranging
 from sim.corruptions import white_noise
 from sim.ranging import chamber, simulate_ranges
+from sim.tables.ranging import simulated_ranging
 from tests.tuning.worlds import STATION, beams, line_tracker, walks
 from trackers.aoa.beam import beam_tracker
 from trackers.baselines.fixes import fix_tracker
 from trackers.baselines.windows import MovingWindow
+from trackers.catalogue import TRACKERS
 from trackers.core.algebra import Vector
-from trackers.core.fixes import FIXES
 from trackers.core.recording import Readings, Recording, stack
 from trackers.core.tunable import tunables
 from trackers.line.fixes import FloorFixes
@@ -21,6 +19,8 @@ from trackers.line.motion import LineMotion, OnLine
 from trackers.line.polyline import Polyline
 from trackers.line.tracker import line_grid_tracker
 from trackers.mhk.tracker import mhk_tracker
+from trackers.parts.fixes import FIXES
+from trackers.tracks import batches as in_batches
 from trackers.uwb_imu.fusion import range_tracker
 from tuning.differences import levels_of_places
 from tuning.first_guess import first_guess, looked_at

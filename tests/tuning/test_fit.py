@@ -12,8 +12,8 @@ from trackers.core.chunks import mapped
 from trackers.core.recording import Readings, Recording, stack
 from trackers.core.tunable import tunables
 from tuning import NegativeLogLikelihood, RootMeanSquareError
-from tuning.descent import stored
 from tuning.fit import fit
+from tuning.optimisation import stored
 from tuning.optimisers import LBFGS, Adam, GaussNewton
 from tuning.parameters import chosen, flatten, placed_in
 from tuning.priors import Prior

@@ -8,7 +8,7 @@ from tests.tuning.worlds import SIGMA_START, line_tracker, walks
 from trackers.core.chunks import chunks
 from trackers.core.recording import stack
 from tuning.parameters import chosen, flatten
-from tuning.row_scores import row_information
+from tuning.row_information import row_information
 
 LEVELS = ("motion.sigma_v", "sensors.gauge.sigma")
 STEP = 1e-5

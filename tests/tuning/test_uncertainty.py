@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 from tests.tuning.worlds import line_tracker, walks
 from trackers.core.recording import stack
 from trackers.core.tunable import Covariance, Fraction, Real, Scale
-from tuning.judgement import judgements
+from tuning.identifiability import judgements
 from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
 from tuning.parameters import Parameter, chosen, flatten
 from tuning.problem import Problem

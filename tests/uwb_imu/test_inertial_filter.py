@@ -16,7 +16,7 @@ from trackers.core.recording import stack
 from trackers.core.state import Rotation, local, retract
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import resolved
-from trackers.uwb_imu.ranges import RangeSensor
+from trackers.parts.ranges import RangeSensor
 from trackers.uwb_imu.strapdown import ImuNoise, Inertial, Strapdown
 
 RUNS, ROWS, ENDS, DT, SIGMA_R = 500, 200, 120, 0.02, 0.05

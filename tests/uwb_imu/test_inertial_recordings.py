@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from experiments.folder import read_folder
-from experiments.systems.uwb_imu import inertial_lanes
 from trackers.core.recording import stack
+from trackers.recordings.folder import read_folder
 from trackers.uwb_imu.inertial import inertial_tracker
+from trackers.uwb_imu.inertial_rows import inertial_lanes
 
 
 def _rmse(tracker, recordings):

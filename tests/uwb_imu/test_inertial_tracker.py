@@ -7,18 +7,18 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.folder import Folder
-from experiments.systems.uwb_imu import TRACKERS, inertial_lanes
-from experiments.worlds.uwb_imu import simulated_uwb_imu
 from sim.imu import ideal_readings, simulate_uwb_imu, swinging
 from sim.keys import trajectory_keys
 from sim.ranging import chamber
+from sim.tables.uwb_imu import simulated_uwb_imu
 from trackers.core.algebra import Vector
 from trackers.core.recording import stack
 from trackers.core.rig import Rig, Tag
 from trackers.core.state import Rotation
 from trackers.core.tracker import Row
+from trackers.recordings.folder import Folder
 from trackers.uwb_imu.inertial import InertialStart, inertial_tracker, upright
+from trackers.uwb_imu.inertial_rows import TRACKERS, inertial_lanes
 from trackers.uwb_imu.samples import held_inputs, levelled
 
 TAGS, POINTS = 6, 480

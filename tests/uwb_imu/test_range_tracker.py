@@ -7,12 +7,12 @@ import pytest
 
 from tests.oracles import van_loan
 from trackers.core.algebra import Vector
-from trackers.core.contract import check_motion
+from trackers.core.checks import check_motion
 from trackers.core.recording import Readings, Recording, stack
+from trackers.parts.range_places import recent_places
+from trackers.parts.ranges import RANGES
 from trackers.uwb_imu.drifting import DriftingBiases, Ranged, damped
 from trackers.uwb_imu.fusion import range_tracker
-from trackers.uwb_imu.nearby import recent_places
-from trackers.uwb_imu.ranges import RANGES
 
 ANCHORS = np.array([[5.0, 0.0, 2.0], [0.0, 6.0, 1.0], [-4.0, -3.0, 2.5], [1.0, -6.0, 2.2], [-5.0, 4.0, 0.5]])
 HEIGHT = 1.1

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from trackers.core.algebra import Vector, diagonal
-from trackers.core.contract import Still, check_sensor
+from trackers.core.checks import Still, check_sensor
 from trackers.core.ekf import ExtendedKalman, Gaussian
 from trackers.core.motion import Kinematic, Placed
 from trackers.core.sensor import Reading
 from trackers.core.state import Heading, Rotation
 from trackers.core.tunable import Real, replaced, resolved
-from trackers.uwb_imu.ranges import RangeSensor, in_room_axes
+from trackers.parts.ranges import RangeSensor, in_room_axes
 
 ANCHORS = np.array([[5.0, 0.0, 2.0], [0.0, 6.0, 1.0], [-4.0, -3.0, 2.5], [1.0, -6.0, 2.2], [-5.0, 4.0, 0.5]])
 BIASES = np.array([0.1, -0.05, 0.3, 0.02, 0.2])

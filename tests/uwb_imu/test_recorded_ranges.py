@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from experiments.folder import read_folder
-from experiments.systems.uwb import range_lanes
 from trackers.core.recording import stack
+from trackers.recordings.folder import read_folder
 from trackers.uwb_imu.fusion import range_tracker
+from trackers.uwb_imu.range_rows import range_lanes
 
 # Horizontal RMSE, m, and 3-D where it is judged: of a Kalman filter whose noise was tuned on that very recording.
 PLANAR = {"labyrinth": 0.22, "ngbui-line-2-1": 0.342}

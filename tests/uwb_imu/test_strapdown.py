@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from trackers.core.algebra import Vector
-from trackers.core.contract import check_motion
+from trackers.core.checks import check_motion
 from trackers.core.ekf import ExtendedKalman, Gaussian
 from trackers.core.linearise import linearise
 from trackers.core.state import Heading, Rotation, coordinates, local

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from trackers.core.algebra import Vector
 from trackers.core.recording import Readings, Recording
-from trackers.uwb_imu.ranges import RANGES
+from trackers.parts.ranges import RANGES
 from trackers.uwb_imu.trilateration import compensation, intersections, on_floor, trilaterate, trilateration_tracker
 
 ROUNDING = 1e-11

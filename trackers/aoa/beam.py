@@ -12,10 +12,10 @@ from trackers.aoa.beamformer import Grid, delay_and_sum, strongest
 from trackers.aoa.phases import InPlanePhases, PlanePhases
 from trackers.core.algebra import Scalar, Vector, diagonal
 from trackers.core.ekf import Gaussian
-from trackers.core.loss import LossPolicy
 from trackers.core.motion import AbstractMotion, Noise
 from trackers.core.rig import Station
 from trackers.core.state import Heading
+from trackers.core.track_loss import LossPolicy
 from trackers.core.tracker import AbstractStart, Row, Tracker
 from trackers.core.tunable import Scale
 

@@ -14,12 +14,12 @@ from trackers.aoa.fusion import BEARINGS, BearingSensor, bearing_inputs, surroun
 from trackers.aoa.rays import nearest_to_rays, unit_vector
 from trackers.core.estimates import Status
 from trackers.core.motion import ConstantVelocity
-from trackers.core.nearby import NearbyStart
 from trackers.core.recording import Batch
 from trackers.core.rig import Station
 from trackers.core.sensor import Reading
 from trackers.core.tracker import AbstractTracker, Output, Score, Tracker
 from trackers.core.tunable import Scale
+from trackers.parts.start_nearby import NearbyStart
 
 
 class Cascade(AbstractTracker):

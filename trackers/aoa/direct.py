@@ -15,9 +15,9 @@ from trackers.aoa.phases import SphericalPhases
 from trackers.aoa.rays import nearest_to_rays, unit_vector
 from trackers.core.algebra import Scalar, Vector, diagonal, total
 from trackers.core.ekf import Gaussian
-from trackers.core.loss import LossPolicy
 from trackers.core.motion import ConstantVelocity, Kinematic, Noise
 from trackers.core.rig import Station
+from trackers.core.track_loss import LossPolicy
 from trackers.core.tracker import AbstractStart, Row, Tracker
 from trackers.core.tunable import Scale
 

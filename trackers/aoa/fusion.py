@@ -13,14 +13,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.core.algebra import Scalar, Vector, total
-from trackers.core.loss import LossPolicy
 from trackers.core.motion import GroundMotion, Noise
-from trackers.core.nearby import NearbyStart
 from trackers.core.rig import Station
 from trackers.core.sensor import AbstractSensor, Channel, Reading, Residual, log_peak, placed
 from trackers.core.state import wrap
+from trackers.core.track_loss import LossPolicy
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import Real, Scale
+from trackers.parts.start_nearby import NearbyStart
 
 BEARINGS = "bearings"
 

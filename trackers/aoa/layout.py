@@ -28,7 +28,7 @@ DEFAULT_ANTENNAS = np.array(
 
 The figure with the true places is lost. These are fitted: the bounds of the five antenna sets in Table 1 stand in the
 ratios of the printed errors; of the many layouts that do, one with low ambiguity. `python -m
-experiments.fit_array_layout` prints them.
+experiments.papers.will_2020.fit_array_layout` prints them.
 """
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from trackers.core.fixes import FIXES, PATIENT, FixSensor, FixStart, FixTracker
 from trackers.core.motion import GroundMotion
-from trackers.core.singer import Singer
 from trackers.core.tunable import Scale
+from trackers.parts.fixes import FIXES, PATIENT, FixSensor, FixStart, FixTracker
+from trackers.parts.singer import Singer
 
 
 def fix_tracker(

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from trackers.core.fixes import FIXES, PATIENT, FixSensor, FixStart, FixTracker
 from trackers.core.motion import ConstantVelocity
-from trackers.core.particles import ParticleFilter
+from trackers.core.particle.filter import ParticleFilter
 from trackers.core.tunable import Scale
-from trackers.core.walls import Walls
+from trackers.parts.fixes import FIXES, PATIENT, FixSensor, FixStart, FixTracker
+from trackers.parts.walls import Walls
 
 
 def floor_tracker(
@@ -20,7 +20,7 @@ def floor_tracker(
 
     The model of `fix_tracker` in the plane with a map, as the thesis says of its reference [25]. σa
     m/s² per √Hz, the fixes' sigma m; `tail` None for normal noise. Where walls have killed all particles the track
-    begins anew at the next fix. Its numbers are tuned by the particles' score; see `trackers/core/scores.py`.
+    begins anew at the next fix. Its numbers are tuned by the particles' score; see `trackers/core/particle/score.py`.
     """
     sensor = FixSensor(sigma_horizontal, sigma_horizontal, tail)
     start = FixStart(Scale(1.0, "m"), Scale(1.0, "m/s"), True, 2)

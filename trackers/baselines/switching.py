@@ -20,13 +20,13 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar, full
-from trackers.core.fixes import FIXES, PATIENT, AbstractFixSensor, FixSensor, FixStart, FixTracker
-from trackers.core.modes import AbstractSwitching, InteractingModels, Mixture, SwitchingMotion
+from trackers.core.imm import AbstractSwitching, InteractingModels, Mixture, SwitchingMotion
 from trackers.core.motion import GroundMotion, Noise
 from trackers.core.sensor import AbstractSensor, Channel
 from trackers.core.state import dimension
 from trackers.core.tracker import Row
 from trackers.core.tunable import Real, Scale
+from trackers.parts.fixes import FIXES, PATIENT, AbstractFixSensor, FixSensor, FixStart, FixTracker
 
 BELOW, ABOVE = 0, 1
 

@@ -10,11 +10,11 @@ import jax.numpy as jnp
 
 from trackers.core.algebra import Vector, triangle
 from trackers.core.estimates import Status
-from trackers.core.fixes import FIXES
-from trackers.core.median import middle
 from trackers.core.motion import Placed
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker, Output, Score
+from trackers.parts.fixes import FIXES
+from trackers.parts.median import middle
 
 
 class MovingWindow(AbstractTracker):

@@ -31,8 +31,8 @@ from trackers.core.algebra import (
     triangle,
 )
 from trackers.core.linearise import linearise
-from trackers.core.links import Link, link, linked
 from trackers.core.motion import AbstractMotion
+from trackers.core.rts_step import Link, link, linked
 from trackers.core.sensor import AbstractSensor, Reading
 from trackers.core.state import State, coordinates, local_after, retract
 

@@ -19,11 +19,11 @@ from trackers.core.algebra import Scalar, related, shared, total
 from trackers.core.chunks import CHUNK, chunks, over_parts, prepared
 from trackers.core.ekf import ExtendedKalman, Gaussian
 from trackers.core.estimates import Estimates, Status
-from trackers.core.loss import LossPolicy
 from trackers.core.motion import AbstractMotion
 from trackers.core.recording import Batch, Recording, stack
-from trackers.core.selection import select, usually
+from trackers.core.select import select, usually
 from trackers.core.sensor import AbstractSensor, Reading
+from trackers.core.track_loss import LossPolicy
 from trackers.core.tunable import resolved
 
 ACQUIRED_AT_ONCE = 16

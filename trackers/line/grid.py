@@ -16,7 +16,7 @@ from jax.scipy.special import ndtr
 from trackers.core.algebra import Scalar, shared, total
 from trackers.core.ekf import Gaussian, Innovation
 from trackers.core.motion import AbstractMotion
-from trackers.core.particles import normalised_square, weighed, weighted_moments
+from trackers.core.particle.filter import normalised_square, weighed, weighted_moments
 from trackers.core.sensor import AbstractSensor, Reading
 from trackers.core.state import State
 from trackers.line.motion import HaltingMotion, LineMotion, OnFloor, OnLine

@@ -9,7 +9,7 @@ from jax.scipy.special import ndtri
 
 from trackers.core.algebra import Scalar, Vector
 from trackers.core.motion import AbstractMotion, Kinematic, Noise, scaled
-from trackers.core.particles import AbstractReport, second_moments, weighted_mean
+from trackers.core.particle.filter import AbstractReport, second_moments, weighted_mean
 from trackers.core.tunable import Fraction, Scale
 from trackers.line.polyline import Polyline
 

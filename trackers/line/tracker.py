@@ -12,10 +12,10 @@ import numpy as np
 
 from trackers.core.algebra import Scalar, diagonal, total
 from trackers.core.ekf import Gaussian
-from trackers.core.loss import LossPolicy
 from trackers.core.motion import Noise
-from trackers.core.particles import ParticleFilter, log_density
+from trackers.core.particle.filter import ParticleFilter, log_density
 from trackers.core.sensor import AbstractSensor
+from trackers.core.track_loss import LossPolicy
 from trackers.core.tracker import AbstractStart, Row, Tracker
 from trackers.core.tunable import Scale
 from trackers.line.grid import GridFilter

@@ -9,11 +9,11 @@ import jax
 import jax.numpy as jnp
 
 from trackers.core.algebra import inverse_or_zero
-from trackers.core.median import middle
 from trackers.core.motion import Noise
 from trackers.core.recording import Batch
 from trackers.core.sensor import Reading
 from trackers.core.tunable import Scale
+from trackers.parts.median import middle
 
 
 class Limiter(NamedTuple):

@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.core.estimates import Estimates
-from trackers.core.fixes import FIXES, PATIENT, CorrelatedFixSensor, FixStart, FixTracker
 from trackers.core.motion import ConstantVelocity
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker, Output, Score
@@ -17,6 +16,7 @@ from trackers.core.tunable import Scale
 from trackers.mhk.accelerations import AccelerationSphere
 from trackers.mhk.fusion import AccelerationFilter
 from trackers.mhk.median import LimitedMedian
+from trackers.parts.fixes import FIXES, PATIENT, CorrelatedFixSensor, FixStart, FixTracker
 
 STILL = np.array([[8.409964, 3.509666, -1.23004], [3.509666, 10.34468, -0.7689], [-1.23004, -0.7689, 0.583671]]) * 1e-4
 """The covariance of 2,000 fixes of a tag at rest, m² (Huang et al. 2018, section 4)."""

@@ -8,13 +8,13 @@ import equinox as eqx
 
 from trackers.core.algebra import Vector, diagonal
 from trackers.core.ekf import Gaussian
-from trackers.core.loss import LossPolicy
 from trackers.core.motion import Noise
-from trackers.core.nearby import AbstractNearbyStart
+from trackers.core.track_loss import LossPolicy
 from trackers.core.tracker import Row, Tracker
 from trackers.core.tunable import Scale
+from trackers.parts.ranges import RANGES, RangeSensor
+from trackers.parts.start_nearby import AbstractNearbyStart
 from trackers.uwb_imu.drifting import DriftingBiases, Ranged
-from trackers.uwb_imu.ranges import RANGES, RangeSensor
 
 OWN_BIASES = 16
 """Anchors up to which each has a bias in the state; the cost of a row grows with the square of their number."""

@@ -9,14 +9,14 @@ import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar, Vector, diagonal, triangle
 from trackers.core.ekf import Gaussian
-from trackers.core.loss import LossPolicy
 from trackers.core.motion import Noise
-from trackers.core.nearby import AbstractNearbyStart
 from trackers.core.state import Heading, Rotation
+from trackers.core.track_loss import LossPolicy
 from trackers.core.tracker import Row, Tracker
 from trackers.core.tunable import Scale
+from trackers.parts.ranges import RANGES, RangeSensor
+from trackers.parts.start_nearby import AbstractNearbyStart
 from trackers.uwb_imu.fusion import OWN_BIASES
-from trackers.uwb_imu.ranges import RANGES, RangeSensor
 from trackers.uwb_imu.strapdown import ImuNoise, Inertial, PlanarInertial, PlanarStrapdown, Strapdown
 from trackers.uwb_imu.yaws import YawBank
 

@@ -14,7 +14,7 @@ from trackers.core.motion import Noise, Placed
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker, Output, Score
 from trackers.core.tunable import Scale, resolved
-from trackers.uwb_imu.ranges import RANGES
+from trackers.parts.ranges import RANGES
 
 ROUNDS = 20
 """Steps of the search; with weights that change from step to step it nears the place by a factor each time."""

@@ -21,7 +21,7 @@ from trackers.core.motion import Noise, Placed
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker, Output, Score
 from trackers.core.tunable import Scale, resolved
-from trackers.uwb_imu.ranges import RANGES
+from trackers.parts.ranges import RANGES
 
 
 def compensation(sigma: Scalar, count: int = 3) -> Scalar:

@@ -1,0 +1,117 @@
+"""`trackwright track`."""
+
+from __future__ import annotations
+
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from experiments.cli.console import notice, output_folder, progress, read_all
+from experiments.cli.evaluate import SOURCES, judge
+from experiments.cli.manifest import write_manifest
+from experiments.plots.track_run import draw_tracks
+from experiments.reports.evaluation_text import to_text
+from trackers.catalogue import TRACKERS, fitting, groups
+from trackers.core.chunks import CHUNK
+from trackers.core.errors import UnusableInput
+from trackers.core.rts import Smoothed
+from trackers.core.tracker import AbstractTracker
+from trackers.events import EVENTS, events_of
+from trackers.recordings.atomic import atomic_write
+from trackers.recordings.trajectories import known_height
+from trackers.tracks import TRACKS
+from trackers.tracks import track as run
+from tuning.tuned_file import read_tuned, with_noise
+
+
+def track(  # noqa: D103
+    recordings: Annotated[tuple[Path, ...], tyro.conf.Positional],
+    out: Path,
+    tracker: str | None = None,
+    noise: Path | None = None,
+    free_height: bool = False,
+    smooth: bool = False,
+    lag: float | None = None,
+) -> int:
+    started = datetime.now(UTC)
+    folders = read_all(recordings)
+    name = tracker or fitting(folders[0])
+    if tracker is None:
+        notice(f"tracker: {name} ({TRACKERS[name].about if name in TRACKERS else ''}); choose another with --tracker")
+    batches = groups(folders, name, free_height)
+    if noise is not None:
+        values = read_tuned(noise)
+        batches = [type(g)(with_noise(g.tracker, values, noise), g.lanes, g.planar) for g in batches]
+    if smooth or lag is not None:
+        batches = [type(g)(_smoothed(g.tracker, name, lag), g.lanes, g.planar) for g in batches]
+    flat = [lane for g in batches if g.planar for lane in g.lanes]
+    heights = sum(known_height(lane.folder, lane.tag) is not None for lane in flat)
+    if heights and not TRACKERS[name].bearing_only:
+        notice(f"height: known from rig.toml for {heights} tag(s) and used; estimate it with --free-height")
+    output_folder(out)
+    with progress("tracking", sum(len(g.lanes) for g in batches)) as advance:
+        tracks, verdicts = run(batches, advance)
+    atomic_write(out / TRACKS, tracks.write_parquet)
+    happened = events_of(tracks, TRACKERS[name], batches)
+    atomic_write(out / EVENTS, happened.write_parquet)
+    paths = "\n".join(str(p.resolve()) for p in recordings)
+    atomic_write(out / SOURCES, lambda path: path.write_text(paths + "\n", encoding="utf-8"))
+    print(
+        f"{sum(verdicts.values())} tracks: "
+        + "; ".join(f"{n} {v}" for v, n in sorted(verdicts.items(), key=lambda x: -x[1]))
+    )
+    if any("truth" in f.tables for f in folders):
+        try:
+            print(to_text(judge(tracks, folders)), end="")
+        except UnusableInput as problem:
+            notice(f"notice: not evaluated: {problem}")
+    drawn = draw_tracks(out, tracks, folders, batches)
+    config = {
+        "tracker": name,
+        "noise": None if noise is None else str(noise),
+        "free_height": free_height,
+        "smooth": smooth,
+        "lag": lag,
+    }
+    write_manifest(
+        out,
+        sys.argv,
+        config,
+        started,
+        chunk=CHUNK,
+        extra={"recordings": [str(p) for p in recordings], "verdicts": verdicts},
+    )
+    for event, count in happened.group_by("event", maintain_order=True).len().iter_rows():
+        print(f"event: {event} ({count} times)")
+    written = f"{out / TRACKS} ({len(tracks)} estimates), {EVENTS}, manifest.json"
+    print(f"wrote {written} and {len(drawn)} figures: {', '.join(drawn)}")
+    return 0
+
+
+def _smoothed(tracker: AbstractTracker, name: str, lag: float | None) -> AbstractTracker:
+    if lag is not None and not 0 < lag < 1e6:
+        raise UnusableInput(f"--lag {lag}: expected seconds above zero; leave it out to use the whole recording")
+    try:
+        return Smoothed(tracker, lag)  # type: ignore[arg-type]
+    except TypeError as error:
+        raise UnusableInput(f"--smooth with tracker '{name}': {error}; leave --smooth out") from error
+
+
+_LIST = "\n".join(f"    {name}: {entry.about} ({entry.table})" for name, entry in TRACKERS.items())
+track.__doc__ = f"""Track recordings: writes tracks.parquet, events.parquet, figures and manifest.json.
+
+Trackers (and the table they read):
+{_LIST}
+
+Args:
+    recordings: recording folders (rig.toml and tables).
+    out: the folder to write to.
+    tracker: one of the names above; default: what fits the tables.
+    noise: a tuned.toml of `trackwright tune`.
+    free_height: estimate the height of tags whose height the rig gives.
+    smooth: use the rows after each row too, all of them: for recordings, where nothing has to be known at once.
+    lag: smooth with the rows of the next so many seconds only.
+"""

@@ -1,0 +1,91 @@
+"""`trackwright truth`."""
+
+from __future__ import annotations
+
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import polars as pl
+import tyro
+
+from experiments.cli.console import notice, read_all
+from experiments.cli.manifest import write_manifest
+from trackers.core.errors import UnusableInput
+from trackers.line.rows import line_lanes, path_of, raw_places
+from trackers.line.truth import KnotTimes, knot_times
+from trackers.recordings.folder import Folder, write_folder
+from trackers.recordings.trajectories import known_height
+from trackers.recordings.truth import interpolated, truth_paths
+
+
+def truth(recording: Annotated[Path, tyro.conf.Positional], out: Path) -> int:
+    """Fit a truth to a recording along its known path, by least squares: writes the recording with a truth table.
+
+    Every tag goes once from the first knot of rig.toml's [path] to the last, each segment at a speed of its own, with
+    rests where segments meet; the times of the knots are fitted to its fixes, or to the places where its ranges meet.
+
+    Args:
+        recording: a recording folder with [path] knots_m in rig.toml and a fixes or ranges table.
+        out: the folder to write; it must not exist or be empty.
+    """
+    started = datetime.now(UTC)
+    (folder,) = read_all((recording,))
+    path_of(folder)
+    if not {"fixes", "ranges"} & set(folder.tables):
+        raise UnusableInput(
+            f"{recording}: tables {', '.join(folder.tables)}, expected fixes or ranges to fit a truth to; add one"
+        )
+    rows, lines = [], []
+    for lane in line_lanes(folder, False):
+        times, places = raw_places(lane)
+        known = np.isfinite(places).all(axis=1)
+        try:
+            fitted = knot_times(np.asarray(folder.rig.path_knots), times[known], places[known])
+        except ValueError as problem:
+            raise UnusableInput(f"{recording}: tag '{lane.tag}': {problem}; record for longer") from problem
+        rows.append(_rows(folder, lane.tag, times, fitted))
+        lines.append(_line(lane.tag, fitted))
+    table = pl.concat(rows).sort("t_s", maintain_order=True)
+    _compare(folder, table)
+    write_folder(Folder(folder.name, None, folder.rig, folder.tables | {"truth": table}), out)
+    write_manifest(out, sys.argv, {"recording": str(recording)}, started)
+    print("\n".join(lines))
+    print(f"wrote {out}: the recording with a fitted truth of {len(table)} rows; use it: evaluate … --truth {out}")
+    return 0
+
+
+def _rows(folder: Folder, tag: str, times: np.ndarray, fitted: KnotTimes) -> pl.DataFrame:
+    # At the knots too: between two rows the fitted path has corners, which a straight line would cut.
+    at = np.unique(np.concatenate([times, fitted.left, fitted.reached]))
+    places = fitted.places(at)
+    height = known_height(folder, tag)
+    return pl.DataFrame({"t_s": at, "tag": [tag] * len(at), "x_m": places[:, 0], "y_m": places[:, 1]}).with_columns(
+        pl.lit(height, pl.Float64).alias("z_m")
+    )
+
+
+def _line(tag: str, fitted: KnotTimes) -> str:
+    lengths = np.sqrt((np.diff(fitted.knots, axis=0) ** 2).sum(axis=1))
+    pieces = [
+        f"{a:.2f}-{b:.2f} s ({n / (b - a):.2f} m/s)"
+        for a, b, n in zip(fitted.left, fitted.reached, lengths, strict=True)
+        if b > a
+    ]
+    return f"tag {tag}: {fitted.rms:.3f} m RMS about the path; segments {', '.join(pieces)}"
+
+
+def _compare(folder: Folder, table: pl.DataFrame) -> None:
+    """How far the fitted truth is from the one that the recording already has, where it has one."""
+    if "truth" not in folder.tables:
+        return
+    given, fitted = truth_paths(folder.tables["truth"], folder.name), truth_paths(table, folder.name)
+    for tag in sorted(given.keys() & fitted.keys()):
+        times, places = fitted[tag]
+        known, _ = interpolated(times, *given[tag])
+        apart = np.sqrt(((places - known)[:, :2] ** 2).sum(axis=1))
+        if np.isfinite(apart).any():
+            rms = np.sqrt(np.nanmean(apart**2))
+            notice(f"notice: tag {tag}: the recording's own truth is replaced; it is {rms:.3f} m RMS away")

@@ -1,1 +1,0 @@
-"""The commands of `trackwright`, one file each; their docstrings are the help."""

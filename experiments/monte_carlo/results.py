@@ -1,0 +1,259 @@
+"""Figures of a study with bootstrap intervals, paired over trackers, worlds and points of the grid.
+
+Trajectories are resampled, not rows: errors of one trajectory hang together. The same resampling serves all trackers
+and cells, whose trajectories have the same ids and the same random numbers, so a difference has the interval of a
+paired one. Beyond 512 trajectories groups of them, id modulo 512, are resampled: as good, and of constant size.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from experiments.monte_carlo.accumulators import BINS, COLUMN, EDGES, KINDS, SUMS, quantile
+from experiments.monte_carlo.declaration import Cell, Study
+
+BLOCKS, REPLICATES, LEVEL = 512, 1000, 0.95
+
+
+class Value(NamedTuple):
+    """A figure and its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+    def times(self, factor: float) -> Value:
+        """The figure in another unit."""
+        return Value(self.value * factor, self.low * factor, self.high * factor)
+
+
+class Kept(NamedTuple):
+    """What is kept of a cell and tracker, added up over blocks of trajectories.
+
+    `sums` (blocks, columns), `largest` (blocks, kinds), `histograms`: kind -> (blocks, BINS); `measures`: name -> (n,)
+    of all trajectories; `bounds` (2,) m; `us_per_row`; `seconds` that the chunks took, with compiling, told of a cell's
+    first tracker for all of them.
+    """
+
+    sums: np.ndarray
+    largest: np.ndarray
+    histograms: dict[str, np.ndarray]
+    measures: dict[str, np.ndarray]
+    bounds: np.ndarray
+    us_per_row: float
+    seconds: float
+
+
+class Sample(NamedTuple):
+    """Sums of what was kept, for all trajectories or for many resamplings (…, R)."""
+
+    sums: np.ndarray
+    largest: np.ndarray
+    histograms: Mapping[str, np.ndarray]
+
+    def sum(self, name: str) -> np.ndarray:
+        """A column."""
+        found: np.ndarray = self.sums[..., COLUMN[name]]
+        return found
+
+
+def _ratio(above: str, below: str) -> Callable[[Sample], np.ndarray]:
+    return lambda s: s.sum(above) / s.sum(below)
+
+
+def _of_kind(kind: str, suffix: str) -> dict[str, Callable[[Sample], np.ndarray]]:
+    at = KINDS.index(kind)
+    made: dict[str, Callable[[Sample], np.ndarray]] = {
+        f"rmse_{suffix}": lambda s: np.sqrt(s.sum(f"squares {kind}") / s.sum(f"n {kind}")),
+        f"mean_{suffix}": _ratio(f"sum {kind}", f"n {kind}"),
+        f"max_{suffix}": lambda s: s.largest[..., at],
+    }
+    for name, share in (("median", 0.5), ("p90", 0.9), ("p95", 0.95), ("p99", 0.99)):
+        made[f"{name}_{suffix}"] = lambda s, share=share: quantile(s.histograms[kind], share)  # type: ignore[misc]
+    return made
+
+
+FIGURES: dict[str, Callable[[Sample], np.ndarray]] = {
+    **{name: figure for kind in KINDS for name, figure in _of_kind(kind, kind).items()},
+    "variance_m2": lambda s: s.sum("squares m") / s.sum("n m") - (s.sum("sum m") / s.sum("n m")) ** 2,
+    "nees_mean": _ratio("nees", "nees n"),
+    "nees_3d_mean": _ratio("nees_3d", "nees_3d n"),
+    "coverage_95": _ratio("inside", "nees n"),
+    "nis_ratio": _ratio("nis", "dof"),
+    "lost_fraction": _ratio("lost rows", "rows"),
+}
+"""Figures by name, of sums; `diverged` and `failed`, shares of the trajectories, are of their number too."""
+
+SHARES = ("diverged", "failed")
+CONSTANT = ("bound_m", "bound_3d_m", "us_per_row")
+NAMES = (*FIGURES, *SHARES, *CONSTANT)
+
+
+class Results:
+    """The figures of a study that has been run. `kept`: by cell and tracker; `runs`: trajectories of each cell."""
+
+    def __init__(self, study: Study, kept: Mapping[tuple[int, str], Kept], runs: Mapping[int, int]):
+        self.study, self.kept, self.runs = study, kept, runs
+        self._figures: dict[tuple[int, str], dict[str, tuple[Any, np.ndarray]]] = {}
+
+    def cell(self, world: str, **point: Any) -> Cell:
+        """The cell of a world at a point of the grid; names with dots are given as `**{"world.rate_hz": 5}`.
+
+        Raises KeyError where there is none or more than one.
+        """
+        found = [c for c in self.study.cells if c.world == world and point.items() <= c.point.items()]
+        if len(found) != 1:
+            raise KeyError(f"{len(found)} cells are '{world}' at {point}, expected one")
+        return found[0]
+
+    def value(self, figure: str, world: str, tracker: str, **point: Any) -> Value:
+        """A figure or a measure's mean, with its interval; NaN where the trajectories have none."""
+        return self.at(figure, self.cell(world, **point), tracker)
+
+    def at(self, figure: str, cell: Cell, tracker: str) -> Value:
+        """The same by cell."""
+        return _interval(*self._drawn(figure, cell, tracker))
+
+    def difference(self, figure: str, world: str, tracker: str, other: str, **point: Any) -> Value:
+        """A tracker's figure less another's, paired."""
+        return self.compared(np.subtract, figure, self.cell(world, **point), tracker, other)
+
+    def ratio(self, figure: str, world: str, tracker: str, other: str, **point: Any) -> Value:
+        """A tracker's figure over another's, paired."""
+        return self.compared(np.divide, figure, self.cell(world, **point), tracker, other)
+
+    def compared(self, how: Callable[[Any, Any], Any], figure: str, cell: Cell, tracker: str, other: str) -> Value:
+        """Two trackers' figures of a cell put together by `how`, paired."""
+        mine, its = self._drawn(figure, cell, tracker), self._drawn(figure, cell, other)
+        return _interval(how(mine[0], its[0]), how(mine[1], its[1]))
+
+    def average(self, figure: str, cells: Sequence[tuple[str, str]], **point: Any) -> Value:
+        """The mean of a figure over worlds and trackers, all resampled together."""
+        drawn = [self._drawn(figure, self.cell(world, **point), tracker) for world, tracker in cells]
+        return _interval(np.mean([d[0] for d in drawn]), np.mean([d[1] for d in drawn], axis=0))
+
+    def shown(self) -> dict[str, dict[tuple[int, str], Value]]:
+        """The study's main figures, each by cell and tracker."""
+        every = [(c, t) for c in self.study.cells for t in self.study.trackers]
+        return {f: {(c.index, t): self.at(f, c, t) for c, t in every} for f in self.study.figures}
+
+    @property
+    def seconds(self) -> float:
+        """Computing time of all chunks, whichever run, machine or device made them."""
+        return sum(kept.seconds for kept in self.kept.values())
+
+    def numbers(self, measure: str, world: str, tracker: str, **point: Any) -> np.ndarray:
+        """A measure's numbers (n,), trajectory by trajectory."""
+        return self.kept[self.cell(world, **point).index, tracker].measures[measure]
+
+    def cdf(self, world: str, tracker: str, kind: str = "m", **point: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Errors, m or rad, and the share of rows whose error is at most that."""
+        histogram = self.kept[self.cell(world, **point).index, tracker].histograms[kind].sum(axis=0)
+        return EDGES, np.cumsum(histogram) / max(histogram.sum(), 1)
+
+    def _drawn(self, figure: str, cell: Cell, tracker: str) -> tuple[Any, np.ndarray]:
+        """A figure of all trajectories, and of every resampling (R,)."""
+        kept = self.kept[cell.index, tracker]
+        if figure in CONSTANT:
+            value = kept.us_per_row if figure == "us_per_row" else kept.bounds[int(figure == "bound_3d_m")]
+            return value, np.full(REPLICATES, value)
+        weights = resampled(self.study.seed, min(self.runs[cell.index], BLOCKS))
+        if figure in kept.measures:
+            return _mean_of(kept.measures[figure], weights)
+        key = (cell.index, tracker)
+        if key not in self._figures:
+            # All figures at once: histograms of all resamplings take megabytes, figures kilobytes.
+            self._figures[key] = _figures_of(kept, weights, _block_sizes(self.runs[cell.index]))
+        return self._figures[key][figure]
+
+
+def _figures_of(kept: Kept, weights: np.ndarray, per_block: np.ndarray) -> dict[str, tuple[Any, np.ndarray]]:
+    """Every figure of all trajectories, and of every resampling (R,); of the kinds of errors that there are."""
+    drawn = weights > 0
+    largest = np.stack(
+        [np.where(drawn, np.nan_to_num(x, nan=-np.inf), -np.inf).max(axis=1) for x in kept.largest.T], axis=-1
+    )
+    many = Sample(weights @ kept.sums, largest, {k: weights @ h for k, h in kept.histograms.items()})
+    top = np.nan_to_num(kept.largest, nan=-np.inf).max(axis=0)
+    whole = Sample(kept.sums.sum(axis=0), top, {k: h.sum(axis=0) for k, h in kept.histograms.items()})
+    found = {}
+    with np.errstate(invalid="ignore", divide="ignore"):
+        for name in SHARES:
+            found[name] = whole.sum(name) / per_block.sum(), many.sum(name) / (weights @ per_block)
+        for name, figure in FIGURES.items():
+            with contextlib.suppress(KeyError):  # a percentile of a kind of errors that the tracker doesn't have
+                found[name] = figure(whole), figure(many)
+    return found
+
+
+@functools.lru_cache(maxsize=8)
+def resampled(seed: int, count: int) -> np.ndarray:
+    """How often each of `count` things is in every resampling (REPLICATES, count), drawn with replacement."""
+    rng = np.random.default_rng([seed, count])
+    return rng.multinomial(count, np.full(count, 1.0 / count), size=REPLICATES).astype(float)
+
+
+def _block_sizes(runs: int) -> np.ndarray:
+    return np.bincount(np.arange(runs) % min(runs, BLOCKS)).astype(float)
+
+
+def _mean_of(numbers: np.ndarray, weights: np.ndarray) -> tuple[float, np.ndarray]:
+    """The mean of the numbers that are some, and of every resampling of blocks."""
+    known = np.isfinite(numbers)
+    block, count = np.arange(len(numbers)) % weights.shape[1], weights.shape[1]
+    sums = np.bincount(block, np.where(known, numbers, 0.0), count)
+    sizes = np.bincount(block, known.astype(float), count)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return float(sums.sum() / sizes.sum()), (weights @ sums) / (weights @ sizes)
+
+
+def _interval(value: Any, drawn: np.ndarray) -> Value:
+    known = drawn[np.isfinite(drawn)]
+    if not len(known) or not np.isfinite(value):
+        return Value(float(value) if np.isfinite(value) else np.nan, np.nan, np.nan)
+    low, high = np.quantile(known, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+    return Value(float(value), float(low), float(high))
+
+
+class Gathered:
+    """Adds up the chunks of a cell and tracker, in order, into blocks."""
+
+    def __init__(self, runs: int):
+        self.blocks, self.runs = min(runs, BLOCKS), runs
+        self.sums = np.zeros((self.blocks, len(SUMS)))
+        self.largest = np.full((self.blocks, len(KINDS)), np.nan)
+        self.histograms: dict[str, np.ndarray] = {}
+        self.measures: dict[str, np.ndarray] = {}
+        self.bounds, self.us_per_row, self.seconds = np.full(2, np.nan), np.nan, 0.0
+
+    def add(self, start: int, arrays: Mapping[str, np.ndarray]) -> None:
+        """A chunk whose first trajectory is `start`; those beyond the last run are left out."""
+        stop = min(start + len(arrays["sums"]), self.runs)
+        ids = np.arange(start, stop)
+        block, count = ids % self.blocks, stop - start
+        np.add.at(self.sums, block, arrays["sums"][:count])
+        np.fmax.at(self.largest, block, arrays["largest"][:count])
+        for name, values in arrays.items():
+            what, _, rest = name.partition(" ")
+            if what == "cells":
+                table = self.histograms.setdefault(rest, np.zeros((self.blocks, BINS)))
+                mine = values // BINS < count
+                at = values[mine]
+                np.add.at(table, (block[at // BINS], at % BINS), arrays[f"counts {rest}"][mine])
+            elif what == "measure":
+                self.measures.setdefault(rest, np.full(self.runs, np.nan))[start:stop] = values[:count]
+            elif name == "bounds":
+                self.bounds = values
+            elif name == "us_per_row":
+                self.us_per_row = float(values)
+            elif name == "seconds":
+                self.seconds += float(values)
+
+    def kept(self) -> Kept:
+        """What was added up."""
+        return Kept(self.sums, self.largest, self.histograms, self.measures, self.bounds, self.us_per_row, self.seconds)

@@ -1,0 +1,219 @@
+"""One scenario, some trajectories, every tracker: what is kept of each trajectory."""
+
+from __future__ import annotations
+
+import fnmatch
+import time
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from experiments.monte_carlo.declaration import WORLD, Cell, Entrant, Study
+from experiments.monte_carlo.errors import judged
+from trackers.bounds import bounds_of
+from trackers.catalogue import grouped
+from trackers.core.algebra import triangle
+from trackers.core.errors import UnusableInput
+from trackers.core.estimates import Estimates, Status
+from trackers.core.recording import stack
+from trackers.core.rts import Smoothed
+from trackers.core.tracker import AbstractTracker, Tracker
+from trackers.core.tunable import tunables
+from trackers.recordings.folder import Folder
+from trackers.recordings.tracker_spec import Group
+from trackers.recordings.trajectories import Lane, shown_height, true_paths
+from trackers.recordings.truth import Verdict, interpolated
+from trackers.tracks import angles, rounded
+from tuning.tuned_file import with_noise
+
+
+class Run(NamedTuple):
+    """A tracker's estimates of n trajectories with their truth, for the measures of a study.
+
+    `times` (n, T) s. `estimates` (n, T, 3) m, NaN where there is none, a known height put in; `covariance` (n, T, d, d)
+    of the estimated axes. Bearings have an axis of stations: `estimates` and `truth` (n, T, S, 2) rad, azimuth and
+    elevation, `covariance` (n, T, S, 2, 2). `known`: rows that count, of which the truth and an estimate are known.
+    `status` (codes of `Status`), `nis`, `dof`: for every row, and every station.
+    """
+
+    times: np.ndarray
+    estimates: np.ndarray
+    covariance: np.ndarray
+    truth: np.ndarray
+    known: np.ndarray
+    status: np.ndarray
+    nis: np.ndarray
+    dof: np.ndarray
+    folder: Folder
+
+
+def trajectories(study: Study, cell: Cell, ids: np.ndarray, first: bool) -> list[dict[str, np.ndarray]]:
+    """For every tracker what is kept of the trajectories with these ids, by name; `first`: bounds and times too.
+
+    Raises UnusableInput where world, tracker or numbers don't fit each other.
+    """
+    made = study.worlds[cell.world]
+    try:
+        folder = made.make(ids, study.seed, **study.numbers(cell))
+    except (TypeError, ValueError) as error:
+        raise UnusableInput(f"study '{study.name}', world '{cell.world}': {error}") from error
+    plain = {name: grouped([folder], e.entry, name, e.free_height) for name, e in study.trackers.items()}
+    _all_taken(study, cell, plain)
+    kept = []
+    for name, entrant in study.trackers.items():
+        groups = _with_numbers(study, cell, name, entrant, plain[name])
+        run, seconds = _run(groups, ids, study.chunk, entrant)
+        own = judged(run)
+        for measure, function in study.measures.items():
+            own[f"measure {measure}"] = _measured(study, measure, function(run), len(ids))
+        if first:
+            # Once more: the first time the program was compiled.
+            if "us_per_row" in study.figures:
+                seconds = _run(groups, ids, study.chunk, entrant)[1]
+                own["us_per_row"] = np.array(1e6 * seconds / max(int((run.status != Status.PADDING).sum()), 1))
+            if any(f.startswith("bound") for f in study.figures):
+                own["bounds"] = _bounds(folder, groups)
+        kept.append(own)
+    return kept
+
+
+def entered(study: Study, cell: Cell, name: str, entrant: Entrant, folder: Folder) -> list[Group]:
+    """The lanes of a folder with the tracker as it enters a cell; raises UnusableInput where they don't fit."""
+    return _with_numbers(study, cell, name, entrant, grouped([folder], entrant.entry, name, entrant.free_height))
+
+
+def _with_numbers(study: Study, cell: Cell, name: str, entrant: Entrant, groups: list[Group]) -> list[Group]:
+    where = f"study '{study.name}', tracker '{name}'"
+    made = []
+    for group in groups:
+        tracker = with_noise(group.tracker, dict(entrant.tunables), where)
+        tracker = with_noise(tracker, _of_grid(cell, tracker), where)
+        if entrant.smooth:
+            if not isinstance(tracker, Tracker):
+                raise UnusableInput(f"{where}: smooth: this tracker has no smoother; leave `smooth` out")
+            try:
+                tracker = Smoothed(tracker, None)
+            except TypeError as error:
+                raise UnusableInput(f"{where}: smooth: {error}; leave `smooth` out") from error
+        made.append(Group(tracker, group.lanes, group.planar))
+    return made
+
+
+def _of_grid(cell: Cell, tracker: AbstractTracker) -> dict[str, Any]:
+    """The numbers of the grid that this tracker has."""
+    own = list(tunables(tracker))
+    return {k: v for k, v in cell.numbers.items() if not k.startswith(WORLD) and fnmatch.filter(own, k)}
+
+
+def _all_taken(study: Study, cell: Cell, plain: Mapping[str, list[Group]]) -> None:
+    """Refuse a number of the grid that no tracker has."""
+    own = {name for groups in plain.values() for group in groups for name in tunables(group.tracker)}
+    for pattern in cell.numbers:
+        if not pattern.startswith(WORLD) and not fnmatch.filter(own, pattern):
+            raise UnusableInput(
+                f"study '{study.name}': grid '{pattern}': no tracker has it; expected 'world.' and a number of the "
+                f"worlds, or one of {', '.join(sorted(own))}"
+            )
+
+
+def _run(groups: list[Group], ids: np.ndarray, chunk: int, entrant: Entrant) -> tuple[Run, float]:
+    """The estimates of all lanes, trajectories first, and the seconds that the trackers took."""
+    every = [lane for group in groups for lane in group.lanes]
+    if not every:
+        raise UnusableInput("a world without a single tag to track; expected one for each id")
+    stations = sorted({lane.station for lane in every})
+    number = {str(k): at for at, k in enumerate(ids)}
+    rows = max(len(lane.recording) for lane in every)
+    shape = (len(ids), rows, len(stations))
+    width = 2 if stations[0] else 3
+    axes = 2 if stations[0] else max(2 if group.planar else 3 for group in groups)
+    times = np.full(shape[:2], np.nan)
+    estimates, truth = np.full((*shape, width), np.nan), np.full((*shape, width), np.nan)
+    covariance = np.full((*shape, axes, axes), np.nan)
+    known, status = np.zeros(shape, bool), np.full(shape, int(Status.PADDING))
+    nis, dof = np.zeros(shape), np.zeros(shape)
+    seconds = 0.0
+    for group in groups:
+        padded = rounded(max(len(lane.recording) for lane in group.lanes))
+        batch = stack([lane.recording for lane in group.lanes], rows=padded)
+        # Whole chunks only: then a trajectory's numbers don't depend on how many there are, nor on how many devices.
+        whole = batch.lanes(0, chunk * -(-batch.size // chunk))
+        began = time.perf_counter()
+        found = group.tracker.run(whole, chunk)
+        seconds += time.perf_counter() - began
+        paths: Mapping[str, Any] = true_paths(group.lanes[0].folder) if _shifts(group.tracker) else {}
+        for k, lane in enumerate(group.lanes):
+            one, size = found[k], len(lane.recording)
+            at = number[lane.tag], slice(0, size), stations.index(lane.station)
+            dated, own = group.tracker.dated(lane.recording.times, one[:size])
+            place, P = _moments(lane, own, size)
+            times[at[0], :size] = dated
+            estimates[at], status[at], nis[at], dof[at] = place, own.status, own.nis, own.count
+            covariance[at][..., : P.shape[-1], : P.shape[-1]] = P
+            (truth[at], counts) = _truth(lane, dated, paths)
+            known[at] = counts & own.usable & _last(dated, entrant.every) & np.isfinite(place[:, :2]).all(axis=1)
+    values = (estimates, covariance, truth, known, status, nis, dof)
+    if not stations[0]:
+        values = tuple(x[:, :, 0] for x in values)  # type: ignore[assignment]
+    return Run(times, *values, groups[0].lanes[0].folder), seconds
+
+
+def _moments(lane: Lane, own: Estimates, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Places (T, 3) m, or angles (T, 2) rad, with the covariance of what was estimated."""
+    usable = own.usable
+    if lane.station:
+        found = angles(own)
+        place = np.stack([found["azimuth_rad"], found["elevation_rad"]], axis=-1)
+        deviations = np.stack([found["std_azimuth_rad"], found["std_elevation_rad"]], axis=-1)
+        P = deviations[:, :, None] ** 2 * np.eye(2)
+    else:
+        parts = [np.asarray(x, float) for x in own.mean.position]
+        d = len(parts)
+        place = np.stack(parts if d == 3 else [*parts, shown_height(lane)], axis=-1)
+        index = {pair: k for k, pair in enumerate(triangle(own.dimension))}
+        P = np.stack(
+            [np.stack([own.cov_upper[index[min(i, j), max(i, j)]] for j in range(d)], -1) for i in range(d)], -2
+        )
+    return np.where(usable[:, None], place, np.nan), np.where(usable[:, None, None], P, np.nan)
+
+
+def _shifts(tracker: AbstractTracker) -> bool:
+    """Whether the tracker's estimates are valid at other times than its rows'."""
+    return type(tracker).dated is not AbstractTracker.dated
+
+
+def _truth(lane: Lane, times: np.ndarray, paths: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+    if lane.tag in paths:
+        place, verdict = interpolated(times, *paths[lane.tag])
+        return place, verdict == Verdict.COUNTS
+    return next(iter(lane.recording.truth.values()))
+
+
+def _last(times: np.ndarray, every: float | None) -> np.ndarray:
+    """The last row of every time, or of every interval of so many seconds."""
+    # A time such as 0.3 s belongs to the interval it opens although 0.3 / 0.1 is 2.9999999999999996.
+    at = times if every is None else np.floor(times / every + 1e-6)
+    return np.append(np.diff(at) > 0, True)
+
+
+def _measured(study: Study, name: str, found: Any, n: int) -> np.ndarray:
+    values = np.asarray(found, float)
+    if values.shape != (n,):
+        raise UnusableInput(
+            f"study '{study.name}': measure '{name}' gives numbers of shape {values.shape}; expected ({n},), one for "
+            "each trajectory"
+        )
+    return values
+
+
+def _bounds(folder: Folder, groups: list[Group]) -> np.ndarray:
+    """The Cramér–Rao bound as root mean square over the second half of the rows, in the plane and in space.
+
+    NaN where there is none. The first rows' bound is the width of the tracker's start, which nobody takes for a bound.
+    """
+    found = bounds_of(folder, groups)
+    if found is None:
+        return np.full(2, np.nan)
+    squares = (found[1][len(found[1]) // 2 :] ** 2).mean(axis=0)
+    return np.sqrt([squares[:2].sum(), squares.sum()])

@@ -1,0 +1,1 @@
+"""Huang et al. 2018: MH-K for a drifting UWB tag, its printed figures."""

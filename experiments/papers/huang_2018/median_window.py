@@ -1,0 +1,89 @@
+"""What the length of MH-K's median trades: smoothing against lag (Huang et al. 2018, section 4: "the size is 9").
+
+The workshop of `workshop`, its world as fitted there; windows of 1 to 21 fixes, at two speeds. The distance to the
+route hides lag, the error in time shows it, and stamping the estimates with their window's middle takes it out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from experiments.monte_carlo.declaration import Entrant, Study, World
+from experiments.monte_carlo.expectations import Claim, Conclusion
+from experiments.monte_carlo.results import Results
+from experiments.papers.fitting import fitted
+from experiments.papers.huang_2018.workshop import MEASURES, workshop
+from trackers.mhk.rows import TRACKERS
+from trackers.mhk.tracker import mhk_tracker
+from trackers.recordings.tracker_spec import Entry
+
+WINDOWS = (1, 3, 5, 9, 13, 21)
+NUMBERS = fitted("huang_2018/workshop")
+WORLD = {name: NUMBERS[name] for name in ("drift", "share", "size")}
+OWN = {"fusion.motion.sigma_a": NUMBERS["sigma_a"], "median.speed_limit": 4.0}
+"""The speed limit out of the way: at the fitted one a short window is held back by it and not by its length."""
+
+
+def of_window(rows: int, stamped: bool) -> Entry:
+    """MH-K with a median of so many fixes."""
+    return replace(
+        TRACKERS["mhk"],
+        about=f"MH-K with a median of {rows}",
+        build=lambda lane, planar: mhk_tracker(window=rows, stamped=stamped),
+    )
+
+
+def claims(results: Results) -> list[Claim | Conclusion]:
+    """The longer the smoother, the longer the later; and what 9 balances."""
+    found: list[Claim | Conclusion] = []
+    for world in ("0.5 m/s", "0.2 m/s"):
+        cm = {
+            (figure, w): 100 * results.value(figure, world, f"median of {w}").value
+            for figure in ("route_max_m", "route_mean_m", "mean_m")
+            for w in WINDOWS
+        }
+        longest = [cm["route_max_m", w] for w in WINDOWS]
+        in_time = [cm["mean_m", w] for w in WINDOWS]
+        best = WINDOWS[int(np.argmin(in_time))]
+        found += [
+            Conclusion(
+                f"at {world}: the larger the window, the better the smoothing",
+                bool(np.all(np.diff(longest) < 0)),
+                "largest distance to the route " + _listed(longest),
+            ),
+            Conclusion(
+                f"at {world}: a window of 9 balances smoothing and lag best",
+                best == 9,
+                f"mean distance to the place at that time is least with {best}: " + _listed(in_time),
+            ),
+        ]
+    stamped = results.difference("mean_m", "0.5 m/s", "median of 9, stamped", "median of 9").times(100)
+    found.append(
+        Conclusion(
+            "most of the error in time is lag that a stamp takes out",
+            stamped.high < 0,
+            f"a median of 9 at 0.5 m/s, stamped less unstamped: {stamped.value:.1f} cm",
+        )
+    )
+    return found
+
+
+def _listed(values: list[float]) -> str:
+    return ", ".join(f"{w}: {v:.1f} cm" for w, v in zip(WINDOWS, values, strict=True))
+
+
+STUDY = Study(
+    name="median-window",
+    about="What the length of the median in MH-K trades: smoothing against lag",
+    worlds={f"{speed} m/s": World(workshop, {**WORLD, "speed": speed}) for speed in (0.5, 0.2)},
+    trackers={
+        **{f"median of {w}": Entrant(of_window(w, False), OWN) for w in (9, *(w for w in WINDOWS if w != 9))},
+        "median of 9, stamped": Entrant(of_window(9, True), OWN),
+    },
+    runs=50,
+    measures={name: MEASURES[name] for name in ("route_mean_m", "route_max_m", "improved")},
+    figures=("route_mean_m", "route_max_m", "mean_m", "improved"),
+    claims=claims,
+)

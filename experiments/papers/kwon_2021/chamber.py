@@ -1,0 +1,105 @@
+"""Table 2 of Kwon et al. 2021: how far the estimates of a still tag in an anechoic chamber deviate at most.
+
+The mean over four tags in the corners of a square of 5 m. The anchors are 5 m apart; where they hang isn't printed.
+Right over a tag an anchor would tell its height as well as x and y, so that their square is turned: by 15°, which of
+0°, 15°, 30° and 45° is best for the heights of Table 3 (`robot`). The noise of a time stamp is that of `table-4`.
+Fitted to Table 2: the spread of the anchors' biases to x, the anchors' height to z; y is predicted, and by the symmetry
+of the room not hard to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from experiments.monte_carlo.declaration import Entrant, Study, World
+from experiments.monte_carlo.expectations import Claim, Conclusion
+from experiments.monte_carlo.results import Results
+from experiments.monte_carlo.trajectories import Run
+from experiments.papers.fitting import fitted
+from sim.ranging import Protocol, antenna_biases, chamber, simulate_ranges
+from sim.tables.ranging import simulated_ranging
+from trackers.recordings.folder import Folder
+
+PLACES = {f"tag at ({x:g}, {y:g})": (x, y, 1.8) for x in (0.0, 5.0) for y in (0.0, 5.0)}
+SIDE, TURN = 5.0, np.deg2rad(15.0)
+"""Of the anchors' square, m, and how far it is turned against the tags', rad."""
+
+ROWS = 100
+PRINTED_MM = {"x": 55.75, "y": 57.0, "z": 144.25}
+
+
+def anchors(height: float) -> np.ndarray:
+    """The anchors (4, 3), m, `height` m high, about the middle of the tags' square."""
+    angles = TURN + np.pi / 4 + np.pi / 2 * np.arange(4)
+    around = SIDE / np.sqrt(2) * np.column_stack([np.cos(angles), np.sin(angles)])
+    return np.column_stack([2.5 + around, np.full(4, height)])
+
+
+def corner(ids: np.ndarray, seed: int, place: tuple[float, float, float], sigma_bias: float, height: float) -> Folder:
+    """Tags at rest at `place` m; anchors `height` m high, their biases normal, `sigma_bias` m."""
+    world = simulate_ranges(
+        chamber(anchors(height)),
+        lambda keys, times: np.tile(np.asarray(place, float), (len(keys), len(times), 1)),
+        len(ids),
+        seed,
+        n_points=ROWS,
+        protocol=Protocol(sigma_stamp=fitted("kwon_2021/table_4")["sigma_stamp"]),
+        corruptions={"biases": antenna_biases(sigma_bias)},
+        ids=ids,
+    )
+    return simulated_ranging(world, "chamber")
+
+
+def under(z: np.ndarray, folder: Folder) -> np.ndarray:
+    """Heights, m, under the anchors: in one plane they see a tag and its mirror image alike."""
+    plane = next(iter(folder.rig.anchors.values()))[2]
+    return plane - np.abs(z - plane)
+
+
+def deviations(run: Run) -> np.ndarray:
+    """How far off each axis is (n, T, 3), m, what is above the anchors mirrored; NaN where there is no estimate."""
+    found = run.estimates.copy()
+    found[..., 2] = under(found[..., 2], run.folder)
+    return np.where(run.known[..., None], found - run.truth, np.nan)
+
+
+def _largest(axis: int) -> Callable[[Run], np.ndarray]:
+    return lambda run: np.nanmax(np.abs(deviations(run)[..., axis]), axis=1)
+
+
+def claims(results: Results) -> list[Claim | Conclusion]:
+    """Table 2."""
+    found: list[Claim | Conclusion] = []
+    ours = {a: results.average(f"largest_{a}_m", [(w, TRACKER) for w in PLACES]).times(1e3) for a in PRINTED_MM}
+    for axis, printed in PRINTED_MM.items():
+        claim = f"Table 2, largest deviation in {axis}, mean over four places"
+        found.append(Claim(claim, printed, ours[axis], "mm", fitted=axis != "y"))
+    says = "errors in z are larger than in x and y"
+    evidence = ", ".join(f"{axis} {v.value:.0f} mm" for axis, v in ours.items())
+    return [*found, Conclusion(says, ours["z"].low > max(ours["x"].high, ours["y"].high), evidence)]
+
+
+TRACKER = "least squares"
+
+
+def study_with(numbers: dict[str, float], runs: int = 200, seed: int = 1) -> Study:
+    """The study with these numbers of the chamber; other tags than the fit's, of seed 0."""
+    return Study(
+        name="chamber",
+        about="Table 2 of Kwon et al. 2021: the largest deviations of a still tag in a chamber",
+        worlds={name: World(corner, {"place": place, **numbers}) for name, place in PLACES.items()},
+        trackers={
+            TRACKER: Entrant("multilateration", free_height=True),
+            "filter": Entrant("uwb", free_height=True),
+        },
+        runs=runs,
+        seed=seed,
+        measures={f"largest_{axis}_m": _largest(k) for k, axis in enumerate("xyz")},
+        figures=("largest_x_m", "largest_y_m", "largest_z_m", "rmse_m"),
+        claims=claims,
+    )
+
+
+STUDY = study_with(fitted("kwon_2021/chamber"))

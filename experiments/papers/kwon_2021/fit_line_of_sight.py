@@ -1,0 +1,43 @@
+"""Fit the hall of Kwon et al. 2021, Table 1: `python -m experiments.papers.kwon_2021.fit_line_of_sight`.
+
+The spread of the ranges' errors is solved for the spans of the errors in sight, the geometric mean of x and y, the
+detour round the obstacle for the span in x without.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from experiments.papers.fitting import Fitted, means, solved, write_fitted
+from experiments.papers.kwon_2021.line_of_sight import PRINTED_MM, TRACKER, study_with
+
+RUNS = 60
+START = {"sigma_echo": 0.07, "detour": 0.3}
+
+
+def ratios(values: np.ndarray) -> np.ndarray:
+    """Found over printed, in sight and hidden."""
+    whole = study_with(dict(zip(START, values.tolist(), strict=True)), RUNS, seed=0)
+    found = means(replace(whole, trackers={TRACKER: whole.trackers[TRACKER]}), RUNS)
+    over = {
+        (world, axis): 1e3 * found[world, TRACKER][f"span_{axis}_m"] / (high - low)
+        for world, axes in PRINTED_MM.items()
+        for axis, (low, high) in axes.items()
+    }
+    return np.array([np.sqrt(over["in sight", "x"] * over["in sight", "y"]), over["hidden", "x"]])
+
+
+def main() -> None:
+    """Fit, write the file and say where."""
+    echo, detour = solved(ratios, list(START.values()), rounds=3)
+    numbers = {
+        "sigma_echo": Fitted(echo, "m", "in sight, geometric mean of x and y"),
+        "detour": Fitted(detour, "m", "hidden, x"),
+    }
+    print(f"wrote {write_fitted('kwon_2021/line_of_sight', '2 of 4 printed figures', numbers)}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,49 @@
+"""Fit the still tag of Kwon et al. 2021, Table 4: `python -m experiments.papers.kwon_2021.fit_table_4`.
+
+Five numbers are solved for five figures: noise of the time stamps and distance of the two anchors on one side for the
+raw pair, size of their slow errors for the moving average in y, and for the geometric mean of x and y Q of the Kalman
+filter and, of the proposed filter, how long the slow errors last.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from experiments.papers.fitting import Fitted, means, solved, write_fitted
+from experiments.papers.kwon_2021.table_4 import PRINTED, WINDOW, study_with
+
+RUNS = 48
+START = {"sigma_stamp": 2.7e-11, "base": 6.0, "slow": 5.4e-3, "tau": 0.55, "sigma_a": 0.028}
+
+
+def ratios(values: np.ndarray) -> np.ndarray:
+    """Found over printed: raw x, raw y, moving average y, Kalman and proposed, of which x and y in one."""
+    found = means(study_with(dict(zip(START, values.tolist(), strict=True)), RUNS, seed=0), RUNS)
+    over = {
+        (name, axis): 1e3 * found["still", name][f"spread_{axis}_m"] / number
+        for name, printed in PRINTED.items()
+        for axis, number in zip("xy", printed, strict=True)
+    }
+    pairs = [np.sqrt(over[name, "x"] * over[name, "y"]) for name in ("Kalman", "proposed")]
+    return np.array([over["raw", "x"], over["raw", "y"], over["moving average", "y"], *pairs])
+
+
+def main() -> None:
+    """Fit, write the file and say where."""
+    stamp, base, slow, tau, sigma_a = solved(ratios, list(START.values()), rounds=2)
+    path = write_fitted(
+        "kwon_2021/table_4",
+        f"2 of 8 printed figures: beside these five numbers the window's length, {WINDOW}, was chosen",
+        {
+            "sigma_stamp": Fitted(stamp, "s", "raw x"),
+            "base": Fitted(base, "m", "raw y"),
+            "slow": Fitted(slow, "m", "moving average y"),
+            "tau": Fitted(tau, "s", "proposed x and y, their geometric mean"),
+            "sigma_a": Fitted(sigma_a, "m/s^2/sqrt(Hz)", "Kalman x and y, their geometric mean"),
+        },
+    )
+    print(f"wrote {path}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,178 @@
+"""What the studies of the assembly line share: the nine recordings of Table 3.1 as worlds, and the thesis's filters.
+
+A world is a recording: its situation, the white noise that brings it to its measurement error, and what is common to
+all nine. The truth is fitted to the recording's own fixes by least squares, as section 2.6 does: errors that hang
+together along the path enter both, and are seen less than they are.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from experiments.monte_carlo import Entrant, Results, Run, Study, World
+from experiments.monte_carlo.trajectories import trajectories
+from sim.corruptions import gauss_markov, white_noise
+from sim.line import simulate_line
+from sim.tables.line import simulated_line
+from trackers.baselines.fixes import fix_tracker
+from trackers.baselines.rows import fix_lanes, lacks_fixes
+from trackers.baselines.windows import MovingWindow
+from trackers.core.tracker import AbstractTracker
+from trackers.line.fixes import FIXES, FloorFixes
+from trackers.line.motion import LineMotion
+from trackers.line.polyline import Polyline
+from trackers.line.rows import TRACKERS, path_of
+from trackers.line.tracker import line_tracker
+from trackers.line.truth import knot_times
+from trackers.recordings.folder import Folder
+from trackers.recordings.tracker_spec import Entry
+from trackers.recordings.trajectories import Lane
+
+SITUATIONS = {"situation 1": "constant", "situation 2": "halts", "situation 3": "speeds"}
+RECORDINGS = tuple(f"{situation}, set {k}" for situation in SITUATIONS for k in (1, 2, 3))
+
+MEASUREMENT_NOISE = 0.392
+"""m: the average error of all measurements, which the thesis takes for its filters' measurement noise (chapter 3)."""
+
+BEYOND = 10.0
+"""Metres by which the last segment goes on: the last case of (2.5) has no upper end."""
+
+SIGMA = "motion.sigma_a"
+SWEPT = (0.06, 0.09, 0.13, 0.18, 0.25, 0.35)
+"""m/s per √s; at 5 Hz a change of 3 … 16 cm/s per step, inside the 0 … 100 cm that the thesis looks through."""
+
+
+def recording(ids: np.ndarray, seed: int, number: int, **numbers: Any) -> Folder:
+    """Draws of recording `number` of Table 3.1, one for each id, with the truth that least squares find in its fixes.
+
+    `numbers`: `situation`, `speed` m/s, `rate_hz`; `white`, `slow`: standard deviations, m, of independent errors and
+    of those with the time constant `tau` s; `fitted_truth`: whether to fit it, as the thesis does.
+    """
+    return _recording(tuple(np.asarray(ids).tolist()), seed, number, **numbers)
+
+
+@lru_cache(maxsize=8)
+def _recording(
+    ids: tuple[int, ...],
+    seed: int,
+    number: int,
+    situation: str,
+    white: float,
+    slow: float,
+    tau: float,
+    speed: float,
+    rate_hz: float,
+    fitted_truth: bool = True,
+) -> Folder:
+    """Kept, since a sweep asks for the same recordings at every value, and least squares take their time."""
+    errors = {"white": white_noise(white), "slow": gauss_markov(slow, tau)}
+    # Nine recordings are nine draws: each has a seed of its own.
+    world = simulate_line(situation, ids, 10 * seed + number, speed=speed, rate_hz=rate_hz, errors=errors)
+    if fitted_truth:
+        places = [knot_times(world.knots, world.times, fixes).places(world.times) for fixes in world.fixes]
+        world = dataclasses.replace(world, positions=np.stack(places))
+    return simulated_line(world, f"recording-{number}-{seed}")
+
+
+def worlds(numbers: Mapping[str, float], names: Sequence[str] = RECORDINGS) -> dict[str, World]:
+    """The recordings as worlds, from numbers such as `fitted("line_thesis/table_3_1")`: those common to all, and their noises."""
+    common = {name: numbers[name] for name in ("slow", "tau", "speed", "rate_hz")}
+    return {
+        name: World(
+            recording,
+            {
+                "number": RECORDINGS.index(name) + 1,
+                "situation": SITUATIONS[name.partition(",")[0]],
+                "white": numbers[noise_of(name)],
+                **common,
+            },
+        )
+        for name in names
+    }
+
+
+def noise_of(name: str) -> str:
+    """What a recording's white noise is called among the numbers: `white_1_3` of situation 1, set 3."""
+    return "white_" + "_".join(word for word in name.replace(",", "").split() if word.isdigit())
+
+
+def open_ended(knots: Any) -> Polyline:
+    """The path as (2.5) has it: its last segment goes on, so that particles may pass the end."""
+    knots = np.asarray(knots, float)
+    along = (knots[-1] - knots[-2]) / np.linalg.norm(knots[-1] - knots[-2])
+    return Polyline(np.vstack([knots[:-1], knots[-1] + BEYOND * along]))
+
+
+def _particles(lane: Lane, planar: bool) -> AbstractTracker:
+    path_of(lane.folder)
+    return line_tracker(LineMotion(open_ended(lane.folder.rig.path_knots), 0.1), {FIXES: FloorFixes(MEASUREMENT_NOISE)})
+
+
+def _particles_that_stop(lane: Lane, planar: bool) -> AbstractTracker:
+    return line_tracker(LineMotion(path_of(lane.folder), 0.1), {FIXES: FloorFixes(MEASUREMENT_NOISE)})
+
+
+def _measurements(lane: Lane, planar: bool) -> AbstractTracker:
+    return MovingWindow(1, median=False, planar=planar)
+
+
+def _kalman(lane: Lane, planar: bool) -> AbstractTracker:
+    return fix_tracker(sigma_a=0.1, sigma_horizontal=MEASUREMENT_NOISE, tail=None, planar=planar)
+
+
+RAW = Entrant(Entry("the measurements themselves", "fixes", lacks_fixes, fix_lanes, _measurements))
+KALMAN = Entrant(Entry("the thesis's Kalman filter, (1.3)-(1.21)", "fixes", lacks_fixes, fix_lanes, _kalman))
+PARTICLE = Entrant(
+    dataclasses.replace(TRACKERS["line-pf"], about="the thesis's particle filter, (2.1)-(2.5)", build=_particles)
+)
+STOPPING = Entrant(
+    dataclasses.replace(
+        TRACKERS["line-pf"], about="the same on a path that ends at its last knot", build=_particles_that_stop
+    )
+)
+
+
+def distances(run: Run) -> np.ndarray:
+    """Horizontal errors (n, T), m, NaN where a row doesn't count."""
+    return np.where(run.known, np.hypot(*np.moveaxis(run.estimates[..., :2] - run.truth[..., :2], -1, 0)), np.nan)
+
+
+def error(run: Run) -> np.ndarray:
+    """(2.8) in words: the average distance from the truth (n,), m."""
+    return np.asarray(np.nanmean(distances(run), axis=1))
+
+
+def root_mean_square(run: Run) -> np.ndarray:
+    """(2.8) by its name: the root mean square distance (n,), m."""
+    return np.asarray(np.sqrt(np.nanmean(distances(run) ** 2, axis=1)))
+
+
+def least(results: Results, tracker: str, measure: str = "error_m") -> float:
+    """The dynamic noise of the sweep with the least average error over all worlds: one for all recordings."""
+    swept = results.study.grid[SIGMA]
+    cells = [(world, tracker) for world in results.study.worlds]
+    return float(swept[int(np.argmin([results.average(measure, cells, **{SIGMA: s}).value for s in swept]))])
+
+
+def seen(study: Study, world: str, ids: np.ndarray, **point: float) -> dict[str, Run]:
+    """What every tracker of a study makes of some trajectories, row by row."""
+    found: list[Run] = []
+
+    def keep(run: Run) -> np.ndarray:
+        found.append(run)
+        return np.zeros(len(run.times))
+
+    alone = dataclasses.replace(study, measures={"kept": keep}, figures=())
+    (cell,) = [c for c in study.cells if c.world == world and point.items() <= c.point.items()]
+    trajectories(alone, cell, ids, first=False)
+    return dict(zip(study.trackers, found, strict=True))
+
+
+def with_noise(entrant: Entrant, sigma: float) -> Entrant:
+    """The entrant with this dynamic noise."""
+    return dataclasses.replace(entrant, tunables={SIGMA: sigma})

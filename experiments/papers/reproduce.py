@@ -1,0 +1,106 @@
+"""All reproductions of the four papers, one after another: `python -m experiments.papers.reproduce` (`make papers`).
+
+Every study is run as `trackwright study NAME --out out/papers/NAME`, and goes on where it was interrupted. What they
+found is written to docs/results.md; every number there is read from their results.json.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import sys
+from collections.abc import Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from experiments.bench.processes import new_interpreter
+from experiments.cli.console import notice, progress
+from experiments.monte_carlo.results import Value
+from experiments.monte_carlo.sources import names, study_of
+from experiments.reports.wording import Unit, with_interval
+from trackers.core.errors import UnusableInput
+from trackers.recordings.atomic import atomic_write
+
+LIMIT_S = 1800.0
+RESULTS = Path("docs/results.md")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the studies that have something to be held against; 1 where one could not be run."""
+    parser = argparse.ArgumentParser(
+        prog="python -m experiments.papers.reproduce", description=(__doc__ or "").split("\n\n")[0]
+    )
+    parser.add_argument("--out", type=Path, default=Path("out/papers"), help="where the studies go")
+    parser.add_argument("--results", type=Path, default=RESULTS, help="the page to write")
+    options = parser.parse_args(arguments)
+    chosen = [study for study in map(study_of, names()) if study.claims is not None]
+    parts, failed, seconds = [], [], 0.0
+    with progress("papers", len(chosen)) as advance:
+        for study in chosen:
+            folder = options.out / study.name
+            done = new_interpreter(["experiments", "study", study.name, "--out", str(folder)], LIMIT_S)
+            if done.returncode:
+                failed.append(study.name)
+                notice(f"{study.name} failed: {(done.stderr.strip().splitlines() or ['no message'])[-1]}")
+            else:
+                found = json.loads((folder / "results.json").read_text("utf-8"))
+                parts.append(part(found))
+                seconds += found["computing_s"]
+                notice(f"{study.name}: {found['computing_s']:.0f} s")
+            advance(1, study.name)
+    if failed:
+        notice(f"{options.results} is left as it was: {', '.join(failed)} could not be run")
+        return 1
+    text = page(parts, seconds)
+    try:
+        print(f"wrote {atomic_write(options.results, lambda path: path.write_text(text, 'utf-8'))}")
+    except UnusableInput as problem:
+        print(f"papers: {problem}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def page(parts: Sequence[str], seconds: float) -> str:
+    """The page of all studies."""
+    machine = f"{os.cpu_count()} cores, {platform.machine()}, jax {version('jax')}, Python {platform.python_version()}"
+    return f"""# What is printed, and what came out
+
+Written by `make papers` ({machine}; {seconds / 60:.0f} minutes of computing). Every number is read from the
+results of a study that `trackwright study NAME` runs again; the report of a study has its figures and pictures. In
+brackets are 95 % intervals over the study's runs. *Fitted*: the printed number was used to choose what the paper does
+not print, as the study's file says; *predicted*: it was not.
+
+{chr(10).join(parts)}"""
+
+
+def part(found: dict[str, Any]) -> str:
+    """The section of a study, from its results.json."""
+    claims = [c for c in found["claims"] if "printed" in c]
+    judged = [c for c in claims if c["reached"] is not None]
+    lines = [f"## {found['study']}", "", found["about"], ""]
+    if claims:
+        lines += ["| figure | printed | ours | ratio | | near enough |", "| --- | --- | --- | --- | --- | --- |"]
+        lines += [_row(c) for c in claims]
+        lines += ["", f"{sum(c['reached'] for c in judged)} of {len(judged)} are as near as asked.", ""]
+        lines += [f"- {c['figure']}: {c['note']}" for c in claims if c["note"]]
+        lines += [""] if any(c["note"] for c in claims) else []
+    stated = [c for c in found["claims"] if "says" in c]
+    lines += [f"- {'Holds' if c['holds'] else '**Does not hold**'}: {c['says']}. {c['evidence']}" for c in stated]
+    lines += ["", f"`trackwright study {found['study']}`, {found['computing_s']:.0f} s of computing.", ""]
+    return "\n".join(lines)
+
+
+def _row(claim: dict[str, Any]) -> str:
+    ours = Value(*(float("nan") if claim["ours"][k] is None else claim["ours"][k] for k in Value._fields))
+    reached = {True: "yes", False: "**no**", None: ""}[claim["reached"]]
+    kind = "fitted" if claim["fitted"] else "predicted"
+    value = with_interval(ours, Unit(claim["unit"], 1.0))
+    printed = f"{claim['printed']:g} {claim['unit']}"
+    return f"| {claim['figure']} | {printed} | {value} | {claim['ratio']:.2f} | {kind} | {reached} |"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

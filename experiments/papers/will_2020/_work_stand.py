@@ -1,0 +1,137 @@
+"""What the studies of the work stand share: the paper's stand with the fitted array, its helix, what fails on it.
+
+Table 1 of paper A is a filter's errors with three antennas of eight. Three antennas so far apart have several
+directions of equal beamformer power within ±30°, so that a track that starts on them alone starts on any: the paper's
+must have started on all eight. Here antennas are covered from the second row on, after the start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+
+from experiments.monte_carlo import Entrant
+from experiments.papers.fitting import fitted
+from sim.corruptions import Corruption, lose_station, outliers
+from sim.keys import Keys
+from sim.scenarios import simulate_phases, work_station
+from sim.tables.phases import as_folder
+from trackers.aoa.beam import beam_tracker
+from trackers.aoa.rows import PHASES, TRACKERS
+from trackers.core.rig import Rig
+from trackers.core.tracker import AbstractTracker
+from trackers.recordings.folder import Folder
+from trackers.recordings.tracker_spec import Entry
+from trackers.recordings.trajectories import Lane
+
+ALL = "full array"
+SETS = ("3-7-8", "2-7-8", "1-2-5", "2-3-6", ALL)
+"""Antennas in use, counted from 1, in the order of Table 1."""
+
+POINTS, RATE_HZ = 200, 10.0
+"""Of the helix; only σa ΔT² enters the filter, so a rate is chosen and σa fitted."""
+
+HELIX = "helix"
+
+
+def antennas_of(numbers: Mapping[str, float]) -> np.ndarray:
+    """The array (8, 2), m, from numbers such as `fitted("will_2020/table_1")`."""
+    return np.array([[numbers[f"{axis}_{k}"] for axis in "xy"] for k in range(1, 9)]) / 1000
+
+
+def in_use(name: str) -> np.ndarray:
+    """Which antennas (8,) a set of `SETS` has."""
+    used = np.ones(8, bool)
+    if name != ALL:
+        used[:] = False
+        used[[int(k) - 1 for k in name.split("-")]] = True
+    return used
+
+
+def covered(name: str) -> Corruption:
+    """Antennas that are not of the set, at all stations, from the second row on."""
+
+    def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        after = np.arange(len(times)) > 0
+        return values, seen & (in_use(name) | ~after[:, None, None])
+
+    return corrupt
+
+
+def stand(numbers: Mapping[str, float], radius: float = 0.4, aperture: float = 1.0) -> Rig:
+    """The work stand with the fitted array scaled by `aperture`, stations `radius` m off the middle line.
+
+    The paper prints no station positions and so does not say which its station 1 is. Numbered here so that it is the
+    one whose loss leaves the two that see most alike.
+    """
+    rig = work_station(aperture * antennas_of(numbers), radius)
+    first, second, third = rig.stations.values()
+    return replace(rig, stations={"1": second, "2": first, "3": third})
+
+
+def recorded(
+    ids: np.ndarray,
+    seed: int,
+    antennas: str = ALL,
+    lost: int = 0,
+    wave: Literal["spherical", "plane"] = "spherical",
+    radius: float = 0.4,
+    aperture: float = 1.0,
+    rate_hz: float = RATE_HZ,
+    outlying: float = 0.0,
+    size: float = 0.0,
+) -> Folder:
+    """Phases at the stand on the helix, a trajectory for each id, in 20 s at any rate.
+
+    An antenna set, a `lost` station (0: none), a wave, the geometry, and a share of phases that are `outlying`, with an
+    error of standard deviation `size`, rad, on top.
+    """
+    numbers = fitted("will_2020/table_1")
+    corruptions: dict[str, Corruption] = {"covered": covered(antennas)} if antennas != ALL else {}
+    if lost:
+        corruptions["lost station"] = lose_station(lost - 1)
+    if outlying:
+        corruptions["outliers"] = outliers(outlying, size)
+    world = simulate_phases(
+        stand(numbers, radius, aperture), HELIX, len(ids), seed, rate_hz=rate_hz,
+        n_points=round(POINTS * rate_hz / RATE_HZ), sigma_p=numbers["sigma_p"], wave=wave, corruptions=corruptions,
+        ids=ids,
+    )  # fmt: skip
+    return as_folder(world, "work stand")
+
+
+def _as_printed(lane: Lane, planar: bool) -> AbstractTracker:
+    return beam_tracker(lane.folder.rig.stations[lane.station], PHASES, paper_form=True)
+
+
+PRINTED_FORM = Entry(
+    **{
+        **vars(TRACKERS["beam"]),
+        "about": "the beam tracker with each of the 28 differences wrapped, (8)-(17)",
+        "build": _as_printed,
+    }
+)
+
+
+def beam(tracker: str | Entry = "beam") -> Entrant:
+    """A beam tracker with the fitted noise levels."""
+    return Entrant(tracker, _noise(fitted("will_2020/table_1"), "motion.sigma_a", "sensors.*.sigma_p"))
+
+
+def cascade() -> Entrant:
+    """The paper's chain with the fitted noise levels in its beam trackers; the fusion's are the defaults."""
+    return Entrant(
+        "cascade", _noise(fitted("will_2020/table_1"), "beams.*.motion.sigma_a", "beams.*.sensors.*.sigma_p")
+    )
+
+
+def direct() -> Entrant:
+    """The filter straight from phases, with the fitted phase noise."""
+    return Entrant("direct", {"sensors.*.sigma_p": fitted("will_2020/table_1")["sigma_p"]})
+
+
+def _noise(numbers: Mapping[str, float], sigma_a: str, sigma_p: str) -> dict[str, Any]:
+    return {sigma_a: numbers["sigma_a"], sigma_p: numbers["sigma_p"]}

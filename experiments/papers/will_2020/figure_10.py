@@ -1,0 +1,116 @@
+"""Figure 10 of paper A: each of the three stations lost for the whole run.
+
+Nothing here was fitted to the figure, whose curves are lost; stations and noise are those of Table 1 and Figure 8. The
+paper prints neither where its stations stand nor which is which: ours are numbered so that station 1 is the one that
+matters most, and what is left to find is whether one does.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import PercentFormatter
+
+from experiments.monte_carlo import Claim, Conclusion, Results, Run, Study, World
+from experiments.papers.will_2020._work_stand import cascade, direct, recorded
+from experiments.papers.will_2020.fit_figure_8 import radius
+from experiments.plots.drawings import plain
+from experiments.plots.study_pictures import picture
+from experiments.plots.style import BLACK, LINES
+
+NONE = "all stations"
+LOST = {k: f"station {k} lost" for k in (1, 2, 3)}
+SETTLED = 20
+"""Points of the helix after which the fusion has settled, a tenth of them."""
+
+
+def _square(run: Run, rows: slice) -> np.ndarray:
+    """The root mean square error in space (n,), m, of some rows."""
+    error = np.where(run.known[..., None], run.estimates - run.truth, np.nan)[:, rows]
+    return np.asarray(np.sqrt(np.nanmean((error**2).sum(axis=-1), axis=1)))
+
+
+def beginning(run: Run) -> np.ndarray:
+    """The root mean square error in space (n,), m, of the first points."""
+    return _square(run, slice(0, SETTLED))
+
+
+def rest(run: Run) -> np.ndarray:
+    """The same of the points after them."""
+    return _square(run, slice(SETTLED, None))
+
+
+def height(run: Run) -> np.ndarray:
+    """The root mean square error of the height (n,), m."""
+    error = np.where(run.known, run.estimates[..., 2] - run.truth[..., 2], np.nan)
+    return np.asarray(np.sqrt(np.nanmean(error**2, axis=1)))
+
+
+def claims(results: Results) -> list[Claim | Conclusion]:
+    """What the paper reads off the figure."""
+    cm = {w: results.value("rmse_3d_m", w, "cascade").times(100) for w in results.study.worlds}
+    early = {w: 100 * results.value("beginning_m", w, "cascade").value for w in results.study.worlds}
+    late = {w: 100 * results.value("rest_m", w, "cascade").value for w in results.study.worlds}
+    heights = {w: 100 * results.value("height_m", w, "cascade").value for w in results.study.worlds}
+    told = ", ".join(f"{w} {v.value:.2f} cm" for w, v in cm.items())
+    failed = max(results.value("failed", w, "cascade").value for w in LOST.values())
+    others = max(cm[LOST[k]].high for k in (2, 3))
+    return [
+        Conclusion(
+            "with a station lost the position is known still, with reduced accuracy",
+            failed == 0 and min(cm[w].low for w in LOST.values()) > cm[NONE].high,
+            told,
+        ),
+        Conclusion(
+            "the failure of station 1 has the biggest impact",
+            cm[LOST[1]].low > others,
+            f"{told}; which of the stations is called 1 is ours to say, that one matters most is not",
+        ),
+        Conclusion(
+            "errors are larger while the fusion settles",
+            np.mean([early[w] for w in LOST.values()]) > np.mean([late[w] for w in LOST.values()]),
+            f"first {SETTLED} points against the rest: {_pairs(early, late)}",
+        ),
+        Conclusion(
+            "station 1 matters most mainly because of outliers at the beginning",
+            late[LOST[1]] < max(late[LOST[k]] for k in (2, 3)),
+            f"without the first {SETTLED} points it still does: here geometry is why, the other two see height worst; "
+            "error of the height: " + ", ".join(f"{w} {v:.1f} cm" for w, v in heights.items()),
+        ),
+    ]
+
+
+def _pairs(early: dict[str, float], late: dict[str, float]) -> str:
+    return ", ".join(f"{w} {early[w]:.1f} and {late[w]:.1f} cm" for w in early)
+
+
+def draw(results: Results, folder: Path) -> list[str]:
+    """The share of errors below a size, for every station lost."""
+
+    def shares(figure: Figure) -> None:
+        axes = figure.subplots()
+        for world, colour in zip((NONE, *LOST.values()), (BLACK, *LINES), strict=False):
+            edges, share = results.cdf(world, "cascade", "3d_m")
+            axes.plot(100 * edges, share, color=colour, label=world)
+        axes.set(xlim=(0, 15), ylim=(0, 1), xlabel="error in space, cm", ylabel="share of estimates")
+        axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+        axes.set_title("Cascade")
+        axes.legend(loc="lower right")
+        plain(axes, "both")
+
+    return [picture(folder, "figure_10.svg", shares)]
+
+
+STUDY = Study(
+    name="figure-10",
+    about="How much worse are positions with one of three stations lost for the whole run?",
+    worlds={NONE: World(recorded, {"radius": radius()})}
+    | {name: World(recorded, {"radius": radius(), "lost": k}) for k, name in LOST.items()},
+    trackers={"cascade": cascade(), "direct": direct()},
+    measures={"beginning_m": beginning, "rest_m": rest, "height_m": height},
+    figures=("rmse_3d_m", "median_3d_m", "p95_3d_m", "beginning_m", "rest_m", "height_m", "diverged"),
+    claims=claims,
+    draw=draw,
+)

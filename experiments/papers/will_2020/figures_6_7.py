@@ -1,0 +1,124 @@
+"""Figures 6 and 7 of paper A: azimuth and elevation over the helix, by the EKF and by the delay-and-sum beamformer.
+
+The EKF's errors on this helix are the full array's in Table 1, which were fitted; the beamformer's were not, nor was by
+how much the EKF is better. The curves of the figures are lost. The paper's recording has outlying measurements, whose
+number and size it doesn't print: a second world has some, chosen, to show what both make of them.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from experiments.monte_carlo import Claim, Conclusion, Entrant, Results, Run, Study, World
+from experiments.papers.line_thesis._assembly_line import seen
+from experiments.papers.will_2020._work_stand import beam, recorded
+from experiments.papers.will_2020.fit_figure_8 import radius
+from experiments.papers.will_2020.fit_table_1 import PRINTED
+from experiments.plots.drawings import plain
+from experiments.plots.study_pictures import picture
+from experiments.plots.style import BLUE, GREY, ORANGE
+
+AXES = ("azimuth", "elevation")
+HELIX, OUTLYING = "helix", "helix with outlying phases"
+OUTLIERS, SIZE = 0.02, 1.5
+"""Share of the phases that are outlying, and the standard deviation of what is added to them, rad: chosen."""
+
+WILD = np.deg2rad(5.0)
+
+
+def _errors(run: Run) -> np.ndarray:
+    """Absolute errors (n, T, stations, 2), rad, NaN where a row doesn't count."""
+    return np.where(run.known[..., None], np.abs(run.estimates - run.truth), np.nan)
+
+
+def wild(run: Run) -> np.ndarray:
+    """The share (n,) of directions that are off by more than 5 degrees in an angle."""
+    return np.asarray((_errors(run).max(axis=-1) > WILD).mean(axis=(1, 2)))
+
+
+def azimuth(run: Run) -> np.ndarray:
+    """Root mean square error (n,), rad, of each trajectory."""
+    return np.asarray(np.sqrt(np.nanmean(_errors(run)[..., 0] ** 2, axis=(1, 2))))
+
+
+def elevation(run: Run) -> np.ndarray:
+    """Root mean square error (n,), rad, of each trajectory."""
+    return np.asarray(np.sqrt(np.nanmean(_errors(run)[..., 1] ** 2, axis=(1, 2))))
+
+
+def claims(results: Results) -> list[Claim | Conclusion]:
+    """The errors told with Figure 7, and that the EKF is the better."""
+    made: list[Claim | Conclusion] = []
+    for axis, printed in zip(AXES, PRINTED["full array"], strict=True):
+        ours = results.value(f"rmse_{axis}_rad", HELIX, "EKF").times(180 / np.pi)
+        made.append(Claim(f"Figure 7, EKF, {axis}", printed, ours, "deg", True))
+    for world in results.study.worlds:
+        for axis in AXES:
+            mine, its = (results.value(f"rmse_{axis}_rad", world, t).times(180 / np.pi) for t in ("EKF", "DAS"))
+            ratio = results.ratio(f"rmse_{axis}_rad", world, "DAS", "EKF")
+            each = results.numbers(f"{axis}_rad", world, "EKF") < results.numbers(f"{axis}_rad", world, "DAS")
+            told = (
+                f"{mine.value:.2f} against {its.value:.2f} deg, {ratio.value:.2f} ({ratio.low:.2f} … {ratio.high:.2f})"
+            )
+            made.append(
+                Conclusion(
+                    f"{world}: the EKF's {axis} is better than the beamformer's",
+                    ratio.low > 1 and bool(each.mean() > 0.95),
+                    f"{told} times; better on {100 * each.mean():.0f} % of the trajectories",
+                )
+            )
+    shares = {t: results.value("wild", OUTLYING, t).times(100) for t in ("EKF", "DAS")}
+    made.append(
+        Conclusion(
+            "outliers are smoothed out by the EKF",
+            shares["EKF"].high < 0.2 * shares["DAS"].low,
+            f"off by more than 5 deg: {shares['EKF'].value:.2f} % of its directions, of the beamformer's "
+            f"{shares['DAS'].value:.2f} %",
+        )
+    )
+    return made
+
+
+def draw(results: Results, folder: Path) -> list[str]:
+    """Angles and deviations of the first trajectory at station 1, with outlying phases."""
+    runs = seen(results.study, OUTLYING, np.arange(results.study.chunk))
+
+    def draw_(figure: Figure) -> None:
+        panels = figure.subplots(2, 2, sharex=True, height_ratios=[1.5, 1])
+        points = np.arange(1, runs["EKF"].times.shape[1] + 1)
+        for k, axis in enumerate(AXES):
+            truth = np.rad2deg(runs["EKF"].truth[0, :, 0, k])
+            above, below = panels[:, k]
+            for name, colour, style in (("DAS", ORANGE, "--"), ("EKF", BLUE, "-")):
+                found = np.rad2deg(runs[name].estimates[0, :, 0, k])
+                above.plot(points, found, style, color=colour, label=name)
+                below.plot(points, found - truth, style, color=colour)
+            above.plot(points, truth, color=GREY, linewidth=0.9, label="ideal")
+            above.set(title=axis.capitalize(), ylim=(-32, 32))
+            below.set(ylim=(-10, 10), xlabel="measurement point")
+            plain(above)
+            plain(below)
+        panels[0, 0].set_ylabel("angle, deg")
+        panels[1, 0].set_ylabel("deviation, deg")
+        panels[0, 0].legend(loc="lower left", ncols=3)
+
+    return [picture(folder, "figures_6_7.svg", draw_, 7.5, 4.6)]
+
+
+STUDY = Study(
+    name="figures-6-7",
+    about="How well do a Kalman filter and a delay-and-sum beamformer follow a beacon on a helix?",
+    worlds={
+        HELIX: World(recorded, {"radius": radius()}),
+        OUTLYING: World(recorded, {"radius": radius(), "outlying": OUTLIERS, "size": SIZE}),
+    },
+    trackers={"EKF": beam(), "DAS": Entrant("das")},
+    runs=100,
+    measures={"wild": wild, "azimuth_rad": azimuth, "elevation_rad": elevation},
+    figures=("rmse_azimuth_rad", "rmse_elevation_rad", "median_direction_rad", "p95_direction_rad", "wild"),
+    claims=claims,
+    draw=draw,
+)

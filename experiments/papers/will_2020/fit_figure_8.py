@@ -1,0 +1,59 @@
+"""Fit where the stations stand: `python -m experiments.papers.will_2020.fit_figure_8` writes `fitted/figure_8.toml`.
+
+Paper A prints no station positions. How far its stations are off the middle line, which decides how well height is
+seen, is fitted to one number, the 3.18 cm of the cascade on the helix with the array of Table 1. Run after
+`fit_table_1`, whose errors hardly depend on it.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from experiments.monte_carlo import Study, World
+from experiments.monte_carlo.runner import carry_out
+from experiments.papers.fitting import Fitted, fitted, solved, write_fitted
+from experiments.papers.will_2020._work_stand import cascade, recorded
+
+PRINTED_CM = 3.18
+"""Paper A, section 4.2: root mean square error in space."""
+
+START, RUNS, SEED = 0.29, 64, 1
+
+
+def error_cm(radius: float, runs: int = RUNS, seed: int = SEED) -> float:
+    """The cascade's root mean square error in space, cm, with stations `radius` m off the middle line."""
+    study = Study(
+        "fit-figure-8", "", {"stand": World(recorded, {"radius": radius})}, {"cascade": cascade()}, runs, seed=seed,
+        figures=("rmse_3d_m",),
+    )  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder:
+        results = carry_out(study, Path(folder), (1, 1), None, lambda done, now="": None)
+    assert results is not None
+    return 100 * results.value("rmse_3d_m", "stand", "cascade").value
+
+
+def main() -> int:
+    """Find the radius, write it."""
+    (radius,) = solved(lambda numbers: np.array([error_cm(float(numbers[0])) / PRINTED_CM]), [START], rounds=3)
+    radius = float(f"{radius:.4g}")
+    found = error_cm(radius)
+    print(f"stations {radius:.3f} m off the middle line: {found:.3f} cm, printed {PRINTED_CM} cm")
+    told = {
+        "radius": Fitted(radius, "m", "section 4.2, 3.18 cm"),
+        "error": Fitted(found, "cm", f"what the radius gives, {RUNS} trajectories"),
+    }
+    print(f"wrote {write_fitted('will_2020/figure_8', 'none: one number against one printed figure', told)}")
+    return 0
+
+
+def radius() -> float:
+    """The fitted distance of the stations from the middle line, m."""
+    return fitted("will_2020/figure_8")["radius"]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,123 @@
+"""Measurement rate x aperture x track loss: the trade-off that paper A's conclusion names.
+
+A larger aperture is more accurate and has ambiguous directions closer to the true one; with few antennas they are as
+strong as it. Between two rows a beacon may then move from one to the next, the more so the lower the rate, and the
+track is lost. The waves are plane here, so that (9) is exact and nothing but rate and aperture matters. Array and noise
+are Table 1's, scaled; nothing was fitted to this study, and the paper prints no numbers for it.
+
+A direction is astray where it is off by more than half the distance to the next ambiguous one, lambda over twice the
+array's largest extent.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from experiments.monte_carlo import Claim, Conclusion, Results, Run, Study, World
+from experiments.papers.will_2020._work_stand import ALL, beam, recorded
+from experiments.papers.will_2020.fit_figure_8 import radius
+from experiments.plots.drawings import plain
+from experiments.plots.study_pictures import picture
+from experiments.plots.style import LINES
+
+RATES, APERTURES = (2.5, 5.0, 10.0, 20.0), (0.5, 1.0, 2.0, 4.0)
+THREE = "2-3-6"
+HELD = 2.0
+"""Percent of the directions that may be astray where a track counts as kept."""
+
+
+def astray(run: Run) -> np.ndarray:
+    """The share (n,) of directions that are on a wrong lobe."""
+    station = next(iter(run.folder.rig.stations.values()))
+    assert station.antennas is not None
+    assert station.wavelength is not None
+    limit = station.wavelength / (2 * np.ptp(station.antennas, axis=0).max())
+    error = np.abs(run.estimates - run.truth).max(axis=-1)
+    return np.asarray(np.where(run.known, error > limit, np.nan).mean(axis=(1, 2)))
+
+
+def claims(results: Results) -> list[Claim | Conclusion]:
+    """What the paper says of the trade-off."""
+    fast, slow, large = RATES[-1], RATES[0], APERTURES[-1]
+    usual = [_degrees(results, ALL, fast, a, "median") for a in APERTURES]
+    lost = {(w, r, a): 100 * _astray(results, w, r, a) for w in (ALL, THREE) for r in RATES for a in APERTURES}
+    sure = {w: [max([a for a in APERTURES if lost[w, r, a] < HELD], default=0.0) for r in RATES] for w in (ALL, THREE)}
+    return [
+        Conclusion(
+            "a larger aperture is more accurate while the track holds",
+            usual == sorted(usual, reverse=True),
+            f"median at {fast:g} Hz, all antennas: "
+            + ", ".join(f"{a:g} x {m:.2f} deg" for a, m in zip(APERTURES, usual, strict=True)),
+        ),
+        Conclusion(
+            "a larger aperture needs a higher rate to keep track",
+            all(lost[w, slow, large] > 5 + lost[w, fast, large] for w in (ALL, THREE)),
+            f"antennas {THREE}, {large:g} times the aperture, astray: "
+            + ", ".join(f"{lost[THREE, r, large]:.1f} % at {r:g} Hz" for r in RATES),
+        ),
+        Conclusion(
+            "the largest aperture that keeps its track is the larger, the higher the rate",
+            all(found == sorted(found) and found[0] < found[-1] for found in sure.values()),
+            f"less than {HELD:g} % astray: " + "; ".join(f"{w} {_listed(found)}" for w, found in sure.items()),
+        ),
+        Conclusion(
+            "three antennas lose the track sooner than eight",
+            all(lost[THREE, r, a] >= lost[ALL, r, a] for r in RATES for a in APERTURES),
+            f"at {slow:g} Hz and {large:g} times the aperture {lost[THREE, slow, large]:.1f} against "
+            f"{lost[ALL, slow, large]:.1f} % astray",
+        ),
+    ]
+
+
+def _listed(apertures: list[float]) -> str:
+    return ", ".join(f"{a:g} x at {r:g} Hz" for a, r in zip(apertures, RATES, strict=True))
+
+
+def _degrees(results: Results, world: str, rate: float, aperture: float, figure: str = "rmse") -> float:
+    point = {"world.rate_hz": rate, "world.aperture": aperture}
+    return results.value(f"{figure}_direction_rad", world, "EKF", **point).times(180 / np.pi).value
+
+
+def _astray(results: Results, world: str, rate: float, aperture: float) -> float:
+    return results.value("astray", world, "EKF", **{"world.rate_hz": rate, "world.aperture": aperture}).value
+
+
+def draw(results: Results, folder: Path) -> list[str]:
+    """Error and share astray against the rate, a line for each aperture."""
+
+    def draw_(figure: Figure) -> None:
+        panels = figure.subplots(2, 2, sharex=True, sharey="row")
+        for column, world in zip(panels.T, (ALL, THREE), strict=True):
+            for aperture, colour in zip(APERTURES, LINES, strict=False):
+                label = f"{aperture:g} x aperture"
+                found = [(_degrees(results, world, r, aperture), _astray(results, world, r, aperture)) for r in RATES]
+                for axes, values in zip(column, np.transpose(found) * [[1], [100]], strict=True):
+                    axes.plot(RATES, values, "o-", color=colour, markersize=3, label=label)
+                    plain(axes)
+            column[0].set(title=world if world == ALL else f"antennas {world}", xscale="log", yscale="log")
+            column[1].set(xlabel="rate, Hz", ylim=(0, 100))
+            column[1].set_xticks(RATES, [f"{r:g}" for r in RATES])
+            column[1].minorticks_off()
+        panels[0, 0].set_ylabel("RMSE, deg")
+        panels[0, 0].set_yticks([0.5, 1, 2, 5, 10, 20, 50], ["0.5", "1", "2", "5", "10", "20", "50"])
+        panels[1, 0].set_ylabel("astray, % of rows")
+        panels[1, 0].legend(loc="upper right")
+
+    return [picture(folder, "rate_aperture.svg", draw_, 7.0, 4.8)]
+
+
+STUDY = Study(
+    name="rate-aperture",
+    about="How large may an array be at which measurement rate before a moving beacon's track is lost?",
+    worlds={name: World(recorded, {"radius": radius(), "wave": "plane", "antennas": name}) for name in (ALL, THREE)},
+    trackers={"EKF": beam()},
+    runs=40,
+    grid={"world.rate_hz": RATES, "world.aperture": APERTURES},
+    measures={"astray": astray},
+    figures=("rmse_direction_rad", "median_direction_rad", "astray", "diverged"),
+    claims=claims,
+    draw=draw,
+)

@@ -1,0 +1,1 @@
+"""All plots: tracks, filters, objectives, studies; one style."""

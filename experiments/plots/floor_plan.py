@@ -1,0 +1,181 @@
+"""The tracks of a recording on the floor plan."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import polars as pl
+from matplotlib.axes import Axes
+from matplotlib.collections import EllipseCollection
+from matplotlib.lines import Line2D
+
+from experiments.plots.style import BLACK, GREY, LINES, broken_at_gaps, drawing, literal
+from trackers.core.metrics import chi_square_quantile
+from trackers.core.rig import Station
+from trackers.evaluation import covariances
+from trackers.recordings.truth import numbers
+
+ELLIPSES = 24
+"""So many ellipses are drawn in all, and at most half of them along one track; more would hide the tracks."""
+
+
+class _Path(NamedTuple):
+    """One tag's way: times (n,), s, places (n, 2), m, and covariances (n, 2, 2), m², NaN where none is reported."""
+
+    times: np.ndarray
+    places: np.ndarray
+    covs: np.ndarray
+
+
+def floor_plan(
+    path: Path | str,
+    tracks: pl.DataFrame,
+    truth: pl.DataFrame | None = None,
+    stations: Mapping[str, Station] | None = None,
+    anchors: Mapping[str, np.ndarray] | None = None,
+    title: str = "Tracks on the floor plan",
+    walls: np.ndarray | None = None,
+) -> Path:
+    """Writes the tracks of one recording from above, with truth, rig and some 95 % ellipses; returns the path.
+
+    `tracks`: rows of tag, t_s, x_m, y_m and, for ellipses, std_x_m, std_y_m, cov_xy_m2. `truth`: t_s, tag, x_m, y_m.
+    `walls`: (n, 4) m, x1, y1, x2, y2. At most six tags are drawn, and estimates far from everything don't decide the
+    scale; the picture says so.
+    """
+    tags = sorted(tracks["tag"].cast(pl.String).unique().to_list())
+    drawn = tags[: len(LINES)]
+    estimated = [_path_of(tracks, tag) for tag in drawn]
+    true = [] if truth is None else [_path_of(truth, tag) for tag in drawn]
+    mounted = {name: np.asarray(place)[:2] for name, place in (anchors or {}).items()}
+    mounted |= {name: np.asarray(station.position)[:2] for name, station in (stations or {}).items()}
+    certain = [*(p.places for p in true), *(p[None] for p in mounted.values())]
+    certain += [] if walls is None else [walls.reshape(-1, 2)]
+    low, high = _frame([p.places for p in estimated], certain)
+    width, height = _size(high - low)
+    with drawing(path, width, height, title) as figure:
+        axes = figure.add_subplot(aspect="equal", xlabel="x (m)", ylabel="y (m)")
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+        for x1, y1, x2, y2 in [] if walls is None else walls:
+            axes.plot([x1, x2], [y1, y2], color=GREY, linewidth=2.0, solid_capstyle="round", zorder=2)
+        _draw_rig(axes, stations or {}, anchors or {}, float(np.max(high - low)))
+        for line, colour in zip(estimated, LINES, strict=False):
+            _draw_track(axes, line, colour, min(ELLIPSES // len(drawn), ELLIPSES // 2))
+        for line in true:
+            _, places = broken_at_gaps(line.times, line.places)
+            axes.plot(*places.T, color=BLACK, linewidth=0.9 if len(true) == 1 else 0.6, linestyle=(0, (4, 2)), zorder=4)
+        axes.legend(
+            handles=_handles(drawn, bool(true), bool(stations), bool(anchors)),
+            loc="upper left",
+            bbox_to_anchor=(1.01, 1.0),
+            borderaxespad=0,
+        )
+        axes.set_title("\n".join(_notes(estimated, len(tags), low, high)), color=GREY, fontsize=8)
+    return Path(path)
+
+
+def _path_of(table: pl.DataFrame, tag: str) -> _Path:
+    """The rows of a tag that have a place, by time."""
+    rows = table.filter(pl.col("tag").cast(pl.String) == tag).sort("t_s")
+    places = np.stack([numbers(rows, "x_m"), numbers(rows, "y_m")], axis=1)
+    there = np.isfinite(places).all(axis=1)
+    return _Path(numbers(rows, "t_s")[there], places[there], covariances(rows)[there, :2, :2])
+
+
+def _frame(estimated: list[np.ndarray], certain: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """The corners of the picture: all of what is certain and nearly all of the estimates."""
+    points = [p for p in certain if len(p)]
+    points += [np.quantile(p, (0.01, 0.99), axis=0) for p in estimated if len(p)]
+    every = np.concatenate(points) if points else np.zeros((1, 2))
+    low, high = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
+    # A tag at rest shall not fill the picture with its noise of millimetres.
+    margin = max(0.08 * float(np.max(high - low)), 0.25)
+    return low - margin, high + margin
+
+
+def _size(extent: np.ndarray) -> tuple[float, float]:
+    """Width and height in inches: a plan of about 30 square inches, and room for legend and labels."""
+    ratio = float(np.clip(extent[1] / extent[0], 0.25, 2.5))
+    width = float(np.clip(np.sqrt(30 / ratio), 3.5, 8.5))
+    return width + 1.9, width * ratio + 1.3
+
+
+def _draw_track(axes: Axes, line: _Path, colour: str, n_ellipses: int) -> None:
+    _, places = broken_at_gaps(line.times, line.places)
+    single = len(line.places) == 1
+    axes.plot(*places.T, color=colour, alpha=0.9, linewidth=1.1, zorder=3, marker="o" if single else "", markersize=4)
+    proper = np.flatnonzero(np.isfinite(line.covs).all(axis=(1, 2)) & (line.covs[:, 0, 0] > 0))
+    if len(proper) == 0:
+        return
+    chosen = proper[np.unique(np.linspace(0, len(proper) - 1, n_ellipses).astype(int))]
+    squares, vectors = np.linalg.eigh(line.covs[chosen])
+    axis_lengths = 2 * np.sqrt(chi_square_quantile(0.95, 2) * np.maximum(squares, 0))
+    angles = np.degrees(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1]))
+    places = line.places[chosen]
+    ellipses = EllipseCollection(
+        axis_lengths[:, 1],
+        axis_lengths[:, 0],
+        angles,
+        units="xy",
+        offsets=places,
+        transOffset=axes.transData,
+        facecolors="none",
+        edgecolors=colour,
+        linewidths=0.8,
+        alpha=0.8,
+        zorder=3.5,
+    )
+    axes.add_collection(ellipses, autolim=False)
+    axes.plot(*places.T, ".", color=colour, markersize=4, zorder=3.5)
+
+
+def _draw_rig(axes: Axes, stations: Mapping[str, Station], anchors: Mapping[str, np.ndarray], size: float) -> None:
+    """Stations as squares, with the boresight unless it points up or down; anchors as triangles."""
+    marks = [(name, float(place[0]), float(place[1]), "^", False) for name, place in anchors.items()]
+    for name, station in stations.items():
+        x, y = float(station.position[0]), float(station.position[1])
+        ahead = station.world_from_array()[:2, 2]
+        level = float(np.hypot(*ahead)) > 0.3
+        if level:
+            dx, dy = 0.06 * size * ahead / np.hypot(*ahead)
+            axes.annotate(
+                "", (x + dx, y + dy), (x, y), arrowprops={"arrowstyle": "-|>", "color": GREY, "linewidth": 1.0}
+            )
+        marks.append((name, x, y, "s", level and ahead[1] < -0.5))
+    for name, x, y, marker, above in marks:
+        axes.plot(x, y, marker, color=GREY, markersize=7, markeredgecolor="white", zorder=5)
+        offset, side = ((0, 6), "bottom") if above else ((0, -7), "top")
+        words: dict[str, Any] = {
+            "textcoords": "offset points",
+            "ha": "center",
+            "va": side,
+            "fontsize": 7,
+            "color": GREY,
+        }
+        axes.annotate(literal(name), (x, y), offset, zorder=5, **words)
+
+
+def _handles(tags: list[str], truth: bool, stations: bool, anchors: bool) -> list[Line2D]:
+    handles = [
+        Line2D([], [], color=colour, label=literal(f"tag {tag}")) for tag, colour in zip(tags, LINES, strict=False)
+    ]
+    if truth:
+        handles.append(Line2D([], [], color=BLACK, linewidth=0.9, linestyle=(0, (4, 2)), label="truth"))
+    for there, marker, label in ((stations, "s", "station"), (anchors, "^", "anchor")):
+        if there:
+            handles.append(Line2D([], [], color=GREY, linestyle="", marker=marker, label=label))
+    return handles
+
+
+def _notes(estimated: list[_Path], n_tags: int, low: np.ndarray, high: np.ndarray) -> list[str]:
+    notes = []
+    if any(np.isfinite(line.covs).all(axis=(1, 2)).any() for line in estimated):
+        notes.append("ellipses: 95 % regions as the tracker reports them")
+    if n_tags > len(estimated):
+        notes.append(f"{len(estimated)} of {n_tags} tags are drawn, {n_tags - len(estimated)} are not")
+    outside = sum(int(((line.places < low) | (line.places > high)).any(axis=1).sum()) for line in estimated)
+    if outside:
+        notes.append(f"{outside} of {sum(len(line.places) for line in estimated)} estimates lie outside the picture")
+    return notes

@@ -1,0 +1,219 @@
+"""Drawings of a study: a figure over the cells or along the grid with intervals, and the distribution of errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator, PercentFormatter
+
+from experiments.monte_carlo.accumulators import KINDS
+from experiments.monte_carlo.declaration import Cell, short
+from experiments.monte_carlo.results import Results, Value
+from experiments.plots.drawings import HEIGHT, WIDTH, drawn, plain
+from experiments.plots.style import LINES, literal
+from experiments.reports.wording import SUFFIXES, Unit, heading, unit_of
+
+MARKS, DASHES = "osD^vPX", ("-", "--", "-.", ":")
+"""Of other counts than the colours, so that a tracker is known by two of the three, and no two look alike."""
+
+SHOWN_CELLS, LINES_SHOWN, ROWS_SHOWN, NAMES_INSIDE = 6, 8, 40, 4
+"""The most cells whose distributions are drawn, lines of a drawing, rows of one, and names in a legend on the axes."""
+
+DECADES = 30.0
+"""From so many times the least value on, the largest leaves nothing of it to be seen on a linear axis."""
+
+ALIKE = 2.0
+"""Distributions that end within such a factor of each other share their axis."""
+
+
+class Drawing(NamedTuple):
+    """What it shows, in words, and the image's address."""
+
+    says: str
+    source: str
+
+
+def figure_chart(results: Results, figure: str, found: Mapping[tuple[int, str], Value], unit: Unit) -> Drawing | None:
+    """A figure with its intervals: along the grid where that is one row of numbers, else cell by cell.
+
+    None where there would be more lines or rows than a drawing has room for, and where nothing but zeros is known.
+    """
+    study = results.study
+    values = {k: np.array(v.times(unit.factor)) for k, v in found.items() if np.isfinite(v.value)}
+    if not any(v[0] for v in values.values()):
+        return None
+    words = heading(figure)
+    title = words[0].upper() + words[1:] + (f", {unit.name}" if unit.name else "")
+    along = _axis(results)
+    if along is None:
+        return Drawing(title, _bars(results, values, title)) if len(values) <= ROWS_SHOWN else None
+    if len(study.worlds) * len(study.trackers) > LINES_SHOWN:
+        return None
+    return Drawing(title, _along(results, along, values, title))
+
+
+def _along(results: Results, along: str, values: Mapping[tuple[int, str], np.ndarray], title: str) -> str:
+    """Lines with bands, one for every world and tracker, over the grid."""
+    study = results.study
+    series = [(w, t) for w in study.worlds for t in study.trackers]
+
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots()
+        for number, (world, tracker) in enumerate(series):
+            there = [c for c in study.cells if c.world == world and (c.index, tracker) in values]
+            if not there:
+                continue
+            x = [float(c.point[along]) for c in there]
+            middle, low, high = np.array([values[c.index, tracker] for c in there]).T
+            look = _look(number)
+            name = tracker if len(study.worlds) == 1 else f"{world}: {tracker}"
+            axes.plot(x, middle, **look, marker=MARKS[number % len(MARKS)], markersize=4, label=literal(name))
+            axes.fill_between(x, low, high, color=look["color"], alpha=0.18, linewidth=0)
+        least, most = min(study.grid[along]), max(study.grid[along])
+        if least > 0 and most / least >= 8:
+            axes.set_xscale("log")
+            axes.set_xticks(sorted(study.grid[along]), [f"{v:g}" for v in sorted(study.grid[along])])
+            axes.xaxis.set_minor_locator(NullLocator())
+        axes.set_xlabel(literal(short(along)))
+        if _spans_decades(values):
+            axes.set_yscale("log")
+            _plain_log(axes.yaxis)
+        else:
+            axes.set_ylim(0, None)
+        axes.set_title(literal(title))
+        _legend(figure, axes)
+        plain(axes)
+
+    return drawn(draw, WIDTH, _height(len(series)))
+
+
+def _bars(results: Results, values: Mapping[tuple[int, str], np.ndarray], title: str) -> str:
+    """Points with intervals, a row for every cell and tracker."""
+    trackers = list(results.study.trackers)
+    rows = [(c, t) for c in results.study.cells for t in trackers if (c.index, t) in values]
+
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots()
+        for k, (cell, tracker) in enumerate(rows):
+            number = trackers.index(tracker)
+            colour, (middle, low, high) = LINES[number % len(LINES)], values[cell.index, tracker]
+            axes.plot([low, high], [k, k], color=colour, linewidth=3, alpha=0.35, solid_capstyle="butt")
+            mark = MARKS[number % len(MARKS)]
+            axes.plot(middle, k, color=colour, marker=mark, markersize=5, clip_on=False, zorder=3)
+        axes.set_yticks(range(len(rows)), [literal(_row_name(results, c, t)) for c, t in rows])
+        axes.set_ylim(len(rows) - 0.4, -0.6)
+        if _spans_decades(values):
+            axes.set_xscale("log")
+            _plain_log(axes.xaxis)
+        else:
+            axes.set_xlim(0, 1.04 * float(np.nanmax([values[c.index, t] for c, t in rows])))
+        axes.set_title(literal(title))
+        plain(axes, "x")
+
+    return drawn(draw, WIDTH, max(1.3, 0.75 + 0.24 * len(rows)))
+
+
+def distribution_charts(results: Results, lengths: Unit | None) -> list[Drawing]:
+    """The share of estimates whose error is at most so large, of every tracker, in the first cells.
+
+    `lengths`: the unit of lengths on the page, None where it has none.
+    """
+    study = results.study
+    cells = study.cells[:SHOWN_CELLS]
+    kinds = [_kind(results, cell) for cell in cells]
+    medians = [results.at(f"median_{k}", c, t).value for c, k in zip(cells, kinds, strict=True) for t in study.trackers]
+    units = {k: lengths if lengths and k.endswith("m") else unit_of(f"median_{k}", medians) for k in kinds}
+    curves = [_curves(results, c, k, units[k].factor) for c, k in zip(cells, kinds, strict=True)]
+    ends = [max(float(x[np.searchsorted(share, 0.98)]) for x, share in own.values()) for own in curves]
+    if len(set(kinds)) == 1 and max(ends) <= ALIKE * min(ends):
+        ends = [max(ends)] * len(ends)
+
+    def draw(figure: Figure, cell: int, title: str) -> None:
+        axes = figure.subplots()
+        for number, tracker in enumerate(study.trackers):
+            if tracker in curves[cell]:
+                axes.plot(*curves[cell][tracker], **_look(number), label=literal(tracker))
+        error = f"error {SUFFIXES[kinds[cell]]}".strip()
+        axes.set(xlim=(0, ends[cell]), ylim=(0, 1), xlabel=f"{error}, {units[kinds[cell]].name}")
+        axes.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=" %"))
+        axes.set_title(literal(title))
+        _legend(figure, axes)
+        plain(axes, "both")
+
+    made = []
+    for k, cell in enumerate(cells):
+        title = f"Share of estimates with less error: {cell.label}"
+        image = drawn(lambda figure, k=k, title=title: draw(figure, k, title), WIDTH, _height(len(study.trackers)))  # type: ignore[misc]
+        made.append(Drawing(title, image))
+    return made
+
+
+def _curves(results: Results, cell: Cell, kind: str, factor: float) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """By tracker that has such errors: errors in the unit of the drawing, and the share of estimates with less."""
+    found = {}
+    for tracker in results.study.trackers:
+        if kind in results.kept[cell.index, tracker].histograms:
+            edges, share = results.cdf(cell.world, tracker, kind, **cell.point)
+            found[tracker] = edges * factor, share
+    return found
+
+
+def _look(number: int) -> dict[str, Any]:
+    """The colour and dashes of a line."""
+    return {"color": LINES[number % len(LINES)], "linestyle": DASHES[number % len(DASHES)]}
+
+
+def _legend(figure: Figure, axes: Axes) -> None:
+    """The names on the axes where they are few, else under them, where they hide nothing."""
+    if len(axes.get_legend_handles_labels()[1]) > NAMES_INSIDE:
+        figure.legend(loc="outside lower center", ncols=2, handlelength=2.4)
+    else:
+        axes.legend(loc="best", handlelength=2.4)
+
+
+def _height(names: int) -> float:
+    return HEIGHT + (0.17 * -(-names // 2) + 0.1 if names > NAMES_INSIDE else 0.0)
+
+
+def _spans_decades(values: Mapping[tuple[int, str], np.ndarray]) -> bool:
+    """Whether a logarithmic axis is needed, and can hold the values and their intervals."""
+    every = np.concatenate(list(values.values()))
+    low, high = np.nanmin(every), np.nanmax(every)
+    return bool(low > 0 and high >= DECADES * low)
+
+
+def _plain_log(axis: Axis) -> None:
+    """Numbers as 0.5, 1, 2, 5 on a logarithmic axis."""
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_locator(NullLocator())
+
+
+def _kind(results: Results, cell: Cell) -> str:
+    """The kind of errors that the study's figures are about: of the first that names one, else what there is."""
+    there = {k for t in results.study.trackers for k in results.kept[cell.index, t].histograms}
+    # The longer suffixes first: `3d_m` ends in `m` too.
+    kinds = sorted(there, key=len, reverse=True)
+    asked = (k for f in results.study.figures for k in kinds if f.endswith(f"_{k}"))
+    return next(asked, next(k for k in KINDS if k in there))
+
+
+def _axis(results: Results) -> str | None:
+    """The one name of the grid, where its values are numbers and more than two."""
+    grid = results.study.grid
+    if len(grid) != 1:
+        return None
+    name, values = next(iter(grid.items()))
+    numbers: Sequence[object] = [v for v in values if isinstance(v, (int, float)) and not isinstance(v, bool)]
+    return name if len(numbers) == len(values) > 2 else None
+
+
+def _row_name(results: Results, cell: Cell, tracker: str) -> str:
+    if len(results.study.trackers) == 1:
+        return cell.label
+    return tracker if len(results.study.cells) == 1 else f"{cell.label}: {tracker}"

@@ -1,0 +1,118 @@
+"""What a tuning run leaves behind: tuned.toml, trace.csv, tuning.png, report.html and manifest.json."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from experiments.cli.manifest import write_manifest
+from experiments.cli.tuning_job import Job
+from experiments.plots.filters import tuning_trace
+from experiments.reports.tuning import write_report
+from experiments.reports.tuning_collect import Asked, gather
+from trackers.catalogue import TRACKERS
+from trackers.recordings.atomic import atomic_write
+from tuning import FitResult
+from tuning.identifiability import Judgement, judgements
+from tuning.intervals import Interval, intervals_of
+from tuning.tuned_file import write_tuned
+
+
+@dataclass(frozen=True)
+class Run:
+    """What was asked: the tracker's name, the options, the recordings' folders; and how it went in time."""
+
+    tracker: str
+    options: Mapping[str, Any]
+    recordings: Sequence[Path]
+    seconds: float
+    started: datetime
+    command: Sequence[str]
+
+
+def write_run(out: Path, job: Job, result: FitResult, run: Run) -> list[str]:
+    """Write everything to the folder; the lines to print."""
+    objective, unit = run.options["objective"], "rad" if job.training[0].station else "m"
+    if run.options["prior"]:
+        objective += " + prior"
+    intervals = intervals_of(result, run.options["intervals"])
+    write_tuned(out / "tuned.toml", run.tracker, objective, result, intervals)
+    _write_trace(out, result, objective, unit)
+    lines = table(result, objective, intervals)
+    doubts = _doubts(result)
+    lines += [f"notice: {doubt.text}" for doubt in doubts]
+    words = ["trackwright", *run.command[1:]]
+    tuned = out / "tuned.toml"
+    use = f"trackwright track … --noise {tuned}"
+    asked = Asked(
+        command=shlex.join(words),
+        again=(use, shlex.join(words)),
+        tracker=run.tracker,
+        tracker_about=TRACKERS[run.tracker].about,
+        objective=objective,
+        seconds=run.seconds,
+        notes=tuple(_notes(job, result)),
+    )
+    evidence = gather(asked, result, job.training, job.held_out, job.planar, intervals, doubts)
+    write_report(out / "report.html", evidence)
+    extra = {"recordings": [str(p) for p in run.recordings], "filter_runs": result.filter_runs}
+    write_manifest(out, run.command, run.options, run.started, extra=extra)
+    return [*lines, f"wrote {out / 'report.html'}, tuned.toml, trace.csv, tuning.png and manifest.json; use it: {use}"]
+
+
+def _notes(job: Job, result: FitResult) -> Iterator[str]:
+    if result.uncertainty is None:
+        yield "This fit was stopped before its end: the numbers are the best met so far; --resume goes on."
+    if result.left_out:
+        yield f"{result.left_out} of {len(job.training)} pieces had no say."
+
+
+def _doubts(result: FitResult) -> list[Judgement]:
+    if result.uncertainty is None:
+        return []
+    return judgements(result.uncertainty, result.problem.evaluate(result.vector).slopes)
+
+
+def _write_trace(out: Path, result: FitResult, objective: str, unit: str) -> None:
+    trace = result.trace
+    columns: dict[str, list[float]] = {
+        objective: [s.value for s in trace],
+        "gradient_norm": [s.gradient_norm for s in trace],
+    }
+    units: dict[str, str] = {}
+    drawn: dict[str, np.ndarray] = {}
+    for parameter in result.parameters:
+        values = np.stack([np.asarray(s.values[parameter.label]) for s in trace])
+        parts = values.reshape(len(trace), -1)
+        for k in range(parts.shape[1]):
+            label = parameter.label + (f".{k}" if values.ndim > 1 else "")
+            columns[label] = parts[:, k].tolist()
+            drawn[label], units[label] = parts[:, k], parameter.example.unit
+    atomic_write(out / "trace.csv", pl.DataFrame(columns).write_csv)
+    names = {"nll": "negative log-likelihood per number (nats)", "rmse": f"RMSE ({unit})"}
+    tuning_trace(out / "tuning.png", np.array(columns[objective]), drawn, units, names.get(objective, objective))
+
+
+def table(result: FitResult, objective: str, intervals: Mapping[str, Interval]) -> list[str]:
+    """The lines of a table of the tuned numbers, and of the objective before and after."""
+    first = result.starts[0][0].values
+    rows: list[tuple[str, ...]] = [("tunable", "before", "after", "95 % interval", "unit")]
+    for parameter in result.parameters:
+        name = parameter.label
+        nothing = np.full(np.shape(result.values[name]), np.nan)
+        low, high = intervals.get(name, (nothing, nothing))
+        parts = zip(*(np.ravel(x) for x in (first[name], result.values[name], low, high)), strict=True)
+        for k, (before, after, a, b) in enumerate(parts):
+            label = name if np.ndim(result.values[name]) == 0 else f"{name}.{k}"
+            interval = f"{a:.4g} to {b:.4g}" if np.isfinite([a, b]).all() else "-"
+            rows.append((label, f"{before:.4g}", f"{after:.4g}", interval, parameter.example.unit))
+    widths = [max(len(r[k]) for r in rows) for k in range(5)]
+    lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+    return [*lines, f"{objective}: {result.start_value:.5g} -> {result.value:.5g}"]

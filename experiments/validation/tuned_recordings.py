@@ -1,0 +1,116 @@
+"""Real recordings tuned by likelihood, no truth used, on one part of each group and shown on the other.
+
+`python -m experiments.validation.tuned_recordings [GROUP …]` prints for the recordings that were not tuned on: the objective, the
+RMSE and the distance of the NIS from its distribution, before (the tracker's defaults) and after. The recordings are
+not part of this repository: TRACKWRIGHT_RECORDINGS, default `../shared/recordings`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from experiments.cli.runtime import set_flags
+
+set_flags()
+
+from experiments.cli.subprocesses import real_recordings  # noqa: E402
+from experiments.cli.tuning_job import job_of, only_group  # noqa: E402
+from experiments.reports.tuning_collect import innovations_of  # noqa: E402
+from trackers.catalogue import groups  # noqa: E402
+from trackers.core.tunable import tunables  # noqa: E402
+from trackers.recordings.folder import read_folder  # noqa: E402
+from trackers.tracks import batches  # noqa: E402
+from tuning import NegativeLogLikelihood, fit  # noqa: E402
+from tuning.assumptions import contradicted  # noqa: E402
+from tuning.metrics import every_figure  # noqa: E402
+from tuning.tuned_file import with_noise  # noqa: E402
+
+WORSE = 1.02
+"""Ratio of held-out RMSE from which on a likelihood's choice counts as worse."""
+
+PIECE_ROWS = 4000
+
+
+class Split(NamedTuple):
+    """Recordings of one group: those tuned on, those judged, the tracker's name (None: what fits), what is tuned."""
+
+    tuned: tuple[str, ...]
+    judged: tuple[str, ...]
+    tracker: str | None = None
+    tune: tuple[str, ...] = ("*.sigma_*",)
+
+
+GROUPS = {
+    "walks": Split(tuple(f"ble51-walk-u{k}-r1" for k in (1, 2, 3)), tuple(f"ble51-walk-u{k}-r2" for k in (1, 2, 3))),
+    "uca": Split(
+        tuple(f"ble51-uca-{p}" for p in ("x0y2", "x2y0", "x3y3")),
+        tuple(f"ble51-uca-{p}" for p in ("x1y1", "x2y2", "x4y2")),
+        "beam",
+    ),
+    "lias": Split(
+        ("lias-still-p1-0", "lias-still-p3-180", "lias-still-p5-0"),
+        ("lias-planar-fast",),
+        "uwb",
+        ("*.sigma_r", "*.sigma_bias"),
+    ),
+    "ngbui": Split(("ngbui-line-1-1",), ("ngbui-line-2-1", "ngbui-line-3-1"), "line-grid"),
+    "tiers": Split(("tiers-1tag-01",), ("tiers-2tag-01", "tiers-2tag-03", "tiers-2tag-06"), "fix-mirror"),
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Tune and judge the groups named, or all; 1 where the RMSE of one got worse."""
+    parser = argparse.ArgumentParser(
+        prog="python -m experiments.validation.tuned_recordings", description=(__doc__ or "").split("\n\n")[0]
+    )
+    parser.add_argument("groups", nargs="*", metavar="GROUP", help=f"of {', '.join(GROUPS)}; all where none is named")
+    names = parser.parse_args(arguments).groups
+    if unknown := [name for name in names if name not in GROUPS]:
+        parser.error(f"unknown: {', '.join(unknown)}; expected of {', '.join(GROUPS)}")
+    folder = real_recordings()
+    if folder is None:
+        parser.error("no folder of real recordings, expected ../shared/recordings or what TRACKWRIGHT_RECORDINGS names")
+    print(f"{'group':8s}{'tracker':12s}{'figure, on recordings not tuned on':38s}{'before':>10s}{'after':>10s}")
+    worse = [name for name in names or GROUPS if shown(name, GROUPS[name], folder)]
+    print("worse by likelihood: " + (", ".join(worse) or "none"))
+    return int(bool(worse))
+
+
+def shown(name: str, split: Split, folder: Path) -> bool:
+    """Tune one group, print its figures, and say whether the RMSE got worse."""
+    began = time.perf_counter()
+    tracker, group = only_group([folder / x for x in split.tuned], split.tracker, None, False)
+    job = job_of(group, "nll", [], PIECE_ROWS)
+    result = fit(job.tracker, job.rows(), NegativeLogLikelihood(), split.tune, starts=2)
+    numbers = tunables(result.tracker)
+    tuned = {k: numbers[k].value for p in result.parameters for k in p.names}
+    worse = False
+    # Recordings with another path or other anchors have a tracker of their own, which takes the numbers by name.
+    for judged in groups([read_folder(folder / x) for x in split.judged], tracker, False):
+        rows = [batch for _, batch in batches(judged.lanes)]
+        quantity = next(iter(judged.lanes[0].recording.truth))
+        dimensions = 2 if judged.planar or quantity == "direction" else 3
+        tracked = with_noise(judged.tracker, tuned, name)
+        before, after = (every_figure(t, rows, quantity, dimensions) for t in (judged.tracker, tracked))
+        print(f"{name:8s}{tracker:12s}{', '.join(sorted({x.folder.name for x in judged.lanes}))}")
+        for figure in ("nll", "rmse", "rmse-3d", "nis-shape"):
+            if before[figure] == before[figure]:
+                print(f"{'':20s}{figure:38s}{before[figure]:10.4g}{after[figure]:10.4g}", flush=True)
+        if after["rmse"] > WORSE * before["rmse"]:
+            worse = True
+            runs = [(tracked.run(x), x.size) for x in rows]
+            said = innovations_of([found[k] for found, size in runs for k in range(size)], tracked)
+            why = [] if said is None else contradicted(said)
+            print(f"{'':20s}worse; the innovations contradict: {'; '.join(why) or 'nothing'}", flush=True)
+    listed = ", ".join(f"{k} {v:.3g}" for k, v in result.values.items() if v.ndim == 0)
+    print(f"{'':20s}{time.perf_counter() - began:.0f} s; {listed}", flush=True)
+    return worse
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Parts that several systems share: fixes, ranges, Singer's motion, starts found on the host, walls."""

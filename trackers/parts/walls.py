@@ -1,0 +1,78 @@
+"""Walls that a move cannot cross: a floor plan as a potential over moves, for particle filters."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from trackers.core.algebra import Scalar
+from trackers.core.particle.resampling import NOTHING
+
+
+class AbstractPotential(eqx.Module):
+    """What a move says by itself, without any reading: a factor of the weight of the particle that made it."""
+
+    @abstractmethod
+    def log_weight(self, before: Any, after: Any) -> Scalar:
+        """The factor's logarithm, from what the motion shows of the states before and after: 0 for a usual move.
+
+        NOTHING (`trackers/core/particle/resampling.py`) for one that is impossible.
+        """
+
+
+class Walls(AbstractPotential):
+    """A floor plan: a particle dies whose straight way between two rows crosses a wall or isn't inside.
+
+    `segments` (n, 4): walls, x1, y1, x2, y2 in m. `outline` (m, 2): the corners of the floor, m, in order, within which
+    a tag is; its edges are walls. A place on a wall counts to the right of it, seen from its first end, and walls that
+    share an end leave no gap. Raises ValueError without either, and for what isn't finite or has no length.
+    """
+
+    segments: Any
+    outline: Any
+
+    def __init__(self, segments: Any = (), outline: Any = ()):
+        edges = np.asarray(outline, float).reshape(-1, 2) if np.size(outline) else np.zeros((0, 2))
+        if 0 < len(edges) < 3:
+            raise ValueError(f"an outline has at least three corners [x, y], found {len(edges)}")
+        walls = np.asarray(segments, float) if np.size(segments) else np.zeros((0, 4))
+        if walls.ndim != 2 or walls.shape[1] != 4:
+            raise ValueError(f"walls are a list of [x1, y1, x2, y2], found an array of shape {walls.shape}")
+        walls = np.vstack([walls, np.hstack([edges, np.roll(edges, -1, axis=0)])])
+        if len(walls) == 0:
+            raise ValueError("a floor plan has walls or an outline, found neither")
+        if not np.all(np.isfinite(walls)):
+            raise ValueError(f"wall {int(np.argmin(np.isfinite(walls).all(axis=1)))} is not finite")
+        lengths = np.hypot(*(walls[:, 2:] - walls[:, :2]).T)
+        if not np.all(lengths > 0):
+            k = int(np.argmin(lengths))
+            raise ValueError(f"wall {k}, {walls[k].tolist()}, has no length; leave it out")
+        self.segments, self.outline = walls, edges
+
+    def log_weight(self, before: Any, after: Any) -> Scalar:
+        start, end = tuple(before.position)[:2], tuple(after.position)[:2]
+        first, last = self.segments[:, :2].T, self.segments[:, 2:].T
+        crosses = (_left(first, last, start) != _left(first, last, end)) & (
+            _left(start, end, first) != _left(start, end, last)
+        )
+        dies = jnp.any(crosses)
+        if len(self.outline):
+            # The start too: a track's first particles come from a belief that knows no walls.
+            dies = dies | ~self._inside(start) | ~self._inside(end)
+        return jnp.where(dies, NOTHING, 0.0).astype(start[0].dtype)
+
+    def _inside(self, place: Any) -> Scalar:
+        """Whether the way from a place to the right, for ever, crosses an odd number of the outline's edges."""
+        a, b = self.outline.T, jnp.roll(self.outline, -1, axis=0).T
+        rises = b[1] > a[1]
+        passes = ((a[1] > place[1]) != (b[1] > place[1])) & (_left(a, b, place) == rises)
+        return jnp.sum(passes.astype(jnp.int32)) % 2 == 1
+
+
+def _left(a: Any, b: Any, p: Any) -> Any:
+    """Whether p lies to the left of the way from a to b."""
+    return (b[0] - a[0]) * (p[1] - a[1]) > (b[1] - a[1]) * (p[0] - a[0])

@@ -1,0 +1,63 @@
+"""Files written whole or not at all, and JSON that every reader accepts."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import uuid
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from trackers.core.errors import UnusableInput
+
+
+def atomic_write(path: Path | str, writer: Callable[[Path], object]) -> Path:
+    """The path, written by `writer` under a temporary name beside it and then renamed.
+
+    Whatever goes wrong, no half-written file stays and an older one of that name is untouched. Raises UnusableInput
+    where the system refuses (full disk, no permission, a folder that isn't there).
+    """
+    path = Path(path)
+    temporary = path.with_name(f".{uuid.uuid4().hex[:12]}-{path.name}")
+    try:
+        writer(temporary)
+        os.replace(temporary, path)
+    except (OSError, pl.exceptions.PolarsError) as error:
+        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
+        raise UnusableInput(
+            f"cannot write {path}: {reason}; expected a folder with space that may be written to; choose another --out"
+        ) from error
+    finally:
+        _discard(temporary)
+    return path
+
+
+def json_text(value: Any) -> str:
+    """The value as indented JSON: NumPy numbers as numbers, arrays as lists, NaN and infinity as null."""
+    return json.dumps(_plain(value), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _discard(temporary: Path) -> None:
+    try:
+        temporary.unlink(missing_ok=True)
+    except OSError:  # the folder itself isn't there or may not be read; the first error says so
+        return
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, set, frozenset)):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic) or hasattr(value, "__array__"):
+        return _plain(np.asarray(value).tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, (bool, int, str)):
+        return value
+    return str(value)

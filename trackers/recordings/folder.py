@@ -1,0 +1,166 @@
+"""Recording folders: a `rig.toml` and the tables beside it, read into memory and written back.
+
+Whatever cannot be used is refused with one line that names the file; whatever is odd but usable is read, with a notice.
+"""
+
+from __future__ import annotations
+
+import difflib
+import gzip
+import shutil
+import uuid
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Literal, cast, get_args
+
+import polars as pl
+
+from trackers.core.errors import UnusableInput
+from trackers.core.rig import Rig
+from trackers.recordings.cells import SUFFIXES
+from trackers.recordings.checks.anomalies import oddities
+from trackers.recordings.rig_file import RIG_FILE, read_rig, rig_text
+from trackers.recordings.tables import MEASUREMENTS, TABLES, read_table
+
+Kind = Literal["parquet", "csv.gz", "csv"]
+
+_OTHER_DATA = (
+    ".txt",
+    ".tsv",
+    ".dat",
+    ".json",
+    ".xlsx",
+    ".zip",
+    ".bz2",
+    ".xz",
+    ".zst",
+    ".feather",
+    ".npz",
+    ".mat",
+    ".pq",
+)
+
+
+@dataclass(frozen=True)
+class Folder:
+    """A recording: geometry, tables by name (t_s and values Float64, ids String, null = missing), and what was odd."""
+
+    name: str
+    path: Path | None
+    rig: Rig
+    tables: dict[str, pl.DataFrame]
+    notices: tuple[str, ...] = ()
+
+
+def read_folder(path: str | Path) -> Folder:
+    """The recording in the folder `path`; raises UnusableInput, in one line, where something in it cannot be used."""
+    path = Path(path)
+    try:
+        entries = sorted(entry.name for entry in path.iterdir())
+    except FileNotFoundError:
+        raise UnusableInput(f"{path}: does not exist, expected a recording folder; check the path") from None
+    except NotADirectoryError:
+        raise UnusableInput(
+            f"{path}: is a file, expected a recording folder with {RIG_FILE} and tables; give the folder it lies in"
+        ) from None
+    except OSError as error:
+        raise UnusableInput(f"{path}: folder cannot be read ({error.strerror}); check its permissions") from error
+    rig, rig_notices = read_rig(path / RIG_FILE)
+    files, file_notices = _table_files(path, entries)
+    if not files:
+        raise UnusableInput(
+            f"{path}: no tables, expected at least one of {', '.join(TABLES)} as {', '.join(SUFFIXES)}; export one"
+        )
+    tables, notices = {}, [*rig_notices, *file_notices]
+    for name, file in files.items():
+        tables[name], table_notices = read_table(file, name, rig)
+        notices += table_notices
+    _check_common_tag(path, tables)
+    notices += oddities(tables, rig)
+    return Folder(rig.name, path, rig, tables, tuple(notices))
+
+
+def _table_files(path: Path, entries: list[str]) -> tuple[dict[str, Path], list[str]]:
+    """The file of each table, and a notice for each such file that is none; refuses doubles and misspelt names."""
+    files: dict[str, Path] = {}
+    others = []
+    for entry in entries:
+        stem, _, suffix = entry.partition(".")
+        if stem in TABLES and f".{suffix}" in SUFFIXES:
+            if stem in files:
+                raise UnusableInput(
+                    f"{path}: both {files[stem].name} and {entry}, expected one file for table {stem}; remove one"
+                )
+            files[stem] = path / entry
+        elif entry.lower().endswith((*SUFFIXES, *_OTHER_DATA)):
+            others.append(entry)
+    notices = []
+    for entry in others:
+        stem = entry.partition(".")[0].lower()
+        near = difflib.get_close_matches(stem, [name for name in TABLES if name not in files], 1, 0.75)
+        if near:
+            raise UnusableInput(
+                f"{path / entry}: looks like table {near[0]}, expected {' or '.join(near[0] + s for s in SUFFIXES)}; "
+                "rename or convert it"
+            )
+        if entry.lower().endswith(SUFFIXES):
+            notices.append(f"{entry}: is none of the tables {', '.join(TABLES)} and was ignored")
+    return files, notices
+
+
+def _check_common_tag(path: Path, tables: dict[str, pl.DataFrame]) -> None:
+    measured = {tag for name in MEASUREMENTS if name in tables for tag in tables[name]["tag"].unique()}
+    if measured and "truth" in tables:
+        true = set(tables["truth"]["tag"].unique())
+        if not measured & true:
+            raise UnusableInput(
+                f"{path}: no common tag: truth has {_listed(true)}, the measurements have {_listed(measured)}; "
+                "expected the same ids in both, to the letter"
+            )
+
+
+def _listed(ids: set[str]) -> str:
+    names = sorted(ids)
+    return ", ".join(repr(name) for name in names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
+
+
+def write_folder(folder: Folder, path: str | Path, kind: Kind = "parquet") -> None:
+    """Writes the recording to the folder `path`, all or nothing.
+
+    Raises UnusableInput where `path` is a file or a folder that holds something, and where it cannot be written.
+    """
+    if kind not in get_args(Kind):
+        raise ValueError(f"kind = {kind!r}, expected one of {', '.join(get_args(Kind))}")
+    path = Path(path)
+    partial = path.parent / f".{uuid.uuid4().hex[:12]}-{path.name}"
+    try:
+        if path.exists() and not (path.is_dir() and not any(path.iterdir())):
+            what = "folder is not empty" if path.is_dir() else "is a file"
+            raise UnusableInput(
+                f"{path}: {what}, expected a new or empty folder to write to; choose another name or remove it"
+            )
+        partial.mkdir(parents=True)
+        (partial / RIG_FILE).write_text(rig_text(folder.rig), encoding="utf-8")
+        for name, table in folder.tables.items():
+            _write_table(table, partial / f"{name}.{kind}", kind)
+        if path.exists():
+            path.rmdir()  # an empty folder stands in the way of the new one on some systems
+        partial.rename(path)
+    except (OSError, pl.exceptions.PolarsError) as error:
+        reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
+        raise UnusableInput(
+            f"{path}: cannot be written ({reason}), nothing was kept; check free space and permissions"
+        ) from error
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def _write_table(table: pl.DataFrame, file: Path, kind: Kind) -> None:
+    if kind == "parquet":
+        table.write_parquet(file)
+    elif kind == "csv":
+        table.write_csv(file)
+    else:
+        # neither name nor time in the gzip header: the same table gives the same bytes
+        with file.open("wb") as raw, gzip.GzipFile("", "wb", 6, raw, mtime=0) as packed:
+            table.write_csv(cast(IO[bytes], packed))

@@ -1,0 +1,61 @@
+"""Checkpoints of fits: the arrays of a state, and what they belong to, in one file that is never half-written."""
+
+from __future__ import annotations
+
+import hashlib
+import zipfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from experiments.cli.manifest import config_hash
+from trackers.core.errors import UnusableInput
+from trackers.core.recording import Batch
+from trackers.recordings.atomic import atomic_write
+
+CHECKPOINT = "checkpoint.npz"
+
+
+def fingerprint(config: Mapping[str, Any], batches: Sequence[Batch], start: np.ndarray) -> str:
+    """What makes a fit this one: its options, every number of its recordings, and where it starts."""
+    digest = hashlib.sha256(config_hash(config).encode())
+    for leaf in [start, *jax.tree_util.tree_leaves(batches)]:
+        array = np.ascontiguousarray(leaf)
+        digest.update(f"{array.shape}{array.dtype}".encode() + array.tobytes())
+    return digest.hexdigest()
+
+
+def save(folder: Path, arrays: Sequence[np.ndarray], belongs_to: str) -> Path:
+    """Write the state's arrays to the folder's checkpoint."""
+    numbered: dict[str, Any] = {f"array_{k}": x for k, x in enumerate(arrays)}
+
+    def write(temporary: Path) -> None:
+        with temporary.open("wb") as file:
+            np.savez(file, allow_pickle=False, belongs_to=np.array(belongs_to), **numbered)
+
+    return atomic_write(folder / CHECKPOINT, write)
+
+
+def load(folder: Path, belongs_to: str) -> list[np.ndarray] | None:
+    """The arrays of the folder's checkpoint, None where there is none.
+
+    Raises UnusableInput for a checkpoint of another fit, and for a file that is none.
+    """
+    path = folder / CHECKPOINT
+    if not path.exists():
+        return None
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            owner = str(file["belongs_to"])
+            arrays = [file[f"array_{k}"] for k in range(len(file.files) - 1)]
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile, EOFError) as error:
+        raise UnusableInput(f"{path}: is no checkpoint of `tune`; remove it, or leave --resume out") from error
+    if owner != belongs_to:
+        raise UnusableInput(
+            f"{path}: belongs to a fit with other options, recordings or starting values; expected the command that "
+            "wrote it, as its manifest or shell history has it; leave --resume out to begin anew"
+        )
+    return arrays

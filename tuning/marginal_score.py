@@ -1,0 +1,149 @@
+"""The score of a particle filter's likelihood over all pairs of particles (Poyiadjis, Doucet and Singh 2011, alg. 2).
+
+    T'(x') = Σ w p(x'|x) (T(x) + ∇log p(x'|x)) / Σ w p(x'|x) + ∇log g(x')        score = Σ w' T'(x')
+
+No particle keeps the history of one ancestor: what the score owes to a state is averaged over all states that may
+have led to it. So it scatters in proportion to the rows, not to their square; it costs N² densities a row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from trackers.core.chunks import prepared
+from trackers.core.particle.filter import ParticleFilter, Particles, weighed
+from trackers.core.particle.resampling import NOTHING
+from trackers.core.particle.score import normal_density
+from trackers.core.particle.transition import check_transition_density, transition_log_density
+from trackers.core.recording import Batch
+from trackers.core.tracker import Row, Tracker, begun
+from trackers.core.tunable import resolved
+from tuning.parameters import chosen, flatten, placed_in
+
+PAIRS = 2**18
+"""Of particles, in as many trajectories as run together: more fill the memory of a small computer."""
+
+
+class MarginalScores(NamedTuple):
+    """Of n trajectories: log L (n,) and its derivatives (n, p) by the unconstrained numbers of the parameters."""
+
+    values: np.ndarray
+    scores: np.ndarray
+
+
+class Carried(NamedTuple):
+    """What one row hands to the next: the belief, T of every particle (p, N), whether it has begun, and log L."""
+
+    belief: Particles
+    owed: Any
+    begun: Any
+    value: Any
+
+
+def marginal_scores(tracker: Tracker, batch: Batch, tune: str | Sequence[str]) -> MarginalScores:
+    """log L and its gradient by the tunables that the patterns name, with the tracker's own particles.
+
+    A track begins once and is never given up. Raises ValueError for a tracker without particles, for a motion whose
+    noise does not reach every component of its state (system B: the place follows from the speed), and where a figure
+    is not finite.
+    """
+    if not isinstance(tracker.filter, ParticleFilter):
+        raise ValueError(f"a marginal score is one of particles, found the filter {type(tracker.filter).__name__}")
+    parameters = chosen(tracker, tune)
+    model = prepared(tracker, batch.dt.dtype)
+    vector = jnp.asarray(flatten(parameters), batch.dt.dtype)
+
+    at_once = max(1, PAIRS // tracker.filter.n_particles**2)
+
+    def one(lane: Batch) -> tuple[Any, Any]:
+        return _of_lane(lambda v: resolved(placed_in(model, parameters, v)), vector, lane)
+
+    lanes = jax.tree_util.tree_map(lambda x: jnp.moveaxis(jnp.asarray(x), -1, 0), batch)
+    values, scores = jax.jit(lambda lanes: jax.lax.map(one, lanes, batch_size=at_once))(lanes)
+    if not np.all(np.isfinite(values)) or not np.all(np.isfinite(scores)):
+        lane = int(np.argmin(np.isfinite(np.asarray(values)) & np.isfinite(np.asarray(scores)).all(axis=1)))
+        raise ValueError(f"the score of trajectory {lane} is not finite: its particles died out, or it never began")
+    return MarginalScores(np.asarray(values), np.asarray(scores))
+
+
+def _of_lane(model: Any, vector: Any, lane: Batch) -> tuple[Any, Any]:
+    tracker: Tracker = model(vector)
+    rows = Row(lane.dt, lane.valid, lane.readings, lane.inputs, None, jnp.arange(len(lane.dt), dtype=jnp.uint32))
+
+    def start(row: Row) -> Carried:
+        found = jax.lax.stop_gradient(tracker.start.acquire(tracker.sensors, row))
+        belief = begun(tracker, found, row).belief
+
+        def density(v: Any) -> Any:
+            return normal_density(model(v).start.begin(found, row), belief.states)
+
+        return Carried(belief, jax.jacfwd(density)(vector).T, row.valid & tracker.start.ready(row), 0.0 * row.dt)
+
+    def step(carried: Carried, row: Row) -> tuple[Carried, None]:
+        row = row._replace(key=lane.key)
+        went = _row(model, vector, carried, row)
+        fresh = start(row)
+        kept = _select(carried.begun & row.valid, went, carried)
+        return _select(~carried.begun & fresh.begun, fresh, kept), None
+
+    first = jax.tree_util.tree_map(lambda x: x[0], rows)._replace(key=lane.key)
+    begin = start(first)
+    check_transition_density(
+        tracker.motion, jax.tree_util.tree_map(lambda x: x[..., 0], begin.belief.states), first.inputs
+    )
+    empty = jax.tree_util.tree_map(jnp.zeros_like, begin)
+    last, _ = jax.lax.scan(step, empty, rows)
+    score = jnp.sum(jnp.exp(last.belief.log_weights)[None, :] * last.owed, axis=-1)
+    return jnp.where(last.begun, last.value, jnp.nan), score
+
+
+def _row(model: Any, vector: Any, carried: Carried, row: Row) -> Carried:
+    """One row of a track that has begun."""
+    tracker: Tracker = model(vector)
+    before = carried.belief
+    moved = belief = tracker.filter.predict(before, tracker.motion, row.inputs, row.dt)
+
+    def moves(v: Any) -> Any:
+        return _pairs(model(v), before.states, moved.states, row)
+
+    logits = before.log_weights[None, :] + moves(vector)
+    shares = jax.nn.softmax(logits, axis=1)
+    slopes = jax.jacfwd(moves)(vector)
+    owed = jnp.einsum("ij,pj->pi", shares, carried.owed, precision="highest")
+    owed = owed + jnp.where(row.dt > 0, jnp.einsum("ij,ijp->pi", shares, slopes, precision="highest"), 0.0)
+    value = carried.value
+    for name in tracker.sensors:
+        reading = row.readings[name]
+
+        def densities(v: Any, name: str = name, reading: Any = reading) -> Any:
+            placed: Tracker = model(v)
+            return weighed(moved.states, placed.motion, placed.sensors[name], reading, row.inputs).log_density
+
+        owed = owed + jax.jacfwd(densities)(vector).T
+        belief, said = tracker.filter.update(belief, tracker.motion, tracker.sensors[name], reading, row.inputs)
+        value = value + said.log_likelihood
+    return Carried(belief, owed, carried.begun, value)
+
+
+def _pairs(tracker: Tracker, before: Any, after: Any, row: Row) -> Any:
+    """log p (N, N) of every state after (rows) given every state before; in no time a state stays what it is."""
+    potential, motion = tracker.filter.potential, tracker.motion
+
+    def density(old: Any, new: Any) -> Any:
+        moved = transition_log_density(motion, old, new, row.inputs, jnp.where(row.dt > 0, row.dt, 1.0))
+        if potential is not None:
+            moved = moved + potential.log_weight(motion.view(old), motion.view(new))
+        leaves = zip(jax.tree_util.tree_leaves(old), jax.tree_util.tree_leaves(new), strict=True)
+        same = jnp.all(jnp.stack([jnp.all(a == b) for a, b in leaves]))
+        return jnp.where(row.dt > 0, moved, jnp.where(same, 0.0, NOTHING))
+
+    return jax.vmap(lambda new: jax.vmap(lambda old: density(old, new), in_axes=-1)(before), in_axes=-1)(after)
+
+
+def _select(condition: Any, yes: Any, no: Any) -> Any:
+    return jax.tree_util.tree_map(lambda a, b: jnp.where(condition, a, b), yes, no)
