@@ -21,7 +21,7 @@ from sim.tables.line import simulated_line
 from sim.tables.phases import as_folder
 from sim.tables.ranging import simulated_ranging
 from sim.tables.uwb_imu import simulated_uwb_imu
-from trackers.recordings.folder import Folder
+from trackers.recordings.folder import RecordingFolder
 
 Ids = np.ndarray
 
@@ -38,7 +38,7 @@ def station(
     gauss_markov: float = 0.0,
     lost_station: str | None = None,
     masked_antenna: tuple[str, int] | None = None,
-) -> Folder:
+) -> RecordingFolder:
     """Beacons at the 24 GHz work station of three arrays: phases. What the numbers mean: `trackwright simulate --help`.
 
     Raises ValueError for a path, station or antenna that isn't there.
@@ -65,7 +65,7 @@ def station(
     return as_folder(world, f"simulated-{path}-{seed}")
 
 
-def line(ids: Ids, seed: int, situation: str = "halts", speed: float = 0.3, rate_hz: float = 5.0) -> Folder:
+def line(ids: Ids, seed: int, situation: str = "halts", speed: float = 0.3, rate_hz: float = 5.0) -> RecordingFolder:
     """Tags on the assembly line of known path: fixes. What the numbers mean: `trackwright simulate-line --help`."""
     world = simulate_line(situation, ids.tolist(), seed, speed=speed, rate_hz=rate_hz)
     return simulated_line(world, f"simulated-line-{situation}-{seed}")
@@ -80,7 +80,7 @@ def ranges(
     bias: float = 0.05,
     hidden: float = 0.1,
     lost: float = 0.1,
-) -> Folder:
+) -> RecordingFolder:
     """Hand-held UWB tags in a room with four anchors: ranges. See `trackwright simulate-ranges --help`."""
     pieces: dict[str, Corruption] = {}
     if bias > 0:
@@ -97,7 +97,9 @@ def ranges(
     return simulated_ranging(world, f"simulated-ranges-{seed}")
 
 
-def tool(ids: Ids, seed: int, rows: int = 800, rate_hz: float = 40.0, gap: Sequence[float] | None = None) -> Folder:
+def tool(
+    ids: Ids, seed: int, rows: int = 800, rate_hz: float = 40.0, gap: Sequence[float] | None = None
+) -> RecordingFolder:
     """Hand tools with a UWB tag and an IMU: ranges and IMU. See `trackwright simulate-imu --help`."""
     silent = None if gap is None else (gap[0], gap[1])
     world = imu.simulate_uwb_imu(
@@ -114,7 +116,7 @@ def agv(
     wild: float = 0.0,
     latency: float = 0.0,
     mirror: float = 0.0,
-) -> Folder:
+) -> RecordingFolder:
     """Vehicles round a workstation: fixes that drift. See `trackwright simulate-agv --help`."""
     # What depends on where the tag was comes before what adds noise.
     pieces: dict[str, Corruption] = {}
@@ -135,7 +137,7 @@ def _index(names: list[str], name: str, number: str) -> int:
     return names.index(name)
 
 
-WORLDS: Mapping[str, Callable[..., Folder]] = MappingProxyType(
+WORLDS: Mapping[str, Callable[..., RecordingFolder]] = MappingProxyType(
     {"station": station, "line": line, "ranges": ranges, "tool": tool, "agv": agv}
 )
 """Worlds by the name that a study in TOML calls them by."""

@@ -12,10 +12,10 @@ from trackers.core.algebra import total
 from trackers.core.ekf import Gaussian
 from trackers.core.recording import Readings, Recording
 from trackers.core.sensor import AbstractSensor, Channel, independent
-from trackers.core.track_loss import LossPolicy
+from trackers.core.track_loss import TrackLossPolicy
 from trackers.core.tracker import AbstractStart
 
-NEVER_LOST = LossPolicy(limit=np.inf, patience=np.inf)
+NEVER_LOST = TrackLossPolicy(nis_limit=np.inf, max_gap=np.inf)
 
 
 class KnownStart(AbstractStart):
@@ -26,7 +26,7 @@ class KnownStart(AbstractStart):
     def ready(self, row):
         return row.dt == row.dt
 
-    def acquire(self, sensors, row):
+    def candidate(self, sensors, row):
         return row.dt
 
     def begin(self, found, row):

@@ -79,4 +79,4 @@ def test_every_place_in_the_code_that_a_page_names_exists(page):
 def test_every_link_of_the_readme_leads_to_a_file():
     links = re.findall(r"\]\(([^)#:]+)\)", (ROOT / "README.md").read_text(encoding="utf-8"))
     assert links
-    assert all((ROOT / link).is_file() for link in links)
+    assert all((ROOT / rts_gain).is_file() for rts_gain in links)

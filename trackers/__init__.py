@@ -25,7 +25,7 @@ from trackers.core.crlb import posterior_bound
 from trackers.core.ekf import ExtendedKalman, Gaussian
 from trackers.core.estimates import Estimates, Status
 from trackers.core.imm import InteractingModels, SwitchingMotion
-from trackers.core.metrics import bias, consistency, coverage, error_figures, nees, rmse, time_lost
+from trackers.core.metrics import bias, consistency, coverage, error_metrics, nees, rmse, time_lost
 from trackers.core.motion import (
     AbstractMotion,
     Accelerated,
@@ -41,7 +41,7 @@ from trackers.core.rig import Rig, Station, Tag
 from trackers.core.rts import Smoothed
 from trackers.core.sensor import AbstractSensor, Channel, Reading, Residual, independent
 from trackers.core.state import Heading, Rotation, wrap
-from trackers.core.track_loss import LossPolicy
+from trackers.core.track_loss import TrackLossPolicy
 from trackers.core.tracker import AbstractStart, AbstractTracker, Row, Tracker
 from trackers.core.tunable import Covariance, Fraction, Real, Scale, tunables
 from trackers.line.grid import GridFilter
@@ -96,7 +96,6 @@ __all__ = [
     "InteractingModels",
     "Kinematic",
     "LineMotion",
-    "LossPolicy",
     "MovingWindow",
     "NearbyStart",
     "ParticleFilter",
@@ -123,6 +122,7 @@ __all__ = [
     "Strapdown",
     "SwitchingMotion",
     "Tag",
+    "TrackLossPolicy",
     "Tracker",
     "Vector",
     "beam_tracker",
@@ -139,7 +139,7 @@ __all__ = [
     "diagonal",
     "direct_tracker",
     "double_sided",
-    "error_figures",
+    "error_metrics",
     "fix_tracker",
     "in_plane_beam_tracker",
     "independent",

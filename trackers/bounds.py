@@ -14,36 +14,39 @@ from trackers.core.ekf import ExtendedKalman
 from trackers.core.motion import Kinematic
 from trackers.core.recording import Batch, stack
 from trackers.core.tracker import AbstractTracker, Row, Tracker
-from trackers.recordings.folder import Folder
-from trackers.recordings.tracker_spec import Group
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.tracker_spec import TrackerBatch
 
 RUNS = 256
 """Runs over which the information is averaged at most."""
 
 
-def bounds_of(folder: Folder, groups: Sequence[Group]) -> tuple[np.ndarray, np.ndarray] | None:
+def bounds_of(folder: RecordingFolder, groups: Sequence[TrackerBatch]) -> tuple[np.ndarray, np.ndarray] | None:
     """Times (t,) s and bounds (t, 3) m of a recording's positions; None where there is no such bound.
 
     Averaged over the recording's tags where they share their times, else of its first tag; over the rows at which the
     truth is known. The true velocity is the truth's difference quotient.
     """
-    mine = [(g, lane) for g in groups for lane in g.lanes if lane.folder is folder]
+    mine = [(g, trajectory) for g in groups for trajectory in g.trajectories if trajectory.folder is folder]
     if not mine or not isinstance(mine[0][0].tracker, Tracker) or mine[0][1].station:
         return None
     tracker, first = mine[0][0].tracker, mine[0][1].recording
     # A bound is of one filter's position and velocity at the rows' own times.
-    if not isinstance(tracker.filter, ExtendedKalman) or type(tracker).dated is not AbstractTracker.dated:
+    if (
+        not isinstance(tracker.filter, ExtendedKalman)
+        or type(tracker).at_valid_time is not AbstractTracker.at_valid_time
+    ):
         return None
     known = first.truth["position"][1]
     if known.sum() < 3:
         return None
     rows = slice(int(np.argmax(known)), len(known) - int(np.argmax(known[::-1])))
     same = [
-        lane.recording
-        for group, lane in mine[:RUNS]
+        trajectory.recording
+        for group, trajectory in mine[:RUNS]
         if group is mine[0][0]
-        and np.array_equal(lane.recording.times, first.times)
-        and np.array_equal(lane.recording.truth["position"][1], known)
+        and np.array_equal(trajectory.recording.times, first.times)
+        and np.array_equal(trajectory.recording.truth["position"][1], known)
     ]
     batch = stack(same).rows(rows)
     if not _is_kinematic(tracker, batch):
@@ -68,6 +71,6 @@ def _is_kinematic(tracker: Tracker, batch: Batch) -> bool:
     first = jax.tree_util.tree_map(lambda x: x[0, ..., 0], row)
 
     def begun(first: Row) -> Any:
-        return tracker.start.begin(tracker.start.acquire(tracker.sensors, first), first).mean
+        return tracker.start.begin(tracker.start.candidate(tracker.sensors, first), first).mean
 
     return isinstance(jax.eval_shape(begun, first), Kinematic)

@@ -1,4 +1,4 @@
-"""The trackers that the command line knows, by name, and the groups of lanes that they run."""
+"""The trackers that the command line knows, by name, and the groups of trajectories that they run."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from trackers.baselines import rows as baselines
 from trackers.core.errors import UnusableInput
 from trackers.line import rows as line
 from trackers.mhk import rows as mhk
-from trackers.recordings.folder import Folder
-from trackers.recordings.tracker_spec import Entry, Group
-from trackers.recordings.trajectories import Lane
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.tracker_spec import TrackerBatch, TrackerSpec
+from trackers.recordings.trajectories import Trajectory
 from trackers.uwb_imu import inertial_rows as uwb_imu
 from trackers.uwb_imu import range_rows as uwb
 
-TRACKERS: dict[str, Entry] = {
+TRACKERS: dict[str, TrackerSpec] = {
     **aoa.TRACKERS,
     **line.TRACKERS,
     **uwb_imu.TRACKERS,
@@ -29,7 +29,7 @@ TRACKERS: dict[str, Entry] = {
 """In the order in which they are tried where none is named."""
 
 
-def fitting(folder: Folder) -> str:
+def fitting(folder: RecordingFolder) -> str:
     """The name of the tracker that fits the folder's tables; raises UnusableInput where none does."""
     for name, entry in TRACKERS.items():
         if entry.lacks(folder) is None and entry.automatic(folder):
@@ -41,17 +41,17 @@ def fitting(folder: Folder) -> str:
     )
 
 
-def groups(folders: Sequence[Folder], name: str, free_height: bool) -> list[Group]:
-    """The lanes of all folders for the named tracker, batched where one tracker serves them; raises UnusableInput."""
+def groups(folders: Sequence[RecordingFolder], name: str, free_height: bool) -> list[TrackerBatch]:
+    """The trajectories of all folders for the named tracker, batched where one tracker serves them; raises UnusableInput."""
     entry = TRACKERS.get(name)
     if entry is None:
         raise UnusableInput(f"--tracker {name}: unknown; expected one of {', '.join(TRACKERS)}")
     return grouped(folders, entry, name, free_height)
 
 
-def grouped(folders: Sequence[Folder], entry: Entry, name: str, free_height: bool) -> list[Group]:
-    """The lanes of all folders for a tracker's entry, batched where one tracker serves them; raises UnusableInput."""
-    batches: dict[tuple[bool, Hashable], list[Lane]] = defaultdict(list)
+def grouped(folders: Sequence[RecordingFolder], entry: TrackerSpec, name: str, free_height: bool) -> list[TrackerBatch]:
+    """The trajectories of all folders for a tracker's entry, batched where one tracker serves them; raises UnusableInput."""
+    batches: dict[tuple[bool, Hashable], list[Trajectory]] = defaultdict(list)
     for folder in folders:
         lacking = entry.lacks(folder)
         if lacking is not None:
@@ -59,6 +59,9 @@ def grouped(folders: Sequence[Folder], entry: Entry, name: str, free_height: boo
                 f"{folder.path or folder.name}: tracker '{name}' needs {lacking}; its tables: "
                 f"{', '.join(folder.tables)}"
             )
-        for lane in entry.lanes(folder, free_height):
-            batches[entry.planar(lane, free_height), entry.geometry(lane)].append(lane)
-    return [Group(entry.build(lanes[0], planar), lanes, planar) for (planar, _), lanes in batches.items()]
+        for trajectory in entry.trajectories(folder, free_height):
+            batches[entry.planar(trajectory, free_height), entry.geometry(trajectory)].append(trajectory)
+    return [
+        TrackerBatch(entry.build(trajectories[0], planar), trajectories, planar)
+        for (planar, _), trajectories in batches.items()
+    ]

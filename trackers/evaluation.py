@@ -17,7 +17,7 @@ import polars as pl
 from trackers.core import metrics
 from trackers.core.errors import UnusableInput
 from trackers.core.rig import Station
-from trackers.recordings.truth import Matched, Verdict, is_bearing, match_truth, numbers, track_keys, true_bearings
+from trackers.recordings.truth import Matched, TruthStatus, is_bearing, match_truth, numbers, track_keys, true_bearings
 
 Figures = dict[str, Any]
 
@@ -90,13 +90,13 @@ def _figures(matched: Matched, judged: _Judged, first: int, end: int) -> Figures
     """The figures of the tracks from `first` up to `end`."""
     begin, stop = matched.starts[first], matched.starts[end]
     part = slice(*np.searchsorted(judged.index, (begin, stop)))
-    tally = np.bincount(matched.verdict[begin:stop], minlength=len(Verdict)).tolist()
+    tally = np.bincount(matched.verdict[begin:stop], minlength=len(TruthStatus)).tolist()
     found: Figures = {
         "n": int(part.stop - part.start),
         "n_rows": int(stop - begin),
-        "n_no_estimate": tally[Verdict.NO_ESTIMATE],
-        "n_no_truth": tally[Verdict.NO_TRUTH],
-        "n_hole": tally[Verdict.HOLE],
+        "n_no_estimate": tally[TruthStatus.NO_ESTIMATE],
+        "n_no_truth": tally[TruthStatus.NO_TRUTH],
+        "n_hole": tally[TruthStatus.HOLE],
     }
     found |= _errors_of(judged.errors[part], None if judged.apart is None else judged.apart[part])
     found |= _belief(judged.nees[part], 2, "")
@@ -124,7 +124,7 @@ def _errors_of(errors: np.ndarray, apart: np.ndarray | None) -> Figures:
     named = {
         name + suffix: value
         for suffix, values in parts.items()
-        for name, value in metrics.error_figures(values)._asdict().items()
+        for name, value in metrics.error_metrics(values)._asdict().items()
     }
     return named | bias
 
@@ -199,7 +199,7 @@ def last_of_every(matched: Matched, every: float) -> np.ndarray:
 def _refuse_without_overlap(matched: Matched, truths: Mapping[str, pl.DataFrame]) -> None:
     if matched.counts.any():
         return
-    rows, usable = matched.rows, matched.verdict != Verdict.NO_ESTIMATE
+    rows, usable = matched.rows, matched.verdict != TruthStatus.NO_ESTIMATE
     expected = "expected estimates inside the span of a truth of the same recording and tag"
     if not usable.any():
         raise UnusableInput(

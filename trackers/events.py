@@ -9,8 +9,8 @@ import polars as pl
 
 from trackers.line.leaving import absences
 from trackers.line.rows import path_of
-from trackers.recordings.tracker_spec import Entry, Group
-from trackers.recordings.trajectories import Lane
+from trackers.recordings.tracker_spec import TrackerBatch, TrackerSpec
+from trackers.recordings.trajectories import Trajectory
 from trackers.recordings.truth import numbers, track_keys
 
 EVENTS = "events.parquet"
@@ -21,7 +21,7 @@ TOLERANCE, CERTAIN = 0.2, 0.5
 _WORDS = {"lost": "lost", "restarted": "found again"}
 
 
-def events_of(tracks: pl.DataFrame, entry: Entry, groups: Sequence[Group]) -> pl.DataFrame:
+def events_of(tracks: pl.DataFrame, entry: TrackerSpec, groups: Sequence[TrackerBatch]) -> pl.DataFrame:
     """One row per event: whose track (recording, tag, station for bearings), `t_s`, `event` in words, `detail`."""
     keys = track_keys(tracks)
     changed = (pl.col("status") != pl.col("status").shift(1).over(keys)).fill_null(True)
@@ -33,23 +33,27 @@ def events_of(tracks: pl.DataFrame, entry: Entry, groups: Sequence[Group]) -> pl
     ]
     look = entry.events or (None if entry.bearing_only else off_the_path)
     if look is not None:
-        lanes = {(lane.folder.name, lane.tag): lane for group in groups for lane in group.lanes}
-        for (recording, tag), lane in lanes.items():
+        trajectories = {
+            (trajectory.folder.name, trajectory.tag): trajectory
+            for group in groups
+            for trajectory in group.trajectories
+        }
+        for (recording, tag), trajectory in trajectories.items():
             mine = tracks.filter((pl.col("recording") == recording) & (pl.col("tag") == tag))
-            table = pl.DataFrame(look(lane, mine), schema=_COLUMNS, orient="row")
+            table = pl.DataFrame(look(trajectory, mine), schema=_COLUMNS, orient="row")
             found.append(table.select(pl.lit(recording).alias("recording"), pl.lit(tag).alias("tag"), *_COLUMNS))
     return pl.concat(found, how="diagonal").sort([*keys, "t_s"], maintain_order=True)
 
 
-def off_the_path(lane: Lane, tracks: pl.DataFrame) -> list[tuple[float, str, str]]:
+def off_the_path(trajectory: Trajectory, tracks: pl.DataFrame) -> list[tuple[float, str, str]]:
     """When a freely tracked tag was off the prescribed path of its rig: the alarm of Kwon et al. 2021, section 1.
 
     An estimate is off by what it lies beyond `TOLERANCE` and twice its own spread.
     """
     known = tracks.filter(pl.all_horizontal(pl.col("x_m", "y_m").is_finite()))
-    if lane.folder.rig.path_knots is None or known.is_empty():
+    if trajectory.folder.rig.path_knots is None or known.is_empty():
         return []
-    path = path_of(lane.folder)
+    path = path_of(trajectory.folder)
     times, places = numbers(known, "t_s"), np.stack([numbers(known, f"{a}_m") for a in "xy"], axis=1)
     spread = np.nan_to_num(np.hypot(numbers(known, "std_x_m"), numbers(known, "std_y_m")))
     rows: list[tuple[float, str, str]] = []

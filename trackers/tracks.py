@@ -1,4 +1,4 @@
-"""Run trackers over lanes and write what they estimate as a table."""
+"""Run trackers over trajectories and write what they estimate as a table."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from trackers.core.chunks import CHUNK
 from trackers.core.estimates import Estimates, Status
 from trackers.core.recording import Batch, stack
 from trackers.core.tracker import AbstractTracker
-from trackers.recordings.tracker_spec import Group
-from trackers.recordings.trajectories import Lane, shown_height
+from trackers.recordings.tracker_spec import TrackerBatch
+from trackers.recordings.trajectories import Trajectory, known_heights
 
 TRACKS = "tracks.parquet"
 WORDS = {
@@ -26,14 +26,14 @@ WORDS = {
 }
 AXES = "xyz"
 
-TOGETHER = 8 * CHUNK
+MAX_BATCH = 8 * CHUNK
 """Trajectories in memory at once: as many on every machine, since a batch's last chunk has a shape of its own."""
 
 
-def batches(lanes: Sequence[Lane]) -> list[tuple[list[Lane], Batch]]:
-    """The lanes in batches of at most `TOGETHER`, those of like length together, padded to few lengths."""
-    ordered = sorted(lanes, key=lambda lane: len(lane.recording))
-    parts = [ordered[k : k + TOGETHER] for k in range(0, len(ordered), TOGETHER)]
+def batches(trajectories: Sequence[Trajectory]) -> list[tuple[list[Trajectory], Batch]]:
+    """The trajectories in batches of at most `MAX_BATCH`, those of like length together, padded to few lengths."""
+    ordered = sorted(trajectories, key=lambda trajectory: len(trajectory.recording))
+    parts = [ordered[k : k + MAX_BATCH] for k in range(0, len(ordered), MAX_BATCH)]
     return [(part, stack([x.recording for x in part], rows=rounded(len(part[-1].recording)))) for part in parts]
 
 
@@ -43,34 +43,34 @@ def rounded(rows: int) -> int:
     return -(-rows // step) * step
 
 
-def track(groups: Sequence[Group], advance: Callable[[int], None]) -> tuple[pl.DataFrame, dict[str, int]]:
-    """The estimates of all groups as one table, and how often each verdict was given; `advance` counts lanes done."""
+def track(groups: Sequence[TrackerBatch], advance: Callable[[int], None]) -> tuple[pl.DataFrame, dict[str, int]]:
+    """The estimates of all groups as one table, and how often each verdict was given; `advance` counts trajectories done."""
     tables: list[pl.DataFrame] = []
     verdicts: dict[str, int] = {}
     for group in groups:
-        for lanes, batch in batches(group.lanes):
+        for trajectories, batch in batches(group.trajectories):
             estimates = group.tracker.run(batch)
-            for k, lane in enumerate(lanes):
+            for k, trajectory in enumerate(trajectories):
                 one = estimates[k]
                 verdict = re.split(r":| \d+ times| at row \d+", one.verdict())[0]
                 verdicts[verdict] = verdicts.get(verdict, 0) + 1
-                tables.append(_table(lane, group.tracker, one))
-            advance(len(lanes))
+                tables.append(_table(trajectory, group.tracker, one))
+            advance(len(trajectories))
     return pl.concat(tables, how="diagonal").sort(["recording", "tag", "t_s"], maintain_order=True), verdicts
 
 
-def _table(lane: Lane, tracker: AbstractTracker, estimates: Estimates) -> pl.DataFrame:
-    """One lane's estimates, the last of each time, at the times for which they are valid."""
-    recording = lane.recording
+def _table(trajectory: Trajectory, tracker: AbstractTracker, estimates: Estimates) -> pl.DataFrame:
+    """One trajectory's estimates, the last of each time, at the times for which they are valid."""
+    recording = trajectory.recording
     rows = len(recording)
-    times, estimates = tracker.dated(recording.times, estimates[:rows])
+    times, estimates = tracker.at_valid_time(recording.times, estimates[:rows])
     last = np.append(np.diff(recording.times) > 0, True)
     status = estimates.status[:rows]
     usable = estimates.usable[:rows]
-    columns = angles(estimates) if lane.station else _positions(estimates, shown_height(lane), rows)
-    ids: dict[str, Any] = {"recording": lane.folder.name, "tag": lane.tag}
-    if lane.station:
-        ids["station"] = lane.station
+    columns = angles(estimates) if trajectory.station else _positions(estimates, known_heights(trajectory), rows)
+    ids: dict[str, Any] = {"recording": trajectory.folder.name, "tag": trajectory.tag}
+    if trajectory.station:
+        ids["station"] = trajectory.station
     known = {name: np.where(usable, np.asarray(x)[:rows].astype(float), np.nan)[last] for name, x in columns.items()}
     said = {"nis": estimates.nis, "nis_dof": estimates.count, "log_likelihood": estimates.log_likelihood}
     return pl.DataFrame(

@@ -4,9 +4,9 @@ from tuning.consistency import Consistency as Consistency
 from tuning.first_guess import first_guess as first_guess
 from tuning.fit import FitResult as FitResult
 from tuning.fit import fit as fit
-from tuning.identifiability import judgements as judgements
+from tuning.identifiability import identifiability_issues as identifiability_issues
 from tuning.marginal_score import marginal_scores as marginal_scores
-from tuning.metrics import every_figure as every_figure
+from tuning.metrics import all_metrics as all_metrics
 from tuning.metrics import parse_objective as parse_objective
 from tuning.objectives import NegativeLogLikelihood as NegativeLogLikelihood
 from tuning.objectives import RootMeanSquareError as RootMeanSquareError
@@ -31,11 +31,11 @@ __all__ = [
     "RootMeanSquareError",
     "StateLogLikelihood",
     "Weighted",
+    "all_metrics",
     "bootstrap",
-    "every_figure",
     "first_guess",
     "fit",
-    "judgements",
+    "identifiability_issues",
     "marginal_scores",
     "parse_objective",
     "profile",

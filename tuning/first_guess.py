@@ -21,7 +21,7 @@ from trackers.core.tracker import AbstractTracker, Output
 from trackers.core.tunable import Covariance, Scale, matching, replaced, tunables
 from tuning.differences import levels_of_places
 from tuning.objectives import AbstractObjective, NegativeLogLikelihood, Truth
-from tuning.parameters import Parameter, flatten, placed_in
+from tuning.parameters import Parameter, flatten, with_parameters
 from tuning.problem import Problem
 
 ROWS, PIECES, HEAVY_PIECES = 400, 16, 4
@@ -96,7 +96,7 @@ def first_guess(
     search.restore(flatten(parameters))
     for _ in range(ROUNDS):
         search.each_alone()
-    return placed_in(tracker, parameters, search.vector) if np.isfinite(search.value) else tracker
+    return with_parameters(tracker, parameters, search.vector) if np.isfinite(search.value) else tracker
 
 
 def _groups(parameters: Sequence[Parameter]) -> tuple[np.ndarray, np.ndarray]:
@@ -122,20 +122,20 @@ def looked_at(batches: Sequence[Batch], pieces: int) -> Batch:
     """At most so many pieces of at most `ROWS` rows, evenly over all rows of all recordings."""
     rows = min(ROWS, max(len(batch.dt) for batch in batches))
     whole = [
-        (b, lane, start)
+        (b, trajectory, start)
         for b, batch in enumerate(batches)
-        for lane, length in enumerate(np.asarray(batch.valid).sum(axis=0))
+        for trajectory, length in enumerate(np.asarray(batch.valid).sum(axis=0))
         for start in range(0, int(length), rows)
         if start == 0 or length - start >= rows // 2
     ]
     picked = [whole[k] for k in np.unique(np.linspace(0, len(whole) - 1, min(pieces, len(whole))).astype(int))]
 
-    def cut(b: int, lane: int, start: int) -> Batch:
+    def cut(b: int, trajectory: int, start: int) -> Batch:
         def part(x: Any) -> np.ndarray:
-            piece = np.asarray(x)[start : start + rows, ..., lane]
+            piece = np.asarray(x)[start : start + rows, ..., trajectory]
             return np.pad(piece, [(0, rows - len(piece))] + [(0, 0)] * (piece.ndim - 1))
 
-        key = np.asarray(batches[b].key)[:, lane]
+        key = np.asarray(batches[b].key)[:, trajectory]
         return jax.tree_util.tree_map(part, batches[b]._replace(key=None))._replace(key=key)
 
     return jax.tree_util.tree_map(lambda *x: np.stack(x, axis=-1), *(cut(*place) for place in picked))
@@ -147,7 +147,7 @@ def _tolerant(tracker: AbstractTracker) -> AbstractTracker:
     With noise levels far off, one that gives up by its usual limit would look for a new start on every other row.
     """
     limits = {name: node for name, node in tunables(tracker).items() if name.split(".")[-2:] == ["loss", "limit"]}
-    return replaced(tracker, {k: node.holding(TOLERANCE * np.asarray(node.value)) for k, node in limits.items()})
+    return replaced(tracker, {k: node.with_value(TOLERANCE * np.asarray(node.value)) for k, node in limits.items()})
 
 
 class _Search:
@@ -217,8 +217,8 @@ def _closed_forms(parameters: Sequence[Parameter], some: Batch) -> np.ndarray:
         level = found.level(parameter.names[0], kind.unit)
         if level is not None and isinstance(kind, Covariance):
             value = np.asarray(kind.value, float)
-            kind = kind.holding(value * (level**2 / np.mean(np.diagonal(value)[:2])))
+            kind = kind.with_value(value * (level**2 / np.mean(np.diagonal(value)[:2])))
         elif level is not None:
-            kind = kind.holding(np.full(np.shape(kind.raw), level))
+            kind = kind.with_value(np.full(np.shape(kind.raw), level))
         parts.append(np.ravel(np.asarray(kind.raw, float)))
     return np.concatenate(parts)[None]

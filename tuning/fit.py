@@ -15,7 +15,7 @@ from trackers.core.tracker import AbstractTracker
 from tuning.objectives import AbstractObjective
 from tuning.optimisation import Descent, FitState, enough, restored
 from tuning.optimisers import LBFGS, AbstractOptimiser, Adam, GaussNewton
-from tuning.parameters import Parameter, chosen, flatten, limits, physical, placed_in
+from tuning.parameters import Parameter, flatten, limits, physical, select_parameters, with_parameters
 from tuning.priors import Prior
 from tuning.problem import Problem
 from tuning.starts import coarse_grid
@@ -37,7 +37,7 @@ class Step:
 class FitResult:
     """A tuned tracker and how it came about.
 
-    `values`: physical, by label. `value`, `start_value`: the objective. `left_out`: trajectories without usable
+    `values`: physical, by label. `value`, `start_value`: the objective. `n_excluded`: trajectories without usable
     derivatives. `problem` and `vector`: the objective as a function, and where it is least. `uncertainty`: None where
     the fit was interrupted. `trace`: the steps of the start that won, the last one to the `vector`; `starts`: those of
     all. `before`: the tracker that the fit began with, tied numbers equal and bounded ones within their bounds.
@@ -48,7 +48,7 @@ class FitResult:
     values: dict[str, Any]
     value: float
     start_value: float
-    left_out: int
+    n_excluded: int
     problem: Problem
     vector: np.ndarray
     filter_runs: int
@@ -99,13 +99,13 @@ def fit(
     ends the fit there. Raises ValueError for patterns that name nothing or nothing that can be tied, for bounds without
     room, priors and Gauss-Newton without a likelihood; FloatingPointError where the objective is not finite at first.
     """
-    parameters = chosen(tracker, tune, frozen)
+    parameters = select_parameters(tracker, tune, frozen)
     if priors and not objective.is_likelihood:
         raise ValueError("priors are weighed against a likelihood; with another objective give bounds")
     if isinstance(optimiser, GaussNewton) and not objective.is_likelihood:
         raise ValueError("Gauss-Newton takes its steps from the innovations of a likelihood; use another optimiser")
-    lanes = chunk if minibatch is None else min(chunk, minibatch)
-    problem = Problem(tracker, _several(batches), objective, parameters, lanes, priors)
+    trajectories = chunk if minibatch is None else min(chunk, minibatch)
+    problem = Problem(tracker, _several(batches), objective, parameters, trajectories, priors)
     judge = Problem(tracker, _several(held_out), objective, parameters, chunk) if held_out else None
     low, high = limits(parameters, bounds or {})
     # An error has steps where a track is nearly lost, at which a line search ends; Adam goes over them.
@@ -116,7 +116,7 @@ def fit(
     if resume is not None:
         state = restored(optimiser, resume)
     else:
-        others = [flatten(chosen(guess, tune, frozen)) for guess in guesses]
+        others = [flatten(select_parameters(guess, tune, frozen)) for guess in guesses]
         state = begun(descent, np.stack([flatten(parameters), *others]), starts)
     try:
         report(state)
@@ -157,24 +157,24 @@ def _finished(tracker: AbstractTracker, descent: Descent, state: FitState, inter
         sure = assessed(problem, found, descent.resting(vector, found.gradient))
     # Of all trajectories, as at the start; an optimum's own figure leaves out those without usable derivatives.
     last = problem.evaluate(vector)
-    value, left_out = float(last.values[0]), problem.left_out
+    value, n_excluded = float(last.values[0]), problem.n_excluded
     # The steps of minibatches saw parts of the trajectories only.
     start_value = state.past_values[0, 0] if descent.minibatch is None else problem.evaluate(own).values[0]
     traces = [_trace(parameters, state, k) for k in range(len(state.vectors))]
     if not np.array_equal(vector, state.best_vectors[winner]):
         traces[winner].append(Step(value, float(np.linalg.norm(last.gradients)), named(parameters, vector)))
     return FitResult(
-        tracker=placed_in(tracker, parameters, vector),
+        tracker=with_parameters(tracker, parameters, vector),
         parameters=parameters,
         values=named(parameters, vector),
         value=value,
         start_value=float(start_value),
-        left_out=left_out,
+        n_excluded=n_excluded,
         problem=problem,
         vector=vector,
         filter_runs=int(state.filter_runs) + problem.filter_runs - effort,
         uncertainty=sure,
-        before=placed_in(tracker, parameters, own),
+        before=with_parameters(tracker, parameters, own),
         trace=traces[winner],
         starts=traces,
     )

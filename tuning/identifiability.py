@@ -18,14 +18,14 @@ LOOSE = 1.0
 
 
 @dataclass(frozen=True)
-class Judgement:
+class IdentifiabilityIssue:
     """What is wrong with a direction: `names` of the numbers that have a part in it, and what to tell the user."""
 
     names: tuple[str, ...]
     text: str
 
 
-def judgements(found: Uncertainty, slopes: np.ndarray) -> list[Judgement]:
+def identifiability_issues(found: Uncertainty, slopes: np.ndarray) -> list[IdentifiabilityIssue]:
     """What the recordings don't determine, worst first; nothing to say of a good fit.
 
     `slopes` (…, p, n): derivatives of trajectories' terms, as of `Evaluations`; where all are zero a number has no
@@ -35,11 +35,11 @@ def judgements(found: Uncertainty, slopes: np.ndarray) -> list[Judgement]:
     idle, void = without_effect(slopes), unused(found.parameters)
     nothing = np.flatnonzero(idle & ~void)
     without = [names[k] for k in nothing]
-    said = [Judgement(tuple(without), f"{_listed(without)} on the objective")] if without else []
+    said = [IdentifiabilityIssue(tuple(without), f"{_listed(without)} on the objective")] if without else []
     slope = found.optimum.gradient
-    said += [Judgement((names[k],), _at_its_bound(names[k], slope[k])) for k in np.flatnonzero(found.held)]
+    said += [IdentifiabilityIssue((names[k],), _at_its_bound(names[k], slope[k])) for k in np.flatnonzero(found.held)]
     if not found.settled:
-        return [*said, Judgement((), _elsewhere(found.astray))]
+        return [*said, IdentifiabilityIssue((), _elsewhere(found.distance_to_optimum))]
     lively = np.flatnonzero(~idle & ~void & ~found.held)
     if not len(lively) or not np.all(np.isfinite(found.optimum.hessian)):
         return said
@@ -59,9 +59,9 @@ def judgements(found: Uncertainty, slopes: np.ndarray) -> list[Judgement]:
     for own, ways in together.items():
         mine, theirs = [names[k] for k in own], [kinds[k] for k in own]
         if len(ways) == len(own) > 1:
-            said.append(Judgement(tuple(mine), _nothing(mine, min(deviation for _, deviation in ways))))
+            said.append(IdentifiabilityIssue(tuple(mine), _nothing(mine, min(deviation for _, deviation in ways))))
         else:
-            said += [Judgement(tuple(mine), _words(mine, theirs, *way)) for way in ways]
+            said += [IdentifiabilityIssue(tuple(mine), _words(mine, theirs, *way)) for way in ways]
     return said
 
 
@@ -75,8 +75,8 @@ def kinds_of(parameters: Sequence[Parameter]) -> list[type]:
     return [type(p.example) for p in parameters for _ in range(int(np.size(p.example.raw)))]
 
 
-def _elsewhere(astray: float) -> str:
-    away = f"{astray:.2g} standard deviations away" if astray < 100 else "far away"
+def _elsewhere(distance_to_optimum: float) -> str:
+    away = f"{distance_to_optimum:.2g} standard deviations away" if distance_to_optimum < 100 else "far away"
     return (
         f"the numbers are not where the objective is least on the recordings tuned on ({away}), and have no intervals: "
         "held-out recordings chose them, or the fit ended early, as it does where the objective is not smooth"

@@ -15,15 +15,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.chunks import prepared
+from trackers.core.chunks import as_dtype
 from trackers.core.particle.filter import ParticleFilter, Particles, weighed
 from trackers.core.particle.resampling import NOTHING
 from trackers.core.particle.score import normal_density
 from trackers.core.particle.transition import check_transition_density, transition_log_density
 from trackers.core.recording import Batch
 from trackers.core.tracker import Row, Tracker, begun
-from trackers.core.tunable import resolved
-from tuning.parameters import chosen, flatten, placed_in
+from trackers.core.tunable import freeze
+from tuning.parameters import flatten, select_parameters, with_parameters
 
 PAIRS = 2**18
 """Of particles, in as many trajectories as run together: more fill the memory of a small computer."""
@@ -54,29 +54,38 @@ def marginal_scores(tracker: Tracker, batch: Batch, tune: str | Sequence[str]) -
     """
     if not isinstance(tracker.filter, ParticleFilter):
         raise ValueError(f"a marginal score is one of particles, found the filter {type(tracker.filter).__name__}")
-    parameters = chosen(tracker, tune)
-    model = prepared(tracker, batch.dt.dtype)
+    parameters = select_parameters(tracker, tune)
+    model = as_dtype(tracker, batch.dt.dtype)
     vector = jnp.asarray(flatten(parameters), batch.dt.dtype)
 
-    at_once = max(1, PAIRS // tracker.filter.n_particles**2)
+    n_workers = max(1, PAIRS // tracker.filter.n_particles**2)
 
-    def one(lane: Batch) -> tuple[Any, Any]:
-        return _of_lane(lambda v: resolved(placed_in(model, parameters, v)), vector, lane)
+    def one(trajectory: Batch) -> tuple[Any, Any]:
+        return _of_trajectory(lambda v: freeze(with_parameters(model, parameters, v)), vector, trajectory)
 
-    lanes = jax.tree_util.tree_map(lambda x: jnp.moveaxis(jnp.asarray(x), -1, 0), batch)
-    values, scores = jax.jit(lambda lanes: jax.lax.map(one, lanes, batch_size=at_once))(lanes)
+    trajectories = jax.tree_util.tree_map(lambda x: jnp.moveaxis(jnp.asarray(x), -1, 0), batch)
+    values, scores = jax.jit(lambda trajectories: jax.lax.map(one, trajectories, batch_size=n_workers))(trajectories)
     if not np.all(np.isfinite(values)) or not np.all(np.isfinite(scores)):
-        lane = int(np.argmin(np.isfinite(np.asarray(values)) & np.isfinite(np.asarray(scores)).all(axis=1)))
-        raise ValueError(f"the score of trajectory {lane} is not finite: its particles died out, or it never began")
+        trajectory = int(np.argmin(np.isfinite(np.asarray(values)) & np.isfinite(np.asarray(scores)).all(axis=1)))
+        raise ValueError(
+            f"the score of trajectory {trajectory} is not finite: its particles died out, or it never began"
+        )
     return MarginalScores(np.asarray(values), np.asarray(scores))
 
 
-def _of_lane(model: Any, vector: Any, lane: Batch) -> tuple[Any, Any]:
+def _of_trajectory(model: Any, vector: Any, trajectory: Batch) -> tuple[Any, Any]:
     tracker: Tracker = model(vector)
-    rows = Row(lane.dt, lane.valid, lane.readings, lane.inputs, None, jnp.arange(len(lane.dt), dtype=jnp.uint32))
+    rows = Row(
+        trajectory.dt,
+        trajectory.valid,
+        trajectory.readings,
+        trajectory.inputs,
+        None,
+        jnp.arange(len(trajectory.dt), dtype=jnp.uint32),
+    )
 
     def start(row: Row) -> Carried:
-        found = jax.lax.stop_gradient(tracker.start.acquire(tracker.sensors, row))
+        found = jax.lax.stop_gradient(tracker.start.candidate(tracker.sensors, row))
         belief = begun(tracker, found, row).belief
 
         def density(v: Any) -> Any:
@@ -85,13 +94,13 @@ def _of_lane(model: Any, vector: Any, lane: Batch) -> tuple[Any, Any]:
         return Carried(belief, jax.jacfwd(density)(vector).T, row.valid & tracker.start.ready(row), 0.0 * row.dt)
 
     def step(carried: Carried, row: Row) -> tuple[Carried, None]:
-        row = row._replace(key=lane.key)
+        row = row._replace(key=trajectory.key)
         went = _row(model, vector, carried, row)
         fresh = start(row)
         kept = _select(carried.begun & row.valid, went, carried)
         return _select(~carried.begun & fresh.begun, fresh, kept), None
 
-    first = jax.tree_util.tree_map(lambda x: x[0], rows)._replace(key=lane.key)
+    first = jax.tree_util.tree_map(lambda x: x[0], rows)._replace(key=trajectory.key)
     begin = start(first)
     check_transition_density(
         tracker.motion, jax.tree_util.tree_map(lambda x: x[..., 0], begin.belief.states), first.inputs

@@ -11,7 +11,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.chunks import CHUNK, chunks, over_parts, prepared
+from trackers.core.chunks import CHUNK, as_dtype, chunks, run_chunks
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker
 from tuning.consistency import Consistency
@@ -65,7 +65,7 @@ def parse_objective(text: str, quantity: str = "position", dimensions: int = 2) 
     return only[0] if len(only) == 1 and weights == [1.0] else Weighted(tuple(only), tuple(weights))
 
 
-def every_figure(
+def all_metrics(
     tracker: AbstractTracker,
     batches: Batch | Sequence[Batch],
     quantity: str = "position",
@@ -91,8 +91,8 @@ def _figures(
     tracker: AbstractTracker, batches: Sequence[Batch], judges: Mapping[str, AbstractObjective], chunk: int
 ) -> dict[str, float]:
     every = Weighted(tuple(judges.values()), (1.0,) * len(judges)).informed(tracker)
-    model = prepared((tracker, every), batches[0].dt.dtype)
-    parts = over_parts(_sums, [(model, part) for batch in batches for part in chunks(batch, chunk)])
+    model = as_dtype((tracker, every), batches[0].dt.dtype)
+    parts = run_chunks(_sums, [(model, part) for batch in batches for part in chunks(batch, chunk)])
     sums = np.concatenate([np.asarray(part, float) for part in parts], axis=-1)
     figures = {}
     for name, judge, own in zip(judges, every.parts, every.shares(sums), strict=True):

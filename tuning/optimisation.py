@@ -56,7 +56,7 @@ class Descent:
     """What a fit's steps need beside its state.
 
     `low`, `high` (p,): bounds of the unconstrained vector. `held_out`: whose objective scores the points, and ends a
-    start that does not improve it in `patience` steps. `minibatch`: chunks per step, drawn anew for each from `seed`.
+    start that does not improve it in `max_gap` steps. `minibatch`: chunks per step, drawn anew for each from `seed`.
     """
 
     problem: Problem
@@ -65,7 +65,7 @@ class Descent:
     low: np.ndarray
     high: np.ndarray
     held_out: Problem | None = None
-    patience: int = 8
+    max_gap: int = 8
     minibatch: int | None = None
     seed: int = 0
 
@@ -121,7 +121,7 @@ class Descent:
         better = scores < state.best_scores
         stale = np.where(better, 0, state.stale + moved)
         resting = self.optimiser.descends & (before.values - found.values < self._enough(found))
-        patient = stale < self.patience if self.held_out is not None else True
+        patient = stale < self.max_gap if self.held_out is not None else True
         return _noted(
             state._replace(
                 number=np.array(number),

@@ -30,7 +30,9 @@ class Parameter:
     label: str
 
 
-def chosen(tracker: AbstractTracker, patterns: str | Sequence[str], frozen: Sequence[str] = ()) -> list[Parameter]:
+def select_parameters(
+    tracker: AbstractTracker, patterns: str | Sequence[str], frozen: Sequence[str] = ()
+) -> list[Parameter]:
     """The parameters that the patterns name, but for the `frozen`; `tied:PATTERN` makes one of all that match.
 
     Raises ValueError when there is no pattern, one matches nothing, tied tunables have different units or shapes, or
@@ -78,7 +80,7 @@ def limits(parameters: Sequence[Parameter], bounds: Mapping[str, tuple[float, fl
             shape = np.shape(parameters[k].example.raw)
             try:
                 low[k], high[k] = (
-                    np.asarray(parameters[k].example.holding(np.full(shape, x)).raw) for x in (lowest, highest)
+                    np.asarray(parameters[k].example.with_value(np.full(shape, x)).raw) for x in (lowest, highest)
                 )
             except ValueError as error:
                 raise ValueError(f"bounds for '{pattern}': {error}") from error
@@ -90,7 +92,7 @@ def with_raw(node: AbstractTunable, raw: Any) -> AbstractTunable:
     return eqx.tree_at(lambda n: n.raw, node, raw)
 
 
-def placed_in(tracker: Any, parameters: Sequence[Parameter], vector: Any) -> Any:
+def with_parameters(tracker: Any, parameters: Sequence[Parameter], vector: Any) -> Any:
     """The tracker with the parameters taken from an unconstrained vector; differentiable in the vector."""
     own = tunables(tracker)
     new: dict[str, AbstractTunable] = {}

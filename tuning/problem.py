@@ -10,13 +10,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.chunks import CHUNK, chunks, over_parts, prepared
+from trackers.core.chunks import CHUNK, as_dtype, chunks, run_chunks
 from trackers.core.particle.filter import ParticleFilter
 from trackers.core.recording import Batch
-from trackers.core.tracker import AbstractTracker, Tracker, is_heavy
+from trackers.core.tracker import AbstractTracker, Tracker, has_particle_axis
 from tuning.gauss_newton import row_terms
 from tuning.objectives import AbstractObjective
-from tuning.parameters import Parameter, placed_in
+from tuning.parameters import Parameter, with_parameters
 from tuning.priors import Penalty, Prior, penalty
 
 WIDTH = 8
@@ -42,7 +42,7 @@ class Evaluations(NamedTuple):
 class Problem:
     """The objective of a tracker over batches as a function of unconstrained vectors, compiled once per shape.
 
-    `filter_runs` counts trajectories filtered, one for each vector; `left_out`: trajectories without usable derivatives
+    `filter_runs` counts trajectories filtered, one for each vector; `n_excluded`: trajectories without usable derivatives
     at that one of the last vectors where they were fewest. `priors` count beside a likelihood; nothing else can be
     weighed against them.
     """
@@ -59,16 +59,16 @@ class Problem:
         self.priors = tuple(priors)
         self.objective, self.parameters = objective.informed(tracker), list(parameters)
         self.dtype = batches[0].dt.dtype
-        self.tracker = prepared(tracker, self.dtype)
+        self.tracker = as_dtype(tracker, self.dtype)
         self.chunks = [part for batch in batches for part in chunks(batch, chunk)]
         self.valid = np.concatenate([np.asarray(part.valid).any(axis=0) for part in self.chunks])
-        lanes = max(part.size for part in self.chunks)
+        trajectories = max(part.size for part in self.chunks)
         # As many vectors at once as keep a compiled call about as large as a full chunk. A filter with an axis of its
         # own gains nothing by more than one, and would compute both sides of its conditions at every row.
-        heavy = isinstance(self.tracker, Tracker) and is_heavy(self.tracker)
-        self.width = 1 if heavy else max(1, min(WIDTH, CHUNK // (1 << (lanes - 1).bit_length())))
+        heavy = isinstance(self.tracker, Tracker) and has_particle_axis(self.tracker)
+        self.width = 1 if heavy else max(1, min(WIDTH, CHUNK // (1 << (trajectories - 1).bit_length())))
         self.filter_runs = 0
-        self.left_out = 0
+        self.n_excluded = 0
 
     def evaluate(
         self,
@@ -93,7 +93,7 @@ class Problem:
         slope = _added(slopes, used * count)
         values, by_sum = (np.asarray(x, float) for x in figures(self.objective, jnp.asarray(sums)))
         valid = self._valid(parts)
-        self.left_out = int(np.min(np.sum(~used & valid, axis=1)))
+        self.n_excluded = int(np.min(np.sum(~used & valid, axis=1)))
         with np.errstate(invalid="ignore"):  # where nothing is scored figure and gradient are NaN
             gradients = np.einsum("sk,skp->sp", by_sum, slope)
         # The priors of a part of the trajectories weigh as much less as they are fewer.
@@ -152,7 +152,7 @@ class Problem:
         some = self.chunks if parts is None else [self.chunks[k] for k in parts]
         if self.random and turn:
             some = [fresh_keys(part, turn) for part in some]
-        found = over_parts(function, [(block, part) for part in some for block in blocks])
+        found = run_chunks(function, [(block, part) for part in some for block in blocks])
         return [
             tuple(np.concatenate([np.asarray(x, float) for x in xs])[:size] for xs in zip(*of_part, strict=True))
             for of_part in (found[k : k + len(blocks)] for k in range(0, len(found), len(blocks)))
@@ -226,7 +226,7 @@ class Point(eqx.Module):
     def placed(self, vector: Any) -> AbstractTracker:
         """The tracker with the parameters of one vector."""
         parts = zip(self.names, self.examples, self.labels, strict=True)
-        tracker: AbstractTracker = placed_in(self.tracker, [Parameter(*part) for part in parts], vector)
+        tracker: AbstractTracker = with_parameters(self.tracker, [Parameter(*part) for part in parts], vector)
         return tracker
 
     def each(self, function: Any) -> Any:

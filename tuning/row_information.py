@@ -16,10 +16,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.chunks import over_parts, prepared
+from trackers.core.chunks import as_dtype, run_chunks
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker
-from tuning.parameters import Parameter, placed_in
+from tuning.parameters import Parameter, with_parameters
 
 
 class RowInformation(NamedTuple):
@@ -51,8 +51,8 @@ def row_information(
     """
     dtype = parts[0].dt.dtype
     names, examples = tuple(p.names for p in parameters), tuple(p.example for p in parameters)
-    model = _Model(prepared(tracker, dtype), names, prepared(examples, dtype), jnp.asarray(vectors, dtype), block)
-    found = over_parts(_of_every_vector, [(model, part) for part in parts])
+    model = _Model(as_dtype(tracker, dtype), names, as_dtype(examples, dtype), jnp.asarray(vectors, dtype), block)
+    found = run_chunks(_of_every_vector, [(model, part) for part in parts])
     return RowInformation(*(np.concatenate([np.asarray(x, float) for x in xs], -1) for xs in zip(*found, strict=True)))
 
 
@@ -65,14 +65,14 @@ def _of_one(model: _Model, vector: jax.Array, batch: Batch) -> tuple[jax.Array, 
     parameters = [Parameter(n, e, "") for n, e in zip(model.names, model.examples, strict=True)]
 
     def rows(v: jax.Array) -> tuple[jax.Array, jax.Array]:
-        found = placed_in(model.tracker, parameters, v).scan(batch).log_likelihood
+        found = with_parameters(model.tracker, parameters, v).scan(batch).log_likelihood
         return found, found
 
     scores, log_likelihoods = jax.jacfwd(rows, has_aux=True)(vector)
-    count, lanes, p = scores.shape
+    count, trajectories, p = scores.shape
     blocks = -(-count // model.block)
-    padding = jnp.zeros((blocks * model.block - count, lanes, p), scores.dtype)
-    blocked = jnp.concatenate([scores, padding]).reshape(blocks, model.block, lanes, p).sum(axis=1)
-    # A product of scalars at a time: (blocks, lanes, p, p) at once would be p times the memory of the scores.
+    padding = jnp.zeros((blocks * model.block - count, trajectories, p), scores.dtype)
+    blocked = jnp.concatenate([scores, padding]).reshape(blocks, model.block, trajectories, p).sum(axis=1)
+    # A product of scalars at a time: (blocks, trajectories, p, p) at once would be p times the memory of the scores.
     information = [[jnp.sum(blocked[..., i] * blocked[..., j], axis=0) for j in range(p)] for i in range(p)]
     return jnp.sum(log_likelihoods, axis=0), jnp.sum(scores, axis=0).T, jnp.array(information)

@@ -25,7 +25,7 @@ REACH = (0.15, 2.0)
 """Least and most half width, in unconstrained numbers: from 15 % to a factor of 7 of a noise level."""
 
 
-def landscape_of(result: FitResult, sure: Uncertainty | None) -> Landscape | None:
+def surface_of(result: FitResult, sure: Uncertainty | None) -> Landscape | None:
     """The objective over one number, or over the two that are best determined; None where nothing is finite.
 
     As wide as the way of the best start and four standard errors, within `REACH`; cubic interpolation between the
@@ -79,7 +79,7 @@ def _sigmas(sure: Uncertainty | None) -> np.ndarray | None:
 def _way(result: FitResult) -> np.ndarray:
     """The unconstrained vectors (i, p) of the best start."""
     held = [
-        np.concatenate([np.ravel(p.example.holding(step.values[p.label]).raw) for p in result.parameters])
+        np.concatenate([np.ravel(p.example.with_value(step.values[p.label]).raw) for p in result.parameters])
         for step in result.trace
     ]
     return np.stack(held)

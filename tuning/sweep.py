@@ -16,7 +16,7 @@ from trackers.core.chunks import CHUNK
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker
 from tuning.objectives import AbstractObjective
-from tuning.parameters import TIED, Parameter, chosen
+from tuning.parameters import TIED, Parameter, select_parameters
 from tuning.problem import Problem
 
 AT_ONCE = 32
@@ -61,7 +61,7 @@ def swept_parameters(tracker: AbstractTracker, patterns: Sequence[str]) -> list[
     """A parameter for each pattern, of all that it names, kept equal; raises ValueError as `sweep` does."""
     if not 1 <= len(patterns) <= 2:
         raise ValueError(f"a sweep goes over one or two patterns, found {len(patterns)}")
-    parameters = chosen(tracker, [p if p.startswith(TIED) else TIED + p for p in patterns])
+    parameters = select_parameters(tracker, [p if p.startswith(TIED) else TIED + p for p in patterns])
     if len(parameters) < len(patterns):
         raise ValueError(f"the patterns {' and '.join(patterns)} name the same tunables")
     return parameters
@@ -76,7 +76,7 @@ def grid_vectors(parameters: Sequence[Parameter], grids: Sequence[np.ndarray]) -
     for parameter, mesh in zip(parameters, np.meshgrid(*grids, indexing="ij"), strict=True):
         shape = np.shape(parameter.example.raw)
         try:
-            held = [parameter.example.holding(np.full(shape, value)) for value in mesh.ravel()]
+            held = [parameter.example.with_value(np.full(shape, value)) for value in mesh.ravel()]
         except ValueError as error:
             raise ValueError(f"{parameter.label}: {error}") from error
         columns.append([np.ravel(node.raw) for node in held])

@@ -93,7 +93,7 @@ def with_noise(tracker: AbstractTracker, values: Mapping[str, Any], source: Path
                     f"{source}: '{pattern}' has shape {np.shape(value)}, the tracker's {name} {np.shape(own[name].raw)}"
                 )
             try:
-                new[name] = own[name].holding(value)
+                new[name] = own[name].with_value(value)
             except ValueError as error:
                 raise UnusableInput(f"{source}: '{pattern}': {error}") from error
     return replaced(tracker, new)

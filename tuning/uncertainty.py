@@ -74,7 +74,7 @@ class Uncertainty:
     `observed`, `sandwich`: covariances (p, p) of the unconstrained vector, along the directions that are determined;
     NaN where there is none. `undetermined`: (p,) what has a part in a direction that is not. `held`: (p,) what rests on
     a bound that the objective would have it cross; the others are as sure as they are with it there. `clusters`: how
-    many trajectories or blocks the sandwich is from. `optimum`: what it was made of. `astray`: how many standard
+    many trajectories or blocks the sandwich is from. `optimum`: what it was made of. `distance_to_optimum`: how many standard
     deviations the point is from where the objective is least by its quadratic model; infinite where that has none.
     """
 
@@ -85,7 +85,7 @@ class Uncertainty:
     undetermined: np.ndarray
     held: np.ndarray
     clusters: int
-    astray: float
+    distance_to_optimum: float
 
     @property
     def sigmas(self) -> np.ndarray:
@@ -95,7 +95,7 @@ class Uncertainty:
     @property
     def settled(self) -> bool:
         """Whether the point is where the objective is least, near enough for an interval round it."""
-        return self.astray <= SETTLED
+        return self.distance_to_optimum <= SETTLED
 
     def standard_errors(self, by: By = "either") -> dict[str, np.ndarray]:
         """Of the physical values, by label; NaN for what is not determined, or rests on a bound."""
@@ -168,11 +168,11 @@ def assessed(problem: Any, found: Optimum, held: np.ndarray | None = None) -> Un
     observed = inverse / found.units if np.isfinite(found.units) else np.full(inverse.shape, np.nan)
     sandwich = inverse @ scatter @ inverse
     # The gradient of particles has noise, which says nothing of where the objective is least.
-    astray = 0.0 if problem.random else _astray(inverse @ found.gradient, _larger(observed, sandwich))
+    distance_to_optimum = 0.0 if problem.random else _astray(inverse @ found.gradient, _larger(observed, sandwich))
     # Where an objective without curvature still falls nothing is open: the fit ended before it came to rest.
     if not problem.random and np.any(np.abs(missing.T @ found.gradient) * found.units > FALLS):
-        astray = np.inf
-    return Uncertainty(problem.parameters, found, observed, sandwich, undetermined, held, clusters, astray)
+        distance_to_optimum = np.inf
+    return Uncertainty(problem.parameters, found, observed, sandwich, undetermined, held, clusters, distance_to_optimum)
 
 
 def _larger(one: np.ndarray, other: np.ndarray) -> np.ndarray:

@@ -42,7 +42,7 @@ def autocorrelation(innovations: Innovations, lags: int) -> tuple[np.ndarray, in
     power = float(np.mean(centred**2)) if len(scores) else np.nan
     found, pairs = np.full(lags, np.nan), 0
     for lag in range(1, min(lags, len(scores) - 1) + 1):
-        together = innovations.lane[lag:] == innovations.lane[:-lag]
+        together = innovations.trajectory[lag:] == innovations.trajectory[:-lag]
         products = (centred[lag:] * centred[:-lag])[together]
         if len(products) and power > 0:
             found[lag - 1] = products.mean() / power

@@ -87,17 +87,17 @@ def _ours(fifteen: bool) -> dict[str, Any]:
     import jax.numpy as jnp
 
     from trackers.core.algebra import Vector, diagonal
-    from trackers.core.chunks import CHUNK, chunks, over_parts, prepared
+    from trackers.core.chunks import CHUNK, as_dtype, chunks, run_chunks
     from trackers.core.ekf import Gaussian
     from trackers.core.recording import Batch
     from trackers.core.sensor import Reading
     from trackers.core.state import Heading, Rotation
-    from trackers.core.track_loss import LossPolicy
+    from trackers.core.track_loss import TrackLossPolicy
     from trackers.core.tracker import AbstractStart, Tracker, scanned
     from trackers.parts.ranges import RangeSensor
     from trackers.uwb_imu.strapdown import ImuNoise, Inertial, PlanarInertial, PlanarStrapdown, Strapdown
     from tuning.objectives import NegativeLogLikelihood
-    from tuning.parameters import chosen, flatten
+    from tuning.parameters import flatten, select_parameters
     from tuning.problem import Problem
 
     class Given(AbstractStart):
@@ -108,7 +108,7 @@ def _ours(fifteen: bool) -> dict[str, Any]:
         def ready(self, row: Any) -> Any:
             return row.valid
 
-        def acquire(self, sensors: Any, row: Any) -> Any:
+        def candidate(self, sensors: Any, row: Any) -> Any:
             return row.inputs["start"]
 
         def begin(self, found: Any, row: Any) -> Gaussian:
@@ -122,27 +122,29 @@ def _ours(fifteen: bool) -> dict[str, Any]:
             return Gaussian(state, diagonal(list(np.repeat([0.5, 0.3, 0.1, 0.2, 0.02], 3) ** 2), zero))
 
     def batch_of(world: dict[str, np.ndarray]) -> Batch:
-        rows, _, lanes = world["ranges"].shape
-        dt = np.full((rows, lanes), STEP_S, np.float32)
+        rows, _, trajectories = world["ranges"].shape
+        dt = np.full((rows, trajectories), STEP_S, np.float32)
         dt[0] = 0.0
-        flat = np.zeros((rows, 1, lanes), np.float32)
+        flat = np.zeros((rows, 1, trajectories), np.float32)
         inputs = {name: world[name] for name in ("accel", "gyro", "anchors")}
-        inputs |= {"imu": np.ones((rows, 2, lanes), np.float32), "anchor": flat, "height": flat[:, 0] + 1.0}
-        inputs["start"] = np.broadcast_to(world["start"], (rows, 8, lanes))
-        reading = Reading(world["ranges"], np.ones(flat.shape, bool), np.zeros((rows, 0, lanes), np.float32))
-        return Batch(dt, np.ones(dt.shape, bool), {"ranges": reading}, inputs, {}, np.zeros((2, lanes), np.uint32))
+        inputs |= {"imu": np.ones((rows, 2, trajectories), np.float32), "anchor": flat, "height": flat[:, 0] + 1.0}
+        inputs["start"] = np.broadcast_to(world["start"], (rows, 8, trajectories))
+        reading = Reading(world["ranges"], np.ones(flat.shape, bool), np.zeros((rows, 0, trajectories), np.float32))
+        return Batch(
+            dt, np.ones(dt.shape, bool), {"ranges": reading}, inputs, {}, np.zeros((2, trajectories), np.uint32)
+        )
 
     def tracker(planar: bool) -> Tracker:
         motion = (PlanarStrapdown if planar else Strapdown)(ImuNoise(*NOISE))
-        never = LossPolicy(limit=np.inf, patience=np.inf)
-        return Tracker(motion, {"ranges": RangeSensor(1, 0, SIGMA_R, 1.0, 1e6, 0.0)}, Given(planar), loss=never)
+        never = TrackLossPolicy(nis_limit=np.inf, max_gap=np.inf)
+        return Tracker(motion, {"ranges": RangeSensor(1, 0, SIGMA_R, 1.0, 1e6, 0.0)}, Given(planar), track_loss=never)
 
     def measured(name: str, planar: bool, size: tuple[int, int]) -> dict[str, float]:
         world = _world(*size)
         batch, one = batch_of(world), tracker(planar)
-        model = prepared(one, batch.dt.dtype)
-        result, forward = _timed(lambda: over_parts(scanned, [(model, part) for part in chunks(batch, CHUNK)]))
-        parameters = chosen(one, TUNED)
+        model = as_dtype(one, batch.dt.dtype)
+        result, forward = _timed(lambda: run_chunks(scanned, [(model, part) for part in chunks(batch, CHUNK)]))
+        parameters = select_parameters(one, TUNED)
         problem, vector = Problem(one, [batch], NegativeLogLikelihood(), parameters, CHUNK), flatten(parameters)
         _, gradient = _timed(lambda: problem.evaluate(vector)[:2])
         last = np.concatenate(

@@ -18,14 +18,14 @@ from experiments.bench.textbook import all_pairs, textbook
 from trackers.aoa.beam import Beam, beam_tracker
 from trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
 from trackers.core.algebra import diagonal
-from trackers.core.chunks import CHUNK, chunks, mapped, over_parts, prepared
+from trackers.core.chunks import CHUNK, as_dtype, chunks, jitted, run_chunks
 from trackers.core.ekf import Gaussian
 from trackers.core.recording import Batch
 from trackers.core.rig import Station
 from trackers.core.sensor import Reading
 from trackers.core.tracker import AbstractStart, AbstractTracker, scanned
 from tuning.objectives import NegativeLogLikelihood
-from tuning.parameters import chosen, flatten
+from tuning.parameters import flatten, select_parameters
 from tuning.problem import Problem, term_sums
 
 TRAJECTORIES, ROWS = 4096, 200
@@ -49,7 +49,7 @@ class GivenStart(AbstractStart):
     def ready(self, row: Any) -> Any:
         return row.valid
 
-    def acquire(self, sensors: Any, row: Any) -> Any:
+    def candidate(self, sensors: Any, row: Any) -> Any:
         return jnp.stack([row.inputs["azimuth"], row.inputs["elevation"]])
 
     def begin(self, found: Any, row: Any) -> Gaussian:
@@ -133,8 +133,8 @@ def versions(world: World, peer: str | None) -> list[Version]:
     pairs = all_pairs(DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH)
 
     def ours(tracker: AbstractTracker) -> Any:
-        model = prepared(tracker, world.batch.dt.dtype)
-        return lambda: over_parts(scanned, [(model, part) for part in chunks(world.batch, CHUNK)])
+        model = as_dtype(tracker, world.batch.dt.dtype)
+        return lambda: run_chunks(scanned, [(model, part) for part in chunks(world.batch, CHUNK)])
 
     def last(parts: Any) -> np.ndarray:
         return np.concatenate([np.asarray(part.mean.azimuth[-1]) for part in parts])
@@ -146,7 +146,7 @@ def versions(world: World, peer: str | None) -> list[Version]:
         run, part = build(pairs, SIGMA_A, SIGMA_P), world.part(trajectories, rows)
         return Version(name, trajectories, rows, lambda: run(*part), first_of_tuple)
 
-    parameters = chosen(given, TUNED)
+    parameters = select_parameters(given, TUNED)
     problem, vector = Problem(given, [world.batch], NegativeLogLikelihood(), parameters, CHUNK), flatten(parameters)
     first = Version("ours", TRAJECTORIES, ROWS, ours(given), last)
     if peer:
@@ -208,8 +208,8 @@ def memory() -> dict[str, Any]:
     and compiler included; it can only grow.
     """
     _, given = trackers()
-    parameters = chosen(given, TUNED)
-    compiled: Any = mapped
+    parameters = select_parameters(given, TUNED)
+    compiled: Any = jitted
     found: dict[str, Any] = {"trajectories": MEMORY_LANES, "temporaries": {}, "inputs": {}, "peak": {}}
     few = simulate(MEMORY_LANES, MEMORY_ROWS[0]).batch
     for rows in MEMORY_ROWS:

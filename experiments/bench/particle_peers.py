@@ -154,10 +154,10 @@ def with_particles(fixes: np.ndarray, dt: float, knots: np.ndarray) -> Callable[
 
     def run() -> np.ndarray:
         along = np.empty(fixes.shape[:2])
-        for lane, rows in enumerate(fixes):
+        for trajectory, rows in enumerate(fixes):
             smc = particles.SMC(fk=Line(rows), N=PARTICLES, resampling="systematic", ESSrmin=0.5, collect=[Moments()])
             smc.run()
-            along[lane] = [moments["mean"][0] for moments in smc.summaries.moments]
+            along[trajectory] = [moments["mean"][0] for moments in smc.summaries.moments]
         return np.stack([np.interp(along, marks, knots[:, k]) for k in (0, 1)], axis=-1)
 
     return run

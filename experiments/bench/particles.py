@@ -74,7 +74,7 @@ def rmse(places: np.ndarray, positions: np.ndarray) -> float:
 def ours(fixes: np.ndarray, times: np.ndarray) -> Callable[[], np.ndarray]:
     """The tracker `line-pf` without halts; a function that runs it and returns places (n, T, 2), m."""
     from sim.line import THESIS_KNOTS
-    from trackers.core.chunks import chunks, over_parts, prepared
+    from trackers.core.chunks import as_dtype, chunks, run_chunks
     from trackers.core.recording import Readings, Recording, stack
     from trackers.core.tracker import scanned
     from trackers.line.fixes import FIXES, FloorFixes
@@ -85,10 +85,10 @@ def ours(fixes: np.ndarray, times: np.ndarray) -> Callable[[], np.ndarray]:
     tracker = line_tracker(LineMotion(Polyline(THESIS_KNOTS), SIGMA_A), {FIXES: FloorFixes(SIGMA_P)}, PARTICLES)
     seen = np.ones(fixes.shape[1:], bool)
     batch = stack([Recording(times, {FIXES: Readings(f, seen)}, name=f"trajectory {k}") for k, f in enumerate(fixes)])
-    model = prepared(tracker, batch.dt.dtype)
+    model = as_dtype(tracker, batch.dt.dtype)
 
     def run() -> np.ndarray:
-        parts = over_parts(scanned, [(model, part) for part in chunks(batch, CHUNK)])
+        parts = run_chunks(scanned, [(model, part) for part in chunks(batch, CHUNK)])
         return np.concatenate([np.stack([np.asarray(x).T for x in p.mean.position], axis=-1) for p in parts])
 
     return run

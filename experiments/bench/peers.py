@@ -94,20 +94,20 @@ def with_filterpy(pairs: Pairs, sigma_a: float, sigma_p: float) -> Callable[...,
 
     def run(phases: np.ndarray, seen: np.ndarray, dt: np.ndarray, mean: np.ndarray, cov: np.ndarray) -> Any:
         means, covs = np.empty((*dt.shape, 4)), np.empty((*dt.shape, 4, 4))
-        for lane in range(len(dt)):
+        for trajectory in range(len(dt)):
             kalman = ExtendedKalmanFilter(4, len(take))
-            kalman.x, kalman.P = mean[lane].astype(float), cov[lane].astype(float)
-            for row, step in enumerate(dt[lane].astype(float)):
+            kalman.x, kalman.P = mean[trajectory].astype(float), cov[trajectory].astype(float)
+            for row, step in enumerate(dt[trajectory].astype(float)):
                 kalman.F = np.block([[np.eye(2), step * np.eye(2)], [np.zeros((2, 2)), np.eye(2)]])
                 G = sigma_a * np.concatenate([0.5 * step * step * np.eye(2), step * np.eye(2)])
                 kalman.Q = G @ G.T
                 kalman.predict()
-                use = np.abs(take) @ ~seen[lane, row] < 0.5
+                use = np.abs(take) @ ~seen[trajectory, row] < 0.5
                 if use.any():
-                    read = take[use] @ phases[lane, row].astype(float)
+                    read = take[use] @ phases[trajectory, row].astype(float)
                     R = full[np.ix_(use, use)]
                     kalman.update(read, jacobian, measure, R=R, args=(use,), hx_args=(use,), residual=residual)
-                means[lane, row], covs[lane, row] = kalman.x, kalman.P
+                means[trajectory, row], covs[trajectory, row] = kalman.x, kalman.P
         return means, covs
 
     return run

@@ -52,11 +52,11 @@ def main() -> int:
 def wrong(corner: tuple[float, float]) -> Any:
     """The benchmark's tracker with both noise levels wrong by these factors."""
     from experiments.bench.measure import TUNED, trackers
-    from tuning.parameters import chosen, flatten, placed_in
+    from tuning.parameters import flatten, select_parameters, with_parameters
 
     tracker = trackers()[1]
-    parameters = chosen(tracker, TUNED)
-    return placed_in(tracker, parameters, flatten(parameters) + np.log(corner))
+    parameters = select_parameters(tracker, TUNED)
+    return with_parameters(tracker, parameters, flatten(parameters) + np.log(corner))
 
 
 def ours() -> dict[str, Any]:
@@ -94,11 +94,11 @@ def with_scipy() -> dict[str, Any]:
 
     from experiments.bench.measure import ROWS, TRAJECTORIES, TUNED, simulate
     from tuning import NegativeLogLikelihood
-    from tuning.parameters import chosen, flatten
+    from tuning.parameters import flatten, select_parameters
     from tuning.problem import Problem
 
     tracker = wrong((1.0, 1.0))
-    parameters = chosen(tracker, TUNED)
+    parameters = select_parameters(tracker, TUNED)
     problem = Problem(tracker, [simulate(TRAJECTORIES, ROWS).batch], NegativeLogLikelihood(), parameters)
     problem.values(flatten(parameters))
     fits = []

@@ -10,7 +10,7 @@ import tyro
 from experiments.cli.console import require_some
 from trackers.recordings.checks.check import check_folder
 from trackers.recordings.checks.findings import format_findings
-from trackers.recordings.folder import read_folder
+from trackers.recordings.folder import read_recording
 
 
 def check(recordings: Annotated[tuple[Path, ...], tyro.conf.Positional]) -> int:
@@ -22,7 +22,7 @@ def check(recordings: Annotated[tuple[Path, ...], tyro.conf.Positional]) -> int:
     require_some(recordings)
     failed = False
     for path in recordings:
-        findings = check_folder(read_folder(path))
+        findings = check_folder(read_recording(path))
         failed |= any(f.level == "error" for f in findings)
         print(f"{path}\n{format_findings(findings)}")
     return int(failed)

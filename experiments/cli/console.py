@@ -15,7 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from trackers.core.errors import UnusableInput
-from trackers.recordings.folder import Folder, read_folder
+from trackers.recordings.folder import RecordingFolder, read_recording
 
 ERRORS = Console(stderr=True, highlight=False, soft_wrap=True)
 
@@ -72,7 +72,7 @@ def notice(text: str) -> None:
     ERRORS.print(text, markup=False)
 
 
-def read_all(paths: Sequence[Path]) -> list[Folder]:
+def read_all(paths: Sequence[Path]) -> list[RecordingFolder]:
     """All recording folders, their notices shown; raises UnusableInput for none, and for two of one name."""
     folders = []
     require_some(paths)
@@ -80,7 +80,7 @@ def read_all(paths: Sequence[Path]) -> list[Folder]:
     if twice is not None:
         raise UnusableInput(f"{paths[twice]}: is given more than once; expected every recording in one place only")
     for path in paths:
-        folders.append(read_folder(path))
+        folders.append(read_recording(path))
         for text in folders[-1].notices:
             notice(f"notice: {path}: {text}")
     double = _repeated([folder.name for folder in folders])

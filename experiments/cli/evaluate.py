@@ -17,7 +17,7 @@ from experiments.reports.worksteps_text import to_text as work_text
 from trackers.core.errors import UnusableInput
 from trackers.evaluation import Evaluation, evaluate
 from trackers.recordings.atomic import atomic_write
-from trackers.recordings.folder import Folder
+from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.truth import read_tracks
 from trackers.worksteps.tracks import WorkReport, work_report
 
@@ -67,7 +67,7 @@ def evaluate_tracks(
     return 0
 
 
-def judge(tracks: pl.DataFrame, folders: list[Folder], every_s: float | None = None) -> Evaluation:
+def judge(tracks: pl.DataFrame, folders: list[RecordingFolder], every_s: float | None = None) -> Evaluation:
     """The figures of tracks against the truths of the folders; raises UnusableInput where none has a truth."""
     truths = {f.name: f.tables["truth"] for f in folders if "truth" in f.tables}
     if not truths:

@@ -12,7 +12,7 @@ import numpy as np
 from experiments.cli.manifest import write_manifest
 from sim.worlds import station
 from trackers.core.errors import UnusableInput
-from trackers.recordings.folder import write_folder
+from trackers.recordings.folder import write_recording
 
 
 def simulate(
@@ -68,7 +68,7 @@ def simulate(
         folder = station(np.arange(n), seed, **numbers)  # type: ignore[arg-type]
     except ValueError as error:
         raise UnusableInput(f"--{error}") from error
-    write_folder(folder, out)
+    write_recording(folder, out)
     write_manifest(out, sys.argv, {"n": n, **numbers}, started, seeds=(seed,))
     print(f"wrote {out}: {n} tags x {rows} rows x {len(folder.rig.stations)} stations, with truth")
     return 0

@@ -13,7 +13,7 @@ import numpy as np
 from experiments.cli.manifest import write_manifest
 from sim import worlds as named
 from trackers.core.errors import UnusableInput
-from trackers.recordings.folder import Folder, write_folder
+from trackers.recordings.folder import RecordingFolder, write_recording
 
 
 def simulate_line(
@@ -137,10 +137,10 @@ def _within(**limits: tuple[float, float, float]) -> None:
 
 
 def _write(
-    world: Callable[..., Folder], numbers: Mapping[str, Any], out: Path, n: int, seed: int, started: datetime
+    world: Callable[..., RecordingFolder], numbers: Mapping[str, Any], out: Path, n: int, seed: int, started: datetime
 ) -> int:
     folder = world(np.arange(n), seed, **numbers)
-    write_folder(folder, out)
+    write_recording(folder, out)
     write_manifest(out, sys.argv, {"n": n, **numbers}, started, seeds=(seed,))
     sizes = ", ".join(f"{name} {len(table)} rows" for name, table in folder.tables.items())
     print(f"wrote {out}: {len(folder.rig.tags)} tags, {sizes}")

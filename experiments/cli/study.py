@@ -19,7 +19,7 @@ from experiments.monte_carlo.sources import names, study_of
 from experiments.monte_carlo.store import CHUNKS, merged
 from experiments.reports.study import write_page
 from experiments.reports.study_text import study_names, to_json, to_text
-from trackers.core.chunks import at_once
+from trackers.core.chunks import n_workers
 from trackers.core.errors import UnusableInput
 from trackers.recordings.atomic import atomic_write
 
@@ -74,7 +74,7 @@ def study(
     notice(
         f"{declared.name}: {declared.about} {len(declared.cells)} cells × {declared.runs} runs × "
         f"{len(declared.trackers)} trackers in {total} chunks of {declared.chunk}, "
-        f"{at_once()} at a time"
+        f"{n_workers()} at a time"
     )
     with progress(declared.name, total // part[1] if part[1] > 1 else total) as advance:
         results = carry_out(declared, folder, part, enough, advance)

@@ -73,7 +73,7 @@ def sweep(
     if not np.isfinite(swept.mean).any():
         raise UnusableInput("the objective is finite at no value of the grid; ask `trackwright check` about the data")
     _write(out / "sweep.csv", swept, objective)
-    unit = "rad" if group.lanes[0].station else "m"
+    unit = "rad" if group.trajectories[0].station else "m"
     sweep_figure(out / "sweep.png", swept, f"RMSE ({unit})" if objective == "rmse" else objective, ways)
     config = {
         "tracker": name, "over": over, "objective": objective, "repeats": repeats, "noise": noise, "path": path,

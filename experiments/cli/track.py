@@ -44,15 +44,15 @@ def track(  # noqa: D103
     batches = groups(folders, name, free_height)
     if noise is not None:
         values = read_tuned(noise)
-        batches = [type(g)(with_noise(g.tracker, values, noise), g.lanes, g.planar) for g in batches]
+        batches = [type(g)(with_noise(g.tracker, values, noise), g.trajectories, g.planar) for g in batches]
     if smooth or lag is not None:
-        batches = [type(g)(_smoothed(g.tracker, name, lag), g.lanes, g.planar) for g in batches]
-    flat = [lane for g in batches if g.planar for lane in g.lanes]
-    heights = sum(known_height(lane.folder, lane.tag) is not None for lane in flat)
+        batches = [type(g)(_smoothed(g.tracker, name, lag), g.trajectories, g.planar) for g in batches]
+    flat = [trajectory for g in batches if g.planar for trajectory in g.trajectories]
+    heights = sum(known_height(trajectory.folder, trajectory.tag) is not None for trajectory in flat)
     if heights and not TRACKERS[name].bearing_only:
         notice(f"height: known from rig.toml for {heights} tag(s) and used; estimate it with --free-height")
     output_folder(out)
-    with progress("tracking", sum(len(g.lanes) for g in batches)) as advance:
+    with progress("tracking", sum(len(g.trajectories) for g in batches)) as advance:
         tracks, verdicts = run(batches, advance)
     atomic_write(out / TRACKS, tracks.write_parquet)
     happened = events_of(tracks, TRACKERS[name], batches)

@@ -14,9 +14,9 @@ import tyro
 from experiments.cli.console import notice, read_all
 from experiments.cli.manifest import write_manifest
 from trackers.core.errors import UnusableInput
-from trackers.line.rows import line_lanes, path_of, raw_places
+from trackers.line.rows import line_trajectories, path_of, raw_places
 from trackers.line.truth import KnotTimes, knot_times
-from trackers.recordings.folder import Folder, write_folder
+from trackers.recordings.folder import RecordingFolder, write_recording
 from trackers.recordings.trajectories import known_height
 from trackers.recordings.truth import interpolated, truth_paths
 
@@ -39,25 +39,25 @@ def truth(recording: Annotated[Path, tyro.conf.Positional], out: Path) -> int:
             f"{recording}: tables {', '.join(folder.tables)}, expected fixes or ranges to fit a truth to; add one"
         )
     rows, lines = [], []
-    for lane in line_lanes(folder, False):
-        times, places = raw_places(lane)
+    for trajectory in line_trajectories(folder, False):
+        times, places = raw_places(trajectory)
         known = np.isfinite(places).all(axis=1)
         try:
             fitted = knot_times(np.asarray(folder.rig.path_knots), times[known], places[known])
         except ValueError as problem:
-            raise UnusableInput(f"{recording}: tag '{lane.tag}': {problem}; record for longer") from problem
-        rows.append(_rows(folder, lane.tag, times, fitted))
-        lines.append(_line(lane.tag, fitted))
+            raise UnusableInput(f"{recording}: tag '{trajectory.tag}': {problem}; record for longer") from problem
+        rows.append(_rows(folder, trajectory.tag, times, fitted))
+        lines.append(_line(trajectory.tag, fitted))
     table = pl.concat(rows).sort("t_s", maintain_order=True)
     _compare(folder, table)
-    write_folder(Folder(folder.name, None, folder.rig, folder.tables | {"truth": table}), out)
+    write_recording(RecordingFolder(folder.name, None, folder.rig, folder.tables | {"truth": table}), out)
     write_manifest(out, sys.argv, {"recording": str(recording)}, started)
     print("\n".join(lines))
     print(f"wrote {out}: the recording with a fitted truth of {len(table)} rows; use it: evaluate … --truth {out}")
     return 0
 
 
-def _rows(folder: Folder, tag: str, times: np.ndarray, fitted: KnotTimes) -> pl.DataFrame:
+def _rows(folder: RecordingFolder, tag: str, times: np.ndarray, fitted: KnotTimes) -> pl.DataFrame:
     # At the knots too: between two rows the fitted path has corners, which a straight line would cut.
     at = np.unique(np.concatenate([times, fitted.left, fitted.reached]))
     places = fitted.places(at)
@@ -77,7 +77,7 @@ def _line(tag: str, fitted: KnotTimes) -> str:
     return f"tag {tag}: {fitted.rms:.3f} m RMS about the path; segments {', '.join(pieces)}"
 
 
-def _compare(folder: Folder, table: pl.DataFrame) -> None:
+def _compare(folder: RecordingFolder, table: pl.DataFrame) -> None:
     """How far the fitted truth is from the one that the recording already has, where it has one."""
     if "truth" not in folder.tables:
         return

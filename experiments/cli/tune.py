@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from experiments.cli.console import Advance, notice, output_folder, progress
-from experiments.cli.tuning_job import Job, bounds_of, checked, job_of, oddities, only_group
+from experiments.cli.tuning_job import Job, anomalies, bounds_of, checked, job_of, only_group
 from experiments.reports.tuning_run import Run, write_run
 from trackers.core.errors import UnusableInput
 from tuning import FitResult, checkpoint, fit
@@ -20,7 +20,7 @@ from tuning.first_guess import first_guess
 from tuning.intervals import require_possible
 from tuning.optimisation import FitState, stored
 from tuning.optimisers import LBFGS, AbstractOptimiser, Adam, GaussNewton
-from tuning.parameters import chosen, flatten
+from tuning.parameters import flatten, select_parameters
 
 EVERYTHING = "*.sigma_*"
 INTERRUPTED = 130
@@ -92,7 +92,7 @@ def tune(
     require_possible(intervals, job.goal, len(job.training))
     if optimiser == "gauss-newton" and not job.goal.is_likelihood:
         raise UnusableInput(f"--optimiser gauss-newton: {objective} is no likelihood; expected lbfgs, adam or auto")
-    for text in oddities(job, tune, freeze):
+    for text in anomalies(job, tune, freeze):
         notice(f"notice: {text}")
     output_folder(out)
     options = {
@@ -127,7 +127,7 @@ def _fitted(job: Job, out: Path, options: dict[str, Any], bounds: Any, priors: A
     rows, judges = job.rows(), job.rows(held_out=True)
     # What is done with the result does not make another fit of it.
     config = {name: value for name, value in options.items() if name != "intervals"}
-    mark = checkpoint.fingerprint(config, [*rows, *judges], flatten(chosen(job.tracker, "*")))
+    mark = checkpoint.fingerprint(config, [*rows, *judges], flatten(select_parameters(job.tracker, "*")))
     kept = checkpoint.load(out, mark) if resume else None
     if resume and kept is None:
         notice(f"notice: {out}: no checkpoint there; the fit begins anew")
@@ -154,14 +154,14 @@ def _fitted(job: Job, out: Path, options: dict[str, Any], bounds: Any, priors: A
             )
         except FloatingPointError as error:
             raise UnusableInput(f"{error}; ask `trackwright check` about the recordings") from error
-    if result.left_out == len(job.training):
+    if result.n_excluded == len(job.training):
         raise UnusableInput(
             f"at the best point met ({options['objective']} {result.value:.4g}) no piece of the recordings has finite "
             "derivatives: where readings repeat exactly the least noise is the likeliest; give --bound or --prior"
         )
-    if result.left_out:
+    if result.n_excluded:
         notice(
-            f"notice: {result.left_out} of {len(job.training)} pieces had no say: their figures were not finite, or "
+            f"notice: {result.n_excluded} of {len(job.training)} pieces had no say: their figures were not finite, or "
             "depend on the tunables without measure"
         )
     return result

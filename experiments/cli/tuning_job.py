@@ -14,37 +14,37 @@ from trackers.core.errors import UnusableInput
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker
 from trackers.core.tunable import tunables
-from trackers.recordings.tracker_spec import Group
-from trackers.recordings.trajectories import Lane, pieces
+from trackers.recordings.tracker_spec import TrackerBatch
+from trackers.recordings.trajectories import Trajectory, pieces
 from trackers.tracks import batches
 from tuning.identifiability import names_of
 from tuning.metrics import parse_objective
 from tuning.objectives import AbstractObjective
-from tuning.parameters import chosen, flatten, limits, physical_vector
+from tuning.parameters import flatten, limits, physical_vector, select_parameters
 from tuning.priors import Prior, parse_prior, penalty
 from tuning.tuned_file import read_tuned, with_noise
 
 
 @dataclass(frozen=True)
 class Job:
-    """A tracker to be tuned on the rows of some lanes for the least `goal`, and judged on those of others."""
+    """A tracker to be tuned on the rows of some trajectories for the least `goal`, and judged on those of others."""
 
     tracker: AbstractTracker
     goal: AbstractObjective
     planar: bool
-    training: list[Lane]
-    held_out: list[Lane]
+    training: list[Trajectory]
+    held_out: list[Trajectory]
 
     def rows(self, held_out: bool = False) -> list[Batch]:
-        """The lanes' rows, as a fit takes them."""
-        lanes = self.held_out if held_out else self.training
-        return [batch for _, batch in batches(lanes)] if lanes else []
+        """The trajectories' rows, as a fit takes them."""
+        trajectories = self.held_out if held_out else self.training
+        return [batch for _, batch in batches(trajectories)] if trajectories else []
 
 
 def only_group(
     recordings: Sequence[Path], tracker: str | None, noise: Path | None, free_height: bool
-) -> tuple[str, Group]:
-    """The recordings' lanes for one tracker, named or what fits, with numbers from a tuned.toml; and its name.
+) -> tuple[str, TrackerBatch]:
+    """The recordings' trajectories for one tracker, named or what fits, with numbers from a tuned.toml; and its name.
 
     Raises UnusableInput where they need several trackers: those have no numbers in common.
     """
@@ -64,30 +64,30 @@ def only_group(
     return name, group
 
 
-def job_of(group: Group, objective: str, held_out: Sequence[Path], piece_rows: int) -> Job:
-    """The job of a group's lanes, cut into pieces; raises UnusableInput for an objective that they can't be put to."""
-    lanes = [piece for lane in group.lanes for piece in pieces(lane, piece_rows)]
-    quantity = next(iter(lanes[0].recording.truth))
+def job_of(group: TrackerBatch, objective: str, held_out: Sequence[Path], piece_rows: int) -> Job:
+    """The job of a group's trajectories, cut into pieces; raises UnusableInput for an objective that they can't be put to."""
+    trajectories = [piece for trajectory in group.trajectories for piece in pieces(trajectory, piece_rows)]
+    quantity = next(iter(trajectories[0].recording.truth))
     floor = quantity == "direction" or group.planar
     try:
         goal = parse_objective(objective, quantity, 2 if floor else 3)
         goal.informed(group.tracker)
     except ValueError as error:
         raise UnusableInput(f"--objective {objective}: {error}") from error
-    if goal.needs_truth and group.planar and lanes[0].station:
+    if goal.needs_truth and group.planar and trajectories[0].station:
         raise UnusableInput(
             f"--objective {objective}: azimuth and elevation of a tag in a flat array's own plane are singular; "
             "expected a tag above or below it; use --objective nll"
         )
     apart = {path.resolve() for path in held_out}
 
-    def is_apart(lane: Lane) -> bool:
-        return lane.folder.path is not None and lane.folder.path.resolve() in apart
+    def is_apart(trajectory: Trajectory) -> bool:
+        return trajectory.folder.path is not None and trajectory.folder.path.resolve() in apart
 
-    parts: tuple[list[Lane], list[Lane]] = ([], [])
-    for lane in lanes:
-        if not goal.needs_truth or lane.recording.truth[quantity][1].any():
-            parts[is_apart(lane)].append(lane)
+    parts: tuple[list[Trajectory], list[Trajectory]] = ([], [])
+    for trajectory in trajectories:
+        if not goal.needs_truth or trajectory.recording.truth[quantity][1].any():
+            parts[is_apart(trajectory)].append(trajectory)
     for part, wanted, where in zip(parts, (True, bool(held_out)), ("these recordings", "those held out"), strict=True):
         if wanted and not part:
             raise UnusableInput(f"--objective {objective} needs truth, and {where} have none; use --objective nll")
@@ -117,7 +117,7 @@ def checked(
     """The priors, with all that is tuned looked at; raises UnusableInput where patterns, bounds or priors don't fit."""
     option = f"--tune {' '.join(tune)}" + (f" --freeze {' '.join(freeze)}" if freeze else "")
     try:
-        parameters = chosen(job.tracker, tune, freeze)
+        parameters = select_parameters(job.tracker, tune, freeze)
         option = "--bound"
         low, high = limits(parameters, bounds)
         vector = flatten(parameters)
@@ -135,10 +135,10 @@ def checked(
     return priors
 
 
-def oddities(job: Job, tune: Sequence[str], freeze: Sequence[str]) -> Iterator[str]:
+def anomalies(job: Job, tune: Sequence[str], freeze: Sequence[str]) -> Iterator[str]:
     """What a user may not expect of the numbers to be tuned: where tied ones begin, and what no likelihood can tell."""
     own = tunables(job.tracker)
-    for parameter in chosen(job.tracker, tune, freeze):
+    for parameter in select_parameters(job.tracker, tune, freeze):
         values = [np.asarray(own[name].value) for name in parameter.names]
         if not all(np.array_equal(value, values[0]) for value in values):
             listed = ", ".join(f"{float(value):.4g}" for value in values if value.ndim == 0)

@@ -13,11 +13,11 @@ import numpy as np
 
 from trackers.catalogue import TRACKERS
 from trackers.core.errors import UnusableInput
-from trackers.recordings.folder import Folder
-from trackers.recordings.tracker_spec import Entry
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.tracker_spec import TrackerSpec
 
 if TYPE_CHECKING:
-    from experiments.monte_carlo.expectations import Claim, Conclusion
+    from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
     from experiments.monte_carlo.results import Results
     from experiments.monte_carlo.trajectories import Run
 
@@ -34,32 +34,32 @@ FIGURES = ("rmse_m", "median_m", "p95_m", "bound_m", "nees_mean", "nis_ratio", "
 class World:
     """A scenario: `make(ids, seed, **numbers)` is a folder with truth whose tags are named by the ids (n,)."""
 
-    make: Callable[..., Folder]
+    make: Callable[..., RecordingFolder]
     numbers: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
-class Entrant:
+class TrackerConfig:
     """A tracker that takes part: by its name in the catalogue, or an entry of the study's own.
 
     `tunables`: values by name or pattern, in their units. `smooth`: over the whole recording. `free_height`: as the
     option of `track`. `every`: s, judge only the last estimate in every so many seconds.
     """
 
-    tracker: str | Entry
+    tracker: str | TrackerSpec
     tunables: Mapping[str, Any] = field(default_factory=dict)
     smooth: bool = False
     free_height: bool = False
     every: float | None = None
 
     @property
-    def entry(self) -> Entry:
+    def entry(self) -> TrackerSpec:
         """What the command line knows of the tracker."""
         return TRACKERS[self.tracker] if isinstance(self.tracker, str) else self.tracker
 
 
 @dataclass(frozen=True)
-class Cell:
+class Condition:
     """One scenario with one point of the grid; `index` counts them."""
 
     index: int
@@ -88,28 +88,28 @@ class Study:
 
     The first tracker is the one that others are compared with. `grid`: `world.` and a keyword of the worlds, or a
     tunable's name or pattern, or several such with commas, to their values; all combinations. `measures`: figures of
-    the study's own, numbers (n,) of n trajectories, NaN for none. `figures`: what the report's table shows. `claims`:
+    the study's own, numbers (n,) of n trajectories, NaN for none. `figures`: what the report's table shows. `expected`:
     what was printed elsewhere, beside what came out. `draw`: pictures of its own, as files in a folder; their names.
     """
 
     name: str
     about: str
     worlds: Mapping[str, World]
-    trackers: Mapping[str, Entrant]
+    trackers: Mapping[str, TrackerConfig]
     runs: int = 200
     grid: Mapping[str, Sequence[Any]] = field(default_factory=dict)
     seed: int = 0
     measures: Mapping[str, Callable[[Run], np.ndarray]] = field(default_factory=dict)
     figures: Sequence[str] = FIGURES
-    claims: Callable[[Results], list[Claim | Conclusion]] | None = None
+    claims: Callable[[Results], list[ExpectedResult | Conclusion]] | None = None
     draw: Callable[[Results, Path], list[str]] | None = None
     source: str = ""
 
     @property
-    def cells(self) -> list[Cell]:
+    def cells(self) -> list[Condition]:
         """All worlds at all points of the grid."""
         points = [dict(zip(self.grid, values, strict=True)) for values in itertools.product(*self.grid.values())]
-        return [Cell(k, w, p) for k, (w, p) in enumerate(itertools.product(self.worlds, points))]
+        return [Condition(k, w, p) for k, (w, p) in enumerate(itertools.product(self.worlds, points))]
 
     @property
     def chunk(self) -> int:
@@ -121,7 +121,7 @@ class Study:
         """Chunks of every cell."""
         return math.ceil(self.runs / self.chunk)
 
-    def numbers(self, cell: Cell) -> dict[str, Any]:
+    def numbers(self, cell: Condition) -> dict[str, Any]:
         """A world's numbers in a cell."""
         own = {k.removeprefix(WORLD): v for k, v in cell.numbers.items() if k.startswith(WORLD)}
         return {**self.worlds[cell.world].numbers, **own}

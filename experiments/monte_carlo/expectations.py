@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Claim:
+class ExpectedResult:
     """A printed number beside ours, both in `unit`.
 
     `fitted`: whether the printed number was used to choose the world's or the trackers' free numbers; otherwise it is

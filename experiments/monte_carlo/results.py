@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from experiments.monte_carlo.accumulators import BINS, COLUMN, EDGES, KINDS, SUMS, quantile
-from experiments.monte_carlo.declaration import Cell, Study
+from experiments.monte_carlo.declaration import Condition, Study
 
 BLOCKS, REPLICATES, LEVEL = 512, 1000, 0.95
 
@@ -101,7 +101,7 @@ class Results:
         self.study, self.kept, self.runs = study, kept, runs
         self._figures: dict[tuple[int, str], dict[str, tuple[Any, np.ndarray]]] = {}
 
-    def cell(self, world: str, **point: Any) -> Cell:
+    def cell(self, world: str, **point: Any) -> Condition:
         """The cell of a world at a point of the grid; names with dots are given as `**{"world.rate_hz": 5}`.
 
         Raises KeyError where there is none or more than one.
@@ -115,7 +115,7 @@ class Results:
         """A figure or a measure's mean, with its interval; NaN where the trajectories have none."""
         return self.at(figure, self.cell(world, **point), tracker)
 
-    def at(self, figure: str, cell: Cell, tracker: str) -> Value:
+    def at(self, figure: str, cell: Condition, tracker: str) -> Value:
         """The same by cell."""
         return _interval(*self._drawn(figure, cell, tracker))
 
@@ -127,7 +127,7 @@ class Results:
         """A tracker's figure over another's, paired."""
         return self.compared(np.divide, figure, self.cell(world, **point), tracker, other)
 
-    def compared(self, how: Callable[[Any, Any], Any], figure: str, cell: Cell, tracker: str, other: str) -> Value:
+    def compared(self, how: Callable[[Any, Any], Any], figure: str, cell: Condition, tracker: str, other: str) -> Value:
         """Two trackers' figures of a cell put together by `how`, paired."""
         mine, its = self._drawn(figure, cell, tracker), self._drawn(figure, cell, other)
         return _interval(how(mine[0], its[0]), how(mine[1], its[1]))
@@ -156,7 +156,7 @@ class Results:
         histogram = self.kept[self.cell(world, **point).index, tracker].histograms[kind].sum(axis=0)
         return EDGES, np.cumsum(histogram) / max(histogram.sum(), 1)
 
-    def _drawn(self, figure: str, cell: Cell, tracker: str) -> tuple[Any, np.ndarray]:
+    def _drawn(self, figure: str, cell: Condition, tracker: str) -> tuple[Any, np.ndarray]:
         """A figure of all trajectories, and of every resampling (R,)."""
         kept = self.kept[cell.index, tracker]
         if figure in CONSTANT:

@@ -15,11 +15,11 @@ import jax
 import numpy as np
 
 from experiments.cli.console import Advance
-from experiments.monte_carlo.declaration import Cell, Study
+from experiments.monte_carlo.declaration import Condition, Study
 from experiments.monte_carlo.results import NAMES, Results
 from experiments.monte_carlo.store import Store
 from experiments.monte_carlo.trajectories import trajectories
-from trackers.core.chunks import at_once
+from trackers.core.chunks import n_workers
 from trackers.core.errors import UnusableInput
 
 CHUNKS_PER_DEVICE = 4
@@ -44,7 +44,7 @@ class Until:
             )
         return cls(found[1], float(found[2]) / 100)
 
-    def reached(self, results: Results, cell: Cell) -> bool:
+    def reached(self, results: Results, cell: Condition) -> bool:
         """Whether the figure is known so well for every tracker that has it."""
         for tracker in results.study.trackers:
             value = results.at(self.figure, cell, tracker)
@@ -74,7 +74,7 @@ def carry_out(
     return store.results(runs) if whole else None
 
 
-def _run_until(store: Store, cell: Cell, until: Until, advance: Advance) -> int:
+def _run_until(store: Store, cell: Condition, until: Until, advance: Advance) -> int:
     study, enough, done = store.study, 1, 0
     while True:
         wanted = min(enough, study.chunks)
@@ -86,18 +86,18 @@ def _run_until(store: Store, cell: Cell, until: Until, advance: Advance) -> int:
         enough *= 2
 
 
-def complete(store: Store, chunks: Sequence[tuple[Cell, int]], advance: Advance) -> None:
+def complete(store: Store, chunks: Sequence[tuple[Condition, int]], advance: Advance) -> None:
     """Run those of the chunks that aren't there yet, as many at once as the host can."""
     missing = [(cell, k) for cell, k in chunks if not store.has(cell.index, k)]
     advance(len(chunks) - len(missing))
     devices: SimpleQueue[Any] = SimpleQueue()
     taking_part = jax.local_devices()[: max(1, len(missing) // CHUNKS_PER_DEVICE)]
-    workers = at_once() * len(taking_part) // jax.local_device_count()
+    workers = n_workers() * len(taking_part) // jax.local_device_count()
     for k in range(workers):
         devices.put(taking_part[k % len(taking_part)])
     size = store.study.chunk
 
-    def run(cell: Cell, chunk: int) -> None:
+    def run(cell: Condition, chunk: int) -> None:
         device = devices.get()
         try:
             with jax.default_device(device):

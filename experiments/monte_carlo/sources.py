@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from experiments import papers, questions
-from experiments.monte_carlo.declaration import Entrant, Study, World, checked
+from experiments.monte_carlo.declaration import Study, TrackerConfig, World, checked
 from sim.worlds import WORLDS
 from trackers.core.errors import UnusableInput
 
@@ -100,7 +100,7 @@ def _from_toml(path: Path) -> Study:
     for name, table in content.get("trackers", {}).items():
         where = f"trackers.{name}"
         _of_kinds(path, where, table, ENTRANT)
-        trackers[name] = Entrant(**{"tracker": name, **table})
+        trackers[name] = TrackerConfig(**{"tracker": name, **table})
     return Study(
         name=content.get("name", path.stem),
         about=content.get("about", ""),

@@ -14,7 +14,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from experiments.monte_carlo.declaration import Entrant, Study
+from experiments.monte_carlo.declaration import Study, TrackerConfig
 from experiments.monte_carlo.results import Gathered, Kept, Results
 from trackers.core.errors import UnusableInput
 from trackers.recordings.atomic import atomic_write, json_text
@@ -44,7 +44,7 @@ def _named(function: Callable[..., Any]) -> str:
     return f"{getattr(inner, '__module__', '')}.{getattr(inner, '__qualname__', type(inner).__name__)}"
 
 
-def _entrant(entrant: Entrant) -> dict[str, Any]:
+def _entrant(entrant: TrackerConfig) -> dict[str, Any]:
     name = entrant.tracker if isinstance(entrant.tracker, str) else entrant.tracker.about
     rest = {"smooth": entrant.smooth, "free_height": entrant.free_height, "every": entrant.every}
     return {"tracker": name, "tunables": dict(entrant.tunables), **rest}

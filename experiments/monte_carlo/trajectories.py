@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.monte_carlo.declaration import WORLD, Cell, Entrant, Study
+from experiments.monte_carlo.declaration import WORLD, Condition, Study, TrackerConfig
 from experiments.monte_carlo.errors import judged
 from trackers.bounds import bounds_of
 from trackers.catalogue import grouped
@@ -20,10 +20,10 @@ from trackers.core.recording import stack
 from trackers.core.rts import Smoothed
 from trackers.core.tracker import AbstractTracker, Tracker
 from trackers.core.tunable import tunables
-from trackers.recordings.folder import Folder
-from trackers.recordings.tracker_spec import Group
-from trackers.recordings.trajectories import Lane, shown_height, true_paths
-from trackers.recordings.truth import Verdict, interpolated
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.tracker_spec import TrackerBatch
+from trackers.recordings.trajectories import Trajectory, known_heights, true_paths
+from trackers.recordings.truth import TruthStatus, interpolated
 from trackers.tracks import angles, rounded
 from tuning.tuned_file import with_noise
 
@@ -45,10 +45,10 @@ class Run(NamedTuple):
     status: np.ndarray
     nis: np.ndarray
     dof: np.ndarray
-    folder: Folder
+    folder: RecordingFolder
 
 
-def trajectories(study: Study, cell: Cell, ids: np.ndarray, first: bool) -> list[dict[str, np.ndarray]]:
+def trajectories(study: Study, cell: Condition, ids: np.ndarray, first: bool) -> list[dict[str, np.ndarray]]:
     """For every tracker what is kept of the trajectories with these ids, by name; `first`: bounds and times too.
 
     Raises UnusableInput where world, tracker or numbers don't fit each other.
@@ -78,12 +78,16 @@ def trajectories(study: Study, cell: Cell, ids: np.ndarray, first: bool) -> list
     return kept
 
 
-def entered(study: Study, cell: Cell, name: str, entrant: Entrant, folder: Folder) -> list[Group]:
-    """The lanes of a folder with the tracker as it enters a cell; raises UnusableInput where they don't fit."""
+def entered(
+    study: Study, cell: Condition, name: str, entrant: TrackerConfig, folder: RecordingFolder
+) -> list[TrackerBatch]:
+    """The trajectories of a folder with the tracker as it enters a cell; raises UnusableInput where they don't fit."""
     return _with_numbers(study, cell, name, entrant, grouped([folder], entrant.entry, name, entrant.free_height))
 
 
-def _with_numbers(study: Study, cell: Cell, name: str, entrant: Entrant, groups: list[Group]) -> list[Group]:
+def _with_numbers(
+    study: Study, cell: Condition, name: str, entrant: TrackerConfig, groups: list[TrackerBatch]
+) -> list[TrackerBatch]:
     where = f"study '{study.name}', tracker '{name}'"
     made = []
     for group in groups:
@@ -96,17 +100,17 @@ def _with_numbers(study: Study, cell: Cell, name: str, entrant: Entrant, groups:
                 tracker = Smoothed(tracker, None)
             except TypeError as error:
                 raise UnusableInput(f"{where}: smooth: {error}; leave `smooth` out") from error
-        made.append(Group(tracker, group.lanes, group.planar))
+        made.append(TrackerBatch(tracker, group.trajectories, group.planar))
     return made
 
 
-def _of_grid(cell: Cell, tracker: AbstractTracker) -> dict[str, Any]:
+def _of_grid(cell: Condition, tracker: AbstractTracker) -> dict[str, Any]:
     """The numbers of the grid that this tracker has."""
     own = list(tunables(tracker))
     return {k: v for k, v in cell.numbers.items() if not k.startswith(WORLD) and fnmatch.filter(own, k)}
 
 
-def _all_taken(study: Study, cell: Cell, plain: Mapping[str, list[Group]]) -> None:
+def _all_taken(study: Study, cell: Condition, plain: Mapping[str, list[TrackerBatch]]) -> None:
     """Refuse a number of the grid that no tracker has."""
     own = {name for groups in plain.values() for group in groups for name in tunables(group.tracker)}
     for pattern in cell.numbers:
@@ -117,14 +121,14 @@ def _all_taken(study: Study, cell: Cell, plain: Mapping[str, list[Group]]) -> No
             )
 
 
-def _run(groups: list[Group], ids: np.ndarray, chunk: int, entrant: Entrant) -> tuple[Run, float]:
-    """The estimates of all lanes, trajectories first, and the seconds that the trackers took."""
-    every = [lane for group in groups for lane in group.lanes]
+def _run(groups: list[TrackerBatch], ids: np.ndarray, chunk: int, entrant: TrackerConfig) -> tuple[Run, float]:
+    """The estimates of all trajectories, trajectories first, and the seconds that the trackers took."""
+    every = [trajectory for group in groups for trajectory in group.trajectories]
     if not every:
         raise UnusableInput("a world without a single tag to track; expected one for each id")
-    stations = sorted({lane.station for lane in every})
+    stations = sorted({trajectory.station for trajectory in every})
     number = {str(k): at for at, k in enumerate(ids)}
-    rows = max(len(lane.recording) for lane in every)
+    rows = max(len(trajectory.recording) for trajectory in every)
     shape = (len(ids), rows, len(stations))
     width = 2 if stations[0] else 3
     axes = 2 if stations[0] else max(2 if group.planar else 3 for group in groups)
@@ -135,34 +139,36 @@ def _run(groups: list[Group], ids: np.ndarray, chunk: int, entrant: Entrant) -> 
     nis, dof = np.zeros(shape), np.zeros(shape)
     seconds = 0.0
     for group in groups:
-        padded = rounded(max(len(lane.recording) for lane in group.lanes))
-        batch = stack([lane.recording for lane in group.lanes], rows=padded)
+        padded = rounded(max(len(trajectory.recording) for trajectory in group.trajectories))
+        batch = stack([trajectory.recording for trajectory in group.trajectories], rows=padded)
         # Whole chunks only: then a trajectory's numbers don't depend on how many there are, nor on how many devices.
-        whole = batch.lanes(0, chunk * -(-batch.size // chunk))
+        whole = batch.trajectories(0, chunk * -(-batch.size // chunk))
         began = time.perf_counter()
         found = group.tracker.run(whole, chunk)
         seconds += time.perf_counter() - began
-        paths: Mapping[str, Any] = true_paths(group.lanes[0].folder) if _shifts(group.tracker) else {}
-        for k, lane in enumerate(group.lanes):
-            one, size = found[k], len(lane.recording)
-            at = number[lane.tag], slice(0, size), stations.index(lane.station)
-            dated, own = group.tracker.dated(lane.recording.times, one[:size])
-            place, P = _moments(lane, own, size)
-            times[at[0], :size] = dated
+        paths: Mapping[str, Any] = true_paths(group.trajectories[0].folder) if _shifts(group.tracker) else {}
+        for k, trajectory in enumerate(group.trajectories):
+            one, size = found[k], len(trajectory.recording)
+            at = number[trajectory.tag], slice(0, size), stations.index(trajectory.station)
+            at_valid_time, own = group.tracker.at_valid_time(trajectory.recording.times, one[:size])
+            place, P = _moments(trajectory, own, size)
+            times[at[0], :size] = at_valid_time
             estimates[at], status[at], nis[at], dof[at] = place, own.status, own.nis, own.count
             covariance[at][..., : P.shape[-1], : P.shape[-1]] = P
-            (truth[at], counts) = _truth(lane, dated, paths)
-            known[at] = counts & own.usable & _last(dated, entrant.every) & np.isfinite(place[:, :2]).all(axis=1)
+            (truth[at], counts) = _truth(trajectory, at_valid_time, paths)
+            known[at] = (
+                counts & own.usable & _last(at_valid_time, entrant.every) & np.isfinite(place[:, :2]).all(axis=1)
+            )
     values = (estimates, covariance, truth, known, status, nis, dof)
     if not stations[0]:
         values = tuple(x[:, :, 0] for x in values)  # type: ignore[assignment]
-    return Run(times, *values, groups[0].lanes[0].folder), seconds
+    return Run(times, *values, groups[0].trajectories[0].folder), seconds
 
 
-def _moments(lane: Lane, own: Estimates, size: int) -> tuple[np.ndarray, np.ndarray]:
+def _moments(trajectory: Trajectory, own: Estimates, size: int) -> tuple[np.ndarray, np.ndarray]:
     """Places (T, 3) m, or angles (T, 2) rad, with the covariance of what was estimated."""
     usable = own.usable
-    if lane.station:
+    if trajectory.station:
         found = angles(own)
         place = np.stack([found["azimuth_rad"], found["elevation_rad"]], axis=-1)
         deviations = np.stack([found["std_azimuth_rad"], found["std_elevation_rad"]], axis=-1)
@@ -170,7 +176,7 @@ def _moments(lane: Lane, own: Estimates, size: int) -> tuple[np.ndarray, np.ndar
     else:
         parts = [np.asarray(x, float) for x in own.mean.position]
         d = len(parts)
-        place = np.stack(parts if d == 3 else [*parts, shown_height(lane)], axis=-1)
+        place = np.stack(parts if d == 3 else [*parts, known_heights(trajectory)], axis=-1)
         index = {pair: k for k, pair in enumerate(triangle(own.dimension))}
         P = np.stack(
             [np.stack([own.cov_upper[index[min(i, j), max(i, j)]] for j in range(d)], -1) for i in range(d)], -2
@@ -180,14 +186,14 @@ def _moments(lane: Lane, own: Estimates, size: int) -> tuple[np.ndarray, np.ndar
 
 def _shifts(tracker: AbstractTracker) -> bool:
     """Whether the tracker's estimates are valid at other times than its rows'."""
-    return type(tracker).dated is not AbstractTracker.dated
+    return type(tracker).at_valid_time is not AbstractTracker.at_valid_time
 
 
-def _truth(lane: Lane, times: np.ndarray, paths: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
-    if lane.tag in paths:
-        place, verdict = interpolated(times, *paths[lane.tag])
-        return place, verdict == Verdict.COUNTS
-    return next(iter(lane.recording.truth.values()))
+def _truth(trajectory: Trajectory, times: np.ndarray, paths: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+    if trajectory.tag in paths:
+        place, verdict = interpolated(times, *paths[trajectory.tag])
+        return place, verdict == TruthStatus.COUNTS
+    return next(iter(trajectory.recording.truth.values()))
 
 
 def _last(times: np.ndarray, every: float | None) -> np.ndarray:
@@ -207,7 +213,7 @@ def _measured(study: Study, name: str, found: Any, n: int) -> np.ndarray:
     return values
 
 
-def _bounds(folder: Folder, groups: list[Group]) -> np.ndarray:
+def _bounds(folder: RecordingFolder, groups: list[TrackerBatch]) -> np.ndarray:
     """The Cramér–Rao bound as root mean square over the second half of the rows, in the plane and in space.
 
     NaN where there is none. The first rows' bound is the width of the tracker's start, which nobody takes for a bound.

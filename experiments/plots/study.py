@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator, PercentFormatter
 
 from experiments.monte_carlo.accumulators import KINDS
-from experiments.monte_carlo.declaration import Cell, short
+from experiments.monte_carlo.declaration import Condition, short
 from experiments.monte_carlo.results import Results, Value
 from experiments.plots.drawings import HEIGHT, WIDTH, drawn, plain
 from experiments.plots.style import LINES, literal
@@ -153,7 +153,7 @@ def distribution_charts(results: Results, lengths: Unit | None) -> list[Drawing]
     return made
 
 
-def _curves(results: Results, cell: Cell, kind: str, factor: float) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def _curves(results: Results, cell: Condition, kind: str, factor: float) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """By tracker that has such errors: errors in the unit of the drawing, and the share of estimates with less."""
     found = {}
     for tracker in results.study.trackers:
@@ -194,7 +194,7 @@ def _plain_log(axis: Axis) -> None:
     axis.set_minor_locator(NullLocator())
 
 
-def _kind(results: Results, cell: Cell) -> str:
+def _kind(results: Results, cell: Condition) -> str:
     """The kind of errors that the study's figures are about: of the first that names one, else what there is."""
     there = {k for t in results.study.trackers for k in results.kept[cell.index, t].histograms}
     # The longer suffixes first: `3d_m` ends in `m` too.
@@ -213,7 +213,7 @@ def _axis(results: Results) -> str | None:
     return name if len(numbers) == len(values) > 2 else None
 
 
-def _row_name(results: Results, cell: Cell, tracker: str) -> str:
+def _row_name(results: Results, cell: Condition, tracker: str) -> str:
     if len(results.study.trackers) == 1:
         return cell.label
     return tracker if len(results.study.cells) == 1 else f"{cell.label}: {tracker}"

@@ -15,15 +15,17 @@ from experiments.plots.tracks import bearings_over_time, error_cdf, error_over_t
 from trackers.bounds import bounds_of
 from trackers.core.metrics import nees
 from trackers.evaluation import covariances
-from trackers.recordings.folder import Folder
-from trackers.recordings.tracker_spec import Group
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.truth import is_bearing, match_truth, numbers, track_keys, true_bearings
 
 DRAWN = 4
 """Recordings (or tags) for which figures of their own are drawn."""
 
 
-def draw_tracks(out: Path, tracks: pl.DataFrame, folders: Sequence[Folder], groups: Sequence[Group]) -> list[str]:
+def draw_tracks(
+    out: Path, tracks: pl.DataFrame, folders: Sequence[RecordingFolder], groups: Sequence[TrackerBatch]
+) -> list[str]:
     """Draw what can be drawn of the tracks into the run folder; the file names, without their endings."""
     if is_bearing(tracks):
         return _draw_bearings(out, tracks, folders)
@@ -41,7 +43,12 @@ def draw_tracks(out: Path, tracks: pl.DataFrame, folders: Sequence[Folder], grou
 
 
 def _draw_errors(
-    out: Path, drawn: list[str], suffix: str, rows: pl.DataFrame, folder: Folder, groups: Sequence[Group]
+    out: Path,
+    drawn: list[str],
+    suffix: str,
+    rows: pl.DataFrame,
+    folder: RecordingFolder,
+    groups: Sequence[TrackerBatch],
 ) -> None:
     matched = match_truth(rows, {folder.name: folder.tables["truth"]})
     if not matched.counts.any():
@@ -104,7 +111,7 @@ def _at(bounds: tuple[np.ndarray, np.ndarray], times: np.ndarray) -> np.ndarray:
     return np.stack([np.interp(times, bounds[0], b, np.nan, np.nan) for b in bounds[1].T], axis=1)
 
 
-def _draw_bearings(out: Path, tracks: pl.DataFrame, folders: Sequence[Folder]) -> list[str]:
+def _draw_bearings(out: Path, tracks: pl.DataFrame, folders: Sequence[RecordingFolder]) -> list[str]:
     drawn: list[str] = []
     by_name = {f.name: f for f in folders}
     keys = tracks.select(track_keys(tracks)).unique(maintain_order=True).to_dicts()

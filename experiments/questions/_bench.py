@@ -17,7 +17,7 @@ from sim.scenarios import simulate_phases, work_station
 from sim.tables.phases import as_folder
 from sim.tables.uwb_imu import simulated_uwb_imu
 from sim.visits import visits
-from trackers.recordings.folder import Folder
+from trackers.recordings.folder import RecordingFolder
 from trackers.worksteps.decisions import NOWHERE, Decisions, WorkPoints, at_work, decide
 
 SIGMA_P, SIGMA_R, BIAS = 0.25, 0.03, 0.05
@@ -37,7 +37,7 @@ def points_of(spacing: float) -> np.ndarray:
     return MIDDLE + np.stack([x.ravel(), y.ravel(), np.zeros(9)], axis=1)
 
 
-def bench(ids: np.ndarray, seed: int, spacing: float) -> Folder:
+def bench(ids: np.ndarray, seed: int, spacing: float) -> RecordingFolder:
     """Rounds of the tool with phases, ranges and IMU, and the points in the table `points`."""
     points = points_of(spacing)
     path, n = partial(visits, points=points), len(ids)

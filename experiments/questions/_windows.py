@@ -6,14 +6,14 @@ from dataclasses import replace
 
 from trackers.baselines.rows import TRACKERS
 from trackers.baselines.windows import MovingWindow
-from trackers.recordings.tracker_spec import Entry
+from trackers.recordings.tracker_spec import TrackerSpec
 
 
-def window(rows: int, median: bool = False) -> Entry:
+def window(rows: int, median: bool = False) -> TrackerSpec:
     """The mean or the median of the last `rows` fixes, axis by axis."""
     entry = TRACKERS["median" if median else "moving-average"]
     about = f"{'median' if median else 'mean'} of the last {rows} fixes"
-    return replace(entry, about=about, build=lambda lane, planar: MovingWindow(rows, median, planar))
+    return replace(entry, about=about, build=lambda trajectory, planar: MovingWindow(rows, median, planar))
 
 
 RAW = replace(window(1), about="the fixes as they are")

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from experiments.monte_carlo.declaration import Entrant, Study, World
-from experiments.monte_carlo.expectations import Claim, Conclusion
+from experiments.monte_carlo.declaration import Study, TrackerConfig, World
+from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
 from experiments.monte_carlo.results import Results
 from experiments.plots.style import BLACK, VERMILION
 from experiments.questions._design_pictures import maps
@@ -36,14 +36,14 @@ from sim.corruptions import white_noise
 from sim.paths import hand_motion
 from sim.ranging import Protocol, chamber, simulate_ranges
 from sim.tables.ranging import simulated_ranging
-from trackers.recordings.folder import Folder
+from trackers.recordings.folder import RecordingFolder
 
 DESIGNS = designs("anchors")
 EXACT = Protocol(drift=0.0, sigma_stamp=0.0)
 HEIGHT = 1.3
 
 
-def walks(ids: np.ndarray, seed: int, layout: str) -> Folder:
+def walks(ids: np.ndarray, seed: int, layout: str) -> RecordingFolder:
     """Tags that move through the hall at 0.7 m/s, ranged by all four anchors ten times a second."""
     path = partial(hand_motion, volume=TAGS, speed=0.7)
     world = simulate_ranges(
@@ -53,7 +53,7 @@ def walks(ids: np.ndarray, seed: int, layout: str) -> Folder:
     return simulated_ranging(world, "hall")
 
 
-def claims(results: Results) -> list[Claim | Conclusion]:
+def claims(results: Results) -> list[ExpectedResult | Conclusion]:
     """The gradient against the grid, and tracks against bounds."""
     usual, grid, gradient = (DESIGNS[layout] for layout in LAYOUTS)
     bound, found = gradient.bound / usual.bound, fall(results, "uwb", "gradient")
@@ -100,7 +100,7 @@ def draw(results: Results, folder: Path) -> list[str]:
 
 TOLD = {
     "sensors.ranges.sigma_r": SIGMA_R,
-    "sensors.ranges.stretch": 1.0,
+    "sensors.ranges.positive_skew": 1.0,
     "sensors.ranges.tail": 30.0,
     "sensors.ranges.bias": [0.0] * 8,
     "motion.sigma_bias": 0.002,
@@ -112,7 +112,10 @@ STUDY = Study(
     name="design-anchors",
     about="Where four anchors must stand in a hall: corners, grid and gradient, by their bounds and on tracks",
     worlds={layout: World(walks, {"layout": layout}) for layout in LAYOUTS},
-    trackers={"uwb": Entrant("uwb", TOLD), "multilateration": Entrant("multilateration", {"sigma_r": SIGMA_R})},
+    trackers={
+        "uwb": TrackerConfig("uwb", TOLD),
+        "multilateration": TrackerConfig("multilateration", {"sigma_r": SIGMA_R}),
+    },
     runs=100,
     measures={"square_3d_m2": squares},
     figures=("rmse_3d_m", "median_3d_m", "p95_3d_m", "rmse_m"),

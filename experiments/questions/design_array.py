@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from experiments.monte_carlo.declaration import Entrant, Study, World
-from experiments.monte_carlo.expectations import Claim, Conclusion
+from experiments.monte_carlo.declaration import Study, TrackerConfig, World
+from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
 from experiments.monte_carlo.results import Results
 from experiments.plots.style import VERMILION
 from experiments.questions._design_pictures import maps
@@ -22,21 +22,21 @@ from experiments.questions._designs import LAYOUTS, SIGMA_P, against_grid, bound
 from sim.paths import WORK_VOLUME
 from sim.scenarios import simulate_phases, work_station
 from sim.tables.phases import as_folder
-from trackers.recordings.folder import Folder
+from trackers.recordings.folder import RecordingFolder
 
 DESIGNS = designs("array")
 MAGNIFIED = 10.0
 """Times by which the array is drawn larger than the volume under it."""
 
 
-def helices(ids: np.ndarray, seed: int, layout: str) -> Folder:
+def helices(ids: np.ndarray, seed: int, layout: str) -> RecordingFolder:
     """Helices of the paper's size anywhere in the volume, phases of stations with the layout's array."""
     rig = work_station(DESIGNS[layout].places)
     world = simulate_phases(rig, "varied-helix", len(ids), seed, sigma_p=SIGMA_P, rate_hz=10.0, n_points=200, ids=ids)
     return as_folder(world, "work-stand")
 
 
-def claims(results: Results) -> list[Claim | Conclusion]:
+def claims(results: Results) -> list[ExpectedResult | Conclusion]:
     """The gradient against the grid, and tracks against bounds."""
     usual, grid, gradient = (DESIGNS[layout] for layout in LAYOUTS)
     found = fall(results, "direct", "gradient")
@@ -91,8 +91,8 @@ STUDY = Study(
     about="Where eight antennas must stand for the least error in the work volume, by their bounds and on tracks",
     worlds={layout: World(helices, {"layout": layout}) for layout in LAYOUTS},
     trackers={
-        "direct": Entrant("direct", {"sensors.*.sigma_p": SIGMA_P}),
-        "cascade": Entrant("cascade", {"beams.*.sensors.*.sigma_p": SIGMA_P}),
+        "direct": TrackerConfig("direct", {"sensors.*.sigma_p": SIGMA_P}),
+        "cascade": TrackerConfig("cascade", {"beams.*.sensors.*.sigma_p": SIGMA_P}),
     },
     runs=100,
     measures={"square_3d_m2": squares},

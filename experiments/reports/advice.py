@@ -23,7 +23,7 @@ SHAPES = ("nis-shape", "nees-shape")
 
 
 @dataclass(frozen=True)
-class Judgement:
+class IdentifiabilityIssue:
     """`word`: what to do; `verdict`: one sentence; `warnings`: what to beware of; `good`: whether there is nothing."""
 
     word: str
@@ -32,7 +32,7 @@ class Judgement:
     warnings: tuple[str, ...]
 
 
-def judged(evidence: TuningEvidence) -> Judgement:
+def judged(evidence: TuningEvidence) -> IdentifiabilityIssue:
     """What the evidence says."""
     against = [*_unmoved(evidence), *_worse(evidence), *_undetermined(evidence)]
     doubts = _inconsistent(evidence)
@@ -52,7 +52,7 @@ def judged(evidence: TuningEvidence) -> Judgement:
     if not sentence.startswith(evidence.objective):
         sentence = sentence[0].upper() + sentence[1:]
     word = "Look before you use it." if against else "Use its estimates, not its covariances." if doubts else "Use it."
-    return Judgement(word, f"{sentence}.", not (against or doubts), (*against, *doubts))
+    return IdentifiabilityIssue(word, f"{sentence}.", not (against or doubts), (*against, *doubts))
 
 
 def is_worse(score: Score, pair: tuple[float, float]) -> bool:
@@ -163,8 +163,8 @@ def _why(evidence: TuningEvidence) -> str:
 
 def _undetermined(evidence: TuningEvidence) -> list[str]:
     """What the recordings leave open: in the words that came with the fit, or else by name."""
-    if evidence.judgements:
-        *others, last = evidence.judgements
+    if evidence.identifiability_issues:
+        *others, last = evidence.identifiability_issues
         return [*(f"{text}." for text in others), f"{last}. {ADVICE}"]
     names = [n.name for n in evidence.numbers if n.determined is False]
     return [f"The recordings do not determine {', '.join(names)}: other values fit as well. {ADVICE}"] if names else []

@@ -143,7 +143,7 @@ def _notes(evaluation: Evaluation, columns: Sequence[Column]) -> list[str]:
         "n_no_truth": "without truth at their time",
         "n_hole": "in holes of the truth",
     }
-    left_out = [f"{overall[name]} {why}" for name, why in reasons.items() if overall[name]]
-    if left_out:
-        notes.append(f"Not counted of {overall['n_rows']} rows: {', '.join(left_out)}.")
+    n_excluded = [f"{overall[name]} {why}" for name, why in reasons.items() if overall[name]]
+    if n_excluded:
+        notes.append(f"Not counted of {overall['n_rows']} rows: {', '.join(n_excluded)}.")
     return notes

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.monte_carlo.expectations import Claim, Conclusion
+from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
 from experiments.monte_carlo.results import Results
 from experiments.plots.study import SHOWN_CELLS, Drawing, distribution_charts, figure_chart
 from experiments.reports.html_page import document, section
@@ -46,7 +46,11 @@ table.under .interval { display: block; font-size: .9em; }
 
 
 def write_page(
-    folder: Path, results: Results, claims: Sequence[Claim | Conclusion], drawn: Sequence[str], command: Sequence[str]
+    folder: Path,
+    results: Results,
+    claims: Sequence[ExpectedResult | Conclusion],
+    drawn: Sequence[str],
+    command: Sequence[str],
 ) -> Path:
     """The report's path, written whole or not at all. `drawn`: pictures in the folder that go into it."""
     text = page(results, claims, [folder / name for name in drawn], command)
@@ -54,7 +58,7 @@ def write_page(
 
 
 def page(
-    results: Results, claims: Sequence[Claim | Conclusion], pictures: Sequence[Path], command: Sequence[str]
+    results: Results, claims: Sequence[ExpectedResult | Conclusion], pictures: Sequence[Path], command: Sequence[str]
 ) -> str:
     """The report as HTML."""
     study = results.study
@@ -94,8 +98,8 @@ def _wrapping(text: str) -> str:
     return re.sub(r"^(\S+) (\(\S+ … \S+\))$", r'\1 <span class="interval">\2</span>', escape(text))
 
 
-def _claims(claims: Sequence[Claim | Conclusion]) -> str:
-    own = [c for c in claims if isinstance(c, Claim)]
+def _claims(claims: Sequence[ExpectedResult | Conclusion]) -> str:
+    own = [c for c in claims if isinstance(c, ExpectedResult)]
     rows = []
     for c in own:
         reached = "" if c.reached is None else "yes" if c.reached else "no"
@@ -116,7 +120,7 @@ def _claims(claims: Sequence[Claim | Conclusion]) -> str:
     return section("printed", "What is printed, and what came out", lead, content)
 
 
-def _conclusions(claims: Sequence[Claim | Conclusion]) -> str:
+def _conclusions(claims: Sequence[ExpectedResult | Conclusion]) -> str:
     rows = [[c.says, "yes" if c.holds else "no", c.evidence] for c in claims if isinstance(c, Conclusion)]
     content = table(["conclusion", "holds", "evidence"], rows, ["", "judged", "long"]) if rows else ""
     return section("conclusions", "Conclusions", "", content)

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from experiments.cli.console import rendered
 from experiments.monte_carlo.declaration import Study
-from experiments.monte_carlo.expectations import Claim, Conclusion
+from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
 from experiments.monte_carlo.results import NAMES, Results, Value
 from experiments.reports.wording import Unit, heading, units_of, with_interval
 from trackers.recordings.atomic import json_text
@@ -19,7 +19,7 @@ from trackers.recordings.atomic import json_text
 WIDTH = 160
 
 
-def to_text(results: Results, claims: Sequence[Claim | Conclusion]) -> str:
+def to_text(results: Results, claims: Sequence[ExpectedResult | Conclusion]) -> str:
     """The main figures of every cell and tracker, and what was printed beside ours."""
     shown = results.shown()
     units = units_of({f: [v.value for v in found.values()] for f, found in shown.items()})
@@ -39,8 +39,8 @@ def _table(study: Study, figure: str, found: Mapping[tuple[int, str], Value], un
     return table
 
 
-def _claims(claims: Sequence[Claim | Conclusion]) -> Table | None:
-    own = [c for c in claims if isinstance(c, Claim)]
+def _claims(claims: Sequence[ExpectedResult | Conclusion]) -> Table | None:
+    own = [c for c in claims if isinstance(c, ExpectedResult)]
     if not own:
         return None
     table = Table(title="Printed and ours", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
@@ -54,7 +54,7 @@ def _claims(claims: Sequence[Claim | Conclusion]) -> Table | None:
     return table
 
 
-def _conclusions(claims: Sequence[Claim | Conclusion]) -> Table | None:
+def _conclusions(claims: Sequence[ExpectedResult | Conclusion]) -> Table | None:
     own = [c for c in claims if isinstance(c, Conclusion)]
     if not own:
         return None
@@ -66,7 +66,7 @@ def _conclusions(claims: Sequence[Claim | Conclusion]) -> Table | None:
     return table
 
 
-def to_json(results: Results, claims: Sequence[Claim | Conclusion]) -> str:
+def to_json(results: Results, claims: Sequence[ExpectedResult | Conclusion]) -> str:
     """Every figure of every cell and tracker with its interval, and the differences from the first tracker."""
     figures = _all_figures(results)
     return json_text(
@@ -131,7 +131,7 @@ def _has(results: Results, figure: str, cell: int, tracker: str) -> bool:
     return kind is None or kind in kept.histograms
 
 
-def _claim(claim: Claim | Conclusion) -> dict[str, Any]:
+def _claim(claim: ExpectedResult | Conclusion) -> dict[str, Any]:
     if isinstance(claim, Conclusion):
         return {"says": claim.says, "holds": claim.holds, "evidence": claim.evidence}
     own: Value = claim.ours

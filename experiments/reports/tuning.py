@@ -8,7 +8,7 @@ from html import escape
 from pathlib import Path
 
 from experiments.plots import filter_charts, optimiser_charts
-from experiments.reports.advice import Judgement, is_better, is_worse, judged, number, percent
+from experiments.reports.advice import IdentifiabilityIssue, is_better, is_worse, judged, number, percent
 from experiments.reports.html_page import document, section
 from experiments.reports.tuning_data import Score, TunedNumber, TuningEvidence
 from trackers.recordings.atomic import atomic_write
@@ -37,7 +37,7 @@ def page(evidence: TuningEvidence) -> str:
     return document("tuning report", title, _verdict(judgement), f"{sections}\n{_footer(evidence)}")
 
 
-def _verdict(judgement: Judgement) -> str:
+def _verdict(judgement: IdentifiabilityIssue) -> str:
     kind = "verdict" if judgement.good else "verdict beware"
     items = "".join(f"<li>{escape(w)}</li>" for w in judgement.warnings)
     listed = f'\n<ul class="warnings">{items}</ul>' if items else ""

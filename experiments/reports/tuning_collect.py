@@ -20,16 +20,16 @@ from experiments.reports.tuning_data import (
 from trackers.core.estimates import Estimates
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker
-from trackers.recordings.trajectories import Lane
+from trackers.recordings.trajectories import Trajectory
 from trackers.tracks import batches
 from tuning import FitResult
 from tuning.consistency import tail_of
 from tuning.fit import Step
-from tuning.identifiability import Judgement, names_of
+from tuning.identifiability import IdentifiabilityIssue, names_of
 from tuning.intervals import Interval
-from tuning.metrics import every_figure
+from tuning.metrics import all_metrics
 from tuning.parameters import Parameter
-from tuning.surface import landscape_of
+from tuning.surface import surface_of
 
 TITLES = {
     "nll": ("Negative log-likelihood per number read", "nats"),
@@ -58,16 +58,16 @@ class Asked:
 def gather(
     asked: Asked,
     result: FitResult,
-    training: Sequence[Lane],
-    held_out: Sequence[Lane],
+    training: Sequence[Trajectory],
+    held_out: Sequence[Trajectory],
     planar: bool,
     intervals: Mapping[str, Interval],
-    judgements: Sequence[Judgement] = (),
+    identifiability_issues: Sequence[IdentifiabilityIssue] = (),
 ) -> TuningEvidence:
-    """The evidence: figures of both trackers on all lanes, and what they say on those held out, if any, row by row.
+    """The evidence: figures of both trackers on all trajectories, and what they say on those held out, if any, row by row.
 
-    `training`: the lanes that were tuned on. `planar`: whether only the place over the floor is estimated.
-    `intervals`: 95 %, by label, none where the fit was stopped; `judgements`: what is not determined. The landscape
+    `training`: the trajectories that were tuned on. `planar`: whether only the place over the floor is estimated.
+    `intervals`: 95 %, by label, none where the fit was stopped; `identifiability_issues`: what is not determined. The landscape
     round the optimum takes about as many values as the fit took steps.
     """
     effort, before = result.filter_runs, result.before
@@ -76,15 +76,21 @@ def gather(
     dimensions = 2 if angles or planar else 3
     # Of the figures `rmse` is the error over the floor, and an error in space has another name.
     goal = "rmse-3d" if asked.objective == "rmse" and dimensions == 3 else asked.objective
-    numbers = _numbers(result, intervals, judgements)
+    numbers = _numbers(result, intervals, identifiability_issues)
     judged, where = (held_out, "held-out recordings") if held_out else (training, "the recordings tuned on")
     unit, scale = ("°", 180 / np.pi) if angles else ("m", 1.0)
     rows, tracks, comparable = [], [], True
     for tracker in (before, result.tracker):
-        seen = [(lane, one) for lanes, batch in batches(judged) for lane, one in _each(lanes, tracker.run(batch))]
+        seen = [
+            (trajectory, one)
+            for trajectories, batch in batches(judged)
+            for trajectory, one in _each(trajectories, tracker.run(batch))
+        ]
         comparable &= all(hasattr(one.mean, quantity) for _, one in seen)
         rows.append(innovations_of([one for _, one in seen], tracker))
-        tracks.append({_name(lane): _errors(tracker, lane, one, quantity, scale) for lane, one in seen})
+        tracks.append(
+            {_name(trajectory): _errors(tracker, trajectory, one, quantity, scale) for trajectory, one in seen}
+        )
     errors = tuple(
         ErrorTrack(name, times, old, tracks[1][name][1])
         for name, (times, old) in tracks[0].items()
@@ -108,14 +114,14 @@ def gather(
             ),
         ),
         descents=_descents(result),
-        landscape=landscape_of(result, result.uncertainty),
+        landscape=surface_of(result, result.uncertainty),
         judged_on=where,
         innovations=known,
         errors=errors,
         error_unit=unit,
         filter_runs=effort,
         seconds=asked.seconds,
-        judgements=tuple(j.text for j in judgements),
+        identifiability_issues=tuple(j.text for j in identifiability_issues),
         notes=(*asked.notes, *([JUDGES] if held_out else []), *([] if known else [NO_DISTRIBUTION])),
         provenance=(
             ("trackwright", version("trackwright")),
@@ -144,35 +150,41 @@ def _about(objective: str, unit: str) -> str:
     return f"{title if title[:2].isupper() else title[0].lower() + title[1:]}" + (f" ({shown})" if shown != "1" else "")
 
 
-def _recordings(lanes: Sequence[Lane]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(lane.folder.name for lane in lanes))
+def _recordings(trajectories: Sequence[Trajectory]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(trajectory.folder.name for trajectory in trajectories))
 
 
-def _name(lane: Lane) -> str:
-    return ", ".join([lane.folder.name, f"tag {lane.tag}", *([f"station {lane.station}"] if lane.station else [])])
+def _name(trajectory: Trajectory) -> str:
+    return ", ".join(
+        [
+            trajectory.folder.name,
+            f"tag {trajectory.tag}",
+            *([f"station {trajectory.station}"] if trajectory.station else []),
+        ]
+    )
 
 
-def _each(lanes: Sequence[Lane], estimates: Estimates) -> list[tuple[Lane, Estimates]]:
-    return [(lane, estimates[k][: len(lane.recording)]) for k, lane in enumerate(lanes)]
+def _each(trajectories: Sequence[Trajectory], estimates: Estimates) -> list[tuple[Trajectory, Estimates]]:
+    return [(trajectory, estimates[k][: len(trajectory.recording)]) for k, trajectory in enumerate(trajectories)]
 
 
 def _errors(
-    tracker: AbstractTracker, lane: Lane, one: Estimates, quantity: str, scale: float
+    tracker: AbstractTracker, trajectory: Trajectory, one: Estimates, quantity: str, scale: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Times and lengths of the errors, over the floor, or of a direction's two angles; NaN where there is none.
 
     At the times for which the tracker dates its estimates, with the truth between rows where these are not the rows'.
     """
-    rows = lane.recording.times
-    true, known = lane.recording.truth[quantity]
-    times, dated = tracker.dated(rows, one)
-    if not (hasattr(dated.mean, quantity) and known.any()):
+    rows = trajectory.recording.times
+    true, known = trajectory.recording.truth[quantity]
+    times, at_valid_time = tracker.at_valid_time(rows, one)
+    if not (hasattr(at_valid_time.mean, quantity) and known.any()):
         return times, np.full(len(times), np.nan)
     there = (np.interp(times, rows, known) > 1 - 1e-9) & (times >= rows[0])
-    mean = np.stack([np.asarray(x) for x in getattr(dated.mean, quantity)], axis=1)[:, :2]
+    mean = np.stack([np.asarray(x) for x in getattr(at_valid_time.mean, quantity)], axis=1)[:, :2]
     moved = np.stack([np.interp(times, rows[known], true[known, k]) for k in range(2)], axis=1)
     length = scale * np.sqrt(((mean - moved) ** 2).sum(axis=1))
-    return times, np.where(there & dated.usable, length, np.nan)
+    return times, np.where(there & at_valid_time.usable, length, np.nan)
 
 
 def innovations_of(every: Sequence[Estimates], tracker: AbstractTracker) -> Innovations | None:
@@ -182,17 +194,17 @@ def innovations_of(every: Sequence[Estimates], tracker: AbstractTracker) -> Inno
     except ValueError:
         return None
     heard = [np.isfinite(one.nis) & (one.count > 0) & one.usable for one in every]
-    lane = [np.full(int(h.sum()), k) for k, h in enumerate(heard)]
+    trajectory = [np.full(int(h.sum()), k) for k, h in enumerate(heard)]
     nis, dof = (
         np.concatenate([getattr(one, name)[h].astype(float) for one, h in zip(every, heard, strict=True)])
         for name in ("nis", "count")
     )
-    return Innovations(nis, dof, np.concatenate(lane), None if tail is None else float(np.asarray(tail)))
+    return Innovations(nis, dof, np.concatenate(trajectory), None if tail is None else float(np.asarray(tail)))
 
 
-def _rows(lanes: Sequence[Lane], comparable: bool) -> list[Batch]:
-    """The lanes' rows, without truth where the state has no such quantity: a beam in a flat array's plane has none."""
-    rows = [batch for _, batch in batches(lanes)] if lanes else []
+def _rows(trajectories: Sequence[Trajectory], comparable: bool) -> list[Batch]:
+    """The trajectories' rows, without truth where the state has no such quantity: a beam in a flat array's plane has none."""
+    rows = [batch for _, batch in batches(trajectories)] if trajectories else []
     return rows if comparable else [batch._replace(truth={}) for batch in rows]
 
 
@@ -200,7 +212,7 @@ def _scores(
     trackers: Sequence[AbstractTracker], recordings: Sequence[list[Batch]], quantity: str, dimensions: int
 ) -> tuple[Score, ...]:
     """Every figure that there is, before and after, on the recordings tuned on and on those held out."""
-    found = [[every_figure(t, rows, quantity, dimensions) if rows else {} for t in trackers] for rows in recordings]
+    found = [[all_metrics(t, rows, quantity, dimensions) if rows else {} for t in trackers] for rows in recordings]
     unit = "rad" if quantity == "direction" else "m"
     nan = float("nan")
     scores = []
@@ -213,10 +225,10 @@ def _scores(
 
 
 def _numbers(
-    result: FitResult, intervals: Mapping[str, Interval], judgements: Sequence[Judgement]
+    result: FitResult, intervals: Mapping[str, Interval], identifiability_issues: Sequence[IdentifiabilityIssue]
 ) -> tuple[TunedNumber, ...]:
     """The table of tuned numbers."""
-    doubted = {name for judgement in judgements for name in judgement.names}
+    doubted = {name for judgement in identifiability_issues for name in judgement.names}
     names = names_of(result.parameters)
     units = [p.example.unit for p in result.parameters for _ in range(int(np.size(p.example.raw)))]
     old, new = (_flat(result.parameters, values) for values in (_own(result)[0].values, result.values))

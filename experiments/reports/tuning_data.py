@@ -62,14 +62,14 @@ class Landscape:
 
 @dataclass(frozen=True)
 class Innovations:
-    """NIS (n,) with degrees of freedom (n,) of rows in time order; `lane` (n,): whose trajectory a row is.
+    """NIS (n,) with degrees of freedom (n,) of rows in time order; `trajectory` (n,): whose trajectory a row is.
 
     `tail`: degrees of freedom of the noise where it is Student's t, so that NIS is not χ²; None where it is normal.
     """
 
     nis: np.ndarray
     dof: np.ndarray
-    lane: np.ndarray
+    trajectory: np.ndarray
     tail: float | None = None
 
 
@@ -90,7 +90,7 @@ class TuningEvidence:
     `command`, `again`: what was typed, and what to type to use the result and to run it again. `tracker`, `objective`:
     names, `tracker_about`, `objective_about`: the same in words. `training`, `held_out`: names of recordings.
     `descents`: one for each start, the best first. `judged_on`: in words, on which recordings `innovations` (before,
-    after) and `errors` were seen. `judgements`: sentences on what the recordings leave open. `notes`: sentences on what
+    after) and `errors` were seen. `identifiability_issues`: sentences on what the recordings leave open. `notes`: sentences on what
     went otherwise than usual. `provenance`: pairs of title and text.
     """
 
@@ -112,7 +112,7 @@ class TuningEvidence:
     error_unit: str
     filter_runs: int
     seconds: float
-    judgements: tuple[str, ...] = ()
+    identifiability_issues: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     provenance: tuple[tuple[str, str], ...] = ()
 

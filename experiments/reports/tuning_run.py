@@ -20,7 +20,7 @@ from experiments.reports.tuning_collect import Asked, gather
 from trackers.catalogue import TRACKERS
 from trackers.recordings.atomic import atomic_write
 from tuning import FitResult
-from tuning.identifiability import Judgement, judgements
+from tuning.identifiability import IdentifiabilityIssue, identifiability_issues
 from tuning.intervals import Interval, intervals_of
 from tuning.tuned_file import write_tuned
 
@@ -70,14 +70,14 @@ def write_run(out: Path, job: Job, result: FitResult, run: Run) -> list[str]:
 def _notes(job: Job, result: FitResult) -> Iterator[str]:
     if result.uncertainty is None:
         yield "This fit was stopped before its end: the numbers are the best met so far; --resume goes on."
-    if result.left_out:
-        yield f"{result.left_out} of {len(job.training)} pieces had no say."
+    if result.n_excluded:
+        yield f"{result.n_excluded} of {len(job.training)} pieces had no say."
 
 
-def _doubts(result: FitResult) -> list[Judgement]:
+def _doubts(result: FitResult) -> list[IdentifiabilityIssue]:
     if result.uncertainty is None:
         return []
-    return judgements(result.uncertainty, result.problem.evaluate(result.vector).slopes)
+    return identifiability_issues(result.uncertainty, result.problem.evaluate(result.vector).slopes)
 
 
 def _write_trace(out: Path, result: FitResult, objective: str, unit: str) -> None:

@@ -32,11 +32,11 @@ from trackers import (  # noqa: E402
     Gaussian,
     Kinematic,
     LineMotion,
-    LossPolicy,
     Polyline,
     Readings,
     Recording,
     Tracker,
+    TrackLossPolicy,
     Vector,
     beam_tracker,
     diagonal,
@@ -51,7 +51,7 @@ from trackers.line.motion import OnLine  # noqa: E402
 from trackers.parts.ranges import RANGES, RangeSensor  # noqa: E402
 from tuning import NegativeLogLikelihood, fit  # noqa: E402
 from tuning.identifiability import names_of  # noqa: E402
-from tuning.parameters import Parameter, chosen, flatten, placed_in  # noqa: E402
+from tuning.parameters import Parameter, flatten, select_parameters, with_parameters  # noqa: E402
 from tuning.uncertainty import By, unused  # noqa: E402
 
 REPLICATES = 200
@@ -60,7 +60,7 @@ COVERED = (0.89, 0.99)
 
 UNBIASED = 3.0
 WRONG = np.log(10.0)
-NEVER_LOST = LossPolicy(limit=np.inf, patience=np.inf)
+NEVER_LOST = TrackLossPolicy(nis_limit=np.inf, max_gap=np.inf)
 
 
 class Known(AbstractStart):
@@ -73,7 +73,7 @@ class Known(AbstractStart):
     def ready(self, row: Any) -> Any:
         return row.valid
 
-    def acquire(self, sensors: Any, row: Any) -> Any:
+    def candidate(self, sensors: Any, row: Any) -> Any:
         return row.dt
 
     def begin(self, found: Any, row: Any) -> Gaussian:
@@ -160,7 +160,7 @@ def ranges() -> System:
     anchors = np.array([[0, 0, 2.5], [8, 0, 0.3], [8, 6, 2.5], [0, 6, 0.3], [4, 0, 0.5], [4, 6, 2.3]], float)
     count, sigma_r = len(anchors), 0.1
     # So many degrees of freedom make Student's t normal, and ranges too long are as likely as ones too short.
-    sensor = RangeSensor(count, count, sigma_r, stretch=1.0, tail=1e4)
+    sensor = RangeSensor(count, count, sigma_r, positive_skew=1.0, tail=1e4)
 
     def read(view: Any, rng: np.random.Generator) -> np.ndarray:
         place = np.stack([np.asarray(x) for x in view.position], axis=-1)
@@ -169,7 +169,7 @@ def ranges() -> System:
 
     # Half a metre would bend a range by 3 cm, which a filter that linearises takes for noise.
     start = Known(_moving, (4.0, 3.0, 1.2, 0.0, 0.0, 0.0), (0.1, 0.1, 0.1, 0.3, 0.3, 0.1))
-    tracker = Tracker(ConstantVelocity(0.5, 3), {RANGES: sensor}, start, loss=NEVER_LOST)
+    tracker = Tracker(ConstantVelocity(0.5, 3), {RANGES: sensor}, start, track_loss=NEVER_LOST)
     inputs = {"anchors": anchors.ravel(), "anchor": np.arange(count, dtype=float), "height": np.zeros(())}
     return System(tracker, ("motion.sigma_a", "sensors.*.sigma_r"), read, inputs, 8, 60, 0.1)
 
@@ -185,7 +185,7 @@ def fixes() -> System:
         return place + rng.normal(size=place.shape) @ factor.T
 
     start = Known(_moving, (0.0,) * 6, (0.5,) * 6)
-    tracker = Tracker(fusion.motion, {FIXES: sensor}, start, loss=NEVER_LOST)
+    tracker = Tracker(fusion.motion, {FIXES: sensor}, start, track_loss=NEVER_LOST)
     return System(tracker, ("motion.sigma_a", "sensors.fixes.covariance"), read, {}, 8, 60, 0.1)
 
 
@@ -198,7 +198,7 @@ SYSTEMS = {"A": beams, "B": carts, "C": ranges, "D": fixes}
 
 def wrong(system: System, replicate: int) -> Tracker:
     """The tracker with the motion's noise and the sensors' each ten times too small or too large, turn by turn."""
-    parameters = chosen(system.tracker, system.tune)
+    parameters = select_parameters(system.tracker, system.tune)
     corners = [(a, b) for a in (WRONG, -WRONG) for b in (WRONG, -WRONG)]
     motion, sensors = corners[replicate % len(corners)]
     vector, at = flatten(parameters), 0
@@ -209,14 +209,14 @@ def wrong(system: System, replicate: int) -> Tracker:
         # Of a covariance the logarithms of its Cholesky factor's diagonal.
         vector[at : at + size] += np.ravel(step * (np.eye(len(parameter.example.raw)) if shape else np.ones(shape)))
         at += size
-    made: Tracker = placed_in(system.tracker, parameters, vector)
+    made: Tracker = with_parameters(system.tracker, parameters, vector)
     return made
 
 
 def judged(name: str, system: System, replicates: int, seed: int) -> bool:
     """Fit every replicate, print what came out, and say whether all is as it should be."""
     batches, began = system.batches(replicates, seed), time.perf_counter()
-    parameters = chosen(system.tracker, system.tune)
+    parameters = select_parameters(system.tracker, system.tune)
     truth = flatten(parameters)
     errors, worse = [], 0
     holds: dict[By, list[np.ndarray]] = {"curvature": [], "scatter": [], "either": []}

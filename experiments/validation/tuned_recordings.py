@@ -23,11 +23,11 @@ from experiments.cli.tuning_job import job_of, only_group  # noqa: E402
 from experiments.reports.tuning_collect import innovations_of  # noqa: E402
 from trackers.catalogue import groups  # noqa: E402
 from trackers.core.tunable import tunables  # noqa: E402
-from trackers.recordings.folder import read_folder  # noqa: E402
+from trackers.recordings.folder import read_recording  # noqa: E402
 from trackers.tracks import batches  # noqa: E402
 from tuning import NegativeLogLikelihood, fit  # noqa: E402
 from tuning.assumptions import contradicted  # noqa: E402
-from tuning.metrics import every_figure  # noqa: E402
+from tuning.metrics import all_metrics  # noqa: E402
 from tuning.tuned_file import with_noise  # noqa: E402
 
 WORSE = 1.02
@@ -91,13 +91,13 @@ def shown(name: str, split: Split, folder: Path) -> bool:
     tuned = {k: numbers[k].value for p in result.parameters for k in p.names}
     worse = False
     # Recordings with another path or other anchors have a tracker of their own, which takes the numbers by name.
-    for judged in groups([read_folder(folder / x) for x in split.judged], tracker, False):
-        rows = [batch for _, batch in batches(judged.lanes)]
-        quantity = next(iter(judged.lanes[0].recording.truth))
+    for judged in groups([read_recording(folder / x) for x in split.judged], tracker, False):
+        rows = [batch for _, batch in batches(judged.trajectories)]
+        quantity = next(iter(judged.trajectories[0].recording.truth))
         dimensions = 2 if judged.planar or quantity == "direction" else 3
         tracked = with_noise(judged.tracker, tuned, name)
-        before, after = (every_figure(t, rows, quantity, dimensions) for t in (judged.tracker, tracked))
-        print(f"{name:8s}{tracker:12s}{', '.join(sorted({x.folder.name for x in judged.lanes}))}")
+        before, after = (all_metrics(t, rows, quantity, dimensions) for t in (judged.tracker, tracked))
+        print(f"{name:8s}{tracker:12s}{', '.join(sorted({x.folder.name for x in judged.trajectories}))}")
         for figure in ("nll", "rmse", "rmse-3d", "nis-shape"):
             if before[figure] == before[figure]:
                 print(f"{'':20s}{figure:38s}{before[figure]:10.4g}{after[figure]:10.4g}", flush=True)

@@ -33,7 +33,7 @@ from tuning import fit
 from tuning.metrics import parse_objective
 from tuning.objectives import Weighted
 from tuning.optimisers import LBFGS, Adam
-from tuning.parameters import chosen
+from tuning.parameters import select_parameters
 from tuning.problem import Problem
 
 GOALS = ("rmse", "nll")
@@ -104,7 +104,7 @@ def recordings(tags: int) -> World:
         for k, situation in enumerate(SITUATIONS)
     ]
     (particles,), (grid,) = (groups(folders, name, False) for name in ("line-pf", "line-grid"))
-    return World([batch for _, batch in batches(particles.lanes)], particles.tracker, grid.tracker)
+    return World([batch for _, batch in batches(particles.trajectories)], particles.tracker, grid.tracker)
 
 
 def by_sweep(world: World, sigmas: np.ndarray, repeats: int) -> list[Found]:
@@ -127,7 +127,7 @@ def _both(world: World, name: str, sigmas: np.ndarray, turns: range) -> tuple[Pr
     """RMSE and negative log-likelihood of a tracker (turns, n, 2); of one that draws nothing, one turn."""
     tracker = getattr(world, name)
     goal = Weighted(tuple(parse_objective(text) for text in GOALS), (1.0, 1.0))
-    problem = Problem(tracker, world.rows, goal, chosen(tracker, SIGMA))
+    problem = Problem(tracker, world.rows, goal, select_parameters(tracker, SIGMA))
     turns = turns if problem.random else turns[:1]
     figures = np.empty((len(turns), len(sigmas), len(GOALS)))
     with progress(name, figures[..., 0].size) as advance:

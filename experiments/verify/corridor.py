@@ -17,7 +17,7 @@ from trackers.core.motion import ConstantPosition, Placed
 from trackers.core.particle.filter import ParticleFilter, Particles
 from trackers.core.recording import Batch, Readings, Recording, stack
 from trackers.core.sensor import AbstractSensor
-from trackers.core.track_loss import LossPolicy
+from trackers.core.track_loss import TrackLossPolicy
 from trackers.core.tracker import AbstractStart, Row, Tracker
 from trackers.line.fixes import FIXES, FloorFixes
 from trackers.parts.walls import Walls
@@ -25,7 +25,7 @@ from trackers.parts.walls import Walls
 TUNED = ("motion.sigma_v", "sensors.fixes.sigma_p")
 """The tunables of its tracker, in the order of the oracle's slopes."""
 
-NEVER_LOST = LossPolicy(limit=np.inf, patience=np.inf)
+NEVER_LOST = TrackLossPolicy(nis_limit=np.inf, max_gap=np.inf)
 
 
 class InBox(AbstractStart):
@@ -38,7 +38,7 @@ class InBox(AbstractStart):
     def ready(self, row: Row) -> Scalar:
         return row.dt == row.dt
 
-    def acquire(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
+    def candidate(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
         return row.dt
 
     def begin(self, found: Any, row: Row) -> Gaussian:

@@ -12,7 +12,7 @@ from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker, Tracker
 from tuning.marginal_score import marginal_scores
 from tuning.objectives import NegativeLogLikelihood
-from tuning.parameters import chosen, flatten
+from tuning.parameters import flatten, select_parameters
 from tuning.problem import Problem
 
 AT_ONCE = 64
@@ -32,9 +32,9 @@ def gradients(tracker: AbstractTracker, batch: Batch, patterns: str | Sequence[s
 
     The time is without that of compiling.
     """
-    parameters = chosen(tracker, patterns)
-    at_once = max(1, AT_ONCE * 2000 // getattr(getattr(tracker, "filter", None), "n_particles", 2000))
-    problem = Problem(tracker, [batch], NegativeLogLikelihood(), parameters, at_once)
+    parameters = select_parameters(tracker, patterns)
+    n_workers = max(1, AT_ONCE * 2000 // getattr(getattr(tracker, "filter", None), "n_particles", 2000))
+    problem = Problem(tracker, [batch], NegativeLogLikelihood(), parameters, n_workers)
     vector = flatten(parameters)[None, :]
     problem.evaluate(vector, parts=[0])
     started = time.perf_counter()

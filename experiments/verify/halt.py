@@ -13,7 +13,7 @@ from trackers.core.ekf import Gaussian
 from trackers.core.motion import Noise
 from trackers.core.recording import Batch, Readings, Recording, stack
 from trackers.core.sensor import AbstractSensor
-from trackers.core.track_loss import LossPolicy
+from trackers.core.track_loss import TrackLossPolicy
 from trackers.core.tracker import AbstractStart, Row, Tracker
 from trackers.core.tunable import Scale
 from trackers.line.fixes import FIXES, FloorFixes
@@ -29,7 +29,7 @@ PLACE, SPEED, SPREAD = 2.0, 0.6, 0.1
 TUNED = ("motion.sigma_a", "sensors.fixes.sigma_p", "start.sigma")
 """The tunables of its tracker, in the order of the oracle's slopes."""
 
-NEVER_LOST = LossPolicy(limit=np.inf, patience=np.inf)
+NEVER_LOST = TrackLossPolicy(nis_limit=np.inf, max_gap=np.inf)
 
 
 class Known(AbstractStart):
@@ -40,7 +40,7 @@ class Known(AbstractStart):
     def ready(self, row: Row) -> Scalar:
         return row.dt == row.dt
 
-    def acquire(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
+    def candidate(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
         return row.dt
 
     def begin(self, found: Any, row: Row) -> Gaussian:

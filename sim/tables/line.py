@@ -8,10 +8,10 @@ import polars as pl
 from sim.line import TAG_HEIGHT, SimulatedLine
 from sim.tables.rows import every_row
 from trackers.core.rig import Rig, Tag
-from trackers.recordings.folder import Folder
+from trackers.recordings.folder import RecordingFolder
 
 
-def simulated_line(world: SimulatedLine, name: str) -> Folder:
+def simulated_line(world: SimulatedLine, name: str) -> RecordingFolder:
     """The recording folder: tags named by their trajectory ids, fixes without height, truth at the tags' height."""
     tags = [str(i) for i in world.ids]
     ids = every_row(world.times, tags)
@@ -29,4 +29,4 @@ def simulated_line(world: SimulatedLine, name: str) -> Folder:
         path_knots=world.knots,
         about="Simulated, see manifest.json.",
     )
-    return Folder(name, None, rig, tables)
+    return RecordingFolder(name, None, rig, tables)

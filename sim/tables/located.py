@@ -8,23 +8,23 @@ import numpy as np
 import polars as pl
 
 from trackers.catalogue import groups
-from trackers.recordings.folder import Folder
-from trackers.recordings.trajectories import shown_height
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.trajectories import known_heights
 from trackers.tracks import batches
 
 
-def located(folder: Folder, tracker: str, free_height: bool = False) -> Folder:
+def fixes_from_ranges(folder: RecordingFolder, tracker: str, free_height: bool = False) -> RecordingFolder:
     """The folder with a table of fixes: what the named tracker of single moments makes of its ranges."""
     tables = []
     for group in groups([folder], tracker, free_height):
-        for lanes, batch in batches(group.lanes):
+        for trajectories, batch in batches(group.trajectories):
             estimates = group.tracker.run(batch)
-            for k, lane in enumerate(lanes):
-                one, rows = estimates[k], len(lane.recording)
+            for k, trajectory in enumerate(trajectories):
+                one, rows = estimates[k], len(trajectory.recording)
                 place = [np.asarray(x, float)[:rows] for x in one.mean.position]
-                axes = place if len(place) == 3 else [*place, shown_height(lane)]
+                axes = place if len(place) == 3 else [*place, known_heights(trajectory)]
                 columns = {f"{a}_m": x for a, x in zip("xyz", axes, strict=True)}
-                tag = pl.repeat(lane.tag, rows, eager=True)
-                found = pl.DataFrame({"t_s": lane.recording.times, "tag": tag} | columns)
+                tag = pl.repeat(trajectory.tag, rows, eager=True)
+                found = pl.DataFrame({"t_s": trajectory.recording.times, "tag": tag} | columns)
                 tables.append(found.filter(pl.Series(one.usable[:rows])))
     return replace(folder, tables=folder.tables | {"fixes": pl.concat(tables).sort("t_s", maintain_order=True)})

@@ -8,10 +8,10 @@ import polars as pl
 from sim.scenarios import SimulatedPhases
 from sim.tables.rows import every_row, named
 from trackers.core.rig import Rig, Tag
-from trackers.recordings.folder import Folder
+from trackers.recordings.folder import RecordingFolder
 
 
-def as_folder(world: SimulatedPhases, name: str) -> Folder:
+def as_folder(world: SimulatedPhases, name: str) -> RecordingFolder:
     """The recording folder of a simulated world: tags named by their trajectory ids, missing phases empty."""
     count, rows, stations, antennas = world.phases.shape
     tags = [str(i) for i in world.ids]
@@ -32,4 +32,4 @@ def as_folder(world: SimulatedPhases, name: str) -> Folder:
         name, stations=world.rig.stations, tags={tag: Tag() for tag in tags}, about="Simulated, see manifest.json."
     )
     tables = {"phases": phases.sort("t_s", maintain_order=True), "truth": truth.sort("t_s", maintain_order=True)}
-    return Folder(name, None, rig, tables)
+    return RecordingFolder(name, None, rig, tables)

@@ -8,10 +8,10 @@ import polars as pl
 from sim.ranging import SimulatedRanges
 from sim.tables.rows import every_row, named
 from trackers.core.rig import Rig, Tag
-from trackers.recordings.folder import Folder
+from trackers.recordings.folder import RecordingFolder
 
 
-def simulated_ranging(world: SimulatedRanges, name: str) -> Folder:
+def simulated_ranging(world: SimulatedRanges, name: str) -> RecordingFolder:
     """The recording folder: tags named by their trajectory ids, a row per range that was seen, truth in space."""
     tags = [str(i) for i in world.ids]
     tag, row, anchor = np.nonzero(world.seen)
@@ -31,4 +31,4 @@ def simulated_ranging(world: SimulatedRanges, name: str) -> Folder:
     known = {t: Tag(height=h) for t, h in zip(tags, heights, strict=True)}
     rig = Rig(name, anchors=world.rig.anchors, tags=known, about="Simulated, see manifest.json.")
     tables = {"ranges": ranges.sort("t_s", maintain_order=True), "truth": truth.sort("t_s", maintain_order=True)}
-    return Folder(name, None, rig, tables)
+    return RecordingFolder(name, None, rig, tables)

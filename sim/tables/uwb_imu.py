@@ -8,11 +8,11 @@ import polars as pl
 from sim.imu import SimulatedUwbImu
 from sim.tables.ranging import simulated_ranging
 from sim.tables.rows import every_row, named
-from trackers.recordings.folder import Folder
+from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tables import QUATERNION
 
 
-def simulated_uwb_imu(world: SimulatedUwbImu, name: str) -> Folder:
+def simulated_uwb_imu(world: SimulatedUwbImu, name: str) -> RecordingFolder:
     """The recording folder: that of the ranges with the IMU's samples and a truth with attitudes at their times."""
     folder = simulated_ranging(world.ranges, name)
     tags = [str(i) for i in world.ranges.ids]
@@ -26,4 +26,4 @@ def simulated_uwb_imu(world: SimulatedUwbImu, name: str) -> Folder:
         every_row(world.times, tags) | dict(zip(("x_m", "y_m", "z_m", *QUATERNION), pose.T, strict=True))
     )
     tables = {name: table.sort("t_s", maintain_order=True) for name, table in (("imu", imu), ("truth", truth))}
-    return Folder(name, None, folder.rig, folder.tables | tables)
+    return RecordingFolder(name, None, folder.rig, folder.tables | tables)

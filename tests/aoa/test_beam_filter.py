@@ -53,9 +53,9 @@ class Truth:
         common = rng.uniform(-np.pi, np.pi, (RUNS, ROWS, 1))
         self.phases = np.angle(np.exp(1j * (plane + common + SIGMA_P * rng.normal(size=plane.shape))))
 
-    def batch(self, lanes):
+    def batch(self, trajectories):
         cov, times = np.diag(SPREAD**2), np.cumsum(self.dts)
-        return stack([recording(times, {"1": (phases, self.seen)}, MEAN, cov) for phases in self.phases[:lanes]])
+        return stack([recording(times, {"1": (phases, self.seen)}, MEAN, cov) for phases in self.phases[:trajectories]])
 
 
 def _beam(x):
@@ -64,7 +64,7 @@ def _beam(x):
 
 def _tracker(paper_form=False):
     sensor = PlanePhases(STATION, SIGMA_P, paper_form)
-    return Tracker(BeamMotion(Scale(SIGMA_A, "rad/s^2")), {"1": sensor}, KnownStart(_beam), loss=NEVER_LOST)
+    return Tracker(BeamMotion(Scale(SIGMA_A, "rad/s^2")), {"1": sensor}, KnownStart(_beam), track_loss=NEVER_LOST)
 
 
 @pytest.fixture(scope="module")
@@ -88,16 +88,16 @@ def test_it_is_the_papers_pseudo_inverse_filter_while_nothing_wraps(both_forms, 
     assert not mine.wrapped.any()
     wavenumbers = 2 * np.pi / STATION.wavelength * STATION.antennas
     seen = truth.seen[1:]
-    for lane in range(16):
+    for trajectory in range(16):
         means, covs, log_likelihoods = paper_beam_filter(
-            wavenumbers, SIGMA_A, SIGMA_P, truth.dts[1:], truth.phases[lane, 1:], seen, MEAN, np.diag(SPREAD**2)
+            wavenumbers, SIGMA_A, SIGMA_P, truth.dts[1:], truth.phases[trajectory, 1:], seen, MEAN, np.diag(SPREAD**2)
         )
-        np.testing.assert_allclose(flat(mine[lane].mean)[1:], means, atol=1e-10)
-        np.testing.assert_allclose(mine[lane].covariance[1:], covs, atol=1e-10)
+        np.testing.assert_allclose(flat(mine[trajectory].mean)[1:], means, atol=1e-10)
+        np.testing.assert_allclose(mine[trajectory].covariance[1:], covs, atol=1e-10)
         # n(n − 1)/2 differences are measured by another stick than n − 1: pdet(DDᵀ) = nⁿ⁻¹ against n. A constant.
         n = np.maximum(seen.sum(axis=1), 1)
         stick = np.where(n > 1, -0.5 * (n - 2) * np.log(n), 0.0)
-        np.testing.assert_allclose(mine[lane].log_likelihood[1:] + stick, log_likelihoods, atol=1e-9)
+        np.testing.assert_allclose(mine[trajectory].log_likelihood[1:] + stick, log_likelihoods, atol=1e-9)
 
 
 def test_rows_with_no_antenna_or_one_say_nothing(estimates, truth):
@@ -125,14 +125,14 @@ def test_the_nis_is_inside_its_95_percent_interval(estimates):
     assert figure.low <= figure.mean <= figure.high
 
 
-def _bounds(truth, lanes=RUNS):
+def _bounds(truth, trajectories=RUNS):
     wavenumbers = 2 * np.pi / STATION.wavelength * STATION.antennas
     information = np.zeros((ROWS, 4, 4))
     for row in range(1, ROWS):
         k = wavenumbers[truth.seen[row]]
         if len(k) > 1:
             centre = np.eye(len(k)) - 1.0 / len(k)
-            slopes = [centre @ beam_jacobian(k, *beam[:2])[1] for beam in truth.beams[:lanes, row]]
+            slopes = [centre @ beam_jacobian(k, *beam[:2])[1] for beam in truth.beams[:trajectories, row]]
             information[row, :2, :2] = np.mean([G.T @ G for G in slopes], axis=0) / SIGMA_P**2
     transitions = [beam_transition(dt, SIGMA_A) for dt in truth.dts]
     return cramer_rao(transitions, information, np.diag(SPREAD**2))
@@ -147,7 +147,7 @@ def test_the_error_is_at_the_cramer_rao_bound(estimates, truth, name, components
 
 
 def test_the_librarys_own_bound_is_the_one_of_hand_derived_jacobians(truth):
-    # Beams as the truth has them: leaves (rows, lanes).
+    # Beams as the truth has them: leaves (rows, trajectories).
     states = Beam(*np.moveaxis(truth.beams[:32], -1, 0).swapaxes(1, 2))
     mine = posterior_bound(_tracker(), truth.batch(32), states)
     expected = np.sqrt(np.diagonal(_bounds(truth, 32), axis1=1, axis2=2))

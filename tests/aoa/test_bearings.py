@@ -86,7 +86,7 @@ def _batch(dtype, rotation=None, shift=None):
 def _run(batch):
     # Student's t with many degrees of freedom: a reading that is off is not discounted, so nothing hides a bad update.
     sensors = {"b": BearingSensor(SIGMA, SIGMA, 100.0)}
-    return Tracker(ConstantVelocity(0.5, 3), sensors, KnownStart(_kinematic), loss=NEVER_LOST).run(batch)
+    return Tracker(ConstantVelocity(0.5, 3), sensors, KnownStart(_kinematic), track_loss=NEVER_LOST).run(batch)
 
 
 @pytest.fixture(scope="module")

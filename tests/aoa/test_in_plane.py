@@ -13,14 +13,14 @@ STATION = Station(np.zeros(3), np.array([1.0, 0, 0, 0]), 0.05 * RING, 0.125)
 TIMES = np.arange(ROWS) * 0.1
 
 
-def _headings(lane):
+def _headings(trajectory):
     """Twice round in one sense or the other: every heading, ± π included."""
-    return 0.7 * lane + (-1) ** lane * RATE * TIMES
+    return 0.7 * trajectory + (-1) ** trajectory * RATE * TIMES
 
 
-def _recording(lane):
-    rng = np.random.default_rng(lane)
-    u = np.stack([np.cos(_headings(lane)), np.sin(_headings(lane))])
+def _recording(trajectory):
+    rng = np.random.default_rng(trajectory)
+    u = np.stack([np.cos(_headings(trajectory)), np.sin(_headings(trajectory))])
     phases = (2 * np.pi / STATION.wavelength * STATION.antennas @ u).T + rng.uniform(-np.pi, np.pi, (ROWS, 1))
     phases += SIGMA_P * rng.normal(size=phases.shape)
     return Recording(TIMES, {"a": Readings(np.angle(np.exp(1j * phases)), rng.random(phases.shape) < 0.9)})
@@ -30,12 +30,12 @@ def test_a_beacon_that_circles_is_followed_through_every_heading_without_a_loss(
     estimates = in_plane_beam_tracker(STATION, "a", sigma_a=0.3, sigma_p=SIGMA_P).run(
         stack([_recording(k) for k in range(4)])
     )
-    for lane in range(4):
-        one = estimates[lane]
-        error = np.angle(np.exp(1j * (one.mean.heading.angle - _headings(lane))))[20:]
+    for trajectory in range(4):
+        one = estimates[trajectory]
+        error = np.angle(np.exp(1j * (one.mean.heading.angle - _headings(trajectory))))[20:]
         assert np.all(one.status == Status.OK)
         # A row's own error is 0.2/(2π 0.05/0.125 · √4) = 2.3°; the filter averages a few rows.
         assert np.rad2deg(np.sqrt(np.mean(error**2))) < 2.3
-        assert np.abs(one.mean.rate[20:] - (-1) ** lane * RATE).max() < 0.4
+        assert np.abs(one.mean.rate[20:] - (-1) ** trajectory * RATE).max() < 0.4
         nees = (error / one.sigmas["heading.0"][20:]) ** 2
         assert 0.4 < nees.mean() < 2.5

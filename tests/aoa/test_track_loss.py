@@ -18,36 +18,36 @@ TIMES = np.arange(ROWS) * 0.1
 STEADY, JUMP, SILENT, SHORT_SILENCE, EMPTY, LATE, NOISE, OTHER = range(8)
 
 
-def _angles(lane):
-    """True azimuth and elevation (ROWS, 2): a slow oval, other for each lane, with a jump by 25° for one."""
-    phase = 0.4 * TIMES + lane
+def _angles(trajectory):
+    """True azimuth and elevation (ROWS, 2): a slow oval, other for each trajectory, with a jump by 25° for one."""
+    phase = 0.4 * TIMES + trajectory
     angles = np.stack([0.25 * np.cos(phase), 0.2 * np.sin(phase)], axis=1)
-    if lane == JUMP:
+    if trajectory == JUMP:
         angles[JUMP_ROW:, 0] -= np.sign(angles[JUMP_ROW, 0]) * np.deg2rad(25)
     return angles
 
 
-def _recording(lane, rng):
-    azimuth, elevation = (a[:, None] for a in _angles(lane).T)
+def _recording(trajectory, rng):
+    azimuth, elevation = (a[:, None] for a in _angles(trajectory).T)
     x, y = STATION.antennas.T
     phases = 2 * np.pi / STATION.wavelength * (x * np.sin(azimuth) * np.cos(elevation) + y * np.sin(elevation))
     phases += rng.uniform(-np.pi, np.pi, (ROWS, 1)) + SIGMA_P * rng.normal(size=phases.shape)
     seen = rng.random(phases.shape) < 0.9
-    if lane == SILENT:
+    if trajectory == SILENT:
         seen[30:90] = False
-    if lane == SHORT_SILENCE:
+    if trajectory == SHORT_SILENCE:
         seen[30:60] = False
-    if lane == EMPTY:
+    if trajectory == EMPTY:
         seen[:] = False
-    if lane == LATE:
+    if trajectory == LATE:
         # Two antennas are no direction: the start waits for a third.
         seen[:20] = np.arange(ANTENNAS) < 2
-    return Recording(TIMES, {"1": Readings(np.angle(np.exp(1j * phases)), seen)}, name=str(lane))
+    return Recording(TIMES, {"1": Readings(np.angle(np.exp(1j * phases)), seen)}, name=str(trajectory))
 
 
 @pytest.fixture(scope="module")
 def recordings():
-    return [_recording(lane, np.random.default_rng(lane)) for lane in range(8)]
+    return [_recording(trajectory, np.random.default_rng(trajectory)) for trajectory in range(8)]
 
 
 def _run(recordings):
@@ -59,10 +59,10 @@ def estimates(recordings):
     return _run(recordings)
 
 
-def _error(estimates, lane):
+def _error(estimates, trajectory):
     """Degrees, by row, the larger of both angles."""
-    mean = estimates[lane].mean
-    return np.rad2deg(np.abs(np.stack([mean.azimuth, mean.elevation], axis=1) - _angles(lane)).max(axis=1))
+    mean = estimates[trajectory].mean
+    return np.rad2deg(np.abs(np.stack([mean.azimuth, mean.elevation], axis=1) - _angles(trajectory)).max(axis=1))
 
 
 def test_a_track_starts_on_its_first_row_and_stays(estimates):
@@ -122,12 +122,14 @@ def _with_garbage(recordings, size):
 
 
 @pytest.mark.parametrize("size", [np.pi, 1e9, 1e30, 3e38])
-def test_garbage_in_one_lane_changes_no_other_by_a_bit_though_it_is_searched_again_and_again(
+def test_garbage_in_one_trajectory_changes_no_other_by_a_bit_though_it_is_searched_again_and_again(
     recordings, estimates, size
 ):
     result = _with_garbage(recordings, size)
-    for lane in (STEADY, JUMP, SILENT, SHORT_SILENCE, EMPTY, LATE, OTHER):
-        for a, b in zip(*map(jax.tree_util.tree_leaves, (vars(result[lane]), vars(estimates[lane]))), strict=True):
+    for trajectory in (STEADY, JUMP, SILENT, SHORT_SILENCE, EMPTY, LATE, OTHER):
+        for a, b in zip(
+            *map(jax.tree_util.tree_leaves, (vars(result[trajectory]), vars(estimates[trajectory]))), strict=True
+        ):
             np.testing.assert_array_equal(a, b)
     assert np.sum(result[NOISE].status == Status.RESTARTED) > 5
 

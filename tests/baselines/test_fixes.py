@@ -11,7 +11,7 @@ from tests.oracles import kalman, van_loan
 from trackers.baselines.fixes import fix_tracker, singer_tracker
 from trackers.core.algebra import Vector
 from trackers.core.checks import check_sensor
-from trackers.core.chunks import prepared
+from trackers.core.chunks import as_dtype
 from trackers.core.motion import GroundMotion, Kinematic
 from trackers.core.recording import Readings, Recording, stack
 from trackers.parts.fixes import FIXES, CorrelatedFixSensor, FixSensor, FixTracker
@@ -41,7 +41,7 @@ def test_the_filter_is_the_textbooks_with_correlated_noise_missing_channels_and_
         GroundMotion(SIGMA_A, SIGMA_Z),
         {FIXES: CorrelatedFixSensor(R, latency=LATENCY)},
         KnownStart(_state),
-        loss=NEVER_LOST,
+        track_loss=NEVER_LOST,
     )
     estimates = tracker.run(recording(times, {FIXES: (values, seen, extra)}, mean, cov))
     A = np.zeros((5, 5))
@@ -84,7 +84,7 @@ def _late(latency):
 @pytest.mark.slow
 def test_the_derivative_with_respect_to_the_latency_is_the_finite_difference(circling):
     batch = stack([circling[0]]).rows(slice(0, 60))
-    tracker = prepared(_late(0.3), batch.dt.dtype)
+    tracker = as_dtype(_late(0.3), batch.dt.dtype)
     objectives = RootMeanSquareError("position", 2), NegativeLogLikelihood()
 
     def terms(output, truth):
@@ -109,7 +109,7 @@ def test_a_second_sensor_that_is_on_time_shows_the_latency_without_truth(circlin
     readings = {**recording.readings, "other": Readings(other, np.ones(other.shape, bool))}
     batch = stack([Recording(recording.times, readings, recording.inputs)])
     sensors = {FIXES: FixSensor(0.03, 0.03), "other": FixSensor(0.05, 0.05)}
-    tracker = prepared(eqx.tree_at(lambda t: t.sensors, fix_tracker(sigma_a=0.3), sensors), batch.dt.dtype)
+    tracker = as_dtype(eqx.tree_at(lambda t: t.sensors, fix_tracker(sigma_a=0.3), sensors), batch.dt.dtype)
 
     @jax.jit
     def figure(raw):
@@ -126,9 +126,9 @@ def test_estimates_dated_back_by_the_latency_are_where_the_tag_was_then(circling
     recording, place = circling
     tracker = _late(0.4)
     estimates = tracker.run(recording)
-    times, dated = tracker.dated(recording.times, estimates)
+    times, at_valid_time = tracker.at_valid_time(recording.times, estimates)
     np.testing.assert_allclose(times, recording.times - 0.4)
-    errors = np.stack(list(dated.mean.position), axis=1)[50:, :2] - place(times)[50:, :2]
+    errors = np.stack(list(at_valid_time.mean.position), axis=1)[50:, :2] - place(times)[50:, :2]
     now = np.stack(list(estimates.mean.position), axis=1)[50:, :2] - place(recording.times)[50:, :2]
     # Straight motion for 0.4 s at 0.19 m/s² is 1.5 cm off, the fixes 3 cm per axis.
     assert np.sqrt(np.mean(np.sum(errors**2, axis=1))) < 0.04
@@ -142,7 +142,7 @@ def test_a_position_dated_back_has_the_covariance_of_the_sum_that_it_is(circling
     J = np.eye(5)
     J[0, 3] = J[1, 4] = -0.4
     np.testing.assert_allclose(
-        tracker.dated(recording.times, estimates)[1].covariance, J @ estimates.covariance @ J.T, atol=1e-12
+        tracker.at_valid_time(recording.times, estimates)[1].covariance, J @ estimates.covariance @ J.T, atol=1e-12
     )
 
 
@@ -150,7 +150,7 @@ def test_without_latency_estimates_are_of_the_rows_own_times(circling):
     recording, _ = circling
     tracker = fix_tracker()
     estimates = tracker.run(recording)
-    times, same = tracker.dated(recording.times, estimates)
+    times, same = tracker.at_valid_time(recording.times, estimates)
     assert times is recording.times
     assert same is estimates
 

@@ -11,7 +11,7 @@ from sim.fixes import correlated_noise, mirrored
 from sim.tables.agv import simulated_agv
 from tests.known_start import NEVER_LOST, KnownStart, recording
 from tests.oracles import normal_log_density, van_loan
-from trackers.baselines.rows import side_lanes
+from trackers.baselines.rows import side_trajectories
 from trackers.baselines.switching import SideSensor, mirror_tracker
 from trackers.core.algebra import Vector
 from trackers.core.checks import check_sensor
@@ -151,9 +151,9 @@ def test_heights_that_flip_for_seconds_do_not_take_a_track_with_them():
     errors = {"mirror": mirrored(2.5, 0.3, 3.0), "noise": correlated_noise(STILL)}
     world = simulate_agv([0, 1, 2], rows=400, height=1.2, errors=errors)
     assert not (world.fixes[:, 0, 2] > 2.5).any()  # every track begins on its own side
-    lanes = list(side_lanes(simulated_agv(world, "flips"), True))
+    trajectories = list(side_trajectories(simulated_agv(world, "flips"), True))
     tracker = mirror_tracker(offset=0.0, shrink=1.0, sigma_vertical=0.1, sigma_z=0.3)
-    estimates = tracker.run(stack([lane.recording for lane in lanes]))
+    estimates = tracker.run(stack([trajectory.recording for trajectory in trajectories]))
     z = np.stack([estimates[k].mean.position[2] for k in range(3)])[:, 20:]
     # A third of the fixes is 2.6 m off; the other branch keeps a few percent of the belief.
     assert np.abs(world.fixes[:, 20:, 2] - 1.2).max() > 2.5

@@ -76,25 +76,25 @@ def test_on_a_linear_model_it_is_the_inverse_of_the_whole_paths_information():
 
 def test_of_beams_it_is_the_recursion_with_hand_derived_jacobians():
     rng = np.random.default_rng(1)
-    lanes, spread, sigma_p = 5, np.array([0.1, 0.2, 0.05, 0.04]), 0.2
+    trajectories, spread, sigma_p = 5, np.array([0.1, 0.2, 0.05, 0.04]), 0.2
     station = work_station().stations["1"]
     times = _times(rng)
-    angles = 0.4 * rng.normal(size=(2, ROWS, lanes))
-    seen = rng.random((lanes, ROWS, 8)) < 0.6
+    angles = 0.4 * rng.normal(size=(2, ROWS, trajectories))
+    seen = rng.random((trajectories, ROWS, 8)) < 0.6
     seen[:, 3], seen[:, 5, 1:] = False, False
     tracker = Tracker(BeamMotion(Scale(SIGMA_A)), {"1": PlanePhases(station, sigma_p)}, KnownStart(lambda x: Beam(*x)))
     phases = [recording(times, {"1": (np.zeros((ROWS, 8)), s)}, np.zeros(4), np.diag(spread**2)) for s in seen]
-    bounds = posterior_bound(tracker, stack(phases), Beam(*angles, *np.zeros((2, ROWS, lanes))))
+    bounds = posterior_bound(tracker, stack(phases), Beam(*angles, *np.zeros((2, ROWS, trajectories))))
 
     wavenumbers = 2 * np.pi / station.wavelength * np.asarray(station.antennas)
     information = np.zeros((ROWS, 4, 4))
     for row in range(ROWS):
-        for lane in range(lanes):
-            k = wavenumbers[seen[lane, row]]
+        for trajectory in range(trajectories):
+            k = wavenumbers[seen[trajectory, row]]
             if len(k) > 1:
-                slope = beam_jacobian(k, *angles[:, row, lane])[1]
+                slope = beam_jacobian(k, *angles[:, row, trajectory])[1]
                 slope = slope - slope.mean(axis=0)
-                information[row, :2, :2] += slope.T @ slope / sigma_p**2 / lanes
+                information[row, :2, :2] += slope.T @ slope / sigma_p**2 / trajectories
     transitions = [beam_transition(dt, SIGMA_A) for dt in np.diff(times)]
     expected = cramer_rao(transitions, information[1:], np.diag(spread**2))
     np.testing.assert_allclose(bounds[0], spread, rtol=1e-12)

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 import pytest
 
-from trackers.core.chunks import at_once, chunks, over_parts
+from trackers.core.chunks import chunks, n_workers, run_chunks
 from trackers.core.recording import Readings, Recording, stack
 
 HASHED = """
@@ -22,10 +22,12 @@ print(jax.device_count(), hashlib.sha256(b"".join(np.ascontiguousarray(x).tobyte
 """
 
 
-def _many(lanes, rows=30):
+def _many(trajectories, rows=30):
     """Fixes of so many tags that walk at random."""
     rng, times = np.random.default_rng(5), 0.1 * np.arange(rows)
-    walks = np.cumsum(0.1 * rng.normal(size=(lanes, rows, 3)), axis=1) + 0.2 * rng.normal(size=(lanes, rows, 3))
+    walks = np.cumsum(0.1 * rng.normal(size=(trajectories, rows, 3)), axis=1) + 0.2 * rng.normal(
+        size=(trajectories, rows, 3)
+    )
     seen, height = np.ones((rows, 3), bool), {"height": np.zeros(rows)}
     every = [Recording(times, {"fixes": Readings(w, seen)}, height, name=str(k)) for k, w in enumerate(walks)]
     return stack(every)
@@ -47,8 +49,8 @@ def test_one_device_and_two_give_the_same_bits():
 
 def test_parts_side_by_side_are_those_one_after_another_in_their_order():
     parts = list(chunks(_many(5 * 8, 6), 8))
-    together = over_parts(_summed, [(k, part) for k, part in enumerate(parts)])
-    alone = [over_parts(_summed, [(k, part)])[0] for k, part in enumerate(parts)]
+    together = run_chunks(_summed, [(k, part) for k, part in enumerate(parts)])
+    alone = [run_chunks(_summed, [(k, part)])[0] for k, part in enumerate(parts)]
     np.testing.assert_array_equal(together, alone)
     assert len({float(x.sum()) for x in together}) == len(parts)
 
@@ -65,7 +67,7 @@ def test_threads_work_in_the_callers_precision_and_compile_once():
 
     with jax.enable_x64(False):
         parts = list(chunks(_many(4 * 16, 6), 16))
-        found = over_parts(function, [(model(k), part) for k, part in enumerate(parts)])
+        found = run_chunks(function, [(model(k), part) for k, part in enumerate(parts)])
     assert {x.dtype for x in found} == {np.dtype(np.float32)}
     assert compiled == [np.dtype(np.float32)]
 
@@ -77,12 +79,12 @@ def test_an_error_in_one_part_is_the_callers():
     parts = list(chunks(_many(32, 6), 16))
     before = threading.active_count()
     with pytest.raises(ZeroDivisionError, match="in a thread"):
-        over_parts(function, [(None, part) for part in parts])
+        run_chunks(function, [(None, part) for part in parts])
     assert threading.active_count() == before
 
 
 def test_a_cpu_has_a_thread_for_every_core():
-    assert at_once() == max(jax.local_device_count(), len(os.sched_getaffinity(0)))
+    assert n_workers() == max(jax.local_device_count(), len(os.sched_getaffinity(0)))
 
 
 def _summed(model, part):

@@ -60,7 +60,7 @@ def both_states():
         z = rng.normal(size=(rows, 2)), rng.random((rows, 2)) > 0.3
         recordings.append(recording(np.cumsum(rng.uniform(0.1, 1.0, rows)), {"fix": z}, [0.5, -0.5], np.eye(2)))
     pairs = ((Drift(), _array_state), (ConstantPosition(0.4, 2), _vector_state))
-    return [Tracker(m, {"fix": Fix()}, KnownStart(b), loss=NEVER_LOST).run(stack(recordings)) for m, b in pairs]
+    return [Tracker(m, {"fix": Fix()}, KnownStart(b), track_loss=NEVER_LOST).run(stack(recordings)) for m, b in pairs]
 
 
 def test_a_state_that_holds_an_array_is_filtered_like_one_of_scalars(both_states):
@@ -70,11 +70,11 @@ def test_a_state_that_holds_an_array_is_filtered_like_one_of_scalars(both_states
     np.testing.assert_allclose(array.covariance, scalars.covariance, rtol=1e-13)
 
 
-def test_one_lane_of_an_array_state_is_that_trajectory(both_states):
+def test_one_trajectory_of_an_array_state_is_that_trajectory(both_states):
     array, scalars = both_states
-    for lane in range(3):
-        mean = np.stack(list(scalars[lane].mean.position), axis=-1)
-        np.testing.assert_allclose(array[lane].mean.position, mean, rtol=1e-13)
+    for trajectory in range(3):
+        mean = np.stack(list(scalars[trajectory].mean.position), axis=-1)
+        np.testing.assert_allclose(array[trajectory].mean.position, mean, rtol=1e-13)
 
 
 def test_sigmas_are_named_roots_of_the_covariances_diagonal(both_states):

@@ -25,26 +25,26 @@ class Case:
         self.H, self.sigmas = rng.normal(size=(m, n)), rng.uniform(0.1, 0.5, m)
         factor = rng.normal(size=(n, n))
         self.mean, self.cov = rng.normal(size=n), factor @ factor.T + np.eye(n)
-        self.lanes = []
-        for lane in range(LANES):
+        self.trajectories = []
+        for trajectory in range(LANES):
             # A quarter of the rows share their time with the row before.
-            steps = rng.exponential(0.4, ROWS - lane) * (rng.random(ROWS - lane) > 0.25)
+            steps = rng.exponential(0.4, ROWS - trajectory) * (rng.random(ROWS - trajectory) > 0.25)
             values, seen = rng.normal(size=(len(steps), m)) * 3, rng.random((len(steps), m)) > 0.4
-            self.lanes.append((np.cumsum(steps), values, seen))
-        tracker = Tracker(motion, {"z": LinearSensor(self.H, self.sigmas, m)}, KnownStart(build), loss=NEVER_LOST)
+            self.trajectories.append((np.cumsum(steps), values, seen))
+        tracker = Tracker(motion, {"z": LinearSensor(self.H, self.sigmas, m)}, KnownStart(build), track_loss=NEVER_LOST)
         self.estimates = tracker.run(
-            stack([recording(t, {"z": (z, seen)}, self.mean, self.cov) for t, z, seen in self.lanes])
+            stack([recording(t, {"z": (z, seen)}, self.mean, self.cov) for t, z, seen in self.trajectories])
         )
         self.A, self.noise = A, noise
 
-    def oracle(self, lane, method):
-        times, values, seen = self.lanes[lane]
+    def oracle(self, trajectory, method):
+        times, values, seen = self.trajectories[trajectory]
         transitions = [van_loan(self.A, self.noise, dt) for dt in np.diff(times)]
         return method(transitions, self.H, np.diag(self.sigmas**2), values[1:], seen[1:], self.mean, self.cov)
 
-    def lane(self, lane):
+    def trajectory(self, trajectory):
         """The engine's rows after the first, which only starts the track."""
-        e, rows = self.estimates[lane], slice(1, len(self.lanes[lane][0]))
+        e, rows = self.estimates[trajectory], slice(1, len(self.trajectories[trajectory][0]))
         return flat(e.mean)[rows], e.covariance[rows], e.log_likelihood[rows], e.nis[rows], e.count[rows]
 
 
@@ -73,9 +73,9 @@ def case(request):
 
 @pytest.mark.parametrize("method", [joint_conditioning, kalman])
 def test_means_covariances_and_log_likelihoods_are_those_of_the_oracle(case, method):
-    for lane in range(LANES):
-        means, covs, log_likelihoods = case.oracle(lane, method)[:3]
-        mean, cov, log_likelihood, _, _ = case.lane(lane)
+    for trajectory in range(LANES):
+        means, covs, log_likelihoods = case.oracle(trajectory, method)[:3]
+        mean, cov, log_likelihood, _, _ = case.trajectory(trajectory)
         # Both sides work with condition numbers of about 1e3.
         np.testing.assert_allclose(mean, means, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(cov, covs, rtol=1e-9, atol=1e-9)
@@ -83,15 +83,15 @@ def test_means_covariances_and_log_likelihoods_are_those_of_the_oracle(case, met
 
 
 def test_the_nis_is_the_textbooks_and_counts_the_channels_seen(case):
-    for lane in range(LANES):
-        _, _, _, nis, count = case.lane(lane)
-        np.testing.assert_allclose(nis, case.oracle(lane, kalman)[3], rtol=1e-9, atol=1e-9)
-        np.testing.assert_array_equal(count, case.lanes[lane][2][1:].sum(axis=1))
+    for trajectory in range(LANES):
+        _, _, _, nis, count = case.trajectory(trajectory)
+        np.testing.assert_allclose(nis, case.oracle(trajectory, kalman)[3], rtol=1e-9, atol=1e-9)
+        np.testing.assert_array_equal(count, case.trajectories[trajectory][2][1:].sum(axis=1))
 
 
 def test_the_first_row_is_the_start_itself(case):
-    for lane in range(LANES):
-        e = case.estimates[lane]
+    for trajectory in range(LANES):
+        e = case.estimates[trajectory]
         np.testing.assert_array_equal(flat(e.mean)[0], case.mean)
         np.testing.assert_array_equal(e.covariance[0], case.cov)
         assert e.log_likelihood[0] == 0

@@ -1,4 +1,4 @@
-"""Lanes of a batch know nothing of each other, of padding, or of where they stand; curved states included."""
+"""Trajectories of a batch know nothing of each other, of padding, or of where they stand; curved states included."""
 
 from typing import NamedTuple
 
@@ -89,12 +89,12 @@ def _pose(x):
 
 def _flat(sigma=0.7):
     sensors = {"a": Ruler(Scale(0.3), "position"), "b": Ruler(Scale(0.5), "velocity")}
-    return Tracker(ConstantVelocity(sigma, 1), sensors, KnownStart(_kinematic), loss=NEVER_LOST)
+    return Tracker(ConstantVelocity(sigma, 1), sensors, KnownStart(_kinematic), track_loss=NEVER_LOST)
 
 
 def _curved(sigma=0.2):
     sensors = {"a": Compass(Scale(0.1), False), "b": Compass(Scale(0.2, "rad"), True)}
-    return Tracker(Turning(Scale(sigma)), sensors, KnownStart(_pose), loss=NEVER_LOST)
+    return Tracker(Turning(Scale(sigma)), sensors, KnownStart(_pose), track_loss=NEVER_LOST)
 
 
 def _particles(sigma=0.7):
@@ -108,8 +108,8 @@ LANES, ROWS = 6, 14
 def _recordings(n, m, seed=0):
     """Ragged recordings with masks and irregular times, with rows at one time."""
     rng, recordings = np.random.default_rng(seed), []
-    for lane in range(LANES):
-        rows = ROWS - 2 * lane
+    for trajectory in range(LANES):
+        rows = ROWS - 2 * trajectory
         times = 5.0 + np.cumsum(rng.exponential(0.3, rows) * (rng.random(rows) > 0.3))
         readings = {name: (rng.normal(size=(rows, k)), rng.random((rows, k)) > 0.3) for name, k in (("a", m), ("b", 1))}
         recordings.append(recording(times, readings, rng.normal(size=n) * 0.5, np.diag(rng.uniform(0.1, 1.0, n))))
@@ -139,11 +139,11 @@ def _as_tree(e):
 
 def test_a_padded_recording_equals_the_unpadded_one_to_the_bit(case):
     padded = case.make().run(stack(case.recordings, rows=ROWS + 3))
-    for lane, one in enumerate(case.recordings):
+    for trajectory, one in enumerate(case.recordings):
         rows = len(one)
-        _assert_same_bits(padded[lane], case.estimates[lane], slice(rows))
-        assert np.all(padded[lane].status[rows:] == Status.PADDING)
-        for leaf in jax.tree_util.tree_leaves((padded[lane].mean, padded[lane].cov_upper)):
+        _assert_same_bits(padded[trajectory], case.estimates[trajectory], slice(rows))
+        assert np.all(padded[trajectory].status[rows:] == Status.PADDING)
+        for leaf in jax.tree_util.tree_leaves((padded[trajectory].mean, padded[trajectory].cov_upper)):
             np.testing.assert_array_equal(
                 leaf[..., rows:], np.repeat(leaf[..., rows - 1 : rows], ROWS + 3 - rows, axis=-1)
             )
@@ -173,16 +173,16 @@ def test_one_trajectory_of_garbage_changes_no_other_by_a_bit(case, garbage):
 
     spoilt = batch._replace(readings={name: spoil(r) for name, r in batch.readings.items()})
     estimates = case.make().run(spoilt)
-    for lane in (0, 1, 3, 4, 5):
-        _assert_same_bits(estimates[lane], case.estimates[lane])
+    for trajectory in (0, 1, 3, 4, 5):
+        _assert_same_bits(estimates[trajectory], case.estimates[trajectory])
     assert not np.array_equal(estimates[2].nis, case.estimates[2].nis)
 
 
 def test_a_trajectory_is_the_same_wherever_it_stands_in_the_batch(case):
     order = [3, 5, 0, 4, 1, 2]
     shuffled = case.make().run(stack([case.recordings[k] for k in order]))
-    for place, lane in enumerate(order):
-        _assert_same_bits(shuffled[place], case.estimates[lane], slice(len(case.recordings[lane])))
+    for place, trajectory in enumerate(order):
+        _assert_same_bits(shuffled[place], case.estimates[trajectory], slice(len(case.recordings[trajectory])))
 
 
 def test_a_trajectory_of_a_batch_is_the_one_run_alone():

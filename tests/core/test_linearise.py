@@ -53,16 +53,16 @@ def test_values_and_jacobians_are_those_of_jacfwd(function):
     np.testing.assert_allclose(_dense(rows, 3), expected, rtol=1e-12, atol=1e-14)
 
 
-def test_under_vmap_each_lane_has_its_own_jacobian():
-    lanes = jnp.asarray(np.random.default_rng(0).normal(size=(5, 3)))
+def test_under_vmap_each_trajectory_has_its_own_jacobian():
+    trajectories = jnp.asarray(np.random.default_rng(0).normal(size=(5, 3)))
     function = FUNCTIONS["where"]
 
     def jacobian(x):
         rows = linearise(function, list(x))[1]
         return jnp.stack([jnp.stack([x[0] * 0.0 + row.get(j, 0.0) for j in range(3)]) for row in rows])
 
-    expected = jax.vmap(jax.jacfwd(lambda x: jnp.stack(function(*x))))(lanes)
-    np.testing.assert_allclose(jax.vmap(jacobian)(lanes), expected, rtol=1e-14)
+    expected = jax.vmap(jax.jacfwd(lambda x: jnp.stack(function(*x))))(trajectories)
+    np.testing.assert_allclose(jax.vmap(jacobian)(trajectories), expected, rtol=1e-14)
 
 
 def test_a_constant_velocity_step_has_its_structural_zeros_and_ones():

@@ -33,7 +33,7 @@ def _even_chi_square_cdf(x, dof):
 def test_error_figures_of_known_lengths_are_those_of_the_lengths():
     lengths = [5.0, 0.0, 1.0, 13.0, 2.0]
     errors = np.array([[3.0, 4.0], [0.0, 0.0], [0.0, -1.0], [5.0, 12.0], [-2.0, 0.0]])
-    figures = metrics.error_figures(errors)
+    figures = metrics.error_metrics(errors)
     assert figures.rmse == pytest.approx(math.sqrt(sum(x * x for x in lengths) / 5), rel=1e-12)
     assert figures.median == 2.0
     assert figures.max == 13.0
@@ -175,7 +175,7 @@ def test_time_lost_of_rows_at_one_time_is_a_share_of_the_rows():
 
 def test_no_rows_have_no_figures():
     none, no_covs = np.empty((0, 3)), np.empty((0, 3, 3))
-    assert all(math.isnan(value) for value in metrics.error_figures(none))
+    assert all(math.isnan(value) for value in metrics.error_metrics(none))
     assert np.isnan(metrics.bias(none)).all()
     assert math.isnan(metrics.rmse(none))
     assert math.isnan(metrics.percentiles(none, (50.0,))[0])

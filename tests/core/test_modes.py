@@ -13,7 +13,7 @@ from trackers.core.recording import stack
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import matching
 from tuning.objectives import NegativeLogLikelihood
-from tuning.parameters import chosen, flatten
+from tuning.parameters import flatten, select_parameters
 from tuning.problem import Problem
 
 SIGMAS, RATE, ODDS = (0.1, 1.0, 5.0), 0.8, (2.0, 1.0, 1.0)
@@ -111,7 +111,7 @@ def test_where_rows_share_their_time_and_nothing_is_drawn_anew_the_gradient_is_t
     motion = SwitchingMotion(tuple(ConstantVelocity(s, 1) for s in SIGMAS))
     sensors = {"z": LinearSensor(H, R, 2)}
     tracker = Tracker(motion, sensors, KnownStart(_state), InteractingModels(RATE, ODDS), NEVER_LOST)
-    parameters = chosen(tracker, ("filter.rate", "motion.*"))
+    parameters = select_parameters(tracker, ("filter.rate", "motion.*"))
     batch = stack([recording(times, {"z": (values, seen)}, MEAN, COV)])
     problem, vector, h = Problem(tracker, [batch], NegativeLogLikelihood(), parameters), flatten(parameters), 1e-5
     shifts = h * np.eye(len(vector))

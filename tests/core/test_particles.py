@@ -16,7 +16,7 @@ from trackers.core.particle.resampling import NOTHING, effective_sample_size, ev
 from trackers.core.recording import stack
 from trackers.core.sensor import AbstractSensor, Channel, Reading, independent
 from trackers.core.tracker import Tracker
-from trackers.core.tunable import Fixed, Scale
+from trackers.core.tunable import Constant, Scale
 
 KEYS, ROWS = 200, 12
 
@@ -105,7 +105,7 @@ def _still(log_weights):
 
 
 def test_particles_are_drawn_again_below_half_the_number_and_not_above():
-    motion = ConstantPosition(Fixed(1e-12), 2)
+    motion = ConstantPosition(Constant(1e-12), 2)
     few, enough = _still(np.log([0.97, 0.01, 0.01, 0.01])), _still(np.log([0.4, 0.3, 0.2, 0.1]))
     drawn = ParticleFilter(4).predict(few, motion, {}, jnp.asarray(1.0))
     np.testing.assert_allclose(drawn.log_weights, -np.log(4.0))
@@ -123,7 +123,7 @@ def _reading(x, y=0.0):
 def test_weights_and_log_likelihood_are_those_of_bayes_rule():
     w = np.array([0.4, 0.3, 0.2, 0.1])
     belief, said = ParticleFilter(4).update(
-        _still(np.log(w)), ConstantPosition(Fixed(1.0), 2), Ruler(Fixed(0.5)), _reading(1.2, 0.1), {}
+        _still(np.log(w)), ConstantPosition(Constant(1.0), 2), Ruler(Constant(0.5)), _reading(1.2, 0.1), {}
     )
     density = np.exp(-0.5 * ((1.2 - np.arange(4)) ** 2 + 0.1**2) / 0.25) / (2 * np.pi * 0.25)
     np.testing.assert_allclose(np.exp(belief.log_weights), w * density / np.sum(w * density), rtol=1e-12)
@@ -138,8 +138,8 @@ def test_weights_and_log_likelihood_are_those_of_bayes_rule():
 def test_states_that_a_reading_rules_out_have_weight_zero_for_good():
     states = Placed(Vector(jnp.array([-1.0, 0.5, 1.0, -2.0]), jnp.zeros(4)))
     belief = Particles(states, jnp.full(4, -np.log(4.0)), jax.random.key_data(jax.random.key(1)))
-    motion, filter = ConstantPosition(Fixed(1e-12), 2), ParticleFilter(4, fraction=0.9)
-    once, said = filter.update(belief, motion, Wall(Fixed(1.0)), _reading(0.7), {})
+    motion, filter = ConstantPosition(Constant(1e-12), 2), ParticleFilter(4, fraction=0.9)
+    once, said = filter.update(belief, motion, Wall(Constant(1.0)), _reading(0.7), {})
     assert np.all(np.exp(once.log_weights[np.array([0, 3])]) == 0)
     assert np.isfinite(said.log_likelihood)
     twice = filter.predict(once, motion, {}, jnp.asarray(1.0))
@@ -149,7 +149,9 @@ def test_states_that_a_reading_rules_out_have_weight_zero_for_good():
 def test_where_all_states_are_ruled_out_the_belief_is_not_finite():
     states = Placed(Vector(jnp.full(4, -1.0), jnp.zeros(4)))
     belief = Particles(states, jnp.full(4, -np.log(4.0)), jax.random.key_data(jax.random.key(1)))
-    after, _ = ParticleFilter(4).update(belief, ConstantPosition(Fixed(1.0), 2), Wall(Fixed(1.0)), _reading(0.7), {})
+    after, _ = ParticleFilter(4).update(
+        belief, ConstantPosition(Constant(1.0), 2), Wall(Constant(1.0)), _reading(0.7), {}
+    )
     assert not np.any(np.isfinite(after.log_weights))
 
 
@@ -178,8 +180,8 @@ class Oracle:
             ConstantPosition(0.6, 2), {"a": Ruler(Scale(0.5))},
             KnownStart(lambda x: Placed(Vector(x[0], x[1]))), ParticleFilter(400), NEVER_LOST,
         )  # fmt: skip
-        lanes = [recording(times, {"a": (values, seen)}, mean, cov, name=f"key {k}") for k in range(KEYS)]
-        self.estimates = tracker.run(stack(lanes))
+        trajectories = [recording(times, {"a": (values, seen)}, mean, cov, name=f"key {k}") for k in range(KEYS)]
+        self.estimates = tracker.run(stack(trajectories))
         steps = [(np.eye(2), 0.36 * dt * np.eye(2)) for dt in np.diff(times)]
         R = 0.25 * np.eye(2)
         self.mean, self.cov, self.log_likelihood, self.nis = kalman(
@@ -220,5 +222,5 @@ def test_all_keys_differ_and_no_track_was_lost(oracle):
 def test_another_fraction_only_says_when_particles_are_drawn():
     filter = ParticleFilter(4, fraction=0.2)
     belief = _still(np.log([0.97, 0.01, 0.01, 0.01]))
-    kept = filter.predict(belief, ConstantPosition(Fixed(1.0), 2), {}, jnp.asarray(1.0))
+    kept = filter.predict(belief, ConstantPosition(Constant(1.0), 2), {}, jnp.asarray(1.0))
     np.testing.assert_array_equal(kept.log_weights, belief.log_weights)

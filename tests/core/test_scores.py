@@ -10,9 +10,9 @@ from trackers.core.algebra import Vector
 from trackers.core.ekf import Gaussian
 from trackers.core.motion import ConstantPosition, ConstantVelocity, GroundMotion, Kinematic, Placed
 from trackers.core.particle.filter import ParticleFilter, Particles
-from trackers.core.particle.resampling import drawn_again
+from trackers.core.particle.resampling import resampled
 from trackers.core.particle.score import drawn_with_scores, normal_density, with_score
-from trackers.core.tunable import Fixed, resolved
+from trackers.core.tunable import Constant, freeze
 from trackers.parts.singer import Singer
 
 N = 64
@@ -25,7 +25,7 @@ def _belief(log_weights=None):
 
 
 def _moved(sigma, dt=1.0, **options):
-    return ParticleFilter(N, **options).predict(_belief(), ConstantPosition(Fixed(sigma), 2), {}, jnp.asarray(dt))
+    return ParticleFilter(N, **options).predict(_belief(), ConstantPosition(Constant(sigma), 2), {}, jnp.asarray(dt))
 
 
 _run = jax.jit(_moved)
@@ -63,7 +63,7 @@ def test_offspring_keep_the_derivative_of_their_ancestor_less_the_discount(disco
         return drawn_with_scores(few, place, states, log_weights + slope * states, weights, discount=discount)
 
     (ancestors, value, _), (still, inherited, _) = jax.jvp(lambda s: drawn(s, jnp.asarray(True)), (0.0,), (1.0,))
-    expected = drawn_again(jnp.asarray(True), place, states, log_weights, weights)
+    expected = resampled(jnp.asarray(True), place, states, log_weights, weights)
     np.testing.assert_array_equal(ancestors, expected[0])
     np.testing.assert_array_equal(value, expected[1])
     np.testing.assert_allclose(inherited, discount * np.asarray(ancestors), rtol=1e-12)
@@ -81,7 +81,7 @@ def test_a_motion_that_does_not_say_its_density_is_refused_with_its_name_and_onl
 
     def weights(sigma, other):
         belief = Particles(state, jnp.full(N, -np.log(N)) + 0.0 * other, _belief().key)
-        return ParticleFilter(N).predict(belief, Still(Fixed(sigma), 1), {}, jnp.asarray(1.0)).log_weights
+        return ParticleFilter(N).predict(belief, Still(Constant(sigma), 1), {}, jnp.asarray(1.0)).log_weights
 
     jax.jvp(lambda x: weights(0.3, x), (1.0,), (1.0,))
     with pytest.raises(ValueError, match="Singer has no log_density"):
@@ -133,7 +133,7 @@ def _slope(motion, state, w, sizes):
 
     def density(*shift):
         other = jax.tree_util.tree_unflatten(build, [r + s for r, s in zip(raw, shift, strict=True)])
-        return resolved(other).log_density(state, {}, jnp.asarray(0.5), Vector.of(w))
+        return freeze(other).log_density(state, {}, jnp.asarray(0.5), Vector.of(w))
 
     return jax.jacfwd(density, argnums=tuple(range(sizes)))(*[0.0] * sizes)
 

@@ -9,7 +9,7 @@ import pytest
 from tests.oracles import van_loan
 from trackers.core.algebra import Vector
 from trackers.core.motion import Accelerated
-from trackers.core.tunable import resolved
+from trackers.core.tunable import freeze
 from trackers.parts.singer import Singer
 
 SIGMA, TAU = 1.7, 2.5
@@ -27,7 +27,7 @@ def _factors(dtype):
     """F and the noise factor of every step in STEPS, by automatic differentiation of the step."""
     motion = jax.tree_util.tree_map(lambda x: jnp.asarray(x, dtype), Singer(SIGMA, TAU, 1))
     zero = jnp.zeros(3, dtype)
-    both = jax.jacfwd(lambda x, w, dt: _step(resolved(motion), x, w, dt), argnums=(0, 1))
+    both = jax.jacfwd(lambda x, w, dt: _step(freeze(motion), x, w, dt), argnums=(0, 1))
     return jax.jit(jax.vmap(both, in_axes=(None, None, 0)))(zero, zero, jnp.asarray(STEPS, dtype))
 
 

@@ -94,16 +94,16 @@ def test_with_switching_the_smoothed_mixture_is_nearer_the_enumeration_of_all_12
 @pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
 def test_one_model_under_two_names_is_smoothed_as_the_plain_filter(motion):
     sensor, start = {"z": LinearSensor(H, R, 1)}, KnownStart(_state)
-    plain = Tracker(ConstantVelocity(1.0, 1), sensor, start, loss=NEVER_LOST)
+    plain = Tracker(ConstantVelocity(1.0, 1), sensor, start, track_loss=NEVER_LOST)
     expected = _smoothed(plain)
     found = _smoothed(Tracker(motion, sensor, start, InteractingModels(0.8, [1.0, 2.0]), NEVER_LOST))
     np.testing.assert_allclose(flat(found.mean), flat(expected.mean), rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(found.covariance, expected.covariance, rtol=1e-9, atol=1e-9)
 
 
-def test_smoothed_lanes_of_a_mixture_do_not_know_of_each_other():
+def test_smoothed_trajectories_of_a_mixture_do_not_know_of_each_other():
     times, values, seen = _rows()
-    lanes = [recording(times[:n], {"z": (values[:n], seen[:n])}, MEAN, COV) for n in (ROWS, ROWS - 3)]
-    together = Smoothed(_tracker(SIGMAS, 0.8)).run(stack(lanes))
-    other = Smoothed(_tracker(SIGMAS, 0.8)).run(stack([lanes[1]] * 2, rows=ROWS))
+    trajectories = [recording(times[:n], {"z": (values[:n], seen[:n])}, MEAN, COV) for n in (ROWS, ROWS - 3)]
+    together = Smoothed(_tracker(SIGMAS, 0.8)).run(stack(trajectories))
+    other = Smoothed(_tracker(SIGMAS, 0.8)).run(stack([trajectories[1]] * 2, rows=ROWS))
     np.testing.assert_array_equal(flat(together[1].mean), flat(other[0].mean))

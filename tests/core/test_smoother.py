@@ -13,7 +13,7 @@ from trackers.core.estimates import Status
 from trackers.core.motion import ConstantVelocity, Kinematic
 from trackers.core.recording import stack
 from trackers.core.rts import Smoothed
-from trackers.core.track_loss import LossPolicy
+from trackers.core.track_loss import TrackLossPolicy
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import Scale
 
@@ -33,23 +33,23 @@ class World:
         factor = rng.normal(size=(4, 4))
         self.mean, self.cov = rng.normal(size=4), factor @ factor.T + np.eye(4)
         self.tracker = self.with_loss(NEVER_LOST)
-        self.lanes = []
-        for lane in range(LANES):
+        self.trajectories = []
+        for trajectory in range(LANES):
             # A quarter of the rows share their time with the row before.
-            steps = rng.exponential(0.4, ROWS - lane) * (rng.random(ROWS - lane) > 0.25)
+            steps = rng.exponential(0.4, ROWS - trajectory) * (rng.random(ROWS - trajectory) > 0.25)
             values, seen = rng.normal(size=(len(steps), 3)) * 3, rng.random((len(steps), 3)) > 0.4
-            self.lanes.append((np.cumsum(steps), values, seen))
+            self.trajectories.append((np.cumsum(steps), values, seen))
         self.batch = self.stacked()
 
     def with_loss(self, loss):
         sensors = {"z": LinearSensor(self.H, self.sigmas, 3)}
-        return Tracker(ConstantVelocity(SIGMA_A, 2), sensors, KnownStart(_state), loss=loss)
+        return Tracker(ConstantVelocity(SIGMA_A, 2), sensors, KnownStart(_state), track_loss=loss)
 
     def stacked(self, dtype=None):
-        return stack([recording(t, {"z": (z, s)}, self.mean, self.cov) for t, z, s in self.lanes], dtype=dtype)
+        return stack([recording(t, {"z": (z, s)}, self.mean, self.cov) for t, z, s in self.trajectories], dtype=dtype)
 
-    def oracle(self, lane, lag):
-        times, values, seen = self.lanes[lane]
+    def oracle(self, trajectory, lag):
+        times, values, seen = self.trajectories[trajectory]
         A = np.kron([[0.0, 1.0], [0.0, 0.0]], np.eye(2))
         noise = np.kron([[0.0, 0.0], [0.0, SIGMA_A**2]], np.eye(2))
         transitions = [van_loan(A, noise, dt) for dt in np.diff(times)]
@@ -66,37 +66,37 @@ def world():
 @pytest.mark.parametrize("lag", [None, LAG], ids=["fixed interval", "fixed lag"])
 def test_smoothed_rows_are_those_of_dense_conditioning(world, lag):
     estimates = Smoothed(world.tracker, lag).run(world.batch)
-    for lane in range(LANES):
-        rows = slice(1, len(world.lanes[lane][0]))
-        means, covs = world.oracle(lane, np.inf if lag is None else lag)
+    for trajectory in range(LANES):
+        rows = slice(1, len(world.trajectories[trajectory][0]))
+        means, covs = world.oracle(trajectory, np.inf if lag is None else lag)
         # Both sides invert matrices with condition numbers of about 1e4.
-        np.testing.assert_allclose(flat(estimates[lane].mean)[rows], means, rtol=1e-8, atol=1e-8)
-        np.testing.assert_allclose(estimates[lane].covariance[rows], covs, rtol=1e-8, atol=1e-8)
+        np.testing.assert_allclose(flat(estimates[trajectory].mean)[rows], means, rtol=1e-8, atol=1e-8)
+        np.testing.assert_allclose(estimates[trajectory].covariance[rows], covs, rtol=1e-8, atol=1e-8)
 
 
 def test_what_the_filter_said_and_its_last_row_stay(world):
     filtered, smoothed = world.tracker.run(world.batch), Smoothed(world.tracker).run(world.batch)
     np.testing.assert_array_equal(filtered.log_likelihood, smoothed.log_likelihood)
     np.testing.assert_array_equal(filtered.status, smoothed.status)
-    for lane in range(LANES):
-        last = len(world.lanes[lane][0]) - 1
-        np.testing.assert_array_equal(flat(filtered[lane].mean)[last], flat(smoothed[lane].mean)[last])
+    for trajectory in range(LANES):
+        last = len(world.trajectories[trajectory][0]) - 1
+        np.testing.assert_array_equal(flat(filtered[trajectory].mean)[last], flat(smoothed[trajectory].mean)[last])
 
 
 def test_nothing_reaches_back_over_a_new_start(world):
     # Whatever lies beyond the limit ends the track, and the next row starts it anew.
-    fragile = world.with_loss(LossPolicy(limit=3.0, memory=1.0, patience=np.inf))
+    fragile = world.with_loss(TrackLossPolicy(nis_limit=3.0, nis_window=1.0, max_gap=np.inf))
     filtered, smoothed = fragile.run(world.batch), Smoothed(fragile).run(world.batch)
     before = np.argwhere(filtered.status[:, 1:] == Status.RESTARTED)
     assert len(before) > 3
-    for lane, row in before:
-        np.testing.assert_array_equal(flat(filtered[lane].mean)[row], flat(smoothed[lane].mean)[row])
+    for trajectory, row in before:
+        np.testing.assert_array_equal(flat(filtered[trajectory].mean)[row], flat(smoothed[trajectory].mean)[row])
 
 
 @pytest.mark.slow
 def test_a_padded_recording_is_smoothed_as_the_unpadded_one_to_the_bit(world):
-    short = stack([recording(t, {"z": (z, s)}, world.mean, world.cov) for t, z, s in world.lanes[:1]])
-    padded = stack([recording(t, {"z": (z, s)}, world.mean, world.cov) for t, z, s in world.lanes[:1]], rows=20)
+    short = stack([recording(t, {"z": (z, s)}, world.mean, world.cov) for t, z, s in world.trajectories[:1]])
+    padded = stack([recording(t, {"z": (z, s)}, world.mean, world.cov) for t, z, s in world.trajectories[:1]], rows=20)
     one, other = (Smoothed(world.tracker).run(batch)[0] for batch in (short, padded))
     np.testing.assert_array_equal(flat(one.mean), flat(other.mean)[:ROWS])
     np.testing.assert_array_equal(one.covariance, other.covariance[:ROWS])
@@ -106,11 +106,11 @@ def _still_tags(variance):
     """Smoothed in single and in double precision: 2 s of readings of 1 mm at 100 Hz after a start this uncertain, m²."""
     rng, shape = np.random.default_rng(2), (200, 2)
     sensors = {"z": LinearSensor(np.eye(2, 4), np.full(2, 1e-3), 2)}
-    tracker = Smoothed(Tracker(ConstantVelocity(1e-2, 2), sensors, KnownStart(_state), loss=NEVER_LOST))
+    tracker = Smoothed(Tracker(ConstantVelocity(1e-2, 2), sensors, KnownStart(_state), track_loss=NEVER_LOST))
     cov = np.diag([variance, variance, 1.0, 1.0])
     every = [{"z": (rng.normal(size=shape) * 1e-3, np.ones(shape, bool))} for _ in range(16)]
-    lanes = [recording(np.arange(shape[0]) * 0.01, readings, np.zeros(4), cov) for readings in every]
-    return tuple(tracker.run(stack(lanes, dtype=dtype)) for dtype in (np.float32, np.float64))
+    trajectories = [recording(np.arange(shape[0]) * 0.01, readings, np.zeros(4), cov) for readings in every]
+    return tuple(tracker.run(stack(trajectories, dtype=dtype)) for dtype in (np.float32, np.float64))
 
 
 def test_in_single_precision_covariances_stay_proper_after_a_diffuse_start():
@@ -131,7 +131,7 @@ def test_single_precision_smooths_as_double_precision_does():
 def test_the_gradient_of_a_smoothed_figure_is_the_central_difference(world):
     def figure(sigma):
         tracker = Smoothed(
-            Tracker(ConstantVelocity(sigma, 2), world.tracker.sensors, KnownStart(_state), loss=NEVER_LOST)
+            Tracker(ConstantVelocity(sigma, 2), world.tracker.sensors, KnownStart(_state), track_loss=NEVER_LOST)
         )
         return jnp.sum(tracker.accumulate(world.batch, lambda output, truth: (output.mean.position[0] ** 2,))[0])
 

@@ -9,15 +9,15 @@ from hypothesis import strategies as st
 from trackers.core.motion import ConstantVelocity
 from trackers.core.sensor import AbstractSensor
 from trackers.core.tunable import (
+    Constant,
     Covariance,
-    Fixed,
     Fraction,
     Real,
     Scale,
+    freeze,
     is_tunable,
     matching,
     replaced,
-    resolved,
     tunables,
 )
 
@@ -87,10 +87,10 @@ def test_a_value_that_a_tunable_cannot_have_is_refused(make, message):
 
 def test_holding_keeps_the_kind_and_the_unit():
     for tunable, value in ((Scale(1.0, "m"), 2.0), (Fraction(0.5, "1"), 0.25), (Real(1.0, "rad", 0.1), -3.0)):
-        other = tunable.holding(value)
+        other = tunable.with_value(value)
         assert (type(other), other.unit) == (type(tunable), tunable.unit)
         assert float(other.value) == pytest.approx(value, rel=1e-14)
-    assert Real(1.0, "rad", 0.1).holding(2.0).typical == 0.1
+    assert Real(1.0, "rad", 0.1).with_value(2.0).typical == 0.1
 
 
 def test_tunables_have_dotted_names_in_the_order_of_the_tree():
@@ -127,7 +127,7 @@ def test_replacing_changes_what_is_named_and_nothing_else():
 
 
 def test_resolving_leaves_values_where_tunables_were():
-    fixed = resolved(TREE)
-    assert isinstance(fixed["motion"].sigma_a, Fixed)
+    fixed = freeze(TREE)
+    assert isinstance(fixed["motion"].sigma_a, Constant)
     assert float(fixed["motion"].sigma_a.value) == pytest.approx(0.3)
     assert not tunables(fixed)

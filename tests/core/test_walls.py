@@ -10,7 +10,7 @@ from trackers.core.motion import ConstantPosition, Placed
 from trackers.core.particle.filter import ParticleFilter, Particles
 from trackers.core.particle.resampling import NOTHING
 from trackers.core.sensor import AbstractSensor, Channel, Reading, independent
-from trackers.core.tunable import Fixed
+from trackers.core.tunable import Constant
 from trackers.parts.walls import Walls
 
 CORNER = [[0.0, -2.0, 0.0, 0.0], [0.0, 0.0, 2.0, 0.0]]
@@ -93,7 +93,7 @@ def test_the_log_likelihood_of_a_row_without_reading_is_that_of_staying_alive():
     key = jax.random.key_data(jax.random.key(3))
     belief = Particles(Placed(Vector(jnp.zeros(n), jnp.zeros(n))), jnp.full(n, -np.log(n)), key)
     filter = ParticleFilter(n, potential=Walls([[wall, -100.0, wall, 100.0]]))
-    motion = ConstantPosition(Fixed(1.0), 2)
+    motion = ConstantPosition(Constant(1.0), 2)
 
     @jax.jit
     def row(belief):

@@ -16,7 +16,7 @@ from experiments.cli.main import main
 from experiments.plots import style
 
 
-class Said(NamedTuple):
+class StepInfo(NamedTuple):
     """What a command left: its exit code, standard output and standard error."""
 
     code: int
@@ -24,7 +24,7 @@ class Said(NamedTuple):
     err: str
 
 
-def trackwright(*arguments: str | Path | float) -> Said:
+def trackwright(*arguments: str | Path | float) -> StepInfo:
     """Run `trackwright ARGUMENTS`; figures are drawn with few pixels, which is most of their time."""
     jax.devices()  # once there are devices, the flags that `main` sets change nothing
     out, err = io.StringIO(), io.StringIO()
@@ -38,11 +38,11 @@ def trackwright(*arguments: str | Path | float) -> Said:
         try:
             main()
         except SystemExit as end:
-            return Said(end.code, out.getvalue(), err.getvalue())
+            return StepInfo(end.code, out.getvalue(), err.getvalue())
     raise AssertionError("main() came back without an exit code")
 
 
-def assert_refused(said: Said, *words: str) -> None:
+def assert_refused(said: StepInfo, *words: str) -> None:
     """Exit code 2 and one line on standard error that holds the words; nothing on standard output."""
     assert said.code == 2, said
     assert said.err.startswith("trackwright: ")

@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 
-from experiments.monte_carlo import Entrant, Study, World
+from experiments.monte_carlo import Study, TrackerConfig, World
 from sim.worlds import line
 
 SMALL = Study(
@@ -14,9 +14,9 @@ SMALL = Study(
     about="Does it run?",
     worlds={w: World(line, {"situation": w, "rate_hz": 1.0}) for w in ("constant", "halts")},
     trackers={
-        "kalman": Entrant("fix-kf"),
-        "window": Entrant("moving-average"),
-        "stiffer": Entrant("fix-kf", {"motion.sigma_a": 0.2}),
+        "kalman": TrackerConfig("fix-kf"),
+        "window": TrackerConfig("moving-average"),
+        "stiffer": TrackerConfig("fix-kf", {"motion.sigma_a": 0.2}),
     },
     runs=12,
     measures={"last_m": lambda run: np.linalg.norm((run.estimates - run.truth)[:, -1, :2], axis=-1)},

@@ -15,7 +15,7 @@ from tests.experiments.broken import ODD
 from tests.experiments.faulty import write_good
 from trackers.core.rig import Rig
 from trackers.recordings.checks.check import Finding, check_folder, format_findings
-from trackers.recordings.folder import Folder, read_folder
+from trackers.recordings.folder import RecordingFolder, read_recording
 
 RECORDINGS = Path(
     os.environ.get("TRACKWRIGHT_RECORDINGS", Path(__file__).resolve().parents[3] / "shared" / "recordings")
@@ -23,14 +23,14 @@ RECORDINGS = Path(
 
 
 @pytest.fixture(scope="module")
-def good(tmp_path_factory) -> Folder:
+def good(tmp_path_factory) -> RecordingFolder:
     folder = tmp_path_factory.mktemp("check") / "good"
     write_good(folder)
-    return read_folder(folder)
+    return read_recording(folder)
 
 
 def _check(
-    folder: Folder, rig: Rig | None = None, **changes: Callable[[pl.DataFrame], pl.DataFrame | None]
+    folder: RecordingFolder, rig: Rig | None = None, **changes: Callable[[pl.DataFrame], pl.DataFrame | None]
 ) -> list[Finding]:
     """The findings after some tables were changed, or removed by a change that gives None."""
     changed = {name: changes.get(name, lambda table: table)(table) for name, table in folder.tables.items()}
@@ -50,18 +50,18 @@ def _drop(table: pl.DataFrame) -> None:
     return None
 
 
-def test_a_good_recording_has_neither_errors_nor_warnings(good: Folder):
+def test_a_good_recording_has_neither_errors_nor_warnings(good: RecordingFolder):
     assert _messages(check_folder(good), "error", "warning") == []
 
 
-def test_rates_are_told_by_sensor_and_tag(good: Folder):
+def test_rates_are_told_by_sensor_and_tag(good: RecordingFolder):
     messages = _messages(check_folder(good), "info")
     assert "ranges: anchor A1, tag T1: 50 rows, 10 a second" in messages
     assert "bearings: station S2, tag T2: 50 rows, 10 a second" in messages
     assert "imu: tag T1: 50 rows, 10 a second" in messages
 
 
-def test_many_tags_are_summed_up(good: Folder):
+def test_many_tags_are_summed_up(good: RecordingFolder):
     def crowd(table: pl.DataFrame) -> pl.DataFrame:
         tags = (table.filter(pl.col("tag") == "T1").with_columns(tag=pl.lit(f"tag {k}")) for k in range(300))
         return pl.concat(tags).sort("t_s", maintain_order=True)
@@ -74,13 +74,13 @@ def test_many_tags_are_summed_up(good: Folder):
 @pytest.mark.parametrize("name", ODD)
 def test_what_is_odd_is_named(tmp_path: Path, name):
     word = ODD[name](tmp_path / "recording")
-    folder = read_folder(tmp_path / "recording")
+    folder = read_recording(tmp_path / "recording")
     findings = check_folder(folder)
     assert any(word in message for message in _messages(findings, "warning", "error"))
     assert all("\n" not in message for message in _messages(findings))
 
 
-def test_tables_made_in_memory_are_checked_for_oddities_too(good: Folder):
+def test_tables_made_in_memory_are_checked_for_oddities_too(good: RecordingFolder):
     findings = _check(good, ranges=lambda table: table.filter(~pl.col("t_s").is_between(1.0, 3.0)))
     assert _has(findings, "warning", "ranges", "gaps longer than 1 s: 8")
     assert _has(findings, "info", "anchor A1, tag T1", "long gaps: 1, the longest 2.2 s before t_s 3.1")
@@ -166,13 +166,13 @@ _SUSPICIOUS: dict[str, tuple[str, tuple[str, ...], dict[str, Callable[[pl.DataFr
 
 
 @pytest.mark.parametrize("name", _SUSPICIOUS)
-def test_what_looks_wrong_is_found(good: Folder, name):
+def test_what_looks_wrong_is_found(good: RecordingFolder, name):
     level, words, changes = _SUSPICIOUS[name]
     findings = _check(good, **changes)
     assert _has(findings, level, *words), format_findings(findings)
 
 
-def test_nothing_but_truth_is_nothing_to_track(good: Folder):
+def test_nothing_but_truth_is_nothing_to_track(good: RecordingFolder):
     only = {name: _drop for name in good.tables if name != "truth"}
     assert _has(_check(good, **only), "error", "nothing to track")
 
@@ -188,12 +188,12 @@ def test_nothing_but_truth_is_nothing_to_track(good: Folder):
         (1, 500, "warning", "expected a start near 0"),
     ],
 )
-def test_a_strange_time_base_is_found(good: Folder, scale, shift, level, word):
+def test_a_strange_time_base_is_found(good: RecordingFolder, scale, shift, level, word):
     move = {name: lambda table: table.with_columns(pl.col("t_s") * scale + shift) for name in good.tables}
     assert _has(_check(good, **move), level, "t_s", word)
 
 
-def test_a_still_truth_has_no_holes(good: Folder):
+def test_a_still_truth_has_no_holes(good: RecordingFolder):
     ends = _check(
         good, truth=lambda t: t.filter(pl.col("t_s").is_in([0.0, 4.9])).with_columns(x_m=1.0, y_m=1.0, z_m=1.0)
     )
@@ -201,7 +201,7 @@ def test_a_still_truth_has_no_holes(good: Folder):
     assert "truth: covers 100 % of the measurements in time" in _messages(ends, "info")
 
 
-def test_anchors_in_millimetres_are_found(good: Folder):
+def test_anchors_in_millimetres_are_found(good: RecordingFolder):
     rig = replace(good.rig, anchors={key: position * 1000 for key, position in good.rig.anchors.items()})
     assert _has(_check(good, rig), "error", "rig.toml", "anchors", "millimetres")
 
@@ -219,16 +219,16 @@ def _with_anchors(rig: Rig, positions: list[list[float]]) -> Rig:
         ([[0, 0, 0.3], [0, 0, 0.3], [6, 5, 0.4], [0, 5, 2.9]], "A1 and A2 stand at one place"),
     ],
 )
-def test_weak_geometry_is_named(good: Folder, positions, word):
+def test_weak_geometry_is_named(good: RecordingFolder, positions, word):
     assert _has(_check(good, _with_anchors(good.rig, positions)), "warning", "rig.toml", word)
 
 
-def test_a_single_station_gives_no_position(good: Folder):
+def test_a_single_station_gives_no_position(good: RecordingFolder):
     findings = _check(good, bearings=lambda table: table.filter(pl.col("station") == "S1"))
     assert _has(findings, "info", "bearings", "no position without a height")
 
 
-def test_without_truth_dilution_is_told_for_the_middle_of_the_rig(good: Folder):
+def test_without_truth_dilution_is_told_for_the_middle_of_the_rig(good: RecordingFolder):
     assert any("at the middle of the rig on the tags' height" in m for m in _messages(_check(good, truth=_drop)))
 
 
@@ -253,5 +253,5 @@ def test_findings_stand_in_aligned_lines_with_the_gravest_first():
 def test_every_real_recording_reads_and_has_no_error():
     folders = sorted(file.parent for file in RECORDINGS.glob("*/rig.toml"))
     assert folders
-    wrong = {folder.name: _messages(check_folder(read_folder(folder)), "error") for folder in folders}
+    wrong = {folder.name: _messages(check_folder(read_recording(folder)), "error") for folder in folders}
     assert not any(wrong.values()), wrong

@@ -345,7 +345,7 @@ def test_tuning_for_the_least_error_lowers_it_and_names_no_standard_errors(there
 
 @pytest.mark.slow
 def test_the_program_with_its_own_settings_tracks_as_the_suite_does(there):
-    """More lanes than a chunk, single precision and flags; against double precision."""
+    """More trajectories than a chunk, single precision and flags; against double precision."""
     options = ("--n", 200, "--rows", 20, "--sigma-p", 0.2)
     assert trackwright("simulate", "--out", there / "many", *options).code == 0
     assert trackwright("track", there / "many", "--tracker", "beam", "--out", there / "many-inside").code == 0

@@ -139,7 +139,7 @@ def test_a_fit_that_cannot_begin_says_why(tmp_path, simulated, monkeypatch):
 
 def test_a_fit_that_ran_away_with_all_recordings_gives_no_numbers(tmp_path, simulated, monkeypatch):
     def ran_away(*arguments, **options):
-        return SimpleNamespace(left_out=6, value=-34.5)
+        return SimpleNamespace(n_excluded=6, value=-34.5)
 
     monkeypatch.setattr(tune_command, "fit", ran_away)
     said = trackwright("tune", simulated, "--tracker", "beam", "--starts", 1, "--out", tmp_path / "out")

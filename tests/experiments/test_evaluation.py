@@ -14,7 +14,7 @@ from experiments.reports.evaluation_text import to_json, to_text
 from trackers.core.errors import UnusableInput
 from trackers.core.rig import Station
 from trackers.evaluation import evaluate
-from trackers.recordings.truth import Verdict, match_truth, read_tracks
+from trackers.recordings.truth import TruthStatus, match_truth, read_tracks
 
 RECORDINGS = Path(os.environ.get("TRACKWRIGHT_RECORDINGS", Path(__file__).parents[2] / ".." / "shared" / "recordings"))
 
@@ -31,7 +31,7 @@ def _truth(t, x, tag="1", **columns):
 
 
 def _verdicts(tracks, truth):
-    return [Verdict(code) for code in match_truth(tracks, {"hall": truth}).verdict]
+    return [TruthStatus(code) for code in match_truth(tracks, {"hall": truth}).verdict]
 
 
 @pytest.fixture
@@ -63,7 +63,7 @@ def test_truth_is_interpolated_linearly_at_the_estimates_times():
 
 def test_truth_counts_only_inside_its_span():
     tracks = _tracks([0.9, 1.0, 1.5, 2.0, 2.1], [0.0] * 5)
-    outside, inside = Verdict.NO_TRUTH, Verdict.COUNTS
+    outside, inside = TruthStatus.NO_TRUTH, TruthStatus.COUNTS
     assert _verdicts(tracks, _truth([1.0, 2.0], [0.0, 0.0])) == [outside, inside, inside, inside, outside]
 
 
@@ -73,34 +73,34 @@ def test_truth_counts_only_inside_its_span():
 )
 def test_a_hole_in_the_truth_counts_unless_it_is_long_and_the_tag_moved(seconds, moved, counts):
     verdicts = _verdicts(_tracks([seconds / 2], [0.0]), _truth([0.0, seconds], [0.0, moved]))
-    assert verdicts == [Verdict.COUNTS if counts else Verdict.HOLE]
+    assert verdicts == [TruthStatus.COUNTS if counts else TruthStatus.HOLE]
 
 
 def test_estimates_at_the_truth_rows_beside_a_hole_count():
     verdicts = _verdicts(_tracks([1.0, 2.0, 5.0, 5.5], [0.0] * 4), _truth([0.0, 1.0, 5.0, 6.0], [0.0, 0.0, 9.0, 9.0]))
-    assert verdicts == [Verdict.COUNTS, Verdict.HOLE, Verdict.COUNTS, Verdict.COUNTS]
+    assert verdicts == [TruthStatus.COUNTS, TruthStatus.HOLE, TruthStatus.COUNTS, TruthStatus.COUNTS]
 
 
 def test_empty_truth_cells_are_a_hole():
     truth = _truth([0.0, 1.0, 2.0], [0.0, None, 3.0])
-    assert _verdicts(_tracks([1.0], [0.0]), truth) == [Verdict.HOLE]
+    assert _verdicts(_tracks([1.0], [0.0]), truth) == [TruthStatus.HOLE]
 
 
 def test_a_truth_of_one_row_serves_its_own_time():
-    assert _verdicts(_tracks([1.0, 1.1], [0.0] * 2), _truth([1.0], [0.0])) == [Verdict.COUNTS, Verdict.NO_TRUTH]
+    assert _verdicts(_tracks([1.0, 1.1], [0.0] * 2), _truth([1.0], [0.0])) == [TruthStatus.COUNTS, TruthStatus.NO_TRUTH]
 
 
 def test_rows_that_hold_no_estimate_do_not_count():
     x = [1.0, 1.0, 1.0, None, math.nan, math.inf, 1.0, 1.0]
     status = ["waiting", "non-finite", "lost", "ok", "ok", "ok", None, "restarted"]
     verdicts = _verdicts(_tracks([0.1 * k for k in range(8)], x, status=status), _truth([0.0, 1.0], [1.0, 1.0]))
-    none, counts = Verdict.NO_ESTIMATE, Verdict.COUNTS
+    none, counts = TruthStatus.NO_ESTIMATE, TruthStatus.COUNTS
     assert verdicts == [none, none, counts, none, none, none, counts, counts]
 
 
 def test_tags_that_a_reader_took_for_numbers_are_matched_as_text():
     truth = _truth([0.0, 1.0], [0.0, 0.0]).with_columns(tag=pl.lit(8401))
-    assert _verdicts(_tracks([0.5], [0.0], tag="8401"), truth) == [Verdict.COUNTS]
+    assert _verdicts(_tracks([0.5], [0.0], tag="8401"), truth) == [TruthStatus.COUNTS]
 
 
 # Figures

@@ -1,4 +1,4 @@
-"""Trackers of fixes from the folder to the table: lanes, what is lacking, and the time that an estimate speaks of."""
+"""Trackers of fixes from the folder to the table: trajectories, what is lacking, and the time that an estimate speaks of."""
 
 import tomllib
 
@@ -10,12 +10,12 @@ from sim.agv import ANCHOR_HEIGHT, simulate_agv
 from sim.fixes import correlated_noise, late
 from sim.tables.agv import simulated_agv
 from tests.experiments.in_process import assert_refused, trackwright
-from trackers.baselines.rows import fix_lanes, lacks_fixes, lacks_plane, side_lanes
+from trackers.baselines.rows import fix_trajectories, lacks_fixes, lacks_plane, side_trajectories
 from trackers.core.rig import Rig, Tag
-from trackers.mhk.rows import space_lanes
+from trackers.mhk.rows import space_trajectories
 from trackers.mhk.tracker import STILL
 from trackers.parts.fixes import FIXES
-from trackers.recordings.folder import Folder, write_folder
+from trackers.recordings.folder import RecordingFolder, write_recording
 from trackers.recordings.truth import read_tracks
 
 LATENCY = 0.4
@@ -30,12 +30,12 @@ def world():
 @pytest.fixture(scope="module")
 def folder(world, tmp_path_factory):
     path = tmp_path_factory.mktemp("fixes") / "agv"
-    write_folder(world, path)
+    write_recording(world, path)
     return path
 
 
 def _with(folder, rig=None, **tables):
-    return Folder(folder.name, folder.path, rig or folder.rig, folder.tables | tables)
+    return RecordingFolder(folder.name, folder.path, rig or folder.rig, folder.tables | tables)
 
 
 def _known_height(folder):
@@ -48,7 +48,7 @@ def test_a_fix_is_a_row_with_masks_and_reported_variances(world):
     table = world.tables["fixes"].with_columns(
         y_m=pl.when(pl.col("t_s") == 1.0).then(None).otherwise("y_m"), x_std_m=pl.lit(0.2), z_std_m=pl.lit(0.3)
     )
-    first, second = fix_lanes(_with(world, fixes=table), free_height=False)
+    first, second = fix_trajectories(_with(world, fixes=table), free_height=False)
     readings, times = first.recording.readings[FIXES], first.recording.times
     assert (first.tag, second.tag, len(times)) == ("0", "1", 300)
     np.testing.assert_array_equal(readings.seen[:, 1], times != 1.0)
@@ -58,19 +58,19 @@ def test_a_fix_is_a_row_with_masks_and_reported_variances(world):
 
 def test_a_known_height_hides_z_from_planar_trackers_and_stands_for_it_in_mhk(world):
     known = _known_height(world)
-    assert not next(fix_lanes(known, free_height=False)).recording.readings[FIXES].seen[:, 2].any()
-    assert next(fix_lanes(known, free_height=True)).recording.readings[FIXES].seen[:, 2].all()
-    np.testing.assert_array_equal(next(space_lanes(known, False)).recording.readings[FIXES].values[:, 2], 1.2)
+    assert not next(fix_trajectories(known, free_height=False)).recording.readings[FIXES].seen[:, 2].any()
+    assert next(fix_trajectories(known, free_height=True)).recording.readings[FIXES].seen[:, 2].all()
+    np.testing.assert_array_equal(next(space_trajectories(known, False)).recording.readings[FIXES].values[:, 2], 1.2)
 
 
 def test_trackers_of_mirrored_heights_read_the_distance_from_the_anchors_plane(world):
-    lane, plain = next(side_lanes(world, False)), next(fix_lanes(world, True))
-    values = lane.recording.readings[FIXES].values
+    trajectory, plain = next(side_trajectories(world, False)), next(fix_trajectories(world, True))
+    values = trajectory.recording.readings[FIXES].values
     z = plain.recording.readings[FIXES].values[:, 2]
     np.testing.assert_allclose(values[:, 2], np.abs(z - ANCHOR_HEIGHT))
     np.testing.assert_array_equal(values[:, 3], 0.0)
-    np.testing.assert_allclose(lane.recording.inputs["plane"], ANCHOR_HEIGHT)
-    np.testing.assert_array_equal(lane.recording.inputs["shown"], z)
+    np.testing.assert_allclose(trajectory.recording.inputs["plane"], ANCHOR_HEIGHT)
+    np.testing.assert_array_equal(trajectory.recording.inputs["shown"], z)
 
 
 def test_anchors_that_are_few_or_at_several_heights_have_no_plane(world):
@@ -88,14 +88,14 @@ def test_fixes_without_any_height_are_refused_and_with_a_known_one_are_not(world
 
 
 def test_a_folder_without_fixes_is_refused_in_one_line(world, tmp_path):
-    write_folder(Folder("bare", None, world.rig, {"truth": world.tables["truth"]}), tmp_path / "bare")
+    write_recording(RecordingFolder("bare", None, world.rig, {"truth": world.tables["truth"]}), tmp_path / "bare")
     said = trackwright("track", tmp_path / "bare", "--tracker", "mhk", "--out", tmp_path / "out")
     assert said.code == 2
     assert "fixes" in said.err
 
 
 def test_anchors_without_a_plane_are_refused_in_one_line(world, tmp_path):
-    write_folder(_with(world, Rig("few", anchors={}, tags=world.rig.tags)), tmp_path / "few")
+    write_recording(_with(world, Rig("few", anchors={}, tags=world.rig.tags)), tmp_path / "few")
     said = trackwright("track", tmp_path / "few", "--tracker", "fix-mirror", "--out", tmp_path / "out")
     assert_refused(said, "fix-mirror", "at least 3 anchors")
 
@@ -105,7 +105,7 @@ def test_a_tag_that_is_never_seen_is_a_track_that_waits(world, tmp_path):
     table = world.tables["fixes"].with_columns(
         **{f"{a}_m": pl.when(pl.col("tag") == "1").then(nothing).otherwise(f"{a}_m") for a in "xyz"}
     )
-    write_folder(_with(world, fixes=table), tmp_path / "silent")
+    write_recording(_with(world, fixes=table), tmp_path / "silent")
     said = trackwright("track", tmp_path / "silent", "--tracker", "median", "--out", tmp_path / "out")
     assert said.code == 0, said.err
     tracks = read_tracks(tmp_path / "out")

@@ -11,7 +11,7 @@ from trackers.core.motion import Placed
 from trackers.core.particle.resampling import NOTHING
 from trackers.core.rig import Rig
 from trackers.parts.walls import Walls
-from trackers.recordings.folder import Folder, read_folder, write_folder
+from trackers.recordings.folder import RecordingFolder, read_recording, write_recording
 from tuning.tuned_file import read_tuned
 
 OUTLINE = np.array([[0.0, 0.0], [12.0, 0.0], [12.0, 8.0], [10.5, 8.0], [10.5, 1.5], [0.0, 1.5]])
@@ -36,13 +36,13 @@ def _folder():
         return pl.DataFrame({"t_s": times, "tag": "1", "x_m": places[:, 0], "y_m": places[:, 1], "z_m": 1.0})
 
     rig = Rig("corner", outline=OUTLINE, walls=SPARE)
-    return Folder("corner", None, rig, {"fixes": table(fixes), "truth": table(truth)})
+    return RecordingFolder("corner", None, rig, {"fixes": table(fixes), "truth": table(truth)})
 
 
 @pytest.fixture(scope="module")
 def there(tmp_path_factory):
     path = tmp_path_factory.mktemp("floor")
-    write_folder(_folder(), path / "corner")
+    write_recording(_folder(), path / "corner")
     return path
 
 
@@ -55,7 +55,7 @@ def tracked(there):
 
 
 def test_walls_and_outline_are_written_and_read_back(there):
-    rig = read_folder(there / "corner").rig
+    rig = read_recording(there / "corner").rig
     np.testing.assert_array_equal(rig.walls, SPARE)
     np.testing.assert_array_equal(rig.outline, OUTLINE)
     np.testing.assert_array_equal(rig.all_walls()[:2], [SPARE[0], [0.0, 0.0, 12.0, 0.0]])
@@ -103,8 +103,8 @@ def test_the_noise_is_tuned_by_the_particles_score_between_the_walls(there):
 
 
 def test_without_a_floor_plan_the_tracker_is_refused(there):
-    bare = Folder("bare", None, Rig("bare"), _folder().tables)
-    write_folder(bare, there / "bare")
+    bare = RecordingFolder("bare", None, Rig("bare"), _folder().tables)
+    write_recording(bare, there / "bare")
     said = trackwright("track", there / "bare", "--tracker", "floor-pf", "--out", there / "none")
     assert_refused(said, "floor-pf", "[floor]", "walls_m or outline_m")
 
@@ -120,15 +120,17 @@ def test_without_a_floor_plan_the_tracker_is_refused(there):
     ],
 )
 def test_a_floor_plan_that_is_none_is_refused_with_its_key(there, tmp_path, lines, words):
-    write_folder(_folder(), tmp_path / "a")
+    write_recording(_folder(), tmp_path / "a")
     rig = tmp_path / "a" / "rig.toml"
     rig.write_text(f'format = 1\nname = "a"\n\n{lines}\n')
     with pytest.raises(UnusableInput, match=words):
-        read_folder(tmp_path / "a")
+        read_recording(tmp_path / "a")
 
 
 def test_a_wall_without_length_is_refused_in_one_line(tmp_path):
-    write_folder(Folder("a", None, Rig("a", walls=np.array([[1.0, 2.0, 1.0, 2.0]])), _folder().tables), tmp_path / "a")
+    write_recording(
+        RecordingFolder("a", None, Rig("a", walls=np.array([[1.0, 2.0, 1.0, 2.0]])), _folder().tables), tmp_path / "a"
+    )
     said = trackwright("track", tmp_path / "a", "--tracker", "floor-pf", "--out", tmp_path / "out")
     assert_refused(said, "rig.toml, [floor]: wall 0", "no length")
 

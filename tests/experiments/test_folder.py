@@ -14,15 +14,15 @@ import pytest
 from tests.experiments.broken import BROKEN, ODD
 from tests.experiments.faulty import RIG, good_tables, write_good
 from trackers.core.errors import UnusableInput
-from trackers.recordings.folder import Folder, read_folder, write_folder
+from trackers.recordings.folder import RecordingFolder, read_recording, write_recording
 
 KINDS = ("parquet", "csv.gz", "csv")
 
 
 @pytest.fixture
-def good(tmp_path: Path) -> Folder:
+def good(tmp_path: Path) -> RecordingFolder:
     write_good(tmp_path / "good")
-    return read_folder(tmp_path / "good")
+    return read_recording(tmp_path / "good")
 
 
 def _assert_same_rig(a, b):
@@ -44,7 +44,7 @@ def _assert_same_rig(a, b):
     np.testing.assert_array_equal(a.path_knots, b.path_knots)
 
 
-def test_a_good_recording_reads_without_a_notice(good: Folder):
+def test_a_good_recording_reads_without_a_notice(good: RecordingFolder):
     assert good.notices == ()
     assert good.name == "good"
     assert good.rig.about == "Made for tests."
@@ -58,9 +58,9 @@ def test_a_good_recording_reads_without_a_notice(good: Folder):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_written_recording_reads_back_the_same(good: Folder, tmp_path: Path, kind):
-    write_folder(good, tmp_path / "copy", kind)
-    copy = read_folder(tmp_path / "copy")
+def test_a_written_recording_reads_back_the_same(good: RecordingFolder, tmp_path: Path, kind):
+    write_recording(good, tmp_path / "copy", kind)
+    copy = read_recording(tmp_path / "copy")
     _assert_same_rig(copy.rig, good.rig)
     assert list(copy.tables) == list(good.tables)
     for name, table in good.tables.items():
@@ -69,16 +69,16 @@ def test_a_written_recording_reads_back_the_same(good: Folder, tmp_path: Path, k
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_missing_values_stay_missing(good: Folder, tmp_path: Path, kind):
+def test_missing_values_stay_missing(good: RecordingFolder, tmp_path: Path, kind):
     holes = good.tables["imu"].with_columns(
         gyro_x_radps=pl.lit(None, pl.Float64), accel_y_mps2=pl.col("accel_y_mps2").clip(-0.01)
     )
     holes = holes.with_columns(
         pl.when(pl.int_range(pl.len()) % 3 == 0).then(None).otherwise(pl.col("accel_z_mps2")).alias("accel_z_mps2")
     )
-    folder = Folder("holes", None, good.rig, {"imu": holes})
-    write_folder(folder, tmp_path / "copy", kind)
-    assert read_folder(tmp_path / "copy").tables["imu"].equals(holes)
+    folder = RecordingFolder("holes", None, good.rig, {"imu": holes})
+    write_recording(folder, tmp_path / "copy", kind)
+    assert read_recording(tmp_path / "copy").tables["imu"].equals(holes)
 
 
 def test_the_rig_keeps_strange_ids_and_words(tmp_path: Path):
@@ -90,16 +90,16 @@ def test_the_rig_keeps_strange_ids_and_words(tmp_path: Path):
     )
     for table in ("ranges", "truth"):
         (tmp_path / "a" / f"{table}.csv").unlink()
-    first = read_folder(tmp_path / "a")
+    first = read_recording(tmp_path / "a")
     assert 'A1 "left" \\ ü.1' in first.rig.anchors
-    write_folder(first, tmp_path / "b")
-    _assert_same_rig(read_folder(tmp_path / "b").rig, first.rig)
+    write_recording(first, tmp_path / "b")
+    _assert_same_rig(read_recording(tmp_path / "b").rig, first.rig)
 
 
 def test_a_nearly_unit_quaternion_is_normalised(tmp_path: Path):
     write_good(tmp_path / "a")
     (tmp_path / "a" / "rig.toml").write_text(RIG.replace("[0.5, 0.5, 0.5, 0.5]", "[0.707, 0.0, 0.0, 0.707]"))
-    rotation = read_folder(tmp_path / "a").rig.stations["S1"].rotation
+    rotation = read_recording(tmp_path / "a").rig.stations["S1"].rotation
     np.testing.assert_allclose(rotation, [np.sqrt(0.5), 0, 0, np.sqrt(0.5)], atol=1e-15)
 
 
@@ -113,7 +113,7 @@ def test_empty_cells_and_nan_are_missing(tmp_path: Path):
         cells[head.index("z_m")] = text
         lines[row] = ",".join(cells)
     file.write_text("\n".join(lines))
-    assert read_folder(tmp_path / "a").tables["fixes"]["z_m"].is_null().arg_true().to_list() == [0, 1, 2, 3]
+    assert read_recording(tmp_path / "a").tables["fixes"]["z_m"].is_null().arg_true().to_list() == [0, 1, 2, 3]
 
 
 @pytest.mark.parametrize(
@@ -129,11 +129,11 @@ def test_empty_cells_and_nan_are_missing(tmp_path: Path):
     ],
     ids=["byte order mark", "CRLF", "CR", "spaces", "blank lines", "quotes", "no last line end"],
 )
-def test_other_spellings_of_csv_read_the_same(good: Folder, tmp_path: Path, spell):
+def test_other_spellings_of_csv_read_the_same(good: RecordingFolder, tmp_path: Path, spell):
     write_good(tmp_path / "a")
     file = tmp_path / "a" / "ranges.csv"
     file.write_bytes(spell(file.read_text()).encode())
-    other = read_folder(tmp_path / "a")
+    other = read_recording(tmp_path / "a")
     assert other.tables["ranges"].equals(good.tables["ranges"])
     assert other.notices == ()
 
@@ -145,16 +145,16 @@ def test_a_message_counts_lines_as_an_editor_does(tmp_path: Path):
     lines[4] = lines[4].replace(lines[4].split(",")[3], "far")
     file.write_text("\n".join([lines[0], "", *lines[1:3], "", *lines[3:]]))  # two blank lines above the fault
     with pytest.raises(UnusableInput, match=r"row 4 \(line 7\), column range_m"):
-        read_folder(tmp_path / "a")
+        read_recording(tmp_path / "a")
 
 
-def test_integer_ids_in_parquet_become_text(good: Folder, tmp_path: Path):
+def test_integer_ids_in_parquet_become_text(good: RecordingFolder, tmp_path: Path):
     write_good(tmp_path / "a")
     (tmp_path / "a" / "rig.toml").write_text(RIG.replace('"A1"', '"1"'))
     first = good_tables()["ranges"].filter(pl.col("anchor") == "A1").with_columns(anchor=pl.lit(1, pl.Int64))
     (tmp_path / "a" / "ranges.csv").unlink()
     first.write_parquet(tmp_path / "a" / "ranges.parquet")
-    assert read_folder(tmp_path / "a").tables["ranges"]["anchor"].unique().to_list() == ["1"]
+    assert read_recording(tmp_path / "a").tables["ranges"]["anchor"].unique().to_list() == ["1"]
 
 
 def test_arrays_of_different_size_share_a_phase_table(tmp_path: Path):
@@ -164,10 +164,10 @@ def test_arrays_of_different_size_share_a_phase_table(tmp_path: Path):
         RIG.replace("antennas_m = [[0.02, 0.0], [0.0, 0.01], [-0.02, 0.0], [0.0, -0.01]]", smaller, 1)
     )
     with pytest.raises(UnusableInput, match="'S1' has 3 antennas"):
-        read_folder(tmp_path / "a")
+        read_recording(tmp_path / "a")
     kept = pl.when(pl.col("station") == "S2").then(pl.col("phase_4_rad")).alias("phase_4_rad")
     good_tables()["phases"].with_columns(kept).write_csv(tmp_path / "a" / "phases.csv")
-    assert read_folder(tmp_path / "a").tables["phases"]["phase_4_rad"].null_count() == 100
+    assert read_recording(tmp_path / "a").tables["phases"]["phase_4_rad"].null_count() == 100
 
 
 def test_truth_alone_can_be_read(tmp_path: Path):
@@ -175,14 +175,14 @@ def test_truth_alone_can_be_read(tmp_path: Path):
     for name in good_tables():
         if name != "truth":
             (tmp_path / "a" / f"{name}.csv").unlink()
-    assert set(read_folder(tmp_path / "a").tables) == {"truth"}
+    assert set(read_recording(tmp_path / "a").tables) == {"truth"}
 
 
 @pytest.mark.parametrize("name", BROKEN)
 def test_a_broken_recording_is_refused_in_one_line_that_names_the_file(tmp_path: Path, name, capfd):
     word = BROKEN[name](tmp_path / "recording")
     with pytest.raises(UnusableInput) as caught:
-        read_folder(tmp_path / "recording")
+        read_recording(tmp_path / "recording")
     message = str(caught.value)
     assert word in message
     assert str(tmp_path / "recording") in message
@@ -191,15 +191,17 @@ def test_a_broken_recording_is_refused_in_one_line_that_names_the_file(tmp_path:
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_panic_of_the_parquet_reader_is_one_line_and_prints_nothing(good: Folder, tmp_path: Path, monkeypatch, capfd):
+def test_a_panic_of_the_parquet_reader_is_one_line_and_prints_nothing(
+    good: RecordingFolder, tmp_path: Path, monkeypatch, capfd
+):
     def panic(source):
         os.write(2, b"thread panicked at crates/parquet\nstack backtrace:\n")
         raise pl.exceptions.PanicException("assertion failed")
 
-    write_folder(good, tmp_path / "a", "parquet")
+    write_recording(good, tmp_path / "a", "parquet")
     monkeypatch.setattr(pl, "read_parquet", panic)
     with pytest.raises(UnusableInput, match="broken Parquet file \\(assertion failed\\)"):
-        read_folder(tmp_path / "a")
+        read_recording(tmp_path / "a")
     os.write(2, b"heard again")
     assert capfd.readouterr() == ("", "heard again")
 
@@ -207,7 +209,7 @@ def test_a_panic_of_the_parquet_reader_is_one_line_and_prints_nothing(good: Fold
 @pytest.mark.parametrize("name", ODD)
 def test_an_odd_recording_is_read_with_a_notice(tmp_path: Path, name):
     word = ODD[name](tmp_path / "recording")
-    folder = read_folder(tmp_path / "recording")
+    folder = read_recording(tmp_path / "recording")
     assert any(word in notice for notice in folder.notices)
     assert all(notice.isprintable() for notice in folder.notices)
 
@@ -217,7 +219,7 @@ def test_rows_out_of_order_are_sorted_and_rows_of_one_time_keep_theirs(tmp_path:
     table = good_tables()["ranges"].with_row_index("row")
     late = pl.concat([table[96:], table[:96]])
     late.drop("row").write_csv(tmp_path / "a" / "ranges.csv")
-    read = read_folder(tmp_path / "a").tables["ranges"]
+    read = read_recording(tmp_path / "a").tables["ranges"]
     assert read.equals(good_tables()["ranges"].select(read.columns))
 
 
@@ -228,23 +230,23 @@ def test_an_unreadable_folder_or_file_is_refused(tmp_path: Path, locked):
     (tmp_path / "a" / locked).chmod(0)
     try:
         with pytest.raises(UnusableInput, match="Permission denied"):
-            read_folder(tmp_path / "a")
+            read_recording(tmp_path / "a")
     finally:
         (tmp_path / "a" / locked).chmod(0o700)
 
 
 @pytest.mark.parametrize("what", ["iterdir", "read_bytes"])
-def test_a_refusal_by_the_system_is_one_line(good: Folder, monkeypatch, what):
+def test_a_refusal_by_the_system_is_one_line(good: RecordingFolder, monkeypatch, what):
     def refuse(self):
         raise PermissionError(errno.EACCES, "Permission denied", str(self))
 
     monkeypatch.setattr(Path, what, refuse)
     with pytest.raises(UnusableInput, match="cannot be read \\(Permission denied\\)"):
-        read_folder(good.path)
+        read_recording(good.path)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_full_disk_leaves_nothing_half_written(good: Folder, tmp_path: Path, monkeypatch, kind):
+def test_a_full_disk_leaves_nothing_half_written(good: RecordingFolder, tmp_path: Path, monkeypatch, kind):
     writer = "write_parquet" if kind == "parquet" else "write_csv"
     write = getattr(pl.DataFrame, writer)
     calls = []
@@ -258,34 +260,34 @@ def test_a_full_disk_leaves_nothing_half_written(good: Folder, tmp_path: Path, m
     monkeypatch.setattr(pl.DataFrame, writer, fills_up)
     before = sorted(tmp_path.iterdir())
     with pytest.raises(UnusableInput, match="No space left on device"):
-        write_folder(good, tmp_path / "out", kind)
+        write_recording(good, tmp_path / "out", kind)
     assert len(calls) == 3
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_nothing_is_written_over_a_folder_that_holds_something(good: Folder, tmp_path: Path):
+def test_nothing_is_written_over_a_folder_that_holds_something(good: RecordingFolder, tmp_path: Path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "mine.txt").write_text("mine")
     with pytest.raises(UnusableInput, match="not empty"):
-        write_folder(good, tmp_path / "out")
+        write_recording(good, tmp_path / "out")
     assert [file.name for file in (tmp_path / "out").iterdir()] == ["mine.txt"]
     (tmp_path / "file").write_text("mine")
     with pytest.raises(UnusableInput, match="is a file"):
-        write_folder(good, tmp_path / "file")
+        write_recording(good, tmp_path / "file")
     assert (tmp_path / "file").read_text() == "mine"
 
 
-def test_an_empty_folder_and_missing_parents_are_written_to(good: Folder, tmp_path: Path):
+def test_an_empty_folder_and_missing_parents_are_written_to(good: RecordingFolder, tmp_path: Path):
     (tmp_path / "empty").mkdir()
-    write_folder(good, tmp_path / "empty")
-    write_folder(good, tmp_path / "new" / "deep")
-    assert read_folder(tmp_path / "empty").notices == read_folder(tmp_path / "new" / "deep").notices == ()
+    write_recording(good, tmp_path / "empty")
+    write_recording(good, tmp_path / "new" / "deep")
+    assert read_recording(tmp_path / "empty").notices == read_recording(tmp_path / "new" / "deep").notices == ()
     assert {file.name for file in tmp_path.iterdir()} == {"good", "empty", "new"}
 
 
-def test_the_same_recording_gives_the_same_bytes(good: Folder, tmp_path: Path):
-    write_folder(good, tmp_path / "a", "csv.gz")
-    write_folder(good, tmp_path / "b", "csv.gz")
+def test_the_same_recording_gives_the_same_bytes(good: RecordingFolder, tmp_path: Path):
+    write_recording(good, tmp_path / "a", "csv.gz")
+    write_recording(good, tmp_path / "b", "csv.gz")
     files = sorted(file.name for file in (tmp_path / "a").iterdir())
     assert [(tmp_path / "a" / f).read_bytes() for f in files] == [(tmp_path / "b" / f).read_bytes() for f in files]
     assert gzip.decompress((tmp_path / "a" / "truth.csv.gz").read_bytes()).startswith(b"t_s,tag,x_m,y_m,z_m,qw")

@@ -1,4 +1,4 @@
-"""From folders to lanes: rows, masks and truth of each, and lanes cut into pieces."""
+"""From folders to trajectories: rows, masks and truth of each, and trajectories cut into pieces."""
 
 import numpy as np
 import polars as pl
@@ -6,23 +6,23 @@ import pytest
 
 from tests.experiments.faulty import write_good
 from trackers.aoa.fusion import BEARINGS
-from trackers.aoa.rows import PHASES, beam_lanes, bearing_lanes, phase_lanes
-from trackers.recordings.folder import Folder, read_folder
+from trackers.aoa.rows import PHASES, beam_trajectories, bearing_trajectories, phase_trajectories
+from trackers.recordings.folder import RecordingFolder, read_recording
 from trackers.recordings.trajectories import cut, pieces
 
 
 @pytest.fixture
 def good(tmp_path):
     write_good(tmp_path / "good")
-    return read_folder(tmp_path / "good")
+    return read_recording(tmp_path / "good")
 
 
 def _with(folder, **tables):
-    return Folder(folder.name, folder.path, folder.rig, folder.tables | tables)
+    return RecordingFolder(folder.name, folder.path, folder.rig, folder.tables | tables)
 
 
 def test_bearings_become_a_row_each_with_their_stations_place(good):
-    first, second = bearing_lanes(good, free_height=False)
+    first, second = bearing_trajectories(good, free_height=False)
     assert (first.tag, second.tag, first.station) == ("T1", "T2", "")
     assert len(first.recording) == 100
     table = good.tables["bearings"].filter(tag="T1")
@@ -44,8 +44,8 @@ def test_an_angle_that_is_missing_is_a_mask_and_reported_spreads_are_variances(g
         azimuth_std_rad=pl.lit(0.1),
         elevation_std_rad=pl.when(pl.col("t_s") == 2.0).then(None).otherwise(0.2),
     )
-    lane = next(bearing_lanes(_with(good, bearings=table), free_height=False))
-    readings, times = lane.recording.readings[BEARINGS], lane.recording.times
+    trajectory = next(bearing_trajectories(_with(good, bearings=table), free_height=False))
+    readings, times = trajectory.recording.readings[BEARINGS], trajectory.recording.times
     np.testing.assert_array_equal(readings.seen[:, 0], times != 1.0)
     assert readings.seen[:, 1].all()
     np.testing.assert_allclose(readings.reported[times == 0.5], [[0.1**2, 0.0, 0.2**2]] * 2)
@@ -56,10 +56,12 @@ def test_phases_of_all_stations_at_one_time_are_one_row_and_repeats_another(good
     table = good.tables["phases"]
     again = table.filter((pl.col("t_s") == 1.0) & (pl.col("tag") == "T1") & (pl.col("station") == "S2"))
     again = again.with_columns(phase_1_rad=pl.lit(0.25))
-    lane = next(phase_lanes(_with(good, phases=pl.concat([table, again]).sort("t_s", maintain_order=True)), False))
-    assert len(lane.recording) == 51
-    (twice,) = np.flatnonzero(np.diff(lane.recording.times) == 0)
-    one, two = (lane.recording.readings[name] for name in ("S1", "S2"))
+    trajectory = next(
+        phase_trajectories(_with(good, phases=pl.concat([table, again]).sort("t_s", maintain_order=True)), False)
+    )
+    assert len(trajectory.recording) == 51
+    (twice,) = np.flatnonzero(np.diff(trajectory.recording.times) == 0)
+    one, two = (trajectory.recording.readings[name] for name in ("S1", "S2"))
     assert one.seen[twice].all()
     assert not one.seen[twice + 1].any()
     assert two.seen[[twice, twice + 1]].all()
@@ -67,33 +69,35 @@ def test_phases_of_all_stations_at_one_time_are_one_row_and_repeats_another(good
     assert two.seen.all()
 
 
-def test_beams_are_a_lane_for_each_tag_and_station_with_true_directions(good):
-    lanes = list(beam_lanes(good, False))
-    assert {(lane.tag, lane.station) for lane in lanes} == {(t, s) for t in ("T1", "T2") for s in ("S1", "S2")}
-    lane = lanes[0]
-    assert lane.recording.readings[PHASES].values.shape == (50, 4)
-    angles, known = lane.recording.truth["direction"]
-    place = good.tables["truth"].filter(tag=lane.tag).select("x_m", "y_m", "z_m").to_numpy()
+def test_beams_are_a_trajectory_for_each_tag_and_station_with_true_directions(good):
+    trajectories = list(beam_trajectories(good, False))
+    assert {(trajectory.tag, trajectory.station) for trajectory in trajectories} == {
+        (t, s) for t in ("T1", "T2") for s in ("S1", "S2")
+    }
+    trajectory = trajectories[0]
+    assert trajectory.recording.readings[PHASES].values.shape == (50, 4)
+    angles, known = trajectory.recording.truth["direction"]
+    place = good.tables["truth"].filter(tag=trajectory.tag).select("x_m", "y_m", "z_m").to_numpy()
     assert known.all()
-    np.testing.assert_allclose(angles, good.rig.stations[lane.station].angles(place))
+    np.testing.assert_allclose(angles, good.rig.stations[trajectory.station].angles(place))
 
 
 def test_pieces_hold_all_rows_in_order_and_about_as_many_as_asked_for(good):
-    lane = next(bearing_lanes(good, False))
+    trajectory = next(bearing_trajectories(good, False))
     for rows, count in ((100, 1), (1000, 1), (30, 3), (14, 7), (10, 10)):
-        parts = pieces(lane, rows)
+        parts = pieces(trajectory, rows)
         assert len(parts) == count
-        assert all((part.tag, part.folder) == (lane.tag, lane.folder) for part in parts)
+        assert all((part.tag, part.folder) == (trajectory.tag, trajectory.folder) for part in parts)
         lengths = [len(part.recording) for part in parts]
         assert max(lengths) - min(lengths) <= 1
         joined = np.concatenate([part.recording.times for part in parts])
-        np.testing.assert_array_equal(joined, lane.recording.times)
+        np.testing.assert_array_equal(joined, trajectory.recording.times)
         values = np.concatenate([part.recording.readings[BEARINGS].values for part in parts])
-        np.testing.assert_array_equal(values, lane.recording.readings[BEARINGS].values)
+        np.testing.assert_array_equal(values, trajectory.recording.readings[BEARINGS].values)
 
 
 def test_a_piece_has_the_rows_of_everything(good):
-    whole = next(bearing_lanes(good, False)).recording
+    whole = next(bearing_trajectories(good, False)).recording
     part = cut(whole, 20, 45)
     assert len(part) == 25
     for name, values in whole.inputs.items():

@@ -4,7 +4,7 @@ import subprocess
 
 import pytest
 
-from experiments.monte_carlo import Claim, Conclusion
+from experiments.monte_carlo import Conclusion, ExpectedResult
 from experiments.monte_carlo.results import Value
 from experiments.monte_carlo.runner import carry_out
 from experiments.reports.study import page
@@ -25,7 +25,7 @@ def report(tmp_path_factory):
     folder = tmp_path_factory.mktemp("browser")
     results = carry_out(SMALL, folder, (1, 1), None, no_progress)
     claims = [
-        Claim(
+        ExpectedResult(
             "Table 1, antennas 3-7-8, elevation", 10.731, Value(10.2, 9.9, 10.6), "°", fitted=False, note="A remark."
         ),
         Conclusion("The filter is better throughout", holds=True, evidence="0.5 against 0.7 m"),

@@ -12,7 +12,7 @@ import pytest
 from tests.experiments.in_process import assert_refused, trackwright
 from trackers.catalogue import fitting
 from trackers.line.rows import path_of
-from trackers.recordings.folder import read_folder
+from trackers.recordings.folder import read_recording
 
 WORLDS = {
     "simulate-line": (("--rate-hz", 2), {"fixes", "truth"}, "line-grid"),
@@ -37,7 +37,7 @@ def worlds(tmp_path_factory):
 @pytest.mark.parametrize("command", WORLDS)
 def test_a_world_is_a_recording_whose_tables_choose_their_tracker(worlds, command):
     _, tables, tracker = WORLDS[command]
-    folder = read_folder(worlds / command)
+    folder = read_recording(worlds / command)
     assert set(folder.tables) == tables
     assert folder.tables["truth"]["tag"].unique().sort().to_list() == ["0", "1"]
     assert fitting(folder) == tracker
@@ -59,7 +59,7 @@ def test_a_world_that_can_not_be_is_refused_with_its_option(tmp_path, command, o
 
 
 def test_a_tag_on_a_closed_path_is_tracked_round_it_and_has_no_height(worlds, tmp_path):
-    folder = read_folder(worlds / "simulate-agv")
+    folder = read_recording(worlds / "simulate-agv")
     knots = folder.rig.path_knots
     # Ends that nearly meet close the path, too.
     gap, part = np.vstack([knots[:-1:60], knots[-1] + 0.01]), knots[:300]

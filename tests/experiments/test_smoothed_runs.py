@@ -11,7 +11,7 @@ import pytest
 from tests.experiments.in_process import assert_refused, trackwright
 from trackers.catalogue import TRACKERS
 from trackers.events import events_of, off_the_path
-from trackers.recordings.folder import read_folder
+from trackers.recordings.folder import read_recording
 
 OPTIONS = {"filtered": (), "smoothed": ("--smooth",), "lagged": ("--lag", 0.5)}
 
@@ -71,13 +71,13 @@ def test_events_are_the_turns_of_the_status_once_each():
 
 
 def test_a_tag_beside_its_prescribed_path_is_told_with_the_distance_and_the_way_back(beginnings):
-    folder = read_folder(beginnings / "good")
-    lane = next(iter(TRACKERS["bearings"].lanes(folder, False)))
+    folder = read_recording(beginnings / "good")
+    trajectory = next(iter(TRACKERS["bearings"].trajectories(folder, False)))
     times = np.arange(0.0, 12.0, 0.1)
     # The path runs along y = 1 m from x = 1 to 5 m; from 4 to 8 s the tag is 0.9 m beside it.
     beside = np.where((times >= 4) & (times < 8), 0.9, 0.0)
     tracks = pl.DataFrame({"t_s": times, "x_m": 1 + times / 3, "y_m": 1 - beside, "std_x_m": 0.05, "std_y_m": 0.05})
-    (left, off, far), (back, on, _) = off_the_path(lane, tracks)
+    (left, off, far), (back, on, _) = off_the_path(trajectory, tracks)
     assert (off, on) == ("off the prescribed path", "back on the path")
     assert left == pytest.approx(4.0, abs=0.11)
     assert 8.0 < back < 11.0

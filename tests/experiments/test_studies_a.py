@@ -5,7 +5,7 @@ import tomllib
 import numpy as np
 import pytest
 
-from experiments.monte_carlo import Claim, Conclusion
+from experiments.monte_carlo import Conclusion, ExpectedResult
 from experiments.monte_carlo.runner import carry_out
 from experiments.monte_carlo.sources import names, study_of
 from experiments.papers import _fitted, fit_figure_8, fit_table_1
@@ -116,9 +116,9 @@ def test_a_study_computes_its_claims_and_draws_its_pictures(tmp_path_factory, tm
     results = _carried_out(tmp_path_factory, name, 4)
     made = results.study.claims(results)
     assert made
-    assert all(isinstance(one, Claim | Conclusion) for one in made)
+    assert all(isinstance(one, ExpectedResult | Conclusion) for one in made)
     for one in made:
-        if isinstance(one, Claim):
+        if isinstance(one, ExpectedResult):
             assert np.isfinite(one.ours.value)
     drawn = results.study.draw(results, tmp_path) if results.study.draw else []
     assert all((tmp_path / picture).stat().st_size > 2000 for picture in drawn)
@@ -128,6 +128,8 @@ def test_a_study_computes_its_claims_and_draws_its_pictures(tmp_path_factory, tm
 def test_all_printed_errors_are_reached_within_a_tenth(tmp_path_factory):
     for name, count in (("table-1", 10), ("figure-8", 1)):
         results = _carried_out(tmp_path_factory, name, 100)
-        asked = [one for one in results.study.claims(results) if isinstance(one, Claim) and one.within is not None]
+        asked = [
+            one for one in results.study.claims(results) if isinstance(one, ExpectedResult) and one.within is not None
+        ]
         assert len(asked) == count
         assert all(one.reached for one in asked)

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from experiments.monte_carlo import Claim, Conclusion
+from experiments.monte_carlo import Conclusion, ExpectedResult
 from experiments.monte_carlo.runner import carry_out
 from experiments.papers import figures_3, leaving_line, rests_at_joins, sweep_curves, table_3_1
 from experiments.papers.fitting import fitted
@@ -149,7 +149,7 @@ def test_the_filters_stand_in_the_order_of_the_table(table):
 @pytest.mark.slow
 def test_the_table_has_its_27_figures_and_says_which_were_fitted(table):
     claims = table_3_1.claims(table)
-    cells = [c for c in claims if isinstance(c, Claim) and ", set " in c.figure]
+    cells = [c for c in claims if isinstance(c, ExpectedResult) and ", set " in c.figure]
     assert [c.printed for c in cells] == [x for row in PRINTED.values() for x in row]
     assert {c.fitted for c in cells if c.figure.endswith("particle")} == {False}
     assert {c.fitted for c in cells if not c.figure.endswith("particle")} == {True}

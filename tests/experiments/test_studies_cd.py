@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.monte_carlo.expectations import Claim, Conclusion
+from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
 from experiments.monte_carlo.runner import carry_out
 from experiments.monte_carlo.sources import names, study_of
 from experiments.monte_carlo.trajectories import Run
@@ -69,7 +69,7 @@ def test_the_raw_fixes_of_the_workshop_are_as_far_off_the_route_as_its_polyline_
 @pytest.mark.slow
 def test_the_workshop_has_nine_printed_figures_of_which_four_are_predicted(tmp_path):
     found = workshop.claims(_results(workshop.STUDY, 4, tmp_path))
-    claims = [c for c in found if isinstance(c, Claim)]
+    claims = [c for c in found if isinstance(c, ExpectedResult)]
     assert [c.fitted for c in claims].count(False) == 4
     assert len(claims) == 9
     # Four vehicles: their largest errors spread by 15 %, so that the mean of four is off by 25 % in 1 of 1,000 cases.
@@ -152,7 +152,7 @@ def test_a_study_says_what_it_found(name, tmp_path):
     results = _results(study, 2, tmp_path)
     found = results.study.claims(results)
     assert found
-    assert all(np.isfinite(c.ours.value) for c in found if isinstance(c, Claim))
+    assert all(np.isfinite(c.ours.value) for c in found if isinstance(c, ExpectedResult))
     assert all(c.evidence for c in found if isinstance(c, Conclusion))
     if study.draw is not None:
         assert all((tmp_path / name).read_text("utf-8").startswith("<svg") for name in study.draw(results, tmp_path))

@@ -12,20 +12,20 @@ from trackers.aoa.direct import direct_tracker
 from trackers.aoa.fusion import bearing_tracker
 from trackers.core.errors import UnusableInput
 from trackers.core.tunable import tunables
-from tuning.parameters import chosen, flatten, physical, placed_in
+from tuning.parameters import flatten, physical, select_parameters, with_parameters
 from tuning.tuned_file import read_tuned, with_noise, write_tuned
 
 
 def _result(tracker, patterns):
     """What a fit would return that had moved every number a little."""
-    parameters = chosen(tracker, patterns)
+    parameters = select_parameters(tracker, patterns)
     vector = flatten(parameters)
     vector = vector + np.linspace(0.1, 0.2, len(vector))
     labels, values = [p.label for p in parameters], map(np.asarray, physical(parameters, vector))
     named = dict(zip(labels, values, strict=True))
     errors = {k: np.full(v.shape, np.nan) if k.endswith("a") else 0.1 * np.abs(v) for k, v in named.items()}
     return SimpleNamespace(
-        tracker=placed_in(tracker, parameters, vector),
+        tracker=with_parameters(tracker, parameters, vector),
         parameters=parameters,
         values=named,
         standard_errors=errors,

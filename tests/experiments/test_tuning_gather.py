@@ -8,10 +8,10 @@ from experiments.reports.tuning import page
 from experiments.reports.tuning_collect import Asked, _numbers, gather
 from trackers.catalogue import groups
 from trackers.core.rig import Rig
-from trackers.recordings.folder import Folder
+from trackers.recordings.folder import RecordingFolder
 from trackers.tracks import batches
 from tuning import fit
-from tuning.identifiability import Judgement
+from tuning.identifiability import IdentifiabilityIssue
 from tuning.intervals import intervals_of
 from tuning.metrics import parse_objective
 
@@ -30,17 +30,17 @@ def _walk(name, seed, rows=64):
         kind: pl.DataFrame(ids | {f"{a}_m": values[:, k] for k, a in enumerate("xyz")})
         for kind, values in (("fixes", read), ("truth", place))
     }
-    return Folder(name, None, Rig(name), tables)
+    return RecordingFolder(name, None, Rig(name), tables)
 
 
 @pytest.fixture(scope="module")
 def run():
     (group,) = groups([_walk(name, k) for k, name in enumerate("abcd")], "fix-kf", False)
-    training, held_out = group.lanes[:2], group.lanes[2:]
+    training, held_out = group.trajectories[:2], group.trajectories[2:]
     rows = [batch for _, batch in batches(training)]
     result = fit(group.tracker, rows, parse_objective(NLL, "position", 3), PATTERNS, steps=6, starts=2)
     asked = Asked("trackwright tune a b", ("trackwright track c",), "fix-kf", "a Kalman filter", NLL, 1.5)
-    doubt = [Judgement((PATTERNS[0],), "a doubt")]
+    doubt = [IdentifiabilityIssue((PATTERNS[0],), "a doubt")]
     return result, gather(asked, result, training, held_out, group.planar, intervals_of(result), doubt)
 
 
@@ -52,7 +52,7 @@ def test_numbers_are_those_of_the_fit_and_a_doubted_one_is_not_determined(run):
         assert number.after == float(result.values[name])
         assert number.determined is (name != PATTERNS[0])
     assert evidence.numbers[1].low < evidence.numbers[1].after < evidence.numbers[1].high
-    assert evidence.judgements == ("a doubt",)
+    assert evidence.identifiability_issues == ("a doubt",)
 
 
 def test_the_scores_of_the_objective_are_those_of_the_fit(run):
@@ -78,7 +78,7 @@ def test_recordings_tuned_on_and_held_out_are_kept_apart(run):
     assert evidence.training == ("a", "b")
     assert evidence.held_out == ("c", "d")
     assert evidence.judged_on == "held-out recordings"
-    assert [len(np.unique(side.lane)) for side in evidence.innovations] == [2, 2]
+    assert [len(np.unique(side.trajectory)) for side in evidence.innovations] == [2, 2]
 
 
 def test_every_start_ends_in_the_trace_and_the_winner_is_first(run):
@@ -113,4 +113,7 @@ def test_the_evidence_makes_a_page(run):
 def test_without_any_interval_nothing_is_said_of_what_is_determined(run):
     result, _ = run
     assert [n.determined for n in _numbers(result, {}, [])] == [None, None]
-    assert [n.determined for n in _numbers(result, {}, [Judgement((PATTERNS[0],), "a doubt")])] == [False, None]
+    assert [n.determined for n in _numbers(result, {}, [IdentifiabilityIssue((PATTERNS[0],), "a doubt")])] == [
+        False,
+        None,
+    ]

@@ -208,8 +208,8 @@ def test_autocorrelation_is_that_of_the_model_and_stops_at_the_end_of_a_trajecto
     for k in range(1, len(z)):
         z[k] = 0.6 * z[k - 1] + 0.8 * rng.normal()
     nis = stats.chi2.ppf(stats.norm.cdf(z), 2)
-    lane = np.repeat(np.arange(4), 5_000)
-    found, pairs = autocorrelation(Innovations(nis, np.full(len(nis), 2.0), lane), 5)
+    trajectory = np.repeat(np.arange(4), 5_000)
+    found, pairs = autocorrelation(Innovations(nis, np.full(len(nis), 2.0), trajectory), 5)
     # standard error of each about 0.01
     np.testing.assert_allclose(found, 0.6 ** np.arange(1, 6), atol=0.04)
     assert pairs == 4 * 4_999

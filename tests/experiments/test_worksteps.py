@@ -11,7 +11,7 @@ from experiments.questions._bench import MEASURES
 from tests.experiments.faulty import good_tables
 from tests.experiments.in_process import assert_refused, trackwright
 from trackers.core.rig import Rig
-from trackers.recordings.folder import Folder
+from trackers.recordings.folder import RecordingFolder
 from trackers.worksteps.decisions import NOWHERE, WorkPoints, at_work, decide, probabilities, visits_of
 from trackers.worksteps.metrics import calibration, judge, share, workstep
 
@@ -119,7 +119,7 @@ def test_the_studys_measures_count_rows_at_rest_alone():
     table = pl.DataFrame({"name": ["a", "b"], "x_m": [0.0, 0.1], "y_m": [0.0, 0.0], "z_m": [0.0, 0.0]})
     twice = [np.stack([x, x]) for x in (np.array([1.0, 2.0, 3.0, 4.0]), seen, spread, truth)]
     known, status = np.array([[True] * 4, [False] * 4]), np.zeros((2, 4), int)
-    folder = Folder("bench", None, Rig("bench"), {"points": table})
+    folder = RecordingFolder("bench", None, Rig("bench"), {"points": table})
     run = Run(*twice, known, status, np.zeros((2, 4)), np.zeros((2, 4)), folder)
     found = {name: measure(run) for name, measure in MEASURES.items()}
     third = 1 / 3

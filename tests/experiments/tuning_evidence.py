@@ -13,11 +13,11 @@ from experiments.reports.tuning_data import (
 )
 
 
-def innovations(scale: float, seed: int = 0, lanes: int = 4, rows: int = 300) -> Innovations:
+def innovations(scale: float, seed: int = 0, trajectories: int = 4, rows: int = 300) -> Innovations:
     """χ² values with two and three degrees of freedom by turns, times `scale`."""
     rng = np.random.default_rng(seed)
-    dof = np.tile([2.0, 3.0], lanes * rows // 2)
-    return Innovations(scale * rng.chisquare(dof), dof, np.repeat(np.arange(lanes), rows))
+    dof = np.tile([2.0, 3.0], trajectories * rows // 2)
+    return Innovations(scale * rng.chisquare(dof), dof, np.repeat(np.arange(trajectories), rows))
 
 
 def evidence(**changes) -> TuningEvidence:

@@ -15,7 +15,7 @@ from trackers.core.rig import Rig
 from trackers.line import rows as line
 from trackers.line.motion import HaltingMotion, LineMotion
 from trackers.line.rows import TRACKERS, left_the_line, path_of
-from trackers.recordings.folder import Folder, read_folder
+from trackers.recordings.folder import RecordingFolder, read_recording
 from trackers.tracks import track
 
 SITUATIONS = ("constant", "halts", "speeds")
@@ -64,26 +64,28 @@ def test_particles_and_grid_are_about_as_good(folders, tracked):
 @pytest.mark.parametrize("name", ["line-grid", pytest.param("line-pf", marks=pytest.mark.slow)])
 def test_a_tag_that_is_carried_off_is_told_and_its_return_too(tracked, name):
     tracks, found = tracked(name)
-    lanes = {(lane.folder.name, lane.tag): lane for group in found for lane in group.lanes}
-    rows = left_the_line(lanes["away", "0"], tracks.filter(pl.col("recording") == "away"))
+    trajectories = {
+        (trajectory.folder.name, trajectory.tag): trajectory for group in found for trajectory in group.trajectories
+    }
+    rows = left_the_line(trajectories["away", "0"], tracks.filter(pl.col("recording") == "away"))
     assert [event for _, event, _ in rows] == ["left the line", "back on the line"]
     assert rows[0][0] == pytest.approx(35.0, abs=2.0)
     # The sum takes a few seconds of agreement to empty.
     assert 50.0 < rows[1][0] < 62.0
-    for lane in (lane for (recording, _), lane in lanes.items() if recording != "away"):
-        mine = tracks.filter((pl.col("recording") == lane.folder.name) & (pl.col("tag") == lane.tag))
-        assert left_the_line(lane, mine) == []
+    for trajectory in (trajectory for (recording, _), trajectory in trajectories.items() if recording != "away"):
+        mine = tracks.filter((pl.col("recording") == trajectory.folder.name) & (pl.col("tag") == trajectory.tag))
+        assert left_the_line(trajectory, mine) == []
 
 
 def test_an_unknown_path_is_refused_in_one_line(folders):
-    nowhere = Folder("x", None, Rig("x"), folders[0].tables)
+    nowhere = RecordingFolder("x", None, Rig("x"), folders[0].tables)
     with pytest.raises(UnusableInput, match=r"tracker 'line-pf' needs a known path, \[path\] with knots_m in rig.toml"):
         groups([nowhere], "line-pf", False)
 
 
 def test_ranges_to_tags_of_unknown_height_are_refused_in_words(folders):
     ranges = pl.DataFrame({"t_s": [0.0], "tag": ["0"], "anchor": ["a"], "range_m": [1.0]})
-    folder = Folder("x", None, Rig("x", path_knots=folders[0].rig.path_knots), {"ranges": ranges})
+    folder = RecordingFolder("x", None, Rig("x", path_knots=folders[0].rig.path_knots), {"ranges": ranges})
     assert "height_m" in TRACKERS["line-grid"].lacks(folder)
 
 
@@ -113,7 +115,7 @@ def test_real_ranges_along_a_marked_line_give_the_place_on_it(recordings, name):
     real = [recordings / recording for recording in LARGEST]
     if not all(path.is_dir() for path in real):
         pytest.skip(f"not all of {', '.join(LARGEST)} in {recordings}")
-    folders = [read_folder(path) for path in real]
+    folders = [read_recording(path) for path in real]
     tracks, _ = _tracked(folders, name)
     for recording in judge(tracks, folders).recordings:
         assert recording["rmse_m"] < LARGEST[recording["recording"]]

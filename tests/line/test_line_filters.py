@@ -8,7 +8,7 @@ import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, recording
 from trackers.core.algebra import diagonal
-from trackers.core.chunks import prepared
+from trackers.core.chunks import as_dtype
 from trackers.core.ekf import Gaussian
 from trackers.core.estimates import Status
 from trackers.core.particle.filter import ParticleFilter
@@ -51,7 +51,7 @@ def _tracker(kind, filter):
     return Tracker(motion, {FIXES: FloorFixes(0.25)}, KnownStart(build), filter, NEVER_LOST)
 
 
-def _lanes(kind, count):
+def _trajectories(kind, count):
     times, values, seen = _fixes()
     _, _, mean, sigma = STARTS[kind]
     return [recording(times, {FIXES: (values, seen)}, mean, np.diag(sigma) ** 2, name=f"key {k}") for k in range(count)]
@@ -60,8 +60,8 @@ def _lanes(kind, count):
 class Pair:
     def __init__(self, kind):
         self.kind = kind
-        self.grid = _tracker(kind, GRID).run(_lanes(kind, 1)[0])
-        self.particles = _tracker(kind, ParticleFilter(1000, report=REPORT)).run(stack(_lanes(kind, KEYS)))
+        self.grid = _tracker(kind, GRID).run(_trajectories(kind, 1)[0])
+        self.particles = _tracker(kind, ParticleFilter(1000, report=REPORT)).run(stack(_trajectories(kind, KEYS)))
 
 
 @pytest.fixture(scope="module", params=[pytest.param("plain", marks=pytest.mark.slow), "halting"])
@@ -132,12 +132,12 @@ def test_a_change_of_speed_has_the_mean_and_variance_of_the_motion(sigma):
 
 @pytest.mark.slow
 def test_the_gradient_of_the_grids_likelihood_is_the_central_difference():
-    batch = stack(_lanes("halting", 1))
+    batch = stack(_trajectories("halting", 1))
 
     def log_likelihood(sigma_a, sigma_p):
         motion = HaltingMotion(LINE, 1.0, halting=0.6, rest=2.0)
         tracker = Tracker(motion, {FIXES: FloorFixes(1.0)}, KnownStart(STARTS["halting"][1]), GRID, NEVER_LOST)
-        model = prepared(tracker, batch.dt.dtype)
+        model = as_dtype(tracker, batch.dt.dtype)
         model = _with(model, jnp.log(sigma_a), jnp.log(sigma_p))
         return scanned(model, jax.tree_util.tree_map(jnp.asarray, batch)).log_likelihood.sum()
 

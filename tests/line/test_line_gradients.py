@@ -5,7 +5,7 @@ import pytest
 
 from experiments.verify.gradients import gradients
 from tests.known_start import NEVER_LOST
-from tests.line.test_line_filters import GRID, REPORT, STARTS, _lanes
+from tests.line.test_line_filters import GRID, REPORT, STARTS, _trajectories
 from trackers.core.particle.filter import ParticleFilter
 from trackers.core.recording import stack
 from trackers.core.tracker import Tracker
@@ -24,7 +24,7 @@ def slopes():
 
     def of(filter, keys):
         tracker = Tracker(motion, {FIXES: FloorFixes(0.25)}, start, filter, NEVER_LOST)
-        return gradients(tracker, stack(_lanes("halting", keys)), TUNED)
+        return gradients(tracker, stack(_trajectories("halting", keys)), TUNED)
 
     return of(GRID, 1).slopes[:, 0], of(ParticleFilter(PARTICLES, report=REPORT), KEYS).slopes
 

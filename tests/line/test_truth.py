@@ -10,7 +10,7 @@ from sim.line import THESIS_KNOTS, simulate_line
 from sim.tables.line import simulated_line
 from trackers.core.errors import UnusableInput
 from trackers.line.truth import knot_times
-from trackers.recordings.folder import read_folder, write_folder
+from trackers.recordings.folder import read_recording, write_recording
 
 
 @pytest.mark.parametrize("situation", ["constant", "halts", "speeds"])
@@ -56,12 +56,12 @@ def test_too_few_rows_for_the_path_are_refused():
 
 def test_the_command_writes_the_recording_with_a_truth_that_serves(tmp_path, capsys):
     world = simulated_line(simulate_line("halts", 2, seed=8), "line")
-    write_folder(world, tmp_path / "line")
+    write_recording(world, tmp_path / "line")
     assert truth(tmp_path / "line", tmp_path / "fitted") == 0
     said = capsys.readouterr()
     assert "tag 0: 0.4" in said.out
     assert "own truth is replaced" in said.err
-    fitted = read_folder(tmp_path / "fitted")
+    fitted = read_recording(tmp_path / "fitted")
     assert fitted.tables["fixes"].equals(world.tables["fixes"])
     both = fitted.tables["truth"].join(world.tables["truth"], on=["t_s", "tag"], suffix="_true")
     apart = np.hypot(*(both[f"{a}_m"].to_numpy() - both[f"{a}_m_true"].to_numpy() for a in "xy"))
@@ -71,7 +71,7 @@ def test_the_command_writes_the_recording_with_a_truth_that_serves(tmp_path, cap
 
 def test_a_recording_without_a_path_is_refused_in_one_line(tmp_path):
     world = simulated_line(simulate_line("constant", 1), "line")
-    write_folder(world, tmp_path / "line")
+    write_recording(world, tmp_path / "line")
     text = (tmp_path / "line" / "rig.toml").read_text()
     (tmp_path / "line" / "rig.toml").write_text(text[: text.index("[path]")])
     with pytest.raises(UnusableInput, match=r"no \[path\] in rig.toml"):
@@ -82,6 +82,6 @@ def test_a_recording_without_a_path_is_refused_in_one_line(tmp_path):
 def test_a_recording_too_short_for_its_path_is_refused_in_one_line(tmp_path):
     world = simulated_line(simulate_line("constant", 1), "line")
     short = {name: table.filter(pl.col("t_s") < 1.0) for name, table in world.tables.items()}
-    write_folder(type(world)(world.name, None, world.rig, short), tmp_path / "line")
+    write_recording(type(world)(world.name, None, world.rig, short), tmp_path / "line")
     with pytest.raises(UnusableInput, match="too few for a path of 5 segments"):
         truth(tmp_path / "line", tmp_path / "fitted")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from trackers.core.algebra import Vector
-from trackers.core.tunable import resolved
+from trackers.core.tunable import freeze
 from trackers.mhk.accelerations import AccelerationSphere
 from trackers.mhk.chain import heard, moved
 from trackers.mhk.fusion import AccelerationFilter
@@ -47,7 +47,7 @@ def test_a_wild_observation_leaves_a_finite_chain():
 
 
 def _posterior(rate, weights, beyond, elapsed, sigma=0.01):
-    model = resolved(AccelerationFilter(AccelerationSphere(), sigma, rate))
+    model = freeze(AccelerationFilter(AccelerationSphere(), sigma, rate))
     weights, mean = jax.jit(lambda *x: model.posterior(x[0], Vector(*x[1]), x[2]))(
         jnp.asarray(weights), [jnp.asarray(b) for b in beyond], jnp.asarray(elapsed)
     )

@@ -66,9 +66,9 @@ def test_with_a_chain_that_is_always_still_it_is_the_plain_filter_on_medians():
 
 def test_stamped_estimates_have_the_time_of_their_windows_middle():
     recording = _recording()
-    times, _ = mhk_tracker(stamped=True).dated(recording.times, None)
+    times, _ = mhk_tracker(stamped=True).at_valid_time(recording.times, None)
     np.testing.assert_allclose(times[8:], recording.times[8:] - 0.4)
-    assert mhk_tracker().dated(recording.times, None)[0] is recording.times
+    assert mhk_tracker().at_valid_time(recording.times, None)[0] is recording.times
 
 
 def test_every_number_that_the_paper_leaves_open_is_a_tunable():

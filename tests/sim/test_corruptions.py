@@ -56,7 +56,7 @@ def test_drop_outs_lose_their_share_of_rows_from_first_to_last(length):
     _, seen = drop_outs(0.2, length)(KEYS, TIMES, CLEAN, SEEN)
     assert np.array_equal(seen.any(axis=-1), seen.all(axis=-1))
     lost = ~seen[..., 0]
-    # 900 independent lanes: a standard error of 0.013 for one row.
+    # 900 independent trajectories: a standard error of 0.013 for one row.
     np.testing.assert_allclose(lost.mean(axis=(0, 2)), 0.2, atol=0.06)
 
 

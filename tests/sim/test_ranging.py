@@ -19,7 +19,7 @@ from sim.ranging import (
 )
 from sim.tables.ranging import simulated_ranging
 from trackers.core.rig import Rig
-from trackers.uwb_imu.range_rows import range_lanes
+from trackers.uwb_imu.range_rows import range_trajectories
 from trackers.uwb_imu.ranging import SPEED_OF_LIGHT
 
 TAGS, ROWS = 40, 100
@@ -98,14 +98,14 @@ def test_the_folder_holds_what_was_seen_and_trackers_take_it():
     world = simulate_ranges(chamber(), n=2, seed=1, n_points=20, corruptions={"turns": one_at_a_time()})
     folder = simulated_ranging(world, "chamber")
     assert folder.tables["ranges"].height == 40
-    lanes = list(range_lanes(folder, False))
-    place, known = lanes[1].recording.truth["position"]
+    trajectories = list(range_trajectories(folder, False))
+    place, known = trajectories[1].recording.truth["position"]
     assert known.all()
     np.testing.assert_allclose(place, world.positions[1], atol=1e-12)
-    distances = np.linalg.norm(place - lanes[1].recording.inputs["anchors"], axis=1)
+    distances = np.linalg.norm(place - trajectories[1].recording.inputs["anchors"], axis=1)
     # Double-sided ranging with stamps of 0.1 ns: 2.6 cm.
-    assert np.abs(lanes[1].recording.readings["ranges"].values[:, 0] - distances).max() < 0.15
-    assert np.array_equal(np.unique(lanes[1].recording.inputs["anchors"], axis=0), np.unique(CHAMBER, axis=0))
+    assert np.abs(trajectories[1].recording.readings["ranges"].values[:, 0] - distances).max() < 0.15
+    assert np.array_equal(np.unique(trajectories[1].recording.inputs["anchors"], axis=0), np.unique(CHAMBER, axis=0))
 
 
 def test_a_piece_on_some_anchors_leaves_the_others_alone():

@@ -16,9 +16,9 @@ from trackers.core.estimates import Estimates, Status
 from trackers.core.motion import Kinematic
 from trackers.core.recording import Recording, stack
 from trackers.core.tracker import Output
-from trackers.parts.fixes import cov_before, moved_back
+from trackers.parts.fixes import cov_before, shifted_back
 from tuning.consistency import Consistency, chi_square_below, legendre, tail_of, tailed_below
-from tuning.metrics import every_figure, parse_objective
+from tuning.metrics import all_metrics, parse_objective
 from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError, StateLogLikelihood, Weighted
 
 LANES = 50
@@ -140,7 +140,7 @@ def figures():
     """All figures of the true model and of two that lie, over 12,800 rows of the model's own world."""
     world = stack(walks([200] * 64, 1))
     levels = {"true": (0.3, 0.2), "too sure": (0.3, 0.1), "wild": (3.0, 0.2)}
-    return {k: every_figure(line_tracker(*v), world, "position", 1) for k, v in levels.items()}
+    return {k: all_metrics(line_tracker(*v), world, "position", 1) for k, v in levels.items()}
 
 
 def test_only_the_true_model_has_the_right_shape(figures):
@@ -159,14 +159,16 @@ def test_every_figure_is_best_for_the_true_model(figures):
 
 def test_without_truth_what_needs_none_is_left(figures):
     silent = [r.__class__(r.times, r.readings, r.inputs) for r in walks([200] * 64, 1)]
-    found = every_figure(line_tracker(), stack(silent), "position", 1)
+    found = all_metrics(line_tracker(), stack(silent), "position", 1)
     assert {k for k, v in found.items() if np.isfinite(v)} == {"nll", "nis-shape"}
     assert found["nll"] == pytest.approx(figures["true"]["nll"], rel=1e-12)
 
 
 def test_a_quantity_that_no_state_shows_has_no_figures(figures):
-    lanes = [Recording(r.times, r.readings, r.inputs, {"heading": r.truth["position"]}) for r in walks([200] * 64, 1)]
-    found = every_figure(line_tracker(), stack(lanes), "heading", 1)
+    trajectories = [
+        Recording(r.times, r.readings, r.inputs, {"heading": r.truth["position"]}) for r in walks([200] * 64, 1)
+    ]
+    found = all_metrics(line_tracker(), stack(trajectories), "heading", 1)
     assert {k for k, v in found.items() if np.isfinite(v)} == {"nll", "nis-shape"}
     assert found["nll"] == pytest.approx(figures["true"]["nll"], rel=1e-12)
 
@@ -208,5 +210,5 @@ def test_an_objective_sees_a_late_fix_with_the_covariance_that_is_reported_of_it
     output, _, _ = _output(rng, mean, 5)
     estimates = Estimates(mean, np.stack(output.cov), *(np.asarray(x) for x in output[2:]))
     np.testing.assert_allclose(
-        np.stack(cov_before(mean, output.cov, 0.7)), moved_back(estimates, 0.7).cov_upper, rtol=1e-12, atol=1e-12
+        np.stack(cov_before(mean, output.cov, 0.7)), shifted_back(estimates, 0.7).cov_upper, rtol=1e-12, atol=1e-12
     )

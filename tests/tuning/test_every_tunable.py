@@ -23,10 +23,10 @@ from sim.tables.uwb_imu import simulated_uwb_imu
 from tests.tuning.worlds import line_tracker, walks
 from trackers.aoa.fusion import bearing_tracker
 from trackers.catalogue import TRACKERS
-from trackers.core.chunks import prepared
+from trackers.core.chunks import as_dtype
 from trackers.core.recording import stack
 from trackers.core.rig import Tag
-from trackers.core.track_loss import LossPolicy
+from trackers.core.track_loss import TrackLossPolicy
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import tunables
 from trackers.mhk.tracker import mhk_tracker
@@ -34,7 +34,7 @@ from trackers.recordings.trajectories import cut
 from trackers.uwb_imu.fusion import range_tracker
 from tuning.identifiability import names_of
 from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError, Weighted
-from tuning.parameters import chosen, flatten, placed_in
+from tuning.parameters import flatten, select_parameters, with_parameters
 from tuning.problem import Problem
 from tuning.uncertainty import without_effect
 
@@ -67,8 +67,8 @@ WORLDS = {
 IDLE = {
     "line-grid": ("start.sigma_speed", "filter.report.sigma_line"),
     "fix-mirror": ("*.floor",),
-    "mhk": ("*.trust",),
-    "mhk-stamped": ("*.trust",),
+    "mhk": ("*.reported_std_scale",),
+    "mhk-stamped": ("*.reported_std_scale",),
 }
 """What has no effect on likelihood and error, by tracker: the speed of a tag that begins at rest, how well a path is known
 (a covariance alone), the floor that no tag is under, and what a device reports of fixes that become medians.
@@ -104,9 +104,9 @@ def _tracker(name):
     """The tracker as the command line builds it, and the first rows of its recording."""
     kind, rows = WORLDS[name]
     entry = TRACKERS[name]
-    lane = next(iter(entry.lanes(_folder(kind), False)))
-    planar = entry.planar(lane, False)
-    return entry.build(lane, planar), stack([cut(lane.recording, 0, rows)]), entry.bearing_only, planar
+    trajectory = next(iter(entry.trajectories(_folder(kind), False)))
+    planar = entry.planar(trajectory, False)
+    return entry.build(trajectory, planar), stack([cut(trajectory.recording, 0, rows)]), entry.bearing_only, planar
 
 
 def test_the_catalogue_is_covered():
@@ -114,14 +114,14 @@ def test_the_catalogue_is_covered():
 
 
 PROMISED = {
-    "direct": "motion.sigma_a sensors.*.sigma_p sensors.*.offsets loss.limit",
-    "cascade": "beams.*.motion.sigma_a beams.*.sigma_p fusion.motion.sigma_a fusion.sensors.bearings.trust",
+    "direct": "motion.sigma_a sensors.*.sigma_p sensors.*.offsets track_loss.nis_limit",
+    "cascade": "beams.*.motion.sigma_a beams.*.sigma_p fusion.motion.sigma_a fusion.sensors.bearings.reported_std_scale",
     "beam": "motion.sigma_a sensors.*.sigma_p sensors.*.offsets",
     "line-grid": "motion.sigma_a motion.halting motion.rest sensors.fixes.sigma_p start.sigma_start",
     "line-pf": "motion.sigma_a motion.halting motion.rest sensors.fixes.sigma_p start.sigma_start",
     "uwb-imu": "motion.noise.sigma_accel motion.noise.sigma_gyro motion.noise.*_walk motion.gravity sensors.*.bias",
-    "uwb": "motion.sigma_a motion.sigma_bias motion.time_constant sensors.ranges.sigma_r sensors.ranges.bias loss.limit",
-    "fix-kf": "motion.sigma_a sensors.fixes.sigma_horizontal sensors.fixes.tail sensors.fixes.latency loss.limit",
+    "uwb": "motion.sigma_a motion.sigma_bias motion.time_constant sensors.ranges.sigma_r sensors.ranges.bias track_loss.nis_limit",
+    "fix-kf": "motion.sigma_a sensors.fixes.sigma_horizontal sensors.fixes.tail sensors.fixes.latency track_loss.nis_limit",
     "fix-singer": "motion.sigma_a motion.tau sensors.fixes.latency",
     "imm": "motion.modes.*.sigma_a filter.rate filter.odds sensors.fixes.latency",
     "fix-mirror": "filter.rate filter.odds filter.reach sensors.fixes.offset sensors.fixes.shrink",
@@ -141,7 +141,7 @@ def test_what_a_user_may_want_tuned_is_found_by_name(name):
 
 def test_the_rates_at_which_modes_and_accelerations_change_are_found_by_name():
     assert "fusion.filter.rate" in tunables(mhk_tracker(rate=1.0))
-    assert {"sensors.bearings.tail", "loss.limit", "start.sigma_position"} <= set(tunables(bearing_tracker()))
+    assert {"sensors.bearings.tail", "track_loss.nis_limit", "start.sigma_position"} <= set(tunables(bearing_tracker()))
     assert np.shape(tunables(range_tracker(8))["sensors.ranges.bias"].raw) == (8,)
 
 
@@ -152,21 +152,23 @@ UNTUNED = ("das", "moving-average", "median", "trilateration", "line-pf", "floor
 @pytest.mark.parametrize("name", ["das", "moving-average", "median"])
 def test_what_has_no_number_but_a_window_has_nothing_to_tune(name):
     with pytest.raises(ValueError, match="matches no tunable"):
-        chosen(_tracker(name)[0], "*window*")
+        select_parameters(_tracker(name)[0], "*window*")
 
 
 def test_the_length_of_a_window_is_no_tunable():
     with pytest.raises(ValueError, match=r"matches no tunable; this tracker has: median\.speed_limit"):
-        chosen(_tracker("mhk")[0], "median.window")
+        select_parameters(_tracker("mhk")[0], "median.window")
 
 
 def test_a_number_without_effect_is_reported_as_that():
     whole = line_tracker()
-    tracker = Tracker(whole.motion, whole.sensors, whole.start, loss=LossPolicy(50.0, patience=np.inf))
-    parameters = chosen(tracker, ("sensors.gauge.sigma", "loss.limit"))
+    tracker = Tracker(whole.motion, whole.sensors, whole.start, track_loss=TrackLossPolicy(50.0, max_gap=np.inf))
+    parameters = select_parameters(tracker, ("sensors.gauge.sigma", "track_loss.nis_limit"))
     problem = Problem(tracker, [stack(walks([30] * 4, 0))], NegativeLogLikelihood(), parameters)
     slopes = problem.evaluate(flatten(parameters)).slopes
-    assert [n for n, idle in zip(names_of(parameters), without_effect(slopes), strict=True) if idle] == ["loss.limit"]
+    assert [n for n, idle in zip(names_of(parameters), without_effect(slopes), strict=True) if idle] == [
+        "track_loss.nis_limit"
+    ]
 
 
 @pytest.mark.slow
@@ -174,7 +176,7 @@ def test_a_number_without_effect_is_reported_as_that():
 def test_the_derivative_by_every_tunable_is_the_central_difference(name):
     """Of the likelihood and of the error, both at once; particles have a derivative of their own, see `verify`."""
     tracker, batch, bearing_only, planar = _tracker(name)
-    parameters = chosen(tracker, "*")
+    parameters = select_parameters(tracker, "*")
     vector = flatten(parameters)
     labels = np.array([p.label for p in parameters for _ in range(np.size(p.example.raw))])
     # A latency of zero is where a truth between rows has a corner, and a limit that is never reached has no effect.
@@ -182,10 +184,10 @@ def test_the_derivative_by_every_tunable_is_the_central_difference(name):
     vector[labels == "median.speed_limit"] = np.log(0.3)
     error = RootMeanSquareError("direction" if bearing_only else "position", 2 if planar or bearing_only else 3)
     both = Weighted((NegativeLogLikelihood(), error), (1.0, 1.0))
-    model = prepared(tracker, batch.dt.dtype)
+    model = as_dtype(tracker, batch.dt.dtype)
 
     def figures(v):
-        sums = [jnp.sum(x) for x in placed_in(model, parameters, v).accumulate(batch, both.terms)]
+        sums = [jnp.sum(x) for x in with_parameters(model, parameters, v).accumulate(batch, both.terms)]
         heard = sums[1] > 0  # a baseline has no likelihood
         return jnp.stack([jnp.where(heard, sums[0] / jnp.where(heard, sums[1], 1.0), 0.0), error.value(sums[2:])])
 
@@ -199,5 +201,5 @@ def test_the_derivative_by_every_tunable_is_the_central_difference(name):
     assert np.all(np.abs(slopes - numeric) <= 1e-5 * np.abs(numeric) + atol)
     idle = {label for label in set(labels) if not slopes[:, labels == label].any()}
     # Whether a track is lost is decided by yes or no; what has none is left to a sweep.
-    expected = ("*loss.*", *IDLE.get(name, ()))
+    expected = ("*track_loss.*", *IDLE.get(name, ()))
     assert idle == {label for label in set(labels) if any(fnmatch.fnmatchcase(label, e) for e in expected)}

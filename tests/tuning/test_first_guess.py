@@ -159,10 +159,12 @@ def test_system_b_on_a_grid(wrong):
 @pytest.mark.parametrize("wrong", FAR)
 def test_system_c_ranges(wrong):
     world = simulate_ranges(chamber(), n=8, n_points=200, corruptions={"white": white_noise(0.1)})
-    lanes = list(TRACKERS["uwb"].lanes(simulated_ranging(world, "ranges"), False))
+    trajectories = list(TRACKERS["uwb"].trajectories(simulated_ranging(world, "ranges"), False))
     # the walk is none of the motion's: only the sensor's level is known
-    start = range_tracker(8, sigma_a=0.3 * wrong[0], sigma_z=0.7 * wrong[0], sigma_r=0.1 * wrong[1], stretch=1.001)
-    _assert_found(first_guess(start, [b for _, b in in_batches(lanes)]), {"sensors.ranges.sigma_r": 0.1})
+    start = range_tracker(
+        8, sigma_a=0.3 * wrong[0], sigma_z=0.7 * wrong[0], sigma_r=0.1 * wrong[1], positive_skew=1.001
+    )
+    _assert_found(first_guess(start, [b for _, b in in_batches(trajectories)]), {"sensors.ranges.sigma_r": 0.1})
 
 
 @pytest.mark.slow

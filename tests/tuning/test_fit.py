@@ -8,14 +8,14 @@ import pytest
 from tests.tuning.worlds import STATION, beams, line_tracker, walks
 from trackers.aoa.beam import beam_tracker
 from trackers.aoa.fusion import BEARINGS, bearing_inputs, bearing_tracker
-from trackers.core.chunks import mapped
+from trackers.core.chunks import jitted
 from trackers.core.recording import Readings, Recording, stack
 from trackers.core.tunable import tunables
 from tuning import NegativeLogLikelihood, RootMeanSquareError
 from tuning.fit import fit
 from tuning.optimisation import stored
 from tuning.optimisers import LBFGS, Adam, GaussNewton
-from tuning.parameters import chosen, flatten, placed_in
+from tuning.parameters import flatten, select_parameters, with_parameters
 from tuning.priors import Prior
 from tuning.problem import Problem, term_sums
 
@@ -28,13 +28,13 @@ SMOOTH = ("motion.*", "sensors.*", "start.*")
 
 
 def _problem(tracker, recordings, patterns, objective=NLL, rows=None):
-    parameters = chosen(tracker, patterns)
+    parameters = select_parameters(tracker, patterns)
     return Problem(tracker, [stack(recordings, rows)], objective, parameters, 512), flatten(parameters)
 
 
 def _assert_gradient_is_the_central_difference(problem, vector, step=1e-5):
     gradient = problem.evaluate(vector).gradients[0]
-    assert problem.left_out == 0
+    assert problem.n_excluded == 0
     shifts = step * np.eye(len(vector))
     up, down = np.split(problem.values(np.concatenate([vector + shifts, vector - shifts])), 2)
     numeric = (up - down) / (2 * step)
@@ -71,7 +71,7 @@ def beam_world():
 @pytest.mark.slow
 def test_the_gradient_of_the_beam_trackers_noise_levels_is_the_central_difference(beam_world):
     tracker = beam_tracker(STATION, "1", 0.3, 0.25)
-    parameters = chosen(tracker, NOISE)
+    parameters = select_parameters(tracker, NOISE)
     problem = Problem(tracker, [beam_world], NLL, parameters, 512)
     _assert_gradient_is_the_central_difference(problem, flatten(parameters))
 
@@ -100,7 +100,9 @@ def _reverse(problem, vector):
     """The gradient by reverse mode through the whole scan."""
 
     def figure(v):
-        sums = placed_in(problem.tracker, problem.parameters, v).accumulate(problem.chunks[0], problem.objective.terms)
+        sums = with_parameters(problem.tracker, problem.parameters, v).accumulate(
+            problem.chunks[0], problem.objective.terms
+        )
         return problem.objective.value([jnp.sum(s) for s in sums])
 
     return jax.jit(jax.grad(figure))(jnp.asarray(vector))
@@ -140,11 +142,11 @@ def test_noise_levels_are_recovered_from_starts_wrong_by_a_factor_of_ten(beam_wo
 def _temporaries(rows):
     batch = stack(beams(256, 2, SIGMA_A, SIGMA_P, 0), rows)
     tracker = beam_tracker(STATION, "1")
-    parameters = chosen(tracker, ["*.sigma_*"])
+    parameters = select_parameters(tracker, ["*.sigma_*"])
     assert len(flatten(parameters)) == 4
     problem = Problem(tracker, [batch], NLL, parameters, 512)
     part = problem.chunks[0]
-    lowered = mapped.lower(term_sums, problem.at(flatten(parameters)), part)
+    lowered = jitted.lower(term_sums, problem.at(flatten(parameters)), part)
     return lowered.compile().compiled.memory_analysis().temp_size_in_bytes
 
 
@@ -262,8 +264,8 @@ def test_a_recording_whose_figure_is_not_finite_has_no_say_and_is_counted():
     problem, vector = _problem(line_tracker(), [*others, spoilt], LEVELS)
     clean, _ = _problem(line_tracker(), others, LEVELS)
     found, expected = problem.evaluate(vector), clean.evaluate(vector)
-    assert problem.left_out == 1
-    assert clean.left_out == 0
+    assert problem.n_excluded == 1
+    assert clean.n_excluded == 0
     np.testing.assert_allclose(found.values, expected.values, rtol=1e-12)
     np.testing.assert_allclose(found.gradients, expected.gradients, rtol=1e-12)
 
@@ -334,9 +336,9 @@ def test_many_starts_find_at_least_what_each_of_them_finds(line_world):
 def test_what_has_no_effect_stays_as_the_user_gave_it_whichever_start_wins():
     # rows that are read at one and the same moment say nothing of how fast the place changes
     still = walks([40] * 8, 5)
-    at_once = [Recording(0 * r.times, r.readings, r.inputs, r.truth) for r in still]
+    n_workers = [Recording(0 * r.times, r.readings, r.inputs, r.truth) for r in still]
     near = line_tracker(sigma_v=5.0)
-    result = fit(line_tracker(sigma=30.0), stack(at_once), NLL, LEVELS, guesses=[near], starts=2, steps=1)
+    result = fit(line_tracker(sigma=30.0), stack(n_workers), NLL, LEVELS, guesses=[near], starts=2, steps=1)
     assert result.trace is result.starts[1], "the guess is to win, in one step"
     assert result.trace[0].values["motion.sigma_v"] == pytest.approx(5.0)
     assert result.values["motion.sigma_v"] == pytest.approx(0.3, rel=1e-12)

@@ -7,7 +7,7 @@ from tests.oracles import kalman
 from tests.tuning.worlds import SIGMA_START, line_tracker, walks
 from trackers.core.recording import Recording, stack
 from tuning import NegativeLogLikelihood, RootMeanSquareError
-from tuning.parameters import chosen, flatten
+from tuning.parameters import flatten, select_parameters
 from tuning.problem import Problem
 
 LENGTHS = [9, 16, 5, 12]
@@ -21,7 +21,7 @@ def _first(found):
 
 def _problem(batches, objective, tracker=None, chunk=512):
     tracker = line_tracker() if tracker is None else tracker
-    parameters = chosen(tracker, PATTERNS)
+    parameters = select_parameters(tracker, PATTERNS)
     return Problem(tracker, batches, objective, parameters, chunk), flatten(parameters)
 
 

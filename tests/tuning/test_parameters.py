@@ -10,7 +10,7 @@ from trackers.aoa.direct import direct_tracker
 from trackers.aoa.fusion import bearing_tracker
 from trackers.core.rig import Station
 from trackers.core.tunable import Covariance, Fraction, Real, Scale, tunables
-from tuning.parameters import chosen, flatten, physical, physical_errors, placed_in
+from tuning.parameters import flatten, physical, physical_errors, select_parameters, with_parameters
 
 
 @pytest.fixture(scope="module")
@@ -20,13 +20,16 @@ def direct():
 
 
 def test_a_pattern_finds_tunables_by_name(direct):
-    assert [p.label for p in chosen(direct, "motion.sigma_a")] == ["motion.sigma_a"]
-    assert [p.label for p in chosen(direct, "sensors.*.sigma_p")] == ["sensors.north.sigma_p", "sensors.south.sigma_p"]
-    assert {p.label for p in chosen(direct, "*")} == set(tunables(direct))
+    assert [p.label for p in select_parameters(direct, "motion.sigma_a")] == ["motion.sigma_a"]
+    assert [p.label for p in select_parameters(direct, "sensors.*.sigma_p")] == [
+        "sensors.north.sigma_p",
+        "sensors.south.sigma_p",
+    ]
+    assert {p.label for p in select_parameters(direct, "*")} == set(tunables(direct))
 
 
 def test_a_tunable_that_two_patterns_find_is_tuned_once(direct):
-    labels = [p.label for p in chosen(direct, ["*.sigma_p", "sensors.*", "tied:sensors.*.sigma_p"])]
+    labels = [p.label for p in select_parameters(direct, ["*.sigma_p", "sensors.*", "tied:sensors.*.sigma_p"])]
     assert sorted(labels) == [
         "sensors.north.offsets",
         "sensors.north.sigma_p",
@@ -36,16 +39,16 @@ def test_a_tunable_that_two_patterns_find_is_tuned_once(direct):
 
 
 def test_tied_tunables_are_one_parameter_named_by_their_pattern(direct):
-    (tied,) = chosen(direct, "tied:sensors.*.sigma_p")
+    (tied,) = select_parameters(direct, "tied:sensors.*.sigma_p")
     assert tied.label == "sensors.*.sigma_p"
     assert tied.names == ("sensors.north.sigma_p", "sensors.south.sigma_p")
-    values = {k: v.value for k, v in tunables(placed_in(direct, [tied], np.log([0.7]))).items()}
+    values = {k: v.value for k, v in tunables(with_parameters(direct, [tied], np.log([0.7]))).items()}
     assert values["sensors.north.sigma_p"] == values["sensors.south.sigma_p"] == pytest.approx(0.7)
     assert values["motion.sigma_a"] == tunables(direct)["motion.sigma_a"].value
 
 
 def test_a_lone_tied_tunable_keeps_its_own_name(direct):
-    (alone,) = chosen(direct, "tied:sensors.n*.sigma_p")
+    (alone,) = select_parameters(direct, "tied:sensors.n*.sigma_p")
     assert alone.label == "sensors.north.sigma_p"
 
 
@@ -65,15 +68,15 @@ def test_a_lone_tied_tunable_keeps_its_own_name(direct):
 )
 def test_patterns_that_name_nothing_or_nothing_that_can_be_tied_are_refused(direct, patterns, message):
     with pytest.raises(ValueError, match=message):
-        chosen(direct, patterns)
+        select_parameters(direct, patterns)
 
 
 def test_the_vector_goes_into_the_tracker_and_comes_back():
     tracker = bearing_tracker()
-    parameters = chosen(tracker, ["motion.*", "sensors.*"])
+    parameters = select_parameters(tracker, ["motion.*", "sensors.*"])
     vector = flatten(parameters) + np.linspace(-0.5, 0.5, len(flatten(parameters)))
-    placed = placed_in(tracker, parameters, jnp.asarray(vector))
-    np.testing.assert_array_equal(flatten(chosen(placed, ["motion.*", "sensors.*"])), vector)
+    placed = with_parameters(tracker, parameters, jnp.asarray(vector))
+    np.testing.assert_array_equal(flatten(select_parameters(placed, ["motion.*", "sensors.*"])), vector)
     own = tunables(placed)
     for parameter, value in zip(parameters, physical(parameters, vector), strict=True):
         np.testing.assert_array_equal(value, own[parameter.label].value)
@@ -92,7 +95,7 @@ def _parts():
 
 
 def test_standard_errors_of_physical_values_match_those_of_drawn_vectors():
-    parameters = chosen(_parts(), "*")
+    parameters = select_parameters(_parts(), "*")
     vector = flatten(parameters)
     assert vector.shape == (8,)
     rng = np.random.default_rng(2)

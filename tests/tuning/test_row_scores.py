@@ -7,7 +7,7 @@ from tests.oracles import kalman
 from tests.tuning.worlds import SIGMA_START, line_tracker, walks
 from trackers.core.chunks import chunks
 from trackers.core.recording import stack
-from tuning.parameters import chosen, flatten
+from tuning.parameters import flatten, select_parameters
 from tuning.row_information import row_information
 
 LEVELS = ("motion.sigma_v", "sensors.gauge.sigma")
@@ -28,7 +28,7 @@ def _rows(r, vector):
 def world():
     recordings = walks([30, 45, 12], 3)
     tracker = line_tracker()
-    return recordings, tracker, chosen(tracker, LEVELS), list(chunks(stack(recordings), 512))
+    return recordings, tracker, select_parameters(tracker, LEVELS), list(chunks(stack(recordings), 512))
 
 
 @pytest.mark.parametrize("block", [1, 7])
@@ -37,7 +37,7 @@ def test_scores_and_information_are_those_of_the_textbook_filter(world, block):
     vectors = flatten(parameters) + np.array([[0.0, 0.0], [0.7, -0.4]])
     found = row_information(tracker, parts, parameters, vectors, block)
     assert found.information.shape == (2, 2, 2, 4)
-    assert not found.scores[..., 3].any(), "a lane that only fills up the chunk says nothing"
+    assert not found.scores[..., 3].any(), "a trajectory that only fills up the chunk says nothing"
     for s, vector in enumerate(vectors):
         for n, recording in enumerate(recordings):
             slopes = [

@@ -12,7 +12,7 @@ from trackers.line.polyline import Polyline
 from trackers.line.tracker import line_motion
 from trackers.line.tracker import line_tracker as particle_tracker
 from tuning import NegativeLogLikelihood, RootMeanSquareError
-from tuning.parameters import Parameter, chosen
+from tuning.parameters import Parameter, select_parameters
 from tuning.problem import Problem
 from tuning.sweep import grid_vectors, sweep
 
@@ -34,7 +34,7 @@ def swept(batches):
 
 
 def test_every_value_is_the_objective_that_a_fit_sees_there(swept, batches):
-    parameters = chosen(line_tracker(), (SIGMA_V, SIGMA))
+    parameters = select_parameters(line_tracker(), (SIGMA_V, SIGMA))
     problem = Problem(line_tracker(), batches, NLL, parameters, 512)
     vectors = [np.log([step, noise]) for step in STEPS for noise in NOISES]
     wanted = problem.evaluate(np.array(vectors)).values.reshape(5, 3)

@@ -11,9 +11,9 @@ from scipy.optimize import brentq
 from tests.tuning.worlds import line_tracker, walks
 from trackers.core.recording import stack
 from trackers.core.tunable import Covariance, Fraction, Real, Scale
-from tuning.identifiability import judgements
+from tuning.identifiability import identifiability_issues
 from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
-from tuning.parameters import Parameter, chosen, flatten
+from tuning.parameters import Parameter, flatten, select_parameters
 from tuning.problem import Problem
 from tuning.profiles import bootstrap, percentile_intervals, profile, refit
 from tuning.uncertainty import Optimum, Uncertainty, assessed, optimum, students, uncertainty, unused, without_effect
@@ -88,7 +88,7 @@ def test_the_observed_information_is_the_closed_form(numbers):
     low, high = found.intervals(by="curvature")["sigma"]
     assert high / low == pytest.approx(np.exp(2 * 1.96 / np.sqrt(2 * total)), rel=1e-3)
     assert low * high == pytest.approx(numbers.var())
-    assert judgements(found, problem.evaluate(best).slopes) == []
+    assert identifiability_issues(found, problem.evaluate(best).slopes) == []
 
 
 def test_the_sandwich_is_right_where_trajectories_differ_and_the_information_is_not():
@@ -141,14 +141,16 @@ def test_intervals_are_in_physical_units_of_every_kind():
     assert [float(x) for x in open_["share"]] == [0.0, 1.0]
 
 
-def _found(parameters, hessian, observed, sandwich=None, held=None, astray=0.0):
+def _found(parameters, hessian, observed, sandwich=None, held=None, distance_to_optimum=0.0):
     """How sure a fit is, made up: second derivatives, covariances, what rests on a bound, how far off it is."""
     p = len(hessian)
     point = Optimum(np.zeros(p), 0.0, np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0])[:p], hessian,
                     np.zeros((3, p)), 1.0, np.ones(3, bool))  # fmt: skip
     nothing, none = np.full((p, p), np.nan), np.zeros(p, bool)
     held = none if held is None else held
-    return Uncertainty(parameters, point, observed, nothing if sandwich is None else sandwich, none, held, 25, astray)
+    return Uncertainty(
+        parameters, point, observed, nothing if sandwich is None else sandwich, none, held, 25, distance_to_optimum
+    )
 
 
 def test_what_stands_above_a_factors_diagonal_is_nobodys_fault():
@@ -156,7 +158,7 @@ def test_what_stands_above_a_factors_diagonal_is_nobodys_fault():
     found = _found(parameters, np.diag([50.0, 0.0, 70.0, 60.0]), np.diag([0.02, 0.0, 0.01, 0.02]))
     slopes = np.ones((2, 4, 20)) * np.array([1.0, 0.0, 1.0, 1.0])[:, None]
     assert unused(parameters).tolist() == [False, True, False, False]
-    assert judgements(found, slopes) == []
+    assert identifiability_issues(found, slopes) == []
 
 
 def _product(y, weights):
@@ -180,7 +182,7 @@ def _product(y, weights):
 def test_what_is_not_determined_is_said_in_words(numbers, weights, says):
     problem, start = _product(numbers, weights)
     found = uncertainty(problem, start)
-    said = judgements(found, problem.evaluate(start).slopes)
+    said = identifiability_issues(found, problem.evaluate(start).slopes)
     texts = [j.text for j in said]
     assert len(texts) == 1
     assert texts[0].replace("b × a^0.5", "a^0.5 × b") == says
@@ -193,18 +195,18 @@ def test_what_is_not_determined_is_said_in_words(numbers, weights, says):
 
 def test_numbers_without_effect_are_named_in_one_sentence(numbers):
     problem, start = _product(numbers, [1, 0, 0])
-    said = judgements(uncertainty(problem, start), problem.evaluate(start).slopes)
+    said = identifiability_issues(uncertainty(problem, start), problem.evaluate(start).slopes)
     assert [j.text for j in said] == ["b and c have no effect on the objective"]
     assert said[0].names == ("b", "c")
     many = [Parameter(("bias",), Real(np.zeros(8)), "bias")]
     found = _found(many, np.eye(8), np.eye(8))
-    text = judgements(found, np.zeros((2, 8, 3)))[0].text
+    text = identifiability_issues(found, np.zeros((2, 8, 3)))[0].text
     assert text == "bias.0, bias.1, bias.2 and 5 others have no effect on the objective"
 
 
 def test_several_numbers_that_hang_together_are_named_together(numbers):
     problem, start = _product(numbers, [1, 1, 1])
-    said = judgements(uncertainty(problem, start), problem.evaluate(start).slopes)
+    said = identifiability_issues(uncertainty(problem, start), problem.evaluate(start).slopes)
     assert len(said) == 2
     assert all("not determined one by one" in j.text for j in said)
 
@@ -217,7 +219,7 @@ def test_two_numbers_of_which_not_even_a_product_is_known_are_said_to_be_open_on
         made = _found(
             problem.parameters, turned @ np.diag(curvatures) @ turned.T, turned @ np.diag(observed) @ turned.T
         )
-        return [j.text for j in judgements(made, np.ones((2, 2, 20)))]
+        return [j.text for j in identifiability_issues(made, np.ones((2, 2, 20)))]
 
     names = " and ".join(p.label for p in problem.parameters)
     assert said([0.0, -1.0], [0.0, 0.0]) == [f"{names} are not determined, neither one by one nor together"]
@@ -230,7 +232,7 @@ def test_what_rests_on_its_bound_is_named_and_the_others_are_as_sure_as_with_it_
     # the level kept too high: the place is known as with this level, whatever the level's own gradient
     high = best + [0.5, 0.0]
     found = assessed(problem, optimum(problem, high), np.array([True, False]))
-    assert [j.text for j in judgements(found, problem.evaluate(high).slopes)] == [
+    assert [j.text for j in identifiability_issues(found, problem.evaluate(high).slopes)] == [
         "sigma rests on its bound: the recordings would have it lower"
     ]
     assert np.isnan(found.intervals()["sigma"]).all()
@@ -247,10 +249,10 @@ def test_a_point_away_from_the_optimum_has_no_interval(numbers):
     sigma = 1 / np.sqrt(2 * numbers.size)
     near, far = (uncertainty(problem, best + [k * sigma, 0.0]) for k in (0.5, 3.0))
     assert near.settled
-    assert near.astray == pytest.approx(0.5, rel=0.1)
-    assert far.astray == pytest.approx(3.0, rel=0.2)
+    assert near.distance_to_optimum == pytest.approx(0.5, rel=0.1)
+    assert far.distance_to_optimum == pytest.approx(3.0, rel=0.2)
     assert all(np.isnan(ends).all() for ends in far.intervals().values())
-    text = judgements(far, problem.evaluate(best).slopes)[0].text
+    text = identifiability_issues(far, problem.evaluate(best).slopes)[0].text
     assert text.startswith("the numbers are not where the objective is least on the recordings tuned on (3")
 
 
@@ -259,8 +261,8 @@ def test_a_fit_that_ended_on_a_slope_without_curvature_is_not_called_open(number
     point = optimum(problem, best)
     slope = np.array([2.0 / point.units, 0.0])
     flat = assessed(problem, point._replace(hessian=np.diag([0.0, point.hessian[1, 1]]), gradient=slope))
-    assert flat.astray == np.inf
-    said = judgements(flat, problem.evaluate(best).slopes)
+    assert flat.distance_to_optimum == np.inf
+    said = identifiability_issues(flat, problem.evaluate(best).slopes)
     assert ["far away" in j.text for j in said] == [True]
 
 
@@ -278,7 +280,7 @@ def test_an_interval_is_the_wider_of_curvature_and_scatter(numbers):
 def test_what_is_known_only_to_a_factor_is_said(numbers):
     problem, _ = _level_and_place(numbers)
     quadratic = _found(problem.parameters, np.diag([0.25, 100.0]), np.diag([4.0, 0.01]))
-    said = judgements(quadratic, np.ones((2, 2, 20)))
+    said = identifiability_issues(quadratic, np.ones((2, 2, 20)))
     assert [j.text for j in said] == ["sigma is hardly determined: it may as well be 7.4 times larger or smaller"]
 
 
@@ -354,7 +356,7 @@ def test_refitted_vectors_are_never_worse(numbers):
 def line():
     tracker = line_tracker()
     world = stack(walks([60] * 24, 11))
-    parameters = chosen(tracker, ("motion.sigma_v", "sensors.gauge.sigma"))
+    parameters = select_parameters(tracker, ("motion.sigma_v", "sensors.gauge.sigma"))
     return Problem(tracker, [world], RootMeanSquareError(dimensions=1), parameters), flatten(parameters)
 
 
@@ -380,7 +382,7 @@ def test_of_an_error_there_is_a_sandwich_and_no_information(line):
 
 def test_few_trajectories_are_cut_into_blocks_of_rows():
     tracker = line_tracker()
-    parameters = chosen(tracker, ("motion.sigma_v", "sensors.gauge.sigma"))
+    parameters = select_parameters(tracker, ("motion.sigma_v", "sensors.gauge.sigma"))
     problem = Problem(tracker, [stack(walks([2000, 1500], 5))], NegativeLogLikelihood(), parameters)
     found = uncertainty(problem, flatten(parameters))
     assert 48 <= found.clusters <= 52
@@ -391,7 +393,7 @@ def test_few_trajectories_are_cut_into_blocks_of_rows():
 
 def test_of_a_tracker_all_kinds_of_uncertainty_agree():
     tracker = line_tracker()
-    parameters = chosen(tracker, ("motion.sigma_v", "sensors.gauge.sigma"))
+    parameters = select_parameters(tracker, ("motion.sigma_v", "sensors.gauge.sigma"))
     problem = Problem(tracker, [stack(walks([120] * 32, 3))], NegativeLogLikelihood(), parameters)
     start = flatten(parameters)[None]
     best = refit(problem, start, optimum(problem, start[0]).hessian, rounds=6).vectors[0]

@@ -15,7 +15,7 @@ from trackers.core.metrics import consistency, nees
 from trackers.core.recording import stack
 from trackers.core.state import Rotation, local, retract
 from trackers.core.tracker import Tracker
-from trackers.core.tunable import resolved
+from trackers.core.tunable import freeze
 from trackers.parts.ranges import RangeSensor
 from trackers.uwb_imu.strapdown import ImuNoise, Inertial, Strapdown
 
@@ -39,7 +39,7 @@ def _truth_and_batch():
     accel = np.stack([-1.5 + 0.5 * np.sin(5 * t), 0.5 * np.cos(7 * t), 9.81 + np.cos(4 * t)], axis=1)
     gyro = np.stack([0.2 * np.cos(6 * t), 0.2 * np.sin(8 * t), 1.0 + 0.5 * np.cos(3 * t)], axis=1)
     heard = np.repeat(((t < 2) | (t >= 3)).astype(float)[:, None], 2, axis=1)
-    fixed = resolved(MOTION)
+    fixed = freeze(MOTION)
     base = _build(list(jnp.asarray(MEAN)))
 
     @jax.jit
@@ -80,7 +80,7 @@ def world():
 def estimates(world):
     # A tail this long is the normal distribution.
     sensor = RangeSensor(1, 0, SIGMA_R, 1.0, 1e9)
-    return Tracker(MOTION, {"ranges": sensor}, KnownStart(_build), loss=NEVER_LOST).run(world[1])
+    return Tracker(MOTION, {"ranges": sensor}, KnownStart(_build), track_loss=NEVER_LOST).run(world[1])
 
 
 def test_the_nees_is_inside_its_95_percent_interval_with_biases_and_a_gap_of_the_imu(world, estimates):

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from trackers.core.recording import stack
-from trackers.recordings.folder import read_folder
+from trackers.recordings.folder import read_recording
 from trackers.uwb_imu.inertial import inertial_tracker
-from trackers.uwb_imu.inertial_rows import inertial_lanes
+from trackers.uwb_imu.inertial_rows import inertial_trajectories
 
 
 def _rmse(tracker, recordings):
@@ -24,8 +24,8 @@ def _rmse(tracker, recordings):
 
 
 def _with_and_without(folder, planar):
-    one = read_folder(folder)
-    recordings = [lane.recording for lane in inertial_lanes(one, False)]
+    one = read_recording(folder)
+    recordings = [trajectory.recording for trajectory in inertial_trajectories(one, False)]
     blind = [dataclasses.replace(r, inputs=r.inputs | {"imu": 0 * r.inputs["imu"]}) for r in recordings]
     tracker = inertial_tracker(len(one.rig.anchors), planar)
     return _rmse(tracker, recordings), _rmse(tracker, blind)

@@ -16,9 +16,9 @@ from trackers.core.recording import stack
 from trackers.core.rig import Rig, Tag
 from trackers.core.state import Rotation
 from trackers.core.tracker import Row
-from trackers.recordings.folder import Folder
+from trackers.recordings.folder import RecordingFolder
 from trackers.uwb_imu.inertial import InertialStart, inertial_tracker, upright
-from trackers.uwb_imu.inertial_rows import TRACKERS, inertial_lanes
+from trackers.uwb_imu.inertial_rows import TRACKERS, inertial_trajectories
 from trackers.uwb_imu.samples import held_inputs, levelled
 
 TAGS, POINTS = 6, 480
@@ -51,7 +51,7 @@ def folder():
 @pytest.fixture(scope="module")
 def runs(folder):
     """Estimates of the walks with their IMU, without it, and with nothing but it after the first seconds."""
-    recordings = [lane.recording for lane in inertial_lanes(folder, False)]
+    recordings = [trajectory.recording for trajectory in inertial_trajectories(folder, False)]
     unheard = []
     for one in recordings:
         ranges = one.readings["ranges"]
@@ -59,7 +59,7 @@ def runs(folder):
         unheard.append(dataclasses.replace(one, readings={"ranges": quiet}))
     every = [*recordings, *(_blind(r) for r in recordings), *unheard]
     every = [dataclasses.replace(r, name=f"{k}") for k, r in enumerate(every)]
-    return every, inertial_tracker(sigma_r=0.05, stretch=1.1, tail=10.0, bias=0.0).run(stack(every))
+    return every, inertial_tracker(sigma_r=0.05, positive_skew=1.1, tail=10.0, bias=0.0).run(stack(every))
 
 
 @pytest.mark.slow
@@ -165,14 +165,14 @@ def test_tags_on_one_body_share_their_ranges_and_their_imu_and_others_do_not():
     imu = pl.DataFrame({"t_s": [0.05, 0.1], "tag": ["1", "1"]} | {c: [0.5, 0.5] for c in columns})
     places = {"A": np.zeros(3), "B": np.array([4.0, 0, 0]), "C": np.array([0, 4.0, 0])}
     tags = {"1": Tag(offset=np.array([0.1, 0, 0])), "2": Tag(offset=np.array([0, 0.2, 0]))}
-    folder = Folder("body", Path("body"), Rig("body", places, tags=tags), {"ranges": ranges, "imu": imu})
-    first, second = (lane.recording for lane in inertial_lanes(folder, False))
+    folder = RecordingFolder("body", Path("body"), Rig("body", places, tags=tags), {"ranges": ranges, "imu": imu})
+    first, second = (trajectory.recording for trajectory in inertial_trajectories(folder, False))
     np.testing.assert_array_equal(first.times, [0, 0.05, 0.1, 0.2])
     np.testing.assert_allclose(first.inputs["levers"], [[0, 0, 0], [0, 0, 0], [-0.1, 0.2, 0], [0, 0, 0]])
     np.testing.assert_allclose(second.inputs["arm"], np.tile([0, 0.2, 0], (4, 1)))
     np.testing.assert_array_equal(second.inputs["imu"], [[0, 0], [1, 1], [1, 1], [1, 1]])
     apart = dataclasses.replace(folder, rig=Rig("apart", places))
-    first, second = (lane.recording for lane in inertial_lanes(apart, False))
+    first, second = (trajectory.recording for trajectory in inertial_trajectories(apart, False))
     np.testing.assert_array_equal(first.inputs["imu"], [[0, 0], [1, 1], [1, 1], [1, 1]])
     # A tag without an IMU of its own is tracked by its ranges.
     np.testing.assert_array_equal(second.inputs["imu"], [[0, 0]])

@@ -118,7 +118,7 @@ def _recording(times, numbers, ranges, height):
 @pytest.fixture(scope="module")
 def runs():
     """Errors of a run at a known height: clean, with a tenth of the ranges wild, and after a silence of a minute."""
-    tracker = range_tracker(5, planar=True, sigma_a=1.0, sigma_r=0.04, stretch=2.0, bias=0.0, sigma_bias=0.05)
+    tracker = range_tracker(5, planar=True, sigma_a=1.0, sigma_r=0.04, positive_skew=2.0, bias=0.0, sigma_bias=0.05)
     out = {}
     for name, wild in (("clean", 0.0), ("wild", 0.1)):
         times, numbers, ranges, places = _rows(
@@ -202,7 +202,7 @@ def test_the_spread_is_right_where_the_world_is_the_model():
         sigma_a,
         memory=1e4,
         sigma_r=sigma_r,
-        stretch=1.0,
+        positive_skew=1.0,
         tail=1e6,
         bias=0.0,
         sigma_bias=sigma_bias,

@@ -11,7 +11,7 @@ from trackers.core.ekf import ExtendedKalman, Gaussian
 from trackers.core.motion import Kinematic, Placed
 from trackers.core.sensor import Reading
 from trackers.core.state import Heading, Rotation
-from trackers.core.tunable import Real, replaced, resolved
+from trackers.core.tunable import Real, freeze, replaced
 from trackers.parts.ranges import RangeSensor, in_room_axes
 
 ANCHORS = np.array([[5.0, 0.0, 2.0], [0.0, 6.0, 1.0], [-4.0, -3.0, 2.5], [1.0, -6.0, 2.2], [-5.0, 4.0, 0.5]])
@@ -23,8 +23,8 @@ def _inputs(slots):
     return {"anchors": jnp.asarray(ANCHORS[:slots].ravel()), "anchor": jnp.arange(slots, dtype=float)}
 
 
-def _sensor(slots, stretch=2.0):
-    sensor = RangeSensor(slots, 5, 0.1, stretch, 4.0)
+def _sensor(slots, positive_skew=2.0):
+    sensor = RangeSensor(slots, 5, 0.1, positive_skew, 4.0)
     return replaced(sensor, {"bias": Real(BIASES, "m", 0.1)})
 
 
@@ -34,7 +34,7 @@ def test_the_range_sensor_keeps_its_contract(reported):
 
 
 def test_a_planar_view_is_seen_at_its_known_height():
-    sensor, inputs = resolved(_sensor(2)), _inputs(2)
+    sensor, inputs = freeze(_sensor(2)), _inputs(2)
     flat = sensor.measure(Placed(Vector(*PLACE[:2])), {**inputs, "height": PLACE[2]})
     expected = np.linalg.norm(PLACE - ANCHORS[:2], axis=1) + BIASES[:2]
     # Rounding of a square root.
@@ -42,7 +42,7 @@ def test_a_planar_view_is_seen_at_its_known_height():
 
 
 def test_the_bias_follows_the_anchors_number_not_the_slot():
-    sensor = resolved(_sensor(2))
+    sensor = freeze(_sensor(2))
     inputs = {"anchors": jnp.asarray(ANCHORS[[3, 1]].ravel()), "anchor": jnp.array([3.0, 1.0])}
     ranges = sensor.measure(Placed(Vector(*PLACE)), inputs)
     expected = np.linalg.norm(PLACE - ANCHORS[[3, 1]], axis=1) + BIASES[[3, 1]]
@@ -68,7 +68,7 @@ def test_a_lever_arm_turns_with_the_body(attitude, rotation):
 
     view = View()
     view.attitude = attitude
-    ranges = resolved(_sensor(1)).measure(view, {**_inputs(1), "levers": jnp.array([0.3, 0.2, 0.1])})
+    ranges = freeze(_sensor(1)).measure(view, {**_inputs(1), "levers": jnp.array([0.3, 0.2, 0.1])})
     tag = PLACE + rotation @ np.array([0.3, 0.2, 0.1])
     np.testing.assert_allclose(float(ranges[0]), np.linalg.norm(tag - ANCHORS[0]) + BIASES[0], rtol=1e-14)
 
@@ -79,7 +79,7 @@ def _update(sensor, values):
     zero = jnp.zeros(())
     belief = Gaussian(Placed(Vector(*(jnp.asarray(x) for x in PLACE))), diagonal([0.25] * 3, zero))
     reading = Reading(values, jnp.ones(slots, bool), ())
-    after, innovation = ExtendedKalman().update(belief, Still(), resolved(sensor), reading, _inputs(slots))
+    after, innovation = ExtendedKalman().update(belief, Still(), freeze(sensor), reading, _inputs(slots))
     return jnp.stack(list(after.mean.position)), innovation.nis
 
 

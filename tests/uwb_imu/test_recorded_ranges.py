@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from trackers.core.recording import stack
-from trackers.recordings.folder import read_folder
+from trackers.recordings.folder import read_recording
 from trackers.uwb_imu.fusion import range_tracker
-from trackers.uwb_imu.range_rows import range_lanes
+from trackers.uwb_imu.range_rows import range_trajectories
 
 # Horizontal RMSE, m, and 3-D where it is judged: of a Kalman filter whose noise was tuned on that very recording.
 PLANAR = {"labyrinth": 0.22, "ngbui-line-2-1": 0.342}
@@ -20,15 +20,15 @@ SPATIAL = {
 
 def _errors(folder, name, tracker):
     """Errors (n, 2 or 3), m, of all tags at the last row of each time where the truth is known."""
-    lanes = list(range_lanes(read_folder(folder / name), False))
-    longest = max(len(lane.recording) for lane in lanes)
+    trajectories = list(range_trajectories(read_recording(folder / name), False))
+    longest = max(len(trajectory.recording) for trajectory in trajectories)
     # Two lengths in all, so that each tracker is compiled for few shapes.
-    estimates = tracker.run(stack([lane.recording for lane in lanes], rows=max(8192, longest)))
+    estimates = tracker.run(stack([trajectory.recording for trajectory in trajectories], rows=max(8192, longest)))
     parts = []
-    for k, lane in enumerate(lanes):
-        place, known = lane.recording.truth["position"]
-        rows = len(lane.recording)
-        last = known & np.append(np.diff(lane.recording.times) > 0, True) & estimates[k].usable[:rows]
+    for k, trajectory in enumerate(trajectories):
+        place, known = trajectory.recording.truth["position"]
+        rows = len(trajectory.recording)
+        last = known & np.append(np.diff(trajectory.recording.times) > 0, True) & estimates[k].usable[:rows]
         found = np.stack([np.asarray(x)[k, :rows] for x in estimates.mean.position], axis=1)
         parts.append((found - place[:, : found.shape[1]])[last])
     return np.concatenate(parts)

@@ -10,7 +10,7 @@ from trackers.core.checks import check_motion
 from trackers.core.ekf import ExtendedKalman, Gaussian
 from trackers.core.linearise import linearise
 from trackers.core.state import Heading, Rotation, coordinates, local
-from trackers.core.tunable import resolved
+from trackers.core.tunable import freeze
 from trackers.uwb_imu.strapdown import ImuNoise, Inertial, PlanarInertial, PlanarStrapdown, Strapdown
 
 ATTITUDE = np.array([0.9, 0.2, -0.3, 0.1]) / np.linalg.norm([0.9, 0.2, -0.3, 0.1])
@@ -34,7 +34,7 @@ def _with_imu(accel, gyro):
 
 def _error_jacobian(motion, state, inputs, dt):
     """∂(small step after)/∂(small step before), by autodiff, as the filter takes it."""
-    motion, state, inputs = resolved(motion), _arrays(state), _arrays(inputs)
+    motion, state, inputs = freeze(motion), _arrays(state), _arrays(inputs)
     zeros = Vector.of([jnp.asarray(0.0)] * motion.noise_dimension)
     moved = motion.step(state, inputs, dt, zeros)
     point, rebuild = coordinates(state)
@@ -51,7 +51,7 @@ def test_the_mechanisation_keeps_the_contract_of_motions_with_and_without_an_imu
 @pytest.mark.parametrize(("motion", "state"), MOTIONS)
 def test_the_error_states_jacobian_is_the_finite_difference(motion, state):
     dt, h = 0.02, 1e-6
-    inputs, fixed = _arrays(ARMED), resolved(motion)
+    inputs, fixed = _arrays(ARMED), freeze(motion)
     zeros = Vector.of([jnp.asarray(0.0)] * motion.noise_dimension)
     moved = fixed.step(_arrays(state), inputs, dt, zeros)
     point, rebuild = coordinates(_arrays(state))
@@ -90,7 +90,7 @@ def test_the_papers_mechanisation_has_the_papers_matrix_put_right():
 
 
 def _run(motion, state, inputs, dt, steps):
-    fixed, zeros = resolved(motion), Vector.of([jnp.asarray(0.0)] * motion.noise_dimension)
+    fixed, zeros = freeze(motion), Vector.of([jnp.asarray(0.0)] * motion.noise_dimension)
 
     @jax.jit
     def go(state, inputs):
@@ -141,7 +141,7 @@ def test_a_tag_on_a_turning_arm_moves_while_the_imu_stands():
 
 def test_two_seconds_without_an_imu_are_constant_velocity_with_white_acceleration():
     cov = tuple(jnp.asarray(0.0) for _ in range(120))
-    predict = jax.jit(lambda b, u: ExtendedKalman().predict(b, resolved(Strapdown(NOISE)), u, jnp.asarray(2.0)))
+    predict = jax.jit(lambda b, u: ExtendedKalman().predict(b, freeze(Strapdown(NOISE)), u, jnp.asarray(2.0)))
     belief = predict(Gaussian(_arrays(SPACE), cov), _arrays({**_with_imu(0, 0), "arm": np.zeros(3)}))
     np.testing.assert_allclose([*belief.mean.position], [1 + 1.4, 2 - 0.8, 3.4], rtol=1e-12)
     upper = dict(zip(zip(*np.triu_indices(15), strict=True), belief.cov, strict=True))
@@ -151,7 +151,7 @@ def test_two_seconds_without_an_imu_are_constant_velocity_with_white_acceleratio
 
 
 def test_the_attitude_keeps_its_length_over_a_hundred_thousand_steps_in_single_precision():
-    motion = resolved(Strapdown(NOISE))
+    motion = freeze(Strapdown(NOISE))
     motion = jax.tree_util.tree_map(lambda x: jnp.asarray(x, jnp.float32), motion)
     single = jax.tree_util.tree_map(lambda x: jnp.asarray(x, jnp.float32), (SPACE, INPUTS))
     zeros = Vector.of([jnp.float32(0)] * 15)

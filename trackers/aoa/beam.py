@@ -15,7 +15,7 @@ from trackers.core.ekf import Gaussian
 from trackers.core.motion import AbstractMotion, Noise
 from trackers.core.rig import Station
 from trackers.core.state import Heading
-from trackers.core.track_loss import LossPolicy
+from trackers.core.track_loss import TrackLossPolicy
 from trackers.core.tracker import AbstractStart, Row, Tracker
 from trackers.core.tunable import Scale
 
@@ -100,7 +100,7 @@ class BeamStart(AbstractStart):
     def ready(self, row: Row) -> Scalar:
         return jnp.sum(row.readings[self.station].seen) >= self.antennas
 
-    def acquire(self, sensors: Any, row: Row) -> Any:
+    def candidate(self, sensors: Any, row: Row) -> Any:
         reading = row.readings[self.station]
         calibrated = reading.values - sensors[self.station].offsets.value
         return strongest(self.grid, delay_and_sum(self.grid, calibrated, reading.seen))
@@ -120,12 +120,12 @@ def beam_tracker(
     sigma_p: float = 0.2,
     paper_form: bool = False,
     span: float = np.deg2rad(30.0),
-    loss: LossPolicy | None = None,
+    loss: TrackLossPolicy | None = None,
 ) -> Tracker:
     """The tracker of one station's beam; `name`: the station's readings in a recording. σa rad/s², σp and span rad."""
     sensor = PlanePhases(station, sigma_p, paper_form)
     start = BeamStart(name, Grid.of(station, span), Scale(np.deg2rad(30.0), "rad"), Scale(1.0, "rad/s"))
-    return Tracker(BeamMotion(Scale(sigma_a, "rad/s^2")), {name: sensor}, start, loss=loss or LossPolicy())
+    return Tracker(BeamMotion(Scale(sigma_a, "rad/s^2")), {name: sensor}, start, track_loss=loss or TrackLossPolicy())
 
 
 def in_plane_beam_tracker(station: Station, name: str, sigma_a: float = 0.005, sigma_p: float = 0.7) -> Tracker:
@@ -136,4 +136,6 @@ def in_plane_beam_tracker(station: Station, name: str, sigma_a: float = 0.005, s
     sensor = InPlanePhases(station, sigma_p)
     start = BeamStart(name, Grid.in_plane(station), Scale(np.deg2rad(30.0), "rad"), Scale(0.05, "rad/s"))
     motion = InPlaneBeamMotion(Scale(sigma_a, "rad/s^2/sqrt(Hz)"))
-    return Tracker(motion, {name: sensor}, start, loss=LossPolicy(limit=2.5, memory=16.0, patience=30.0))
+    return Tracker(
+        motion, {name: sensor}, start, track_loss=TrackLossPolicy(nis_limit=2.5, nis_window=16.0, max_gap=30.0)
+    )

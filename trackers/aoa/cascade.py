@@ -26,7 +26,7 @@ class Cascade(AbstractTracker):
     """A beam tracker per station, `beams` by the stations' names in a recording, and the `fusion` of their angles.
 
     The estimates of a beam tracker are fused as if they were readings with independent errors, as the paper does;
-    `fusion.sensors.bearings.trust` scales the reported standard deviations where they are too small for that.
+    `fusion.sensors.bearings.reported_std_scale` scales the reported standard deviations where they are too small for that.
     """
 
     beams: Mapping[str, Tracker]
@@ -53,9 +53,9 @@ class Cascade(AbstractTracker):
             return jnp.repeat(jnp.asarray(x), count, axis=0)
 
         def geometry(part: slice) -> Any:
-            lanes = batch.dt.shape
+            trajectories = batch.dt.shape
             rows = [jnp.asarray(self.geometry[name][part])[None, :, None] for name in self.beams]
-            return interleaved([jnp.broadcast_to(r, (lanes[0], r.shape[1], lanes[1])) for r in rows])
+            return interleaved([jnp.broadcast_to(r, (trajectories[0], r.shape[1], trajectories[1])) for r in rows])
 
         first = jnp.arange(batch.dt.shape[0] * count)[:, None] % count == 0
         inputs = {name: repeated(x) for name, x in batch.inputs.items()}

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import jax.numpy as jnp
 
-from trackers.core.algebra import Scalar, shared, total
+from trackers.core.algebra import Scalar, compute_once, total
 
 # Least-squares polynomials in t², t = angle/π, on [−1, 1]: sin πt = t(1 − t²)·Σ SINE t²ᵏ (error 3e-9) and
 # cos πt = Σ COSINE t²ᵏ (error 1e-8); XLA's own sin and cos cost ten times as much on a CPU.
@@ -50,7 +50,7 @@ def circular_mean(angles: Sequence[Scalar], seen: Sequence[Scalar], count: Scala
     # Divisions, though direction needs none: XLA never computes one twice, so both sums are shared by all antennas.
     sine = total(s * t * (1.0 - q) * polynomial(SINE, q) for s, t, q in zip(seen, turns, squares, strict=True)) / count
     cosine = total(s * polynomial(COSINE, q) for s, q in zip(seen, squares, strict=True)) / count
-    return shared(arctangent(sine, cosine))
+    return compute_once(arctangent(sine, cosine))
 
 
 def arctangent(sine: Scalar, cosine: Scalar) -> Scalar:

@@ -17,7 +17,7 @@ from trackers.core.algebra import Scalar, Vector, diagonal, total
 from trackers.core.ekf import Gaussian
 from trackers.core.motion import ConstantVelocity, Kinematic, Noise
 from trackers.core.rig import Station
-from trackers.core.track_loss import LossPolicy
+from trackers.core.track_loss import TrackLossPolicy
 from trackers.core.tracker import AbstractStart, Row, Tracker
 from trackers.core.tunable import Scale
 
@@ -38,7 +38,7 @@ class PhaseStart(AbstractStart):
     def ready(self, row: Row) -> Scalar:
         return total(jnp.where(jnp.sum(row.readings[name].seen) >= 3, 1, 0) for name in self.grids) >= self.stations
 
-    def acquire(self, sensors: Mapping[str, Any], row: Row) -> Any:
+    def candidate(self, sensors: Mapping[str, Any], row: Row) -> Any:
         rays = []
         for name, grid in self.grids.items():
             sensor, reading = sensors[name], row.readings[name]
@@ -72,4 +72,4 @@ def direct_tracker(
         planar,
         min(2, len(stations)),
     )
-    return Tracker(ConstantVelocity(sigma_a, 2 if planar else 3), sensors, start, loss=LossPolicy())
+    return Tracker(ConstantVelocity(sigma_a, 2 if planar else 3), sensors, start, track_loss=TrackLossPolicy())

@@ -17,7 +17,7 @@ from trackers.core.motion import GroundMotion, Noise
 from trackers.core.rig import Station
 from trackers.core.sensor import AbstractSensor, Channel, Reading, Residual, log_peak, placed
 from trackers.core.state import wrap
-from trackers.core.track_loss import LossPolicy
+from trackers.core.track_loss import TrackLossPolicy
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import Real, Scale
 from trackers.parts.start_nearby import NearbyStart
@@ -30,14 +30,14 @@ class BearingSensor(AbstractSensor):
 
     Inputs: `origin` (3,) m, `axes` (9,) the array's x, y, z axes in the world, row after row, and `height` m for a
     planar state. `sigma_azimuth`, `sigma_elevation`: rad, beside what the station reports (variance of azimuth,
-    covariance, variance of elevation, rad²), whose square root is scaled by `trust`. `tail`: degrees of freedom of
+    covariance, variance of elevation, rad²), whose square root is scaled by `reported_std_scale`. `tail`: degrees of freedom of
     Student's t. `offsets` (2,) rad and `compression` (2,) rad⁻²: arrays pull large angles a towards boresight, as
     a/√(1 + c·a²) + offset; both zero for a calibrated one.
     """
 
     sigma_azimuth: Noise
     sigma_elevation: Noise
-    trust: Noise
+    reported_std_scale: Noise
     tail: Noise
     offsets: Noise
     compression: Noise
@@ -45,7 +45,7 @@ class BearingSensor(AbstractSensor):
     def __init__(self, sigma_azimuth: float, sigma_elevation: float, tail: float):
         self.sigma_azimuth = Scale(sigma_azimuth, "rad")
         self.sigma_elevation = Scale(sigma_elevation, "rad")
-        self.trust = Scale(1.0)
+        self.reported_std_scale = Scale(1.0)
         self.tail = Scale(tail)
         self.offsets = Real(np.zeros(2), "rad", typical=0.1)
         self.compression = Real(np.zeros(2), "rad^-2", typical=0.1)
@@ -67,7 +67,11 @@ class BearingSensor(AbstractSensor):
         """Azimuth first, elevation given azimuth second: whitened by the Cholesky factor of the covariance."""
         azimuth, elevation = (wrap(z - p) for z, p in zip(reading.values, predicted, strict=True))
         saw_azimuth, saw_elevation = reading.seen
-        reported = [r * self.trust.value**2 for r in reading.reported] if len(reading.reported) else [0.0, 0.0, 0.0]
+        reported = (
+            [r * self.reported_std_scale.value**2 for r in reading.reported]
+            if len(reading.reported)
+            else [0.0, 0.0, 0.0]
+        )
         first = jnp.sqrt(self.sigma_azimuth.value**2 + reported[0])
         coupling = jnp.where(saw_azimuth, reported[1] / first, 0.0)
         second = jnp.sqrt(self.sigma_elevation.value**2 + reported[2] - coupling**2)
@@ -113,5 +117,5 @@ def bearing_tracker(
         GroundMotion(sigma_a, sigma_z),
         sensors,
         NearbyStart(Scale(1.5, "m"), Scale(1.0, "m/s"), planar, 2),
-        loss=LossPolicy(limit=1e3, patience=10.0),
+        track_loss=TrackLossPolicy(nis_limit=1e3, max_gap=10.0),
     )

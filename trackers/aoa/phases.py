@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.aoa.circular import circular_mean
-from trackers.core.algebra import Scalar, Vector, shared, total
+from trackers.core.algebra import Scalar, Vector, compute_once, total
 from trackers.core.motion import Noise
 from trackers.core.rig import Station
 from trackers.core.sensor import LOG_2PI, AbstractSensor, Channel, Reading, Residual, placed
@@ -34,7 +34,7 @@ def centred(reading: Reading, predicted: Sequence[Scalar], sigma_p: Scalar) -> R
     # Whatever is subtracted from all antennas, the centring below removes again: no derivative is lost.
     middle = circular_mean([jax.lax.stop_gradient(d) for d in differences], seen, n)
     wrapped = [wrap(d - middle) for d in differences]
-    centre = shared(total(s * d for s, d in zip(seen, wrapped, strict=True)) / n)
+    centre = compute_once(total(s * d for s, d in zip(seen, wrapped, strict=True)) / n)
     residuals = [s * (d - centre) for s, d in zip(seen, wrapped, strict=True)]
     # Two antennas more than half a turn apart: then, and only then, the paper's differences wrap and the forms part.
     low = high = residuals[0]
@@ -64,7 +64,7 @@ def _counts(reading: Reading) -> tuple[list[Scalar], Scalar, Scalar]:
     """Which antennas were seen as 0 or 1, how many (at least 1), and the rank of their centred phases."""
     one = jnp.ones_like(reading.values[0])
     seen = [jnp.where(s, one, 0.0) for s in reading.seen]
-    n = jnp.maximum(shared(total(seen)), 1.0)
+    n = jnp.maximum(compute_once(total(seen)), 1.0)
     return seen, n, n - 1.0
 
 
@@ -110,7 +110,7 @@ class PlanePhases(AbstractPhaseSensor):
         self.paper_form = paper_form
 
     def measure(self, view: Any, inputs: Any) -> list[Scalar]:
-        x, y = shared((jnp.sin(view.azimuth) * jnp.cos(view.elevation), jnp.sin(view.elevation)))
+        x, y = compute_once((jnp.sin(view.azimuth) * jnp.cos(view.elevation), jnp.sin(view.elevation)))
         return [k[0] * x + k[1] * y + offset for k, offset in zip(self.wavenumbers, self.offsets.value, strict=True)]
 
 

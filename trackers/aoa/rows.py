@@ -1,4 +1,4 @@
-"""System A on the command line: trackers of phases and bearings, and their lanes."""
+"""System A on the command line: trackers of phases and bearings, and their trajectories."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from trackers.aoa.rays import recent_points
 from trackers.core.recording import Readings
 from trackers.core.rig import Station
 from trackers.core.tracker import AbstractTracker
-from trackers.recordings.folder import Folder
-from trackers.recordings.tracker_spec import Entry, on_request
-from trackers.recordings.trajectories import Lane, by_tag, known_height, lane_of, true_paths, values_of
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.tracker_spec import TrackerSpec, on_request
+from trackers.recordings.trajectories import Trajectory, by_tag, known_height, trajectory_of, true_paths, values_of
 from trackers.recordings.truth import numbers
 
 PHASES = "phases"
@@ -26,14 +26,14 @@ IN_PLANE = 0.5
 """Metres between the heights of a flat array and a tag up to which the tag counts as being in the array's plane."""
 
 
-def bearing_lanes(folder: Folder, free_height: bool) -> Iterator[Lane]:
+def bearing_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
     """Each tag's bearings, one row per table row, with the geometry of the row's station as inputs."""
     stations = folder.rig.stations
     geometry = {name: bearing_inputs(s) for name, s in stations.items()}
     paths = true_paths(folder)
     for tag, table in by_tag(folder.tables["bearings"]):
         values, seen = values_of(table, ["azimuth_rad", "elevation_rad"])
-        # Without reported spreads zeros stand here, so that lanes with and without share a batch.
+        # Without reported spreads zeros stand here, so that trajectories with and without share a batch.
         spread = np.nan_to_num(np.stack([numbers(table, f"{a}_std_rad") for a in ("azimuth", "elevation")], axis=1))
         reported = np.stack([spread[:, 0] ** 2, np.zeros(len(spread)), spread[:, 1] ** 2], axis=1)
         where = np.stack([geometry[s] for s in table["station"].to_list()])
@@ -41,10 +41,10 @@ def bearing_lanes(folder: Folder, free_height: bool) -> Iterator[Lane]:
         nearby = recent_points(times, where[:, :3], where[:, 3:], values, np.asarray(seen.all(axis=1)), height)
         inputs = {"origin": where[:, :3], "axes": where[:, 3:], "nearby": nearby}
         readings = {BEARINGS: Readings(values, seen, reported)}
-        yield lane_of(folder, tag, "", times, readings, inputs, paths)
+        yield trajectory_of(folder, tag, "", times, readings, inputs, paths)
 
 
-def phase_lanes(folder: Folder, free_height: bool) -> Iterator[Lane]:
+def phase_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
     """Each tag's phases at all stations, by the stations' ids; a row per time."""
     stations = {name: s for name, s in folder.rig.stations.items() if s.antennas is not None}
     paths = true_paths(folder)
@@ -57,17 +57,17 @@ def phase_lanes(folder: Folder, free_height: bool) -> Iterator[Lane]:
             every, mask = np.zeros((len(times), values.shape[1])), np.zeros((len(times), values.shape[1]), bool)
             every[place[here]], mask[place[here]] = values, seen
             readings[name] = Readings(every, mask)
-        yield lane_of(folder, tag, "", times, readings, {}, paths)
+        yield trajectory_of(folder, tag, "", times, readings, {}, paths)
 
 
-def beam_lanes(folder: Folder, free_height: bool) -> Iterator[Lane]:
+def beam_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
     """Each tag's phases at one station, for every pair of them, under the name `phases`."""
     paths = true_paths(folder)
     for tag, table in by_tag(folder.tables["phases"]):
         for (name,), part in table.group_by(["station"], maintain_order=True):
             values, seen = values_of(part, _phase_columns(folder.rig.stations[str(name)]))
             readings = {PHASES: Readings(values, seen)}
-            yield lane_of(folder, tag, str(name), part["t_s"].to_numpy(), readings, {}, paths)
+            yield trajectory_of(folder, tag, str(name), part["t_s"].to_numpy(), readings, {}, paths)
 
 
 def _phase_columns(station: Station) -> list[str]:
@@ -86,10 +86,10 @@ def _rows(times: np.ndarray, stations: np.ndarray) -> tuple[np.ndarray, np.ndarr
     return keys[:, 0], place.ravel()
 
 
-def stations_of(table: str, least: int) -> Callable[[Folder], str | None]:
+def stations_of(table: str, least: int) -> Callable[[RecordingFolder], str | None]:
     """What a folder lacks for a tracker that needs a table with at least so many stations."""
 
-    def lacks(folder: Folder) -> str | None:
+    def lacks(folder: RecordingFolder) -> str | None:
         if table not in folder.tables:
             return f"a {table} table with at least {least} station(s), found no such table"
         found = folder.tables[table]["station"].n_unique()
@@ -98,62 +98,65 @@ def stations_of(table: str, least: int) -> Callable[[Folder], str | None]:
     return lacks
 
 
-def _in_plane(lane: Lane, free_height: bool) -> bool:
+def _in_plane(trajectory: Trajectory, free_height: bool) -> bool:
     """Whether a flat array hears a tag at its own height: there azimuth and elevation are singular."""
-    station, height = lane.folder.rig.stations[lane.station], known_height(lane.folder, lane.tag)
+    station, height = (
+        trajectory.folder.rig.stations[trajectory.station],
+        known_height(trajectory.folder, trajectory.tag),
+    )
     upright = abs(station.world_from_array()[2, 2]) > 0.99
     return upright and height is not None and abs(height - station.position[2]) < IN_PLANE
 
 
-def _station(lane: Lane) -> Station:
-    return lane.folder.rig.stations[lane.station]
+def _station(trajectory: Trajectory) -> Station:
+    return trajectory.folder.rig.stations[trajectory.station]
 
 
-def _beam(lane: Lane, planar: bool) -> AbstractTracker:
-    return in_plane_beam_tracker(_station(lane), PHASES) if planar else beam_tracker(_station(lane), PHASES)
+def _beam(trajectory: Trajectory, planar: bool) -> AbstractTracker:
+    return in_plane_beam_tracker(_station(trajectory), PHASES) if planar else beam_tracker(_station(trajectory), PHASES)
 
 
-def _arrays(lane: Lane) -> dict[str, Station]:
-    return {name: s for name, s in lane.folder.rig.stations.items() if name in lane.recording.readings}
+def _arrays(trajectory: Trajectory) -> dict[str, Station]:
+    return {name: s for name, s in trajectory.folder.rig.stations.items() if name in trajectory.recording.readings}
 
 
 def _array(station: Station) -> tuple[Hashable, ...]:
     return np.asarray(station.antennas).tobytes(), station.wavelength
 
 
-def _one_array(lane: Lane) -> Hashable:
-    return _array(_station(lane))
+def _one_array(trajectory: Trajectory) -> Hashable:
+    return _array(_station(trajectory))
 
 
-def _all_arrays(lane: Lane) -> Hashable:
+def _all_arrays(trajectory: Trajectory) -> Hashable:
     return tuple(
         (name, *_array(s), np.asarray(s.position).tobytes(), np.asarray(s.rotation).tobytes())
-        for name, s in _arrays(lane).items()
+        for name, s in _arrays(trajectory).items()
     )
 
 
 TRACKERS = {
-    "direct": Entry(
+    "direct": TrackerSpec(
         "3-D position straight from all stations' phases, spherical waves", "phases", stations_of("phases", 2),
-        phase_lanes, lambda lane, planar: direct_tracker(_arrays(lane), planar=planar), _all_arrays,
+        phase_trajectories, lambda trajectory, planar: direct_tracker(_arrays(trajectory), planar=planar), _all_arrays,
     ),
-    "cascade": Entry(
+    "cascade": TrackerSpec(
         "3-D position: a beam tracker per station, then fusion (the paper's)", "phases", stations_of("phases", 2),
-        phase_lanes, lambda lane, planar: cascade_tracker(_arrays(lane)), _all_arrays,
-        planar=lambda lane, free_height: False, automatic=on_request,
+        phase_trajectories, lambda trajectory, planar: cascade_tracker(_arrays(trajectory)), _all_arrays,
+        planar=lambda trajectory, free_height: False, automatic=on_request,
     ),
-    "beam": Entry(
+    "beam": TrackerSpec(
         "azimuth and elevation per station, EKF on phases", "phases", stations_of("phases", 1),
-        beam_lanes, _beam, _one_array, _in_plane, bearing_only=True,
+        beam_trajectories, _beam, _one_array, _in_plane, bearing_only=True,
     ),
-    "das": Entry(
+    "das": TrackerSpec(
         "azimuth and elevation per station, delay-and-sum on each row: the baseline", "phases",
-        stations_of("phases", 1), beam_lanes,
-        lambda lane, planar: DelayAndSum.of(_station(lane), PHASES, planar), _one_array, _in_plane,
+        stations_of("phases", 1), beam_trajectories,
+        lambda trajectory, planar: DelayAndSum.of(_station(trajectory), PHASES, planar), _one_array, _in_plane,
         automatic=on_request, bearing_only=True,
     ),
-    "bearings": Entry(
+    "bearings": TrackerSpec(
         "position from azimuths and elevations of any number of stations", "bearings", stations_of("bearings", 1),
-        bearing_lanes, lambda lane, planar: bearing_tracker(planar=planar),
+        bearing_trajectories, lambda trajectory, planar: bearing_tracker(planar=planar),
     ),
 }  # fmt: skip

@@ -22,7 +22,7 @@ def fix_tracker(
     """
     sensor = FixSensor(sigma_horizontal, sigma_vertical, tail)
     start = FixStart(Scale(1.0, "m"), Scale(1.0, "m/s"), planar, 2)
-    return FixTracker(GroundMotion(sigma_a, sigma_z), {FIXES: sensor}, start, loss=PATIENT)
+    return FixTracker(GroundMotion(sigma_a, sigma_z), {FIXES: sensor}, start, track_loss=PATIENT)
 
 
 def singer_tracker(
@@ -37,4 +37,4 @@ def singer_tracker(
     n = 2 if planar else 3
     sensor = FixSensor(sigma_horizontal, sigma_vertical, tail)
     start = FixStart(Scale(1.0, "m"), Scale(1.0, "m/s"), planar, n, n)
-    return FixTracker(Singer(sigma_a, tau, n), {FIXES: sensor}, start, loss=PATIENT)
+    return FixTracker(Singer(sigma_a, tau, n), {FIXES: sensor}, start, track_loss=PATIENT)

@@ -7,25 +7,25 @@ from collections.abc import Hashable, Iterator
 import numpy as np
 
 from trackers.baselines.floor import floor_tracker
-from trackers.baselines.rows import fix_lanes
+from trackers.baselines.rows import fix_trajectories
 from trackers.core.errors import UnusableInput
 from trackers.core.tracker import AbstractTracker
 from trackers.parts.fixes import FIXES
 from trackers.parts.walls import Walls
-from trackers.recordings.folder import Folder
-from trackers.recordings.tracker_spec import Entry
-from trackers.recordings.trajectories import Lane
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.tracker_spec import TrackerSpec
+from trackers.recordings.trajectories import Trajectory
 
 
-def flat_lanes(folder: Folder, free_height: bool) -> Iterator[Lane]:
+def flat_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
     """Each tag's fixes, x and y alone: one row per table row."""
     walls_of(folder)
-    for lane in fix_lanes(folder, free_height):
-        lane.recording.readings[FIXES].seen[:, 2] = False
-        yield lane
+    for trajectory in fix_trajectories(folder, free_height):
+        trajectory.recording.readings[FIXES].seen[:, 2] = False
+        yield trajectory
 
 
-def walls_of(folder: Folder) -> Walls:
+def walls_of(folder: RecordingFolder) -> Walls:
     """The folder's floor plan; raises UnusableInput where it has none or it is none."""
     rig = folder.rig
     if rig.walls is None and rig.outline is None:
@@ -38,26 +38,26 @@ def walls_of(folder: Folder) -> Walls:
         raise UnusableInput(f"{folder.path}: rig.toml, [floor]: {problem}") from problem
 
 
-def _lacks(folder: Folder) -> str | None:
+def _lacks(folder: RecordingFolder) -> str | None:
     """What a folder lacks for a tracker between walls."""
     if folder.rig.walls is None and folder.rig.outline is None:
         return "a floor plan, [floor] with walls_m or outline_m in rig.toml, found none"
     return None if "fixes" in folder.tables else "a fixes table, found no such table"
 
 
-def _geometry(lane: Lane) -> Hashable:
-    walls = walls_of(lane.folder)
+def _geometry(trajectory: Trajectory) -> Hashable:
+    walls = walls_of(trajectory.folder)
     return np.asarray(walls.segments).tobytes(), np.asarray(walls.outline).tobytes()
 
 
-def _build(lane: Lane, planar: bool) -> AbstractTracker:
-    return floor_tracker(walls_of(lane.folder))
+def _build(trajectory: Trajectory, planar: bool) -> AbstractTracker:
+    return floor_tracker(walls_of(trajectory.folder))
 
 
 TRACKERS = {
-    "floor-pf": Entry(
+    "floor-pf": TrackerSpec(
         "position from fixes on a floor with walls, by 1,000 particles", "fixes, and [floor]", _lacks,
-        flat_lanes, _build, _geometry, lambda lane, free_height: True,
+        flat_trajectories, _build, _geometry, lambda trajectory, free_height: True,
     ),
 }  # fmt: skip
 """Taken before the Kalman filter on fixes where the rig has a floor plan."""

@@ -1,4 +1,4 @@
-"""The baselines on the command line: trackers of position fixes, and their lanes."""
+"""The baselines on the command line: trackers of position fixes, and their trajectories."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from trackers.baselines.switching import mirror_tracker, switching_tracker
 from trackers.baselines.windows import MovingWindow
 from trackers.core.recording import Readings
 from trackers.parts.fixes import FIXES
-from trackers.recordings.folder import Folder
-from trackers.recordings.tracker_spec import Entry, on_request
-from trackers.recordings.trajectories import Lane, by_tag, known_height, lane_of, true_paths, values_of
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.tracker_spec import TrackerSpec, on_request
+from trackers.recordings.trajectories import Trajectory, by_tag, known_height, trajectory_of, true_paths, values_of
 from trackers.recordings.truth import numbers
 
 FLAT = 0.5
@@ -24,37 +24,37 @@ WINDOW = 9
 """Rows of the moving windows: the paper's choice for its median (Huang et al. 2018, section 4)."""
 
 
-def fix_lanes(folder: Folder, free_height: bool) -> Iterator[Lane]:
+def fix_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
     """Each tag's fixes, one row per table row; z counts as not seen where the tag's height is known and used."""
     paths = true_paths(folder)
     for tag, table in by_tag(folder.tables["fixes"]):
         values, seen = values_of(table, [f"{a}_m" for a in "xyz"])
         if not free_height and known_height(folder, tag) is not None:
             seen[:, 2] = False
-        # Without reported spreads zeros stand here, so that lanes with and without share a batch.
+        # Without reported spreads zeros stand here, so that trajectories with and without share a batch.
         reported = np.nan_to_num(np.stack([numbers(table, f"{a}_std_m") for a in "xyz"], axis=1)) ** 2
         readings = {FIXES: Readings(values, seen, reported)}
-        yield lane_of(folder, tag, "", table["t_s"].to_numpy(), readings, {}, paths)
+        yield trajectory_of(folder, tag, "", table["t_s"].to_numpy(), readings, {}, paths)
 
 
-def side_lanes(folder: Folder, free_height: bool) -> Iterator[Lane]:
+def side_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
     """Each tag's fixes with the distance from the anchors' plane for z, and the floor's 0.
 
     Inputs `plane`, its height, and `shown`, the z of the row's fix, m.
     """
     plane = float(np.mean([p[2] for p in folder.rig.anchors.values()]))
-    for lane in fix_lanes(folder, free_height=True):
-        recording = lane.recording
+    for trajectory in fix_trajectories(folder, free_height=True):
+        recording = trajectory.recording
         fixes = recording.readings[FIXES]
         assert fixes.reported is not None
         values = np.column_stack([fixes.values[:, :2], np.abs(fixes.values[:, 2] - plane), np.zeros(len(recording))])
         readings = {FIXES: Readings(values, fixes.seen[:, [0, 1, 2, 2]], fixes.reported)}
         shown = np.where(fixes.seen[:, 2], fixes.values[:, 2], plane)
         inputs = {**recording.inputs, "plane": np.full(len(recording), plane), "shown": shown}
-        yield replace(lane, recording=replace(recording, readings=readings, inputs=inputs))
+        yield replace(trajectory, recording=replace(recording, readings=readings, inputs=inputs))
 
 
-def lacks_plane(folder: Folder) -> str | None:
+def lacks_plane(folder: RecordingFolder) -> str | None:
     """What a folder lacks for a tracker that knows of mirrored heights."""
     heights = [p[2] for p in folder.rig.anchors.values()]
     if len(heights) < 3 or np.ptp(heights) > FLAT:
@@ -63,7 +63,7 @@ def lacks_plane(folder: Folder) -> str | None:
     return lacks_fixes(folder)
 
 
-def lacks_fixes(folder: Folder) -> str | None:
+def lacks_fixes(folder: RecordingFolder) -> str | None:
     """What a folder lacks for a tracker of fixes: the table, or any word on the height of a tag in it."""
     if "fixes" not in folder.tables:
         return "a fixes table, found no such table"
@@ -74,28 +74,28 @@ def lacks_fixes(folder: Folder) -> str | None:
 
 
 TRACKERS = {
-    "fix-kf": Entry(
+    "fix-kf": TrackerSpec(
         "position from fixes, Kalman filter, constant velocity over the floor", "fixes", lacks_fixes,
-        fix_lanes, lambda lane, planar: fix_tracker(planar=planar),
+        fix_trajectories, lambda trajectory, planar: fix_tracker(planar=planar),
     ),
-    "fix-singer": Entry(
+    "fix-singer": TrackerSpec(
         "position from fixes, Singer's fading acceleration", "fixes", lacks_fixes,
-        fix_lanes, lambda lane, planar: singer_tracker(planar=planar), automatic=on_request,
+        fix_trajectories, lambda trajectory, planar: singer_tracker(planar=planar), automatic=on_request,
     ),
-    "imm": Entry(
+    "imm": TrackerSpec(
         "position from fixes, interacting constant-velocity models from calm to brisk", "fixes", lacks_fixes,
-        fix_lanes, lambda lane, planar: switching_tracker(planar=planar), automatic=on_request,
+        fix_trajectories, lambda trajectory, planar: switching_tracker(planar=planar), automatic=on_request,
     ),
-    "fix-mirror": Entry(
+    "fix-mirror": TrackerSpec(
         "position from fixes that may be mirrored at the plane of the anchors, two branches", "fixes", lacks_plane,
-        side_lanes, lambda lane, planar: mirror_tracker(), planar=lambda lane, free_height: False, automatic=on_request,
+        side_trajectories, lambda trajectory, planar: mirror_tracker(), planar=lambda trajectory, free_height: False, automatic=on_request,
     ),
-    "moving-average": Entry(
+    "moving-average": TrackerSpec(
         f"mean of the last {WINDOW} fixes", "fixes", lacks_fixes,
-        fix_lanes, lambda lane, planar: MovingWindow(WINDOW, median=False, planar=planar), automatic=on_request,
+        fix_trajectories, lambda trajectory, planar: MovingWindow(WINDOW, median=False, planar=planar), automatic=on_request,
     ),
-    "median": Entry(
+    "median": TrackerSpec(
         f"median of the last {WINDOW} fixes, axis by axis", "fixes", lacks_fixes,
-        fix_lanes, lambda lane, planar: MovingWindow(WINDOW, median=True, planar=planar), automatic=on_request,
+        fix_trajectories, lambda trajectory, planar: MovingWindow(WINDOW, median=True, planar=planar), automatic=on_request,
     ),
 }  # fmt: skip

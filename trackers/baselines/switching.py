@@ -45,7 +45,7 @@ class SideSensor(AbstractFixSensor, AbstractSwitching):
     offset: Noise
     shrink: Noise
     floor: Noise
-    trust: Noise
+    reported_std_scale: Noise
     tail: Noise | None
     latency: Noise
     side: float
@@ -56,7 +56,7 @@ class SideSensor(AbstractFixSensor, AbstractSwitching):
         self.sigma_horizontal, self.sigma_vertical = Scale(sigma_horizontal, "m"), Scale(sigma_vertical, "m")
         self.offset, self.shrink = Real(offset, "m", typical=0.1), Scale(shrink)
         self.floor, self.give = Real(0.0, "m"), Scale(0.3, "m")
-        self.trust, self.tail = Scale(1.0), None if tail is None else Scale(tail)
+        self.reported_std_scale, self.tail = Scale(1.0), None if tail is None else Scale(tail)
         self.latency = Real(0.0, "s", typical=0.5)
         self.side = -1.0
 
@@ -105,7 +105,7 @@ class ShownStart(FixStart):
     Input: `shown`, m, the z of the row's fix, or the plane's height where it had none.
     """
 
-    def acquire(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
+    def candidate(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
         values, shown = row.readings[FIXES].values, row.inputs["shown"]
         return jnp.stack([values[0], values[1], shown, jnp.ones_like(shown)])
 

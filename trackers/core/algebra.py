@@ -111,7 +111,7 @@ def times(a: Scalar, b: Scalar) -> Scalar:
     return a * b
 
 
-def shared(tree: Tree) -> Tree:
+def compute_once(tree: Tree) -> Tree:
     """The same numbers, to the bit, computed once however many use them.
 
     XLA's CPU compiler computes an addition or a sine again in every loop that uses it; only divisions are never
@@ -138,7 +138,7 @@ batching.defvectorized(_shared_p)
 mlir.register_lowering(_shared_p, mlir.lower_fun(_divided, multiple_results=False))
 
 
-def related(tree: Tree, numbers: Any) -> Tree:
+def mark_dependent(tree: Tree, numbers: Any) -> Tree:
     """The same tree, to the bit, as a function of the floating arrays in `numbers`: what a scan over them begins with.
 
     jax finds out by tracing which parts of a scan's carry have a derivative or differ from one set of numbers to the
@@ -188,7 +188,7 @@ def congruence(rows: Sequence[SparseRow], upper: Sequence[Scalar], added: Sequen
     products = [{k: total(times(f, P[j][k]) for j, f in rows[i].items()) for k in needed[i]} for i in range(n)]
     # Each goes into many sums. Computed again in every one of them, 15 states took twice as long to compile and ten
     # times as long to run.
-    FP = [shared(entries) if len(row) > 1 else entries for row, entries in zip(rows, products, strict=True)]
+    FP = [compute_once(entries) if len(row) > 1 else entries for row, entries in zip(rows, products, strict=True)]
     result = []
     for i, k in triangle(n):
         terms = [times(f, FP[i][j]) for j, f in rows[k].items()]

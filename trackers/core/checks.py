@@ -20,7 +20,7 @@ from trackers.core.linearise import linearise
 from trackers.core.motion import AbstractMotion
 from trackers.core.sensor import AbstractSensor, Reading, Residual
 from trackers.core.state import State, component_names, coordinates, local
-from trackers.core.tunable import resolved
+from trackers.core.tunable import freeze
 
 Tree = TypeVar("Tree")
 
@@ -53,7 +53,7 @@ def check_motion(motion: AbstractMotion, state: State, inputs: Any = None, dt: f
     same numbers when called again, and has finite values and derivatives with respect to state and noise.
     """
     name = type(motion).__name__
-    motion, state, inputs = resolved(_arrays(motion)), _arrays(state), _arrays(inputs)
+    motion, state, inputs = freeze(_arrays(motion)), _arrays(state), _arrays(inputs)
     point, rebuild = coordinates(state)
     components = [*component_names(state), *(f"w.{k}" for k in range(motion.noise_dimension))]
     noise = np.random.default_rng(seed).normal(size=(3, motion.noise_dimension))
@@ -108,7 +108,7 @@ def check_sensor(
     """
     name, m = type(sensor).__name__, len(sensor.channels)
     names = [channel.name for channel in sensor.channels]
-    sensor, view, inputs = resolved(_arrays(sensor)), _arrays(view), _arrays(inputs)
+    sensor, view, inputs = freeze(_arrays(sensor)), _arrays(view), _arrays(inputs)
     noise: Any = jnp.asarray(reported, float)
     point, rebuild = coordinates(view)
     rng = np.random.default_rng(seed)

@@ -21,7 +21,7 @@ CHUNK = 512
 """Trajectories per chunk: large enough to amortise a step's overhead, small enough for the cache."""
 
 
-def prepared(tree: Tree, dtype: Any) -> Tree:
+def as_dtype(tree: Tree, dtype: Any) -> Tree:
     """The tree with its floating numbers as arrays of the run's type, so that other numbers compile nothing anew."""
 
     def cast(x: Any) -> Any:
@@ -34,7 +34,7 @@ def prepared(tree: Tree, dtype: Any) -> Tree:
 
 
 def chunks(batch: Batch, chunk: int) -> Iterator[Batch]:
-    """The batch in parts of `chunk` lanes, by turns on all devices of the host; under `jax.default_device` on that one.
+    """The batch in parts of `chunk` trajectories, by turns on all devices of the host; under `jax.default_device` on that one.
 
     No part is spread over devices: XLA fuses the program of several otherwise, which moves last bits.
     """
@@ -43,10 +43,10 @@ def chunks(batch: Batch, chunk: int) -> Iterator[Batch]:
     # A small batch gets a small chunk, a power of two so that few shapes are ever compiled.
     chunk = min(chunk, 1 << (batch.size - 1).bit_length())
     for k, start in enumerate(range(0, batch.size, chunk)):
-        yield jax.device_put(batch.lanes(start, start + chunk), devices[k % len(devices)])
+        yield jax.device_put(batch.trajectories(start, start + chunk), devices[k % len(devices)])
 
 
-def at_once() -> int:
+def n_workers() -> int:
     """How many parts the host runs at once: one per device, and on CPUs one per core."""
     devices = len(jax.local_devices())
     # Not every system can say which cores are ours.
@@ -54,7 +54,7 @@ def at_once() -> int:
     return max(devices, cores) if jax.default_backend() == "cpu" else devices
 
 
-def over_parts(function: Callable[[Any, Batch], Tree], pairs: Sequence[tuple[Any, Batch]]) -> list[Tree]:
+def run_chunks(function: Callable[[Any, Batch], Tree], pairs: Sequence[tuple[Any, Batch]]) -> list[Tree]:
     """`function(model, part)` for pairs of a model and a part that `chunks` made, as NumPy arrays, in their order."""
     double = bool(jax.config.jax_enable_x64)  # type: ignore[attr-defined]
 
@@ -65,7 +65,7 @@ def over_parts(function: Callable[[Any, Batch], Tree], pairs: Sequence[tuple[Any
 
     if len(pairs) == 1:
         return [run(pairs[0])]
-    with ThreadPoolExecutor(min(at_once(), len(pairs))) as pool:
+    with ThreadPoolExecutor(min(n_workers(), len(pairs))) as pool:
         waiting = [pool.submit(run, pair) for pair in pairs]
         try:
             return [one.result() for one in waiting]
@@ -74,8 +74,8 @@ def over_parts(function: Callable[[Any, Batch], Tree], pairs: Sequence[tuple[Any
 
 
 @eqx.filter_jit
-def mapped(function: Callable[[Any, Batch], Tree], model: Any, part: Batch) -> Tree:
-    """What `over_parts` compiles, once per function, kind of model, shape of the part and device."""
+def jitted(function: Callable[[Any, Batch], Tree], model: Any, part: Batch) -> Tree:
+    """What `run_chunks` compiles, once per function, kind of model, shape of the part and device."""
     return function(model, part)
 
 
@@ -85,13 +85,13 @@ _compiled: set[Hashable] = set()
 
 
 def _begun(function: Callable[[Any, Batch], Tree], model: Any, part: Batch) -> Tree:
-    """The result of `mapped`, on its way; of threads that are the first to need a program one alone compiles it."""
+    """The result of `jitted`, on its way; of threads that are the first to need a program one alone compiles it."""
     leaves, kind = jax.tree_util.tree_flatten((model, part))
     shapes = tuple((np.shape(x), x.dtype) if eqx.is_array(x) else x for x in leaves)
     program = function, kind, shapes, part.dt.device
     if program in _compiled:
-        return mapped(function, model, part)
+        return jitted(function, model, part)
     with _compiling.setdefault(program, Lock()):
-        result = mapped(function, model, part)
+        result = jitted(function, model, part)
         _compiled.add(program)
     return result

@@ -10,12 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.core.algebra import Scalar, Vector, dense
-from trackers.core.chunks import prepared
+from trackers.core.chunks import as_dtype
 from trackers.core.linearise import linearise
 from trackers.core.recording import Batch
 from trackers.core.state import coordinates, local
 from trackers.core.tracker import Row, Tracker
-from trackers.core.tunable import resolved
+from trackers.core.tunable import freeze
 
 
 def posterior_bound(tracker: Tracker, batch: Batch, states: Any) -> np.ndarray:
@@ -25,7 +25,7 @@ def posterior_bound(tracker: Tracker, batch: Batch, states: Any) -> np.ndarray:
     tracker's start there and takes its information from the rows that follow, averaged over the batch's valid
     trajectories; readings that weren't seen carry none.
     """
-    prior, F, Q, information = (np.asarray(x, float) for x in _pieces(prepared(tracker, batch.dt.dtype), batch, states))
+    prior, F, Q, information = (np.asarray(x, float) for x in _pieces(as_dtype(tracker, batch.dt.dtype), batch, states))
     P, result = prior, [np.sqrt(np.diag(prior))]
     for k in range(1, len(F)):
         P = F[k] @ P @ F[k].T + Q[k]
@@ -38,10 +38,10 @@ def posterior_bound(tracker: Tracker, batch: Batch, states: Any) -> np.ndarray:
 @eqx.filter_jit
 def _pieces(tracker: Tracker, batch: Batch, states: Any) -> tuple[Any, ...]:
     """The start's covariance (n, n), and by row F, Q and the readings' information (T, n, n), means over the batch."""
-    tracker = resolved(tracker)
+    tracker = freeze(tracker)
     rows = Row(batch.dt, batch.valid, batch.readings, batch.inputs, None, None)
 
-    def lane(row: Row, state: Any) -> tuple[Any, Any, Any]:
+    def trajectory(row: Row, state: Any) -> tuple[Any, Any, Any]:
         point, rebuild = coordinates(state)
         n = len(point)
         zero = jnp.zeros_like(point[0])
@@ -69,13 +69,13 @@ def _pieces(tracker: Tracker, batch: Batch, states: Any) -> tuple[Any, ...]:
         return F, G @ G.T, jnp.where(row.valid, total, 0.0)
 
     def one_row(row: Row, state: Any) -> tuple[Any, ...]:
-        F, Q, information = jax.vmap(lane, in_axes=-1)(row, state)
+        F, Q, information = jax.vmap(trajectory, in_axes=-1)(row, state)
         weight = jnp.where(row.valid, jnp.ones_like(row.dt), 0.0)
         weight = weight / jnp.maximum(jnp.sum(weight), 1.0)
         return tuple(jnp.tensordot(weight, x, 1) for x in (F, Q, information))
 
     first = jax.tree_util.tree_map(lambda x: jnp.asarray(x)[0, ..., 0], rows)
-    found = tracker.start.acquire(tracker.sensors, first)
+    found = tracker.start.candidate(tracker.sensors, first)
     belief = tracker.start.begin(found, first)
     n = len(coordinates(belief.mean)[0])
     return dense(list(belief.cov), n), *jax.lax.map(lambda x: one_row(*x), (rows, states))

@@ -22,17 +22,17 @@ from trackers.core.algebra import (
     SparseRow,
     Vector,
     cholesky,
+    compute_once,
     congruence,
     full,
     gram,
     inverse_or_zero,
-    shared,
     total,
     triangle,
 )
 from trackers.core.linearise import linearise
 from trackers.core.motion import AbstractMotion
-from trackers.core.rts_step import Link, link, linked
+from trackers.core.rts_step import RtsGain, rts_gain, rts_step
 from trackers.core.sensor import AbstractSensor, Reading
 from trackers.core.state import State, coordinates, local_after, retract
 
@@ -70,8 +70,8 @@ class ExtendedKalman(eqx.Module):
         for stage in motion.stages:
             mean, F, G = self.jacobians(mean, motion, stage, inputs, dt)
             # What a stage leaves as it is need not be shared again.
-            cov = tuple(a if a is b else shared(a) for a, b in zip(congruence(F, cov, G), cov, strict=True))
-        return Gaussian(shared(mean), cov)
+            cov = tuple(a if a is b else compute_once(a) for a, b in zip(congruence(F, cov, G), cov, strict=True))
+        return Gaussian(compute_once(mean), cov)
 
     def jacobians(
         self, state: State, motion: AbstractMotion, stage: Any, inputs: Any, dt: Scalar
@@ -89,7 +89,7 @@ class ExtendedKalman(eqx.Module):
         _, rows = linearise(step, [*point, *[zero] * motion.noise_dimension])
         F = [{j: v for j, v in row.items() if j < n} for row in rows]
         G = [{j - n: v for j, v in row.items() if j >= n} for row in rows]
-        return moved, shared(F), shared(G)
+        return moved, compute_once(F), compute_once(G)
 
     def update(
         self, belief: Gaussian, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Any
@@ -115,23 +115,23 @@ class ExtendedKalman(eqx.Module):
         *whitened, log_scale, count, wrapped, tail = values
         jacobian = [{j: -v for j, v in row.items()} for row in rows[: len(whitened)]]
         # Student's t judges each channel by itself; a compressed one would spread a wild reading over the others.
-        channels = shared((whitened, jacobian))
-        residual, H, apart = (*channels, jnp.zeros_like(count)) if heavy[0] else shared(compressed(*channels))
+        channels = compute_once((whitened, jacobian))
+        residual, H, apart = (*channels, jnp.zeros_like(count)) if heavy[0] else compute_once(compressed(*channels))
         step, cov, nis, log_density = joseph(belief.cov, residual, H, len(point), tail if heavy[0] else None)
         innovation = Innovation(log_scale + log_density - 0.5 * apart, nis + apart, count, wrapped)
         return Gaussian(retract(belief.mean, step), cov), innovation
 
-    def link(self, belief: Gaussian, motion: AbstractMotion, joined: Scalar, dt: Scalar, inputs: Any) -> Link:
+    def rts_gain(self, belief: Gaussian, motion: AbstractMotion, joined: Scalar, dt: Scalar, inputs: Any) -> RtsGain:
         """What ties a row's belief to the next row's, `dt` seconds later; `joined` if that goes on with the track."""
         moved, slopes = belief.mean, []
         for stage in motion.stages:
             moved, F, G = self.jacobians(moved, motion, stage, inputs, dt)
             slopes.append((F, G))
-        return link(belief, moved, slopes, joined, dt == 0)
+        return rts_gain(belief, moved, slopes, joined, dt == 0)
 
-    def linked(self, link: Link, after: Gaussian) -> Gaussian:
+    def rts_step(self, rts_gain: RtsGain, after: Gaussian) -> Gaussian:
         """The smoothed belief of a row, from the next row's."""
-        return linked(link, after)
+        return rts_step(rts_gain, after)
 
 
 def compressed(
@@ -174,7 +174,7 @@ def joseph(
     coarse = 256 * float(jnp.finfo(nis.dtype).eps)
     for r, h in zip(residual, H, strict=True):
         P = full(upper, n)
-        Ph = shared([total(P[i][j] * v for j, v in h.items()) for i in range(n)])
+        Ph = compute_once([total(P[i][j] * v for j, v in h.items()) for i in range(n)])
         a = jnp.maximum(total(Ph[j] * v for j, v in h.items()), 0.0)
         innovation = r - total(v * step[j] for j, v in h.items())
         square = innovation * innovation / (1.0 + a)
@@ -193,7 +193,7 @@ def joseph(
         # B = (I − khᵀ)P first, then B(I − khᵀ)ᵀ + kkᵀ as B less a row times a column: n² products a channel, and what
         # rounding left of B is still taken out, as in the product of three matrices.
         B = {(i, j): P[i][j] - k[i] * Ph[j] for i in range(n) for j in range(n) if j >= i or j in h}
-        rest = shared([total(B[i, j] * v for j, v in h.items()) - noise * k[i] for i in range(n)])
+        rest = compute_once([total(B[i, j] * v for j, v in h.items()) - noise * k[i] for i in range(n)])
         upper = tuple(B[i, j] - rest[i] * k[j] for i, j in triangle(n))
         nis = nis + square
     return step, upper, nis, log_density

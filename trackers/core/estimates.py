@@ -67,12 +67,12 @@ class Estimates:
         """Where there is an estimate: rows that are neither padding, waiting nor non-finite."""
         return ~np.isin(self.status, (Status.PADDING, Status.WAITING, Status.NON_FINITE))
 
-    def __getitem__(self, lane: Any) -> Estimates:
+    def __getitem__(self, trajectory: Any) -> Estimates:
         """One trajectory of a batch, or a slice of them."""
         return Estimates(
-            jax.tree_util.tree_map(lambda x: x[lane], self.mean),
-            self.cov_upper[:, lane],
-            *(getattr(self, k)[lane] for k in ("log_likelihood", "nis", "count", "wrapped", "status")),
+            jax.tree_util.tree_map(lambda x: x[trajectory], self.mean),
+            self.cov_upper[:, trajectory],
+            *(getattr(self, k)[trajectory] for k in ("log_likelihood", "nis", "count", "wrapped", "status")),
         )
 
     def verdict(self) -> str:

@@ -24,10 +24,10 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.algebra import Scalar, Vector, shared, total, triangle
+from trackers.core.algebra import Scalar, Vector, compute_once, total, triangle
 from trackers.core.ekf import ExtendedKalman, Gaussian, Innovation
 from trackers.core.motion import AbstractMotion, Noise
-from trackers.core.rts_step import Link
+from trackers.core.rts_step import RtsGain
 from trackers.core.sensor import AbstractSensor, Reading
 from trackers.core.state import State, local, retract
 from trackers.core.tunable import Scale
@@ -49,14 +49,14 @@ class Drawn(NamedTuple):
     whole: Scalar
 
 
-class ModeLinks(NamedTuple):
+class ModeGains(NamedTuple):
     """What ties mode i of a row to mode j of the next: `chances[i][j]`, P(i here | j there), and `each[i][j]`.
 
     `each[i]` holds one link where the modes move alike.
     """
 
     filtered: Mixture
-    each: tuple[tuple[Link, ...], ...]
+    each: tuple[tuple[RtsGain, ...], ...]
     chances: tuple[tuple[Scalar, ...], ...]
     joined: Scalar
 
@@ -138,11 +138,11 @@ class InteractingModels(eqx.Module):
     def predict(self, belief: Mixture, motion: AbstractMotion, inputs: Any, dt: Scalar) -> Mixture:
         """The belief `dt` seconds later, the modes mixed first."""
         drawn = self.drawn(belief, inputs, dt)
-        mixture = shared(merged(belief.components, [x / drawn.whole for x in drawn.anew]))
+        mixture = compute_once(merged(belief.components, [x / drawn.whole for x in drawn.anew]))
         components = []
         for mode, share in enumerate(self.shares()):
             part = drawn.whole * share / drawn.after[mode]
-            mixed = shared(merged((belief.components[mode], mixture), [1.0 - part, part]))
+            mixed = compute_once(merged((belief.components[mode], mixture), [1.0 - part, part]))
             components.append(self.filter.predict(mixed, _of(motion, mode), inputs, dt))
         return Mixture(tuple(components), tuple(jnp.log(x) for x in drawn.after))
 
@@ -158,14 +158,14 @@ class InteractingModels(eqx.Module):
         top = joint[0]
         for x in joint[1:]:
             top = jnp.maximum(top, x)
-        log_likelihood = shared(top + jnp.log(total(jnp.exp(x - top) for x in joint)))
+        log_likelihood = compute_once(top + jnp.log(total(jnp.exp(x - top) for x in joint)))
         log_weights = tuple(x - log_likelihood for x in joint)
         nis = total(jnp.exp(w) * said.nis for w, (_, said) in zip(log_weights, found, strict=True))
         first = found[0][1]
         innovation = Innovation(log_likelihood, nis, first.count, first.wrapped)
         return Mixture(tuple(g for g, _ in found), log_weights), innovation
 
-    def link(self, belief: Mixture, motion: AbstractMotion, joined: Scalar, dt: Scalar, inputs: Any) -> ModeLinks:
+    def rts_gain(self, belief: Mixture, motion: AbstractMotion, joined: Scalar, dt: Scalar, inputs: Any) -> ModeGains:
         """What ties a row's belief to the next row's, every mode to every mode."""
         drawn, shares = self.drawn(belief, inputs, dt), self.shares()
         pairs = list(zip(drawn.kept, drawn.anew, strict=True))
@@ -175,12 +175,12 @@ class InteractingModels(eqx.Module):
         )
         motions = [motion.in_mode(j) for j in range(len(shares))] if isinstance(motion, AbstractSwitching) else [motion]
         each = tuple(
-            tuple(self.filter.link(component, one, joined, dt, inputs) for one in motions)
+            tuple(self.filter.rts_gain(component, one, joined, dt, inputs) for one in motions)
             for component in belief.components
         )
-        return ModeLinks(belief, each, chances, joined)
+        return ModeGains(belief, each, chances, joined)
 
-    def linked(self, link: ModeLinks, after: Mixture) -> Mixture:
+    def rts_step(self, rts_gain: ModeGains, after: Mixture) -> Mixture:
         """The smoothed belief of a row, from the next row's (Kim, "Dynamic linear models with Markov-switching", 1994).
 
         Each mode is the mixture of what follows for it from every mode of the next row. As Kim does it takes which mode
@@ -189,19 +189,19 @@ class InteractingModels(eqx.Module):
         tiny = float(jnp.finfo(after.log_weights[0].dtype).tiny) ** 0.5
         later = [jnp.exp(w) for w in after.log_weights]
         components, log_weights = [], []
-        for i, (chances, links) in enumerate(zip(link.chances, link.each, strict=True)):
+        for i, (chances, links) in enumerate(zip(rts_gain.chances, rts_gain.each, strict=True)):
             # A mode that nothing comes of goes on as itself, so that its weights add up to one too.
             joint = [p * w + (tiny if i == j else 0.0) for j, (p, w) in enumerate(zip(chances, later, strict=True))]
-            probability = shared(total(joint))
+            probability = compute_once(total(joint))
             weights = [x / probability for x in joint]
             if len(links) == 1:
-                found = self.filter.linked(links[0], merged(after.components, weights))
+                found = self.filter.rts_step(links[0], merged(after.components, weights))
             else:
                 found = merged(
-                    [self.filter.linked(a, b) for a, b in zip(links, after.components, strict=True)], weights
+                    [self.filter.rts_step(a, b) for a, b in zip(links, after.components, strict=True)], weights
                 )
-            components.append(shared(found))
-            log_weights.append(jnp.where(link.joined, jnp.log(probability), link.filtered.log_weights[i]))
+            components.append(compute_once(found))
+            log_weights.append(jnp.where(rts_gain.joined, jnp.log(probability), rts_gain.filtered.log_weights[i]))
         return Mixture(tuple(components), tuple(log_weights))
 
 

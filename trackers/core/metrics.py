@@ -22,7 +22,7 @@ Errors = Float[np.ndarray, "N d"]
 Covariances = Float[np.ndarray, "N d d"]
 
 
-class ErrorFigures(NamedTuple):
+class ErrorMetrics(NamedTuple):
     """Figures of the lengths of N error vectors, in the errors' unit; NaN where N is zero."""
 
     rmse: float
@@ -50,11 +50,11 @@ class TimeLost(NamedTuple):
     fraction: float
 
 
-def error_figures(errors: Errors) -> ErrorFigures:
+def error_metrics(errors: Errors) -> ErrorMetrics:
     """RMSE, median, 90th, 95th and 99th percentile and maximum of the errors' lengths."""
     if len(errors) == 0:
-        return ErrorFigures(*[math.nan] * 6)
-    return ErrorFigures(rmse(errors), *percentiles(errors, (50.0, 90.0, 95.0, 99.0, 100.0)))
+        return ErrorMetrics(*[math.nan] * 6)
+    return ErrorMetrics(rmse(errors), *percentiles(errors, (50.0, 90.0, 95.0, 99.0, 100.0)))
 
 
 def rmse(errors: Errors) -> float:

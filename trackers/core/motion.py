@@ -16,9 +16,9 @@ import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar, Vector, total
 from trackers.core.state import State
-from trackers.core.tunable import AbstractTunable, Fixed, Scale
+from trackers.core.tunable import AbstractTunable, Constant, Scale
 
-Noise = AbstractTunable | Fixed
+Noise = AbstractTunable | Constant
 
 
 class AbstractMotion(eqx.Module):

@@ -121,7 +121,7 @@ class Batch(NamedTuple):
         """Some of the rows of all trajectories."""
         return jax.tree_util.tree_map(lambda x: x[part], self)._replace(key=self.key)
 
-    def lanes(self, start: int, stop: int) -> Batch:
+    def trajectories(self, start: int, stop: int) -> Batch:
         """The trajectories start … stop − 1, filled up with invalid ones where the batch ends before."""
 
         def cut(x: Any) -> Any:
@@ -155,8 +155,8 @@ def stack(recordings: Sequence[Recording], rows: int | None = None, dtype: Any =
             if np.shape(array)[1:] != shape:
                 raise ValueError(f"'{other.name}' has rows of shape {np.shape(array)[1:]}, '{first.name}' of {shape}")
         out = np.zeros((rows, *shape, len(arrays)), kind)
-        for lane, array in enumerate(arrays):
-            out[: len(array), ..., lane] = array
+        for trajectory, array in enumerate(arrays):
+            out[: len(array), ..., trajectory] = array
         return out
 
     readings = {}

@@ -1,7 +1,7 @@
 """Smoothing: every row's state given the rows after it too, all of them or those of the next seconds.
 
-The backward recursion on the filter's own beliefs: a filter that can be smoothed has `link`, what ties a row's belief
-to the next row's, and `linked`, the smoothed belief that follows through it from the next row's smoothed one. For the
+The backward recursion on the filter's own beliefs: a filter that can be smoothed has `rts_gain`, what ties a row's belief
+to the next row's, and `rts_step`, the smoothed belief that follows through it from the next row's smoothed one. For the
 extended Kalman filter that is Rauch, Tung and Striebel's (1965); for mixtures see their filters.
 """
 
@@ -20,10 +20,10 @@ from trackers.core.estimates import Estimates, Status
 from trackers.core.motion import AbstractMotion
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker, Output, Score, Tracker, scan_rows
-from trackers.core.tunable import resolved
+from trackers.core.tunable import freeze
 
 
-class Unmerged(eqx.Module):
+class FullBeliefFilter(eqx.Module):
     """A filter that tells its whole belief where others tell its mean and covariance."""
 
     filter: Any
@@ -53,16 +53,16 @@ class Smoothed(AbstractTracker):
     lag: float | None = None
 
     def __check_init__(self) -> None:
-        if not (isinstance(self.tracker, Tracker) and hasattr(self.tracker.filter, "linked")):
+        if not (isinstance(self.tracker, Tracker) and hasattr(self.tracker.filter, "rts_step")):
             raise TypeError("Kalman filters and their mixtures have a smoother; chains, particles and grids have none")
 
-    def dated(self, times: np.ndarray, estimates: Estimates) -> tuple[np.ndarray, Estimates]:
+    def at_valid_time(self, times: np.ndarray, estimates: Estimates) -> tuple[np.ndarray, Estimates]:
         """As the tracker that is smoothed dates them: late readings are late here too."""
-        return self.tracker.dated(times, estimates)
+        return self.tracker.at_valid_time(times, estimates)
 
     def scan(self, batch: Batch) -> Output:
-        tracker = resolved(self.tracker)
-        output = scan_rows(dataclasses.replace(tracker, filter=Unmerged(tracker.filter)), batch)[1]
+        tracker = freeze(self.tracker)
+        output = scan_rows(dataclasses.replace(tracker, filter=FullBeliefFilter(tracker.filter)), batch)[1]
         assert output is not None
         filtered = output.mean
         now = jax.tree_util.tree_map(lambda x: x[:-1], filtered)
@@ -72,13 +72,13 @@ class Smoothed(AbstractTracker):
         last = jax.tree_util.tree_map(lambda x: x[-1:], filtered)
 
         def tied(belief: Any, joined: Scalar, dt: Scalar, inputs: Any) -> Any:
-            return tracker.filter.link(belief, tracker.motion, joined, dt, inputs)
+            return tracker.filter.rts_gain(belief, tracker.motion, joined, dt, inputs)
 
-        linked = tracker.filter.linked
+        rts_step = tracker.filter.rts_step
         if self.lag is None:
-            smoothed = interval(tied, linked, jax.tree_util.tree_map(lambda x: x[0], last), steps)
+            smoothed = interval(tied, rts_step, jax.tree_util.tree_map(lambda x: x[0], last), steps)
         else:
-            smoothed = lagged(tied, linked, filtered, steps, jnp.asarray(self.lag, batch.dt.dtype))
+            smoothed = lagged(tied, rts_step, filtered, steps, jnp.asarray(self.lag, batch.dt.dtype))
         beliefs = jax.tree_util.tree_map(lambda a, b: jnp.concatenate([a, b]), smoothed, last)
         mean, cov = jax.vmap(jax.vmap(tracker.filter.moments, in_axes=-1, out_axes=-1))(beliefs)
         return output._replace(mean=mean, cov=cov)
@@ -88,25 +88,25 @@ class Smoothed(AbstractTracker):
         return tuple(jnp.sum(x, axis=0) for x in jax.vmap(score)(self.scan(batch), truth))
 
 
-def interval(tied: Any, linked: Any, last: Any, steps: tuple[Any, ...]) -> Any:
+def interval(tied: Any, rts_step: Any, last: Any, steps: tuple[Any, ...]) -> Any:
     """The smoothed beliefs of all rows but the last, batch-last, from the last row backwards."""
-    lanes = jax.vmap(lambda after, *step: linked(tied(*step), after), in_axes=-1, out_axes=-1)
+    trajectories = jax.vmap(lambda after, *step: rts_step(tied(*step), after), in_axes=-1, out_axes=-1)
 
     def body(after: Any, step: tuple[Any, ...]) -> tuple[Any, Any]:
-        before = lanes(after, *step)
+        before = trajectories(after, *step)
         return before, before
 
     return jax.lax.scan(body, last, steps, reverse=True)[1]
 
 
-def lagged(tied: Any, linked: Any, filtered: Any, steps: tuple[Any, ...], lag: Scalar) -> Any:
+def lagged(tied: Any, rts_step: Any, filtered: Any, steps: tuple[Any, ...], lag: Scalar) -> Any:
     """The smoothed beliefs of all rows but the last, batch-last, each from the rows at most `lag` s later.
 
     All windows go backwards side by side, each from its own last row, until they have reached their own first.
     """
     links = jax.vmap(jax.vmap(tied, in_axes=-1, out_axes=-1))(*steps)
 
-    def lane(links: Any, filtered: Any, dt: Any) -> Any:
+    def trajectory(links: Any, filtered: Any, dt: Any) -> Any:
         rows = jnp.arange(len(dt), dtype=jnp.int32)
         times = jnp.concatenate([jnp.zeros_like(dt[:1]), jnp.cumsum(dt)])
         # The last row of each window; 2 eps of the longest time let 0.1 s + 0.2 s be 0.3 s.
@@ -117,14 +117,14 @@ def lagged(tied: Any, linked: Any, filtered: Any, steps: tuple[Any, ...], lag: S
         def body(state: tuple[Any, Any]) -> tuple[Any, Any]:
             place, belief = state
             here = jnp.maximum(place - 1, 0)
-            nearer = jax.vmap(linked)(jax.tree_util.tree_map(lambda x: x[here], links), belief)
+            nearer = jax.vmap(rts_step)(jax.tree_util.tree_map(lambda x: x[here], links), belief)
             moving = place > rows
             belief = jax.tree_util.tree_map(lambda a, b: jnp.where(_like(moving, a), a, b), nearer, belief)
             return jnp.where(moving, place - 1, place), belief
 
         return jax.lax.while_loop(lambda state: jnp.any(state[0] > rows), body, (end, window))[1]
 
-    return jax.vmap(lane, in_axes=-1, out_axes=-1)(links, filtered, steps[2])
+    return jax.vmap(trajectory, in_axes=-1, out_axes=-1)(links, filtered, steps[2])
 
 
 def _like(condition: Any, array: Any) -> Any:

@@ -1,4 +1,4 @@
-"""One of two trees of numbers, lane by lane, and without a pass over them where all lanes agree."""
+"""One of two trees of numbers, trajectory by trajectory, and without a pass over them where all trajectories agree."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ def select(condition: Scalar, yes: Any, no: Any) -> Any:
 
 
 @custom_vmap
-def usually(condition: Scalar, yes: Any, no: Any) -> Any:
-    """`select` for large trees and a condition that usually holds in all lanes: then nothing is copied."""
+def where_mostly(condition: Scalar, yes: Any, no: Any) -> Any:
+    """`select` for large trees and a condition that usually holds in all trajectories: then nothing is copied."""
     return select(condition, yes, no)
 
 
-@usually.def_vmap
-def _in_lanes(size: int, batched: Any, condition: Any, yes: Any, no: Any) -> tuple[Any, Any]:
+@where_mostly.def_vmap
+def _in_trajectories(size: int, batched: Any, condition: Any, yes: Any, no: Any) -> tuple[Any, Any]:
     def spread(x: Any, has: bool) -> Any:
         return x if has else jnp.broadcast_to(x[None], (size, *x.shape))
 

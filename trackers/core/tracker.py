@@ -15,16 +15,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.algebra import Scalar, related, shared, total
-from trackers.core.chunks import CHUNK, chunks, over_parts, prepared
+from trackers.core.algebra import Scalar, compute_once, mark_dependent, total
+from trackers.core.chunks import CHUNK, as_dtype, chunks, run_chunks
 from trackers.core.ekf import ExtendedKalman, Gaussian
 from trackers.core.estimates import Estimates, Status
 from trackers.core.motion import AbstractMotion
 from trackers.core.recording import Batch, Recording, stack
-from trackers.core.select import select, usually
+from trackers.core.select import select, where_mostly
 from trackers.core.sensor import AbstractSensor, Reading
-from trackers.core.track_loss import LossPolicy
-from trackers.core.tunable import resolved
+from trackers.core.track_loss import TrackLossPolicy
+from trackers.core.tunable import freeze
 
 ACQUIRED_AT_ONCE = 16
 """Trajectories whose start is searched for together; a search costs as much as hundreds of filter steps."""
@@ -44,7 +44,7 @@ class Row(NamedTuple):
 class AbstractStart(eqx.Module):
     """How a tracker finds its first belief from a single row; after a track loss the same code finds it again.
 
-    `smooth`: what `acquire` finds has derivatives by the sensors' numbers, as a weighted mean has and a best one not.
+    `smooth`: what `candidate` finds has derivatives by the sensors' numbers, as a weighted mean has and a best one not.
     """
 
     smooth: ClassVar[bool] = False
@@ -54,15 +54,15 @@ class AbstractStart(eqx.Module):
         """Whether this row holds enough to start from."""
 
     @abstractmethod
-    def acquire(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
+    def candidate(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
         """The expensive part, run only for trajectories that need it; differentiated only where it is `smooth`."""
 
     @abstractmethod
     def begin(self, found: Any, row: Row) -> Gaussian:
-        """The normal belief at this row, from what `acquire` found; the filter makes its own kind of belief of it."""
+        """The normal belief at this row, from what `candidate` found; the filter makes its own kind of belief of it."""
 
 
-class Said(NamedTuple):
+class StepInfo(NamedTuple):
     """What one row's readings said, and what it is: the rest of an output, beside mean and covariance."""
 
     log_likelihood: Scalar
@@ -78,8 +78,8 @@ class Carry(NamedTuple):
     belief: Any
     running: Scalar
     begun: Scalar
-    surprise: Scalar
-    silence: Scalar
+    nis_average: Scalar
+    time_since_measurement: Scalar
 
 
 class Output(NamedTuple):
@@ -113,8 +113,8 @@ class AbstractTracker(eqx.Module):
         """The estimates for one recording, or for a batch of them in chunks of `chunk` trajectories."""
         if isinstance(recordings, Recording):
             return self.run(stack([recordings]), chunk=1)[0]
-        model = prepared(self, recordings.dt.dtype)
-        parts = over_parts(scanned, [(model, part) for part in chunks(recordings, chunk)])
+        model = as_dtype(self, recordings.dt.dtype)
+        parts = run_chunks(scanned, [(model, part) for part in chunks(recordings, chunk)])
 
         def join(*arrays: np.ndarray) -> np.ndarray:
             return np.moveaxis(np.concatenate(arrays, axis=-1)[..., : recordings.size], -1, 0)
@@ -122,7 +122,7 @@ class AbstractTracker(eqx.Module):
         joined = jax.tree_util.tree_map(join, *parts)
         return Estimates(joined.mean, np.stack(joined.cov), *joined[2:])
 
-    def dated(self, times: np.ndarray, estimates: Estimates) -> tuple[np.ndarray, Estimates]:
+    def at_valid_time(self, times: np.ndarray, estimates: Estimates) -> tuple[np.ndarray, Estimates]:
         """The times (T,), s, at which the estimates of rows at `times` are best known, and the estimates then.
 
         The rows' own, unless a tracker knows that its readings come late.
@@ -142,17 +142,17 @@ class Tracker(AbstractTracker):
     sensors: Mapping[str, AbstractSensor]
     start: AbstractStart
     filter: Any = ExtendedKalman()
-    loss: LossPolicy = LossPolicy()
+    track_loss: TrackLossPolicy = TrackLossPolicy()
 
     def scan(self, batch: Batch) -> Output:
-        output = scan_rows(resolved(self), batch)[1]
+        output = scan_rows(freeze(self), batch)[1]
         assert output is not None
         return output
 
     def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
-        return scan_rows(resolved(self), batch, score)[0]
+        return scan_rows(freeze(self), batch, score)[0]
 
-    def step(self, carry: Carry, row: Row) -> tuple[Carry, Said]:
+    def step(self, carry: Carry, row: Row) -> tuple[Carry, StepInfo]:
         """One row of one trajectory, short of starting: predict, update with every sensor, judge."""
         belief = self.filter.predict(carry.belief, self.motion, row.inputs, row.dt)
         said = []
@@ -160,45 +160,47 @@ class Tracker(AbstractTracker):
             belief, innovation = self.filter.update(belief, self.motion, sensor, row.readings[name], row.inputs)
             said.append(innovation)
         log_likelihood, nis, count, wrapped = (total(x) for x in zip(*said, strict=True))
-        if is_heavy(self):
+        if has_particle_axis(self):
             # A belief that isn't finite says so by its likelihood; a sum over all its numbers is a pass over memory.
-            log_likelihood, nis = shared((log_likelihood, nis))
+            log_likelihood, nis = compute_once((log_likelihood, nis))
             finite = jnp.isfinite(log_likelihood)
         else:
-            belief, log_likelihood, nis = shared((belief, log_likelihood, nis))
+            belief, log_likelihood, nis = compute_once((belief, log_likelihood, nis))
             numbers = jax.tree_util.tree_leaves(eqx.filter(belief, eqx.is_inexact_array))
-            finite = jnp.isfinite(shared(total(x if x.ndim == 0 else jnp.sum(x) for x in numbers)))
+            finite = jnp.isfinite(compute_once(total(x if x.ndim == 0 else jnp.sum(x) for x in numbers)))
         heard = count > 0
-        surprise = carry.surprise + jnp.where(
-            heard, (nis / jnp.maximum(count, 1.0) - carry.surprise) / self.loss.memory.value, 0.0
+        nis_average = carry.nis_average + jnp.where(
+            heard, (nis / jnp.maximum(count, 1.0) - carry.nis_average) / self.track_loss.nis_window.value, 0.0
         )
-        silence = carry.silence + row.dt
-        lost = (surprise > self.loss.limit.value) | (silence > self.loss.patience.value)
-        silence = jnp.where(heard, 0.0, silence)
+        time_since_measurement = carry.time_since_measurement + row.dt
+        lost = (nis_average > self.track_loss.nis_limit.value) | (
+            time_since_measurement > self.track_loss.max_gap.value
+        )
+        time_since_measurement = jnp.where(heard, 0.0, time_since_measurement)
         status = jnp.where(finite, jnp.where(lost, Status.LOST, Status.OK), Status.NON_FINITE)
         status = jnp.where(carry.running, status, jnp.where(carry.begun, Status.LOST, Status.WAITING))
-        moved = Carry(belief, carry.running & finite & ~lost, carry.begun, surprise, silence)
+        moved = Carry(belief, carry.running & finite & ~lost, carry.begun, nis_average, time_since_measurement)
         keep = row.valid & carry.running & finite
-        chosen = (usually if is_heavy(self) else select)(keep, belief, carry.belief)
+        chosen = (where_mostly if has_particle_axis(self) else select)(keep, belief, carry.belief)
         after = Carry(chosen, *select(row.valid, moved[1:], carry[1:]))
         zero = jnp.zeros_like(nis)
         log_likelihood, nis, count, wrapped = select(keep, (log_likelihood, nis, count, wrapped), (zero,) * 4)
         status = jnp.where(row.valid, status, Status.PADDING).astype(jnp.int8)
-        return after, Said(log_likelihood, nis, count, wrapped, status)
+        return after, StepInfo(log_likelihood, nis, count, wrapped, status)
 
 
 def scan_rows(tracker: Tracker, batch: Batch, score: Score | None = None) -> tuple[tuple[Any, ...], Output | None]:
     """All rows of one chunk of trajectories, batch-last: the sums of a score, or else the outputs of every row."""
-    size, lanes_key = batch.size, jnp.asarray(batch.key)
+    size, trajectories_key = batch.size, jnp.asarray(batch.key)
     rows = Row(batch.dt, batch.valid, batch.readings, batch.inputs, None, jnp.arange(len(batch.dt), dtype=jnp.uint32))
     axes = carry_axes(tracker)
-    lanes = jax.vmap(tracker.step, in_axes=(axes, -1), out_axes=(axes, -1))
+    trajectories = jax.vmap(tracker.step, in_axes=(axes, -1), out_axes=(axes, -1))
     moments = jax.vmap(tracker.filter.moments, in_axes=axes.belief, out_axes=-1)
 
     def one_row(carry: Carry, row: Row) -> tuple[Carry, Output]:
-        row = row._replace(key=lanes_key, number=jnp.broadcast_to(row.number, (size,)))
-        carry, said = lanes(carry, row)
-        carry, said = start_again(tracker, carry, row, said)
+        row = row._replace(key=trajectories_key, number=jnp.broadcast_to(row.number, (size,)))
+        carry, said = trajectories(carry, row)
+        carry, said = reinitialise(tracker, carry, row, said)
         mean, cov = moments(carry.belief)
         return carry, Output(mean, cov, *said)
 
@@ -211,28 +213,28 @@ def scan_rows(tracker: Tracker, batch: Batch, score: Score | None = None) -> tup
         return (carry, tuple(a + b for a, b in zip(sums, score(output, truth), strict=True))), None
 
     first_row, first_truth = jax.tree_util.tree_map(lambda x: jnp.asarray(x[0]), (rows, batch.truth))
-    first_row = first_row._replace(key=lanes_key, number=jnp.zeros(size, jnp.uint32))
+    first_row = first_row._replace(key=trajectories_key, number=jnp.zeros(size, jnp.uint32))
     empty = jax.vmap(lambda row: blank(tracker, row), in_axes=-1, out_axes=axes)(first_row)
     sums: tuple[Any, ...] = ()
     if score is not None:
         # Of the shapes of a row's output, without tracing a row once more: that takes seconds for large states.
         zero = jnp.zeros_like(first_row.dt)
-        said = Said(zero, zero, zero, zero, zero.astype(jnp.int8))
+        said = StepInfo(zero, zero, zero, zero, zero.astype(jnp.int8))
         mean, cov = moments(empty.belief)
         shapes = jax.eval_shape(lambda: score(Output(mean, cov, *said), first_truth))
         sums = tuple(jnp.zeros(s.shape, s.dtype) for s in shapes)
     # Particles have no derivative, and stay as they are.
-    begin = (empty, sums) if is_heavy(tracker) else related((empty, sums), tracker)
+    begin = (empty, sums) if has_particle_axis(tracker) else mark_dependent((empty, sums), tracker)
     (_, sums), outputs = jax.lax.scan(body, begin, (rows, batch.truth))
     return sums, outputs
 
 
 def carry_axes(tracker: Tracker) -> Carry:
-    """Where the lanes stand in what one row hands to the next: last, but first in the belief of a heavy filter."""
-    return Carry(0 if is_heavy(tracker) else -1, -1, -1, -1, -1)
+    """Where the trajectories stand in what one row hands to the next: last, but first in the belief of a heavy filter."""
+    return Carry(0 if has_particle_axis(tracker) else -1, -1, -1, -1, -1)
 
 
-def is_heavy(tracker: Tracker) -> bool:
+def has_particle_axis(tracker: Tracker) -> bool:
     """Whether the filter's belief has an axis of its own, of particles or cells, along which its loops run."""
     return bool(getattr(tracker.filter, "heavy", False))
 
@@ -247,11 +249,11 @@ def begun(tracker: Tracker, found: Any, row: Row) -> Carry:
 
 def blank(tracker: Tracker, row: Row) -> Carry:
     """What stands before the first row: zeros, not running."""
-    shape = jax.eval_shape(lambda r: begun(tracker, tracker.start.acquire(tracker.sensors, r), r), row)
+    shape = jax.eval_shape(lambda r: begun(tracker, tracker.start.candidate(tracker.sensors, r), r), row)
     return jax.tree_util.tree_map(lambda s: jnp.zeros(s.shape, s.dtype), shape)
 
 
-def start_again(tracker: Tracker, carry: Carry, row: Row, said: Said) -> tuple[Carry, Said]:
+def reinitialise(tracker: Tracker, carry: Carry, row: Row, said: StepInfo) -> tuple[Carry, StepInfo]:
     """Start every trajectory of the chunk that isn't running and whose row holds enough; the others pass unchanged."""
     need = row.valid & ~carry.running & jax.vmap(tracker.start.ready, in_axes=-1)(row)
     found = search(tracker, row, need)
@@ -262,27 +264,27 @@ def start_again(tracker: Tracker, carry: Carry, row: Row, said: Said) -> tuple[C
         return jax.vmap(select, in_axes=(-1, axes, axes), out_axes=axes)(need, fresh, carry)
 
     # A normal belief is made in less time than it takes to ask whether any is needed; a thousand particles aren't.
-    after = jax.lax.cond(jnp.any(need), started, lambda: carry) if is_heavy(tracker) else started()
+    after = jax.lax.cond(jnp.any(need), started, lambda: carry) if has_particle_axis(tracker) else started()
     status = jnp.where(need, jnp.where(carry.begun, Status.RESTARTED, Status.OK), said.status).astype(jnp.int8)
     return after, said._replace(status=status)
 
 
 def search(tracker: Tracker, row: Row, need: Any) -> Any:
-    """`start.acquire` for the lanes that need it, a few at a time, so that a lone loss costs little."""
+    """`start.acquire` for the trajectories that need it, a few at a time, so that a lone loss costs little."""
     numbers, rest = eqx.partition((tracker.start, tracker.sensors), eqx.is_array)
     start, sensors = eqx.combine(numbers if tracker.start.smooth else jax.lax.stop_gradient(numbers), rest)
     row = jax.lax.stop_gradient(row)
-    acquire = jax.vmap(lambda r: start.acquire(sensors, r), in_axes=-1, out_axes=-1)
+    candidate = jax.vmap(lambda r: start.candidate(sensors, r), in_axes=-1, out_axes=-1)
     size = need.shape[0]
-    at_once = min(ACQUIRED_AT_ONCE, size)
-    shapes = jax.eval_shape(acquire, row)
+    n_workers = min(ACQUIRED_AT_ONCE, size)
+    shapes = jax.eval_shape(candidate, row)
     nothing = jax.tree_util.tree_map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
 
     def some(state: tuple[Any, Any]) -> tuple[Any, Any]:
         need, found = state
-        index = jnp.nonzero(need, size=at_once, fill_value=size)[0]
+        index = jnp.nonzero(need, size=n_workers, fill_value=size)[0]
         few = jax.tree_util.tree_map(lambda x: jnp.take(x, index, axis=-1, mode="clip"), row)
-        found = jax.tree_util.tree_map(lambda a, b: a.at[..., index].set(b, mode="drop"), found, acquire(few))
+        found = jax.tree_util.tree_map(lambda a, b: a.at[..., index].set(b, mode="drop"), found, candidate(few))
         return need.at[index].set(False, mode="drop"), found
 
     return jax.lax.while_loop(lambda state: jnp.any(state[0]), some, (need, nothing))[1]

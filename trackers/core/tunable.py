@@ -30,7 +30,7 @@ class AbstractTunable(eqx.Module):
         """The physical value, in `unit`."""
 
     @abstractmethod
-    def holding(self, value: Any) -> AbstractTunable:
+    def with_value(self, value: Any) -> AbstractTunable:
         """The same tunable with another physical value."""
 
 
@@ -53,7 +53,7 @@ class Scale(AbstractTunable):
     def value(self) -> Any:
         return jnp.exp(self.raw)
 
-    def holding(self, value: Any) -> Scale:
+    def with_value(self, value: Any) -> Scale:
         return Scale(value, self.unit)
 
 
@@ -74,7 +74,7 @@ class Fraction(AbstractTunable):
     def value(self) -> Any:
         return jax.nn.sigmoid(self.raw)
 
-    def holding(self, value: Any) -> Fraction:
+    def with_value(self, value: Any) -> Fraction:
         return Fraction(value, self.unit)
 
 
@@ -97,7 +97,7 @@ class Real(AbstractTunable):
     def value(self) -> Any:
         return self.raw * self.typical
 
-    def holding(self, value: Any) -> Real:
+    def with_value(self, value: Any) -> Real:
         return Real(value, self.unit, self.typical)
 
 
@@ -128,11 +128,11 @@ class Covariance(AbstractTunable):
         entries = [[sum(factor[i][k] * factor[j][k] for k in range(min(i, j) + 1)) for j in range(n)] for i in range(n)]
         return jnp.stack([jnp.stack(row) for row in entries])
 
-    def holding(self, value: Any) -> Covariance:
+    def with_value(self, value: Any) -> Covariance:
         return Covariance(value, self.unit)
 
 
-class Fixed(eqx.Module):
+class Constant(eqx.Module):
     """What a tunable becomes for a run: its value, computed once and not at every step."""
 
     value: Any
@@ -143,9 +143,9 @@ def is_tunable(node: Any) -> bool:
     return isinstance(node, AbstractTunable)
 
 
-def resolved(tree: Tree) -> Tree:
+def freeze(tree: Tree) -> Tree:
     """The tree with every tunable replaced by its value."""
-    return jax.tree_util.tree_map(lambda x: Fixed(x.value) if is_tunable(x) else x, tree, is_leaf=is_tunable)
+    return jax.tree_util.tree_map(lambda x: Constant(x.value) if is_tunable(x) else x, tree, is_leaf=is_tunable)
 
 
 def tunables(tree: Any) -> dict[str, AbstractTunable]:

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr
 
-from trackers.core.algebra import Scalar, shared, total
+from trackers.core.algebra import Scalar, compute_once, total
 from trackers.core.ekf import Gaussian, Innovation
 from trackers.core.motion import AbstractMotion
 from trackers.core.particle.filter import normalised_square, weighed, weighted_moments
@@ -55,7 +55,7 @@ class GridFilter(eqx.Module):
 
     @property
     def heavy(self) -> bool:
-        """A belief has axes of its own: see `is_heavy` in `trackers/core/tracker.py`."""
+        """A belief has axes of its own: see `has_particle_axis` in `trackers/core/tracker.py`."""
         return True
 
     def init(self, belief: Gaussian, key: Any) -> Discrete:
@@ -85,7 +85,7 @@ class GridFilter(eqx.Module):
         if isinstance(motion, HaltingMotion):
             travelling = travelling + (leaving * resting)[:, None] * departing[None, :]
             resting = (1.0 - leaving) * resting + halted
-        return shared(Discrete(travelling, resting))
+        return compute_once(Discrete(travelling, resting))
 
     def update(
         self, belief: Discrete, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Any
@@ -102,7 +102,7 @@ class GridFilter(eqx.Module):
         nis = normalised_square(seen.whitened, places, seen.tail)
         wrapped = jnp.zeros_like(nis) if seen.wrapped is None else jnp.sum(places * seen.wrapped)
         innovation = Innovation(jnp.log(likelihood) + top, nis, seen.count, wrapped)
-        return shared(Discrete(belief.travelling * factor[:, None], belief.resting * factor)), innovation
+        return compute_once(Discrete(belief.travelling * factor[:, None], belief.resting * factor)), innovation
 
     def moments(self, belief: Discrete) -> tuple[State, tuple[Scalar, ...]]:
         """Place and velocity at the mean arclength and speed, and the spread of both over the floor about them."""

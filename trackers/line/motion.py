@@ -9,7 +9,7 @@ from jax.scipy.special import ndtri
 
 from trackers.core.algebra import Scalar, Vector
 from trackers.core.motion import AbstractMotion, Kinematic, Noise, scaled
-from trackers.core.particle.filter import AbstractReport, second_moments, weighted_mean
+from trackers.core.particle.filter import AbstractOutputMap, second_moments, weighted_mean
 from trackers.core.tunable import Fraction, Scale
 from trackers.line.polyline import Polyline
 
@@ -143,7 +143,7 @@ def on_floor(line: Polyline, state: Any) -> Kinematic:
     return Kinematic(line.position(state.arclength), line.direction(state.arclength) * state.speed)
 
 
-class OnFloor(AbstractReport):
+class OnFloor(AbstractOutputMap):
     """Place and velocity on the floor of a state on the line; `sigma_line`: how well the path itself is known, m."""
 
     line: Polyline

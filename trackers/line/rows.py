@@ -18,16 +18,16 @@ from trackers.line.motion import HaltingMotion, LineMotion
 from trackers.line.polyline import Polyline
 from trackers.line.tracker import line_grid_tracker, line_motion, line_tracker
 from trackers.parts.ranges import RANGES, RangeSensor
-from trackers.recordings.folder import Folder
-from trackers.recordings.tracker_spec import Entry, on_request
-from trackers.recordings.trajectories import Lane, by_tag, known_height, lane_of, true_paths, values_of
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.tracker_spec import TrackerSpec, on_request
+from trackers.recordings.trajectories import Trajectory, by_tag, known_height, trajectory_of, true_paths, values_of
 from trackers.recordings.truth import numbers
-from trackers.uwb_imu.range_rows import range_lanes
+from trackers.uwb_imu.range_rows import range_trajectories
 
 SIGMA_FIX = 0.3
 """Metres per axis of a fix of unknown origin: the thesis's raw error is 0.39 m over both."""
 
-SIGMA_RANGE, STRETCH, TAIL = 0.1, 3.0, 3.0
+SIGMA_RANGE, POSITIVE_SKEW, TAIL = 0.1, 3.0, 3.0
 """Metres for ranges too short, three times that for ranges too long: what suits other rooms, without a path, too."""
 
 LEFT_SLACK, LEFT_LIMIT = 1.0, 2.0
@@ -41,22 +41,24 @@ CLOSED = 0.05
 """Ends of a path nearer to each other than this part of its longest segment close it: a tag may go round and round."""
 
 
-def floor_fix_lanes(folder: Folder) -> Iterator[Lane]:
+def floor_fix_trajectories(folder: RecordingFolder) -> Iterator[Trajectory]:
     """Each tag's fixes, x and y, one row per table row."""
     paths = true_paths(folder)
     for tag, table in by_tag(folder.tables["fixes"]):
         values, seen = values_of(table, ["x_m", "y_m"])
         reported = np.nan_to_num(np.stack([numbers(table, f"{a}_std_m") for a in "xy"], axis=1)) ** 2
-        yield lane_of(folder, tag, "", table["t_s"].to_numpy(), {FIXES: Readings(values, seen, reported)}, {}, paths)
+        yield trajectory_of(
+            folder, tag, "", table["t_s"].to_numpy(), {FIXES: Readings(values, seen, reported)}, {}, paths
+        )
 
 
-def line_lanes(folder: Folder, free_height: bool) -> Iterator[Lane]:
+def line_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
     """Each tag's ranges where the folder has some and the tags' heights, else their fixes; raises UnusableInput."""
     path_of(folder)
-    return range_lanes(folder, False) if _reads_ranges(folder) else floor_fix_lanes(folder)
+    return range_trajectories(folder, False) if _reads_ranges(folder) else floor_fix_trajectories(folder)
 
 
-def path_of(folder: Folder) -> Polyline:
+def path_of(folder: RecordingFolder) -> Polyline:
     """The folder's known path, closed where its ends nearly meet; raises UnusableInput where there is none."""
     if folder.rig.path_knots is None:
         raise UnusableInput(f"{folder.path}: no [path] in rig.toml, expected its knots_m = [[x, y], …]; add them")
@@ -67,13 +69,13 @@ def path_of(folder: Folder) -> Polyline:
     return Polyline(knots)
 
 
-def left_the_line(lane: Lane, tracks: pl.DataFrame) -> list[tuple[float, str, str]]:
-    """Rows (t_s, event, detail) of when the lane's tag left the line and came back, from its constrained estimates.
+def left_the_line(trajectory: Trajectory, tracks: pl.DataFrame) -> list[tuple[float, str, str]]:
+    """Rows (t_s, event, detail) of when the trajectory's tag left the line and came back, from its constrained estimates.
 
     `tracks`: the rows of a line tracker for this tag. The free estimate is a Kalman filter on fixes, or the place where
     recent ranges meet.
     """
-    times, free = _free_places(lane)
+    times, free = _free_places(trajectory)
     known = tracks.filter(pl.all_horizontal(pl.col("x_m", "y_m").is_finite()))
     if known.is_empty():
         return []
@@ -89,9 +91,9 @@ def left_the_line(lane: Lane, tracks: pl.DataFrame) -> list[tuple[float, str, st
     return rows
 
 
-def raw_places(lane: Lane) -> tuple[np.ndarray, np.ndarray]:
+def raw_places(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     """Times and places (T, 2), NaN where there is none: fixes as they are, or where recent ranges meet."""
-    whole = lane.recording
+    whole = trajectory.recording
     if RANGES in whole.readings:
         nearby = whole.inputs["nearby"]
         return whole.times, np.where(nearby[:, 3:] > 0.5, nearby[:, :2], np.nan)
@@ -99,11 +101,11 @@ def raw_places(lane: Lane) -> tuple[np.ndarray, np.ndarray]:
     return whole.times, np.where(np.all(fixes.seen, axis=1)[:, None], fixes.values, np.nan)
 
 
-def _free_places(lane: Lane) -> tuple[np.ndarray, np.ndarray]:
+def _free_places(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     """Times and places (T, 2) that know nothing of the path, NaN where there is none."""
-    whole = lane.recording
+    whole = trajectory.recording
     if RANGES in whole.readings:
-        times, places = raw_places(lane)
+        times, places = raw_places(trajectory)
         return times, np.where(_heard(whole)[:, None] >= REDUNDANT, places, np.nan)
     fixes = whole.readings[FIXES]
     missing = np.zeros((len(whole), 1))
@@ -126,13 +128,13 @@ def _heard(recording: Recording) -> np.ndarray:
     return heard
 
 
-def _reads_ranges(folder: Folder) -> bool:
+def _reads_ranges(folder: RecordingFolder) -> bool:
     return "ranges" in folder.tables and all(
         known_height(folder, str(tag)) is not None for tag in folder.tables["ranges"]["tag"].unique()
     )
 
 
-def _lacks(folder: Folder) -> str | None:
+def _lacks(folder: RecordingFolder) -> str | None:
     """What a folder lacks for a tracker on a line."""
     if folder.rig.path_knots is None:
         return "a known path, [path] with knots_m in rig.toml, found none"
@@ -143,7 +145,7 @@ def _lacks(folder: Folder) -> str | None:
     return "a ranges or fixes table, found none"
 
 
-def _loses_no_height(folder: Folder) -> bool:
+def _loses_no_height(folder: RecordingFolder) -> bool:
     """Whether a place on the floor is all there is to know: no fix tells of a height that the rig does not give."""
     if _reads_ranges(folder):
         return True
@@ -151,34 +153,34 @@ def _loses_no_height(folder: Folder) -> bool:
     return all(known_height(folder, str(tag)) is not None for tag in tags)
 
 
-def _geometry(lane: Lane) -> Hashable:
+def _geometry(trajectory: Trajectory) -> Hashable:
     return (
-        np.asarray(lane.folder.rig.path_knots).tobytes(),
-        *lane.recording.readings,
-        len(lane.folder.rig.anchors) if RANGES in lane.recording.readings else 0,
+        np.asarray(trajectory.folder.rig.path_knots).tobytes(),
+        *trajectory.recording.readings,
+        len(trajectory.folder.rig.anchors) if RANGES in trajectory.recording.readings else 0,
     )
 
 
-def _assembled(make: Callable[..., Tracker]) -> Callable[[Lane, bool], AbstractTracker]:
-    def build(lane: Lane, planar: bool) -> AbstractTracker:
-        motion: LineMotion | HaltingMotion = line_motion(path_of(lane.folder))
+def _assembled(make: Callable[..., Tracker]) -> Callable[[Trajectory, bool], AbstractTracker]:
+    def build(trajectory: Trajectory, planar: bool) -> AbstractTracker:
+        motion: LineMotion | HaltingMotion = line_motion(path_of(trajectory.folder))
         sensors: dict[str, AbstractSensor] = {FIXES: FloorFixes(SIGMA_FIX)}
-        if RANGES in lane.recording.readings:
-            sensors = {RANGES: RangeSensor(1, len(lane.folder.rig.anchors), SIGMA_RANGE, STRETCH, TAIL)}
+        if RANGES in trajectory.recording.readings:
+            sensors = {RANGES: RangeSensor(1, len(trajectory.folder.rig.anchors), SIGMA_RANGE, POSITIVE_SKEW, TAIL)}
         return make(motion, sensors)
 
     return build
 
 
 TRACKERS = {
-    "line-grid": Entry(
+    "line-grid": TrackerSpec(
         "position on a known path, by a grid of arclength and speed", "ranges or fixes, and [path]", _lacks,
-        line_lanes, _assembled(line_grid_tracker), _geometry, lambda lane, free_height: True,
+        line_trajectories, _assembled(line_grid_tracker), _geometry, lambda trajectory, free_height: True,
         automatic=_loses_no_height, events=left_the_line,
     ),
-    "line-pf": Entry(
+    "line-pf": TrackerSpec(
         "position on a known path, by 1,000 particles (the thesis's)", "ranges or fixes, and [path]", _lacks,
-        line_lanes, _assembled(line_tracker), _geometry, lambda lane, free_height: True, automatic=on_request,
+        line_trajectories, _assembled(line_tracker), _geometry, lambda trajectory, free_height: True, automatic=on_request,
         events=left_the_line,
     ),
 }  # fmt: skip

@@ -15,7 +15,7 @@ from trackers.core.ekf import Gaussian
 from trackers.core.motion import Noise
 from trackers.core.particle.filter import ParticleFilter, log_density
 from trackers.core.sensor import AbstractSensor
-from trackers.core.track_loss import LossPolicy
+from trackers.core.track_loss import TrackLossPolicy
 from trackers.core.tracker import AbstractStart, Row, Tracker
 from trackers.core.tunable import Scale
 from trackers.line.grid import GridFilter
@@ -31,7 +31,7 @@ SIGMA_LINE = 0.02
 DRAWN = 0.5
 """Metres between knots below which they draw a curve."""
 
-PATIENT = LossPolicy(limit=30.0, patience=np.inf)
+PATIENT = TrackLossPolicy(nis_limit=30.0, max_gap=np.inf)
 """A path that is known keeps a silent tag, and errors of fixes last for seconds; whether it left: `leaving.py`."""
 
 PLACES = 201
@@ -58,7 +58,7 @@ class LineStart(AbstractStart):
         seen = [jnp.any(reading.seen) for reading in row.readings.values()]
         return jnp.any(jnp.stack(seen))
 
-    def acquire(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
+    def candidate(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
         along = jnp.arange(PLACES, dtype=row.dt.dtype) * (self.line.length / (PLACES - 1))
         prior = jnp.exp(-2.0 * (along / self.line.length) ** 2)
         # Of a closed path the first place is the last one again.

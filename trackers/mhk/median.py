@@ -53,9 +53,9 @@ class LimitedMedian(eqx.Module):
             kept = Limiter(last, jnp.where(full, place, state.place), jnp.where(full, 0.0, elapsed))
             return kept, (jnp.where(full, place, 0.0), jnp.broadcast_to(full, place.shape))
 
-        lanes = jax.vmap(one, in_axes=-1, out_axes=-1)
+        trajectories = jax.vmap(one, in_axes=-1, out_axes=-1)
         rows = values, seen, jnp.asarray(batch.dt)
-        places, known = jax.lax.scan(lambda state, row: lanes(state, *row), first, rows)[1]
+        places, known = jax.lax.scan(lambda state, row: trajectories(state, *row), first, rows)[1]
         # What a device reports of one fix is not the noise of a median.
         return Reading(places, known, jnp.zeros((len(values), 0, values.shape[-1]), values.dtype))
 

@@ -7,37 +7,37 @@ from dataclasses import replace
 
 import numpy as np
 
-from trackers.baselines.rows import fix_lanes, lacks_fixes
+from trackers.baselines.rows import fix_trajectories, lacks_fixes
 from trackers.core.recording import Readings
 from trackers.mhk.tracker import mhk_tracker
 from trackers.parts.fixes import FIXES
-from trackers.recordings.folder import Folder
-from trackers.recordings.tracker_spec import Entry, on_request
-from trackers.recordings.trajectories import Lane, known_height
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.tracker_spec import TrackerSpec, on_request
+from trackers.recordings.trajectories import Trajectory, known_height
 
 
-def space_lanes(folder: Folder, free_height: bool) -> Iterator[Lane]:
+def space_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
     """Each tag's fixes in three dimensions; a known height stands for z wherever x and y were seen."""
-    for lane in fix_lanes(folder, free_height=True):
-        height = None if free_height else known_height(folder, lane.tag)
+    for trajectory in fix_trajectories(folder, free_height=True):
+        height = None if free_height else known_height(folder, trajectory.tag)
         if height is None:
-            yield lane
+            yield trajectory
             continue
-        fixes = lane.recording.readings[FIXES]
+        fixes = trajectory.recording.readings[FIXES]
         values, seen = fixes.values.copy(), fixes.seen.copy()
         values[:, 2], seen[:, 2] = height, seen[:, 0] & seen[:, 1]
         readings = {FIXES: Readings(values, np.asarray(seen), fixes.reported)}
-        yield replace(lane, recording=replace(lane.recording, readings=readings))
+        yield replace(trajectory, recording=replace(trajectory.recording, readings=readings))
 
 
 TRACKERS = {
-    "mhk": Entry(
+    "mhk": TrackerSpec(
         "position from fixes: median, Markov model of accelerations, Kalman filter (the paper's)", "fixes", lacks_fixes,
-        space_lanes, lambda lane, planar: mhk_tracker(), planar=lambda lane, free_height: False, automatic=on_request,
+        space_trajectories, lambda trajectory, planar: mhk_tracker(), planar=lambda trajectory, free_height: False, automatic=on_request,
     ),
-    "mhk-stamped": Entry(
+    "mhk-stamped": TrackerSpec(
         "the same, each estimate with the time of its median's middle", "fixes", lacks_fixes,
-        space_lanes, lambda lane, planar: mhk_tracker(stamped=True), planar=lambda lane, free_height: False,
+        space_trajectories, lambda trajectory, planar: mhk_tracker(stamped=True), planar=lambda trajectory, free_height: False,
         automatic=on_request,
     ),
 }  # fmt: skip

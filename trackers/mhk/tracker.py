@@ -47,11 +47,11 @@ class MedianMarkovKalman(AbstractTracker):
     def _smoothed(self, batch: Batch) -> Batch:
         return batch._replace(readings={FIXES: self.median.readings(batch, batch.readings[FIXES])})
 
-    def dated(self, times: np.ndarray, estimates: Estimates) -> tuple[np.ndarray, Estimates]:
+    def at_valid_time(self, times: np.ndarray, estimates: Estimates) -> tuple[np.ndarray, Estimates]:
         """The times of the windows' middle rows if `stamped`, less the fixes' latency; and the estimates then."""
         if self.stamped:
             times = np.asarray(_later(times, min(self.median.window // 2, len(times))))
-        return self.fusion.dated(times, estimates)
+        return self.fusion.at_valid_time(times, estimates)
 
 
 def _later(rows: Any, count: int) -> Any:

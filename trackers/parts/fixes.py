@@ -22,25 +22,25 @@ from trackers.core.estimates import Estimates
 from trackers.core.motion import Accelerated, Kinematic, Noise
 from trackers.core.recording import Batch
 from trackers.core.sensor import LOG_2PI, AbstractSensor, Channel, Reading, Residual, log_peak, placed
-from trackers.core.track_loss import LossPolicy
+from trackers.core.track_loss import TrackLossPolicy
 from trackers.core.tracker import AbstractStart, Output, Row, Score, Tracker
 from trackers.core.tunable import Covariance, Real, Scale
 from trackers.core.whitening import whitened
 
 FIXES = "fixes"
 
-PATIENT = LossPolicy(limit=1e3, patience=10.0)
+PATIENT = TrackLossPolicy(nis_limit=1e3, max_gap=10.0)
 """Errors of real fixes last for seconds: a large running NIS is no sign of a lost track there."""
 
 
 class AbstractFixSensor(AbstractSensor):
     """x, y, z, m, of a tag, `latency` seconds after it was there.
 
-    Its noise stands beside what the device reports (three variances, m²), whose root is scaled by `trust`. `tail`:
+    Its noise stands beside what the device reports (three variances, m²), whose root is scaled by `reported_std_scale`. `tail`:
     degrees of freedom of Student's t, or None for normal noise. Input: `height`, m, for a planar state.
     """
 
-    trust: eqx.AbstractVar[Noise]
+    reported_std_scale: eqx.AbstractVar[Noise]
     tail: eqx.AbstractVar[Noise | None]
     latency: eqx.AbstractVar[Noise]
 
@@ -63,7 +63,7 @@ class AbstractFixSensor(AbstractSensor):
         """Channel by channel given those before, whitened by the Cholesky factor of the covariance of what was seen."""
         noise = self.noise()
         for k, variance in enumerate(reading.reported):
-            noise[k][k] = noise[k][k] + variance * self.trust.value**2
+            noise[k][k] = noise[k][k] + variance * self.reported_std_scale.value**2
         differences = [z - p for z, p in zip(reading.values, predicted, strict=True)]
         values, sigmas = whitened(differences, noise, list(reading.seen))
         tail = None if self.tail is None else self.tail.value
@@ -79,13 +79,13 @@ class FixSensor(AbstractFixSensor):
 
     sigma_horizontal: Noise
     sigma_vertical: Noise
-    trust: Noise
+    reported_std_scale: Noise
     tail: Noise | None
     latency: Noise
 
     def __init__(self, sigma_horizontal: float, sigma_vertical: float, tail: float | None = None, latency: float = 0.0):
         self.sigma_horizontal, self.sigma_vertical = Scale(sigma_horizontal, "m"), Scale(sigma_vertical, "m")
-        self.trust, self.tail, self.latency = Scale(1.0), *_extras(tail, latency)
+        self.reported_std_scale, self.tail, self.latency = Scale(1.0), *_extras(tail, latency)
 
     def noise(self) -> list[list[Scalar]]:
         across, up = self.sigma_horizontal.value**2, self.sigma_vertical.value**2
@@ -96,13 +96,13 @@ class CorrelatedFixSensor(AbstractFixSensor):
     """Fixes whose errors hang together: `covariance` (3, 3) m², as measured from a tag at rest."""
 
     covariance: Noise
-    trust: Noise
+    reported_std_scale: Noise
     tail: Noise | None
     latency: Noise
 
     def __init__(self, covariance: Any, tail: float | None = None, latency: float = 0.0):
         self.covariance = Covariance(covariance, "m^2")
-        self.trust, self.tail, self.latency = Scale(1.0), *_extras(tail, latency)
+        self.reported_std_scale, self.tail, self.latency = Scale(1.0), *_extras(tail, latency)
 
     def noise(self) -> list[list[Scalar]]:
         return [[self.covariance.value[i, j] for j in range(3)] for i in range(3)]
@@ -129,7 +129,7 @@ class FixStart(AbstractStart):
         seen = row.readings[FIXES].seen
         return seen[0] & seen[1]
 
-    def acquire(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
+    def candidate(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
         # One array, whose columns are looked up together; what a row holds needs no search.
         reading = row.readings[FIXES]
         return jnp.stack(
@@ -154,15 +154,15 @@ class FixTracker(Tracker):
     def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
         latency = self.sensors[FIXES].latency.value  # type: ignore[attr-defined]
 
-        def dated(output: Output, truth: dict[str, tuple[Any, Any]]) -> tuple[Any, ...]:
+        def at_valid_time(output: Output, truth: dict[str, tuple[Any, Any]]) -> tuple[Any, ...]:
             mean = output.mean._replace(position=position_before(output.mean, latency))
             return score(output._replace(mean=mean, cov=cov_before(output.mean, output.cov, latency)), truth)
 
-        return Tracker.accumulate(self, batch._replace(truth=truth_before(batch, latency)), dated)
+        return Tracker.accumulate(self, batch._replace(truth=truth_before(batch, latency)), at_valid_time)
 
-    def dated(self, times: np.ndarray, estimates: Estimates) -> tuple[np.ndarray, Estimates]:
+    def at_valid_time(self, times: np.ndarray, estimates: Estimates) -> tuple[np.ndarray, Estimates]:
         """The times that late fixes speak of, and the position then: p − v·latency with its covariance."""
-        return dated_back(self.sensors[FIXES], times, estimates)
+        return shifted_back_all(self.sensors[FIXES], times, estimates)
 
 
 def position_before(mean: Any, seconds: Scalar) -> Vector:
@@ -185,23 +185,23 @@ def truth_before(batch: Batch, seconds: Scalar) -> dict[str, tuple[Any, Any]]:
     # Padding has no time of its own; that of the last row is to be that row's alone.
     times = jnp.cumsum(jnp.where(batch.valid, batch.dt, jnp.ones_like(batch.dt)), axis=0)
 
-    def lane(times: Any, values: Any, known: Any) -> tuple[Any, Any]:
+    def trajectory(times: Any, values: Any, known: Any) -> tuple[Any, Any]:
         before = times - seconds
         columns = [jnp.interp(before, times, values[:, k]) for k in range(values.shape[1])]
         certain = jnp.interp(before, times, known.astype(times.dtype)) > 1 - 1e-6
         return jnp.stack(columns, axis=1), certain & (before >= times[0]) & (before <= times[-1])
 
-    lanes = jax.vmap(lane, in_axes=-1, out_axes=-1)
-    return {name: lanes(times, *(jnp.asarray(x) for x in pair)) for name, pair in batch.truth.items()}
+    trajectories = jax.vmap(trajectory, in_axes=-1, out_axes=-1)
+    return {name: trajectories(times, *(jnp.asarray(x) for x in pair)) for name, pair in batch.truth.items()}
 
 
-def dated_back(sensor: Any, times: np.ndarray, estimates: Estimates) -> tuple[np.ndarray, Estimates]:
+def shifted_back_all(sensor: Any, times: np.ndarray, estimates: Estimates) -> tuple[np.ndarray, Estimates]:
     """Times and estimates less the latency of a fix sensor; as they are where it has none."""
     latency = float(sensor.latency.value)
-    return (times, estimates) if latency == 0 else (times - latency, moved_back(estimates, latency))
+    return (times, estimates) if latency == 0 else (times - latency, shifted_back(estimates, latency))
 
 
-def moved_back(estimates: Estimates, seconds: float) -> Estimates:
+def shifted_back(estimates: Estimates, seconds: float) -> Estimates:
     """The estimates with each position where straight motion had it `seconds` before; velocities stay."""
     mean = estimates.mean
     n, first = estimates.dimension, len(mean.position)

@@ -16,7 +16,7 @@ LATEST = 5
 SURE = 0.3
 """Metres of misfit from which a range loses its say."""
 
-TOGETHER = 256, 4096
+MAX_BATCH = 256, 4096
 """Rows whose places are searched for at once, in a short recording and in a long one: two compiled programs in all."""
 
 
@@ -69,7 +69,7 @@ def _places(anchors: np.ndarray, ranges: np.ndarray, counts: np.ndarray, height:
     """The place (T, 4) of each row of ranges (T, A) to the anchors that count (T, A); see `recent_places`."""
     result = np.zeros((len(ranges), 4))
     at = None if height is None else jnp.asarray(height, float)
-    together = TOGETHER[0] if len(ranges) <= 4 * TOGETHER[0] else TOGETHER[1]
+    together = MAX_BATCH[0] if len(ranges) <= 4 * MAX_BATCH[0] else MAX_BATCH[1]
     for first in range(0, len(ranges), together):
         rows = len(ranges[first : first + together])
         own, heard = (np.pad(x[first : first + rows], ((0, together - rows), (0, 0))) for x in (ranges, counts))

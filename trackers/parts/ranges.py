@@ -30,21 +30,21 @@ class RangeSensor(AbstractSensor):
     an `attitude`. A view with a `bias` (one per anchor, m) has it added.
 
     Ranges are too long much more often than too short: Student's t with `tail` degrees of freedom, in two pieces, of
-    scale `sigma_r` m for what is too short and `stretch`·`sigma_r` for what is too long. `bias`: m per anchor number.
+    scale `sigma_r` m for what is too short and `positive_skew`·`sigma_r` for what is too long. `bias`: m per anchor number.
     What a device reports of a slot's noise is its variance, m², added to that of `sigma_r`.
     """
 
     sigma_r: Noise
-    stretch: Noise
+    positive_skew: Noise
     tail: Noise
     bias: Noise
     slots: int = eqx.field(static=True)
 
-    def __init__(self, slots: int, anchors: int, sigma_r: float, stretch: float, tail: float, bias: float = 0.0):
+    def __init__(self, slots: int, anchors: int, sigma_r: float, positive_skew: float, tail: float, bias: float = 0.0):
         """`slots`: ranges a row; `anchors`: how many biases there are; `bias`: what each of them is at first."""
         self.slots = slots
         self.sigma_r = Scale(sigma_r, "m")
-        self.stretch = Scale(stretch)
+        self.positive_skew = Scale(positive_skew)
         self.tail = Scale(tail)
         self.bias = Real(np.full(anchors, bias), "m", typical=0.1)
 
@@ -71,13 +71,13 @@ class RangeSensor(AbstractSensor):
 
     def residual(self, reading: Reading, predicted: Sequence[Scalar]) -> Residual:
         """Each slot's difference over the scale of its sign; the two pieces of the density meet at its peak."""
-        stretch, tail = self.stretch.value, self.tail.value
+        positive_skew, tail = self.positive_skew.value, self.tail.value
         variances = reading.reported if len(reading.reported) else [0.0] * self.slots
         whitened, log_scales = [], []
         for z, p, seen, variance in zip(reading.values, predicted, reading.seen, variances, strict=True):
             sigma = jnp.sqrt(self.sigma_r.value**2 + variance)
-            whitened.append(jnp.where(seen, (z - p) / jnp.where(z > p, sigma * stretch, sigma), 0.0))
-            peak = log_peak(tail) - jnp.log(sigma) - jnp.log(0.5 * (1.0 + stretch))
+            whitened.append(jnp.where(seen, (z - p) / jnp.where(z > p, sigma * positive_skew, sigma), 0.0))
+            peak = log_peak(tail) - jnp.log(sigma) - jnp.log(0.5 * (1.0 + positive_skew))
             log_scales.append(jnp.where(seen, peak, 0.0))
         count = total(jnp.where(seen, jnp.ones_like(whitened[0]), 0.0) for seen in reading.seen)
         return Residual(whitened, total(log_scales), count, tail=tail)

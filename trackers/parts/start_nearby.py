@@ -21,7 +21,7 @@ class AbstractNearbyStart(AbstractStart):
     def ready(self, row: Row) -> Scalar:
         return row.inputs["nearby"][3] > 0.5
 
-    def acquire(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
+    def candidate(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
         return row.inputs["nearby"][:3]
 
 

@@ -18,7 +18,7 @@ import polars as pl
 from trackers.core.errors import UnusableInput
 from trackers.core.rig import Rig
 from trackers.recordings.cells import SUFFIXES
-from trackers.recordings.checks.anomalies import oddities
+from trackers.recordings.checks.anomalies import anomalies
 from trackers.recordings.rig_file import RIG_FILE, read_rig, rig_text
 from trackers.recordings.tables import MEASUREMENTS, TABLES, read_table
 
@@ -42,7 +42,7 @@ _OTHER_DATA = (
 
 
 @dataclass(frozen=True)
-class Folder:
+class RecordingFolder:
     """A recording: geometry, tables by name (t_s and values Float64, ids String, null = missing), and what was odd."""
 
     name: str
@@ -52,7 +52,7 @@ class Folder:
     notices: tuple[str, ...] = ()
 
 
-def read_folder(path: str | Path) -> Folder:
+def read_recording(path: str | Path) -> RecordingFolder:
     """The recording in the folder `path`; raises UnusableInput, in one line, where something in it cannot be used."""
     path = Path(path)
     try:
@@ -76,8 +76,8 @@ def read_folder(path: str | Path) -> Folder:
         tables[name], table_notices = read_table(file, name, rig)
         notices += table_notices
     _check_common_tag(path, tables)
-    notices += oddities(tables, rig)
-    return Folder(rig.name, path, rig, tables, tuple(notices))
+    notices += anomalies(tables, rig)
+    return RecordingFolder(rig.name, path, rig, tables, tuple(notices))
 
 
 def _table_files(path: Path, entries: list[str]) -> tuple[dict[str, Path], list[str]]:
@@ -124,7 +124,7 @@ def _listed(ids: set[str]) -> str:
     return ", ".join(repr(name) for name in names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
 
 
-def write_folder(folder: Folder, path: str | Path, kind: Kind = "parquet") -> None:
+def write_recording(folder: RecordingFolder, path: str | Path, kind: Kind = "parquet") -> None:
     """Writes the recording to the folder `path`, all or nothing.
 
     Raises UnusableInput where `path` is a file or a folder that holds something, and where it cannot be written.

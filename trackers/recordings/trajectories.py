@@ -1,4 +1,4 @@
-"""From recording folders to the rows that trackers take: lanes, and what every system's lanes are made with."""
+"""From recording folders to the rows that trackers take: trajectories, and what every system's trajectories are made with."""
 
 from __future__ import annotations
 
@@ -10,28 +10,30 @@ import numpy as np
 import polars as pl
 
 from trackers.core.recording import Readings, Recording
-from trackers.recordings.folder import Folder
-from trackers.recordings.truth import Verdict, interpolated, truth_paths
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.truth import TruthStatus, interpolated, truth_paths
 
 Path = tuple[np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True)
-class Lane:
-    """One trajectory to track: whose it is, and its rows. `station` is empty where all stations share the lane."""
+class Trajectory:
+    """One trajectory to track: whose it is, and its rows. `station` is empty where all stations share the trajectory."""
 
-    folder: Folder
+    folder: RecordingFolder
     tag: str
     station: str
     recording: Recording
 
 
-def pieces(lane: Lane, rows: int) -> list[Lane]:
-    """The lane cut into parts of about `rows` rows, for fits: short parts run side by side, each started anew."""
-    whole = lane.recording
+def pieces(trajectory: Trajectory, rows: int) -> list[Trajectory]:
+    """The trajectory cut into parts of about `rows` rows, for fits: short parts run side by side, each started anew."""
+    whole = trajectory.recording
     count = max(1, round(len(whole) / rows))
     ends = np.linspace(0, len(whole), count + 1).astype(int)
-    return [Lane(lane.folder, lane.tag, lane.station, cut(whole, a, b)) for a, b in pairwise(ends)]
+    return [
+        Trajectory(trajectory.folder, trajectory.tag, trajectory.station, cut(whole, a, b)) for a, b in pairwise(ends)
+    ]
 
 
 def cut(recording: Recording, start: int, stop: int) -> Recording:
@@ -46,45 +48,47 @@ def cut(recording: Recording, start: int, stop: int) -> Recording:
     return Recording(recording.times[part], readings, inputs, truth, recording.name)
 
 
-def lane_of(
-    folder: Folder,
+def trajectory_of(
+    folder: RecordingFolder,
     tag: str,
     station: str,
     times: np.ndarray,
     readings: dict[str, Readings],
     inputs: dict[str, np.ndarray],
     paths: dict[str, Path],
-) -> Lane:
-    """A lane of these rows, with the input `height` (T,), m, zero where the rig gives none, and the truth at them."""
+) -> Trajectory:
+    """A trajectory of these rows, with the input `height` (T,), m, zero where the rig gives none, and the truth at them."""
     height = known_height(folder, tag)
     inputs = {**inputs, "height": np.full(len(times), 0.0 if height is None else height)}
     truth = _truth(folder, tag, station, times, paths)
-    return Lane(folder, tag, station, Recording(times, readings, inputs, truth, f"{folder.name}, tag {tag}"))
+    return Trajectory(folder, tag, station, Recording(times, readings, inputs, truth, f"{folder.name}, tag {tag}"))
 
 
-def known_height(folder: Folder, tag: str) -> float | None:
+def known_height(folder: RecordingFolder, tag: str) -> float | None:
     """The constant height of a tag, m, where the rig gives one."""
     known = folder.rig.tags.get(tag)
     return None if known is None else known.height
 
 
-def shown_height(lane: Lane) -> np.ndarray:
+def known_heights(trajectory: Trajectory) -> np.ndarray:
     """What estimates over the floor show as the tag's height (T,), m: NaN where nobody knows it."""
-    height = known_height(lane.folder, lane.tag)
-    return np.full(len(lane.recording), np.nan if height is None else height)
+    height = known_height(trajectory.folder, trajectory.tag)
+    return np.full(len(trajectory.recording), np.nan if height is None else height)
 
 
-def true_paths(folder: Folder) -> dict[str, Path]:
+def true_paths(folder: RecordingFolder) -> dict[str, Path]:
     """The true paths by tag, as `lane_of` takes them; empty without truth."""
     return truth_paths(folder.tables["truth"], folder.name) if "truth" in folder.tables else {}
 
 
-def _truth(folder: Folder, tag: str, station: str, times: np.ndarray, paths: dict[str, Path]) -> dict[str, Path]:
-    """The true position at the rows' times, or for a station's lane the true direction; known nowhere without truth."""
+def _truth(
+    folder: RecordingFolder, tag: str, station: str, times: np.ndarray, paths: dict[str, Path]
+) -> dict[str, Path]:
+    """The true position at the rows' times, or for a station's trajectory the true direction; known nowhere without truth."""
     place, known = np.zeros((len(times), 3)), np.zeros(len(times), bool)
     if tag in paths:
         place, verdict = interpolated(times, *paths[tag])
-        known = (verdict == Verdict.COUNTS) & np.isfinite(place).all(axis=1)
+        known = (verdict == TruthStatus.COUNTS) & np.isfinite(place).all(axis=1)
         place = np.where(known[:, None], place, 0.0)
     if station:
         return {"direction": (folder.rig.stations[station].angles(place), known)}

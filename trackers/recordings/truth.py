@@ -26,7 +26,7 @@ UNITS = ("_s", "_m", "_m2", "_rad", "nis", "nis_dof")
 """How the names of columns of numbers end."""
 
 
-class Verdict(IntEnum):
+class TruthStatus(IntEnum):
     """Why a row counts or doesn't."""
 
     COUNTS = 0
@@ -38,7 +38,7 @@ class Verdict(IntEnum):
 class Matched(NamedTuple):
     """Tracks sorted by recording, tag, station and time, and what stands beside each row.
 
-    `truth`: (n, 3) m, NaN where there is none. `verdict`: (n,) values of `Verdict`. `starts`: (g + 1,) where each of
+    `truth`: (n, 3) m, NaN where there is none. `verdict`: (n,) values of `TruthStatus`. `starts`: (g + 1,) where each of
     the g tracks begins, and the end.
     """
 
@@ -50,7 +50,7 @@ class Matched(NamedTuple):
     @property
     def counts(self) -> np.ndarray:
         """Which rows are judged."""
-        return self.verdict == Verdict.COUNTS
+        return self.verdict == TruthStatus.COUNTS
 
 
 def track_keys(tracks: pl.DataFrame) -> list[str]:
@@ -82,7 +82,7 @@ def match_truth(tracks: pl.DataFrame, truths: Mapping[str, pl.DataFrame]) -> Mat
 
     paths = {name: truth_paths(frame, name) for name, frame in truths.items()}
     truth = np.full((len(rows), 3), np.nan)
-    verdict = np.where(usable, Verdict.NO_TRUTH, Verdict.NO_ESTIMATE).astype(np.uint8)
+    verdict = np.where(usable, TruthStatus.NO_TRUTH, TruthStatus.NO_ESTIMATE).astype(np.uint8)
     starts = _starts(rows, keys)
     first = rows[starts[:-1]]
     for (a, b), recording, tag in zip(pairwise(starts), first["recording"], first["tag"], strict=True):
@@ -158,15 +158,15 @@ def truth_paths(truth: pl.DataFrame, recording: str) -> dict[str, tuple[np.ndarr
 
 def interpolated(at: np.ndarray, times: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Truth (n, 3) and verdict (n,) at the times `at`, from a path of at least one row."""
-    verdict = np.full(len(at), Verdict.COUNTS, np.uint8)
+    verdict = np.full(len(at), TruthStatus.COUNTS, np.uint8)
     place = np.stack([np.interp(at, times, axis) for axis in places.T], axis=1)
     if len(times) > 1:
         moved = np.sqrt(np.nansum(np.diff(places, axis=0) ** 2, axis=1))
         hole = (np.diff(times) > HOLE_S) & (moved > HOLE_M)
         after = np.clip(np.searchsorted(times, at), 1, len(times) - 1)
-        verdict[hole[after - 1] & (times[after - 1] < at) & (at < times[after])] = Verdict.HOLE
-    verdict[(at < times[0]) | (at > times[-1])] = Verdict.NO_TRUTH
-    place[verdict != Verdict.COUNTS] = np.nan
+        verdict[hole[after - 1] & (times[after - 1] < at) & (at < times[after])] = TruthStatus.HOLE
+    verdict[(at < times[0]) | (at > times[-1])] = TruthStatus.NO_TRUTH
+    place[verdict != TruthStatus.COUNTS] = np.nan
     return place, verdict
 
 

@@ -9,7 +9,7 @@ import equinox as eqx
 from trackers.core.algebra import Vector, diagonal
 from trackers.core.ekf import Gaussian
 from trackers.core.motion import Noise
-from trackers.core.track_loss import LossPolicy
+from trackers.core.track_loss import TrackLossPolicy
 from trackers.core.tracker import Row, Tracker
 from trackers.core.tunable import Scale
 from trackers.parts.ranges import RANGES, RangeSensor
@@ -47,7 +47,7 @@ def range_tracker(
     sigma_z: float = 0.7,
     memory: float = 5.0,
     sigma_r: float = 0.12,
-    stretch: float = 3.0,
+    positive_skew: float = 3.0,
     tail: float = 3.0,
     bias: float = 0.015,
     sigma_bias: float = 0.025,
@@ -62,8 +62,8 @@ def range_tracker(
     biases = anchors if anchors <= OWN_BIASES else 0
     return Tracker(
         DriftingBiases(biases, sigma_a, sigma_z, memory, sigma_bias, time_constant),
-        {RANGES: RangeSensor(1, anchors, sigma_r, stretch, tail, bias)},
+        {RANGES: RangeSensor(1, anchors, sigma_r, positive_skew, tail, bias)},
         RangeStart(Scale(1.0, "m"), Scale(1.0, "m/s"), Scale(sigma_bias, "m"), planar, biases),
         # Student's t bounds what one range adds to the NIS, and real biases make it large: silence ends a track.
-        loss=LossPolicy(limit=1e3, patience=10.0),
+        track_loss=TrackLossPolicy(nis_limit=1e3, max_gap=10.0),
     )

@@ -11,7 +11,7 @@ from trackers.core.algebra import Scalar, Vector, diagonal, triangle
 from trackers.core.ekf import Gaussian
 from trackers.core.motion import Noise
 from trackers.core.state import Heading, Rotation
-from trackers.core.track_loss import LossPolicy
+from trackers.core.track_loss import TrackLossPolicy
 from trackers.core.tracker import Row, Tracker
 from trackers.core.tunable import Scale
 from trackers.parts.ranges import RANGES, RangeSensor
@@ -119,7 +119,7 @@ def inertial_tracker(
     planar: bool = False,
     noise: ImuNoise | None = None,
     sigma_r: float = 0.1,
-    stretch: float = 3.0,
+    positive_skew: float = 3.0,
     tail: float = 3.0,
     bias: float = 0.03,
     yaws: int = 3,
@@ -136,9 +136,9 @@ def inertial_tracker(
     motion = PlanarStrapdown(noise) if planar else Strapdown(noise, biases=biases)
     return Tracker(
         motion,
-        {RANGES: RangeSensor(1, anchors, sigma_r, stretch, tail, bias)},
+        {RANGES: RangeSensor(1, anchors, sigma_r, positive_skew, tail, bias)},
         InertialStart(planar, biases),
         YawBank(count=yaws),
         # Obstructed ranges are too long for seconds: a large running NIS is no sign of a lost track there.
-        LossPolicy(limit=1e3, patience=10.0),
+        TrackLossPolicy(nis_limit=1e3, max_gap=10.0),
     )

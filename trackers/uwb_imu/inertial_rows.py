@@ -1,4 +1,4 @@
-"""System C with an inertial sensor on the command line: the tracker of ranges and an IMU, and its lanes."""
+"""System C with an inertial sensor on the command line: the tracker of ranges and an IMU, and its trajectories."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import polars as pl
 
 from trackers.core.recording import Readings
 from trackers.parts.ranges import RANGES
-from trackers.recordings.folder import Folder
+from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tables import QUATERNION
-from trackers.recordings.tracker_spec import Entry, at_known_height
-from trackers.recordings.trajectories import Lane, lane_of, true_paths
+from trackers.recordings.tracker_spec import TrackerSpec, at_known_height
+from trackers.recordings.trajectories import Trajectory, trajectory_of, true_paths
 from trackers.recordings.truth import numbers
 from trackers.uwb_imu.inertial import inertial_tracker
 from trackers.uwb_imu.range_rows import range_rows
@@ -22,11 +22,11 @@ GRAVITY = 9.81
 LEAST_ANCHORS = 3
 
 
-def inertial_lanes(folder: Folder, free_height: bool) -> Iterator[Lane]:
+def inertial_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
     """Each tag's ranges, one a row, and rows at the times of the IMU's samples, which move the rows.
 
-    Tags with a place on the body (`offset_m`) sit on one body, with its IMU at the body's origin: each of their lanes
-    has the ranges of all of them, by their levers from the lane's own tag.
+    Tags with a place on the body (`offset_m`) sit on one body, with its IMU at the body's origin: each of their trajectories
+    has the ranges of all of them, by their levers from the trajectory's own tag.
     """
     paths = true_paths(folder)
     tables = folder.tables
@@ -49,10 +49,10 @@ def inertial_lanes(folder: Folder, free_height: bool) -> Iterator[Lane]:
         seen = _with_rows(readings.seen, len(between))[order]
         reported = _with_rows(readings.reported, len(between))[order]
         rows = Readings(_with_rows(readings.values, len(between))[order], seen, reported)
-        yield lane_of(folder, tag, "", times[order], {RANGES: rows}, merged, paths)
+        yield trajectory_of(folder, tag, "", times[order], {RANGES: rows}, merged, paths)
 
 
-def _mates(folder: Folder, tag: str, free_height: bool) -> list[str]:
+def _mates(folder: RecordingFolder, tag: str, free_height: bool) -> list[str]:
     """The tags on the same body, the tag itself first; a tag tracked over the floor is alone."""
     known = folder.rig.tags.get(tag)
     if known is None or known.offset is None or (known.height is not None and not free_height):
@@ -60,7 +60,7 @@ def _mates(folder: Folder, tag: str, free_height: bool) -> list[str]:
     return [tag, *(other for other, t in folder.rig.tags.items() if t.offset is not None and other != tag)]
 
 
-def _offset(folder: Folder, tag: str) -> np.ndarray:
+def _offset(folder: RecordingFolder, tag: str) -> np.ndarray:
     known = folder.rig.tags.get(tag)
     return np.zeros(3) if known is None or known.offset is None else np.asarray(known.offset, float)
 
@@ -83,7 +83,7 @@ def _samples(table: pl.DataFrame, tag: str, mates: list[str]) -> tuple[np.ndarra
     return own["t_s"].to_numpy(), accel, gyro
 
 
-def lacks(folder: Folder) -> str | None:
+def lacks(folder: RecordingFolder) -> str | None:
     """What a folder lacks for the tracker of ranges and an IMU, in words."""
     for name in ("ranges", "imu"):
         if name not in folder.tables:
@@ -92,14 +92,14 @@ def lacks(folder: Folder) -> str | None:
     return None if found >= LEAST_ANCHORS else f"ranges to at least {LEAST_ANCHORS} anchors, found {found}"
 
 
-def _anchors(lane: Lane) -> int:
-    return len(lane.folder.rig.anchors)
+def _anchors(trajectory: Trajectory) -> int:
+    return len(trajectory.folder.rig.anchors)
 
 
 TRACKERS = {
-    "uwb-imu": Entry(
+    "uwb-imu": TrackerSpec(
         "position, velocity and attitude from ranges and an IMU, error-state EKF", "ranges", lacks,
-        inertial_lanes, lambda lane, planar: inertial_tracker(_anchors(lane), planar),
-        lambda lane: (_anchors(lane), "levers" in lane.recording.inputs), at_known_height,
+        inertial_trajectories, lambda trajectory, planar: inertial_tracker(_anchors(trajectory), planar),
+        lambda trajectory: (_anchors(trajectory), "levers" in trajectory.recording.inputs), at_known_height,
     ),
 }  # fmt: skip

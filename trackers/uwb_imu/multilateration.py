@@ -13,7 +13,7 @@ from trackers.core.estimates import Status
 from trackers.core.motion import Noise, Placed
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker, Output, Score
-from trackers.core.tunable import Scale, resolved
+from trackers.core.tunable import Scale, freeze
 from trackers.parts.ranges import RANGES
 
 ROUNDS = 20
@@ -121,7 +121,7 @@ class Multilateration(AbstractTracker):
     planar: bool = eqx.field(static=True)
 
     def scan(self, batch: Batch) -> Output:
-        sigma = resolved(self).sigma_r.value
+        sigma = freeze(self).sigma_r.value
         reading, inputs = batch.readings[self.name], batch.inputs
 
         def fix(values: Any, seen: Any, anchors: Any, height: Scalar) -> Place:

@@ -1,4 +1,4 @@
-"""System C without an inertial sensor on the command line: trackers of ranges, and their lanes."""
+"""System C without an inertial sensor on the command line: trackers of ranges, and their trajectories."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import polars as pl
 from trackers.core.recording import Readings
 from trackers.parts.range_places import recent_places
 from trackers.parts.ranges import RANGES
-from trackers.recordings.folder import Folder
-from trackers.recordings.tracker_spec import Entry, on_request
-from trackers.recordings.trajectories import Lane, by_tag, known_height, lane_of, true_paths, values_of
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.tracker_spec import TrackerSpec, on_request
+from trackers.recordings.trajectories import Trajectory, by_tag, known_height, trajectory_of, true_paths, values_of
 from trackers.recordings.truth import numbers
 from trackers.uwb_imu.fusion import range_tracker
 from trackers.uwb_imu.multilateration import multilateration_tracker
@@ -29,16 +29,16 @@ FARTHEST = 20.0
 """Times the anchors' extent that the middle range may be."""
 
 
-def range_lanes(folder: Folder, free_height: bool) -> Iterator[Lane]:
+def range_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
     """Each tag's ranges, one a row, with the place and number of the row's anchor as inputs."""
     paths = true_paths(folder)
     for tag, table in by_tag(folder.tables["ranges"]):
         readings, inputs = range_rows(folder, tag, table, free_height)
-        yield lane_of(folder, tag, "", table["t_s"].to_numpy(), {RANGES: readings}, inputs, paths)
+        yield trajectory_of(folder, tag, "", table["t_s"].to_numpy(), {RANGES: readings}, inputs, paths)
 
 
 def range_rows(
-    folder: Folder, tag: str, table: pl.DataFrame, free_height: bool
+    folder: RecordingFolder, tag: str, table: pl.DataFrame, free_height: bool
 ) -> tuple[Readings, dict[str, np.ndarray]]:
     """The readings of a tag's ranges, one a row of `table`, and the rows' inputs `anchors`, `anchor` and `nearby`.
 
@@ -55,13 +55,13 @@ def range_rows(
     return Readings(values, seen, variances), inputs
 
 
-def snapshot_lanes(folder: Folder, free_height: bool) -> Iterator[Lane]:
+def snapshot_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
     """Each tag's ranges, one row a time, with the latest range of every anchor in a slot of its own."""
     for tag, times, latest, fresh, inputs in _snapshots(folder, free_height):
-        yield lane_of(folder, tag, "", times, {RANGES: Readings(latest, fresh)}, inputs, true_paths(folder))
+        yield trajectory_of(folder, tag, "", times, {RANGES: Readings(latest, fresh)}, inputs, true_paths(folder))
 
 
-def triple_lanes(folder: Folder, free_height: bool) -> Iterator[Lane]:
+def triple_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
     """As `snapshot_lanes`, with the three anchors of each row that span the largest triangle, for trilateration."""
     anchors = _anchors(folder)
     triples = np.array(list(combinations(range(len(anchors)), 3)))
@@ -73,11 +73,11 @@ def triple_lanes(folder: Folder, free_height: bool) -> Iterator[Lane]:
         best = triples[np.argmax(np.where(whole, areas, -1.0), axis=1)][which.ravel()]
         values, seen = (np.take_along_axis(x, best, axis=1) for x in (latest, fresh))
         inputs = {**inputs, "anchors": anchors[best].reshape(len(times), 9)}
-        yield lane_of(folder, tag, "", times, {RANGES: Readings(values, seen)}, inputs, true_paths(folder))
+        yield trajectory_of(folder, tag, "", times, {RANGES: Readings(values, seen)}, inputs, true_paths(folder))
 
 
 def _snapshots(
-    folder: Folder, free_height: bool
+    folder: RecordingFolder, free_height: bool
 ) -> Iterator[tuple[str, np.ndarray, np.ndarray, np.ndarray, dict[str, np.ndarray]]]:
     """Per tag: its times (t,), the latest range of each anchor then (t, A), whether it is fresh, and the inputs."""
     anchors = _anchors(folder)
@@ -104,12 +104,12 @@ def _window(age: np.ndarray, least: int) -> float:
     return enough[0] if enough else WINDOWS[-1]
 
 
-def _anchors(folder: Folder) -> np.ndarray:
+def _anchors(folder: RecordingFolder) -> np.ndarray:
     """The anchors' places (A, 3), m, in the order of their ids."""
     return np.stack([np.asarray(folder.rig.anchors[a], float) for a in sorted(folder.rig.anchors)])
 
 
-def lacks_ranges(folder: Folder) -> str | None:
+def lacks_ranges(folder: RecordingFolder) -> str | None:
     """What a folder lacks for a tracker of ranges: enough anchors that span a plane, and plausible metres."""
     if "ranges" not in folder.tables:
         return "a ranges table with at least 3 anchors, found no such table"
@@ -135,7 +135,7 @@ def lacks_ranges(folder: Folder) -> str | None:
     return None
 
 
-def _lacks_known_height(folder: Folder) -> str | None:
+def _lacks_known_height(folder: RecordingFolder) -> str | None:
     """What a folder lacks for trilateration."""
     lacking = lacks_ranges(folder)
     if lacking is not None:
@@ -144,29 +144,29 @@ def _lacks_known_height(folder: Folder) -> str | None:
     return f"height_m in rig.toml for every tag, found none for {', '.join(free)}" if free else None
 
 
-def _biases(lane: Lane) -> int:
-    """How many biases the tracker of a lane has: whole eights, so that installations share a tracker."""
-    return -(-len(lane.folder.rig.anchors) // 8) * 8
+def _biases(trajectory: Trajectory) -> int:
+    """How many biases the tracker of a trajectory has: whole eights, so that installations share a tracker."""
+    return -(-len(trajectory.folder.rig.anchors) // 8) * 8
 
 
 TRACKERS = {
-    "uwb": Entry(
+    "uwb": TrackerSpec(
         "position from ranges, with a drifting bias per anchor", "ranges", lacks_ranges,
-        range_lanes, lambda lane, planar: range_tracker(_biases(lane), planar), _biases,
+        range_trajectories, lambda trajectory, planar: range_tracker(_biases(trajectory), planar), _biases,
     ),
-    "multilateration": Entry(
+    "multilateration": TrackerSpec(
         "position from the ranges of the moment, robust least squares: a baseline", "ranges", lacks_ranges,
-        snapshot_lanes, lambda lane, planar: multilateration_tracker(planar),
-        lambda lane: len(lane.folder.rig.anchors), automatic=on_request,
+        snapshot_trajectories, lambda trajectory, planar: multilateration_tracker(planar),
+        lambda trajectory: len(trajectory.folder.rig.anchors), automatic=on_request,
     ),
-    "trilateration": Entry(
+    "trilateration": TrackerSpec(
         "position from three ranges, by circles and without the paper's (14)", "ranges", _lacks_known_height,
-        triple_lanes, lambda lane, planar: trilateration_tracker(compensated=False),
-        planar=lambda lane, free_height: True, automatic=on_request,
+        triple_trajectories, lambda trajectory, planar: trilateration_tracker(compensated=False),
+        planar=lambda trajectory, free_height: True, automatic=on_request,
     ),
-    "trilateration-compensated": Entry(
+    "trilateration-compensated": TrackerSpec(
         "position from three ranges, by circles, each range lengthened by (14): the paper's", "ranges",
-        _lacks_known_height, triple_lanes, lambda lane, planar: trilateration_tracker(compensated=True),
-        planar=lambda lane, free_height: True, automatic=on_request,
+        _lacks_known_height, triple_trajectories, lambda trajectory, planar: trilateration_tracker(compensated=True),
+        planar=lambda trajectory, free_height: True, automatic=on_request,
     ),
 }  # fmt: skip

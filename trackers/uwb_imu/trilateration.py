@@ -20,7 +20,7 @@ from trackers.core.estimates import Status
 from trackers.core.motion import Noise, Placed
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker, Output, Score
-from trackers.core.tunable import Scale, resolved
+from trackers.core.tunable import Scale, freeze
 from trackers.parts.ranges import RANGES
 
 
@@ -90,7 +90,7 @@ class Trilateration(AbstractTracker):
     compensated: bool = eqx.field(static=True)
 
     def scan(self, batch: Batch) -> Output:
-        model = resolved(self)
+        model = freeze(self)
         reading, inputs = batch.readings[self.name], batch.inputs
         seen = jnp.all(jnp.asarray(reading.seen), axis=1) & jnp.asarray(batch.valid)
 

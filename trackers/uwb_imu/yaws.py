@@ -23,7 +23,7 @@ class Yaws(NamedTuple):
     log_weights: Any
 
 
-class YawLinks(NamedTuple):
+class YawGains(NamedTuple):
     """What ties each yaw's belief to its next one, and the filtered weights, which stand where no row follows."""
 
     each: Any
@@ -86,15 +86,15 @@ class YawBank(eqx.Module):
         )
         return retract(centre, mean), cov
 
-    def link(self, belief: Yaws, motion: AbstractMotion, joined: Scalar, dt: Scalar, inputs: Any) -> YawLinks:
+    def rts_gain(self, belief: Yaws, motion: AbstractMotion, joined: Scalar, dt: Scalar, inputs: Any) -> YawGains:
         """What ties a row's belief to the next row's: each yaw to itself, since none becomes another."""
-        each = jax.vmap(lambda b: self.kalman.link(b, motion, joined, dt, inputs))
-        return YawLinks(each(belief.beliefs), belief.log_weights, joined)
+        each = jax.vmap(lambda b: self.kalman.rts_gain(b, motion, joined, dt, inputs))
+        return YawGains(each(belief.beliefs), belief.log_weights, joined)
 
-    def linked(self, link: YawLinks, after: Yaws) -> Yaws:
+    def rts_step(self, rts_gain: YawGains, after: Yaws) -> Yaws:
         """Every yaw smoothed by itself, weighed by what it had foretold of all rows to come."""
-        log_weights = jnp.where(link.joined, after.log_weights, link.log_weights)
-        return Yaws(jax.vmap(self.kalman.linked)(link.each, after.beliefs), log_weights)
+        log_weights = jnp.where(rts_gain.joined, after.log_weights, rts_gain.log_weights)
+        return Yaws(jax.vmap(self.kalman.rts_step)(rts_gain.each, after.beliefs), log_weights)
 
 
 def turned(state: State, angle: Scalar) -> State:

@@ -10,14 +10,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from experiments.monte_carlo.declaration import Entrant, Study, World
-from experiments.monte_carlo.expectations import Claim, Conclusion
+from experiments.monte_carlo.declaration import Study, TrackerConfig, World
+from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
 from experiments.monte_carlo.results import Results
 from experiments.papers.fitting import fitted
 from experiments.papers.huang_2018.workshop import MEASURES, workshop
 from trackers.mhk.rows import TRACKERS
 from trackers.mhk.tracker import mhk_tracker
-from trackers.recordings.tracker_spec import Entry
+from trackers.recordings.tracker_spec import TrackerSpec
 
 WINDOWS = (1, 3, 5, 9, 13, 21)
 NUMBERS = fitted("huang_2018/workshop")
@@ -26,18 +26,18 @@ OWN = {"fusion.motion.sigma_a": NUMBERS["sigma_a"], "median.speed_limit": 4.0}
 """The speed limit out of the way: at the fitted one a short window is held back by it and not by its length."""
 
 
-def of_window(rows: int, stamped: bool) -> Entry:
+def of_window(rows: int, stamped: bool) -> TrackerSpec:
     """MH-K with a median of so many fixes."""
     return replace(
         TRACKERS["mhk"],
         about=f"MH-K with a median of {rows}",
-        build=lambda lane, planar: mhk_tracker(window=rows, stamped=stamped),
+        build=lambda trajectory, planar: mhk_tracker(window=rows, stamped=stamped),
     )
 
 
-def claims(results: Results) -> list[Claim | Conclusion]:
+def claims(results: Results) -> list[ExpectedResult | Conclusion]:
     """The longer the smoother, the longer the later; and what 9 balances."""
-    found: list[Claim | Conclusion] = []
+    found: list[ExpectedResult | Conclusion] = []
     for world in ("0.5 m/s", "0.2 m/s"):
         cm = {
             (figure, w): 100 * results.value(figure, world, f"median of {w}").value
@@ -79,8 +79,8 @@ STUDY = Study(
     about="What the length of the median in MH-K trades: smoothing against lag",
     worlds={f"{speed} m/s": World(workshop, {**WORLD, "speed": speed}) for speed in (0.5, 0.2)},
     trackers={
-        **{f"median of {w}": Entrant(of_window(w, False), OWN) for w in (9, *(w for w in WINDOWS if w != 9))},
-        "median of 9, stamped": Entrant(of_window(9, True), OWN),
+        **{f"median of {w}": TrackerConfig(of_window(w, False), OWN) for w in (9, *(w for w in WINDOWS if w != 9))},
+        "median of 9, stamped": TrackerConfig(of_window(9, True), OWN),
     },
     runs=50,
     measures={name: MEASURES[name] for name in ("route_mean_m", "route_max_m", "improved")},

@@ -11,15 +11,15 @@ from dataclasses import replace
 
 import equinox as eqx
 
-from experiments.monte_carlo.declaration import Entrant, Study, World
-from experiments.monte_carlo.expectations import Claim, Conclusion
+from experiments.monte_carlo.declaration import Study, TrackerConfig, World
+from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
 from experiments.monte_carlo.results import Results, Value
 from experiments.papers.fitting import fitted
 from experiments.papers.huang_2018.workshop import MEASURES, workshop
 from trackers.core.ekf import ExtendedKalman
 from trackers.mhk.rows import TRACKERS
 from trackers.mhk.tracker import mhk_tracker
-from trackers.recordings.tracker_spec import Entry
+from trackers.recordings.tracker_spec import TrackerSpec
 
 NUMBERS = fitted("huang_2018/workshop")
 NOISE = {name: NUMBERS[name] for name in ("drift", "share", "size")}
@@ -30,28 +30,28 @@ MHK = {"fusion.motion.sigma_a": SIGMA_A}
 WORLDS = {"0.5 m/s": 0.5, "1.2 m/s": 1.2}
 
 
-def _mhk(about: str, chain: bool = True, rate: float | None = None) -> Entry:
+def _mhk(about: str, chain: bool = True, rate: float | None = None) -> TrackerSpec:
     """MH-K with a chain whose accelerations last 1/`rate` s, or without a chain."""
     made = mhk_tracker(rate=rate, stamped=True)
     if not chain:
         made = eqx.tree_at(lambda t: t.fusion.filter, made, ExtendedKalman())
-    return replace(TRACKERS["mhk-stamped"], about=about, build=lambda lane, planar: made)
+    return replace(TRACKERS["mhk-stamped"], about=about, build=lambda trajectory, planar: made)
 
 
 ENTRANTS = {
-    "mhk-stamped": Entrant("mhk-stamped", MHK),
-    "mhk": Entrant("mhk", MHK),
-    "no chain": Entrant(_mhk("MH-K without its Markov chain: median and Kalman filter", chain=False), MHK),
-    "sticky chain": Entrant(_mhk("MH-K with accelerations that last a second", rate=1.0), MHK),
-    "fix-kf": Entrant("fix-kf"),
-    "fix-singer": Entrant("fix-singer"),
-    "imm": Entrant("imm"),
+    "mhk-stamped": TrackerConfig("mhk-stamped", MHK),
+    "mhk": TrackerConfig("mhk", MHK),
+    "no chain": TrackerConfig(_mhk("MH-K without its Markov chain: median and Kalman filter", chain=False), MHK),
+    "sticky chain": TrackerConfig(_mhk("MH-K with accelerations that last a second", rate=1.0), MHK),
+    "fix-kf": TrackerConfig("fix-kf"),
+    "fix-singer": TrackerConfig("fix-singer"),
+    "imm": TrackerConfig("imm"),
 }
 
 
-def claims(results: Results) -> list[Claim | Conclusion]:
+def claims(results: Results) -> list[ExpectedResult | Conclusion]:
     """What the chain adds, and what else a drifting fix can be followed with."""
-    found: list[Claim | Conclusion] = []
+    found: list[ExpectedResult | Conclusion] = []
     for world in WORLDS:
         chain = _mm(results.difference("route_mean_m", world, "mhk-stamped", "no chain"))
         in_time = _mm(results.difference("mean_m", world, "mhk-stamped", "no chain"))

@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.monte_carlo.declaration import Entrant, Study, World
-from experiments.monte_carlo.expectations import Claim, Conclusion
+from experiments.monte_carlo.declaration import Study, TrackerConfig, World
+from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
 from experiments.monte_carlo.results import Results, Value
 from experiments.monte_carlo.trajectories import Run
 from experiments.papers.fitting import fitted
@@ -25,15 +25,17 @@ from sim.corruptions import gauss_markov, outliers
 from sim.fixes import correlated_noise
 from sim.tables.agv import simulated_agv
 from trackers.mhk.tracker import STILL
-from trackers.recordings.folder import Folder
-from trackers.recordings.tracker_spec import Entry
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.tracker_spec import TrackerSpec
 
 ROUTE = Route()
 LASTING_S = 10.0
 """How long a drift lasts: much longer than the median's window, which then leaves it as it is."""
 
 
-def workshop(ids: np.ndarray, seed: int, drift: float, share: float, size: float, speed: float = 0.5) -> Folder:
+def workshop(
+    ids: np.ndarray, seed: int, drift: float, share: float, size: float, speed: float = 0.5
+) -> RecordingFolder:
     """Vehicles whose fixes have the noise at rest, a `drift` m, and in a `share` of them a kick of `size` m."""
     errors = {"noise": correlated_noise(STILL), "drift": gauss_markov(drift, LASTING_S), "wild": outliers(share, size)}
     return simulated_agv(simulate_agv(ids.tolist(), seed, route=ROUTE, speed=speed, errors=errors), "workshop")
@@ -96,19 +98,19 @@ PRINTED = {
 FITTED_OF_MHK = ("mean error", "largest error")
 
 
-def claims(results: Results) -> list[Claim | Conclusion]:
+def claims(results: Results) -> list[ExpectedResult | Conclusion]:
     """The nine printed figures, and what the paper says of them."""
-    found: list[Claim | Conclusion] = []
+    found: list[ExpectedResult | Conclusion] = []
     for figure, printed in PRINTED.items():
         for tracker, number in (("raw", printed.raw), ("mhk", printed.mhk)):
             if number is not None:
                 ours = results.value(printed.measure, "workshop", tracker).times(printed.factor)
                 chosen = tracker == "raw" or figure in FITTED_OF_MHK
-                found.append(Claim(f"Figure 7, {figure}, {tracker}", number, ours, printed.unit, chosen))
+                found.append(ExpectedResult(f"Figure 7, {figure}, {tracker}", number, ours, printed.unit, chosen))
     return [*found, *_conclusions(results)]
 
 
-def _conclusions(results: Results) -> list[Claim | Conclusion]:
+def _conclusions(results: Results) -> list[ExpectedResult | Conclusion]:
     def cm(measure: str, tracker: str) -> Value:
         return results.value(measure, "workshop", tracker).times(100.0)
 
@@ -147,12 +149,17 @@ def study_with(numbers: dict[str, float], runs: int = 200, seed: int = 1) -> Stu
     """The study with these numbers of the world and of MH-K; its vehicles are others than the fit's, of seed 0."""
     own = {"fusion.motion.sigma_a": numbers["sigma_a"], "median.speed_limit": numbers["speed_limit"]}
     world = World(workshop, {name: numbers[name] for name in ("drift", "share", "size")})
-    entrants: dict[str, str | Entry] = {"mhk": "mhk", "raw": RAW, "median": "median", "mhk-stamped": "mhk-stamped"}
+    entrants: dict[str, str | TrackerSpec] = {
+        "mhk": "mhk",
+        "raw": RAW,
+        "median": "median",
+        "mhk-stamped": "mhk-stamped",
+    }
     return Study(
         name="workshop",
         about="Figures 6 and 7 of Huang et al. 2018: how far from its route a vehicle seems to be, raw and by MH-K",
         worlds={"workshop": world},
-        trackers={k: Entrant(e, own if k.startswith("mhk") else {}) for k, e in entrants.items()},
+        trackers={k: TrackerConfig(e, own if k.startswith("mhk") else {}) for k, e in entrants.items()},
         runs=runs,
         seed=seed,
         measures=MEASURES,

@@ -13,14 +13,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from experiments.monte_carlo.declaration import Entrant, Study, World
-from experiments.monte_carlo.expectations import Claim, Conclusion
+from experiments.monte_carlo.declaration import Study, TrackerConfig, World
+from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
 from experiments.monte_carlo.results import Results
 from experiments.monte_carlo.trajectories import Run
 from experiments.papers.fitting import fitted
 from sim.ranging import Protocol, antenna_biases, chamber, simulate_ranges
 from sim.tables.ranging import simulated_ranging
-from trackers.recordings.folder import Folder
+from trackers.recordings.folder import RecordingFolder
 
 PLACES = {f"tag at ({x:g}, {y:g})": (x, y, 1.8) for x in (0.0, 5.0) for y in (0.0, 5.0)}
 SIDE, TURN = 5.0, np.deg2rad(15.0)
@@ -37,7 +37,9 @@ def anchors(height: float) -> np.ndarray:
     return np.column_stack([2.5 + around, np.full(4, height)])
 
 
-def corner(ids: np.ndarray, seed: int, place: tuple[float, float, float], sigma_bias: float, height: float) -> Folder:
+def corner(
+    ids: np.ndarray, seed: int, place: tuple[float, float, float], sigma_bias: float, height: float
+) -> RecordingFolder:
     """Tags at rest at `place` m; anchors `height` m high, their biases normal, `sigma_bias` m."""
     world = simulate_ranges(
         chamber(anchors(height)),
@@ -52,7 +54,7 @@ def corner(ids: np.ndarray, seed: int, place: tuple[float, float, float], sigma_
     return simulated_ranging(world, "chamber")
 
 
-def under(z: np.ndarray, folder: Folder) -> np.ndarray:
+def under(z: np.ndarray, folder: RecordingFolder) -> np.ndarray:
     """Heights, m, under the anchors: in one plane they see a tag and its mirror image alike."""
     plane = next(iter(folder.rig.anchors.values()))[2]
     return plane - np.abs(z - plane)
@@ -69,13 +71,13 @@ def _largest(axis: int) -> Callable[[Run], np.ndarray]:
     return lambda run: np.nanmax(np.abs(deviations(run)[..., axis]), axis=1)
 
 
-def claims(results: Results) -> list[Claim | Conclusion]:
+def claims(results: Results) -> list[ExpectedResult | Conclusion]:
     """Table 2."""
-    found: list[Claim | Conclusion] = []
+    found: list[ExpectedResult | Conclusion] = []
     ours = {a: results.average(f"largest_{a}_m", [(w, TRACKER) for w in PLACES]).times(1e3) for a in PRINTED_MM}
     for axis, printed in PRINTED_MM.items():
         claim = f"Table 2, largest deviation in {axis}, mean over four places"
-        found.append(Claim(claim, printed, ours[axis], "mm", fitted=axis != "y"))
+        found.append(ExpectedResult(claim, printed, ours[axis], "mm", fitted=axis != "y"))
     says = "errors in z are larger than in x and y"
     evidence = ", ".join(f"{axis} {v.value:.0f} mm" for axis, v in ours.items())
     return [*found, Conclusion(says, ours["z"].low > max(ours["x"].high, ours["y"].high), evidence)]
@@ -91,8 +93,8 @@ def study_with(numbers: dict[str, float], runs: int = 200, seed: int = 1) -> Stu
         about="Table 2 of Kwon et al. 2021: the largest deviations of a still tag in a chamber",
         worlds={name: World(corner, {"place": place, **numbers}) for name, place in PLACES.items()},
         trackers={
-            TRACKER: Entrant("multilateration", free_height=True),
-            "filter": Entrant("uwb", free_height=True),
+            TRACKER: TrackerConfig("multilateration", free_height=True),
+            "filter": TrackerConfig("uwb", free_height=True),
         },
         runs=runs,
         seed=seed,

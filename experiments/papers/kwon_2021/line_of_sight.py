@@ -13,8 +13,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from experiments.monte_carlo.declaration import Entrant, Study, World
-from experiments.monte_carlo.expectations import Claim, Conclusion
+from experiments.monte_carlo.declaration import Study, TrackerConfig, World
+from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
 from experiments.monte_carlo.results import Results
 from experiments.monte_carlo.trajectories import Run
 from experiments.papers.fitting import fitted
@@ -22,7 +22,7 @@ from sim.corruptions import Corruption, gauss_markov
 from sim.keys import Keys
 from sim.ranging import Protocol, chamber, obstruction, on_anchors, simulate_ranges
 from sim.tables.ranging import simulated_ranging
-from trackers.recordings.folder import Folder
+from trackers.recordings.folder import RecordingFolder
 
 HALL = np.array([[0.0, 0.0, 1.8], [8.0, 0.0, 1.8], [0.0, 8.0, 1.8]])
 HIDDEN = (1,)
@@ -31,7 +31,7 @@ PRINTED_MM = {"in sight": {"x": (-194, 195), "y": (-194, 188)}, "hidden": {"x": 
 TRACKER = "trilateration"
 
 
-def hall(ids: np.ndarray, seed: int, places: int, sigma_echo: float, detour: float = 0.0) -> Folder:
+def hall(ids: np.ndarray, seed: int, places: int, sigma_echo: float, detour: float = 0.0) -> RecordingFolder:
     """Tags that stand at so many `places`, a square of them, one after the other; `detour` m where an anchor hides."""
     side = round(places**0.5)
     spots = np.stack(np.meshgrid(np.linspace(1.0, 3.0, side), np.linspace(1.0, 3.0, side)), -1).reshape(-1, 2)
@@ -71,14 +71,14 @@ def _span(axis: int) -> Callable[[Run], np.ndarray]:
     return lambda run: np.nanmax(_error(run, axis), axis=1) - np.nanmin(_error(run, axis), axis=1)
 
 
-def claims(results: Results) -> list[Claim | Conclusion]:
+def claims(results: Results) -> list[ExpectedResult | Conclusion]:
     """Table 1."""
-    found: list[Claim | Conclusion] = []
+    found: list[ExpectedResult | Conclusion] = []
     for world, axes in PRINTED_MM.items():
         for axis, (low, high) in axes.items():
             ours = results.value(f"span_{axis}_m", world, TRACKER).times(1e3)
             found.append(
-                Claim(
+                ExpectedResult(
                     f"Table 1, {world}, {axis}, largest less smallest",
                     high - low,
                     ours,
@@ -113,7 +113,7 @@ def study_with(numbers: dict[str, float], runs: int = 200, seed: int = 1) -> Stu
             "in sight": World(hall, {"places": 16, **echo}),
             "hidden": World(hall, {"places": 4, "detour": numbers["detour"], **echo}),
         },
-        trackers={TRACKER: Entrant("trilateration"), "with (14)": Entrant("trilateration-compensated")},
+        trackers={TRACKER: TrackerConfig("trilateration"), "with (14)": TrackerConfig("trilateration-compensated")},
         runs=runs,
         seed=seed,
         measures={"span_x_m": _span(0), "span_y_m": _span(1), "largest_m": _largest},

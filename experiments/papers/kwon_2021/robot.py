@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.monte_carlo.declaration import Entrant, Study, World
-from experiments.monte_carlo.expectations import Claim, Conclusion
+from experiments.monte_carlo.declaration import Study, TrackerConfig, World
+from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
 from experiments.monte_carlo.results import Results, Value
 from experiments.monte_carlo.trajectories import Run, entered
 from experiments.papers.fitting import fitted
@@ -28,7 +28,7 @@ from sim.imu import level, simulate_uwb_imu
 from sim.keys import Keys
 from sim.ranging import Protocol, antenna_biases, chamber
 from sim.tables.uwb_imu import simulated_uwb_imu
-from trackers.recordings.folder import Folder
+from trackers.recordings.folder import RecordingFolder
 
 LOW, HIGH = np.array([2.80, 2.71, 1.50]), np.array([3.19, 3.09, 1.89])
 STROKES, STROKE_S, RATE_HZ = 5, 4.0, 10.0
@@ -50,7 +50,7 @@ def strokes(keys: Keys, times: np.ndarray) -> np.ndarray:
     return np.tile(path, (len(keys), 1, 1))
 
 
-def robot(ids: np.ndarray, seed: int, sigma_bias: float, height: float) -> Folder:
+def robot(ids: np.ndarray, seed: int, sigma_bias: float, height: float) -> RecordingFolder:
     """Tags with an IMU on the robot, level; the chamber's anchors."""
     world = simulate_uwb_imu(
         chamber(anchors(height)),
@@ -88,22 +88,22 @@ def _mean_of(axes: range) -> Callable[[Run], np.ndarray]:
     return lambda run: np.mean([end(run) for end in ends], axis=0)
 
 
-def claims(results: Results) -> list[Claim | Conclusion]:
+def claims(results: Results) -> list[ExpectedResult | Conclusion]:
     """Table 3, and what the IMU is good for."""
-    found: list[Claim | Conclusion] = []
+    found: list[ExpectedResult | Conclusion] = []
     means: dict[str, Value] = {}
     for axis, printed in PRINTED_MM.items():
         ours = {end: results.value(f"{end}_{axis}_m", "robot", MEASURED).times(1e3) for end in ("least", "largest")}
         for (end, value), number in zip(ours.items(), printed, strict=True):
             chosen, note = (True, HEIGHTS) if axis == "z" else (False, "")
-            found.append(Claim(f"Table 3, {axis}, {end}, mean error", number, value, "mm", chosen, note=note))
+            found.append(ExpectedResult(f"Table 3, {axis}, {end}, mean error", number, value, "mm", chosen, note=note))
         means[axis] = ours["least"]
     for figure, measure, printed_mean, chosen in (
         ("x and y, both ends", "flat_m", np.mean([*PRINTED_MM["x"], *PRINTED_MM["y"]]), False),
         ("z, both ends", "height_m", np.mean(PRINTED_MM["z"]), True),
     ):
         ours_mean = results.value(measure, "robot", MEASURED).times(1e3)
-        found.append(Claim(f"Table 3, {figure}, mean", float(printed_mean), ours_mean, "mm", chosen))
+        found.append(ExpectedResult(f"Table 3, {figure}, mean", float(printed_mean), ours_mean, "mm", chosen))
     without = results.difference("rmse_m", "robot", "with IMU", "without IMU").times(1e3)
     raw = results.difference("rmse_m", "robot", "with IMU", MEASURED).times(1e3)
     return [
@@ -132,7 +132,7 @@ def figure_9(results: Results, folder: Path) -> list[str]:
         panels = figure.subplots(3, 1, sharex=True)
         for colour, name in zip((GREY, VERMILION, BLUE), (MEASURED, "without IMU", "with IMU"), strict=True):
             group = entered(study, cell, name, study.trackers[name], world)[0]
-            recording = group.lanes[0].recording
+            recording = group.trajectories[0].recording
             last = np.append(np.diff(recording.times) > 0, True)
             x, y, z = (np.asarray(v, float)[last] for v in group.tracker.run(recording).mean.position)
             for axes, values in zip(panels, (x, y, under(z, world)), strict=True):
@@ -155,9 +155,9 @@ STUDY = Study(
     about="Table 3 and Figure 9 of Kwon et al. 2021: a tag that a robot moves along each axis, with and without IMU",
     worlds={"robot": World(robot, fitted("kwon_2021/chamber"))},
     trackers={
-        "with IMU": Entrant("uwb-imu", every=1 / RATE_HZ),
-        "without IMU": Entrant("uwb", every=1 / RATE_HZ),
-        MEASURED: Entrant("multilateration"),
+        "with IMU": TrackerConfig("uwb-imu", every=1 / RATE_HZ),
+        "without IMU": TrackerConfig("uwb", every=1 / RATE_HZ),
+        MEASURED: TrackerConfig("multilateration"),
     },
     runs=60,
     seed=1,

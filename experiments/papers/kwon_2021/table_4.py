@@ -16,9 +16,10 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from sim.tables.fixes_from_ranges import fixes_from_ranges
 
-from experiments.monte_carlo.declaration import Entrant, Study, World
-from experiments.monte_carlo.expectations import Claim, Conclusion
+from experiments.monte_carlo.declaration import Study, TrackerConfig, World
+from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
 from experiments.monte_carlo.results import Results
 from experiments.monte_carlo.trajectories import Run, entered
 from experiments.papers.fitting import fitted
@@ -29,9 +30,8 @@ from experiments.questions._windows import RAW, window
 from sim.corruptions import gauss_markov
 from sim.imu import constant_bias, level, simulate_uwb_imu, white_density
 from sim.ranging import Protocol, chamber, on_anchors
-from sim.tables.located import located
 from sim.tables.uwb_imu import simulated_uwb_imu
-from trackers.recordings.folder import Folder
+from trackers.recordings.folder import RecordingFolder
 
 TAG = np.array([2.7, 2.7, 1.8])
 RATE_HZ, JUDGED, SETTLING = 40.0, 380, 300
@@ -49,7 +49,7 @@ PRINTED = {
 """Table 4, largest less smallest: x and y, mm."""
 
 
-def still(ids: np.ndarray, seed: int, sigma_stamp: float, base: float, slow: float, tau: float) -> Folder:
+def still(ids: np.ndarray, seed: int, sigma_stamp: float, base: float, slow: float, tau: float) -> RecordingFolder:
     """Tags at rest with an IMU: ranges to three anchors, what trilateration makes of them, and IMU samples.
 
     `sigma_stamp` s, of a time stamp; `base` m, between the two anchors on one side; `slow` m and `tau` s, of the slow
@@ -70,7 +70,7 @@ def still(ids: np.ndarray, seed: int, sigma_stamp: float, base: float, slow: flo
         attitude=level,
         ids=ids,
     )
-    return located(simulated_uwb_imu(world, "still tag"), "trilateration")
+    return fixes_from_ranges(simulated_uwb_imu(world, "still tag"), "trilateration")
 
 
 def settled(run: Run) -> list[np.ndarray]:
@@ -82,13 +82,13 @@ def _spread(axis: int) -> Callable[[Run], np.ndarray]:
     return lambda run: np.array([np.ptp(places[:, axis]) for places in settled(run)])
 
 
-def claims(results: Results) -> list[Claim | Conclusion]:
+def claims(results: Results) -> list[ExpectedResult | Conclusion]:
     """Table 4."""
-    found: list[Claim | Conclusion] = []
+    found: list[ExpectedResult | Conclusion] = []
     for name, printed in PRINTED.items():
         for axis, number in zip("xy", printed, strict=True):
             ours = results.value(f"spread_{axis}_m", "still", name).times(1e3)
-            found.append(Claim(f"Table 4, {name}, {axis}", number, ours, "mm", fitted=True))
+            found.append(ExpectedResult(f"Table 4, {name}, {axis}", number, ours, "mm", fitted=True))
     order = list(PRINTED)
     less = [
         results.difference(f"spread_{axis}_m", "still", after, before).high < 0
@@ -109,7 +109,7 @@ def figure_10(results: Results, folder: Path) -> list[str]:
         panels = figure.subplots(2, 1, sharex=True)
         for colour, name in zip((GREY, GREEN, BLUE, VERMILION), PRINTED, strict=True):
             group = entered(study, cell, name, study.trackers[name], world)[0]
-            recording = group.lanes[0].recording
+            recording = group.trajectories[0].recording
             last = np.append(np.diff(recording.times) > 0, True) & (recording.times >= SETTLING / RATE_HZ)
             place = group.tracker.run(recording).mean.position
             for axes, values, letter in zip(panels, place, "xy", strict=False):
@@ -124,7 +124,7 @@ def figure_10(results: Results, folder: Path) -> list[str]:
     return [picture(folder, "figure_10.svg", draw, height=2 * HEIGHT)]
 
 
-def entrants(sigma_a: float) -> dict[str, Entrant]:
+def entrants(sigma_a: float) -> dict[str, TrackerConfig]:
     """The paper's four; σa of the Kalman filter, m/s² per √Hz."""
     kalman = {
         "motion.sigma_a": sigma_a,
@@ -136,15 +136,15 @@ def entrants(sigma_a: float) -> dict[str, Entrant]:
         "motion.noise.sigma_accel_walk": 1e-4,
         "sensors.ranges.sigma_r": SIGMA_RANGE,
         # Nothing is in the way: normal noise.
-        "sensors.ranges.stretch": 1.0,
+        "sensors.ranges.positive_skew": 1.0,
         "sensors.ranges.tail": 1e3,
         "sensors.ranges.bias": np.zeros(3),
     }
     return {
-        "proposed": Entrant("uwb-imu", proposed, every=1 / RATE_HZ),
-        "raw": Entrant(RAW),
-        "moving average": Entrant(window(WINDOW)),
-        "Kalman": Entrant("fix-kf", kalman),
+        "proposed": TrackerConfig("uwb-imu", proposed, every=1 / RATE_HZ),
+        "raw": TrackerConfig(RAW),
+        "moving average": TrackerConfig(window(WINDOW)),
+        "Kalman": TrackerConfig("fix-kf", kalman),
     }
 
 

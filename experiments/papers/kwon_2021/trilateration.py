@@ -11,22 +11,22 @@ from functools import partial
 
 import numpy as np
 
-from experiments.monte_carlo.declaration import Entrant, Study, World
-from experiments.monte_carlo.expectations import Claim, Conclusion
+from experiments.monte_carlo.declaration import Study, TrackerConfig, World
+from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
 from experiments.monte_carlo.results import Results
 from experiments.monte_carlo.trajectories import Run
 from sim.corruptions import Corruption
 from sim.paths import hand_motion
 from sim.ranging import WALK_VOLUME, antenna_biases, chamber, obstruction, simulate_ranges
 from sim.tables.ranging import simulated_ranging
-from trackers.recordings.folder import Folder
+from trackers.recordings.folder import RecordingFolder
 
 FLOOR = WALK_VOLUME * [1.0, 1.0, 0.0] + [0.0, 0.0, 1.2]
 SETTLED_S = 5.0
 """Seconds at the beginning that aren't judged: the filter learns its biases."""
 
 
-def walk(ids: np.ndarray, seed: int, hidden: float = 0.0, rows: int = 300) -> Folder:
+def walk(ids: np.ndarray, seed: int, hidden: float = 0.0, rows: int = 300) -> RecordingFolder:
     """Tags with `rows` rows of four ranges each, ten rows a second, anchors hidden for a share of the time."""
     pieces: dict[str, Corruption] = {"biases": antenna_biases(0.03)}
     if hidden:
@@ -43,9 +43,9 @@ def settled(run: Run) -> np.ndarray:
     return rms
 
 
-def claims(results: Results) -> list[Claim | Conclusion]:
+def claims(results: Results) -> list[ExpectedResult | Conclusion]:
     """Whether (14) helps, which the paper says and shows no figure of."""
-    found: list[Claim | Conclusion] = []
+    found: list[ExpectedResult | Conclusion] = []
     for world in results.study.worlds:
         more = results.difference("settled_rmse_m", world, "with (14)", "trilateration").times(100)
         found.append(
@@ -72,10 +72,10 @@ STUDY = Study(
     about="What the confidence compensation (14) of Kwon et al. 2021 does to trilateration",
     worlds={"line of sight": World(walk), "hidden for a third": World(walk, {"hidden": 1 / 3})},
     trackers={
-        "trilateration": Entrant("trilateration"),
-        "with (14)": Entrant("trilateration-compensated"),
-        "least squares": Entrant("multilateration"),
-        "filter": Entrant("uwb"),
+        "trilateration": TrackerConfig("trilateration"),
+        "with (14)": TrackerConfig("trilateration-compensated"),
+        "least squares": TrackerConfig("multilateration"),
+        "filter": TrackerConfig("uwb"),
     },
     runs=100,
     measures={"settled_rmse_m": settled},

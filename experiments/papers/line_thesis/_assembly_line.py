@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from experiments.monte_carlo import Entrant, Results, Run, Study, World
+from experiments.monte_carlo import Results, Run, Study, TrackerConfig, World
 from experiments.monte_carlo.trajectories import trajectories
 from sim.corruptions import gauss_markov, white_noise
 from sim.line import simulate_line
 from sim.tables.line import simulated_line
 from trackers.baselines.fixes import fix_tracker
-from trackers.baselines.rows import fix_lanes, lacks_fixes
+from trackers.baselines.rows import fix_trajectories, lacks_fixes
 from trackers.baselines.windows import MovingWindow
 from trackers.core.tracker import AbstractTracker
 from trackers.line.fixes import FIXES, FloorFixes
@@ -29,9 +29,9 @@ from trackers.line.polyline import Polyline
 from trackers.line.rows import TRACKERS, path_of
 from trackers.line.tracker import line_tracker
 from trackers.line.truth import knot_times
-from trackers.recordings.folder import Folder
-from trackers.recordings.tracker_spec import Entry
-from trackers.recordings.trajectories import Lane
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.tracker_spec import TrackerSpec
+from trackers.recordings.trajectories import Trajectory
 
 SITUATIONS = {"situation 1": "constant", "situation 2": "halts", "situation 3": "speeds"}
 RECORDINGS = tuple(f"{situation}, set {k}" for situation in SITUATIONS for k in (1, 2, 3))
@@ -47,7 +47,7 @@ SWEPT = (0.06, 0.09, 0.13, 0.18, 0.25, 0.35)
 """m/s per √s; at 5 Hz a change of 3 … 16 cm/s per step, inside the 0 … 100 cm that the thesis looks through."""
 
 
-def recording(ids: np.ndarray, seed: int, number: int, **numbers: Any) -> Folder:
+def recording(ids: np.ndarray, seed: int, number: int, **numbers: Any) -> RecordingFolder:
     """Draws of recording `number` of Table 3.1, one for each id, with the truth that least squares find in its fixes.
 
     `numbers`: `situation`, `speed` m/s, `rate_hz`; `white`, `slow`: standard deviations, m, of independent errors and
@@ -68,7 +68,7 @@ def _recording(
     speed: float,
     rate_hz: float,
     fitted_truth: bool = True,
-) -> Folder:
+) -> RecordingFolder:
     """Kept, since a sweep asks for the same recordings at every value, and least squares take their time."""
     errors = {"white": white_noise(white), "slow": gauss_markov(slow, tau)}
     # Nine recordings are nine draws: each has a seed of its own.
@@ -108,29 +108,33 @@ def open_ended(knots: Any) -> Polyline:
     return Polyline(np.vstack([knots[:-1], knots[-1] + BEYOND * along]))
 
 
-def _particles(lane: Lane, planar: bool) -> AbstractTracker:
-    path_of(lane.folder)
-    return line_tracker(LineMotion(open_ended(lane.folder.rig.path_knots), 0.1), {FIXES: FloorFixes(MEASUREMENT_NOISE)})
+def _particles(trajectory: Trajectory, planar: bool) -> AbstractTracker:
+    path_of(trajectory.folder)
+    return line_tracker(
+        LineMotion(open_ended(trajectory.folder.rig.path_knots), 0.1), {FIXES: FloorFixes(MEASUREMENT_NOISE)}
+    )
 
 
-def _particles_that_stop(lane: Lane, planar: bool) -> AbstractTracker:
-    return line_tracker(LineMotion(path_of(lane.folder), 0.1), {FIXES: FloorFixes(MEASUREMENT_NOISE)})
+def _particles_that_stop(trajectory: Trajectory, planar: bool) -> AbstractTracker:
+    return line_tracker(LineMotion(path_of(trajectory.folder), 0.1), {FIXES: FloorFixes(MEASUREMENT_NOISE)})
 
 
-def _measurements(lane: Lane, planar: bool) -> AbstractTracker:
+def _measurements(trajectory: Trajectory, planar: bool) -> AbstractTracker:
     return MovingWindow(1, median=False, planar=planar)
 
 
-def _kalman(lane: Lane, planar: bool) -> AbstractTracker:
+def _kalman(trajectory: Trajectory, planar: bool) -> AbstractTracker:
     return fix_tracker(sigma_a=0.1, sigma_horizontal=MEASUREMENT_NOISE, tail=None, planar=planar)
 
 
-RAW = Entrant(Entry("the measurements themselves", "fixes", lacks_fixes, fix_lanes, _measurements))
-KALMAN = Entrant(Entry("the thesis's Kalman filter, (1.3)-(1.21)", "fixes", lacks_fixes, fix_lanes, _kalman))
-PARTICLE = Entrant(
+RAW = TrackerConfig(TrackerSpec("the measurements themselves", "fixes", lacks_fixes, fix_trajectories, _measurements))
+KALMAN = TrackerConfig(
+    TrackerSpec("the thesis's Kalman filter, (1.3)-(1.21)", "fixes", lacks_fixes, fix_trajectories, _kalman)
+)
+PARTICLE = TrackerConfig(
     dataclasses.replace(TRACKERS["line-pf"], about="the thesis's particle filter, (2.1)-(2.5)", build=_particles)
 )
-STOPPING = Entrant(
+STOPPING = TrackerConfig(
     dataclasses.replace(
         TRACKERS["line-pf"], about="the same on a path that ends at its last knot", build=_particles_that_stop
     )
@@ -173,6 +177,6 @@ def seen(study: Study, world: str, ids: np.ndarray, **point: float) -> dict[str,
     return dict(zip(study.trackers, found, strict=True))
 
 
-def with_noise(entrant: Entrant, sigma: float) -> Entrant:
+def with_noise(entrant: TrackerConfig, sigma: float) -> TrackerConfig:
     """The entrant with this dynamic noise."""
     return dataclasses.replace(entrant, tunables={SIGMA: sigma})

@@ -19,7 +19,7 @@ import numpy as np
 import polars as pl
 from matplotlib.figure import Figure
 
-from experiments.monte_carlo import Claim, Conclusion, Results, Run, Study, World
+from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Run, Study, World
 from experiments.papers.fitting import fitted
 from experiments.papers.line_thesis._assembly_line import (
     KALMAN,
@@ -37,7 +37,7 @@ from experiments.papers.line_thesis._assembly_line import (
 from experiments.plots.drawings import plain
 from experiments.plots.study_pictures import picture
 from experiments.plots.style import BLACK, BLUE, GREY, VERMILION
-from trackers.recordings.folder import Folder
+from trackers.recordings.folder import RecordingFolder
 
 PRINTED = {"situation 1": (31.1, 8.1), "situation 2": (30.3, 9.6), "situation 3": (38.7, 11.3)}
 """Measurement error and improvement, cm: captions of Figures 3.2, 3.4 and 3.6."""
@@ -47,7 +47,7 @@ NUMBERS = fitted("line_thesis/table_3_1")
 COLOURS = {"raw": GREY, "Kalman": BLUE, "particle": VERMILION}
 
 
-def over_and_over(ids: np.ndarray, seed: int, **numbers: float) -> Folder:
+def over_and_over(ids: np.ndarray, seed: int, **numbers: float) -> RecordingFolder:
     """The first draw of a recording under as many names as there are ids."""
     one = recording(np.array([0]), seed, **numbers)  # type: ignore[arg-type]
     tags = pl.DataFrame({"tag": [str(i) for i in ids]})
@@ -65,22 +65,24 @@ def off_path(run: Run) -> np.ndarray:
     return np.asarray(np.nanmean(np.where(run.known, apart, np.nan), axis=1))
 
 
-def claims(results: Results) -> list[Claim | Conclusion]:
+def claims(results: Results) -> list[ExpectedResult | Conclusion]:
     """What the captions print, and what chapter 3 says of the figures."""
-    made: list[Claim | Conclusion] = []
+    made: list[ExpectedResult | Conclusion] = []
     largest = {"Kalman": 0.0, "particle": 0.0}
     shares, scatter, spread = [], [], []
     for number, (situation, (measured, better)) in enumerate(PRINTED.items()):
         world, figure = FIRST[situation], f"Figure 3.{2 * number + 2}"
         raw = results.value("error_m", world, "raw").times(100)
-        made.append(Claim(f"{figure}, average measurement error", measured, raw, "cm", True))
+        made.append(ExpectedResult(f"{figure}, average measurement error", measured, raw, "cm", True))
         gain = results.difference("error_m", world, "Kalman", "particle").times(100)
         gains = 100 * (results.numbers("error_m", world, "Kalman") - results.numbers("error_m", world, "particle"))
         note = (
             f"one recording scatters by ± {gains.std(ddof=1):.1f} cm; the printed one lies "
             f"{(better - gain.value) / gains.std(ddof=1):+.1f} of that away"
         )
-        made.append(Claim(f"{figure}, improvement of the particle filter", better, gain, "cm", False, note=note))
+        made.append(
+            ExpectedResult(f"{figure}, improvement of the particle filter", better, gain, "cm", False, note=note)
+        )
         for tracker in largest:
             largest[tracker] = max(largest[tracker], results.value("off_path_m", world, tracker).value)
         runs = seen(results.study, world, np.arange(results.study.chunk))

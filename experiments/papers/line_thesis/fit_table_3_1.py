@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.monte_carlo import Entrant, Results, Study
+from experiments.monte_carlo import Results, Study, TrackerConfig
 from experiments.monte_carlo.runner import carry_out
 from experiments.papers.fitting import Fitted, write_fitted
 from experiments.papers.line_thesis._assembly_line import (
@@ -43,7 +43,7 @@ MEASURED = np.array([PRINTED[name][0] for name in RECORDINGS]) / 100
 FILTERED = np.array([PRINTED[name][1] for name in RECORDINGS]) / 100
 
 
-def swept(numbers: Mapping[str, float], trackers: Mapping[str, Entrant], runs: int) -> Results:
+def swept(numbers: Mapping[str, float], trackers: Mapping[str, TrackerConfig], runs: int) -> Results:
     """The sweep of the dynamic noise over all nine recordings."""
     study = Study(
         "fit-table-3-1", "", worlds(numbers), trackers, runs, {SIGMA: SWEPT}, SEED, {"error_m": error}, ("mean_m",)

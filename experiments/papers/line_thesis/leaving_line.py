@@ -18,7 +18,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from experiments.monte_carlo import Claim, Conclusion, Entrant, Results, Run, Study, Value, World
+from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Run, Study, TrackerConfig, Value, World
 from experiments.papers.fitting import fitted
 from experiments.papers.line_thesis._assembly_line import KALMAN, MEASUREMENT_NOISE, PARTICLE, SIGMA, error, with_noise
 from experiments.plots.drawings import plain
@@ -31,7 +31,7 @@ from trackers.catalogue import grouped
 from trackers.core.recording import stack
 from trackers.line.leaving import evidence
 from trackers.line.rows import LEFT_LIMIT, LEFT_SLACK
-from trackers.recordings.folder import Folder
+from trackers.recordings.folder import RecordingFolder
 from tuning.tuned_file import with_noise as tuned
 
 NUMBERS = fitted("line_thesis/table_3_1")
@@ -44,7 +44,7 @@ SHOWN_SLACK, FALSE_ALARMS = 0.5, 0.05
 LIMITS = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
 
 
-def carried(ids: np.ndarray, seed: int, size: float, white: float) -> Folder:
+def carried(ids: np.ndarray, seed: int, size: float, white: float) -> RecordingFolder:
     """Tags of situation 1, carried `size` m aside from second `LEFT_S` on; 0: never."""
     errors = {"white": white_noise(white), "slow": gauss_markov(NUMBERS["slow"], NUMBERS["tau"])}
     x, y = size * TOWARDS
@@ -63,9 +63,9 @@ def apart(run: Run) -> np.ndarray:
     """The distances (n, T), m, between the constrained estimates and the free Kalman filter's."""
     if not (_LAST and _LAST[0][0] is run):
         (group,) = grouped([run.folder], KALMAN.entry, "Kalman", False)
-        lanes = sorted(group.lanes, key=lambda lane: int(lane.tag))
+        trajectories = sorted(group.trajectories, key=lambda trajectory: int(trajectory.tag))
         found = tuned(group.tracker, {SIGMA: NUMBERS["sigma_kalman"]}, "leaving-line").run(
-            stack([lane.recording for lane in lanes])
+            stack([trajectory.recording for trajectory in trajectories])
         )
         free = np.stack([np.asarray(x) for x in found.mean.position], axis=-1)
         _LAST[:] = [(run, np.linalg.norm(free - run.estimates[..., :2], axis=-1))]
@@ -118,9 +118,9 @@ def area(results: Results, world: str, tracker: str, slack: float) -> Value:
     return Value(float(wins.mean()), float(low), float(high))
 
 
-def claims(results: Results) -> list[Claim | Conclusion]:
+def claims(results: Results) -> list[ExpectedResult | Conclusion]:
     """How well tags that leave are told from tags that stay, and how soon."""
-    made: list[Claim | Conclusion] = []
+    made: list[ExpectedResult | Conclusion] = []
     for tracker in results.study.trackers:
         areas = {world: area(results, world, tracker, SHOWN_SLACK) for world in SIZES}
         told = ", ".join(f"{w} {a.value:.3f} ({a.low:.3f} … {a.high:.3f})" for w, a in areas.items())
@@ -185,7 +185,9 @@ STUDY = Study(
     },
     trackers={
         "particle": with_noise(PARTICLE, NUMBERS["sigma_particle"]),
-        "grid": Entrant("line-grid", {"sensors.fixes.sigma_p": MEASUREMENT_NOISE, SIGMA: NUMBERS["sigma_particle"]}),
+        "grid": TrackerConfig(
+            "line-grid", {"sensors.fixes.sigma_p": MEASUREMENT_NOISE, SIGMA: NUMBERS["sigma_particle"]}
+        ),
     },
     runs=200,
     measures={

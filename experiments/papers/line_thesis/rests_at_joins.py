@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.monte_carlo import Claim, Conclusion, Entrant, Results, Run, Study, Value, World
+from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Run, Study, TrackerConfig, Value, World
 from experiments.papers.fitting import fitted
 from experiments.papers.line_thesis._assembly_line import (
     MEASUREMENT_NOISE,
@@ -37,7 +37,7 @@ from trackers.line.motion import LineMotion
 from trackers.line.polyline import Polyline
 from trackers.line.rows import TRACKERS, path_of
 from trackers.line.tracker import line_grid_tracker
-from trackers.recordings.trajectories import Lane
+from trackers.recordings.trajectories import Trajectory
 
 SWEPT = (0.02, 0.04, 0.08, 0.16, 0.3)
 RESTS, TRAVELS = "rests at joins", "no rests"
@@ -45,8 +45,8 @@ PAIRS = {"particles": "particles, segment", "grid": "grid, segment"}
 """Without and with the segment in the state."""
 
 
-def _plain_grid(lane: Lane, planar: bool) -> AbstractTracker:
-    return line_grid_tracker(LineMotion(path_of(lane.folder), 0.1), {FIXES: FloorFixes(MEASUREMENT_NOISE)})
+def _plain_grid(trajectory: Trajectory, planar: bool) -> AbstractTracker:
+    return line_grid_tracker(LineMotion(path_of(trajectory.folder), 0.1), {FIXES: FloorFixes(MEASUREMENT_NOISE)})
 
 
 def arclengths(run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -76,9 +76,9 @@ def _mean_of(values: np.ndarray, rows: np.ndarray) -> np.ndarray:
     return np.where(count > 0, np.where(rows, values, 0.0).sum(axis=1) / np.maximum(count, 1), np.nan)
 
 
-def claims(results: Results) -> list[Claim | Conclusion]:
+def claims(results: Results) -> list[ExpectedResult | Conclusion]:
     """Whether the plain motion overshoots rests, and whether the segment helps."""
-    made: list[Claim | Conclusion] = []
+    made: list[ExpectedResult | Conclusion] = []
     for without, known in PAIRS.items():
         past, past_known = (100 * _numbers(results, "overshoot_m", RESTS, t).mean() for t in (without, known))
         at_rest = 100 * _numbers(results, "rest_error_m", RESTS, without).mean()
@@ -158,9 +158,9 @@ STUDY = Study(
     },
     trackers={
         "particles": STOPPING,
-        "particles, segment": Entrant(TRACKERS["line-pf"], _NOISE),
-        "grid": Entrant(dataclasses.replace(TRACKERS["line-grid"], about="grid, no segment", build=_plain_grid)),
-        "grid, segment": Entrant(TRACKERS["line-grid"], _NOISE),
+        "particles, segment": TrackerConfig(TRACKERS["line-pf"], _NOISE),
+        "grid": TrackerConfig(dataclasses.replace(TRACKERS["line-grid"], about="grid, no segment", build=_plain_grid)),
+        "grid, segment": TrackerConfig(TRACKERS["line-grid"], _NOISE),
     },
     runs=30,
     grid={SIGMA: SWEPT},

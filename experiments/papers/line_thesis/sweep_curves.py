@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.monte_carlo import Claim, Conclusion, Results, Study
+from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study
 from experiments.papers.fitting import fitted
 from experiments.papers.line_thesis._assembly_line import KALMAN, PARTICLE, SIGMA, STOPPING, error, least, worlds
 from experiments.plots.drawings import plain
@@ -29,13 +29,13 @@ NEAR = 1.05
 """Within a twentieth of the least error counts as flat."""
 
 
-def claims(results: Results) -> list[Claim | Conclusion]:
+def claims(results: Results) -> list[ExpectedResult | Conclusion]:
     """Where the least errors are, and how much a wrong noise costs."""
     best = {tracker: least(results, tracker) for tracker in results.study.trackers}
     curves = {tracker: _curve(results, tracker)[:, 0] for tracker in results.study.trackers}
     inside = all(SWEPT[0] < x < SWEPT[-1] for x in best.values())
     minima = ", ".join(f"{t} {100 * curves[t].min():.1f} cm at {best[t]:.2f} m/s per √s" for t in best)
-    made: list[Claim | Conclusion] = [
+    made: list[ExpectedResult | Conclusion] = [
         Conclusion("both filters have a least error inside the range", inside, minima),
         Conclusion(
             "the particle filter is better than the Kalman filter at the best noise of each",

@@ -24,7 +24,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from experiments.monte_carlo import Claim, Conclusion, Results, Study, Value
+from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, Value
 from experiments.papers.fitting import fitted
 from experiments.papers.line_thesis._assembly_line import (
     KALMAN,
@@ -44,10 +44,12 @@ from experiments.plots.study_pictures import picture
 from experiments.plots.style import BLUE, SKY, VERMILION
 
 
-def claims(results: Results) -> list[Claim | Conclusion]:
+def claims(results: Results) -> list[ExpectedResult | Conclusion]:
     """The 27 figures, their averages, and what the thesis concludes from them."""
     noise = _noise(results)
-    made: list[Claim | Conclusion] = [_figure(results, noise, name, k) for name in RECORDINGS for k in range(3)]
+    made: list[ExpectedResult | Conclusion] = [
+        _figure(results, noise, name, k) for name in RECORDINGS for k in range(3)
+    ]
     for k, tracker in enumerate(COLUMNS):
         cells = [(name, tracker) for name in RECORDINGS]
         for measure, how, within in (("error_m", "", 0.03), ("rms_m", ", root mean square", None)):
@@ -61,10 +63,12 @@ def claims(results: Results) -> list[Claim | Conclusion]:
                 )
             if how:
                 note = f"(2.8) as its name has it, were it compared: {ours.value / AVERAGES[k]:.2f} times the printed"
-            made.append(Claim(f"Table 3.1, average, {tracker}{how}", AVERAGES[k], ours, "cm", k < 2, within, note))
+            made.append(
+                ExpectedResult(f"Table 3.1, average, {tracker}{how}", AVERAGES[k], ours, "cm", k < 2, within, note)
+            )
     for other, printed in (("raw", 55.0), ("Kalman", 37.0)):
         text = f"chapter 3, improvement of the particle filter over {other}"
-        made.append(Claim(text, printed, _improvement(results, noise, other), "%", False))
+        made.append(ExpectedResult(text, printed, _improvement(results, noise, other), "%", False))
     return made + _conclusions(results, noise)
 
 
@@ -73,13 +77,13 @@ def _noise(results: Results) -> dict[str, float]:
     return {"raw": results.study.grid[SIGMA][0]} | {tracker: least(results, tracker) for tracker in COLUMNS[1:]}
 
 
-def _figure(results: Results, noise: dict[str, float], name: str, k: int) -> Claim:
+def _figure(results: Results, noise: dict[str, float], name: str, k: int) -> ExpectedResult:
     tracker = COLUMNS[k]
     ours = results.value("error_m", name, tracker, **{SIGMA: noise[tracker]}).times(100)
     draws = 100 * _draws(results, noise, name, tracker)
     off = (PRINTED[name][k] - ours.value) / draws.std(ddof=1)
     note = f"one recording scatters by ± {draws.std(ddof=1):.1f} cm; the printed one lies {off:+.1f} of that away"
-    return Claim(f"Table 3.1, {name}, {tracker}", PRINTED[name][k], ours, "cm", k < 2, note=note)
+    return ExpectedResult(f"Table 3.1, {name}, {tracker}", PRINTED[name][k], ours, "cm", k < 2, note=note)
 
 
 def _draws(results: Results, noise: dict[str, float], name: str, tracker: str) -> np.ndarray:
@@ -95,14 +99,14 @@ def _improvement(results: Results, noise: dict[str, float], other: str) -> Value
     return Value(float(100 * (1 - mine.mean() / its.mean())), float(low), float(high))
 
 
-def _conclusions(results: Results, noise: dict[str, float]) -> list[Claim | Conclusion]:
+def _conclusions(results: Results, noise: dict[str, float]) -> list[ExpectedResult | Conclusion]:
     means = {t: np.array([_draws(results, noise, n, t).mean() for n in RECORDINGS]) for t in COLUMNS}
     inside = dict.fromkeys(COLUMNS, 0)
     for k, tracker in enumerate(COLUMNS):
         for name in RECORDINGS:
             low, high = np.quantile(100 * _draws(results, noise, name, tracker), [0.025, 0.975])
             inside[tracker] += int(low <= PRINTED[name][k] <= high)
-    made: list[Claim | Conclusion] = []
+    made: list[ExpectedResult | Conclusion] = []
     for better, worse in (("Kalman", "raw"), ("particle", "Kalman")):
         gain = 100 * (means[worse] - means[better])
         says = f"{better} is better than {worse} on every recording"

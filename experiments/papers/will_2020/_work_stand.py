@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from experiments.monte_carlo import Entrant
+from experiments.monte_carlo import TrackerConfig
 from experiments.papers.fitting import fitted
 from sim.corruptions import Corruption, lose_station, outliers
 from sim.keys import Keys
@@ -23,9 +23,9 @@ from trackers.aoa.beam import beam_tracker
 from trackers.aoa.rows import PHASES, TRACKERS
 from trackers.core.rig import Rig
 from trackers.core.tracker import AbstractTracker
-from trackers.recordings.folder import Folder
-from trackers.recordings.tracker_spec import Entry
-from trackers.recordings.trajectories import Lane
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.tracker_spec import TrackerSpec
+from trackers.recordings.trajectories import Trajectory
 
 ALL = "full array"
 SETS = ("3-7-8", "2-7-8", "1-2-5", "2-3-6", ALL)
@@ -83,7 +83,7 @@ def recorded(
     rate_hz: float = RATE_HZ,
     outlying: float = 0.0,
     size: float = 0.0,
-) -> Folder:
+) -> RecordingFolder:
     """Phases at the stand on the helix, a trajectory for each id, in 20 s at any rate.
 
     An antenna set, a `lost` station (0: none), a wave, the geometry, and a share of phases that are `outlying`, with an
@@ -103,11 +103,11 @@ def recorded(
     return as_folder(world, "work stand")
 
 
-def _as_printed(lane: Lane, planar: bool) -> AbstractTracker:
-    return beam_tracker(lane.folder.rig.stations[lane.station], PHASES, paper_form=True)
+def _as_printed(trajectory: Trajectory, planar: bool) -> AbstractTracker:
+    return beam_tracker(trajectory.folder.rig.stations[trajectory.station], PHASES, paper_form=True)
 
 
-PRINTED_FORM = Entry(
+PRINTED_FORM = TrackerSpec(
     **{
         **vars(TRACKERS["beam"]),
         "about": "the beam tracker with each of the 28 differences wrapped, (8)-(17)",
@@ -116,21 +116,21 @@ PRINTED_FORM = Entry(
 )
 
 
-def beam(tracker: str | Entry = "beam") -> Entrant:
+def beam(tracker: str | TrackerSpec = "beam") -> TrackerConfig:
     """A beam tracker with the fitted noise levels."""
-    return Entrant(tracker, _noise(fitted("will_2020/table_1"), "motion.sigma_a", "sensors.*.sigma_p"))
+    return TrackerConfig(tracker, _noise(fitted("will_2020/table_1"), "motion.sigma_a", "sensors.*.sigma_p"))
 
 
-def cascade() -> Entrant:
+def cascade() -> TrackerConfig:
     """The paper's chain with the fitted noise levels in its beam trackers; the fusion's are the defaults."""
-    return Entrant(
+    return TrackerConfig(
         "cascade", _noise(fitted("will_2020/table_1"), "beams.*.motion.sigma_a", "beams.*.sensors.*.sigma_p")
     )
 
 
-def direct() -> Entrant:
+def direct() -> TrackerConfig:
     """The filter straight from phases, with the fitted phase noise."""
-    return Entrant("direct", {"sensors.*.sigma_p": fitted("will_2020/table_1")["sigma_p"]})
+    return TrackerConfig("direct", {"sensors.*.sigma_p": fitted("will_2020/table_1")["sigma_p"]})
 
 
 def _noise(numbers: Mapping[str, float], sigma_a: str, sigma_p: str) -> dict[str, Any]:

@@ -11,30 +11,30 @@ import dataclasses
 
 import numpy as np
 
-from experiments.monte_carlo import Claim, Conclusion, Entrant, Results, Study, World
+from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, TrackerConfig, World
 from experiments.papers.will_2020._work_stand import beam, recorded
 from experiments.papers.will_2020.fit_figure_8 import radius
 from trackers.aoa.beamformer import Grid
 from trackers.aoa.das import DelayAndSum
 from trackers.aoa.rows import PHASES, TRACKERS
 from trackers.core.tracker import AbstractTracker
-from trackers.recordings.tracker_spec import Entry
-from trackers.recordings.trajectories import Lane
+from trackers.recordings.tracker_spec import TrackerSpec
+from trackers.recordings.trajectories import Trajectory
 
 RESOLUTIONS = {"DAS, 1.2 deg": 1.2, "DAS, 0.6 deg": 0.6, "DAS, 0.3 deg": 0.3}
 
 
-def _searching(resolution: float) -> Entry:
+def _searching(resolution: float) -> TrackerSpec:
     """The beamformer on a grid of this resolution, degrees."""
 
-    def build(lane: Lane, planar: bool) -> AbstractTracker:
-        station = lane.folder.rig.stations[lane.station]
+    def build(trajectory: Trajectory, planar: bool) -> AbstractTracker:
+        station = trajectory.folder.rig.stations[trajectory.station]
         return DelayAndSum(Grid.of(station, resolution=np.deg2rad(resolution)), PHASES)
 
     return dataclasses.replace(TRACKERS["das"], build=build)
 
 
-def claims(results: Results) -> list[Claim | Conclusion]:
+def claims(results: Results) -> list[ExpectedResult | Conclusion]:
     """The paper's statements on the effort of both."""
     us = {t: results.value("us_per_row", "stand", t).value for t in results.study.trackers}
     rmse = {t: np.rad2deg(results.value("rmse_direction_rad", "stand", t).value) for t in results.study.trackers}
@@ -55,7 +55,7 @@ STUDY = Study(
     name="computing-cost",
     about="What does a direction cost, by delay-and-sum on finer and coarser grids and by the EKF?",
     worlds={"stand": World(recorded, {"radius": radius()})},
-    trackers={"EKF": beam()} | {name: Entrant(_searching(r)) for name, r in RESOLUTIONS.items()},
+    trackers={"EKF": beam()} | {name: TrackerConfig(_searching(r)) for name, r in RESOLUTIONS.items()},
     runs=40,
     figures=("us_per_row", "rmse_direction_rad", "median_direction_rad"),
     claims=claims,

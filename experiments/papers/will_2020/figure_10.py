@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from experiments.monte_carlo import Claim, Conclusion, Results, Run, Study, World
+from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Run, Study, World
 from experiments.papers.will_2020._work_stand import cascade, direct, recorded
 from experiments.papers.will_2020.fit_figure_8 import radius
 from experiments.plots.drawings import plain
@@ -48,7 +48,7 @@ def height(run: Run) -> np.ndarray:
     return np.asarray(np.sqrt(np.nanmean(error**2, axis=1)))
 
 
-def claims(results: Results) -> list[Claim | Conclusion]:
+def claims(results: Results) -> list[ExpectedResult | Conclusion]:
     """What the paper reads off the figure."""
     cm = {w: results.value("rmse_3d_m", w, "cascade").times(100) for w in results.study.worlds}
     early = {w: 100 * results.value("beginning_m", w, "cascade").value for w in results.study.worlds}

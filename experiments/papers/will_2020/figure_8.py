@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from experiments.monte_carlo import Claim, Conclusion, Results, Run, Study, World
+from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Run, Study, World
 from experiments.papers.line_thesis._assembly_line import seen
 from experiments.papers.will_2020._work_stand import cascade, direct, recorded
 from experiments.papers.will_2020.fit_figure_8 import PRINTED_CM, radius
@@ -31,7 +31,7 @@ def offset(run: Run) -> np.ndarray:
     return np.asarray(np.linalg.norm(np.nanmean(run.estimates - run.truth, axis=1), axis=-1))
 
 
-def claims(results: Results) -> list[Claim | Conclusion]:
+def claims(results: Results) -> list[ExpectedResult | Conclusion]:
     """The error in space, what was predicted of it, and what cascade and plane waves cost."""
     cm = {
         (w, t): results.value("rmse_3d_m", w, t).times(100)
@@ -39,9 +39,11 @@ def claims(results: Results) -> list[Claim | Conclusion]:
         for t in results.study.trackers
     }
     note = "a prediction of the array of Table 1 and stations where simulations have them; the paper's places are lost"
-    made: list[Claim | Conclusion] = [
-        Claim("section 4.2, RMSE in space", PRINTED_CM, cm[STAND, "cascade"], "cm", True),
-        Claim(f"section 4.2, RMSE in space, {APART}", PRINTED_CM, cm[APART, "cascade"], "cm", False, None, note),
+    made: list[ExpectedResult | Conclusion] = [
+        ExpectedResult("section 4.2, RMSE in space", PRINTED_CM, cm[STAND, "cascade"], "cm", True),
+        ExpectedResult(
+            f"section 4.2, RMSE in space, {APART}", PRINTED_CM, cm[APART, "cascade"], "cm", False, None, note
+        ),
     ]
     gain = results.ratio("rmse_3d_m", STAND, "direct", "cascade")
     made.append(

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.monte_carlo import Claim, Conclusion, Entrant, Results, Run, Study, World
+from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Run, Study, TrackerConfig, World
 from experiments.papers.line_thesis._assembly_line import seen
 from experiments.papers.will_2020._work_stand import beam, recorded
 from experiments.papers.will_2020.fit_figure_8 import radius
@@ -49,12 +49,12 @@ def elevation(run: Run) -> np.ndarray:
     return np.asarray(np.sqrt(np.nanmean(_errors(run)[..., 1] ** 2, axis=(1, 2))))
 
 
-def claims(results: Results) -> list[Claim | Conclusion]:
+def claims(results: Results) -> list[ExpectedResult | Conclusion]:
     """The errors told with Figure 7, and that the EKF is the better."""
-    made: list[Claim | Conclusion] = []
+    made: list[ExpectedResult | Conclusion] = []
     for axis, printed in zip(AXES, PRINTED["full array"], strict=True):
         ours = results.value(f"rmse_{axis}_rad", HELIX, "EKF").times(180 / np.pi)
-        made.append(Claim(f"Figure 7, EKF, {axis}", printed, ours, "deg", True))
+        made.append(ExpectedResult(f"Figure 7, EKF, {axis}", printed, ours, "deg", True))
     for world in results.study.worlds:
         for axis in AXES:
             mine, its = (results.value(f"rmse_{axis}_rad", world, t).times(180 / np.pi) for t in ("EKF", "DAS"))
@@ -115,7 +115,7 @@ STUDY = Study(
         HELIX: World(recorded, {"radius": radius()}),
         OUTLYING: World(recorded, {"radius": radius(), "outlying": OUTLIERS, "size": SIZE}),
     },
-    trackers={"EKF": beam(), "DAS": Entrant("das")},
+    trackers={"EKF": beam(), "DAS": TrackerConfig("das")},
     runs=100,
     measures={"wild": wild, "azimuth_rad": azimuth, "elevation_rad": elevation},
     figures=("rmse_azimuth_rad", "rmse_elevation_rad", "median_direction_rad", "p95_direction_rad", "wild"),

@@ -66,18 +66,18 @@ def errors(numbers: dict[str, float], runs: int, seed: int, all_tracks: bool, ra
     world = simulate_phases(rig, HELIX, runs, seed, rate_hz=RATE_HZ, n_points=POINTS, sigma_p=numbers["sigma_p"])
     stations = list(rig.stations.values())
     truth = np.stack([s.angles(world.positions) for s in stations], axis=1)
-    lanes, sets = runs * len(stations), len(SETS)
-    values = np.moveaxis(world.phases.swapaxes(1, 2).reshape(lanes, POINTS, 8), 0, -1)
-    seen = np.repeat(np.stack([in_use(name) for name in SETS], axis=-1), lanes, axis=-1)
+    trajectories, sets = runs * len(stations), len(SETS)
+    values = np.moveaxis(world.phases.swapaxes(1, 2).reshape(trajectories, POINTS, 8), 0, -1)
+    seen = np.repeat(np.stack([in_use(name) for name in SETS], axis=-1), trajectories, axis=-1)
     seen = np.where(np.arange(POINTS)[:, None, None] > 0, seen, True)
-    dt = np.full((POINTS, sets * lanes), 1 / RATE_HZ, np.float32)
+    dt = np.full((POINTS, sets * trajectories), 1 / RATE_HZ, np.float32)
     dt[0] = 0.0
     phases = np.where(seen, np.tile(values, sets), 0.0).astype(np.float32)
-    readings = {"phases": Reading(phases, seen, np.zeros((POINTS, 0, sets * lanes), np.float32))}
-    batch = Batch(dt, np.ones(dt.shape, bool), readings, {}, {}, np.zeros((2, sets * lanes), np.uint32))
+    readings = {"phases": Reading(phases, seen, np.zeros((POINTS, 0, sets * trajectories), np.float32))}
+    batch = Batch(dt, np.ones(dt.shape, bool), readings, {}, {}, np.zeros((2, sets * trajectories), np.uint32))
     found = beam_tracker(stations[0], "phases", numbers["sigma_a"], numbers["sigma_p"]).run(batch).mean
     angles = np.stack([found.azimuth, found.elevation], axis=-1).reshape(sets, *truth.shape)
-    squares = (np.rad2deg(angles - truth) ** 2).mean(axis=3).reshape(sets, lanes, 2)
+    squares = (np.rad2deg(angles - truth) ** 2).mean(axis=3).reshape(sets, trajectories, 2)
     if not all_tracks:
         limits = LEFT * np.array(list(PRINTED.values()))
         squares[(np.sqrt(squares) > limits[:, None]).any(axis=-1)] = np.nan

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.monte_carlo import Claim, Conclusion, Results, Run, Study, World
+from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Run, Study, World
 from experiments.papers.will_2020._work_stand import ALL, beam, recorded
 from experiments.papers.will_2020.fit_figure_8 import radius
 from experiments.plots.drawings import plain
@@ -29,7 +29,7 @@ HELD = 2.0
 """Percent of the directions that may be astray where a track counts as kept."""
 
 
-def astray(run: Run) -> np.ndarray:
+def distance_to_optimum(run: Run) -> np.ndarray:
     """The share (n,) of directions that are on a wrong lobe."""
     station = next(iter(run.folder.rig.stations.values()))
     assert station.antennas is not None
@@ -39,7 +39,7 @@ def astray(run: Run) -> np.ndarray:
     return np.asarray(np.where(run.known, error > limit, np.nan).mean(axis=(1, 2)))
 
 
-def claims(results: Results) -> list[Claim | Conclusion]:
+def claims(results: Results) -> list[ExpectedResult | Conclusion]:
     """What the paper says of the trade-off."""
     fast, slow, large = RATES[-1], RATES[0], APERTURES[-1]
     usual = [_degrees(results, ALL, fast, a, "median") for a in APERTURES]
@@ -116,7 +116,7 @@ STUDY = Study(
     trackers={"EKF": beam()},
     runs=40,
     grid={"world.rate_hz": RATES, "world.aperture": APERTURES},
-    measures={"astray": astray},
+    measures={"astray": distance_to_optimum},
     figures=("rmse_direction_rad", "median_direction_rad", "astray", "diverged"),
     claims=claims,
     draw=draw,

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from experiments.monte_carlo import Claim, Conclusion, Results, Study, Value, World
+from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, Value, World
 from experiments.papers.will_2020._work_stand import ALL, PRINTED_FORM, SETS, beam, recorded
 from experiments.papers.will_2020.fit_figure_8 import radius
 from experiments.papers.will_2020.fit_table_1 import PRINTED
@@ -22,14 +22,16 @@ DEGREES = 180 / np.pi
 AXES = ("azimuth", "elevation")
 
 
-def claims(results: Results) -> list[Claim | Conclusion]:
+def claims(results: Results) -> list[ExpectedResult | Conclusion]:
     """The ten errors of the table, and what the paper concludes from them."""
-    made: list[Claim | Conclusion] = []
+    made: list[ExpectedResult | Conclusion] = []
     for name in SETS:
         for axis, printed in zip(AXES, PRINTED[name], strict=True):
             wrapped = _error(results, name, axis, "EKF, each difference wrapped")
             note = f"with each of the 28 differences wrapped, as printed: {wrapped.value:.3f} deg"
-            made.append(Claim(f"Table 1, {name}, {axis}", printed, _error(results, name, axis), "deg", True, note=note))
+            made.append(
+                ExpectedResult(f"Table 1, {name}, {axis}", printed, _error(results, name, axis), "deg", True, note=note)
+            )
     return made + _conclusions(results)
 
 
@@ -37,9 +39,9 @@ def _error(results: Results, name: str, axis: str, tracker: str = "EKF") -> Valu
     return results.value(f"rmse_{axis}_rad", name, tracker).times(DEGREES)
 
 
-def _conclusions(results: Results) -> list[Claim | Conclusion]:
+def _conclusions(results: Results) -> list[ExpectedResult | Conclusion]:
     ours = {axis: {name: _error(results, name, axis) for name in SETS} for axis in AXES}
-    made: list[Claim | Conclusion] = []
+    made: list[ExpectedResult | Conclusion] = []
     for k, axis in enumerate(AXES):
         order = sorted(SETS, key=lambda name: ours[axis][name].value)
         printed = sorted(SETS, key=lambda name: PRINTED[name][k])

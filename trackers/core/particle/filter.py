@@ -40,7 +40,7 @@ class Particles(NamedTuple):
         return jnp.exp(self.log_weights) if self.weights is None else exponential(self.log_weights, self.weights)
 
 
-class AbstractReport(eqx.Module):
+class AbstractOutputMap(eqx.Module):
     """What a filter shows of a state, where that is another quantity: a place on the floor for one on a line."""
 
     @abstractmethod
@@ -64,13 +64,13 @@ class ParticleFilter(eqx.Module):
 
     n_particles: int = eqx.field(static=True, default=1000)
     fraction: float = eqx.field(static=True, default=0.5)
-    report: AbstractReport | None = None
+    report: AbstractOutputMap | None = None
     discount: float = eqx.field(static=True, default=1.0)
     potential: AbstractPotential | None = None
 
     @property
     def heavy(self) -> bool:
-        """A belief has an axis of its own: see `is_heavy` in `trackers/core/tracker.py`."""
+        """A belief has an axis of its own: see `has_particle_axis` in `trackers/core/tracker.py`."""
         return True
 
     def init(self, belief: Gaussian, key: Any) -> Particles:
@@ -81,7 +81,7 @@ class ParticleFilter(eqx.Module):
         L = cholesky(pairs, range(n), 16 * float(jnp.finfo(dtype).eps))
         steps = [total(L[i, j] * w[j] for j in range(i + 1)) for i in range(n)]
         states = jax.vmap(lambda step: retract(belief.mean, list(step)), in_axes=-1, out_axes=-1)(steps)
-        # Their score differs from lane to lane: so must they, or jax (0.10) mixes up the axes of both.
+        # Their score differs from trajectory to trajectory: so must they, or jax (0.10) mixes up the axes of both.
         even = 0.0 * w[0] - math.log(self.n_particles)
         states = jax.lax.stop_gradient(states)
         log_weights = with_score(even, belief, states, log_density=normal_density)
@@ -182,7 +182,7 @@ def weighed(states: State, motion: AbstractMotion, sensor: AbstractSensor, readi
 
 
 def weighted_moments(
-    states: State, weights: Any, report: AbstractReport | None = None
+    states: State, weights: Any, report: AbstractOutputMap | None = None
 ) -> tuple[State, tuple[Scalar, ...]]:
     """Mean and covariance (upper triangle) of states whose leaves end with an axis along `weights`, which add to 1.
 

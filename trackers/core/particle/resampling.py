@@ -35,7 +35,7 @@ def _exponential_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
     return weights, weights * tangents[0]
 
 
-def drawn_again(few: Scalar, place: Scalar, states: Any, log_weights: Any, weights: Any) -> tuple[Any, Any, Any]:
+def resampled(few: Scalar, place: Scalar, states: Any, log_weights: Any, weights: Any) -> tuple[Any, Any, Any]:
     """States, log-weights and weights drawn again at `place` in [0, 1) where `few` says so, else as they are.
 
     `weights`: as many as particles, adding to 1. None of weight zero has offspring, so all offspring weigh the same.
@@ -57,38 +57,38 @@ def offspring(few: Scalar, place: Scalar, states: Any, weights: Any) -> Any:
 
 
 @offspring.def_vmap
-def _in_lanes(size: int, batched: Any, few: Any, place: Any, states: Any, weights: Any) -> tuple[Any, Any]:
-    """Only the lanes that need it are drawn again, a few at a time: that is one in several, and the dearest part."""
+def _in_trajectories(size: int, batched: Any, few: Any, place: Any, states: Any, weights: Any) -> tuple[Any, Any]:
+    """Only the trajectories that need it are drawn again, a few at a time: that is one in several, and the dearest part."""
 
     def spread(x: Any, has: bool) -> Any:
         return x if has else jnp.broadcast_to(x[None], (size, *x.shape))
 
     few, place, states, weights = jax.tree_util.tree_map(spread, (few, place, states, weights), tuple(batched))
-    at_once = min(AT_ONCE, size)
+    n_workers = min(AT_ONCE, size)
 
     def some(loop: tuple[Any, Any]) -> tuple[Any, Any]:
         need, states = loop
-        index = jnp.nonzero(need, size=at_once, fill_value=size)[0]
-        lanes = jnp.minimum(index, size - 1)
-        ancestors = systematic(jnp.take(weights, lanes, axis=0), jnp.take(place, lanes))
-        fresh = jax.tree_util.tree_map(lambda x: taken(x, lanes, ancestors), states)
-        return need.at[index].set(False, mode="drop"), put(states, fresh, index)
+        index = jnp.nonzero(need, size=n_workers, fill_value=size)[0]
+        trajectories = jnp.minimum(index, size - 1)
+        ancestors = systematic(jnp.take(weights, trajectories, axis=0), jnp.take(place, trajectories))
+        fresh = jax.tree_util.tree_map(lambda x: gather(x, trajectories, ancestors), states)
+        return need.at[index].set(False, mode="drop"), scatter(states, fresh, index)
 
     _, states = jax.lax.while_loop(lambda loop: jnp.any(loop[0]), some, (few, states))
     return states, jax.tree_util.tree_map(lambda _: True, states)
 
 
-def taken(x: Any, lanes: Any, ancestors: Any) -> Any:
-    """x[lane, ..., ancestors] of some lanes (k,) and their ancestors (k, N), of an array (lanes, ..., N)."""
+def gather(x: Any, trajectories: Any, ancestors: Any) -> Any:
+    """x[trajectory, ..., ancestors] of some trajectories (k,) and their ancestors (k, N), of an array (trajectories, ..., N)."""
     inner, n = math.prod(x.shape[1:-1]), x.shape[-1]
     # From one long array: an index of two numbers would be put together in memory first.
-    begin = (lanes.astype(jnp.int32)[:, None] * inner + jnp.arange(inner, dtype=jnp.int32)[None, :]) * n
+    begin = (trajectories.astype(jnp.int32)[:, None] * inner + jnp.arange(inner, dtype=jnp.int32)[None, :]) * n
     places = begin[:, :, None] + ancestors[:, None, :]
-    return x.reshape(-1).at[places].get(mode="promise_in_bounds").reshape(len(lanes), *x.shape[1:])
+    return x.reshape(-1).at[places].get(mode="promise_in_bounds").reshape(len(trajectories), *x.shape[1:])
 
 
-def put(belief: Any, fresh: Any, index: Any) -> Any:
-    """The belief with the lanes `index` replaced; an index beyond the last lane is none."""
+def scatter(belief: Any, fresh: Any, index: Any) -> Any:
+    """The belief with the trajectories `index` replaced; an index beyond the last trajectory is none."""
     leaves, structure = jax.tree_util.tree_flatten(belief)
     done: list[Any] = []
     for old, new in zip(leaves, jax.tree_util.tree_leaves(fresh), strict=True):
@@ -126,10 +126,14 @@ def systematic(weights: Any, u: Any) -> Any:
     offspring = jnp.clip(jnp.ceil(ends * (n / whole) - u[..., None]), 0, n)
     offspring = jnp.where(ends == whole, n, offspring.astype(jnp.int32)).reshape(-1, n)
     # Offspring k descends from the first particle up to which there are more than k: as many end at k or before.
-    lanes = len(offspring)
-    slots = offspring + jnp.arange(lanes, dtype=jnp.int32)[:, None] * (n + 1)
-    ending = jnp.zeros(lanes * (n + 1), dtype).at[slots].add(jnp.ones((lanes, n), dtype), mode="promise_in_bounds")
-    return running_sum(ending.reshape(lanes, n + 1)[:, :n]).astype(jnp.int32).reshape(weights.shape)
+    trajectories = len(offspring)
+    slots = offspring + jnp.arange(trajectories, dtype=jnp.int32)[:, None] * (n + 1)
+    ending = (
+        jnp.zeros(trajectories * (n + 1), dtype)
+        .at[slots]
+        .add(jnp.ones((trajectories, n), dtype), mode="promise_in_bounds")
+    )
+    return running_sum(ending.reshape(trajectories, n + 1)[:, :n]).astype(jnp.int32).reshape(weights.shape)
 
 
 def running_sum(x: Any) -> Any:

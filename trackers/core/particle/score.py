@@ -17,7 +17,7 @@ import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar, cholesky, inverse_or_zero, total, triangle
 from trackers.core.ekf import Gaussian
-from trackers.core.particle.resampling import drawn_again
+from trackers.core.particle.resampling import resampled
 from trackers.core.state import State, dimension, local
 
 
@@ -53,8 +53,8 @@ def _with_score(primals: Any, tangents: Any, *, log_density: Callable[..., Any])
 def drawn_with_scores(
     few: Scalar, place: Scalar, states: Any, log_weights: Any, weights: Any, *, discount: float
 ) -> tuple[Any, Any, Any]:
-    """`drawn_again`, where an offspring's log-weight has `discount` times the derivative of its ancestor's."""
-    return drawn_again(few, place, states, log_weights, weights)
+    """`resampled`, where an offspring's log-weight has `discount` times the derivative of its ancestor's."""
+    return resampled(few, place, states, log_weights, weights)
 
 
 @drawn_with_scores.def_jvp
@@ -63,9 +63,9 @@ def _drawn_with_scores(primals: Any, tangents: Any, *, discount: float) -> tuple
     slope = tangents[3]
     still = jax.tree_util.tree_map(lambda _: None, states)
     if slope is None:
-        return drawn_again(few, place, states, log_weights, weights), (still, None, None)
+        return resampled(few, place, states, log_weights, weights), (still, None, None)
     # What a log-weight owes goes with the particle, as if it were part of its state.
-    (states, slope), log_weights, weights = drawn_again(few, place, (states, slope), log_weights, weights)
+    (states, slope), log_weights, weights = resampled(few, place, (states, slope), log_weights, weights)
     slope = slope if discount == 1 else jnp.where(few, discount * slope, slope)
     return (states, log_weights, weights), (still, slope, None)
 

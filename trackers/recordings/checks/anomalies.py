@@ -1,6 +1,6 @@
 """What is odd but usable in a recording's tables, one line each with counts.
 
-A lane is what one sensor says of one tag; order, gaps and wild values only have a meaning along a lane.
+A stream is what one sensor says of one tag; order, gaps and wild values only have a meaning along a stream.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _ANGLE_SLACK = 1e-3  # a printed π rounded up
 _LEAST_JUMP = {"m": 1.0, "mps2": 20.0, "radps": 5.0}  # what a person, a cart or a drone can do between two rows
 
 
-def oddities(tables: Mapping[str, pl.DataFrame], rig: Rig) -> list[str]:
+def anomalies(tables: Mapping[str, pl.DataFrame], rig: Rig) -> list[str]:
     """A line for each kind of oddity in each table: unknown tags, impossible values, doubles, gaps, wild values."""
     lines: list[str] = _silent(tables, rig)
     for name, table in tables.items():
@@ -30,7 +30,7 @@ def oddities(tables: Mapping[str, pl.DataFrame], rig: Rig) -> list[str]:
                 shown = ", ".join(map(repr, strange[:5])) + (" …" if len(strange) > 5 else "")
                 lines.append(f"{name}: tags that are not in rig.toml: {len(strange)} ({shown})")
         lines += _impossible(name, table, expected.values)
-        ordered = lanes(table.filter(pl.any_horizontal(pl.col(expected.values).is_not_null())), expected.ids)
+        ordered = streams(table.filter(pl.any_horizontal(pl.col(expected.values).is_not_null())), expected.ids)
         lines += _doubles(name, ordered, expected.values)
         if name != "truth":
             lines += _gaps(name, ordered, expected.ids)
@@ -50,27 +50,27 @@ def _silent(tables: Mapping[str, pl.DataFrame], rig: Rig) -> list[str]:
     return [f"rig.toml: tags that are never heard: {len(silent)} ({shown})"] if silent and heard else []
 
 
-def lanes(table: pl.DataFrame, ids: tuple[str, ...]) -> pl.DataFrame:
-    """The table sorted by lane and then time, with `lane` (a number), and `dt` in s, null on a lane's first row."""
+def streams(table: pl.DataFrame, ids: tuple[str, ...]) -> pl.DataFrame:
+    """The table sorted by stream and then time, with `trajectory` (a number), and `dt` in s, null on a stream's first row."""
     code = pl.lit(0, pl.Int64)
     for column in ids:
         kinds = table[column].unique(maintain_order=True)
         code = code * len(kinds) + pl.col(column).cast(pl.Enum(kinds)).to_physical().cast(pl.Int64)
-    coded = table.with_columns(lane=code)
+    coded = table.with_columns(stream=code)
     # two stable sorts by numbers are faster than one by two columns, and the first has nothing to do on a sorted table
     coded = coded if table["t_s"].is_sorted() else coded.sort("t_s", maintain_order=True)
-    coded = coded.sort("lane", maintain_order=True)
-    same = pl.col("lane") == pl.col("lane").shift()
+    coded = coded.sort("stream", maintain_order=True)
+    same = pl.col("stream") == pl.col("stream").shift()
     return coded.with_columns(dt=pl.when(same).then(pl.col("t_s").diff()))
 
 
 def long_gaps(ordered: pl.DataFrame) -> pl.DataFrame:
-    """The rows of `lanes` that end a gap: longer than 1 s and than five times their lane's median interval."""
-    typical = pl.col("dt").filter(pl.col("dt") > 0).median().over("lane")
+    """The rows of `trajectories` that end a gap: longer than 1 s and than five times their stream's median interval."""
+    typical = pl.col("dt").filter(pl.col("dt") > 0).median().over("stream")
     longer = ordered.filter(pl.col("dt") > GAP_LEAST_S)
     if longer.height == 0:
         return longer
-    mine = ordered.join(longer.select("lane").unique(), on="lane", how="semi")
+    mine = ordered.join(longer.select("stream").unique(), on="stream", how="semi")
     return mine.with_columns(typical=typical).filter(
         (pl.col("dt") > GAP_LEAST_S) & (pl.col("dt") > GAP_FACTOR * pl.col("typical"))
     )
@@ -80,8 +80,8 @@ def _doubles(name: str, ordered: pl.DataFrame, values: tuple[str, ...]) -> list[
     again = ordered.filter((pl.col("dt") == 0) | (pl.col("dt").shift(-1) == 0))
     if again.height == 0:
         return []
-    exact = again.height - again.n_unique(subset=["lane", "t_s", *values])
-    times = again.height - again.n_unique(subset=["lane", "t_s"]) - exact
+    exact = again.height - again.n_unique(subset=["stream", "t_s", *values])
+    times = again.height - again.n_unique(subset=["stream", "t_s"]) - exact
     lines = [f"{name}: rows that stand there twice, values and all: {exact}; kept"] if exact else []
     if times:
         lines.append(f"{name}: rows with the time of another row of the same sensor and tag: {times}; kept")
@@ -120,27 +120,29 @@ def _impossible(name: str, table: pl.DataFrame, values: tuple[str, ...]) -> list
 
 
 def _wild(name: str, ordered: pl.DataFrame, values: tuple[str, ...]) -> list[str]:
-    """Values far from both neighbours of their lane, or 100 times the lane's median: spikes, not motion."""
+    """Values far from both neighbours of their stream, or 100 times the stream's median: spikes, not motion."""
     lines = []
     for column in values:
         least = _LEAST_JUMP.get(column.rpartition("_")[2])
         if least is None:  # angles are bounded: nothing in them is wild
             continue
         x = pl.col(column)
-        seen = ordered.select("lane", "t_s", column).drop_nulls()
+        seen = ordered.select("stream", "t_s", column).drop_nulls()
         spike = pl.lit(False)
         for reach in (1, 2):  # 2 finds a pair of wild values side by side
             before, after = x.shift(reach), x.shift(-reach)
-            inside = (pl.col("lane").shift(reach) == pl.col("lane")) & (pl.col("lane").shift(-reach) == pl.col("lane"))
+            inside = (pl.col("stream").shift(reach) == pl.col("stream")) & (
+                pl.col("stream").shift(-reach) == pl.col("stream")
+            )
             middle = x + before + after - pl.max_horizontal(x, before, after) - pl.min_horizontal(x, before, after)
             spike = spike | (inside & ((x - middle).abs() > pl.col("allowed"))).fill_null(False)
-        step = x.diff().abs().filter(pl.col("lane") == pl.col("lane").shift())
-        per_lane = seen.group_by("lane").agg(
+        step = x.diff().abs().filter(pl.col("stream") == pl.col("stream").shift())
+        per_trajectory = seen.group_by("stream").agg(
             allowed=(WILD_SPREAD * 1.4826 * step.median()).fill_null(0.0).clip(lower_bound=least),
             typical=x.abs().median(),
         )
         tall = (x.abs() > WILD_MEDIAN * pl.col("typical")) & (x.abs() > least)
-        wild = seen.join(per_lane, on="lane", how="left", maintain_order="left").filter(spike | tall)
+        wild = seen.join(per_trajectory, on="stream", how="left", maintain_order="left").filter(spike | tall)
         if wild.height:
             worst = wild.row(int((wild[column].abs() - wild["typical"]).abs().arg_max() or 0), named=True)
             example = f"the worst {worst[column]:.4g} at t_s {worst['t_s']:g}"

@@ -12,11 +12,11 @@ import numpy as np
 import polars as pl
 
 from trackers.core.rig import Rig
-from trackers.recordings.checks.anomalies import lanes, long_gaps, oddities
+from trackers.recordings.checks.anomalies import anomalies, long_gaps, streams
 from trackers.recordings.checks.findings import LEVELS, Finding, Level, format_findings
 from trackers.recordings.checks.geometry import check_geometry
 from trackers.recordings.checks.units import check_units
-from trackers.recordings.folder import Folder
+from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tables import MEASUREMENTS, layout
 
 __all__ = ["Finding", "check_folder", "format_findings"]
@@ -28,11 +28,11 @@ START_S = 60.0
 _EPOCHS = ((1e17, "nanoseconds"), (1e14, "microseconds"), (1e11, "milliseconds"), (1e8, "seconds"))
 
 
-def check_folder(folder: Folder) -> list[Finding]:
+def check_folder(folder: RecordingFolder) -> list[Finding]:
     """What is wrong, odd or good to know about a recording that could be read, the gravest first."""
     tables, rig = folder.tables, folder.rig
     findings = []
-    for notice in dict.fromkeys((*folder.notices, *oddities(tables, rig))):
+    for notice in dict.fromkeys((*folder.notices, *anomalies(tables, rig))):
         where, _, message = notice.partition(": ")
         findings.append(Finding("warning", where, message))
     measured = {name: tables[name] for name in MEASUREMENTS if name in tables}
@@ -67,12 +67,12 @@ def _time_base(tables: Mapping[str, pl.DataFrame]) -> list[Finding]:
 
 
 def _rates(tables: Mapping[str, pl.DataFrame]) -> list[Finding]:
-    """One line a lane while there are few, else one a table: rows, rate, gaps; and the share of empty cells."""
+    """One line a stream while there are few, else one a table: rows, rate, gaps; and the share of empty cells."""
     findings = []
     for name, table in tables.items():
         expected = layout(name, table.columns)
         values = pl.col(expected.values)
-        ordered = lanes(table.filter(pl.any_horizontal(values.is_not_null())), expected.ids)
+        ordered = streams(table.filter(pl.any_horizontal(values.is_not_null())), expected.ids)
         if ordered.height == 0:
             findings.append(Finding("warning" if name == "truth" else "error", name, "has not a single value"))
             continue
@@ -80,19 +80,21 @@ def _rates(tables: Mapping[str, pl.DataFrame]) -> list[Finding]:
         if empty:
             shares = ", ".join(f"{column} {100 * share:.3g} %" for column, share in empty.items())
             findings.append(Finding("info", name, f"empty cells: {shares}"))
-        gaps = long_gaps(ordered).group_by("lane").agg(gaps=pl.len(), longest=pl.col("dt").max(), before=_at_longest())
-        per_lane = (
-            ordered.group_by("lane", *expected.ids, maintain_order=True)
+        gaps = (
+            long_gaps(ordered).group_by("stream").agg(gaps=pl.len(), longest=pl.col("dt").max(), before=_at_longest())
+        )
+        per_trajectory = (
+            ordered.group_by("stream", *expected.ids, maintain_order=True)
             .agg(
                 rows=pl.len(),
                 interval=pl.col("dt").filter(pl.col("dt") > 0).median(),
             )
-            .join(gaps, on="lane", how="left", maintain_order="left")
+            .join(gaps, on="stream", how="left", maintain_order="left")
         )
-        if per_lane.height <= LANES_SHOWN:
-            words = [_lane_words(lane, expected.ids) for lane in per_lane.iter_rows(named=True)]
+        if per_trajectory.height <= LANES_SHOWN:
+            words = [_trajectory_words(stream, expected.ids) for stream in per_trajectory.iter_rows(named=True)]
         else:
-            words = [_summary(per_lane, expected.ids)]
+            words = [_summary(per_trajectory, expected.ids)]
         findings += [Finding("info", name, line) for line in words]
     return findings
 
@@ -101,22 +103,22 @@ def _at_longest() -> pl.Expr:
     return pl.col("t_s").sort_by("dt").last()
 
 
-def _lane_words(lane: dict, ids: tuple[str, ...]) -> str:
-    words = ", ".join(f"{column} {lane[column]}" for column in reversed(ids)) + f": {lane['rows']} rows"
-    if lane["interval"]:
-        words += f", {1 / lane['interval']:.3g} a second"
-    if lane["gaps"]:
-        words += f", long gaps: {lane['gaps']}, the longest {lane['longest']:.3g} s before t_s {lane['before']:g}"
+def _trajectory_words(stream: dict, ids: tuple[str, ...]) -> str:
+    words = ", ".join(f"{column} {stream[column]}" for column in reversed(ids)) + f": {stream['rows']} rows"
+    if stream["interval"]:
+        words += f", {1 / stream['interval']:.3g} a second"
+    if stream["gaps"]:
+        words += f", long gaps: {stream['gaps']}, the longest {stream['longest']:.3g} s before t_s {stream['before']:g}"
     return words
 
 
-def _summary(per_lane: pl.DataFrame, ids: tuple[str, ...]) -> str:
-    counts = ", ".join(f"{per_lane[column].n_unique()} {column}s" for column in ids)
-    rates = np.sort(1 / per_lane["interval"].drop_nulls().to_numpy())
-    words = f"{counts}: {per_lane['rows'].sum()} rows"
+def _summary(per_trajectory: pl.DataFrame, ids: tuple[str, ...]) -> str:
+    counts = ", ".join(f"{per_trajectory[column].n_unique()} {column}s" for column in ids)
+    rates = np.sort(1 / per_trajectory["interval"].drop_nulls().to_numpy())
+    words = f"{counts}: {per_trajectory['rows'].sum()} rows"
     if len(rates):
         words += f", each {rates[0]:.3g} to {rates[-1]:.3g} a second, median {np.median(rates):.3g}"
-    gappy = per_lane.filter(pl.col("gaps").is_not_null())
+    gappy = per_trajectory.filter(pl.col("gaps").is_not_null())
     if gappy.height:
         worst = gappy.sort("longest").row(-1, named=True)
         where = ", ".join(f"{column} {worst[column]}" for column in ids)
@@ -149,8 +151,8 @@ def _truth(truth: pl.DataFrame, measured: Mapping[str, pl.DataFrame]) -> list[Fi
     """Holes in the truth, and how many measurements lie inside it."""
     place = ("x_m", "y_m", "z_m")
     moved = pl.sum_horizontal(*((pl.col(c).shift(-1) - pl.col(c)) ** 2 for c in place)).sqrt()
-    known = lanes(truth.drop_nulls(place), ("tag",)).with_columns(
-        until=pl.col("t_s").shift(-1).over("lane"), moved=moved
+    known = streams(truth.drop_nulls(place), ("tag",)).with_columns(
+        until=pl.col("t_s").shift(-1).over("stream"), moved=moved
     )
     hole = (pl.col("until") - pl.col("t_s") > HOLE_S) & (pl.col("moved") > HOLE_M)
     known = known.with_columns(since=pl.col("t_s"), hole=hole.fill_null(False))
