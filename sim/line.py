@@ -10,7 +10,7 @@ import numpy as np
 
 from sim.corruptions import Corruption, corrupted, gauss_markov, white_noise
 from sim.keys import Keys, stream, trajectory_keys, uniforms
-from trackers.line.polyline import Polyline
+from trackers.core.polyline import Polyline
 
 THESIS_KNOTS = np.array([[2.615, 8.26], [6.665, 8.26], [6.665, 6.151], [2.615, 6.151], [2.615, 4.065], [6.665, 4.065]])
 """The corners of the path, m: Table 2.1 with the millimetres of equation (2.5)."""

@@ -36,6 +36,7 @@ from trackers.core.motion import (
     Placed,
 )
 from trackers.core.particle.filter import ParticleFilter
+from trackers.core.polyline import Polyline
 from trackers.core.recording import Batch, Readings, Recording, stack
 from trackers.core.rig import Rig, Station, Tag
 from trackers.core.rts import Smoothed
@@ -46,7 +47,6 @@ from trackers.core.tracker import AbstractStart, AbstractTracker, Row, Tracker
 from trackers.core.tunable import Covariance, Fraction, Real, Scale, tunables
 from trackers.line.grid import GridFilter
 from trackers.line.motion import HaltingMotion, LineMotion
-from trackers.line.polyline import Polyline
 from trackers.line.tracker import line_grid_tracker, line_motion, line_tracker
 from trackers.line.truth import knot_times
 from trackers.mhk.tracker import mhk_tracker

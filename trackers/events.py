@@ -7,14 +7,25 @@ from collections.abc import Sequence
 import numpy as np
 import polars as pl
 
+from trackers.baselines.fixes import fix_tracker
+from trackers.core.recording import Readings, Recording
 from trackers.line.leaving import absences
-from trackers.line.rows import path_of
+from trackers.line.rows import path_of, raw_places
+from trackers.parts.fixes import FIXES
+from trackers.parts.ranges import RANGES
 from trackers.recordings.tracker_spec import TrackerBatch, TrackerSpec
 from trackers.recordings.trajectories import Trajectory
 from trackers.recordings.truth import numbers, track_keys
 
 EVENTS = "events.parquet"
 _COLUMNS = {"t_s": pl.Float64, "event": pl.String, "detail": pl.String}
+LEFT_SLACK, LEFT_LIMIT = 1.0, 2.0
+"""Metres by which a free estimate may be off, and metre seconds beyond that after which the tag has left the line."""
+
+
+REDUNDANT, HEARD_S = 4, 2.0
+"""Anchors that must be heard within so many seconds: with fewer, a tag away is like a range that is too long."""
+
 TOLERANCE, CERTAIN = 0.2, 0.5
 """Metres beside a prescribed path that count as on it, and metre seconds beyond that after which a tag is off it."""
 
@@ -31,8 +42,8 @@ def events_of(tracks: pl.DataFrame, entry: TrackerSpec, groups: Sequence[Tracker
             *keys, pl.col("t_s"), pl.col("status").replace_strict(_WORDS).alias("event"), pl.lit("").alias("detail")
         )
     ]
-    look = entry.events or (None if entry.bearing_only else off_the_path)
-    if look is not None:
+    if not entry.bearing_only:
+        look = left_the_line if entry.on_path else off_the_path
         trajectories = {
             (trajectory.folder.name, trajectory.tag): trajectory
             for group in groups
@@ -62,3 +73,52 @@ def off_the_path(trajectory: Trajectory, tracks: pl.DataFrame) -> list[tuple[flo
         if end < len(times):
             rows.append((float(times[end]), "back on the path", f"after {times[end] - times[start]:.1f} s"))
     return rows
+
+
+def left_the_line(trajectory: Trajectory, tracks: pl.DataFrame) -> list[tuple[float, str, str]]:
+    """Rows (t_s, event, detail) of when the trajectory's tag left the line and came back, from its constrained estimates.
+
+    `tracks`: the rows of a line tracker for this tag. The free estimate is a Kalman filter on fixes, or the place where
+    recent ranges meet.
+    """
+    times, free = _free_places(trajectory)
+    known = tracks.filter(pl.all_horizontal(pl.col("x_m", "y_m").is_finite()))
+    if known.is_empty():
+        return []
+    held = np.stack([np.interp(times, known["t_s"].to_numpy(), numbers(known, f"{a}_m")) for a in "xy"], axis=1)
+    apart = np.sqrt(((free - held) ** 2).sum(axis=1))
+    rows: list[tuple[float, str, str]] = []
+    for start, end, farthest in absences(times, apart, LEFT_SLACK, LEFT_LIMIT):
+        rows.append(
+            (float(times[start]), "left the line", f"up to {farthest:.2f} m between free and constrained estimate")
+        )
+        if end < len(times):
+            rows.append((float(times[end]), "back on the line", f"after {times[end] - times[start]:.1f} s"))
+    return rows
+
+
+def _free_places(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Times and places (T, 2) that know nothing of the path, NaN where there is none."""
+    whole = trajectory.recording
+    if RANGES in whole.readings:
+        times, places = raw_places(trajectory)
+        return times, np.where(_heard(whole)[:, None] >= REDUNDANT, places, np.nan)
+    fixes = whole.readings[FIXES]
+    missing = np.zeros((len(whole), 1))
+    reported = np.zeros((len(whole), 3)) if fixes.reported is None else np.hstack([fixes.reported, missing])
+    readings = {FIXES: Readings(np.hstack([fixes.values, missing]), np.hstack([fixes.seen, missing > 0]), reported)}
+    free = fix_tracker(planar=True).run(Recording(whole.times, readings, whole.inputs, name=whole.name))
+    places = np.stack([np.asarray(x) for x in free.mean.position], axis=1)
+    return whole.times, np.where(free.usable[:, None], places, np.nan)
+
+
+def _heard(recording: Recording) -> np.ndarray:
+    """How many different anchors were heard in the last `HEARD_S` seconds, at each row."""
+    times, seen = recording.times, recording.readings[RANGES].seen[:, 0]
+    number = recording.inputs["anchor"][:, 0]
+    heard = np.zeros(len(times), int)
+    for anchor in np.unique(number):
+        mine = np.flatnonzero(seen & (number == anchor))
+        last = np.searchsorted(mine, np.arange(len(times)), side="right") - 1
+        heard += (last >= 0) & (times - times[mine[np.maximum(last, 0)]] <= HEARD_S if len(mine) else False)
+    return heard

@@ -11,10 +11,9 @@ from typing import Any
 import jax
 import numpy as np
 
-from experiments.cli.manifest import config_hash
 from trackers.core.errors import UnusableInput
 from trackers.core.recording import Batch
-from trackers.recordings.atomic import atomic_write
+from trackers.recordings.atomic import atomic_write, config_hash
 
 CHECKPOINT = "checkpoint.npz"
 

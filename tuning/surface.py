@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments.reports.tuning_data import Landscape
 from trackers.core.tunable import Covariance
 from tuning import FitResult
 from tuning.parameters import Parameter, physical
@@ -25,7 +25,19 @@ REACH = (0.15, 2.0)
 """Least and most half width, in unconstrained numbers: from 15 % to a factor of 7 of a noise level."""
 
 
-def surface_of(result: FitResult, sure: Uncertainty | None) -> Landscape | None:
+@dataclass(frozen=True)
+class Surface:
+    """The objective round the optimum over one tuned number, `values` (n,), or two, `values` (n, m).
+
+    `axes`: the numbers' places in the table of tuned numbers; `grids`: their physical values.
+    """
+
+    axes: tuple[int, ...]
+    grids: tuple[np.ndarray, ...]
+    values: np.ndarray
+
+
+def surface_of(result: FitResult, sure: Uncertainty | None) -> Surface | None:
     """The objective over one number, or over the two that are best determined; None where nothing is finite.
 
     As wide as the way of the best start and four standard errors, within `REACH`; cubic interpolation between the
@@ -46,7 +58,7 @@ def surface_of(result: FitResult, sure: Uncertainty | None) -> Landscape | None:
         values = _finer(values)
         steps = [np.linspace(s[0], s[-1], FINE) for s in steps]
     grids = tuple(_physical(result, k, s) for k, s in zip(axes, steps, strict=True))
-    return Landscape(axes, grids, values)
+    return Surface(axes, grids, values)
 
 
 def _axes(result: FitResult, sure: Uncertainty | None) -> tuple[int, ...]:

@@ -75,11 +75,11 @@ def ours(fixes: np.ndarray, times: np.ndarray) -> Callable[[], np.ndarray]:
     """The tracker `line-pf` without halts; a function that runs it and returns places (n, T, 2), m."""
     from sim.line import THESIS_KNOTS
     from trackers.core.chunks import as_dtype, chunks, run_chunks
+    from trackers.core.polyline import Polyline
     from trackers.core.recording import Readings, Recording, stack
     from trackers.core.tracker import scanned
     from trackers.line.fixes import FIXES, FloorFixes
     from trackers.line.motion import LineMotion
-    from trackers.line.polyline import Polyline
     from trackers.line.tracker import line_tracker
 
     tracker = line_tracker(LineMotion(Polyline(THESIS_KNOTS), SIGMA_A), {FIXES: FloorFixes(SIGMA_P)}, PARTICLES)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import platform
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
@@ -13,7 +11,7 @@ from typing import Any
 
 import jax
 
-from trackers.recordings.atomic import atomic_write, json_text
+from trackers.recordings.atomic import atomic_write, config_hash, json_text
 
 PACKAGES = ("trackwright", "jax", "jaxlib", "numpy")
 
@@ -47,12 +45,6 @@ def write_manifest(
         **(extra or {}),
     }
     return atomic_write(Path(out_dir) / "manifest.json", lambda path: path.write_text(json_text(manifest), "utf-8"))
-
-
-def config_hash(config: Mapping[str, Any]) -> str:
-    """The SHA-256 of the configuration, whatever the order of its keys."""
-    canonical = json.dumps(json.loads(json_text(config)), sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(canonical.encode()).hexdigest()
 
 
 def _version(name: str) -> str | None:

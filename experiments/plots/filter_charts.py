@@ -10,9 +10,9 @@ from matplotlib.ticker import MaxNLocator, PercentFormatter
 
 from experiments.plots.drawings import NARROW, WIDTH, drawn, plain
 from experiments.plots.style import BLUE, VERMILION, broken_at_gaps, literal
-from experiments.reports.tuning_data import ErrorTrack, Innovations
+from experiments.reports.tuning_data import ErrorTrack
 from trackers.core.metrics import chi_square_quantile
-from tuning.whiteness import autocorrelation, expected_density, probabilities
+from tuning.diagnostics import Innovations, autocorrelation, expected_density, probabilities
 
 BEFORE = "#7b8794"
 LAGS = 30

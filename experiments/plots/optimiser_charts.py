@@ -13,7 +13,8 @@ from experiments.plots.drawings import NARROW, WIDTH, drawn, plain
 from experiments.plots.style import BLUE, literal
 from experiments.plots.surface import contours, curve, named, scale_axis
 from experiments.reports.advice import number
-from experiments.reports.tuning_data import Descent, Landscape, TuningEvidence
+from experiments.reports.tuning_data import Descent, TuningEvidence
+from tuning.surface import Surface
 
 PALE = "#c3ccd6"
 
@@ -62,7 +63,7 @@ def number_chart(evidence: TuningEvidence, k: int) -> str:
     return drawn(draw, NARROW, 0.62 * NARROW)
 
 
-def landscape_chart(evidence: TuningEvidence, landscape: Landscape) -> str:
+def landscape_chart(evidence: TuningEvidence, landscape: Surface) -> str:
     """The objective over one number as a curve, or over two as contours, with the ways of all starts drawn in."""
     known = [evidence.numbers[k] for k in landscape.axes]
     best = [n.after for n in known]

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from experiments.reports.tuning_data import Score, TuningEvidence
-from tuning.assumptions import contradicted
+from tuning.diagnostics import contradicted
 
 WORSE = 0.02
 """Part by which a figure may rise before it counts as worse."""

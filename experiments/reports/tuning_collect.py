@@ -9,14 +9,7 @@ from importlib.metadata import version
 
 import numpy as np
 
-from experiments.reports.tuning_data import (
-    Descent,
-    ErrorTrack,
-    Innovations,
-    Score,
-    TunedNumber,
-    TuningEvidence,
-)
+from experiments.reports.tuning_data import Descent, ErrorTrack, Score, TunedNumber, TuningEvidence
 from trackers.core.estimates import Estimates
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker
@@ -24,6 +17,7 @@ from trackers.recordings.trajectories import Trajectory
 from trackers.tracks import batches
 from tuning import FitResult
 from tuning.consistency import tail_of
+from tuning.diagnostics import Innovations
 from tuning.fit import Step
 from tuning.identifiability import IdentifiabilityIssue, names_of
 from tuning.intervals import Interval

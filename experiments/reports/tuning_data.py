@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tuning.diagnostics import Innovations
+from tuning.surface import Surface
+
 
 @dataclass(frozen=True)
 class TunedNumber:
@@ -49,31 +52,6 @@ class Descent:
 
 
 @dataclass(frozen=True)
-class Landscape:
-    """The objective round the optimum over one tuned number, `values` (n,), or two, `values` (n, m).
-
-    `axes`: the numbers' places in the table of tuned numbers; `grids`: their physical values.
-    """
-
-    axes: tuple[int, ...]
-    grids: tuple[np.ndarray, ...]
-    values: np.ndarray
-
-
-@dataclass(frozen=True)
-class Innovations:
-    """NIS (n,) with degrees of freedom (n,) of rows in time order; `trajectory` (n,): whose trajectory a row is.
-
-    `tail`: degrees of freedom of the noise where it is Student's t, so that NIS is not χ²; None where it is normal.
-    """
-
-    nis: np.ndarray
-    dof: np.ndarray
-    trajectory: np.ndarray
-    tail: float | None = None
-
-
-@dataclass(frozen=True)
 class ErrorTrack:
     """Lengths of errors of one trajectory before and after (t,), in the evidence's error unit, NaN where unknown."""
 
@@ -105,7 +83,7 @@ class TuningEvidence:
     numbers: tuple[TunedNumber, ...]
     scores: tuple[Score, ...]
     descents: tuple[Descent, ...]
-    landscape: Landscape | None
+    landscape: Surface | None
     judged_on: str
     innovations: tuple[Innovations, Innovations] | None
     errors: tuple[ErrorTrack, ...]

@@ -26,7 +26,7 @@ from trackers.core.tunable import tunables  # noqa: E402
 from trackers.recordings.folder import read_recording  # noqa: E402
 from trackers.tracks import batches  # noqa: E402
 from tuning import NegativeLogLikelihood, fit  # noqa: E402
-from tuning.assumptions import contradicted  # noqa: E402
+from tuning.diagnostics import contradicted  # noqa: E402
 from tuning.metrics import all_metrics  # noqa: E402
 from tuning.tuned_file import with_noise  # noqa: E402
 

@@ -13,12 +13,12 @@ from experiments.verify import chain_enumeration, dense_kalman, halt, halt_grid
 from experiments.verify.findings import Finding
 from experiments.verify.gradients import gradients
 from trackers.baselines.fixes import fix_tracker
+from trackers.core.polyline import Polyline
 from trackers.core.recording import Readings, Recording, stack
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import Real, Scale, replaced
 from trackers.line.grid import GridFilter
 from trackers.line.motion import OnFloor
-from trackers.line.polyline import Polyline
 from trackers.mhk.chain import heard, moved
 from trackers.parts.fixes import FIXES
 

@@ -11,6 +11,7 @@ import numpy as np
 from trackers.core.algebra import Scalar, diagonal
 from trackers.core.ekf import Gaussian
 from trackers.core.motion import Noise
+from trackers.core.polyline import Polyline
 from trackers.core.recording import Batch, Readings, Recording, stack
 from trackers.core.sensor import AbstractSensor
 from trackers.core.track_loss import TrackLossPolicy
@@ -18,7 +19,6 @@ from trackers.core.tracker import AbstractStart, Row, Tracker
 from trackers.core.tunable import Scale
 from trackers.line.fixes import FIXES, FloorFixes
 from trackers.line.motion import LineMotion, OnLine
-from trackers.line.polyline import Polyline
 
 SIGMA_A, SIGMA_FIX, DT, ROWS = 0.3, 0.25, 0.5, 24
 """Change of speed, m/s per √s; of a fix, m; seconds between fixes, and how many there are."""

@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from experiments.reports.tuning_data import Innovations
-from tuning.assumptions import contradicted
+from tuning.diagnostics import Innovations, contradicted
 
 ROWS = 20_000
 

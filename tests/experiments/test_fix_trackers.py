@@ -10,10 +10,11 @@ from sim.agv import ANCHOR_HEIGHT, simulate_agv
 from sim.fixes import correlated_noise, late
 from sim.tables.agv import simulated_agv
 from tests.experiments.in_process import assert_refused, trackwright
-from trackers.baselines.rows import fix_trajectories, lacks_fixes, lacks_plane, side_trajectories
+from trackers.baselines.rows import lacks_plane, side_trajectories
 from trackers.core.rig import Rig, Tag
 from trackers.mhk.rows import space_trajectories
 from trackers.mhk.tracker import STILL
+from trackers.parts.fix_rows import fix_trajectories, lacks_fixes
 from trackers.parts.fixes import FIXES
 from trackers.recordings.folder import RecordingFolder, write_recording
 from trackers.recordings.truth import read_tracks

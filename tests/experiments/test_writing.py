@@ -10,9 +10,9 @@ import jax
 import numpy as np
 import pytest
 
-from experiments.cli.manifest import config_hash, write_manifest
+from experiments.cli.manifest import write_manifest
 from trackers.core.errors import UnusableInput
-from trackers.recordings.atomic import atomic_write, json_text
+from trackers.recordings.atomic import atomic_write, config_hash, json_text
 
 
 def _half_then(error):

@@ -2,15 +2,9 @@
 
 import numpy as np
 
-from experiments.reports.tuning_data import (
-    Descent,
-    ErrorTrack,
-    Innovations,
-    Landscape,
-    Score,
-    TunedNumber,
-    TuningEvidence,
-)
+from experiments.reports.tuning_data import Descent, ErrorTrack, Score, TunedNumber, TuningEvidence
+from tuning.diagnostics import Innovations
+from tuning.surface import Surface
 
 
 def innovations(scale: float, seed: int = 0, trajectories: int = 4, rows: int = 300) -> Innovations:
@@ -59,7 +53,7 @@ def evidence(**changes) -> TuningEvidence:
             Score("nis-shape", "Distance of NIS from χ²", "1", (0.2312, 0.0121), (0.2288, 0.0145)),
         ),
         descents=tuple(Descent(f"start {k + 1}", 0.1327 + a, w) for k, (a, w) in enumerate(zip(away, ways, strict=True))),
-        landscape=Landscape((0, 1), grids, 0.1327 + x**2 + y**2 + 0.4 * x * y),
+        landscape=Surface((0, 1), grids, 0.1327 + x**2 + y**2 + 0.4 * x * y),
         judged_on="held-out recordings",
         innovations=(innovations(0.55), innovations(1.0, 7)),
         errors=tracks,

@@ -6,13 +6,13 @@ import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, recording
 from trackers.core.particle.filter import ParticleFilter
+from trackers.core.polyline import Polyline
 from trackers.core.recording import Readings, Recording
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import Scale
 from trackers.line.fixes import FIXES, FloorFixes
 from trackers.line.grid import GridFilter
 from trackers.line.motion import HaltingMotion, LineMotion, OnFloor, OnLine, OnSegment
-from trackers.line.polyline import Polyline
 from trackers.line.tracker import line_grid_tracker, line_motion, line_tracker
 
 CORNERS = [[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [0.0, 1.0]]

@@ -12,9 +12,10 @@ from sim.tables.line import simulated_line
 from trackers.catalogue import fitting, groups
 from trackers.core.errors import UnusableInput
 from trackers.core.rig import Rig
+from trackers.events import left_the_line
 from trackers.line import rows as line
 from trackers.line.motion import HaltingMotion, LineMotion
-from trackers.line.rows import TRACKERS, left_the_line, path_of
+from trackers.line.rows import TRACKERS, path_of
 from trackers.recordings.folder import RecordingFolder, read_recording
 from trackers.tracks import track
 

@@ -12,13 +12,13 @@ from trackers.core.chunks import as_dtype
 from trackers.core.ekf import Gaussian
 from trackers.core.estimates import Status
 from trackers.core.particle.filter import ParticleFilter
+from trackers.core.polyline import Polyline
 from trackers.core.recording import stack
 from trackers.core.tracker import Tracker, scanned
 from trackers.core.tunable import Scale
 from trackers.line.fixes import FIXES, FloorFixes
 from trackers.line.grid import GridFilter
 from trackers.line.motion import HaltingMotion, LineMotion, OnFloor, OnLine, OnSegment
-from trackers.line.polyline import Polyline
 
 KEYS, ROWS, DT = 200, 12, 0.5
 LINE = Polyline([[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [0.5, 1.0]])

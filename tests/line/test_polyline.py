@@ -7,9 +7,9 @@ import pytest
 from trackers.core.algebra import Vector
 from trackers.core.checks import check_motion, check_sensor
 from trackers.core.motion import Kinematic
+from trackers.core.polyline import Polyline
 from trackers.line.fixes import FloorFixes
 from trackers.line.motion import HaltingMotion, LineMotion, OnLine, OnSegment
-from trackers.line.polyline import Polyline
 from trackers.line.tracker import line_motion
 
 KNOTS = [[2.615, 8.26], [6.665, 8.26], [6.665, 6.151], [2.615, 6.151], [2.615, 4.065], [6.665, 4.065]]

@@ -19,7 +19,7 @@ from sim.ranging import (
 )
 from sim.tables.ranging import simulated_ranging
 from trackers.core.rig import Rig
-from trackers.uwb_imu.range_rows import range_trajectories
+from trackers.parts.range_rows import range_trajectories
 from trackers.uwb_imu.ranging import SPEED_OF_LIGHT
 
 TAGS, ROWS = 40, 100

@@ -12,11 +12,11 @@ from trackers.baselines.fixes import fix_tracker
 from trackers.baselines.windows import MovingWindow
 from trackers.catalogue import TRACKERS
 from trackers.core.algebra import Vector
+from trackers.core.polyline import Polyline
 from trackers.core.recording import Readings, Recording, stack
 from trackers.core.tunable import tunables
 from trackers.line.fixes import FloorFixes
 from trackers.line.motion import LineMotion, OnLine
-from trackers.line.polyline import Polyline
 from trackers.line.tracker import line_grid_tracker
 from trackers.mhk.tracker import mhk_tracker
 from trackers.parts.fixes import FIXES

@@ -5,10 +5,10 @@ import pytest
 
 from sim.line import THESIS_KNOTS, simulate_line
 from tests.tuning.worlds import line_tracker, walks
+from trackers.core.polyline import Polyline
 from trackers.core.recording import Readings, Recording, stack
 from trackers.core.tunable import Real, Scale
 from trackers.line.fixes import FIXES, FloorFixes
-from trackers.line.polyline import Polyline
 from trackers.line.tracker import line_motion
 from trackers.line.tracker import line_tracker as particle_tracker
 from tuning import NegativeLogLikelihood, RootMeanSquareError

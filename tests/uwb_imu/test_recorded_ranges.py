@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from trackers.core.recording import stack
+from trackers.parts.range_rows import range_trajectories
 from trackers.recordings.folder import read_recording
 from trackers.uwb_imu.fusion import range_tracker
-from trackers.uwb_imu.range_rows import range_trajectories
 
 # Horizontal RMSE, m, and 3-D where it is judged: of a Kalman filter whose noise was tuned on that very recording.
 PLANAR = {"labyrinth": 0.22, "ngbui-line-2-1": 0.342}

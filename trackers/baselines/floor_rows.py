@@ -7,9 +7,9 @@ from collections.abc import Hashable, Iterator
 import numpy as np
 
 from trackers.baselines.floor import floor_tracker
-from trackers.baselines.rows import fix_trajectories
 from trackers.core.errors import UnusableInput
 from trackers.core.tracker import AbstractTracker
+from trackers.parts.fix_rows import fix_trajectories
 from trackers.parts.fixes import FIXES
 from trackers.parts.walls import Walls
 from trackers.recordings.folder import RecordingFolder

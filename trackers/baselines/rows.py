@@ -11,30 +11,17 @@ from trackers.baselines.fixes import fix_tracker, singer_tracker
 from trackers.baselines.switching import mirror_tracker, switching_tracker
 from trackers.baselines.windows import MovingWindow
 from trackers.core.recording import Readings
+from trackers.parts.fix_rows import fix_trajectories, lacks_fixes
 from trackers.parts.fixes import FIXES
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerSpec, on_request
-from trackers.recordings.trajectories import Trajectory, by_tag, known_height, trajectory_of, true_paths, values_of
-from trackers.recordings.truth import numbers
+from trackers.recordings.trajectories import Trajectory
 
 FLAT = 0.5
 """Metres between the heights of anchors up to which they count as lying in one plane."""
 
 WINDOW = 9
 """Rows of the moving windows: the paper's choice for its median (Huang et al. 2018, section 4)."""
-
-
-def fix_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
-    """Each tag's fixes, one row per table row; z counts as not seen where the tag's height is known and used."""
-    paths = true_paths(folder)
-    for tag, table in by_tag(folder.tables["fixes"]):
-        values, seen = values_of(table, [f"{a}_m" for a in "xyz"])
-        if not free_height and known_height(folder, tag) is not None:
-            seen[:, 2] = False
-        # Without reported spreads zeros stand here, so that trajectories with and without share a batch.
-        reported = np.nan_to_num(np.stack([numbers(table, f"{a}_std_m") for a in "xyz"], axis=1)) ** 2
-        readings = {FIXES: Readings(values, seen, reported)}
-        yield trajectory_of(folder, tag, "", table["t_s"].to_numpy(), readings, {}, paths)
 
 
 def side_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
@@ -61,16 +48,6 @@ def lacks_plane(folder: RecordingFolder) -> str | None:
         found = f"{len(heights)} anchors" + (f" over {np.ptp(heights):.2f} m of height" if heights else "")
         return f"at least 3 anchors within {FLAT} m of one height, found {found}"
     return lacks_fixes(folder)
-
-
-def lacks_fixes(folder: RecordingFolder) -> str | None:
-    """What a folder lacks for a tracker of fixes: the table, or any word on the height of a tag in it."""
-    if "fixes" not in folder.tables:
-        return "a fixes table, found no such table"
-    for tag, table in by_tag(folder.tables["fixes"]):
-        if table["x_m"].count() and not table["z_m"].count() and known_height(folder, tag) is None:
-            return f"z_m of tag {tag!r} in fixes, or its height_m in rig.toml, found neither"
-    return None
 
 
 TRACKERS = {

@@ -17,10 +17,10 @@ from trackers.core.algebra import Scalar, compute_once, total
 from trackers.core.ekf import Gaussian, Innovation
 from trackers.core.motion import AbstractMotion
 from trackers.core.particle.filter import normalised_square, weighed, weighted_moments
+from trackers.core.polyline import Polyline
 from trackers.core.sensor import AbstractSensor, Reading
 from trackers.core.state import State
 from trackers.line.motion import HaltingMotion, LineMotion, OnFloor, OnLine
-from trackers.line.polyline import Polyline
 
 ROUNDS = 2
 """Rounds of a closed path that a belief may reach either way when it begins."""

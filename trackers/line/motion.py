@@ -10,8 +10,8 @@ from jax.scipy.special import ndtri
 from trackers.core.algebra import Scalar, Vector
 from trackers.core.motion import AbstractMotion, Kinematic, Noise, scaled
 from trackers.core.particle.filter import AbstractOutputMap, second_moments, weighted_mean
+from trackers.core.polyline import Polyline
 from trackers.core.tunable import Fraction, Scale
-from trackers.line.polyline import Polyline
 
 
 class OnLine(NamedTuple):

@@ -14,13 +14,13 @@ from trackers.core.algebra import Scalar, diagonal, total
 from trackers.core.ekf import Gaussian
 from trackers.core.motion import Noise
 from trackers.core.particle.filter import ParticleFilter, log_density
+from trackers.core.polyline import Polyline
 from trackers.core.sensor import AbstractSensor
 from trackers.core.track_loss import TrackLossPolicy
 from trackers.core.tracker import AbstractStart, Row, Tracker
 from trackers.core.tunable import Scale
 from trackers.line.grid import GridFilter
 from trackers.line.motion import HaltingMotion, LineMotion, OnFloor, OnLine, OnSegment, on_floor
-from trackers.line.polyline import Polyline
 
 SIGMA_A = 0.05
 """Change of speed, m/s per √s: a cart at walking pace that may take another speed on every segment."""

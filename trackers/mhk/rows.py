@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from trackers.baselines.rows import fix_trajectories, lacks_fixes
 from trackers.core.recording import Readings
 from trackers.mhk.tracker import mhk_tracker
+from trackers.parts.fix_rows import fix_trajectories, lacks_fixes
 from trackers.parts.fixes import FIXES
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerSpec, on_request

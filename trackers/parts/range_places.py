@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.uwb_imu.multilateration import multilaterate
+from trackers.parts.multilaterate import multilaterate
 
 LATEST = 5
 """Ranges of one anchor whose median counts: two wild ones among them do no harm."""

@@ -2,26 +2,14 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from trackers.core.algebra import Scalar
+from trackers.core.particle.potential import AbstractPotential
 from trackers.core.particle.resampling import NOTHING
-
-
-class AbstractPotential(eqx.Module):
-    """What a move says by itself, without any reading: a factor of the weight of the particle that made it."""
-
-    @abstractmethod
-    def log_weight(self, before: Any, after: Any) -> Scalar:
-        """The factor's logarithm, from what the motion shows of the states before and after: 0 for a usual move.
-
-        NOTHING (`trackers/core/particle/resampling.py`) for one that is impossible.
-        """
 
 
 class Walls(AbstractPotential):

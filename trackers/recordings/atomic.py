@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
@@ -40,6 +41,12 @@ def atomic_write(path: Path | str, writer: Callable[[Path], object]) -> Path:
 def json_text(value: Any) -> str:
     """The value as indented JSON: NumPy numbers as numbers, arrays as lists, NaN and infinity as null."""
     return json.dumps(_plain(value), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def config_hash(config: Mapping[str, Any]) -> str:
+    """The SHA-256 of the configuration, whatever the order of its keys."""
+    canonical = json.dumps(json.loads(json_text(config)), sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(canonical.encode()).hexdigest()
 
 
 def _discard(temporary: Path) -> None:

@@ -13,8 +13,8 @@ from typing import Any, NoReturn
 import numpy as np
 
 from trackers.core.errors import UnusableInput
+from trackers.core.polyline import Polyline
 from trackers.core.rig import Rig, Station, Tag
-from trackers.line.polyline import Polyline
 
 FORMAT = 1
 RIG_FILE = "rig.toml"

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass
 
-import polars as pl
-
 from trackers.core.tracker import AbstractTracker
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.trajectories import Trajectory, known_height
@@ -39,8 +37,7 @@ class TrackerSpec:
     a folder; the flag is --free-height. `build`: the tracker of a trajectory; the flag is `planar` of that trajectory. `geometry`:
     what of a trajectory is part of its tracker; trajectories that agree in it, and in `planar`, share one. `automatic`: whether it
     is taken for a folder that it fits where no tracker is named. `bearing_only`: whether it estimates directions.
-    `events`: what happened in a trajectory, from its rows of the tracks table: time s, event, detail; None where only lost
-    tracks are told.
+    `on_path`: whether its estimates lie on the rig's known path, so that leaving the path is an event.
     """
 
     about: str
@@ -52,4 +49,4 @@ class TrackerSpec:
     planar: Callable[[Trajectory, bool], bool] = at_known_height
     automatic: Callable[[RecordingFolder], bool] = lambda folder: True
     bearing_only: bool = False
-    events: Callable[[Trajectory, pl.DataFrame], list[tuple[float, str, str]]] | None = None
+    on_path: bool = False

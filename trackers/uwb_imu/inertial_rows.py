@@ -8,6 +8,7 @@ import numpy as np
 import polars as pl
 
 from trackers.core.recording import Readings
+from trackers.parts.range_rows import range_rows
 from trackers.parts.ranges import RANGES
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tables import QUATERNION
@@ -15,7 +16,6 @@ from trackers.recordings.tracker_spec import TrackerSpec, at_known_height
 from trackers.recordings.trajectories import Trajectory, trajectory_of, true_paths
 from trackers.recordings.truth import numbers
 from trackers.uwb_imu.inertial import inertial_tracker
-from trackers.uwb_imu.range_rows import range_rows
 from trackers.uwb_imu.samples import held_inputs, levelled
 
 GRAVITY = 9.81

@@ -9,12 +9,11 @@ import numpy as np
 import polars as pl
 
 from trackers.core.recording import Readings
-from trackers.parts.range_places import recent_places
+from trackers.parts.range_rows import anchor_positions, range_rows, range_trajectories
 from trackers.parts.ranges import RANGES
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerSpec, on_request
-from trackers.recordings.trajectories import Trajectory, by_tag, known_height, trajectory_of, true_paths, values_of
-from trackers.recordings.truth import numbers
+from trackers.recordings.trajectories import Trajectory, by_tag, known_height, trajectory_of, true_paths
 from trackers.uwb_imu.fusion import range_tracker
 from trackers.uwb_imu.multilateration import multilateration_tracker
 from trackers.uwb_imu.trilateration import trilateration_tracker
@@ -29,32 +28,6 @@ FARTHEST = 20.0
 """Times the anchors' extent that the middle range may be."""
 
 
-def range_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
-    """Each tag's ranges, one a row, with the place and number of the row's anchor as inputs."""
-    paths = true_paths(folder)
-    for tag, table in by_tag(folder.tables["ranges"]):
-        readings, inputs = range_rows(folder, tag, table, free_height)
-        yield trajectory_of(folder, tag, "", table["t_s"].to_numpy(), {RANGES: readings}, inputs, paths)
-
-
-def range_rows(
-    folder: RecordingFolder, tag: str, table: pl.DataFrame, free_height: bool
-) -> tuple[Readings, dict[str, np.ndarray]]:
-    """The readings of a tag's ranges, one a row of `table`, and the rows' inputs `anchors`, `anchor` and `nearby`.
-
-    Anchors are numbered in the order of their ids. A negative range is no distance and counts as missing.
-    """
-    order, places = sorted(folder.rig.anchors), _anchors(folder)
-    number = np.array([order.index(a) for a in table["anchor"].to_list()])
-    values, seen = values_of(table, ["range_m"])
-    seen &= values > 0.0
-    variances = np.nan_to_num(numbers(table, "range_std_m"))[:, None] ** 2
-    height = None if free_height else known_height(folder, tag)
-    nearby = recent_places(table["t_s"].to_numpy(), places, number, values[:, 0], seen[:, 0], height)
-    inputs = {"anchors": places[number], "anchor": number[:, None].astype(float), "nearby": nearby}
-    return Readings(values, seen, variances), inputs
-
-
 def snapshot_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
     """Each tag's ranges, one row a time, with the latest range of every anchor in a slot of its own."""
     for tag, times, latest, fresh, inputs in _snapshots(folder, free_height):
@@ -63,7 +36,7 @@ def snapshot_trajectories(folder: RecordingFolder, free_height: bool) -> Iterato
 
 def triple_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
     """As `snapshot_lanes`, with the three anchors of each row that span the largest triangle, for trilateration."""
-    anchors = _anchors(folder)
+    anchors = anchor_positions(folder)
     triples = np.array(list(combinations(range(len(anchors)), 3)))
     legs = anchors[triples][:, 1:, :2] - anchors[triples][:, :1, :2]
     areas = np.abs(legs[:, 0, 0] * legs[:, 1, 1] - legs[:, 0, 1] * legs[:, 1, 0])
@@ -80,7 +53,7 @@ def _snapshots(
     folder: RecordingFolder, free_height: bool
 ) -> Iterator[tuple[str, np.ndarray, np.ndarray, np.ndarray, dict[str, np.ndarray]]]:
     """Per tag: its times (t,), the latest range of each anchor then (t, A), whether it is fresh, and the inputs."""
-    anchors = _anchors(folder)
+    anchors = anchor_positions(folder)
     for tag, table in by_tag(folder.tables["ranges"]):
         known = not free_height and known_height(folder, tag) is not None
         readings, inputs = range_rows(folder, tag, table, free_height)
@@ -102,11 +75,6 @@ def _window(age: np.ndarray, least: int) -> float:
     """The shortest of the `WINDOWS` in which at least half of the times hold `least` anchors."""
     enough = [w for w in WINDOWS if np.mean(np.sum(age <= w, axis=1) >= least) >= 0.5]
     return enough[0] if enough else WINDOWS[-1]
-
-
-def _anchors(folder: RecordingFolder) -> np.ndarray:
-    """The anchors' places (A, 3), m, in the order of their ids."""
-    return np.stack([np.asarray(folder.rig.anchors[a], float) for a in sorted(folder.rig.anchors)])
 
 
 def lacks_ranges(folder: RecordingFolder) -> str | None:

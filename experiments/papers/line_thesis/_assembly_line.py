@@ -20,15 +20,15 @@ from sim.corruptions import gauss_markov, white_noise
 from sim.line import simulate_line
 from sim.tables.line import simulated_line
 from trackers.baselines.fixes import fix_tracker
-from trackers.baselines.rows import fix_trajectories, lacks_fixes
 from trackers.baselines.windows import MovingWindow
+from trackers.core.polyline import Polyline
 from trackers.core.tracker import AbstractTracker
 from trackers.line.fixes import FIXES, FloorFixes
 from trackers.line.motion import LineMotion
-from trackers.line.polyline import Polyline
 from trackers.line.rows import TRACKERS, path_of
 from trackers.line.tracker import line_tracker
 from trackers.line.truth import knot_times
+from trackers.parts.fix_rows import fix_trajectories, lacks_fixes
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerSpec
 from trackers.recordings.trajectories import Trajectory

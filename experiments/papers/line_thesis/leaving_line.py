@@ -29,8 +29,8 @@ from sim.line import simulate_line
 from sim.tables.line import simulated_line
 from trackers.catalogue import grouped
 from trackers.core.recording import stack
+from trackers.events import LEFT_LIMIT, LEFT_SLACK
 from trackers.line.leaving import evidence
-from trackers.line.rows import LEFT_LIMIT, LEFT_SLACK
 from trackers.recordings.folder import RecordingFolder
 from tuning.tuned_file import with_noise as tuned
 

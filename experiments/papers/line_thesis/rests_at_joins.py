@@ -31,10 +31,10 @@ from experiments.papers.line_thesis._assembly_line import (
 from experiments.plots.drawings import plain
 from experiments.plots.study_pictures import picture
 from experiments.plots.style import BLACK, BLUE, VERMILION
+from trackers.core.polyline import Polyline
 from trackers.core.tracker import AbstractTracker
 from trackers.line.fixes import FIXES, FloorFixes
 from trackers.line.motion import LineMotion
-from trackers.line.polyline import Polyline
 from trackers.line.rows import TRACKERS, path_of
 from trackers.line.tracker import line_grid_tracker
 from trackers.recordings.trajectories import Trajectory

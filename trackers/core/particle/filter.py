@@ -16,12 +16,12 @@ import jax.numpy as jnp
 from trackers.core.algebra import Scalar, Vector, cholesky, inverse_or_zero, total, triangle
 from trackers.core.ekf import Gaussian, Innovation
 from trackers.core.motion import AbstractMotion
+from trackers.core.particle.potential import AbstractPotential
 from trackers.core.particle.random import draws
 from trackers.core.particle.resampling import NOTHING, effective_sample_size, exponential
 from trackers.core.particle.score import drawn_with_scores, normal_density, with_score
 from trackers.core.sensor import AbstractSensor, Reading, Residual
 from trackers.core.state import State, dimension, local, retract
-from trackers.parts.walls import AbstractPotential
 
 
 class Particles(NamedTuple):

@@ -1,0 +1,36 @@
+"""Rows of trackers that read position fixes: one fix a row."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from trackers.core.recording import Readings
+from trackers.parts.fixes import FIXES
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.trajectories import Trajectory, by_tag, known_height, trajectory_of, true_paths, values_of
+from trackers.recordings.truth import numbers
+
+
+def fix_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
+    """Each tag's fixes, one row per table row; z counts as not seen where the tag's height is known and used."""
+    paths = true_paths(folder)
+    for tag, table in by_tag(folder.tables["fixes"]):
+        values, seen = values_of(table, [f"{a}_m" for a in "xyz"])
+        if not free_height and known_height(folder, tag) is not None:
+            seen[:, 2] = False
+        # Without reported spreads zeros stand here, so that trajectories with and without share a batch.
+        reported = np.nan_to_num(np.stack([numbers(table, f"{a}_std_m") for a in "xyz"], axis=1)) ** 2
+        readings = {FIXES: Readings(values, seen, reported)}
+        yield trajectory_of(folder, tag, "", table["t_s"].to_numpy(), readings, {}, paths)
+
+
+def lacks_fixes(folder: RecordingFolder) -> str | None:
+    """What a folder lacks for a tracker of fixes: the table, or any word on the height of a tag in it."""
+    if "fixes" not in folder.tables:
+        return "a fixes table, found no such table"
+    for tag, table in by_tag(folder.tables["fixes"]):
+        if table["x_m"].count() and not table["z_m"].count() and known_height(folder, tag) is None:
+            return f"z_m of tag {tag!r} in fixes, or its height_m in rig.toml, found neither"
+    return None
