@@ -5,8 +5,8 @@ from __future__ import annotations
 import polars as pl
 import pytest
 
-from tests.experiments.faulty import good_tables, write_good
-from tests.experiments.in_process import trackwright
+from tests.faulty import good_tables, write_good
+from tests.in_process import trackwright
 
 
 @pytest.fixture(scope="session")

@@ -12,7 +12,7 @@ the order a, v, p simplifies, row by row, to
     a: k √T/(1 + t)        v: k dt (½ T√T/(1 + t), ½ √A)        p: k dt² (¼ D/(√T (1 + t)), ¼ √A, ¼ √B)
     T = t/h    A = (h − t)/h³    B = (1 + h²/3 − h/t)/h⁴    D = (T − 1 + t²)/h²
 
-with all four smooth at h = 0; tests/core/test_singer.py holds it against the matrix exponential.
+with all four smooth at h = 0; tests/trackers/parts/test_singer.py holds it against the matrix exponential.
 """
 
 from __future__ import annotations

@@ -7,8 +7,8 @@ import polars as pl
 import pytest
 
 from experiments.cli import track as track_command
-from tests.experiments.faulty import then, with_table
-from tests.experiments.in_process import assert_refused, trackwright
+from tests.faulty import then, with_table
+from tests.in_process import assert_refused, trackwright
 
 TRACKERS = ("uwb", "multilateration")
 

@@ -8,8 +8,8 @@ import pytest
 
 from experiments.monte_carlo.trajectories import Run
 from experiments.questions._bench import MEASURES
-from tests.experiments.faulty import good_tables
-from tests.experiments.in_process import assert_refused, trackwright
+from tests.faulty import good_tables
+from tests.in_process import assert_refused, trackwright
 from trackers.core.rig import Rig
 from trackers.recordings.folder import RecordingFolder
 from trackers.worksteps.decisions import NOWHERE, WorkPoints, at_work, decide, probabilities, visits_of

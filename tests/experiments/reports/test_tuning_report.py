@@ -11,7 +11,7 @@ from scipy import stats
 from experiments.reports.advice import judged, number, percent
 from experiments.reports.tuning import page, write_report
 from experiments.reports.tuning_data import Score, TunedNumber
-from tests.experiments.tuning_evidence import evidence, innovations
+from tests.experiments.reports.tuning_evidence import evidence, innovations
 from tuning.diagnostics import Innovations, autocorrelation, expected_density, normal_scores, probabilities
 
 EMPTY = {"meta", "img", "br", "link"}

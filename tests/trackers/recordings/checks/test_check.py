@@ -11,14 +11,14 @@ import numpy as np
 import polars as pl
 import pytest
 
-from tests.experiments.broken import ODD
-from tests.experiments.faulty import write_good
+from tests.broken import ODD
+from tests.faulty import write_good
 from trackers.core.rig import Rig
 from trackers.recordings.checks.check import Finding, check_folder, format_findings
 from trackers.recordings.folder import RecordingFolder, read_recording
 
 RECORDINGS = Path(
-    os.environ.get("TRACKWRIGHT_RECORDINGS", Path(__file__).resolve().parents[3] / "shared" / "recordings")
+    os.environ.get("TRACKWRIGHT_RECORDINGS", Path(__file__).resolve().parents[5] / "shared" / "recordings")
 )
 
 

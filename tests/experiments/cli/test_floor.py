@@ -4,7 +4,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from tests.experiments.in_process import assert_refused, trackwright
+from tests.in_process import assert_refused, trackwright
 from trackers.core.algebra import Vector
 from trackers.core.errors import UnusableInput
 from trackers.core.motion import Placed

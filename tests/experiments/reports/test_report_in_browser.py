@@ -8,7 +8,7 @@ from experiments.monte_carlo import Conclusion, ExpectedResult
 from experiments.monte_carlo.results import Value
 from experiments.monte_carlo.runner import carry_out
 from experiments.reports.study import page
-from tests.experiments.small_study import SMALL, no_progress
+from tests.experiments.monte_carlo.small_study import SMALL, no_progress
 
 pytestmark = pytest.mark.slow
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")

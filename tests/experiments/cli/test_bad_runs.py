@@ -15,8 +15,8 @@ import pytest
 
 from experiments.cli import check as check_command
 from experiments.cli import console
-from tests.experiments.faulty import good_tables, write_good
-from tests.experiments.in_process import assert_refused, trackwright
+from tests.faulty import good_tables, write_good
+from tests.in_process import assert_refused, trackwright
 from trackers.recordings import atomic
 
 

@@ -11,8 +11,8 @@ from experiments.monte_carlo.runner import Until, carry_out, complete
 from experiments.monte_carlo.store import Store, merged
 from experiments.monte_carlo.trajectories import Run
 from experiments.reports.study_text import to_json, to_text
-from tests.experiments.in_process import trackwright
-from tests.experiments.small_study import SMALL, TOML, no_progress, study_command
+from tests.experiments.monte_carlo.small_study import SMALL, TOML, no_progress, study_command
+from tests.in_process import trackwright
 from trackers.core.errors import UnusableInput
 from trackers.core.estimates import Status
 from trackers.core.metrics import chi_square_quantile

@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from tests.experiments.in_process import assert_refused, trackwright
+from tests.in_process import assert_refused, trackwright
 from trackers.catalogue import fitting
 from trackers.line.rows import path_of
 from trackers.recordings.folder import read_recording

@@ -4,7 +4,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from tests.experiments.faulty import write_good
+from tests.faulty import write_good
 from trackers.aoa.fusion import BEARINGS
 from trackers.aoa.rows import PHASES, beam_trajectories, bearing_trajectories, phase_trajectories
 from trackers.recordings.folder import RecordingFolder, read_recording

@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 
-from tests.experiments.small_study import TOML, study_command
+from tests.experiments.monte_carlo.small_study import TOML, study_command
 
 pytestmark = pytest.mark.slow
 

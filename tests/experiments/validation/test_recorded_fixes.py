@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from tests.experiments.in_process import trackwright
+from tests.in_process import trackwright
 
 pytestmark = pytest.mark.slow
 

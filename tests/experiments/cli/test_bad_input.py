@@ -12,9 +12,9 @@ import pytest
 
 from experiments.cli import track as track_command
 from experiments.cli import tune as tune_command
-from tests.experiments.broken import BROKEN, ODD
-from tests.experiments.faulty import good_tables, write_good
-from tests.experiments.in_process import assert_refused, trackwright
+from tests.broken import BROKEN, ODD
+from tests.faulty import good_tables, write_good
+from tests.in_process import assert_refused, trackwright
 from trackers.core.errors import UnusableInput
 from tuning import NegativeLogLikelihood
 from tuning.checkpoint import save

@@ -10,7 +10,7 @@ from experiments.verify.findings import Finding, random, table
 from experiments.verify.gradients import gradients, marginal_gradients
 from experiments.verify.particle_checks import corridor_order_findings, halt_findings, halt_order_findings
 from sim.corridor import corridor_fixes
-from tests.experiments.in_process import trackwright
+from tests.in_process import trackwright
 from trackers.core.particle.filter import ParticleFilter
 from trackers.core.recording import Readings, Recording, stack
 from trackers.line.fixes import FIXES

@@ -15,7 +15,7 @@ import polars as pl
 import pytest
 
 from sim.scenarios import facing
-from tests.experiments.in_process import assert_refused, trackwright
+from tests.in_process import assert_refused, trackwright
 from trackers.catalogue import TRACKERS
 from trackers.core.rig import Station
 
@@ -361,7 +361,7 @@ def test_the_program_with_its_own_settings_tracks_as_the_suite_does(there):
         there / "many-run",
     ]
     clean = {k: v for k, v in os.environ.items() if k not in ("XLA_FLAGS", "JAX_ENABLE_X64")}
-    done = subprocess.run(line, cwd=Path(__file__).parents[2], env=clean, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(line, cwd=Path(__file__).parents[3], env=clean, capture_output=True, text=True, timeout=300)
     assert (done.returncode, done.stderr) == (0, "")
     assert json.loads((there / "many-run" / "manifest.json").read_text())["n_devices"] == 1
     inside, outside = (pl.read_parquet(there / name / "tracks.parquet") for name in ("many-inside", "many-run"))

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from tests.experiments.faulty import (
+from tests.faulty import (
     RIG,
     Builder,
     then,

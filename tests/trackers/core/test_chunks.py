@@ -14,7 +14,7 @@ from trackers.core.recording import Readings, Recording, stack
 
 HASHED = """
 import hashlib, jax, numpy as np
-from tests.core.test_chunks import _many
+from tests.trackers.core.test_chunks import _many
 from trackers.baselines.fixes import fix_tracker
 found = fix_tracker().run(_many(1100))
 print(jax.device_count(), hashlib.sha256(b"".join(np.ascontiguousarray(x).tobytes() for x in

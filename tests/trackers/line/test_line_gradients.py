@@ -5,7 +5,7 @@ import pytest
 
 from experiments.verify.gradients import gradients
 from tests.known_start import NEVER_LOST
-from tests.line.test_line_filters import GRID, REPORT, STARTS, _trajectories
+from tests.trackers.line.test_line_filters import GRID, REPORT, STARTS, _trajectories
 from trackers.core.particle.filter import ParticleFilter
 from trackers.core.recording import stack
 from trackers.core.tracker import Tracker

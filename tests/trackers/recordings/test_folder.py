@@ -11,8 +11,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-from tests.experiments.broken import BROKEN, ODD
-from tests.experiments.faulty import RIG, good_tables, write_good
+from tests.broken import BROKEN, ODD
+from tests.faulty import RIG, good_tables, write_good
 from trackers.core.errors import UnusableInput
 from trackers.recordings.folder import RecordingFolder, read_recording, write_recording
 

@@ -8,7 +8,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from tests.experiments.in_process import assert_refused, trackwright
+from tests.in_process import assert_refused, trackwright
 from trackers.catalogue import TRACKERS
 from trackers.events import events_of, off_the_path
 from trackers.recordings.folder import read_recording

@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from tests.experiments.in_process import assert_refused, trackwright
+from tests.in_process import assert_refused, trackwright
 
 KALMAN = "--tracker", "fix-kf"
 SIGMA_A, SIGMA_P = "motion.sigma_a", "sensors.fixes.sigma_horizontal"

@@ -9,7 +9,7 @@ import pytest
 from sim.agv import ANCHOR_HEIGHT, simulate_agv
 from sim.fixes import correlated_noise, late
 from sim.tables.agv import simulated_agv
-from tests.experiments.in_process import assert_refused, trackwright
+from tests.in_process import assert_refused, trackwright
 from trackers.baselines.rows import lacks_plane, side_trajectories
 from trackers.core.rig import Rig, Tag
 from trackers.mhk.rows import space_trajectories
