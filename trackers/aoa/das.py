@@ -15,10 +15,10 @@ from trackers.core.estimates import Status
 from trackers.core.recording import Batch
 from trackers.core.rig import Station
 from trackers.core.state import Heading
-from trackers.core.tracker import AbstractTracker, Output, Score
+from trackers.core.tracker import AbstractEpochwiseTracker, Output
 
 
-class DelayAndSum(AbstractTracker):
+class DelayAndSum(AbstractEpochwiseTracker):
     """The strongest direction of each row with three antennas or more; it reports no covariance (NaN)."""
 
     grid: Grid
@@ -46,9 +46,3 @@ class DelayAndSum(AbstractTracker):
         status = jnp.where(enough, Status.OK, Status.WAITING)
         status = jnp.where(jnp.asarray(batch.valid), status, Status.PADDING).astype(jnp.int8)
         return Output(mean, cov, zero, zero, zero, zero, status)
-
-    def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
-        output = self.scan(batch)
-        truth = jax.tree_util.tree_map(jnp.asarray, batch.truth)
-        terms = jax.vmap(score)(output, truth)
-        return tuple(jnp.sum(x, axis=0) for x in terms)

@@ -12,12 +12,12 @@ from trackers.core.algebra import Vector, triangle
 from trackers.core.estimates import Status
 from trackers.core.motion import Placed
 from trackers.core.recording import Batch
-from trackers.core.tracker import AbstractTracker, Output, Score
+from trackers.core.tracker import AbstractEpochwiseTracker, Output
 from trackers.parts.fixes import FIXES
 from trackers.parts.median import middle
 
 
-class MovingWindow(AbstractTracker):
+class MovingWindow(AbstractEpochwiseTracker):
     """The mean or `median` of each axis over the last `window` rows in which it was seen, from the first such row on.
 
     It lags behind a moving tag by half its window. No covariance (NaN). `planar`: x and y alone.
@@ -50,8 +50,3 @@ class MovingWindow(AbstractTracker):
         cov = tuple(zero + jnp.nan for _ in triangle(axes))
         status = jnp.where(jnp.asarray(batch.valid), jnp.where(known, Status.OK, Status.WAITING), Status.PADDING)
         return Output(mean, cov, zero, zero, zero, zero, status.astype(jnp.int8))
-
-    def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
-        output = self.scan(batch)
-        truth = jax.tree_util.tree_map(jnp.asarray, batch.truth)
-        return tuple(jnp.sum(x, axis=0) for x in jax.vmap(score)(output, truth))

@@ -19,7 +19,7 @@ from trackers.core.algebra import Scalar
 from trackers.core.estimates import Estimates, Status
 from trackers.core.motion import AbstractMotion
 from trackers.core.recording import Batch
-from trackers.core.tracker import AbstractTracker, Output, Score, Tracker, scan_rows
+from trackers.core.tracker import AbstractEpochwiseTracker, Output, Tracker, scan_rows
 from trackers.core.tunable import freeze
 
 
@@ -42,7 +42,7 @@ class FullBeliefFilter(eqx.Module):
         return belief, ()
 
 
-class Smoothed(AbstractTracker):
+class Smoothed(AbstractEpochwiseTracker):
     """A tracker of normal beliefs or mixtures of them, smoothed; likelihoods, NIS and status stay the filter's.
 
     `lag`: seconds of the rows to come that a row may use, None for all of them (fixed-interval smoothing). A row that
@@ -82,10 +82,6 @@ class Smoothed(AbstractTracker):
         beliefs = jax.tree_util.tree_map(lambda a, b: jnp.concatenate([a, b]), smoothed, last)
         mean, cov = jax.vmap(jax.vmap(tracker.filter.moments, in_axes=-1, out_axes=-1))(beliefs)
         return output._replace(mean=mean, cov=cov)
-
-    def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
-        truth = jax.tree_util.tree_map(jnp.asarray, batch.truth)
-        return tuple(jnp.sum(x, axis=0) for x in jax.vmap(score)(self.scan(batch), truth))
 
 
 def interval(tied: Any, rts_step: Any, last: Any, steps: tuple[Any, ...]) -> Any:

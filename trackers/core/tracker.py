@@ -130,6 +130,14 @@ class AbstractTracker(eqx.Module):
         return times, estimates
 
 
+class AbstractEpochwiseTracker(AbstractTracker):
+    """A tracker whose `accumulate` scores the output of `scan`, which therefore stands in memory for all rows."""
+
+    def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
+        truth = jax.tree_util.tree_map(jnp.asarray, batch.truth)
+        return tuple(jnp.sum(x, axis=0) for x in jax.vmap(score)(self.scan(batch), truth))
+
+
 def scanned(tracker: AbstractTracker, batch: Batch) -> Output:
     """`tracker.scan(batch)`, as a function of both."""
     return tracker.scan(batch)

@@ -12,13 +12,13 @@ from trackers.core.algebra import Scalar, Vector, triangle
 from trackers.core.estimates import Status
 from trackers.core.motion import Noise, Placed
 from trackers.core.recording import Batch
-from trackers.core.tracker import AbstractTracker, Output, Score
+from trackers.core.tracker import AbstractEpochwiseTracker, Output
 from trackers.core.tunable import Scale, freeze
 from trackers.parts.multilaterate import Place, multilaterate
 from trackers.parts.ranges import RANGES
 
 
-class Multilateration(AbstractTracker):
+class Multilateration(AbstractEpochwiseTracker):
     """The place of every row with enough ranges: more than two at a known height, else more than three.
 
     Readings under `name`, any number of slots; inputs `anchors` (3·slots,) m and `height` m. `sigma_r` m: from where a
@@ -47,11 +47,6 @@ class Multilateration(AbstractTracker):
         valid = jnp.asarray(batch.valid)
         status = jnp.where(valid, jnp.where(place.determined, Status.OK, Status.WAITING), Status.PADDING)
         return Output(mean, cov, zero, zero, zero, zero, status.astype(jnp.int8))
-
-    def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
-        output = self.scan(batch)
-        truth = jax.tree_util.tree_map(jnp.asarray, batch.truth)
-        return tuple(jnp.sum(x, axis=0) for x in jax.vmap(score)(output, truth))
 
 
 def multilateration_tracker(planar: bool = False, sigma_r: float = 0.1) -> Multilateration:

@@ -19,7 +19,7 @@ from trackers.core.algebra import Scalar, Vector, triangle
 from trackers.core.estimates import Status
 from trackers.core.motion import Noise, Placed
 from trackers.core.recording import Batch
-from trackers.core.tracker import AbstractTracker, Output, Score
+from trackers.core.tracker import AbstractEpochwiseTracker, Output
 from trackers.core.tunable import Scale, freeze
 from trackers.parts.ranges import RANGES
 
@@ -78,7 +78,7 @@ def on_floor(slant: Scalar, drop: Scalar) -> Scalar:
     return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
 
 
-class Trilateration(AbstractTracker):
+class Trilateration(AbstractEpochwiseTracker):
     """The paper's position on every row with three ranges; over the floor, at the tag's known height.
 
     Readings under `name` with three slots; inputs `anchors` (9,) m and `height` m. `sigma_r` m: the J of the
@@ -105,11 +105,6 @@ class Trilateration(AbstractTracker):
         status = jnp.where(seen, Status.OK, jnp.where(jnp.asarray(batch.valid), Status.WAITING, Status.PADDING))
         cov = tuple(zero + jnp.nan for _ in triangle(2))
         return Output(Placed(place), cov, zero, zero, zero, zero, status.astype(jnp.int8))
-
-    def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
-        output = self.scan(batch)
-        truth = jax.tree_util.tree_map(jnp.asarray, batch.truth)
-        return tuple(jnp.sum(x, axis=0) for x in jax.vmap(score)(output, truth))
 
 
 def trilateration_tracker(compensated: bool = True, sigma_r: float = 0.1) -> Trilateration:
