@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from sim.tables.fixes_from_ranges import fixes_from_ranges
+from sim.tables.located import fixes_from_ranges
 
 from experiments.monte_carlo.declaration import Study, TrackerConfig, World
 from experiments.monte_carlo.expectations import Conclusion, ExpectedResult

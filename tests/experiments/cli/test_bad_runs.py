@@ -193,7 +193,7 @@ def test_an_interrupted_command_says_so(beginnings, monkeypatch):
     def interrupted(path):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(check_command, "read_folder", interrupted)
+    monkeypatch.setattr(check_command, "read_recording", interrupted)
     said = trackwright("check", beginnings / "good")
     assert (said.code, said.out) == (130, "")
     assert said.err == "trackwright: interrupted; files already written are whole\n"
@@ -209,6 +209,6 @@ def test_a_fault_of_the_program_is_not_called_bad_input(beginnings, monkeypatch)
     def broken(path):
         raise ZeroDivisionError("a bug")
 
-    monkeypatch.setattr(console, "read_folder", broken)
+    monkeypatch.setattr(console, "read_recording", broken)
     with pytest.raises(ZeroDivisionError):
         trackwright("track", beginnings / "good", "--out", beginnings / "never")

@@ -9,8 +9,10 @@ from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
 from experiments.monte_carlo.runner import carry_out
 from experiments.monte_carlo.sources import names, study_of
 from experiments.monte_carlo.trajectories import Run
-from experiments.papers import _fitted, chamber, line_of_sight, robot, table_4, trilateration, workshop
+from experiments.papers import fitting
 from experiments.papers.fitting import Fitted, fitted, means, solved, write_fitted
+from experiments.papers.huang_2018 import workshop
+from experiments.papers.kwon_2021 import chamber, line_of_sight, robot, table_4, trilateration
 from trackers.core.metrics import distances_to_path
 
 MINE = (
@@ -51,9 +53,12 @@ def test_a_fit_finds_the_numbers_that_make_the_figures_equal():
 
 
 def test_fitted_numbers_are_read_as_they_were_written(tmp_path, monkeypatch):
-    monkeypatch.setattr(_fitted, "FOLDER", tmp_path)
-    write_fitted("x", "none", {"drift": Fitted(0.0123456, "m", "the mean"), "share": Fitted(0.5, "1", "the rest")})
-    assert fitted("x") == {"drift": 0.01235, "share": 0.5}
+    monkeypatch.setattr(fitting, "EXPERIMENTS", tmp_path)
+    (tmp_path / "papers" / "someone" / "fitted").mkdir(parents=True)
+    write_fitted(
+        "someone/x", "none", {"drift": Fitted(0.0123456, "m", "the mean"), "share": Fitted(0.5, "1", "the rest")}
+    )
+    assert fitted("someone/x") == {"drift": 0.01235, "share": 0.5}
 
 
 def test_the_raw_fixes_of_the_workshop_are_as_far_off_the_route_as_its_polyline_says():

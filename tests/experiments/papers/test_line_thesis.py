@@ -8,8 +8,8 @@ import pytest
 
 from experiments.monte_carlo import Conclusion, ExpectedResult
 from experiments.monte_carlo.runner import carry_out
-from experiments.papers import figures_3, leaving_line, rests_at_joins, sweep_curves, table_3_1
 from experiments.papers.fitting import fitted
+from experiments.papers.line_thesis import figures_3, leaving_line, rests_at_joins, sweep_curves, table_3_1
 from experiments.papers.line_thesis._assembly_line import (
     RECORDINGS,
     SIGMA,

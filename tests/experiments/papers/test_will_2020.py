@@ -8,7 +8,8 @@ import pytest
 from experiments.monte_carlo import Conclusion, ExpectedResult
 from experiments.monte_carlo.runner import carry_out
 from experiments.monte_carlo.sources import names, study_of
-from experiments.papers import _fitted, fit_figure_8, fit_table_1
+from experiments.papers.fitting import fitted, fitted_file
+from experiments.papers.will_2020 import fit_figure_8, fit_table_1
 from experiments.papers.will_2020._work_stand import ALL, SETS, antennas_of, covered, in_use, recorded, stand
 from sim.scenarios import work_station
 from trackers.aoa.layout import DEFAULT_WAVELENGTH
@@ -33,7 +34,7 @@ def test_the_studies_of_the_work_stand_are_listed():
 
 
 def test_the_fitted_array_keeps_to_its_box_and_half_a_wavelength_apart():
-    antennas = antennas_of(_fitted.fitted("will_2020/table_1"))
+    antennas = antennas_of(fitted("will_2020/table_1"))
     # Written to 0.01 mm, fitted with a tenth of a millimetre to spare.
     assert np.all(np.abs(antennas) <= fit_table_1.HALF_BOX + 1e-5)
     apart = np.linalg.norm(antennas[:, None] - antennas, axis=-1)[np.triu_indices(8, 1)]
@@ -42,8 +43,8 @@ def test_the_fitted_array_keeps_to_its_box_and_half_a_wavelength_apart():
 
 def test_a_fitted_file_says_what_it_was_fitted_to_and_which_command_wrote_it():
     for name in ("table_1", "figure_8"):
-        text = (_fitted.FOLDER / f"{name}.toml").read_text("utf-8")
-        assert text.startswith(f"# Written by `python -m experiments.papers.fit_{name}`.")
+        text = fitted_file(f"will_2020/{name}").read_text("utf-8")
+        assert text.startswith(f"# Written by `python -m experiments.papers.will_2020.fit_{name}`.")
         content = tomllib.loads(text)
         assert content["degrees_of_freedom_left"].startswith("none")
         assert all(number["unit"] and number["fitted_to"] for number in content["numbers"].values())
@@ -51,17 +52,17 @@ def test_a_fitted_file_says_what_it_was_fitted_to_and_which_command_wrote_it():
 
 @pytest.mark.slow
 def test_the_fitted_numbers_give_the_misfits_that_their_files_tell():
-    numbers = _fitted.fitted("will_2020/table_1")
+    numbers = fitted("will_2020/table_1")
     # Seeded, so the same but for the order of sums: 0.1 % of an error.
     assert fit_table_1.worst(numbers) == pytest.approx(numbers["worst"], abs=1e-3)
     assert fit_figure_8.error_cm(fit_figure_8.radius()) == pytest.approx(
-        _fitted.fitted("will_2020/figure_8")["error"], rel=1e-3
+        fitted("will_2020/figure_8")["error"], rel=1e-3
     )
 
 
 @pytest.mark.slow
 def test_the_ten_errors_of_the_fit_lie_near_print_where_no_track_is_left_out():
-    numbers = _fitted.fitted("will_2020/table_1")
+    numbers = fitted("will_2020/table_1")
     found = fit_table_1.errors(numbers, 8, 3, True)
     # 24 tracks each: errors of the sets with the strongest correlation in time scatter by 5 %.
     assert found == pytest.approx(np.array(list(fit_table_1.PRINTED.values())), rel=0.15)
@@ -69,7 +70,7 @@ def test_the_ten_errors_of_the_fit_lie_near_print_where_no_track_is_left_out():
 
 @pytest.mark.slow
 def test_the_fit_judges_tracks_as_the_study_does(table_1):
-    numbers = _fitted.fitted("will_2020/table_1")
+    numbers = fitted("will_2020/table_1")
     found = fit_table_1.errors(numbers, 8, 0, True, fit_figure_8.radius())
     for name, (azimuth, elevation) in zip(SETS, found, strict=True):
         # Same worlds, same tracker, other code: single precision and a table of decimal phases between.
@@ -96,7 +97,7 @@ def test_a_lost_station_says_nothing_and_the_helix_takes_as_long_at_any_rate():
 
 
 def test_the_stand_is_the_simulated_one_with_other_numbers_and_antennas():
-    numbers = _fitted.fitted("will_2020/table_1")
+    numbers = fitted("will_2020/table_1")
     mine, plain = stand(numbers, 0.4, 2.0), work_station(2 * antennas_of(numbers))
     for name, other in {"1": "2", "2": "1", "3": "3"}.items():
         assert np.array_equal(mine.stations[name].position, plain.stations[other].position)
@@ -106,7 +107,7 @@ def test_the_stand_is_the_simulated_one_with_other_numbers_and_antennas():
 @pytest.mark.slow
 @pytest.mark.parametrize("radius", [0.2, 0.4])
 def test_where_the_stations_stand_matters_little_for_the_table(radius):
-    found = fit_table_1.errors(_fitted.fitted("will_2020/table_1"), 64, 0, True, radius)
+    found = fit_table_1.errors(fitted("will_2020/table_1"), 64, 0, True, radius)
     assert found == pytest.approx(np.array(list(fit_table_1.PRINTED.values())), rel=0.1)
 
 

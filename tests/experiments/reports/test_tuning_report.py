@@ -121,7 +121,10 @@ def _with_score(key, **changes):
         ({"scores": _with_score("nis-shape", held_out=(0.1, 0.2))}, ("NIS", "on held-out recordings")),
         ({"scores": _with_score("nll", training=(0.1, 0.2))}, ("objective itself got worse",)),
         ({}, ("do not determine start.sigma_start", "keep them fixed")),
-        ({"judgements": ("a and b are not determined one by one",)}, ("a and b are not", "tie those that act alike")),
+        (
+            {"identifiability_issues": ("a and b are not determined one by one",)},
+            ("a and b are not", "tie those that act alike"),
+        ),
     ],
 )
 def test_what_got_worse_is_said_in_words(changes, words):
