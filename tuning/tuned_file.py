@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fnmatch
 import json
 import tomllib
 from collections.abc import Mapping
@@ -12,8 +11,6 @@ from typing import Any
 import numpy as np
 
 from trackers.core.errors import UnusableInput
-from trackers.core.tracker import AbstractTracker
-from trackers.core.tunable import replaced, tunables
 from trackers.recordings.atomic import atomic_write
 from tuning import FitResult
 from tuning.intervals import Interval
@@ -77,23 +74,3 @@ def read_tuned(path: Path) -> dict[str, Any]:
         if not usable:
             raise UnusableInput(f"{path}: tunables.{name}.value is {value!r}, expected a finite number or a list")
     return values
-
-
-def with_noise(tracker: AbstractTracker, values: Mapping[str, Any], source: Path | str) -> AbstractTracker:
-    """The tracker with the values put in by name or pattern; raises UnusableInput for what doesn't fit it."""
-    own = tunables(tracker)
-    new = {}
-    for pattern, value in values.items():
-        names = [pattern] if pattern in own else fnmatch.filter(own, pattern)
-        if not names:
-            raise UnusableInput(f"{source}: this tracker has no '{pattern}'; it has: {', '.join(own)}")
-        for name in names:
-            if np.shape(value) != np.shape(own[name].raw):
-                raise UnusableInput(
-                    f"{source}: '{pattern}' has shape {np.shape(value)}, the tracker's {name} {np.shape(own[name].raw)}"
-                )
-            try:
-                new[name] = own[name].with_value(value)
-            except ValueError as error:
-                raise UnusableInput(f"{source}: '{pattern}': {error}") from error
-    return replaced(tracker, new)

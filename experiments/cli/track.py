@@ -19,12 +19,13 @@ from trackers.core.chunks import CHUNK
 from trackers.core.errors import UnusableInput
 from trackers.core.rts import Smoothed
 from trackers.core.tracker import AbstractTracker
+from trackers.core.tunable import with_values
 from trackers.events import EVENTS, events_of
 from trackers.recordings.atomic import atomic_write
 from trackers.recordings.trajectories import known_height
 from trackers.tracks import TRACKS
 from trackers.tracks import track as run
-from tuning.tuned_file import read_tuned, with_noise
+from tuning.tuned_file import read_tuned
 
 
 def track(  # noqa: D103
@@ -44,7 +45,7 @@ def track(  # noqa: D103
     batches = groups(folders, name, free_height)
     if noise is not None:
         values = read_tuned(noise)
-        batches = [type(g)(with_noise(g.tracker, values, noise), g.trajectories, g.planar) for g in batches]
+        batches = [type(g)(with_values(g.tracker, values, noise), g.trajectories, g.planar) for g in batches]
     if smooth or lag is not None:
         batches = [type(g)(_smoothed(g.tracker, name, lag), g.trajectories, g.planar) for g in batches]
     flat = [trajectory for g in batches if g.planar for trajectory in g.trajectories]

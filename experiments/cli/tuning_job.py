@@ -13,7 +13,7 @@ from trackers.catalogue import fitting, groups
 from trackers.core.errors import UnusableInput
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker
-from trackers.core.tunable import tunables
+from trackers.core.tunable import tunables, with_values
 from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.trajectories import Trajectory, pieces
 from trackers.tracks import batches
@@ -22,7 +22,7 @@ from tuning.metrics import parse_objective
 from tuning.objectives import AbstractObjective
 from tuning.parameters import flatten, limits, physical_vector, select_parameters
 from tuning.priors import Prior, parse_prior, penalty
-from tuning.tuned_file import read_tuned, with_noise
+from tuning.tuned_file import read_tuned
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def only_group(
         )
     group = found[0]
     if noise is not None:
-        group = replace(group, tracker=with_noise(group.tracker, read_tuned(noise), noise))
+        group = replace(group, tracker=with_values(group.tracker, read_tuned(noise), noise))
     return name, group
 
 

@@ -19,13 +19,12 @@ from trackers.core.estimates import Estimates, Status
 from trackers.core.recording import stack
 from trackers.core.rts import Smoothed
 from trackers.core.tracker import AbstractTracker, Tracker
-from trackers.core.tunable import tunables
+from trackers.core.tunable import tunables, with_values
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.trajectories import Trajectory, known_heights, true_paths
 from trackers.recordings.truth import TruthStatus, interpolated
 from trackers.tracks import angles, rounded
-from tuning.tuned_file import with_noise
 
 
 class Run(NamedTuple):
@@ -91,8 +90,8 @@ def _with_numbers(
     where = f"study '{study.name}', tracker '{name}'"
     made = []
     for group in groups:
-        tracker = with_noise(group.tracker, dict(entrant.tunables), where)
-        tracker = with_noise(tracker, _of_grid(cell, tracker), where)
+        tracker = with_values(group.tracker, dict(entrant.tunables), where)
+        tracker = with_values(tracker, _of_grid(cell, tracker), where)
         if entrant.smooth:
             if not isinstance(tracker, Tracker):
                 raise UnusableInput(f"{where}: smooth: this tracker has no smoother; leave `smooth` out")

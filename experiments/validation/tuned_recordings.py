@@ -22,13 +22,15 @@ from experiments.cli.subprocesses import real_recordings  # noqa: E402
 from experiments.cli.tuning_job import job_of, only_group  # noqa: E402
 from experiments.reports.tuning_collect import innovations_of  # noqa: E402
 from trackers.catalogue import groups  # noqa: E402
-from trackers.core.tunable import tunables  # noqa: E402
+from trackers.core.tunable import (
+    tunables,
+    with_values,
+)
 from trackers.recordings.folder import read_recording  # noqa: E402
 from trackers.tracks import batches  # noqa: E402
 from tuning import NegativeLogLikelihood, fit  # noqa: E402
 from tuning.diagnostics import contradicted  # noqa: E402
 from tuning.metrics import all_metrics  # noqa: E402
-from tuning.tuned_file import with_noise  # noqa: E402
 
 WORSE = 1.02
 """Ratio of held-out RMSE from which on a likelihood's choice counts as worse."""
@@ -95,7 +97,7 @@ def shown(name: str, split: Split, folder: Path) -> bool:
         rows = [batch for _, batch in batches(judged.trajectories)]
         quantity = next(iter(judged.trajectories[0].recording.truth))
         dimensions = 2 if judged.planar or quantity == "direction" else 3
-        tracked = with_noise(judged.tracker, tuned, name)
+        tracked = with_values(judged.tracker, tuned, name)
         before, after = (all_metrics(t, rows, quantity, dimensions) for t in (judged.tracker, tracked))
         print(f"{name:8s}{tracker:12s}{', '.join(sorted({x.folder.name for x in judged.trajectories}))}")
         for figure in ("nll", "rmse", "rmse-3d", "nis-shape"):

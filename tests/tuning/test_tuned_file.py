@@ -11,9 +11,9 @@ from sim.scenarios import work_station
 from trackers.aoa.direct import direct_tracker
 from trackers.aoa.fusion import bearing_tracker
 from trackers.core.errors import UnusableInput
-from trackers.core.tunable import tunables
+from trackers.core.tunable import tunables, with_values
 from tuning.parameters import flatten, physical, select_parameters, with_parameters
-from tuning.tuned_file import read_tuned, with_noise, write_tuned
+from tuning.tuned_file import read_tuned, write_tuned
 
 
 def _result(tracker, patterns):
@@ -55,7 +55,7 @@ def _direct(*names):
 def test_what_was_tuned_comes_back_and_nothing_else_changes(tmp_path, tracker, patterns):
     result = _result(tracker, patterns)
     write_tuned(tmp_path / "tuned.toml", "any", "nll", result, {})
-    back = with_noise(tracker, read_tuned(tmp_path / "tuned.toml"), tmp_path / "tuned.toml")
+    back = with_values(tracker, read_tuned(tmp_path / "tuned.toml"), tmp_path / "tuned.toml")
     expected, found = _numbers(result.tracker), _numbers(back)
     assert set(expected) == set(found)
     for name, value in expected.items():
@@ -81,11 +81,11 @@ def test_the_file_says_value_unit_and_standard_error_of_each(tmp_path):
 
 def test_a_pattern_written_by_hand_serves_every_station():
     values = {"sensors.*.sigma_p": np.array(0.7), "motion.sigma_a": np.array(3)}
-    found = _numbers(with_noise(_direct("1", "2"), values, Path("tuned.toml")))
+    found = _numbers(with_values(_direct("1", "2"), values, Path("tuned.toml")))
     assert found["sensors.1.sigma_p"] == found["sensors.2.sigma_p"] == pytest.approx(0.7)
     assert found["motion.sigma_a"] == pytest.approx(3.0)
 
 
 def test_noise_levels_of_another_tracker_are_refused():
     with pytest.raises(UnusableInput, match=r"tuned.toml: this tracker has no 'sensors.1.sigma_p'; it has: motion"):
-        with_noise(bearing_tracker(), {"sensors.1.sigma_p": np.array(0.7)}, Path("tuned.toml"))
+        with_values(bearing_tracker(), {"sensors.1.sigma_p": np.array(0.7)}, Path("tuned.toml"))

@@ -15,6 +15,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from trackers.core.errors import UnusableInput
+
 Tree = TypeVar("Tree")
 
 
@@ -176,6 +178,29 @@ def replaced(tree: Tree, new: Mapping[str, AbstractTunable]) -> Tree:
         return new.get(".".join(_name(k) for k in path), node) if is_tunable(node) else node
 
     return jax.tree_util.tree_map_with_path(exchange, tree, is_leaf=is_tunable)
+
+
+def with_values(tree: Tree, values: Mapping[str, Any], source: object = "values") -> Tree:
+    """The tree with physical values set by tunable name or shell pattern.
+
+    Raises UnusableInput, naming `source`, for a pattern that matches nothing and a value of another shape or range.
+    """
+    own = tunables(tree)
+    new = {}
+    for pattern, value in values.items():
+        names = [pattern] if pattern in own else fnmatch.filter(own, pattern)
+        if not names:
+            raise UnusableInput(f"{source}: this tracker has no '{pattern}'; it has: {', '.join(own)}")
+        for name in names:
+            if np.shape(value) != np.shape(own[name].raw):
+                raise UnusableInput(
+                    f"{source}: '{pattern}' has shape {np.shape(value)}, the tracker's {name} {np.shape(own[name].raw)}"
+                )
+            try:
+                new[name] = own[name].with_value(value)
+            except ValueError as error:
+                raise UnusableInput(f"{source}: '{pattern}': {error}") from error
+    return replaced(tree, new)
 
 
 def _name(entry: Any) -> str:

@@ -16,7 +16,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from sim.tables.located import fixes_from_ranges
 
 from experiments.monte_carlo.declaration import Study, TrackerConfig, World
 from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
@@ -30,6 +29,7 @@ from experiments.questions._windows import RAW, window
 from sim.corruptions import gauss_markov
 from sim.imu import constant_bias, level, simulate_uwb_imu, white_density
 from sim.ranging import Protocol, chamber, on_anchors
+from sim.tables.located import fixes_from_ranges
 from sim.tables.uwb_imu import simulated_uwb_imu
 from trackers.recordings.folder import RecordingFolder
 

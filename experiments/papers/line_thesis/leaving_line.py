@@ -29,10 +29,10 @@ from sim.line import simulate_line
 from sim.tables.line import simulated_line
 from trackers.catalogue import grouped
 from trackers.core.recording import stack
+from trackers.core.tunable import with_values
 from trackers.events import LEFT_LIMIT, LEFT_SLACK
 from trackers.line.leaving import evidence
 from trackers.recordings.folder import RecordingFolder
-from tuning.tuned_file import with_noise as tuned
 
 NUMBERS = fitted("line_thesis/table_3_1")
 LEFT_S, AWAY_S, AFTER_S = 25.0, 10.0, 3.0
@@ -64,7 +64,7 @@ def apart(run: Run) -> np.ndarray:
     if not (_LAST and _LAST[0][0] is run):
         (group,) = grouped([run.folder], KALMAN.entry, "Kalman", False)
         trajectories = sorted(group.trajectories, key=lambda trajectory: int(trajectory.tag))
-        found = tuned(group.tracker, {SIGMA: NUMBERS["sigma_kalman"]}, "leaving-line").run(
+        found = with_values(group.tracker, {SIGMA: NUMBERS["sigma_kalman"]}, "leaving-line").run(
             stack([trajectory.recording for trajectory in trajectories])
         )
         free = np.stack([np.asarray(x) for x in found.mean.position], axis=-1)
