@@ -74,15 +74,15 @@ def chain_steps() -> dict[str, Callable[[], Any]]:
     import jax.numpy as jnp
 
     from trackers.mhk.accelerations import AccelerationSphere
-    from trackers.mhk.chain import heard, moved
+    from trackers.mhk.chain import predicted, updated
 
-    shares = jnp.asarray(AccelerationSphere().blocks().shares, jnp.float32)
+    shares = jnp.asarray(AccelerationSphere().blocks().probabilities, jnp.float32)
     kept = jnp.float32(0.9)
     matrix = kept * jnp.eye(len(shares), dtype=jnp.float32) + (1 - kept) * shares[None]
     weights = jnp.tile(shares, (TRAJECTORIES, 1))
     spoken = jnp.asarray(np.random.default_rng(0).normal(size=weights.shape), jnp.float32)
-    ours = jax.jit(jax.vmap(lambda w, x: heard(moved(w, shares, kept), x)[0]))
-    dense = jax.jit(lambda w, x: jax.vmap(lambda a, b: heard(a, b)[0])(w @ matrix, x))
+    ours = jax.jit(jax.vmap(lambda w, x: updated(predicted(w, shares, kept), x)[0]))
+    dense = jax.jit(lambda w, x: jax.vmap(lambda a, b: updated(a, b)[0])(w @ matrix, x))
     return {
         "rank one": lambda: ours(weights, spoken).block_until_ready(),
         "N x N": lambda: dense(weights, spoken).block_until_ready(),

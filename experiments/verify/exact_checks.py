@@ -19,7 +19,7 @@ from trackers.core.tracker import Tracker
 from trackers.core.tunable import Real, Scale, replaced
 from trackers.line.grid import GridFilter
 from trackers.line.motion import OnFloor
-from trackers.mhk.chain import heard, moved
+from trackers.mhk.chain import predicted, updated
 from trackers.parts.fixes import FIXES
 
 SINGLE = 1e-4
@@ -87,8 +87,8 @@ def chain_findings() -> list[Finding]:
         rate, sigma = jnp.exp(raw[0]), jnp.exp(raw[1])
         weights, value = shares, 0.0
         for k in range(len(seen)):
-            weights = moved(weights, shares, jnp.exp(-rate * intervals[k - 1])) if k else weights
-            weights, log = heard(weights, -0.5 * ((seen[k] - levels) / sigma) ** 2 - jnp.log(sigma))
+            weights = predicted(weights, shares, jnp.exp(-rate * intervals[k - 1])) if k else weights
+            weights, log = updated(weights, -0.5 * ((seen[k] - levels) / sigma) ** 2 - jnp.log(sigma))
             value = value + log
         return value
 

@@ -14,7 +14,7 @@ from trackers.core.motion import Placed
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractEpochwiseTracker, Output
 from trackers.parts.fixes import FIXES
-from trackers.parts.median import middle
+from trackers.parts.median import nan_median
 
 
 class MovingWindow(AbstractEpochwiseTracker):
@@ -41,7 +41,7 @@ class MovingWindow(AbstractEpochwiseTracker):
         def push(last: Any, row: Any) -> tuple[Any, Any]:
             value, saw = row
             last = jnp.where(saw, jnp.concatenate([last[1:], value[None]]), last)
-            return last, middle(last) if self.median else jnp.nanmean(last, axis=0)
+            return last, nan_median(last) if self.median else jnp.nanmean(last, axis=0)
 
         place = jax.lax.scan(push, empty, (values, seen))[1]
         known = jnp.isfinite(place).all(axis=1)

@@ -1,1 +1,1 @@
-"""System D: median, hidden Markov model over accelerations and Kalman filter for drifting fixes (Huang et al. 2018)."""
+"""System D, MH-K: a sliding median, a hidden Markov model of accelerations, a Kalman filter (Huang et al. 2018)."""

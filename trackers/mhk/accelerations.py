@@ -1,9 +1,10 @@
-"""The sphere of accelerations in blocks, and how likely each is: section 2.2 of Huang et al. 2018.
+"""States of the hidden Markov model: a discretised distribution of accelerations (Huang et al. 2018, section 2.2).
 
-    α  elevation, γ = 10°        k  size of the acceleration        0 ≤ a_lm < a_max        N = 18·36·10 + 18·36 + 1
+    α  elevation, γ = 10°      k  magnitude of the acceleration      0 ≤ a_lm < a_max      N = 18·36·10 + 18·36 + 1
 
-Inside a_lm there is "no acceleration", one state, with probability P₀; at a_max one state per direction, together
-P_max; between them uniform density (5) over 10 layers of equal volume in 18 elevations and 36 azimuths.
+Below a_lm there is one state, "no acceleration", with probability P₀. At a_max there is one state per direction, with
+probability P_max in total. Between them the density is uniform (5), over 10 layers of equal volume with 18 elevations
+and 36 azimuths each.
 """
 
 from __future__ import annotations
@@ -21,16 +22,17 @@ ELEVATIONS, AZIMUTHS, LAYERS = 18, 36, 10
 
 
 class Blocks(NamedTuple):
-    """The states of the chain: accelerations (N, 3), m/s², and their probabilities (N,)."""
+    """The states: accelerations (N, 3), m/s², and their stationary probabilities (N,)."""
 
     accelerations: Any
-    shares: Any
+    probabilities: Any
 
 
 class AccelerationSphere(eqx.Module):
-    """The distribution (5)–(7) of accelerations.
+    """The distribution of accelerations, equations (5)–(7).
 
-    `a_still`: a_lm, m/s². `a_full`: a_max over a_lm, m/s² more. `p_still`: P₀. `p_full`: P_max among what accelerates.
+    `a_still`: a_lm, m/s². `a_full`: a_max − a_lm, m/s². `p_still`: P₀. `p_full`: P_max, given that there is an
+    acceleration.
     """
 
     a_still: Noise
@@ -43,38 +45,38 @@ class AccelerationSphere(eqx.Module):
         self.p_still, self.p_full = Fraction(p_still), Fraction(p_full)
 
     def blocks(self) -> Blocks:
-        """All N states: the layers from within, the shell at a_max, no acceleration last."""
+        """All N states: the layers from the inside out, the shell at a_max, "no acceleration" last."""
         inner, outer = self.a_still.value, self.a_still.value + self.a_full.value
         means, solid = directions()
         centres, angles = jnp.asarray(means, inner.dtype), jnp.asarray(solid / (4 * np.pi), inner.dtype)
         k = layers(inner, outer)
-        # The centroid of a block: its mean size times its mean direction, so that all together have mean zero.
-        size = 0.75 * (k[1:] ** 4 - k[:-1] ** 4) / (k[1:] ** 3 - k[:-1] ** 3)
-        between = (size[:, None, None] * centres[None]).reshape(-1, 3)
+        # The centroid of a block is its mean magnitude times its mean direction; their total mean is zero.
+        magnitude = 0.75 * (k[1:] ** 4 - k[:-1] ** 4) / (k[1:] ** 3 - k[:-1] ** 3)
+        between = (magnitude[:, None, None] * centres[None]).reshape(-1, 3)
         shell = outer * centres
         accelerations = jnp.concatenate([between, shell, jnp.zeros((1, 3), inner.dtype)])
         moving = 1.0 - self.p_still.value
         full = moving * self.p_full.value
         volumes = (k[1:] ** 3 - k[:-1] ** 3) / (outer**3 - inner**3)
-        shares = [
+        probabilities = [
             ((moving - full) * volumes[:, None] * angles[None]).reshape(-1),
             full * angles,
             self.p_still.value.reshape(1),
         ]
-        return Blocks(accelerations, jnp.concatenate(shares))
+        return Blocks(accelerations, jnp.concatenate(probabilities))
 
 
 def layers(inner: Any, outer: Any) -> Any:
-    """The radii (LAYERS + 1,) of layers of equal volume between two spheres."""
-    share = jnp.arange(LAYERS + 1) / LAYERS
-    return jnp.cbrt(inner**3 + share.astype(inner.dtype) * (outer**3 - inner**3))
+    """The radii (LAYERS + 1,), m/s², that divide the space between two spheres into layers of equal volume."""
+    fraction = jnp.arange(LAYERS + 1) / LAYERS
+    return jnp.cbrt(inner**3 + fraction.astype(inner.dtype) * (outer**3 - inner**3))
 
 
 def directions() -> tuple[np.ndarray, np.ndarray]:
-    """The mean unit vector (648, 3) of each direction's block, shorter than one, and its solid angle (648,), sr.
+    """The mean of the unit vectors (648, 3) of each directional block, and its solid angle (648,), sr.
 
-    (6) takes the difference of the sines at both ends of an elevation; α with the paper's 2π rotation would count each
-    ring twice, so that α runs from −90° to 90° and the ring is cut into azimuths.
+    Equation (6) takes the difference of the sines at both ends of an elevation. With the paper's rotation by 2π each
+    ring would count twice, so α runs from −90° to 90° and the ring is divided into azimuths.
     """
     ends = np.deg2rad(np.linspace(-90.0, 90.0, ELEVATIONS + 1))
     low, high, step = ends[:-1], ends[1:], 2 * np.pi / AZIMUTHS

@@ -1,10 +1,10 @@
-"""The forward algorithm of a hidden Markov chain that is now and then drawn anew, in as many steps as it has states.
+"""Forward algorithm of a hidden Markov model whose state is kept or drawn anew, in O(N) per epoch.
 
-    π  the states' shares    κ  exp(−rate·dt), the chance that the state was not drawn anew    A = κ I + (1 − κ) 1πᵀ
+    π  stationary distribution    κ = exp(−rate·dt)  probability of keeping the state    A = κ I + (1 − κ) 1πᵀ
 
-Huang et al. 2018 have κ = 0: every row of A is the distribution of accelerations, so that the chain has no memory,
-its forward filter is the posterior of one step, and its prediction is π, whose mean is zero. With κ > 0 an acceleration
-lasts, for 1/rate seconds on average however the rows fall.
+In Huang et al. 2018 κ = 0: all rows of A are the distribution of accelerations, so the chain has no memory, its
+filtered distribution depends on the last observation alone, and its prediction is π, with mean zero. With κ > 0 an
+acceleration lasts 1/rate seconds on average, whatever the sampling interval.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ import jax.numpy as jnp
 from trackers.core.algebra import Scalar
 
 
-def moved(weights: Any, shares: Any, kept: Scalar) -> Any:
-    """The states' probabilities (N,) a step later, wᵀA, in O(N)."""
-    return kept * weights + (1.0 - kept) * (jnp.sum(weights) * shares)
+def predicted(weights: Any, stationary: Any, kappa: Scalar) -> Any:
+    """The predicted state probabilities wᵀA, (N,), from the filtered ones and the stationary distribution."""
+    return kappa * weights + (1.0 - kappa) * (jnp.sum(weights) * stationary)
 
 
-def heard(weights: Any, log_likelihoods: Any) -> tuple[Any, Scalar]:
-    """The states' probabilities (N,) after an observation of these log-likelihoods (N,), and its log-probability."""
+def updated(weights: Any, log_likelihoods: Any) -> tuple[Any, Scalar]:
+    """The filtered state probabilities (N,) given the states' log-likelihoods (N,), and the log-evidence."""
     top = jnp.max(log_likelihoods)
     joint = weights * jnp.exp(log_likelihoods - top)
-    whole = jnp.maximum(jnp.sum(joint), jnp.finfo(joint.dtype).tiny)
-    return joint / whole, top + jnp.log(whole)
+    evidence = jnp.maximum(jnp.sum(joint), jnp.finfo(joint.dtype).tiny)
+    return joint / evidence, top + jnp.log(evidence)

@@ -1,10 +1,10 @@
-"""Kalman fusion of medians with the acceleration that a hidden Markov model sees in them: Huang et al. 2018, section 3.
+"""Kalman filter driven by the acceleration estimate of a hidden Markov model (Huang et al. 2018, section 3).
 
-    o  displacement from one fix to the next, beyond that of the velocity before        o = ½ a Δt² + noise
-    a  posterior mean of the acceleration given o, in force for the next interval of that length
+    o  displacement between two fixes less that of the previous velocity        o = ½ a Δt² + noise
+    a  posterior mean of the acceleration given o, applied during the next interval of the same length
 
-The paper doesn't say which acceleration enters the prediction (9). Its chain has no memory, so that its own prediction
-is zero; what is left is the acceleration of the last displacement, taken to last one interval more.
+The paper does not define the acceleration in the prediction (9). The chain as printed has no memory and predicts a mean
+of zero; here the acceleration of the last displacement is taken to last one more interval.
 """
 
 from __future__ import annotations
@@ -20,29 +20,30 @@ from trackers.core.motion import AbstractMotion, Kinematic, Noise
 from trackers.core.sensor import AbstractSensor, Reading
 from trackers.core.tunable import Scale
 from trackers.mhk.accelerations import AccelerationSphere
-from trackers.mhk.chain import heard, moved
+from trackers.mhk.chain import predicted, updated
 
 
-class Accelerating(NamedTuple):
-    """A belief: position and velocity, the chain, the last fix, the velocity and the seconds since, and a and its rest.
+class MhkBelief(NamedTuple):
+    """The belief of `AccelerationFilter`: that of the Kalman filter, that of the chain, and the acceleration in force.
 
-    `weights`: (N,), empty for a chain without memory. `acceleration` holds for `rest` s to come.
+    `weights`: (N,), empty for a chain without memory. `last_fix` m and `last_velocity` m/s: at the last fix, `elapsed`
+    s ago. `acceleration` m/s²: in force for another `remaining` s.
     """
 
     kalman: Gaussian
     weights: Any
-    last: Vector
-    velocity: Vector
+    last_fix: Vector
+    last_velocity: Vector
     elapsed: Scalar
     acceleration: Vector
-    rest: Scalar
+    remaining: Scalar
 
 
 class AccelerationFilter(eqx.Module):
-    """The Kalman filter (9)–(20) whose prediction takes the acceleration of the hidden Markov model.
+    """The Kalman filter (9)–(20), its prediction driven by the acceleration estimate of the hidden Markov model.
 
-    `sigma_displacement`: m, noise of a displacement. `rate`: 1/s, how often the acceleration is drawn anew; None for
-    at every fix, as printed. Its state is `Kinematic` in three dimensions, its sensor shows the position.
+    `sigma_displacement`: noise of a displacement, m. `rate`: draws of a new acceleration, 1/s; None for one at every
+    fix, as printed. The state is `Kinematic` in three dimensions; the sensor measures the position.
     """
 
     sphere: AccelerationSphere
@@ -55,68 +56,76 @@ class AccelerationFilter(eqx.Module):
         self.sigma_displacement = Scale(sigma_displacement, "m")
         self.rate = None if rate is None else Scale(rate, "1/s")
 
-    def init(self, belief: Gaussian, key: Any) -> Accelerating:
-        """No acceleration yet, and the chain at its shares."""
+    def init(self, belief: Gaussian, key: Any) -> MhkBelief:
+        """The given belief, no acceleration, and the chain at its stationary distribution."""
         zero = jnp.zeros_like(belief.cov[0])
-        shares = self.sphere.blocks().shares.astype(zero.dtype)
-        weights = shares[:0] if self.rate is None else shares
+        stationary = self.sphere.blocks().probabilities.astype(zero.dtype)
+        weights = stationary[:0] if self.rate is None else stationary
         mean = belief.mean
-        return Accelerating(belief, weights, mean.position, mean.velocity, zero, Vector(zero, zero, zero), zero)
+        return MhkBelief(belief, weights, mean.position, mean.velocity, zero, Vector(zero, zero, zero), zero)
 
-    def moments(self, belief: Accelerating) -> tuple[Kinematic, tuple[Scalar, ...]]:
-        """Position and velocity with their covariance."""
+    def moments(self, belief: MhkBelief) -> tuple[Kinematic, tuple[Scalar, ...]]:
+        """Mean and covariance of position and velocity."""
         return self.filter.moments(belief.kalman)
 
-    def predict(self, belief: Accelerating, motion: AbstractMotion, inputs: Any, dt: Scalar) -> Accelerating:
-        """Equations (8)–(13): the velocity's way, and what the acceleration adds as long as it holds."""
+    def predict(self, belief: MhkBelief, motion: AbstractMotion, inputs: Any, dt: Scalar) -> MhkBelief:
+        """Equations (8)–(13): constant velocity, plus the acceleration for as long as it is in force."""
         after = self.filter.predict(belief.kalman, motion, inputs, dt)
-        part = jnp.minimum(dt, belief.rest)
+        accelerated = jnp.minimum(dt, belief.remaining)
         a = belief.acceleration
-        position = after.mean.position + a * (part * dt - 0.5 * part * part)
-        mean = Kinematic(position, after.mean.velocity + a * part)
+        position = after.mean.position + a * (accelerated * dt - 0.5 * accelerated * accelerated)
+        mean = Kinematic(position, after.mean.velocity + a * accelerated)
         weights = belief.weights
         if self.rate is not None:
-            weights = moved(weights, self.sphere.blocks().shares, jnp.exp(-self.rate.value * dt))
+            weights = predicted(weights, self.sphere.blocks().probabilities, jnp.exp(-self.rate.value * dt))
         return belief._replace(
-            kalman=Gaussian(mean, after.cov), weights=weights, elapsed=belief.elapsed + dt, rest=belief.rest - part
+            kalman=Gaussian(mean, after.cov),
+            weights=weights,
+            elapsed=belief.elapsed + dt,
+            remaining=belief.remaining - accelerated,
         )
 
     def update(
-        self, belief: Accelerating, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Any
-    ) -> tuple[Accelerating, Innovation]:
-        """Equations (14)–(20), and the chain's posterior mean for the next prediction."""
-        kalman, said = self.filter.update(belief.kalman, motion, sensor, reading, inputs)
+        self, belief: MhkBelief, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Any
+    ) -> tuple[MhkBelief, Innovation]:
+        """Equations (14)–(20), and the posterior mean of the acceleration for the next prediction."""
+        kalman, innovation = self.filter.update(belief.kalman, motion, sensor, reading, inputs)
         fix = Vector(*(reading.values[k] for k in range(3)))
         seen = reading.seen[0] & reading.seen[1] & reading.seen[2]
-        beyond = fix - belief.last - belief.velocity * belief.elapsed
-        weights, acceleration = self.posterior(belief.weights, beyond, belief.elapsed)
+        displacement = fix - belief.last_fix - belief.last_velocity * belief.elapsed
+        weights, acceleration = self.posterior(belief.weights, displacement, belief.elapsed)
 
-        def chosen(new: Any, old: Any) -> Any:
+        def if_seen(new: Any, old: Any) -> Any:
             return jnp.where(seen, new, old)
 
-        velocity = kalman.mean.velocity
-        after = Accelerating(
-            kalman,
-            chosen(weights, belief.weights),
-            Vector.of(chosen(n, o) for n, o in zip(fix, belief.last, strict=True)),
-            Vector.of(chosen(n, o) for n, o in zip(velocity, belief.velocity, strict=True)),
-            chosen(jnp.zeros_like(belief.elapsed), belief.elapsed),
-            Vector.of(chosen(n, o) for n, o in zip(acceleration, belief.acceleration, strict=True)),
-            chosen(belief.elapsed, belief.rest),
-        )
-        return after, said
+        def vector_if_seen(new: Vector, old: Vector) -> Vector:
+            return Vector.of(if_seen(n, o) for n, o in zip(new, old, strict=True))
 
-    def posterior(self, weights: Any, beyond: Vector, elapsed: Scalar) -> tuple[Any, Vector]:
-        """The chain's probabilities given a displacement beyond the velocity's, m, in `elapsed` s, and their mean."""
+        after = MhkBelief(
+            kalman,
+            if_seen(weights, belief.weights),
+            vector_if_seen(fix, belief.last_fix),
+            vector_if_seen(kalman.mean.velocity, belief.last_velocity),
+            if_seen(jnp.zeros_like(belief.elapsed), belief.elapsed),
+            vector_if_seen(acceleration, belief.acceleration),
+            if_seen(belief.elapsed, belief.remaining),
+        )
+        return after, innovation
+
+    def posterior(self, weights: Any, displacement: Vector, elapsed: Scalar) -> tuple[Any, Vector]:
+        """The chain's filtered probabilities (N,) and mean acceleration, m/s², given a displacement, m, in `elapsed` s.
+
+        `displacement`: less that of constant velocity.
+        """
         blocks = self.sphere.blocks()
-        reach = 0.5 * elapsed * elapsed
-        scale = 1.0 / self.sigma_displacement.value**2
-        # −½ |o − reach·a|² / σ² less the term that is the same for all states.
+        half_square = 0.5 * elapsed * elapsed
+        precision = 1.0 / self.sigma_displacement.value**2
+        # −½ |o − ½Δt²·a|² / σ² without the term that is common to all states.
         accelerations = blocks.accelerations
-        along = accelerations @ beyond.array()
+        along = accelerations @ displacement.array()
         squares = jnp.sum(accelerations * accelerations, axis=1)
-        log_likelihoods = scale * reach * (along - 0.5 * reach * squares)
-        prior = blocks.shares if self.rate is None else weights
-        after, _ = heard(prior, log_likelihoods)
+        log_likelihoods = precision * half_square * (along - 0.5 * half_square * squares)
+        prior = blocks.probabilities if self.rate is None else weights
+        after, _ = updated(prior, log_likelihoods)
         mean = after @ accelerations
         return (weights if self.rate is None else after), Vector(mean[0], mean[1], mean[2])

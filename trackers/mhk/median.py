@@ -1,4 +1,4 @@
-"""The causal 3-D median of fixes with a speed limit: equations (1) and (2) of Huang et al. 2018."""
+"""Causal sliding median of fixes, axis by axis, with a speed limit (Huang et al. 2018, equations 1 and 2)."""
 
 from __future__ import annotations
 
@@ -13,21 +13,22 @@ from trackers.core.motion import Noise
 from trackers.core.recording import Batch
 from trackers.core.sensor import Reading
 from trackers.core.tunable import Scale
-from trackers.parts.median import middle
+from trackers.parts.median import nan_median
 
 
-class Limiter(NamedTuple):
-    """The last values of each axis (window, 3), the last place let through (3,), and the seconds since it."""
+class MedianState(NamedTuple):
+    """The last values of each axis (window, 3), m, the last output (3,), m, and the time since it, s."""
 
-    last: Any
-    place: Any
+    window: Any
+    position: Any
     elapsed: Any
 
 
 class LimitedMedian(eqx.Module):
-    """The median of the last `window` fixes, axis by axis, moving no faster than `speed_limit`, m/s.
+    """The median of the last `window` fixes, axis by axis, its speed limited to `speed_limit`, m/s.
 
-    There is no median before `window` fixes of every axis, as the paper has it; the first is let through as it is.
+    As in the paper there is no output before `window` fixes of every axis. The first output is not limited. Raises
+    ValueError for a window below 1.
     """
 
     window: int = eqx.field(static=True)
@@ -38,36 +39,37 @@ class LimitedMedian(eqx.Module):
             raise ValueError(f"a window holds at least one fix, found {window}")
         self.window, self.speed_limit = window, Scale(speed_limit, "m/s")
 
-    def readings(self, batch: Batch, reading: Reading) -> Reading:
-        """The medians of all rows of a chunk, batch-last; seen on rows with a fix, once the window is full."""
+    def medians(self, batch: Batch, reading: Reading) -> Reading:
+        """The medians of all rows of a chunk, batch-last; seen on rows with a fix once the window is full."""
         values, seen = jnp.asarray(reading.values), jnp.asarray(reading.seen)
         seen = seen & jnp.asarray(batch.valid)[:, None]
-        blank = jnp.full((self.window, *values.shape[1:]), jnp.nan, values.dtype)
-        first = Limiter(blank, blank[0], jnp.zeros_like(values[0, 0]))
+        empty = jnp.full((self.window, *values.shape[1:]), jnp.nan, values.dtype)
+        initial = MedianState(empty, empty[0], jnp.zeros_like(values[0, 0]))
 
-        def one(state: Limiter, value: Any, saw: Any, dt: Any) -> tuple[Limiter, tuple[Any, Any]]:
-            last = jnp.where(saw[None], jnp.concatenate([state.last[1:], value[None]]), state.last)
+        def step(state: MedianState, value: Any, value_seen: Any, dt: Any) -> tuple[MedianState, tuple[Any, Any]]:
+            window = jnp.where(value_seen[None], jnp.concatenate([state.window[1:], value[None]]), state.window)
             elapsed = state.elapsed + dt
-            full = jnp.isfinite(last[0]).all() & saw.any()
-            place = limited(state.place, middle(last), self.speed_limit.value * elapsed)
-            kept = Limiter(last, jnp.where(full, place, state.place), jnp.where(full, 0.0, elapsed))
-            return kept, (jnp.where(full, place, 0.0), jnp.broadcast_to(full, place.shape))
+            full = jnp.isfinite(window[0]).all() & value_seen.any()
+            position = speed_limited(state.position, nan_median(window), self.speed_limit.value * elapsed)
+            after = MedianState(window, jnp.where(full, position, state.position), jnp.where(full, 0.0, elapsed))
+            return after, (jnp.where(full, position, 0.0), jnp.broadcast_to(full, position.shape))
 
-        trajectories = jax.vmap(one, in_axes=-1, out_axes=-1)
+        trajectories = jax.vmap(step, in_axes=-1, out_axes=-1)
         rows = values, seen, jnp.asarray(batch.dt)
-        places, known = jax.lax.scan(lambda state, row: trajectories(state, *row), first, rows)[1]
-        # What a device reports of one fix is not the noise of a median.
-        return Reading(places, known, jnp.zeros((len(values), 0, values.shape[-1]), values.dtype))
+        positions, median_seen = jax.lax.scan(lambda state, row: trajectories(state, *row), initial, rows)[1]
+        # No reported variances: those of a single fix are not the variance of a median.
+        return Reading(positions, median_seen, jnp.zeros((len(values), 0, values.shape[-1]), values.dtype))
 
 
-def limited(before: Any, now: Any, furthest: Any) -> Any:
-    """The place `now` (3,), m, or the one on the way to it that is `furthest` m from `before`; NaN: no place yet.
+def speed_limited(last: Any, median: Any, limit: Any) -> Any:
+    """The position `median` (3,), m, or the one towards it at a distance of `limit` m from `last` (3,), if nearer.
 
-    Equation (2), whose two cases are printed the wrong way round: the clip is for what moves too fast.
+    `last` is NaN before the first output. Equation (2), whose two cases are printed in the wrong order: the limit
+    applies to displacements that are too large.
     """
-    start = jnp.where(jnp.isfinite(before), before, now)
-    way = now - start
-    square = jnp.sum(way * way)
-    far = square > furthest * furthest
-    share = jnp.where(far, furthest * inverse_or_zero(jnp.sqrt(jnp.where(far, square, 1.0))), 1.0)
-    return start + way * share
+    start = jnp.where(jnp.isfinite(last), last, median)
+    displacement = median - start
+    square = jnp.sum(displacement * displacement)
+    too_fast = square > limit * limit
+    fraction = jnp.where(too_fast, limit * inverse_or_zero(jnp.sqrt(jnp.where(too_fast, square, 1.0))), 1.0)
+    return start + displacement * fraction

@@ -1,4 +1,4 @@
-"""System D on the command line: MH-K on position fixes."""
+"""Trajectories and catalogue entries of MH-K: table `fixes`."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from trackers.recordings.tracker_spec import TrackerSpec, on_request
 from trackers.recordings.trajectories import Trajectory, known_height
 
 
-def space_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
-    """Each tag's fixes in three dimensions; a known height stands for z wherever x and y were seen."""
+def spatial_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
+    """Each tag's fixes in three dimensions, one row per table row; a known height replaces z where x and y are seen."""
     for trajectory in fix_trajectories(folder, free_height=True):
         height = None if free_height else known_height(folder, trajectory.tag)
         if height is None:
@@ -32,12 +32,21 @@ def space_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[T
 
 TRACKERS = {
     "mhk": TrackerSpec(
-        "position from fixes: median, Markov model of accelerations, Kalman filter (the paper's)", "fixes", lacks_fixes,
-        space_trajectories, lambda trajectory, planar: mhk_tracker(), planar=lambda trajectory, free_height: False, automatic=on_request,
-    ),
-    "mhk-stamped": TrackerSpec(
-        "the same, each estimate with the time of its median's middle", "fixes", lacks_fixes,
-        space_trajectories, lambda trajectory, planar: mhk_tracker(stamped=True), planar=lambda trajectory, free_height: False,
+        about="position from fixes: sliding median, hidden Markov model of accelerations, Kalman filter (Huang et al.)",
+        table="fixes",
+        lacks=lacks_fixes,
+        trajectories=spatial_trajectories,
+        build=lambda trajectory, planar: mhk_tracker(),
+        planar=lambda trajectory, free_height: False,
         automatic=on_request,
     ),
-}  # fmt: skip
+    "mhk-stamped": TrackerSpec(
+        about="mhk, with each estimate at the time of the middle of its median window",
+        table="fixes",
+        lacks=lacks_fixes,
+        trajectories=spatial_trajectories,
+        build=lambda trajectory, planar: mhk_tracker(stamped=True),
+        planar=lambda trajectory, free_height: False,
+        automatic=on_request,
+    ),
+}

@@ -1,4 +1,4 @@
-"""MH-K assembled: medians of the fixes, a hidden Markov model over their accelerations, Kalman fusion."""
+"""The assembled tracker MH-K: sliding median, hidden Markov model of accelerations, Kalman filter."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from trackers.mhk.median import LimitedMedian
 from trackers.parts.fixes import FIXES, PATIENT, CorrelatedFixSensor, FixStart, FixTracker
 
 STILL = np.array([[8.409964, 3.509666, -1.23004], [3.509666, 10.34468, -0.7689], [-1.23004, -0.7689, 0.583671]]) * 1e-4
-"""The covariance of 2,000 fixes of a tag at rest, m² (Huang et al. 2018, section 4)."""
+"""Covariance of 2,000 fixes of a tag at rest, m² (Huang et al. 2018, section 4)."""
 
 
 class MedianMarkovKalman(AbstractTracker):
-    """MH-K (Huang et al. 2018, Figure 5): `median`, then `fusion` of its medians under the name `fixes`.
+    """MH-K (Huang et al. 2018, Figure 5): a sliding `median`, whose output `fusion` reads as `fixes`.
 
-    A median of 2n + 1 fixes shows where a moving tag was n fixes ago. `stamped`: the estimates say so, each with the
-    time of its window's middle row; else, as in the paper, each has the time of its last fix.
+    The median of 2n + 1 fixes of a moving tag lags by n fixes. With `stamped` each estimate has the time of the middle
+    row of its window; otherwise, as in the paper, that of its last fix.
     """
 
     median: LimitedMedian
@@ -34,28 +34,28 @@ class MedianMarkovKalman(AbstractTracker):
     stamped: bool = eqx.field(static=True, default=False)
 
     def scan(self, batch: Batch) -> Output:
-        return self.fusion.scan(self._smoothed(batch))
+        return self.fusion.scan(self._with_medians(batch))
 
     def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
-        batch = self._smoothed(batch)
+        batch = self._with_medians(batch)
         if self.stamped:
             half = min(self.median.window // 2, len(batch.dt))
-            truth = {name: tuple(_later(x, half) for x in pair) for name, pair in batch.truth.items()}
+            truth = {name: tuple(_delayed(x, half) for x in pair) for name, pair in batch.truth.items()}
             batch = batch._replace(truth=truth)
         return self.fusion.accumulate(batch, score)
 
-    def _smoothed(self, batch: Batch) -> Batch:
-        return batch._replace(readings={FIXES: self.median.readings(batch, batch.readings[FIXES])})
+    def _with_medians(self, batch: Batch) -> Batch:
+        return batch._replace(readings={FIXES: self.median.medians(batch, batch.readings[FIXES])})
 
     def at_valid_time(self, times: np.ndarray, estimates: Estimates) -> tuple[np.ndarray, Estimates]:
-        """The times of the windows' middle rows if `stamped`, less the fixes' latency; and the estimates then."""
+        """Times less the latency of the fixes, those of the windows' middle rows if `stamped`; the estimates then."""
         if self.stamped:
-            times = np.asarray(_later(times, min(self.median.window // 2, len(times))))
+            times = np.asarray(_delayed(times, min(self.median.window // 2, len(times))))
         return self.fusion.at_valid_time(times, estimates)
 
 
-def _later(rows: Any, count: int) -> Any:
-    """The rows `count` rows later, the first one repeated before them."""
+def _delayed(rows: Any, count: int) -> Any:
+    """The array delayed by `count` rows; the first row fills the gap."""
     kind = np if isinstance(rows, np.ndarray) else jnp
     return kind.concatenate([kind.repeat(rows[:1], count, axis=0), rows[: len(rows) - count]])
 
@@ -69,10 +69,10 @@ def mhk_tracker(
     speed_limit: float = 4.0,
     stamped: bool = False,
 ) -> MedianMarkovKalman:
-    """MH-K with the paper's R and window; P₀, P_max, a_lm, V_limit and Q are not printed.
+    """MH-K with the paper's R and window; the paper does not print P₀, P_max, a_lm, V_limit and Q.
 
-    `covariance` R, m². σa m/s² per √Hz, for Q. `sigma_displacement` m and `rate` 1/s of the chain, None for one without
-    memory, as printed. `speed_limit` m/s, twice the paper's greatest speed.
+    `covariance`: R, m². `sigma_a`: of Q, m/s² per √Hz. `sigma_displacement` m and `rate` 1/s: of the chain; `rate` None
+    for a chain without memory, as printed. `speed_limit`: m/s, by default twice the greatest speed of the paper.
     """
     fusion = FixTracker(
         ConstantVelocity(sigma_a, 3),

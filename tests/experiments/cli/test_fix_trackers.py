@@ -12,7 +12,7 @@ from sim.tables.agv import simulated_agv
 from tests.in_process import assert_refused, trackwright
 from trackers.baselines.rows import lacks_plane, side_trajectories
 from trackers.core.rig import Rig, Tag
-from trackers.mhk.rows import space_trajectories
+from trackers.mhk.rows import spatial_trajectories
 from trackers.mhk.tracker import STILL
 from trackers.parts.fix_rows import fix_trajectories, lacks_fixes
 from trackers.parts.fixes import FIXES
@@ -61,7 +61,7 @@ def test_a_known_height_hides_z_from_planar_trackers_and_stands_for_it_in_mhk(wo
     known = _known_height(world)
     assert not next(fix_trajectories(known, free_height=False)).recording.readings[FIXES].seen[:, 2].any()
     assert next(fix_trajectories(known, free_height=True)).recording.readings[FIXES].seen[:, 2].all()
-    np.testing.assert_array_equal(next(space_trajectories(known, False)).recording.readings[FIXES].values[:, 2], 1.2)
+    np.testing.assert_array_equal(next(spatial_trajectories(known, False)).recording.readings[FIXES].values[:, 2], 1.2)
 
 
 def test_trackers_of_mirrored_heights_read_the_distance_from_the_anchors_plane(world):

@@ -1,4 +1,4 @@
-"""The sphere of accelerations: a distribution, of layers of equal volume, with the mean and density it claims."""
+"""The discretised distribution of accelerations: normalised, layers of equal volume, density and mean as published."""
 
 import numpy as np
 import pytest
@@ -14,11 +14,11 @@ def blocks():
 
 
 def test_there_are_7129_states_whose_probabilities_add_up_to_one(blocks):
-    accelerations, shares = blocks
+    accelerations, probabilities = blocks
     assert accelerations.shape == (7129, 3)
-    assert shares.shape == (7129,)
-    assert shares.sum() == pytest.approx(1.0, abs=1e-12)
-    assert shares.min() > 0
+    assert probabilities.shape == (7129,)
+    assert probabilities.sum() == pytest.approx(1.0, abs=1e-12)
+    assert probabilities.min() > 0
 
 
 def test_layers_hold_equal_volumes():
@@ -33,18 +33,18 @@ def test_solid_angles_add_up_to_the_sphere():
 
 
 def test_still_and_full_have_the_probabilities_of_equation_7(blocks):
-    _, shares = blocks
-    assert shares[-1] == pytest.approx(0.5)
-    assert shares[6480:-1].sum() == pytest.approx(0.5 * 0.2)
+    _, probabilities = blocks
+    assert probabilities[-1] == pytest.approx(0.5)
+    assert probabilities[6480:-1].sum() == pytest.approx(0.5 * 0.2)
 
 
 def test_the_mean_acceleration_is_zero(blocks):
-    accelerations, shares = blocks
-    np.testing.assert_allclose(shares @ accelerations, 0.0, atol=1e-12)
+    accelerations, probabilities = blocks
+    np.testing.assert_allclose(probabilities @ accelerations, 0.0, atol=1e-12)
 
 
 def test_blocks_between_have_the_density_of_equation_5_and_the_centroids_of_uniform_draws(blocks):
-    accelerations, shares = blocks
+    accelerations, probabilities = blocks
     rng = np.random.default_rng(0)
     draws = rng.uniform(-2, 2, (400_000, 3))
     size = np.linalg.norm(draws, axis=1)
@@ -55,7 +55,7 @@ def test_blocks_between_have_the_density_of_equation_5_and_the_centroids_of_unif
     azimuth = (np.arctan2(draws[:, 1], draws[:, 0]) % (2 * np.pi) // (np.pi / 18)).astype(int)
     block = (layer * 18 + elevation) * 36 + azimuth
     counts = np.bincount(block, minlength=6480)
-    expected = shares[:6480] / shares[:6480].sum() * len(draws)
+    expected = probabilities[:6480] / probabilities[:6480].sum() * len(draws)
     # Poisson counts of 2 to 60: the mean of (n − m)²/m over 6480 blocks is 1 within 0.02.
     assert np.mean((counts - expected) ** 2 / expected) == pytest.approx(1.0, abs=0.1)
     # Each draw against its block's centroid: no block's mean is off by more than its own spread allows.

@@ -1,4 +1,4 @@
-"""The chain in O(N) is the forward algorithm by enumeration, and its transition knows dt."""
+"""The O(N) forward recursion against enumeration of all state sequences; its transition over any interval."""
 
 from itertools import pairwise, product
 
@@ -10,59 +10,59 @@ import pytest
 from trackers.core.algebra import Vector
 from trackers.core.tunable import freeze
 from trackers.mhk.accelerations import AccelerationSphere
-from trackers.mhk.chain import heard, moved
+from trackers.mhk.chain import predicted, updated
 from trackers.mhk.fusion import AccelerationFilter
 
-SHARES = np.array([0.5, 0.3, 0.2])
+STATIONARY = np.array([0.5, 0.3, 0.2])
 
 
-@pytest.mark.parametrize("kept", [0.0, 0.6])
-def test_forward_recursion_is_the_sum_over_every_sequence_of_states(kept):
+@pytest.mark.parametrize("kappa", [0.0, 0.6])
+def test_forward_recursion_is_the_sum_over_every_sequence_of_states(kappa):
     rng = np.random.default_rng(0)
     log_likelihoods = rng.normal(size=(5, 3)) * 2
-    A = kept * np.eye(3) + (1 - kept) * SHARES
+    A = kappa * np.eye(3) + (1 - kappa) * STATIONARY
     joint = np.zeros(3)
     for path in product(range(3), repeat=5):
-        p = SHARES[path[0]] * np.prod([A[i, j] for i, j in pairwise(path)])
+        p = STATIONARY[path[0]] * np.prod([A[i, j] for i, j in pairwise(path)])
         joint[path[-1]] += p * np.exp(sum(row[s] for row, s in zip(log_likelihoods, path, strict=True)))
-    weights, evidence = jnp.asarray(SHARES), 0.0
+    weights, evidence = jnp.asarray(STATIONARY), 0.0
     for k, row in enumerate(log_likelihoods):
-        weights = moved(weights, jnp.asarray(SHARES), kept) if k else weights
-        weights, log = heard(weights, jnp.asarray(row))
+        weights = predicted(weights, jnp.asarray(STATIONARY), kappa) if k else weights
+        weights, log = updated(weights, jnp.asarray(row))
         evidence += float(log)
     np.testing.assert_allclose(weights, joint / joint.sum(), rtol=1e-12)
     assert evidence == pytest.approx(np.log(joint.sum()), rel=1e-12)
 
 
 def test_two_steps_are_one_long_step():
-    weights, shares = jnp.array([0.9, 0.1, 0.0]), jnp.asarray(SHARES)
-    twice = moved(moved(weights, shares, np.exp(-0.3)), shares, np.exp(-0.5))
-    np.testing.assert_allclose(twice, moved(weights, shares, np.exp(-0.8)), rtol=1e-13)
+    weights, stationary = jnp.array([0.9, 0.1, 0.0]), jnp.asarray(STATIONARY)
+    twice = predicted(predicted(weights, stationary, np.exp(-0.3)), stationary, np.exp(-0.5))
+    np.testing.assert_allclose(twice, predicted(weights, stationary, np.exp(-0.8)), rtol=1e-13)
 
 
-def test_a_wild_observation_leaves_a_finite_chain():
-    weights, log = heard(jnp.asarray(SHARES), jnp.array([-1e6, -2e6, -3e6]))
+def test_an_outlier_leaves_finite_probabilities():
+    weights, log = updated(jnp.asarray(STATIONARY), jnp.array([-1e6, -2e6, -3e6]))
     np.testing.assert_allclose(weights, [1.0, 0.0, 0.0])
     assert float(log) == pytest.approx(-1e6 + np.log(0.5))
 
 
-def _posterior(rate, weights, beyond, elapsed, sigma=0.01):
+def _posterior(rate, weights, displacement, elapsed, sigma=0.01):
     model = freeze(AccelerationFilter(AccelerationSphere(), sigma, rate))
     weights, mean = jax.jit(lambda *x: model.posterior(x[0], Vector(*x[1]), x[2]))(
-        jnp.asarray(weights), [jnp.asarray(b) for b in beyond], jnp.asarray(elapsed)
+        jnp.asarray(weights), [jnp.asarray(b) for b in displacement], jnp.asarray(elapsed)
     )
     return np.asarray(weights), np.array([float(m) for m in mean])
 
 
 def test_the_posterior_mean_is_bayes_rule_over_all_states():
-    accelerations, shares = (np.asarray(x) for x in AccelerationSphere().blocks())
-    beyond, elapsed, sigma = np.array([0.08, -0.02, 0.01]), 0.4, 0.03
-    density = np.exp(-0.5 * np.sum((beyond - 0.5 * elapsed**2 * accelerations) ** 2, axis=1) / sigma**2)
-    expected = (shares * density) @ accelerations / (shares @ density)
-    np.testing.assert_allclose(_posterior(None, [], beyond, elapsed, sigma)[1], expected, rtol=1e-10)
+    accelerations, probabilities = (np.asarray(x) for x in AccelerationSphere().blocks())
+    displacement, elapsed, sigma = np.array([0.08, -0.02, 0.01]), 0.4, 0.03
+    density = np.exp(-0.5 * np.sum((displacement - 0.5 * elapsed**2 * accelerations) ** 2, axis=1) / sigma**2)
+    expected = (probabilities * density) @ accelerations / (probabilities @ density)
+    np.testing.assert_allclose(_posterior(None, [], displacement, elapsed, sigma)[1], expected, rtol=1e-10)
 
 
-def test_at_the_papers_rate_and_noise_a_displacement_says_next_to_nothing():
+def test_at_the_papers_rate_and_noise_a_displacement_carries_little_information():
     # 2 m/s² for 0.1 s move 1 cm; the fixes' noise is 3 cm and a displacement's √2 of that.
     _, mean = _posterior(None, [], [0.01, 0.0, 0.0], 0.1, 0.042)
     assert 0 < mean[0] < 0.1

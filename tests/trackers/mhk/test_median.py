@@ -1,10 +1,10 @@
-"""The limited median: the middle of nine, causal, and slowed down exactly where it is too fast."""
+"""The speed-limited sliding median: the fifth of nine values, causal, limited only above the speed limit."""
 
 import numpy as np
 import pytest
 
 from trackers.core.recording import Readings, Recording, stack
-from trackers.mhk.median import LimitedMedian, limited
+from trackers.mhk.median import LimitedMedian, speed_limited
 from trackers.parts.fixes import FIXES
 
 
@@ -12,11 +12,11 @@ def _medians(values, seen=None, dt=0.1, limit=1e6, window=9):
     seen = np.ones(values.shape, bool) if seen is None else seen
     recording = Recording(np.arange(len(values)) * dt, {FIXES: Readings(np.where(seen, values, 0.0), seen)})
     batch = stack([recording])
-    out = LimitedMedian(window, limit).readings(batch, batch.readings[FIXES])
+    out = LimitedMedian(window, limit).medians(batch, batch.readings[FIXES])
     return np.asarray(out.values)[..., 0], np.asarray(out.seen)[..., 0]
 
 
-def test_it_is_the_middle_of_the_last_nine_and_silent_before():
+def test_it_is_the_median_of_the_last_nine_and_not_seen_before():
     values = np.random.default_rng(0).normal(size=(40, 3))
     medians, seen = _medians(values)
     assert not seen[:8].any()
@@ -42,14 +42,14 @@ def test_later_fixes_change_nothing_before_them():
 
 
 @pytest.mark.parametrize(("jump", "expected"), [(0.1, 0.1), (0.2, 0.2), (0.3, 0.2), (5.0, 0.2)])
-def test_the_limit_holds_back_what_moves_faster_than_it_and_nothing_else(jump, expected):
-    # 2 m/s for 0.1 s. As printed, (2) would hold back the slow ones and let the fast ones pass.
-    way = np.array([0.6, 0.0, 0.8])
-    moved = np.asarray(limited(np.zeros(3), jump * way, 0.2))
-    np.testing.assert_allclose(moved, expected * way, rtol=1e-12)
+def test_only_displacements_above_the_speed_limit_are_shortened(jump, expected):
+    # 2 m/s for 0.1 s. As printed, (2) would limit slow displacements and pass fast ones.
+    direction = np.array([0.6, 0.0, 0.8])
+    limited = np.asarray(speed_limited(np.zeros(3), jump * direction, 0.2))
+    np.testing.assert_allclose(limited, expected * direction, rtol=1e-12)
 
 
-def test_a_step_is_climbed_at_the_speed_limit():
+def test_after_a_step_the_median_follows_at_the_speed_limit():
     values = np.zeros((60, 3))
     values[20:, 0] = 3.0
     medians, _ = _medians(values, limit=2.0)
@@ -58,7 +58,7 @@ def test_a_step_is_climbed_at_the_speed_limit():
     assert medians[-1, 0] == pytest.approx(3.0)
 
 
-def test_a_gap_gives_the_speed_limit_its_whole_length():
+def test_the_speed_limit_applies_to_the_whole_length_of_a_gap():
     values = np.zeros((40, 3))
     values[20:] = [3.0, 0.0, 0.0]
     seen = np.ones((40, 3), bool)

@@ -1,4 +1,4 @@
-"""MH-K assembled: a plain Kalman filter where the chain is still, batched like alone, stamped with its valid time."""
+"""MH-K: the plain Kalman filter without accelerations, independence of the batch, times of stamped estimates."""
 
 import equinox as eqx
 import numpy as np
@@ -15,7 +15,7 @@ from trackers.mhk.tracker import mhk_tracker
 from trackers.parts.fixes import FIXES
 
 
-def _place(t):
+def _position(t):
     # There and back along a line at 0.8 m/s, with turns.
     return np.stack([4 * np.sin(0.2 * t), 0.3 * t, 1 + 0 * t], axis=1)
 
@@ -23,7 +23,7 @@ def _place(t):
 def _recording(rows=60, seed=0, dt=0.1):
     rng = np.random.default_rng(seed)
     times = np.arange(rows) * dt
-    fixes = _place(times) + 0.03 * rng.normal(size=(rows, 3))
+    fixes = _position(times) + 0.03 * rng.normal(size=(rows, 3))
     return Recording(times, {FIXES: Readings(fixes, np.ones((rows, 3), bool))}, name=f"tag {seed}")
 
 
@@ -33,7 +33,7 @@ def tracker(request):
 
 
 @pytest.mark.slow
-def test_tags_in_a_ragged_batch_are_as_each_alone(tracker):
+def test_estimates_do_not_depend_on_the_other_tags_of_a_ragged_batch(tracker):
     recordings = [_recording(60, 0), _recording(30, 1)]
     together = tracker.run(stack(recordings))
     for k, recording in enumerate(recordings):
@@ -48,18 +48,18 @@ def test_it_waits_for_a_full_window_and_ends_near_the_path(tracker):
     estimates = tracker.run(recording)
     assert np.all(estimates.status[:8] == Status.WAITING)
     assert np.all(estimates.status[8:] == Status.OK)
-    # The window's middle lies 0.4 s back.
-    errors = flat(estimates.mean)[20:, :3] - _place(recording.times[20:] - 0.4)
+    # The middle of the window is 0.4 s old.
+    errors = flat(estimates.mean)[20:, :3] - _position(recording.times[20:] - 0.4)
     assert np.sqrt(np.mean(np.sum(errors**2, axis=1))) < 0.06
 
 
-def test_with_a_chain_that_is_always_still_it_is_the_plain_filter_on_medians():
+def test_without_accelerations_it_is_the_plain_filter_on_medians():
     recording = _recording()
     still = AccelerationFilter(AccelerationSphere(p_still=1 - 1e-12), 1e3, None)
     tracker = mhk_tracker()
     chain = eqx.tree_at(lambda t: t.fusion.filter, tracker, still).run(recording)
     plain = eqx.tree_at(lambda t: t.fusion.filter, tracker, ExtendedKalman()).run(recording)
-    # What is left of the chain's mean is rounding.
+    # The mean acceleration is zero up to rounding.
     np.testing.assert_allclose(flat(chain.mean), flat(plain.mean), atol=1e-9)
     np.testing.assert_allclose(chain.log_likelihood, plain.log_likelihood, atol=1e-7)
 
@@ -71,7 +71,7 @@ def test_stamped_estimates_have_the_time_of_their_windows_middle():
     assert mhk_tracker().at_valid_time(recording.times, None)[0] is recording.times
 
 
-def test_every_number_that_the_paper_leaves_open_is_a_tunable():
+def test_every_number_that_the_paper_does_not_print_is_tunable():
     names = set(tunables(mhk_tracker(rate=1.0)))
     expected = {"median.speed_limit", "fusion.motion.sigma_a", "fusion.sensors.fixes.covariance"}
     expected |= {f"fusion.filter.sphere.{k}" for k in ("a_still", "a_full", "p_still", "p_full")}
