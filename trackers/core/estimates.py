@@ -8,6 +8,7 @@ from typing import Any
 
 import jax
 import numpy as np
+import polars as pl
 
 from trackers.core.algebra import dense, triangle
 from trackers.core.state import component_names
@@ -24,14 +25,28 @@ class Status(IntEnum):
     PADDING = 5
 
 
-@dataclass(frozen=True)
+AXES = "xyz"
+
+STATUS_WORDS = {
+    Status.OK: "ok",
+    Status.WAITING: "waiting",
+    Status.RESTARTED: "restarted",
+    Status.LOST: "lost",
+    Status.NON_FINITE: "non-finite",
+}
+
+STEP_COLUMNS = {"nis": "nis", "nis_dof": "count", "log_likelihood": "log_likelihood"}
+"""Columns of tables of estimates, and the attributes of `Estimates` that they hold."""
+
+
+@dataclass(frozen=True, repr=False)
 class Estimates:
     """A tracker's output for one recording (arrays start with T) or a batch (with B, T).
 
     `mean`: the state, one array per named component. `cov_upper`: (n(n+1)/2, …, T), the covariance of the small step
     about the mean, upper triangle row by row. `log_likelihood`, `nis`, `count` (degrees of freedom of the NIS),
     `wrapped` (readings whose wrapping was ambiguous): per row, summed over sensors. `status`: `Status` codes.
-    `example`: a state of plain numbers that tells the names.
+    `times`: (T,) or (B, T) s, NaN in padding, None after a run of a `Batch`. `names`: of the recordings.
     """
 
     mean: Any
@@ -41,6 +56,8 @@ class Estimates:
     count: np.ndarray
     wrapped: np.ndarray
     status: np.ndarray
+    times: np.ndarray | None = None
+    names: tuple[str, ...] = ()
 
     @property
     def dimension(self) -> int:
@@ -69,10 +86,64 @@ class Estimates:
 
     def __getitem__(self, trajectory: Any) -> Estimates:
         """One trajectory of a batch, or a slice of them."""
+
+        def part(rows: Any) -> Any:
+            return rows[trajectory]
+
         return Estimates(
-            jax.tree_util.tree_map(lambda x: x[trajectory], self.mean),
-            self.cov_upper[:, trajectory],
-            *(getattr(self, k)[trajectory] for k in ("log_likelihood", "nis", "count", "wrapped", "status")),
+            mean=jax.tree_util.tree_map(part, self.mean),
+            cov_upper=self.cov_upper[:, trajectory],
+            log_likelihood=part(self.log_likelihood),
+            nis=part(self.nis),
+            count=part(self.count),
+            wrapped=part(self.wrapped),
+            status=part(self.status),
+            times=None if self.times is None else part(self.times),
+            names=tuple(np.ravel(part(np.array(self.names))).tolist()) if self.names else (),
+        )
+
+    def __repr__(self) -> str:
+        shape = " x ".join(
+            f"{n} {what}" for n, what in zip(self.status.shape[::-1], ("rows", "trajectories"), strict=False)
+        )
+        return f"<Estimates: {shape}; state {', '.join(self.sigmas)}>"
+
+    def marginal(self, field: str) -> np.ndarray:
+        """The covariances (…, T, k, k) of one field of the state, as `position`, in the order of its components.
+
+        Raises KeyError, naming the fields, where the state has no such field.
+        """
+        names = list(self.sigmas)
+        index = [k for k, name in enumerate(names) if name.split(".")[0] == field]
+        if not index:
+            raise KeyError(
+                f"the state has no '{field}'; it has {', '.join(dict.fromkeys(n.split('.')[0] for n in names))}"
+            )
+        return self.covariance[..., index, :][..., index]
+
+    def to_polars(self) -> pl.DataFrame:
+        """A table with one row per estimate: recording, `t_s`, the state, its standard deviations, NIS and status.
+
+        A position becomes `x_m`, `y_m`, `z_m` with `std_…_m` and `cov_…_m2`, a velocity `vx_mps`, …; other components keep
+        their names. `t_s` is the row's own time. Empty where there is no estimate; rows of padding are left out.
+        `.to_pandas()` of the table gives a pandas frame. Raises ValueError where the run was of a bare `Batch`,
+        which has no times.
+        """
+        if self.times is None:
+            raise ValueError("these estimates have no times: a Batch was run; run the recordings themselves")
+        keep = self.status != Status.PADDING
+        names = (
+            np.broadcast_to(np.array(self.names)[:, None], keep.shape)
+            if keep.ndim == 2
+            else np.full(keep.shape, self.names[0])
+        )
+        usable = self.usable[keep]
+        state = {name: np.where(usable, np.asarray(x, float)[keep], np.nan) for name, x in state_columns(self).items()}
+        return pl.DataFrame(
+            {"recording": names[keep], "t_s": self.times[keep]}
+            | {name: pl.Series(x, nan_to_null=True) for name, x in state.items()}
+            | {name: getattr(self, k)[keep].astype(float) for name, k in STEP_COLUMNS.items()}
+            | {"status": [STATUS_WORDS[Status(s)] for s in self.status[keep]]}
         )
 
     def verdict(self) -> str:
@@ -87,3 +158,27 @@ class Estimates:
         if restarts or np.any(status == Status.LOST):
             return f"lost and re-started {restarts} times" if restarts else "lost and never re-started"
         return "ok"
+
+
+def state_columns(estimates: Estimates) -> dict[str, np.ndarray]:
+    """The columns (…, T) of a table of states: positions and velocities by axis with units, the rest by its names."""
+    mean, sigmas = estimates.mean, estimates.sigmas
+    columns: dict[str, Any] = {}
+    if hasattr(mean, "position"):
+        axes = AXES[: len(mean.position)]
+        cov = estimates.marginal("position")
+        columns |= {f"{a}_m": x for a, x in zip(axes, mean.position, strict=True)}
+        columns |= {f"std_{a}_m": sigmas[f"position.{k}"] for k, a in enumerate(axes)}
+        columns |= {
+            f"cov_{axes[i]}{axes[j]}_m2": cov[..., i, j] for i in range(len(axes)) for j in range(i + 1, len(axes))
+        }
+    if hasattr(mean, "velocity"):
+        columns |= {f"v{a}_mps": v for a, v in zip(AXES, mean.velocity, strict=False)}
+    for path, leaf in jax.tree_util.tree_flatten_with_path(mean)[0]:
+        name = ".".join(str(getattr(k, "name", getattr(k, "idx", getattr(k, "key", k)))) for k in path)
+        if name.split(".")[0] not in ("position", "velocity"):
+            parts = np.asarray(leaf).reshape(*estimates.status.shape, -1)
+            columns |= {name if parts.shape[-1] == 1 else f"{name}.{k}": parts[..., k] for k in range(parts.shape[-1])}
+    return columns | {
+        f"std_{name}": x for name, x in sigmas.items() if name.split(".")[0] not in ("position", "velocity")
+    }

@@ -6,8 +6,9 @@ over rows; chunks have a fixed size, so a trajectory's numbers never depend on w
 
 from __future__ import annotations
 
+import dataclasses
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -109,15 +110,32 @@ class AbstractTracker(eqx.Module):
     def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
         """Sums over rows of what `score` makes of each row's output, per trajectory; memory flat in the rows."""
 
-    def run(self, recordings: Recording | Batch, chunk: int = CHUNK) -> Estimates:
-        """The estimates for one recording, or for a batch of them in chunks of `chunk` trajectories."""
+    def run(self, recordings: Recording | Sequence[Recording] | Batch, chunk: int = CHUNK) -> Estimates:
+        """The estimates for one recording, several, or a batch of them, in chunks of `chunk` trajectories.
+
+        Raises ValueError for no recording at all, and where the recordings differ in their sensors, inputs or truth.
+        """
         if isinstance(recordings, Recording):
-            return self.run(stack([recordings]), chunk=1)[0]
-        model = as_dtype(self, recordings.dt.dtype)
-        parts = run_chunks(scanned, [(model, part) for part in chunks(recordings, chunk)])
+            one = self._run(stack([recordings]), 1)[0]
+            return dataclasses.replace(one, times=recordings.times, names=(recordings.name,))
+        if isinstance(recordings, Batch):
+            return self._run(recordings, chunk)
+        listed = list(recordings)
+        if not listed or not all(isinstance(r, Recording) for r in listed):
+            found = ", ".join(sorted({type(r).__name__ for r in listed})) or "nothing"
+            raise ValueError(f"run: found {found}; expected a Recording, several, or a Batch")
+        batch = stack(listed)
+        times = np.full((len(listed), len(batch.dt)), np.nan)
+        for row, recording in zip(times, listed, strict=True):
+            row[: len(recording)] = recording.times
+        return dataclasses.replace(self._run(batch, chunk), times=times, names=tuple(r.name for r in listed))
+
+    def _run(self, batch: Batch, chunk: int) -> Estimates:
+        model = as_dtype(self, batch.dt.dtype)
+        parts = run_chunks(scanned, [(model, part) for part in chunks(batch, chunk)])
 
         def join(*arrays: np.ndarray) -> np.ndarray:
-            return np.moveaxis(np.concatenate(arrays, axis=-1)[..., : recordings.size], -1, 0)
+            return np.moveaxis(np.concatenate(arrays, axis=-1)[..., : batch.size], -1, 0)
 
         joined = jax.tree_util.tree_map(join, *parts)
         return Estimates(joined.mean, np.stack(joined.cov), *joined[2:])
