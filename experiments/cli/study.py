@@ -13,10 +13,10 @@ import tyro
 
 from experiments.cli.console import notice, output_folder, progress
 from experiments.cli.manifest import write_manifest
+from experiments.monte_carlo.chunk_store import CHUNKS, merge_shards
 from experiments.monte_carlo.declaration import checked
-from experiments.monte_carlo.runner import Until, carry_out
-from experiments.monte_carlo.sources import names, study_of
-from experiments.monte_carlo.store import CHUNKS, merged
+from experiments.monte_carlo.runner import StopRule, run_study
+from experiments.monte_carlo.sources import available_studies, load_study
 from experiments.reports.study import write_page
 from experiments.reports.study_text import study_names, to_json, to_text
 from trackers.core.chunks import n_workers
@@ -51,38 +51,38 @@ def study(
         list: show the studies there are.
     """
     if list:
-        print(study_names([study_of(name) for name in names()]))
+        print(study_names([load_study(name) for name in available_studies()]))
         return 0
     if not what:
         raise UnusableInput("no study named; expected a name or a file; `trackwright study --list` shows the names")
     if what[0] == MERGE:
         if out is None:
             raise UnusableInput("study merge: expected --out and a folder for all chunks")
-        count = merged([Path(x) for x in what[1:]], output_folder(out))
+        count = merge_shards([Path(x) for x in what[1:]], output_folder(out))
         print(f"wrote {out}: {count} chunks of {len(what) - 1} folders; run the study with --out {out} for its report")
         return 0
     if len(what) > 1:
         raise UnusableInput(f"study: found {len(what)} names ({', '.join(what)}); expected one")
-    declared = study_of(what[0])
+    declared = load_study(what[0])
     changed = {k: v for k, v in {"runs": runs, "seed": seed}.items() if v is not None}
     declared = checked(dataclasses.replace(declared, **changed))  # type: ignore[arg-type]
-    enough = None if until is None else Until.parsed(until, declared)
+    enough = None if until is None else StopRule.parse(until, declared)
     part = _shard(shard)
     folder = out or Path("out") / f"study-{declared.name}"
     started = datetime.now(UTC)
-    total = len(declared.cells) * declared.chunks
+    total = len(declared.conditions) * declared.chunks
     notice(
-        f"{declared.name}: {declared.about} {len(declared.cells)} cells × {declared.runs} runs × "
+        f"{declared.name}: {declared.about} {len(declared.conditions)} cells × {declared.runs} runs × "
         f"{len(declared.trackers)} trackers in {total} chunks of {declared.chunk}, "
         f"{n_workers()} at a time"
     )
     with progress(declared.name, total // part[1] if part[1] > 1 else total) as advance:
-        results = carry_out(declared, folder, part, enough, advance)
+        results = run_study(declared, folder, part, enough, advance)
     if results is None:
         have = len([*(folder / CHUNKS).glob("*.npz")])
         print(f"{folder}: {have} of {total} chunks; `trackwright study merge` puts the shards together")
         return 0
-    claims = [] if declared.claims is None else declared.claims(results)
+    claims = [] if declared.expected is None else declared.expected(results)
     print(to_text(results, claims), end="")
     atomic_write(folder / RESULTS, lambda path: path.write_text(to_json(results, claims), "utf-8"))
     drawn = [] if declared.draw is None else declared.draw(results, folder)

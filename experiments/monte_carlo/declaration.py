@@ -6,20 +6,16 @@ import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from experiments.monte_carlo.errors import TrackedRuns
+from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
 from trackers.catalogue import TRACKERS
 from trackers.core.errors import UnusableInput
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerSpec
-
-if TYPE_CHECKING:
-    from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
-    from experiments.monte_carlo.results import Results
-    from experiments.monte_carlo.trajectories import Run
 
 WORLD = "world."
 """What a grid's name begins with where it names a number of the worlds; other names are patterns of tunables."""
@@ -27,7 +23,7 @@ WORLD = "world."
 CHUNK, CHUNKS, LARGEST_CHUNK = 128, 512, 1024
 """Trajectories that are run together, more of them only where there would be more chunks than so many."""
 
-FIGURES = ("rmse_m", "median_m", "p95_m", "bound_m", "nees_mean", "nis_ratio", "diverged", "us_per_row")
+METRICS = ("rmse_m", "median_m", "p95_m", "bound_m", "nees_mean", "nis_ratio", "diverged", "us_per_row")
 
 
 @dataclass(frozen=True)
@@ -53,7 +49,7 @@ class TrackerConfig:
     every: float | None = None
 
     @property
-    def entry(self) -> TrackerSpec:
+    def spec(self) -> TrackerSpec:
         """What the command line knows of the tracker."""
         return TRACKERS[self.tracker] if isinstance(self.tracker, str) else self.tracker
 
@@ -99,14 +95,14 @@ class Study:
     runs: int = 200
     grid: Mapping[str, Sequence[Any]] = field(default_factory=dict)
     seed: int = 0
-    measures: Mapping[str, Callable[[Run], np.ndarray]] = field(default_factory=dict)
-    figures: Sequence[str] = FIGURES
-    claims: Callable[[Results], list[ExpectedResult | Conclusion]] | None = None
-    draw: Callable[[Results, Path], list[str]] | None = None
+    measures: Mapping[str, Callable[[TrackedRuns], np.ndarray]] = field(default_factory=dict)
+    metrics: Sequence[str] = METRICS
+    expected: Callable[..., list[ExpectedResult | Conclusion]] | None = None
+    draw: Callable[..., list[str]] | None = None
     source: str = ""
 
     @property
-    def cells(self) -> list[Condition]:
+    def conditions(self) -> list[Condition]:
         """All worlds at all points of the grid."""
         points = [dict(zip(self.grid, values, strict=True)) for values in itertools.product(*self.grid.values())]
         return [Condition(k, w, p) for k, (w, p) in enumerate(itertools.product(self.worlds, points))]
@@ -121,10 +117,10 @@ class Study:
         """Chunks of every cell."""
         return math.ceil(self.runs / self.chunk)
 
-    def numbers(self, cell: Condition) -> dict[str, Any]:
+    def numbers(self, condition: Condition) -> dict[str, Any]:
         """A world's numbers in a cell."""
-        own = {k.removeprefix(WORLD): v for k, v in cell.numbers.items() if k.startswith(WORLD)}
-        return {**self.worlds[cell.world].numbers, **own}
+        own = {k.removeprefix(WORLD): v for k, v in condition.numbers.items() if k.startswith(WORLD)}
+        return {**self.worlds[condition.world].numbers, **own}
 
 
 def checked(study: Study) -> Study:
@@ -137,13 +133,13 @@ def checked(study: Study) -> Study:
         raise UnusableInput(f"{where}: runs = {study.runs}; expected a whole number from 1 to 1e9")
     if not 0 <= study.seed < 2**63:
         raise UnusableInput(f"{where}: seed = {study.seed}; expected a whole number from 0 to 2^63 - 1")
-    for name, entrant in study.trackers.items():
-        if isinstance(entrant.tracker, str) and entrant.tracker not in TRACKERS:
+    for name, config in study.trackers.items():
+        if isinstance(config.tracker, str) and config.tracker not in TRACKERS:
             raise UnusableInput(
-                f"{where}: trackers.{name}: tracker '{entrant.tracker}' is unknown; expected one of "
+                f"{where}: trackers.{name}: tracker '{config.tracker}' is unknown; expected one of "
                 f"{', '.join(TRACKERS)}"
             )
-        for tunable, value in entrant.tunables.items():
+        for tunable, value in config.tunables.items():
             _finite(f"{where}: trackers.{name}.{tunable}", value)
     for name, values in study.grid.items():
         if isinstance(values, str) or not len(values):

@@ -3,10 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
-if TYPE_CHECKING:
-    from experiments.monte_carlo.results import Value
+
+class Value(NamedTuple):
+    """A figure and its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+    def times(self, factor: float) -> Value:
+        """The figure in another unit."""
+        return Value(self.value * factor, self.low * factor, self.high * factor)
 
 
 @dataclass(frozen=True)
@@ -18,7 +27,7 @@ class ExpectedResult:
     isn't reached, the nearest and why.
     """
 
-    figure: str
+    quantity: str
     printed: float
     ours: Value
     unit: str
@@ -41,6 +50,6 @@ class ExpectedResult:
 class Conclusion:
     """A statement, whether the study bears it out, and the numbers that say so."""
 
-    says: str
+    statement: str
     holds: bool
     evidence: str

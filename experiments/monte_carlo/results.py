@@ -16,23 +16,12 @@ import numpy as np
 
 from experiments.monte_carlo.accumulators import BINS, COLUMN, EDGES, KINDS, SUMS, quantile
 from experiments.monte_carlo.declaration import Condition, Study
+from experiments.monte_carlo.expectations import Value
 
 BLOCKS, REPLICATES, LEVEL = 512, 1000, 0.95
 
 
-class Value(NamedTuple):
-    """A figure and its 95 % interval."""
-
-    value: float
-    low: float
-    high: float
-
-    def times(self, factor: float) -> Value:
-        """The figure in another unit."""
-        return Value(self.value * factor, self.low * factor, self.high * factor)
-
-
-class Kept(NamedTuple):
+class Totals(NamedTuple):
     """What is kept of a cell and tracker, added up over blocks of trajectories.
 
     `sums` (blocks, columns), `largest` (blocks, kinds), `histograms`: kind -> (blocks, BINS); `measures`: name -> (n,)
@@ -78,8 +67,8 @@ def _of_kind(kind: str, suffix: str) -> dict[str, Callable[[Sample], np.ndarray]
     return made
 
 
-FIGURES: dict[str, Callable[[Sample], np.ndarray]] = {
-    **{name: figure for kind in KINDS for name, figure in _of_kind(kind, kind).items()},
+METRICS: dict[str, Callable[[Sample], np.ndarray]] = {
+    **{name: metric for kind in KINDS for name, metric in _of_kind(kind, kind).items()},
     "variance_m2": lambda s: s.sum("squares m") / s.sum("n m") - (s.sum("sum m") / s.sum("n m")) ** 2,
     "nees_mean": _ratio("nees", "nees n"),
     "nees_3d_mean": _ratio("nees_3d", "nees_3d n"),
@@ -91,56 +80,58 @@ FIGURES: dict[str, Callable[[Sample], np.ndarray]] = {
 
 SHARES = ("diverged", "failed")
 CONSTANT = ("bound_m", "bound_3d_m", "us_per_row")
-NAMES = (*FIGURES, *SHARES, *CONSTANT)
+NAMES = (*METRICS, *SHARES, *CONSTANT)
 
 
 class Results:
     """The figures of a study that has been run. `kept`: by cell and tracker; `runs`: trajectories of each cell."""
 
-    def __init__(self, study: Study, kept: Mapping[tuple[int, str], Kept], runs: Mapping[int, int]):
+    def __init__(self, study: Study, kept: Mapping[tuple[int, str], Totals], runs: Mapping[int, int]):
         self.study, self.kept, self.runs = study, kept, runs
         self._figures: dict[tuple[int, str], dict[str, tuple[Any, np.ndarray]]] = {}
 
-    def cell(self, world: str, **point: Any) -> Condition:
+    def condition(self, world: str, **point: Any) -> Condition:
         """The cell of a world at a point of the grid; names with dots are given as `**{"world.rate_hz": 5}`.
 
         Raises KeyError where there is none or more than one.
         """
-        found = [c for c in self.study.cells if c.world == world and point.items() <= c.point.items()]
+        found = [c for c in self.study.conditions if c.world == world and point.items() <= c.point.items()]
         if len(found) != 1:
             raise KeyError(f"{len(found)} cells are '{world}' at {point}, expected one")
         return found[0]
 
-    def value(self, figure: str, world: str, tracker: str, **point: Any) -> Value:
+    def value(self, metric: str, world: str, tracker: str, **point: Any) -> Value:
         """A figure or a measure's mean, with its interval; NaN where the trajectories have none."""
-        return self.at(figure, self.cell(world, **point), tracker)
+        return self.at(metric, self.condition(world, **point), tracker)
 
-    def at(self, figure: str, cell: Condition, tracker: str) -> Value:
+    def at(self, metric: str, condition: Condition, tracker: str) -> Value:
         """The same by cell."""
-        return _interval(*self._drawn(figure, cell, tracker))
+        return _interval(*self._drawn(metric, condition, tracker))
 
-    def difference(self, figure: str, world: str, tracker: str, other: str, **point: Any) -> Value:
+    def difference(self, metric: str, world: str, tracker: str, other: str, **point: Any) -> Value:
         """A tracker's figure less another's, paired."""
-        return self.compared(np.subtract, figure, self.cell(world, **point), tracker, other)
+        return self.compared(np.subtract, metric, self.condition(world, **point), tracker, other)
 
-    def ratio(self, figure: str, world: str, tracker: str, other: str, **point: Any) -> Value:
+    def ratio(self, metric: str, world: str, tracker: str, other: str, **point: Any) -> Value:
         """A tracker's figure over another's, paired."""
-        return self.compared(np.divide, figure, self.cell(world, **point), tracker, other)
+        return self.compared(np.divide, metric, self.condition(world, **point), tracker, other)
 
-    def compared(self, how: Callable[[Any, Any], Any], figure: str, cell: Condition, tracker: str, other: str) -> Value:
+    def compared(
+        self, how: Callable[[Any, Any], Any], metric: str, condition: Condition, tracker: str, other: str
+    ) -> Value:
         """Two trackers' figures of a cell put together by `how`, paired."""
-        mine, its = self._drawn(figure, cell, tracker), self._drawn(figure, cell, other)
+        mine, its = self._drawn(metric, condition, tracker), self._drawn(metric, condition, other)
         return _interval(how(mine[0], its[0]), how(mine[1], its[1]))
 
-    def average(self, figure: str, cells: Sequence[tuple[str, str]], **point: Any) -> Value:
+    def average(self, metric: str, conditions: Sequence[tuple[str, str]], **point: Any) -> Value:
         """The mean of a figure over worlds and trackers, all resampled together."""
-        drawn = [self._drawn(figure, self.cell(world, **point), tracker) for world, tracker in cells]
+        drawn = [self._drawn(metric, self.condition(world, **point), tracker) for world, tracker in conditions]
         return _interval(np.mean([d[0] for d in drawn]), np.mean([d[1] for d in drawn], axis=0))
 
-    def shown(self) -> dict[str, dict[tuple[int, str], Value]]:
+    def main_metrics(self) -> dict[str, dict[tuple[int, str], Value]]:
         """The study's main figures, each by cell and tracker."""
-        every = [(c, t) for c in self.study.cells for t in self.study.trackers]
-        return {f: {(c.index, t): self.at(f, c, t) for c, t in every} for f in self.study.figures}
+        every = [(c, t) for c in self.study.conditions for t in self.study.trackers]
+        return {f: {(c.index, t): self.at(f, c, t) for c, t in every} for f in self.study.metrics}
 
     @property
     def seconds(self) -> float:
@@ -149,30 +140,30 @@ class Results:
 
     def numbers(self, measure: str, world: str, tracker: str, **point: Any) -> np.ndarray:
         """A measure's numbers (n,), trajectory by trajectory."""
-        return self.kept[self.cell(world, **point).index, tracker].measures[measure]
+        return self.kept[self.condition(world, **point).index, tracker].measures[measure]
 
     def cdf(self, world: str, tracker: str, kind: str = "m", **point: Any) -> tuple[np.ndarray, np.ndarray]:
         """Errors, m or rad, and the share of rows whose error is at most that."""
-        histogram = self.kept[self.cell(world, **point).index, tracker].histograms[kind].sum(axis=0)
+        histogram = self.kept[self.condition(world, **point).index, tracker].histograms[kind].sum(axis=0)
         return EDGES, np.cumsum(histogram) / max(histogram.sum(), 1)
 
-    def _drawn(self, figure: str, cell: Condition, tracker: str) -> tuple[Any, np.ndarray]:
+    def _drawn(self, metric: str, condition: Condition, tracker: str) -> tuple[Any, np.ndarray]:
         """A figure of all trajectories, and of every resampling (R,)."""
-        kept = self.kept[cell.index, tracker]
-        if figure in CONSTANT:
-            value = kept.us_per_row if figure == "us_per_row" else kept.bounds[int(figure == "bound_3d_m")]
+        kept = self.kept[condition.index, tracker]
+        if metric in CONSTANT:
+            value = kept.us_per_row if metric == "us_per_row" else kept.bounds[int(metric == "bound_3d_m")]
             return value, np.full(REPLICATES, value)
-        weights = resampled(self.study.seed, min(self.runs[cell.index], BLOCKS))
-        if figure in kept.measures:
-            return _mean_of(kept.measures[figure], weights)
-        key = (cell.index, tracker)
+        weights = resampled(self.study.seed, min(self.runs[condition.index], BLOCKS))
+        if metric in kept.measures:
+            return _mean_of(kept.measures[metric], weights)
+        key = (condition.index, tracker)
         if key not in self._figures:
             # All figures at once: histograms of all resamplings take megabytes, figures kilobytes.
-            self._figures[key] = _figures_of(kept, weights, _block_sizes(self.runs[cell.index]))
-        return self._figures[key][figure]
+            self._figures[key] = _figures_of(kept, weights, _block_sizes(self.runs[condition.index]))
+        return self._figures[key][metric]
 
 
-def _figures_of(kept: Kept, weights: np.ndarray, per_block: np.ndarray) -> dict[str, tuple[Any, np.ndarray]]:
+def _figures_of(kept: Totals, weights: np.ndarray, per_block: np.ndarray) -> dict[str, tuple[Any, np.ndarray]]:
     """Every figure of all trajectories, and of every resampling (R,); of the kinds of errors that there are."""
     drawn = weights > 0
     largest = np.stack(
@@ -185,9 +176,9 @@ def _figures_of(kept: Kept, weights: np.ndarray, per_block: np.ndarray) -> dict[
     with np.errstate(invalid="ignore", divide="ignore"):
         for name in SHARES:
             found[name] = whole.sum(name) / per_block.sum(), many.sum(name) / (weights @ per_block)
-        for name, figure in FIGURES.items():
+        for name, metric in METRICS.items():
             with contextlib.suppress(KeyError):  # a percentile of a kind of errors that the tracker doesn't have
-                found[name] = figure(whole), figure(many)
+                found[name] = metric(whole), metric(many)
     return found
 
 
@@ -220,7 +211,7 @@ def _interval(value: Any, drawn: np.ndarray) -> Value:
     return Value(float(value), float(low), float(high))
 
 
-class Gathered:
+class ChunkTotals:
     """Adds up the chunks of a cell and tracker, in order, into blocks."""
 
     def __init__(self, runs: int):
@@ -254,6 +245,8 @@ class Gathered:
             elif name == "seconds":
                 self.seconds += float(values)
 
-    def kept(self) -> Kept:
+    def kept(self) -> Totals:
         """What was added up."""
-        return Kept(self.sums, self.largest, self.histograms, self.measures, self.bounds, self.us_per_row, self.seconds)
+        return Totals(
+            self.sums, self.largest, self.histograms, self.measures, self.bounds, self.us_per_row, self.seconds
+        )

@@ -15,10 +15,10 @@ import jax
 import numpy as np
 
 from experiments.cli.console import Advance
+from experiments.monte_carlo.chunk import run_chunk
+from experiments.monte_carlo.chunk_store import ChunkStore
 from experiments.monte_carlo.declaration import Condition, Study
 from experiments.monte_carlo.results import NAMES, Results
-from experiments.monte_carlo.store import Store
-from experiments.monte_carlo.trajectories import trajectories
 from trackers.core.chunks import n_workers
 from trackers.core.errors import UnusableInput
 
@@ -27,14 +27,14 @@ CHUNKS_PER_DEVICE = 4
 
 
 @dataclass(frozen=True)
-class Until:
+class StopRule:
     """A figure and the half width of its interval, relative to it, at which a cell has runs enough."""
 
-    figure: str
+    metric: str
     share: float
 
     @classmethod
-    def parsed(cls, text: str, study: Study) -> Until:
+    def parse(cls, text: str, study: Study) -> StopRule:
         """From text as `rmse_m±1%`; raises UnusableInput for other text."""
         found = re.fullmatch(r"\s*(\w+)\s*(?:±|\+-|\+/-)\s*([0-9.]+)\s*%\s*", text)
         known = (*NAMES, *study.measures)
@@ -44,17 +44,17 @@ class Until:
             )
         return cls(found[1], float(found[2]) / 100)
 
-    def reached(self, results: Results, cell: Condition) -> bool:
+    def reached(self, results: Results, condition: Condition) -> bool:
         """Whether the figure is known so well for every tracker that has it."""
         for tracker in results.study.trackers:
-            value = results.at(self.figure, cell, tracker)
+            value = results.at(self.metric, condition, tracker)
             if np.isfinite(value.value) and value.high - value.low > 2 * self.share * abs(value.value):
                 return False
         return True
 
 
-def carry_out(
-    study: Study, folder: Path, shard: tuple[int, int], until: Until | None, advance: Advance
+def run_study(
+    study: Study, folder: Path, shard: tuple[int, int], until: StopRule | None, advance: Advance
 ) -> Results | None:
     """Run what is missing; the figures, or None where chunks of other shards are missing still.
 
@@ -63,32 +63,32 @@ def carry_out(
     """
     if until is not None and shard != (1, 1):
         raise UnusableInput("--until with --shard: a shard doesn't see the others' runs; leave one of them out")
-    store = Store(folder, study).opened()
+    store = ChunkStore(folder, study).open()
     if until is None:
-        every = [(cell, k) for cell in study.cells for k in range(study.chunks)]
-        complete(store, every[shard[0] - 1 :: shard[1]], advance)
-        runs = {cell.index: study.runs for cell in study.cells}
+        every = [(condition, k) for condition in study.conditions for k in range(study.chunks)]
+        run_missing(store, every[shard[0] - 1 :: shard[1]], advance)
+        runs = {condition.index: study.runs for condition in study.conditions}
     else:
-        runs = {cell.index: _run_until(store, cell, until, advance) for cell in study.cells}
-    whole = all(store.has(cell, k) for cell, n in runs.items() for k in range(-(-n // study.chunk)))
+        runs = {condition.index: _run_until(store, condition, until, advance) for condition in study.conditions}
+    whole = all(store.has(condition, k) for condition, n in runs.items() for k in range(-(-n // study.chunk)))
     return store.results(runs) if whole else None
 
 
-def _run_until(store: Store, cell: Condition, until: Until, advance: Advance) -> int:
+def _run_until(store: ChunkStore, condition: Condition, until: StopRule, advance: Advance) -> int:
     study, enough, done = store.study, 1, 0
     while True:
         wanted = min(enough, study.chunks)
-        complete(store, [(cell, k) for k in range(done, wanted)], advance)
+        run_missing(store, [(condition, k) for k in range(done, wanted)], advance)
         runs, done = min(enough * study.chunk, study.runs), wanted
-        if runs == study.runs or until.reached(store.results({cell.index: runs}), cell):
+        if runs == study.runs or until.reached(store.results({condition.index: runs}), condition):
             advance(study.chunks - wanted)
             return runs
         enough *= 2
 
 
-def complete(store: Store, chunks: Sequence[tuple[Condition, int]], advance: Advance) -> None:
+def run_missing(store: ChunkStore, chunks: Sequence[tuple[Condition, int]], advance: Advance) -> None:
     """Run those of the chunks that aren't there yet, as many at once as the host can."""
-    missing = [(cell, k) for cell, k in chunks if not store.has(cell.index, k)]
+    missing = [(condition, k) for condition, k in chunks if not store.has(condition.index, k)]
     advance(len(chunks) - len(missing))
     devices: SimpleQueue[Any] = SimpleQueue()
     taking_part = jax.local_devices()[: max(1, len(missing) // CHUNKS_PER_DEVICE)]
@@ -97,17 +97,17 @@ def complete(store: Store, chunks: Sequence[tuple[Condition, int]], advance: Adv
         devices.put(taking_part[k % len(taking_part)])
     size = store.study.chunk
 
-    def run(cell: Condition, chunk: int) -> None:
+    def run(condition: Condition, chunk: int) -> None:
         device = devices.get()
         try:
             with jax.default_device(device):
                 began, ids = time.perf_counter(), np.arange(chunk * size, (chunk + 1) * size)
-                kept = trajectories(store.study, cell, ids, first=chunk == 0)
+                kept = run_chunk(store.study, condition, ids, first=chunk == 0)
                 kept[0]["seconds"] = np.array(time.perf_counter() - began)
-                store.put(cell.index, chunk, kept)
+                store.put(condition.index, chunk, kept)
         finally:
             devices.put(device)
-        advance(1, cell.label)
+        advance(1, condition.label)
 
     with ThreadPoolExecutor(workers) as pool:
         waiting = [pool.submit(run, *one) for one in missing]

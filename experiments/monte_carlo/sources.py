@@ -18,14 +18,14 @@ from experiments.monte_carlo.declaration import Study, TrackerConfig, World, che
 from sim.worlds import WORLDS
 from trackers.core.errors import UnusableInput
 
-KEYS = {
-    "name": str, "about": str, "runs": int, "seed": int, "figures": list,
+STUDY_KEYS = {
+    "name": str, "about": str, "runs": int, "seed": int, "metrics": list,
     "worlds": dict, "trackers": dict, "grid": dict,
 }  # fmt: skip
-ENTRANT = {"tracker": str, "tunables": dict, "smooth": bool, "free_height": bool, "every": (int, float)}
+TRACKER_KEYS = {"tracker": str, "tunables": dict, "smooth": bool, "free_height": bool, "every": (int, float)}
 
 
-def names() -> list[str]:
+def available_studies() -> list[str]:
     """The studies of this project."""
     return sorted(_modules())
 
@@ -42,7 +42,7 @@ def _modules() -> dict[str, str]:
     return found
 
 
-def study_of(what: str) -> Study:
+def load_study(what: str) -> Study:
     """A study by name or file; raises UnusableInput where there is none and where it can't be run."""
     path = Path(what)
     if path.suffix == ".toml":
@@ -95,11 +95,13 @@ def _from_toml(path: Path) -> Study:
         raise UnusableInput(f"{path}: cannot be read ({error.strerror}); expected a study in TOML") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise UnusableInput(f"{path}: is not valid TOML ({str(error).splitlines()[0]}); correct it") from error
-    _of_kinds(path, "", content, KEYS)
+    if "figures" in content:
+        raise UnusableInput(f"{path}: the key 'figures' is now called 'metrics'; rename it")
+    _of_kinds(path, "", content, STUDY_KEYS)
     trackers = {}
     for name, table in content.get("trackers", {}).items():
         where = f"trackers.{name}"
-        _of_kinds(path, where, table, ENTRANT)
+        _of_kinds(path, where, table, TRACKER_KEYS)
         trackers[name] = TrackerConfig(**{"tracker": name, **table})
     return Study(
         name=content.get("name", path.stem),
@@ -107,7 +109,7 @@ def _from_toml(path: Path) -> Study:
         worlds={name: _world(path, name, table) for name, table in content.get("worlds", {}).items()},
         trackers=trackers,
         source=text,
-        **{k: content[k] for k in ("runs", "seed", "figures", "grid") if k in content},
+        **{k: content[k] for k in ("runs", "seed", "metrics", "grid") if k in content},
     )
 
 

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from experiments.monte_carlo.chunk import run_chunk
 from experiments.monte_carlo.declaration import Study
-from experiments.monte_carlo.trajectories import trajectories
 from trackers.recordings.atomic import atomic_write
 
 EXPERIMENTS = Path(__file__).parents[1]
@@ -81,10 +81,10 @@ def solved(
 def means(study: Study, runs: int) -> dict[tuple[str, str], dict[str, float]]:
     """The measures' means of a few trajectories: (world, tracker) -> measure -> mean; of the grid's last point."""
     found = {}
-    for cell in study.cells:
-        kept = trajectories(study, cell, np.arange(runs), first=False)
+    for condition in study.conditions:
+        kept = run_chunk(study, condition, np.arange(runs), first=False)
         for tracker, arrays in zip(study.trackers, kept, strict=True):
-            found[cell.world, tracker] = {
+            found[condition.world, tracker] = {
                 name.removeprefix("measure "): float(np.nanmean(values))
                 for name, values in arrays.items()
                 if name.startswith("measure ")

@@ -18,8 +18,8 @@ from typing import Any
 
 from experiments.bench.processes import new_interpreter
 from experiments.cli.console import notice, progress
-from experiments.monte_carlo.results import Value
-from experiments.monte_carlo.sources import names, study_of
+from experiments.monte_carlo.expectations import Value
+from experiments.monte_carlo.sources import available_studies, load_study
 from experiments.reports.wording import Unit, with_interval
 from trackers.core.errors import UnusableInput
 from trackers.recordings.atomic import atomic_write
@@ -36,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=Path("out/papers"), help="where the studies go")
     parser.add_argument("--results", type=Path, default=RESULTS, help="the page to write")
     options = parser.parse_args(arguments)
-    chosen = [study for study in map(study_of, names()) if study.claims is not None]
+    chosen = [study for study in map(load_study, available_studies()) if study.expected is not None]
     parts, failed, seconds = [], [], 0.0
     with progress("papers", len(chosen)) as advance:
         for study in chosen:

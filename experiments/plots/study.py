@@ -13,7 +13,8 @@ from matplotlib.ticker import LogLocator, NullLocator, PercentFormatter
 
 from experiments.monte_carlo.accumulators import KINDS
 from experiments.monte_carlo.declaration import Condition, short
-from experiments.monte_carlo.results import Results, Value
+from experiments.monte_carlo.expectations import Value
+from experiments.monte_carlo.results import Results
 from experiments.plots.drawings import HEIGHT, WIDTH, drawn, plain
 from experiments.plots.style import LINES, literal
 from experiments.reports.wording import SUFFIXES, Unit, heading, unit_of
@@ -65,7 +66,7 @@ def _along(results: Results, along: str, values: Mapping[tuple[int, str], np.nda
     def draw(figure: Figure) -> None:
         axes = figure.subplots()
         for number, (world, tracker) in enumerate(series):
-            there = [c for c in study.cells if c.world == world and (c.index, tracker) in values]
+            there = [c for c in study.conditions if c.world == world and (c.index, tracker) in values]
             if not there:
                 continue
             x = [float(c.point[along]) for c in there]
@@ -95,13 +96,13 @@ def _along(results: Results, along: str, values: Mapping[tuple[int, str], np.nda
 def _bars(results: Results, values: Mapping[tuple[int, str], np.ndarray], title: str) -> str:
     """Points with intervals, a row for every cell and tracker."""
     trackers = list(results.study.trackers)
-    rows = [(c, t) for c in results.study.cells for t in trackers if (c.index, t) in values]
+    rows = [(c, t) for c in results.study.conditions for t in trackers if (c.index, t) in values]
 
     def draw(figure: Figure) -> None:
         axes = figure.subplots()
-        for k, (cell, tracker) in enumerate(rows):
+        for k, (condition, tracker) in enumerate(rows):
             number = trackers.index(tracker)
-            colour, (middle, low, high) = LINES[number % len(LINES)], values[cell.index, tracker]
+            colour, (middle, low, high) = LINES[number % len(LINES)], values[condition.index, tracker]
             axes.plot([low, high], [k, k], color=colour, linewidth=3, alpha=0.35, solid_capstyle="butt")
             mark = MARKS[number % len(MARKS)]
             axes.plot(middle, k, color=colour, marker=mark, markersize=5, clip_on=False, zorder=3)
@@ -124,41 +125,45 @@ def distribution_charts(results: Results, lengths: Unit | None) -> list[Drawing]
     `lengths`: the unit of lengths on the page, None where it has none.
     """
     study = results.study
-    cells = study.cells[:SHOWN_CELLS]
-    kinds = [_kind(results, cell) for cell in cells]
-    medians = [results.at(f"median_{k}", c, t).value for c, k in zip(cells, kinds, strict=True) for t in study.trackers]
+    conditions = study.conditions[:SHOWN_CELLS]
+    kinds = [_kind(results, condition) for condition in conditions]
+    medians = [
+        results.at(f"median_{k}", c, t).value for c, k in zip(conditions, kinds, strict=True) for t in study.trackers
+    ]
     units = {k: lengths if lengths and k.endswith("m") else unit_of(f"median_{k}", medians) for k in kinds}
-    curves = [_curves(results, c, k, units[k].factor) for c, k in zip(cells, kinds, strict=True)]
+    curves = [_curves(results, c, k, units[k].factor) for c, k in zip(conditions, kinds, strict=True)]
     ends = [max(float(x[np.searchsorted(share, 0.98)]) for x, share in own.values()) for own in curves]
     if len(set(kinds)) == 1 and max(ends) <= ALIKE * min(ends):
         ends = [max(ends)] * len(ends)
 
-    def draw(figure: Figure, cell: int, title: str) -> None:
+    def draw(figure: Figure, condition: int, title: str) -> None:
         axes = figure.subplots()
         for number, tracker in enumerate(study.trackers):
-            if tracker in curves[cell]:
-                axes.plot(*curves[cell][tracker], **_look(number), label=literal(tracker))
-        error = f"error {SUFFIXES[kinds[cell]]}".strip()
-        axes.set(xlim=(0, ends[cell]), ylim=(0, 1), xlabel=f"{error}, {units[kinds[cell]].name}")
+            if tracker in curves[condition]:
+                axes.plot(*curves[condition][tracker], **_look(number), label=literal(tracker))
+        error = f"error {SUFFIXES[kinds[condition]]}".strip()
+        axes.set(xlim=(0, ends[condition]), ylim=(0, 1), xlabel=f"{error}, {units[kinds[condition]].name}")
         axes.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=" %"))
         axes.set_title(literal(title))
         _legend(figure, axes)
         plain(axes, "both")
 
     made = []
-    for k, cell in enumerate(cells):
-        title = f"Share of estimates with less error: {cell.label}"
+    for k, condition in enumerate(conditions):
+        title = f"Share of estimates with less error: {condition.label}"
         image = drawn(lambda figure, k=k, title=title: draw(figure, k, title), WIDTH, _height(len(study.trackers)))  # type: ignore[misc]
         made.append(Drawing(title, image))
     return made
 
 
-def _curves(results: Results, cell: Condition, kind: str, factor: float) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def _curves(
+    results: Results, condition: Condition, kind: str, factor: float
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """By tracker that has such errors: errors in the unit of the drawing, and the share of estimates with less."""
     found = {}
     for tracker in results.study.trackers:
-        if kind in results.kept[cell.index, tracker].histograms:
-            edges, share = results.cdf(cell.world, tracker, kind, **cell.point)
+        if kind in results.kept[condition.index, tracker].histograms:
+            edges, share = results.cdf(condition.world, tracker, kind, **condition.point)
             found[tracker] = edges * factor, share
     return found
 
@@ -194,12 +199,12 @@ def _plain_log(axis: Axis) -> None:
     axis.set_minor_locator(NullLocator())
 
 
-def _kind(results: Results, cell: Condition) -> str:
+def _kind(results: Results, condition: Condition) -> str:
     """The kind of errors that the study's figures are about: of the first that names one, else what there is."""
-    there = {k for t in results.study.trackers for k in results.kept[cell.index, t].histograms}
+    there = {k for t in results.study.trackers for k in results.kept[condition.index, t].histograms}
     # The longer suffixes first: `3d_m` ends in `m` too.
     kinds = sorted(there, key=len, reverse=True)
-    asked = (k for f in results.study.figures for k in kinds if f.endswith(f"_{k}"))
+    asked = (k for f in results.study.metrics for k in kinds if f.endswith(f"_{k}"))
     return next(asked, next(k for k in KINDS if k in there))
 
 
@@ -213,7 +218,7 @@ def _axis(results: Results) -> str | None:
     return name if len(numbers) == len(values) > 2 else None
 
 
-def _row_name(results: Results, cell: Condition, tracker: str) -> str:
+def _row_name(results: Results, condition: Condition, tracker: str) -> str:
     if len(results.study.trackers) == 1:
-        return cell.label
-    return tracker if len(results.study.cells) == 1 else f"{cell.label}: {tracker}"
+        return condition.label
+    return tracker if len(results.study.conditions) == 1 else f"{condition.label}: {tracker}"

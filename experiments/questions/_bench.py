@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 import polars as pl
 
-from experiments.monte_carlo.trajectories import Run
+from experiments.monte_carlo.errors import TrackedRuns
 from sim.corruptions import white_noise
 from sim.imu import simulate_uwb_imu
 from sim.ranging import CHAMBER, antenna_biases, chamber, one_at_a_time
@@ -54,21 +54,21 @@ def bench(ids: np.ndarray, seed: int, spacing: float) -> RecordingFolder:
     return replace(felt, rig=replace(felt.rig, stations=heard.rig.stations), tables=tables)
 
 
-def decided(run: Run) -> tuple[Decisions, np.ndarray]:
+def decided(tracked: TrackedRuns) -> tuple[Decisions, np.ndarray]:
     """The decisions on all rows, trajectory after trajectory, and the point at which the tool rests (n, T)."""
-    table = run.folder.tables["points"]
+    table = tracked.folder.tables["points"]
     points = WorkPoints(tuple(table["name"]), table.select("x_m", "y_m").to_numpy())
-    rows = run.known & (run.times >= WARM_UP_S)
-    at = at_work(np.where(rows[..., None], run.truth, np.nan)[..., :2].reshape(-1, 2), points, REST_M)
-    means, spread = run.estimates[..., :2].reshape(-1, 2), run.covariance[..., :2, :2].reshape(-1, 2, 2)
-    return decide(means, spread, points, points.tolerance(), 0.0), at.reshape(run.known.shape)
+    rows = tracked.known & (tracked.times >= WARM_UP_S)
+    at = at_work(np.where(rows[..., None], tracked.truth, np.nan)[..., :2].reshape(-1, 2), points, REST_M)
+    means, spread = tracked.estimates[..., :2].reshape(-1, 2), tracked.covariance[..., :2, :2].reshape(-1, 2, 2)
+    return decide(means, spread, points, points.tolerance(), 0.0), at.reshape(tracked.known.shape)
 
 
-def _share(hit: Callable[[Decisions, np.ndarray], np.ndarray]) -> Callable[[Run], np.ndarray]:
+def _share(hit: Callable[[Decisions, np.ndarray], np.ndarray]) -> Callable[[TrackedRuns], np.ndarray]:
     """The mean of what `hit` says of a row over the rows at rest of each trajectory, NaN where it has none."""
 
-    def measure(run: Run) -> np.ndarray:
-        decisions, at = decided(run)
+    def measure(tracked: TrackedRuns) -> np.ndarray:
+        decisions, at = decided(tracked)
         rest = at != NOWHERE
         hits = np.where(rest, hit(decisions, at.ravel()).reshape(at.shape), 0.0).sum(axis=1)
         return np.where(rest.any(axis=1), hits / np.maximum(rest.sum(axis=1), 1), np.nan)

@@ -10,9 +10,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments.monte_carlo.expectations import Conclusion
-from experiments.monte_carlo.results import Results, Value, resampled
-from experiments.monte_carlo.trajectories import Run
+from experiments.monte_carlo.errors import TrackedRuns
+from experiments.monte_carlo.expectations import Conclusion, Value
+from experiments.monte_carlo.results import Results, resampled
 from experiments.papers.fitting import Fitted, fitted_file, write_fitted
 from sim.paths import WORK_VOLUME
 from sim.scenarios import work_station
@@ -109,10 +109,10 @@ def bound_map(layout: AbstractLayout, theta: np.ndarray, points: np.ndarray) -> 
         return np.asarray(jax.jit(lambda t, p: bounds(layout.looks(t), p))(jnp.asarray(theta), jnp.asarray(points)))
 
 
-def squares(run: Run) -> np.ndarray:
+def squares(tracked: TrackedRuns) -> np.ndarray:
     """The mean squared error in space (n,), m², after the first three seconds."""
-    rows = run.known & (run.times - run.times[:, :1] >= 3.0)
-    square = np.sum((run.estimates - run.truth) ** 2, axis=-1)
+    rows = tracked.known & (tracked.times - tracked.times[:, :1] >= 3.0)
+    square = np.sum((tracked.estimates - tracked.truth) ** 2, axis=-1)
     mean: np.ndarray = np.nanmean(np.where(rows, square, np.nan), axis=1)
     return mean
 

@@ -53,7 +53,7 @@ def walks(ids: np.ndarray, seed: int, layout: str) -> RecordingFolder:
     return simulated_ranging(world, "hall")
 
 
-def claims(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: Results) -> list[ExpectedResult | Conclusion]:
     """The gradient against the grid, and tracks against bounds."""
     usual, grid, gradient = (DESIGNS[layout] for layout in LAYOUTS)
     bound, found = gradient.bound / usual.bound, fall(results, "uwb", "gradient")
@@ -118,7 +118,7 @@ STUDY = Study(
     },
     runs=100,
     measures={"square_3d_m2": squares},
-    figures=("rmse_3d_m", "median_3d_m", "p95_3d_m", "rmse_m"),
-    claims=claims,
+    metrics=("rmse_3d_m", "median_3d_m", "p95_3d_m", "rmse_m"),
+    expected=expected,
     draw=draw,
 )

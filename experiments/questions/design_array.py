@@ -36,7 +36,7 @@ def helices(ids: np.ndarray, seed: int, layout: str) -> RecordingFolder:
     return as_folder(world, "work-stand")
 
 
-def claims(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: Results) -> list[ExpectedResult | Conclusion]:
     """The gradient against the grid, and tracks against bounds."""
     usual, grid, gradient = (DESIGNS[layout] for layout in LAYOUTS)
     found = fall(results, "direct", "gradient")
@@ -96,7 +96,7 @@ STUDY = Study(
     },
     runs=100,
     measures={"square_3d_m2": squares},
-    figures=("rmse_3d_m", "p95_3d_m", "bound_3d_m", "diverged"),
-    claims=claims,
+    metrics=("rmse_3d_m", "p95_3d_m", "bound_3d_m", "diverged"),
+    expected=expected,
     draw=draw,
 )

@@ -18,8 +18,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
 from experiments.monte_carlo.declaration import Study, TrackerConfig, World
-from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
-from experiments.monte_carlo.results import Results, Value, resampled
+from experiments.monte_carlo.expectations import Conclusion, ExpectedResult, Value
+from experiments.monte_carlo.results import Results, resampled
 from experiments.plots.drawings import plain
 from experiments.plots.study_pictures import picture
 from experiments.plots.style import BLUE, GREY, ORANGE, VERMILION
@@ -32,7 +32,7 @@ OF_RANGES = {
     "sensors.ranges.tail": 30.0,
     "start.sigma_bias": BIAS,
 }
-ENTRANTS = {
+CONFIGS = {
     "direct": TrackerConfig("direct", {"sensors.*.sigma_p": SIGMA_P, "motion.sigma_a": 0.3}, free_height=True),
     "cascade": TrackerConfig(
         "cascade",
@@ -45,9 +45,9 @@ ENTRANTS = {
 OF_A, OF_C = ("direct", "cascade"), ("uwb", "uwb-imu")
 
 
-def claims(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: Results) -> list[ExpectedResult | Conclusion]:
     """The two spacings that the papers name, and whether a claimed 95 % is 95 %."""
-    at = {t: [_at(results, "named_right", t, s) for s in SPACINGS] for t in ENTRANTS}
+    at = {t: [_at(results, "named_right", t, s) for s in SPACINGS] for t in CONFIGS}
     near, far = SPACINGS.index(0.005), SPACINGS.index(0.2)
     lines = {t: _at(results, "released_right", t, 0.005) for t in OF_A}
     found: list[ExpectedResult | Conclusion] = [
@@ -66,7 +66,7 @@ def claims(results: Results) -> list[ExpectedResult | Conclusion]:
             ),
         ),
     ]
-    every = {t: [_false_share(results, t, s) for s in SPACINGS] for t in ENTRANTS}
+    every = {t: [_false_share(results, t, s) for s in SPACINGS] for t in CONFIGS}
     false = {t: max(values, key=lambda v: np.nan_to_num(v.value, nan=-1.0)) for t, values in every.items()}
     found.append(
         Conclusion(
@@ -75,8 +75,8 @@ def claims(results: Results) -> list[ExpectedResult | Conclusion]:
             "at the spacing where most are: " + ", ".join(f"{t} {_percent(v)}" for t, v in false.items()),
         )
     )
-    size = {t: _at(results, "rmse_m", t, 0.05 if t in OF_A else 0.2).value for t in ENTRANTS}
-    enough = {t: _spacing_for(0.95, [v.value for v in at[t]]) / size[t] for t in ENTRANTS}
+    size = {t: _at(results, "rmse_m", t, 0.05 if t in OF_A else 0.2).value for t in CONFIGS}
+    enough = {t: _spacing_for(0.95, [v.value for v in at[t]]) / size[t] for t in CONFIGS}
     found.append(
         Conclusion(
             "95 % of the namings are right from a spacing of two to four times the horizontal RMSE on",
@@ -99,7 +99,7 @@ def draw(results: Results, folder: Path) -> list[str]:
 
     def panels(figure: Figure) -> None:
         axes = figure.subplots(2, 2, sharex=True, sharey=True).ravel()
-        for ax, tracker in zip(axes, ENTRANTS, strict=True):
+        for ax, tracker in zip(axes, CONFIGS, strict=True):
             for label, (measure, colour, style) in lines.items():
                 values = np.array([_at(results, measure, tracker, s) for s in SPACINGS])
                 ax.plot(SPACINGS, values[:, 0], style, color=colour, label=label)
@@ -146,11 +146,11 @@ STUDY = Study(
     name="worksteps",
     about="Right place? How often a hand tool's point of work is named and released, against the points' spacing",
     worlds={"bench": World(bench)},
-    trackers=ENTRANTS,
+    trackers=CONFIGS,
     runs=40,
     grid={"world.spacing": SPACINGS},
     measures=MEASURES,
-    figures=(*MEASURES, "rmse_m", "nees_mean"),
-    claims=claims,
+    metrics=(*MEASURES, "rmse_m", "nees_mean"),
+    expected=expected,
     draw=draw,
 )

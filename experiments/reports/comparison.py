@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from experiments.monte_carlo.declaration import short
-from experiments.monte_carlo.results import Value
+from experiments.monte_carlo.expectations import Value
 from trackers.core.errors import UnusableInput
 
 RESULTS, EVALUATION = "results.json", "evaluation.json"

@@ -105,7 +105,7 @@ def _claims(claims: Sequence[ExpectedResult | Conclusion]) -> str:
         reached = "" if c.reached is None else "yes" if c.reached else "no"
         kind = "fitted" if c.fitted else "predicted"
         rows.append(
-            [c.figure, f"{c.printed:g}\u00a0{c.unit}", with_interval(c.ours, Unit(c.unit, 1.0)), f"{c.ratio:.2f}", kind,
+            [c.quantity, f"{c.printed:g}\u00a0{c.unit}", with_interval(c.ours, Unit(c.unit, 1.0)), f"{c.ratio:.2f}", kind,
              reached, c.note]
         )  # fmt: skip
     judged = [c for c in own if c.reached is not None]
@@ -121,7 +121,7 @@ def _claims(claims: Sequence[ExpectedResult | Conclusion]) -> str:
 
 
 def _conclusions(claims: Sequence[ExpectedResult | Conclusion]) -> str:
-    rows = [[c.says, "yes" if c.holds else "no", c.evidence] for c in claims if isinstance(c, Conclusion)]
+    rows = [[c.statement, "yes" if c.holds else "no", c.evidence] for c in claims if isinstance(c, Conclusion)]
     content = table(["conclusion", "holds", "evidence"], rows, ["", "judged", "long"]) if rows else ""
     return section("conclusions", "Conclusions", "", content)
 
@@ -140,17 +140,17 @@ def _own(pictures: Sequence[Path]) -> str:
 def _figures(results: Results) -> str:
     study = results.study
     head, columns = ["world", "tracker"], []
-    shown = results.shown()
+    shown = results.main_metrics()
     units = units_of({f: [v.value for v in found.values()] for f, found in shown.items()})
     for figure, found in shown.items():
         unit = units[figure]
         head.append(heading(figure) + (f",\u00a0{unit.name}" if unit.name else ""))
         columns.append({k: with_interval(v, unit) for k, v in found.items()})
-    rows = [[c.label, t, *(column[c.index, t] for column in columns)] for c in study.cells for t in study.trackers]
+    rows = [[c.label, t, *(column[c.index, t] for column in columns)] for c in study.conditions for t in study.trackers]
     counts = sorted(set(results.runs.values()))
     runs = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
     lead = f"{runs} trajectories per row, the same for all trackers. In brackets 95 % intervals by resampling them."
-    if any(f.startswith("bound") for f in study.figures):
+    if any(f.startswith("bound") for f in study.metrics):
         lead += " The bound is by the tracker's own noise levels, over the second half of the rows."
     return section("figures", "Figures", lead, table(head, rows, ["", "text", *[""] * len(columns)]))
 
@@ -158,11 +158,11 @@ def _figures(results: Results) -> str:
 def _differences(results: Results) -> str:
     study = results.study
     names = list(study.trackers)
-    figures = [f for f in study.figures if f not in ("bound_m", "bound_3d_m", "us_per_row")]
+    figures = [f for f in study.metrics if f not in ("bound_m", "bound_3d_m", "us_per_row")]
     if len(names) < 2 or not figures:
         return ""
     head, columns = ["world", "tracker"], []
-    pairs = [(c, t) for c in study.cells for t in names[1:]]
+    pairs = [(c, t) for c in study.conditions for t in names[1:]]
     for figure in figures:
         found = [results.compared(_ratio, figure, c, t, names[0]) for c, t in pairs]
         if not any(np.isfinite(v.value) for v in found):
@@ -184,13 +184,13 @@ def _ratio(a: Any, b: Any) -> Any:
 
 
 def _charts(results: Results) -> str:
-    found = results.shown()
+    found = results.main_metrics()
     units = units_of({f: [v.value for v in values.values()] for f, values in found.items()})
-    names = [f for f in results.study.figures if f != "us_per_row"][:4]
+    names = [f for f in results.study.metrics if f != "us_per_row"][:4]
     drawings = [x for f in names if (x := figure_chart(results, f, found[f], units[f])) is not None]
-    more = len(results.study.cells) - SHOWN_CELLS
+    more = len(results.study.conditions) - SHOWN_CELLS
     lead = "Bands and bars are the 95 % intervals." + (
-        f" Distributions of the first {SHOWN_CELLS} of {len(results.study.cells)} cells." if more > 0 else ""
+        f" Distributions of the first {SHOWN_CELLS} of {len(results.study.conditions)} cells." if more > 0 else ""
     )
     lengths = next((unit for figure, unit in units.items() if figure.endswith("_m")), None)
     return section("charts", "Charts", lead, _abreast(drawings) + _abreast(distribution_charts(results, lengths)))

@@ -11,8 +11,8 @@ from rich.table import Table
 
 from experiments.cli.console import rendered
 from experiments.monte_carlo.declaration import Study
-from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
-from experiments.monte_carlo.results import NAMES, Results, Value
+from experiments.monte_carlo.expectations import Conclusion, ExpectedResult, Value
+from experiments.monte_carlo.results import NAMES, Results
 from experiments.reports.wording import Unit, heading, units_of, with_interval
 from trackers.recordings.atomic import json_text
 
@@ -21,7 +21,7 @@ WIDTH = 160
 
 def to_text(results: Results, claims: Sequence[ExpectedResult | Conclusion]) -> str:
     """The main figures of every cell and tracker, and what was printed beside ours."""
-    shown = results.shown()
+    shown = results.main_metrics()
     units = units_of({f: [v.value for v in found.values()] for f, found in shown.items()})
     tables = [_table(results.study, figure, found, units[figure]) for figure, found in shown.items()]
     printed = [t for t in (_claims(claims), _conclusions(claims)) if t is not None]
@@ -34,8 +34,8 @@ def _table(study: Study, figure: str, found: Mapping[tuple[int, str], Value], un
     table.add_column("world")
     for name in study.trackers:
         table.add_column(name, justify="right")
-    for cell in study.cells:
-        table.add_row(cell.label, *(with_interval(found[cell.index, t], unit) for t in study.trackers))
+    for condition in study.conditions:
+        table.add_row(condition.label, *(with_interval(found[condition.index, t], unit) for t in study.trackers))
     return table
 
 
@@ -50,7 +50,7 @@ def _claims(claims: Sequence[ExpectedResult | Conclusion]) -> Table | None:
         reached = "" if c.reached is None else "yes" if c.reached else "no"
         interval = with_interval(c.ours, Unit(c.unit, 1.0))
         kind = "fitted" if c.fitted else "predicted"
-        table.add_row(c.figure, f"{c.printed:g}", interval, c.unit, f"{c.ratio:.2f}", kind, reached)
+        table.add_row(c.quantity, f"{c.printed:g}", interval, c.unit, f"{c.ratio:.2f}", kind, reached)
     return table
 
 
@@ -62,7 +62,7 @@ def _conclusions(claims: Sequence[ExpectedResult | Conclusion]) -> Table | None:
     for name in ("says", "holds", "evidence"):
         table.add_column(name)
     for c in own:
-        table.add_row(c.says, "yes" if c.holds else "no", c.evidence)
+        table.add_row(c.statement, "yes" if c.holds else "no", c.evidence)
     return table
 
 
@@ -79,7 +79,7 @@ def to_json(results: Results, claims: Sequence[ExpectedResult | Conclusion]) -> 
             "cells": figures,
             "us_per_row": {
                 c.label: {t: results.at("us_per_row", c, t).value for t in results.study.trackers}
-                for c in results.study.cells
+                for c in results.study.conditions
             },
             "claims": [_claim(c) for c in claims],
         }
@@ -95,21 +95,21 @@ def _all_figures(results: Results) -> list[dict[str, Any]]:
     study, made = results.study, []
     names = [*(n for n in NAMES if n != "us_per_row"), *study.measures]
     reference = next(iter(study.trackers))
-    for cell in study.cells:
+    for condition in study.conditions:
         for tracker in study.trackers:
-            values = {n: results.at(n, cell, tracker) for n in names if _has(results, n, cell.index, tracker)}
+            values = {n: results.at(n, condition, tracker) for n in names if _has(results, n, condition.index, tracker)}
             known = {n: v for n, v in values.items() if v.value == v.value}
             differences = {
-                n: results.compared(_less, n, cell, tracker, reference)._asdict()
+                n: results.compared(_less, n, condition, tracker, reference)._asdict()
                 for n in known
-                if tracker != reference and _has(results, n, cell.index, reference)
+                if tracker != reference and _has(results, n, condition.index, reference)
             }
             made.append(
                 {
-                    "world": cell.world,
-                    "point": dict(cell.point),
+                    "world": condition.world,
+                    "point": dict(condition.point),
                     "tracker": tracker,
-                    "runs": results.runs[cell.index],
+                    "runs": results.runs[condition.index],
                     "figures": {n: v._asdict() for n, v in known.items()},
                     f"less {reference}": differences,
                 }
@@ -121,9 +121,9 @@ def _less(a: Any, b: Any) -> Any:
     return a - b
 
 
-def _has(results: Results, figure: str, cell: int, tracker: str) -> bool:
+def _has(results: Results, figure: str, condition: int, tracker: str) -> bool:
     """Whether a figure of a kind of error that the tracker doesn't have is asked for."""
-    kept = results.kept[cell, tracker]
+    kept = results.kept[condition, tracker]
     kinds = ("3d_m", "direction_rad", "azimuth_rad", "elevation_rad", "m")
     if figure in kept.measures or figure.startswith("bound"):
         return True
@@ -133,10 +133,10 @@ def _has(results: Results, figure: str, cell: int, tracker: str) -> bool:
 
 def _claim(claim: ExpectedResult | Conclusion) -> dict[str, Any]:
     if isinstance(claim, Conclusion):
-        return {"says": claim.says, "holds": claim.holds, "evidence": claim.evidence}
+        return {"says": claim.statement, "holds": claim.holds, "evidence": claim.evidence}
     own: Value = claim.ours
     return {
-        "figure": claim.figure,
+        "figure": claim.quantity,
         "printed": claim.printed,
         "ours": own._asdict(),
         "unit": claim.unit,

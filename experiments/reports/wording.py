@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.monte_carlo.results import Value
+from experiments.monte_carlo.expectations import Value
 from experiments.plots.style import length_unit
 
 WORDS = {

@@ -35,7 +35,7 @@ def of_window(rows: int, stamped: bool) -> TrackerSpec:
     )
 
 
-def claims(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: Results) -> list[ExpectedResult | Conclusion]:
     """The longer the smoother, the longer the later; and what 9 balances."""
     found: list[ExpectedResult | Conclusion] = []
     for world in ("0.5 m/s", "0.2 m/s"):
@@ -84,6 +84,6 @@ STUDY = Study(
     },
     runs=50,
     measures={name: MEASURES[name] for name in ("route_mean_m", "route_max_m", "improved")},
-    figures=("route_mean_m", "route_max_m", "mean_m", "improved"),
-    claims=claims,
+    metrics=("route_mean_m", "route_max_m", "mean_m", "improved"),
+    expected=expected,
 )

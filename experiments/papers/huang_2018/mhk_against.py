@@ -12,8 +12,8 @@ from dataclasses import replace
 import equinox as eqx
 
 from experiments.monte_carlo.declaration import Study, TrackerConfig, World
-from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
-from experiments.monte_carlo.results import Results, Value
+from experiments.monte_carlo.expectations import Conclusion, ExpectedResult, Value
+from experiments.monte_carlo.results import Results
 from experiments.papers.fitting import fitted
 from experiments.papers.huang_2018.workshop import MEASURES, workshop
 from trackers.core.ekf import ExtendedKalman
@@ -38,7 +38,7 @@ def _mhk(about: str, chain: bool = True, rate: float | None = None) -> TrackerSp
     return replace(TRACKERS["mhk-stamped"], about=about, build=lambda trajectory, planar: made)
 
 
-ENTRANTS = {
+CONFIGS = {
     "mhk-stamped": TrackerConfig("mhk-stamped", MHK),
     "mhk": TrackerConfig("mhk", MHK),
     "no chain": TrackerConfig(_mhk("MH-K without its Markov chain: median and Kalman filter", chain=False), MHK),
@@ -49,7 +49,7 @@ ENTRANTS = {
 }
 
 
-def claims(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: Results) -> list[ExpectedResult | Conclusion]:
     """What the chain adds, and what else a drifting fix can be followed with."""
     found: list[ExpectedResult | Conclusion] = []
     for world in WORLDS:
@@ -89,9 +89,9 @@ STUDY = Study(
     name="mhk-against",
     about="MH-K against Singer's model, interacting models and a plain Kalman filter, and without its Markov chain",
     worlds={name: World(workshop, {**NOISE, "speed": speed}) for name, speed in WORLDS.items()},
-    trackers=ENTRANTS,
+    trackers=CONFIGS,
     runs=50,
     measures={name: MEASURES[name] for name in ("route_mean_m", "route_max_m", "improved")},
-    figures=("route_mean_m", "route_max_m", "mean_m", "rmse_m", "us_per_row"),
-    claims=claims,
+    metrics=("route_mean_m", "route_max_m", "mean_m", "rmse_m", "us_per_row"),
+    expected=expected,
 )

@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from experiments.monte_carlo.declaration import Study, TrackerConfig, World
-from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
-from experiments.monte_carlo.results import Results, Value
-from experiments.monte_carlo.trajectories import Run
+from experiments.monte_carlo.errors import TrackedRuns
+from experiments.monte_carlo.expectations import Conclusion, ExpectedResult, Value
+from experiments.monte_carlo.results import Results
 from experiments.papers.fitting import fitted
 from experiments.questions._windows import RAW
 from sim.agv import Route, simulate_agv
@@ -41,33 +41,33 @@ def workshop(
     return simulated_agv(simulate_agv(ids.tolist(), seed, route=ROUTE, speed=speed, errors=errors), "workshop")
 
 
-def off_route(run: Run) -> np.ndarray:
+def off_route(tracked: TrackedRuns) -> np.ndarray:
     """Distances (n, T), m, of the estimates to the designed route; NaN where there is none."""
-    return np.where(run.known, ROUTE.distance(run.estimates[..., :2]), np.nan)
+    return np.where(tracked.known, ROUTE.distance(tracked.estimates[..., :2]), np.nan)
 
 
-def raw_off_route(run: Run) -> np.ndarray:
+def raw_off_route(tracked: TrackedRuns) -> np.ndarray:
     """The same of the fixes themselves."""
-    fixes = run.folder.tables["fixes"].select("x_m", "y_m").to_numpy()
-    return ROUTE.distance(fixes.reshape(-1, len(run.estimates), 2)).T
+    fixes = tracked.folder.tables["fixes"].select("x_m", "y_m").to_numpy()
+    return ROUTE.distance(fixes.reshape(-1, len(tracked.estimates), 2)).T
 
 
-def _each(figure: Callable[[np.ndarray], np.ndarray]) -> Callable[[Run], np.ndarray]:
-    return lambda run: figure(off_route(run))
+def _each(figure: Callable[[np.ndarray], np.ndarray]) -> Callable[[TrackedRuns], np.ndarray]:
+    return lambda tracked: figure(off_route(tracked))
 
 
-def _improved(run: Run) -> np.ndarray:
+def _improved(tracked: TrackedRuns) -> np.ndarray:
     """The share of the fixes that are nearer to the route than they were."""
-    nearer = np.where(run.known, off_route(run) < raw_off_route(run), np.nan)
+    nearer = np.where(tracked.known, off_route(tracked) < raw_off_route(tracked), np.nan)
     share: np.ndarray = np.nanmean(nearer, axis=1)
     return share
 
 
-def _within(limit: float) -> Callable[[Run], np.ndarray]:
-    return lambda run: np.nanmean(np.where(run.known, off_route(run) < limit, np.nan), axis=1)
+def _within(limit: float) -> Callable[[TrackedRuns], np.ndarray]:
+    return lambda tracked: np.nanmean(np.where(tracked.known, off_route(tracked) < limit, np.nan), axis=1)
 
 
-MEASURES: dict[str, Callable[[Run], np.ndarray]] = {
+MEASURES: dict[str, Callable[[TrackedRuns], np.ndarray]] = {
     "route_mean_m": _each(lambda e: np.nanmean(e, axis=1)),
     "route_max_m": _each(lambda e: np.nanmax(e, axis=1)),
     "route_variance_m2": _each(lambda e: np.nanvar(e, axis=1)),
@@ -98,7 +98,7 @@ PRINTED = {
 FITTED_OF_MHK = ("mean error", "largest error")
 
 
-def claims(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: Results) -> list[ExpectedResult | Conclusion]:
     """The nine printed figures, and what the paper says of them."""
     found: list[ExpectedResult | Conclusion] = []
     for figure, printed in PRINTED.items():
@@ -149,7 +149,7 @@ def study_with(numbers: dict[str, float], runs: int = 200, seed: int = 1) -> Stu
     """The study with these numbers of the world and of MH-K; its vehicles are others than the fit's, of seed 0."""
     own = {"fusion.motion.sigma_a": numbers["sigma_a"], "median.speed_limit": numbers["speed_limit"]}
     world = World(workshop, {name: numbers[name] for name in ("drift", "share", "size")})
-    entrants: dict[str, str | TrackerSpec] = {
+    configs: dict[str, str | TrackerSpec] = {
         "mhk": "mhk",
         "raw": RAW,
         "median": "median",
@@ -159,12 +159,12 @@ def study_with(numbers: dict[str, float], runs: int = 200, seed: int = 1) -> Stu
         name="workshop",
         about="Figures 6 and 7 of Huang et al. 2018: how far from its route a vehicle seems to be, raw and by MH-K",
         worlds={"workshop": world},
-        trackers={k: TrackerConfig(e, own if k.startswith("mhk") else {}) for k, e in entrants.items()},
+        trackers={k: TrackerConfig(e, own if k.startswith("mhk") else {}) for k, e in configs.items()},
         runs=runs,
         seed=seed,
         measures=MEASURES,
-        figures=("route_mean_m", "route_max_m", "improved", "mean_m", "rmse_m", "p95_m"),
-        claims=claims,
+        metrics=("route_mean_m", "route_max_m", "improved", "mean_m", "rmse_m", "p95_m"),
+        expected=expected,
     )
 
 

@@ -14,9 +14,9 @@ from collections.abc import Callable
 import numpy as np
 
 from experiments.monte_carlo.declaration import Study, TrackerConfig, World
+from experiments.monte_carlo.errors import TrackedRuns
 from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
 from experiments.monte_carlo.results import Results
-from experiments.monte_carlo.trajectories import Run
 from experiments.papers.fitting import fitted
 from sim.ranging import Protocol, antenna_biases, chamber, simulate_ranges
 from sim.tables.ranging import simulated_ranging
@@ -60,18 +60,18 @@ def under(z: np.ndarray, folder: RecordingFolder) -> np.ndarray:
     return plane - np.abs(z - plane)
 
 
-def deviations(run: Run) -> np.ndarray:
+def deviations(tracked: TrackedRuns) -> np.ndarray:
     """How far off each axis is (n, T, 3), m, what is above the anchors mirrored; NaN where there is no estimate."""
-    found = run.estimates.copy()
-    found[..., 2] = under(found[..., 2], run.folder)
-    return np.where(run.known[..., None], found - run.truth, np.nan)
+    found = tracked.estimates.copy()
+    found[..., 2] = under(found[..., 2], tracked.folder)
+    return np.where(tracked.known[..., None], found - tracked.truth, np.nan)
 
 
-def _largest(axis: int) -> Callable[[Run], np.ndarray]:
-    return lambda run: np.nanmax(np.abs(deviations(run)[..., axis]), axis=1)
+def _largest(axis: int) -> Callable[[TrackedRuns], np.ndarray]:
+    return lambda tracked: np.nanmax(np.abs(deviations(tracked)[..., axis]), axis=1)
 
 
-def claims(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: Results) -> list[ExpectedResult | Conclusion]:
     """Table 2."""
     found: list[ExpectedResult | Conclusion] = []
     ours = {a: results.average(f"largest_{a}_m", [(w, TRACKER) for w in PLACES]).times(1e3) for a in PRINTED_MM}
@@ -99,8 +99,8 @@ def study_with(numbers: dict[str, float], runs: int = 200, seed: int = 1) -> Stu
         runs=runs,
         seed=seed,
         measures={f"largest_{axis}_m": _largest(k) for k, axis in enumerate("xyz")},
-        figures=("largest_x_m", "largest_y_m", "largest_z_m", "rmse_m"),
-        claims=claims,
+        metrics=("largest_x_m", "largest_y_m", "largest_z_m", "rmse_m"),
+        expected=expected,
     )
 
 

@@ -14,9 +14,9 @@ from collections.abc import Callable
 import numpy as np
 
 from experiments.monte_carlo.declaration import Study, TrackerConfig, World
+from experiments.monte_carlo.errors import TrackedRuns
 from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
 from experiments.monte_carlo.results import Results
-from experiments.monte_carlo.trajectories import Run
 from experiments.papers.fitting import fitted
 from sim.corruptions import Corruption, gauss_markov
 from sim.keys import Keys
@@ -58,20 +58,20 @@ def hall(ids: np.ndarray, seed: int, places: int, sigma_echo: float, detour: flo
     return simulated_ranging(world, "hall")
 
 
-def _error(run: Run, axis: int) -> np.ndarray:
-    return np.where(run.known, run.estimates[..., axis] - run.truth[..., axis], np.nan)
+def _error(tracked: TrackedRuns, axis: int) -> np.ndarray:
+    return np.where(tracked.known, tracked.estimates[..., axis] - tracked.truth[..., axis], np.nan)
 
 
-def _largest(run: Run) -> np.ndarray:
-    largest: np.ndarray = np.nanmax(np.stack([np.abs(_error(run, k)) for k in range(2)]), axis=(0, 2))
+def _largest(tracked: TrackedRuns) -> np.ndarray:
+    largest: np.ndarray = np.nanmax(np.stack([np.abs(_error(tracked, k)) for k in range(2)]), axis=(0, 2))
     return largest
 
 
-def _span(axis: int) -> Callable[[Run], np.ndarray]:
-    return lambda run: np.nanmax(_error(run, axis), axis=1) - np.nanmin(_error(run, axis), axis=1)
+def _span(axis: int) -> Callable[[TrackedRuns], np.ndarray]:
+    return lambda tracked: np.nanmax(_error(tracked, axis), axis=1) - np.nanmin(_error(tracked, axis), axis=1)
 
 
-def claims(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: Results) -> list[ExpectedResult | Conclusion]:
     """Table 1."""
     found: list[ExpectedResult | Conclusion] = []
     for world, axes in PRINTED_MM.items():
@@ -117,8 +117,8 @@ def study_with(numbers: dict[str, float], runs: int = 200, seed: int = 1) -> Stu
         runs=runs,
         seed=seed,
         measures={"span_x_m": _span(0), "span_y_m": _span(1), "largest_m": _largest},
-        figures=("span_x_m", "span_y_m", "largest_m", "rmse_m"),
-        claims=claims,
+        metrics=("span_x_m", "span_y_m", "largest_m", "rmse_m"),
+        expected=expected,
     )
 
 

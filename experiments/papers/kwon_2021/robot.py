@@ -15,10 +15,11 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from experiments.monte_carlo.chunk import tracker_batches
 from experiments.monte_carlo.declaration import Study, TrackerConfig, World
-from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
-from experiments.monte_carlo.results import Results, Value
-from experiments.monte_carlo.trajectories import Run, entered
+from experiments.monte_carlo.errors import TrackedRuns
+from experiments.monte_carlo.expectations import Conclusion, ExpectedResult, Value
+from experiments.monte_carlo.results import Results
 from experiments.papers.fitting import fitted
 from experiments.papers.kwon_2021.chamber import anchors, deviations, under
 from experiments.plots.drawings import HEIGHT, plain
@@ -67,28 +68,28 @@ def robot(ids: np.ndarray, seed: int, sigma_bias: float, height: float) -> Recor
     return simulated_uwb_imu(world, "robot")
 
 
-def _end(axis: int, largest: bool) -> Callable[[Run], np.ndarray]:
+def _end(axis: int, largest: bool) -> Callable[[TrackedRuns], np.ndarray]:
     """How far off the mean of the strokes' least or largest coordinates is."""
 
-    def off(run: Run) -> np.ndarray:
-        found = (deviations(run) + run.truth)[..., axis]
+    def off(tracked: TrackedRuns) -> np.ndarray:
+        found = (deviations(tracked) + tracked.truth)[..., axis]
         if not largest:
             found = -found
         true = HIGH[axis] if largest else -LOW[axis]
-        number = np.floor((run.times - axis * AXIS_S) / STROKE_S + 1e-6)
+        number = np.floor((tracked.times - axis * AXIS_S) / STROKE_S + 1e-6)
         ends = [np.nanmax(np.where(number == k, found, np.nan), axis=1) for k in range(STROKES)]
         return np.abs(np.mean(ends, axis=0) - true)
 
     return off
 
 
-def _mean_of(axes: range) -> Callable[[Run], np.ndarray]:
+def _mean_of(axes: range) -> Callable[[TrackedRuns], np.ndarray]:
     """The mean error of both ends of some axes."""
     ends = [_end(axis, largest) for axis in axes for largest in (False, True)]
-    return lambda run: np.mean([end(run) for end in ends], axis=0)
+    return lambda tracked: np.mean([end(tracked) for end in ends], axis=0)
 
 
-def claims(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: Results) -> list[ExpectedResult | Conclusion]:
     """Table 3, and what the IMU is good for."""
     found: list[ExpectedResult | Conclusion] = []
     means: dict[str, Value] = {}
@@ -125,13 +126,13 @@ def claims(results: Results) -> list[ExpectedResult | Conclusion]:
 def figure_9(results: Results, folder: Path) -> list[str]:
     """The coordinates of the first tag."""
     study = results.study
-    cell = study.cells[0]
-    world = robot(np.arange(1), study.seed, **study.numbers(cell))
+    condition = study.conditions[0]
+    world = robot(np.arange(1), study.seed, **study.numbers(condition))
 
     def draw(figure: Figure) -> None:
         panels = figure.subplots(3, 1, sharex=True)
         for colour, name in zip((GREY, VERMILION, BLUE), (MEASURED, "without IMU", "with IMU"), strict=True):
-            group = entered(study, cell, name, study.trackers[name], world)[0]
+            group = tracker_batches(study, condition, name, study.trackers[name], world)[0]
             recording = group.trajectories[0].recording
             last = np.append(np.diff(recording.times) > 0, True)
             x, y, z = (np.asarray(v, float)[last] for v in group.tracker.run(recording).mean.position)
@@ -166,7 +167,7 @@ STUDY = Study(
         "flat_m": _mean_of(range(2)),
         "height_m": _mean_of(range(2, 3)),
     },
-    figures=("flat_m", "height_m", "rmse_m", "p95_m"),
-    claims=claims,
+    metrics=("flat_m", "height_m", "rmse_m", "p95_m"),
+    expected=expected,
     draw=figure_9,
 )

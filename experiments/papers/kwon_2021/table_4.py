@@ -17,10 +17,11 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from experiments.monte_carlo.chunk import tracker_batches
 from experiments.monte_carlo.declaration import Study, TrackerConfig, World
+from experiments.monte_carlo.errors import TrackedRuns
 from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
 from experiments.monte_carlo.results import Results
-from experiments.monte_carlo.trajectories import Run, entered
 from experiments.papers.fitting import fitted
 from experiments.plots.drawings import HEIGHT, plain
 from experiments.plots.study_pictures import picture
@@ -73,16 +74,16 @@ def still(ids: np.ndarray, seed: int, sigma_stamp: float, base: float, slow: flo
     return fixes_from_ranges(simulated_uwb_imu(world, "still tag"), "trilateration")
 
 
-def settled(run: Run) -> list[np.ndarray]:
+def settled(tracked: TrackedRuns) -> list[np.ndarray]:
     """The last 380 places (380, 2), m, of every tag."""
-    return [e[k][-JUDGED:, :2] for e, k in zip(run.estimates, run.known, strict=True)]
+    return [e[k][-JUDGED:, :2] for e, k in zip(tracked.estimates, tracked.known, strict=True)]
 
 
-def _spread(axis: int) -> Callable[[Run], np.ndarray]:
-    return lambda run: np.array([np.ptp(places[:, axis]) for places in settled(run)])
+def _spread(axis: int) -> Callable[[TrackedRuns], np.ndarray]:
+    return lambda tracked: np.array([np.ptp(places[:, axis]) for places in settled(tracked)])
 
 
-def claims(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: Results) -> list[ExpectedResult | Conclusion]:
     """Table 4."""
     found: list[ExpectedResult | Conclusion] = []
     for name, printed in PRINTED.items():
@@ -102,13 +103,13 @@ def claims(results: Results) -> list[ExpectedResult | Conclusion]:
 def figure_10(results: Results, folder: Path) -> list[str]:
     """The estimates of the first tag."""
     study = results.study
-    cell = study.cells[0]
-    world = still(np.arange(1), study.seed, **study.numbers(cell))
+    condition = study.conditions[0]
+    world = still(np.arange(1), study.seed, **study.numbers(condition))
 
     def draw(figure: Figure) -> None:
         panels = figure.subplots(2, 1, sharex=True)
         for colour, name in zip((GREY, GREEN, BLUE, VERMILION), PRINTED, strict=True):
-            group = entered(study, cell, name, study.trackers[name], world)[0]
+            group = tracker_batches(study, condition, name, study.trackers[name], world)[0]
             recording = group.trajectories[0].recording
             last = np.append(np.diff(recording.times) > 0, True) & (recording.times >= SETTLING / RATE_HZ)
             place = group.tracker.run(recording).mean.position
@@ -124,7 +125,7 @@ def figure_10(results: Results, folder: Path) -> list[str]:
     return [picture(folder, "figure_10.svg", draw, height=2 * HEIGHT)]
 
 
-def entrants(sigma_a: float) -> dict[str, TrackerConfig]:
+def configs(sigma_a: float) -> dict[str, TrackerConfig]:
     """The paper's four; σa of the Kalman filter, m/s² per √Hz."""
     kalman = {
         "motion.sigma_a": sigma_a,
@@ -154,12 +155,12 @@ def study_with(numbers: dict[str, float], runs: int = 200, seed: int = 1) -> Stu
         name="table-4",
         about="Table 4 and Figure 10 of Kwon et al. 2021: how far the estimates of a still tag spread",
         worlds={"still": World(still, {k: v for k, v in numbers.items() if k != "sigma_a"})},
-        trackers=entrants(numbers["sigma_a"]),
+        trackers=configs(numbers["sigma_a"]),
         runs=runs,
         seed=seed,
         measures={f"spread_{axis}_m": _spread(k) for k, axis in enumerate("xy")},
-        figures=("spread_x_m", "spread_y_m", "rmse_m", "nis_ratio"),
-        claims=claims,
+        metrics=("spread_x_m", "spread_y_m", "rmse_m", "nis_ratio"),
+        expected=expected,
         draw=figure_10,
     )
 

@@ -12,9 +12,9 @@ from functools import partial
 import numpy as np
 
 from experiments.monte_carlo.declaration import Study, TrackerConfig, World
+from experiments.monte_carlo.errors import TrackedRuns
 from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
 from experiments.monte_carlo.results import Results
-from experiments.monte_carlo.trajectories import Run
 from sim.corruptions import Corruption
 from sim.paths import hand_motion
 from sim.ranging import WALK_VOLUME, antenna_biases, chamber, obstruction, simulate_ranges
@@ -36,14 +36,16 @@ def walk(ids: np.ndarray, seed: int, hidden: float = 0.0, rows: int = 300) -> Re
     return simulated_ranging(world, "chamber")
 
 
-def settled(run: Run) -> np.ndarray:
+def settled(tracked: TrackedRuns) -> np.ndarray:
     """The root mean square of the horizontal errors after the first seconds."""
-    off = np.linalg.norm((run.estimates - run.truth)[..., :2], axis=-1)
-    rms: np.ndarray = np.sqrt(np.nanmean(np.where(run.known & (run.times >= SETTLED_S), off, np.nan) ** 2, axis=1))
+    off = np.linalg.norm((tracked.estimates - tracked.truth)[..., :2], axis=-1)
+    rms: np.ndarray = np.sqrt(
+        np.nanmean(np.where(tracked.known & (tracked.times >= SETTLED_S), off, np.nan) ** 2, axis=1)
+    )
     return rms
 
 
-def claims(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: Results) -> list[ExpectedResult | Conclusion]:
     """Whether (14) helps, which the paper says and shows no figure of."""
     found: list[ExpectedResult | Conclusion] = []
     for world in results.study.worlds:
@@ -79,6 +81,6 @@ STUDY = Study(
     },
     runs=100,
     measures={"settled_rmse_m": settled},
-    figures=("settled_rmse_m", "median_m", "p95_m"),
-    claims=claims,
+    metrics=("settled_rmse_m", "median_m", "p95_m"),
+    expected=expected,
 )

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from experiments.monte_carlo import Results, Run, Study, TrackerConfig, World
-from experiments.monte_carlo.trajectories import trajectories
+from experiments.monte_carlo import Results, Study, TrackedRuns, TrackerConfig, World
+from experiments.monte_carlo.chunk import run_chunk
 from sim.corruptions import gauss_markov, white_noise
 from sim.line import simulate_line
 from sim.tables.line import simulated_line
@@ -141,19 +141,21 @@ STOPPING = TrackerConfig(
 )
 
 
-def distances(run: Run) -> np.ndarray:
+def distances(tracked: TrackedRuns) -> np.ndarray:
     """Horizontal errors (n, T), m, NaN where a row doesn't count."""
-    return np.where(run.known, np.hypot(*np.moveaxis(run.estimates[..., :2] - run.truth[..., :2], -1, 0)), np.nan)
+    return np.where(
+        tracked.known, np.hypot(*np.moveaxis(tracked.estimates[..., :2] - tracked.truth[..., :2], -1, 0)), np.nan
+    )
 
 
-def error(run: Run) -> np.ndarray:
+def error(tracked: TrackedRuns) -> np.ndarray:
     """(2.8) in words: the average distance from the truth (n,), m."""
-    return np.asarray(np.nanmean(distances(run), axis=1))
+    return np.asarray(np.nanmean(distances(tracked), axis=1))
 
 
-def root_mean_square(run: Run) -> np.ndarray:
+def root_mean_square(tracked: TrackedRuns) -> np.ndarray:
     """(2.8) by its name: the root mean square distance (n,), m."""
-    return np.asarray(np.sqrt(np.nanmean(distances(run) ** 2, axis=1)))
+    return np.asarray(np.sqrt(np.nanmean(distances(tracked) ** 2, axis=1)))
 
 
 def least(results: Results, tracker: str, measure: str = "error_m") -> float:
@@ -163,20 +165,20 @@ def least(results: Results, tracker: str, measure: str = "error_m") -> float:
     return float(swept[int(np.argmin([results.average(measure, cells, **{SIGMA: s}).value for s in swept]))])
 
 
-def seen(study: Study, world: str, ids: np.ndarray, **point: float) -> dict[str, Run]:
+def seen(study: Study, world: str, ids: np.ndarray, **point: float) -> dict[str, TrackedRuns]:
     """What every tracker of a study makes of some trajectories, row by row."""
-    found: list[Run] = []
+    found: list[TrackedRuns] = []
 
-    def keep(run: Run) -> np.ndarray:
-        found.append(run)
-        return np.zeros(len(run.times))
+    def keep(tracked: TrackedRuns) -> np.ndarray:
+        found.append(tracked)
+        return np.zeros(len(tracked.times))
 
-    alone = dataclasses.replace(study, measures={"kept": keep}, figures=())
-    (cell,) = [c for c in study.cells if c.world == world and point.items() <= c.point.items()]
-    trajectories(alone, cell, ids, first=False)
+    alone = dataclasses.replace(study, measures={"kept": keep}, metrics=())
+    (condition,) = [c for c in study.conditions if c.world == world and point.items() <= c.point.items()]
+    run_chunk(alone, condition, ids, first=False)
     return dict(zip(study.trackers, found, strict=True))
 
 
-def with_noise(entrant: TrackerConfig, sigma: float) -> TrackerConfig:
+def with_noise(config: TrackerConfig, sigma: float) -> TrackerConfig:
     """The entrant with this dynamic noise."""
-    return dataclasses.replace(entrant, tunables={SIGMA: sigma})
+    return dataclasses.replace(config, tunables={SIGMA: sigma})

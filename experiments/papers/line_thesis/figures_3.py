@@ -19,7 +19,7 @@ import numpy as np
 import polars as pl
 from matplotlib.figure import Figure
 
-from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Run, Study, World
+from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, TrackedRuns, World
 from experiments.papers.fitting import fitted
 from experiments.papers.line_thesis._assembly_line import (
     KALMAN,
@@ -59,13 +59,13 @@ def over_and_over(ids: np.ndarray, seed: int, **numbers: float) -> RecordingFold
     return dataclasses.replace(one, rig=rig, tables=tables)
 
 
-def off_path(run: Run) -> np.ndarray:
+def off_path(tracked: TrackedRuns) -> np.ndarray:
     """How far estimates are from the path on average (n,), m; (2.5) has it go on beyond its last knot."""
-    apart = open_ended(run.folder.rig.path_knots).nearest(np.nan_to_num(run.estimates[..., :2]))[1]
-    return np.asarray(np.nanmean(np.where(run.known, apart, np.nan), axis=1))
+    apart = open_ended(tracked.folder.rig.path_knots).nearest(np.nan_to_num(tracked.estimates[..., :2]))[1]
+    return np.asarray(np.nanmean(np.where(tracked.known, apart, np.nan), axis=1))
 
 
-def claims(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: Results) -> list[ExpectedResult | Conclusion]:
     """What the captions print, and what chapter 3 says of the figures."""
     made: list[ExpectedResult | Conclusion] = []
     largest = {"Kalman": 0.0, "particle": 0.0}
@@ -121,7 +121,7 @@ def draw(results: Results, folder: Path) -> list[str]:
     return names  # fmt: skip
 
 
-def _panels(runs: dict[str, Run], title: str) -> Callable[[Figure], None]:
+def _panels(runs: dict[str, TrackedRuns], title: str) -> Callable[[Figure], None]:
     def draw_(figure: Figure) -> None:
         path, measured, filtered = figure.subplots(3, 1, height_ratios=[2.2, 1, 1])
         any_run = runs["raw"]
@@ -164,7 +164,7 @@ STUDY = Study(
     },
     runs=40,
     measures={"error_m": error, "off_path_m": off_path},
-    figures=("mean_m", "rmse_m", "p95_m"),
-    claims=claims,
+    metrics=("mean_m", "rmse_m", "p95_m"),
+    expected=expected,
     draw=draw,
 )

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from experiments.monte_carlo import Results, Study, TrackerConfig
-from experiments.monte_carlo.runner import carry_out
+from experiments.monte_carlo.runner import run_study
 from experiments.papers.fitting import Fitted, write_fitted
 from experiments.papers.line_thesis._assembly_line import (
     KALMAN,
@@ -49,7 +49,7 @@ def swept(numbers: Mapping[str, float], trackers: Mapping[str, TrackerConfig], r
         "fit-table-3-1", "", worlds(numbers), trackers, runs, {SIGMA: SWEPT}, SEED, {"error_m": error}, ("mean_m",)
     )
     with tempfile.TemporaryDirectory() as folder:
-        results = carry_out(study, Path(folder), (1, 1), None, lambda done, now="": None)
+        results = run_study(study, Path(folder), (1, 1), None, lambda done, now="": None)
     assert results is not None
     return results
 

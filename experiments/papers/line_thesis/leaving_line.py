@@ -18,7 +18,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Run, Study, TrackerConfig, Value, World
+from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, TrackedRuns, TrackerConfig, Value, World
 from experiments.papers.fitting import fitted
 from experiments.papers.line_thesis._assembly_line import KALMAN, MEASUREMENT_NOISE, PARTICLE, SIGMA, error, with_noise
 from experiments.plots.drawings import plain
@@ -55,44 +55,44 @@ def carried(ids: np.ndarray, seed: int, size: float, white: float) -> RecordingF
     return simulated_line(world, f"carried-{size}-{seed}")
 
 
-_LAST: list[tuple[Run, np.ndarray]] = []
+_LAST: list[tuple[TrackedRuns, np.ndarray]] = []
 """The distances found last: every measure asks for the same."""
 
 
-def apart(run: Run) -> np.ndarray:
+def apart(tracked: TrackedRuns) -> np.ndarray:
     """The distances (n, T), m, between the constrained estimates and the free Kalman filter's."""
-    if not (_LAST and _LAST[0][0] is run):
-        (group,) = grouped([run.folder], KALMAN.entry, "Kalman", False)
+    if not (_LAST and _LAST[0][0] is tracked):
+        (group,) = grouped([tracked.folder], KALMAN.spec, "Kalman", False)
         trajectories = sorted(group.trajectories, key=lambda trajectory: int(trajectory.tag))
         found = with_values(group.tracker, {SIGMA: NUMBERS["sigma_kalman"]}, "leaving-line").run(
             stack([trajectory.recording for trajectory in trajectories])
         )
         free = np.stack([np.asarray(x) for x in found.mean.position], axis=-1)
-        _LAST[:] = [(run, np.linalg.norm(free - run.estimates[..., :2], axis=-1))]
+        _LAST[:] = [(tracked, np.linalg.norm(free - tracked.estimates[..., :2], axis=-1))]
     return _LAST[0][1]
 
 
-def _sums(run: Run, slack: float) -> np.ndarray:
-    return np.stack([evidence(t, x, slack) for t, x in zip(run.times, apart(run), strict=True)])
+def _sums(tracked: TrackedRuns, slack: float) -> np.ndarray:
+    return np.stack([evidence(t, x, slack) for t, x in zip(tracked.times, apart(tracked), strict=True)])
 
 
-def _largest(slack: float, away: bool) -> Callable[[Run], np.ndarray]:
+def _largest(slack: float, away: bool) -> Callable[[TrackedRuns], np.ndarray]:
     """The largest sum (n,), m·s: while a tag would be away, or at any time."""
 
-    def largest(run: Run) -> np.ndarray:
-        inside = (run.times >= LEFT_S) & (run.times < LEFT_S + AWAY_S + AFTER_S)
-        return np.where(inside if away else np.isfinite(run.times), _sums(run, slack), 0.0).max(axis=1)
+    def largest(tracked: TrackedRuns) -> np.ndarray:
+        inside = (tracked.times >= LEFT_S) & (tracked.times < LEFT_S + AWAY_S + AFTER_S)
+        return np.where(inside if away else np.isfinite(tracked.times), _sums(tracked, slack), 0.0).max(axis=1)
 
     return largest
 
 
-def _delay(limit: float) -> Callable[[Run], np.ndarray]:
+def _delay(limit: float) -> Callable[[TrackedRuns], np.ndarray]:
     """Seconds (n,) from leaving until the sum is over the limit; NaN where it isn't while the tag is away."""
 
-    def delay(run: Run) -> np.ndarray:
-        after = (run.times >= LEFT_S) & (run.times < LEFT_S + AWAY_S + AFTER_S)
-        over = after & (_sums(run, SHOWN_SLACK) >= limit)
-        first = np.take_along_axis(run.times, over.argmax(axis=1)[:, None], axis=1)[:, 0]
+    def delay(tracked: TrackedRuns) -> np.ndarray:
+        after = (tracked.times >= LEFT_S) & (tracked.times < LEFT_S + AWAY_S + AFTER_S)
+        over = after & (_sums(tracked, SHOWN_SLACK) >= limit)
+        first = np.take_along_axis(tracked.times, over.argmax(axis=1)[:, None], axis=1)[:, 0]
         return np.where(over.any(axis=1), first - LEFT_S, np.nan)
 
     return delay
@@ -118,7 +118,7 @@ def area(results: Results, world: str, tracker: str, slack: float) -> Value:
     return Value(float(wins.mean()), float(low), float(high))
 
 
-def claims(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: Results) -> list[ExpectedResult | Conclusion]:
     """How well tags that leave are told from tags that stay, and how soon."""
     made: list[ExpectedResult | Conclusion] = []
     for tracker in results.study.trackers:
@@ -196,7 +196,7 @@ STUDY = Study(
         **{f"while away, slack {s}": _largest(s, away=True) for s in SLACKS},
         **{f"delay at {x}": _delay(x) for x in LIMITS},
     },
-    figures=("mean_m", "p95_m"),
-    claims=claims,
+    metrics=("mean_m", "p95_m"),
+    expected=expected,
     draw=draw,
 )

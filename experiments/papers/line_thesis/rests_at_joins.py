@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Run, Study, TrackerConfig, Value, World
+from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, TrackedRuns, TrackerConfig, Value, World
 from experiments.papers.fitting import fitted
 from experiments.papers.line_thesis._assembly_line import (
     MEASUREMENT_NOISE,
@@ -49,25 +49,25 @@ def _plain_grid(trajectory: Trajectory, planar: bool) -> AbstractTracker:
     return line_grid_tracker(LineMotion(path_of(trajectory.folder), 0.1), {FIXES: FloorFixes(MEASUREMENT_NOISE)})
 
 
-def arclengths(run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def arclengths(tracked: TrackedRuns) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Arclengths of estimates and truth (n, T), m, and the rows at which the tag rests at a join."""
-    assert run.folder.rig.path_knots is not None
-    line = Polyline(run.folder.rig.path_knots)
-    found, true = (line.nearest(np.nan_to_num(x[..., :2]))[0] for x in (run.estimates, run.truth))
+    assert tracked.folder.rig.path_knots is not None
+    line = Polyline(tracked.folder.rig.path_knots)
+    found, true = (line.nearest(np.nan_to_num(x[..., :2]))[0] for x in (tracked.estimates, tracked.truth))
     still = np.diff(true, axis=1, append=np.nan) == 0
     # The bends of the path, of which the truth's arclength is exact up to rounding.
     at_join = np.abs(true[..., None] - np.asarray(line.starts)[1:]).min(axis=-1) < 1e-6
-    return found, true, still & at_join & run.known
+    return found, true, still & at_join & tracked.known
 
 
-def rest_error(run: Run) -> np.ndarray:
+def rest_error(tracked: TrackedRuns) -> np.ndarray:
     """The average distance from the truth (n,), m, while the tag rests at a join; NaN where it never does."""
-    return _mean_of(distances(run), arclengths(run)[2])
+    return _mean_of(distances(tracked), arclengths(tracked)[2])
 
 
-def overshoot(run: Run) -> np.ndarray:
+def overshoot(tracked: TrackedRuns) -> np.ndarray:
     """How far the estimate is past the join on average (n,), m, while the tag rests there; negative: short of it."""
-    found, true, rests = arclengths(run)
+    found, true, rests = arclengths(tracked)
     return _mean_of(found - true, rests)
 
 
@@ -76,7 +76,7 @@ def _mean_of(values: np.ndarray, rows: np.ndarray) -> np.ndarray:
     return np.where(count > 0, np.where(rows, values, 0.0).sum(axis=1) / np.maximum(count, 1), np.nan)
 
 
-def claims(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: Results) -> list[ExpectedResult | Conclusion]:
     """Whether the plain motion overshoots rests, and whether the segment helps."""
     made: list[ExpectedResult | Conclusion] = []
     for without, known in PAIRS.items():
@@ -165,7 +165,7 @@ STUDY = Study(
     runs=30,
     grid={SIGMA: SWEPT},
     measures={"error_m": error, "rest_error_m": rest_error, "overshoot_m": overshoot},
-    figures=("mean_m", "rmse_m", "nees_mean"),
-    claims=claims,
+    metrics=("mean_m", "rmse_m", "nees_mean"),
+    expected=expected,
     draw=draw,
 )

@@ -29,7 +29,7 @@ NEAR = 1.05
 """Within a twentieth of the least error counts as flat."""
 
 
-def claims(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: Results) -> list[ExpectedResult | Conclusion]:
     """Where the least errors are, and how much a wrong noise costs."""
     best = {tracker: least(results, tracker) for tracker in results.study.trackers}
     curves = {tracker: _curve(results, tracker)[:, 0] for tracker in results.study.trackers}
@@ -103,7 +103,7 @@ STUDY = Study(
     runs=30,
     grid={SIGMA: SWEPT},
     measures={"error_m": error},
-    figures=("mean_m", "rmse_m", "p95_m"),
-    claims=claims,
+    metrics=("mean_m", "rmse_m", "p95_m"),
+    expected=expected,
     draw=draw,
 )

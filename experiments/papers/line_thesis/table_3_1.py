@@ -44,7 +44,7 @@ from experiments.plots.study_pictures import picture
 from experiments.plots.style import BLUE, SKY, VERMILION
 
 
-def claims(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: Results) -> list[ExpectedResult | Conclusion]:
     """The 27 figures, their averages, and what the thesis concludes from them."""
     noise = _noise(results)
     made: list[ExpectedResult | Conclusion] = [
@@ -154,7 +154,7 @@ STUDY = Study(
     runs=40,
     grid={SIGMA: SWEPT},
     measures={"error_m": error, "rms_m": root_mean_square},
-    figures=("mean_m",),
-    claims=claims,
+    metrics=("mean_m",),
+    expected=expected,
     draw=draw,
 )

@@ -34,7 +34,7 @@ def _searching(resolution: float) -> TrackerSpec:
     return dataclasses.replace(TRACKERS["das"], build=build)
 
 
-def claims(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: Results) -> list[ExpectedResult | Conclusion]:
     """The paper's statements on the effort of both."""
     us = {t: results.value("us_per_row", "stand", t).value for t in results.study.trackers}
     rmse = {t: np.rad2deg(results.value("rmse_direction_rad", "stand", t).value) for t in results.study.trackers}
@@ -57,6 +57,6 @@ STUDY = Study(
     worlds={"stand": World(recorded, {"radius": radius()})},
     trackers={"EKF": beam()} | {name: TrackerConfig(_searching(r)) for name, r in RESOLUTIONS.items()},
     runs=40,
-    figures=("us_per_row", "rmse_direction_rad", "median_direction_rad"),
-    claims=claims,
+    metrics=("us_per_row", "rmse_direction_rad", "median_direction_rad"),
+    expected=expected,
 )

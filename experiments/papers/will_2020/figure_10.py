@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Run, Study, World
+from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, TrackedRuns, World
 from experiments.papers.will_2020._work_stand import cascade, direct, recorded
 from experiments.papers.will_2020.fit_figure_8 import radius
 from experiments.plots.drawings import plain
@@ -26,29 +26,29 @@ SETTLED = 20
 """Points of the helix after which the fusion has settled, a tenth of them."""
 
 
-def _square(run: Run, rows: slice) -> np.ndarray:
+def _square(tracked: TrackedRuns, rows: slice) -> np.ndarray:
     """The root mean square error in space (n,), m, of some rows."""
-    error = np.where(run.known[..., None], run.estimates - run.truth, np.nan)[:, rows]
+    error = np.where(tracked.known[..., None], tracked.estimates - tracked.truth, np.nan)[:, rows]
     return np.asarray(np.sqrt(np.nanmean((error**2).sum(axis=-1), axis=1)))
 
 
-def beginning(run: Run) -> np.ndarray:
+def beginning(tracked: TrackedRuns) -> np.ndarray:
     """The root mean square error in space (n,), m, of the first points."""
-    return _square(run, slice(0, SETTLED))
+    return _square(tracked, slice(0, SETTLED))
 
 
-def rest(run: Run) -> np.ndarray:
+def rest(tracked: TrackedRuns) -> np.ndarray:
     """The same of the points after them."""
-    return _square(run, slice(SETTLED, None))
+    return _square(tracked, slice(SETTLED, None))
 
 
-def height(run: Run) -> np.ndarray:
+def height(tracked: TrackedRuns) -> np.ndarray:
     """The root mean square error of the height (n,), m."""
-    error = np.where(run.known, run.estimates[..., 2] - run.truth[..., 2], np.nan)
+    error = np.where(tracked.known, tracked.estimates[..., 2] - tracked.truth[..., 2], np.nan)
     return np.asarray(np.sqrt(np.nanmean(error**2, axis=1)))
 
 
-def claims(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: Results) -> list[ExpectedResult | Conclusion]:
     """What the paper reads off the figure."""
     cm = {w: results.value("rmse_3d_m", w, "cascade").times(100) for w in results.study.worlds}
     early = {w: 100 * results.value("beginning_m", w, "cascade").value for w in results.study.worlds}
@@ -110,7 +110,7 @@ STUDY = Study(
     | {name: World(recorded, {"radius": radius(), "lost": k}) for k, name in LOST.items()},
     trackers={"cascade": cascade(), "direct": direct()},
     measures={"beginning_m": beginning, "rest_m": rest, "height_m": height},
-    figures=("rmse_3d_m", "median_3d_m", "p95_3d_m", "beginning_m", "rest_m", "height_m", "diverged"),
-    claims=claims,
+    metrics=("rmse_3d_m", "median_3d_m", "p95_3d_m", "beginning_m", "rest_m", "height_m", "diverged"),
+    expected=expected,
     draw=draw,
 )

@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Run, Study, World
+from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, TrackedRuns, World
 from experiments.papers.line_thesis._assembly_line import seen
 from experiments.papers.will_2020._work_stand import cascade, direct, recorded
 from experiments.papers.will_2020.fit_figure_8 import PRINTED_CM, radius
@@ -26,12 +26,12 @@ STAND, APART, PLANE = "stand", "stations 0.4 m off the middle", "stand, plane wa
 COLOURS = {"cascade": BLUE, "direct": VERMILION}
 
 
-def offset(run: Run) -> np.ndarray:
+def offset(tracked: TrackedRuns) -> np.ndarray:
     """The length (n,), m, of the mean error over the stand's rows: what no averaging removes."""
-    return np.asarray(np.linalg.norm(np.nanmean(run.estimates - run.truth, axis=1), axis=-1))
+    return np.asarray(np.linalg.norm(np.nanmean(tracked.estimates - tracked.truth, axis=1), axis=-1))
 
 
-def claims(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: Results) -> list[ExpectedResult | Conclusion]:
     """The error in space, what was predicted of it, and what cascade and plane waves cost."""
     cm = {
         (w, t): results.value("rmse_3d_m", w, t).times(100)
@@ -114,7 +114,7 @@ STUDY = Study(
     },
     trackers={"cascade": cascade(), "direct": direct()},
     measures={"offset_m": offset},
-    figures=("rmse_3d_m", "median_3d_m", "p95_3d_m", "bound_3d_m", "nees_3d_mean", "diverged"),
-    claims=claims,
+    metrics=("rmse_3d_m", "median_3d_m", "p95_3d_m", "bound_3d_m", "nees_3d_mean", "diverged"),
+    expected=expected,
     draw=draw,
 )

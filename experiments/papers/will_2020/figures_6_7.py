@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Run, Study, TrackerConfig, World
+from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, TrackedRuns, TrackerConfig, World
 from experiments.papers.line_thesis._assembly_line import seen
 from experiments.papers.will_2020._work_stand import beam, recorded
 from experiments.papers.will_2020.fit_figure_8 import radius
@@ -29,27 +29,27 @@ OUTLIERS, SIZE = 0.02, 1.5
 WILD = np.deg2rad(5.0)
 
 
-def _errors(run: Run) -> np.ndarray:
+def _errors(tracked: TrackedRuns) -> np.ndarray:
     """Absolute errors (n, T, stations, 2), rad, NaN where a row doesn't count."""
-    return np.where(run.known[..., None], np.abs(run.estimates - run.truth), np.nan)
+    return np.where(tracked.known[..., None], np.abs(tracked.estimates - tracked.truth), np.nan)
 
 
-def wild(run: Run) -> np.ndarray:
+def wild(tracked: TrackedRuns) -> np.ndarray:
     """The share (n,) of directions that are off by more than 5 degrees in an angle."""
-    return np.asarray((_errors(run).max(axis=-1) > WILD).mean(axis=(1, 2)))
+    return np.asarray((_errors(tracked).max(axis=-1) > WILD).mean(axis=(1, 2)))
 
 
-def azimuth(run: Run) -> np.ndarray:
+def azimuth(tracked: TrackedRuns) -> np.ndarray:
     """Root mean square error (n,), rad, of each trajectory."""
-    return np.asarray(np.sqrt(np.nanmean(_errors(run)[..., 0] ** 2, axis=(1, 2))))
+    return np.asarray(np.sqrt(np.nanmean(_errors(tracked)[..., 0] ** 2, axis=(1, 2))))
 
 
-def elevation(run: Run) -> np.ndarray:
+def elevation(tracked: TrackedRuns) -> np.ndarray:
     """Root mean square error (n,), rad, of each trajectory."""
-    return np.asarray(np.sqrt(np.nanmean(_errors(run)[..., 1] ** 2, axis=(1, 2))))
+    return np.asarray(np.sqrt(np.nanmean(_errors(tracked)[..., 1] ** 2, axis=(1, 2))))
 
 
-def claims(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: Results) -> list[ExpectedResult | Conclusion]:
     """The errors told with Figure 7, and that the EKF is the better."""
     made: list[ExpectedResult | Conclusion] = []
     for axis, printed in zip(AXES, PRINTED["full array"], strict=True):
@@ -118,7 +118,7 @@ STUDY = Study(
     trackers={"EKF": beam(), "DAS": TrackerConfig("das")},
     runs=100,
     measures={"wild": wild, "azimuth_rad": azimuth, "elevation_rad": elevation},
-    figures=("rmse_azimuth_rad", "rmse_elevation_rad", "median_direction_rad", "p95_direction_rad", "wild"),
-    claims=claims,
+    metrics=("rmse_azimuth_rad", "rmse_elevation_rad", "median_direction_rad", "p95_direction_rad", "wild"),
+    expected=expected,
     draw=draw,
 )

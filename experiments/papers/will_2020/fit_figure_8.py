@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from experiments.monte_carlo import Study, World
-from experiments.monte_carlo.runner import carry_out
+from experiments.monte_carlo.runner import run_study
 from experiments.papers.fitting import Fitted, fitted, solved, write_fitted
 from experiments.papers.will_2020._work_stand import cascade, recorded
 
@@ -28,10 +28,10 @@ def error_cm(radius: float, runs: int = RUNS, seed: int = SEED) -> float:
     """The cascade's root mean square error in space, cm, with stations `radius` m off the middle line."""
     study = Study(
         "fit-figure-8", "", {"stand": World(recorded, {"radius": radius})}, {"cascade": cascade()}, runs, seed=seed,
-        figures=("rmse_3d_m",),
+        metrics=("rmse_3d_m",),
     )  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
-        results = carry_out(study, Path(folder), (1, 1), None, lambda done, now="": None)
+        results = run_study(study, Path(folder), (1, 1), None, lambda done, now="": None)
     assert results is not None
     return 100 * results.value("rmse_3d_m", "stand", "cascade").value
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Run, Study, World
+from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, TrackedRuns, World
 from experiments.papers.will_2020._work_stand import ALL, beam, recorded
 from experiments.papers.will_2020.fit_figure_8 import radius
 from experiments.plots.drawings import plain
@@ -29,17 +29,17 @@ HELD = 2.0
 """Percent of the directions that may be astray where a track counts as kept."""
 
 
-def distance_to_optimum(run: Run) -> np.ndarray:
+def distance_to_optimum(tracked: TrackedRuns) -> np.ndarray:
     """The share (n,) of directions that are on a wrong lobe."""
-    station = next(iter(run.folder.rig.stations.values()))
+    station = next(iter(tracked.folder.rig.stations.values()))
     assert station.antennas is not None
     assert station.wavelength is not None
     limit = station.wavelength / (2 * np.ptp(station.antennas, axis=0).max())
-    error = np.abs(run.estimates - run.truth).max(axis=-1)
-    return np.asarray(np.where(run.known, error > limit, np.nan).mean(axis=(1, 2)))
+    error = np.abs(tracked.estimates - tracked.truth).max(axis=-1)
+    return np.asarray(np.where(tracked.known, error > limit, np.nan).mean(axis=(1, 2)))
 
 
-def claims(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: Results) -> list[ExpectedResult | Conclusion]:
     """What the paper says of the trade-off."""
     fast, slow, large = RATES[-1], RATES[0], APERTURES[-1]
     usual = [_degrees(results, ALL, fast, a, "median") for a in APERTURES]
@@ -117,7 +117,7 @@ STUDY = Study(
     runs=40,
     grid={"world.rate_hz": RATES, "world.aperture": APERTURES},
     measures={"astray": distance_to_optimum},
-    figures=("rmse_direction_rad", "median_direction_rad", "astray", "diverged"),
-    claims=claims,
+    metrics=("rmse_direction_rad", "median_direction_rad", "astray", "diverged"),
+    expected=expected,
     draw=draw,
 )

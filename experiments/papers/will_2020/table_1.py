@@ -22,7 +22,7 @@ DEGREES = 180 / np.pi
 AXES = ("azimuth", "elevation")
 
 
-def claims(results: Results) -> list[ExpectedResult | Conclusion]:
+def expected(results: Results) -> list[ExpectedResult | Conclusion]:
     """The ten errors of the table, and what the paper concludes from them."""
     made: list[ExpectedResult | Conclusion] = []
     for name in SETS:
@@ -73,6 +73,6 @@ STUDY = Study(
     about="How well do five sets of antennas follow azimuth and elevation of a beacon?",
     worlds={name: World(recorded, {"antennas": name, "radius": radius()}) for name in SETS},
     trackers={"EKF": beam(), "EKF, each difference wrapped": beam(PRINTED_FORM)},
-    figures=("rmse_azimuth_rad", "rmse_elevation_rad", "p95_direction_rad", "diverged", "nis_ratio"),
-    claims=claims,
+    metrics=("rmse_azimuth_rad", "rmse_elevation_rad", "p95_direction_rad", "diverged", "nis_ratio"),
+    expected=expected,
 )

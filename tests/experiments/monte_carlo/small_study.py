@@ -20,7 +20,7 @@ SMALL = Study(
     },
     runs=12,
     measures={"last_m": lambda run: np.linalg.norm((run.estimates - run.truth)[:, -1, :2], axis=-1)},
-    figures=("rmse_m", "bound_m", "last_m"),
+    metrics=("rmse_m", "bound_m", "last_m"),
 )
 
 
@@ -31,7 +31,7 @@ def no_progress(done, now=""):
 TOML = """
 name = "small"
 runs = 12
-figures = ["rmse_m"]
+metrics = ["rmse_m"]
 [worlds.line]
 rate_hz = 1.0
 [trackers.fix-kf]

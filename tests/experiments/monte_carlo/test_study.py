@@ -5,11 +5,10 @@ import numpy as np
 import pytest
 
 from experiments.monte_carlo.accumulators import COLUMN, KINDS, SUMS, histograms
-from experiments.monte_carlo.errors import judged
-from experiments.monte_carlo.results import FIGURES, Gathered, Results
-from experiments.monte_carlo.runner import Until, carry_out, complete
-from experiments.monte_carlo.store import Store, merged
-from experiments.monte_carlo.trajectories import Run
+from experiments.monte_carlo.chunk_store import ChunkStore, merge_shards
+from experiments.monte_carlo.errors import TrackedRuns, scored
+from experiments.monte_carlo.results import METRICS, ChunkTotals, Results
+from experiments.monte_carlo.runner import StopRule, run_missing, run_study
 from experiments.reports.study_text import to_json, to_text
 from tests.experiments.monte_carlo.small_study import SMALL, TOML, no_progress, study_command
 from tests.in_process import trackwright
@@ -25,7 +24,7 @@ def _sha(results):
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     folder = tmp_path_factory.mktemp("study")
-    return folder, carry_out(SMALL, folder, (1, 1), None, no_progress)
+    return folder, run_study(SMALL, folder, (1, 1), None, no_progress)
 
 
 def _normal_run(seed, n=7, rows=50):
@@ -36,22 +35,24 @@ def _normal_run(seed, n=7, rows=50):
     covariance = np.broadcast_to(0.09 * np.eye(3), (n, rows, 3, 3))
     status = np.where(rng.uniform(size=(n, rows)) < 0.01, Status.LOST, Status.OK)
     nis, dof = rng.chisquare(2, (n, rows)), np.full((n, rows), 2.0)
-    run = Run(np.zeros((n, rows)), truth + errors, covariance, truth, known, status, nis, dof, None)
-    return run, errors
+    tracked = TrackedRuns(np.zeros((n, rows)), truth + errors, covariance, truth, known, status, nis, dof, None)
+    return tracked, errors
 
 
 def _results_of(kept, runs, study=SMALL):
-    gathered = Gathered(runs)
+    gathered = ChunkTotals(runs)
     gathered.add(0, kept)
     return Results(study, {(0, "kalman"): gathered.kept()}, {0: runs})
 
 
 def test_figures_are_those_of_all_rows_at_once():
-    run, errors = _normal_run(3)
-    found = _results_of(judged(run), 7)
-    flat, solid = (np.linalg.norm(errors[..., :d], axis=-1)[run.known] for d in (2, 3))
+    tracked, errors = _normal_run(3)
+    found = _results_of(scored(tracked), 7)
+    flat, solid = (np.linalg.norm(errors[..., :d], axis=-1)[tracked.known] for d in (2, 3))
     value = {
-        name: found.at(name, SMALL.cells[0], "kalman").value for name in (*FIGURES, "diverged") if "rad" not in name
+        name: found.at(name, SMALL.conditions[0], "kalman").value
+        for name in (*METRICS, "diverged")
+        if "rad" not in name
     }
     for kind, sizes in (("m", flat), ("3d_m", solid)):
         assert value[f"rmse_{kind}"] == pytest.approx(np.sqrt(np.mean(sizes**2)), rel=1e-12)
@@ -61,12 +62,12 @@ def test_figures_are_those_of_all_rows_at_once():
             # Bins are 2 % wide; with 280 rows order statistics lie up to some percent apart at the top.
             assert value[f"{name}_{kind}"] == pytest.approx(np.percentile(sizes, share), rel=0.05)
     assert value["variance_m2"] == pytest.approx(flat.var(), rel=1e-9)
-    nees = (errors[..., :2] ** 2).sum(axis=-1)[run.known] / 0.09
+    nees = (errors[..., :2] ** 2).sum(axis=-1)[tracked.known] / 0.09
     assert value["nees_mean"] == pytest.approx(nees.mean(), rel=1e-12)
     assert value["coverage_95"] == pytest.approx(np.mean(nees <= chi_square_quantile(0.95, 2)), rel=1e-12)
-    assert value["nis_ratio"] == pytest.approx(run.nis.sum() / run.dof.sum(), rel=1e-12)
-    assert value["lost_fraction"] == np.mean(run.status == Status.LOST)
-    assert value["diverged"] == np.mean((run.status == Status.LOST).any(axis=1))
+    assert value["nis_ratio"] == pytest.approx(tracked.nis.sum() / tracked.dof.sum(), rel=1e-12)
+    assert value["lost_fraction"] == np.mean(tracked.status == Status.LOST)
+    assert value["diverged"] == np.mean((tracked.status == Status.LOST).any(axis=1))
 
 
 def _kept_of(sizes, histogram):
@@ -81,13 +82,13 @@ def _kept_of(sizes, histogram):
     return kept
 
 
-def _coverage(figure, true, rng, repeats=1000, n=200, rows=20):
+def _coverage(metric, true, rng, repeats=1000, n=200, rows=20):
     """How often the interval holds the truth: Rayleigh errors whose scale differs from trajectory to trajectory."""
     inside = 0
     for _ in range(repeats):
         scale = np.exp(0.3 * rng.normal(size=(n, 1, 1)))
         sizes = np.linalg.norm(scale * rng.normal(size=(n, rows, 2)), axis=-1)
-        value = _results_of(_kept_of(sizes, figure != "rmse_m"), n).at(figure, SMALL.cells[0], "kalman")
+        value = _results_of(_kept_of(sizes, metric != "rmse_m"), n).at(metric, SMALL.conditions[0], "kalman")
         inside += value.low <= true <= value.high
     return inside / repeats
 
@@ -118,9 +119,9 @@ def test_every_cell_and_tracker_has_its_figures(whole):
     text = to_text(whole[1], [])
     assert "RMSE" in text
     assert "last" in text
-    for figure in ("rmse_m", "last_m"):
-        for cell in SMALL.cells:
-            value = whole[1].at(figure, cell, "kalman")
+    for metric in ("rmse_m", "last_m"):
+        for condition in SMALL.conditions:
+            value = whole[1].at(metric, condition, "kalman")
             assert value.low <= value.value <= value.high
     assert len(whole[1].numbers("last_m", "halts", "window")) == SMALL.runs
     # A moving average has no model, and so no bound.
@@ -133,24 +134,24 @@ def test_every_cell_and_tracker_has_its_figures(whole):
 
 
 def test_chunks_in_another_order_and_shards_merged_give_the_same_numbers(whole, tmp_path):
-    backwards = Store(tmp_path / "backwards", SMALL).opened()
-    for cell in reversed(SMALL.cells):
+    backwards = ChunkStore(tmp_path / "backwards", SMALL).open()
+    for condition in reversed(SMALL.conditions):
         for chunk in reversed(range(SMALL.chunks)):
-            complete(backwards, [(cell, chunk)], no_progress)
-    assert _sha(backwards.results({c.index: SMALL.runs for c in SMALL.cells})) == _sha(whole[1])
+            run_missing(backwards, [(condition, chunk)], no_progress)
+    assert _sha(backwards.results({c.index: SMALL.runs for c in SMALL.conditions})) == _sha(whole[1])
     parts = [tmp_path / f"part-{k}" for k in (1, 2)]
     for k, part in enumerate(parts, start=1):
-        assert carry_out(SMALL, part, (k, 2), None, no_progress) is None
-    assert merged(parts, tmp_path / "merged") == 4
-    assert _sha(carry_out(SMALL, tmp_path / "merged", (1, 1), None, no_progress)) == _sha(whole[1])
+        assert run_study(SMALL, part, (k, 2), None, no_progress) is None
+    assert merge_shards(parts, tmp_path / "merged") == 4
+    assert _sha(run_study(SMALL, tmp_path / "merged", (1, 1), None, no_progress)) == _sha(whole[1])
 
 
 def test_a_study_goes_on_where_it_was_and_reads_a_torn_chunk_as_missing(whole, tmp_path):
-    store = Store(tmp_path, SMALL).opened()
-    complete(store, [(SMALL.cells[1], 1)], no_progress)
+    store = ChunkStore(tmp_path, SMALL).open()
+    run_missing(store, [(SMALL.conditions[1], 1)], no_progress)
     made = store.path(1, 1).stat().st_mtime_ns
     store.path(0, 0).write_bytes(b"torn")
-    assert _sha(carry_out(SMALL, tmp_path, (1, 1), None, no_progress)) == _sha(whole[1])
+    assert _sha(run_study(SMALL, tmp_path, (1, 1), None, no_progress)) == _sha(whole[1])
     assert store.path(1, 1).stat().st_mtime_ns == made
 
 
@@ -172,35 +173,36 @@ def test_one_and_two_devices_give_the_same_numbers_and_a_report(tmp_path):
 
 def test_until_ends_a_cell_as_soon_as_its_figure_is_known_well_enough(tmp_path):
     study = dataclasses.replace(SMALL, runs=64, worlds={"constant": SMALL.worlds["constant"]})
-    wide = carry_out(study, tmp_path / "wide", (1, 1), Until.parsed("rmse_m±30%", study), no_progress)
-    narrow = carry_out(study, tmp_path / "narrow", (1, 1), Until.parsed("rmse_m +- 0.01 %", study), no_progress)
+    wide = run_study(study, tmp_path / "wide", (1, 1), StopRule.parse("rmse_m±30%", study), no_progress)
+    narrow = run_study(study, tmp_path / "narrow", (1, 1), StopRule.parse("rmse_m +- 0.01 %", study), no_progress)
     assert wide.runs[0] == 32
     assert narrow.runs[0] == 64
     with pytest.raises(UnusableInput, match="--shard"):
-        carry_out(study, tmp_path / "shard", (1, 2), Until.parsed("rmse_m±1%", study), no_progress)
+        run_study(study, tmp_path / "shard", (1, 2), StopRule.parse("rmse_m±1%", study), no_progress)
 
 
 @pytest.mark.parametrize(
     ("change", "says"),
     [
         (("fix-kf", "fix-kg"), "fix-kg"),
-        (('figures = ["rmse_m"]', 'figures = ["rmse_m"]\n[grid]\n"world.rate_hz" = []'), "is empty"),
+        (('metrics = ["rmse_m"]', 'metrics = ["rmse_m"]\n[grid]\n"world.rate_hz" = []'), "is empty"),
         (("[trackers.fix-kf]", "[trackers.fix-kf]\ntunables = {'motion.sigma_a' = -1.0}"), "motion.sigma_a = -1.0"),
         (("runs = 12", "runs = 0"), "runs = 0"),
         (("rate_hz = 1.0", "rate = 1.0"), "rate"),
         (("[worlds.line]", "[worlds.lime]"), "lime"),
         (("runs = 12", "walks = 12"), "walks"),
+        (("metrics =", "figures ="), "the key 'figures' is now called 'metrics'; rename it"),
         (("runs = 12", "runs = "), "TOML"),
         (("[worlds.line]", "[grid]\n'motion.sigma_q' = [1.0]\n[worlds.line]"), "motion.sigma_q"),
     ],
 )
 def test_a_study_that_cannot_be_run_is_refused_in_one_line(tmp_path, change, says):
-    from experiments.monte_carlo.sources import study_of
+    from experiments.monte_carlo.sources import load_study
 
     file = tmp_path / "study.toml"
     file.write_text(TOML.replace(*change))
     with pytest.raises(UnusableInput) as refused:
-        carry_out(study_of(str(file)), tmp_path / "out", (1, 1), None, no_progress)
+        run_study(load_study(str(file)), tmp_path / "out", (1, 1), None, no_progress)
     assert says in str(refused.value)
     assert "\n" not in str(refused.value)
     assert not [*tmp_path.glob("out/chunks/*.npz")]
@@ -222,7 +224,7 @@ def test_the_command_line_refuses_what_is_no_study(tmp_path, whole):
 
 
 def test_shards_of_different_studies_are_not_merged(whole, tmp_path):
-    other = Store(tmp_path / "other", dataclasses.replace(SMALL, seed=5)).opened()
+    other = ChunkStore(tmp_path / "other", dataclasses.replace(SMALL, seed=5)).open()
     with pytest.raises(UnusableInput, match="seed: 5, not 0|seed: 0, not 5"):
-        merged([whole[0], other.folder], tmp_path / "merged")
+        merge_shards([whole[0], other.folder], tmp_path / "merged")
     assert not (tmp_path / "merged").exists()

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from experiments.monte_carlo.errors import TrackedRuns
 from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
-from experiments.monte_carlo.runner import carry_out
-from experiments.monte_carlo.sources import names, study_of
-from experiments.monte_carlo.trajectories import Run
+from experiments.monte_carlo.runner import run_study
+from experiments.monte_carlo.sources import available_studies, load_study
 from experiments.papers import fitting
 from experiments.papers.fitting import Fitted, fitted, means, solved, write_fitted
 from experiments.papers.huang_2018 import workshop
@@ -28,8 +28,8 @@ MINE = (
 
 
 def _results(study, runs, folder):
-    few = replace(study, runs=runs, figures=study.figures[:2])
-    return carry_out(few, folder, (1, 1), None, lambda *_: None)
+    few = replace(study, runs=runs, metrics=study.metrics[:2])
+    return run_study(few, folder, (1, 1), None, lambda *_: None)
 
 
 def _run(estimates, truth, folder=None):
@@ -37,13 +37,15 @@ def _run(estimates, truth, folder=None):
     n, rows = estimates.shape[:2]
     times = np.tile(np.arange(rows) / 10.0, (n, 1))
     nothing = np.zeros((n, rows))
-    return Run(times, estimates, nothing[..., None, None], truth, nothing == 0, nothing, nothing, nothing, folder)
+    return TrackedRuns(
+        times, estimates, nothing[..., None, None], truth, nothing == 0, nothing, nothing, nothing, folder
+    )
 
 
 @pytest.mark.parametrize("name", MINE)
 def test_a_study_is_listed_and_can_be_run(name):
-    assert name in names()
-    assert study_of(name).claims is not None
+    assert name in available_studies()
+    assert load_study(name).expected is not None
 
 
 def test_a_fit_finds_the_numbers_that_make_the_figures_equal():
@@ -73,7 +75,7 @@ def test_the_raw_fixes_of_the_workshop_are_as_far_off_the_route_as_its_polyline_
 
 @pytest.mark.slow
 def test_the_workshop_has_nine_printed_figures_of_which_four_are_predicted(tmp_path):
-    found = workshop.claims(_results(workshop.STUDY, 4, tmp_path))
+    found = workshop.expected(_results(workshop.STUDY, 4, tmp_path))
     claims = [c for c in found if isinstance(c, ExpectedResult)]
     assert [c.fitted for c in claims].count(False) == 4
     assert len(claims) == 9
@@ -121,8 +123,8 @@ def test_the_ends_of_strokes_are_measured_by_the_mean_of_what_was_estimated():
     times = np.arange(0.0, 60.0, 0.1)
     truth = robot.strokes(np.zeros(1), times)
     folder = robot.robot(np.arange(1), 0, 0.0, 2.5)
-    run = _run(truth + [0.03, -0.02, 0.05], truth, folder)
-    off = {name: float(measure(run)[0]) for name, measure in robot.STUDY.measures.items()}
+    tracked = _run(truth + [0.03, -0.02, 0.05], truth, folder)
+    off = {name: float(measure(tracked)[0]) for name, measure in robot.STUDY.measures.items()}
     expected = {"flat_m": 0.025, "height_m": 0.05}
     expected |= {
         f"{end}_{a}_m": e for end in ("least", "largest") for a, e in zip("xyz", (0.03, 0.02, 0.05), strict=True)
@@ -153,9 +155,9 @@ def test_the_hall_hides_the_anchor_along_x_alone():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", MINE)
 def test_a_study_says_what_it_found(name, tmp_path):
-    study = study_of(name)
+    study = load_study(name)
     results = _results(study, 2, tmp_path)
-    found = results.study.claims(results)
+    found = results.study.expected(results)
     assert found
     assert all(np.isfinite(c.ours.value) for c in found if isinstance(c, ExpectedResult))
     assert all(c.evidence for c in found if isinstance(c, Conclusion))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from experiments.monte_carlo import Conclusion, ExpectedResult
-from experiments.monte_carlo.runner import carry_out
+from experiments.monte_carlo.runner import run_study
 from experiments.papers.fitting import fitted
 from experiments.papers.line_thesis import figures_3, leaving_line, rests_at_joins, sweep_curves, table_3_1
 from experiments.papers.line_thesis._assembly_line import (
@@ -133,7 +133,7 @@ def test_a_study_is_called_as_its_file(module):
 def table(tmp_path_factory):
     best = fitted("line_thesis/table_3_1")["sigma_particle"]
     study = dataclasses.replace(table_3_1.STUDY, runs=2, grid={SIGMA: (best,)})
-    return carry_out(study, tmp_path_factory.mktemp("table"), (1, 1), None, lambda done, now="": None)
+    return run_study(study, tmp_path_factory.mktemp("table"), (1, 1), None, lambda done, now="": None)
 
 
 @pytest.mark.slow
@@ -148,13 +148,13 @@ def test_the_filters_stand_in_the_order_of_the_table(table):
 
 @pytest.mark.slow
 def test_the_table_has_its_27_figures_and_says_which_were_fitted(table):
-    claims = table_3_1.claims(table)
-    cells = [c for c in claims if isinstance(c, ExpectedResult) and ", set " in c.figure]
+    claims = table_3_1.expected(table)
+    cells = [c for c in claims if isinstance(c, ExpectedResult) and ", set " in c.quantity]
     assert [c.printed for c in cells] == [x for row in PRINTED.values() for x in row]
-    assert {c.fitted for c in cells if c.figure.endswith("particle")} == {False}
-    assert {c.fitted for c in cells if not c.figure.endswith("particle")} == {True}
+    assert {c.fitted for c in cells if c.quantity.endswith("particle")} == {False}
+    assert {c.fitted for c in cells if not c.quantity.endswith("particle")} == {True}
     # Levels are fitted to the mean of many draws: two of each of nine scatter by a few per cent.
-    average = next(c for c in claims if c.figure == "Table 3.1, average, raw")
+    average = next(c for c in claims if c.quantity == "Table 3.1, average, raw")
     assert abs(average.ratio - 1) < 0.1
     assert sum(isinstance(c, Conclusion) for c in claims) == 4
 
@@ -162,8 +162,8 @@ def test_the_table_has_its_27_figures_and_says_which_were_fitted(table):
 @pytest.mark.slow
 @pytest.mark.parametrize("module", STUDIES, ids=lambda m: m.STUDY.name)
 def test_a_study_runs_and_draws_what_it_says(module, tmp_path):
-    results = carry_out(dataclasses.replace(module.STUDY, runs=4), tmp_path, (1, 1), None, lambda done, now="": None)
+    results = run_study(dataclasses.replace(module.STUDY, runs=4), tmp_path, (1, 1), None, lambda done, now="": None)
     assert results is not None
-    assert module.STUDY.claims(results)
+    assert module.STUDY.expected(results)
     pictures = module.STUDY.draw(results, tmp_path) if module.STUDY.draw else []
     assert all((tmp_path / name).read_text("utf-8").startswith("<svg") for name in pictures)

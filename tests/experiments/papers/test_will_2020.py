@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from experiments.monte_carlo import Conclusion, ExpectedResult
-from experiments.monte_carlo.runner import carry_out
-from experiments.monte_carlo.sources import names, study_of
+from experiments.monte_carlo.runner import run_study
+from experiments.monte_carlo.sources import available_studies, load_study
 from experiments.papers.fitting import fitted, fitted_file
 from experiments.papers.will_2020 import fit_figure_8, fit_table_1
 from experiments.papers.will_2020._work_stand import ALL, SETS, antennas_of, covered, in_use, recorded, stand
@@ -18,19 +18,19 @@ NAMES = ("table-1", "figures-6-7", "figure-8", "figure-10", "computing-cost", "r
 
 
 def _carried_out(tmp_path_factory, name, runs, **changed):
-    study = study_of(name)
+    study = load_study(name)
     study = type(study)(**{**vars(study), "runs": runs, **changed})
-    return carry_out(study, tmp_path_factory.mktemp(name), (1, 1), None, lambda done, now="": None)
+    return run_study(study, tmp_path_factory.mktemp(name), (1, 1), None, lambda done, now="": None)
 
 
 @pytest.fixture(scope="module")
 def table_1(tmp_path_factory):
-    study = study_of("table-1")
-    return _carried_out(tmp_path_factory, "table-1", 8, trackers={"EKF": study.trackers["EKF"]}, figures=())
+    study = load_study("table-1")
+    return _carried_out(tmp_path_factory, "table-1", 8, trackers={"EKF": study.trackers["EKF"]}, metrics=())
 
 
 def test_the_studies_of_the_work_stand_are_listed():
-    assert set(NAMES) <= set(names())
+    assert set(NAMES) <= set(available_studies())
 
 
 def test_the_fitted_array_keeps_to_its_box_and_half_a_wavelength_apart():
@@ -115,7 +115,7 @@ def test_where_the_stations_stand_matters_little_for_the_table(radius):
 @pytest.mark.parametrize("name", NAMES)
 def test_a_study_computes_its_claims_and_draws_its_pictures(tmp_path_factory, tmp_path, name):
     results = _carried_out(tmp_path_factory, name, 4)
-    made = results.study.claims(results)
+    made = results.study.expected(results)
     assert made
     assert all(isinstance(one, ExpectedResult | Conclusion) for one in made)
     for one in made:
@@ -130,7 +130,7 @@ def test_all_printed_errors_are_reached_within_a_tenth(tmp_path_factory):
     for name, count in (("table-1", 10), ("figure-8", 1)):
         results = _carried_out(tmp_path_factory, name, 100)
         asked = [
-            one for one in results.study.claims(results) if isinstance(one, ExpectedResult) and one.within is not None
+            one for one in results.study.expected(results) if isinstance(one, ExpectedResult) and one.within is not None
         ]
         assert len(asked) == count
         assert all(one.reached for one in asked)

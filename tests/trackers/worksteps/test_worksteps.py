@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.monte_carlo.trajectories import Run
+from experiments.monte_carlo.errors import TrackedRuns
 from experiments.questions._bench import MEASURES
 from tests.faulty import good_tables
 from tests.in_process import assert_refused, trackwright
@@ -120,8 +120,8 @@ def test_the_studys_measures_count_rows_at_rest_alone():
     twice = [np.stack([x, x]) for x in (np.array([1.0, 2.0, 3.0, 4.0]), seen, spread, truth)]
     known, status = np.array([[True] * 4, [False] * 4]), np.zeros((2, 4), int)
     folder = RecordingFolder("bench", None, Rig("bench"), {"points": table})
-    run = Run(*twice, known, status, np.zeros((2, 4)), np.zeros((2, 4)), folder)
-    found = {name: measure(run) for name, measure in MEASURES.items()}
+    tracked = TrackedRuns(*twice, known, status, np.zeros((2, 4)), np.zeros((2, 4)), folder)
+    found = {name: measure(tracked) for name, measure in MEASURES.items()}
     third = 1 / 3
     assert found["named_right"] == pytest.approx([2 * third, np.nan], nan_ok=True)
     assert [found[k][0] for k in ("released_right", "released_wrong", "missed")] == pytest.approx([third] * 3)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import fnmatch
 import time
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from experiments.monte_carlo.declaration import WORLD, Condition, Study, TrackerConfig
-from experiments.monte_carlo.errors import judged
+from experiments.monte_carlo.errors import TrackedRuns, scored
 from trackers.bounds import bounds_of
 from trackers.catalogue import grouped
 from trackers.core.algebra import triangle
@@ -27,92 +27,72 @@ from trackers.recordings.truth import TruthStatus, interpolated
 from trackers.tracks import angles, rounded
 
 
-class Run(NamedTuple):
-    """A tracker's estimates of n trajectories with their truth, for the measures of a study.
-
-    `times` (n, T) s. `estimates` (n, T, 3) m, NaN where there is none, a known height put in; `covariance` (n, T, d, d)
-    of the estimated axes. Bearings have an axis of stations: `estimates` and `truth` (n, T, S, 2) rad, azimuth and
-    elevation, `covariance` (n, T, S, 2, 2). `known`: rows that count, of which the truth and an estimate are known.
-    `status` (codes of `Status`), `nis`, `dof`: for every row, and every station.
-    """
-
-    times: np.ndarray
-    estimates: np.ndarray
-    covariance: np.ndarray
-    truth: np.ndarray
-    known: np.ndarray
-    status: np.ndarray
-    nis: np.ndarray
-    dof: np.ndarray
-    folder: RecordingFolder
-
-
-def trajectories(study: Study, cell: Condition, ids: np.ndarray, first: bool) -> list[dict[str, np.ndarray]]:
+def run_chunk(study: Study, condition: Condition, ids: np.ndarray, first: bool) -> list[dict[str, np.ndarray]]:
     """For every tracker what is kept of the trajectories with these ids, by name; `first`: bounds and times too.
 
     Raises UnusableInput where world, tracker or numbers don't fit each other.
     """
-    made = study.worlds[cell.world]
+    made = study.worlds[condition.world]
     try:
-        folder = made.make(ids, study.seed, **study.numbers(cell))
+        folder = made.make(ids, study.seed, **study.numbers(condition))
     except (TypeError, ValueError) as error:
-        raise UnusableInput(f"study '{study.name}', world '{cell.world}': {error}") from error
-    plain = {name: grouped([folder], e.entry, name, e.free_height) for name, e in study.trackers.items()}
-    _all_taken(study, cell, plain)
+        raise UnusableInput(f"study '{study.name}', world '{condition.world}': {error}") from error
+    plain = {name: grouped([folder], e.spec, name, e.free_height) for name, e in study.trackers.items()}
+    _all_taken(study, condition, plain)
     kept = []
-    for name, entrant in study.trackers.items():
-        groups = _with_numbers(study, cell, name, entrant, plain[name])
-        run, seconds = _run(groups, ids, study.chunk, entrant)
-        own = judged(run)
+    for name, config in study.trackers.items():
+        batches = _with_numbers(study, condition, name, config, plain[name])
+        tracked, seconds = _run(batches, ids, study.chunk, config)
+        own = scored(tracked)
         for measure, function in study.measures.items():
-            own[f"measure {measure}"] = _measured(study, measure, function(run), len(ids))
+            own[f"measure {measure}"] = _measured(study, measure, function(tracked), len(ids))
         if first:
             # Once more: the first time the program was compiled.
-            if "us_per_row" in study.figures:
-                seconds = _run(groups, ids, study.chunk, entrant)[1]
-                own["us_per_row"] = np.array(1e6 * seconds / max(int((run.status != Status.PADDING).sum()), 1))
-            if any(f.startswith("bound") for f in study.figures):
-                own["bounds"] = _bounds(folder, groups)
+            if "us_per_row" in study.metrics:
+                seconds = _run(batches, ids, study.chunk, config)[1]
+                own["us_per_row"] = np.array(1e6 * seconds / max(int((tracked.status != Status.PADDING).sum()), 1))
+            if any(f.startswith("bound") for f in study.metrics):
+                own["bounds"] = _bounds(folder, batches)
         kept.append(own)
     return kept
 
 
-def entered(
-    study: Study, cell: Condition, name: str, entrant: TrackerConfig, folder: RecordingFolder
+def tracker_batches(
+    study: Study, condition: Condition, name: str, config: TrackerConfig, folder: RecordingFolder
 ) -> list[TrackerBatch]:
     """The trajectories of a folder with the tracker as it enters a cell; raises UnusableInput where they don't fit."""
-    return _with_numbers(study, cell, name, entrant, grouped([folder], entrant.entry, name, entrant.free_height))
+    return _with_numbers(study, condition, name, config, grouped([folder], config.spec, name, config.free_height))
 
 
 def _with_numbers(
-    study: Study, cell: Condition, name: str, entrant: TrackerConfig, groups: list[TrackerBatch]
+    study: Study, condition: Condition, name: str, config: TrackerConfig, batches: list[TrackerBatch]
 ) -> list[TrackerBatch]:
     where = f"study '{study.name}', tracker '{name}'"
     made = []
-    for group in groups:
-        tracker = with_values(group.tracker, dict(entrant.tunables), where)
-        tracker = with_values(tracker, _of_grid(cell, tracker), where)
-        if entrant.smooth:
+    for batch in batches:
+        tracker = with_values(batch.tracker, dict(config.tunables), where)
+        tracker = with_values(tracker, _of_grid(condition, tracker), where)
+        if config.smooth:
             if not isinstance(tracker, Tracker):
                 raise UnusableInput(f"{where}: smooth: this tracker has no smoother; leave `smooth` out")
             try:
                 tracker = Smoothed(tracker, None)
             except TypeError as error:
                 raise UnusableInput(f"{where}: smooth: {error}; leave `smooth` out") from error
-        made.append(TrackerBatch(tracker, group.trajectories, group.planar))
+        made.append(TrackerBatch(tracker, batch.trajectories, batch.planar))
     return made
 
 
-def _of_grid(cell: Condition, tracker: AbstractTracker) -> dict[str, Any]:
+def _of_grid(condition: Condition, tracker: AbstractTracker) -> dict[str, Any]:
     """The numbers of the grid that this tracker has."""
     own = list(tunables(tracker))
-    return {k: v for k, v in cell.numbers.items() if not k.startswith(WORLD) and fnmatch.filter(own, k)}
+    return {k: v for k, v in condition.numbers.items() if not k.startswith(WORLD) and fnmatch.filter(own, k)}
 
 
-def _all_taken(study: Study, cell: Condition, plain: Mapping[str, list[TrackerBatch]]) -> None:
+def _all_taken(study: Study, condition: Condition, plain: Mapping[str, list[TrackerBatch]]) -> None:
     """Refuse a number of the grid that no tracker has."""
-    own = {name for groups in plain.values() for group in groups for name in tunables(group.tracker)}
-    for pattern in cell.numbers:
+    own = {name for batches in plain.values() for batch in batches for name in tunables(batch.tracker)}
+    for pattern in condition.numbers:
         if not pattern.startswith(WORLD) and not fnmatch.filter(own, pattern):
             raise UnusableInput(
                 f"study '{study.name}': grid '{pattern}': no tracker has it; expected 'world.' and a number of the "
@@ -120,9 +100,9 @@ def _all_taken(study: Study, cell: Condition, plain: Mapping[str, list[TrackerBa
             )
 
 
-def _run(groups: list[TrackerBatch], ids: np.ndarray, chunk: int, entrant: TrackerConfig) -> tuple[Run, float]:
+def _run(batches: list[TrackerBatch], ids: np.ndarray, chunk: int, config: TrackerConfig) -> tuple[TrackedRuns, float]:
     """The estimates of all trajectories, trajectories first, and the seconds that the trackers took."""
-    every = [trajectory for group in groups for trajectory in group.trajectories]
+    every = [trajectory for batch in batches for trajectory in batch.trajectories]
     if not every:
         raise UnusableInput("a world without a single tag to track; expected one for each id")
     stations = sorted({trajectory.station for trajectory in every})
@@ -130,38 +110,36 @@ def _run(groups: list[TrackerBatch], ids: np.ndarray, chunk: int, entrant: Track
     rows = max(len(trajectory.recording) for trajectory in every)
     shape = (len(ids), rows, len(stations))
     width = 2 if stations[0] else 3
-    axes = 2 if stations[0] else max(2 if group.planar else 3 for group in groups)
+    axes = 2 if stations[0] else max(2 if batch.planar else 3 for batch in batches)
     times = np.full(shape[:2], np.nan)
     estimates, truth = np.full((*shape, width), np.nan), np.full((*shape, width), np.nan)
     covariance = np.full((*shape, axes, axes), np.nan)
     known, status = np.zeros(shape, bool), np.full(shape, int(Status.PADDING))
     nis, dof = np.zeros(shape), np.zeros(shape)
     seconds = 0.0
-    for group in groups:
-        padded = rounded(max(len(trajectory.recording) for trajectory in group.trajectories))
-        batch = stack([trajectory.recording for trajectory in group.trajectories], rows=padded)
+    for batch in batches:
+        padded = rounded(max(len(trajectory.recording) for trajectory in batch.trajectories))
+        stacked = stack([trajectory.recording for trajectory in batch.trajectories], rows=padded)
         # Whole chunks only: then a trajectory's numbers don't depend on how many there are, nor on how many devices.
-        whole = batch.trajectories(0, chunk * -(-batch.size // chunk))
+        whole = stacked.trajectories(0, chunk * -(-stacked.size // chunk))
         began = time.perf_counter()
-        found = group.tracker.run(whole, chunk)
+        found = batch.tracker.run(whole, chunk)
         seconds += time.perf_counter() - began
-        paths: Mapping[str, Any] = true_paths(group.trajectories[0].folder) if _shifts(group.tracker) else {}
-        for k, trajectory in enumerate(group.trajectories):
+        paths: Mapping[str, Any] = true_paths(batch.trajectories[0].folder) if _shifts(batch.tracker) else {}
+        for k, trajectory in enumerate(batch.trajectories):
             one, size = found[k], len(trajectory.recording)
             at = number[trajectory.tag], slice(0, size), stations.index(trajectory.station)
-            at_valid_time, own = group.tracker.at_valid_time(trajectory.recording.times, one[:size])
+            at_valid_time, own = batch.tracker.at_valid_time(trajectory.recording.times, one[:size])
             place, P = _moments(trajectory, own, size)
             times[at[0], :size] = at_valid_time
             estimates[at], status[at], nis[at], dof[at] = place, own.status, own.nis, own.count
             covariance[at][..., : P.shape[-1], : P.shape[-1]] = P
             (truth[at], counts) = _truth(trajectory, at_valid_time, paths)
-            known[at] = (
-                counts & own.usable & _last(at_valid_time, entrant.every) & np.isfinite(place[:, :2]).all(axis=1)
-            )
+            known[at] = counts & own.usable & _last(at_valid_time, config.every) & np.isfinite(place[:, :2]).all(axis=1)
     values = (estimates, covariance, truth, known, status, nis, dof)
     if not stations[0]:
         values = tuple(x[:, :, 0] for x in values)  # type: ignore[assignment]
-    return Run(times, *values, groups[0].trajectories[0].folder), seconds
+    return TrackedRuns(times, *values, batches[0].trajectories[0].folder), seconds
 
 
 def _moments(trajectory: Trajectory, own: Estimates, size: int) -> tuple[np.ndarray, np.ndarray]:
@@ -212,12 +190,12 @@ def _measured(study: Study, name: str, found: Any, n: int) -> np.ndarray:
     return values
 
 
-def _bounds(folder: RecordingFolder, groups: list[TrackerBatch]) -> np.ndarray:
+def _bounds(folder: RecordingFolder, batches: list[TrackerBatch]) -> np.ndarray:
     """The Cramér–Rao bound as root mean square over the second half of the rows, in the plane and in space.
 
     NaN where there is none. The first rows' bound is the width of the tracker's start, which nobody takes for a bound.
     """
-    found = bounds_of(folder, groups)
+    found = bounds_of(folder, batches)
     if found is None:
         return np.full(2, np.nan)
     squares = (found[1][len(found[1]) // 2 :] ** 2).mean(axis=0)

@@ -15,7 +15,7 @@ import jax
 import numpy as np
 
 from experiments.monte_carlo.declaration import Study, TrackerConfig
-from experiments.monte_carlo.results import Gathered, Kept, Results
+from experiments.monte_carlo.results import ChunkTotals, Results, Totals
 from trackers.core.errors import UnusableInput
 from trackers.recordings.atomic import atomic_write, json_text
 
@@ -27,12 +27,12 @@ def identity(study: Study) -> dict[str, Any]:
     return {
         "study": study.name,
         "worlds": {k: {"make": _named(w.make), "numbers": dict(w.numbers)} for k, w in study.worlds.items()},
-        "trackers": {k: _entrant(e) for k, e in study.trackers.items()},
+        "trackers": {k: _config(e) for k, e in study.trackers.items()},
         "grid": {k: list(v) for k, v in study.grid.items()},
         "seed": study.seed,
         "chunk": study.chunk,
         "measures": list(study.measures),
-        "kept of a first chunk": sorted({f for f in study.figures if f.startswith("bound") or f == "us_per_row"}),
+        "kept of a first chunk": sorted({f for f in study.metrics if f.startswith("bound") or f == "us_per_row"}),
         "file": hashlib.sha256(study.source.encode()).hexdigest() if study.source else None,
         "jaxlib": version("jaxlib"),
         "device": jax.devices()[0].device_kind,
@@ -44,20 +44,20 @@ def _named(function: Callable[..., Any]) -> str:
     return f"{getattr(inner, '__module__', '')}.{getattr(inner, '__qualname__', type(inner).__name__)}"
 
 
-def _entrant(entrant: TrackerConfig) -> dict[str, Any]:
-    name = entrant.tracker if isinstance(entrant.tracker, str) else entrant.tracker.about
-    rest = {"smooth": entrant.smooth, "free_height": entrant.free_height, "every": entrant.every}
-    return {"tracker": name, "tunables": dict(entrant.tunables), **rest}
+def _config(config: TrackerConfig) -> dict[str, Any]:
+    name = config.tracker if isinstance(config.tracker, str) else config.tracker.about
+    rest = {"smooth": config.smooth, "free_height": config.free_height, "every": config.every}
+    return {"tracker": name, "tunables": dict(config.tunables), **rest}
 
 
 @dataclass(frozen=True)
-class Store:
+class ChunkStore:
     """The folder with the chunks of a study."""
 
     folder: Path
     study: Study
 
-    def opened(self) -> Store:
+    def open(self) -> ChunkStore:
         """Made where it isn't there; raises UnusableInput where it holds another study or can't be written to."""
         path, mine = self.folder / IDENTITY, json_text(identity(self.study))
         try:
@@ -77,16 +77,16 @@ class Store:
             atomic_write(path, lambda temporary: temporary.write_text(mine, "utf-8"))
         return self
 
-    def path(self, cell: int, chunk: int) -> Path:
+    def path(self, condition: int, chunk: int) -> Path:
         """The file of a cell's chunk."""
-        return self.folder / CHUNKS / f"{cell:04d}-{chunk:06d}.npz"
+        return self.folder / CHUNKS / f"{condition:04d}-{chunk:06d}.npz"
 
-    def has(self, cell: int, chunk: int) -> bool:
+    def has(self, condition: int, chunk: int) -> bool:
         """Whether a chunk is there and whole."""
-        path = self.path(cell, chunk)
+        path = self.path(condition, chunk)
         return path.exists() and zipfile.is_zipfile(path)
 
-    def put(self, cell: int, chunk: int, trackers: Sequence[Mapping[str, np.ndarray]]) -> None:
+    def put(self, condition: int, chunk: int, trackers: Sequence[Mapping[str, np.ndarray]]) -> None:
         """Write a chunk; raises UnusableInput where the disk is full."""
         arrays = {f"{k}/{name}": x for k, own in enumerate(trackers) for name, x in own.items()}
 
@@ -94,23 +94,23 @@ class Store:
             with temporary.open("wb") as file:
                 np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
 
-        atomic_write(self.path(cell, chunk), write)
+        atomic_write(self.path(condition, chunk), write)
 
     def results(self, runs: Mapping[int, int]) -> Results:
         """The figures of the cells of which so many runs are there."""
-        kept: dict[tuple[int, str], Kept] = {}
-        for cell in runs:
-            gathered = {name: Gathered(runs[cell]) for name in self.study.trackers}
-            for chunk in range(-(-runs[cell] // self.study.chunk)):
-                with self._file(cell, chunk) as file:
+        kept: dict[tuple[int, str], Totals] = {}
+        for condition in runs:
+            gathered = {name: ChunkTotals(runs[condition]) for name in self.study.trackers}
+            for chunk in range(-(-runs[condition] // self.study.chunk)):
+                with self._file(condition, chunk) as file:
                     for k, name in enumerate(gathered):
                         own = {n.partition("/")[2]: file[n] for n in file.files if n.startswith(f"{k}/")}
                         gathered[name].add(chunk * self.study.chunk, own)
-            kept |= {(cell, name): g.kept() for name, g in gathered.items()}
+            kept |= {(condition, name): g.kept() for name, g in gathered.items()}
         return Results(self.study, kept, runs)
 
-    def _file(self, cell: int, chunk: int) -> Any:
-        path = self.path(cell, chunk)
+    def _file(self, condition: int, chunk: int) -> Any:
+        path = self.path(condition, chunk)
         try:
             return np.load(path, allow_pickle=False)
         except (OSError, ValueError, zipfile.BadZipFile) as error:
@@ -135,7 +135,7 @@ def _short(value: Any) -> str:
     return text if len(text) <= 60 else text[:57] + "…"
 
 
-def merged(parts: Sequence[Path], out: Path) -> int:
+def merge_shards(parts: Sequence[Path], out: Path) -> int:
     """Copy the chunks of parts of one study into a folder, and say how many; raises UnusableInput for unequal ones."""
     if not parts:
         raise UnusableInput("study merge: no folder given; expected the folders that the shards wrote")
