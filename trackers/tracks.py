@@ -72,7 +72,7 @@ def _table(trajectory: Trajectory, tracker: AbstractTracker, estimates: Estimate
     if trajectory.station:
         ids["station"] = trajectory.station
     known = {name: np.where(usable, np.asarray(x)[:rows].astype(float), np.nan)[last] for name, x in columns.items()}
-    said = {"nis": estimates.nis, "nis_dof": estimates.count, "log_likelihood": estimates.log_likelihood}
+    said = {"nis": estimates.nis, "nis_dof": estimates.nis_dof, "log_likelihood": estimates.log_likelihood}
     return pl.DataFrame(
         {name: pl.repeat(text, int(last.sum()), eager=True) for name, text in ids.items()}
         | {"t_s": times[last]}

@@ -44,7 +44,7 @@ class Consistency(AbstractObjective):
     kind: Literal["nis", "nees"] = eqx.field(static=True)
     quantity: str = eqx.field(static=True, default="position")
     dimensions: int = eqx.field(static=True, default=2)
-    tail: Any = None
+    student_t_dof: Any = None
     knows: bool = eqx.field(static=True, default=False)
 
     @property
@@ -56,11 +56,11 @@ class Consistency(AbstractObjective):
         return self.kind == "nees"
 
     def informed(self, tracker: Any) -> Consistency:
-        """With the tail that the tracker's sensors have now; raises ValueError where they differ in it.
+        """The objective with ν of the tracker's sensor; raises ValueError where the distribution of the NIS is unknown.
 
-        A fit that tunes the tail, too, goes on to judge by the one that it began with.
+        A fit that also tunes ν keeps the initial ν here.
         """
-        return Consistency(self.kind, self.quantity, self.dimensions, tail_of(tracker), True)
+        return Consistency(self.kind, self.quantity, self.dimensions, student_t_dof_of(tracker), True)
 
     def terms(self, output: Output, truth: Truth) -> tuple[Scalar, ...]:
         if self.kind == "nees":
@@ -70,30 +70,31 @@ class Consistency(AbstractObjective):
         else:
             if not self.knows:
                 raise ValueError("the shape of the NIS depends on the sensors' noise: use informed(tracker)")
-            counts = output.count > 0
-            count, nis = jnp.where(counts, output.count, 1.0), jnp.where(counts, output.nis, 1.0)
-            u = chi_square_below(nis, count) if self.tail is None else tailed_below(nis, count, self.tail)
+            counts = output.nis_dof > 0
+            nis_dof, nis = jnp.where(counts, output.nis_dof, 1.0), jnp.where(counts, output.nis, 1.0)
+            nu = self.student_t_dof
+            u = chi_square_below(nis, nis_dof) if nu is None else student_t_below(nis, nis_dof, nu)
         return *(jnp.where(counts, p, 0.0) for p in legendre(u)), jnp.where(counts, jnp.ones_like(u), 0.0)
 
     def value(self, sums: Any) -> Scalar:
         return total((sums[k] / sums[ORDERS]) ** 2 for k in range(ORDERS))
 
 
-def tail_of(tracker: Any) -> Scalar | None:
+def student_t_dof_of(tracker: Any) -> Scalar | None:
     """The degrees of freedom of the noise that makes the tracker's NIS; None where it is normal, or there is no NIS.
 
-    Raises ValueError where several sensors make it and one of them has a tail: their sum has no known distribution.
+    Raises ValueError for several sensors, one of them with Student's t: the distribution of their sum is unknown.
     """
     while not isinstance(tracker, Tracker):
         if not hasattr(tracker, "fusion"):
             return None
         tracker = tracker.fusion
     sensors: list[AbstractSensor] = list(tracker.sensors.values())
-    tails = [tail for tail in (getattr(sensor, "tail", None) for sensor in sensors) if tail is not None]
-    if tails and len(sensors) > 1:
-        found = f"{len(sensors)} sensors, {len(tails)} of them with Student's t"
-        raise ValueError(f"the NIS of {found}, has no known distribution; expected one sensor, or normal noise")
-    return tails[0].value if tails else None
+    found = [dof for dof in (getattr(sensor, "dof", None) for sensor in sensors) if dof is not None]
+    if found and len(sensors) > 1:
+        what = f"{len(sensors)} sensors, {len(found)} of them with Student's t"
+        raise ValueError(f"the NIS of {what}, has no known distribution; expected one sensor, or normal noise")
+    return found[0].value if found else None
 
 
 def legendre(u: Scalar) -> list[Scalar]:
@@ -131,18 +132,18 @@ def chi_square_below(x: Scalar, dof: Scalar) -> Scalar:
     return jnp.where(half > 0, below, 0.0)
 
 
-def tailed_below(q: Scalar, count: Scalar, tail: Scalar) -> Scalar:
-    """The probability that a row's NIS of `count` channels of Student's t is at most q; see the module's head.
+def student_t_below(q: Scalar, nis_dof: Scalar, nu: Scalar) -> Scalar:
+    """The probability that the NIS of `nis_dof` Student's t channels (ν = `nu`) is at most q; see the module's head.
 
     The incomplete beta function as an integral of powers of sine and cosine, by Gauss and Legendre's rule, so that it
     has derivatives in everything.
     """
-    both = 0.5 * (count * (tail + 3.0) - 2.0)
-    a = both / (tail + 1.0)
-    b = tail * a
-    share = jnp.clip(q / (count * (tail + 1.0)), 1e-12, 1.0 - 1e-6)
+    both = 0.5 * (nis_dof * (nu + 3.0) - 2.0)
+    a = both / (nu + 1.0)
+    b = nu * a
+    share = jnp.clip(q / (nis_dof * (nu + 1.0)), 1e-12, 1.0 - 1e-6)
     # Further out there is less than 1e-5; the nodes are wanted where the probability is.
-    reach = jnp.arctan(jnp.sqrt((40.0 + 4.0 * count) * (1.0 + 1e3 / tail**2) / tail))
+    reach = jnp.arctan(jnp.sqrt((40.0 + 4.0 * nis_dof) * (1.0 + 1e3 / nu**2) / nu))
     angle = jnp.minimum(jnp.arcsin(jnp.sqrt(share)), reach)
     integral = total(
         0.5 * w * jnp.exp((2.0 * a - 1.0) * jnp.log(jnp.sin(s)) + (2.0 * b - 1.0) * jnp.log(jnp.cos(s)))

@@ -11,7 +11,7 @@ import numpy as np
 from jax.scipy.special import gammainc, ndtri
 
 from trackers.core.metrics import chi_square_density
-from tuning.consistency import tailed_below
+from tuning.consistency import student_t_below
 
 CORRELATED = 0.1
 """Correlation of neighbouring rows from which on errors count as lasting."""
@@ -27,13 +27,13 @@ RARE, TOO_OFTEN = 1e-3, 5.0
 class Innovations:
     """NIS (n,) with degrees of freedom (n,) of rows in time order; `trajectory` (n,): whose trajectory a row is.
 
-    `tail`: degrees of freedom of the noise where it is Student's t, so that NIS is not χ²; None where it is normal.
+    `student_t_dof`: degrees of freedom of Student's t noise, whose NIS is not χ²; None for normal noise.
     """
 
     nis: np.ndarray
     dof: np.ndarray
     trajectory: np.ndarray
-    tail: float | None = None
+    student_t_dof: float | None = None
 
 
 def probabilities(innovations: Innovations) -> np.ndarray:
@@ -43,9 +43,9 @@ def probabilities(innovations: Innovations) -> np.ndarray:
     """
     nis, dof = np.asarray(innovations.nis, float), np.asarray(innovations.dof, float)
     with jax.enable_x64(True):
-        if innovations.tail is None:
+        if innovations.student_t_dof is None:
             return np.asarray(gammainc(dof / 2, nis / 2))
-        return np.asarray(tailed_below(jnp.asarray(nis), jnp.asarray(dof), jnp.asarray(innovations.tail)))
+        return np.asarray(student_t_below(jnp.asarray(nis), jnp.asarray(dof), jnp.asarray(innovations.student_t_dof)))
 
 
 def normal_scores(innovations: Innovations) -> np.ndarray:
@@ -82,17 +82,17 @@ def expected_density(x: np.ndarray, innovations: Innovations) -> np.ndarray:
     for dof, count in zip(kinds, counts, strict=True):
         one = (
             chi_square_density(x, float(dof))
-            if innovations.tail is None
-            else _tailed_density(x, float(dof), innovations.tail)
+            if innovations.student_t_dof is None
+            else _student_t_density(x, float(dof), innovations.student_t_dof)
         )
         density += count / len(innovations.dof) * one
     return density
 
 
-def _tailed_density(x: np.ndarray, count: float, tail: float) -> np.ndarray:
-    both = 0.5 * (count * (tail + 3) - 2)
-    a, reach = both / (tail + 1), count * (tail + 1)
-    b = tail * a
+def _student_t_density(x: np.ndarray, nis_dof: float, nu: float) -> np.ndarray:
+    both = 0.5 * (nis_dof * (nu + 3) - 2)
+    a, reach = both / (nu + 1), nis_dof * (nu + 1)
+    b = nu * a
     share = np.clip(x / reach, 1e-12, 1 - 1e-12)
     log_beta = math.lgamma(a) + math.lgamma(b) - math.lgamma(both)
     density = np.exp((a - 1) * np.log(share) + (b - 1) * np.log1p(-share) - log_beta) / reach

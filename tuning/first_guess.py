@@ -24,7 +24,7 @@ from tuning.objectives import AbstractObjective, NegativeLogLikelihood, Truth
 from tuning.parameters import Parameter, flatten, with_parameters
 from tuning.problem import Problem
 
-ROWS, PIECES, HEAVY_PIECES = 400, 16, 4
+ROWS, PIECES, PARTICLE_PIECES = 400, 16, 4
 """Of the pieces that are looked at: long enough for a track to settle, few enough for seconds of work.
 
 A filter whose belief has an axis of particles or cells does hundreds of times the work of another.
@@ -63,7 +63,7 @@ class Steady(AbstractObjective):
         lost = (output.status == Status.LOST) | (output.status == Status.RESTARTED)
         lost = lost | (output.status == Status.NON_FINITE)
         row = output.status != Status.PADDING
-        one = jnp.ones_like(output.count)
+        one = jnp.ones_like(output.nis_dof)
         likelihood = NegativeLogLikelihood().terms(output, truth)
         return *likelihood, jnp.where(lost, one, 0.0), jnp.where(row, one, 0.0)
 
@@ -81,8 +81,8 @@ def first_guess(
     """
     batches = [batches] if isinstance(batches, Batch) else list(batches)
     parameters = noise_levels(tracker, frozen)
-    heavy = bool(getattr(getattr(tracker, "filter", None), "heavy", False))
-    some = looked_at(batches, HEAVY_PIECES if heavy else PIECES)
+    has_particles = bool(getattr(getattr(tracker, "filter", None), "has_particle_axis", False))
+    some = looked_at(batches, PARTICLE_PIECES if has_particles else PIECES)
     read = sum(int(np.sum(reading.seen)) for reading in some.readings.values())
     if not parameters or not read:
         return tracker

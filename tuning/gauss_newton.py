@@ -32,10 +32,10 @@ def row_terms(
     def rows(v: jax.Array) -> tuple[Any, Any]:
         output = tracker_of(v).scan(batch)
         added = jnp.stack([jnp.sum(x, axis=0) for x in jax.vmap(terms)(output, batch.truth)])
-        return (added, output.nis, output.log_likelihood), (added, output.nis, output.count)
+        return (added, output.nis, output.log_likelihood), (added, output.nis, output.nis_dof)
 
-    (slopes, by_nis, by_likelihood), (values, nis, count) = jax.jacfwd(rows, has_aux=True)(vector)
-    m, q = jnp.maximum(count, 1.0), jnp.maximum(nis, SMALLEST)
+    (slopes, by_nis, by_likelihood), (values, nis, nis_dof) = jax.jacfwd(rows, has_aux=True)(vector)
+    m, q = jnp.maximum(nis_dof, 1.0), jnp.maximum(nis, SMALLEST)
     # 2 log-likelihood = −l − q − m log 2π; a row that read nothing has no derivatives.
     p = len(vector)
     by_log = [-2.0 * by_likelihood[..., i] - by_nis[..., i] for i in range(p)]

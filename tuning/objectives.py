@@ -75,7 +75,7 @@ class NegativeLogLikelihood(AbstractObjective):
         return False
 
     def terms(self, output: Output, truth: Truth) -> tuple[Scalar, ...]:
-        return -output.log_likelihood, output.count
+        return -output.log_likelihood, output.nis_dof
 
     def value(self, sums: Any) -> Scalar:
         return sums[0] / sums[1]

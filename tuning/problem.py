@@ -65,8 +65,8 @@ class Problem:
         trajectories = max(part.size for part in self.chunks)
         # As many vectors at once as keep a compiled call about as large as a full chunk. A filter with an axis of its
         # own gains nothing by more than one, and would compute both sides of its conditions at every row.
-        heavy = isinstance(self.tracker, Tracker) and has_particle_axis(self.tracker)
-        self.width = 1 if heavy else max(1, min(WIDTH, CHUNK // (1 << (trajectories - 1).bit_length())))
+        has_particles = isinstance(self.tracker, Tracker) and has_particle_axis(self.tracker)
+        self.width = 1 if has_particles else max(1, min(WIDTH, CHUNK // (1 << (trajectories - 1).bit_length())))
         self.filter_runs = 0
         self.n_excluded = 0
 

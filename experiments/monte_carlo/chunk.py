@@ -132,7 +132,7 @@ def _run(batches: list[TrackerBatch], ids: np.ndarray, chunk: int, config: Track
             at_valid_time, own = batch.tracker.at_valid_time(trajectory.recording.times, one[:size])
             place, P = _moments(trajectory, own, size)
             times[at[0], :size] = at_valid_time
-            estimates[at], status[at], nis[at], dof[at] = place, own.status, own.nis, own.count
+            estimates[at], status[at], nis[at], dof[at] = place, own.status, own.nis, own.nis_dof
             covariance[at][..., : P.shape[-1], : P.shape[-1]] = P
             (truth[at], counts) = _truth(trajectory, at_valid_time, paths)
             known[at] = counts & own.usable & _last(at_valid_time, config.every) & np.isfinite(place[:, :2]).all(axis=1)

@@ -164,7 +164,7 @@ def _over_time(track: ErrorTrack, unit: str, top: float) -> str:
 
 
 def _expected(innovations: Innovations) -> str:
-    return "χ²" if innovations.tail is None else "Student's t"
+    return "χ²" if innovations.student_t_dof is None else "Student's t"
 
 
 def _smooth(track: ErrorTrack) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

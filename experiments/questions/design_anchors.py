@@ -101,7 +101,7 @@ def draw(results: Results, folder: Path) -> list[str]:
 TOLD = {
     "sensors.ranges.sigma_r": SIGMA_R,
     "sensors.ranges.positive_skew": 1.0,
-    "sensors.ranges.tail": 30.0,
+    "sensors.ranges.dof": 30.0,
     "sensors.ranges.bias": [0.0] * 8,
     "motion.sigma_bias": 0.002,
     "start.sigma_bias": 0.002,

@@ -29,7 +29,7 @@ SPACINGS = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 OF_RANGES = {
     "sensors.ranges.sigma_r": SIGMA_R,
     "sensors.ranges.positive_skew": 1.0,
-    "sensors.ranges.tail": 30.0,
+    "sensors.ranges.dof": 30.0,
     "start.sigma_bias": BIAS,
 }
 CONFIGS = {

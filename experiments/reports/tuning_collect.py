@@ -16,7 +16,7 @@ from trackers.core.tracker import AbstractTracker
 from trackers.recordings.trajectories import Trajectory
 from trackers.tracks import batches
 from tuning import FitResult
-from tuning.consistency import tail_of
+from tuning.consistency import student_t_dof_of
 from tuning.diagnostics import Innovations
 from tuning.fit import Step
 from tuning.identifiability import IdentifiabilityIssue, names_of
@@ -184,16 +184,16 @@ def _errors(
 def innovations_of(every: Sequence[Estimates], tracker: AbstractTracker) -> Innovations | None:
     """The NIS of all rows that have one; None where its distribution isn't known."""
     try:
-        tail = tail_of(tracker)
+        nu = student_t_dof_of(tracker)
     except ValueError:
         return None
-    heard = [np.isfinite(one.nis) & (one.count > 0) & one.usable for one in every]
+    heard = [np.isfinite(one.nis) & (one.nis_dof > 0) & one.usable for one in every]
     trajectory = [np.full(int(h.sum()), k) for k, h in enumerate(heard)]
     nis, dof = (
         np.concatenate([getattr(one, name)[h].astype(float) for one, h in zip(every, heard, strict=True)])
-        for name in ("nis", "count")
+        for name in ("nis", "nis_dof")
     )
-    return Innovations(nis, dof, np.concatenate(trajectory), None if tail is None else float(np.asarray(tail)))
+    return Innovations(nis, dof, np.concatenate(trajectory), None if nu is None else float(np.asarray(nu)))
 
 
 def _rows(trajectories: Sequence[Trajectory], comparable: bool) -> list[Batch]:

@@ -160,7 +160,7 @@ def ranges() -> System:
     anchors = np.array([[0, 0, 2.5], [8, 0, 0.3], [8, 6, 2.5], [0, 6, 0.3], [4, 0, 0.5], [4, 6, 2.3]], float)
     count, sigma_r = len(anchors), 0.1
     # So many degrees of freedom make Student's t normal, and ranges too long are as likely as ones too short.
-    sensor = RangeSensor(count, count, sigma_r, positive_skew=1.0, tail=1e4)
+    sensor = RangeSensor(count, count, sigma_r, positive_skew=1.0, dof=1e4)
 
     def read(view: Any, rng: np.random.Generator) -> np.ndarray:
         place = np.stack([np.asarray(x) for x in view.position], axis=-1)

@@ -9,7 +9,7 @@ from experiments.cli.subprocesses import command, figures, real_recordings
 
 OUT = Path("out/walks")
 USE_CASES = ("u1", "u2", "u3")
-PATTERNS = ("motion.*", "sensors.*.sigma_*", "sensors.*.tail", "sensors.*.offsets", "sensors.*.compression")
+PATTERNS = ("motion.*", "sensors.*.sigma_*", "sensors.*.dof", "sensors.*.offsets", "sensors.*.compression")
 
 
 def main() -> None:

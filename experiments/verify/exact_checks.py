@@ -47,7 +47,7 @@ def kalman_findings() -> list[Finding]:
     missing = np.zeros((len(times), 1))
     readings = Readings(np.hstack([values, missing]), np.hstack([seen, missing > 0]), np.zeros((len(times), 3)))
     batch = stack([Recording(times, {FIXES: readings}, {"height": np.zeros(len(times))})])
-    tracker = fix_tracker(tail=None, planar=True)
+    tracker = fix_tracker(dof=None, planar=True)
     new: dict[str, Any] = {
         name: Real(NUMBERS[mine], "s", typical=1.0) if mine == "latency" else Scale(NUMBERS[mine])
         for name, mine in NAMES.items()

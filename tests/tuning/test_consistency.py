@@ -17,7 +17,7 @@ from trackers.core.motion import Kinematic
 from trackers.core.recording import Recording, stack
 from trackers.core.tracker import Output
 from trackers.parts.fixes import cov_before, shifted_back
-from tuning.consistency import Consistency, chi_square_below, legendre, tail_of, tailed_below
+from tuning.consistency import Consistency, chi_square_below, legendre, student_t_below, student_t_dof_of
 from tuning.metrics import all_metrics, parse_objective
 from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError, StateLogLikelihood, Weighted
 
@@ -40,29 +40,29 @@ def test_beyond_the_series_the_cube_root_is_close():
         np.testing.assert_allclose(chi_square_below(x, dof + 0 * x), stats.chi2.cdf(x, dof), atol=5e-4)
 
 
-@pytest.mark.parametrize("tail", [1.0, 3.0, 4.0, 30.0, 1e3])
-def test_one_channel_of_students_t_has_its_distribution(tail):
+@pytest.mark.parametrize("dof", [1.0, 3.0, 4.0, 30.0, 1e3])
+def test_one_channel_of_students_t_has_its_distribution(dof):
     t = np.geomspace(1e-3, 40.0, 300)
-    q = (tail + 1) * t**2 / (tail + t**2)
-    found = tailed_below(jnp.asarray(q), np.ones(300), tail)
+    q = (dof + 1) * t**2 / (dof + t**2)
+    found = student_t_below(jnp.asarray(q), np.ones(300), dof)
     # the rule leaves out the far end, where less than 1e-5 of the probability is
-    np.testing.assert_allclose(found, 2 * stats.t.cdf(t, tail) - 1, atol=2e-5)
+    np.testing.assert_allclose(found, 2 * stats.t.cdf(t, dof) - 1, atol=2e-5)
 
 
-@pytest.mark.parametrize(("tail", "channels", "off"), [(4.0, 2, 0.02), (4.0, 3, 0.02), (30.0, 2, 0.006)])
-def test_several_channels_have_it_nearly(tail, channels, off):
-    squares = np.random.default_rng(0).standard_t(tail, (100_000, channels)) ** 2
-    q = np.sort(((tail + 1) * squares / (tail + squares)).sum(axis=1))
-    found = tailed_below(jnp.asarray(q), np.full(q.shape, float(channels)), tail)
+@pytest.mark.parametrize(("dof", "channels", "off"), [(4.0, 2, 0.02), (4.0, 3, 0.02), (30.0, 2, 0.006)])
+def test_several_channels_have_it_nearly(dof, channels, off):
+    squares = np.random.default_rng(0).standard_t(dof, (100_000, channels)) ** 2
+    q = np.sort(((dof + 1) * squares / (dof + squares)).sum(axis=1))
+    found = student_t_below(jnp.asarray(q), np.full(q.shape, float(channels)), dof)
     # 100,000 draws know a distribution to 0.004; `off`: what the module's head says of the approximation
     np.testing.assert_allclose(found, (np.arange(len(q)) + 0.5) / len(q), atol=off + 0.002)
 
 
 def test_the_distribution_with_a_tail_has_derivatives_in_everything():
     point = jnp.array([1.7, 2.0, 4.0])
-    slope = jax.jacfwd(lambda p: tailed_below(p[0], p[1], p[2]))(point)
+    slope = jax.jacfwd(lambda p: student_t_below(p[0], p[1], p[2]))(point)
     steps = 1e-6 * np.eye(3)
-    numeric = [(tailed_below(*(point + s)) - tailed_below(*(point - s))) / 2e-6 for s in steps]
+    numeric = [(student_t_below(*(point + s)) - student_t_below(*(point - s))) / 2e-6 for s in steps]
     np.testing.assert_allclose(slope, numeric, rtol=1e-6)
 
 
@@ -174,9 +174,9 @@ def test_a_quantity_that_no_state_shows_has_no_figures(figures):
 
 
 def test_what_makes_the_nis_says_its_tail():
-    assert float(tail_of(bearing_tracker(tail=5.0))) == pytest.approx(5.0)
-    assert tail_of(line_tracker()) is None
-    assert tail_of(direct_tracker(work_station().stations)) is None
+    assert float(student_t_dof_of(bearing_tracker(dof=5.0))) == pytest.approx(5.0)
+    assert student_t_dof_of(line_tracker()) is None
+    assert student_t_dof_of(direct_tracker(work_station().stations)) is None
     with pytest.raises(ValueError, match="informed"):
         Consistency("nis").terms(_output(np.random.default_rng(0), Beam(*np.zeros((4, LANES))), 4)[0], {})
 

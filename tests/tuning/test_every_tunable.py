@@ -121,10 +121,10 @@ PROMISED = {
     "line-pf": "motion.sigma_a motion.halting motion.rest sensors.fixes.sigma_p start.sigma_start",
     "uwb-imu": "motion.noise.sigma_accel motion.noise.sigma_gyro motion.noise.*_walk motion.gravity sensors.*.bias",
     "uwb": "motion.sigma_a motion.sigma_bias motion.time_constant sensors.ranges.sigma_r sensors.ranges.bias track_loss.nis_limit",
-    "fix-kf": "motion.sigma_a sensors.fixes.sigma_horizontal sensors.fixes.tail sensors.fixes.latency track_loss.nis_limit",
+    "fix-kf": "motion.sigma_a sensors.fixes.sigma_horizontal sensors.fixes.dof sensors.fixes.latency track_loss.nis_limit",
     "fix-singer": "motion.sigma_a motion.tau sensors.fixes.latency",
-    "imm": "motion.modes.*.sigma_a filter.rate filter.odds sensors.fixes.latency",
-    "fix-mirror": "filter.rate filter.odds filter.reach sensors.fixes.offset sensors.fixes.shrink",
+    "imm": "motion.modes.*.sigma_a filter.switching_rate filter.mode_prior sensors.fixes.latency",
+    "fix-mirror": "filter.switching_rate filter.mode_prior filter.reach sensors.fixes.offset sensors.fixes.shrink",
     "mhk": "fusion.*.p_still fusion.*.p_full fusion.*.a_still fusion.*.covariance median.speed_limit fusion.*.latency",
     "multilateration": "sigma_r",
     "trilateration-compensated": "sigma_r",
@@ -141,7 +141,7 @@ def test_what_a_user_may_want_tuned_is_found_by_name(name):
 
 def test_the_rates_at_which_modes_and_accelerations_change_are_found_by_name():
     assert "fusion.filter.rate" in tunables(mhk_tracker(rate=1.0))
-    assert {"sensors.bearings.tail", "track_loss.nis_limit", "start.sigma_position"} <= set(tunables(bearing_tracker()))
+    assert {"sensors.bearings.dof", "track_loss.nis_limit", "start.sigma_position"} <= set(tunables(bearing_tracker()))
     assert np.shape(tunables(range_tracker(8))["sensors.ranges.bias"].raw) == (8,)
 
 

@@ -40,7 +40,7 @@ def _assert_found(tracker, levels, within=3.0):
         assert level / within < found[name] < level * within, f"{name}: {found[name]}, made with {level}"
 
 
-def _fixes(seed, count=8, rows=300, missing=0.0, uneven=0.0, tail=None):
+def _fixes(seed, count=8, rows=300, missing=0.0, uneven=0.0, dof=None):
     """Fixes of tags that move as `GroundMotion` does, with white noise or Student's t."""
     rng = np.random.default_rng(seed)
     recordings = []
@@ -48,7 +48,7 @@ def _fixes(seed, count=8, rows=300, missing=0.0, uneven=0.0, tail=None):
         dts = 0.1 * np.exp(uneven * rng.normal(size=rows))
         speed = np.cumsum(0.7 * np.sqrt(dts)[:, None] * rng.normal(size=(rows, 2)), axis=0)
         height = 1 + np.cumsum(0.1 * np.sqrt(dts) * rng.normal(size=rows))
-        noise = rng.normal(size=(rows, 3)) if tail is None else rng.standard_t(tail, (rows, 3))
+        noise = rng.normal(size=(rows, 3)) if dof is None else rng.standard_t(dof, (rows, 3))
         values = np.column_stack([np.cumsum(speed * dts[:, None], axis=0), height]) + [0.15, 0.15, 0.4] * noise
         seen = np.repeat(rng.random((rows, 1)) >= missing, 3, axis=1)
         readings = {FIXES: Readings(np.where(seen, values, 0.0), seen, np.zeros((rows, 3)))}
@@ -59,7 +59,7 @@ def _fixes(seed, count=8, rows=300, missing=0.0, uneven=0.0, tail=None):
 @pytest.mark.parametrize(
     ("made", "within"),
     # differences are of two and three wild numbers, but only one of them shows in a long lag's median
-    [({}, 1.25), ({"missing": 0.3, "uneven": 0.3}, 1.5), ({"tail": 3.0}, 2.2)],
+    [({}, 1.25), ({"missing": 0.3, "uneven": 0.3}, 1.5), ({"dof": 3.0}, 2.2)],
 )
 def test_differences_of_fixes_show_all_levels_in_closed_form(made, within):
     found = levels_of_places(stack(_fixes(0, **made)))
@@ -77,7 +77,7 @@ def test_what_differences_do_not_show_is_not_claimed():
 
 @pytest.mark.parametrize("factors", [(10, 0.1, 10, 0.1), (0.1, 10, 0.1, 10)])
 def test_every_level_of_fixes_is_found_from_starts_wrong_in_all_ways(factors):
-    start = fix_tracker(*(k * v for k, v in zip(factors, LEVELS.values(), strict=True)), tail=None)
+    start = fix_tracker(*(k * v for k, v in zip(factors, LEVELS.values(), strict=True)), dof=None)
     _assert_found(first_guess(start, stack(_fixes(2))), LEVELS, 1.5)
 
 
@@ -93,7 +93,7 @@ def test_what_changes_nothing_and_what_is_frozen_stays():
     kept = _values(first_guess(start, world, frozen=("sensors.*",)))
     changed = {k for k in before if not np.array_equal(before[k], kept[k])}
     assert changed == {"motion.sigma_v"}
-    planar = fix_tracker(0.7, 5.0, 0.15, 7.0, tail=None, planar=True)
+    planar = fix_tracker(0.7, 5.0, 0.15, 7.0, dof=None, planar=True)
     level = [
         Recording(r.times, {FIXES: Readings(r.readings[FIXES].values, r.readings[FIXES].seen & [True, True, False])},
                   r.inputs, {}, r.name)

@@ -89,3 +89,16 @@ def test_a_pattern_written_by_hand_serves_every_station():
 def test_noise_levels_of_another_tracker_are_refused():
     with pytest.raises(UnusableInput, match=r"tuned.toml: this tracker has no 'sensors.1.sigma_p'; it has: motion"):
         with_values(bearing_tracker(), {"sensors.1.sigma_p": np.array(0.7)}, Path("tuned.toml"))
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("sensors.bearings.tail", "sensors.bearings.dof"),
+        ("sensors.*.trust", r"sensors.\*.reported_std_scale"),
+        ("loss.patience", "track_loss.max_gap"),
+    ],
+)
+def test_a_former_name_is_refused_with_the_present_one(old, new):
+    with pytest.raises(UnusableInput, match=rf"tuned.toml: '.*' is now called '{new}'; use the new name"):
+        with_values(bearing_tracker(), {old: np.array(0.7)}, Path("tuned.toml"))

@@ -89,7 +89,7 @@ class Cascade(AbstractTracker):
         """One station's beam estimates as readings with covariances, where the row had phases of that station."""
         output = self.beams[name].scan(batch._replace(readings={name: batch.readings[name]}))
         mean, cov = output.mean, output.cov
-        heard = (output.status == Status.RESTARTED) | ((output.status == Status.OK) & (output.count > 0))
+        heard = (output.status == Status.RESTARTED) | ((output.status == Status.OK) & (output.nis_dof > 0))
         angles = jnp.stack([mean.azimuth, mean.elevation], axis=1)
         return Reading(angles, jnp.stack([heard, heard], axis=1), jnp.stack([cov[0], cov[1], cov[4]], axis=1))
 
@@ -105,9 +105,9 @@ class Cascade(AbstractTracker):
 
         restarted = jnp.any(every(output.status) == Status.RESTARTED, axis=1)
         status = jnp.where(restarted & (last(output.status) == Status.OK), Status.RESTARTED, last(output.status))
-        log_likelihood, nis, count, wrapped = (jnp.sum(every(x), axis=1) for x in output[2:6])
+        log_likelihood, nis, nis_dof, wrapped = (jnp.sum(every(x), axis=1) for x in output[2:6])
         mean, cov = jax.tree_util.tree_map(last, (output.mean, output.cov))
-        return Output(mean, cov, log_likelihood, nis, count, wrapped, status.astype(jnp.int8))
+        return Output(mean, cov, log_likelihood, nis, nis_dof, wrapped, status.astype(jnp.int8))
 
 
 def cascade_tracker(
@@ -123,7 +123,7 @@ def cascade_tracker(
     σa of the beams rad/s², of the fusion m/s² per √Hz; σp and the span of the start rad.
     """
     beams = {name: beam_tracker(s, name, sigma_a_beam, sigma_p, paper_form, span) for name, s in stations.items()}
-    sensors = {BEARINGS: BearingSensor(np.deg2rad(0.3), np.deg2rad(0.3), tail=30.0)}
+    sensors = {BEARINGS: BearingSensor(np.deg2rad(0.3), np.deg2rad(0.3), dof=30.0)}
     start = NearbyStart(Scale(0.2, "m"), Scale(0.5, "m/s"), False, 3)
     fusion = Tracker(ConstantVelocity(sigma_a, 3), sensors, start)
     geometry = {name: bearing_inputs(s) for name, s in stations.items()}

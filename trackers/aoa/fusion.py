@@ -30,7 +30,7 @@ class BearingSensor(AbstractSensor):
 
     Inputs: `origin` (3,) m, `axes` (9,) the array's x, y, z axes in the world, row after row, and `height` m for a
     planar state. `sigma_azimuth`, `sigma_elevation`: rad, beside what the station reports (variance of azimuth,
-    covariance, variance of elevation, rad²), whose square root is scaled by `reported_std_scale`. `tail`: degrees of freedom of
+    covariance, variance of elevation, rad²), whose square root is scaled by `reported_std_scale`. `dof`: degrees of freedom of
     Student's t. `offsets` (2,) rad and `compression` (2,) rad⁻²: arrays pull large angles a towards boresight, as
     a/√(1 + c·a²) + offset; both zero for a calibrated one.
     """
@@ -38,15 +38,15 @@ class BearingSensor(AbstractSensor):
     sigma_azimuth: Noise
     sigma_elevation: Noise
     reported_std_scale: Noise
-    tail: Noise
+    dof: Noise
     offsets: Noise
     compression: Noise
 
-    def __init__(self, sigma_azimuth: float, sigma_elevation: float, tail: float):
+    def __init__(self, sigma_azimuth: float, sigma_elevation: float, dof: float):
         self.sigma_azimuth = Scale(sigma_azimuth, "rad")
         self.sigma_elevation = Scale(sigma_elevation, "rad")
         self.reported_std_scale = Scale(1.0)
-        self.tail = Scale(tail)
+        self.dof = Scale(dof)
         self.offsets = Real(np.zeros(2), "rad", typical=0.1)
         self.compression = Real(np.zeros(2), "rad^-2", typical=0.1)
 
@@ -78,9 +78,9 @@ class BearingSensor(AbstractSensor):
         whitened = jnp.where(saw_azimuth, azimuth / first, 0.0)
         rest = jnp.where(saw_elevation, (elevation - coupling * whitened) / second, 0.0)
         scales = ((saw_azimuth, first), (saw_elevation, second))
-        log_scale = total(jnp.where(s, log_peak(self.tail.value) - jnp.log(sigma), 0.0) for s, sigma in scales)
-        count = total(jnp.where(s, jnp.ones_like(azimuth), 0.0) for s, _ in scales)
-        return Residual([whitened, rest], log_scale, count, tail=self.tail.value)
+        log_scale = total(jnp.where(s, log_peak(self.dof.value) - jnp.log(sigma), 0.0) for s, sigma in scales)
+        nis_dof = total(jnp.where(s, jnp.ones_like(azimuth), 0.0) for s, _ in scales)
+        return Residual([whitened, rest], log_scale, nis_dof, dof=self.dof.value)
 
 
 def bearing_inputs(station: Station) -> np.ndarray:
@@ -103,7 +103,7 @@ def bearing_tracker(
     sigma_z: float = 0.05,
     sigma_azimuth: float = np.deg2rad(8.0),
     sigma_elevation: float = np.deg2rad(12.0),
-    tail: float = 4.0,
+    dof: float = 4.0,
     planar: bool = False,
 ) -> Tracker:
     """Position over the floor with velocity, and a drifting height unless it is known (`planar`), from bearings.
@@ -111,7 +111,7 @@ def bearing_tracker(
     The bearings-only EKF of Will et al. 2020, section 4.2, with Student's t instead of a gate. σa m/s² per √Hz, σz m
     per √s, angles rad.
     """
-    sensors = {BEARINGS: BearingSensor(sigma_azimuth, sigma_elevation, tail)}
+    sensors = {BEARINGS: BearingSensor(sigma_azimuth, sigma_elevation, dof)}
     # Errors of real bearings last for seconds: a large running NIS is no sign of a lost track there.
     return Tracker(
         GroundMotion(sigma_a, sigma_z),

@@ -29,7 +29,7 @@ def centred(reading: Reading, predicted: Sequence[Scalar], sigma_p: Scalar) -> R
 
     Rank n − 1 for n antennas seen; the density is that of the n − 1 differences to one antenna.
     """
-    seen, n, count = _counts(reading)
+    seen, n, nis_dof = _counts(reading)
     differences = [z - p for z, p in zip(reading.values, predicted, strict=True)]
     # Whatever is subtracted from all antennas, the centring below removes again: no derivative is lost.
     middle = circular_mean([jax.lax.stop_gradient(d) for d in differences], seen, n)
@@ -40,12 +40,12 @@ def centred(reading: Reading, predicted: Sequence[Scalar], sigma_p: Scalar) -> R
     low = high = residuals[0]
     for r in residuals[1:]:
         low, high = jnp.minimum(low, r), jnp.maximum(high, r)
-    return _scaled(residuals, n, count, sigma_p, high - low > jnp.pi)
+    return _scaled(residuals, n, nis_dof, sigma_p, high - low > jnp.pi)
 
 
 def pairwise(reading: Reading, predicted: Sequence[Scalar], sigma_p: Scalar) -> Residual:
     """Wrap each of the n(n − 1)/2 differences and average them per antenna, Dᵀν/n: the paper's form (8)–(17)."""
-    seen, n, count = _counts(reading)
+    seen, n, nis_dof = _counts(reading)
     differences = [z - p for z, p in zip(reading.values, predicted, strict=True)]
     residuals = [
         s * total(t * wrap(d - e) for t, e in zip(seen, differences, strict=True)) / n
@@ -57,7 +57,7 @@ def pairwise(reading: Reading, predicted: Sequence[Scalar], sigma_p: Scalar) -> 
     wrapped = total(
         jnp.where((g > 1.0) & reading.seen[i] & reading.seen[j], 1, 0) for g, (i, j) in zip(gaps, pairs, strict=True)
     )
-    return _scaled(residuals, n, count, sigma_p, wrapped > 0)
+    return _scaled(residuals, n, nis_dof, sigma_p, wrapped > 0)
 
 
 def _counts(reading: Reading) -> tuple[list[Scalar], Scalar, Scalar]:
@@ -68,9 +68,9 @@ def _counts(reading: Reading) -> tuple[list[Scalar], Scalar, Scalar]:
     return seen, n, n - 1.0
 
 
-def _scaled(residuals: Sequence[Scalar], n: Scalar, count: Scalar, sigma_p: Scalar, wrapped: Scalar) -> Residual:
-    log_scale = -count * (jnp.log(sigma_p) + 0.5 * LOG_2PI) - 0.5 * jnp.log(n)
-    return Residual([r / sigma_p for r in residuals], log_scale, count, wrapped)
+def _scaled(residuals: Sequence[Scalar], n: Scalar, nis_dof: Scalar, sigma_p: Scalar, wrapped: Scalar) -> Residual:
+    log_scale = -nis_dof * (jnp.log(sigma_p) + 0.5 * LOG_2PI) - 0.5 * jnp.log(n)
+    return Residual([r / sigma_p for r in residuals], log_scale, nis_dof, wrapped)
 
 
 class AbstractPhaseSensor(AbstractSensor):

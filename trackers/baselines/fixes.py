@@ -13,14 +13,14 @@ def fix_tracker(
     sigma_z: float = 0.3,
     sigma_horizontal: float = 0.1,
     sigma_vertical: float = 0.3,
-    tail: float | None = 4.0,
+    dof: float | None = 4.0,
     planar: bool = False,
 ) -> FixTracker:
     """Constant velocity over the floor and a drifting height unless it is known (`planar`), from fixes.
 
-    σa m/s² per √Hz, σz m per √s, the sensor's sigmas m; `tail` None for the textbook's normal noise.
+    σa m/s² per √Hz, σz m per √s, the sensor's sigmas m; `dof` None for the textbook's normal noise.
     """
-    sensor = FixSensor(sigma_horizontal, sigma_vertical, tail)
+    sensor = FixSensor(sigma_horizontal, sigma_vertical, dof)
     start = FixStart(Scale(1.0, "m"), Scale(1.0, "m/s"), planar, 2)
     return FixTracker(GroundMotion(sigma_a, sigma_z), {FIXES: sensor}, start, track_loss=PATIENT)
 
@@ -30,11 +30,11 @@ def singer_tracker(
     tau: float = 1.0,
     sigma_horizontal: float = 0.1,
     sigma_vertical: float = 0.3,
-    tail: float | None = 4.0,
+    dof: float | None = 4.0,
     planar: bool = False,
 ) -> FixTracker:
     """Singer's motion (1970), an acceleration of σa m/s² that fades with τ s, in the plane or in space, from fixes."""
     n = 2 if planar else 3
-    sensor = FixSensor(sigma_horizontal, sigma_vertical, tail)
+    sensor = FixSensor(sigma_horizontal, sigma_vertical, dof)
     start = FixStart(Scale(1.0, "m"), Scale(1.0, "m/s"), planar, n, n)
     return FixTracker(Singer(sigma_a, tau, n), {FIXES: sensor}, start, track_loss=PATIENT)

@@ -46,17 +46,15 @@ class SideSensor(AbstractFixSensor, AbstractSwitching):
     shrink: Noise
     floor: Noise
     reported_std_scale: Noise
-    tail: Noise | None
+    dof: Noise | None
     latency: Noise
     side: float
 
-    def __init__(
-        self, sigma_horizontal: float, sigma_vertical: float, offset: float, shrink: float, tail: float | None
-    ):
+    def __init__(self, sigma_horizontal: float, sigma_vertical: float, offset: float, shrink: float, dof: float | None):
         self.sigma_horizontal, self.sigma_vertical = Scale(sigma_horizontal, "m"), Scale(sigma_vertical, "m")
         self.offset, self.shrink = Real(offset, "m", typical=0.1), Scale(shrink)
         self.floor, self.give = Real(0.0, "m"), Scale(0.3, "m")
-        self.reported_std_scale, self.tail = Scale(1.0), None if tail is None else Scale(tail)
+        self.reported_std_scale, self.dof = Scale(1.0), None if dof is None else Scale(dof)
         self.latency = Real(0.0, "s", typical=0.5)
         self.side = -1.0
 
@@ -79,7 +77,7 @@ class SideSensor(AbstractFixSensor, AbstractSwitching):
 
 
 class SideModels(InteractingModels):
-    """Modes that a tag changes only where it may be in the anchors' plane: `rate`, 1/s, is that of a tag inside it.
+    """Modes that a tag changes only where it may be in the anchors' plane: `switching_rate`, 1/s, is that of a tag inside it.
 
     Far from the plane the rate is that share of it which the height leaves to the plane, exp(−(z − h)²/2(P + reach²)):
     mixing branches metres apart would drag each of them towards the other. Input: `plane`, h, m.
@@ -87,15 +85,15 @@ class SideModels(InteractingModels):
 
     reach: Noise
 
-    def __init__(self, rate: float, odds: Sequence[float], reach: float):
-        super().__init__(rate, odds)
+    def __init__(self, switching_rate: float, mode_prior: Sequence[float], reach: float):
+        super().__init__(switching_rate, mode_prior)
         self.reach = Scale(reach, "m")
 
     def rates(self, belief: Mixture, inputs: Any) -> list[Scalar]:
         rates = []
         for mean, cov in belief.components:
             spread = full(cov, dimension(mean))[2][2] + self.reach.value**2
-            rates.append(self.rate.value * jnp.exp(-0.5 * (mean.position[2] - inputs["plane"]) ** 2 / spread))
+            rates.append(self.switching_rate.value * jnp.exp(-0.5 * (mean.position[2] - inputs["plane"]) ** 2 / spread))
         return rates
 
 
@@ -116,12 +114,12 @@ def switching_tracker(
     sigma_horizontal: float = 0.1,
     sigma_vertical: float = 0.3,
     rate: float = 1.0,
-    tail: float | None = 4.0,
+    dof: float | None = 4.0,
     planar: bool = False,
 ) -> FixTracker:
     """Interacting constant-velocity models with accelerations of σa m/s² per √Hz, drawn anew at `rate` 1/s."""
     motion = SwitchingMotion(tuple(GroundMotion(sigma_a, sigma_z) for sigma_a in sigmas_a))
-    sensor = FixSensor(sigma_horizontal, sigma_vertical, tail)
+    sensor = FixSensor(sigma_horizontal, sigma_vertical, dof)
     start = FixStart(Scale(1.0, "m"), Scale(1.0, "m/s"), planar, 2)
     modes = InteractingModels(rate, [1.0] * len(sigmas_a))
     return FixTracker(motion, {FIXES: sensor}, start, modes, PATIENT)
@@ -135,14 +133,14 @@ def mirror_tracker(
     offset: float = 0.55,
     shrink: float = 0.45,
     rate: float = 1.0,
-    tail: float | None = 4.0,
+    dof: float | None = 4.0,
 ) -> FixTracker:
     """Constant velocity over the floor and a drifting height on either side of the anchors' plane, from fixes.
 
     `offset` m and `shrink` as in the module's head: about what four DWM1001 anchors in the corners of a room show.
     `rate`, 1/s: how soon it is forgotten on which side the tag was.
     """
-    sensor = SideSensor(sigma_horizontal, sigma_vertical, offset, shrink, tail)
+    sensor = SideSensor(sigma_horizontal, sigma_vertical, offset, shrink, dof)
     start = ShownStart(Scale(1.0, "m"), Scale(1.0, "m/s"), False, 2)
     return FixTracker(
         GroundMotion(sigma_a, sigma_z), {FIXES: sensor}, start, SideModels(rate, [1.0, 1.0], 0.1), PATIENT

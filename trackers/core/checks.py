@@ -135,14 +135,14 @@ def check_sensor(
             raise BrokenContract(
                 f"{name}.residual has {len(result.whitened)} whitened numbers, expected one per channel, {m}"
             )
-        return np.array([float(r) for r in result.whitened]), float(result.log_scale), float(result.count)
+        return np.array([float(r) for r in result.whitened]), float(result.log_scale), float(result.nis_dof)
 
-    whitened, _, count = residual(np.zeros(m), np.ones(m))
+    whitened, _, nis_dof = residual(np.zeros(m), np.ones(m))
     if np.abs(whitened).max() > 1e-3:
         raise BrokenContract(f"{name}.residual of a reading equal to the prediction is {whitened}, expected zeros")
-    if not 0 < count <= m:
+    if not 0 < nis_dof <= m:
         raise BrokenContract(
-            f"{name}.residual counts {count:g} numbers with all channels seen, expected between 1 and {m}"
+            f"{name}.residual counts {nis_dof:g} numbers with all channels seen, expected between 1 and {m}"
         )
     for seen in (np.zeros(m, bool), *(np.arange(m) != k for k in range(m)), *(rng.random((4, m)) < 0.5)):
         _check_mask(name, residual, rng.normal(size=m) * 0.1, seen)
@@ -168,8 +168,8 @@ def check_sensor(
 
     densities = jax.jit(jax.vmap(log_density, in_axes=(0, None)))
     against_reading = jax.jit(jax.jacfwd(lambda z, s: jnp.stack(judge(z, s).whitened)))
-    tail = judge(_arrays(predicted), np.ones(m, bool)).tail
-    tail = None if tail is None else float(tail)
+    dof = judge(_arrays(predicted), np.ones(m, bool)).dof
+    dof = None if dof is None else float(dof)
     wraps = np.array([channel.wraps for channel in sensor.channels])
     for seen in _windows(m):
         held = round(seen.sum() - residual(np.zeros(m), seen)[2])
@@ -181,7 +181,7 @@ def check_sensor(
         def density(readings: Any, seen: np.ndarray = seen) -> Any:
             return densities(_arrays(readings), seen)
 
-        mass, doubt = integral(density, predicted, free, slope, wraps, tail)
+        mass, doubt = integral(density, predicted, free, slope, wraps, dof)
         if not abs(mass - 1) < 2e-3 + doubt:
             raise BrokenContract(
                 f"{name}: the density of a reading integrates to {mass:.4g} over "
@@ -191,20 +191,20 @@ def check_sensor(
 
 
 def _check_mask(name: str, residual: Callable[..., Any], offset: np.ndarray, seen: np.ndarray) -> None:
-    """What wasn't seen has no say: not in the whitened residual, nor the count, nor through its value."""
-    whitened, log_scale, count = residual(offset, seen)
+    """What wasn't seen has no say: not in the whitened residual, nor nis_dof, nor through its value."""
+    whitened, log_scale, nis_dof = residual(offset, seen)
     if np.any(whitened[~seen] != 0):
         raise BrokenContract(
             f"{name}.residual is {whitened} where seen is {seen}, expected 0 for a channel that wasn't seen"
         )
-    if count > seen.sum():
-        raise BrokenContract(f"{name}.residual counts {count:g} numbers where {seen.sum()} channels were seen")
-    if not seen.any() and (count != 0 or log_scale != 0):
+    if nis_dof > seen.sum():
+        raise BrokenContract(f"{name}.residual counts {nis_dof:g} numbers where {seen.sum()} channels were seen")
+    if not seen.any() and (nis_dof != 0 or log_scale != 0):
         raise BrokenContract(
-            f"{name}.residual with no channel seen has count {count:g} and log_scale {log_scale:.4g}, expected 0 and 0"
+            f"{name}.residual with no channel seen has nis_dof {nis_dof:g} and log_scale {log_scale:.4g}, expected 0 and 0"
         )
     other = residual(np.where(seen, offset, offset + 3.0), seen)
-    if not (np.array_equal(whitened, other[0]) and (log_scale, count) == other[1:]):
+    if not (np.array_equal(whitened, other[0]) and (log_scale, nis_dof) == other[1:]):
         raise BrokenContract(
             f"{name}.residual changes with the value of a channel that wasn't seen (seen: {seen}), expected no change"
         )

@@ -60,7 +60,7 @@ def _pieces(tracker: Tracker, batch: Batch, states: Any) -> tuple[Any, ...]:
             def misfit(*values: Scalar, sensor: Any = sensor, exact: Any = exact) -> list[Scalar]:
                 result = sensor.residual(exact, list(sensor.measure(motion.view(rebuild(values)), row.inputs)))
                 # Fisher's information of Student's t is (ν + 1)/(ν + 3) of the normal's.
-                weight = 1.0 if result.tail is None else (result.tail + 1.0) / (result.tail + 3.0)
+                weight = 1.0 if result.dof is None else (result.dof + 1.0) / (result.dof + 3.0)
                 return [*result.whitened, weight]
 
             (*_, weight), slopes = linearise(misfit, point)

@@ -19,7 +19,7 @@ def integral(
     free: np.ndarray,
     slope: np.ndarray,
     wraps: np.ndarray,
-    tail: float | None,
+    dof: float | None,
 ) -> tuple[float, float]:
     """∫ density over the free channels, the others held at the prediction, and what wrapping may take away from 1.
 
@@ -32,7 +32,7 @@ def integral(
     if not np.all(np.isfinite(factor)) or abs(np.linalg.det(factor)) < 1e-30:
         return math.nan, 0.0
     spread = np.linalg.inv(factor)
-    reach = math.asinh(8.0) if tail is None else min(3.0 + 16.0 / tail, 18.0)
+    reach = math.asinh(8.0) if dof is None else min(3.0 + 16.0 / dof, 18.0)
     s = np.linspace(-reach, reach, {1: POINTS, 2: 64, 3: 32}[k])
     grid = np.stack(np.meshgrid(*[s] * k, indexing="ij"), axis=-1).reshape(-1, k)
     offsets = np.sinh(grid) @ spread.T
@@ -43,9 +43,9 @@ def integral(
     inside = np.all((np.abs(offsets) <= np.pi) | ~wraps[free], axis=1)
     weight = np.prod(np.cosh(grid), axis=1) * (s[1] - s[0]) ** k * abs(np.linalg.det(spread))
     scales = np.sqrt(np.sum(spread**2, axis=1))[wraps[free]]
-    return float(np.sum(density * weight * inside)), sum(beyond(np.pi / scale, tail) for scale in scales)
+    return float(np.sum(density * weight * inside)), sum(beyond(np.pi / scale, dof) for scale in scales)
 
 
-def beyond(x: float, tail: float | None) -> float:
-    """The probability that a standard normal number, or Student's t with `tail` degrees of freedom, is beyond ± x."""
-    return math.erfc(x / math.sqrt(2)) if tail is None else float(betainc(tail / 2, 0.5, tail / (tail + x * x)))
+def beyond(x: float, dof: float | None) -> float:
+    """The probability that a standard normal number, or Student's t with `dof` degrees of freedom, is beyond ± x."""
+    return math.erfc(x / math.sqrt(2)) if dof is None else float(betainc(dof / 2, 0.5, dof / (dof + x * x)))

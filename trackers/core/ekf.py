@@ -49,7 +49,7 @@ class Innovation(NamedTuple):
 
     log_likelihood: Scalar
     nis: Scalar
-    count: Scalar
+    nis_dof: Scalar
     wrapped: Scalar
 
 
@@ -101,24 +101,24 @@ class ExtendedKalman(eqx.Module):
         def misfit(*values: Scalar) -> list[Scalar]:
             predicted = sensor.measure(motion.view(rebuild(values)), inputs)
             result = sensor.residual(reading, list(predicted))
-            heavy[:] = [result.tail is not None]
+            heavy[:] = [result.dof is not None]
             wrapped = jnp.where(result.wrapped, 1.0, 0.0)
             return [
                 *result.whitened,
                 result.log_scale,
-                result.count,
+                result.nis_dof,
                 wrapped,
-                0.0 if result.tail is None else result.tail,
+                0.0 if result.dof is None else result.dof,
             ]
 
         values, rows = linearise(misfit, point)
-        *whitened, log_scale, count, wrapped, tail = values
+        *whitened, log_scale, nis_dof, wrapped, dof = values
         jacobian = [{j: -v for j, v in row.items()} for row in rows[: len(whitened)]]
         # Student's t judges each channel by itself; a compressed one would spread a wild reading over the others.
         channels = compute_once((whitened, jacobian))
-        residual, H, apart = (*channels, jnp.zeros_like(count)) if heavy[0] else compute_once(compressed(*channels))
-        step, cov, nis, log_density = joseph(belief.cov, residual, H, len(point), tail if heavy[0] else None)
-        innovation = Innovation(log_scale + log_density - 0.5 * apart, nis + apart, count, wrapped)
+        residual, H, apart = (*channels, jnp.zeros_like(nis_dof)) if heavy[0] else compute_once(compressed(*channels))
+        step, cov, nis, log_density = joseph(belief.cov, residual, H, len(point), dof if heavy[0] else None)
+        innovation = Innovation(log_scale + log_density - 0.5 * apart, nis + apart, nis_dof, wrapped)
         return Gaussian(retract(belief.mean, step), cov), innovation
 
     def rts_gain(self, belief: Gaussian, motion: AbstractMotion, joined: Scalar, dt: Scalar, inputs: Any) -> RtsGain:
@@ -161,11 +161,11 @@ def compressed(
 
 
 def joseph(
-    cov: Sequence[Scalar], residual: Sequence[Scalar], H: Sequence[SparseRow], n: int, tail: Scalar | None = None
+    cov: Sequence[Scalar], residual: Sequence[Scalar], H: Sequence[SparseRow], n: int, dof: Scalar | None = None
 ) -> tuple[list[Scalar], tuple[Scalar, ...], Scalar, Scalar]:
     """Whitened channels one after another: the small step, the covariance, Σ innovation²/s and the log density.
 
-    P⁺ = (I − khᵀ) P (I − khᵀ)ᵀ + kkᵀ with k = Ph/s and s = hᵀPh + 1. With a `tail`, a channel is weighted by what
+    P⁺ = (I − khᵀ) P (I − khᵀ)ᵀ + kkᵀ with k = Ph/s and s = hᵀPh + 1. With a `dof`, a channel is weighted by what
     Student's t expects of so large an innovation. The log density leaves out what `Residual.log_scale` holds.
     """
     step: list[Scalar] = [jnp.zeros_like(cov[0])] * n
@@ -181,12 +181,12 @@ def joseph(
         # A covariance in single precision can't hold 10 km beside 1 mm: one reading narrows a direction by what the
         # number format carries, the next ones do the rest. In double precision this never happens.
         noise = jnp.maximum(1.0, coarse * a)
-        if tail is None:
+        if dof is None:
             log_density = log_density - 0.5 * (square + jnp.log(1.0 + a))
         else:
-            weight = (tail + 1.0) / (tail + square)
+            weight = (dof + 1.0) / (dof + square)
             noise = jnp.maximum(1.0 / weight, coarse * a)
-            log_density = log_density - 0.5 * ((tail + 1.0) * jnp.log1p(square / tail) + jnp.log(1.0 + a))
+            log_density = log_density - 0.5 * ((dof + 1.0) * jnp.log1p(square / dof) + jnp.log(1.0 + a))
             square = square * weight
         k = [g / (noise + a) for g in Ph]
         step = [x + g * innovation for x, g in zip(step, k, strict=True)]

@@ -35,8 +35,8 @@ STATUS_WORDS = {
     Status.NON_FINITE: "non-finite",
 }
 
-STEP_COLUMNS = {"nis": "nis", "nis_dof": "count", "log_likelihood": "log_likelihood"}
-"""Columns of tables of estimates, and the attributes of `Estimates` that they hold."""
+STEP_COLUMNS = ("nis", "nis_dof", "log_likelihood")
+"""Columns of tables of estimates: attributes of `Estimates`."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -44,7 +44,7 @@ class Estimates:
     """A tracker's output for one recording (arrays start with T) or a batch (with B, T).
 
     `mean`: the state, one array per named component. `cov_upper`: (n(n+1)/2, …, T), the covariance of the small step
-    about the mean, upper triangle row by row. `log_likelihood`, `nis`, `count` (degrees of freedom of the NIS),
+    about the mean, upper triangle row by row. `log_likelihood`, `nis`, `nis_dof` (degrees of freedom of the NIS),
     `wrapped` (readings whose wrapping was ambiguous): per row, summed over sensors. `status`: `Status` codes.
     `times`: (T,) or (B, T) s, NaN in padding, None after a run of a `Batch`. `names`: of the recordings.
     """
@@ -53,7 +53,7 @@ class Estimates:
     cov_upper: np.ndarray
     log_likelihood: np.ndarray
     nis: np.ndarray
-    count: np.ndarray
+    nis_dof: np.ndarray
     wrapped: np.ndarray
     status: np.ndarray
     times: np.ndarray | None = None
@@ -95,7 +95,7 @@ class Estimates:
             cov_upper=self.cov_upper[:, trajectory],
             log_likelihood=part(self.log_likelihood),
             nis=part(self.nis),
-            count=part(self.count),
+            nis_dof=part(self.nis_dof),
             wrapped=part(self.wrapped),
             status=part(self.status),
             times=None if self.times is None else part(self.times),
@@ -142,7 +142,7 @@ class Estimates:
         return pl.DataFrame(
             {"recording": names[keep], "t_s": self.times[keep]}
             | {name: pl.Series(x, nan_to_null=True) for name, x in state.items()}
-            | {name: getattr(self, k)[keep].astype(float) for name, k in STEP_COLUMNS.items()}
+            | {name: getattr(self, name)[keep].astype(float) for name in STEP_COLUMNS}
             | {"status": [STATUS_WORDS[Status(s)] for s in self.status[keep]]}
         )
 

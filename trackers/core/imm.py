@@ -91,27 +91,27 @@ class SwitchingMotion(AbstractMotion, AbstractSwitching):
 class InteractingModels(eqx.Module):
     """The interacting-multiple-model filter (Blom & Bar-Shalom 1988) with the transition of the module's head.
 
-    `rate`: draws of a new mode, 1/s. `odds` (K,): the modes' long-run shares, in proportion. Estimates are the
+    `switching_rate`: draws of a new mode, 1/s. `mode_prior` (K,): the modes' long-run shares, in proportion. Estimates are the
     mixture's mean and covariance, the log-likelihood is the mixture's; NIS is the modes' mean by their probabilities.
     """
 
-    rate: Noise
-    odds: Noise
+    switching_rate: Noise
+    mode_prior: Noise
     filter: ExtendedKalman
 
-    def __init__(self, rate: float, odds: Sequence[float]):
+    def __init__(self, switching_rate: float, mode_prior: Sequence[float]):
         self.filter = ExtendedKalman()
-        self.rate, self.odds = Scale(rate, "1/s"), Scale(np.asarray(odds, float))
+        self.switching_rate, self.mode_prior = Scale(switching_rate, "1/s"), Scale(np.asarray(mode_prior, float))
 
     def shares(self) -> list[Scalar]:
         """The modes' long-run probabilities."""
-        odds = [self.odds.value[k] for k in range(self.odds.value.shape[0])]
+        odds = [self.mode_prior.value[k] for k in range(self.mode_prior.value.shape[0])]
         whole = total(odds)
         return [x / whole for x in odds]
 
     def rates(self, belief: Mixture, inputs: Any) -> list[Scalar]:
         """How often each mode is drawn anew, 1/s: here all at one rate."""
-        return [self.rate.value] * len(belief.components)
+        return [self.switching_rate.value] * len(belief.components)
 
     def init(self, belief: Gaussian, key: Any) -> Mixture:
         """Every mode at the same belief, with its long-run probability."""
@@ -162,7 +162,7 @@ class InteractingModels(eqx.Module):
         log_weights = tuple(x - log_likelihood for x in joint)
         nis = total(jnp.exp(w) * said.nis for w, (_, said) in zip(log_weights, found, strict=True))
         first = found[0][1]
-        innovation = Innovation(log_likelihood, nis, first.count, first.wrapped)
+        innovation = Innovation(log_likelihood, nis, first.nis_dof, first.wrapped)
         return Mixture(tuple(g for g, _ in found), log_weights), innovation
 
     def rts_gain(self, belief: Mixture, motion: AbstractMotion, joined: Scalar, dt: Scalar, inputs: Any) -> ModeGains:

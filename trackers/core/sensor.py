@@ -41,18 +41,18 @@ class Reading(NamedTuple):
 class Residual(NamedTuple):
     """A reading's distance from the prediction: log density of the reading = log_scale − ½ Σ whitened².
 
-    With a `tail` ν it is log_scale − ½ (ν + 1) Σ log(1 + whitened²/ν): log_scale is the log density at no distance.
+    With Student's t noise of `dof` ν it is log_scale − ½ (ν + 1) Σ log(1 + whitened²/ν): log_scale is the log density at no distance.
 
-    `whitened`: unit covariance, zero where a channel was not seen. `count`: the number of independent numbers in it.
-    `wrapped`: whether an angle was so far off that its sign is a guess. `tail`: None for normal noise, else the
-    degrees of freedom of Student's t, channel by channel: small for a device that is sometimes far off.
+    `whitened`: unit covariance, zero where a channel was not seen. `nis_dof`: its rank.
+    `wrapped`: whether the sign of an angle's residual is ambiguous (near half a turn). `dof`: degrees of freedom ν of
+    Student's t, the same for each channel; None for normal noise.
     """
 
     whitened: Sequence[Scalar]
     log_scale: Scalar
-    count: Scalar
+    nis_dof: Scalar
     wrapped: Scalar = False
-    tail: Scalar | None = None
+    dof: Scalar | None = None
 
 
 class AbstractSensor(eqx.Module):
@@ -77,9 +77,9 @@ def placed(position: Vector, inputs: Any) -> Vector:
     return position if len(position) == 3 else Vector(*position, inputs["height"])
 
 
-def log_peak(tail: Scalar) -> Scalar:
+def log_peak(dof: Scalar) -> Scalar:
     """The log density of Student's t at zero with unit scale: what stands in a log_scale for −½ log 2π."""
-    return gammaln(0.5 * (tail + 1.0)) - gammaln(0.5 * tail) - 0.5 * jnp.log(jnp.pi * tail)
+    return gammaln(0.5 * (dof + 1.0)) - gammaln(0.5 * dof) - 0.5 * jnp.log(jnp.pi * dof)
 
 
 def independent(differences: Sequence[Scalar], sigmas: Sequence[Scalar], seen: Sequence[Scalar]) -> Residual:

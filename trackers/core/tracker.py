@@ -68,7 +68,7 @@ class StepInfo(NamedTuple):
 
     log_likelihood: Scalar
     nis: Scalar
-    count: Scalar
+    nis_dof: Scalar
     wrapped: Scalar
     status: Scalar
 
@@ -90,7 +90,7 @@ class Output(NamedTuple):
     cov: tuple[Scalar, ...]
     log_likelihood: Scalar
     nis: Scalar
-    count: Scalar
+    nis_dof: Scalar
     wrapped: Scalar
     status: Scalar
 
@@ -185,7 +185,7 @@ class Tracker(AbstractTracker):
         for name, sensor in self.sensors.items():
             belief, innovation = self.filter.update(belief, self.motion, sensor, row.readings[name], row.inputs)
             said.append(innovation)
-        log_likelihood, nis, count, wrapped = (total(x) for x in zip(*said, strict=True))
+        log_likelihood, nis, nis_dof, wrapped = (total(x) for x in zip(*said, strict=True))
         if has_particle_axis(self):
             # A belief that isn't finite says so by its likelihood; a sum over all its numbers is a pass over memory.
             log_likelihood, nis = compute_once((log_likelihood, nis))
@@ -194,9 +194,9 @@ class Tracker(AbstractTracker):
             belief, log_likelihood, nis = compute_once((belief, log_likelihood, nis))
             numbers = jax.tree_util.tree_leaves(eqx.filter(belief, eqx.is_inexact_array))
             finite = jnp.isfinite(compute_once(total(x if x.ndim == 0 else jnp.sum(x) for x in numbers)))
-        heard = count > 0
+        heard = nis_dof > 0
         nis_average = carry.nis_average + jnp.where(
-            heard, (nis / jnp.maximum(count, 1.0) - carry.nis_average) / self.track_loss.nis_window.value, 0.0
+            heard, (nis / jnp.maximum(nis_dof, 1.0) - carry.nis_average) / self.track_loss.nis_window.value, 0.0
         )
         time_since_measurement = carry.time_since_measurement + row.dt
         lost = (nis_average > self.track_loss.nis_limit.value) | (
@@ -210,9 +210,9 @@ class Tracker(AbstractTracker):
         chosen = (where_mostly if has_particle_axis(self) else select)(keep, belief, carry.belief)
         after = Carry(chosen, *select(row.valid, moved[1:], carry[1:]))
         zero = jnp.zeros_like(nis)
-        log_likelihood, nis, count, wrapped = select(keep, (log_likelihood, nis, count, wrapped), (zero,) * 4)
+        log_likelihood, nis, nis_dof, wrapped = select(keep, (log_likelihood, nis, nis_dof, wrapped), (zero,) * 4)
         status = jnp.where(row.valid, status, Status.PADDING).astype(jnp.int8)
-        return after, StepInfo(log_likelihood, nis, count, wrapped, status)
+        return after, StepInfo(log_likelihood, nis, nis_dof, wrapped, status)
 
 
 def scan_rows(tracker: Tracker, batch: Batch, score: Score | None = None) -> tuple[tuple[Any, ...], Output | None]:
@@ -262,7 +262,7 @@ def carry_axes(tracker: Tracker) -> Carry:
 
 def has_particle_axis(tracker: Tracker) -> bool:
     """Whether the filter's belief has an axis of its own, of particles or cells, along which its loops run."""
-    return bool(getattr(tracker.filter, "heavy", False))
+    return bool(getattr(tracker.filter, "has_particle_axis", False))
 
 
 def begun(tracker: Tracker, found: Any, row: Row) -> Carry:

@@ -19,6 +19,18 @@ from trackers.core.errors import UnusableInput
 
 Tree = TypeVar("Tree")
 
+RENAMED = {
+    "loss.limit": "track_loss.nis_limit",
+    "loss.memory": "track_loss.nis_window",
+    "loss.patience": "track_loss.max_gap",
+    "stretch": "positive_skew",
+    "trust": "reported_std_scale",
+    "tail": "dof",
+    "filter.odds": "filter.mode_prior",
+    "filter.rate": "filter.switching_rate",
+}
+"""Former endings of tunable names and the present ones."""
+
 
 class AbstractTunable(eqx.Module):
     """A number (or array of numbers) of a tracker that can be tuned; `raw` is unconstrained, `value` physical."""
@@ -190,6 +202,9 @@ def with_values(tree: Tree, values: Mapping[str, Any], source: object = "values"
     for pattern, value in values.items():
         names = [pattern] if pattern in own else fnmatch.filter(own, pattern)
         if not names:
+            present = _present_name(pattern)
+            if fnmatch.filter(own, present):
+                raise UnusableInput(f"{source}: '{pattern}' is now called '{present}'; use the new name")
             raise UnusableInput(f"{source}: this tracker has no '{pattern}'; it has: {', '.join(own)}")
         for name in names:
             if np.shape(value) != np.shape(own[name].raw):
@@ -201,6 +216,14 @@ def with_values(tree: Tree, values: Mapping[str, Any], source: object = "values"
             except ValueError as error:
                 raise UnusableInput(f"{source}: '{pattern}': {error}") from error
     return replaced(tree, new)
+
+
+def _present_name(pattern: str) -> str:
+    """The name or pattern with a former ending replaced by the present one."""
+    for old, new in RENAMED.items():
+        if pattern == old or pattern.endswith("." + old):
+            return pattern.removesuffix(old) + new
+    return pattern
 
 
 def _name(entry: Any) -> str:

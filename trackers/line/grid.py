@@ -54,8 +54,8 @@ class GridFilter(eqx.Module):
         return self.report.line
 
     @property
-    def heavy(self) -> bool:
-        """A belief has axes of its own: see `has_particle_axis` in `trackers/core/tracker.py`."""
+    def has_particle_axis(self) -> bool:
+        """True: the belief has an axis of its own."""
         return True
 
     def init(self, belief: Gaussian, key: Any) -> Discrete:
@@ -99,9 +99,9 @@ class GridFilter(eqx.Module):
         factor = jnp.exp(densities - top)
         likelihood = jnp.sum(places * factor)
         factor = factor / likelihood
-        nis = normalised_square(seen.whitened, places, seen.tail)
+        nis = normalised_square(seen.whitened, places, seen.dof)
         wrapped = jnp.zeros_like(nis) if seen.wrapped is None else jnp.sum(places * seen.wrapped)
-        innovation = Innovation(jnp.log(likelihood) + top, nis, seen.count, wrapped)
+        innovation = Innovation(jnp.log(likelihood) + top, nis, seen.nis_dof, wrapped)
         return compute_once(Discrete(belief.travelling * factor[:, None], belief.resting * factor)), innovation
 
     def moments(self, belief: Discrete) -> tuple[State, tuple[Scalar, ...]]:

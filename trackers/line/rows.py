@@ -25,7 +25,7 @@ from trackers.recordings.truth import numbers
 SIGMA_FIX = 0.3
 """Metres per axis of a fix of unknown origin: the thesis's raw error is 0.39 m over both."""
 
-SIGMA_RANGE, POSITIVE_SKEW, TAIL = 0.1, 3.0, 3.0
+SIGMA_RANGE, POSITIVE_SKEW, DOF = 0.1, 3.0, 3.0
 """Metres for ranges too short, three times that for ranges too long: what suits other rooms, without a path, too."""
 
 
@@ -109,7 +109,7 @@ def _assembled(make: Callable[..., Tracker]) -> Callable[[Trajectory, bool], Abs
         motion: LineMotion | HaltingMotion = line_motion(path_of(trajectory.folder))
         sensors: dict[str, AbstractSensor] = {FIXES: FloorFixes(SIGMA_FIX)}
         if RANGES in trajectory.recording.readings:
-            sensors = {RANGES: RangeSensor(1, len(trajectory.folder.rig.anchors), SIGMA_RANGE, POSITIVE_SKEW, TAIL)}
+            sensors = {RANGES: RangeSensor(1, len(trajectory.folder.rig.anchors), SIGMA_RANGE, POSITIVE_SKEW, DOF)}
         return make(motion, sensors)
 
     return build

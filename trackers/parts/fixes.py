@@ -36,12 +36,12 @@ PATIENT = TrackLossPolicy(nis_limit=1e3, max_gap=10.0)
 class AbstractFixSensor(AbstractSensor):
     """x, y, z, m, of a tag, `latency` seconds after it was there.
 
-    Its noise stands beside what the device reports (three variances, m²), whose root is scaled by `reported_std_scale`. `tail`:
+    Its noise stands beside what the device reports (three variances, m²), whose root is scaled by `reported_std_scale`. `dof`:
     degrees of freedom of Student's t, or None for normal noise. Input: `height`, m, for a planar state.
     """
 
     reported_std_scale: eqx.AbstractVar[Noise]
-    tail: eqx.AbstractVar[Noise | None]
+    dof: eqx.AbstractVar[Noise | None]
     latency: eqx.AbstractVar[Noise]
 
     @abstractmethod
@@ -66,12 +66,12 @@ class AbstractFixSensor(AbstractSensor):
             noise[k][k] = noise[k][k] + variance * self.reported_std_scale.value**2
         differences = [z - p for z, p in zip(reading.values, predicted, strict=True)]
         values, sigmas = whitened(differences, noise, list(reading.seen))
-        tail = None if self.tail is None else self.tail.value
-        peak = -0.5 * LOG_2PI if tail is None else log_peak(tail)
+        dof = None if self.dof is None else self.dof.value
+        peak = -0.5 * LOG_2PI if dof is None else log_peak(dof)
         seen = list(zip(reading.seen, sigmas, strict=True))
         log_scale = total(jnp.where(s, peak - jnp.log(sigma), 0.0) for s, sigma in seen)
-        count = total(jnp.where(s, jnp.ones_like(sigma), 0.0) for s, sigma in seen)
-        return Residual(values, log_scale, count, tail=tail)
+        nis_dof = total(jnp.where(s, jnp.ones_like(sigma), 0.0) for s, sigma in seen)
+        return Residual(values, log_scale, nis_dof, dof=dof)
 
 
 class FixSensor(AbstractFixSensor):
@@ -80,12 +80,12 @@ class FixSensor(AbstractFixSensor):
     sigma_horizontal: Noise
     sigma_vertical: Noise
     reported_std_scale: Noise
-    tail: Noise | None
+    dof: Noise | None
     latency: Noise
 
-    def __init__(self, sigma_horizontal: float, sigma_vertical: float, tail: float | None = None, latency: float = 0.0):
+    def __init__(self, sigma_horizontal: float, sigma_vertical: float, dof: float | None = None, latency: float = 0.0):
         self.sigma_horizontal, self.sigma_vertical = Scale(sigma_horizontal, "m"), Scale(sigma_vertical, "m")
-        self.reported_std_scale, self.tail, self.latency = Scale(1.0), *_extras(tail, latency)
+        self.reported_std_scale, self.dof, self.latency = Scale(1.0), *_extras(dof, latency)
 
     def noise(self) -> list[list[Scalar]]:
         across, up = self.sigma_horizontal.value**2, self.sigma_vertical.value**2
@@ -97,19 +97,19 @@ class CorrelatedFixSensor(AbstractFixSensor):
 
     covariance: Noise
     reported_std_scale: Noise
-    tail: Noise | None
+    dof: Noise | None
     latency: Noise
 
-    def __init__(self, covariance: Any, tail: float | None = None, latency: float = 0.0):
+    def __init__(self, covariance: Any, dof: float | None = None, latency: float = 0.0):
         self.covariance = Covariance(covariance, "m^2")
-        self.reported_std_scale, self.tail, self.latency = Scale(1.0), *_extras(tail, latency)
+        self.reported_std_scale, self.dof, self.latency = Scale(1.0), *_extras(dof, latency)
 
     def noise(self) -> list[list[Scalar]]:
         return [[self.covariance.value[i, j] for j in range(3)] for i in range(3)]
 
 
-def _extras(tail: float | None, latency: float) -> tuple[Scale | None, Real]:
-    return None if tail is None else Scale(tail), Real(latency, "s", typical=0.5)
+def _extras(dof: float | None, latency: float) -> tuple[Scale | None, Real]:
+    return None if dof is None else Scale(dof), Real(latency, "s", typical=0.5)
 
 
 class FixStart(AbstractStart):
@@ -213,5 +213,5 @@ def shifted_back(estimates: Estimates, seconds: float) -> Estimates:
     return Estimates(
         mean._replace(position=position_before(mean, seconds)),
         upper,
-        *(getattr(estimates, k) for k in ("log_likelihood", "nis", "count", "wrapped", "status")),
+        *(getattr(estimates, k) for k in ("log_likelihood", "nis", "nis_dof", "wrapped", "status")),
     )

@@ -29,23 +29,23 @@ class RangeSensor(AbstractSensor):
     planar state; optionally `levers` (3·slots,) m, where the slot's tag sits on the body, body axes, for a view with
     an `attitude`. A view with a `bias` (one per anchor, m) has it added.
 
-    Ranges are too long much more often than too short: Student's t with `tail` degrees of freedom, in two pieces, of
+    Ranges are too long much more often than too short: Student's t with `dof` degrees of freedom, in two pieces, of
     scale `sigma_r` m for what is too short and `positive_skew`·`sigma_r` for what is too long. `bias`: m per anchor number.
     What a device reports of a slot's noise is its variance, m², added to that of `sigma_r`.
     """
 
     sigma_r: Noise
     positive_skew: Noise
-    tail: Noise
+    dof: Noise
     bias: Noise
     slots: int = eqx.field(static=True)
 
-    def __init__(self, slots: int, anchors: int, sigma_r: float, positive_skew: float, tail: float, bias: float = 0.0):
+    def __init__(self, slots: int, anchors: int, sigma_r: float, positive_skew: float, dof: float, bias: float = 0.0):
         """`slots`: ranges a row; `anchors`: how many biases there are; `bias`: what each of them is at first."""
         self.slots = slots
         self.sigma_r = Scale(sigma_r, "m")
         self.positive_skew = Scale(positive_skew)
-        self.tail = Scale(tail)
+        self.dof = Scale(dof)
         self.bias = Real(np.full(anchors, bias), "m", typical=0.1)
 
     @property
@@ -71,16 +71,16 @@ class RangeSensor(AbstractSensor):
 
     def residual(self, reading: Reading, predicted: Sequence[Scalar]) -> Residual:
         """Each slot's difference over the scale of its sign; the two pieces of the density meet at its peak."""
-        positive_skew, tail = self.positive_skew.value, self.tail.value
+        positive_skew, dof = self.positive_skew.value, self.dof.value
         variances = reading.reported if len(reading.reported) else [0.0] * self.slots
         whitened, log_scales = [], []
         for z, p, seen, variance in zip(reading.values, predicted, reading.seen, variances, strict=True):
             sigma = jnp.sqrt(self.sigma_r.value**2 + variance)
             whitened.append(jnp.where(seen, (z - p) / jnp.where(z > p, sigma * positive_skew, sigma), 0.0))
-            peak = log_peak(tail) - jnp.log(sigma) - jnp.log(0.5 * (1.0 + positive_skew))
+            peak = log_peak(dof) - jnp.log(sigma) - jnp.log(0.5 * (1.0 + positive_skew))
             log_scales.append(jnp.where(seen, peak, 0.0))
-        count = total(jnp.where(seen, jnp.ones_like(whitened[0]), 0.0) for seen in reading.seen)
-        return Residual(whitened, total(log_scales), count, tail=tail)
+        nis_dof = total(jnp.where(seen, jnp.ones_like(whitened[0]), 0.0) for seen in reading.seen)
+        return Residual(whitened, total(log_scales), nis_dof, dof=dof)
 
 
 def in_room_axes(attitude: Any, vector: Vector) -> Vector:

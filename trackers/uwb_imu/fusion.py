@@ -48,7 +48,7 @@ def range_tracker(
     memory: float = 5.0,
     sigma_r: float = 0.12,
     positive_skew: float = 3.0,
-    tail: float = 3.0,
+    dof: float = 3.0,
     bias: float = 0.015,
     sigma_bias: float = 0.025,
     time_constant: float = 1000.0,
@@ -62,7 +62,7 @@ def range_tracker(
     biases = anchors if anchors <= OWN_BIASES else 0
     return Tracker(
         DriftingBiases(biases, sigma_a, sigma_z, memory, sigma_bias, time_constant),
-        {RANGES: RangeSensor(1, anchors, sigma_r, positive_skew, tail, bias)},
+        {RANGES: RangeSensor(1, anchors, sigma_r, positive_skew, dof, bias)},
         RangeStart(Scale(1.0, "m"), Scale(1.0, "m/s"), Scale(sigma_bias, "m"), planar, biases),
         # Student's t bounds what one range adds to the NIS, and real biases make it large: silence ends a track.
         track_loss=TrackLossPolicy(nis_limit=1e3, max_gap=10.0),

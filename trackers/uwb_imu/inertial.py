@@ -120,7 +120,7 @@ def inertial_tracker(
     noise: ImuNoise | None = None,
     sigma_r: float = 0.1,
     positive_skew: float = 3.0,
-    tail: float = 3.0,
+    dof: float = 3.0,
     bias: float = 0.03,
     yaws: int = 3,
 ) -> Tracker:
@@ -136,7 +136,7 @@ def inertial_tracker(
     motion = PlanarStrapdown(noise) if planar else Strapdown(noise, biases=biases)
     return Tracker(
         motion,
-        {RANGES: RangeSensor(1, anchors, sigma_r, positive_skew, tail, bias)},
+        {RANGES: RangeSensor(1, anchors, sigma_r, positive_skew, dof, bias)},
         InertialStart(planar, biases),
         YawBank(count=yaws),
         # Obstructed ranges are too long for seconds: a large running NIS is no sign of a lost track there.

@@ -64,8 +64,8 @@ class YawBank(eqx.Module):
         top = jnp.max(joint, axis=0)
         log_likelihood = top + jnp.log(jnp.sum(jnp.exp(joint - top), axis=0))
         best = _chosen(belief.log_weights)
-        nis, count, wrapped = (_dotted(best, x) for x in (said.nis, said.count, said.wrapped))
-        return Yaws(beliefs, joint - log_likelihood), Innovation(log_likelihood, nis, count, wrapped)
+        nis, nis_dof, wrapped = (_dotted(best, x) for x in (said.nis, said.nis_dof, said.wrapped))
+        return Yaws(beliefs, joint - log_likelihood), Innovation(log_likelihood, nis, nis_dof, wrapped)
 
     def moments(self, belief: Yaws) -> tuple[State, tuple[Scalar, ...]]:
         """Mean and covariance of the sum, about the likeliest yaw's mean."""

@@ -63,11 +63,11 @@ def _of_one(look: Look, position: Any) -> Any:
 
     def misfit(p: Any) -> tuple[Any, Any]:
         residual = sensor.residual(exact, predicted(p))
-        return jnp.stack(residual.whitened), residual.tail
+        return jnp.stack(residual.whitened), residual.dof
 
-    H, tail = jax.jacfwd(misfit, has_aux=True)(position)
+    H, dof = jax.jacfwd(misfit, has_aux=True)(position)
     # Fisher's information of Student's t is (ν + 1)/(ν + 3) of the normal's.
-    return (1.0 if tail is None else (tail + 1.0) / (tail + 3.0)) * (H.T @ H)
+    return (1.0 if dof is None else (dof + 1.0) / (dof + 3.0)) * (H.T @ H)
 
 
 def variance(J: Any) -> Any:

@@ -130,7 +130,7 @@ def configs(sigma_a: float) -> dict[str, TrackerConfig]:
     kalman = {
         "motion.sigma_a": sigma_a,
         "sensors.fixes.sigma_horizontal": SIGMA_RANGE,
-        "sensors.fixes.tail": 1e3,
+        "sensors.fixes.dof": 1e3,
     }
     proposed = {
         "motion.noise.sigma_accel": SIGMA_ACCEL,
@@ -138,7 +138,7 @@ def configs(sigma_a: float) -> dict[str, TrackerConfig]:
         "sensors.ranges.sigma_r": SIGMA_RANGE,
         # Nothing is in the way: normal noise.
         "sensors.ranges.positive_skew": 1.0,
-        "sensors.ranges.tail": 1e3,
+        "sensors.ranges.dof": 1e3,
         "sensors.ranges.bias": np.zeros(3),
     }
     return {

@@ -124,7 +124,7 @@ def _measurements(trajectory: Trajectory, planar: bool) -> AbstractTracker:
 
 
 def _kalman(trajectory: Trajectory, planar: bool) -> AbstractTracker:
-    return fix_tracker(sigma_a=0.1, sigma_horizontal=MEASUREMENT_NOISE, tail=None, planar=planar)
+    return fix_tracker(sigma_a=0.1, sigma_horizontal=MEASUREMENT_NOISE, dof=None, planar=planar)
 
 
 RAW = TrackerConfig(TrackerSpec("the measurements themselves", "fixes", lacks_fixes, fix_trajectories, _measurements))

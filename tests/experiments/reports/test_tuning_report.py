@@ -196,9 +196,9 @@ def test_the_density_is_the_mixture_of_the_rows_degrees_of_freedom():
 
 def test_the_density_and_probability_of_noise_with_a_tail_belong_together():
     edges = np.linspace(0.01, 12, 4001)
-    seen = Innovations(edges, np.full(len(edges), 2.0), np.zeros(len(edges)), tail=4.0)
+    seen = Innovations(edges, np.full(len(edges), 2.0), np.zeros(len(edges)), student_t_dof=4.0)
     middle = 0.5 * (edges[1:] + edges[:-1])
-    density = expected_density(middle, Innovations(middle, np.full(len(middle), 2.0), middle, tail=4.0))
+    density = expected_density(middle, Innovations(middle, np.full(len(middle), 2.0), middle, student_t_dof=4.0))
     # the middle rule's own error over 4,000 steps
     np.testing.assert_allclose(
         np.cumsum(density) * (edges[1] - edges[0]), probabilities(seen)[1:] - probabilities(seen)[0], atol=1e-4

@@ -101,10 +101,10 @@ def test_it_is_the_papers_pseudo_inverse_filter_while_nothing_wraps(both_forms, 
 
 
 def test_rows_with_no_antenna_or_one_say_nothing(estimates, truth):
-    np.testing.assert_array_equal(estimates.count[:, [7, 11]], 0)
+    np.testing.assert_array_equal(estimates.nis_dof[:, [7, 11]], 0)
     np.testing.assert_array_equal(estimates.nis[:, [7, 11]], 0)
     np.testing.assert_array_equal(estimates.log_likelihood[:, [7, 11]], 0)
-    np.testing.assert_array_equal(estimates.count[0, 1:], np.maximum(truth.seen[1:].sum(axis=1) - 1, 0))
+    np.testing.assert_array_equal(estimates.nis_dof[0, 1:], np.maximum(truth.seen[1:].sum(axis=1) - 1, 0))
 
 
 def _errors(estimates, truth):
@@ -121,7 +121,7 @@ def test_the_nees_is_inside_its_95_percent_interval(estimates, truth):
 
 
 def test_the_nis_is_inside_its_95_percent_interval(estimates):
-    figure = consistency(estimates.nis[:, 1:].ravel(), estimates.count[:, 1:].ravel())
+    figure = consistency(estimates.nis[:, 1:].ravel(), estimates.nis_dof[:, 1:].ravel())
     assert figure.low <= figure.mean <= figure.high
 
 

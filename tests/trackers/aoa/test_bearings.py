@@ -154,7 +154,7 @@ def test_whitening_with_a_reported_covariance_is_the_dense_one_of_what_was_seen(
     alone = -0.5 * np.linalg.slogdet(np.diag([0.05**2, 0.08**2])[np.ix_(kept, kept)])[1]
     # What does not depend on the covariance cancels between a reported and an unreported one.
     assert float(result.log_scale - none.log_scale) == pytest.approx(scale - alone, rel=1e-12)
-    assert float(result.count) == kept.sum()
+    assert float(result.nis_dof) == kept.sum()
 
 
 def test_a_bearing_is_the_stations_angle_of_the_position():

@@ -20,7 +20,7 @@ def _residual(form, phases, seen, sigma):
 
     def one(values):
         result = form(Reading(values, jnp.asarray(seen)), [jnp.zeros(())] * len(seen), jnp.asarray(sigma))
-        return jnp.stack(list(result.whitened)), result.log_scale, result.count, result.wrapped
+        return jnp.stack(list(result.whitened)), result.log_scale, result.nis_dof, result.wrapped
 
     return jax.jit(jax.vmap(one))(jnp.asarray(phases))
 

@@ -97,7 +97,7 @@ def test_a_short_silence_widens_the_covariance_and_is_survived(estimates):
     one = estimates[SHORT_SILENCE]
     assert np.all(one.status == Status.OK)
     assert np.all(np.diff(one.sigmas["azimuth"][30:60]) > 0)
-    assert not one.count[30:60].any()
+    assert not one.nis_dof[30:60].any()
     assert _error(estimates, SHORT_SILENCE)[70:].max() < 2
 
 

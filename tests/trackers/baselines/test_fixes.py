@@ -163,7 +163,7 @@ def test_a_wild_fix_hardly_moves_a_track_with_a_heavy_tail(circling):
     wild = Recording(recording.times, {FIXES: Readings(values, np.ones(values.shape, bool))}, recording.inputs)
     apart = [
         np.abs(flat(t.run(wild).mean)[200, :2] - flat(t.run(recording).mean)[200, :2]).max()
-        for t in (fix_tracker(tail=4.0), fix_tracker(tail=None))
+        for t in (fix_tracker(dof=4.0), fix_tracker(dof=None))
     ]
     assert apart[0] < 0.05
     assert apart[1] > 0.5

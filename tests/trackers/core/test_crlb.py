@@ -26,9 +26,9 @@ ROWS, SIGMA_A, SIGMA = 12, 0.4, 0.3
 
 
 class Gauge(AbstractSensor):
-    """Reads the position on a line with white noise `SIGMA`, of Student's t where there is a `tail`."""
+    """Reads the position on a line with white noise `SIGMA`, of Student's t where there is a `dof`."""
 
-    tail: float | None = eqx.field(static=True, default=None)
+    dof: float | None = eqx.field(static=True, default=None)
 
     @property
     def channels(self):
@@ -39,9 +39,9 @@ class Gauge(AbstractSensor):
 
     def residual(self, reading, predicted):
         whitened = jnp.where(reading.seen[0], (reading.values[0] - predicted[0]) / SIGMA, 0.0)
-        count = jnp.where(reading.seen[0], jnp.ones_like(whitened), 0.0)
-        tail = None if self.tail is None else jnp.asarray(self.tail)
-        return Residual([whitened], 0.0 * whitened, count, tail=tail)
+        nis_dof = jnp.where(reading.seen[0], jnp.ones_like(whitened), 0.0)
+        dof = None if self.dof is None else jnp.asarray(self.dof)
+        return Residual([whitened], 0.0 * whitened, nis_dof, dof=dof)
 
 
 def _times(rng):
@@ -111,12 +111,12 @@ def _reads(seen):
     return recording(0.1 * np.arange(len(seen)), {"gauge": (np.zeros((len(seen), 1)), seen[:, None])}, [0.0], [[1.0]])
 
 
-@pytest.mark.parametrize("tail", [1.0, 4.0, 30.0])
-def test_a_heavy_tail_carries_the_information_of_its_density(tail):
-    first, second = _on_the_line(Gauge(tail), [_reads(np.ones(2, bool))])
+@pytest.mark.parametrize("dof", [1.0, 4.0, 30.0])
+def test_a_heavy_tail_carries_the_information_of_its_density(dof):
+    first, second = _on_the_line(Gauge(dof), [_reads(np.ones(2, bool))])
     x = np.linspace(-3000, 3000, 3_000_001)
-    density = (1 + x * x / tail) ** (-0.5 * (tail + 1))
-    score = -(tail + 1) * x / (tail + x * x)
+    density = (1 + x * x / dof) ** (-0.5 * (dof + 1))
+    score = -(dof + 1) * x / (dof + x * x)
     weight = np.trapezoid(score**2 * density, x) / np.trapezoid(density, x)
     assert first == 1.0
     # the Cauchy density beyond ±3000 has 2e-4 of its weight

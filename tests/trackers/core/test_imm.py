@@ -111,7 +111,7 @@ def test_where_rows_share_their_time_and_nothing_is_drawn_anew_the_gradient_is_t
     motion = SwitchingMotion(tuple(ConstantVelocity(s, 1) for s in SIGMAS))
     sensors = {"z": LinearSensor(H, R, 2)}
     tracker = Tracker(motion, sensors, KnownStart(_state), InteractingModels(RATE, ODDS), NEVER_LOST)
-    parameters = select_parameters(tracker, ("filter.rate", "motion.*"))
+    parameters = select_parameters(tracker, ("filter.switching_rate", "motion.*"))
     batch = stack([recording(times, {"z": (values, seen)}, MEAN, COV)])
     problem, vector, h = Problem(tracker, [batch], NegativeLogLikelihood(), parameters), flatten(parameters), 1e-5
     shifts = h * np.eye(len(vector))
@@ -128,13 +128,13 @@ def test_a_filter_without_modes_sees_the_first_motion():
     )
 
 
-def test_rate_and_odds_are_tunables_by_name():
+def test_switching_rate_and_mode_prior_are_tunables_by_name():
     tracker = Tracker(
         SwitchingMotion((ConstantVelocity(0.1, 1), ConstantVelocity(1.0, 1))),
         {"z": LinearSensor(H, R, 2)},
         KnownStart(_state),
         InteractingModels(RATE, [1.0, 1.0]),
     )
-    assert set(matching(tracker, "filter.*")) == {"filter.rate", "filter.odds"}
+    assert set(matching(tracker, "filter.*")) == {"filter.switching_rate", "filter.mode_prior"}
     assert set(matching(tracker, "motion.*")) == {"motion.modes.0.sigma_a", "motion.modes.1.sigma_a"}
-    assert eqx.is_array_like(tracker.filter.odds.value)
+    assert eqx.is_array_like(tracker.filter.mode_prior.value)

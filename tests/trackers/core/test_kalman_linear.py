@@ -45,7 +45,7 @@ class Case:
     def trajectory(self, trajectory):
         """The engine's rows after the first, which only starts the track."""
         e, rows = self.estimates[trajectory], slice(1, len(self.trajectories[trajectory][0]))
-        return flat(e.mean)[rows], e.covariance[rows], e.log_likelihood[rows], e.nis[rows], e.count[rows]
+        return flat(e.mean)[rows], e.covariance[rows], e.log_likelihood[rows], e.nis[rows], e.nis_dof[rows]
 
 
 def _constant_velocity(d, m):
@@ -84,9 +84,9 @@ def test_means_covariances_and_log_likelihoods_are_those_of_the_oracle(case, met
 
 def test_the_nis_is_the_textbooks_and_counts_the_channels_seen(case):
     for trajectory in range(LANES):
-        _, _, _, nis, count = case.trajectory(trajectory)
+        _, _, _, nis, nis_dof = case.trajectory(trajectory)
         np.testing.assert_allclose(nis, case.oracle(trajectory, kalman)[3], rtol=1e-9, atol=1e-9)
-        np.testing.assert_array_equal(count, case.trajectories[trajectory][2][1:].sum(axis=1))
+        np.testing.assert_array_equal(nis_dof, case.trajectories[trajectory][2][1:].sum(axis=1))
 
 
 def test_the_first_row_is_the_start_itself(case):

@@ -134,7 +134,7 @@ def _assert_same_bits(mine, other, rows=slice(None)):
 
 
 def _as_tree(e):
-    return e.mean, e.cov_upper, e.log_likelihood, e.nis, e.count, e.wrapped, e.status
+    return e.mean, e.cov_upper, e.log_likelihood, e.nis, e.nis_dof, e.wrapped, e.status
 
 
 def test_a_padded_recording_equals_the_unpadded_one_to_the_bit(case):

@@ -95,8 +95,8 @@ def test_the_nees_is_inside_its_95_percent_interval_with_biases_and_a_gap_of_the
 
 
 def test_the_nis_is_inside_its_95_percent_interval(estimates):
-    heard = estimates.count[1:] > 0
-    figure = consistency(estimates.nis[1:][heard], estimates.count[1:][heard].astype(float))
+    heard = estimates.nis_dof[1:] > 0
+    figure = consistency(estimates.nis[1:][heard], estimates.nis_dof[1:][heard].astype(float))
     assert figure.low <= figure.mean <= figure.high
 
 

@@ -59,7 +59,7 @@ def runs(folder):
         unheard.append(dataclasses.replace(one, readings={"ranges": quiet}))
     every = [*recordings, *(_blind(r) for r in recordings), *unheard]
     every = [dataclasses.replace(r, name=f"{k}") for k, r in enumerate(every)]
-    return every, inertial_tracker(sigma_r=0.05, positive_skew=1.1, tail=10.0, bias=0.0).run(stack(every))
+    return every, inertial_tracker(sigma_r=0.05, positive_skew=1.1, dof=10.0, bias=0.0).run(stack(every))
 
 
 @pytest.mark.slow

@@ -203,7 +203,7 @@ def test_the_spread_is_right_where_the_world_is_the_model():
         memory=1e4,
         sigma_r=sigma_r,
         positive_skew=1.0,
-        tail=1e6,
+        dof=1e6,
         bias=0.0,
         sigma_bias=sigma_bias,
         time_constant=constant,

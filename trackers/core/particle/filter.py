@@ -69,8 +69,8 @@ class ParticleFilter(eqx.Module):
     potential: AbstractPotential | None = None
 
     @property
-    def heavy(self) -> bool:
-        """A belief has an axis of its own: see `has_particle_axis` in `trackers/core/tracker.py`."""
+    def has_particle_axis(self) -> bool:
+        """True: the belief has an axis of its own."""
         return True
 
     def init(self, belief: Gaussian, key: Any) -> Particles:
@@ -130,9 +130,9 @@ class ParticleFilter(eqx.Module):
         weights = belief.linear()
         if self.potential is not None:
             weights = weights / jnp.maximum(jnp.sum(weights), jnp.finfo(weights.dtype).tiny)
-        nis = normalised_square(whitened, weights, seen.tail)
+        nis = normalised_square(whitened, weights, seen.dof)
         wrapped = 0.0 * after if seen.wrapped is None else jnp.sum(weights * seen.wrapped)
-        innovation = Innovation(after, nis, seen.count, wrapped)
+        innovation = Innovation(after, nis, seen.nis_dof, wrapped)
         known = jax.lax.stop_gradient(heights * jnp.where(top > 0.5 * NOTHING, 1.0 / height, jnp.nan))
         return belief._replace(log_weights=kept, weights=known), innovation
 
@@ -153,14 +153,14 @@ def density_of_draws(motion: AbstractMotion, states: State, inputs: Any, dt: Sca
 class Weighed(NamedTuple):
     """What a reading says of N states: whitened residuals and log densities (N,), wraps (N,) where the sensor has any.
 
-    `count`: of independent numbers read. `tail`: degrees of freedom, None for normal noise.
+    `nis_dof`: of independent numbers read. `dof`: degrees of freedom, None for normal noise.
     """
 
     whitened: list[Any]
     log_density: Any
     wrapped: Any
-    count: Scalar
-    tail: Scalar | None
+    nis_dof: Scalar
+    dof: Scalar | None
 
 
 def weighed(states: State, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Any) -> Weighed:
@@ -178,7 +178,7 @@ def weighed(states: State, motion: AbstractMotion, sensor: AbstractSensor, readi
         return list(result.whitened), log_density(result), wrapped
 
     first = residual(jax.tree_util.tree_map(lambda x: x[..., 0], states))
-    return Weighed(*jax.vmap(every, in_axes=-1, out_axes=-1)(states), first.count, first.tail)
+    return Weighed(*jax.vmap(every, in_axes=-1, out_axes=-1)(states), first.nis_dof, first.dof)
 
 
 def weighted_moments(
@@ -209,13 +209,13 @@ def second_moments(values: list[Any], weights: Any) -> tuple[Scalar, ...]:
 
 def log_density(result: Residual) -> Scalar:
     """The log density of a reading, from its whitened residual."""
-    if result.tail is None:
+    if result.dof is None:
         return result.log_scale - 0.5 * total(r * r for r in result.whitened)
-    tail = result.tail
-    return result.log_scale - 0.5 * (tail + 1.0) * total(jnp.log1p(r * r / tail) for r in result.whitened)
+    dof = result.dof
+    return result.log_scale - 0.5 * (dof + 1.0) * total(jnp.log1p(r * r / dof) for r in result.whitened)
 
 
-def normalised_square(whitened: list[Any], weights: Any, tail: Scalar | None) -> Scalar:
+def normalised_square(whitened: list[Any], weights: Any, dof: Scalar | None) -> Scalar:
     """r̄ᵀ(I + C)⁻¹r̄, with r̄ and C the particles' mean and covariance of the whitened residual.
 
     Of a heavy tail each decorrelated part is weighted by what Student's t expects of so large a one.
@@ -229,4 +229,4 @@ def normalised_square(whitened: list[Any], weights: Any, tail: Scalar | None) ->
     for i in range(m):
         parts.append((mean[i] - total(L[i, j] * parts[j] for j in range(i))) * inverse_or_zero(L[i, i]))
     squares = [p * p for p in parts]
-    return total(squares if tail is None else [s * (tail + 1.0) / (tail + s) for s in squares])
+    return total(squares if dof is None else [s * (dof + 1.0) / (dof + s) for s in squares])
