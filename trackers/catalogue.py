@@ -1,9 +1,11 @@
-"""The trackers that the command line knows, by name, and the groups of trajectories that they run."""
+"""The trackers by name, which of them fits a recording, and how a user adds one by file."""
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Hashable, Sequence
+import importlib.util
+import sys
+from collections.abc import Sequence
+from pathlib import Path
 
 from trackers.aoa import rows as aoa
 from trackers.baselines import floor_rows as floor
@@ -12,8 +14,8 @@ from trackers.core.errors import UnusableInput
 from trackers.line import rows as line
 from trackers.mhk import rows as mhk
 from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.tracker_spec import TrackerBatch, TrackerSpec
-from trackers.recordings.trajectories import Trajectory
+from trackers.recordings.named_tracker import NamedTracker
+from trackers.recordings.tracker_spec import TrackerSpec
 from trackers.uwb_imu import inertial_rows as uwb_imu
 from trackers.uwb_imu import range_rows as uwb
 
@@ -29,39 +31,66 @@ TRACKERS: dict[str, TrackerSpec] = {
 """In the order in which they are tried where none is named."""
 
 
+def build(
+    name: str, recordings: RecordingFolder | Sequence[RecordingFolder], free_height: bool = False
+) -> NamedTracker:
+    """The tracker of this name for recordings; `name` is one of the catalogue's or `FILE.py:NAME` of a `TrackerSpec`.
+
+    `free_height`: estimate the height of tags even where rig.toml gives it. Raises UnusableInput for an unknown name and
+    for a recording that lacks what the tracker reads.
+    """
+    return NamedTracker.of(name, spec_of(name), recordings, free_height)
+
+
+def tracker_for(recordings: RecordingFolder | Sequence[RecordingFolder], free_height: bool = False) -> NamedTracker:
+    """The tracker that fits the tables of the (first) recording, as `trackwright track` chooses it.
+
+    Raises UnusableInput where none fits.
+    """
+    folder = recordings if isinstance(recordings, RecordingFolder) else recordings[0]
+    return build(fitting(folder), recordings, free_height)
+
+
 def fitting(folder: RecordingFolder) -> str:
     """The name of the tracker that fits the folder's tables; raises UnusableInput where none does."""
-    for name, entry in TRACKERS.items():
-        if entry.lacks(folder) is None and entry.automatic(folder):
+    for name, spec in TRACKERS.items():
+        if spec.missing(folder) is None and spec.automatic(folder):
             return name
-    needs = ", ".join(sorted({e.table for e in TRACKERS.values()}))
+    needs = ", ".join(sorted({spec.table for spec in TRACKERS.values()}))
     raise UnusableInput(
         f"{folder.path}: tables {', '.join(folder.tables)}: no tracker fits; expected one of {needs} "
         "with its geometry in rig.toml; see `trackwright track --help`"
     )
 
 
-def groups(folders: Sequence[RecordingFolder], name: str, free_height: bool) -> list[TrackerBatch]:
-    """The trajectories of all folders for the named tracker, batched where one tracker serves them; raises UnusableInput."""
-    entry = TRACKERS.get(name)
-    if entry is None:
-        raise UnusableInput(f"--tracker {name}: unknown; expected one of {', '.join(TRACKERS)}")
-    return grouped(folders, entry, name, free_height)
+def spec_of(name: str) -> TrackerSpec:
+    """The entry of a tracker by its name in the catalogue, or a user's own by `FILE.py:NAME`; raises UnusableInput."""
+    if name in TRACKERS:
+        return TRACKERS[name]
+    file, colon, attribute = name.rpartition(":")
+    if colon and file.endswith(".py"):
+        return _from_file(Path(file), attribute)
+    raise UnusableInput(f"--tracker {name}: unknown; expected FILE.py:NAME or one of {', '.join(TRACKERS)}")
 
 
-def grouped(folders: Sequence[RecordingFolder], entry: TrackerSpec, name: str, free_height: bool) -> list[TrackerBatch]:
-    """The trajectories of all folders for a tracker's entry, batched where one tracker serves them; raises UnusableInput."""
-    batches: dict[tuple[bool, Hashable], list[Trajectory]] = defaultdict(list)
-    for folder in folders:
-        lacking = entry.lacks(folder)
-        if lacking is not None:
-            raise UnusableInput(
-                f"{folder.path or folder.name}: tracker '{name}' needs {lacking}; its tables: "
-                f"{', '.join(folder.tables)}"
-            )
-        for trajectory in entry.trajectories(folder, free_height):
-            batches[entry.planar(trajectory, free_height), entry.geometry(trajectory)].append(trajectory)
-    return [
-        TrackerBatch(entry.build(trajectories[0], planar), trajectories, planar)
-        for (planar, _), trajectories in batches.items()
-    ]
+def _from_file(file: Path, attribute: str) -> TrackerSpec:
+    """The `TrackerSpec` of this name in a user's Python file, which is run."""
+    if not file.is_file():
+        raise UnusableInput(f"--tracker {file}:{attribute}: there is no file {file}; expected FILE.py:NAME")
+    # Registered under a name of its own: dataclasses and pytrees of the file look their module up there.
+    name = f"trackwright_tracker_{file.stem}"
+    spec = importlib.util.spec_from_file_location(name, file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        line = str(error).splitlines()[0] if str(error) else "no message"
+        raise UnusableInput(f"{file}: cannot be run ({type(error).__name__}: {line}); correct the file") from error
+    found = getattr(module, attribute, None)
+    if not isinstance(found, TrackerSpec):
+        mine = ", ".join(k for k, v in vars(module).items() if isinstance(v, TrackerSpec)) or "none"
+        raise UnusableInput(f"{file}: {attribute} is no TrackerSpec; the file's are: {mine}; name one as {file}:NAME")
+    return found

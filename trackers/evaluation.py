@@ -6,7 +6,7 @@ cannot be had (no heights, no reported covariance) is None.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -16,7 +16,11 @@ import polars as pl
 
 from trackers.core import metrics
 from trackers.core.errors import UnusableInput
+from trackers.core.estimates import Estimates
+from trackers.core.recording import Recording
 from trackers.core.rig import Station
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.tracks import Tracks
 from trackers.recordings.truth import Matched, TruthStatus, is_bearing, match_truth, numbers, track_keys, true_bearings
 
 Figures = dict[str, Any]
@@ -52,6 +56,42 @@ class _Judged:
 
 
 def evaluate(
+    estimates: Tracks | Estimates | pl.DataFrame,
+    recordings: RecordingFolder | Recording | Sequence[RecordingFolder] | Sequence[Recording],
+    every: float | None = None,
+) -> Evaluation:
+    """The error metrics of estimates against the truth of their recordings, at the times of the estimates.
+
+    `estimates`: `Tracks`, a table with the columns of tracks.parquet, or the `Estimates` of `Recording`s whose truth
+    is a `position`. `every`: s, evaluate only the last estimate in every interval of so many seconds. Raises
+    UnusableInput where no recording has truth, and where no estimate meets one.
+    """
+    listed: list[RecordingFolder | Recording]
+    listed = [recordings] if isinstance(recordings, (RecordingFolder, Recording)) else list(recordings)
+    folders = [r for r in listed if isinstance(r, RecordingFolder)]
+    truths = {f.name: f.tables["truth"] for f in folders if "truth" in f.tables}
+    truths |= {r.name: _true_positions(r) for r in listed if isinstance(r, Recording) and "position" in r.truth}
+    if not truths:
+        names = ", ".join(str(getattr(r, "path", None) or r.name) for r in listed)
+        raise UnusableInput(f"{names}: no truth table, expected one to evaluate against; give it with --truth")
+    if isinstance(estimates, Estimates):
+        # A recording in arrays has one trajectory, so that its name tells all.
+        estimates = estimates.to_polars().with_columns(tag=pl.lit(""))
+    table = estimates.to_polars() if isinstance(estimates, Tracks) else estimates
+    return evaluate_table(table, truths, {f.name: f.rig.stations for f in folders}, every)
+
+
+def _true_positions(recording: Recording) -> pl.DataFrame:
+    """The truth of a recording in arrays as a truth table."""
+    values, known = recording.truth["position"]
+    axes = {
+        f"{a}_m": np.asarray(values, float)[known, k] for k, a in zip(range(np.shape(values)[1]), "xyz", strict=False)
+    }
+    none = {f"{a}_m": np.full(int(np.sum(known)), np.nan) for a in "xyz"}
+    return pl.DataFrame({"t_s": recording.times[known], "tag": [""] * int(np.sum(known))} | none | axes)
+
+
+def evaluate_table(
     tracks: pl.DataFrame,
     truths: Mapping[str, pl.DataFrame],
     stations: Mapping[str, Mapping[str, Station]] | None = None,

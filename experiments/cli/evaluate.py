@@ -7,7 +7,6 @@ import math
 from pathlib import Path
 from typing import Annotated
 
-import polars as pl
 import tyro
 
 from experiments.cli.console import notice, read_all
@@ -17,7 +16,6 @@ from experiments.reports.worksteps_text import to_text as work_text
 from trackers.core.errors import UnusableInput
 from trackers.evaluation import Evaluation, evaluate
 from trackers.recordings.atomic import atomic_write
-from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.truth import read_tracks
 from trackers.worksteps.tracks import WorkReport, work_report
 
@@ -51,7 +49,7 @@ def evaluate_tracks(
         raise UnusableInput(f"--tolerance {tolerance:g}: is of points of work; expected --worksteps POINTS with it")
     tracks = read_tracks(folder)
     folders = read_all(truth or sources(folder))
-    evaluation, work = judge(tracks, folders, every_s), None
+    evaluation, work = evaluate(tracks, folders, every_s), None
     if worksteps is not None:
         truths = {f.name: f.tables["truth"] for f in folders if "truth" in f.tables}
         work = work_report(tracks, truths, worksteps, tolerance, every_s)
@@ -65,15 +63,6 @@ def evaluate_tracks(
             notice(f"fails: {why}")
             return 1
     return 0
-
-
-def judge(tracks: pl.DataFrame, folders: list[RecordingFolder], every_s: float | None = None) -> Evaluation:
-    """The figures of tracks against the truths of the folders; raises UnusableInput where none has a truth."""
-    truths = {f.name: f.tables["truth"] for f in folders if "truth" in f.tables}
-    if not truths:
-        names = ", ".join(str(f.path) for f in folders)
-        raise UnusableInput(f"{names}: no truth table, expected one to evaluate against; give it with --truth")
-    return evaluate(tracks, truths, {f.name: f.rig.stations for f in folders}, every_s)
 
 
 def with_work(evaluation: Evaluation, work: WorkReport) -> Evaluation:

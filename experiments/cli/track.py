@@ -10,21 +10,19 @@ from typing import Annotated
 import tyro
 
 from experiments.cli.console import notice, output_folder, progress, read_all
-from experiments.cli.evaluate import SOURCES, judge
+from experiments.cli.evaluate import SOURCES
 from experiments.cli.manifest import write_manifest
 from experiments.plots.track_run import draw_tracks
 from experiments.reports.evaluation_text import to_text
-from trackers.catalogue import TRACKERS, fitting, groups
+from trackers.catalogue import TRACKERS, build, fitting
 from trackers.core.chunks import CHUNK
 from trackers.core.errors import UnusableInput
-from trackers.core.rts import Smoothed
-from trackers.core.tracker import AbstractTracker
-from trackers.core.tunable import with_values
+from trackers.evaluation import evaluate
 from trackers.events import EVENTS, events_of
 from trackers.recordings.atomic import atomic_write
+from trackers.recordings.tracks import TRACKS
+from trackers.recordings.tracks import track as run
 from trackers.recordings.trajectories import known_height
-from trackers.tracks import TRACKS
-from trackers.tracks import track as run
 from tuning.tuned_file import read_tuned
 
 
@@ -40,36 +38,37 @@ def track(  # noqa: D103
     started = datetime.now(UTC)
     folders = read_all(recordings)
     name = tracker or fitting(folders[0])
+    named = build(name, folders, free_height)
     if tracker is None:
-        notice(f"tracker: {name} ({TRACKERS[name].about if name in TRACKERS else ''}); choose another with --tracker")
-    batches = groups(folders, name, free_height)
+        notice(f"tracker: {name} ({named.spec.about}); choose another with --tracker")
     if noise is not None:
-        values = read_tuned(noise)
-        batches = [type(g)(with_values(g.tracker, values, noise), g.trajectories, g.planar) for g in batches]
+        named = named.with_values(read_tuned(noise), noise)
     if smooth or lag is not None:
-        batches = [type(g)(_smoothed(g.tracker, name, lag), g.trajectories, g.planar) for g in batches]
-    flat = [trajectory for g in batches if g.planar for trajectory in g.trajectories]
+        named = named.smoothing(lag)
+    batches = named.batches(folders)
+    flat = [trajectory for batch in batches if batch.planar for trajectory in batch.trajectories]
     heights = sum(known_height(trajectory.folder, trajectory.tag) is not None for trajectory in flat)
-    if heights and not TRACKERS[name].bearing_only:
+    if heights and not named.spec.bearing_only:
         notice(f"height: known from rig.toml for {heights} tag(s) and used; estimate it with --free-height")
     output_folder(out)
-    with progress("tracking", sum(len(g.trajectories) for g in batches)) as advance:
-        tracks, verdicts = run(batches, advance)
-    atomic_write(out / TRACKS, tracks.write_parquet)
-    happened = events_of(tracks, TRACKERS[name], batches)
+    with progress("tracking", sum(len(batch.trajectories) for batch in batches)) as advance:
+        tracks = run(batches, advance)
+    table, summaries = tracks.table, tracks.summaries
+    atomic_write(out / TRACKS, table.write_parquet)
+    happened = events_of(table, named.spec, batches)
     atomic_write(out / EVENTS, happened.write_parquet)
     paths = "\n".join(str(p.resolve()) for p in recordings)
     atomic_write(out / SOURCES, lambda path: path.write_text(paths + "\n", encoding="utf-8"))
     print(
-        f"{sum(verdicts.values())} tracks: "
-        + "; ".join(f"{n} {v}" for v, n in sorted(verdicts.items(), key=lambda x: -x[1]))
+        f"{sum(summaries.values())} tracks: "
+        + "; ".join(f"{n} {v}" for v, n in sorted(summaries.items(), key=lambda x: -x[1]))
     )
     if any("truth" in f.tables for f in folders):
         try:
-            print(to_text(judge(tracks, folders)), end="")
+            print(to_text(evaluate(table, folders)), end="")
         except UnusableInput as problem:
             notice(f"notice: not evaluated: {problem}")
-    drawn = draw_tracks(out, tracks, folders, batches)
+    drawn = draw_tracks(out, table, folders, batches)
     config = {
         "tracker": name,
         "noise": None if noise is None else str(noise),
@@ -83,22 +82,13 @@ def track(  # noqa: D103
         config,
         started,
         chunk=CHUNK,
-        extra={"recordings": [str(p) for p in recordings], "verdicts": verdicts},
+        extra={"recordings": [str(p) for p in recordings], "verdicts": summaries},
     )
     for event, count in happened.group_by("event", maintain_order=True).len().iter_rows():
         print(f"event: {event} ({count} times)")
-    written = f"{out / TRACKS} ({len(tracks)} estimates), {EVENTS}, manifest.json"
+    written = f"{out / TRACKS} ({len(table)} estimates), {EVENTS}, manifest.json"
     print(f"wrote {written} and {len(drawn)} figures: {', '.join(drawn)}")
     return 0
-
-
-def _smoothed(tracker: AbstractTracker, name: str, lag: float | None) -> AbstractTracker:
-    if lag is not None and not 0 < lag < 1e6:
-        raise UnusableInput(f"--lag {lag}: expected seconds above zero; leave it out to use the whole recording")
-    try:
-        return Smoothed(tracker, lag)  # type: ignore[arg-type]
-    except TypeError as error:
-        raise UnusableInput(f"--smooth with tracker '{name}': {error}; leave --smooth out") from error
 
 
 _LIST = "\n".join(f"    {name}: {entry.about} ({entry.table})" for name, entry in TRACKERS.items())
@@ -110,7 +100,7 @@ Trackers (and the table they read):
 Args:
     recordings: recording folders (rig.toml and tables).
     out: the folder to write to.
-    tracker: one of the names above; default: what fits the tables.
+    tracker: one of the names above, or FILE.py:NAME of a TrackerSpec of your own; default: what fits the tables.
     noise: a tuned.toml of `trackwright tune`.
     free_height: estimate the height of tags whose height the rig gives.
     smooth: use the rows after each row too, all of them: for recordings, where nothing has to be known at once.

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from experiments.cli.console import notice, read_all
-from trackers.catalogue import fitting, groups
+from trackers.catalogue import fitting, spec_of
 from trackers.core.errors import UnusableInput
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker
 from trackers.core.tunable import tunables, with_values
 from trackers.recordings.tracker_spec import TrackerBatch
+from trackers.recordings.tracks import batches
 from trackers.recordings.trajectories import Trajectory, pieces
-from trackers.tracks import batches
 from tuning.identifiability import names_of
 from tuning.metrics import parse_objective
 from tuning.objectives import AbstractObjective
@@ -52,7 +52,7 @@ def only_group(
     name = tracker or fitting(folders[0])
     if tracker is None:
         notice(f"tracker: {name}; choose another with --tracker")
-    found = groups(folders, name, free_height)
+    found = spec_of(name).batches(folders, name, free_height)
     if len(found) > 1:
         raise UnusableInput(
             f"the recordings need {len(found)} different '{name}' trackers (other geometry, or heights known for some "

@@ -12,7 +12,6 @@ import numpy as np
 from experiments.monte_carlo.declaration import WORLD, Condition, Study, TrackerConfig
 from experiments.monte_carlo.errors import TrackedRuns, scored
 from trackers.bounds import bounds_of
-from trackers.catalogue import grouped
 from trackers.core.algebra import triangle
 from trackers.core.errors import UnusableInput
 from trackers.core.estimates import Estimates, Status
@@ -22,9 +21,9 @@ from trackers.core.tracker import AbstractTracker, Tracker
 from trackers.core.tunable import tunables, with_values
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerBatch
+from trackers.recordings.tracks import angles, rounded
 from trackers.recordings.trajectories import Trajectory, known_heights, true_paths
 from trackers.recordings.truth import TruthStatus, interpolated
-from trackers.tracks import angles, rounded
 
 
 def run_chunk(study: Study, condition: Condition, ids: np.ndarray, first: bool) -> list[dict[str, np.ndarray]]:
@@ -37,7 +36,7 @@ def run_chunk(study: Study, condition: Condition, ids: np.ndarray, first: bool) 
         folder = made.make(ids, study.seed, **study.numbers(condition))
     except (TypeError, ValueError) as error:
         raise UnusableInput(f"study '{study.name}', world '{condition.world}': {error}") from error
-    plain = {name: grouped([folder], e.spec, name, e.free_height) for name, e in study.trackers.items()}
+    plain = {name: e.spec.batches([folder], name, e.free_height) for name, e in study.trackers.items()}
     _all_taken(study, condition, plain)
     kept = []
     for name, config in study.trackers.items():
@@ -61,7 +60,7 @@ def tracker_batches(
     study: Study, condition: Condition, name: str, config: TrackerConfig, folder: RecordingFolder
 ) -> list[TrackerBatch]:
     """The trajectories of a folder with the tracker as it enters a cell; raises UnusableInput where they don't fit."""
-    return _with_numbers(study, condition, name, config, grouped([folder], config.spec, name, config.free_height))
+    return _with_numbers(study, condition, name, config, config.spec.batches([folder], name, config.free_height))
 
 
 def _with_numbers(

@@ -13,8 +13,8 @@ from experiments.reports.tuning_data import Descent, ErrorTrack, Score, TunedNum
 from trackers.core.estimates import Estimates
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker
+from trackers.recordings.tracks import batches
 from trackers.recordings.trajectories import Trajectory
-from trackers.tracks import batches
 from tuning import FitResult
 from tuning.consistency import student_t_dof_of
 from tuning.diagnostics import Innovations

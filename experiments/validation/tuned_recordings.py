@@ -21,13 +21,13 @@ set_flags()
 from experiments.cli.subprocesses import real_recordings  # noqa: E402
 from experiments.cli.tuning_job import job_of, only_group  # noqa: E402
 from experiments.reports.tuning_collect import innovations_of  # noqa: E402
-from trackers.catalogue import groups  # noqa: E402
+from trackers.catalogue import spec_of  # noqa: E402
 from trackers.core.tunable import (
     tunables,
     with_values,
 )
 from trackers.recordings.folder import read_recording  # noqa: E402
-from trackers.tracks import batches  # noqa: E402
+from trackers.recordings.tracks import batches  # noqa: E402
 from tuning import NegativeLogLikelihood, fit  # noqa: E402
 from tuning.diagnostics import contradicted  # noqa: E402
 from tuning.metrics import all_metrics  # noqa: E402
@@ -93,7 +93,7 @@ def shown(name: str, split: Split, folder: Path) -> bool:
     tuned = {k: numbers[k].value for p in result.parameters for k in p.names}
     worse = False
     # Recordings with another path or other anchors have a tracker of their own, which takes the numbers by name.
-    for judged in groups([read_recording(folder / x) for x in split.judged], tracker, False):
+    for judged in spec_of(tracker).batches([read_recording(folder / x) for x in split.judged], tracker, False):
         rows = [batch for _, batch in batches(judged.trajectories)]
         quantity = next(iter(judged.trajectories[0].recording.truth))
         dimensions = 2 if judged.planar or quantity == "direction" else 3

@@ -24,11 +24,11 @@ import numpy as np
 from experiments.cli.console import progress
 from sim.line import SITUATIONS, simulate_line
 from sim.tables.line import simulated_line
-from trackers.catalogue import groups
+from trackers.catalogue import spec_of
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker
 from trackers.core.tunable import Scale, replaced, tunables
-from trackers.tracks import batches
+from trackers.recordings.tracks import batches
 from tuning import fit
 from tuning.metrics import parse_objective
 from tuning.objectives import Weighted
@@ -103,7 +103,7 @@ def recordings(tags: int) -> World:
         simulated_line(simulate_line(situation, range(k * tags, (k + 1) * tags)), situation)
         for k, situation in enumerate(SITUATIONS)
     ]
-    (particles,), (grid,) = (groups(folders, name, False) for name in ("line-pf", "line-grid"))
+    (particles,), (grid,) = (spec_of(name).batches(folders, name, False) for name in ("line-pf", "line-grid"))
     return World([batch for _, batch in batches(particles.trajectories)], particles.tracker, grid.tracker)
 
 

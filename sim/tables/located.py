@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import polars as pl
 
-from trackers.catalogue import groups
+from trackers.catalogue import spec_of
 from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.tracks import batches
 from trackers.recordings.trajectories import known_heights
-from trackers.tracks import batches
 
 
 def fixes_from_ranges(folder: RecordingFolder, tracker: str, free_height: bool = False) -> RecordingFolder:
     """The folder with a table of fixes: what the named tracker of single moments makes of its ranges."""
     tables = []
-    for group in groups([folder], tracker, free_height):
+    for group in spec_of(tracker).batches([folder], tracker, free_height):
         for trajectories, batch in batches(group.trajectories):
             estimates = group.tracker.run(batch)
             for k, trajectory in enumerate(trajectories):

@@ -13,7 +13,7 @@ from experiments.cli.fail_if import fails
 from experiments.reports.evaluation_text import to_json, to_text
 from trackers.core.errors import UnusableInput
 from trackers.core.rig import Station
-from trackers.evaluation import evaluate
+from trackers.evaluation import evaluate_table
 from trackers.recordings.truth import TruthStatus, match_truth, read_tracks
 
 RECORDINGS = Path(os.environ.get("TRACKWRIGHT_RECORDINGS", Path(__file__).parents[2] / ".." / "shared" / "recordings"))
@@ -116,7 +116,7 @@ def test_every_level_pools_the_rows_of_its_tracks(noisy):
     tracks, truths = noisy
     every = pl.concat([truths[name].with_columns(recording=pl.lit(name)) for name in truths])
     joined = tracks.join(every, on=["recording", "tag", "t_s"], suffix="_true")
-    evaluation = evaluate(tracks, truths)
+    evaluation = evaluate_table(tracks, truths)
     levels = [(evaluation.overall, joined)]
     levels += [(f, joined.filter(recording=f["recording"])) for f in evaluation.recordings]
     levels += [(f, joined.filter(recording=f["recording"], tag=f["tag"])) for f in evaluation.tracks]
@@ -136,25 +136,25 @@ def test_every_level_pools_the_rows_of_its_tracks(noisy):
 def test_the_order_of_rows_changes_nothing(noisy):
     tracks, truths = noisy
     shuffled = {name: truth.sample(fraction=1, shuffle=True, seed=1) for name, truth in truths.items()}
-    assert evaluate(tracks.sample(fraction=1, shuffle=True, seed=2), shuffled) == evaluate(tracks, truths)
+    assert evaluate_table(tracks.sample(fraction=1, shuffle=True, seed=2), shuffled) == evaluate_table(tracks, truths)
 
 
 def test_correlated_covariances_enter_the_nees():
     tracks = _tracks([0.5], [1.0], y_m=[1.0], std_x_m=[1.0], std_y_m=[1.0], cov_xy_m2=[0.5])
     # [1 1] inv([[1, 0.5], [0.5, 1]]) [1 1]ᵀ = 4/3
-    assert evaluate(tracks, {"hall": _truth([0, 1], [0.0, 0.0])}).overall["nees_mean"] == pytest.approx(4 / 3)
+    assert evaluate_table(tracks, {"hall": _truth([0, 1], [0.0, 0.0])}).overall["nees_mean"] == pytest.approx(4 / 3)
 
 
 def test_a_known_height_leaves_the_horizontal_figures():
     tracks = _tracks([0.5], [1.0], std_x_m=[1.0], std_y_m=[1.0], std_z_m=[0.0])
-    overall = evaluate(tracks, {"hall": _truth([0, 1], [0.0, 0.0])}).overall
+    overall = evaluate_table(tracks, {"hall": _truth([0, 1], [0.0, 0.0])}).overall
     assert (overall["rmse_3d_m"], overall["nees_mean"], overall["nees_3d_mean"]) == (1.0, 1.0, None)
 
 
 @pytest.mark.parametrize("z", [[None], [math.nan]])
 def test_tracks_without_height_have_no_figures_in_space(z):
     tracks = _tracks([0.5], [1.0], z_m=pl.Series(z, dtype=pl.Float64))
-    overall = evaluate(tracks, {"hall": _truth([0, 1], [0.0, 0.0])}).overall
+    overall = evaluate_table(tracks, {"hall": _truth([0, 1], [0.0, 0.0])}).overall
     assert (overall["rmse_m"], overall["rmse_3d_m"], overall["bias_z_m"]) == (1.0, None, None)
 
 
@@ -162,20 +162,20 @@ def test_time_lost_adds_up_over_tracks():
     lost = _tracks([0.0, 1.0, 4.0], [0.0] * 3, tag="1", status=["ok", "lost", "ok"])
     well = _tracks([0.0, 9.0], [0.0] * 2, tag="2", status=["ok", "ok"])
     truth = pl.concat([_truth([0.0, 9.0], [0.0, 0.0], tag) for tag in "12"])
-    overall = evaluate(pl.concat([lost, well]), {"hall": truth}).overall
+    overall = evaluate_table(pl.concat([lost, well]), {"hall": truth}).overall
     assert (overall["lost_s"], overall["lost_fraction"]) == (3.0, 3 / 13)
 
 
 def test_rows_that_do_not_count_are_counted_by_reason():
     tracks = _tracks([0.5, 0.6, 1.5, 2.5, 9.0], [0.0] * 5, status=["waiting", "ok", "ok", "ok", "ok"])
-    overall = evaluate(tracks, {"hall": _truth([0.0, 1.0, 3.0], [0.0, 0.0, 5.0])}).overall
+    overall = evaluate_table(tracks, {"hall": _truth([0.0, 1.0, 3.0], [0.0, 0.0, 5.0])}).overall
     assert [overall[name] for name in ("n_rows", "n", "n_no_estimate", "n_no_truth", "n_hole")] == [5, 1, 1, 1, 2]
 
 
 def test_the_last_estimate_of_every_interval_can_be_judged_alone():
     # 0.3 s opens an interval although 0.3 / 0.1 is just under 3 in binary.
     tracks = _tracks([0.0, 0.05, 0.09, 0.1, 0.25, 0.3, 0.31], [9.0, 9.0, 1.0, 2.0, 3.0, 9.0, 4.0])
-    evaluation = evaluate(tracks, {"hall": _truth([0.0, 1.0], [0.0, 0.0])}, every=0.1)
+    evaluation = evaluate_table(tracks, {"hall": _truth([0.0, 1.0], [0.0, 0.0])}, every=0.1)
     assert (evaluation.overall["n"], evaluation.overall["max_m"], evaluation.overall["median_m"]) == (4, 4.0, 2.5)
 
 
@@ -186,7 +186,7 @@ def test_thousands_of_tags_are_evaluated_like_one():
     errors = rng.normal(size=(tags * rows, 2))
     frame = pl.DataFrame({"t_s": t, "tag": tag, "x_m": np.sin(t), "y_m": 0 * t, "z_m": 0 * t})
     moved = frame.with_columns(x_m=np.sin(t) + errors[:, 0], y_m=errors[:, 1], recording=pl.lit("hall"))
-    evaluation = evaluate(moved, {"hall": frame})
+    evaluation = evaluate_table(moved, {"hall": frame})
     expected = np.sqrt((errors**2).sum(axis=1).reshape(tags, rows).mean(axis=1))
     found = {figures["tag"]: figures["rmse_m"] for figures in evaluation.tracks}
     np.testing.assert_allclose([found[f"{k}"] for k in range(tags)], expected, rtol=1e-9)
@@ -220,7 +220,7 @@ def _still_walk():
 
 
 def test_bearings_are_judged_against_the_truth_their_station_sees(stations):
-    evaluation = evaluate(_bearing_tracks(stations, [0.05, -0.1]), _still_walk(), stations)
+    evaluation = evaluate_table(_bearing_tracks(stations, [0.05, -0.1]), _still_walk(), stations)
     assert [(f["station"], f["n"]) for f in evaluation.tracks] == [("N", 2), ("S", 2)]
     overall = evaluation.overall
     # Sines and cosines of single angles come and go: some roundings of 1e-16.
@@ -230,7 +230,7 @@ def test_bearings_are_judged_against_the_truth_their_station_sees(stations):
 
 
 def test_the_angle_between_directions_is_the_great_circle(stations):
-    evaluation = evaluate(_bearing_tracks(stations, [0.0, 0.1]), _still_walk(), stations)
+    evaluation = evaluate_table(_bearing_tracks(stations, [0.0, 0.1]), _still_walk(), stations)
     assert evaluation.overall["rmse_direction_rad"] == pytest.approx(0.1, rel=1e-12)
 
 
@@ -238,7 +238,7 @@ def test_azimuth_errors_are_wrapped(stations):
     north = {"hall": {"N": Station(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))}}
     behind = {"hall": _truth([0.0, 1.0], [0.01, 0.01], z_m=[-1.0, -1.0])}
     row = {"recording": "hall", "tag": "1", "station": "N", "t_s": [0.5], "azimuth_rad": [-math.pi + 0.01]}
-    overall = evaluate(pl.DataFrame({**row, "elevation_rad": [0.0]}), behind, north).overall
+    overall = evaluate_table(pl.DataFrame({**row, "elevation_rad": [0.0]}), behind, north).overall
     # The true azimuth is π − atan(0.01); the estimate lies beyond the cut.
     assert overall["bias_azimuth_rad"] == pytest.approx(0.01 + math.atan(0.01), rel=1e-9)
 
@@ -247,7 +247,7 @@ def test_a_station_that_the_rig_does_not_know_is_refused(stations):
     del stations["hall"]["S"]
     tracks = _bearing_tracks(stations, [0.0, 0.0]).with_columns(station=pl.lit("S"))
     with pytest.raises(UnusableInput, match=r"station 'S' is not in its rig; found N"):
-        evaluate(tracks, _still_walk(), stations)
+        evaluate_table(tracks, _still_walk(), stations)
 
 
 # What cannot be used
@@ -255,17 +255,17 @@ def test_a_station_that_the_rig_does_not_know_is_refused(stations):
 
 def test_tracks_of_another_recording_are_refused():
     with pytest.raises(UnusableInput, match="recording hall, the truth is of yard"):
-        evaluate(_tracks([0.5], [0.0]), {"yard": _truth([0.0, 1.0], [0.0, 0.0])})
+        evaluate_table(_tracks([0.5], [0.0]), {"yard": _truth([0.0, 1.0], [0.0, 0.0])})
 
 
 def test_tracks_at_other_times_are_refused_with_both_spans():
     with pytest.raises(UnusableInput, match=r"from 100 to 101 s of tags 1, truth of 'hall' from 0 to 1 s"):
-        evaluate(_tracks([100.0, 101.0], [0.0] * 2), {"hall": _truth([0.0, 1.0], [0.0, 0.0])})
+        evaluate_table(_tracks([100.0, 101.0], [0.0] * 2), {"hall": _truth([0.0, 1.0], [0.0, 0.0])})
 
 
 def test_tracks_without_an_estimate_are_refused():
     with pytest.raises(UnusableInput, match="none of 1 rows holds an estimate"):
-        evaluate(_tracks([0.5], [0.0], status=["waiting"]), {"hall": _truth([0.0, 1.0], [0.0, 0.0])})
+        evaluate_table(_tracks([0.5], [0.0], status=["waiting"]), {"hall": _truth([0.0, 1.0], [0.0, 0.0])})
 
 
 @pytest.mark.parametrize(
@@ -280,7 +280,7 @@ def test_tracks_without_an_estimate_are_refused():
 )
 def test_tables_that_do_not_fit_are_refused_in_one_line(tracks, truth, words):
     with pytest.raises(UnusableInput, match=words) as caught:
-        evaluate(tracks, {"hall": truth})
+        evaluate_table(tracks, {"hall": truth})
     assert "\n" not in str(caught.value)
 
 
@@ -308,29 +308,31 @@ def test_an_empty_table_of_tracks_is_refused(tmp_path, noisy):
 
 def test_json_holds_every_level_and_null_for_what_is_missing(noisy):
     tracks, truths = noisy
-    parsed = json.loads(to_json(evaluate(tracks.drop("std_x_m"), truths)), parse_constant=pytest.fail)
+    parsed = json.loads(to_json(evaluate_table(tracks.drop("std_x_m"), truths)), parse_constant=pytest.fail)
     assert (parsed["kind"], len(parsed["recordings"]), len(parsed["tracks"])) == ("position", 2, 3)
     assert parsed["overall"]["nees_mean"] is None
 
 
 def test_the_table_names_its_unit_and_every_track(noisy):
-    text = to_text(evaluate(*noisy))
+    text = to_text(evaluate_table(*noisy))
     assert "errors in cm" in text
     assert all(word in text for word in ("hall", "yard", "all 2", "overall"))
 
 
 @pytest.mark.parametrize(("size", "unit"), [(5.0, "m"), (0.05, "cm"), (0.005, "mm")])
 def test_the_unit_suits_the_size_of_the_errors(size, unit):
-    assert f"errors in {unit}\n" in to_text(evaluate(_tracks([0.5], [size]), {"hall": _truth([0, 1], [0.0, 0.0])}))
+    assert f"errors in {unit}\n" in to_text(
+        evaluate_table(_tracks([0.5], [size]), {"hall": _truth([0, 1], [0.0, 0.0])})
+    )
 
 
 @pytest.mark.parametrize("width", [60, 80, 120, 200])
 def test_the_table_fits_the_width_it_is_given(noisy, width):
-    assert max(map(len, to_text(evaluate(*noisy), width).splitlines())) <= width
+    assert max(map(len, to_text(evaluate_table(*noisy), width).splitlines())) <= width
 
 
 def test_bearings_are_shown_in_degrees(stations):
-    text = to_text(evaluate(_bearing_tracks(stations, [math.radians(2), 0.0]), _still_walk(), stations))
+    text = to_text(evaluate_table(_bearing_tracks(stations, [math.radians(2), 0.0]), _still_walk(), stations))
     assert "in degrees" in text
     assert " 2.00 " in text
 
@@ -338,7 +340,7 @@ def test_bearings_are_shown_in_degrees(stations):
 @pytest.fixture
 def one_metre():
     """An evaluation whose horizontal figures are all 1 m and that has no NEES."""
-    return evaluate(_tracks([0.5], [1.0]), {"hall": _truth([0.0, 1.0], [0.0, 0.0])})
+    return evaluate_table(_tracks([0.5], [1.0]), {"hall": _truth([0.0, 1.0], [0.0, 0.0])})
 
 
 @pytest.mark.parametrize(
@@ -396,7 +398,7 @@ def test_the_makers_fixes_have_the_errors_their_readme_prints(name, n, flat, sol
     fixes, truth = (
         pl.read_csv(folder / f"{table}.csv.gz", schema_overrides={"tag": pl.String}) for table in ("fixes", "truth")
     )
-    overall = evaluate(fixes.with_columns(recording=pl.lit(name)), {name: truth}).overall
+    overall = evaluate_table(fixes.with_columns(recording=pl.lit(name)), {name: truth}).overall
     assert overall["n"] == n
     # Half a unit of the last printed digit.
     assert [overall[f"{f}_m"] for f in ("rmse", "median", "p95")] == pytest.approx(flat, abs=5.1e-4)

@@ -20,7 +20,7 @@ from trackers.line.motion import LineMotion, OnLine
 from trackers.line.tracker import line_grid_tracker
 from trackers.mhk.tracker import mhk_tracker
 from trackers.parts.fixes import FIXES
-from trackers.tracks import batches as in_batches
+from trackers.recordings.tracks import batches as in_batches
 from trackers.uwb_imu.fusion import range_tracker
 from tuning.differences import levels_of_places
 from tuning.first_guess import first_guess, looked_at

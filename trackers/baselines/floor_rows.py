@@ -56,8 +56,13 @@ def _build(trajectory: Trajectory, planar: bool) -> AbstractTracker:
 
 TRACKERS = {
     "floor-pf": TrackerSpec(
-        "position from fixes on a floor with walls, by 1,000 particles", "fixes, and [floor]", _lacks,
-        flat_trajectories, _build, _geometry, lambda trajectory, free_height: True,
+        "position from fixes on a floor with walls, by 1,000 particles",
+        table="fixes, and [floor]",
+        trajectories=flat_trajectories,
+        build=_build,
+        lacks=_lacks,
+        geometry=_geometry,
+        planar=lambda trajectory, free_height: True,
     ),
-}  # fmt: skip
+}
 """Taken before the Kalman filter on fixes where the rig has a floor plan."""

@@ -117,13 +117,25 @@ def _assembled(make: Callable[..., Tracker]) -> Callable[[Trajectory, bool], Abs
 
 TRACKERS = {
     "line-grid": TrackerSpec(
-        "position on a known path, by a grid of arclength and speed", "ranges or fixes, and [path]", _lacks,
-        line_trajectories, _assembled(line_grid_tracker), _geometry, lambda trajectory, free_height: True,
-        automatic=_loses_no_height, on_path=True,
-    ),
-    "line-pf": TrackerSpec(
-        "position on a known path, by 1,000 particles (the thesis's)", "ranges or fixes, and [path]", _lacks,
-        line_trajectories, _assembled(line_tracker), _geometry, lambda trajectory, free_height: True, automatic=on_request,
+        "position on a known path, by a grid of arclength and speed",
+        table="ranges or fixes, and [path]",
+        trajectories=line_trajectories,
+        build=_assembled(line_grid_tracker),
+        lacks=_lacks,
+        geometry=_geometry,
+        planar=lambda trajectory, free_height: True,
+        automatic=_loses_no_height,
         on_path=True,
     ),
-}  # fmt: skip
+    "line-pf": TrackerSpec(
+        "position on a known path, by 1,000 particles (the thesis's)",
+        table="ranges or fixes, and [path]",
+        trajectories=line_trajectories,
+        build=_assembled(line_tracker),
+        lacks=_lacks,
+        geometry=_geometry,
+        planar=lambda trajectory, free_height: True,
+        automatic=on_request,
+        on_path=True,
+    ),
+}

@@ -32,20 +32,20 @@ def spatial_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator
 
 TRACKERS = {
     "mhk": TrackerSpec(
-        about="position from fixes: sliding median, hidden Markov model of accelerations, Kalman filter (Huang et al.)",
+        "position from fixes: sliding median, hidden Markov model of accelerations, Kalman filter (Huang et al.)",
         table="fixes",
-        lacks=lacks_fixes,
         trajectories=spatial_trajectories,
         build=lambda trajectory, planar: mhk_tracker(),
+        lacks=lacks_fixes,
         planar=lambda trajectory, free_height: False,
         automatic=on_request,
     ),
     "mhk-stamped": TrackerSpec(
-        about="mhk, with each estimate at the time of the middle of its median window",
+        "mhk, with each estimate at the time of the middle of its median window",
         table="fixes",
-        lacks=lacks_fixes,
         trajectories=spatial_trajectories,
         build=lambda trajectory, planar: mhk_tracker(stamped=True),
+        lacks=lacks_fixes,
         planar=lambda trajectory, free_height: False,
         automatic=on_request,
     ),

@@ -1,10 +1,12 @@
-"""What the command line knows of a tracker: its name's entry, and the trajectories that one tracker runs together."""
+"""What the catalogue holds of a tracker: the tables it reads, how they become its rows, and how it is built."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterator
+from collections import defaultdict
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass
 
+from trackers.core.errors import UnusableInput
 from trackers.core.tracker import AbstractTracker
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.trajectories import Trajectory, known_height
@@ -12,7 +14,10 @@ from trackers.recordings.trajectories import Trajectory, known_height
 
 @dataclass(frozen=True)
 class TrackerBatch:
-    """Trajectories that one tracker runs as a batch; `planar`: in the floor plane at known heights, or in an array's plane."""
+    """Trajectories that one tracker runs as a batch.
+
+    `planar`: whether the state lies in a plane: that of the floor at known heights, or that of a flat array.
+    """
 
     tracker: AbstractTracker
     trajectories: list[Trajectory]
@@ -20,33 +25,59 @@ class TrackerBatch:
 
 
 def at_known_height(trajectory: Trajectory, free_height: bool) -> bool:
-    """Whether a tag's height is known and to be used, so that it is tracked over the floor alone."""
+    """Whether a tag's height is known and to be used, so that only its position over the floor is estimated."""
     return not free_height and known_height(trajectory.folder, trajectory.tag) is not None
 
 
 def on_request(folder: RecordingFolder) -> bool:
-    """Never: such a tracker is taken only where it is named."""
+    """Never: such a tracker is used only where it is named."""
     return False
 
 
 @dataclass(frozen=True)
 class TrackerSpec:
-    """A tracker by name.
+    """A tracker of the catalogue, or a user's own.
 
-    `table`: what it reads. `lacks`: what a folder lacks for it, in words, or None where it fits. `trajectories`: the trajectories of
-    a folder; the flag is --free-height. `build`: the tracker of a trajectory; the flag is `planar` of that trajectory. `geometry`:
-    what of a trajectory is part of its tracker; trajectories that agree in it, and in `planar`, share one. `automatic`: whether it
-    is taken for a folder that it fits where no tracker is named. `bearing_only`: whether it estimates directions.
-    `on_path`: whether its estimates lie on the rig's known path, so that leaving the path is an event.
+    `about`: one line for lists and help. `table`: the table it reads. `trajectories(folder, free_height)`: the rows of
+    every tag (or of every tag and station) of a recording folder. `build(trajectory, planar)`: the tracker for a
+    trajectory. `lacks(folder)`: what a folder lacks for it, in words, or None where it fits; by default the table.
+    `geometry(trajectory)`: the part of the installation that is built into the tracker; trajectories that agree in
+    it and in `planar` run as one batch. `planar(trajectory, free_height)`: whether the state lies in a plane.
+    `automatic(folder)`: whether the tracker may be chosen for a folder that it fits when none is named.
+    `bearing_only`: it estimates directions, not positions. `on_path`: its estimates lie on the rig's known path, so that
+    leaving the path is an event.
     """
 
     about: str
     table: str
-    lacks: Callable[[RecordingFolder], str | None]
     trajectories: Callable[[RecordingFolder, bool], Iterator[Trajectory]]
     build: Callable[[Trajectory, bool], AbstractTracker]
+    lacks: Callable[[RecordingFolder], str | None] | None = None
     geometry: Callable[[Trajectory], Hashable] = lambda trajectory: ()
     planar: Callable[[Trajectory, bool], bool] = at_known_height
     automatic: Callable[[RecordingFolder], bool] = lambda folder: True
     bearing_only: bool = False
     on_path: bool = False
+
+    def missing(self, folder: RecordingFolder) -> str | None:
+        """What the folder lacks for this tracker, in words, or None where it fits."""
+        if self.lacks is not None:
+            return self.lacks(folder)
+        return None if self.table in folder.tables else f"a {self.table} table, found no such table"
+
+    def batches(self, folders: Sequence[RecordingFolder], name: str, free_height: bool = False) -> list[TrackerBatch]:
+        """The trajectories of all folders, batched where one tracker serves them.
+
+        Raises UnusableInput for a folder that does not fit; `name` is the tracker's in the message.
+        """
+        found: dict[tuple[bool, Hashable], list[Trajectory]] = defaultdict(list)
+        for folder in folders:
+            missing = self.missing(folder)
+            if missing is not None:
+                raise UnusableInput(
+                    f"{folder.path or folder.name}: tracker '{name}' needs {missing}; its tables: "
+                    f"{', '.join(folder.tables)}"
+                )
+            for trajectory in self.trajectories(folder, free_height):
+                found[self.planar(trajectory, free_height), self.geometry(trajectory)].append(trajectory)
+        return [TrackerBatch(self.build(mine[0], planar), mine, planar) for (planar, _), mine in found.items()]

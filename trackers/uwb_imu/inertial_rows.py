@@ -98,8 +98,12 @@ def _anchors(trajectory: Trajectory) -> int:
 
 TRACKERS = {
     "uwb-imu": TrackerSpec(
-        "position, velocity and attitude from ranges and an IMU, error-state EKF", "ranges", lacks,
-        inertial_trajectories, lambda trajectory, planar: inertial_tracker(_anchors(trajectory), planar),
-        lambda trajectory: (_anchors(trajectory), "levers" in trajectory.recording.inputs), at_known_height,
+        "position, velocity and attitude from ranges and an IMU, error-state EKF",
+        table="ranges",
+        trajectories=inertial_trajectories,
+        build=lambda trajectory, planar: inertial_tracker(_anchors(trajectory), planar),
+        lacks=lacks,
+        geometry=lambda trajectory: (_anchors(trajectory), "levers" in trajectory.recording.inputs),
+        planar=at_known_height,
     ),
-}  # fmt: skip
+}

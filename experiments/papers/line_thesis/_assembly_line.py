@@ -127,9 +127,23 @@ def _kalman(trajectory: Trajectory, planar: bool) -> AbstractTracker:
     return fix_tracker(sigma_a=0.1, sigma_horizontal=MEASUREMENT_NOISE, dof=None, planar=planar)
 
 
-RAW = TrackerConfig(TrackerSpec("the measurements themselves", "fixes", lacks_fixes, fix_trajectories, _measurements))
+RAW = TrackerConfig(
+    TrackerSpec(
+        "the measurements themselves",
+        table="fixes",
+        trajectories=fix_trajectories,
+        build=_measurements,
+        lacks=lacks_fixes,
+    )
+)
 KALMAN = TrackerConfig(
-    TrackerSpec("the thesis's Kalman filter, (1.3)-(1.21)", "fixes", lacks_fixes, fix_trajectories, _kalman)
+    TrackerSpec(
+        "the thesis's Kalman filter, (1.3)-(1.21)",
+        table="fixes",
+        trajectories=fix_trajectories,
+        build=_kalman,
+        lacks=lacks_fixes,
+    )
 )
 PARTICLE = TrackerConfig(
     dataclasses.replace(TRACKERS["line-pf"], about="the thesis's particle filter, (2.1)-(2.5)", build=_particles)

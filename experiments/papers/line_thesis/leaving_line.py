@@ -27,7 +27,6 @@ from experiments.plots.style import LINES
 from sim.corruptions import gauss_markov, white_noise
 from sim.line import simulate_line
 from sim.tables.line import simulated_line
-from trackers.catalogue import grouped
 from trackers.core.recording import stack
 from trackers.core.tunable import with_values
 from trackers.events import LEFT_LIMIT, LEFT_SLACK
@@ -62,7 +61,7 @@ _LAST: list[tuple[TrackedRuns, np.ndarray]] = []
 def apart(tracked: TrackedRuns) -> np.ndarray:
     """The distances (n, T), m, between the constrained estimates and the free Kalman filter's."""
     if not (_LAST and _LAST[0][0] is tracked):
-        (group,) = grouped([tracked.folder], KALMAN.spec, "Kalman", False)
+        (group,) = KALMAN.spec.batches([tracked.folder], "Kalman", False)
         trajectories = sorted(group.trajectories, key=lambda trajectory: int(trajectory.tag))
         found = with_values(group.tracker, {SIGMA: NUMBERS["sigma_kalman"]}, "leaving-line").run(
             stack([trajectory.recording for trajectory in trajectories])

@@ -112,7 +112,7 @@ PRINTED_FORM = TrackerSpec(
         **vars(TRACKERS["beam"]),
         "about": "the beam tracker with each of the 28 differences wrapped, (8)-(17)",
         "build": _as_printed,
-    }
+    },
 )
 
 

@@ -6,10 +6,10 @@ import pytest
 
 from experiments.reports.tuning import page
 from experiments.reports.tuning_collect import Asked, _numbers, gather
-from trackers.catalogue import groups
+from trackers.catalogue import spec_of
 from trackers.core.rig import Rig
 from trackers.recordings.folder import RecordingFolder
-from trackers.tracks import batches
+from trackers.recordings.tracks import batches
 from tuning import fit
 from tuning.identifiability import IdentifiabilityIssue
 from tuning.intervals import intervals_of
@@ -35,7 +35,7 @@ def _walk(name, seed, rows=64):
 
 @pytest.fixture(scope="module")
 def run():
-    (group,) = groups([_walk(name, k) for k, name in enumerate("abcd")], "fix-kf", False)
+    (group,) = spec_of("fix-kf").batches([_walk(name, k) for k, name in enumerate("abcd")], "fix-kf", False)
     training, held_out = group.trajectories[:2], group.trajectories[2:]
     rows = [batch for _, batch in batches(training)]
     result = fit(group.tracker, rows, parse_objective(NLL, "position", 3), PATTERNS, steps=6, starts=2)

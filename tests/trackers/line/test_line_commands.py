@@ -9,7 +9,7 @@ import pytest
 from experiments.cli.evaluate import judge
 from sim.line import simulate_line
 from sim.tables.line import simulated_line
-from trackers.catalogue import fitting, groups
+from trackers.catalogue import fitting, spec_of
 from trackers.core.errors import UnusableInput
 from trackers.core.rig import Rig
 from trackers.events import left_the_line
@@ -17,13 +17,13 @@ from trackers.line import rows as line
 from trackers.line.motion import HaltingMotion, LineMotion
 from trackers.line.rows import TRACKERS, path_of
 from trackers.recordings.folder import RecordingFolder, read_recording
-from trackers.tracks import track
+from trackers.recordings.tracks import track
 
 SITUATIONS = ("constant", "halts", "speeds")
 
 
 def _tracked(folders, name):
-    found = groups(folders, name, False)
+    found = spec_of(name).batches(folders, name, False)
     return track(found, lambda done: None)[0], found
 
 
@@ -81,13 +81,13 @@ def test_a_tag_that_is_carried_off_is_told_and_its_return_too(tracked, name):
 def test_an_unknown_path_is_refused_in_one_line(folders):
     nowhere = RecordingFolder("x", None, Rig("x"), folders[0].tables)
     with pytest.raises(UnusableInput, match=r"tracker 'line-pf' needs a known path, \[path\] with knots_m in rig.toml"):
-        groups([nowhere], "line-pf", False)
+        spec_of("line-pf").batches([nowhere], "line-pf", False)
 
 
 def test_ranges_to_tags_of_unknown_height_are_refused_in_words(folders):
     ranges = pl.DataFrame({"t_s": [0.0], "tag": ["0"], "anchor": ["a"], "range_m": [1.0]})
     folder = RecordingFolder("x", None, Rig("x", path_knots=folders[0].rig.path_knots), {"ranges": ranges})
-    assert "height_m" in TRACKERS["line-grid"].lacks(folder)
+    assert "height_m" in TRACKERS["line-grid"].missing(folder)
 
 
 # The best of the recordings' own baselines, tuned on the truth, is 0.034, 0.342 and 1.488 m.

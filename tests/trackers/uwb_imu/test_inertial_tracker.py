@@ -176,6 +176,6 @@ def test_tags_on_one_body_share_their_ranges_and_their_imu_and_others_do_not():
     np.testing.assert_array_equal(first.inputs["imu"], [[0, 0], [1, 1], [1, 1], [1, 1]])
     # A tag without an IMU of its own is tracked by its ranges.
     np.testing.assert_array_equal(second.inputs["imu"], [[0, 0]])
-    assert TRACKERS["uwb-imu"].lacks(folder) is None
+    assert TRACKERS["uwb-imu"].missing(folder) is None
     for table, lacking in (("imu", {"ranges": ranges}), ("ranges", {"imu": imu})):
-        assert table in TRACKERS["uwb-imu"].lacks(dataclasses.replace(folder, tables=lacking))
+        assert table in TRACKERS["uwb-imu"].missing(dataclasses.replace(folder, tables=lacking))

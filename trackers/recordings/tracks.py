@@ -1,37 +1,53 @@
-"""Run trackers over trajectories and write what they estimate as a table."""
+"""The estimates of whole recordings as one table, one row per trajectory and time."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import polars as pl
 
 from trackers.core.chunks import CHUNK
-from trackers.core.estimates import Estimates, Status
+from trackers.core.estimates import AXES, STATUS_WORDS, STEP_COLUMNS, Estimates, Status
 from trackers.core.recording import Batch, stack
 from trackers.core.tracker import AbstractTracker
 from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.trajectories import Trajectory, known_heights
 
 TRACKS = "tracks.parquet"
-WORDS = {
-    Status.OK: "ok",
-    Status.WAITING: "waiting",
-    Status.RESTARTED: "restarted",
-    Status.LOST: "lost",
-    Status.NON_FINITE: "non-finite",
-}
-AXES = "xyz"
+"""The file of a run folder that holds the table of estimates."""
 
 MAX_BATCH = 8 * CHUNK
 """Trajectories in memory at once: as many on every machine, since a batch's last chunk has a shape of its own."""
 
 
+@dataclass(frozen=True, repr=False)
+class Tracks:
+    """The estimates of all trajectories of one or more recordings.
+
+    `table`: one row per estimate, the columns of tracks.parquet (docs/formats.md). `summaries`: how many trajectories
+    ended how, as `ok` or `lost and re-started`. `batches`: the trajectories and the trackers that ran them.
+    """
+
+    table: pl.DataFrame
+    summaries: dict[str, int]
+    batches: list[TrackerBatch]
+
+    def to_polars(self) -> pl.DataFrame:
+        """The table of estimates; `.to_pandas()` of it gives a pandas frame."""
+        return self.table
+
+    def __repr__(self) -> str:
+        count = sum(self.summaries.values())
+        ended = ", ".join(f"{n} {words}" for words, n in self.summaries.items())
+        return f"<Tracks: {len(self.table)} estimates of {count} {'trajectory' if count == 1 else 'trajectories'}: {ended}>"
+
+
 def batches(trajectories: Sequence[Trajectory]) -> list[tuple[list[Trajectory], Batch]]:
-    """The trajectories in batches of at most `MAX_BATCH`, those of like length together, padded to few lengths."""
+    """The trajectories in batches of at most `MAX_BATCH`, those of similar length together, padded to few lengths."""
     ordered = sorted(trajectories, key=lambda trajectory: len(trajectory.recording))
     parts = [ordered[k : k + MAX_BATCH] for k in range(0, len(ordered), MAX_BATCH)]
     return [(part, stack([x.recording for x in part], rows=rounded(len(part[-1].recording)))) for part in parts]
@@ -43,20 +59,21 @@ def rounded(rows: int) -> int:
     return -(-rows // step) * step
 
 
-def track(groups: Sequence[TrackerBatch], advance: Callable[[int], None]) -> tuple[pl.DataFrame, dict[str, int]]:
-    """The estimates of all groups as one table, and how often each verdict was given; `advance` counts trajectories done."""
+def track(groups: Sequence[TrackerBatch], advance: Callable[[int], None] = lambda done: None) -> Tracks:
+    """The estimates of all batches of trajectories; `advance` is called with the number of trajectories done."""
     tables: list[pl.DataFrame] = []
-    verdicts: dict[str, int] = {}
+    summaries: dict[str, int] = {}
     for group in groups:
         for trajectories, batch in batches(group.trajectories):
             estimates = group.tracker.run(batch)
             for k, trajectory in enumerate(trajectories):
                 one = estimates[k]
-                verdict = re.split(r":| \d+ times| at row \d+", one.verdict())[0]
-                verdicts[verdict] = verdicts.get(verdict, 0) + 1
+                summary = re.split(r":| \d+ times| at row \d+", one.verdict())[0]
+                summaries[summary] = summaries.get(summary, 0) + 1
                 tables.append(_table(trajectory, group.tracker, one))
             advance(len(trajectories))
-    return pl.concat(tables, how="diagonal").sort(["recording", "tag", "t_s"], maintain_order=True), verdicts
+    table = pl.concat(tables, how="diagonal").sort(["recording", "tag", "t_s"], maintain_order=True)
+    return Tracks(table, summaries, list(groups))
 
 
 def _table(trajectory: Trajectory, tracker: AbstractTracker, estimates: Estimates) -> pl.DataFrame:
@@ -67,33 +84,32 @@ def _table(trajectory: Trajectory, tracker: AbstractTracker, estimates: Estimate
     last = np.append(np.diff(recording.times) > 0, True)
     status = estimates.status[:rows]
     usable = estimates.usable[:rows]
-    columns = angles(estimates) if trajectory.station else _positions(estimates, known_heights(trajectory), rows)
+    columns = angles(estimates) if trajectory.station else _positions(estimates, known_heights(trajectory))
     ids: dict[str, Any] = {"recording": trajectory.folder.name, "tag": trajectory.tag}
     if trajectory.station:
         ids["station"] = trajectory.station
     known = {name: np.where(usable, np.asarray(x)[:rows].astype(float), np.nan)[last] for name, x in columns.items()}
-    said = {"nis": estimates.nis, "nis_dof": estimates.nis_dof, "log_likelihood": estimates.log_likelihood}
     return pl.DataFrame(
         {name: pl.repeat(text, int(last.sum()), eager=True) for name, text in ids.items()}
         | {"t_s": times[last]}
         | {name: pl.Series(x, nan_to_null=True) for name, x in known.items()}
-        | {name: x[:rows][last].astype(float) for name, x in said.items()}
-        | {"wrapped": estimates.wrapped[:rows][last] > 0, "status": [WORDS[Status(s)] for s in status[last]]}
+        | {name: getattr(estimates, name)[:rows][last].astype(float) for name in STEP_COLUMNS}
+        | {"wrapped": estimates.wrapped[:rows][last] > 0, "status": [STATUS_WORDS[Status(s)] for s in status[last]]}
     )
 
 
-def _positions(estimates: Estimates, height: np.ndarray, rows: int) -> dict[str, np.ndarray]:
-    mean = [np.asarray(x)[:rows] for x in estimates.mean.position]
-    sigmas = [estimates.sigmas[f"position.{k}"][:rows] for k in range(len(mean))]
-    if len(mean) == 2:
+def _positions(estimates: Estimates, height: np.ndarray) -> dict[str, np.ndarray]:
+    """Positions with their standard deviations and covariances, m and m², and velocities, m/s, if the state has any."""
+    mean = [np.asarray(x) for x in estimates.mean.position]
+    sigmas = [estimates.sigmas[f"position.{k}"] for k in range(len(mean))]
+    cov, n = estimates.marginal("position"), len(mean)
+    if n == 2:
         mean, sigmas = [*mean, height], [*sigmas, 0.0 * height]
     columns = {f"{a}_m": x for a, x in zip(AXES, mean, strict=True)}
     columns |= {f"std_{a}_m": s for a, s in zip(AXES, sigmas, strict=True)}
-    cov = estimates.covariance[:rows]
-    n = len(estimates.mean.position)
     columns |= {f"cov_{AXES[i]}{AXES[j]}_m2": cov[:, i, j] for i in range(n) for j in range(i + 1, n)}
     # A moving window has no velocity.
-    velocity = [np.asarray(x)[:rows] for x in getattr(estimates.mean, "velocity", ())]
+    velocity = [np.asarray(x) for x in getattr(estimates.mean, "velocity", ())]
     return columns | {f"v{a}_mps": v for a, v in zip(AXES, velocity, strict=False)}
 
 

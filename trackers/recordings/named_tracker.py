@@ -1,0 +1,116 @@
+"""A tracker by name that runs on recording folders: the catalogue's entry with noise levels and settings."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from trackers.core.errors import UnusableInput
+from trackers.core.rts import Smoothed
+from trackers.core.tracker import AbstractTracker
+from trackers.core.tunable import AbstractTunable, tunables, with_values
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.tracker_spec import TrackerBatch, TrackerSpec
+from trackers.recordings.tracks import Tracks, track
+
+Recordings = RecordingFolder | Sequence[RecordingFolder]
+
+
+@dataclass(frozen=True, repr=False)
+class NamedTracker:
+    """A tracker of the catalogue, or a user's own, for recording folders.
+
+    `tracker`: the tracker of the first trajectory of the recordings it was made for. `values`: physical numbers by
+    tunable name or shell pattern that replace the defaults in every recording; `source`: where they come from, for
+    messages. `smoothed`: whether each row uses the later rows, too, `lag` seconds of them or all. A recording with other
+    stations or anchors gets a tracker of its own geometry with the same numbers.
+    """
+
+    name: str
+    spec: TrackerSpec
+    tracker: AbstractTracker
+    free_height: bool = False
+    values: Mapping[str, Any] = field(default_factory=dict)
+    source: str = "values"
+    smoothed: bool = False
+    lag: float | None = None
+
+    @classmethod
+    def of(cls, name: str, spec: TrackerSpec, recordings: Recordings, free_height: bool = False) -> NamedTracker:
+        """The tracker of an entry for recordings; raises UnusableInput for a recording that lacks what it reads."""
+        groups = spec.batches(_several(recordings), name, free_height)
+        if not groups:
+            raise UnusableInput(f"tracker '{name}': no trajectory in the recordings; expected one tag at least")
+        return cls(name, spec, groups[0].tracker, free_height)
+
+    def run(self, recordings: Recordings, advance: Callable[[int], None] = lambda done: None) -> Tracks:
+        """The estimates of every tag of one recording or several; `advance` gets the number of trajectories done.
+
+        Raises UnusableInput for a recording that lacks what the tracker reads, and for values that do not fit it.
+        """
+        return track(self.batches(recordings), advance)
+
+    def batches(self, recordings: Recordings) -> list[TrackerBatch]:
+        """The trajectories of the recordings and the trackers that run them, with this tracker's numbers."""
+        groups = self.spec.batches(_several(recordings), self.name, self.free_height)
+        return [dataclasses.replace(group, tracker=self._finished(group.tracker)) for group in groups]
+
+    def only_batch(self, recordings: Recordings) -> TrackerBatch:
+        """All trajectories of the recordings for one and the same tracker, as a fit needs them.
+
+        Raises UnusableInput where they need several: those have no numbers in common.
+        """
+        groups = self.batches(recordings)
+        if len(groups) != 1:
+            raise UnusableInput(
+                f"the recordings need {len(groups)} different '{self.name}' trackers (other geometry, or heights known "
+                "for some tags only); expected one; take them apart, or give --free-height"
+            )
+        return groups[0]
+
+    @property
+    def tunables(self) -> dict[str, AbstractTunable]:
+        """The numbers that can be tuned, by name."""
+        return tunables(self.tracker)
+
+    def with_values(self, values: Mapping[str, Any], source: object = "values") -> NamedTracker:
+        """This tracker with other physical numbers by tunable name or pattern; raises UnusableInput if they don't fit."""
+        found = with_values(self.tracker, values, source)
+        return dataclasses.replace(self, tracker=found, values={**self.values, **values}, source=str(source))
+
+    def smoothing(self, lag: float | None = None) -> NamedTracker:
+        """This tracker with fixed-interval smoothing, or with the next `lag` seconds of each row only.
+
+        Raises UnusableInput for a lag that is no positive number, and for trackers without a smoother.
+        """
+        if lag is not None and not 0 < lag < 1e6:
+            raise UnusableInput(f"--lag {lag}: expected seconds above zero; leave it out to use the whole recording")
+        self._smoother(self.tracker, lag)
+        return dataclasses.replace(self, smoothed=True, lag=lag)
+
+    def _finished(self, tracker: AbstractTracker) -> AbstractTracker:
+        tracker = with_values(tracker, self.values, self.source)
+        return self._smoother(tracker, self.lag) if self.smoothed else tracker
+
+    def _smoother(self, tracker: AbstractTracker, lag: float | None) -> AbstractTracker:
+        try:
+            return Smoothed(tracker, lag)  # type: ignore[arg-type]
+        except TypeError as error:
+            raise UnusableInput(f"--smooth with tracker '{self.name}': {error}; leave --smooth out") from error
+
+    def __repr__(self) -> str:
+        smoothed = f", smoothed over {self.lag:g} s" if self.lag else ", smoothed" if self.smoothed else ""
+        return f"<tracker {self.name}: {self.spec.about}{smoothed}; tunables {', '.join(self.tunables)}>"
+
+
+def _several(recordings: Recordings) -> list[RecordingFolder]:
+    folders = [recordings] if isinstance(recordings, RecordingFolder) else list(recordings)
+    wrong = next((x for x in folders if not isinstance(x, RecordingFolder)), None)
+    if not folders or wrong is not None:
+        raise UnusableInput(
+            f"found {'nothing' if wrong is None else type(wrong).__name__}; expected one or more recording folders, as "
+            "`read` and `read_all` return them; arrays are run by the tracker itself, as `range_tracker(4).run`"
+        )
+    return folders
