@@ -12,8 +12,8 @@ from trackers.core.algebra import total
 from trackers.core.ekf import Gaussian
 from trackers.core.recording import Readings, Recording
 from trackers.core.sensor import AbstractSensor, Channel, independent
+from trackers.core.start import AbstractStart
 from trackers.core.track_loss import TrackLossPolicy
-from trackers.core.tracker import AbstractStart
 
 NEVER_LOST = TrackLossPolicy(nis_limit=np.inf, max_gap=np.inf)
 
@@ -23,13 +23,13 @@ class KnownStart(AbstractStart):
 
     build: Callable = eqx.field(static=True)
 
-    def ready(self, row):
+    def can_start(self, row):
         return row.dt == row.dt
 
     def candidate(self, sensors, row):
         return row.dt
 
-    def begin(self, found, row):
+    def belief(self, candidate, row):
         mean, cov = row.inputs["start_mean"], row.inputs["start_cov"]
         return Gaussian(self.build([mean[k] for k in range(mean.shape[0])]), tuple(cov[k] for k in range(cov.shape[0])))
 

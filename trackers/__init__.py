@@ -37,13 +37,14 @@ from trackers.core.motion import (
 )
 from trackers.core.particle.filter import ParticleFilter
 from trackers.core.polyline import Polyline
-from trackers.core.recording import Batch, Readings, Recording, stack
+from trackers.core.recording import Batch, Readings, Recording, Row, stack
 from trackers.core.rig import Rig, Station, Tag
 from trackers.core.rts import Smoothed
 from trackers.core.sensor import AbstractSensor, Channel, Reading, Residual, independent
+from trackers.core.start import AbstractStart
 from trackers.core.state import Heading, Rotation, wrap
 from trackers.core.track_loss import TrackLossPolicy
-from trackers.core.tracker import AbstractStart, AbstractTracker, Row, Tracker
+from trackers.core.tracker import AbstractTracker, Tracker
 from trackers.core.tunable import Covariance, Fraction, Real, Scale, tunables
 from trackers.line.grid import GridFilter
 from trackers.line.motion import HaltingMotion, LineMotion

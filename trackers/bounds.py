@@ -12,8 +12,8 @@ from trackers.core.algebra import Vector
 from trackers.core.crlb import posterior_bound
 from trackers.core.ekf import ExtendedKalman
 from trackers.core.motion import Kinematic
-from trackers.core.recording import Batch, stack
-from trackers.core.tracker import AbstractTracker, Row, Tracker
+from trackers.core.recording import Batch, Row, stack
+from trackers.core.tracker import AbstractTracker, Tracker
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerBatch
 
@@ -70,7 +70,7 @@ def _is_kinematic(tracker: Tracker, batch: Batch) -> bool:
     row = Row(batch.dt, batch.valid, batch.readings, batch.inputs, None, None)
     first = jax.tree_util.tree_map(lambda x: x[0, ..., 0], row)
 
-    def begun(first: Row) -> Any:
-        return tracker.start.begin(tracker.start.candidate(tracker.sensors, first), first).mean
+    def initial_mean(first: Row) -> Any:
+        return tracker.start.belief(tracker.start.candidate(tracker.sensors, first), first).mean
 
-    return isinstance(jax.eval_shape(begun, first), Kinematic)
+    return isinstance(jax.eval_shape(initial_mean, first), Kinematic)

@@ -21,8 +21,9 @@ import numpy as np
 from jax.scipy.special import erf, gammaln
 
 from trackers.core.algebra import Scalar, total
+from trackers.core.scan import Output
 from trackers.core.sensor import AbstractSensor
-from trackers.core.tracker import Output, Tracker
+from trackers.core.tracker import Tracker
 from tuning.objectives import AbstractObjective, Truth, judged_error
 
 ORDERS = 4

@@ -17,7 +17,8 @@ import numpy as np
 from trackers.core.algebra import Scalar
 from trackers.core.estimates import Status
 from trackers.core.recording import Batch
-from trackers.core.tracker import AbstractTracker, Output
+from trackers.core.scan import Output
+from trackers.core.tracker import AbstractTracker
 from trackers.core.tunable import Covariance, Scale, matching, replaced, tunables
 from tuning.differences import levels_of_places
 from tuning.objectives import AbstractObjective, NegativeLogLikelihood, Truth

@@ -20,8 +20,9 @@ from trackers.core.particle.filter import ParticleFilter, Particles, weighed
 from trackers.core.particle.resampling import NOTHING
 from trackers.core.particle.score import normal_density
 from trackers.core.particle.transition import check_transition_density, transition_log_density
-from trackers.core.recording import Batch
-from trackers.core.tracker import Row, Tracker, begun
+from trackers.core.recording import Batch, Row
+from trackers.core.scan import initial_carry
+from trackers.core.tracker import Tracker
 from trackers.core.tunable import freeze
 from tuning.parameters import flatten, select_parameters, with_parameters
 
@@ -37,11 +38,11 @@ class MarginalScores(NamedTuple):
 
 
 class Carried(NamedTuple):
-    """What one row hands to the next: the belief, T of every particle (p, N), whether it has begun, and log L."""
+    """What one row hands to the next: the belief, T of every particle (p, N), whether the track has started, and log L."""
 
     belief: Particles
     owed: Any
-    begun: Any
+    started: Any
     value: Any
 
 
@@ -85,20 +86,20 @@ def _of_trajectory(model: Any, vector: Any, trajectory: Batch) -> tuple[Any, Any
     )
 
     def start(row: Row) -> Carried:
-        found = jax.lax.stop_gradient(tracker.start.candidate(tracker.sensors, row))
-        belief = begun(tracker, found, row).belief
+        candidate = jax.lax.stop_gradient(tracker.start.candidate(tracker.sensors, row))
+        belief = initial_carry(tracker, candidate, row).belief
 
         def density(v: Any) -> Any:
-            return normal_density(model(v).start.begin(found, row), belief.states)
+            return normal_density(model(v).start.belief(candidate, row), belief.states)
 
-        return Carried(belief, jax.jacfwd(density)(vector).T, row.valid & tracker.start.ready(row), 0.0 * row.dt)
+        return Carried(belief, jax.jacfwd(density)(vector).T, row.valid & tracker.start.can_start(row), 0.0 * row.dt)
 
     def step(carried: Carried, row: Row) -> tuple[Carried, None]:
         row = row._replace(key=trajectory.key)
         went = _row(model, vector, carried, row)
         fresh = start(row)
-        kept = _select(carried.begun & row.valid, went, carried)
-        return _select(~carried.begun & fresh.begun, fresh, kept), None
+        kept = _select(carried.started & row.valid, went, carried)
+        return _select(~carried.started & fresh.started, fresh, kept), None
 
     first = jax.tree_util.tree_map(lambda x: x[0], rows)._replace(key=trajectory.key)
     begin = start(first)
@@ -108,11 +109,11 @@ def _of_trajectory(model: Any, vector: Any, trajectory: Batch) -> tuple[Any, Any
     empty = jax.tree_util.tree_map(jnp.zeros_like, begin)
     last, _ = jax.lax.scan(step, empty, rows)
     score = jnp.sum(jnp.exp(last.belief.log_weights)[None, :] * last.owed, axis=-1)
-    return jnp.where(last.begun, last.value, jnp.nan), score
+    return jnp.where(last.started, last.value, jnp.nan), score
 
 
 def _row(model: Any, vector: Any, carried: Carried, row: Row) -> Carried:
-    """One row of a track that has begun."""
+    """One row of a track that has started."""
     tracker: Tracker = model(vector)
     before = carried.belief
     moved = belief = tracker.filter.predict(before, tracker.motion, row.inputs, row.dt)
@@ -136,7 +137,7 @@ def _row(model: Any, vector: Any, carried: Carried, row: Row) -> Carried:
         owed = owed + jax.jacfwd(densities)(vector).T
         belief, said = tracker.filter.update(belief, tracker.motion, tracker.sensors[name], reading, row.inputs)
         value = value + said.log_likelihood
-    return Carried(belief, owed, carried.begun, value)
+    return Carried(belief, owed, carried.started, value)
 
 
 def _pairs(tracker: Tracker, before: Any, after: Any, row: Row) -> Any:

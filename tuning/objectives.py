@@ -16,9 +16,9 @@ import jax.numpy as jnp
 from trackers.core.algebra import Scalar, cholesky, full, times, total, triangle
 from trackers.core.estimates import Status
 from trackers.core.linearise import linearise
+from trackers.core.scan import Output
 from trackers.core.sensor import LOG_2PI
 from trackers.core.state import coordinates
-from trackers.core.tracker import Output
 
 Truth = dict[str, tuple[Any, Any]]
 """The truth of a row by quantity: its components, each (B,), and where it is known (B,)."""

@@ -13,7 +13,8 @@ import numpy as np
 from trackers.core.chunks import CHUNK, as_dtype, chunks, run_chunks
 from trackers.core.particle.filter import ParticleFilter
 from trackers.core.recording import Batch
-from trackers.core.tracker import AbstractTracker, Tracker, has_particle_axis
+from trackers.core.scan import has_particle_axis
+from trackers.core.tracker import AbstractTracker, Tracker
 from tuning.gauss_newton import row_terms
 from tuning.objectives import AbstractObjective
 from tuning.parameters import Parameter, with_parameters

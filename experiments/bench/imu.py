@@ -91,9 +91,10 @@ def _ours(fifteen: bool) -> dict[str, Any]:
     from trackers.core.ekf import Gaussian
     from trackers.core.recording import Batch
     from trackers.core.sensor import Reading
+    from trackers.core.start import AbstractStart
     from trackers.core.state import Heading, Rotation
     from trackers.core.track_loss import TrackLossPolicy
-    from trackers.core.tracker import AbstractStart, Tracker, scanned
+    from trackers.core.tracker import Tracker, scan_chunk
     from trackers.parts.ranges import RangeSensor
     from trackers.uwb_imu.strapdown import ImuNoise, Inertial, PlanarInertial, PlanarStrapdown, Strapdown
     from tuning.objectives import NegativeLogLikelihood
@@ -105,14 +106,14 @@ def _ours(fifteen: bool) -> dict[str, Any]:
 
         planar: bool
 
-        def ready(self, row: Any) -> Any:
+        def can_start(self, row: Any) -> Any:
             return row.valid
 
         def candidate(self, sensors: Any, row: Any) -> Any:
             return row.inputs["start"]
 
-        def begin(self, found: Any, row: Any) -> Gaussian:
-            x, zero = [found[k] for k in range(8)], found[0] * 0.0
+        def belief(self, candidate: Any, row: Any) -> Gaussian:
+            x, zero = [candidate[k] for k in range(8)], candidate[0] * 0.0
             if self.planar:
                 state: Any = PlanarInertial(Vector(*x[:2]), Vector(*x[2:4]), Vector(*x[4:6]), Heading(x[6]), x[7])
                 return Gaussian(state, diagonal(list(SPREAD**2), zero))
@@ -143,7 +144,7 @@ def _ours(fifteen: bool) -> dict[str, Any]:
         world = _world(*size)
         batch, one = batch_of(world), tracker(planar)
         model = as_dtype(one, batch.dt.dtype)
-        result, forward = _timed(lambda: run_chunks(scanned, [(model, part) for part in chunks(batch, CHUNK)]))
+        result, forward = _timed(lambda: run_chunks(scan_chunk, [(model, part) for part in chunks(batch, CHUNK)]))
         parameters = select_parameters(one, TUNED)
         problem, vector = Problem(one, [batch], NegativeLogLikelihood(), parameters, CHUNK), flatten(parameters)
         _, gradient = _timed(lambda: problem.evaluate(vector)[:2])

@@ -23,7 +23,8 @@ from trackers.core.ekf import Gaussian
 from trackers.core.recording import Batch
 from trackers.core.rig import Station
 from trackers.core.sensor import Reading
-from trackers.core.tracker import AbstractStart, AbstractTracker, scanned
+from trackers.core.start import AbstractStart
+from trackers.core.tracker import AbstractTracker, scan_chunk
 from tuning.objectives import NegativeLogLikelihood
 from tuning.parameters import flatten, select_parameters
 from tuning.problem import Problem, term_sums
@@ -46,16 +47,16 @@ MASKED = 0.05
 class GivenStart(AbstractStart):
     """Begins every trajectory at its first row, from the angles in the recording's inputs: no search."""
 
-    def ready(self, row: Any) -> Any:
+    def can_start(self, row: Any) -> Any:
         return row.valid
 
     def candidate(self, sensors: Any, row: Any) -> Any:
         return jnp.stack([row.inputs["azimuth"], row.inputs["elevation"]])
 
-    def begin(self, found: Any, row: Any) -> Gaussian:
-        zero = jnp.zeros_like(found[0])
+    def belief(self, candidate: Any, row: Any) -> Gaussian:
+        zero = jnp.zeros_like(candidate[0])
         cov = diagonal([SIGMA_ANGLE**2, SIGMA_ANGLE**2, SIGMA_RATE**2, SIGMA_RATE**2], zero)
-        return Gaussian(Beam(found[0], found[1], zero, zero), cov)
+        return Gaussian(Beam(candidate[0], candidate[1], zero, zero), cov)
 
 
 class World(NamedTuple):
@@ -134,7 +135,7 @@ def versions(world: World, peer: str | None) -> list[Version]:
 
     def ours(tracker: AbstractTracker) -> Any:
         model = as_dtype(tracker, world.batch.dt.dtype)
-        return lambda: run_chunks(scanned, [(model, part) for part in chunks(world.batch, CHUNK)])
+        return lambda: run_chunks(scan_chunk, [(model, part) for part in chunks(world.batch, CHUNK)])
 
     def last(parts: Any) -> np.ndarray:
         return np.concatenate([np.asarray(part.mean.azimuth[-1]) for part in parts])

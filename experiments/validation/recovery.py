@@ -70,13 +70,13 @@ class Known(AbstractStart):
     mean: tuple[float, ...] = eqx.field(static=True)
     deviations: tuple[float, ...] = eqx.field(static=True)
 
-    def ready(self, row: Any) -> Any:
+    def can_start(self, row: Any) -> Any:
         return row.valid
 
     def candidate(self, sensors: Any, row: Any) -> Any:
         return row.dt
 
-    def begin(self, found: Any, row: Any) -> Gaussian:
+    def belief(self, candidate: Any, row: Any) -> Gaussian:
         zero = jnp.zeros_like(row.dt)
         variances = [zero + d * d for d in self.deviations]
         return Gaussian(self.state([zero + m for m in self.mean]), diagonal(variances, zero))

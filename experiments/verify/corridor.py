@@ -15,10 +15,11 @@ from trackers.core.algebra import Scalar, Vector, diagonal
 from trackers.core.ekf import Gaussian
 from trackers.core.motion import ConstantPosition, Placed
 from trackers.core.particle.filter import ParticleFilter, Particles
-from trackers.core.recording import Batch, Readings, Recording, stack
+from trackers.core.recording import Batch, Readings, Recording, Row, stack
 from trackers.core.sensor import AbstractSensor
+from trackers.core.start import AbstractStart
 from trackers.core.track_loss import TrackLossPolicy
-from trackers.core.tracker import AbstractStart, Row, Tracker
+from trackers.core.tracker import Tracker
 from trackers.line.fixes import FIXES, FloorFixes
 from trackers.parts.walls import Walls
 
@@ -35,13 +36,13 @@ class InBox(AbstractStart):
     across the rectangle, and `evenly` takes it back.
     """
 
-    def ready(self, row: Row) -> Scalar:
+    def can_start(self, row: Row) -> Scalar:
         return row.dt == row.dt
 
     def candidate(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
         return row.dt
 
-    def begin(self, found: Any, row: Row) -> Gaussian:
+    def belief(self, candidate: Any, row: Row) -> Gaussian:
         zero = jnp.zeros_like(row.dt)
         return Gaussian(Placed(Vector(zero, zero)), diagonal([1.0, 1.0], zero))
 

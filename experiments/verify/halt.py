@@ -12,10 +12,11 @@ from trackers.core.algebra import Scalar, diagonal
 from trackers.core.ekf import Gaussian
 from trackers.core.motion import Noise
 from trackers.core.polyline import Polyline
-from trackers.core.recording import Batch, Readings, Recording, stack
+from trackers.core.recording import Batch, Readings, Recording, Row, stack
 from trackers.core.sensor import AbstractSensor
+from trackers.core.start import AbstractStart
 from trackers.core.track_loss import TrackLossPolicy
-from trackers.core.tracker import AbstractStart, Row, Tracker
+from trackers.core.tracker import Tracker
 from trackers.core.tunable import Scale
 from trackers.line.fixes import FIXES, FloorFixes
 from trackers.line.motion import LineMotion, OnLine
@@ -37,13 +38,13 @@ class Known(AbstractStart):
 
     sigma: Noise
 
-    def ready(self, row: Row) -> Scalar:
+    def can_start(self, row: Row) -> Scalar:
         return row.dt == row.dt
 
     def candidate(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
         return row.dt
 
-    def begin(self, found: Any, row: Row) -> Gaussian:
+    def belief(self, candidate: Any, row: Row) -> Gaussian:
         zero, variance = jnp.zeros_like(row.dt), self.sigma.value**2
         return Gaussian(OnLine(zero + PLACE, zero + SPEED), diagonal([variance, variance], zero))
 

@@ -15,7 +15,7 @@ from trackers.core.algebra import Vector
 from trackers.core.estimates import Estimates, Status
 from trackers.core.motion import Kinematic
 from trackers.core.recording import Recording, stack
-from trackers.core.tracker import Output
+from trackers.core.scan import Output
 from trackers.parts.fixes import cov_before, shifted_back
 from tuning.consistency import Consistency, chi_square_below, legendre, student_t_below, student_t_dof_of
 from tuning.metrics import all_metrics, parse_objective

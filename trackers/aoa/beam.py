@@ -13,10 +13,12 @@ from trackers.aoa.phases import InPlanePhases, PlanePhases
 from trackers.core.algebra import Scalar, Vector, diagonal
 from trackers.core.ekf import Gaussian
 from trackers.core.motion import AbstractMotion, Noise
+from trackers.core.recording import Row
 from trackers.core.rig import Station
+from trackers.core.start import AbstractStart
 from trackers.core.state import Heading
 from trackers.core.track_loss import TrackLossPolicy
-from trackers.core.tracker import AbstractStart, Row, Tracker
+from trackers.core.tracker import Tracker
 from trackers.core.tunable import Scale
 
 
@@ -97,7 +99,7 @@ class BeamStart(AbstractStart):
     sigma_rate: Noise
     antennas: int = eqx.field(static=True, default=3)
 
-    def ready(self, row: Row) -> Scalar:
+    def can_start(self, row: Row) -> Scalar:
         return jnp.sum(row.readings[self.station].seen) >= self.antennas
 
     def candidate(self, sensors: Any, row: Row) -> Any:
@@ -105,12 +107,12 @@ class BeamStart(AbstractStart):
         calibrated = reading.values - sensors[self.station].offsets.value
         return strongest(self.grid, delay_and_sum(self.grid, calibrated, reading.seen))
 
-    def begin(self, found: Any, row: Row) -> Gaussian:
+    def belief(self, candidate: Any, row: Row) -> Gaussian:
         angle, rate = self.sigma_angle.value**2, self.sigma_rate.value**2
-        zero = jnp.zeros_like(found[0])
-        if found.shape[0] == 1:
-            return Gaussian(InPlaneBeam(Heading(found[0]), zero), diagonal([angle, rate], zero))
-        return Gaussian(Beam(found[0], found[1], zero, zero), diagonal([angle, angle, rate, rate], zero))
+        zero = jnp.zeros_like(candidate[0])
+        if candidate.shape[0] == 1:
+            return Gaussian(InPlaneBeam(Heading(candidate[0]), zero), diagonal([angle, rate], zero))
+        return Gaussian(Beam(candidate[0], candidate[1], zero, zero), diagonal([angle, angle, rate, rate], zero))
 
 
 def beam_tracker(

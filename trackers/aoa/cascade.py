@@ -16,8 +16,9 @@ from trackers.core.estimates import Status
 from trackers.core.motion import ConstantVelocity
 from trackers.core.recording import Batch
 from trackers.core.rig import Station
+from trackers.core.scan import Output, Score
 from trackers.core.sensor import Reading
-from trackers.core.tracker import AbstractTracker, Output, Score, Tracker
+from trackers.core.tracker import AbstractTracker, Tracker
 from trackers.core.tunable import Scale
 from trackers.parts.start_nearby import NearbyStart
 

@@ -14,8 +14,9 @@ from trackers.core.algebra import triangle
 from trackers.core.estimates import Status
 from trackers.core.recording import Batch
 from trackers.core.rig import Station
+from trackers.core.scan import Output
 from trackers.core.state import Heading
-from trackers.core.tracker import AbstractEpochwiseTracker, Output
+from trackers.core.tracker import AbstractEpochwiseTracker
 
 
 class DelayAndSum(AbstractEpochwiseTracker):

@@ -16,9 +16,11 @@ from trackers.aoa.rays import nearest_to_rays, unit_vector
 from trackers.core.algebra import Scalar, Vector, diagonal, total
 from trackers.core.ekf import Gaussian
 from trackers.core.motion import ConstantVelocity, Kinematic, Noise
+from trackers.core.recording import Row
 from trackers.core.rig import Station
+from trackers.core.start import AbstractStart
 from trackers.core.track_loss import TrackLossPolicy
-from trackers.core.tracker import AbstractStart, Row, Tracker
+from trackers.core.tracker import Tracker
 from trackers.core.tunable import Scale
 
 
@@ -35,7 +37,7 @@ class PhaseStart(AbstractStart):
     planar: bool = eqx.field(static=True)
     stations: int = eqx.field(static=True)
 
-    def ready(self, row: Row) -> Scalar:
+    def can_start(self, row: Row) -> Scalar:
         return total(jnp.where(jnp.sum(row.readings[name].seen) >= 3, 1, 0) for name in self.grids) >= self.stations
 
     def candidate(self, sensors: Mapping[str, Any], row: Row) -> Any:
@@ -47,11 +49,11 @@ class PhaseStart(AbstractStart):
             rays.append((sensor.origin, sensor.array_from_world.T @ direction, jnp.sum(reading.seen) >= 3))
         return nearest_to_rays(rays, jnp.asarray(self.centre), row.inputs["height"] if self.planar else None)
 
-    def begin(self, found: Any, row: Row) -> Gaussian:
+    def belief(self, candidate: Any, row: Row) -> Gaussian:
         n = 2 if self.planar else 3
-        zero = jnp.zeros_like(found[0])
+        zero = jnp.zeros_like(candidate[0])
         position, velocity = self.sigma_position.value**2, self.sigma_velocity.value**2
-        state = Kinematic(Vector(*(found[k] for k in range(n))), Vector(*[zero] * n))
+        state = Kinematic(Vector(*(candidate[k] for k in range(n))), Vector(*[zero] * n))
         return Gaussian(state, diagonal([position] * n + [velocity] * n, zero))
 
 

@@ -22,9 +22,9 @@ import jax.numpy as jnp
 from trackers.core.algebra import Scalar, full
 from trackers.core.imm import AbstractSwitching, InteractingModels, Mixture, SwitchingMotion
 from trackers.core.motion import GroundMotion, Noise
+from trackers.core.recording import Row
 from trackers.core.sensor import AbstractSensor, Channel
 from trackers.core.state import dimension
-from trackers.core.tracker import Row
 from trackers.core.tunable import Real, Scale
 from trackers.parts.fixes import FIXES, PATIENT, AbstractFixSensor, FixSensor, FixStart, FixTracker
 

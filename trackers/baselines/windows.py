@@ -12,7 +12,8 @@ from trackers.core.algebra import Vector, triangle
 from trackers.core.estimates import Status
 from trackers.core.motion import Placed
 from trackers.core.recording import Batch
-from trackers.core.tracker import AbstractEpochwiseTracker, Output
+from trackers.core.scan import Output
+from trackers.core.tracker import AbstractEpochwiseTracker
 from trackers.parts.fixes import FIXES
 from trackers.parts.median import nan_median
 

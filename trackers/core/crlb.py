@@ -12,9 +12,9 @@ import numpy as np
 from trackers.core.algebra import Scalar, Vector, dense
 from trackers.core.chunks import as_dtype
 from trackers.core.linearise import linearise
-from trackers.core.recording import Batch
+from trackers.core.recording import Batch, Row
 from trackers.core.state import coordinates, local
-from trackers.core.tracker import Row, Tracker
+from trackers.core.tracker import Tracker
 from trackers.core.tunable import freeze
 
 
@@ -75,8 +75,8 @@ def _pieces(tracker: Tracker, batch: Batch, states: Any) -> tuple[Any, ...]:
         return tuple(jnp.tensordot(weight, x, 1) for x in (F, Q, information))
 
     first = jax.tree_util.tree_map(lambda x: jnp.asarray(x)[0, ..., 0], rows)
-    found = tracker.start.candidate(tracker.sensors, first)
-    belief = tracker.start.begin(found, first)
+    candidate = tracker.start.candidate(tracker.sensors, first)
+    belief = tracker.start.belief(candidate, first)
     n = len(coordinates(belief.mean)[0])
     return dense(list(belief.cov), n), *jax.lax.map(lambda x: one_row(*x), (rows, states))
 

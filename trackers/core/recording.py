@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from trackers.core.algebra import Scalar
 from trackers.core.sensor import Reading
 
 
@@ -130,6 +131,20 @@ class Batch(NamedTuple):
             return np.pad(part, [(0, 0)] * (part.ndim - 1) + [(0, missing)]) if missing else part
 
         return jax.tree_util.tree_map(cut, self)
+
+
+class Row(NamedTuple):
+    """One time step of one trajectory.
+
+    `dt`: s since the previous step. `key` (2,): random key of the trajectory. `number`: index of the time step.
+    """
+
+    dt: Scalar
+    valid: Scalar
+    readings: dict[str, Reading]
+    inputs: dict[str, Any]
+    key: Any
+    number: Any
 
 
 def stack(recordings: Sequence[Recording], rows: int | None = None, dtype: Any = None) -> Batch:

@@ -19,7 +19,8 @@ from trackers.core.algebra import Scalar
 from trackers.core.estimates import Estimates, Status
 from trackers.core.motion import AbstractMotion
 from trackers.core.recording import Batch
-from trackers.core.tracker import AbstractEpochwiseTracker, Output, Tracker, scan_rows
+from trackers.core.scan import Output, scan_rows
+from trackers.core.tracker import AbstractEpochwiseTracker, Tracker
 from trackers.core.tunable import freeze
 
 

@@ -15,9 +15,11 @@ from trackers.core.ekf import Gaussian
 from trackers.core.motion import Noise
 from trackers.core.particle.filter import ParticleFilter, log_density
 from trackers.core.polyline import Polyline
+from trackers.core.recording import Row
 from trackers.core.sensor import AbstractSensor
+from trackers.core.start import AbstractStart
 from trackers.core.track_loss import TrackLossPolicy
-from trackers.core.tracker import AbstractStart, Row, Tracker
+from trackers.core.tracker import Tracker
 from trackers.core.tunable import Scale
 from trackers.line.grid import GridFilter
 from trackers.line.motion import HaltingMotion, LineMotion, OnFloor, OnLine, OnSegment, on_floor
@@ -54,7 +56,7 @@ class LineStart(AbstractStart):
 
     smooth: ClassVar[bool] = True
 
-    def ready(self, row: Row) -> Scalar:
+    def can_start(self, row: Row) -> Scalar:
         seen = [jnp.any(reading.seen) for reading in row.readings.values()]
         return jnp.any(jnp.stack(seen))
 
@@ -79,9 +81,9 @@ class LineStart(AbstractStart):
         mean = jnp.sum(weights * along)
         return jnp.stack([mean, jnp.sum(weights * (along - mean) ** 2)])
 
-    def begin(self, found: Any, row: Row) -> Gaussian:
-        place, zero = found[0], jnp.zeros_like(found[0])
-        start, speed = found[1] + self.sigma_start.value**2, self.sigma_speed.value**2
+    def belief(self, candidate: Any, row: Row) -> Gaussian:
+        place, zero = candidate[0], jnp.zeros_like(candidate[0])
+        start, speed = candidate[1] + self.sigma_start.value**2, self.sigma_speed.value**2
         if self.resting:
             return Gaussian(OnSegment(place, zero, zero + 1.0), diagonal([start, 0.0, 0.0], zero))
         return Gaussian(OnLine(place, zero), diagonal([start, speed], zero))

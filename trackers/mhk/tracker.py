@@ -11,7 +11,8 @@ import numpy as np
 from trackers.core.estimates import Estimates
 from trackers.core.motion import ConstantVelocity
 from trackers.core.recording import Batch
-from trackers.core.tracker import AbstractTracker, Output, Score
+from trackers.core.scan import Output, Score
+from trackers.core.tracker import AbstractTracker
 from trackers.core.tunable import Scale
 from trackers.mhk.accelerations import AccelerationSphere
 from trackers.mhk.fusion import AccelerationFilter

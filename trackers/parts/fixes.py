@@ -20,10 +20,12 @@ from trackers.core.algebra import Scalar, SparseRow, Vector, congruence, diagona
 from trackers.core.ekf import Gaussian
 from trackers.core.estimates import Estimates
 from trackers.core.motion import Accelerated, Kinematic, Noise
-from trackers.core.recording import Batch
+from trackers.core.recording import Batch, Row
+from trackers.core.scan import Output, Score
 from trackers.core.sensor import LOG_2PI, AbstractSensor, Channel, Reading, Residual, log_peak, placed
+from trackers.core.start import AbstractStart
 from trackers.core.track_loss import TrackLossPolicy
-from trackers.core.tracker import AbstractStart, Output, Row, Score, Tracker
+from trackers.core.tracker import Tracker
 from trackers.core.tunable import Covariance, Real, Scale
 from trackers.core.whitening import whitened
 
@@ -125,7 +127,7 @@ class FixStart(AbstractStart):
     velocities: int = eqx.field(static=True)
     accelerations: int = eqx.field(static=True, default=0)
 
-    def ready(self, row: Row) -> Scalar:
+    def can_start(self, row: Row) -> Scalar:
         seen = row.readings[FIXES].seen
         return seen[0] & seen[1]
 
@@ -136,12 +138,12 @@ class FixStart(AbstractStart):
             [*(reading.values[k] for k in range(3)), jnp.where(reading.seen[2], 1.0, 0.0).astype(row.dt.dtype)]
         )
 
-    def begin(self, found: Any, row: Row) -> Gaussian:
+    def belief(self, candidate: Any, row: Row) -> Gaussian:
         n = 2 if self.planar else 3
-        zero = jnp.zeros_like(found[0])
+        zero = jnp.zeros_like(candidate[0])
         near, rate = self.sigma_position.value**2, self.sigma_velocity.value**2
-        spread = [near, near, jnp.where(found[3] > 0.5, near, 1e8)][:n]
-        position, velocity = Vector(*(found[k] for k in range(n))), Vector(*[zero] * self.velocities)
+        spread = [near, near, jnp.where(candidate[3] > 0.5, near, 1e8)][:n]
+        position, velocity = Vector(*(candidate[k] for k in range(n))), Vector(*[zero] * self.velocities)
         cov = diagonal([*spread, *[rate] * (self.velocities + self.accelerations)], zero)
         if self.accelerations:
             return Gaussian(Accelerated(position, velocity, Vector(*[zero] * self.accelerations)), cov)

@@ -11,14 +11,15 @@ import jax.numpy as jnp
 from trackers.core.algebra import Scalar, Vector, diagonal
 from trackers.core.ekf import Gaussian
 from trackers.core.motion import Kinematic, Noise
+from trackers.core.recording import Row
 from trackers.core.sensor import AbstractSensor
-from trackers.core.tracker import AbstractStart, Row
+from trackers.core.start import AbstractStart
 
 
 class AbstractNearbyStart(AbstractStart):
     """From a place found on the host: the row's input `nearby` (4,), m, and 1 where there is one."""
 
-    def ready(self, row: Row) -> Scalar:
+    def can_start(self, row: Row) -> Scalar:
         return row.inputs["nearby"][3] > 0.5
 
     def candidate(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
@@ -36,9 +37,9 @@ class NearbyStart(AbstractNearbyStart):
     planar: bool = eqx.field(static=True)
     velocities: int = eqx.field(static=True)
 
-    def begin(self, found: Any, row: Row) -> Gaussian:
+    def belief(self, candidate: Any, row: Row) -> Gaussian:
         n = 2 if self.planar else 3
-        zero = jnp.zeros_like(found[0])
+        zero = jnp.zeros_like(candidate[0])
         position, velocity = self.sigma_position.value**2, self.sigma_velocity.value**2
-        state = Kinematic(Vector(*(found[k] for k in range(n))), Vector(*[zero] * self.velocities))
+        state = Kinematic(Vector(*(candidate[k] for k in range(n))), Vector(*[zero] * self.velocities))
         return Gaussian(state, diagonal([position] * n + [velocity] * self.velocities, zero))

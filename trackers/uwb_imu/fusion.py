@@ -9,8 +9,9 @@ import equinox as eqx
 from trackers.core.algebra import Vector, diagonal
 from trackers.core.ekf import Gaussian
 from trackers.core.motion import Noise
+from trackers.core.recording import Row
 from trackers.core.track_loss import TrackLossPolicy
-from trackers.core.tracker import Row, Tracker
+from trackers.core.tracker import Tracker
 from trackers.core.tunable import Scale
 from trackers.parts.ranges import RANGES, RangeSensor
 from trackers.parts.start_nearby import AbstractNearbyStart
@@ -32,10 +33,10 @@ class RangeStart(AbstractNearbyStart):
     planar: bool = eqx.field(static=True)
     biases: int = eqx.field(static=True)
 
-    def begin(self, found: Any, row: Row) -> Gaussian:
+    def belief(self, candidate: Any, row: Row) -> Gaussian:
         n = 2 if self.planar else 3
-        zero = found[0] * 0.0
-        state = Ranged(Vector(*(found[k] for k in range(n))), Vector(*[zero] * n), Vector(*[zero] * self.biases))
+        zero = candidate[0] * 0.0
+        state = Ranged(Vector(*(candidate[k] for k in range(n))), Vector(*[zero] * n), Vector(*[zero] * self.biases))
         variances = [s.value**2 for s in (self.sigma_position, self.sigma_velocity, self.sigma_bias)]
         return Gaussian(state, diagonal([variances[0]] * n + [variances[1]] * n + [variances[2]] * self.biases, zero))
 

@@ -10,9 +10,10 @@ import jax.numpy as jnp
 from trackers.core.algebra import Scalar, Vector, diagonal, triangle
 from trackers.core.ekf import Gaussian
 from trackers.core.motion import Noise
+from trackers.core.recording import Row
 from trackers.core.state import Heading, Rotation
 from trackers.core.track_loss import TrackLossPolicy
-from trackers.core.tracker import Row, Tracker
+from trackers.core.tracker import Tracker
 from trackers.core.tunable import Scale
 from trackers.parts.ranges import RANGES, RangeSensor
 from trackers.parts.start_nearby import AbstractNearbyStart
@@ -65,8 +66,8 @@ class InertialStart(AbstractNearbyStart):
         self.sigma_gyro_bias = Scale(sigma_gyro_bias, "rad/s")
         self.sigma_bias = Scale(sigma_bias, "m")
 
-    def begin(self, found: Any, row: Row) -> Gaussian:
-        zero = jnp.zeros_like(found[0])
+    def belief(self, candidate: Any, row: Row) -> Gaussian:
+        zero = jnp.zeros_like(candidate[0])
         still = row.inputs["rest"][6] > 0.5
         rate = Vector.of(jnp.where(still, row.inputs["rest"][3 + k], 0.0) for k in range(3))
         force = Vector.of(row.inputs["rest"][k] for k in range(3))
@@ -78,11 +79,11 @@ class InertialStart(AbstractNearbyStart):
         nothing, biases = Vector(zero, zero, zero), Vector(*[zero] * self.biases)
         if self.planar:
             flat = Vector(zero, zero)
-            state: Any = PlanarInertial(Vector(found[0], found[1]), flat, flat, Heading(zero), rate[2], biases)
+            state: Any = PlanarInertial(Vector(candidate[0], candidate[1]), flat, flat, Heading(zero), rate[2], biases)
             spread = {"position": 2, "velocity": 2, "accel_bias": 2, "yaw": 1, "gyro_bias": 1, "bias": self.biases}
             return Gaussian(state, diagonal([variances[k] for k, count in spread.items() for _ in range(count)], zero))
         attitude = upright(Vector.of(jnp.where(felt, f, up) for f, up in zip(force, (0.0, 0.0, 1.0), strict=True)))
-        state = Inertial(Vector(*(found[k] for k in range(3))), nothing, attitude, nothing, rate, biases)
+        state = Inertial(Vector(*(candidate[k] for k in range(3))), nothing, attitude, nothing, rate, biases)
         spread = {"position": 2, "height": 1, "velocity": 3, "tilt": 3, "accel_bias": 3, "gyro_bias": 3}
         spread["bias"] = self.biases
         cov = diagonal([variances[k] for k, count in spread.items() for _ in range(count)], zero)

@@ -12,7 +12,8 @@ from trackers.core.algebra import Scalar, Vector, triangle
 from trackers.core.estimates import Status
 from trackers.core.motion import Noise, Placed
 from trackers.core.recording import Batch
-from trackers.core.tracker import AbstractEpochwiseTracker, Output
+from trackers.core.scan import Output
+from trackers.core.tracker import AbstractEpochwiseTracker
 from trackers.core.tunable import Scale, freeze
 from trackers.parts.multilaterate import Place, multilaterate
 from trackers.parts.ranges import RANGES

@@ -12,10 +12,9 @@ from sim.keys import trajectory_keys
 from sim.ranging import chamber
 from sim.tables.uwb_imu import simulated_uwb_imu
 from trackers.core.algebra import Vector
-from trackers.core.recording import stack
+from trackers.core.recording import Row, stack
 from trackers.core.rig import Rig, Tag
 from trackers.core.state import Rotation
-from trackers.core.tracker import Row
 from trackers.recordings.folder import RecordingFolder
 from trackers.uwb_imu.inertial import InertialStart, inertial_tracker, upright
 from trackers.uwb_imu.inertial_rows import TRACKERS, inertial_trajectories
@@ -131,7 +130,7 @@ def test_the_start_is_unsure_of_the_yaw_and_of_little_else():
     felt = np.array([5.0, -1.0, 8.0])
     inputs = {"nearby": np.array([1.0, 2.0, 1.5, 1.0]), "rest": np.array([*felt, 0, 0, 0, 0.0])}
     row = Row(np.float64(0), True, {}, inputs, None, None)
-    belief = InertialStart(False).begin(inputs["nearby"][:3], row)
+    belief = InertialStart(False).belief(inputs["nearby"][:3], row)
     upper = dict(zip(zip(*np.triu_indices(15), strict=True), belief.cov, strict=True))
     P = np.array([[upper[min(i, j), max(i, j)] for j in range(6, 9)] for i in range(6, 9)], float)
     up = felt / np.linalg.norm(felt)

@@ -1,0 +1,182 @@
+"""The scan of a recursive tracker: one `lax.scan` over time steps of a step that `vmap` maps over trajectories.
+
+Arrays of a chunk of B trajectories are batch-last, (T, ..., B), so that each number of a step is one contiguous vector
+over trajectories. The exception is a belief with an axis of particles or cells: there the trajectories come first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple, Protocol
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from trackers.core.algebra import Scalar, mark_dependent
+from trackers.core.estimates import Status
+from trackers.core.recording import Batch, Row
+from trackers.core.select import select
+from trackers.core.sensor import AbstractSensor
+from trackers.core.start import AbstractStart
+
+STARTS_AT_ONCE = 16
+"""Trajectories whose start is searched for together; one search costs as much as hundreds of filter steps."""
+
+
+class StepInfo(NamedTuple):
+    """Per-step diagnostics: log-likelihood, NIS and its degrees of freedom, ambiguous wraps, `Status`."""
+
+    log_likelihood: Scalar
+    nis: Scalar
+    nis_dof: Scalar
+    wrapped: Scalar
+    status: Scalar
+
+
+class Carry(NamedTuple):
+    """The state of the scan between two time steps: belief, track status, running mean of NIS/dof, seconds since data."""
+
+    belief: Any
+    running: Scalar
+    started: Scalar
+    nis_average: Scalar
+    time_since_measurement: Scalar
+
+
+class Output(NamedTuple):
+    """The result of one time step: mean of the state, upper triangle of its covariance, and `StepInfo`."""
+
+    mean: Any
+    cov: tuple[Scalar, ...]
+    log_likelihood: Scalar
+    nis: Scalar
+    nis_dof: Scalar
+    wrapped: Scalar
+    status: Scalar
+
+
+Score = Callable[[Output, dict[str, tuple[Any, Any]]], tuple[Any, ...]]
+"""Numbers per trajectory, (B,) each, of one time step: a function of its output and its truth."""
+
+
+class RecursiveTracker(Protocol):
+    """The attributes of a `Tracker` that the scan uses."""
+
+    @property
+    def sensors(self) -> Mapping[str, AbstractSensor]: ...
+    @property
+    def start(self) -> AbstractStart: ...
+    @property
+    def filter(self) -> Any: ...
+    def step(self, carry: Carry, row: Row) -> tuple[Carry, StepInfo]: ...
+
+
+def scan_rows(
+    tracker: RecursiveTracker, batch: Batch, score: Score | None = None
+) -> tuple[tuple[Any, ...], Output | None]:
+    """All time steps of one chunk, batch-last: the outputs of every step, or with a `score` its sums over time.
+
+    Returns (sums, None) with a score, ((), outputs) without.
+    """
+    size, trajectory_keys = batch.size, jnp.asarray(batch.key)
+    rows = Row(batch.dt, batch.valid, batch.readings, batch.inputs, None, jnp.arange(len(batch.dt), dtype=jnp.uint32))
+    axes = carry_axes(tracker)
+    step = jax.vmap(tracker.step, in_axes=(axes, -1), out_axes=(axes, -1))
+    moments = jax.vmap(tracker.filter.moments, in_axes=axes.belief, out_axes=-1)
+
+    def one_row(carry: Carry, row: Row) -> tuple[Carry, Output]:
+        row = row._replace(key=trajectory_keys, number=jnp.broadcast_to(row.number, (size,)))
+        carry, info = step(carry, row)
+        carry, info = reinitialise(tracker, carry, row, info)
+        mean, cov = moments(carry.belief)
+        return carry, Output(mean, cov, *info)
+
+    def body(state: tuple[Carry, tuple[Any, ...]], inputs: tuple[Row, Any]) -> tuple[Any, Output | None]:
+        carry, sums = state
+        row, truth = inputs
+        carry, output = one_row(carry, row)
+        if score is None:
+            return (carry, sums), output
+        return (carry, tuple(a + b for a, b in zip(sums, score(output, truth), strict=True))), None
+
+    first_row, first_truth = jax.tree_util.tree_map(lambda x: jnp.asarray(x[0]), (rows, batch.truth))
+    first_row = first_row._replace(key=trajectory_keys, number=jnp.zeros(size, jnp.uint32))
+    empty = jax.vmap(lambda row: empty_carry(tracker, row), in_axes=-1, out_axes=axes)(first_row)
+    sums: tuple[Any, ...] = ()
+    if score is not None:
+        # The shapes of the score come from an empty output: tracing one more step takes seconds for large states.
+        zero = jnp.zeros_like(first_row.dt)
+        info = StepInfo(zero, zero, zero, zero, zero.astype(jnp.int8))
+        mean, cov = moments(empty.belief)
+        shapes = jax.eval_shape(lambda: score(Output(mean, cov, *info), first_truth))
+        sums = tuple(jnp.zeros(s.shape, s.dtype) for s in shapes)
+    # Particles have no derivative, so that nothing is marked as dependent.
+    initial = (empty, sums) if has_particle_axis(tracker) else mark_dependent((empty, sums), tracker)
+    (_, sums), outputs = jax.lax.scan(body, initial, (rows, batch.truth))
+    return sums, outputs
+
+
+def carry_axes(tracker: RecursiveTracker) -> Carry:
+    """The axis of trajectories in each part of the carry: last, but first in a belief with a particle axis."""
+    return Carry(0 if has_particle_axis(tracker) else -1, -1, -1, -1, -1)
+
+
+def has_particle_axis(tracker: RecursiveTracker) -> bool:
+    """Whether the filter's belief has an axis of its own, of particles or grid cells."""
+    return bool(getattr(tracker.filter, "has_particle_axis", False))
+
+
+def initial_carry(tracker: RecursiveTracker, candidate: Any, row: Row) -> Carry:
+    """The carry after a row that starts a track."""
+    one = jnp.ones_like(row.dt)
+    # A new key for every start of a trajectory; XLA drops it where the filter draws no random numbers.
+    key = jax.random.key_data(jax.random.fold_in(jax.random.wrap_key_data(row.key), row.number))
+    return Carry(tracker.filter.init(tracker.start.belief(candidate, row), key), one > 0, one > 0, one, one * 0)
+
+
+def empty_carry(tracker: RecursiveTracker, row: Row) -> Carry:
+    """The carry before the first row: zeros, no track running."""
+    shape = jax.eval_shape(lambda r: initial_carry(tracker, tracker.start.candidate(tracker.sensors, r), r), row)
+    return jax.tree_util.tree_map(lambda s: jnp.zeros(s.shape, s.dtype), shape)
+
+
+def reinitialise(tracker: RecursiveTracker, carry: Carry, row: Row, info: StepInfo) -> tuple[Carry, StepInfo]:
+    """Start a track in every trajectory of the chunk that has none and whose row suffices; the others are unchanged."""
+    need = row.valid & ~carry.running & jax.vmap(tracker.start.can_start, in_axes=-1)(row)
+    candidates = search(tracker, row, need)
+    axes = carry_axes(tracker)
+
+    def with_new_tracks() -> Carry:
+        fresh = jax.vmap(lambda c, r: initial_carry(tracker, c, r), in_axes=-1, out_axes=axes)(candidates, row)
+        return jax.vmap(select, in_axes=(-1, axes, axes), out_axes=axes)(need, fresh, carry)
+
+    # Making a Gaussian belief costs less than the condition; making a thousand particles costs more.
+    after = (
+        jax.lax.cond(jnp.any(need), with_new_tracks, lambda: carry) if has_particle_axis(tracker) else with_new_tracks()
+    )
+    status = jnp.where(need, jnp.where(carry.started, Status.RESTARTED, Status.OK), info.status).astype(jnp.int8)
+    return after, info._replace(status=status)
+
+
+def search(tracker: RecursiveTracker, row: Row, need: Any) -> Any:
+    """`start.candidate` of the trajectories where `need` (B,) is true, `STARTS_AT_ONCE` at a time; zeros elsewhere."""
+    numbers, rest = eqx.partition((tracker.start, tracker.sensors), eqx.is_array)
+    start, sensors = eqx.combine(numbers if tracker.start.smooth else jax.lax.stop_gradient(numbers), rest)
+    row = jax.lax.stop_gradient(row)
+    candidate = jax.vmap(lambda r: start.candidate(sensors, r), in_axes=-1, out_axes=-1)
+    size = need.shape[0]
+    n_at_once = min(STARTS_AT_ONCE, size)
+    shapes = jax.eval_shape(candidate, row)
+    nothing = jax.tree_util.tree_map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
+
+    def some(state: tuple[Any, Any]) -> tuple[Any, Any]:
+        need, candidates = state
+        index = jnp.nonzero(need, size=n_at_once, fill_value=size)[0]
+        rows = jax.tree_util.tree_map(lambda x: jnp.take(x, index, axis=-1, mode="clip"), row)
+        candidates = jax.tree_util.tree_map(
+            lambda a, b: a.at[..., index].set(b, mode="drop"), candidates, candidate(rows)
+        )
+        return need.at[index].set(False, mode="drop"), candidates
+
+    return jax.lax.while_loop(lambda state: jnp.any(state[0]), some, (need, nothing))[1]
