@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from types import FunctionType
 
@@ -69,6 +70,22 @@ def test_a_module_imports_only_what_its_part_may(path):
     parts = {_part(module): module for module in _imported(path)}
     forbidden = {module for other, module in parts.items() if other is not None and other not in MAY_IMPORT[part]}
     assert not forbidden
+
+
+def test_no_modules_import_each_other_in_a_circle():
+    names = {_named(path): path for path in SOURCES}
+    imports = {name: _modules_of(path) & names.keys() - {name} for name, path in names.items()}
+    try:
+        TopologicalSorter(imports).prepare()
+    except CycleError as error:
+        pytest.fail(f"import circle: {' -> '.join(reversed(error.args[1]))}")
+
+
+def _modules_of(path):
+    """Every name that the file imports, and `package.name` for each `from package import name`, TYPE_CHECKING included."""
+    nodes = [*ast.walk(ast.parse(path.read_text(encoding="utf-8")))]
+    members = {f"{n.module}.{a.name}" for n in nodes if isinstance(n, ast.ImportFrom) for a in n.names}
+    return {*_imported(path), *members}
 
 
 def test_matplotlib_is_imported_under_experiments_alone():
