@@ -1,4 +1,4 @@
-"""Monte Carlo studies: worlds × trackers × a grid of numbers, thousands of runs, figures with intervals."""
+"""Monte Carlo studies: worlds × trackers × a parameter grid × runs, and metrics with bootstrap intervals."""
 
 from experiments.monte_carlo.declaration import Condition, Study, TrackerConfig, World
 from experiments.monte_carlo.errors import TrackedRuns

@@ -1,7 +1,7 @@
-"""What is kept of every trajectory: sums that add up over trajectories, and a histogram of its errors.
+"""Accumulators of each trajectory: sums, and a histogram of its errors.
 
-Sums make means and root mean squares exactly. Percentiles come from the histogram, whose bins are 2 % wide, linear in
-the logarithm inside a bin. So a million trajectories need no more memory than a thousand.
+Means and root mean squares are exact, from sums. Percentiles are interpolated in a histogram with logarithmic bins of
+2 %. A million trajectories need no more memory than a thousand.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 SMALLEST, BIN_WIDTH, BINS = 1e-6, 0.02, 1201
-"""m or rad; relative; from a micrometre to 26 km, what is smaller or larger in the first or last bin."""
+"""Bins from 1e-6 to 2.6e4 m or rad, of relative width BIN_WIDTH; smaller and larger errors fall in the end bins."""
 
 EDGES = SMALLEST * np.exp(BIN_WIDTH * np.arange(BINS))
 """Upper edges of the bins."""
@@ -17,32 +17,32 @@ EDGES = SMALLEST * np.exp(BIN_WIDTH * np.arange(BINS))
 POSITION = ("m", "3d_m")
 BEARING = ("direction_rad", "azimuth_rad", "elevation_rad")
 KINDS = (*POSITION, *BEARING)
-"""Kinds of errors; the name is the suffix of their figures."""
+"""Kinds of errors, which are suffixes of the names of metrics."""
 
 SUMS = (
     *(f"{what} {kind}" for kind in KINDS for what in ("n", "sum", "squares")),
     "nees", "nees n", "nees_3d", "nees_3d n", "inside", "nis", "dof", "lost rows", "rows", "diverged", "failed",
 )  # fmt: skip
-"""Columns of the sums of a trajectory."""
+"""Columns of the array of sums."""
 
 COLUMN = {name: k for k, name in enumerate(SUMS)}
 
 
 def bins(errors: np.ndarray) -> np.ndarray:
-    """The bin of each error."""
+    """The bin number of each error."""
     with np.errstate(divide="ignore"):
         at = np.ceil(np.log(np.maximum(errors, 0.0) / SMALLEST) / BIN_WIDTH)
     return np.clip(at, 0, BINS - 1).astype(np.int64)
 
 
 def histograms(errors: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of errors (n, T) where `counts` (n, T) holds: which cell of an (n, BINS) table has something, and how much."""
+    """A sparse (n, BINS) histogram of the errors (n, T) selected by `counts`: flat indices and their counts."""
     trajectory = np.broadcast_to(np.arange(len(errors))[:, None], errors.shape)
     return np.unique(trajectory[counts] * BINS + bins(errors[counts]), return_counts=True)
 
 
 def quantile(histogram: np.ndarray, share: float) -> np.ndarray:
-    """The error that this share of the counts (..., BINS) is under; NaN where there are none."""
+    """The quantile at `share` of histograms (..., BINS); NaN for empty ones."""
     below = np.cumsum(histogram, axis=-1)
     total = below[..., -1:]
     wanted = share * total

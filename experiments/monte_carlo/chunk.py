@@ -1,4 +1,4 @@
-"""One scenario, some trajectories, every tracker: what is kept of each trajectory."""
+"""One chunk of a condition: simulate its trajectories, run every tracker on them, and score the estimates."""
 
 from __future__ import annotations
 
@@ -27,86 +27,89 @@ from trackers.recordings.truth import TruthStatus, interpolated
 
 
 def run_chunk(study: Study, condition: Condition, ids: np.ndarray, first: bool) -> list[dict[str, np.ndarray]]:
-    """For every tracker what is kept of the trajectories with these ids, by name; `first`: bounds and times too.
+    """The accumulators and measures of the trajectories with these ids, one dictionary per tracker.
 
-    Raises UnusableInput where world, tracker or numbers don't fit each other.
+    `first`: whether this is a condition's first chunk, which also gives bounds and computing times. Raises
+    UnusableInput where world, trackers and values do not fit each other.
     """
-    made = study.worlds[condition.world]
+    world = study.worlds[condition.world]
     try:
-        folder = made.make(ids, study.seed, **study.numbers(condition))
+        folder = world.make(ids, study.seed, **study.numbers(condition))
     except (TypeError, ValueError) as error:
         raise UnusableInput(f"study '{study.name}', world '{condition.world}': {error}") from error
-    plain = {name: e.spec.batches([folder], name, e.free_height) for name, e in study.trackers.items()}
-    _all_taken(study, condition, plain)
-    kept = []
+    untuned = {name: c.spec.batches([folder], name, c.free_height) for name, c in study.trackers.items()}
+    _require_grid_is_used(study, condition, untuned)
+    results = []
     for name, config in study.trackers.items():
-        batches = _with_numbers(study, condition, name, config, plain[name])
-        tracked, seconds = _run(batches, ids, study.chunk, config)
-        own = scored(tracked)
+        batches = _configured(study, condition, name, config, untuned[name])
+        tracked, seconds = _track(batches, ids, study.chunk, config)
+        arrays = scored(tracked)
         for measure, function in study.measures.items():
-            own[f"measure {measure}"] = _measured(study, measure, function(tracked), len(ids))
+            arrays[f"measure {measure}"] = _measured(study, measure, function(tracked), len(ids))
         if first:
-            # Once more: the first time the program was compiled.
             if "us_per_row" in study.metrics:
-                seconds = _run(batches, ids, study.chunk, config)[1]
-                own["us_per_row"] = np.array(1e6 * seconds / max(int((tracked.status != Status.PADDING).sum()), 1))
-            if any(f.startswith("bound") for f in study.metrics):
-                own["bounds"] = _bounds(folder, batches)
-        kept.append(own)
-    return kept
+                # A second run: the first one also compiled.
+                seconds = _track(batches, ids, study.chunk, config)[1]
+                arrays["us_per_row"] = np.array(1e6 * seconds / max(int((tracked.status != Status.PADDING).sum()), 1))
+            if any(metric.startswith("bound") for metric in study.metrics):
+                arrays["bounds"] = _bounds(folder, batches)
+        results.append(arrays)
+    return results
 
 
 def tracker_batches(
     study: Study, condition: Condition, name: str, config: TrackerConfig, folder: RecordingFolder
 ) -> list[TrackerBatch]:
-    """The trajectories of a folder with the tracker as it enters a cell; raises UnusableInput where they don't fit."""
-    return _with_numbers(study, condition, name, config, config.spec.batches([folder], name, config.free_height))
+    """The batches of a folder for a tracker in a condition; raises UnusableInput where they do not fit."""
+    return _configured(study, condition, name, config, config.spec.batches([folder], name, config.free_height))
 
 
-def _with_numbers(
+def _configured(
     study: Study, condition: Condition, name: str, config: TrackerConfig, batches: list[TrackerBatch]
 ) -> list[TrackerBatch]:
     where = f"study '{study.name}', tracker '{name}'"
     made = []
     for batch in batches:
         tracker = with_values(batch.tracker, dict(config.tunables), where)
-        tracker = with_values(tracker, _of_grid(condition, tracker), where)
+        tracker = with_values(tracker, _grid_values(condition, tracker), where)
         if config.smooth:
             if not isinstance(tracker, Tracker):
-                raise UnusableInput(f"{where}: smooth: this tracker has no smoother; leave `smooth` out")
+                raise UnusableInput(f"{where}: smooth: this tracker has no smoother; remove `smooth`")
             try:
                 tracker = Smoothed(tracker, None)
             except TypeError as error:
-                raise UnusableInput(f"{where}: smooth: {error}; leave `smooth` out") from error
+                raise UnusableInput(f"{where}: smooth: {error}; remove `smooth`") from error
         made.append(TrackerBatch(tracker, batch.trajectories, batch.planar))
     return made
 
 
-def _of_grid(condition: Condition, tracker: AbstractTracker) -> dict[str, Any]:
-    """The numbers of the grid that this tracker has."""
+def _grid_values(condition: Condition, tracker: AbstractTracker) -> dict[str, Any]:
+    """The values of the grid for tunables of this tracker."""
     own = list(tunables(tracker))
     return {k: v for k, v in condition.numbers.items() if not k.startswith(WORLD) and fnmatch.filter(own, k)}
 
 
-def _all_taken(study: Study, condition: Condition, plain: Mapping[str, list[TrackerBatch]]) -> None:
-    """Refuse a number of the grid that no tracker has."""
-    own = {name for batches in plain.values() for batch in batches for name in tunables(batch.tracker)}
+def _require_grid_is_used(study: Study, condition: Condition, untuned: Mapping[str, list[TrackerBatch]]) -> None:
+    """Refuse a grid name that matches no tunable of any tracker."""
+    own = {name for batches in untuned.values() for batch in batches for name in tunables(batch.tracker)}
     for pattern in condition.numbers:
         if not pattern.startswith(WORLD) and not fnmatch.filter(own, pattern):
             raise UnusableInput(
-                f"study '{study.name}': grid '{pattern}': no tracker has it; expected 'world.' and a number of the "
-                f"worlds, or one of {', '.join(sorted(own))}"
+                f"study '{study.name}': grid '{pattern}': no tracker has such a tunable; expected 'world.' and a "
+                f"parameter of the worlds, or one of {', '.join(sorted(own))}"
             )
 
 
-def _run(batches: list[TrackerBatch], ids: np.ndarray, chunk: int, config: TrackerConfig) -> tuple[TrackedRuns, float]:
-    """The estimates of all trajectories, trajectories first, and the seconds that the trackers took."""
-    every = [trajectory for batch in batches for trajectory in batch.trajectories]
-    if not every:
-        raise UnusableInput("a world without a single tag to track; expected one for each id")
-    stations = sorted({trajectory.station for trajectory in every})
+def _track(
+    batches: list[TrackerBatch], ids: np.ndarray, chunk: int, config: TrackerConfig
+) -> tuple[TrackedRuns, float]:
+    """The estimates of all trajectories beside their truth, and the computing time of the trackers, s."""
+    trajectories = [trajectory for batch in batches for trajectory in batch.trajectories]
+    if not trajectories:
+        raise UnusableInput("the world has no tag to track; expected one for each id")
+    stations = sorted({trajectory.station for trajectory in trajectories})
     number = {str(k): at for at, k in enumerate(ids)}
-    rows = max(len(trajectory.recording) for trajectory in every)
+    rows = max(len(trajectory.recording) for trajectory in trajectories)
     shape = (len(ids), rows, len(stations))
     width = 2 if stations[0] else 3
     axes = 2 if stations[0] else max(2 if batch.planar else 3 for batch in batches)
@@ -119,7 +122,7 @@ def _run(batches: list[TrackerBatch], ids: np.ndarray, chunk: int, config: Track
     for batch in batches:
         padded = rounded(max(len(trajectory.recording) for trajectory in batch.trajectories))
         stacked = stack([trajectory.recording for trajectory in batch.trajectories], rows=padded)
-        # Whole chunks only: then a trajectory's numbers don't depend on how many there are, nor on how many devices.
+        # Padded to whole chunks, so that the bits depend neither on the number of trajectories nor of devices.
         whole = stacked.trajectories(0, chunk * -(-stacked.size // chunk))
         began = time.perf_counter()
         found = batch.tracker.run(whole, chunk)
@@ -129,52 +132,55 @@ def _run(batches: list[TrackerBatch], ids: np.ndarray, chunk: int, config: Track
             one, size = found[k], len(trajectory.recording)
             at = number[trajectory.tag], slice(0, size), stations.index(trajectory.station)
             at_valid_time, own = batch.tracker.at_valid_time(trajectory.recording.times, one[:size])
-            place, P = _moments(trajectory, own, size)
+            position, P = _moments(trajectory, own)
             times[at[0], :size] = at_valid_time
-            estimates[at], status[at], nis[at], dof[at] = place, own.status, own.nis, own.nis_dof
+            estimates[at], status[at], nis[at], dof[at] = position, own.status, own.nis, own.count
             covariance[at][..., : P.shape[-1], : P.shape[-1]] = P
             (truth[at], counts) = _truth(trajectory, at_valid_time, paths)
-            known[at] = counts & own.usable & _last(at_valid_time, config.every) & np.isfinite(place[:, :2]).all(axis=1)
+            known[at] = (
+                counts & own.usable & _last(at_valid_time, config.every) & np.isfinite(position[:, :2]).all(axis=1)
+            )
     values = (estimates, covariance, truth, known, status, nis, dof)
     if not stations[0]:
         values = tuple(x[:, :, 0] for x in values)  # type: ignore[assignment]
     return TrackedRuns(times, *values, batches[0].trajectories[0].folder), seconds
 
 
-def _moments(trajectory: Trajectory, own: Estimates, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Places (T, 3) m, or angles (T, 2) rad, with the covariance of what was estimated."""
+def _moments(trajectory: Trajectory, own: Estimates) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (T, 3) m or angles (T, 2) rad, with the covariance of the estimated axes; NaN where unusable."""
     usable = own.usable
     if trajectory.station:
         found = angles(own)
-        place = np.stack([found["azimuth_rad"], found["elevation_rad"]], axis=-1)
+        position = np.stack([found["azimuth_rad"], found["elevation_rad"]], axis=-1)
         deviations = np.stack([found["std_azimuth_rad"], found["std_elevation_rad"]], axis=-1)
         P = deviations[:, :, None] ** 2 * np.eye(2)
     else:
-        parts = [np.asarray(x, float) for x in own.mean.position]
-        d = len(parts)
-        place = np.stack(parts if d == 3 else [*parts, known_heights(trajectory)], axis=-1)
+        axes = [np.asarray(x, float) for x in own.mean.position]
+        d = len(axes)
+        position = np.stack(axes if d == 3 else [*axes, known_heights(trajectory)], axis=-1)
         index = {pair: k for k, pair in enumerate(triangle(own.dimension))}
         P = np.stack(
             [np.stack([own.cov_upper[index[min(i, j), max(i, j)]] for j in range(d)], -1) for i in range(d)], -2
         )
-    return np.where(usable[:, None], place, np.nan), np.where(usable[:, None, None], P, np.nan)
+    return np.where(usable[:, None], position, np.nan), np.where(usable[:, None, None], P, np.nan)
 
 
 def _shifts(tracker: AbstractTracker) -> bool:
-    """Whether the tracker's estimates are valid at other times than its rows'."""
+    """Whether the tracker's estimates are valid at other times than those of its rows."""
     return type(tracker).at_valid_time is not AbstractTracker.at_valid_time
 
 
 def _truth(trajectory: Trajectory, times: np.ndarray, paths: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+    """The truth at `times`, and the rows that have one."""
     if trajectory.tag in paths:
-        place, verdict = interpolated(times, *paths[trajectory.tag])
-        return place, verdict == TruthStatus.COUNTS
+        position, status = interpolated(times, *paths[trajectory.tag])
+        return position, status == TruthStatus.COUNTS
     return next(iter(trajectory.recording.truth.values()))
 
 
 def _last(times: np.ndarray, every: float | None) -> np.ndarray:
-    """The last row of every time, or of every interval of so many seconds."""
-    # A time such as 0.3 s belongs to the interval it opens although 0.3 / 0.1 is 2.9999999999999996.
+    """The mask of each time's last row, or of the last row in each interval of `every` seconds."""
+    # The margin keeps 0.3 s in the interval that it starts, although 0.3 / 0.1 is 2.9999999999999996.
     at = times if every is None else np.floor(times / every + 1e-6)
     return np.append(np.diff(at) > 0, True)
 
@@ -183,16 +189,16 @@ def _measured(study: Study, name: str, found: Any, n: int) -> np.ndarray:
     values = np.asarray(found, float)
     if values.shape != (n,):
         raise UnusableInput(
-            f"study '{study.name}': measure '{name}' gives numbers of shape {values.shape}; expected ({n},), one for "
-            "each trajectory"
+            f"study '{study.name}': measure '{name}' returns shape {values.shape}; expected ({n},), one number "
+            "for each trajectory"
         )
     return values
 
 
 def _bounds(folder: RecordingFolder, batches: list[TrackerBatch]) -> np.ndarray:
-    """The Cramér–Rao bound as root mean square over the second half of the rows, in the plane and in space.
+    """The Cramér–Rao bound, m, horizontal and 3-D: root mean square over the second half of the rows; NaN without one.
 
-    NaN where there is none. The first rows' bound is the width of the tracker's start, which nobody takes for a bound.
+    The first half is left out, since the bound of the first rows is the prior of the tracker's start.
     """
     found = bounds_of(folder, batches)
     if found is None:

@@ -1,4 +1,4 @@
-"""The folder of a study: what it belongs to, and a file for every finished chunk, each written whole or not at all."""
+"""The folder of a study: its identity, and one file per finished chunk, written atomically."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ IDENTITY, CHUNKS = "study.json", "chunks"
 
 
 def identity(study: Study) -> dict[str, Any]:
-    """What makes a study's numbers these: its declaration, its file, the chunk, and what computes them."""
+    """Everything that the numbers of a study depend on: declaration, source file, chunk size, jaxlib and device."""
     return {
         "study": study.name,
         "worlds": {k: {"make": _named(w.make), "numbers": dict(w.numbers)} for k, w in study.worlds.items()},
-        "trackers": {k: _config(e) for k, e in study.trackers.items()},
+        "trackers": {k: _config(c) for k, c in study.trackers.items()},
         "grid": {k: list(v) for k, v in study.grid.items()},
         "seed": study.seed,
         "chunk": study.chunk,
@@ -52,14 +52,14 @@ def _config(config: TrackerConfig) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class ChunkStore:
-    """The folder with the chunks of a study."""
+    """The folder with the finished chunks of a study."""
 
     folder: Path
     study: Study
 
     def open(self) -> ChunkStore:
-        """Made where it isn't there; raises UnusableInput where it holds another study or can't be written to."""
-        path, mine = self.folder / IDENTITY, json_text(identity(self.study))
+        """Create the folder if need be; raises UnusableInput where it holds another study or cannot be written."""
+        path, own = self.folder / IDENTITY, json_text(identity(self.study))
         try:
             (self.folder / CHUNKS).mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -67,66 +67,66 @@ class ChunkStore:
                 f"--out {self.folder}: cannot be created ({error.strerror}); choose another folder"
             ) from error
         if path.exists():
-            other = unlike(path, mine)
-            if other:
+            difference = first_difference(path, own)
+            if difference:
                 raise UnusableInput(
-                    f"{path}: the folder holds another study ({other}); expected the one that began it; choose another "
+                    f"{path}: the folder holds another study ({difference}); expected the same study; choose another "
                     "--out, or remove the folder"
                 )
         else:
-            atomic_write(path, lambda temporary: temporary.write_text(mine, "utf-8"))
+            atomic_write(path, lambda temporary: temporary.write_text(own, "utf-8"))
         return self
 
     def path(self, condition: int, chunk: int) -> Path:
-        """The file of a cell's chunk."""
+        """The file of a chunk of a condition."""
         return self.folder / CHUNKS / f"{condition:04d}-{chunk:06d}.npz"
 
     def has(self, condition: int, chunk: int) -> bool:
-        """Whether a chunk is there and whole."""
+        """Whether the chunk is finished and its file intact."""
         path = self.path(condition, chunk)
         return path.exists() and zipfile.is_zipfile(path)
 
-    def put(self, condition: int, chunk: int, trackers: Sequence[Mapping[str, np.ndarray]]) -> None:
-        """Write a chunk; raises UnusableInput where the disk is full."""
+    def write(self, condition: int, chunk: int, trackers: Sequence[Mapping[str, np.ndarray]]) -> None:
+        """Write a chunk, by the trackers' order; raises UnusableInput where the disk is full."""
         arrays = {f"{k}/{name}": x for k, own in enumerate(trackers) for name, x in own.items()}
 
-        def write(temporary: Path) -> None:
+        def save(temporary: Path) -> None:
             with temporary.open("wb") as file:
                 np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
 
-        atomic_write(self.path(condition, chunk), write)
+        atomic_write(self.path(condition, chunk), save)
 
     def results(self, runs: Mapping[int, int]) -> Results:
-        """The figures of the cells of which so many runs are there."""
-        kept: dict[tuple[int, str], Totals] = {}
+        """The results from the stored chunks; `runs`: number of runs by condition."""
+        totals: dict[tuple[int, str], Totals] = {}
         for condition in runs:
-            gathered = {name: ChunkTotals(runs[condition]) for name in self.study.trackers}
+            sums = {name: ChunkTotals(runs[condition]) for name in self.study.trackers}
             for chunk in range(-(-runs[condition] // self.study.chunk)):
                 with self._file(condition, chunk) as file:
-                    for k, name in enumerate(gathered):
+                    for k, name in enumerate(sums):
                         own = {n.partition("/")[2]: file[n] for n in file.files if n.startswith(f"{k}/")}
-                        gathered[name].add(chunk * self.study.chunk, own)
-            kept |= {(condition, name): g.kept() for name, g in gathered.items()}
-        return Results(self.study, kept, runs)
+                        sums[name].add(chunk * self.study.chunk, own)
+            totals |= {(condition, name): own.totals() for name, own in sums.items()}
+        return Results(self.study, totals, runs)
 
     def _file(self, condition: int, chunk: int) -> Any:
         path = self.path(condition, chunk)
         try:
             return np.load(path, allow_pickle=False)
         except (OSError, ValueError, zipfile.BadZipFile) as error:
-            raise UnusableInput(f"{path}: is no chunk of a study; remove it and run the study again") from error
+            raise UnusableInput(f"{path}: not a chunk of a study; remove it and run the study again") from error
 
 
-def unlike(path: Path, mine: str) -> str:
-    """In a few words where the study of a folder differs from this one; empty where it doesn't."""
+def first_difference(path: Path, own: str) -> str:
+    """The first key in which the identity in the file differs from this one, and both values; empty for none."""
     try:
         other = json.loads(path.read_text("utf-8"))
-        own = json.loads(mine)
+        mine = json.loads(own)
     except (OSError, ValueError):
         return "its study.json cannot be read"
-    for key in own:
-        if other.get(key) != own[key]:
-            return f"{key}: {_short(other.get(key))}, not {_short(own[key])}"
+    for key in mine:
+        if other.get(key) != mine[key]:
+            return f"{key}: {_short(other.get(key))}, not {_short(mine[key])}"
     return ""
 
 
@@ -136,21 +136,21 @@ def _short(value: Any) -> str:
 
 
 def merge_shards(parts: Sequence[Path], out: Path) -> int:
-    """Copy the chunks of parts of one study into a folder, and say how many; raises UnusableInput for unequal ones."""
+    """Copy the chunks of a study's shards into a folder; their number. Raises UnusableInput for different studies."""
     if not parts:
-        raise UnusableInput("study merge: no folder given; expected the folders that the shards wrote")
+        raise UnusableInput("study merge: no folder given; expected the folders of its shards")
     texts = []
     for part in parts:
         path = part / IDENTITY
         try:
             texts.append(path.read_text("utf-8"))
         except (OSError, UnicodeDecodeError) as error:
+            raise UnusableInput(f"{path}: cannot be read; expected the folder of a shard, its --out") from error
+        difference = first_difference(parts[0] / IDENTITY, texts[-1])
+        if difference:
             raise UnusableInput(
-                f"{path}: cannot be read; expected the folder of a study, as --out of a shard"
-            ) from error
-        other = unlike(parts[0] / IDENTITY, texts[-1])
-        if other:
-            raise UnusableInput(f"{part}: is of another study than {parts[0]} ({other}); merge shards of one study")
+                f"{part}: holds another study than {parts[0]} ({difference}); expected shards of one study; remove it"
+            )
     files = {path.name: path for part in parts for path in sorted((part / CHUNKS).glob("*.npz"))}
     try:
         (out / CHUNKS).mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""What a study is: scenarios, trackers, a grid of numbers and how many runs; and what is refused before any run."""
+"""Declaration of a study: worlds, trackers, a grid of values and the number of runs; and its checks before any run."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerSpec
 
 WORLD = "world."
-"""What a grid's name begins with where it names a number of the worlds; other names are patterns of tunables."""
+"""Prefix of grid names that are parameters of the worlds; all other grid names are patterns of tunables."""
 
 CHUNK, CHUNKS, LARGEST_CHUNK = 128, 512, 1024
-"""Trajectories that are run together, more of them only where there would be more chunks than so many."""
+"""Trajectories per chunk; number of chunks from which on chunks grow; largest number of trajectories per chunk."""
 
-METRICS = ("rmse_m", "median_m", "p95_m", "bound_m", "nees_mean", "nis_ratio", "diverged", "us_per_row")
+DEFAULT_METRICS = ("rmse_m", "median_m", "p95_m", "bound_m", "nees_mean", "nis_ratio", "diverged", "us_per_row")
 
 
 @dataclass(frozen=True)
 class World:
-    """A scenario: `make(ids, seed, **numbers)` is a folder with truth whose tags are named by the ids (n,)."""
+    """A simulated world: `make(ids, seed, **numbers)` returns a folder with truth and one tag per id (n,)."""
 
     make: Callable[..., RecordingFolder]
     numbers: Mapping[str, Any] = field(default_factory=dict)
@@ -36,10 +36,10 @@ class World:
 
 @dataclass(frozen=True)
 class TrackerConfig:
-    """A tracker that takes part: by its name in the catalogue, or an entry of the study's own.
+    """A tracker of a study: its name in the catalogue or its specification, with values of its tunables.
 
-    `tunables`: values by name or pattern, in their units. `smooth`: over the whole recording. `free_height`: as the
-    option of `track`. `every`: s, judge only the last estimate in every so many seconds.
+    `tunables`: values by name or pattern, in physical units. `smooth`: RTS smoothing over the whole recording.
+    `free_height`: as the option of `track`. `every`: s, score only the last estimate of each such interval.
     """
 
     tracker: str | TrackerSpec
@@ -50,13 +50,17 @@ class TrackerConfig:
 
     @property
     def spec(self) -> TrackerSpec:
-        """What the command line knows of the tracker."""
-        return TRACKERS[self.tracker] if isinstance(self.tracker, str) else self.tracker
+        """The specification; raises UnusableInput for an unknown name. Names of trackers are resolved here alone."""
+        if not isinstance(self.tracker, str):
+            return self.tracker
+        if self.tracker not in TRACKERS:
+            raise UnusableInput(f"tracker '{self.tracker}' is unknown; expected one of {', '.join(TRACKERS)}")
+        return TRACKERS[self.tracker]
 
 
 @dataclass(frozen=True)
 class Condition:
-    """One scenario with one point of the grid; `index` counts them."""
+    """One world at one point of the grid; `index` numbers the conditions of a study."""
 
     index: int
     world: str
@@ -64,28 +68,29 @@ class Condition:
 
     @property
     def label(self) -> str:
-        """The world and the point, for a person."""
+        """The world and the point, for tables and plots."""
         return ", ".join([self.world, *(f"{short(name)} {value}" for name, value in self.point.items())])
 
     @property
     def numbers(self) -> dict[str, Any]:
-        """The point's values by single names: a name of the grid may be several with commas, which share a value."""
+        """The point's values by single names; a grid name may list several, separated by commas, that share a value."""
         return {single.strip(): value for names, value in self.point.items() for single in names.split(",")}
 
 
 def short(name: str) -> str:
-    """A name of the grid for a person."""
+    """The first single name of a grid name, without the prefix of worlds."""
     return name.split(",")[0].strip().removeprefix(WORLD)
 
 
 @dataclass(frozen=True)
 class Study:
-    """Worlds × trackers × grid × runs. Trajectory ids are 0 … runs − 1 in all cells: differences are paired.
+    """Worlds × trackers × grid × runs. Trajectory ids are 0 … runs − 1 in all conditions, so differences are paired.
 
-    The first tracker is the one that others are compared with. `grid`: `world.` and a keyword of the worlds, or a
-    tunable's name or pattern, or several such with commas, to their values; all combinations. `measures`: figures of
-    the study's own, numbers (n,) of n trajectories, NaN for none. `figures`: what the report's table shows. `expected`:
-    what was printed elsewhere, beside what came out. `draw`: pictures of its own, as files in a folder; their names.
+    The first tracker is the reference of comparisons. `grid`: names -> values; all combinations are run. A name is
+    `world.` and a parameter of the worlds, a tunable's name or pattern, or several of these separated by commas.
+    `measures`: the study's own metrics, functions that return one number per trajectory (n,), NaN for none. `metrics`:
+    those in the report's tables. `expected(results)`: printed numbers beside ours, and conclusions. `draw(results,
+    folder)`: writes plots of its own and returns their file names. `source`: text of the file that declares the study.
     """
 
     name: str
@@ -96,7 +101,8 @@ class Study:
     grid: Mapping[str, Sequence[Any]] = field(default_factory=dict)
     seed: int = 0
     measures: Mapping[str, Callable[[TrackedRuns], np.ndarray]] = field(default_factory=dict)
-    metrics: Sequence[str] = METRICS
+    metrics: Sequence[str] = DEFAULT_METRICS
+    # Functions of `Results`, which holds the study: its type stays out of this module.
     expected: Callable[..., list[ExpectedResult | Conclusion]] | None = None
     draw: Callable[..., list[str]] | None = None
     source: str = ""
@@ -109,54 +115,53 @@ class Study:
 
     @property
     def chunk(self) -> int:
-        """Trajectories that are run together: a small study has two chunks, so that little is lost with one."""
+        """Trajectories per chunk: at most half of the runs, so that an interrupted small study loses little."""
         return min(max(CHUNK, self.runs // CHUNKS), LARGEST_CHUNK, math.ceil(self.runs / 2))
 
     @property
     def chunks(self) -> int:
-        """Chunks of every cell."""
+        """Number of chunks of each condition."""
         return math.ceil(self.runs / self.chunk)
 
     def numbers(self, condition: Condition) -> dict[str, Any]:
-        """A world's numbers in a cell."""
+        """The parameters of the world in a condition."""
         own = {k.removeprefix(WORLD): v for k, v in condition.numbers.items() if k.startswith(WORLD)}
         return {**self.worlds[condition.world].numbers, **own}
 
 
 def checked(study: Study) -> Study:
-    """The study; raises UnusableInput where it asks for nothing or names what isn't there."""
+    """The study; raises UnusableInput for empty parts, unknown trackers, and values out of range."""
     where = f"study '{study.name}'"
     for what, named in (("worlds", study.worlds), ("trackers", study.trackers)):
         if not named:
-            raise UnusableInput(f"{where}: no {what}; expected at least one; name it under [{what}]")
+            raise UnusableInput(f"{where}: no {what}; expected at least one; add a table [{what}.NAME]")
     if not 1 <= study.runs <= 10**9:
         raise UnusableInput(f"{where}: runs = {study.runs}; expected a whole number from 1 to 1e9")
     if not 0 <= study.seed < 2**63:
         raise UnusableInput(f"{where}: seed = {study.seed}; expected a whole number from 0 to 2^63 - 1")
     for name, config in study.trackers.items():
-        if isinstance(config.tracker, str) and config.tracker not in TRACKERS:
-            raise UnusableInput(
-                f"{where}: trackers.{name}: tracker '{config.tracker}' is unknown; expected one of "
-                f"{', '.join(TRACKERS)}"
-            )
+        try:
+            _ = config.spec
+        except UnusableInput as error:
+            raise UnusableInput(f"{where}: trackers.{name}: {error}") from error
         for tunable, value in config.tunables.items():
-            _finite(f"{where}: trackers.{name}.{tunable}", value)
+            _require_possible(f"{where}: trackers.{name}.{tunable}", value)
     for name, values in study.grid.items():
         if isinstance(values, str) or not len(values):
             raise UnusableInput(f"{where}: grid '{name}' is empty; expected a list of at least one value")
         for value in values:
-            _finite(f"{where}: grid '{name}'", value)
+            _require_possible(f"{where}: grid '{name}'", value)
     for world in study.worlds.values():
         for name, value in world.numbers.items():
-            _finite(f"{where}: worlds: {name}", value)
+            _require_possible(f"{where}: worlds: {name}", value)
     return study
 
 
-def _finite(what: str, value: Any) -> None:
-    """Refuse a negative sigma, and numbers that are none."""
+def _require_possible(what: str, value: Any) -> None:
+    """Refuse numbers that are not finite, and negative standard deviations."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return
     if not math.isfinite(value):
         raise UnusableInput(f"{what} = {value}: expected a finite number")
     if value < 0 and "sigma" in what:
-        raise UnusableInput(f"{what} = {value}: expected a standard deviation, zero or more; leave the sign out")
+        raise UnusableInput(f"{what} = {value}: expected a standard deviation of zero or more; remove the minus sign")

@@ -1,4 +1,4 @@
-"""What was printed elsewhere beside what a study found, and conclusions that it bears out or not."""
+"""Values with intervals, printed numbers beside them, and conclusions that a study supports or contradicts."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ from typing import NamedTuple
 
 
 class Value(NamedTuple):
-    """A figure and its 95 % interval."""
+    """A metric and its 95 % interval."""
 
     value: float
     low: float
     high: float
 
     def times(self, factor: float) -> Value:
-        """The figure in another unit."""
+        """The metric in another unit."""
         return Value(self.value * factor, self.low * factor, self.high * factor)
 
 
 @dataclass(frozen=True)
 class ExpectedResult:
-    """A printed number beside ours, both in `unit`.
+    """A number that a paper prints, and the study's own, both in `unit`.
 
-    `fitted`: whether the printed number was used to choose the world's or the trackers' free numbers; otherwise it is
-    predicted. `within`: the relative difference that counts as reached, None where nothing was asked. `note`: where it
-    isn't reached, the nearest and why.
+    `quantity`: which number of the paper it is. `fitted`: whether the printed number was used to choose free parameters
+    of the world or of the trackers; otherwise ours is a prediction. `within`: largest relative difference that counts
+    as reached, None where none is set. `note`: explanation where it is not reached.
     """
 
     quantity: str
@@ -37,18 +37,18 @@ class ExpectedResult:
 
     @property
     def ratio(self) -> float:
-        """Ours over the printed one."""
+        """Our number over the printed one."""
         return self.ours.value / self.printed
 
     @property
     def reached(self) -> bool | None:
-        """Whether ours is as near as asked."""
+        """Whether the relative difference is at most `within`; None where that is None."""
         return None if self.within is None else abs(self.ratio - 1) <= self.within
 
 
 @dataclass(frozen=True)
 class Conclusion:
-    """A statement, whether the study bears it out, and the numbers that say so."""
+    """A statement, whether it holds in the study, and the numbers that support or contradict it."""
 
     statement: str
     holds: bool

@@ -1,8 +1,8 @@
-"""Figures of a study with bootstrap intervals, paired over trackers, worlds and points of the grid.
+"""Metrics of a study with bootstrap intervals, paired over trackers, worlds and points of the grid.
 
-Trajectories are resampled, not rows: errors of one trajectory hang together. The same resampling serves all trackers
-and cells, whose trajectories have the same ids and the same random numbers, so a difference has the interval of a
-paired one. Beyond 512 trajectories groups of them, id modulo 512, are resampled: as good, and of constant size.
+Trajectories are resampled, not rows, since errors of one trajectory are correlated. All trackers and conditions share
+the resamplings: their trajectories have the same ids and random numbers, so intervals of differences are paired ones.
+Beyond 512 trajectories, blocks of them (id modulo 512) are resampled, at constant memory.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ BLOCKS, REPLICATES, LEVEL = 512, 1000, 0.95
 
 
 class Totals(NamedTuple):
-    """What is kept of a cell and tracker, added up over blocks of trajectories.
+    """Totals of a condition and tracker, over blocks of trajectories.
 
-    `sums` (blocks, columns), `largest` (blocks, kinds), `histograms`: kind -> (blocks, BINS); `measures`: name -> (n,)
-    of all trajectories; `bounds` (2,) m; `us_per_row`; `seconds` that the chunks took, with compiling, told of a cell's
-    first tracker for all of them.
+    `sums` (blocks, columns), `largest` (blocks, kinds), `histograms`: kind -> (blocks, BINS), `measures`: name -> (n,)
+    of all trajectories, `bounds` (2,) m, `us_per_row`. `seconds`: computing time of the chunks for all trackers,
+    compiling included; only in the totals of a condition's first tracker.
     """
 
     sums: np.ndarray
@@ -39,20 +39,20 @@ class Totals(NamedTuple):
 
 
 class Sample(NamedTuple):
-    """Sums of what was kept, for all trajectories or for many resamplings (…, R)."""
+    """Totals of all trajectories, or of R resamplings with a leading axis (R, …)."""
 
     sums: np.ndarray
     largest: np.ndarray
     histograms: Mapping[str, np.ndarray]
 
     def sum(self, name: str) -> np.ndarray:
-        """A column."""
-        found: np.ndarray = self.sums[..., COLUMN[name]]
-        return found
+        """A column of the sums."""
+        column: np.ndarray = self.sums[..., COLUMN[name]]
+        return column
 
 
-def _ratio(above: str, below: str) -> Callable[[Sample], np.ndarray]:
-    return lambda s: s.sum(above) / s.sum(below)
+def _ratio(numerator: str, denominator: str) -> Callable[[Sample], np.ndarray]:
+    return lambda s: s.sum(numerator) / s.sum(denominator)
 
 
 def _of_kind(kind: str, suffix: str) -> dict[str, Callable[[Sample], np.ndarray]]:
@@ -76,7 +76,7 @@ METRICS: dict[str, Callable[[Sample], np.ndarray]] = {
     "nis_ratio": _ratio("nis", "dof"),
     "lost_fraction": _ratio("lost rows", "rows"),
 }
-"""Figures by name, of sums; `diverged` and `failed`, shares of the trajectories, are of their number too."""
+"""Metrics as functions of a sample; the SHARES are divided by the number of trajectories, which is not in it."""
 
 SHARES = ("diverged", "failed")
 CONSTANT = ("bound_m", "bound_3d_m", "us_per_row")
@@ -84,107 +84,107 @@ NAMES = (*METRICS, *SHARES, *CONSTANT)
 
 
 class Results:
-    """The figures of a study that has been run. `kept`: by cell and tracker; `runs`: trajectories of each cell."""
+    """Metrics of a finished study. `totals`: by condition and tracker; `runs`: number of trajectories by condition."""
 
-    def __init__(self, study: Study, kept: Mapping[tuple[int, str], Totals], runs: Mapping[int, int]):
-        self.study, self.kept, self.runs = study, kept, runs
-        self._figures: dict[tuple[int, str], dict[str, tuple[Any, np.ndarray]]] = {}
+    def __init__(self, study: Study, totals: Mapping[tuple[int, str], Totals], runs: Mapping[int, int]):
+        self.study, self.totals, self.runs = study, totals, runs
+        self._metrics: dict[tuple[int, str], dict[str, tuple[Any, np.ndarray]]] = {}
 
     def condition(self, world: str, **point: Any) -> Condition:
-        """The cell of a world at a point of the grid; names with dots are given as `**{"world.rate_hz": 5}`.
+        """The condition of a world at a point of the grid; names with dots are given as `**{"world.rate_hz": 5}`.
 
-        Raises KeyError where there is none or more than one.
+        Raises KeyError where no condition or more than one agrees with it.
         """
         found = [c for c in self.study.conditions if c.world == world and point.items() <= c.point.items()]
         if len(found) != 1:
-            raise KeyError(f"{len(found)} cells are '{world}' at {point}, expected one")
+            raise KeyError(f"{len(found)} conditions have world '{world}' and {point}; expected one")
         return found[0]
 
     def value(self, metric: str, world: str, tracker: str, **point: Any) -> Value:
-        """A figure or a measure's mean, with its interval; NaN where the trajectories have none."""
+        """A metric, or the mean of a measure, with its interval; NaN where no trajectory has it."""
         return self.at(metric, self.condition(world, **point), tracker)
 
     def at(self, metric: str, condition: Condition, tracker: str) -> Value:
-        """The same by cell."""
-        return _interval(*self._drawn(metric, condition, tracker))
+        """The same, by condition."""
+        return _interval(*self._replicated(metric, condition, tracker))
 
     def difference(self, metric: str, world: str, tracker: str, other: str, **point: Any) -> Value:
-        """A tracker's figure less another's, paired."""
+        """A tracker's metric minus another's, paired."""
         return self.compared(np.subtract, metric, self.condition(world, **point), tracker, other)
 
     def ratio(self, metric: str, world: str, tracker: str, other: str, **point: Any) -> Value:
-        """A tracker's figure over another's, paired."""
+        """A tracker's metric over another's, paired."""
         return self.compared(np.divide, metric, self.condition(world, **point), tracker, other)
 
     def compared(
         self, how: Callable[[Any, Any], Any], metric: str, condition: Condition, tracker: str, other: str
     ) -> Value:
-        """Two trackers' figures of a cell put together by `how`, paired."""
-        mine, its = self._drawn(metric, condition, tracker), self._drawn(metric, condition, other)
+        """`how` of two trackers' metrics in a condition, paired."""
+        mine, its = self._replicated(metric, condition, tracker), self._replicated(metric, condition, other)
         return _interval(how(mine[0], its[0]), how(mine[1], its[1]))
 
-    def average(self, metric: str, conditions: Sequence[tuple[str, str]], **point: Any) -> Value:
-        """The mean of a figure over worlds and trackers, all resampled together."""
-        drawn = [self._drawn(metric, self.condition(world, **point), tracker) for world, tracker in conditions]
-        return _interval(np.mean([d[0] for d in drawn]), np.mean([d[1] for d in drawn], axis=0))
+    def average(self, metric: str, pairs: Sequence[tuple[str, str]], **point: Any) -> Value:
+        """The mean of a metric over pairs of world and tracker, all resampled together."""
+        replicates = [self._replicated(metric, self.condition(world, **point), tracker) for world, tracker in pairs]
+        return _interval(np.mean([d[0] for d in replicates]), np.mean([d[1] for d in replicates], axis=0))
 
     def main_metrics(self) -> dict[str, dict[tuple[int, str], Value]]:
-        """The study's main figures, each by cell and tracker."""
+        """The metrics of the study's tables, each by condition and tracker."""
         every = [(c, t) for c in self.study.conditions for t in self.study.trackers]
         return {f: {(c.index, t): self.at(f, c, t) for c, t in every} for f in self.study.metrics}
 
     @property
     def seconds(self) -> float:
-        """Computing time of all chunks, whichever run, machine or device made them."""
-        return sum(kept.seconds for kept in self.kept.values())
+        """Computing time of all chunks, over all runs, machines and devices."""
+        return sum(totals.seconds for totals in self.totals.values())
 
     def numbers(self, measure: str, world: str, tracker: str, **point: Any) -> np.ndarray:
-        """A measure's numbers (n,), trajectory by trajectory."""
-        return self.kept[self.condition(world, **point).index, tracker].measures[measure]
+        """A measure's numbers (n,), one per trajectory."""
+        return self.totals[self.condition(world, **point).index, tracker].measures[measure]
 
     def cdf(self, world: str, tracker: str, kind: str = "m", **point: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Errors, m or rad, and the share of rows whose error is at most that."""
-        histogram = self.kept[self.condition(world, **point).index, tracker].histograms[kind].sum(axis=0)
+        """Cumulative distribution of errors: error, m or rad, and the share of rows with at most that error."""
+        histogram = self.totals[self.condition(world, **point).index, tracker].histograms[kind].sum(axis=0)
         return EDGES, np.cumsum(histogram) / max(histogram.sum(), 1)
 
-    def _drawn(self, metric: str, condition: Condition, tracker: str) -> tuple[Any, np.ndarray]:
-        """A figure of all trajectories, and of every resampling (R,)."""
-        kept = self.kept[condition.index, tracker]
+    def _replicated(self, metric: str, condition: Condition, tracker: str) -> tuple[Any, np.ndarray]:
+        """A metric of all trajectories, and of the resamplings (R,)."""
+        totals = self.totals[condition.index, tracker]
         if metric in CONSTANT:
-            value = kept.us_per_row if metric == "us_per_row" else kept.bounds[int(metric == "bound_3d_m")]
+            value = totals.us_per_row if metric == "us_per_row" else totals.bounds[int(metric == "bound_3d_m")]
             return value, np.full(REPLICATES, value)
         weights = resampled(self.study.seed, min(self.runs[condition.index], BLOCKS))
-        if metric in kept.measures:
-            return _mean_of(kept.measures[metric], weights)
+        if metric in totals.measures:
+            return _mean_of(totals.measures[metric], weights)
         key = (condition.index, tracker)
-        if key not in self._figures:
-            # All figures at once: histograms of all resamplings take megabytes, figures kilobytes.
-            self._figures[key] = _figures_of(kept, weights, _block_sizes(self.runs[condition.index]))
-        return self._figures[key][metric]
+        if key not in self._metrics:
+            # All metrics at once: histograms of all resamplings take megabytes, metrics kilobytes.
+            self._metrics[key] = _metrics_of(totals, weights, _block_sizes(self.runs[condition.index]))
+        return self._metrics[key][metric]
 
 
-def _figures_of(kept: Totals, weights: np.ndarray, per_block: np.ndarray) -> dict[str, tuple[Any, np.ndarray]]:
-    """Every figure of all trajectories, and of every resampling (R,); of the kinds of errors that there are."""
-    drawn = weights > 0
+def _metrics_of(totals: Totals, weights: np.ndarray, per_block: np.ndarray) -> dict[str, tuple[Any, np.ndarray]]:
+    """All metrics of all trajectories, and of the resamplings (R,), for the kinds of errors that the tracker has."""
+    included = weights > 0
     largest = np.stack(
-        [np.where(drawn, np.nan_to_num(x, nan=-np.inf), -np.inf).max(axis=1) for x in kept.largest.T], axis=-1
+        [np.where(included, np.nan_to_num(x, nan=-np.inf), -np.inf).max(axis=1) for x in totals.largest.T], axis=-1
     )
-    many = Sample(weights @ kept.sums, largest, {k: weights @ h for k, h in kept.histograms.items()})
-    top = np.nan_to_num(kept.largest, nan=-np.inf).max(axis=0)
-    whole = Sample(kept.sums.sum(axis=0), top, {k: h.sum(axis=0) for k, h in kept.histograms.items()})
+    resamples = Sample(weights @ totals.sums, largest, {k: weights @ h for k, h in totals.histograms.items()})
+    top = np.nan_to_num(totals.largest, nan=-np.inf).max(axis=0)
+    whole = Sample(totals.sums.sum(axis=0), top, {k: h.sum(axis=0) for k, h in totals.histograms.items()})
     found = {}
     with np.errstate(invalid="ignore", divide="ignore"):
         for name in SHARES:
-            found[name] = whole.sum(name) / per_block.sum(), many.sum(name) / (weights @ per_block)
+            found[name] = whole.sum(name) / per_block.sum(), resamples.sum(name) / (weights @ per_block)
         for name, metric in METRICS.items():
-            with contextlib.suppress(KeyError):  # a percentile of a kind of errors that the tracker doesn't have
-                found[name] = metric(whole), metric(many)
+            with contextlib.suppress(KeyError):  # percentiles of kinds of errors that the tracker does not have
+                found[name] = metric(whole), metric(resamples)
     return found
 
 
 @functools.lru_cache(maxsize=8)
 def resampled(seed: int, count: int) -> np.ndarray:
-    """How often each of `count` things is in every resampling (REPLICATES, count), drawn with replacement."""
+    """How often each of `count` items occurs in each resampling with replacement (REPLICATES, count)."""
     rng = np.random.default_rng([seed, count])
     return rng.multinomial(count, np.full(count, 1.0 / count), size=REPLICATES).astype(float)
 
@@ -194,7 +194,7 @@ def _block_sizes(runs: int) -> np.ndarray:
 
 
 def _mean_of(numbers: np.ndarray, weights: np.ndarray) -> tuple[float, np.ndarray]:
-    """The mean of the numbers that are some, and of every resampling of blocks."""
+    """The mean of the finite numbers, and of each resampling of blocks."""
     known = np.isfinite(numbers)
     block, count = np.arange(len(numbers)) % weights.shape[1], weights.shape[1]
     sums = np.bincount(block, np.where(known, numbers, 0.0), count)
@@ -203,8 +203,8 @@ def _mean_of(numbers: np.ndarray, weights: np.ndarray) -> tuple[float, np.ndarra
         return float(sums.sum() / sizes.sum()), (weights @ sums) / (weights @ sizes)
 
 
-def _interval(value: Any, drawn: np.ndarray) -> Value:
-    known = drawn[np.isfinite(drawn)]
+def _interval(value: Any, replicates: np.ndarray) -> Value:
+    known = replicates[np.isfinite(replicates)]
     if not len(known) or not np.isfinite(value):
         return Value(float(value) if np.isfinite(value) else np.nan, np.nan, np.nan)
     low, high = np.quantile(known, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
@@ -212,7 +212,7 @@ def _interval(value: Any, drawn: np.ndarray) -> Value:
 
 
 class ChunkTotals:
-    """Adds up the chunks of a cell and tracker, in order, into blocks."""
+    """Adds up the chunks of a condition and tracker, in order, into blocks."""
 
     def __init__(self, runs: int):
         self.blocks, self.runs = min(runs, BLOCKS), runs
@@ -223,7 +223,7 @@ class ChunkTotals:
         self.bounds, self.us_per_row, self.seconds = np.full(2, np.nan), np.nan, 0.0
 
     def add(self, start: int, arrays: Mapping[str, np.ndarray]) -> None:
-        """A chunk whose first trajectory is `start`; those beyond the last run are left out."""
+        """Add a chunk whose first trajectory is `start`; trajectories beyond the last run are left out."""
         stop = min(start + len(arrays["sums"]), self.runs)
         ids = np.arange(start, stop)
         block, count = ids % self.blocks, stop - start
@@ -245,8 +245,8 @@ class ChunkTotals:
             elif name == "seconds":
                 self.seconds += float(values)
 
-    def kept(self) -> Totals:
-        """What was added up."""
+    def totals(self) -> Totals:
+        """The totals of the chunks added so far."""
         return Totals(
             self.sums, self.largest, self.histograms, self.measures, self.bounds, self.us_per_row, self.seconds
         )

@@ -1,10 +1,10 @@
-"""Carrying a study out: what is missing of its chunks, on all devices, until figures are known well enough."""
+"""Run a study: its missing chunks, on all devices, up to a number of runs or until intervals are narrow enough."""
 
 from __future__ import annotations
 
 import re
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +14,6 @@ from typing import Any
 import jax
 import numpy as np
 
-from experiments.cli.console import Advance
 from experiments.monte_carlo.chunk import run_chunk
 from experiments.monte_carlo.chunk_store import ChunkStore
 from experiments.monte_carlo.declaration import Condition, Study
@@ -23,32 +22,35 @@ from trackers.core.chunks import n_workers
 from trackers.core.errors import UnusableInput
 
 CHUNKS_PER_DEVICE = 4
-"""A device takes part from so many chunks on: every device compiles the trackers for itself."""
+"""Chunks for which another device is used: every device compiles the trackers again."""
+
+Advance = Callable[..., None]
+"""Progress: called with the number of finished chunks, and optionally the label of a condition."""
 
 
 @dataclass(frozen=True)
 class StopRule:
-    """A figure and the half width of its interval, relative to it, at which a cell has runs enough."""
+    """Stop a condition once the interval of `metric` is at most ± `half_width`, relative to its value."""
 
     metric: str
-    share: float
+    half_width: float
 
     @classmethod
     def parse(cls, text: str, study: Study) -> StopRule:
-        """From text as `rmse_m±1%`; raises UnusableInput for other text."""
+        """The rule of a text such as `rmse_m±1%`; raises UnusableInput for other texts."""
         found = re.fullmatch(r"\s*(\w+)\s*(?:±|\+-|\+/-)\s*([0-9.]+)\s*%\s*", text)
         known = (*NAMES, *study.measures)
         if found is None or found[1] not in known or not 0 < float(found[2]) < 100:
             raise UnusableInput(
-                f'--until "{text}": expected a figure and a width, as "rmse_m±1%"; figures: {", ".join(known)}'
+                f'--until "{text}": expected a metric and a width, as "rmse_m±1%"; metrics: {", ".join(known)}'
             )
         return cls(found[1], float(found[2]) / 100)
 
     def reached(self, results: Results, condition: Condition) -> bool:
-        """Whether the figure is known so well for every tracker that has it."""
+        """Whether the interval is narrow enough for every tracker that has the metric."""
         for tracker in results.study.trackers:
             value = results.at(self.metric, condition, tracker)
-            if np.isfinite(value.value) and value.high - value.low > 2 * self.share * abs(value.value):
+            if np.isfinite(value.value) and value.high - value.low > 2 * self.half_width * abs(value.value):
                 return False
         return True
 
@@ -56,17 +58,19 @@ class StopRule:
 def run_study(
     study: Study, folder: Path, shard: tuple[int, int], until: StopRule | None, advance: Advance
 ) -> Results | None:
-    """Run what is missing; the figures, or None where chunks of other shards are missing still.
+    """Run the missing chunks of a shard (i, n); the results, or None while chunks of other shards are missing.
 
-    With `until` a cell ends after 1, 2, 4, 8 … chunks, as soon as its figure is known well enough, however many devices
-    there are. Raises UnusableInput where the folder holds another study, and where `until` is asked of a shard.
+    `until` is tested after 1, 2, 4, 8 … chunks of a condition, whatever the number of devices. Raises UnusableInput
+    for a folder of another study, and for `until` with more than one shard.
     """
     if until is not None and shard != (1, 1):
-        raise UnusableInput("--until with --shard: a shard doesn't see the others' runs; leave one of them out")
+        raise UnusableInput(
+            "--until with --shard: a shard has only its own chunks; expected one of the two options; remove the other"
+        )
     store = ChunkStore(folder, study).open()
     if until is None:
-        every = [(condition, k) for condition in study.conditions for k in range(study.chunks)]
-        run_missing(store, every[shard[0] - 1 :: shard[1]], advance)
+        chunks = [(condition, k) for condition in study.conditions for k in range(study.chunks)]
+        run_missing(store, chunks[shard[0] - 1 :: shard[1]], advance)
         runs = {condition.index: study.runs for condition in study.conditions}
     else:
         runs = {condition.index: _run_until(store, condition, until, advance) for condition in study.conditions}
@@ -75,6 +79,7 @@ def run_study(
 
 
 def _run_until(store: ChunkStore, condition: Condition, until: StopRule, advance: Advance) -> int:
+    """Run chunks of the condition until the rule holds or none is left; the number of runs."""
     study, enough, done = store.study, 1, 0
     while True:
         wanted = min(enough, study.chunks)
@@ -87,32 +92,32 @@ def _run_until(store: ChunkStore, condition: Condition, until: StopRule, advance
 
 
 def run_missing(store: ChunkStore, chunks: Sequence[tuple[Condition, int]], advance: Advance) -> None:
-    """Run those of the chunks that aren't there yet, as many at once as the host can."""
+    """Run those of the chunks that are not in the store, as many in parallel as the host allows."""
     missing = [(condition, k) for condition, k in chunks if not store.has(condition.index, k)]
     advance(len(chunks) - len(missing))
     devices: SimpleQueue[Any] = SimpleQueue()
-    taking_part = jax.local_devices()[: max(1, len(missing) // CHUNKS_PER_DEVICE)]
-    workers = n_workers() * len(taking_part) // jax.local_device_count()
+    used = jax.local_devices()[: max(1, len(missing) // CHUNKS_PER_DEVICE)]
+    workers = n_workers() * len(used) // jax.local_device_count()
     for k in range(workers):
-        devices.put(taking_part[k % len(taking_part)])
+        devices.put(used[k % len(used)])
     size = store.study.chunk
 
     def run(condition: Condition, chunk: int) -> None:
         device = devices.get()
         try:
             with jax.default_device(device):
-                began, ids = time.perf_counter(), np.arange(chunk * size, (chunk + 1) * size)
-                kept = run_chunk(store.study, condition, ids, first=chunk == 0)
-                kept[0]["seconds"] = np.array(time.perf_counter() - began)
-                store.put(condition.index, chunk, kept)
+                start, ids = time.perf_counter(), np.arange(chunk * size, (chunk + 1) * size)
+                arrays = run_chunk(store.study, condition, ids, first=chunk == 0)
+                arrays[0]["seconds"] = np.array(time.perf_counter() - start)
+                store.write(condition.index, chunk, arrays)
         finally:
             devices.put(device)
         advance(1, condition.label)
 
     with ThreadPoolExecutor(workers) as pool:
-        waiting = [pool.submit(run, *one) for one in missing]
+        waiting = [pool.submit(run, *key) for key in missing]
         try:
-            for one in as_completed(waiting):
-                one.result()
+            for future in as_completed(waiting):
+                future.result()
         finally:
             pool.shutdown(wait=True, cancel_futures=True)

@@ -1,4 +1,4 @@
-"""Where studies come from: the ones of this project by name, a Python file, a TOML file."""
+"""Load a study: by name from `experiments.papers` and `experiments.questions`, or from a Python or TOML file."""
 
 from __future__ import annotations
 
@@ -18,32 +18,33 @@ from experiments.monte_carlo.declaration import Study, TrackerConfig, World, che
 from sim.worlds import WORLDS
 from trackers.core.errors import UnusableInput
 
+KINDS = {str: "text", int: "a whole number", float: "a number", list: "a list", dict: "a table", bool: "true or false"}
 STUDY_KEYS = {
     "name": str, "about": str, "runs": int, "seed": int, "metrics": list,
     "worlds": dict, "trackers": dict, "grid": dict,
 }  # fmt: skip
-TRACKER_KEYS = {"tracker": str, "tunables": dict, "smooth": bool, "free_height": bool, "every": (int, float)}
+TRACKER_KEYS = {"tracker": str, "tunables": dict, "smooth": bool, "free_height": bool, "every": float}
 
 
 def available_studies() -> list[str]:
-    """The studies of this project."""
+    """The names of the studies that come with the package."""
     return sorted(_modules())
 
 
 def _modules() -> dict[str, str]:
-    """The module of each study by the study's name: one file a study in the folders of the papers, and `questions`."""
-    places = [m.name for m in pkgutil.iter_modules(papers.__path__, "experiments.papers.") if m.ispkg]
-    found = {}
-    for place in [*places, questions.__name__]:
-        for module in pkgutil.iter_modules(importlib.import_module(place).__path__, f"{place}."):
+    """Module names by study: each module of a paper's folder and of `questions`, except fits and private ones."""
+    folders = [m.name for m in pkgutil.iter_modules(papers.__path__, "experiments.papers.") if m.ispkg]
+    modules = {}
+    for folder in [*folders, questions.__name__]:
+        for module in pkgutil.iter_modules(importlib.import_module(folder).__path__, f"{folder}."):
             name = module.name.rpartition(".")[2]
             if not name.startswith(("fit_", "_")):
-                found[name.replace("_", "-")] = module.name
-    return found
+                modules[name.replace("_", "-")] = module.name
+    return modules
 
 
 def load_study(what: str) -> Study:
-    """A study by name or file; raises UnusableInput where there is none and where it can't be run."""
+    """The study of a name or file; raises UnusableInput where there is none, and for one that cannot be run."""
     path = Path(what)
     if path.suffix == ".toml":
         return checked(_from_toml(path))
@@ -63,14 +64,14 @@ def load_study(what: str) -> Study:
 def _with_source(module: Any, path: Path) -> Study:
     study = getattr(module, "STUDY", None)
     if not isinstance(study, Study):
-        raise UnusableInput(f"{path}: no STUDY in it; expected `STUDY = Study(...)` of experiments.monte_carlo")
+        raise UnusableInput(f"{path}: no STUDY found; expected `STUDY = Study(...)` of experiments.monte_carlo")
     return dataclasses.replace(study, source=path.read_text("utf-8"))
 
 
 def _from_python(path: Path) -> Study:
     if not path.is_file():
-        raise UnusableInput(f"{path}: is not there; expected a Python file with `STUDY = Study(...)`")
-    # Under a name of its own in sys.modules: dataclasses and pickles in the file look for it there.
+        raise UnusableInput(f"{path}: no such file; expected a Python file with `STUDY = Study(...)`")
+    # Registered in sys.modules, where dataclasses and pickle look up the module.
     name = f"trackwright_study_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None
@@ -83,7 +84,7 @@ def _from_python(path: Path) -> Study:
         raise
     except Exception as error:
         line = str(error).splitlines()[0] if str(error) else "no message"
-        raise UnusableInput(f"{path}: cannot be run ({type(error).__name__}: {line}); correct the file") from error
+        raise UnusableInput(f"{path}: raises {type(error).__name__}: {line}; correct the file") from error
     return _with_source(module, path)
 
 
@@ -97,12 +98,14 @@ def _from_toml(path: Path) -> Study:
         raise UnusableInput(f"{path}: is not valid TOML ({str(error).splitlines()[0]}); correct it") from error
     if "figures" in content:
         raise UnusableInput(f"{path}: the key 'figures' is now called 'metrics'; rename it")
-    _of_kinds(path, "", content, STUDY_KEYS)
+    _check_keys(path, "", content, STUDY_KEYS)
     trackers = {}
     for name, table in content.get("trackers", {}).items():
-        where = f"trackers.{name}"
-        _of_kinds(path, where, table, TRACKER_KEYS)
+        _check_keys(path, f"trackers.{name}", table, TRACKER_KEYS)
         trackers[name] = TrackerConfig(**{"tracker": name, **table})
+    for name, values in content.get("grid", {}).items():
+        if not isinstance(values, list):
+            raise UnusableInput(f"{path}: grid.'{name}' = {values!r}; expected a list of values")
     return Study(
         name=content.get("name", path.stem),
         about=content.get("about", ""),
@@ -123,20 +126,14 @@ def _world(path: Path, name: str, table: Any) -> World:
     return World(WORLDS[kind], {k: v for k, v in table.items() if k != "kind"})
 
 
-def _of_kinds(path: Path, where: str, table: Any, kinds: Mapping[str, Any]) -> None:
-    """Refuse what isn't a table of these keys and kinds."""
+def _check_keys(path: Path, where: str, table: Any, keys: Mapping[str, type]) -> None:
+    """Refuse anything but a table with these keys and types."""
     if not isinstance(table, Mapping):
         raise UnusableInput(f"{path}: {where} = {table!r}; expected a table, [{where}]")
     for key, value in table.items():
         full = f"{where}.{key}" if where else key
-        if key not in kinds:
-            raise UnusableInput(f"{path}: '{full}' is unknown; expected {', '.join(kinds)}")
-        if not isinstance(value, kinds[key]) or (isinstance(value, bool) and kinds[key] is not bool):
-            raise UnusableInput(f"{path}: {full} = {value!r}; expected {_kind(kinds[key])}")
-        if key == "grid" and not all(isinstance(v, list) for v in value.values()):
-            raise UnusableInput(f"{path}: grid: expected a list of values for every name")
-
-
-def _kind(kind: Any) -> str:
-    words = {str: "text", int: "a whole number", list: "a list", dict: "a table", bool: "true or false"}
-    return words.get(kind, "a number")
+        if key not in keys:
+            raise UnusableInput(f"{path}: '{full}' is unknown; expected {', '.join(keys)}")
+        # A whole number is a number; a bool is neither, although Python counts it as an int.
+        if type(value) not in ((int, float) if keys[key] is float else (keys[key],)):
+            raise UnusableInput(f"{path}: {full} = {value!r}; expected {KINDS[keys[key]]}")

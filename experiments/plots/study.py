@@ -162,7 +162,7 @@ def _curves(
     """By tracker that has such errors: errors in the unit of the drawing, and the share of estimates with less."""
     found = {}
     for tracker in results.study.trackers:
-        if kind in results.kept[condition.index, tracker].histograms:
+        if kind in results.totals[condition.index, tracker].histograms:
             edges, share = results.cdf(condition.world, tracker, kind, **condition.point)
             found[tracker] = edges * factor, share
     return found
@@ -201,7 +201,7 @@ def _plain_log(axis: Axis) -> None:
 
 def _kind(results: Results, condition: Condition) -> str:
     """The kind of errors that the study's figures are about: of the first that names one, else what there is."""
-    there = {k for t in results.study.trackers for k in results.kept[condition.index, t].histograms}
+    there = {k for t in results.study.trackers for k in results.totals[condition.index, t].histograms}
     # The longer suffixes first: `3d_m` ends in `m` too.
     kinds = sorted(there, key=len, reverse=True)
     asked = (k for f in results.study.metrics for k in kinds if f.endswith(f"_{k}"))

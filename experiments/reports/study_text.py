@@ -123,7 +123,7 @@ def _less(a: Any, b: Any) -> Any:
 
 def _has(results: Results, figure: str, condition: int, tracker: str) -> bool:
     """Whether a figure of a kind of error that the tracker doesn't have is asked for."""
-    kept = results.kept[condition, tracker]
+    kept = results.totals[condition, tracker]
     kinds = ("3d_m", "direction_rad", "azimuth_rad", "elevation_rad", "m")
     if figure in kept.measures or figure.startswith("bound"):
         return True

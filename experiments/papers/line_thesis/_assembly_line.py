@@ -175,8 +175,8 @@ def root_mean_square(tracked: TrackedRuns) -> np.ndarray:
 def least(results: Results, tracker: str, measure: str = "error_m") -> float:
     """The dynamic noise of the sweep with the least average error over all worlds: one for all recordings."""
     swept = results.study.grid[SIGMA]
-    cells = [(world, tracker) for world in results.study.worlds]
-    return float(swept[int(np.argmin([results.average(measure, cells, **{SIGMA: s}).value for s in swept]))])
+    pairs = [(world, tracker) for world in results.study.worlds]
+    return float(swept[int(np.argmin([results.average(measure, pairs, **{SIGMA: s}).value for s in swept]))])
 
 
 def seen(study: Study, world: str, ids: np.ndarray, **point: float) -> dict[str, TrackedRuns]:
@@ -194,5 +194,5 @@ def seen(study: Study, world: str, ids: np.ndarray, **point: float) -> dict[str,
 
 
 def with_noise(config: TrackerConfig, sigma: float) -> TrackerConfig:
-    """The entrant with this dynamic noise."""
+    """The tracker with this dynamic noise."""
     return dataclasses.replace(config, tunables={SIGMA: sigma})

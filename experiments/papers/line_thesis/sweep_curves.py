@@ -68,8 +68,8 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
 
 def _curve(results: Results, tracker: str) -> np.ndarray:
     """Average error and its interval (values, 3), m."""
-    cells = [(world, tracker) for world in results.study.worlds]
-    return np.array([results.average("error_m", cells, **{SIGMA: x}) for x in SWEPT])
+    pairs = [(world, tracker) for world in results.study.worlds]
+    return np.array([results.average("error_m", pairs, **{SIGMA: x}) for x in SWEPT])
 
 
 def draw(results: Results, folder: Path) -> list[str]:

@@ -51,9 +51,9 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
         _figure(results, noise, name, k) for name in RECORDINGS for k in range(3)
     ]
     for k, tracker in enumerate(COLUMNS):
-        cells = [(name, tracker) for name in RECORDINGS]
+        pairs = [(name, tracker) for name in RECORDINGS]
         for measure, how, within in (("error_m", "", 0.03), ("rms_m", ", root mean square", None)):
-            ours = results.average(measure, cells, **{SIGMA: noise[tracker]}).times(100)
+            ours = results.average(measure, pairs, **{SIGMA: noise[tracker]}).times(100)
             tables = 100 * np.mean([_draws(results, noise, name, tracker) for name in RECORDINGS], axis=0)
             note = f"the average of one table of nine recordings scatters by ± {tables.std(ddof=1):.1f} cm"
             if tracker == "particle":

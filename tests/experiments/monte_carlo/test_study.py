@@ -42,7 +42,7 @@ def _normal_run(seed, n=7, rows=50):
 def _results_of(kept, runs, study=SMALL):
     gathered = ChunkTotals(runs)
     gathered.add(0, kept)
-    return Results(study, {(0, "kalman"): gathered.kept()}, {0: runs})
+    return Results(study, {(0, "kalman"): gathered.totals()}, {0: runs})
 
 
 def test_figures_are_those_of_all_rows_at_once():
