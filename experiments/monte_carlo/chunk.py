@@ -134,7 +134,7 @@ def _track(
             at_valid_time, own = batch.tracker.at_valid_time(trajectory.recording.times, one[:size])
             position, P = _moments(trajectory, own)
             times[at[0], :size] = at_valid_time
-            estimates[at], status[at], nis[at], dof[at] = position, own.status, own.nis, own.count
+            estimates[at], status[at], nis[at], dof[at] = position, own.status, own.nis, own.nis_dof
             covariance[at][..., : P.shape[-1], : P.shape[-1]] = P
             (truth[at], counts) = _truth(trajectory, at_valid_time, paths)
             known[at] = (

@@ -33,10 +33,14 @@ def identity(study: Study) -> dict[str, Any]:
         "chunk": study.chunk,
         "measures": list(study.measures),
         "kept of a first chunk": sorted({f for f in study.metrics if f.startswith("bound") or f == "us_per_row"}),
-        "file": hashlib.sha256(study.source.encode()).hexdigest() if study.source else None,
+        "file": _sha256(study.source) if study.source else None,
         "jaxlib": version("jaxlib"),
         "device": jax.devices()[0].device_kind,
     }
+
+
+def _sha256(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _named(function: Callable[..., Any]) -> str:
@@ -46,6 +50,8 @@ def _named(function: Callable[..., Any]) -> str:
 
 def _config(config: TrackerConfig) -> dict[str, Any]:
     name = config.tracker if isinstance(config.tracker, str) else config.tracker.about
+    if isinstance(config.tracker, str) and (file := name.rpartition(":")[0]):
+        name += f" {_sha256(Path(file).read_text('utf-8'))}"
     rest = {"smooth": config.smooth, "free_height": config.free_height, "every": config.every}
     return {"tracker": name, "tunables": dict(config.tunables), **rest}
 

@@ -6,13 +6,14 @@ import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from experiments.monte_carlo.errors import TrackedRuns
 from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
-from trackers.catalogue import TRACKERS
+from trackers.catalogue import spec_of
 from trackers.core.errors import UnusableInput
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerSpec
@@ -36,7 +37,7 @@ class World:
 
 @dataclass(frozen=True)
 class TrackerConfig:
-    """A tracker of a study: its name in the catalogue or its specification, with values of its tunables.
+    """A tracker of a study: its name in the catalogue, `FILE.py:NAME`, or its specification; and its settings.
 
     `tunables`: values by name or pattern, in physical units. `smooth`: RTS smoothing over the whole recording.
     `free_height`: as the option of `track`. `every`: s, score only the last estimate of each such interval.
@@ -48,14 +49,10 @@ class TrackerConfig:
     free_height: bool = False
     every: float | None = None
 
-    @property
+    @cached_property
     def spec(self) -> TrackerSpec:
         """The specification; raises UnusableInput for an unknown name. Names of trackers are resolved here alone."""
-        if not isinstance(self.tracker, str):
-            return self.tracker
-        if self.tracker not in TRACKERS:
-            raise UnusableInput(f"tracker '{self.tracker}' is unknown; expected one of {', '.join(TRACKERS)}")
-        return TRACKERS[self.tracker]
+        return spec_of(self.tracker) if isinstance(self.tracker, str) else self.tracker
 
 
 @dataclass(frozen=True)
@@ -143,7 +140,7 @@ def checked(study: Study) -> Study:
         try:
             _ = config.spec
         except UnusableInput as error:
-            raise UnusableInput(f"{where}: trackers.{name}: {error}") from error
+            raise UnusableInput(f"{where}: trackers.{name}: {str(error).removeprefix('--')}") from error
         for tunable, value in config.tunables.items():
             _require_possible(f"{where}: trackers.{name}.{tunable}", value)
     for name, values in study.grid.items():

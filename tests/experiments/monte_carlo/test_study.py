@@ -9,6 +9,7 @@ from experiments.monte_carlo.chunk_store import ChunkStore, merge_shards
 from experiments.monte_carlo.errors import TrackedRuns, scored
 from experiments.monte_carlo.results import METRICS, ChunkTotals, Results
 from experiments.monte_carlo.runner import StopRule, run_missing, run_study
+from experiments.monte_carlo.sources import load_study
 from experiments.reports.study_text import to_json, to_text
 from tests.experiments.monte_carlo.small_study import SMALL, TOML, no_progress, study_command
 from tests.in_process import trackwright
@@ -197,8 +198,6 @@ def test_until_ends_a_cell_as_soon_as_its_figure_is_known_well_enough(tmp_path):
     ],
 )
 def test_a_study_that_cannot_be_run_is_refused_in_one_line(tmp_path, change, says):
-    from experiments.monte_carlo.sources import load_study
-
     file = tmp_path / "study.toml"
     file.write_text(TOML.replace(*change))
     with pytest.raises(UnusableInput) as refused:
@@ -206,6 +205,18 @@ def test_a_study_that_cannot_be_run_is_refused_in_one_line(tmp_path, change, say
     assert says in str(refused.value)
     assert "\n" not in str(refused.value)
     assert not [*tmp_path.glob("out/chunks/*.npz")]
+
+
+def test_a_tracker_of_a_users_own_file_takes_part(tmp_path):
+    mine, file = tmp_path / "mine.py", tmp_path / "study.toml"
+    mine.write_text("from trackers.catalogue import spec_of\n\nMINE = spec_of('fix-kf')\n")
+    file.write_text(TOML.replace("[trackers.moving-average]", f"[trackers.mine]\ntracker = '{mine}:MINE'"))
+    study = load_study(str(file))
+    results = run_study(study, tmp_path / "out", (1, 1), None, no_progress)
+    assert results.value("rmse_m", "line", "mine") == results.value("rmse_m", "line", "fix-kf")
+    mine.write_text("MINE = None\n")
+    with pytest.raises(UnusableInput, match=r"trackers.mine: .*MINE is no TrackerSpec"):
+        load_study(str(file))
 
 
 def test_the_command_line_refuses_what_is_no_study(tmp_path, whole):
