@@ -1,4 +1,9 @@
-"""Trackers: everything that turns recordings of an installation into estimates. The public names stand here."""
+"""Trackers: everything that turns recordings of an installation into estimates.
+
+A recording holds what the sensors of an installation measured. A tracker turns it into estimates. A recursive tracker is
+a motion, some sensors, a filter and a start. Estimates can become the readings of the next tracker. The public names
+stand below in the order in which a newcomer meets them; `trackers/README.md` shows how the parts fit.
+"""
 
 from trackers.aoa.beam import (
     Beam,
@@ -16,13 +21,16 @@ from trackers.aoa.direct import PhaseStart, direct_tracker
 from trackers.aoa.fusion import BearingSensor, bearing_inputs, bearing_tracker
 from trackers.aoa.phases import InPlanePhases, PlanePhases, SphericalPhases
 from trackers.aoa.rays import recent_points
+from trackers.aoa.rows import beam_trajectories, bearing_trajectories, phase_trajectories
 from trackers.baselines.fixes import fix_tracker, singer_tracker
 from trackers.baselines.switching import mirror_tracker, switching_tracker
 from trackers.baselines.windows import MovingWindow
+from trackers.catalogue import TRACKERS, build, tracker_for
 from trackers.core.algebra import Vector, diagonal
 from trackers.core.checks import BrokenContract, check_motion, check_sensor
 from trackers.core.crlb import posterior_bound
 from trackers.core.ekf import ExtendedKalman, Gaussian
+from trackers.core.errors import UnusableInput
 from trackers.core.estimates import Estimates, Status
 from trackers.core.imm import InteractingModels, SwitchingMotion
 from trackers.core.metrics import bias, consistency, coverage, error_metrics, nees, rmse, time_lost
@@ -46,15 +54,25 @@ from trackers.core.state import Heading, Rotation, wrap
 from trackers.core.track_loss import TrackLossPolicy
 from trackers.core.tracker import AbstractTracker, Tracker
 from trackers.core.tunable import Covariance, Fraction, Real, Scale, tunables
+from trackers.evaluation import Evaluation, evaluate
 from trackers.line.grid import GridFilter
 from trackers.line.motion import HaltingMotion, LineMotion
 from trackers.line.tracker import line_grid_tracker, line_motion, line_tracker
 from trackers.line.truth import knot_times
 from trackers.mhk.tracker import mhk_tracker
+from trackers.parts.fix_rows import fix_trajectories
 from trackers.parts.fixes import CorrelatedFixSensor, FixSensor
+from trackers.parts.range_rows import range_trajectories
 from trackers.parts.ranges import RangeSensor
 from trackers.parts.singer import Singer
 from trackers.parts.start_nearby import NearbyStart
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.folder import read_recording as read
+from trackers.recordings.folder import write_recording as write
+from trackers.recordings.named_tracker import NamedTracker
+from trackers.recordings.tracker_spec import TrackerSpec
+from trackers.recordings.tracks import Tracks
+from trackers.recordings.trajectories import Trajectory
 from trackers.uwb_imu.fusion import range_tracker
 from trackers.uwb_imu.inertial import inertial_tracker
 from trackers.uwb_imu.multilateration import multilateration_tracker
@@ -63,109 +81,135 @@ from trackers.uwb_imu.strapdown import PlanarStrapdown, Strapdown
 from trackers.uwb_imu.trilateration import trilateration_tracker
 
 __all__ = [
-    "AbstractMotion",
-    "AbstractSensor",
-    "AbstractStart",
-    "AbstractTracker",
-    "Accelerated",
+    # recordings on disk and in arrays: start here
+    "read",
+    "write",
+    "RecordingFolder",
+    "Rig",
+    "Station",
+    "Tag",
+    "Recording",
+    "Readings",
     "Batch",
-    "Beam",
-    "BeamMotion",
-    "BeamStart",
-    "BearingSensor",
-    "BrokenContract",
+    "stack",
+    "UnusableInput",
+    # trackers by name, their estimates, and how good these are
+    "tracker_for",
+    "build",
+    "TRACKERS",
+    "NamedTracker",
+    "Tracks",
+    "Estimates",
+    "Status",
+    "evaluate",
+    "Evaluation",
+    "error_metrics",
+    "rmse",
+    "bias",
+    "coverage",
+    "nees",
+    "consistency",
+    "time_lost",
+    "posterior_bound",
+    # trackers ready to run on arrays
+    "fix_tracker",
+    "singer_tracker",
+    "switching_tracker",
+    "mirror_tracker",
+    "mhk_tracker",
+    "MovingWindow",
+    "range_tracker",
+    "inertial_tracker",
+    "multilateration_tracker",
+    "trilateration_tracker",
+    "line_tracker",
+    "line_grid_tracker",
+    "bearing_tracker",
+    "beam_tracker",
+    "in_plane_beam_tracker",
+    "cascade_tracker",
+    "direct_tracker",
     "Cascade",
-    "Channel",
+    "DelayAndSum",
+    "Smoothed",
+    # parts of a tracker: filters, starts, track loss
+    "AbstractTracker",
+    "Tracker",
+    "Row",
+    "ExtendedKalman",
+    "Gaussian",
+    "ParticleFilter",
+    "GridFilter",
+    "InteractingModels",
+    "TrackLossPolicy",
+    "AbstractStart",
+    "BeamStart",
+    "NearbyStart",
+    "PhaseStart",
+    # states and motions
+    "Vector",
+    "Heading",
+    "Rotation",
+    "wrap",
+    "diagonal",
+    "Kinematic",
+    "Accelerated",
+    "Placed",
+    "Beam",
+    "InPlaneBeam",
+    "AbstractMotion",
     "ConstantPosition",
     "ConstantVelocity",
-    "CorrelatedFixSensor",
-    "Covariance",
-    "DelayAndSum",
-    "Estimates",
-    "ExtendedKalman",
-    "FixSensor",
-    "Fraction",
-    "Gaussian",
-    "Grid",
-    "GridFilter",
     "GroundMotion",
-    "HaltingMotion",
-    "Heading",
-    "InPlaneBeam",
-    "InPlaneBeamMotion",
-    "InPlanePhases",
-    "InteractingModels",
-    "Kinematic",
-    "LineMotion",
-    "MovingWindow",
-    "NearbyStart",
-    "ParticleFilter",
-    "PhaseStart",
-    "Placed",
-    "PlanarStrapdown",
-    "PlanePhases",
-    "Polyline",
-    "RangeSensor",
-    "Reading",
-    "Readings",
-    "Real",
-    "Recording",
-    "Residual",
-    "Rig",
-    "Rotation",
-    "Row",
-    "Scale",
     "Singer",
-    "Smoothed",
-    "SphericalPhases",
-    "Station",
-    "Status",
-    "Strapdown",
-    "SwitchingMotion",
-    "Tag",
-    "TrackLossPolicy",
-    "Tracker",
-    "Vector",
-    "beam_tracker",
-    "bearing_inputs",
-    "bearing_tracker",
-    "bias",
-    "capon",
-    "cascade_tracker",
-    "check_motion",
-    "check_sensor",
-    "consistency",
-    "coverage",
-    "delay_and_sum",
-    "diagonal",
-    "direct_tracker",
-    "double_sided",
-    "error_metrics",
-    "fix_tracker",
-    "in_plane_beam_tracker",
-    "independent",
-    "inertial_tracker",
-    "knot_times",
-    "line_grid_tracker",
+    "BeamMotion",
+    "InPlaneBeamMotion",
+    "LineMotion",
+    "HaltingMotion",
     "line_motion",
-    "line_tracker",
-    "mhk_tracker",
-    "mirror_tracker",
-    "multilateration_tracker",
-    "music",
-    "nees",
-    "posterior_bound",
-    "range_tracker",
-    "recent_points",
-    "rmse",
-    "singer_tracker",
+    "Polyline",
+    "knot_times",
+    "SwitchingMotion",
+    "PlanarStrapdown",
+    "Strapdown",
+    "check_motion",
+    # sensors and beamformers
+    "AbstractSensor",
+    "Channel",
+    "Reading",
+    "Residual",
+    "independent",
+    "FixSensor",
+    "CorrelatedFixSensor",
+    "RangeSensor",
+    "BearingSensor",
+    "PlanePhases",
+    "SphericalPhases",
+    "InPlanePhases",
     "single_sided",
+    "double_sided",
+    "bearing_inputs",
+    "recent_points",
+    "Grid",
+    "delay_and_sum",
+    "capon",
+    "music",
     "snapshots",
-    "stack",
     "strongest",
-    "switching_tracker",
-    "time_lost",
-    "trilateration_tracker",
+    "check_sensor",
+    "BrokenContract",
+    # numbers that can be tuned
+    "Scale",
+    "Fraction",
+    "Real",
+    "Covariance",
     "tunables",
-    "wrap",
+    # rows of the tables, for a tracker of one's own by file
+    "TrackerSpec",
+    "Trajectory",
+    "fix_trajectories",
+    "range_trajectories",
+    "bearing_trajectories",
+    "phase_trajectories",
+    "beam_trajectories",
 ]

@@ -1,0 +1,31 @@
+"""trackwright: how accurate is this tracker, and with which noise levels?
+
+A recording holds what the sensors of an installation measured, and the truth if there is any. A tracker turns a
+recording into estimates. Tuning returns the same tracker with better noise levels. A world simulates recordings.
+
+    import trackwright as tw
+
+    recording = tw.read("my-folder")
+    tracker = tw.tracker_for(recording)
+    estimates = tracker.run(recording)
+    print(tw.evaluate(estimates, recording))
+
+All public names of the packages `trackers`, `sim` and `tuning` are here; docs/concepts.md shows how they fit.
+"""
+
+from importlib.metadata import PackageNotFoundError, version
+
+import sim
+import trackers
+import tuning
+from sim import *  # noqa: F403
+from sim import worlds as simulate
+from trackers import *  # noqa: F403
+from tuning import *  # noqa: F403
+
+try:
+    __version__ = version("trackwright")
+except PackageNotFoundError:
+    __version__ = "unknown: not installed"
+
+__all__ = ["simulate", *trackers.__all__, *sim.__all__, *tuning.__all__]
