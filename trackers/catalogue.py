@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from trackers.aoa import rows as aoa
-from trackers.baselines import floor_rows as floor
 from trackers.baselines import rows as baselines
 from trackers.core.errors import UnusableInput
 from trackers.line import rows as line
@@ -24,7 +23,6 @@ TRACKERS: dict[str, TrackerSpec] = {
     **line.TRACKERS,
     **uwb_imu.TRACKERS,
     **uwb.TRACKERS,
-    **floor.TRACKERS,
     **baselines.TRACKERS,
     **mhk.TRACKERS,
 }

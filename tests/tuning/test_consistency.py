@@ -16,7 +16,7 @@ from trackers.core.estimates import Estimates, Status
 from trackers.core.motion import Kinematic
 from trackers.core.recording import Recording, stack
 from trackers.core.scan import Output
-from trackers.parts.fixes import cov_before, shifted_back
+from trackers.parts.fixes import shifted_back, shifted_covariance
 from tuning.consistency import Consistency, chi_square_below, legendre, student_t_below, student_t_dof_of
 from tuning.metrics import all_metrics, parse_objective
 from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError, StateLogLikelihood, Weighted
@@ -210,5 +210,5 @@ def test_an_objective_sees_a_late_fix_with_the_covariance_that_is_reported_of_it
     output, _, _ = _output(rng, mean, 5)
     estimates = Estimates(mean, np.stack(output.cov), *(np.asarray(x) for x in output[2:]))
     np.testing.assert_allclose(
-        np.stack(cov_before(mean, output.cov, 0.7)), shifted_back(estimates, 0.7).cov_upper, rtol=1e-12, atol=1e-12
+        np.stack(shifted_covariance(mean, output.cov, 0.7)), shifted_back(estimates, 0.7).cov_upper, rtol=1e-12, atol=1e-12
     )

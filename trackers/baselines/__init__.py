@@ -1,1 +1,1 @@
-"""What every system is compared with: filters and moving windows on the position fixes of a locating system."""
+"""Baselines: filters and moving windows on the position fixes of a locating system."""

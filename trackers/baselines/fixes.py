@@ -1,4 +1,4 @@
-"""Kalman filters on position fixes: constant velocity over the floor, and Singer's fading acceleration."""
+"""Kalman filters on position fixes: constant velocity, and Singer's acceleration model."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ def fix_tracker(
     dof: float | None = 4.0,
     planar: bool = False,
 ) -> FixTracker:
-    """Constant velocity over the floor and a drifting height unless it is known (`planar`), from fixes.
+    """Constant velocity in x and y, from fixes; the height is a random walk, or known and not estimated if `planar`.
 
-    σa m/s² per √Hz, σz m per √s, the sensor's sigmas m; `dof` None for the textbook's normal noise.
+    `sigma_a` m/s² per √Hz, `sigma_z` m per √s; the sensor's sigmas m. `dof`: degrees of freedom of Student's t, None
+    for normal noise.
     """
     sensor = FixSensor(sigma_horizontal, sigma_vertical, dof)
     start = FixStart(Scale(1.0, "m"), Scale(1.0, "m/s"), planar, 2)
@@ -33,7 +34,10 @@ def singer_tracker(
     dof: float | None = 4.0,
     planar: bool = False,
 ) -> FixTracker:
-    """Singer's motion (1970), an acceleration of σa m/s² that fades with τ s, in the plane or in space, from fixes."""
+    """Singer's motion (1970) from fixes, in three dimensions or, if `planar`, in x and y.
+
+    `sigma_a` m/s² and `tau` s: standard deviation and time constant of the acceleration; the sensor's sigmas m.
+    """
     n = 2 if planar else 3
     sensor = FixSensor(sigma_horizontal, sigma_vertical, dof)
     start = FixStart(Scale(1.0, "m"), Scale(1.0, "m/s"), planar, n, n)

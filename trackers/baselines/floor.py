@@ -1,4 +1,4 @@
-"""A planar tag on a floor with walls: fixes by particles that walls kill."""
+"""Particle filter for a tag on a floor with walls, from position fixes."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ def floor_tracker(
     dof: float | None = 4.0,
     n_particles: int = 1000,
 ) -> FixTracker:
-    """Constant velocity over the floor from fixes, by particles, none of which goes through a wall.
+    """Planar constant velocity from fixes by particles; those that cross a wall have weight zero.
 
-    The model of `fix_tracker` in the plane with a map, as the thesis says of its reference [25]. σa
-    m/s² per √Hz, the fixes' sigma m; `dof` None for normal noise. Where walls have killed all particles the track
-    begins anew at the next fix. Its numbers are tuned by the particles' score; see `trackers/core/particle/score.py`.
+    The model of a planar `fix_tracker` with a floor plan (reference [25] of the thesis). `sigma_a` m/s² per √Hz,
+    `sigma_horizontal` m; `dof`: degrees of freedom of Student's t, None for normal noise. Once no particle is left the
+    track restarts at the next fix. Gradients are score-function estimates: `trackers/core/particle/score.py`.
     """
     sensor = FixSensor(sigma_horizontal, sigma_horizontal, dof)
     start = FixStart(Scale(1.0, "m"), Scale(1.0, "m/s"), True, 2)

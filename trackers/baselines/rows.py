@@ -1,33 +1,36 @@
-"""The baselines on the command line: trackers of position fixes, and their trajectories."""
+"""Trajectories and catalogue entries of the baselines: table `fixes`, and the floor plan in `rig.toml`."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from trackers.baselines.fixes import fix_tracker, singer_tracker
+from trackers.baselines.floor import floor_tracker
 from trackers.baselines.switching import mirror_tracker, switching_tracker
 from trackers.baselines.windows import MovingWindow
+from trackers.core.errors import UnusableInput
 from trackers.core.recording import Readings
 from trackers.parts.fix_rows import fix_trajectories, lacks_fixes
 from trackers.parts.fixes import FIXES
+from trackers.parts.walls import Walls
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerSpec, on_request
 from trackers.recordings.trajectories import Trajectory
 
-FLAT = 0.5
-"""Metres between the heights of anchors up to which they count as lying in one plane."""
+COPLANAR = 0.5
+"""Largest difference between the heights of anchors that count as coplanar, m."""
 
 WINDOW = 9
-"""Rows of the moving windows: the paper's choice for its median (Huang et al. 2018, section 4)."""
+"""Rows of the moving windows, as in the paper's median (Huang et al. 2018, section 4)."""
 
 
-def side_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
-    """Each tag's fixes with the distance from the anchors' plane for z, and the floor's 0.
+def mirror_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
+    """Each tag's fixes for `MirrorSensor`: x, y, the distance of z from the anchors' plane, and 0 for the floor.
 
-    Inputs `plane`, its height, and `shown`, the z of the row's fix, m.
+    Inputs: `plane`, its height, m, and `fix_z`, the z of the row's fix, m.
     """
     plane = float(np.mean([p[2] for p in folder.rig.anchors.values()]))
     for trajectory in fix_trajectories(folder, free_height=True):
@@ -36,67 +39,112 @@ def side_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Tr
         assert fixes.reported is not None
         values = np.column_stack([fixes.values[:, :2], np.abs(fixes.values[:, 2] - plane), np.zeros(len(recording))])
         readings = {FIXES: Readings(values, fixes.seen[:, [0, 1, 2, 2]], fixes.reported)}
-        shown = np.where(fixes.seen[:, 2], fixes.values[:, 2], plane)
-        inputs = {**recording.inputs, "plane": np.full(len(recording), plane), "shown": shown}
+        fix_z = np.where(fixes.seen[:, 2], fixes.values[:, 2], plane)
+        inputs = {**recording.inputs, "plane": np.full(len(recording), plane), "fix_z": fix_z}
         yield replace(trajectory, recording=replace(recording, readings=readings, inputs=inputs))
 
 
-def lacks_plane(folder: RecordingFolder) -> str | None:
-    """What a folder lacks for a tracker that knows of mirrored heights."""
+def lacks_coplanar_anchors(folder: RecordingFolder) -> str | None:
+    """What a folder lacks for a tracker of mirrored heights, in words; None if nothing."""
     heights = [p[2] for p in folder.rig.anchors.values()]
-    if len(heights) < 3 or np.ptp(heights) > FLAT:
+    if len(heights) < 3 or np.ptp(heights) > COPLANAR:
         found = f"{len(heights)} anchors" + (f" over {np.ptp(heights):.2f} m of height" if heights else "")
-        return f"at least 3 anchors within {FLAT} m of one height, found {found}"
+        return f"at least 3 anchors within {COPLANAR} m of one height, found {found}"
     return lacks_fixes(folder)
 
 
+def floor_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
+    """Each tag's fixes with z masked, one row per table row; raises UnusableInput without a valid floor plan."""
+    walls_of(folder)
+    for trajectory in fix_trajectories(folder, free_height):
+        recording = trajectory.recording
+        fixes = recording.readings[FIXES]
+        readings = {FIXES: Readings(fixes.values, fixes.seen & [True, True, False], fixes.reported)}
+        yield replace(trajectory, recording=replace(recording, readings=readings))
+
+
+def walls_of(folder: RecordingFolder) -> Walls:
+    """The folder's floor plan; raises UnusableInput if there is none or it is invalid."""
+    rig = folder.rig
+    if rig.walls is None and rig.outline is None:
+        raise UnusableInput(
+            f"{folder.path}: no [floor] in rig.toml, expected its walls_m = [[x1, y1, x2, y2], …]; add them"
+        )
+    try:
+        return Walls(() if rig.walls is None else rig.walls, () if rig.outline is None else rig.outline)
+    except ValueError as problem:
+        raise UnusableInput(f"{folder.path}: rig.toml, [floor]: {problem}") from problem
+
+
+def lacks_floor_plan(folder: RecordingFolder) -> str | None:
+    """What a folder lacks for a tracker with walls, in words; None if nothing."""
+    if folder.rig.walls is None and folder.rig.outline is None:
+        return "a floor plan, [floor] with walls_m or outline_m in rig.toml, found none"
+    return None if "fixes" in folder.tables else "a fixes table, found no such table"
+
+
+def _floor_geometry(trajectory: Trajectory) -> Hashable:
+    walls = walls_of(trajectory.folder)
+    return np.asarray(walls.segments).tobytes(), np.asarray(walls.outline).tobytes()
+
+
 TRACKERS = {
+    "floor-pf": TrackerSpec(
+        about="position from fixes on a floor with walls, particle filter with 1,000 particles",
+        table="fixes, and [floor]",
+        lacks=lacks_floor_plan,
+        trajectories=floor_trajectories,
+        build=lambda trajectory, planar: floor_tracker(walls_of(trajectory.folder)),
+        geometry=_floor_geometry,
+        planar=lambda trajectory, free_height: True,
+    ),
     "fix-kf": TrackerSpec(
-        "position from fixes, Kalman filter, constant velocity over the floor",
+        about="position from fixes, Kalman filter, constant velocity in x and y",
         table="fixes",
+        lacks=lacks_fixes,
         trajectories=fix_trajectories,
         build=lambda trajectory, planar: fix_tracker(planar=planar),
-        lacks=lacks_fixes,
     ),
     "fix-singer": TrackerSpec(
-        "position from fixes, Singer's fading acceleration",
+        about="position from fixes, Kalman filter, Singer's acceleration model",
         table="fixes",
+        lacks=lacks_fixes,
         trajectories=fix_trajectories,
         build=lambda trajectory, planar: singer_tracker(planar=planar),
-        lacks=lacks_fixes,
         automatic=on_request,
     ),
     "imm": TrackerSpec(
-        "position from fixes, interacting constant-velocity models from calm to brisk",
+        about="position from fixes, IMM filter of three constant-velocity models",
         table="fixes",
+        lacks=lacks_fixes,
         trajectories=fix_trajectories,
         build=lambda trajectory, planar: switching_tracker(planar=planar),
-        lacks=lacks_fixes,
         automatic=on_request,
     ),
     "fix-mirror": TrackerSpec(
-        "position from fixes that may be mirrored at the plane of the anchors, two branches",
+        about="position from fixes whose z may be mirrored in the anchors' plane, IMM filter of both sides",
         table="fixes",
-        trajectories=side_trajectories,
+        lacks=lacks_coplanar_anchors,
+        trajectories=mirror_trajectories,
         build=lambda trajectory, planar: mirror_tracker(),
-        lacks=lacks_plane,
         planar=lambda trajectory, free_height: False,
         automatic=on_request,
     ),
     "moving-average": TrackerSpec(
-        f"mean of the last {WINDOW} fixes",
+        about=f"mean of the last {WINDOW} fixes, axis by axis",
         table="fixes",
+        lacks=lacks_fixes,
         trajectories=fix_trajectories,
         build=lambda trajectory, planar: MovingWindow(WINDOW, median=False, planar=planar),
-        lacks=lacks_fixes,
         automatic=on_request,
     ),
     "median": TrackerSpec(
-        f"median of the last {WINDOW} fixes, axis by axis",
+        about=f"median of the last {WINDOW} fixes, axis by axis",
         table="fixes",
+        lacks=lacks_fixes,
         trajectories=fix_trajectories,
         build=lambda trajectory, planar: MovingWindow(WINDOW, median=True, planar=planar),
-        lacks=lacks_fixes,
         automatic=on_request,
     ),
 }
+"""In the order of preference: `floor-pf` where the rig has a floor plan, else `fix-kf`."""

@@ -1,14 +1,14 @@
-"""Trackers of fixes that hesitate between models: how hard the tag manoeuvres, and on which side of a plane it is.
+"""IMM trackers of fixes: modes of manoeuvre, and the two sides of the anchors' plane.
 
-Anchors in one plane see a tag and its mirror image in that plane at the same distances, so that a locating system
-takes one height for the other. What its z does tell is the distance from the plane, and not even that well: range
-errors push it away from the plane and shrink it.
+Coplanar anchors are at equal ranges from a tag and from its mirror image in their plane, so the z of a fix has an
+ambiguous sign about the plane. It measures the distance from the plane only, with a bias and a scale factor that come
+from range errors:
 
     h  height of the plane      d = |z_fix − h|      d = offset + shrink · s · (z − h)      s  +1 above, −1 below
 
-Two Kalman filters, s = ±1, run side by side; they meet near the plane, where d says little, and part again without
-anybody knowing which is right. Then the mixture's mean lies between them and its covariance says so. What tells them
-apart is where the track began, and that nothing is under the floor.
+An IMM filter runs one Kalman filter for each side, s = ±1. Near the plane both fit equally well, and after it is
+crossed the mode is ambiguous: the mixture's mean lies between the two branches and its covariance includes their
+separation. The start of the track and the floor, below which there is no tag, resolve the ambiguity.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from trackers.parts.fixes import FIXES, PATIENT, AbstractFixSensor, FixSensor, F
 BELOW, ABOVE = 0, 1
 
 
-class SideSensor(AbstractFixSensor, AbstractSwitching):
-    """x, y, the distance d from the anchors' plane, and how far under the floor, always read as 0, m.
+class MirrorSensor(AbstractFixSensor, AbstractSwitching):
+    """x, y, the distance d from the anchors' plane, and the depth below the floor, a pseudo-measurement of 0, m.
 
-    One mode for a tag `BELOW` the plane, one for `ABOVE`; without modes it is below. `offset` m, `shrink`: as in the
-    module's head. `floor`: its height, m; `give` m: how far under it a height may be, which no reading tells
-    (the floor is always read as 0, so that a likelihood would make it nothing). Input: `plane`, h, m.
+    Modes: a tag `BELOW` or `ABOVE` the plane; below without modes. `offset` m, `shrink`: as in the module's docstring.
+    `floor`: height of the floor, m. `give` m: standard deviation of the depth below it; it is not identifiable, since
+    the pseudo-measurement is always 0. Input: `plane`, h, m.
     """
 
     sigma_horizontal: Noise
@@ -58,12 +58,12 @@ class SideSensor(AbstractFixSensor, AbstractSwitching):
         self.latency = Real(0.0, "s", typical=0.5)
         self.side = -1.0
 
-    def in_mode(self, mode: int) -> SideSensor:
+    def in_mode(self, mode: int) -> MirrorSensor:
         return eqx.tree_at(lambda sensor: sensor.side, self, 1.0 if mode == ABOVE else -1.0)
 
     @property
     def channels(self) -> tuple[Channel, ...]:
-        """x, y, distance from the plane, depth under the floor."""
+        """x, y, distance from the plane, depth below the floor, m."""
         return *super().channels[:2], Channel("off_plane", "m"), Channel("under_floor", "m")
 
     def measure(self, view: Any, inputs: Any) -> list[Scalar]:
@@ -76,11 +76,11 @@ class SideSensor(AbstractFixSensor, AbstractSwitching):
         return [[sigma.value**2 if i == j else 0.0 for j in range(4)] for i, sigma in enumerate(sigmas)]
 
 
-class SideModels(InteractingModels):
-    """Modes that a tag changes only where it may be in the anchors' plane: `switching_rate`, 1/s, is that of a tag inside it.
+class MirrorModels(InteractingModels):
+    """IMM filter whose modes switch near the anchors' plane only, at `switching_rate`, 1/s, in the plane.
 
-    Far from the plane the rate is that share of it which the height leaves to the plane, exp(−(z − h)²/2(P + reach²)):
-    mixing branches metres apart would drag each of them towards the other. Input: `plane`, h, m.
+    Away from it the rate is scaled by exp(−(z − h)²/2(P + reach²)) with the height's variance P and `reach` m; mixing
+    branches that are metres apart would bias both. Input: `plane`, h, m.
     """
 
     reach: Noise
@@ -92,20 +92,22 @@ class SideModels(InteractingModels):
     def rates(self, belief: Mixture, inputs: Any) -> list[Scalar]:
         rates = []
         for mean, cov in belief.components:
-            spread = full(cov, dimension(mean))[2][2] + self.reach.value**2
-            rates.append(self.switching_rate.value * jnp.exp(-0.5 * (mean.position[2] - inputs["plane"]) ** 2 / spread))
+            variance = full(cov, dimension(mean))[2][2] + self.reach.value**2
+            rates.append(
+                self.switching_rate.value * jnp.exp(-0.5 * (mean.position[2] - inputs["plane"]) ** 2 / variance)
+            )
         return rates
 
 
-class ShownStart(FixStart):
-    """The first fix with x and y, at the height that it showed: a hint at the side, as weak as `sigma_position`.
+class MirrorStart(FixStart):
+    """A start at the first fix with x and y, at its z, whose side of the plane is thereby favoured.
 
-    Input: `shown`, m, the z of the row's fix, or the plane's height where it had none.
+    Input: `fix_z`, m, the z of the row's fix, or the plane's height where z is missing.
     """
 
     def candidate(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
-        values, shown = row.readings[FIXES].values, row.inputs["shown"]
-        return jnp.stack([values[0], values[1], shown, jnp.ones_like(shown)])
+        values, z = row.readings[FIXES].values, row.inputs["fix_z"]
+        return jnp.stack([values[0], values[1], z, jnp.ones_like(z)])
 
 
 def switching_tracker(
@@ -117,7 +119,11 @@ def switching_tracker(
     dof: float | None = 4.0,
     planar: bool = False,
 ) -> FixTracker:
-    """Interacting constant-velocity models with accelerations of σa m/s² per √Hz, drawn anew at `rate` 1/s."""
+    """IMM filter of constant-velocity models with accelerations `sigmas_a`, m/s² per √Hz, from fixes.
+
+    `rate`: draws of a new mode, 1/s. `sigma_z` m per √s, the sensor's sigmas m; `dof`: degrees of freedom of Student's
+    t, None for normal noise. `planar`: x and y alone.
+    """
     motion = SwitchingMotion(tuple(GroundMotion(sigma_a, sigma_z) for sigma_a in sigmas_a))
     sensor = FixSensor(sigma_horizontal, sigma_vertical, dof)
     start = FixStart(Scale(1.0, "m"), Scale(1.0, "m/s"), planar, 2)
@@ -135,13 +141,13 @@ def mirror_tracker(
     rate: float = 1.0,
     dof: float | None = 4.0,
 ) -> FixTracker:
-    """Constant velocity over the floor and a drifting height on either side of the anchors' plane, from fixes.
+    """Constant velocity in x and y and a random-walk height on either side of the anchors' plane, from fixes.
 
-    `offset` m and `shrink` as in the module's head: about what four DWM1001 anchors in the corners of a room show.
-    `rate`, 1/s: how soon it is forgotten on which side the tag was.
+    `offset` m and `shrink`: as in the module's docstring; the defaults are typical of four DWM1001 anchors in the
+    corners of a room. `rate`, 1/s: mode switches in the plane.
     """
-    sensor = SideSensor(sigma_horizontal, sigma_vertical, offset, shrink, dof)
-    start = ShownStart(Scale(1.0, "m"), Scale(1.0, "m/s"), False, 2)
+    sensor = MirrorSensor(sigma_horizontal, sigma_vertical, offset, shrink, dof)
+    start = MirrorStart(Scale(1.0, "m"), Scale(1.0, "m/s"), False, 2)
     return FixTracker(
-        GroundMotion(sigma_a, sigma_z), {FIXES: sensor}, start, SideModels(rate, [1.0, 1.0], 0.1), PATIENT
+        GroundMotion(sigma_a, sigma_z), {FIXES: sensor}, start, MirrorModels(rate, [1.0, 1.0], 0.1), PATIENT
     )

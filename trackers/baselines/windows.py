@@ -1,4 +1,4 @@
-"""Moving windows over the last fixes: their mean, and their median axis by axis. Neither knows how uncertain it is."""
+"""Moving average and moving median of the last fixes, axis by axis; neither has a covariance."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ from trackers.parts.median import nan_median
 
 
 class MovingWindow(AbstractEpochwiseTracker):
-    """The mean or `median` of each axis over the last `window` rows in which it was seen, from the first such row on.
+    """The mean, or the `median`, of each axis over its last `window` values, from the first value on.
 
-    It lags behind a moving tag by half its window. No covariance (NaN). `planar`: x and y alone.
+    It lags behind a moving tag by half the window. The covariance is NaN. `planar`: x and y alone. Raises ValueError
+    for a window below 1.
     """
 
     window: int = eqx.field(static=True)
@@ -39,15 +40,15 @@ class MovingWindow(AbstractEpochwiseTracker):
         seen = seen & jnp.asarray(batch.valid)[:, None]
         empty = jnp.full((self.window, *values.shape[1:]), jnp.nan, values.dtype)
 
-        def push(last: Any, row: Any) -> tuple[Any, Any]:
-            value, saw = row
-            last = jnp.where(saw, jnp.concatenate([last[1:], value[None]]), last)
-            return last, nan_median(last) if self.median else jnp.nanmean(last, axis=0)
+        def step(window: Any, row: Any) -> tuple[Any, Any]:
+            value, value_seen = row
+            window = jnp.where(value_seen, jnp.concatenate([window[1:], value[None]]), window)
+            return window, nan_median(window) if self.median else jnp.nanmean(window, axis=0)
 
-        place = jax.lax.scan(push, empty, (values, seen))[1]
-        known = jnp.isfinite(place).all(axis=1)
-        zero = jnp.zeros_like(place[:, 0])
-        mean = Placed(Vector(*(jnp.where(known, place[:, k], 0.0) for k in range(axes))))
+        position = jax.lax.scan(step, empty, (values, seen))[1]
+        known = jnp.isfinite(position).all(axis=1)
+        zero = jnp.zeros_like(position[:, 0])
+        mean = Placed(Vector(*(jnp.where(known, position[:, k], 0.0) for k in range(axes))))
         cov = tuple(zero + jnp.nan for _ in triangle(axes))
         status = jnp.where(jnp.asarray(batch.valid), jnp.where(known, Status.OK, Status.WAITING), Status.PADDING)
         return Output(mean, cov, zero, zero, zero, zero, status.astype(jnp.int8))

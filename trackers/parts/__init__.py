@@ -1,1 +1,1 @@
-"""Parts that several systems share: fixes, ranges, Singer's motion, starts found on the host, walls."""
+"""Parts shared by several systems: fix and range sensors, Singer motion, starts, multilateration, walls."""

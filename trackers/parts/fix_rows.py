@@ -1,4 +1,4 @@
-"""Rows of trackers that read position fixes: one fix a row."""
+"""Trajectories of trackers that read position fixes: one fix per row."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from trackers.recordings.truth import numbers
 
 
 def fix_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
-    """Each tag's fixes, one row per table row; z counts as not seen where the tag's height is known and used."""
+    """Each tag's fixes, one row per table row; z is masked where the tag's height is known and used."""
     paths = true_paths(folder)
     for tag, table in by_tag(folder.tables["fixes"]):
         values, seen = values_of(table, [f"{a}_m" for a in "xyz"])
         if not free_height and known_height(folder, tag) is not None:
             seen[:, 2] = False
-        # Without reported spreads zeros stand here, so that trajectories with and without share a batch.
+        # Zeros where no standard deviations are reported, so that trajectories with and without them share a batch.
         reported = np.nan_to_num(np.stack([numbers(table, f"{a}_std_m") for a in "xyz"], axis=1)) ** 2
         readings = {FIXES: Readings(values, seen, reported)}
         yield trajectory_of(folder, tag, "", table["t_s"].to_numpy(), readings, {}, paths)
 
 
 def lacks_fixes(folder: RecordingFolder) -> str | None:
-    """What a folder lacks for a tracker of fixes: the table, or any word on the height of a tag in it."""
+    """What a folder lacks for a tracker of fixes, in words: the table, or the height of a tag; None if nothing."""
     if "fixes" not in folder.tables:
         return "a fixes table, found no such table"
     for tag, table in by_tag(folder.tables["fixes"]):

@@ -1,8 +1,8 @@
-"""Position fixes of a locating system: the sensor with its noise, its outliers and its latency, start and tracker.
+"""Position fixes of a locating system: sensor models with outliers and latency, start and tracker.
 
-A fix that comes late shows where the tag was: z(t) = p(t) − v(t)·latency, straight motion for so long. The state is
-that of the row's time; `FixTracker.dated` gives it back at the time for which a late fix speaks, where it is known
-best, and says which time that is.
+A fix with latency measures an earlier position, z(t) = p(t) − v(t)·latency for straight motion. The filter's state is
+that of the time at which the fix arrives; `FixTracker.at_valid_time` shifts estimates back to the time at which the
+position was measured, where their error is smallest.
 """
 
 from __future__ import annotations
@@ -32,14 +32,15 @@ from trackers.core.whitening import whitened
 FIXES = "fixes"
 
 PATIENT = TrackLossPolicy(nis_limit=1e3, max_gap=10.0)
-"""Errors of real fixes last for seconds: a large running NIS is no sign of a lost track there."""
+"""Errors of real fixes are correlated over seconds, so a large NIS average is no evidence of track loss."""
 
 
 class AbstractFixSensor(AbstractSensor):
-    """x, y, z, m, of a tag, `latency` seconds after it was there.
+    """x, y, z of a tag, m, measured `latency` s before the row's time.
 
-    Its noise stands beside what the device reports (three variances, m²), whose root is scaled by `reported_std_scale`. `dof`:
-    degrees of freedom of Student's t, or None for normal noise. Input: `height`, m, for a planar state.
+    The covariance `noise` adds to the reported variances (three, m²), whose square roots are scaled by
+    `reported_std_scale`. `dof`: degrees of freedom of Student's t, None for normal noise. Input: `height`, m, for a
+    planar state.
     """
 
     reported_std_scale: eqx.AbstractVar[Noise]
@@ -48,7 +49,7 @@ class AbstractFixSensor(AbstractSensor):
 
     @abstractmethod
     def noise(self) -> list[list[Scalar]]:
-        """The covariance of the channels, m², row by row."""
+        """The covariance matrix of the channels, m²."""
 
     @property
     def channels(self) -> tuple[Channel, ...]:
@@ -56,13 +57,13 @@ class AbstractFixSensor(AbstractSensor):
         return Channel("x", "m"), Channel("y", "m"), Channel("z", "m")
 
     def measure(self, view: Any, inputs: Any) -> list[Scalar]:
-        late = [-v * self.latency.value for v in view.velocity]
-        # A motion over the floor has no vertical velocity: its height counts as the same all the while.
-        places = list(placed(view.position, inputs))
-        return [p + late[k] if k < len(late) else p for k, p in enumerate(places)]
+        lag = [-v * self.latency.value for v in view.velocity]
+        # A planar motion has no vertical velocity: its height is taken as constant over the latency.
+        position = list(placed(view.position, inputs))
+        return [p + lag[k] if k < len(lag) else p for k, p in enumerate(position)]
 
     def residual(self, reading: Reading, predicted: Sequence[Scalar]) -> Residual:
-        """Channel by channel given those before, whitened by the Cholesky factor of the covariance of what was seen."""
+        """Differences whitened by the Cholesky factor of the covariance of the channels seen."""
         noise = self.noise()
         for k, variance in enumerate(reading.reported):
             noise[k][k] = noise[k][k] + variance * self.reported_std_scale.value**2
@@ -77,7 +78,7 @@ class AbstractFixSensor(AbstractSensor):
 
 
 class FixSensor(AbstractFixSensor):
-    """Fixes with independent errors: `sigma_horizontal` m of x and of y, `sigma_vertical` m of z."""
+    """Fixes with independent errors: standard deviations `sigma_horizontal` m of x and y, `sigma_vertical` m of z."""
 
     sigma_horizontal: Noise
     sigma_vertical: Noise
@@ -87,15 +88,15 @@ class FixSensor(AbstractFixSensor):
 
     def __init__(self, sigma_horizontal: float, sigma_vertical: float, dof: float | None = None, latency: float = 0.0):
         self.sigma_horizontal, self.sigma_vertical = Scale(sigma_horizontal, "m"), Scale(sigma_vertical, "m")
-        self.reported_std_scale, self.dof, self.latency = Scale(1.0), *_extras(dof, latency)
+        self.reported_std_scale, self.dof, self.latency = Scale(1.0), *_dof_and_latency(dof, latency)
 
     def noise(self) -> list[list[Scalar]]:
-        across, up = self.sigma_horizontal.value**2, self.sigma_vertical.value**2
-        return [[across, 0.0, 0.0], [0.0, across, 0.0], [0.0, 0.0, up]]
+        horizontal, vertical = self.sigma_horizontal.value**2, self.sigma_vertical.value**2
+        return [[horizontal, 0.0, 0.0], [0.0, horizontal, 0.0], [0.0, 0.0, vertical]]
 
 
 class CorrelatedFixSensor(AbstractFixSensor):
-    """Fixes whose errors hang together: `covariance` (3, 3) m², as measured from a tag at rest."""
+    """Fixes with correlated errors: `covariance` (3, 3) m², for instance that of the fixes of a tag at rest."""
 
     covariance: Noise
     reported_std_scale: Noise
@@ -104,21 +105,21 @@ class CorrelatedFixSensor(AbstractFixSensor):
 
     def __init__(self, covariance: Any, dof: float | None = None, latency: float = 0.0):
         self.covariance = Covariance(covariance, "m^2")
-        self.reported_std_scale, self.dof, self.latency = Scale(1.0), *_extras(dof, latency)
+        self.reported_std_scale, self.dof, self.latency = Scale(1.0), *_dof_and_latency(dof, latency)
 
     def noise(self) -> list[list[Scalar]]:
         return [[self.covariance.value[i, j] for j in range(3)] for i in range(3)]
 
 
-def _extras(dof: float | None, latency: float) -> tuple[Scale | None, Real]:
+def _dof_and_latency(dof: float | None, latency: float) -> tuple[Scale | None, Real]:
     return None if dof is None else Scale(dof), Real(latency, "s", typical=0.5)
 
 
 class FixStart(AbstractStart):
-    """The first fix with x and y; `sigma_position` m, `sigma_velocity` m/s: how far off it may be.
+    """A start at the first fix with x and y, at rest, with `sigma_position` m and `sigma_velocity` m/s.
 
-    `planar`: over the floor alone. `velocities`: the number of the state's velocities; `accelerations`: of its
-    accelerations, m/s², known to `sigma_velocity` per second. A fix without z starts anywhere within 10 km of zero.
+    `planar`: x and y alone. `velocities`, `accelerations`: the numbers of them in the state; accelerations have a
+    standard deviation of `sigma_velocity` per second, m/s². Without z, the height has a standard deviation of 10 km.
     """
 
     sigma_position: Noise
@@ -132,7 +133,7 @@ class FixStart(AbstractStart):
         return seen[0] & seen[1]
 
     def candidate(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
-        # One array, whose columns are looked up together; what a row holds needs no search.
+        # x, y, z and whether z was seen, in one array.
         reading = row.readings[FIXES]
         return jnp.stack(
             [*(reading.values[k] for k in range(3)), jnp.where(reading.seen[2], 1.0, 0.0).astype(row.dt.dtype)]
@@ -141,40 +142,41 @@ class FixStart(AbstractStart):
     def belief(self, candidate: Any, row: Row) -> Gaussian:
         n = 2 if self.planar else 3
         zero = jnp.zeros_like(candidate[0])
-        near, rate = self.sigma_position.value**2, self.sigma_velocity.value**2
-        spread = [near, near, jnp.where(candidate[3] > 0.5, near, 1e8)][:n]
+        position_variance, velocity_variance = self.sigma_position.value**2, self.sigma_velocity.value**2
+        variances = [position_variance, position_variance, jnp.where(candidate[3] > 0.5, position_variance, 1e8)][:n]
         position, velocity = Vector(*(candidate[k] for k in range(n))), Vector(*[zero] * self.velocities)
-        cov = diagonal([*spread, *[rate] * (self.velocities + self.accelerations)], zero)
+        cov = diagonal([*variances, *[velocity_variance] * (self.velocities + self.accelerations)], zero)
         if self.accelerations:
             return Gaussian(Accelerated(position, velocity, Vector(*[zero] * self.accelerations)), cov)
         return Gaussian(Kinematic(position, velocity), cov)
 
 
 class FixTracker(Tracker):
-    """A tracker of fixes whose estimates are dated back by their latency, and judged by the truth of that time."""
+    """A tracker of fixes whose estimates are evaluated at the time of measurement, earlier by the sensor's latency."""
 
     def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
         latency = self.sensors[FIXES].latency.value  # type: ignore[attr-defined]
 
         def at_valid_time(output: Output, truth: dict[str, tuple[Any, Any]]) -> tuple[Any, ...]:
-            mean = output.mean._replace(position=position_before(output.mean, latency))
-            return score(output._replace(mean=mean, cov=cov_before(output.mean, output.cov, latency)), truth)
+            mean = output.mean._replace(position=shifted_position(output.mean, latency))
+            return score(output._replace(mean=mean, cov=shifted_covariance(output.mean, output.cov, latency)), truth)
 
-        return Tracker.accumulate(self, batch._replace(truth=truth_before(batch, latency)), at_valid_time)
+        return Tracker.accumulate(self, batch._replace(truth=shifted_truth(batch, latency)), at_valid_time)
 
     def at_valid_time(self, times: np.ndarray, estimates: Estimates) -> tuple[np.ndarray, Estimates]:
-        """The times that late fixes speak of, and the position then: p − v·latency with its covariance."""
-        return shifted_back_all(self.sensors[FIXES], times, estimates)
+        """Times less the latency, and the estimates then: position p − v·latency with its covariance."""
+        latency = float(self.sensors[FIXES].latency.value)  # type: ignore[attr-defined]
+        return (times, estimates) if latency == 0 else (times - latency, shifted_back(estimates, latency))
 
 
-def position_before(mean: Any, seconds: Scalar) -> Vector:
-    """Where straight motion had a state `seconds` before; what has no velocity stays."""
+def shifted_position(mean: Any, seconds: Scalar) -> Vector:
+    """The position `seconds` earlier, for straight motion; axes without a velocity are unchanged."""
     moving = list(zip(mean.position, mean.velocity, strict=False))
     return Vector(*(p - v * seconds for p, v in moving), *list(mean.position)[len(moving) :])
 
 
-def cov_before(mean: Any, upper: Sequence[Scalar], seconds: Scalar) -> tuple[Scalar, ...]:
-    """The covariance of a state whose position is that of `position_before`: upper triangles before and after."""
+def shifted_covariance(mean: Any, upper: Sequence[Scalar], seconds: Scalar) -> tuple[Scalar, ...]:
+    """The covariance of a state with `shifted_position`, from the state's own; both as upper triangles."""
     first = len(mean.position)
     rows: list[SparseRow] = [{k: 1.0} for k in range(int((8 * len(upper) + 1) ** 0.5) // 2)]
     for k in range(min(first, len(mean.velocity))):
@@ -182,38 +184,32 @@ def cov_before(mean: Any, upper: Sequence[Scalar], seconds: Scalar) -> tuple[Sca
     return congruence(rows, upper, [{} for _ in rows])
 
 
-def truth_before(batch: Batch, seconds: Scalar) -> dict[str, tuple[Any, Any]]:
-    """The truth of a batch `seconds` before each row, linear between rows and differentiable in `seconds`."""
-    # Padding has no time of its own; that of the last row is to be that row's alone.
+def shifted_truth(batch: Batch, seconds: Scalar) -> dict[str, tuple[Any, Any]]:
+    """The truth `seconds` before each row of a batch, linear between rows and differentiable in `seconds`."""
+    # Padding rows count a second each, so that no other row shares the time of the last valid one.
     times = jnp.cumsum(jnp.where(batch.valid, batch.dt, jnp.ones_like(batch.dt)), axis=0)
 
     def trajectory(times: Any, values: Any, known: Any) -> tuple[Any, Any]:
-        before = times - seconds
-        columns = [jnp.interp(before, times, values[:, k]) for k in range(values.shape[1])]
-        certain = jnp.interp(before, times, known.astype(times.dtype)) > 1 - 1e-6
-        return jnp.stack(columns, axis=1), certain & (before >= times[0]) & (before <= times[-1])
+        earlier = times - seconds
+        columns = [jnp.interp(earlier, times, values[:, k]) for k in range(values.shape[1])]
+        between_known = jnp.interp(earlier, times, known.astype(times.dtype)) > 1 - 1e-6
+        return jnp.stack(columns, axis=1), between_known & (earlier >= times[0]) & (earlier <= times[-1])
 
     trajectories = jax.vmap(trajectory, in_axes=-1, out_axes=-1)
     return {name: trajectories(times, *(jnp.asarray(x) for x in pair)) for name, pair in batch.truth.items()}
 
 
-def shifted_back_all(sensor: Any, times: np.ndarray, estimates: Estimates) -> tuple[np.ndarray, Estimates]:
-    """Times and estimates less the latency of a fix sensor; as they are where it has none."""
-    latency = float(sensor.latency.value)
-    return (times, estimates) if latency == 0 else (times - latency, shifted_back(estimates, latency))
-
-
 def shifted_back(estimates: Estimates, seconds: float) -> Estimates:
-    """The estimates with each position where straight motion had it `seconds` before; velocities stay."""
+    """The estimates with positions `seconds` earlier, for straight motion, and their covariance; same velocities."""
     mean = estimates.mean
     n, first = estimates.dimension, len(mean.position)
-    back = np.eye(n)
+    jacobian = np.eye(n)
     for k in range(min(first, len(mean.velocity))):
-        back[k, first + k] = -seconds
-    cov = back @ estimates.covariance @ back.T
+        jacobian[k, first + k] = -seconds
+    cov = jacobian @ estimates.covariance @ jacobian.T
     upper = np.stack([cov[..., i, j] for i, j in triangle(n)]).astype(estimates.cov_upper.dtype)
     return Estimates(
-        mean._replace(position=position_before(mean, seconds)),
+        mean._replace(position=shifted_position(mean, seconds)),
         upper,
         *(getattr(estimates, k) for k in ("log_likelihood", "nis", "nis_dof", "wrapped", "status")),
     )

@@ -1,7 +1,7 @@
-"""Ranges to anchors: the sensor that trackers with and without an inertial sensor share.
+"""Range sensor, shared by trackers with and without an IMU (Kwon et al. 2021, equations 27–30).
 
-A row has a fixed number of slots, each a range to any anchor; which anchor, and where it stands, are inputs of the
-row. So ranges may come one at a time or together, and recordings of different installations share a tracker.
+A row has a fixed number of slots, each for a range to any anchor. The anchor's number and position are inputs of the
+row, so that ranges may arrive one at a time or together, and recordings of different installations share a tracker.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ RANGES = "ranges"
 class RangeSensor(AbstractSensor):
     """Distances, m, from a tag at `view.position` to the anchors of this row's slots (Kwon et al. 2021, equation 29).
 
-    Inputs: `anchors` (3·slots,) m, the anchor's x, y, z of each slot; `anchor` (slots,), its number; `height` m for a
-    planar state; optionally `levers` (3·slots,) m, where the slot's tag sits on the body, body axes, for a view with
-    an `attitude`. A view with a `bias` (one per anchor, m) has it added.
+    Inputs: `anchors` (3·slots,) m, x, y, z of each slot's anchor; `anchor` (slots,), its number; `height` m for a
+    planar state; optionally `levers` (3·slots,) m, the lever arm of each slot's tag in body axes, for a view with an
+    `attitude`. The predicted range includes the tunable `bias` and, if there is one, `view.bias`, both m per anchor.
 
-    Ranges are too long much more often than too short: Student's t with `dof` degrees of freedom, in two pieces, of
-    scale `sigma_r` m for what is too short and `positive_skew`·`sigma_r` for what is too long. `bias`: m per anchor number.
-    What a device reports of a slot's noise is its variance, m², added to that of `sigma_r`.
+    Residuals follow a two-piece Student's t with `dof` degrees of freedom, of scale `sigma_r` m below zero and
+    `positive_skew`·`sigma_r` above: ranges are too long more often than too short. Reported variances, m², one per
+    slot, add to that of `sigma_r`.
     """
 
     sigma_r: Noise
@@ -41,7 +41,7 @@ class RangeSensor(AbstractSensor):
     slots: int = eqx.field(static=True)
 
     def __init__(self, slots: int, anchors: int, sigma_r: float, positive_skew: float, dof: float, bias: float = 0.0):
-        """`slots`: ranges a row; `anchors`: how many biases there are; `bias`: what each of them is at first."""
+        """`slots`: ranges per row; `anchors`: number of biases; `bias`: their initial value, m."""
         self.slots = slots
         self.sigma_r = Scale(sigma_r, "m")
         self.positive_skew = Scale(positive_skew)
@@ -50,7 +50,7 @@ class RangeSensor(AbstractSensor):
 
     @property
     def channels(self) -> tuple[Channel, ...]:
-        """One range per slot."""
+        """One range per slot, m."""
         return tuple(Channel(f"range_{k + 1}", "m") for k in range(self.slots))
 
     def measure(self, view: Any, inputs: Any) -> list[Scalar]:
@@ -60,17 +60,17 @@ class RangeSensor(AbstractSensor):
             tag = position
             if "levers" in inputs and hasattr(view, "attitude"):
                 lever = Vector.of(inputs["levers"][3 * slot + k] for k in range(3))
-                tag = position + in_room_axes(view.attitude, lever)
+                tag = position + in_world_axes(view.attitude, lever)
             anchor = Vector.of(inputs["anchors"][3 * slot + k] for k in range(3))
             number = inputs["anchor"][slot]
-            bias = of_number(self.bias.value, number)
+            bias = entry_at(self.bias.value, number)
             if hasattr(view, "bias"):
-                bias = bias + of_number(view.bias, number)
+                bias = bias + entry_at(view.bias, number)
             ranges.append((tag - anchor).norm() + bias)
         return ranges
 
     def residual(self, reading: Reading, predicted: Sequence[Scalar]) -> Residual:
-        """Each slot's difference over the scale of its sign; the two pieces of the density meet at its peak."""
+        """Each slot's difference over the scale of its sign; the two halves of the density agree at its peak."""
         positive_skew, dof = self.positive_skew.value, self.dof.value
         variances = reading.reported if len(reading.reported) else [0.0] * self.slots
         whitened, log_scales = [], []
@@ -83,8 +83,8 @@ class RangeSensor(AbstractSensor):
         return Residual(whitened, total(log_scales), nis_dof, dof=dof)
 
 
-def in_room_axes(attitude: Any, vector: Vector) -> Vector:
-    """A body vector in the room's axes, by a `Rotation`, or by a `Heading` about the vertical."""
+def in_world_axes(attitude: Any, vector: Vector) -> Vector:
+    """A vector in body axes, in world axes; `attitude`: a `Rotation`, or a `Heading` about the vertical."""
     if isinstance(attitude, Heading):
         cosine, sine = jnp.cos(attitude.angle), jnp.sin(attitude.angle)
         x, y, z = vector
@@ -93,7 +93,7 @@ def in_room_axes(attitude: Any, vector: Vector) -> Vector:
     return rotated
 
 
-def of_number(values: Any, number: Scalar) -> Scalar:
-    """The entry of `values` with this number, 0 beyond them: a sum of selections, which batches like arithmetic."""
+def entry_at(values: Any, number: Scalar) -> Scalar:
+    """`values[number]`, 0 out of bounds, as a sum of selections: under vmap faster than a gather."""
     count = len(values) if isinstance(values, Vector) else np.shape(values)[0]
     return total(jnp.where(number == k, values[k], 0.0) for k in range(count))

@@ -1,18 +1,18 @@
-"""Singer's motion: an acceleration that fades with a time constant, for what manoeuvres now and then.
+"""Singer's motion model: first-order Gauss–Markov acceleration (Singer 1970), for manoeuvring targets.
 
     x = dt/τ    h = x/2    E = e⁻ˣ    t = tanh h    k = σ√(2x)
 
-The acceleration is first-order Gauss–Markov noise with standard deviation σ. Transition (Singer 1970):
+The acceleration has standard deviation σ and time constant τ. Transition:
 
     a⁺ = E a    v⁺ = v + dt φ₁ a    p⁺ = p + dt v + dt² φ₂ a    φ₁ = (1 − E)/x    φ₂ = (x − 1 + E)/x²
 
-The textbook's noise covariance is a difference of nearly equal numbers for short steps. Its lower Cholesky factor in
-the order a, v, p simplifies, row by row, to
+For short steps the textbook form of the noise covariance subtracts nearly equal numbers. Its lower Cholesky factor in
+the order a, v, p has the rows
 
     a: k √T/(1 + t)        v: k dt (½ T√T/(1 + t), ½ √A)        p: k dt² (¼ D/(√T (1 + t)), ¼ √A, ¼ √B)
     T = t/h    A = (h − t)/h³    B = (1 + h²/3 − h/t)/h⁴    D = (T − 1 + t²)/h²
 
-with all four smooth at h = 0; tests/trackers/parts/test_singer.py holds it against the matrix exponential.
+with T, A, B, D smooth at h = 0; tests/trackers/parts/test_singer.py compares it with the matrix exponential.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from trackers.core.motion import AbstractMotion, Accelerated, Noise
 from trackers.core.tunable import Scale
 
 
-class Fading(NamedTuple):
-    """The smooth functions of h = dt/2τ in the transition and in the noise factor; symbols as in the module's head."""
+class SingerTerms(NamedTuple):
+    """The smooth functions of h = dt/2τ in transition and noise factor; symbols as in the module's docstring."""
 
     E: Scalar
     t: Scalar
@@ -39,10 +39,10 @@ class Fading(NamedTuple):
 
 
 class Singer(AbstractMotion):
-    """Acceleration that is first-order Gauss–Markov noise, exact for any interval (Singer 1970).
+    """First-order Gauss–Markov acceleration, discretised exactly (Singer 1970): two steps equal one long step.
 
-    `sigma_a`: its standard deviation, m/s². `tau`: its time constant, s: short for a random walk of the velocity, long
-    for steady manoeuvres. Two steps in a row are one long step.
+    `sigma_a`: standard deviation of the acceleration, m/s². `tau`: its time constant, s; short makes the velocity a
+    random walk, long suits sustained manoeuvres.
     """
 
     sigma_a: Noise
@@ -62,8 +62,8 @@ class Singer(AbstractMotion):
         n = self.dimensions
         first, second, third = (Vector(*w.parts[k * n : (k + 1) * n]) for k in range(3))
         h = 0.5 * dt / self.tau.value
-        E, t, T, A, B, D = fading(h)
-        # The root of dt stands alone: it has no derivative at zero, and none is taken with respect to dt.
+        E, t, T, A, B, D = singer_terms(h)
+        # sqrt(dt) is a factor of its own: it has no derivative at zero, and none is taken with respect to dt.
         k = self.sigma_a.value * jnp.sqrt(2.0 / self.tau.value) * jnp.sqrt(dt)
         root = jnp.sqrt(T)
         first_kick = first * (k * root / (1.0 + t))
@@ -84,12 +84,12 @@ class Singer(AbstractMotion):
         return state
 
 
-def fading(h: Scalar) -> Fading:
-    """The functions of h that a step takes, each to a few units of rounding for any h ≥ 0, derivatives too."""
+def singer_terms(h: Scalar) -> SingerTerms:
+    """The terms of a step at h ≥ 0; they and their derivatives are accurate to a few units of rounding."""
     short = h < 1.5
-    # Each branch sees only arguments it can bear, so that neither spoils the other's derivative.
+    # Each branch gets arguments within its range, so that no NaN of the other enters the derivative.
     small, large = jnp.where(short, h, 0.0), jnp.where(short, 1.5, h)
-    # Lambert's continued fraction tanh h = h/(1 + h²/(3 + h²/(5 + …))): positive terms only, nothing cancels.
+    # Lambert's continued fraction tanh h = h/(1 + h²/(3 + h²/(5 + …))): all terms are positive, nothing cancels.
     square = small * small
     c5 = 21.0 + square / 23.0
     for odd in range(19, 4, -2):
@@ -105,4 +105,4 @@ def fading(h: Scalar) -> Fading:
     B = (inverse * inverse + 1.0 / 3.0 - inverse / t) * inverse * inverse
     far = T, A, B, (T - 4.0 * E / ((1.0 + E) * (1.0 + E))) * inverse * inverse
     T, A, B, D = (jnp.where(short, a, b) for a, b in zip(near, far, strict=True))
-    return Fading(jnp.exp(-2.0 * h), T * h, T, A, B, D)
+    return SingerTerms(jnp.exp(-2.0 * h), T * h, T, A, B, D)

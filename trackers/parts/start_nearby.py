@@ -1,4 +1,4 @@
-"""The start of position trackers from a place that was found on the host, where recent bearings or ranges meet."""
+"""Start of position trackers from a position computed on the host from recent bearings or ranges."""
 
 from __future__ import annotations
 
@@ -17,7 +17,11 @@ from trackers.core.start import AbstractStart
 
 
 class AbstractNearbyStart(AbstractStart):
-    """From a place found on the host: the row's input `nearby` (4,), m, and 1 where there is one."""
+    """A start at the position in the input `nearby` (4,): x, y, z in m, and 1 where recent measurements determine it.
+
+    `nearby` comes from `recent_points` (trackers/aoa/rays.py) for bearings and from `recent_positions`
+    (trackers/parts/recent_positions.py) for ranges.
+    """
 
     def can_start(self, row: Row) -> Scalar:
         return row.inputs["nearby"][3] > 0.5
@@ -27,9 +31,10 @@ class AbstractNearbyStart(AbstractStart):
 
 
 class NearbyStart(AbstractNearbyStart):
-    """A place found on the host from recent readings: the row's input `nearby` (4,), m, and 1 where there is one.
+    """A start at the position in the input `nearby` (4,), at rest: the prior of a `Kinematic` state.
 
-    `sigma_position` m, `sigma_velocity` m/s: how far off it may be. `velocities`: the number of the state's velocities.
+    `sigma_position` m, `sigma_velocity` m/s: its standard deviations. `planar`: x and y alone. `velocities`: the number
+    of velocities in the state.
     """
 
     sigma_position: Noise

@@ -1,4 +1,4 @@
-"""Walls that a move cannot cross: a floor plan as a potential over moves, for particle filters."""
+"""Floor plan for particle filters: a potential that removes particles whose move crosses a wall."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from trackers.core.particle.resampling import NOTHING
 
 
 class Walls(AbstractPotential):
-    """A floor plan: a particle dies whose straight way between two rows crosses a wall or isn't inside.
+    """A floor plan: weight zero for a straight move that crosses a wall, or starts or ends outside the outline.
 
-    `segments` (n, 4): walls, x1, y1, x2, y2 in m. `outline` (m, 2): the corners of the floor, m, in order, within which
-    a tag is; its edges are walls. A place on a wall counts to the right of it, seen from its first end, and walls that
-    share an end leave no gap. Raises ValueError without either, and for what isn't finite or has no length.
+    `segments` (n, 4): walls, x1, y1, x2, y2 in m. `outline` (m, 2): the floor's corners in order, m; its edges are
+    walls. A position on a wall counts as on its right side, seen from the first end; walls that share an end leave no
+    gap. Raises ValueError if there is neither, and for walls that are not finite or have no length.
     """
 
     segments: Any
@@ -47,20 +47,20 @@ class Walls(AbstractPotential):
         crosses = (_left(first, last, start) != _left(first, last, end)) & (
             _left(start, end, first) != _left(start, end, last)
         )
-        dies = jnp.any(crosses)
+        blocked = jnp.any(crosses)
         if len(self.outline):
-            # The start too: a track's first particles come from a belief that knows no walls.
-            dies = dies | ~self._inside(start) | ~self._inside(end)
-        return jnp.where(dies, NOTHING, 0.0).astype(start[0].dtype)
+            # The start as well: the first particles of a track are drawn from a prior without walls.
+            blocked = blocked | ~self._inside(start) | ~self._inside(end)
+        return jnp.where(blocked, NOTHING, 0.0).astype(start[0].dtype)
 
-    def _inside(self, place: Any) -> Scalar:
-        """Whether the way from a place to the right, for ever, crosses an odd number of the outline's edges."""
+    def _inside(self, position: Any) -> Scalar:
+        """Whether a position lies inside the outline: a ray in +x crosses an odd number of its edges."""
         a, b = self.outline.T, jnp.roll(self.outline, -1, axis=0).T
         rises = b[1] > a[1]
-        passes = ((a[1] > place[1]) != (b[1] > place[1])) & (_left(a, b, place) == rises)
+        passes = ((a[1] > position[1]) != (b[1] > position[1])) & (_left(a, b, position) == rises)
         return jnp.sum(passes.astype(jnp.int32)) % 2 == 1
 
 
 def _left(a: Any, b: Any, p: Any) -> Any:
-    """Whether p lies to the left of the way from a to b."""
+    """Whether p lies to the left of the line from a to b."""
     return (b[0] - a[0]) * (p[1] - a[1]) > (b[1] - a[1]) * (p[0] - a[0])

@@ -10,7 +10,7 @@ from sim.agv import ANCHOR_HEIGHT, simulate_agv
 from sim.fixes import correlated_noise, late
 from sim.tables.agv import simulated_agv
 from tests.in_process import assert_refused, trackwright
-from trackers.baselines.rows import lacks_plane, side_trajectories
+from trackers.baselines.rows import lacks_coplanar_anchors, mirror_trajectories
 from trackers.core.rig import Rig, Tag
 from trackers.mhk.rows import spatial_trajectories
 from trackers.mhk.tracker import STILL
@@ -65,21 +65,21 @@ def test_a_known_height_hides_z_from_planar_trackers_and_stands_for_it_in_mhk(wo
 
 
 def test_trackers_of_mirrored_heights_read_the_distance_from_the_anchors_plane(world):
-    trajectory, plain = next(side_trajectories(world, False)), next(fix_trajectories(world, True))
+    trajectory, plain = next(mirror_trajectories(world, False)), next(fix_trajectories(world, True))
     values = trajectory.recording.readings[FIXES].values
     z = plain.recording.readings[FIXES].values[:, 2]
     np.testing.assert_allclose(values[:, 2], np.abs(z - ANCHOR_HEIGHT))
     np.testing.assert_array_equal(values[:, 3], 0.0)
     np.testing.assert_allclose(trajectory.recording.inputs["plane"], ANCHOR_HEIGHT)
-    np.testing.assert_array_equal(trajectory.recording.inputs["shown"], z)
+    np.testing.assert_array_equal(trajectory.recording.inputs["fix_z"], z)
 
 
 def test_anchors_that_are_few_or_at_several_heights_have_no_plane(world):
     few = dict(list(world.rig.anchors.items())[:2])
     uneven = world.rig.anchors | {"1": np.array([0.0, 0.0, 0.3])}
-    assert lacks_plane(world) is None
-    assert "found 2 anchors" in lacks_plane(_with(world, Rig("few", anchors=few)))
-    assert "2.20 m of height" in lacks_plane(_with(world, Rig("uneven", anchors=uneven)))
+    assert lacks_coplanar_anchors(world) is None
+    assert "found 2 anchors" in lacks_coplanar_anchors(_with(world, Rig("few", anchors=few)))
+    assert "2.20 m of height" in lacks_coplanar_anchors(_with(world, Rig("uneven", anchors=uneven)))
 
 
 def test_fixes_without_any_height_are_refused_and_with_a_known_one_are_not(world):

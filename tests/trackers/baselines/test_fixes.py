@@ -1,4 +1,4 @@
-"""Fixes: the filter is the textbook's, a late fix speaks of where the tag was, and the estimates say of when they are."""
+"""Fixes: the filter against a textbook one, the latency of fixes, and the times of the estimates."""
 
 import equinox as eqx
 import jax
@@ -68,23 +68,23 @@ def circling():
     """A tag on a circle, its fixes 0.4 s late, and the truth at every row."""
     times = np.arange(0, 40, 0.1)
 
-    def place(t):
+    def position(t):
         return np.stack([3 * np.cos(t / 4), 3 * np.sin(t / 4), 1 + 0 * t], axis=1)
 
-    fixes = place(times - 0.4) + 0.03 * np.random.default_rng(1).normal(size=(len(times), 3))
-    truth = {"position": (place(times), times > 2)}
+    fixes = position(times - 0.4) + 0.03 * np.random.default_rng(1).normal(size=(len(times), 3))
+    truth = {"position": (position(times), times > 2)}
     readings = {FIXES: Readings(fixes, np.ones(fixes.shape, bool))}
-    return Recording(times, readings, {"height": np.ones(len(times))}, truth), place
+    return Recording(times, readings, {"height": np.ones(len(times))}, truth), position
 
 
-def _late(latency):
+def _with_latency(latency):
     return eqx.tree_at(lambda t: t.sensors[FIXES].latency, fix_tracker(), FixSensor(0.1, 0.3, None, latency).latency)
 
 
 @pytest.mark.slow
 def test_the_derivative_with_respect_to_the_latency_is_the_finite_difference(circling):
     batch = stack([circling[0]]).rows(slice(0, 60))
-    tracker = as_dtype(_late(0.3), batch.dt.dtype)
+    tracker = as_dtype(_with_latency(0.3), batch.dt.dtype)
     objectives = RootMeanSquareError("position", 2), NegativeLogLikelihood()
 
     def terms(output, truth):
@@ -96,16 +96,16 @@ def test_the_derivative_with_respect_to_the_latency_is_the_finite_difference(cir
         sums = jnp.stack(sums)[:, 0]
         return jnp.stack([objectives[0].value(sums[:2]), objectives[1].value(sums[2:])])
 
-    at, by = jnp.asarray(0.66), 1e-5  # between rows: truth is linear there
+    at, by = jnp.asarray(0.66), 1e-5  # between rows, where truth is linear
     slopes = jax.jit(jax.jacfwd(figures))(at)
     assert np.all(np.abs(slopes) > 1e-3)
     # Rounding 1e-16 / 1e-5 and the third derivative times 1e-10.
     np.testing.assert_allclose(slopes, (figures(at + by) - figures(at - by)) / (2 * by), rtol=1e-6)
 
 
-def test_a_second_sensor_that_is_on_time_shows_the_latency_without_truth(circling):
-    recording, place = circling
-    other = place(recording.times) + 0.05 * np.random.default_rng(2).normal(size=(len(recording), 3))
+def test_a_second_sensor_without_latency_identifies_the_latency_without_truth(circling):
+    recording, position = circling
+    other = position(recording.times) + 0.05 * np.random.default_rng(2).normal(size=(len(recording), 3))
     readings = {**recording.readings, "other": Readings(other, np.ones(other.shape, bool))}
     batch = stack([Recording(recording.times, readings, recording.inputs)])
     sensors = {FIXES: FixSensor(0.03, 0.03), "other": FixSensor(0.05, 0.05)}
@@ -122,22 +122,22 @@ def test_a_second_sensor_that_is_on_time_shows_the_latency_without_truth(circlin
     assert latencies[np.argmin(figures)] == pytest.approx(0.4, abs=0.026)
 
 
-def test_estimates_dated_back_by_the_latency_are_where_the_tag_was_then(circling):
-    recording, place = circling
-    tracker = _late(0.4)
+def test_estimates_at_their_valid_time_are_near_the_true_positions_then(circling):
+    recording, position = circling
+    tracker = _with_latency(0.4)
     estimates = tracker.run(recording)
     times, at_valid_time = tracker.at_valid_time(recording.times, estimates)
     np.testing.assert_allclose(times, recording.times - 0.4)
-    errors = np.stack(list(at_valid_time.mean.position), axis=1)[50:, :2] - place(times)[50:, :2]
-    now = np.stack(list(estimates.mean.position), axis=1)[50:, :2] - place(recording.times)[50:, :2]
+    errors = np.stack(list(at_valid_time.mean.position), axis=1)[50:, :2] - position(times)[50:, :2]
+    now = np.stack(list(estimates.mean.position), axis=1)[50:, :2] - position(recording.times)[50:, :2]
     # Straight motion for 0.4 s at 0.19 m/s² is 1.5 cm off, the fixes 3 cm per axis.
     assert np.sqrt(np.mean(np.sum(errors**2, axis=1))) < 0.04
     assert np.mean(errors**2) < np.mean(now**2)
 
 
-def test_a_position_dated_back_has_the_covariance_of_the_sum_that_it_is(circling):
+def test_a_shifted_position_has_the_covariance_of_the_linear_combination(circling):
     recording, _ = circling
-    tracker = _late(0.4)
+    tracker = _with_latency(0.4)
     estimates = tracker.run(recording)
     J = np.eye(5)
     J[0, 3] = J[1, 4] = -0.4
@@ -146,7 +146,7 @@ def test_a_position_dated_back_has_the_covariance_of_the_sum_that_it_is(circling
     )
 
 
-def test_without_latency_estimates_are_of_the_rows_own_times(circling):
+def test_without_latency_estimates_have_the_times_of_their_rows(circling):
     recording, _ = circling
     tracker = fix_tracker()
     estimates = tracker.run(recording)
@@ -156,13 +156,13 @@ def test_without_latency_estimates_are_of_the_rows_own_times(circling):
 
 
 @pytest.mark.slow
-def test_a_wild_fix_hardly_moves_a_track_with_a_heavy_tail(circling):
+def test_an_outlier_hardly_moves_a_track_with_students_t(circling):
     recording, _ = circling
     values = recording.readings[FIXES].values.copy()
     values[200] += 5.0
-    wild = Recording(recording.times, {FIXES: Readings(values, np.ones(values.shape, bool))}, recording.inputs)
+    outlier = Recording(recording.times, {FIXES: Readings(values, np.ones(values.shape, bool))}, recording.inputs)
     apart = [
-        np.abs(flat(t.run(wild).mean)[200, :2] - flat(t.run(recording).mean)[200, :2]).max()
+        np.abs(flat(t.run(outlier).mean)[200, :2] - flat(t.run(recording).mean)[200, :2]).max()
         for t in (fix_tracker(dof=4.0), fix_tracker(dof=None))
     ]
     assert apart[0] < 0.05
@@ -170,11 +170,11 @@ def test_a_wild_fix_hardly_moves_a_track_with_a_heavy_tail(circling):
 
 
 def test_a_tag_at_a_known_height_is_tracked_over_the_floor(circling):
-    recording, place = circling
+    recording, position = circling
     seen = np.tile([True, True, False], (len(recording), 1))
     flat_world = Recording(recording.times, {FIXES: Readings(recording.readings[FIXES].values, seen)}, recording.inputs)
     for tracker in (fix_tracker(planar=True), singer_tracker(planar=True)):
         estimates = tracker.run(flat_world)
         assert len(estimates.mean.position) == 2
-        errors = np.stack(list(estimates.mean.position), axis=1)[50:] - place(recording.times - 0.4)[50:, :2]
+        errors = np.stack(list(estimates.mean.position), axis=1)[50:] - position(recording.times - 0.4)[50:, :2]
         assert np.sqrt(np.mean(np.sum(errors**2, axis=1))) < 0.05

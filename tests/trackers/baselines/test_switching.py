@@ -1,4 +1,4 @@
-"""Mirrored heights: two branches are the enumeration of both, and a floor tells which one it is."""
+"""Mirrored heights: the IMM of both sides against enumeration, and the floor that resolves the ambiguity."""
 
 from itertools import pairwise, product
 
@@ -11,8 +11,8 @@ from sim.fixes import correlated_noise, mirrored
 from sim.tables.agv import simulated_agv
 from tests.known_start import NEVER_LOST, KnownStart, recording
 from tests.oracles import normal_log_density, van_loan
-from trackers.baselines.rows import side_trajectories
-from trackers.baselines.switching import SideSensor, mirror_tracker
+from trackers.baselines.rows import mirror_trajectories
+from trackers.baselines.switching import MirrorSensor, mirror_tracker
 from trackers.core.algebra import Vector
 from trackers.core.checks import check_sensor
 from trackers.core.imm import InteractingModels
@@ -32,15 +32,15 @@ def _state(x):
 
 def _readings(rows):
     rng = np.random.default_rng(3)
-    # From well under the plane through it to well over it; which side is never said.
+    # From well below the plane to well above it; the measurements do not contain the side.
     off = np.abs(np.linspace(-1.2, 1.0, rows)) * SHRINK + OFFSET + 0.05 * rng.normal(size=rows)
     values = np.stack([0.1 * rng.normal(size=rows), 0.1 * rng.normal(size=rows), off, np.zeros(rows)], axis=1)
     return np.arange(rows) * 0.2, values
 
 
 def _estimates(rate, rows):
-    sensor = SideSensor(SIGMA, SIGMA, OFFSET, SHRINK, None)
-    # The floor so far below that it has no say: what is left is linear, so that enumeration is exact.
+    sensor = MirrorSensor(SIGMA, SIGMA, OFFSET, SHRINK, None)
+    # With the floor far below, the model is linear and enumeration is exact.
     sensor = eqx.tree_at(lambda s: s.floor, sensor, Real(-1000.0, "m"))
     times, values = _readings(rows)
     tracker = FixTracker(
@@ -63,7 +63,7 @@ def _enumerated(rate, rows):
     kept = np.exp(-rate * 0.2)
     weights, means, covs = [], [], []
     for sides in product((-1.0, 1.0), repeat=rows - 1):
-        # Only changes between rows with readings have a probability; the first row's side is even.
+        # Only switches between rows with measurements have a probability; both sides are equally likely at first.
         chain = [0.5] + [0.5 * (1 - kept) + (kept if a == b else 0.0) for a, b in pairwise(sides)]
         m, C, ll = MEAN, COV, np.sum(np.log(np.maximum(chain, 1e-300)))
         for side, z in zip(sides, values[1:], strict=True):
@@ -78,7 +78,7 @@ def _enumerated(rate, rows):
         weights.append(ll)
         means.append(m[2])
         covs.append(C[2, 2])
-    # What the floor's channel adds to every sequence alike.
+    # The contribution of the floor's channel, the same for all sequences.
     floor = (rows - 1) * (-0.5 * np.log(2 * np.pi) - np.log(0.3))
     evidence = np.logaddexp.reduce(weights)
     w = np.exp(np.array(weights) - evidence)
@@ -89,7 +89,7 @@ def _enumerated(rate, rows):
 def test_without_switching_the_mixture_is_the_enumeration_of_both_sides():
     estimates = _estimates(1e-9, 7)
     mean, variance, evidence = _enumerated(1e-9, 7)
-    # Switching at 1e-9 per second is left out by neither; it weighs 1e-9.
+    # Both include switching at 1e-9 per second, a contribution of 1e-9.
     assert estimates.mean.position[2][-1] == pytest.approx(mean, abs=1e-7)
     assert estimates.covariance[-1, 2, 2] == pytest.approx(variance, rel=1e-6)
     assert estimates.log_likelihood.sum() == pytest.approx(evidence, abs=1e-6)
@@ -98,7 +98,7 @@ def test_without_switching_the_mixture_is_the_enumeration_of_both_sides():
 def test_with_switching_the_mixture_is_near_the_enumeration_of_all_128_sequences():
     estimates = _estimates(1.0, 8)
     mean, variance, evidence = _enumerated(1.0, 8)
-    # Moments of merged branches are no exact ones: the method's error, a fraction of the spread it reports.
+    # Moment matching is approximate; its error is a fraction of the reported standard deviation.
     assert abs(estimates.mean.position[2][-1] - mean) < 0.2 * np.sqrt(variance)
     assert estimates.covariance[-1, 2, 2] == pytest.approx(variance, rel=0.3)
     assert estimates.log_likelihood.sum() == pytest.approx(evidence, abs=0.5)
@@ -106,7 +106,7 @@ def test_with_switching_the_mixture_is_near_the_enumeration_of_all_128_sequences
 
 @pytest.mark.parametrize("mode", [0, 1])
 def test_the_sensor_keeps_the_contract_in_both_modes(mode):
-    sensor = SideSensor(0.1, 0.3, OFFSET, SHRINK, 4.0).in_mode(mode)
+    sensor = MirrorSensor(0.1, 0.3, OFFSET, SHRINK, 4.0).in_mode(mode)
     check_sensor(sensor, Kinematic(Vector(1.0, -2.0, 0.5), Vector(0.3, -0.4)), {"plane": np.array(1.5)})
 
 
@@ -120,18 +120,18 @@ def climbing():
     xy = 0.05 * rng.normal(size=(len(times), 2))
     values = np.column_stack([xy, d, np.zeros(len(times))])
     readings = {FIXES: Readings(values, np.ones(values.shape, bool))}
-    inputs = {"plane": np.full(len(times), PLANE), "shown": PLANE - d, "height": np.zeros(len(times))}
+    inputs = {"plane": np.full(len(times), PLANE), "fix_z": PLANE - d, "height": np.zeros(len(times))}
     world = Recording(times, readings, inputs)
     return times, z, mirror_tracker(offset=OFFSET, shrink=SHRINK).run(world)
 
 
-def test_a_height_whose_mirror_image_is_under_the_floor_is_found_above_the_plane(climbing):
+def test_a_height_whose_mirror_image_is_below_the_floor_is_resolved(climbing):
     _, z, estimates = climbing
     high = z > 2 * PLANE + 0.3
     assert np.abs(estimates.mean.position[2] - z)[high].max() < 0.3
 
 
-def test_where_nothing_tells_the_sides_apart_both_lie_inside_the_reported_spread(climbing):
+def test_where_the_side_is_ambiguous_both_lie_within_the_reported_covariance(climbing):
     _, z, estimates = climbing
     middle = (z > PLANE + 0.5) & (z < 2 * PLANE - 0.5)
     spread = estimates.sigmas["position.2"][middle]
@@ -140,18 +140,18 @@ def test_where_nothing_tells_the_sides_apart_both_lie_inside_the_reported_spread
         assert np.all(np.abs(height - side) < 2 * spread + 0.2)
 
 
-def test_a_track_begins_on_the_side_that_its_first_fix_showed(climbing):
+def test_a_track_starts_on_the_side_of_its_first_fix(climbing):
     _, z, estimates = climbing
-    # Metres under the plane, where the mirror image is as good: the first fix alone speaks against it.
+    # Metres below the plane the mirror image fits equally well; only the first fix favours the true side.
     assert np.abs(estimates.mean.position[2] - z)[5:30].max() < 0.6
 
 
 @pytest.mark.slow
-def test_heights_that_flip_for_seconds_do_not_take_a_track_with_them():
+def test_a_track_is_robust_to_heights_mirrored_for_seconds():
     errors = {"mirror": mirrored(2.5, 0.3, 3.0), "noise": correlated_noise(STILL)}
     world = simulate_agv([0, 1, 2], rows=400, height=1.2, errors=errors)
-    assert not (world.fixes[:, 0, 2] > 2.5).any()  # every track begins on its own side
-    trajectories = list(side_trajectories(simulated_agv(world, "flips"), True))
+    assert not (world.fixes[:, 0, 2] > 2.5).any()  # every track starts on the true side
+    trajectories = list(mirror_trajectories(simulated_agv(world, "flips"), True))
     tracker = mirror_tracker(offset=0.0, shrink=1.0, sigma_vertical=0.1, sigma_z=0.3)
     estimates = tracker.run(stack([trajectory.recording for trajectory in trajectories]))
     z = np.stack([estimates[k].mean.position[2] for k in range(3)])[:, 20:]

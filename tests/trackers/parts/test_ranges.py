@@ -1,4 +1,4 @@
-"""The range sensor: its density, its geometry from the rows' inputs, and wild ranges beside good ones."""
+"""The range sensor: its density, its geometry from the inputs of a row, and outliers among good ranges."""
 
 import jax
 import jax.numpy as jnp
@@ -12,11 +12,11 @@ from trackers.core.motion import Kinematic, Placed
 from trackers.core.sensor import Reading
 from trackers.core.state import Heading, Rotation
 from trackers.core.tunable import Real, freeze, replaced
-from trackers.parts.ranges import RangeSensor, in_room_axes
+from trackers.parts.ranges import RangeSensor, in_world_axes
 
 ANCHORS = np.array([[5.0, 0.0, 2.0], [0.0, 6.0, 1.0], [-4.0, -3.0, 2.5], [1.0, -6.0, 2.2], [-5.0, 4.0, 0.5]])
 BIASES = np.array([0.1, -0.05, 0.3, 0.02, 0.2])
-PLACE = np.array([0.4, -0.3, 1.1])
+POSITION = np.array([0.4, -0.3, 1.1])
 
 
 def _inputs(slots):
@@ -30,13 +30,13 @@ def _sensor(slots, positive_skew=2.0):
 
 @pytest.mark.parametrize("reported", [(), (0.02, 0.01)])
 def test_the_range_sensor_keeps_its_contract(reported):
-    check_sensor(_sensor(2), Kinematic(Vector(*PLACE), Vector(1.0, 0.0, 0.0)), _inputs(2), reported)
+    check_sensor(_sensor(2), Kinematic(Vector(*POSITION), Vector(1.0, 0.0, 0.0)), _inputs(2), reported)
 
 
-def test_a_planar_view_is_seen_at_its_known_height():
+def test_a_planar_position_is_completed_by_the_known_height():
     sensor, inputs = freeze(_sensor(2)), _inputs(2)
-    flat = sensor.measure(Placed(Vector(*PLACE[:2])), {**inputs, "height": PLACE[2]})
-    expected = np.linalg.norm(PLACE - ANCHORS[:2], axis=1) + BIASES[:2]
+    flat = sensor.measure(Placed(Vector(*POSITION[:2])), {**inputs, "height": POSITION[2]})
+    expected = np.linalg.norm(POSITION - ANCHORS[:2], axis=1) + BIASES[:2]
     # Rounding of a square root.
     np.testing.assert_allclose(np.array(flat), expected, rtol=1e-14)
 
@@ -44,8 +44,8 @@ def test_a_planar_view_is_seen_at_its_known_height():
 def test_the_bias_follows_the_anchors_number_not_the_slot():
     sensor = freeze(_sensor(2))
     inputs = {"anchors": jnp.asarray(ANCHORS[[3, 1]].ravel()), "anchor": jnp.array([3.0, 1.0])}
-    ranges = sensor.measure(Placed(Vector(*PLACE)), inputs)
-    expected = np.linalg.norm(PLACE - ANCHORS[[3, 1]], axis=1) + BIASES[[3, 1]]
+    ranges = sensor.measure(Placed(Vector(*POSITION)), inputs)
+    expected = np.linalg.norm(POSITION - ANCHORS[[3, 1]], axis=1) + BIASES[[3, 1]]
     np.testing.assert_allclose(np.array(ranges), expected, rtol=1e-14)
 
 
@@ -61,23 +61,25 @@ def test_the_bias_follows_the_anchors_number_not_the_slot():
 def test_a_lever_arm_turns_with_the_body(attitude, rotation):
     lever = Vector(0.3, 0.2, 0.1)
     # Rounding of sines and of π/2 itself.
-    np.testing.assert_allclose(np.array(list(in_room_axes(attitude, lever))), rotation @ np.array([*lever]), atol=1e-15)
+    np.testing.assert_allclose(
+        np.array(list(in_world_axes(attitude, lever))), rotation @ np.array([*lever]), atol=1e-15
+    )
 
     class View:
-        position = Vector(*PLACE)
+        position = Vector(*POSITION)
 
     view = View()
     view.attitude = attitude
     ranges = freeze(_sensor(1)).measure(view, {**_inputs(1), "levers": jnp.array([0.3, 0.2, 0.1])})
-    tag = PLACE + rotation @ np.array([0.3, 0.2, 0.1])
+    tag = POSITION + rotation @ np.array([0.3, 0.2, 0.1])
     np.testing.assert_allclose(float(ranges[0]), np.linalg.norm(tag - ANCHORS[0]) + BIASES[0], rtol=1e-14)
 
 
 def _update(sensor, values):
-    """The place after one reading of all slots, from a belief that is certain to 0.5 m."""
+    """The position after one update with all slots, from a prior with a standard deviation of 0.5 m."""
     slots = sensor.slots
     zero = jnp.zeros(())
-    belief = Gaussian(Placed(Vector(*(jnp.asarray(x) for x in PLACE))), diagonal([0.25] * 3, zero))
+    belief = Gaussian(Placed(Vector(*(jnp.asarray(x) for x in POSITION))), diagonal([0.25] * 3, zero))
     reading = Reading(values, jnp.ones(slots, bool), ())
     after, innovation = ExtendedKalman().update(belief, Still(), freeze(sensor), reading, _inputs(slots))
     return jnp.stack(list(after.mean.position)), innovation.nis
@@ -89,20 +91,20 @@ def updated():
     return jax.jit(lambda values: _update(sensor, values))
 
 
-def test_a_wild_range_is_set_aside_and_the_others_still_count(updated):
-    there = PLACE + np.array([0.2, -0.1, 0.1])
+def test_an_outlier_is_down_weighted_and_the_other_ranges_are_used(updated):
+    there = POSITION + np.array([0.2, -0.1, 0.1])
     good = np.linalg.norm(there - ANCHORS, axis=1) + BIASES
-    wild = good.copy()
-    wild[2] += 40.0
-    clean, spoiled = (np.array(updated(jnp.asarray(v))[0]) for v in (good, wild))
-    # The prior pulls by a tenth of the step, and linearising over 0.25 m at 5 m bends it by less than that.
+    outlier = good.copy()
+    outlier[2] += 40.0
+    clean, spoiled = (np.array(updated(jnp.asarray(v))[0]) for v in (good, outlier))
+    # The prior shortens the step by a tenth; the linearisation error of 0.25 m at a range of 5 m is smaller.
     assert np.linalg.norm(clean - there) < 0.05
     assert np.linalg.norm(spoiled - there) < 0.1
 
 
-def test_a_range_too_short_counts_more_than_one_as_much_too_long(updated):
-    good = np.linalg.norm(PLACE - ANCHORS, axis=1) + BIASES
+def test_a_negative_range_error_has_more_weight_than_a_positive_one(updated):
+    good = np.linalg.norm(POSITION - ANCHORS, axis=1) + BIASES
     shift = np.zeros(5)
     shift[0] = 0.3
-    longer, shorter = (np.linalg.norm(np.array(updated(jnp.asarray(good + s))[0]) - PLACE) for s in (shift, -shift))
+    longer, shorter = (np.linalg.norm(np.array(updated(jnp.asarray(good + s))[0]) - POSITION) for s in (shift, -shift))
     assert shorter > 1.2 * longer

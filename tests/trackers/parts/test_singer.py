@@ -56,7 +56,7 @@ def test_the_noise_has_the_covariance_of_van_loan(exact, dtype, tolerance):
 
 
 @pytest.mark.parametrize(("dtype", "tolerance"), [(jnp.float64, 1e-8), (jnp.float32, 1e-5)])
-def test_even_the_smallest_pivot_of_the_noise_keeps_its_digits(exact, dtype, tolerance):
+def test_the_smallest_pivot_of_the_noise_factor_is_accurate(exact, dtype, tolerance):
     G = np.asarray(_factors(dtype)[1], float)[:, ::-1]
     # A Cholesky factor in the order a, v, p; the pivot of p is 1/36 of its variance, which costs the oracle digits.
     factor = np.linalg.cholesky(exact[1][:, ::-1, ::-1])
@@ -64,7 +64,7 @@ def test_even_the_smallest_pivot_of_the_noise_keeps_its_digits(exact, dtype, tol
     assert np.all(np.triu(G, 1) == 0)
 
 
-def test_a_step_of_no_time_moves_nothing_whatever_the_noise():
+def test_a_step_with_dt_zero_returns_the_state_whatever_the_noise():
     motion, state = Singer(SIGMA, TAU, 2), Accelerated(Vector(1.1, -2.3), Vector(0.7, 1e-9), Vector(-3.3, 5.0))
     for seed in range(5):
         w = Vector.of(np.random.default_rng(seed).normal(size=6) * 1e3)
@@ -72,7 +72,7 @@ def test_a_step_of_no_time_moves_nothing_whatever_the_noise():
         assert jax.tree_util.tree_leaves(moved) == jax.tree_util.tree_leaves(state)
 
 
-# Either side of the 7.5 s at which the branches of `fading` meet, and the ends of what happens.
+# On either side of the 7.5 s at which the branches of `singer_terms` meet, and at both ends of the range.
 @pytest.mark.parametrize("dt", [0.0, 1e-6, 7.4, 7.6, 1e4])
 def test_the_derivative_with_respect_to_the_time_constant_is_the_central_difference(dt):
     x, w = jnp.array([0.3, -1.0, 2.0]), jnp.array([0.5, -1.5, 0.8])
@@ -93,5 +93,5 @@ def test_in_the_limits_it_is_constant_velocity_and_a_gauss_markov_acceleration()
     x, no_noise, dt = jnp.array([0.0, 0.0, 2.0]), jnp.zeros(3), jnp.asarray(3.0)
     np.testing.assert_allclose(_step(steady, x, no_noise, dt), [9.0, 6.0, 2.0], rtol=1e-8)
     np.testing.assert_allclose(_step(quick, x, no_noise, dt), [0.006, 0.002, 0.0], rtol=1e-3, atol=1e-12)
-    # Far longer than the time constant, the acceleration has forgotten all but its standard deviation.
+    # Far longer than the time constant, the acceleration is independent of its initial value.
     assert float(_step(quick, jnp.zeros(3), jnp.array([1.0, 0.0, 0.0]), dt)[2]) == pytest.approx(SIGMA, rel=1e-12)

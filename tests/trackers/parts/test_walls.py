@@ -1,4 +1,4 @@
-"""Walls: which ways cross one, what dies, and what that does to the likelihood."""
+"""Walls: which moves cross one, which particles are removed, and the effect on the likelihood."""
 
 import jax
 import jax.numpy as jnp
@@ -18,9 +18,9 @@ CORNER = [[0.0, -2.0, 0.0, 0.0], [0.0, 0.0, 2.0, 0.0]]
 
 
 def _crosses(walls, start, end):
-    said = Walls(walls).log_weight(Placed(Vector(*map(jnp.asarray, start))), Placed(Vector(*map(jnp.asarray, end))))
-    assert said in (0.0, NOTHING)
-    return bool(said == NOTHING)
+    weight = Walls(walls).log_weight(Placed(Vector(*map(jnp.asarray, start))), Placed(Vector(*map(jnp.asarray, end))))
+    assert weight in (0.0, NOTHING)
+    return bool(weight == NOTHING)
 
 
 @pytest.mark.parametrize(
@@ -38,16 +38,16 @@ def _crosses(walls, start, end):
         ((1.0, -1.0), (-1.0, 1.0), True),
     ],
 )
-def test_a_way_crosses_a_wall_or_passes_beside_it(start, end, crosses):
+def test_a_move_crosses_a_wall_or_passes_beside_it(start, end, crosses):
     assert _crosses(CORNER, start, end) == crosses
 
 
-def test_nothing_gets_through_a_wall_by_resting_on_it():
-    ways = [((-1.0, -1.0), (0.0, -1.0)), ((0.0, -1.0), (1.0, -1.0))]
-    assert sum(_crosses(CORNER, *way) for way in ways) == 1
+def test_a_stop_on_a_wall_is_no_way_through_it():
+    moves = [((-1.0, -1.0), (0.0, -1.0)), ((0.0, -1.0), (1.0, -1.0))]
+    assert sum(_crosses(CORNER, *move) for move in moves) == 1
 
 
-def test_a_closed_room_is_left_by_no_way_however_it_is_drawn():
+def test_no_straight_move_leaves_a_closed_room():
     rng = np.random.default_rng(0)
     corners = np.array([[0, 0], [3, 0.5], [2.5, 2], [1, 2.5], [-0.5, 1]])
     room = np.hstack([corners, np.roll(corners, -1, axis=0)])
@@ -71,12 +71,12 @@ def test_a_closed_room_is_left_by_no_way_however_it_is_drawn():
         ([[0, 0, 1, 1], [2, 1, 2, 1]], "wall 1"),
     ],
 )
-def test_walls_that_are_none_are_refused(segments, word):
+def test_invalid_walls_are_refused(segments, word):
     with pytest.raises(ValueError, match=word):
         Walls(segments)
 
 
-class Place(AbstractSensor):
+class PositionSensor(AbstractSensor):
     @property
     def channels(self):
         return (Channel("x", "m"),)
@@ -88,7 +88,7 @@ class Place(AbstractSensor):
         return independent([reading.values[0] - predicted[0]], [1.0], reading.seen)
 
 
-def test_the_log_likelihood_of_a_row_without_reading_is_that_of_staying_alive():
+def test_the_log_likelihood_of_a_row_without_measurement_is_that_of_crossing_no_wall():
     n, wall = 4096, 0.5
     key = jax.random.key_data(jax.random.key(3))
     belief = Particles(Placed(Vector(jnp.zeros(n), jnp.zeros(n))), jnp.full(n, -np.log(n)), key)
@@ -98,11 +98,11 @@ def test_the_log_likelihood_of_a_row_without_reading_is_that_of_staying_alive():
     @jax.jit
     def row(belief):
         moved = filter.predict(belief, motion, {}, jnp.asarray(1.0))
-        return filter.update(moved, motion, Place(), Reading(jnp.zeros(1), jnp.array([False]), ()), {})
+        return filter.update(moved, motion, PositionSensor(), Reading(jnp.zeros(1), jnp.array([False]), ()), {})
 
-    after, said = row(belief)
+    after, innovation = row(belief)
     # Φ(0.5), with the binomial's four standard errors.
-    assert np.exp(said.log_likelihood) == pytest.approx(0.69146, abs=4 * np.sqrt(0.69 * 0.31 / n))
+    assert np.exp(innovation.log_likelihood) == pytest.approx(0.69146, abs=4 * np.sqrt(0.69 * 0.31 / n))
     assert np.all(after.states.position[0][after.log_weights > 0.5 * NOTHING] <= wall)
     np.testing.assert_allclose(np.exp(after.log_weights).sum(), 1.0, rtol=1e-9)
-    assert said.nis == 0.0
+    assert innovation.nis == 0.0

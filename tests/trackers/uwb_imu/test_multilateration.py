@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from trackers.core.recording import Readings, Recording
-from trackers.parts.multilaterate import inverse, middle_of, multilaterate
+from trackers.parts.multilaterate import inverse, lower_median, multilaterate
 from trackers.parts.ranges import RANGES
 from trackers.uwb_imu.multilateration import multilateration_tracker
 
@@ -106,8 +106,8 @@ def test_the_inverse_is_that_of_linear_algebra(n):
 
 def test_the_median_passes_over_what_does_not_count():
     values, counts = jnp.array([5.0, 1.0, 9.0, 3.0]), jnp.array([1.0, 1.0, 0.0, 1.0])
-    assert float(middle_of(values, counts)) == 3.0
-    assert float(middle_of(values, counts * 0.0)) == 0.0
+    assert float(lower_median(values, counts)) == 3.0
+    assert float(lower_median(values, counts * 0.0)) == 0.0
 
 
 def test_the_tracker_waits_for_rows_with_enough_ranges_and_reports_its_spread():

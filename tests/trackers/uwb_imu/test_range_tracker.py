@@ -9,7 +9,7 @@ from tests.oracles import van_loan
 from trackers.core.algebra import Vector
 from trackers.core.checks import check_motion
 from trackers.core.recording import Readings, Recording, stack
-from trackers.parts.range_places import recent_places
+from trackers.parts.recent_positions import recent_positions
 from trackers.parts.ranges import RANGES
 from trackers.uwb_imu.drifting import DriftingBiases, Ranged, damped
 from trackers.uwb_imu.fusion import range_tracker
@@ -80,7 +80,7 @@ def _rows(rng, count=600, wild=0.0, sigma=0.02, biases=None, still=False):
 @pytest.mark.parametrize("height", [HEIGHT, None])
 def test_recent_places_are_the_tags_place_where_three_or_four_anchors_were_heard(height):
     times, numbers, ranges, places = _rows(np.random.default_rng(0), sigma=0.0, still=True)
-    found = recent_places(times, ANCHORS, numbers, ranges, np.ones(len(times), bool), height)
+    found = recent_positions(times, ANCHORS, numbers, ranges, np.ones(len(times), bool), height)
     least = 3 if height is not None else 4
     assert not found[: least - 1, 3].any()
     assert found[least - 1 :, 3].all()
@@ -91,7 +91,7 @@ def test_recent_places_are_the_tags_place_where_three_or_four_anchors_were_heard
 def test_a_wild_range_of_kilometres_moves_no_recent_place():
     times, numbers, ranges, places = _rows(np.random.default_rng(1), still=True)
     ranges[200], ranges[203] = 9000.0, 0.01
-    found = recent_places(times, ANCHORS, numbers, ranges, np.ones(len(times), bool), None)
+    found = recent_positions(times, ANCHORS, numbers, ranges, np.ones(len(times), bool), None)
     # 2 cm of noise, five anchors round the tag; the median of an anchor's latest five passes the wild one over.
     assert np.abs(found[195:230, :2] - places[195:230, :2]).max() < 0.08
 
@@ -100,11 +100,11 @@ def test_anchors_on_one_line_determine_no_place():
     line = np.array([[0.0, 0.0, 2.0], [1.0, 0.0, 2.0], [2.0, 0.0, 2.0], [4.0, 0.0, 2.0]])
     times, numbers = np.arange(40) * 0.02, np.arange(40) % 4
     ranges = np.linalg.norm(np.array([1.5, 0.02, HEIGHT]) - line[numbers], axis=1)
-    assert not recent_places(times, line, numbers, ranges, np.ones(40, bool), HEIGHT)[:, 3].any()
+    assert not recent_positions(times, line, numbers, ranges, np.ones(40, bool), HEIGHT)[:, 3].any()
 
 
 def _recording(times, numbers, ranges, height):
-    nearby = recent_places(times, ANCHORS, numbers, ranges, np.ones(len(times), bool), height)
+    nearby = recent_positions(times, ANCHORS, numbers, ranges, np.ones(len(times), bool), height)
     inputs = {
         "anchors": ANCHORS[numbers],
         "anchor": numbers[:, None].astype(float),
