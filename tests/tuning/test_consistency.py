@@ -210,5 +210,8 @@ def test_an_objective_sees_a_late_fix_with_the_covariance_that_is_reported_of_it
     output, _, _ = _output(rng, mean, 5)
     estimates = Estimates(mean, np.stack(output.cov), *(np.asarray(x) for x in output[2:]))
     np.testing.assert_allclose(
-        np.stack(shifted_covariance(mean, output.cov, 0.7)), shifted_back(estimates, 0.7).cov_upper, rtol=1e-12, atol=1e-12
+        np.stack(shifted_covariance(mean, output.cov, 0.7)),
+        shifted_back(estimates, 0.7).cov_upper,
+        rtol=1e-12,
+        atol=1e-12,
     )
