@@ -34,7 +34,7 @@ def test_a_motion_and_a_sensor_of_ones_own_take_under_30_lines_together():
 def test_the_extended_tracker_follows_its_walk(extended):
     estimates, true = extended["estimates"], extended["walks"][0].truth["position"][0]
     error = np.linalg.norm(np.stack(list(estimates.mean.position), axis=-1) - true, axis=-1)
-    assert estimates.verdict() == "ok"
+    assert estimates.summary() == "ok"
     # A single range has 0.3 m of noise; a filter over about 2.7 ranges a row stays well below it.
     assert np.sqrt(np.mean(error[10:] ** 2)) < 0.3
 
@@ -50,7 +50,7 @@ def test_the_python_example_of_the_readme_runs_and_finds_the_simulated_phase_noi
     names = {"__name__": "readme"}
     for block in _blocks("README.md"):
         exec(compile(block, "README.md", "exec", dont_inherit=True), names)
-    assert names["estimates"].verdict() == "ok"
+    assert names["estimates"].summary() == "ok"
     # 64 tags x 100 rows x 7 numbers: one part in 300 of statistics, and a few percent because the wave isn't plane.
     assert abs(float(names["tuned"].sensors["phases"].sigma_p.value) / 0.3 - 1) < 0.05
 

@@ -16,9 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.core.chunks import as_dtype
-from trackers.core.particle.filter import ParticleFilter, Particles, weighed
-from trackers.core.particle.resampling import NOTHING
-from trackers.core.particle.score import normal_density
+from trackers.core.particle.filter import ParticleFilter, Particles, particle_residuals
+from trackers.core.particle.resampling import LOG_ZERO
+from trackers.core.particle.score import normal_log_density
 from trackers.core.particle.transition import check_transition_density, transition_log_density
 from trackers.core.recording import Batch, Row
 from trackers.core.scan import initial_carry
@@ -90,7 +90,7 @@ def _of_trajectory(model: Any, vector: Any, trajectory: Batch) -> tuple[Any, Any
         belief = initial_carry(tracker, candidate, row).belief
 
         def density(v: Any) -> Any:
-            return normal_density(model(v).start.belief(candidate, row), belief.states)
+            return normal_log_density(model(v).start.belief(candidate, row), belief.states)
 
         return Carried(belief, jax.jacfwd(density)(vector).T, row.valid & tracker.start.can_start(row), 0.0 * row.dt)
 
@@ -132,7 +132,9 @@ def _row(model: Any, vector: Any, carried: Carried, row: Row) -> Carried:
 
         def densities(v: Any, name: str = name, reading: Any = reading) -> Any:
             placed: Tracker = model(v)
-            return weighed(moved.states, placed.motion, placed.sensors[name], reading, row.inputs).log_density
+            return particle_residuals(
+                moved.states, placed.motion, placed.sensors[name], reading, row.inputs
+            ).log_density
 
         owed = owed + jax.jacfwd(densities)(vector).T
         belief, said = tracker.filter.update(belief, tracker.motion, tracker.sensors[name], reading, row.inputs)
@@ -150,7 +152,7 @@ def _pairs(tracker: Tracker, before: Any, after: Any, row: Row) -> Any:
             moved = moved + potential.log_weight(motion.view(old), motion.view(new))
         leaves = zip(jax.tree_util.tree_leaves(old), jax.tree_util.tree_leaves(new), strict=True)
         same = jnp.all(jnp.stack([jnp.all(a == b) for a, b in leaves]))
-        return jnp.where(row.dt > 0, moved, jnp.where(same, 0.0, NOTHING))
+        return jnp.where(row.dt > 0, moved, jnp.where(same, 0.0, LOG_ZERO))
 
     return jax.vmap(lambda new: jax.vmap(lambda old: density(old, new), in_axes=-1)(before), in_axes=-1)(after)
 

@@ -123,7 +123,7 @@ def _track(
         padded = rounded(max(len(trajectory.recording) for trajectory in batch.trajectories))
         stacked = stack([trajectory.recording for trajectory in batch.trajectories], rows=padded)
         # Padded to whole chunks, so that the bits depend neither on the number of trajectories nor of devices.
-        whole = stacked.trajectories(0, chunk * -(-stacked.size // chunk))
+        whole = stacked.columns(0, chunk * -(-stacked.size // chunk))
         began = time.perf_counter()
         found = batch.tracker.run(whole, chunk)
         seconds += time.perf_counter() - began

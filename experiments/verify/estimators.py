@@ -13,7 +13,7 @@ from trackers.core.ekf import Gaussian
 from trackers.core.motion import AbstractMotion
 from trackers.core.particle.filter import ParticleFilter, Particles
 from trackers.core.particle.random import draws
-from trackers.core.particle.resampling import NOTHING
+from trackers.core.particle.resampling import LOG_ZERO
 from trackers.core.state import State, dimension, retract
 
 
@@ -44,7 +44,7 @@ class Reparameterised(ParticleFilter):
         if self.potential is not None:
             moves = jax.vmap(motion.view, in_axes=-1, out_axes=-1)
             said = jax.vmap(self.potential.log_weight, in_axes=-1, out_axes=-1)(moves(states), moves(moved))
-            log_weights = jnp.maximum(log_weights + said, NOTHING)
+            log_weights = jnp.maximum(log_weights + said, LOG_ZERO)
         return Particles(moved, log_weights, key)
 
     def init(self, belief: Gaussian, key: Any) -> Particles:
@@ -62,7 +62,7 @@ class Reparameterised(ParticleFilter):
 
     def even(self, ancestors: Any) -> Any:
         """The same without derivative; a copy of a particle of weight zero has none."""
-        return jnp.where(ancestors > 0.5 * NOTHING, jnp.full_like(ancestors, -math.log(self.n_particles)), NOTHING)
+        return jnp.where(ancestors > 0.5 * LOG_ZERO, jnp.full_like(ancestors, -math.log(self.n_particles)), LOG_ZERO)
 
 
 class Naive(Reparameterised):

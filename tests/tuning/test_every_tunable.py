@@ -65,7 +65,7 @@ WORLDS = {
 """By tracker the world whose recordings it reads, and how many rows are enough."""
 
 IDLE = {
-    "line-grid": ("start.sigma_speed", "filter.report.sigma_line"),
+    "line-grid": ("start.sigma_speed", "filter.output_map.sigma_line"),
     "fix-mirror": ("*.floor",),
     "mhk": ("*.reported_std_scale",),
     "mhk-stamped": ("*.reported_std_scale",),

@@ -7,7 +7,7 @@ absent entries and structural ones the Python float 1.0: both vanish while the c
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, TypeVar
 
 import jax
@@ -225,6 +225,14 @@ def cholesky(
             rest = upper[j, i] - total(L[i, k] * L[j, k] for k in before)
             L[i, j] = jnp.where(positive, rest / root, 0.0)
     return L
+
+
+def solve_lower(L: Mapping[tuple[int, int], Scalar], values: Sequence[Scalar]) -> list[Scalar]:
+    """L⁻¹x by forward substitution, with x = `values`; a zero on the diagonal gives a zero component."""
+    solution: list[Scalar] = []
+    for i, x in enumerate(values):
+        solution.append((x - total(L[i, j] * solution[j] for j in range(i))) * inverse_or_zero(L[i, i]))
+    return solution
 
 
 def inverse_or_zero(x: Scalar) -> Scalar:

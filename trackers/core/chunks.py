@@ -43,7 +43,7 @@ def chunks(batch: Batch, chunk: int) -> Iterator[Batch]:
     # A small batch gets a small chunk, a power of two so that few shapes are ever compiled.
     chunk = min(chunk, 1 << (batch.size - 1).bit_length())
     for k, start in enumerate(range(0, batch.size, chunk)):
-        yield jax.device_put(batch.trajectories(start, start + chunk), devices[k % len(devices)])
+        yield jax.device_put(batch.columns(start, start + chunk), devices[k % len(devices)])
 
 
 def n_workers() -> int:

@@ -146,7 +146,7 @@ class Estimates:
             | {"status": [STATUS_WORDS[Status(s)] for s in self.status[keep]]}
         )
 
-    def verdict(self) -> str:
+    def summary(self) -> str:
         """One sentence on a single trajectory: ok, lost and re-started, non-finite at row k, or too little data."""
         status = self.status[self.status != Status.PADDING]
         if np.all(status == Status.WAITING):

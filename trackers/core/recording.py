@@ -122,7 +122,7 @@ class Batch(NamedTuple):
         """Some of the rows of all trajectories."""
         return jax.tree_util.tree_map(lambda x: x[part], self)._replace(key=self.key)
 
-    def trajectories(self, start: int, stop: int) -> Batch:
+    def columns(self, start: int, stop: int) -> Batch:
         """The trajectories start … stop − 1, filled up with invalid ones where the batch ends before."""
 
         def cut(x: Any) -> Any:

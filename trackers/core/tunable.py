@@ -26,6 +26,7 @@ RENAMED = {
     "stretch": "positive_skew",
     "trust": "reported_std_scale",
     "tail": "dof",
+    "report.sigma_line": "output_map.sigma_line",
     "filter.odds": "filter.mode_prior",
     "filter.rate": "filter.switching_rate",
 }

@@ -16,7 +16,7 @@ from jax.scipy.special import ndtr
 from trackers.core.algebra import Scalar, compute_once, total
 from trackers.core.ekf import Gaussian, Innovation
 from trackers.core.motion import AbstractMotion
-from trackers.core.particle.filter import normalised_square, weighed, weighted_moments
+from trackers.core.particle.filter import particle_residuals, weighted_moments, weighted_nis
 from trackers.core.polyline import Polyline
 from trackers.core.sensor import AbstractSensor, Reading
 from trackers.core.state import State
@@ -43,7 +43,7 @@ class GridFilter(eqx.Module):
     variance are right however small the change. Sensors read the position. Nothing is faster than `fastest`.
     """
 
-    report: OnFloor
+    output_map: OnFloor
     cells: int = eqx.field(static=True)
     speeds: int = eqx.field(static=True)
     fastest: float = eqx.field(static=True)
@@ -51,7 +51,7 @@ class GridFilter(eqx.Module):
     @property
     def line(self) -> Polyline:
         """The path."""
-        return self.report.line
+        return self.output_map.line
 
     @property
     def has_particle_axis(self) -> bool:
@@ -92,14 +92,14 @@ class GridFilter(eqx.Module):
     ) -> tuple[Discrete, Innovation]:
         """The belief after one reading, and what the reading said."""
         along, _ = self._axes(belief.resting.dtype)
-        seen = weighed(OnLine(along, jnp.zeros_like(along)), motion, sensor, reading, inputs)
+        seen = particle_residuals(OnLine(along, jnp.zeros_like(along)), motion, sensor, reading, inputs)
         densities = seen.log_density
         places = jnp.sum(belief.travelling, axis=1) + belief.resting
         top = jnp.max(densities)
         factor = jnp.exp(densities - top)
         likelihood = jnp.sum(places * factor)
         factor = factor / likelihood
-        nis = normalised_square(seen.whitened, places, seen.dof)
+        nis = weighted_nis(seen.whitened, places, seen.dof)
         wrapped = jnp.zeros_like(nis) if seen.wrapped is None else jnp.sum(places * seen.wrapped)
         innovation = Innovation(jnp.log(likelihood) + top, nis, seen.nis_dof, wrapped)
         return compute_once(Discrete(belief.travelling * factor[:, None], belief.resting * factor)), innovation
@@ -113,7 +113,7 @@ class GridFilter(eqx.Module):
             jnp.concatenate([jnp.tile(fast, self.cells), still]),
         )
         weights = jnp.concatenate([belief.travelling.reshape(-1), belief.resting])
-        return weighted_moments(states, weights, self.report)
+        return weighted_moments(states, weights, self.output_map)
 
     def _around(self, cells: Any, mean: Scalar, sigma: Scalar) -> Any:
         """The probabilities of a normal number in the cells of a closed path, rounds of which are the same."""

@@ -103,7 +103,7 @@ def line_tracker(
     motion: LineMotion | HaltingMotion, sensors: Mapping[str, AbstractSensor], n_particles: int = 1000
 ) -> Tracker:
     """Arclength and speed along a known path by particles, shown as place and velocity on the floor (thesis, 2.2)."""
-    return Tracker(motion, sensors, _start(motion), ParticleFilter(n_particles, report=_report(motion)), PATIENT)
+    return Tracker(motion, sensors, _start(motion), ParticleFilter(n_particles, output_map=_report(motion)), PATIENT)
 
 
 def line_grid_tracker(

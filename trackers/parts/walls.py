@@ -9,7 +9,7 @@ import numpy as np
 
 from trackers.core.algebra import Scalar
 from trackers.core.particle.potential import AbstractPotential
-from trackers.core.particle.resampling import NOTHING
+from trackers.core.particle.resampling import LOG_ZERO
 
 
 class Walls(AbstractPotential):
@@ -51,7 +51,7 @@ class Walls(AbstractPotential):
         if len(self.outline):
             # The start as well: the first particles of a track are drawn from a prior without walls.
             blocked = blocked | ~self._inside(start) | ~self._inside(end)
-        return jnp.where(blocked, NOTHING, 0.0).astype(start[0].dtype)
+        return jnp.where(blocked, LOG_ZERO, 0.0).astype(start[0].dtype)
 
     def _inside(self, position: Any) -> Scalar:
         """Whether a position lies inside the outline: a ray in +x crosses an odd number of its edges."""

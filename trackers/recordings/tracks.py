@@ -68,7 +68,7 @@ def track(groups: Sequence[TrackerBatch], advance: Callable[[int], None] = lambd
             estimates = group.tracker.run(batch)
             for k, trajectory in enumerate(trajectories):
                 one = estimates[k]
-                summary = re.split(r":| \d+ times| at row \d+", one.verdict())[0]
+                summary = re.split(r":| \d+ times| at row \d+", one.summary())[0]
                 summaries[summary] = summaries.get(summary, 0) + 1
                 tables.append(_table(trajectory, group.tracker, one))
             advance(len(trajectories))

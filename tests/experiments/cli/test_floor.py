@@ -8,7 +8,7 @@ from tests.in_process import assert_refused, trackwright
 from trackers.core.algebra import Vector
 from trackers.core.errors import UnusableInput
 from trackers.core.motion import Placed
-from trackers.core.particle.resampling import NOTHING
+from trackers.core.particle.resampling import LOG_ZERO
 from trackers.core.rig import Rig
 from trackers.parts.walls import Walls
 from trackers.recordings.folder import RecordingFolder, read_recording, write_recording
@@ -138,7 +138,7 @@ def test_a_wall_without_length_is_refused_in_one_line(tmp_path):
 def test_what_begins_outside_the_outline_dies_at_its_first_move():
     walls = Walls(outline=OUTLINE)
     outside, inside = Placed(Vector(*np.array([-1.0, 0.7]))), Placed(Vector(*np.array([1.0, 0.7])))
-    assert walls.log_weight(outside, outside) == NOTHING
+    assert walls.log_weight(outside, outside) == LOG_ZERO
     assert walls.log_weight(inside, inside) == 0
     # Across the inner corner: both ends are inside, the way is not.
-    assert walls.log_weight(Placed(Vector(*np.array([9.0, 1.0]))), Placed(Vector(*np.array([11.0, 6.0])))) == NOTHING
+    assert walls.log_weight(Placed(Vector(*np.array([9.0, 1.0]))), Placed(Vector(*np.array([11.0, 6.0])))) == LOG_ZERO

@@ -81,7 +81,7 @@ def test_after_a_jump_the_track_is_lost_started_again_and_recovers(estimates):
     # Two or three rows of a running mean over eight are enough to pass the limit of six.
     assert JUMP_ROW <= restarts[0] <= JUMP_ROW + 4
     assert _error(estimates, JUMP)[restarts[-1] + 5 :].max() < 2
-    assert estimates[JUMP].verdict().startswith("lost and re-started")
+    assert estimates[JUMP].summary().startswith("lost and re-started")
 
 
 def test_a_long_silence_loses_the_track_and_the_next_reading_starts_it_again(estimates):
@@ -103,7 +103,7 @@ def test_a_short_silence_widens_the_covariance_and_is_survived(estimates):
 
 def test_a_recording_without_a_reading_never_starts_and_says_so(estimates):
     assert np.all(estimates[EMPTY].status == Status.WAITING)
-    assert estimates[EMPTY].verdict() == "too little data: no row could start the tracker"
+    assert estimates[EMPTY].summary() == "too little data: no row could start the tracker"
     assert not estimates[EMPTY].usable.any()
 
 

@@ -90,7 +90,7 @@ def _with_status(*status):
 
 
 @pytest.mark.parametrize(
-    ("status", "verdict"),
+    ("status", "summary"),
     [
         ((Status.WAITING, Status.OK, Status.OK, Status.PADDING), "ok"),
         ((Status.WAITING, Status.WAITING, Status.PADDING), "too little data: no row could start the tracker"),
@@ -99,8 +99,8 @@ def _with_status(*status):
         ((Status.OK, Status.OK, Status.NON_FINITE, Status.LOST), "non-finite at row 2"),
     ],
 )
-def test_the_verdict_is_one_sentence(status, verdict):
-    assert _with_status(*status).verdict() == verdict
+def test_the_summary_is_one_sentence(status, summary):
+    assert _with_status(*status).summary() == summary
 
 
 def test_usable_rows_are_those_with_an_estimate():

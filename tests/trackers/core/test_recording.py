@@ -97,7 +97,7 @@ def test_time_steps_keep_their_digits_in_single_precision_far_from_zero():
 
 def test_the_trajectories_of_a_batch_are_filled_up_with_invalid_ones():
     batch = stack([_recording(name=str(k), values=np.full((3, 2), k)) for k in range(3)])
-    part = batch.trajectories(2, 6)
+    part = batch.columns(2, 6)
     assert part.size == 4
     np.testing.assert_array_equal(part.valid[0], [True, False, False, False])
     assert part.readings["north"].values[0, 0].tolist() == [2, 0, 0, 0]

@@ -45,7 +45,7 @@ def _run(kind, line, filter, first):
 def _filter(kind, line):
     report = OnFloor(line, Scale(1e-3, "m"))
     if kind == "particles":
-        return ParticleFilter(500, report=report)
+        return ParticleFilter(500, output_map=report)
     return GridFilter(report, round(line.length / 0.02) + (0 if line.closed else 1), 41, 1.6)
 
 

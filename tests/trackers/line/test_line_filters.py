@@ -61,7 +61,7 @@ class Pair:
     def __init__(self, kind):
         self.kind = kind
         self.grid = _tracker(kind, GRID).run(_trajectories(kind, 1)[0])
-        self.particles = _tracker(kind, ParticleFilter(1000, report=REPORT)).run(stack(_trajectories(kind, KEYS)))
+        self.particles = _tracker(kind, ParticleFilter(1000, output_map=REPORT)).run(stack(_trajectories(kind, KEYS)))
 
 
 @pytest.fixture(scope="module", params=[pytest.param("plain", marks=pytest.mark.slow), "halting"])

@@ -8,7 +8,7 @@ import pytest
 from trackers.core.algebra import Vector
 from trackers.core.motion import ConstantPosition, Placed
 from trackers.core.particle.filter import ParticleFilter, Particles
-from trackers.core.particle.resampling import NOTHING
+from trackers.core.particle.resampling import LOG_ZERO
 from trackers.core.sensor import AbstractSensor, Channel, Reading, independent
 from trackers.core.tunable import Constant
 from trackers.parts.walls import Walls
@@ -19,8 +19,8 @@ CORNER = [[0.0, -2.0, 0.0, 0.0], [0.0, 0.0, 2.0, 0.0]]
 
 def _crosses(walls, start, end):
     weight = Walls(walls).log_weight(Placed(Vector(*map(jnp.asarray, start))), Placed(Vector(*map(jnp.asarray, end))))
-    assert weight in (0.0, NOTHING)
-    return bool(weight == NOTHING)
+    assert weight in (0.0, LOG_ZERO)
+    return bool(weight == LOG_ZERO)
 
 
 @pytest.mark.parametrize(
@@ -58,7 +58,7 @@ def test_no_straight_move_leaves_a_closed_room():
     outside[:5] = inside[:5] + 9 * (corners - inside[:5])
     walls = Walls(room)
     each = jax.vmap(lambda a, b: walls.log_weight(Placed(Vector(a[0], a[1])), Placed(Vector(b[0], b[1]))))
-    assert np.all(each(jnp.asarray(inside), jnp.asarray(outside)) == NOTHING)
+    assert np.all(each(jnp.asarray(inside), jnp.asarray(outside)) == LOG_ZERO)
     assert np.all(each(jnp.asarray(inside), jnp.asarray(np.roll(inside, 1, axis=0))) == 0)
 
 
@@ -103,6 +103,6 @@ def test_the_log_likelihood_of_a_row_without_measurement_is_that_of_crossing_no_
     after, innovation = row(belief)
     # Φ(0.5), with the binomial's four standard errors.
     assert np.exp(innovation.log_likelihood) == pytest.approx(0.69146, abs=4 * np.sqrt(0.69 * 0.31 / n))
-    assert np.all(after.states.position[0][after.log_weights > 0.5 * NOTHING] <= wall)
+    assert np.all(after.states.position[0][after.log_weights > 0.5 * LOG_ZERO] <= wall)
     np.testing.assert_allclose(np.exp(after.log_weights).sum(), 1.0, rtol=1e-9)
     assert innovation.nis == 0.0

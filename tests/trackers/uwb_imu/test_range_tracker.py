@@ -150,7 +150,7 @@ def test_biases_are_told_apart_from_motion(runs):
 
 def test_a_silence_of_a_minute_ends_the_track_and_starts_another(runs):
     errors, estimates = runs["clean"]
-    assert estimates.verdict() == "lost and re-started 1 times"
+    assert estimates.summary() == "lost and re-started 1 times"
     assert np.sqrt(np.mean(errors[450:] ** 2)) < 0.06
 
 
@@ -159,7 +159,7 @@ def test_more_anchors_than_own_biases_leave_a_state_without_them():
     times, numbers, ranges, _ = _rows(np.random.default_rng(3), count=60)
     estimates = tracker.run(_recording(times, numbers, ranges, HEIGHT))
     assert estimates.dimension == 4
-    assert estimates.verdict() == "ok"
+    assert estimates.summary() == "ok"
 
 
 def test_the_spread_is_right_where_the_world_is_the_model():

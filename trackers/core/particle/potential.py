@@ -1,4 +1,4 @@
-"""What a move is worth by itself: factors of the particles' weights, as walls that no tag crosses."""
+"""Potentials: log-weights of moves, without any measurement, as walls that no tag crosses."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from trackers.core.algebra import Scalar
 
 
 class AbstractPotential(eqx.Module):
-    """What a move says by itself, without any reading: a factor of the weight of the particle that made it."""
+    """A factor of a particle's weight that depends on its last move alone."""
 
     @abstractmethod
     def log_weight(self, before: Any, after: Any) -> Scalar:
-        """The factor's logarithm, from what the motion shows of the states before and after: 0 for a usual move.
+        """The log of the factor, from `motion.view` of the states before and after the move.
 
-        NOTHING (`trackers/core/particle/resampling.py`) for one that is impossible.
+        0 for an ordinary move, `LOG_ZERO` (`trackers/core/particle/resampling.py`) for an impossible one.
         """

@@ -1,6 +1,6 @@
-"""Random numbers by the thousand from one raw key: Threefry-2x32 of 20 rounds (Salmon et al. 2011), written out.
+"""Random numbers for particles: Threefry-2x32 with 20 rounds (Salmon et al. 2011), unrolled.
 
-It is what `jax.random` uses, but there in a loop that passes memory five times; written out, XLA makes one pass of it.
+`jax.random` has the same generator in a loop that passes memory five times; XLA fuses the unrolled form into one pass.
 """
 
 from __future__ import annotations
@@ -20,12 +20,13 @@ PARITY = np.uint32(0x1BD11BDA)
 
 
 def draws(key: Any, rows: int, count: int, dtype: Any) -> tuple[Any, Scalar, list[Any]]:
-    """The next key (2,), a uniform number in [0, 1), and `rows` times `count` normal numbers, from a raw key (2,).
+    """The next key (2,), a uniform number in [0, 1), and `rows` arrays of `count` standard normal numbers.
 
-    A normal number takes 16 random bits: one of the middles of 65,536 equally likely intervals, none beyond 4.3.
+    `key`: raw, (2,) uint32. A normal number has 16 random bits: the median of one of 65,536 equally likely intervals,
+    so that none exceeds 4.3.
     """
     spare = words(key, 0, 2)
-    table = jnp.asarray(_middles(), dtype)
+    table = jnp.asarray(_quantiles(), dtype)
     normals = []
     for row in range(rows):
         both = words(key, row + 1, -(-count // 4)).reshape(-1)
@@ -35,9 +36,9 @@ def draws(key: Any, rows: int, count: int, dtype: Any) -> tuple[Any, Scalar, lis
 
 
 def words(key: Any, stream: int, count: int) -> Any:
-    """Random words (2, count) under a raw key: the first and second words of a stream's first `count` counters.
+    """Random words (2, count), uint32: both words of the first `count` counters of a stream under a raw key.
 
-    Both are made for either, and one is taken: with two results XLA makes a pass over memory of every round.
+    Each entry computes both words and selects one: with two results XLA makes a pass over memory of every round.
     """
     shape = (2, count)
     x, y = threefry(key, jax.lax.broadcasted_iota(jnp.uint32, shape, 1), jnp.full(shape, stream, jnp.uint32))
@@ -45,16 +46,16 @@ def words(key: Any, stream: int, count: int) -> Any:
 
 
 @lru_cache(maxsize=1)
-def _middles() -> np.ndarray:
-    """The quantiles of the normal distribution at the middles of 65,536 intervals, scaled to variance 1."""
-    quantile = NormalDist().inv_cdf
-    upper = np.array([quantile((k + 0.5) / 65536) for k in range(32768, 65536)])
-    middles = np.concatenate([-upper[::-1], upper])
-    return middles / np.sqrt(np.mean(middles**2))
+def _quantiles() -> np.ndarray:
+    """The normal quantiles at the midpoints of 65,536 equal probability intervals, scaled to variance 1."""
+    inverse_cdf = NormalDist().inv_cdf
+    upper = np.array([inverse_cdf((k + 0.5) / 65536) for k in range(32768, 65536)])
+    quantiles = np.concatenate([-upper[::-1], upper])
+    return quantiles / np.sqrt(np.mean(quantiles**2))
 
 
 def threefry(key: Any, x: Any, y: Any) -> tuple[Any, Any]:
-    """The two random words of each pair of counters `x`, `y` (n,) uint32 under a raw key (2,) uint32."""
+    """The two random words for each pair of counters `x`, `y`, (n,) uint32, under a raw key (2,) uint32."""
     keys = key[0], key[1], key[0] ^ key[1] ^ PARITY
     x, y = x + keys[0], y + keys[1]
     for group in range(5):

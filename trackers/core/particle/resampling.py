@@ -1,7 +1,7 @@
-"""When weighted particles are drawn again, and how: systematically, with weights of zero that stay zero.
+"""Systematic resampling of particles (Kitagawa 1996) in which a particle of weight zero never has offspring.
 
-Cumulative sums are small triangular matrix products and counts are whole numbers: `jnp.cumsum` and a binary search per
-offspring cost more than all the rest, and floating cumulative sums need not rise.
+Cumulative sums are products with small triangular matrices and counts are whole numbers: `jnp.cumsum` and a binary
+search per offspring cost more than the rest of the filter, and floating-point cumulative sums need not be monotone.
 """
 
 from __future__ import annotations
@@ -16,116 +16,109 @@ from jax.custom_batching import custom_vmap
 
 from trackers.core.algebra import Scalar
 
-NOTHING = -1e30
-"""The log-weight of a particle of weight zero: finite, so that a belief with some of them is one."""
+LOG_ZERO = -1e30
+"""The log-weight of a particle of weight zero; finite, so that sums over particles stay finite."""
 
-AT_ONCE = 8
-"""Trajectories whose particles are drawn again together."""
+RESAMPLED_AT_ONCE = 8
+"""Trajectories whose particles are resampled together."""
 
 
 @jax.custom_jvp
-def exponential(log_weights: Any, weights: Any) -> Any:
-    """exp(log_weights), which is known already: `weights`; as a function of the first alone."""
+def cached_exp(log_weights: Any, weights: Any) -> Any:
+    """`weights`, the known value of exp(log_weights), with the derivative of exp(log_weights)."""
     return weights
 
 
-@exponential.defjvp
+@cached_exp.defjvp
 def _exponential_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
-    weights = exponential(*primals)
+    weights = cached_exp(*primals)
     return weights, weights * tangents[0]
 
 
-def resampled(few: Scalar, place: Scalar, states: Any, log_weights: Any, weights: Any) -> tuple[Any, Any, Any]:
-    """States, log-weights and weights drawn again at `place` in [0, 1) where `few` says so, else as they are.
+def resample(needed: Scalar, offset: Scalar, states: Any, log_weights: Any, weights: Any) -> tuple[Any, Any, Any]:
+    """States, log-weights and weights, resampled with `offset` in [0, 1) where `needed`, else unchanged.
 
-    `weights`: as many as particles, adding to 1. None of weight zero has offspring, so all offspring weigh the same.
+    `weights`: (N,), with sum 1. All offspring have weight 1/N.
     """
     n = weights.shape[-1]
-    states = offspring(few, place, states, weights)
-    return states, jnp.where(few, -math.log(n), log_weights), jnp.where(few, 1.0 / n, weights)
+    states = resample_states(needed, offset, states, weights)
+    return states, jnp.where(needed, -math.log(n), log_weights), jnp.where(needed, 1.0 / n, weights)
 
 
 @custom_vmap
-def offspring(few: Scalar, place: Scalar, states: Any, weights: Any) -> Any:
-    """The states drawn again, where `few` says so."""
+def resample_states(needed: Scalar, offset: Scalar, states: Any, weights: Any) -> Any:
+    """The states of the offspring where `needed`, else the states."""
 
-    def drawn() -> Any:
-        ancestors = systematic(weights, place)
+    def chosen() -> Any:
+        ancestors = systematic(weights, offset)
         return jax.tree_util.tree_map(lambda x: jnp.take(x, ancestors, axis=-1, mode="clip"), states)
 
-    return jax.lax.cond(few, drawn, lambda: states)
+    return jax.lax.cond(needed, chosen, lambda: states)
 
 
-@offspring.def_vmap
-def _in_trajectories(size: int, batched: Any, few: Any, place: Any, states: Any, weights: Any) -> tuple[Any, Any]:
-    """Only the trajectories that need it are drawn again, a few at a time: that is one in several, and the dearest part."""
+@resample_states.def_vmap
+def _in_trajectories(size: int, batched: Any, needed: Any, offset: Any, states: Any, weights: Any) -> tuple[Any, Any]:
+    """Resampling under `vmap`: of the trajectories that need it alone, a few at a time; it is the most expensive part."""
 
     def spread(x: Any, has: bool) -> Any:
         return x if has else jnp.broadcast_to(x[None], (size, *x.shape))
 
-    few, place, states, weights = jax.tree_util.tree_map(spread, (few, place, states, weights), tuple(batched))
-    n_workers = min(AT_ONCE, size)
+    needed, offset, states, weights = jax.tree_util.tree_map(spread, (needed, offset, states, weights), tuple(batched))
+    n_at_once = min(RESAMPLED_AT_ONCE, size)
 
     def some(loop: tuple[Any, Any]) -> tuple[Any, Any]:
         need, states = loop
-        index = jnp.nonzero(need, size=n_workers, fill_value=size)[0]
+        index = jnp.nonzero(need, size=n_at_once, fill_value=size)[0]
         trajectories = jnp.minimum(index, size - 1)
-        ancestors = systematic(jnp.take(weights, trajectories, axis=0), jnp.take(place, trajectories))
+        ancestors = systematic(jnp.take(weights, trajectories, axis=0), jnp.take(offset, trajectories))
         fresh = jax.tree_util.tree_map(lambda x: gather(x, trajectories, ancestors), states)
         return need.at[index].set(False, mode="drop"), scatter(states, fresh, index)
 
-    _, states = jax.lax.while_loop(lambda loop: jnp.any(loop[0]), some, (few, states))
+    _, states = jax.lax.while_loop(lambda loop: jnp.any(loop[0]), some, (needed, states))
     return states, jax.tree_util.tree_map(lambda _: True, states)
 
 
 def gather(x: Any, trajectories: Any, ancestors: Any) -> Any:
-    """x[trajectory, ..., ancestors] of some trajectories (k,) and their ancestors (k, N), of an array (trajectories, ..., N)."""
+    """x[trajectory, ..., ancestors] for trajectories (k,) with ancestors (k, N), of an array x (B, ..., N)."""
     inner, n = math.prod(x.shape[1:-1]), x.shape[-1]
-    # From one long array: an index of two numbers would be put together in memory first.
-    begin = (trajectories.astype(jnp.int32)[:, None] * inner + jnp.arange(inner, dtype=jnp.int32)[None, :]) * n
-    places = begin[:, :, None] + ancestors[:, None, :]
-    return x.reshape(-1).at[places].get(mode="promise_in_bounds").reshape(len(trajectories), *x.shape[1:])
+    # From a flat array: a two-dimensional index would first be assembled in memory.
+    first = (trajectories.astype(jnp.int32)[:, None] * inner + jnp.arange(inner, dtype=jnp.int32)[None, :]) * n
+    index = first[:, :, None] + ancestors[:, None, :]
+    return x.reshape(-1).at[index].get(mode="promise_in_bounds").reshape(len(trajectories), *x.shape[1:])
 
 
 def scatter(belief: Any, fresh: Any, index: Any) -> Any:
-    """The belief with the trajectories `index` replaced; an index beyond the last trajectory is none."""
+    """The belief with the trajectories `index` replaced; an index beyond the last trajectory is ignored."""
     leaves, structure = jax.tree_util.tree_flatten(belief)
-    done: list[Any] = []
+    replaced: list[Any] = []
     for old, new in zip(leaves, jax.tree_util.tree_leaves(fresh), strict=True):
-        # One after another: XLA (jaxlib 0.10, multi-output fusion) aborts where it makes one loop of several of these.
-        (old, index), _ = jax.lax.optimization_barrier(((old, index), done))
-        done.append(old.at[index].set(new, mode="drop"))
-    return jax.tree_util.tree_unflatten(structure, done)
+        # In sequence: XLA (jaxlib 0.10, multi-output fusion) aborts where it fuses several of these scatters.
+        (old, index), _ = jax.lax.optimization_barrier(((old, index), replaced))
+        replaced.append(old.at[index].set(new, mode="drop"))
+    return jax.tree_util.tree_unflatten(structure, replaced)
 
 
 def effective_sample_size(weights: Any) -> Scalar:
-    """M/(1 + CV²) = 1/Σw² (1.29), (1.30), with CV² = var(w)/E(w)²; the weights add to 1."""
+    """The effective sample size N/(1 + CV²) = 1/Σw² (1.29), (1.30), with CV² = var(w)/E(w)²; the weights have sum 1."""
     return 1.0 / jnp.sum(weights * weights)
 
 
-def even_weights(log_weights: Any) -> Any:
-    """Equal log-weights that add to 1 for what was drawn, but nothing for a copy of a particle of weight zero."""
-    alive = log_weights > 0.5 * NOTHING
-    count = jnp.sum(jnp.where(alive, jnp.ones_like(log_weights), 0.0))
-    return jnp.where(alive, -jnp.log(count), NOTHING)
-
-
 def systematic(weights: Any, u: Any) -> Any:
-    """The ancestors (..., N) of N offspring at the places (k + u)/N of the cumulative weights, rising (Kitagawa 1996).
+    """The ancestors (..., N) of N offspring at the points (k + u)/N of the cumulative weights, ascending (Kitagawa 1996).
 
-    `weights` (..., N), `u` (...). Weights are first made whole numbers that add to less than the largest below which
-    the number format has all of them. Their cumulative sums are then exact and rise, and no particle of weight zero has
-    offspring; a weight is off by at most 2⁻²⁴ of the sum in single precision.
+    `weights` (..., N), `u` (...). Weights are first rounded to whole numbers with a sum below 2^mantissa, so that
+    cumulative sums are exact and monotone, and no particle of weight zero has offspring. The rounding error of a weight
+    is at most 2⁻²⁴ of the sum in single precision.
     """
     n = weights.shape[-1]
     dtype = weights.dtype
     quanta = float(2 ** (jnp.finfo(dtype).nmant + 1) - 4 * n)
     ends = running_sum(jnp.floor(weights * (quanta / jnp.sum(weights, axis=-1, keepdims=True))))
     whole = ends[..., -1:]
-    # The number of offspring up to and including each particle; rounding is the same for equal sums and keeps order.
+    # Number of offspring up to and including each particle: monotone, and equal for equal sums.
     offspring = jnp.clip(jnp.ceil(ends * (n / whole) - u[..., None]), 0, n)
     offspring = jnp.where(ends == whole, n, offspring.astype(jnp.int32)).reshape(-1, n)
-    # Offspring k descends from the first particle up to which there are more than k: as many end at k or before.
+    # Offspring k descends from the first particle with more than k offspring up to it: count those with at most k.
     trajectories = len(offspring)
     slots = offspring + jnp.arange(trajectories, dtype=jnp.int32)[:, None] * (n + 1)
     ending = (
@@ -140,13 +133,13 @@ def running_sum(x: Any) -> Any:
     """The cumulative sums of (..., N) numbers by products with triangular matrices of about √N rows."""
     n = x.shape[-1]
     root = max(1, math.isqrt(n - 1) + 1)
-    # Whole rows where a number of columns near √N divides N, else the last is filled up.
+    # Full rows if a number of columns near √N divides N; else the last row is padded.
     columns = next((c for c in range(root, 2 * root) if n % c == 0), root)
     rows = -(-n // columns)
     lead = x.shape[:-1]
     table = jnp.pad(x, [(0, 0)] * len(lead) + [(0, rows * columns - n)]).reshape(*lead, rows, columns)
     upper, below = (np.triu(np.ones((columns, columns))), np.triu(np.ones((rows, rows)), 1))
-    # On accelerators the default precision of a product would not keep whole numbers whole.
+    # The default precision of a matrix product on accelerators would not keep whole numbers exact.
     inside = jnp.matmul(table, jnp.asarray(upper, x.dtype), precision="highest")
     before = jnp.matmul(inside[..., -1], jnp.asarray(below, x.dtype), precision="highest")
     return (inside + before[..., None]).reshape(*lead, rows * columns)[..., :n]

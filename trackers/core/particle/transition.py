@@ -1,4 +1,4 @@
-"""The density of a motion's step from one state to another, where its noise reaches every direction of the state."""
+"""Transition densities p(x' | x) of motions whose process noise has full rank."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jax.interpreters import partial_eval
 
-from trackers.core.algebra import Scalar, Vector, cholesky, inverse_or_zero, total, triangle
+from trackers.core.algebra import Scalar, Vector, cholesky, solve_lower, total, triangle
 from trackers.core.linearise import linearise
 from trackers.core.motion import AbstractMotion
 from trackers.core.sensor import LOG_2PI
@@ -16,9 +16,9 @@ from trackers.core.state import State, component_names, dimension, local
 
 
 def check_transition_density(motion: AbstractMotion, state: State, inputs: Any) -> None:
-    """Raises ValueError where the motion has no normal density of the next state, with the reason.
+    """Raises ValueError, with the reason, unless the motion has a normal transition density.
 
-    It has one where its step is affine in noise that reaches as many directions as the state has.
+    Needed: a step that is affine in the noise, and noise of full rank in the state.
     """
     n, name = dimension(state), type(motion).__name__
     dt = jnp.ones_like(jax.tree_util.tree_leaves(state)[0])
@@ -46,15 +46,12 @@ def check_transition_density(motion: AbstractMotion, state: State, inputs: Any) 
 def transition_log_density(motion: AbstractMotion, before: State, after: State, inputs: Any, dt: Scalar) -> Scalar:
     """log p(after | before) of a motion that passes `check_transition_density`: N(after; step without noise, GGᵀ)."""
     zeros = [jnp.zeros_like(dt)] * motion.noise_dimension
-    moved = motion.step(before, inputs, dt, Vector.of(zeros))
-    n = dimension(moved)
-    _, G = linearise(lambda *w: local(moved, motion.step(before, inputs, dt, Vector.of(w))), zeros)
+    predicted = motion.step(before, inputs, dt, Vector.of(zeros))
+    n = dimension(predicted)
+    _, G = linearise(lambda *w: local(predicted, motion.step(before, inputs, dt, Vector.of(w))), zeros)
     cov = {(i, j): total(g * G[j][k] for k, g in G[i].items() if k in G[j]) for i, j in triangle(n)}
     cov = {pair: c + jnp.zeros_like(dt) for pair, c in cov.items()}
     L = cholesky(cov, range(n), 0.0)
-    apart = local(moved, after)
-    parts: list[Scalar] = []
-    for i in range(n):
-        parts.append((apart[i] - total(L[i, j] * parts[j] for j in range(i))) * inverse_or_zero(L[i, i]))
+    whitened = solve_lower(L, local(predicted, after))
     scale = total(jnp.log(jnp.where(L[i, i] > 0, L[i, i], 1.0)) for i in range(n))
-    return -scale - 0.5 * total(p * p for p in parts) - 0.5 * n * LOG_2PI
+    return -scale - 0.5 * total(x * x for x in whitened) - 0.5 * n * LOG_2PI

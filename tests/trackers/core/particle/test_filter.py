@@ -12,7 +12,7 @@ from trackers.core.ekf import Gaussian
 from trackers.core.estimates import Status
 from trackers.core.motion import ConstantPosition, Placed
 from trackers.core.particle.filter import ParticleFilter, Particles
-from trackers.core.particle.resampling import NOTHING, effective_sample_size, even_weights, running_sum, systematic
+from trackers.core.particle.resampling import LOG_ZERO, effective_sample_size, running_sum, systematic
 from trackers.core.recording import stack
 from trackers.core.sensor import AbstractSensor, Channel, Reading, independent
 from trackers.core.tracker import Tracker
@@ -92,11 +92,6 @@ def test_no_particle_of_weight_zero_has_offspring_in_single_precision():
         assert len(ancestors) == 1000
         assert np.all(weights[ancestors] > 0)
         assert np.all(np.diff(ancestors) >= 0)
-
-
-def test_a_copy_of_a_particle_of_weight_zero_keeps_weight_zero():
-    even = even_weights(jnp.array([-1.0, NOTHING, -2.0, NOTHING, -500.0]))
-    np.testing.assert_allclose(np.exp(even), [1 / 3, 0, 1 / 3, 0, 1 / 3], rtol=1e-12)
 
 
 def _still(log_weights):

@@ -10,8 +10,8 @@ from trackers.core.algebra import Vector
 from trackers.core.ekf import Gaussian
 from trackers.core.motion import ConstantPosition, ConstantVelocity, GroundMotion, Kinematic, Placed
 from trackers.core.particle.filter import ParticleFilter, Particles
-from trackers.core.particle.resampling import resampled
-from trackers.core.particle.score import drawn_with_scores, normal_density, with_score
+from trackers.core.particle.resampling import resample
+from trackers.core.particle.score import normal_log_density, resample_with_score, with_score
 from trackers.core.tunable import Constant, freeze
 from trackers.parts.singer import Singer
 
@@ -60,10 +60,10 @@ def test_offspring_keep_the_derivative_of_their_ancestor_less_the_discount(disco
     states, place, weights = jnp.arange(float(N)), jnp.asarray(0.4), jnp.exp(log_weights)
 
     def drawn(slope, few):
-        return drawn_with_scores(few, place, states, log_weights + slope * states, weights, discount=discount)
+        return resample_with_score(few, place, states, log_weights + slope * states, weights, discount=discount)
 
     (ancestors, value, _), (still, inherited, _) = jax.jvp(lambda s: drawn(s, jnp.asarray(True)), (0.0,), (1.0,))
-    expected = resampled(jnp.asarray(True), place, states, log_weights, weights)
+    expected = resample(jnp.asarray(True), place, states, log_weights, weights)
     np.testing.assert_array_equal(ancestors, expected[0])
     np.testing.assert_array_equal(value, expected[1])
     np.testing.assert_allclose(inherited, discount * np.asarray(ancestors), rtol=1e-12)
@@ -124,7 +124,7 @@ def test_a_direction_without_variance_owes_nothing():
     zero = jnp.zeros(())
     belief = Gaussian(Placed(Vector(zero, zero)), (zero + 4.0, zero, zero))
     states = Placed(Vector(jnp.array([2.0]), jnp.array([0.0])))
-    np.testing.assert_allclose(normal_density(belief, states), -np.log(2.0) - 0.5)
+    np.testing.assert_allclose(normal_log_density(belief, states), -np.log(2.0) - 0.5)
 
 
 def _slope(motion, state, w, sizes):
