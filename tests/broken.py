@@ -1,7 +1,7 @@
-"""Recordings that have to be refused, and odd ones that have to be read with a notice.
+"""Recordings that are refused, and recordings with an anomaly that are read with a notice.
 
-`BROKEN[name](folder)` and `ODD[name](folder)` write a recording to the new folder `folder` and return a word that
-the message about it has to hold.
+`BROKEN[name](folder)` and `ANOMALOUS[name](folder)` write a recording to the new folder `folder` and return a word
+expected in the message.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def _no_tables(folder: Path) -> str:
     return "no tables"
 
 
-def _twice(folder: Path) -> str:
+def _duplicate_table(folder: Path) -> str:
     shutil.copy(folder / "ranges.csv", folder / "copy")
     (folder / "ranges.csv.gz").write_bytes(gzip.compress((folder / "copy").read_bytes()))
     (folder / "copy").unlink()
@@ -58,7 +58,7 @@ BROKEN: dict[str, Builder] = {
     "folder does not exist": lambda folder: str(folder),
     "path is a file": _is_a_file,
     "no tables": then(_no_tables),
-    "the same table twice": then(_twice),
+    "duplicate table": then(_duplicate_table),
     "table is a directory": with_directory("ranges.csv"),
     "misspelt table name": with_file("ranges.csv", lambda data: data, to="range.csv"),
     "table in an unknown kind": with_file("bearings.csv", lambda data: data, to="bearings.txt"),
@@ -70,8 +70,8 @@ BROKEN: dict[str, Builder] = {
     "rig binary": with_file("rig.toml", _JUNK),
     "rig broken TOML": with_rig("[anchors]", "[anchors"),
     "rig cut off": with_file("rig.toml", lambda data: data[:230]),
-    "rig table twice": with_rig("[tags.T2]", "[tags.T1]"),
-    "rig key twice": with_rig('"A2" =', '"A1" ='),
+    "rig table duplicated": with_rig("[tags.T2]", "[tags.T1]"),
+    "rig key duplicated": with_rig('"A2" =', '"A1" ='),
     "rig without format": with_rig("format = 1\n", ""),
     "rig of another format": with_rig("format = 1", "format = 2"),
     "rig format as text": with_rig("format = 1", 'format = "1"'),
@@ -96,7 +96,9 @@ BROKEN: dict[str, Builder] = {
     "antennas in 3-D": with_rig("[[0.02, 0.0],", "[[0.02, 0.0, 0.0],", "antennas_m"),
     "tag height a text": with_rig("height_m = 1.0", 'height_m = "1 m"', "tags.T1.height_m"),
     "path of one corner": with_rig("[[1.0, 1.0], [5.0, 1.0], [5.0, 4.0]]", "[[1.0, 1.0]]", "knots_m"),
-    "path that stays": with_rig("[5.0, 1.0], [5.0, 4.0]]", "[5.0, 1.0], [5.0, 1.0]]", "knot 2 of the path repeats"),
+    "path with a repeated knot": with_rig(
+        "[5.0, 1.0], [5.0, 4.0]]", "[5.0, 1.0], [5.0, 1.0]]", "knot 2 of the path repeats"
+    ),
     "path without corners": with_rig("knots_m = [[1.0, 1.0], [5.0, 1.0], [5.0, 4.0]]", "", "knots_m"),
     # a table's file
     "empty file": with_file("ranges.csv", b""),
@@ -130,7 +132,7 @@ BROKEN: dict[str, Builder] = {
     "column missing": with_table("ranges", lambda table: table.drop("anchor")),
     "column misnamed": with_renamed("ranges", "range_m", "range"),
     "column in degrees": with_renamed("bearings", "azimuth_rad", "azimuth_deg"),
-    "column twice": with_renamed("ranges", "range_std_m", "range_m"),
+    "column duplicated": with_renamed("ranges", "range_std_m", "range_m"),
     "no header": with_file("ranges.csv", lambda data: data.partition(b"\n")[2]),
     "misnamed standard deviation": with_renamed("ranges", "range_std_m", "std_range_m"),
     "standard deviation without unit": with_renamed("ranges", "range_std_m", "range_std"),
@@ -176,53 +178,59 @@ BROKEN: dict[str, Builder] = {
 
 
 def _when(tag: str, column: str, start: float, stop: float, value: pl.Expr) -> pl.Expr:
-    """`column` with `value` in its place for one tag between two times, s."""
+    """`column` replaced by `value` for one tag between two times, s."""
     here = (pl.col("tag") == tag) & pl.col("t_s").is_between(start, stop)
     return pl.when(here).then(value).otherwise(pl.col(column)).alias(column)
 
 
-def _odd(name: str, change: Callable[[pl.DataFrame], pl.DataFrame], word: str) -> Builder:
+def _anomalous(name: str, change: Callable[[pl.DataFrame], pl.DataFrame], word: str) -> Builder:
     return with_table(name, change, word=word)
 
 
-ODD: dict[str, Builder] = {
-    "rows out of order": _odd("ranges", lambda table: table.reverse(), "earlier than the row above"),
-    "some rows late": _odd("imu", lambda table: pl.concat([table[10:], table[:10]]), "earlier than the row above"),
-    "rows twice": _odd("ranges", lambda table: pl.concat([table[:20], table]), "stand there twice, values and all: 20"),
-    "times twice": _odd(
+ANOMALOUS: dict[str, Builder] = {
+    "rows out of order": _anomalous("ranges", lambda table: table.reverse(), "earlier than the previous row"),
+    "some rows late": _anomalous(
+        "imu", lambda table: pl.concat([table[10:], table[:10]]), "earlier than the previous row"
+    ),
+    "duplicate rows": _anomalous("ranges", lambda table: pl.concat([table[:20], table]), "duplicate rows: 20"),
+    "duplicate times": _anomalous(
         "fixes",
         lambda table: pl.concat([table, table[:6].with_columns(pl.col("x_m") + 0.01)]),
         "time of another row of the same sensor and tag: 6",
     ),
-    "unknown tag": _odd(
+    "unknown tag": _anomalous(
         "ranges",
         lambda table: pl.concat([table, table.filter(pl.col("tag") == "T1").with_columns(tag=pl.lit("T7"))]),
         "not in rig.toml: 1 ('T7')",
     ),
-    "gap": _odd("bearings", lambda table: table.filter(~pl.col("t_s").is_between(1.0, 3.0)), "gaps longer than 1 s: 4"),
-    "wild range": _odd(
+    "gap": _anomalous(
+        "bearings", lambda table: table.filter(~pl.col("t_s").is_between(1.0, 3.0)), "gaps longer than 1 s: 4"
+    ),
+    "outlying range": _anomalous(
         "ranges",
         lambda table: table.with_columns(_when("T1", "range_m", 1.99, 2.01, pl.lit(250.0))),
-        "wild values of range_m: 4",
+        "outliers of range_m: 4",
     ),
-    "wild pair of fixes": _odd(
+    "two adjacent outlying fixes": _anomalous(
         "fixes",
         lambda table: table.with_columns(_when("T2", "y_m", 1.99, 2.11, pl.lit(-40.0))),
-        "wild values of y_m: 2",
+        "outliers of y_m: 2",
     ),
-    "negative range": _odd(
+    "negative range": _anomalous(
         "ranges",
         lambda table: table.with_columns(_when("T1", "range_m", 0.99, 1.01, pl.lit(-1.0))),
         "negative values of range_m: 4",
     ),
-    "angles in degrees": _odd(
+    "angles in degrees": _anomalous(
         "bearings", lambda table: table.with_columns(pl.col("azimuth_rad", "elevation_rad").degrees()), "degrees"
     ),
-    "phases from 0 to 2 pi": _odd(
+    "phases from 0 to 2 pi": _anomalous(
         "phases", lambda table: table.with_columns(pl.col("^phase_.*$") % (2 * np.pi)), "not wrapped"
     ),
-    "unknown column": _odd("ranges", lambda table: table.with_columns(rssi_dbm=pl.lit(-70.0)), "'rssi_dbm'"),
-    "unknown file": then(lambda folder: [(folder / "notes.csv").write_text("a,b\n1,2\n"), "none of the tables"][1]),
+    "unknown column": _anomalous("ranges", lambda table: table.with_columns(rssi_dbm=pl.lit(-70.0)), "'rssi_dbm'"),
+    "unknown file": then(lambda folder: [(folder / "notes.csv").write_text("a,b\n1,2\n"), "not one of the tables"][1]),
     "unknown key in the rig": with_rig('about = "Made for tests."', 'operator = "me"', "'operator'"),
-    "quaternions not of unit length": _odd("truth", lambda table: table.with_columns(qw=pl.lit(0.9)), "unit length"),
+    "quaternions not of unit length": _anomalous(
+        "truth", lambda table: table.with_columns(qw=pl.lit(0.9)), "unit length"
+    ),
 }

@@ -1,7 +1,7 @@
-"""Error figures of tracks against truth, per track, per recording and over all rows.
+"""Error metrics of estimates against truth, by track, by recording and overall.
 
-Names are as `--fail-if` and the JSON use them: metres and radians, horizontal unless `3d` says otherwise. A figure that
-cannot be had (no heights, no reported covariance) is None.
+Names are those of `--fail-if` and of evaluation.json, in metres and radians, horizontal unless the name has `3d`. A
+metric without data (no heights, no reported covariance) is None.
 """
 
 from __future__ import annotations
@@ -19,35 +19,40 @@ from trackers.core.errors import UnusableInput
 from trackers.core.estimates import Estimates
 from trackers.core.recording import Recording
 from trackers.core.rig import Station
+from trackers.recordings.association import Association, associate_truth, true_bearings
+from trackers.recordings.columns import float_column
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracks import Tracks
-from trackers.recordings.truth import Matched, TruthStatus, is_bearing, match_truth, numbers, track_keys, true_bearings
+from trackers.recordings.tracks_table import is_bearing, track_keys
+from trackers.recordings.truth import TruthStatus
 
-Figures = dict[str, Any]
+Metrics = dict[str, Any]
+"""Metrics by name; in lists by recording and by track also `recording`, `tag` and `station`."""
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """The figures; those of recordings and tracks also say what they belong to (recording, tag, station)."""
+    """Error metrics over all rows, by recording and by track; `bearing`: of bearings, not of positions."""
 
     bearing: bool
-    overall: Figures
-    recordings: list[Figures]
-    tracks: list[Figures]
+    overall: Metrics
+    recordings: list[Metrics]
+    tracks: list[Metrics]
 
 
 @dataclass(frozen=True)
-class _Judged:
-    """What is judged.
+class Scored:
+    """Errors of the scored rows, and consistency and track loss of all rows.
 
-    Of the rows that count: `index`, their place in the matched rows; `errors` (n, 3) m, of bearings (n, 2) rad; `apart`
-    (n, 1) rad, for bearings the angle between the estimated and the true direction; `nees` in the plane (or of the two
-    angles) and in space. Of all rows: `nis` and `dof`. Of each track: `lost` (g, 3), seconds lost, seconds, rows lost.
+    Of the n scored rows: `index`, their position in the association; `errors` (n, 3), m, or of bearings (n, 2), rad;
+    `angle` (n, 1), rad, of bearings the angle between estimated and true direction, else None; `nees` of the horizontal
+    position or of both angles; `nees_3d`, None for bearings. Of all rows: `nis` and `dof`, zero without a measurement.
+    Of the g tracks: `lost` (g, 3), seconds lost, seconds spanned, rows lost.
     """
 
     index: np.ndarray
     errors: np.ndarray
-    apart: np.ndarray | None
+    angle: np.ndarray | None
     nees: np.ndarray
     nees_3d: np.ndarray | None
     nis: np.ndarray
@@ -60,11 +65,11 @@ def evaluate(
     recordings: RecordingFolder | Recording | Sequence[RecordingFolder] | Sequence[Recording],
     every: float | None = None,
 ) -> Evaluation:
-    """The error metrics of estimates against the truth of their recordings, at the times of the estimates.
+    """The error metrics of estimates against the truth of their recordings, interpolated at the times of the estimates.
 
     `estimates`: `Tracks`, a table with the columns of tracks.parquet, or the `Estimates` of `Recording`s whose truth
-    is a `position`. `every`: s, evaluate only the last estimate in every interval of so many seconds. Raises
-    UnusableInput where no recording has truth, and where no estimate meets one.
+    is a `position`. `every`: s, score only the last estimate in each interval of that length. Raises UnusableInput if
+    no recording has a truth, or no estimate lies inside the truth of its recording and tag.
     """
     listed: list[RecordingFolder | Recording]
     listed = [recordings] if isinstance(recordings, (RecordingFolder, Recording)) else list(recordings)
@@ -75,14 +80,14 @@ def evaluate(
         names = ", ".join(str(getattr(r, "path", None) or r.name) for r in listed)
         raise UnusableInput(f"{names}: no truth table, expected one to evaluate against; give it with --truth")
     if isinstance(estimates, Estimates):
-        # A recording in arrays has one trajectory, so that its name tells all.
+        # an array recording has one trajectory, so its name identifies it
         estimates = estimates.to_polars().with_columns(tag=pl.lit(""))
     table = estimates.to_polars() if isinstance(estimates, Tracks) else estimates
     return evaluate_table(table, truths, {f.name: f.rig.stations for f in folders}, every)
 
 
 def _true_positions(recording: Recording) -> pl.DataFrame:
-    """The truth of a recording in arrays as a truth table."""
+    """The truth of an array recording as a truth table."""
     values, known = recording.truth["position"]
     axes = {
         f"{a}_m": np.asarray(values, float)[known, k] for k, a in zip(range(np.shape(values)[1]), "xyz", strict=False)
@@ -97,64 +102,86 @@ def evaluate_table(
     stations: Mapping[str, Mapping[str, Station]] | None = None,
     every: float | None = None,
 ) -> Evaluation:
-    """The error figures of tracks against the truth of their recordings; levels above a track pool its rows.
+    """As `evaluate`, of tables; the metrics of a recording and overall are taken over the rows of all its tracks.
 
-    `stations`: for each recording its stations by id, needed for bearings. `every`: s, judge only the last estimate in
-    every interval of so many seconds. Raises UnusableInput where no estimate meets a truth.
+    `tracks`: the columns of tracks.parquet. `truths`: by recording, the columns of a truth table. `stations`: by
+    recording, its stations by id, required for bearings. `every`: s, score only the last estimate in each interval of
+    that length. Raises UnusableInput if no estimate lies inside the truth of its recording and tag.
     """
-    matched = match_truth(tracks, truths)
-    _refuse_without_overlap(matched, truths)
-    kept = last_of_every(matched, every) if every else np.flatnonzero(matched.counts)
-    judged = _bearings(matched, kept, stations or {}) if is_bearing(tracks) else _positions(matched, kept)
-    names = matched.rows.select(track_keys(tracks))[matched.starts[:-1]].to_dicts()
-    last = len(names)
-    first = [k for k in range(last) if k == 0 or names[k]["recording"] != names[k - 1]["recording"]]
+    association = associate_truth(tracks, truths)
+    _refuse_without_overlap(association, truths)
+    return evaluate_association(association, stations, every)
+
+
+def evaluate_association(
+    association: Association,
+    stations: Mapping[str, Mapping[str, Station]] | None = None,
+    every: float | None = None,
+) -> Evaluation:
+    """As `evaluate_table`, of estimates already associated with truth; metrics are None if no row is scored."""
+    scored = score(association, stations, every)
+    keys = association.rows.select(track_keys(association.rows))[association.starts[:-1]].to_dicts()
+    last = len(keys)
+    first = [k for k in range(last) if k == 0 or keys[k]["recording"] != keys[k - 1]["recording"]]
     recordings = [
-        {"recording": names[a]["recording"], **_figures(matched, judged, a, b)} for a, b in pairwise([*first, last])
+        {"recording": keys[a]["recording"], **_metrics(association, scored, a, b)} for a, b in pairwise([*first, last])
     ]
-    per_track = [{**name, **_figures(matched, judged, k, k + 1)} for k, name in enumerate(names)]
-    return Evaluation(is_bearing(tracks), _figures(matched, judged, 0, last), recordings, per_track)
+    per_track = [{**key, **_metrics(association, scored, k, k + 1)} for k, key in enumerate(keys)]
+    overall = _metrics(association, scored, 0, last)
+    return Evaluation(is_bearing(association.rows), overall, recordings, per_track)
+
+
+def score(
+    association: Association,
+    stations: Mapping[str, Mapping[str, Station]] | None = None,
+    every: float | None = None,
+) -> Scored:
+    """Errors, NEES, NIS and track loss of associated estimates; arguments as of `evaluate_table`."""
+    kept = last_of_every(association, every) if every else np.flatnonzero(association.scored)
+    if is_bearing(association.rows):
+        return _bearings(association, kept, stations or {})
+    return _positions(association, kept)
 
 
 def covariances(rows: pl.DataFrame) -> np.ndarray:
-    """The reported covariances (n, 3, 3), m², of position rows; what the table does not say is uncorrelated."""
+    """Reported position covariances (n, 3, 3), m²; covariances missing in the table are zero."""
     covs = np.empty((3, 3, len(rows)))
     for i, a in enumerate("xyz"):
-        covs[i, i] = numbers(rows, f"std_{a}_m") ** 2
+        covs[i, i] = float_column(rows, f"std_{a}_m") ** 2
         for j, b in enumerate("xyz"[:i]):
-            covs[i, j] = covs[j, i] = np.nan_to_num(numbers(rows, f"cov_{b}{a}_m2"))
+            covs[i, j] = covs[j, i] = np.nan_to_num(float_column(rows, f"cov_{b}{a}_m2"))
     return np.moveaxis(covs, -1, 0)
 
 
-def _figures(matched: Matched, judged: _Judged, first: int, end: int) -> Figures:
-    """The figures of the tracks from `first` up to `end`."""
-    begin, stop = matched.starts[first], matched.starts[end]
-    part = slice(*np.searchsorted(judged.index, (begin, stop)))
-    tally = np.bincount(matched.verdict[begin:stop], minlength=len(TruthStatus)).tolist()
-    found: Figures = {
+def _metrics(association: Association, scored: Scored, first: int, end: int) -> Metrics:
+    """The metrics of the tracks `first` … `end` − 1."""
+    begin, stop = association.starts[first], association.starts[end]
+    part = slice(*np.searchsorted(scored.index, (begin, stop)))
+    counts = np.bincount(association.truth_status[begin:stop], minlength=len(TruthStatus)).tolist()
+    found: Metrics = {
         "n": int(part.stop - part.start),
         "n_rows": int(stop - begin),
-        "n_no_estimate": tally[TruthStatus.NO_ESTIMATE],
-        "n_no_truth": tally[TruthStatus.NO_TRUTH],
-        "n_hole": tally[TruthStatus.HOLE],
+        "n_no_estimate": counts[TruthStatus.NO_ESTIMATE],
+        "n_no_truth": counts[TruthStatus.NO_TRUTH],
+        "n_hole": counts[TruthStatus.HOLE],
     }
-    found |= _errors_of(judged.errors[part], None if judged.apart is None else judged.apart[part])
-    found |= _belief(judged.nees[part], 2, "")
-    if judged.nees_3d is not None:
-        found |= _belief(judged.nees_3d[part], 3, "_3d")
-    freedom = float(judged.dof[begin:stop].sum())
-    seconds, span, rows = judged.lost[first:end].sum(axis=0).tolist()
+    found |= _errors_of(scored.errors[part], None if scored.angle is None else scored.angle[part])
+    found |= _consistency(scored.nees[part], 2, "")
+    if scored.nees_3d is not None:
+        found |= _consistency(scored.nees_3d[part], 3, "_3d")
+    freedom = float(scored.dof[begin:stop].sum())
+    seconds, span, rows = scored.lost[first:end].sum(axis=0).tolist()
     found |= {
-        "nis_ratio": float(judged.nis[begin:stop].sum()) / freedom if freedom > 0 else None,
+        "nis_ratio": float(scored.nis[begin:stop].sum()) / freedom if freedom > 0 else None,
         "lost_s": seconds,
         "lost_fraction": seconds / span if span > 0 else rows / float(stop - begin),
     }
     return {name: None if value != value else value for name, value in found.items()}
 
 
-def _errors_of(errors: np.ndarray, apart: np.ndarray | None) -> Figures:
-    if apart is not None:
-        parts = {"_direction_rad": apart, "_azimuth_rad": errors[:, :1], "_elevation_rad": errors[:, 1:]}
+def _errors_of(errors: np.ndarray, angle: np.ndarray | None) -> Metrics:
+    if angle is not None:
+        parts = {"_direction_rad": angle, "_azimuth_rad": errors[:, :1], "_elevation_rad": errors[:, 1:]}
         bias = dict(zip(("bias_azimuth_rad", "bias_elevation_rad"), metrics.bias(errors).tolist(), strict=True))
     else:
         solid = errors[np.isfinite(errors[:, 2])]
@@ -169,7 +196,7 @@ def _errors_of(errors: np.ndarray, apart: np.ndarray | None) -> Figures:
     return named | bias
 
 
-def _belief(nees: np.ndarray, dof: int, suffix: str) -> Figures:
+def _consistency(nees: np.ndarray, dof: int, suffix: str) -> Metrics:
     known = nees[np.isfinite(nees)]
     return {
         f"nees{suffix}_mean": float(known.mean()) if len(known) else None,
@@ -178,26 +205,26 @@ def _belief(nees: np.ndarray, dof: int, suffix: str) -> Figures:
     }
 
 
-def _positions(matched: Matched, kept: np.ndarray) -> _Judged:
-    rows = matched.rows[kept]
-    errors = np.stack([numbers(rows, f"{axis}_m") for axis in "xyz"], axis=1) - matched.truth[kept]
+def _positions(association: Association, kept: np.ndarray) -> Scored:
+    rows = association.rows[kept]
+    errors = np.stack([float_column(rows, f"{axis}_m") for axis in "xyz"], axis=1) - association.truth[kept]
     covs = covariances(rows)
     nees, nees_3d = metrics.nees(errors[:, :2], covs[:, :2, :2]), metrics.nees(errors, covs)
-    return _Judged(kept, errors, None, nees, nees_3d, *_innovations(matched), _lost(matched))
+    return Scored(kept, errors, None, nees, nees_3d, *_innovations(association), _lost(association))
 
 
-def _bearings(matched: Matched, kept: np.ndarray, stations: Mapping[str, Mapping[str, Station]]) -> _Judged:
-    rows = matched.rows[kept]
-    true = true_bearings(matched, stations)[kept]
-    estimate = np.stack([numbers(rows, "azimuth_rad"), numbers(rows, "elevation_rad")], axis=1)
+def _bearings(association: Association, kept: np.ndarray, stations: Mapping[str, Mapping[str, Station]]) -> Scored:
+    rows = association.rows[kept]
+    true = true_bearings(association, stations)[kept]
+    estimate = np.stack([float_column(rows, "azimuth_rad"), float_column(rows, "elevation_rad")], axis=1)
     errors = estimate - true
     errors[:, 0] = np.pi - (np.pi - errors[:, 0]) % (2 * np.pi)
     u, v = _directions(estimate), _directions(true)
-    # The sine and cosine together: the arc cosine alone loses angles under 1e-8 rad.
-    apart = np.arctan2(np.linalg.norm(np.cross(u, v), axis=1), np.einsum("nd,nd->n", u, v))
-    sigmas = np.stack([numbers(rows, "std_azimuth_rad"), numbers(rows, "std_elevation_rad")], axis=1)
+    # arctan2 of sine and cosine: the arc cosine alone is zero below 1e-8 rad
+    angle = np.arctan2(np.linalg.norm(np.cross(u, v), axis=1), np.einsum("nd,nd->n", u, v))
+    sigmas = np.stack([float_column(rows, "std_azimuth_rad"), float_column(rows, "std_elevation_rad")], axis=1)
     nees = metrics.nees(errors, sigmas[:, :, None] ** 2 * np.eye(2))
-    return _Judged(kept, errors, apart[:, None], nees, None, *_innovations(matched), _lost(matched))
+    return Scored(kept, errors, angle[:, None], nees, None, *_innovations(association), _lost(association))
 
 
 def _directions(angles: np.ndarray) -> np.ndarray:
@@ -206,45 +233,45 @@ def _directions(angles: np.ndarray) -> np.ndarray:
     return np.stack([np.sin(azimuth) * flat, np.sin(elevation), np.cos(azimuth) * flat], axis=1)
 
 
-def _innovations(matched: Matched) -> tuple[np.ndarray, np.ndarray]:
-    """NIS and its degrees of freedom for every row, both zero where a row has none."""
-    nis, dof = numbers(matched.rows, "nis"), numbers(matched.rows, "nis_dof")
+def _innovations(association: Association) -> tuple[np.ndarray, np.ndarray]:
+    """NIS and its degrees of freedom (n,) of all rows, both zero in rows without a measurement."""
+    nis, dof = float_column(association.rows, "nis"), float_column(association.rows, "nis_dof")
     known = np.isfinite(nis) & (dof > 0)
     return np.where(known, nis, 0.0), np.where(known, dof, 0.0)
 
 
-def _lost(matched: Matched) -> np.ndarray:
-    """For each track (g, 3): seconds lost, seconds spanned, rows lost."""
-    times, table = numbers(matched.rows, "t_s"), np.zeros((len(matched.starts) - 1, 3))
-    if "status" not in matched.rows.columns:
+def _lost(association: Association) -> np.ndarray:
+    """Of each track (g, 3): seconds lost, seconds spanned, rows lost."""
+    times, table = float_column(association.rows, "t_s"), np.zeros((len(association.starts) - 1, 3))
+    if "status" not in association.rows.columns:
         return table
-    lost = (matched.rows["status"] == "lost").fill_null(False).to_numpy()
-    for k, (a, b) in enumerate(pairwise(matched.starts)):
+    lost = (association.rows["status"] == "lost").fill_null(False).to_numpy()
+    for k, (a, b) in enumerate(pairwise(association.starts)):
         known = np.isfinite(times[a:b])
-        at, gone = times[a:b][known], lost[a:b][known]
+        at, lost_at = times[a:b][known], lost[a:b][known]
         if len(at):
-            table[k] = metrics.time_lost(at, gone).seconds, at[-1] - at[0], gone.sum()
+            table[k] = metrics.time_lost(at, lost_at).seconds, at[-1] - at[0], lost_at.sum()
     return table
 
 
-def last_of_every(matched: Matched, every: float) -> np.ndarray:
-    """Of the rows that count those that are the last of their track in their interval of `every` seconds."""
-    rows = np.flatnonzero(matched.counts)
-    # A time such as 0.3 s belongs to the interval it opens although 0.3 / 0.1 is 2.9999999999999996.
-    interval = np.floor(numbers(matched.rows, "t_s")[rows] / every + 1e-6)
-    track = np.searchsorted(matched.starts, rows, side="right")
+def last_of_every(association: Association, every: float) -> np.ndarray:
+    """Indices of the scored rows that are the last of their track in an interval of `every` seconds."""
+    rows = np.flatnonzero(association.scored)
+    # 0.3 s belongs to the interval that starts there although 0.3 / 0.1 is 2.9999999999999996.
+    interval = np.floor(float_column(association.rows, "t_s")[rows] / every + 1e-6)
+    track = np.searchsorted(association.starts, rows, side="right")
     return rows[np.append((np.diff(interval) != 0) | (np.diff(track) != 0), True)]
 
 
-def _refuse_without_overlap(matched: Matched, truths: Mapping[str, pl.DataFrame]) -> None:
-    if matched.counts.any():
+def _refuse_without_overlap(association: Association, truths: Mapping[str, pl.DataFrame]) -> None:
+    if association.scored.any():
         return
-    rows, usable = matched.rows, matched.verdict != TruthStatus.NO_ESTIMATE
+    rows, usable = association.rows, association.truth_status != TruthStatus.NO_ESTIMATE
     expected = "expected estimates inside the span of a truth of the same recording and tag"
     if not usable.any():
         raise UnusableInput(
             f"the tracks: none of {len(rows)} rows holds an estimate (waiting, non-finite or empty); {expected}; "
-            "ask `trackwright check` about the recording"
+            "run `trackwright check` on the recording"
         )
     common = sorted(set(rows["recording"]) & set(truths))
     if not common:
@@ -254,14 +281,14 @@ def _refuse_without_overlap(matched: Matched, truths: Mapping[str, pl.DataFrame]
         )
     truth = truths[common[0]]
     raise UnusableInput(
-        f"no estimate meets a truth: estimates {_span(rows.filter(usable))} of tags {_some(rows['tag'])}, "
+        f"no estimate lies inside a truth: estimates {_span(rows.filter(usable))} of tags {_some(rows['tag'])}, "
         f"truth of '{common[0]}' {_span(truth)} of tags {_some(truth['tag'])}; "
         f"{expected}; compare time bases and tag ids"
     )
 
 
 def _span(table: pl.DataFrame) -> str:
-    times = numbers(table, "t_s")
+    times = float_column(table, "t_s")
     return f"from {times.min():g} to {times.max():g} s" if len(times) else "at no time"
 
 

@@ -13,9 +13,10 @@ from trackers.line.leaving import absences
 from trackers.line.rows import path_of, raw_places
 from trackers.parts.fixes import FIXES
 from trackers.parts.ranges import RANGES
+from trackers.recordings.columns import float_column
 from trackers.recordings.tracker_spec import TrackerBatch, TrackerSpec
+from trackers.recordings.tracks_table import track_keys
 from trackers.recordings.trajectories import Trajectory
-from trackers.recordings.truth import numbers, track_keys
 
 EVENTS = "events.parquet"
 _COLUMNS = {"t_s": pl.Float64, "event": pl.String, "detail": pl.String}
@@ -65,8 +66,8 @@ def off_the_path(trajectory: Trajectory, tracks: pl.DataFrame) -> list[tuple[flo
     if trajectory.folder.rig.path_knots is None or known.is_empty():
         return []
     path = path_of(trajectory.folder)
-    times, places = numbers(known, "t_s"), np.stack([numbers(known, f"{a}_m") for a in "xy"], axis=1)
-    spread = np.nan_to_num(np.hypot(numbers(known, "std_x_m"), numbers(known, "std_y_m")))
+    times, places = float_column(known, "t_s"), np.stack([float_column(known, f"{a}_m") for a in "xy"], axis=1)
+    spread = np.nan_to_num(np.hypot(float_column(known, "std_x_m"), float_column(known, "std_y_m")))
     rows: list[tuple[float, str, str]] = []
     for start, end, farthest in absences(times, path.nearest(places)[1], TOLERANCE + 2 * spread, CERTAIN):
         rows.append((float(times[start]), "off the prescribed path", f"up to {farthest:.2f} m from it"))
@@ -85,7 +86,7 @@ def left_the_line(trajectory: Trajectory, tracks: pl.DataFrame) -> list[tuple[fl
     known = tracks.filter(pl.all_horizontal(pl.col("x_m", "y_m").is_finite()))
     if known.is_empty():
         return []
-    held = np.stack([np.interp(times, known["t_s"].to_numpy(), numbers(known, f"{a}_m")) for a in "xy"], axis=1)
+    held = np.stack([np.interp(times, known["t_s"].to_numpy(), float_column(known, f"{a}_m")) for a in "xy"], axis=1)
     apart = np.sqrt(((free - held) ** 2).sum(axis=1))
     rows: list[tuple[float, str, str]] = []
     for start, end, farthest in absences(times, apart, LEFT_SLACK, LEFT_LIMIT):

@@ -7,22 +7,25 @@ from typing import Annotated
 
 import tyro
 
-from experiments.cli.console import require_some
-from trackers.recordings.checks.check import check_folder
-from trackers.recordings.checks.findings import format_findings
+from trackers.core.errors import UnusableInput
+from trackers.recordings.checks import check as check_recording
+from trackers.recordings.checks import format_results
 from trackers.recordings.folder import read_recording
 
 
 def check(recordings: Annotated[tuple[Path, ...], tyro.conf.Positional]) -> int:
-    """Say what is wrong or odd in recordings: time base, order, gaps, units, ids, rates, geometry. Exit 1 on an error.
+    """Check the data quality of recordings: time base, gaps, outliers, ids, units, truth, geometry.
+
+    The exit code is 1 if there are errors.
 
     Args:
         recordings: recording folders (rig.toml and tables).
     """
-    require_some(recordings)
+    if not recordings:
+        raise UnusableInput("no recording given; expected one or more recording folders")
     failed = False
     for path in recordings:
-        findings = check_folder(read_recording(path))
-        failed |= any(f.level == "error" for f in findings)
-        print(f"{path}\n{format_findings(findings)}")
+        results = check_recording(read_recording(path))
+        failed |= any(result.level == "error" for result in results)
+        print(f"{path}\n{format_results(results)}")
     return int(failed)

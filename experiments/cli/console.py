@@ -1,4 +1,4 @@
-"""What a person sees while a command runs: progress on a terminal, quiet in a pipe, notices on standard error."""
+"""Output of commands on the console: progress bars, notices on standard error, tables as text."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 from rich import box
 from rich.console import Console, RenderableType
@@ -15,20 +15,20 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from trackers.core.errors import UnusableInput
-from trackers.recordings.folder import RecordingFolder, read_recording
+from trackers.recordings.folder import RecordingFolder, read_recordings
 
 ERRORS = Console(stderr=True, highlight=False, soft_wrap=True)
 
 
 class Advance(Protocol):
-    """Counts work done; `now` says in a few words how it stands."""
+    """Advances a progress bar by `done`; `now` is appended to its label."""
 
     def __call__(self, done: int, now: str = "") -> None: ...
 
 
 @contextmanager
 def progress(what: str, total: int) -> Iterator[Advance]:
-    """A function that counts work done; draws a bar where standard error is a terminal."""
+    """A progress bar on standard error, drawn only on a terminal; yields the function that advances it."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -45,8 +45,8 @@ def progress(what: str, total: int) -> Iterator[Advance]:
         yield advance
 
 
-def close_table(title: str) -> Table:
-    """A table with a bold title and little room between its columns, for many of them."""
+def compact_table(title: str) -> Table:
+    """A rich table with a bold title and narrow column gaps."""
     return Table(
         title=title,
         title_justify="left",
@@ -59,7 +59,7 @@ def close_table(title: str) -> Table:
 
 
 def rendered(width: int, *parts: RenderableType) -> str:
-    """Tables and plain lines as text of at most so many characters a line, without blanks at their ends."""
+    """Tables and plain lines as text of at most `width` characters per line, without trailing blanks."""
     page = io.StringIO()
     console = Console(file=page, width=width, highlight=False)
     for part in parts:
@@ -68,43 +68,23 @@ def rendered(width: int, *parts: RenderableType) -> str:
 
 
 def notice(text: str) -> None:
-    """One line for the person at the terminal, on standard error."""
+    """Prints one line on standard error."""
     ERRORS.print(text, markup=False)
 
 
-def read_all(paths: Sequence[Path]) -> list[RecordingFolder]:
-    """All recording folders, their notices shown; raises UnusableInput for none, and for two of one name."""
-    folders = []
-    require_some(paths)
-    twice = _repeated([path.resolve() for path in paths])
-    if twice is not None:
-        raise UnusableInput(f"{paths[twice]}: is given more than once; expected every recording in one place only")
-    for path in paths:
-        folders.append(read_recording(path))
-        for text in folders[-1].notices:
+def read_with_notices(paths: Sequence[Path]) -> list[RecordingFolder]:
+    """The recordings in several folders; prints their notices. Raises UnusableInput as `read_recordings`."""
+    recordings = read_recordings(paths)
+    for path, recording in zip(paths, recordings, strict=True):
+        for text in recording.notices:
             notice(f"notice: {path}: {text}")
-    double = _repeated([folder.name for folder in folders])
-    if double is not None:
-        name = folders[double].name
-        raise UnusableInput(f"two recordings are both named '{name}'; expected different names in rig.toml; rename one")
-    return folders
-
-
-def _repeated(items: Sequence[Any]) -> int | None:
-    """The place of the first item that stands there more than once."""
-    return next((k for k, item in enumerate(items) if items.count(item) > 1), None)
-
-
-def require_some(paths: Sequence[Path]) -> None:
-    """Raise UnusableInput where no recording is given."""
-    if not paths:
-        raise UnusableInput("no recording given; expected one or more recording folders")
+    return recordings
 
 
 def output_folder(path: Path) -> Path:
-    """The folder, created where it isn't there; raises UnusableInput where that can't be, and for a recording."""
+    """The folder, created if missing; raises UnusableInput if that fails, or for a recording folder."""
     if (path / "rig.toml").exists():
-        raise UnusableInput(f"--out {path}: is a recording folder; expected one for results")
+        raise UnusableInput(f"--out {path}: is a recording folder; expected a folder for results; choose another")
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:

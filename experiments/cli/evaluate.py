@@ -9,18 +9,18 @@ from typing import Annotated
 
 import tyro
 
-from experiments.cli.console import notice, read_all
-from experiments.cli.fail_if import fails
+from experiments.cli.console import notice, read_with_notices
+from experiments.cli.fail_if import violation
 from experiments.reports.evaluation_text import to_json, to_text
 from experiments.reports.worksteps_text import to_text as work_text
 from trackers.core.errors import UnusableInput
 from trackers.evaluation import Evaluation, evaluate
 from trackers.recordings.atomic import atomic_write
-from trackers.recordings.truth import read_tracks
+from trackers.recordings.tracks_table import read_tracks
 from trackers.worksteps.tracks import WorkReport, work_report
 
 SOURCES = "recordings.txt"
-"""In a run folder: the recording folders that were tracked, one a line."""
+"""File in the output folder of `track`: paths of the tracked recordings, one per line."""
 
 
 def evaluate_tracks(
@@ -32,23 +32,25 @@ def evaluate_tracks(
     worksteps: Path | None = None,
     tolerance: float | None = None,
 ) -> int:
-    """Error figures of tracks against truth, horizontal and 3-D, per recording, tag and overall. Exit 1 with --fail-if.
+    """Error metrics of estimates against truth, by track, by recording and overall. Exit code 1 with --fail-if.
 
     Args:
-        folder: what `track --out` wrote.
-        truth: recordings whose truth table counts; default: those that were tracked.
-        json: print every figure as JSON instead of a table.
-        fail_if: exit 1 where this holds of the overall figures, as "p95_m>0.5" or "rmse_m>0.2 or lost_fraction>0".
-        every_s: judge only the last estimate in every so many seconds, so that busy tags don't weigh more.
-        worksteps: a table of points of work, name, x_m, y_m and optionally z_m: how often the right one is released.
-        tolerance: how near to a point, m, the tool is at it; default: half the smallest distance between two points.
+        folder: the output folder of `track`.
+        truth: recordings whose truth tables are used; default: the tracked ones.
+        json: print all metrics as JSON instead of a table.
+        fail_if: exit with code 1 if this holds for the overall metrics, e.g. "p95_m>0.5" or "rmse_m>0.2 or lost_s>0".
+        every_s: score only the last estimate in each interval of this many seconds, so that tags weigh equally.
+        worksteps: a table of fastening points, name, x_m, y_m and optionally z_m; adds how often the right one is
+            released.
+        tolerance: distance to a fastening point, m, up to which the tool is at it; default: half the smallest distance
+            between two points.
     """
     if every_s is not None and not (math.isfinite(every_s) and every_s > 0):
         raise UnusableInput(f"--every-s {every_s}: expected a number of seconds above 0")
     if tolerance is not None and worksteps is None:
-        raise UnusableInput(f"--tolerance {tolerance:g}: is of points of work; expected --worksteps POINTS with it")
+        raise UnusableInput(f"--tolerance {tolerance:g}: applies to fastening points; expected --worksteps POINTS too")
     tracks = read_tracks(folder)
-    folders = read_all(truth or sources(folder))
+    folders = read_with_notices(truth or sources(folder))
     evaluation, work = evaluate(tracks, folders, every_s), None
     if worksteps is not None:
         truths = {f.name: f.tables["truth"] for f in folders if "truth" in f.tables}
@@ -58,7 +60,7 @@ def evaluate_tracks(
     atomic_write(folder / "evaluation.json", lambda path: path.write_text(text, encoding="utf-8"))
     print(text if json else to_text(evaluation) + ("" if work is None else "\n" + work_text(work)), end="")
     if fail_if is not None:
-        why = fails(evaluation, fail_if)
+        why = violation(evaluation, fail_if)
         if why is not None:
             notice(f"fails: {why}")
             return 1
@@ -66,7 +68,7 @@ def evaluate_tracks(
 
 
 def with_work(evaluation: Evaluation, work: WorkReport) -> Evaluation:
-    """The evaluation with the shares of right and wrong releases among its figures, overall and by recording."""
+    """The evaluation with the shares of right and wrong releases added to its metrics, overall and by recording."""
     recordings = [
         figures | (work.figures(figures["recording"]) if figures["recording"] in work.recordings else {})
         for figures in evaluation.recordings
@@ -75,7 +77,7 @@ def with_work(evaluation: Evaluation, work: WorkReport) -> Evaluation:
 
 
 def sources(folder: Path) -> tuple[Path, ...]:
-    """The recordings that a run folder was made from; raises UnusableInput where it doesn't say."""
+    """The recordings tracked into an output folder; raises UnusableInput if it does not list them."""
     path = folder / SOURCES
     try:
         lines = path.read_text(encoding="utf-8").splitlines()

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import tyro
 
-from experiments.cli.console import notice, output_folder, progress, read_all
+from experiments.cli.console import notice, output_folder, progress, read_with_notices
 from experiments.cli.evaluate import SOURCES
 from experiments.cli.manifest import write_manifest
 from experiments.plots.track_run import draw_tracks
@@ -20,8 +20,8 @@ from trackers.core.errors import UnusableInput
 from trackers.evaluation import evaluate
 from trackers.events import EVENTS, events_of
 from trackers.recordings.atomic import atomic_write
-from trackers.recordings.tracks import TRACKS
 from trackers.recordings.tracks import track as run
+from trackers.recordings.tracks_table import TRACKS
 from trackers.recordings.trajectories import known_height
 from tuning.tuned_file import read_tuned
 
@@ -36,7 +36,7 @@ def track(  # noqa: D103
     lag: float | None = None,
 ) -> int:
     started = datetime.now(UTC)
-    folders = read_all(recordings)
+    folders = read_with_notices(recordings)
     name = tracker or fitting(folders[0])
     named = build(name, folders, free_height)
     if tracker is None:

@@ -11,14 +11,14 @@ import numpy as np
 import polars as pl
 import tyro
 
-from experiments.cli.console import notice, read_all
+from experiments.cli.console import notice, read_with_notices
 from experiments.cli.manifest import write_manifest
 from trackers.core.errors import UnusableInput
 from trackers.line.rows import line_trajectories, path_of, raw_places
 from trackers.line.truth import KnotTimes, knot_times
 from trackers.recordings.folder import RecordingFolder, write_recording
 from trackers.recordings.trajectories import known_height
-from trackers.recordings.truth import interpolated, truth_paths
+from trackers.recordings.truth import interpolate_truth, truth_paths
 
 
 def truth(recording: Annotated[Path, tyro.conf.Positional], out: Path) -> int:
@@ -32,7 +32,7 @@ def truth(recording: Annotated[Path, tyro.conf.Positional], out: Path) -> int:
         out: the folder to write; it must not exist or be empty.
     """
     started = datetime.now(UTC)
-    (folder,) = read_all((recording,))
+    (folder,) = read_with_notices((recording,))
     path_of(folder)
     if not {"fixes", "ranges"} & set(folder.tables):
         raise UnusableInput(
@@ -84,7 +84,7 @@ def _compare(folder: RecordingFolder, table: pl.DataFrame) -> None:
     given, fitted = truth_paths(folder.tables["truth"], folder.name), truth_paths(table, folder.name)
     for tag in sorted(given.keys() & fitted.keys()):
         times, places = fitted[tag]
-        known, _ = interpolated(times, *given[tag])
+        known, _ = interpolate_truth(times, *given[tag])
         apart = np.sqrt(((places - known)[:, :2] ** 2).sum(axis=1))
         if np.isfinite(apart).any():
             rms = np.sqrt(np.nanmean(apart**2))

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.cli.console import notice, read_all
+from experiments.cli.console import notice, read_with_notices
 from trackers.catalogue import fitting, spec_of
 from trackers.core.errors import UnusableInput
 from trackers.core.recording import Batch
@@ -16,7 +16,7 @@ from trackers.core.tracker import AbstractTracker
 from trackers.core.tunable import tunables, with_values
 from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.tracks import batches
-from trackers.recordings.trajectories import Trajectory, pieces
+from trackers.recordings.trajectories import Trajectory, segments
 from tuning.identifiability import names_of
 from tuning.metrics import parse_objective
 from tuning.objectives import AbstractObjective
@@ -48,7 +48,7 @@ def only_group(
 
     Raises UnusableInput where they need several trackers: those have no numbers in common.
     """
-    folders = read_all(recordings)
+    folders = read_with_notices(recordings)
     name = tracker or fitting(folders[0])
     if tracker is None:
         notice(f"tracker: {name}; choose another with --tracker")
@@ -66,7 +66,7 @@ def only_group(
 
 def job_of(group: TrackerBatch, objective: str, held_out: Sequence[Path], piece_rows: int) -> Job:
     """The job of a group's trajectories, cut into pieces; raises UnusableInput for an objective that they can't be put to."""
-    trajectories = [piece for trajectory in group.trajectories for piece in pieces(trajectory, piece_rows)]
+    trajectories = [piece for trajectory in group.trajectories for piece in segments(trajectory, piece_rows)]
     quantity = next(iter(trajectories[0].recording.truth))
     floor = quantity == "direction" or group.planar
     try:

@@ -22,8 +22,8 @@ from trackers.core.tunable import tunables, with_values
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.tracks import angles, rounded
-from trackers.recordings.trajectories import Trajectory, known_heights, true_paths
-from trackers.recordings.truth import TruthStatus, interpolated
+from trackers.recordings.trajectories import Trajectory, known_heights
+from trackers.recordings.truth import TruthStatus, interpolate_truth, truth_by_tag
 
 
 def run_chunk(study: Study, condition: Condition, ids: np.ndarray, first: bool) -> list[dict[str, np.ndarray]]:
@@ -127,7 +127,7 @@ def _track(
         began = time.perf_counter()
         found = batch.tracker.run(whole, chunk)
         seconds += time.perf_counter() - began
-        paths: Mapping[str, Any] = true_paths(batch.trajectories[0].folder) if _shifts(batch.tracker) else {}
+        paths: Mapping[str, Any] = truth_by_tag(batch.trajectories[0].folder) if _shifts(batch.tracker) else {}
         for k, trajectory in enumerate(batch.trajectories):
             one, size = found[k], len(trajectory.recording)
             at = number[trajectory.tag], slice(0, size), stations.index(trajectory.station)
@@ -173,8 +173,8 @@ def _shifts(tracker: AbstractTracker) -> bool:
 def _truth(trajectory: Trajectory, times: np.ndarray, paths: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
     """The truth at `times`, and the rows that have one."""
     if trajectory.tag in paths:
-        position, status = interpolated(times, *paths[trajectory.tag])
-        return position, status == TruthStatus.COUNTS
+        position, status = interpolate_truth(times, *paths[trajectory.tag])
+        return position, status == TruthStatus.SCORED
     return next(iter(trajectory.recording.truth.values()))
 
 

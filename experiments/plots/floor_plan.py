@@ -16,7 +16,7 @@ from experiments.plots.style import BLACK, GREY, LINES, broken_at_gaps, drawing,
 from trackers.core.metrics import chi_square_quantile
 from trackers.core.rig import Station
 from trackers.evaluation import covariances
-from trackers.recordings.truth import numbers
+from trackers.recordings.columns import float_column
 
 ELLIPSES = 24
 """So many ellipses are drawn in all, and at most half of them along one track; more would hide the tracks."""
@@ -79,9 +79,9 @@ def floor_plan(
 def _path_of(table: pl.DataFrame, tag: str) -> _Path:
     """The rows of a tag that have a place, by time."""
     rows = table.filter(pl.col("tag").cast(pl.String) == tag).sort("t_s")
-    places = np.stack([numbers(rows, "x_m"), numbers(rows, "y_m")], axis=1)
+    places = np.stack([float_column(rows, "x_m"), float_column(rows, "y_m")], axis=1)
     there = np.isfinite(places).all(axis=1)
-    return _Path(numbers(rows, "t_s")[there], places[there], covariances(rows)[there, :2, :2])
+    return _Path(float_column(rows, "t_s")[there], places[there], covariances(rows)[there, :2, :2])
 
 
 def _frame(estimated: list[np.ndarray], certain: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

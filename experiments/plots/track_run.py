@@ -15,9 +15,11 @@ from experiments.plots.tracks import bearings_over_time, error_cdf, error_over_t
 from trackers.bounds import bounds_of
 from trackers.core.metrics import nees
 from trackers.evaluation import covariances
+from trackers.recordings.association import associate_truth, true_bearings
+from trackers.recordings.columns import float_column
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerBatch
-from trackers.recordings.truth import is_bearing, match_truth, numbers, track_keys, true_bearings
+from trackers.recordings.tracks_table import is_bearing, track_keys
 
 DRAWN = 4
 """Recordings (or tags) for which figures of their own are drawn."""
@@ -50,30 +52,36 @@ def _draw_errors(
     folder: RecordingFolder,
     groups: Sequence[TrackerBatch],
 ) -> None:
-    matched = match_truth(rows, {folder.name: folder.tables["truth"]})
-    if not matched.counts.any():
+    association = associate_truth(rows, {folder.name: folder.tables["truth"]})
+    if not association.scored.any():
         return
-    places = np.stack([numbers(matched.rows, f"{a}_m") for a in "xyz"], axis=1)
-    errors = np.where(matched.counts[:, None], places - matched.truth, np.nan)
-    sigmas = np.stack([numbers(matched.rows, f"std_{a}_m") for a in "xyz"], axis=1)
+    places = np.stack([float_column(association.rows, f"{a}_m") for a in "xyz"], axis=1)
+    errors = np.where(association.scored[:, None], places - association.truth, np.nan)
+    sigmas = np.stack([float_column(association.rows, f"std_{a}_m") for a in "xyz"], axis=1)
     known = sigmas[:, 2] > 0
     errors[~known, 2] = np.nan
-    times = numbers(matched.rows, "t_s")
-    error_cdf(_png(out, drawn, "error-cdf" + suffix), errors[matched.counts], f"Errors, {folder.name}")
-    first = slice(matched.starts[0], matched.starts[1])
-    tag = matched.rows["tag"][0]
+    times = float_column(association.rows, "t_s")
+    error_cdf(_png(out, drawn, "error-cdf" + suffix), errors[association.scored], f"Errors, {folder.name}")
+    first = slice(association.starts[0], association.starts[1])
+    tag = association.rows["tag"][0]
     bounds = bounds_of(folder, groups)
     alone = None if bounds is None else _at(bounds, times[first])
     title = f"Error over time, {folder.name}, tag {tag}"
     error_over_time(
         _png(out, drawn, "error-over-time" + suffix), times[first], errors[first], sigmas[first], alone, title=title
     )
-    covs = covariances(matched.rows)
+    covs = covariances(association.rows)
     square = nees(errors[:, :2], covs[:, :2, :2])
-    grid = _by_run(matched.starts, times, square, numbers(matched.rows, "nis"), numbers(matched.rows, "nis_dof"))
+    grid = _by_run(
+        association.starts,
+        times,
+        square,
+        float_column(association.rows, "nis"),
+        float_column(association.rows, "nis_dof"),
+    )
     consistency(_png(out, drawn, "consistency" + suffix), grid[0], grid[1], 2, grid[2], grid[3])
-    if len(matched.starts) > 10:
-        _draw_runs(_png(out, drawn, "rmse-over-time" + suffix), matched.starts, times, errors, sigmas, bounds)
+    if len(association.starts) > 10:
+        _draw_runs(_png(out, drawn, "rmse-over-time" + suffix), association.starts, times, errors, sigmas, bounds)
 
 
 def _draw_runs(
@@ -118,12 +126,12 @@ def _draw_bearings(out: Path, tracks: pl.DataFrame, folders: Sequence[RecordingF
     for key in keys[:DRAWN]:
         folder = by_name[key["recording"]]
         rows = tracks.filter(pl.all_horizontal(pl.col(k) == v for k, v in key.items()))
-        angles = np.stack([numbers(rows, f"{a}_rad") for a in ("azimuth", "elevation")], axis=1)
-        sigmas = np.stack([numbers(rows, f"std_{a}_rad") for a in ("azimuth", "elevation")], axis=1)
-        times, true = numbers(rows, "t_s"), None
+        angles = np.stack([float_column(rows, f"{a}_rad") for a in ("azimuth", "elevation")], axis=1)
+        sigmas = np.stack([float_column(rows, f"std_{a}_rad") for a in ("azimuth", "elevation")], axis=1)
+        times, true = float_column(rows, "t_s"), None
         if "truth" in folder.tables:
-            matched = match_truth(rows, {folder.name: folder.tables["truth"]})
-            true = true_bearings(matched, {folder.name: folder.rig.stations})
+            association = associate_truth(rows, {folder.name: folder.tables["truth"]})
+            true = true_bearings(association, {folder.name: folder.rig.stations})
             true = true if np.isfinite(true).any() else None
         label = f"{key['recording']}, tag {key['tag']}, station {key['station']}"
         name = "bearings-" + _plain(label.replace(", ", "-"))

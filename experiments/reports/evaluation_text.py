@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 from rich.console import Console
 from rich.table import Table
 
-from experiments.cli.console import close_table, rendered
-from trackers.evaluation import Evaluation, Figures
+from experiments.cli.console import compact_table, rendered
+from trackers.evaluation import Evaluation, Metrics
 from trackers.recordings.atomic import json_text
 
 SHOWN_TRACKS = 10
@@ -76,7 +76,7 @@ def to_text(evaluation: Evaluation, width: int = 120) -> str:
 def _table(evaluation: Evaluation, columns: Sequence[Column]) -> Table:
     unit, scale, digits = _unit(evaluation)
     what = "Bearing errors" if evaluation.bearing else "Horizontal and 3-D position errors"
-    table = close_table(f"{what} in {unit}")
+    table = compact_table(f"{what} in {unit}")
     for name in _labels(evaluation):
         table.add_column(name, overflow="fold")
     for name in ("n", *(column.title for column in columns)):
@@ -91,10 +91,10 @@ def _labels(evaluation: Evaluation) -> list[str]:
     return ["recording", "tag", "station"] if evaluation.bearing else ["recording", "tag"]
 
 
-def _lines(evaluation: Evaluation) -> list[tuple[list[str], Figures, str | None]]:
+def _lines(evaluation: Evaluation) -> list[tuple[list[str], Metrics, str | None]]:
     """The table's rows: labels, figures, style."""
     labels = _labels(evaluation)
-    lines: list[tuple[list[str], Figures, str | None]] = []
+    lines: list[tuple[list[str], Metrics, str | None]] = []
     for recording in evaluation.recordings:
         tracks = [track for track in evaluation.tracks if track["recording"] == recording["recording"]]
         lines += [([track[label] for label in labels], track, None) for track in _worst(tracks, evaluation.bearing)]
@@ -106,7 +106,7 @@ def _lines(evaluation: Evaluation) -> list[tuple[list[str], Figures, str | None]
     return lines
 
 
-def _worst(tracks: list[Figures], bearing: bool) -> list[Figures]:
+def _worst(tracks: list[Metrics], bearing: bool) -> list[Metrics]:
     if len(tracks) <= SHOWN_TRACKS:
         return tracks
     by = "p95_direction_rad" if bearing else "p95_m"

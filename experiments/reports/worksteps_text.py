@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from rich.table import Table
 
-from experiments.cli.console import close_table, rendered
+from experiments.cli.console import compact_table, rendered
 from trackers.worksteps.decisions import LEVEL
 from trackers.worksteps.metrics import Share, Workstep
 from trackers.worksteps.tracks import WorkReport
@@ -23,7 +23,7 @@ def to_text(report: WorkReport, width: int = 120) -> str:
 
 
 def _table(report: WorkReport) -> Table:
-    table = close_table(
+    table = compact_table(
         f"Right place? Released from {LEVEL:.0%} on, within {report.tolerance:g} m; % of rows at work [95 %]"
     )
     table.add_column("point", overflow="fold")

@@ -1,4 +1,4 @@
-"""Matching with truth, error figures by level, their text and JSON, and conditions on them."""
+"""Association with truth, error metrics by level, their text and JSON, and conditions on them."""
 
 import json
 import math
@@ -9,12 +9,14 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.cli.fail_if import fails
+from experiments.cli.fail_if import violation
 from experiments.reports.evaluation_text import to_json, to_text
 from trackers.core.errors import UnusableInput
 from trackers.core.rig import Station
 from trackers.evaluation import evaluate_table
-from trackers.recordings.truth import TruthStatus, match_truth, read_tracks
+from trackers.recordings.association import associate_truth
+from trackers.recordings.tracks_table import read_tracks
+from trackers.recordings.truth import TruthStatus
 
 RECORDINGS = Path(os.environ.get("TRACKWRIGHT_RECORDINGS", Path(__file__).parents[2] / ".." / "shared" / "recordings"))
 
@@ -30,8 +32,8 @@ def _truth(t, x, tag="1", **columns):
     return pl.DataFrame({"t_s": t, "tag": [tag] * len(t), "x_m": x, "y_m": zero, "z_m": zero} | columns)
 
 
-def _verdicts(tracks, truth):
-    return [TruthStatus(code) for code in match_truth(tracks, {"hall": truth}).verdict]
+def _statuses(tracks, truth):
+    return [TruthStatus(code) for code in associate_truth(tracks, {"hall": truth}).truth_status]
 
 
 @pytest.fixture
@@ -53,61 +55,63 @@ def noisy():
     return pl.concat(tracks), truths
 
 
-# Matching
+# Association
 
 
 def test_truth_is_interpolated_linearly_at_the_estimates_times():
-    matched = match_truth(_tracks([0.25, 0.5, 1.0], [0.0] * 3), {"hall": _truth([0.0, 0.5, 1.0], [0.0, 2.0, 3.0])})
-    np.testing.assert_allclose(matched.truth[:, 0], [1.0, 2.0, 3.0], rtol=1e-15)
+    association = associate_truth(
+        _tracks([0.25, 0.5, 1.0], [0.0] * 3), {"hall": _truth([0.0, 0.5, 1.0], [0.0, 2.0, 3.0])}
+    )
+    np.testing.assert_allclose(association.truth[:, 0], [1.0, 2.0, 3.0], rtol=1e-15)
 
 
-def test_truth_counts_only_inside_its_span():
+def test_estimates_are_scored_only_inside_the_span_of_the_truth():
     tracks = _tracks([0.9, 1.0, 1.5, 2.0, 2.1], [0.0] * 5)
-    outside, inside = TruthStatus.NO_TRUTH, TruthStatus.COUNTS
-    assert _verdicts(tracks, _truth([1.0, 2.0], [0.0, 0.0])) == [outside, inside, inside, inside, outside]
+    outside, inside = TruthStatus.NO_TRUTH, TruthStatus.SCORED
+    assert _statuses(tracks, _truth([1.0, 2.0], [0.0, 0.0])) == [outside, inside, inside, inside, outside]
 
 
 @pytest.mark.parametrize(
-    ("seconds", "moved", "counts"),
+    ("seconds", "moved", "scored"),
     [(1.5, 0.03, False), (1.5, 0.01, True), (0.9, 5.0, True), (100.0, 0.0, True), (1.01, 0.021, False)],
 )
-def test_a_hole_in_the_truth_counts_unless_it_is_long_and_the_tag_moved(seconds, moved, counts):
-    verdicts = _verdicts(_tracks([seconds / 2], [0.0]), _truth([0.0, seconds], [0.0, moved]))
-    assert verdicts == [TruthStatus.COUNTS if counts else TruthStatus.HOLE]
+def test_estimates_in_a_hole_are_scored_unless_it_is_long_and_the_tag_moved(seconds, moved, scored):
+    statuses = _statuses(_tracks([seconds / 2], [0.0]), _truth([0.0, seconds], [0.0, moved]))
+    assert statuses == [TruthStatus.SCORED if scored else TruthStatus.HOLE]
 
 
-def test_estimates_at_the_truth_rows_beside_a_hole_count():
-    verdicts = _verdicts(_tracks([1.0, 2.0, 5.0, 5.5], [0.0] * 4), _truth([0.0, 1.0, 5.0, 6.0], [0.0, 0.0, 9.0, 9.0]))
-    assert verdicts == [TruthStatus.COUNTS, TruthStatus.HOLE, TruthStatus.COUNTS, TruthStatus.COUNTS]
+def test_estimates_at_the_truth_rows_around_a_hole_are_scored():
+    statuses = _statuses(_tracks([1.0, 2.0, 5.0, 5.5], [0.0] * 4), _truth([0.0, 1.0, 5.0, 6.0], [0.0, 0.0, 9.0, 9.0]))
+    assert statuses == [TruthStatus.SCORED, TruthStatus.HOLE, TruthStatus.SCORED, TruthStatus.SCORED]
 
 
 def test_empty_truth_cells_are_a_hole():
     truth = _truth([0.0, 1.0, 2.0], [0.0, None, 3.0])
-    assert _verdicts(_tracks([1.0], [0.0]), truth) == [TruthStatus.HOLE]
+    assert _statuses(_tracks([1.0], [0.0]), truth) == [TruthStatus.HOLE]
 
 
 def test_a_truth_of_one_row_serves_its_own_time():
-    assert _verdicts(_tracks([1.0, 1.1], [0.0] * 2), _truth([1.0], [0.0])) == [TruthStatus.COUNTS, TruthStatus.NO_TRUTH]
+    assert _statuses(_tracks([1.0, 1.1], [0.0] * 2), _truth([1.0], [0.0])) == [TruthStatus.SCORED, TruthStatus.NO_TRUTH]
 
 
-def test_rows_that_hold_no_estimate_do_not_count():
+def test_rows_without_an_estimate_are_not_scored():
     x = [1.0, 1.0, 1.0, None, math.nan, math.inf, 1.0, 1.0]
     status = ["waiting", "non-finite", "lost", "ok", "ok", "ok", None, "restarted"]
-    verdicts = _verdicts(_tracks([0.1 * k for k in range(8)], x, status=status), _truth([0.0, 1.0], [1.0, 1.0]))
-    none, counts = TruthStatus.NO_ESTIMATE, TruthStatus.COUNTS
-    assert verdicts == [none, none, counts, none, none, none, counts, counts]
+    statuses = _statuses(_tracks([0.1 * k for k in range(8)], x, status=status), _truth([0.0, 1.0], [1.0, 1.0]))
+    none, counts = TruthStatus.NO_ESTIMATE, TruthStatus.SCORED
+    assert statuses == [none, none, counts, none, none, none, counts, counts]
 
 
-def test_tags_that_a_reader_took_for_numbers_are_matched_as_text():
+def test_integer_tags_in_the_truth_are_compared_as_text():
     truth = _truth([0.0, 1.0], [0.0, 0.0]).with_columns(tag=pl.lit(8401))
-    assert _verdicts(_tracks([0.5], [0.0], tag="8401"), truth) == [TruthStatus.COUNTS]
+    assert _statuses(_tracks([0.5], [0.0], tag="8401"), truth) == [TruthStatus.SCORED]
 
 
-# Figures
+# Metrics
 
 
 def _plain(errors):
-    """The main figures of a list of error vectors by the plainest formulas."""
+    """RMS and maximum length of error vectors."""
     lengths = sorted(math.hypot(*e) for e in errors)
     return math.sqrt(sum(x * x for x in lengths) / len(lengths)), lengths[-1]
 
@@ -120,17 +124,17 @@ def test_every_level_pools_the_rows_of_its_tracks(noisy):
     levels = [(evaluation.overall, joined)]
     levels += [(f, joined.filter(recording=f["recording"])) for f in evaluation.recordings]
     levels += [(f, joined.filter(recording=f["recording"], tag=f["tag"])) for f in evaluation.tracks]
-    assert [figures["n"] for figures, _ in levels] == [201, 120, 81, 120, 50, 31]
-    for figures, rows in levels:
+    assert [metrics["n"] for metrics, _ in levels] == [201, 120, 81, 120, 50, 31]
+    for metrics, rows in levels:
         errors = [[row[f"{a}_m"] - row[f"{a}_m_true"] for a in "xyz"] for row in rows.to_dicts()]
         # Sums of at most 201 numbers in another order.
-        assert (figures["rmse_m"], figures["max_m"]) == pytest.approx(_plain([e[:2] for e in errors]), rel=1e-12)
-        assert (figures["rmse_3d_m"], figures["max_3d_m"]) == pytest.approx(_plain(errors), rel=1e-12)
-        assert figures["bias_z_m"] == pytest.approx(sum(e[2] for e in errors) / len(errors), rel=1e-9)
-        assert figures["nis_ratio"] == pytest.approx(sum(rows["nis"]) / sum(rows["nis_dof"]), rel=1e-12)
+        assert (metrics["rmse_m"], metrics["max_m"]) == pytest.approx(_plain([e[:2] for e in errors]), rel=1e-12)
+        assert (metrics["rmse_3d_m"], metrics["max_3d_m"]) == pytest.approx(_plain(errors), rel=1e-12)
+        assert metrics["bias_z_m"] == pytest.approx(sum(e[2] for e in errors) / len(errors), rel=1e-9)
+        assert metrics["nis_ratio"] == pytest.approx(sum(rows["nis"]) / sum(rows["nis_dof"]), rel=1e-12)
         nees = [(e[0] / 0.3) ** 2 + (e[1] / 0.1) ** 2 for e in errors]
-        assert figures["nees_mean"] == pytest.approx(sum(nees) / len(nees), rel=1e-12)
-        assert figures["coverage_95"] == sum(value < -2 * math.log(0.05) for value in nees) / len(nees)
+        assert metrics["nees_mean"] == pytest.approx(sum(nees) / len(nees), rel=1e-12)
+        assert metrics["coverage_95"] == sum(value < -2 * math.log(0.05) for value in nees) / len(nees)
 
 
 def test_the_order_of_rows_changes_nothing(noisy):
@@ -145,14 +149,14 @@ def test_correlated_covariances_enter_the_nees():
     assert evaluate_table(tracks, {"hall": _truth([0, 1], [0.0, 0.0])}).overall["nees_mean"] == pytest.approx(4 / 3)
 
 
-def test_a_known_height_leaves_the_horizontal_figures():
+def test_a_known_height_leaves_the_horizontal_metrics():
     tracks = _tracks([0.5], [1.0], std_x_m=[1.0], std_y_m=[1.0], std_z_m=[0.0])
     overall = evaluate_table(tracks, {"hall": _truth([0, 1], [0.0, 0.0])}).overall
     assert (overall["rmse_3d_m"], overall["nees_mean"], overall["nees_3d_mean"]) == (1.0, 1.0, None)
 
 
 @pytest.mark.parametrize("z", [[None], [math.nan]])
-def test_tracks_without_height_have_no_figures_in_space(z):
+def test_tracks_without_height_have_no_metrics_in_space(z):
     tracks = _tracks([0.5], [1.0], z_m=pl.Series(z, dtype=pl.Float64))
     overall = evaluate_table(tracks, {"hall": _truth([0, 1], [0.0, 0.0])}).overall
     assert (overall["rmse_m"], overall["rmse_3d_m"], overall["bias_z_m"]) == (1.0, None, None)
@@ -166,13 +170,13 @@ def test_time_lost_adds_up_over_tracks():
     assert (overall["lost_s"], overall["lost_fraction"]) == (3.0, 3 / 13)
 
 
-def test_rows_that_do_not_count_are_counted_by_reason():
+def test_unscored_rows_are_counted_by_reason():
     tracks = _tracks([0.5, 0.6, 1.5, 2.5, 9.0], [0.0] * 5, status=["waiting", "ok", "ok", "ok", "ok"])
     overall = evaluate_table(tracks, {"hall": _truth([0.0, 1.0, 3.0], [0.0, 0.0, 5.0])}).overall
     assert [overall[name] for name in ("n_rows", "n", "n_no_estimate", "n_no_truth", "n_hole")] == [5, 1, 1, 1, 2]
 
 
-def test_the_last_estimate_of_every_interval_can_be_judged_alone():
+def test_only_the_last_estimate_of_each_interval_can_be_scored():
     # 0.3 s opens an interval although 0.3 / 0.1 is just under 3 in binary.
     tracks = _tracks([0.0, 0.05, 0.09, 0.1, 0.25, 0.3, 0.31], [9.0, 9.0, 1.0, 2.0, 3.0, 9.0, 4.0])
     evaluation = evaluate_table(tracks, {"hall": _truth([0.0, 1.0], [0.0, 0.0])}, every=0.1)
@@ -188,7 +192,7 @@ def test_thousands_of_tags_are_evaluated_like_one():
     moved = frame.with_columns(x_m=np.sin(t) + errors[:, 0], y_m=errors[:, 1], recording=pl.lit("hall"))
     evaluation = evaluate_table(moved, {"hall": frame})
     expected = np.sqrt((errors**2).sum(axis=1).reshape(tags, rows).mean(axis=1))
-    found = {figures["tag"]: figures["rmse_m"] for figures in evaluation.tracks}
+    found = {metrics["tag"]: metrics["rmse_m"] for metrics in evaluation.tracks}
     np.testing.assert_allclose([found[f"{k}"] for k in range(tags)], expected, rtol=1e-9)
     assert len(to_text(evaluation).splitlines()) < 20
 
@@ -219,7 +223,7 @@ def _still_walk():
     return {"hall": _truth([0.0, 1.0], [0.0, 1.0], y_m=[1.0, 1.0], z_m=[1.0, 1.0])}
 
 
-def test_bearings_are_judged_against_the_truth_their_station_sees(stations):
+def test_bearings_are_scored_against_the_true_direction_from_their_station(stations):
     evaluation = evaluate_table(_bearing_tracks(stations, [0.05, -0.1]), _still_walk(), stations)
     assert [(f["station"], f["n"]) for f in evaluation.tracks] == [("N", 2), ("S", 2)]
     overall = evaluation.overall
@@ -243,7 +247,7 @@ def test_azimuth_errors_are_wrapped(stations):
     assert overall["bias_azimuth_rad"] == pytest.approx(0.01 + math.atan(0.01), rel=1e-9)
 
 
-def test_a_station_that_the_rig_does_not_know_is_refused(stations):
+def test_a_station_missing_in_the_rig_is_refused(stations):
     del stations["hall"]["S"]
     tracks = _bearing_tracks(stations, [0.0, 0.0]).with_columns(station=pl.lit("S"))
     with pytest.raises(UnusableInput, match=r"station 'S' is not in its rig; found N"):
@@ -275,7 +279,7 @@ def test_tracks_without_an_estimate_are_refused():
         (_tracks([0.5], [0.0], status=[1]), _truth([0.0], [0.0]), "column status holds Int64; expected words"),
         (_tracks([0.5], ["east"]), _truth([0.0], [0.0]), "column x_m holds String"),
         (_tracks([0.5], [0.0]), _truth([0.0], [0.0]).drop("x_m"), "truth of recording 'hall': no column x_m"),
-        (_tracks([0.5], [0.0]), _truth([0.0], [0.0]).clear(), "no estimate meets a truth"),
+        (_tracks([0.5], [0.0]), _truth([0.0], [0.0]).clear(), "no estimate lies inside a truth"),
     ],
 )
 def test_tables_that_do_not_fit_are_refused_in_one_line(tracks, truth, words):
@@ -339,7 +343,7 @@ def test_bearings_are_shown_in_degrees(stations):
 
 @pytest.fixture
 def one_metre():
-    """An evaluation whose horizontal figures are all 1 m and that has no NEES."""
+    """An evaluation whose horizontal metrics are all 1 m and that has no NEES."""
     return evaluate_table(_tracks([0.5], [1.0]), {"hall": _truth([0.0, 1.0], [0.0, 0.0])})
 
 
@@ -357,7 +361,7 @@ def one_metre():
     ],
 )
 def test_a_condition_holds_or_does_not(one_metre, expression, failure):
-    assert fails(one_metre, expression) == failure
+    assert violation(one_metre, expression) == failure
 
 
 @pytest.mark.parametrize(
@@ -366,17 +370,17 @@ def test_a_condition_holds_or_does_not(one_metre, expression, failure):
 )
 def test_a_condition_that_cannot_be_read_is_refused_with_the_names(one_metre, expression):
     with pytest.raises(UnusableInput, match=r"NAME OPERATOR NUMBER.*names: n, .*rmse_m"):
-        fails(one_metre, expression)
+        violation(one_metre, expression)
 
 
-def test_an_unknown_figure_is_refused_with_the_names(one_metre):
-    with pytest.raises(UnusableInput, match=r"no figure 'p95'; names: .*p95_m"):
-        fails(one_metre, "p95>0.5 or n>0")
+def test_an_unknown_metric_is_refused_with_the_names(one_metre):
+    with pytest.raises(UnusableInput, match=r"no metric 'p95'; names: .*p95_m"):
+        violation(one_metre, "p95>0.5 or n>0")
 
 
-def test_a_figure_without_a_value_does_not_pass_silently(one_metre):
+def test_a_metric_without_a_value_does_not_pass_silently(one_metre):
     with pytest.raises(UnusableInput, match="'nees_mean' has no value"):
-        fails(one_metre, "n>1 and nees_mean>3")
+        violation(one_metre, "n>1 and nees_mean>3")
 
 
 # Real recordings: the raw errors of their README

@@ -15,10 +15,11 @@ from trackers.aoa.rays import recent_points
 from trackers.core.recording import Readings
 from trackers.core.rig import Station
 from trackers.core.tracker import AbstractTracker
+from trackers.recordings.columns import by_tag, float_column, values_of
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerSpec, on_request
-from trackers.recordings.trajectories import Trajectory, by_tag, known_height, trajectory_of, true_paths, values_of
-from trackers.recordings.truth import numbers
+from trackers.recordings.trajectories import Trajectory, known_height, trajectory_of
+from trackers.recordings.truth import truth_by_tag
 
 PHASES = "phases"
 
@@ -30,11 +31,13 @@ def bearing_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator
     """Each tag's bearings, one row per table row, with the geometry of the row's station as inputs."""
     stations = folder.rig.stations
     geometry = {name: bearing_inputs(s) for name, s in stations.items()}
-    paths = true_paths(folder)
+    paths = truth_by_tag(folder)
     for tag, table in by_tag(folder.tables["bearings"]):
         values, seen = values_of(table, ["azimuth_rad", "elevation_rad"])
         # Without reported spreads zeros stand here, so that trajectories with and without share a batch.
-        spread = np.nan_to_num(np.stack([numbers(table, f"{a}_std_rad") for a in ("azimuth", "elevation")], axis=1))
+        spread = np.nan_to_num(
+            np.stack([float_column(table, f"{a}_std_rad") for a in ("azimuth", "elevation")], axis=1)
+        )
         reported = np.stack([spread[:, 0] ** 2, np.zeros(len(spread)), spread[:, 1] ** 2], axis=1)
         where = np.stack([geometry[s] for s in table["station"].to_list()])
         times, height = table["t_s"].to_numpy(), None if free_height else known_height(folder, tag)
@@ -47,7 +50,7 @@ def bearing_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator
 def phase_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
     """Each tag's phases at all stations, by the stations' ids; a row per time."""
     stations = {name: s for name, s in folder.rig.stations.items() if s.antennas is not None}
-    paths = true_paths(folder)
+    paths = truth_by_tag(folder)
     for tag, table in by_tag(folder.tables["phases"]):
         times, place = _rows(table["t_s"].to_numpy(), table["station"].to_numpy())
         readings = {}
@@ -62,7 +65,7 @@ def phase_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[T
 
 def beam_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
     """Each tag's phases at one station, for every pair of them, under the name `phases`."""
-    paths = true_paths(folder)
+    paths = truth_by_tag(folder)
     for tag, table in by_tag(folder.tables["phases"]):
         for (name,), part in table.group_by(["station"], maintain_order=True):
             values, seen = values_of(part, _phase_columns(folder.rig.stations[str(name)]))

@@ -17,10 +17,11 @@ from trackers.line.motion import HaltingMotion, LineMotion
 from trackers.line.tracker import line_grid_tracker, line_motion, line_tracker
 from trackers.parts.range_rows import range_trajectories
 from trackers.parts.ranges import RANGES, RangeSensor
+from trackers.recordings.columns import by_tag, float_column, values_of
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerSpec, on_request
-from trackers.recordings.trajectories import Trajectory, by_tag, known_height, trajectory_of, true_paths, values_of
-from trackers.recordings.truth import numbers
+from trackers.recordings.trajectories import Trajectory, known_height, trajectory_of
+from trackers.recordings.truth import truth_by_tag
 
 SIGMA_FIX = 0.3
 """Metres per axis of a fix of unknown origin: the thesis's raw error is 0.39 m over both."""
@@ -35,10 +36,10 @@ CLOSED = 0.05
 
 def floor_fix_trajectories(folder: RecordingFolder) -> Iterator[Trajectory]:
     """Each tag's fixes, x and y, one row per table row."""
-    paths = true_paths(folder)
+    paths = truth_by_tag(folder)
     for tag, table in by_tag(folder.tables["fixes"]):
         values, seen = values_of(table, ["x_m", "y_m"])
-        reported = np.nan_to_num(np.stack([numbers(table, f"{a}_std_m") for a in "xy"], axis=1)) ** 2
+        reported = np.nan_to_num(np.stack([float_column(table, f"{a}_std_m") for a in "xy"], axis=1)) ** 2
         yield trajectory_of(
             folder, tag, "", table["t_s"].to_numpy(), {FIXES: Readings(values, seen, reported)}, {}, paths
         )

@@ -10,14 +10,15 @@ import polars as pl
 from trackers.core.recording import Readings
 from trackers.parts.ranges import RANGES
 from trackers.parts.recent_positions import recent_positions
+from trackers.recordings.columns import by_tag, float_column, values_of
 from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.trajectories import Trajectory, by_tag, known_height, trajectory_of, true_paths, values_of
-from trackers.recordings.truth import numbers
+from trackers.recordings.trajectories import Trajectory, known_height, trajectory_of
+from trackers.recordings.truth import truth_by_tag
 
 
 def range_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
     """Each tag's ranges, one row per table row, with the inputs of `range_rows`."""
-    paths = true_paths(folder)
+    paths = truth_by_tag(folder)
     for tag, table in by_tag(folder.tables["ranges"]):
         readings, inputs = range_rows(folder, tag, table, free_height)
         yield trajectory_of(folder, tag, "", table["t_s"].to_numpy(), {RANGES: readings}, inputs, paths)
@@ -34,7 +35,7 @@ def range_rows(
     number = np.array([order.index(a) for a in table["anchor"].to_list()])
     values, seen = values_of(table, ["range_m"])
     seen &= values > 0.0
-    variances = np.nan_to_num(numbers(table, "range_std_m"))[:, None] ** 2
+    variances = np.nan_to_num(float_column(table, "range_std_m"))[:, None] ** 2
     height = None if free_height else known_height(folder, tag)
     nearby = recent_positions(table["t_s"].to_numpy(), positions, number, values[:, 0], seen[:, 0], height)
     inputs = {"anchors": positions[number], "anchor": number[:, None].astype(float), "nearby": nearby}

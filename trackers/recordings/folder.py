@@ -1,6 +1,6 @@
 """Recording folders: a `rig.toml` and the tables beside it, read into memory and written back.
 
-Whatever cannot be used is refused with one line that names the file; whatever is odd but usable is read, with a notice.
+An unusable file is refused with a message of one line that names it; anomalies in usable data are kept as notices.
 """
 
 from __future__ import annotations
@@ -9,41 +9,35 @@ import difflib
 import gzip
 import shutil
 import uuid
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Literal, cast, get_args
+from typing import IO, Any, Literal, cast, get_args
 
 import polars as pl
 
 from trackers.core.errors import UnusableInput
 from trackers.core.rig import Rig
-from trackers.recordings.cells import SUFFIXES
 from trackers.recordings.checks.anomalies import anomalies
 from trackers.recordings.rig_file import RIG_FILE, read_rig, rig_text
+from trackers.recordings.table_file import SUFFIXES
 from trackers.recordings.tables import MEASUREMENTS, TABLES, read_table
 
 Kind = Literal["parquet", "csv.gz", "csv"]
 
 _OTHER_DATA = (
-    ".txt",
-    ".tsv",
-    ".dat",
-    ".json",
-    ".xlsx",
-    ".zip",
-    ".bz2",
-    ".xz",
-    ".zst",
-    ".feather",
-    ".npz",
-    ".mat",
-    ".pq",
-)
+    ".txt", ".tsv", ".dat", ".json", ".xlsx", ".zip", ".bz2", ".xz", ".zst", ".feather", ".npz", ".mat", ".pq",
+)  # fmt: skip
+_SHOWN_IDS = 4
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class RecordingFolder:
-    """A recording: geometry, tables by name (t_s and values Float64, ids String, null = missing), and what was odd."""
+    """A recording: its geometry, its tables, and notices of anomalies.
+
+    `path`: the folder it was read from, None for one made in memory. `tables`: by name, with t_s and values as Float64,
+    ids as String, null where a value is missing. `notices`: one line for each anomaly found while reading.
+    """
 
     name: str
     path: Path | None
@@ -51,9 +45,54 @@ class RecordingFolder:
     tables: dict[str, pl.DataFrame]
     notices: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        tables = ", ".join(f"{name} {table.height:,} rows" for name, table in self.tables.items())
+        tags = {tag: None for table in self.tables.values() for tag in table["tag"].unique(maintain_order=True)}
+        lines = [
+            f"RecordingFolder {self.name!r}",
+            f"  tables: {tables or 'none'}",
+            f"  tags: {_counted(tags)}",
+            f"  anchors: {_counted(self.rig.anchors)}",
+            f"  stations: {_counted(self.rig.stations)}",
+            f"  truth: {'yes' if 'truth' in self.tables else 'no'}",
+            f"  notices: {len(self.notices)}",
+        ]
+        return "\n".join(line for line in lines if not line.endswith(": 0"))
+
+
+def _counted(ids: Iterable[str]) -> str:
+    """Number of ids and the first of them: `6 (A1, A2, A3, A4, …)`."""
+    names = list(ids)
+    shown = ", ".join([*names[:_SHOWN_IDS], *(["…"] if len(names) > _SHOWN_IDS else [])])
+    return f"{len(names)} ({shown})" if names else "0"
+
+
+def read_recordings(paths: Sequence[str | Path]) -> list[RecordingFolder]:
+    """The recordings in several folders, in the order given.
+
+    Raises UnusableInput for an empty list, a folder given twice, two recordings of one name, and an unusable folder.
+    """
+    if not paths:
+        raise UnusableInput("no recording given; expected one or more recording folders")
+    repeated = _repeated([Path(path).resolve() for path in paths])
+    if repeated is not None:
+        raise UnusableInput(f"{paths[repeated]}: is given more than once; expected each recording once; remove one")
+    recordings = [read_recording(path) for path in paths]
+    same = _repeated([recording.name for recording in recordings])
+    if same is not None:
+        raise UnusableInput(
+            f"two recordings are both named '{recordings[same].name}'; expected different names in rig.toml; rename one"
+        )
+    return recordings
+
+
+def _repeated(items: Sequence[Any]) -> int | None:
+    """Index of the first item that occurs more than once."""
+    return next((k for k, item in enumerate(items) if items.count(item) > 1), None)
+
 
 def read_recording(path: str | Path) -> RecordingFolder:
-    """The recording in the folder `path`; raises UnusableInput, in one line, where something in it cannot be used."""
+    """The recording in the folder `path`; raises UnusableInput with a message of one line for unusable content."""
     path = Path(path)
     try:
         entries = sorted(entry.name for entry in path.iterdir())
@@ -61,7 +100,7 @@ def read_recording(path: str | Path) -> RecordingFolder:
         raise UnusableInput(f"{path}: does not exist, expected a recording folder; check the path") from None
     except NotADirectoryError:
         raise UnusableInput(
-            f"{path}: is a file, expected a recording folder with {RIG_FILE} and tables; give the folder it lies in"
+            f"{path}: is a file, expected a recording folder with {RIG_FILE} and tables; give its folder"
         ) from None
     except OSError as error:
         raise UnusableInput(f"{path}: folder cannot be read ({error.strerror}); check its permissions") from error
@@ -81,7 +120,7 @@ def read_recording(path: str | Path) -> RecordingFolder:
 
 
 def _table_files(path: Path, entries: list[str]) -> tuple[dict[str, Path], list[str]]:
-    """The file of each table, and a notice for each such file that is none; refuses doubles and misspelt names."""
+    """The file of each table, and a notice for each other data file; refuses duplicates and misspelt names."""
     files: dict[str, Path] = {}
     others = []
     for entry in entries:
@@ -104,7 +143,7 @@ def _table_files(path: Path, entries: list[str]) -> tuple[dict[str, Path], list[
                 "rename or convert it"
             )
         if entry.lower().endswith(SUFFIXES):
-            notices.append(f"{entry}: is none of the tables {', '.join(TABLES)} and was ignored")
+            notices.append(f"{entry}: is not one of the tables {', '.join(TABLES)} and was ignored")
     return files, notices
 
 
@@ -115,7 +154,7 @@ def _check_common_tag(path: Path, tables: dict[str, pl.DataFrame]) -> None:
         if not measured & true:
             raise UnusableInput(
                 f"{path}: no common tag: truth has {_listed(true)}, the measurements have {_listed(measured)}; "
-                "expected the same ids in both, to the letter"
+                "expected the same ids in both; correct their spelling"
             )
 
 
@@ -125,9 +164,9 @@ def _listed(ids: set[str]) -> str:
 
 
 def write_recording(folder: RecordingFolder, path: str | Path, kind: Kind = "parquet") -> None:
-    """Writes the recording to the folder `path`, all or nothing.
+    """Writes the recording to the folder `path`, completely or not at all.
 
-    Raises UnusableInput where `path` is a file or a folder that holds something, and where it cannot be written.
+    Raises UnusableInput if `path` is a file or a folder that is not empty, or cannot be written.
     """
     if kind not in get_args(Kind):
         raise ValueError(f"kind = {kind!r}, expected one of {', '.join(get_args(Kind))}")
@@ -144,7 +183,7 @@ def write_recording(folder: RecordingFolder, path: str | Path, kind: Kind = "par
         for name, table in folder.tables.items():
             _write_table(table, partial / f"{name}.{kind}", kind)
         if path.exists():
-            path.rmdir()  # an empty folder stands in the way of the new one on some systems
+            path.rmdir()  # some systems do not rename onto an empty folder
         partial.rename(path)
     except (OSError, pl.exceptions.PolarsError) as error:
         reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
@@ -161,6 +200,6 @@ def _write_table(table: pl.DataFrame, file: Path, kind: Kind) -> None:
     elif kind == "csv":
         table.write_csv(file)
     else:
-        # neither name nor time in the gzip header: the same table gives the same bytes
+        # without name and time in the gzip header, equal tables give equal bytes
         with file.open("wb") as raw, gzip.GzipFile("", "wb", 6, raw, mtime=0) as packed:
             table.write_csv(cast(IO[bytes], packed))

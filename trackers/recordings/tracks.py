@@ -17,9 +17,6 @@ from trackers.core.tracker import AbstractTracker
 from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.trajectories import Trajectory, known_heights
 
-TRACKS = "tracks.parquet"
-"""The file of a run folder that holds the table of estimates."""
-
 MAX_BATCH = 8 * CHUNK
 """Trajectories in memory at once: as many on every machine, since a batch's last chunk has a shape of its own."""
 

@@ -1,24 +1,20 @@
-"""From recording folders to the rows that trackers take: trajectories, and what every system's trajectories are made with."""
+"""Trajectories: the rows of one tag (or of one tag at one station) of a recording folder, as arrays for trackers."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import polars as pl
 
 from trackers.core.recording import Readings, Recording
 from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.truth import TruthStatus, interpolated, truth_paths
-
-Path = tuple[np.ndarray, np.ndarray]
+from trackers.recordings.truth import TruthPath, TruthStatus, interpolate_truth
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """One trajectory to track: whose it is, and its rows. `station` is empty where all stations share the trajectory."""
+    """One trajectory to track: its folder, tag and station, and its rows; `station` is empty if stations share it."""
 
     folder: RecordingFolder
     tag: str
@@ -26,8 +22,8 @@ class Trajectory:
     recording: Recording
 
 
-def pieces(trajectory: Trajectory, rows: int) -> list[Trajectory]:
-    """The trajectory cut into parts of about `rows` rows, for fits: short parts run side by side, each started anew."""
+def segments(trajectory: Trajectory, rows: int) -> list[Trajectory]:
+    """The trajectory cut into segments of about `rows` rows, which fits run in parallel, each with its own start."""
     whole = trajectory.recording
     count = max(1, round(len(whole) / rows))
     ends = np.linspace(0, len(whole), count + 1).astype(int)
@@ -55,9 +51,12 @@ def trajectory_of(
     times: np.ndarray,
     readings: dict[str, Readings],
     inputs: dict[str, np.ndarray],
-    paths: dict[str, Path],
+    paths: dict[str, TruthPath],
 ) -> Trajectory:
-    """A trajectory of these rows, with the input `height` (T,), m, zero where the rig gives none, and the truth at them."""
+    """A trajectory of these rows, with the truth at their times and the input `height` (T,), m.
+
+    The height is zero if the rig gives none for the tag. `paths`: from `truth_by_tag`.
+    """
     height = known_height(folder, tag)
     inputs = {**inputs, "height": np.full(len(times), 0.0 if height is None else height)}
     truth = _truth(folder, tag, station, times, paths)
@@ -65,44 +64,26 @@ def trajectory_of(
 
 
 def known_height(folder: RecordingFolder, tag: str) -> float | None:
-    """The constant height of a tag, m, where the rig gives one."""
+    """The constant height of a tag in the rig, m; None if it has none."""
     known = folder.rig.tags.get(tag)
     return None if known is None else known.height
 
 
 def known_heights(trajectory: Trajectory) -> np.ndarray:
-    """What estimates over the floor show as the tag's height (T,), m: NaN where nobody knows it."""
+    """The known height of the tag at each row (T,), m; NaN if the rig gives none."""
     height = known_height(trajectory.folder, trajectory.tag)
     return np.full(len(trajectory.recording), np.nan if height is None else height)
 
 
-def true_paths(folder: RecordingFolder) -> dict[str, Path]:
-    """The true paths by tag, as `lane_of` takes them; empty without truth."""
-    return truth_paths(folder.tables["truth"], folder.name) if "truth" in folder.tables else {}
-
-
 def _truth(
-    folder: RecordingFolder, tag: str, station: str, times: np.ndarray, paths: dict[str, Path]
-) -> dict[str, Path]:
-    """The true position at the rows' times, or for a station's trajectory the true direction; known nowhere without truth."""
-    place, known = np.zeros((len(times), 3)), np.zeros(len(times), bool)
+    folder: RecordingFolder, tag: str, station: str, times: np.ndarray, paths: dict[str, TruthPath]
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """True positions (T, 3), or true directions (T, 2) from the station, with their mask; unknown without truth."""
+    position, known = np.zeros((len(times), 3)), np.zeros(len(times), bool)
     if tag in paths:
-        place, verdict = interpolated(times, *paths[tag])
-        known = (verdict == TruthStatus.COUNTS) & np.isfinite(place).all(axis=1)
-        place = np.where(known[:, None], place, 0.0)
+        position, status = interpolate_truth(times, *paths[tag])
+        known = (status == TruthStatus.SCORED) & np.isfinite(position).all(axis=1)
+        position = np.where(known[:, None], position, 0.0)
     if station:
-        return {"direction": (folder.rig.stations[station].angles(place), known)}
-    return {"position": (place, known)}
-
-
-def by_tag(table: pl.DataFrame) -> Iterator[tuple[str, pl.DataFrame]]:
-    """The rows of each tag."""
-    for (tag,), part in table.group_by(["tag"], maintain_order=True):
-        yield str(tag), part
-
-
-def values_of(table: pl.DataFrame, columns: list[str]) -> tuple[np.ndarray, np.ndarray]:
-    """The columns (n, m) with zero where a value is missing, and where there is one."""
-    values = table.select(pl.col(columns).cast(pl.Float64).fill_null(np.nan)).to_numpy()
-    seen = np.isfinite(values)
-    return np.where(seen, values, 0.0), seen
+        return {"direction": (folder.rig.stations[station].angles(position), known)}
+    return {"position": (position, known)}

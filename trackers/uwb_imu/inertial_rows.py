@@ -10,11 +10,12 @@ import polars as pl
 from trackers.core.recording import Readings
 from trackers.parts.range_rows import range_rows
 from trackers.parts.ranges import RANGES
+from trackers.recordings.columns import float_column
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tables import QUATERNION
 from trackers.recordings.tracker_spec import TrackerSpec, at_known_height
-from trackers.recordings.trajectories import Trajectory, trajectory_of, true_paths
-from trackers.recordings.truth import numbers
+from trackers.recordings.trajectories import Trajectory, trajectory_of
+from trackers.recordings.truth import truth_by_tag
 from trackers.uwb_imu.inertial import inertial_tracker
 from trackers.uwb_imu.samples import held_inputs, levelled
 
@@ -28,7 +29,7 @@ def inertial_trajectories(folder: RecordingFolder, free_height: bool) -> Iterato
     Tags with a place on the body (`offset_m`) sit on one body, with its IMU at the body's origin: each of their trajectories
     has the ranges of all of them, by their levers from the trajectory's own tag.
     """
-    paths = true_paths(folder)
+    paths = truth_by_tag(folder)
     tables = folder.tables
     for tag in tables["ranges"]["tag"].unique(maintain_order=True).sort().to_list():
         mates = _mates(folder, tag, free_height)
@@ -74,11 +75,11 @@ def _samples(table: pl.DataFrame, tag: str, mates: list[str]) -> tuple[np.ndarra
     """Times (n,), accelerations and turning rates (n, 3) of the body's IMU: the tag's own, else one of its mates'."""
     own = next((part for part in (table.filter(pl.col("tag") == t) for t in mates) if len(part)), table.head(0))
     accel, gyro = (
-        np.stack([numbers(own, f"{kind}_{axis}_{unit}") for axis in "xyz"], axis=1)
+        np.stack([float_column(own, f"{kind}_{axis}_{unit}") for axis in "xyz"], axis=1)
         for kind, unit in (("accel", "mps2"), ("gyro", "radps"))
     )
     if QUATERNION[0] in own.columns:
-        attitude = np.stack([numbers(own, name) for name in QUATERNION], axis=1)
+        attitude = np.stack([float_column(own, name) for name in QUATERNION], axis=1)
         accel, gyro = levelled(accel, attitude, GRAVITY)
     return own["t_s"].to_numpy(), accel, gyro
 

@@ -11,9 +11,11 @@ import polars as pl
 from trackers.core.recording import Readings
 from trackers.parts.range_rows import anchor_positions, range_rows, range_trajectories
 from trackers.parts.ranges import RANGES
+from trackers.recordings.columns import by_tag
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerSpec, on_request
-from trackers.recordings.trajectories import Trajectory, by_tag, known_height, trajectory_of, true_paths
+from trackers.recordings.trajectories import Trajectory, known_height, trajectory_of
+from trackers.recordings.truth import truth_by_tag
 from trackers.uwb_imu.fusion import range_tracker
 from trackers.uwb_imu.multilateration import multilateration_tracker
 from trackers.uwb_imu.trilateration import trilateration_tracker
@@ -31,7 +33,7 @@ FARTHEST = 20.0
 def snapshot_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
     """Each tag's ranges, one row a time, with the latest range of every anchor in a slot of its own."""
     for tag, times, latest, fresh, inputs in _snapshots(folder, free_height):
-        yield trajectory_of(folder, tag, "", times, {RANGES: Readings(latest, fresh)}, inputs, true_paths(folder))
+        yield trajectory_of(folder, tag, "", times, {RANGES: Readings(latest, fresh)}, inputs, truth_by_tag(folder))
 
 
 def triple_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
@@ -46,7 +48,7 @@ def triple_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[
         best = triples[np.argmax(np.where(whole, areas, -1.0), axis=1)][which.ravel()]
         values, seen = (np.take_along_axis(x, best, axis=1) for x in (latest, fresh))
         inputs = {**inputs, "anchors": anchors[best].reshape(len(times), 9)}
-        yield trajectory_of(folder, tag, "", times, {RANGES: Readings(values, seen)}, inputs, true_paths(folder))
+        yield trajectory_of(folder, tag, "", times, {RANGES: Readings(values, seen)}, inputs, truth_by_tag(folder))
 
 
 def _snapshots(

@@ -8,7 +8,7 @@ import numpy as np
 import polars as pl
 
 from trackers.core.errors import UnusableInput
-from trackers.recordings.cells import SUFFIXES, Cells, read_cells
+from trackers.recordings.table_file import SUFFIXES, TableFile, read_table_file
 from trackers.worksteps.decisions import WorkPoints
 
 _REQUIRED, _HEIGHT = ("name", "x_m", "y_m"), "z_m"
@@ -19,8 +19,8 @@ def read_points(path: Path) -> WorkPoints:
     """The points of work in a `.csv`, `.csv.gz` or `.parquet` file; raises UnusableInput where it cannot be used."""
     if not path.is_file():
         raise UnusableInput(f"{path}: no such file; {_EXPECTED} in a {', '.join(SUFFIXES)} file; check the path")
-    cells = read_cells(path)
-    columns = cells.frame.columns
+    file = read_table_file(path)
+    columns = file.frame.columns
     missing = [c for c in _REQUIRED if c not in columns]
     strange = [c for c in columns if c not in (*_REQUIRED, _HEIGHT)]
     if missing or strange:
@@ -28,9 +28,9 @@ def read_points(path: Path) -> WorkPoints:
         raise UnusableInput(
             f"{path}: {fault}, found {', '.join(c[:30] for c in columns[:8])}; {_EXPECTED}, metres; rename or remove it"
         )
-    names = _names(cells)
+    names = _names(file)
     axes = [*_REQUIRED[1:], *([_HEIGHT] if _HEIGHT in columns else [])]
-    points = WorkPoints(tuple(names), np.stack([_metres(cells, axis) for axis in axes], axis=1))
+    points = WorkPoints(tuple(names), np.stack([_metres(file, axis) for axis in axes], axis=1))
     if len(names) > 1 and points.spacing() == 0:
         apart = np.linalg.norm(points.places[:, None] - points.places, axis=-1)
         one, other = np.argwhere(np.triu(apart == 0, 1))[0]
@@ -41,30 +41,30 @@ def read_points(path: Path) -> WorkPoints:
     return points
 
 
-def _names(cells: Cells) -> list[str]:
-    names = [("" if n is None else str(n)).strip() for n in cells.frame["name"].cast(pl.String).to_list()]
+def _names(file: TableFile) -> list[str]:
+    names = [("" if n is None else str(n)).strip() for n in file.frame["name"].cast(pl.String).to_list()]
     for row, name in enumerate(names):
         if not name:
-            raise UnusableInput(f"{cells.place(row, 'name')}: empty, expected a name; names tell points apart")
+            raise UnusableInput(f"{file.location(row, 'name')}: empty, expected a name; names tell points apart")
         first = names.index(name)
         if first < row:
             raise UnusableInput(
-                f"{cells.place(row, 'name')}: '{name[:40]}' stands in row {first + 1} too, expected each name once; "
+                f"{file.location(row, 'name')}: '{name[:40]}' stands in row {first + 1} too, expected each name once; "
                 "rename one"
             )
     return names
 
 
-def _metres(cells: Cells, column: str) -> np.ndarray:
-    found = cells.frame[column]
+def _metres(file: TableFile, column: str) -> np.ndarray:
+    found = file.frame[column]
     texts = found.cast(pl.String).to_list()
     metres = found.str.strip_chars().cast(pl.Float64, strict=False) if found.dtype == pl.String else found
     if not (metres.dtype.is_numeric() or metres.dtype == pl.Null):
-        raise UnusableInput(f"{cells.path}: column {column} has type {metres.dtype}, expected numbers in metres")
+        raise UnusableInput(f"{file.path}: column {column} has type {metres.dtype}, expected numbers in metres")
     values = metres.cast(pl.Float64).fill_null(np.nan).to_numpy()
     wrong = np.flatnonzero(~np.isfinite(values))
     if len(wrong):
         row = int(wrong[0])
         text = "empty" if not (texts[row] or "").strip() else repr(texts[row][:40])
-        raise UnusableInput(f"{cells.place(row, column)}: {text}, expected a finite number of metres; correct the cell")
+        raise UnusableInput(f"{file.location(row, column)}: {text}, expected a finite number, m; correct the cell")
     return values

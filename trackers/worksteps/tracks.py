@@ -12,7 +12,9 @@ import polars as pl
 
 from trackers.core.errors import UnusableInput
 from trackers.evaluation import covariances, last_of_every
-from trackers.recordings.truth import Matched, is_bearing, match_truth, numbers
+from trackers.recordings.association import Association, associate_truth
+from trackers.recordings.columns import float_column
+from trackers.recordings.tracks_table import is_bearing
 from trackers.worksteps.decisions import LEVEL, NOWHERE, WorkPoints
 from trackers.worksteps.metrics import Bin, Judged, Workstep, calibration, judge, workstep
 from trackers.worksteps.points_file import read_points
@@ -80,11 +82,11 @@ def work_report(
         raise UnusableInput(f"--tolerance {tolerance}: expected a number of metres above 0")
     if is_bearing(tracks):
         raise UnusableInput("--worksteps: the tracks are bearings, expected positions; track with another --tracker")
-    matched = match_truth(tracks, truths)
+    association = associate_truth(tracks, truths)
     d = points.dimensions
-    means = np.stack([numbers(matched.rows, f"{axis}_m") for axis in "xyz"[:d]], axis=1)
-    placed = np.isfinite(means).all(axis=1) & np.isfinite(matched.truth[:, :d]).all(axis=1)
-    counted = last_of_every(matched, every) if every else np.flatnonzero(matched.counts)
+    means = np.stack([float_column(association.rows, f"{axis}_m") for axis in "xyz"[:d]], axis=1)
+    placed = np.isfinite(means).all(axis=1) & np.isfinite(association.truth[:, :d]).all(axis=1)
+    counted = last_of_every(association, every) if every else np.flatnonzero(association.scored)
     kept = counted[placed[counted]]
     if not len(kept):
         raise UnusableInput(
@@ -92,17 +94,17 @@ def work_report(
             "leave the column z_m out to compare over the floor"
         )
     within = points.tolerance() if tolerance is None else tolerance
-    covs = covariances(matched.rows[kept])[:, :d, :d]
-    starts = np.searchsorted(kept, matched.starts[:-1])
-    judged = judge(means[kept], covs, matched.truth[kept, :d], starts, points, within, within / 2)
-    _refuse_without_work(judged, matched.truth[kept, :d], points, within, path)
-    return _report(matched, kept, judged, points, within, bool(np.isfinite(covs).any()))
+    covs = covariances(association.rows[kept])[:, :d, :d]
+    starts = np.searchsorted(kept, association.starts[:-1])
+    judged = judge(means[kept], covs, association.truth[kept, :d], starts, points, within, within / 2)
+    _refuse_without_work(judged, association.truth[kept, :d], points, within, path)
+    return _report(association, kept, judged, points, within, bool(np.isfinite(covs).any()))
 
 
 def _report(
-    matched: Matched, kept: np.ndarray, judged: Judged, points: WorkPoints, within: float, believes: bool
+    association: Association, kept: np.ndarray, judged: Judged, points: WorkPoints, within: float, believes: bool
 ) -> WorkReport:
-    names = matched.rows["recording"].to_numpy()[kept]
+    names = association.rows["recording"].to_numpy()[kept]
     recordings = {str(name): workstep(judged.part(names == name)) for name in dict.fromkeys(names)}
     by_point = {
         name: workstep(judged.part(judged.at == k)) for k, name in enumerate(points.names) if (judged.at == k).any()

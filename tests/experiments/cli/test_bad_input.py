@@ -12,7 +12,7 @@ import pytest
 
 from experiments.cli import track as track_command
 from experiments.cli import tune as tune_command
-from tests.broken import BROKEN, ODD
+from tests.broken import ANOMALOUS, BROKEN
 from tests.faulty import good_tables, write_good
 from tests.in_process import assert_refused, trackwright
 from trackers.core.errors import UnusableInput
@@ -82,11 +82,11 @@ def test_no_recording_at_all_is_refused(tmp_path, monkeypatch, command):
 # recordings that are odd but usable
 
 
-@pytest.mark.parametrize("name", ODD)
+@pytest.mark.parametrize("name", ANOMALOUS)
 def test_an_odd_recording_is_tracked_with_a_notice_and_named_by_check(tmp_path, monkeypatch, name):
     monkeypatch.setattr(track_command, "draw_tracks", lambda *arguments: [])
     folder, out = tmp_path / "recording", tmp_path / "out"
-    word = ODD[name](folder)
+    word = ANOMALOUS[name](folder)
     said = trackwright("track", folder, "--tracker", "bearings", "--free-height", "--out", out)
     assert said.code == 0, said
     assert any(line.startswith(f"notice: {folder}: ") and word in line for line in said.err.splitlines())
@@ -155,7 +155,7 @@ def test_intervals_of_too_few_pieces_are_refused_before_the_fit():
 
 def test_phases_that_are_odd_are_tracked_with_a_notice(tmp_path, monkeypatch):
     monkeypatch.setattr(track_command, "draw_tracks", lambda *arguments: [])
-    ODD["phases from 0 to 2 pi"](tmp_path / "recording")
+    ANOMALOUS["phases from 0 to 2 pi"](tmp_path / "recording")
     said = trackwright("track", tmp_path / "recording", "--tracker", "das", "--out", tmp_path / "out")
     assert said.code == 0
     assert "not wrapped" in said.err

@@ -33,7 +33,7 @@ def _contents(folder: Path) -> dict[str, bytes]:
         ("nonsense", "cannot read 'nonsense'"),
         ("p95_m >", "cannot read"),
         ("p95_m > nan", "cannot read"),
-        ("p95 > 0.5", "no figure 'p95'"),
+        ("p95 > 0.5", "no metric 'p95'"),
         ("nis_ratio > 2", "'nis_ratio' has no value"),
         ("", "cannot read ''"),
     ],
@@ -108,8 +108,8 @@ def test_a_folder_without_tracks_is_refused(beginnings, folder):
 @pytest.mark.parametrize(
     ("change", "word"),
     [
-        (lambda truth: truth.with_columns(pl.col("t_s") + 100.0), "no estimate meets a truth"),
-        (lambda truth: truth.with_columns(x_m=pl.lit(None)), "no estimate meets a truth"),
+        (lambda truth: truth.with_columns(pl.col("t_s") + 100.0), "no estimate lies inside a truth"),
+        (lambda truth: truth.with_columns(x_m=pl.lit(None)), "no estimate lies inside a truth"),
     ],
 )
 def test_truth_that_no_estimate_meets_is_refused(tmp_path, beginnings, change, word):
@@ -209,6 +209,6 @@ def test_a_fault_of_the_program_is_not_called_bad_input(beginnings, monkeypatch)
     def broken(path):
         raise ZeroDivisionError("a bug")
 
-    monkeypatch.setattr(console, "read_recording", broken)
+    monkeypatch.setattr(console, "read_recordings", broken)
     with pytest.raises(ZeroDivisionError):
         trackwright("track", beginnings / "good", "--out", beginnings / "never")

@@ -130,7 +130,7 @@ def test_corruptions_are_in_the_recording(there):
     assert phases.filter(station="1")["phase_3_rad"].null_count() == phases.filter(station="1").height
     assert 0.6 < phases.height / (2 * TAGS * ROWS) < 0.95
     said = trackwright("check", there / "bad-day")
-    assert "stations never heard: 1 of 3 (2)" in said.out
+    assert "stations never observed: 1 of 3 (2)" in said.out
     assert "phase_3_rad" in said.out
 
 
@@ -138,7 +138,7 @@ def test_check_finds_nothing_wrong_with_a_simulated_recording(world):
     said = trackwright("check", world)
     assert (said.code, said.err) == (0, "")
     assert said.out.startswith(f"{world}\n")
-    assert "10 a second" in said.out
+    assert "10 Hz" in said.out
     assert "dilution of precision" in said.out
     assert "errors: 0, warnings: 0" in said.out
 

@@ -17,7 +17,7 @@ from trackers.mhk.tracker import STILL
 from trackers.parts.fix_rows import fix_trajectories, lacks_fixes
 from trackers.parts.fixes import FIXES
 from trackers.recordings.folder import RecordingFolder, write_recording
-from trackers.recordings.truth import read_tracks
+from trackers.recordings.tracks_table import read_tracks
 
 LATENCY = 0.4
 

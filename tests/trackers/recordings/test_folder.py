@@ -1,4 +1,4 @@
-"""Recording folders: written ones read back the same, broken ones are refused, odd ones read with a notice."""
+"""Recording folders: round trip, refusal of broken folders, notices of anomalies."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from tests.broken import BROKEN, ODD
+from tests.broken import ANOMALOUS, BROKEN
 from tests.faulty import RIG, good_tables, write_good
 from trackers.core.errors import UnusableInput
 from trackers.recordings.folder import RecordingFolder, read_recording, write_recording
@@ -81,7 +81,7 @@ def test_missing_values_stay_missing(good: RecordingFolder, tmp_path: Path, kind
     assert read_recording(tmp_path / "copy").tables["imu"].equals(holes)
 
 
-def test_the_rig_keeps_strange_ids_and_words(tmp_path: Path):
+def test_ids_and_texts_with_special_characters_survive_a_round_trip(tmp_path: Path):
     write_good(tmp_path / "a")
     (tmp_path / "a" / "rig.toml").write_text(
         RIG.replace('"A1"', '"A1 \\"left\\" \\\\ ü.1"').replace(
@@ -202,13 +202,13 @@ def test_a_panic_of_the_parquet_reader_is_one_line_and_prints_nothing(
     monkeypatch.setattr(pl, "read_parquet", panic)
     with pytest.raises(UnusableInput, match="broken Parquet file \\(assertion failed\\)"):
         read_recording(tmp_path / "a")
-    os.write(2, b"heard again")
-    assert capfd.readouterr() == ("", "heard again")
+    os.write(2, b"after the panic")
+    assert capfd.readouterr() == ("", "after the panic")
 
 
-@pytest.mark.parametrize("name", ODD)
-def test_an_odd_recording_is_read_with_a_notice(tmp_path: Path, name):
-    word = ODD[name](tmp_path / "recording")
+@pytest.mark.parametrize("name", ANOMALOUS)
+def test_a_recording_with_an_anomaly_is_read_with_a_notice(tmp_path: Path, name):
+    word = ANOMALOUS[name](tmp_path / "recording")
     folder = read_recording(tmp_path / "recording")
     assert any(word in notice for notice in folder.notices)
     assert all(notice.isprintable() for notice in folder.notices)
@@ -265,7 +265,7 @@ def test_a_full_disk_leaves_nothing_half_written(good: RecordingFolder, tmp_path
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_nothing_is_written_over_a_folder_that_holds_something(good: RecordingFolder, tmp_path: Path):
+def test_a_folder_that_is_not_empty_is_not_overwritten(good: RecordingFolder, tmp_path: Path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "mine.txt").write_text("mine")
     with pytest.raises(UnusableInput, match="not empty"):
@@ -293,5 +293,5 @@ def test_the_same_recording_gives_the_same_bytes(good: RecordingFolder, tmp_path
     assert gzip.decompress((tmp_path / "a" / "truth.csv.gz").read_bytes()).startswith(b"t_s,tag,x_m,y_m,z_m,qw")
 
 
-def test_an_unusable_input_is_one_line_whatever_it_was_made_of():
+def test_the_message_of_an_unusable_input_is_one_line():
     assert str(UnusableInput("a\nb\r\n\tc \x07 d")) == "a b c \N{REPLACEMENT CHARACTER} d"

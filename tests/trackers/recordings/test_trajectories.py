@@ -8,7 +8,7 @@ from tests.faulty import write_good
 from trackers.aoa.fusion import BEARINGS
 from trackers.aoa.rows import PHASES, beam_trajectories, bearing_trajectories, phase_trajectories
 from trackers.recordings.folder import RecordingFolder, read_recording
-from trackers.recordings.trajectories import cut, pieces
+from trackers.recordings.trajectories import cut, segments
 
 
 @pytest.fixture
@@ -85,7 +85,7 @@ def test_beams_are_a_trajectory_for_each_tag_and_station_with_true_directions(go
 def test_pieces_hold_all_rows_in_order_and_about_as_many_as_asked_for(good):
     trajectory = next(bearing_trajectories(good, False))
     for rows, count in ((100, 1), (1000, 1), (30, 3), (14, 7), (10, 10)):
-        parts = pieces(trajectory, rows)
+        parts = segments(trajectory, rows)
         assert len(parts) == count
         assert all((part.tag, part.folder) == (trajectory.tag, trajectory.folder) for part in parts)
         lengths = [len(part.recording) for part in parts]

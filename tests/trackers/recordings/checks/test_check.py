@@ -1,4 +1,4 @@
-"""The check of a recording: what is odd is named, what is wrong is an error, what is fine stays quiet."""
+"""Checks of a recording: anomalies are warnings, wrong units are errors, a good recording has only notes."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ import numpy as np
 import polars as pl
 import pytest
 
-from tests.broken import ODD
+from tests.broken import ANOMALOUS
 from tests.faulty import write_good
 from trackers.core.rig import Rig
-from trackers.recordings.checks.check import Finding, check_folder, format_findings
+from trackers.recordings.checks import CheckResult, check, format_results
 from trackers.recordings.folder import RecordingFolder, read_recording
 
 RECORDINGS = Path(
@@ -31,19 +31,19 @@ def good(tmp_path_factory) -> RecordingFolder:
 
 def _check(
     folder: RecordingFolder, rig: Rig | None = None, **changes: Callable[[pl.DataFrame], pl.DataFrame | None]
-) -> list[Finding]:
-    """The findings after some tables were changed, or removed by a change that gives None."""
+) -> list[CheckResult]:
+    """The results after changes to some tables; a change that returns None removes the table."""
     changed = {name: changes.get(name, lambda table: table)(table) for name, table in folder.tables.items()}
     tables = {name: table for name, table in changed.items() if table is not None}
-    return check_folder(replace(folder, tables=tables, rig=rig or folder.rig))
+    return check(replace(folder, tables=tables, rig=rig or folder.rig))
 
 
-def _messages(findings: list[Finding], *levels: str) -> list[str]:
-    return [f"{finding.where}: {finding.message}" for finding in findings if not levels or finding.level in levels]
+def _messages(results: list[CheckResult], *levels: str) -> list[str]:
+    return [f"{finding.where}: {finding.message}" for finding in results if not levels or finding.level in levels]
 
 
-def _has(findings: list[Finding], level: str, *words: str) -> bool:
-    return any(all(word in message for word in words) for message in _messages(findings, level))
+def _has(results: list[CheckResult], level: str, *words: str) -> bool:
+    return any(all(word in message for word in words) for message in _messages(results, level))
 
 
 def _drop(table: pl.DataFrame) -> None:
@@ -51,39 +51,39 @@ def _drop(table: pl.DataFrame) -> None:
 
 
 def test_a_good_recording_has_neither_errors_nor_warnings(good: RecordingFolder):
-    assert _messages(check_folder(good), "error", "warning") == []
+    assert _messages(check(good), "error", "warning") == []
 
 
-def test_rates_are_told_by_sensor_and_tag(good: RecordingFolder):
-    messages = _messages(check_folder(good), "info")
-    assert "ranges: anchor A1, tag T1: 50 rows, 10 a second" in messages
-    assert "bearings: station S2, tag T2: 50 rows, 10 a second" in messages
-    assert "imu: tag T1: 50 rows, 10 a second" in messages
+def test_rates_are_reported_by_sensor_and_tag(good: RecordingFolder):
+    messages = _messages(check(good), "info")
+    assert "ranges: anchor A1, tag T1: 50 rows, 10 Hz" in messages
+    assert "bearings: station S2, tag T2: 50 rows, 10 Hz" in messages
+    assert "imu: tag T1: 50 rows, 10 Hz" in messages
 
 
-def test_many_tags_are_summed_up(good: RecordingFolder):
+def test_many_streams_get_one_summary_line(good: RecordingFolder):
     def crowd(table: pl.DataFrame) -> pl.DataFrame:
         tags = (table.filter(pl.col("tag") == "T1").with_columns(tag=pl.lit(f"tag {k}")) for k in range(300))
         return pl.concat(tags).sort("t_s", maintain_order=True)
 
-    findings = _check(good, rig=replace(good.rig, tags={}), ranges=crowd, truth=crowd)
-    assert "ranges: 300 tags, 4 anchors: 60000 rows, each 10 to 10 a second, median 10" in _messages(findings, "info")
-    assert len(findings) < 40
+    results = _check(good, rig=replace(good.rig, tags={}), ranges=crowd, truth=crowd)
+    assert "ranges: 300 tags, 4 anchors: 60000 rows, 10 Hz each" in _messages(results, "info")
+    assert len(results) < 40
 
 
-@pytest.mark.parametrize("name", ODD)
-def test_what_is_odd_is_named(tmp_path: Path, name):
-    word = ODD[name](tmp_path / "recording")
+@pytest.mark.parametrize("name", ANOMALOUS)
+def test_an_anomaly_is_reported(tmp_path: Path, name):
+    word = ANOMALOUS[name](tmp_path / "recording")
     folder = read_recording(tmp_path / "recording")
-    findings = check_folder(folder)
-    assert any(word in message for message in _messages(findings, "warning", "error"))
-    assert all("\n" not in message for message in _messages(findings))
+    results = check(folder)
+    assert any(word in message for message in _messages(results, "warning", "error"))
+    assert all("\n" not in message for message in _messages(results))
 
 
-def test_tables_made_in_memory_are_checked_for_oddities_too(good: RecordingFolder):
-    findings = _check(good, ranges=lambda table: table.filter(~pl.col("t_s").is_between(1.0, 3.0)))
-    assert _has(findings, "warning", "ranges", "gaps longer than 1 s: 8")
-    assert _has(findings, "info", "anchor A1, tag T1", "long gaps: 1, the longest 2.2 s before t_s 3.1")
+def test_tables_made_in_memory_are_checked_for_anomalies_too(good: RecordingFolder):
+    results = _check(good, ranges=lambda table: table.filter(~pl.col("t_s").is_between(1.0, 3.0)))
+    assert _has(results, "warning", "ranges", "gaps longer than 1 s: 8")
+    assert _has(results, "info", "anchor A1, tag T1", "long gaps: 1, the longest 2.2 s before t_s 3.1")
 
 
 _SUSPICIOUS: dict[str, tuple[str, tuple[str, ...], dict[str, Callable[[pl.DataFrame], pl.DataFrame | None]]]] = {
@@ -134,17 +134,17 @@ _SUSPICIOUS: dict[str, tuple[str, tuple[str, ...], dict[str, Callable[[pl.DataFr
     ),
     "turn rates in degrees": (
         "error",
-        ("imu", "degrees a second"),
+        ("imu", "degrees per second"),
         {"imu": lambda table: table.with_columns(pl.col("^gyro.*$") * 0 + 150)},
     ),
     "a table without a value": (
         "error",
-        ("ranges", "not a single value"),
+        ("ranges", "all values are missing"),
         {"ranges": lambda table: table.with_columns(range_m=pl.lit(None, pl.Float64))},
     ),
-    "a silent anchor": (
+    "an anchor without measurements": (
         "warning",
-        ("anchors never heard: 1 of 4 (A3)",),
+        ("anchors never observed: 1 of 4 (A3)",),
         {"ranges": lambda table: table.filter(pl.col("anchor") != "A3")},
     ),
     "truth of another time": (
@@ -159,22 +159,22 @@ _SUSPICIOUS: dict[str, tuple[str, tuple[str, ...], dict[str, Callable[[pl.DataFr
     ),
     "a hole in the truth": (
         "warning",
-        ("truth", "holes longer than 1 s in which it moved: 2, the longest 2.2 s after t_s 0.9"),
+        ("truth", "holes longer than 1 s with motion: 2, the longest 2.2 s after t_s 0.9"),
         {"truth": lambda table: table.filter(~pl.col("t_s").is_between(0.95, 3.05))},
     ),
 }
 
 
 @pytest.mark.parametrize("name", _SUSPICIOUS)
-def test_what_looks_wrong_is_found(good: RecordingFolder, name):
+def test_a_suspicious_table_is_reported(good: RecordingFolder, name):
     level, words, changes = _SUSPICIOUS[name]
-    findings = _check(good, **changes)
-    assert _has(findings, level, *words), format_findings(findings)
+    results = _check(good, **changes)
+    assert _has(results, level, *words), format_results(results)
 
 
-def test_nothing_but_truth_is_nothing_to_track(good: RecordingFolder):
+def test_truth_without_measurements_is_an_error(good: RecordingFolder):
     only = {name: _drop for name in good.tables if name != "truth"}
-    assert _has(_check(good, **only), "error", "nothing to track")
+    assert _has(_check(good, **only), "error", "no measurements")
 
 
 @pytest.mark.parametrize(
@@ -214,44 +214,44 @@ def _with_anchors(rig: Rig, positions: list[list[float]]) -> Rig:
     ("positions", "word"),
     [
         ([[0, 0, 2], [6, 0, 2], [6, 5, 2], [0, 5, 2.1]], "height is weakly determined"),
-        ([[0, 0, 2], [2, 0, 2], [4, 0, 2], [6, 0, 2.1]], "on one line"),
-        ([[0, 0, 0], [0, 4, 0], [0, 4, 3], [0, 0, 3]], "upright plane"),
-        ([[0, 0, 0.3], [0, 0, 0.3], [6, 5, 0.4], [0, 5, 2.9]], "A1 and A2 stand at one place"),
+        ([[0, 0, 2], [2, 0, 2], [4, 0, 2], [6, 0, 2.1]], "collinear"),
+        ([[0, 0, 0], [0, 4, 0], [0, 4, 3], [0, 0, 3]], "vertical plane"),
+        ([[0, 0, 0.3], [0, 0, 0.3], [6, 5, 0.4], [0, 5, 2.9]], "A1 and A2 have the same position"),
     ],
 )
-def test_weak_geometry_is_named(good: RecordingFolder, positions, word):
+def test_weak_geometry_is_reported(good: RecordingFolder, positions, word):
     assert _has(_check(good, _with_anchors(good.rig, positions)), "warning", "rig.toml", word)
 
 
-def test_a_single_station_gives_no_position(good: RecordingFolder):
-    findings = _check(good, bearings=lambda table: table.filter(pl.col("station") == "S1"))
-    assert _has(findings, "info", "bearings", "no position without a height")
+def test_a_single_station_gives_bearings_but_no_position(good: RecordingFolder):
+    results = _check(good, bearings=lambda table: table.filter(pl.col("station") == "S1"))
+    assert _has(results, "info", "bearings", "no position without a known height")
 
 
-def test_without_truth_dilution_is_told_for_the_middle_of_the_rig(good: RecordingFolder):
-    assert any("at the middle of the rig on the tags' height" in m for m in _messages(_check(good, truth=_drop)))
+def test_without_truth_dilution_is_evaluated_at_the_centre_of_the_rig(good: RecordingFolder):
+    assert any("at the centre of the rig and the height of the tags" in m for m in _messages(_check(good, truth=_drop)))
 
 
-def test_findings_stand_in_aligned_lines_with_the_gravest_first():
-    text = format_findings(
+def test_results_are_formatted_as_aligned_lines_with_the_most_severe_first():
+    text = format_results(
         [
-            Finding("info", "t_s", "from 0 to 9 s"),
-            Finding("error", "bearings", "degrees"),
-            Finding("warning", "imu", "odd"),
+            CheckResult("info", "t_s", "from 0 to 9 s"),
+            CheckResult("error", "bearings", "degrees"),
+            CheckResult("warning", "imu", "gaps"),
         ]
     )
     assert text.splitlines() == [
         "error    bearings  degrees",
-        "warning  imu       odd",
+        "warning  imu       gaps",
         "info     t_s       from 0 to 9 s",
         "errors: 1, warnings: 1, notes: 1",
     ]
-    assert format_findings([]) == "errors: 0, warnings: 0, notes: 0"
+    assert format_results([]) == "errors: 0, warnings: 0, notes: 0"
 
 
-@pytest.mark.skipif(not RECORDINGS.is_dir(), reason="real recordings are not there; set TRACKWRIGHT_RECORDINGS")
+@pytest.mark.skipif(not RECORDINGS.is_dir(), reason="requires the real recordings; set TRACKWRIGHT_RECORDINGS")
 def test_every_real_recording_reads_and_has_no_error():
     folders = sorted(file.parent for file in RECORDINGS.glob("*/rig.toml"))
     assert folders
-    wrong = {folder.name: _messages(check_folder(read_recording(folder)), "error") for folder in folders}
+    wrong = {folder.name: _messages(check(read_recording(folder)), "error") for folder in folders}
     assert not any(wrong.values()), wrong

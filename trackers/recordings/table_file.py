@@ -1,6 +1,6 @@
-"""The cells of one table file, as they stand in it: text from CSV, typed columns from Parquet, and where each row is.
+"""Reader of one table file, CSV or Parquet: its raw columns, and the location of each row for messages.
 
-What the columns mean is the business of `trackers.recordings.tables`.
+Columns of CSV are text, those of Parquet typed; `trackers.recordings.tables` checks and converts them.
 """
 
 from __future__ import annotations
@@ -21,56 +21,58 @@ import polars as pl
 from trackers.core.errors import UnusableInput
 
 SUFFIXES = (".csv", ".csv.gz", ".parquet")
-_one_at_a_time = threading.Lock()
+_one_at_a_time = threading.Lock()  # the error stream belongs to the whole process
 _GZIP_MAGIC, _PARQUET_MAGIC = b"\x1f\x8b", b"PAR1"
 
 
 @dataclass(frozen=True)
-class Cells:
-    """A file's columns before they are checked, with the line each row stands on where the file has lines."""
+class TableFile:
+    """The columns of a file before any check; `lines`: the line number of each row, None for Parquet."""
 
     path: Path
     frame: pl.DataFrame
     lines: Sequence[int] | None = None
 
-    def place(self, row: int, column: str) -> str:
-        """File, row and column in words, for messages; `row` counts from 0."""
+    def location(self, row: int, column: str) -> str:
+        """File, row and column in words, for messages; `row` is counted from 0."""
         line = "" if self.lines is None else f" (line {self.lines[row]})"
         return f"{self.path}: row {row + 1}{line}, column {column}"
 
 
-def read_cells(path: Path) -> Cells:
-    """The cells of a `.csv`, `.csv.gz` or `.parquet` file; raises UnusableInput where the file itself is broken."""
+def read_table_file(path: Path) -> TableFile:
+    """The raw columns of a `.csv`, `.csv.gz` or `.parquet` file; raises UnusableInput for a broken or empty file."""
     try:
         data = path.read_bytes()
     except OSError as error:
         raise UnusableInput(f"{path}: cannot be read ({error.strerror}); check the file and its permissions") from error
     if not data:
-        raise UnusableInput(f"{path}: the file is empty, expected a header line and rows; remove it if there are none")
-    cells = _parquet(path, data) if path.name.endswith(".parquet") else _text(path, _unpacked(path, data))
-    if cells.frame.height == 0:
+        raise UnusableInput(
+            f"{path}: the file is empty, expected a header line and rows; remove the file if there are none"
+        )
+    file = _parquet(path, data) if path.name.endswith(".parquet") else _text(path, _unpacked(path, data))
+    if file.frame.height == 0:
         raise UnusableInput(f"{path}: the table has no rows, expected at least one; remove the file if there are none")
-    return cells
+    return file
 
 
-def _parquet(path: Path, data: bytes) -> Cells:
+def _parquet(path: Path, data: bytes) -> TableFile:
     if not data.startswith(_PARQUET_MAGIC) or not data.endswith(_PARQUET_MAGIC):
-        raise UnusableInput(f"{path}: is not a complete Parquet file (marks at start and end missing); write it again")
+        raise UnusableInput(f"{path}: is not a complete Parquet file (start or end mark missing); write it again")
     try:
         with _native_code_silenced():
-            return Cells(path, pl.read_parquet(io.BytesIO(data)))
+            return TableFile(path, pl.read_parquet(io.BytesIO(data)))
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError, ValueError) as error:
         raise UnusableInput(f"{path}: is a broken Parquet file ({str(error)[:100]}); write it again") from error
 
 
 @contextmanager
 def _native_code_silenced() -> Iterator[None]:
-    """Keeps what native code writes to the error stream away: a panic prints there before it is raised in Python."""
+    """Discards the error stream of native code: a panic in Rust prints there before it is raised in Python."""
     with _one_at_a_time:
         saved = os.dup(2)
         try:
-            with open(os.devnull, "wb") as nowhere:
-                os.dup2(nowhere.fileno(), 2)
+            with open(os.devnull, "wb") as sink:
+                os.dup2(sink.fileno(), 2)
             yield
         finally:
             os.dup2(saved, 2)
@@ -90,7 +92,7 @@ def _unpacked(path: Path, data: bytes) -> bytes:
         raise UnusableInput(f"{path}: is not valid gzip data ({error}); copy it again or pack it with gzip") from error
 
 
-def _text(path: Path, data: bytes) -> Cells:
+def _text(path: Path, data: bytes) -> TableFile:
     if b"\0" in data:
         raise UnusableInput(f"{path}: holds binary data, expected CSV text in UTF-8; export it again as CSV")
     try:
@@ -103,13 +105,13 @@ def _text(path: Path, data: bytes) -> Cells:
     head, _, body = text.partition("\n")
     names = [name.strip() for name in next(csv.reader([head]), [])]
     if len(names) == 1 and any(mark in head for mark in ";\t"):
-        raise UnusableInput(f"{path}: line 1 is {head[:60]!r}, expected names with commas between; export it so")
-    twice = {name for name in names if names.count(name) > 1}
-    if twice:
-        raise UnusableInput(f"{path}: column {min(twice)!r} stands twice in line 1, expected once; remove one")
+        raise UnusableInput(f"{path}: line 1 is {head[:60]!r}, expected names separated by commas; export it again")
+    repeated = {name for name in names if names.count(name) > 1}
+    if repeated:
+        raise UnusableInput(f"{path}: column {min(repeated)!r} is duplicated in line 1, expected once; remove one")
     body = body.rstrip("\n")
     if not body.strip():
-        return Cells(path, pl.DataFrame(schema=dict.fromkeys(names, pl.String)), ())
+        return TableFile(path, pl.DataFrame(schema=dict.fromkeys(names, pl.String)), ())
     rows = body.count("\n") + 1
     plain = '"' not in text and "\n\n" not in body and not body.startswith("\n")
     if plain and body.count(",") == (len(names) - 1) * rows:
@@ -118,14 +120,14 @@ def _text(path: Path, data: bytes) -> Cells:
                 body.encode(), has_header=False, schema=dict.fromkeys(names, pl.String), quote_char=None
             )
             if frame.height == rows:
-                return Cells(path, frame, range(2, rows + 2))
+                return TableFile(path, frame, range(2, rows + 2))
         except pl.exceptions.PolarsError:
-            pass  # one row is too long and another too short: the slow reader below names it
+            pass  # rows too long and too short in equal measure: the slow reader names the first
     return _row_by_row(path, names, text)
 
 
-def _row_by_row(path: Path, names: list[str], text: str) -> Cells:
-    """Reads what the fast reader does not: quotes, blank lines, and rows of a wrong length, which are refused."""
+def _row_by_row(path: Path, names: list[str], text: str) -> TableFile:
+    """Slow reader for quotes and blank lines; refuses rows of a wrong length by their line."""
     reader = csv.reader(io.StringIO(text))
     rows, lines = [], []
     try:
@@ -137,8 +139,8 @@ def _row_by_row(path: Path, names: list[str], text: str) -> Cells:
             elif any(cell.strip() for cell in row):
                 raise UnusableInput(
                     f"{path}: row {len(rows) + 1} (line {reader.line_num}) has {len(row)} cells, expected "
-                    f"{len(names)} as in the header; a truncated file or a decimal comma breaks a row"
+                    f"{len(names)} as in the header; look for a truncated file or decimal commas"
                 )
     except csv.Error as error:
         raise UnusableInput(f"{path}: line {reader.line_num} is not CSV ({error}); check the quotes") from error
-    return Cells(path, pl.DataFrame(rows, schema=dict.fromkeys(names, pl.String), orient="row"), lines)
+    return TableFile(path, pl.DataFrame(rows, schema=dict.fromkeys(names, pl.String), orient="row"), lines)

@@ -1,0 +1,98 @@
+"""Association of estimates with truth: the true position interpolated at the time of each estimate."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import polars as pl
+
+from trackers.core.errors import UnusableInput
+from trackers.core.rig import Station
+from trackers.recordings.columns import float_column, require_columns, run_starts
+from trackers.recordings.tracks_table import NO_ESTIMATE, is_bearing, track_keys
+from trackers.recordings.truth import TruthStatus, interpolate_truth, truth_paths
+
+
+class Association(NamedTuple):
+    """Estimates, sorted by track and time, with the truth at each row.
+
+    `rows`: the table of estimates, sorted by recording, tag, station and time. `truth`: (n, 3), m, NaN without truth.
+    `truth_status`: (n,) values of `TruthStatus`. `starts`: (g + 1,) first row of each of the g tracks, then n.
+    """
+
+    rows: pl.DataFrame
+    truth: np.ndarray
+    truth_status: np.ndarray
+    starts: np.ndarray
+
+    @property
+    def scored(self) -> np.ndarray:
+        """Mask (n,) of the rows with both an estimate and a truth."""
+        return self.truth_status == TruthStatus.SCORED
+
+    def of_recording(self, name: str) -> Association:
+        """The part of one recording, empty if it has no rows."""
+        first = self.rows["recording"].gather(self.starts[:-1])
+        tracks = np.flatnonzero((first == name).to_numpy())
+        begin, stop = (self.starts[tracks[0]], self.starts[tracks[-1] + 1]) if len(tracks) else (0, 0)
+        starts = self.starts[tracks[0] : tracks[-1] + 2] - begin if len(tracks) else np.zeros(1, int)
+        part = slice(begin, stop)
+        return Association(self.rows[part], self.truth[part], self.truth_status[part], starts)
+
+
+def associate_truth(tracks: pl.DataFrame, truths: Mapping[str, pl.DataFrame]) -> Association:
+    """The estimates with the truth linearly interpolated at their `t_s`.
+
+    There is no truth outside its span, nor in holes longer than `HOLE_S` over which the tag moved more than `HOLE_M`.
+    `truths`: by recording, a table of t_s, tag, x_m, y_m and optionally z_m. Raises UnusableInput for missing columns.
+    """
+    values = ["azimuth_rad", "elevation_rad"] if is_bearing(tracks) else ["x_m", "y_m"]
+    keys = track_keys(tracks)
+    require_columns(tracks, [*keys, "t_s", *values], "the tracks")
+    rows = tracks.with_columns(pl.col(keys).cast(pl.String)).sort([*keys, "t_s"], maintain_order=True)
+    times = float_column(rows, "t_s")
+    usable = np.isfinite(times)
+    for name in values:
+        usable &= np.isfinite(float_column(rows, name))
+    if "status" in rows.columns:
+        usable &= ~rows["status"].is_in(NO_ESTIMATE).fill_null(False).to_numpy()
+
+    paths = {name: truth_paths(frame, name) for name, frame in truths.items()}
+    truth = np.full((len(rows), 3), np.nan)
+    status = np.where(usable, TruthStatus.NO_TRUTH, TruthStatus.NO_ESTIMATE).astype(np.uint8)
+    starts = run_starts(rows, keys)
+    for (a, b), recording, tag in _tracks(rows, starts, "tag"):
+        path = paths.get(recording, {}).get(tag)
+        if path is not None:
+            part = a + np.flatnonzero(usable[a:b])
+            truth[part], status[part] = interpolate_truth(times[part], *path)
+    return Association(rows, truth, status, starts)
+
+
+def true_bearings(association: Association, stations: Mapping[str, Mapping[str, Station]]) -> np.ndarray:
+    """True azimuth and elevation (n, 2), rad, from the station of each row; NaN in rows that are not scored.
+
+    `stations`: by recording, its stations by id. Raises UnusableInput for a station that is missing there.
+    """
+    angles = np.full((len(association.rows), 2), np.nan)
+    scored = association.scored
+    for (a, b), recording, ident in _tracks(association.rows, association.starts, "station"):
+        part = a + np.flatnonzero(scored[a:b])
+        known = stations.get(recording, {})
+        if len(part) and ident not in known:
+            raise UnusableInput(
+                f"the tracks of recording '{recording}': station '{ident}' is not in its rig; found "
+                f"{', '.join(known) or 'no stations'}; give the recording that was tracked as --truth"
+            )
+        if len(part):
+            angles[part] = known[ident].angles(association.truth[part])
+    return angles
+
+
+def _tracks(rows: pl.DataFrame, starts: np.ndarray, column: str) -> Iterator[tuple[tuple[int, int], str, str]]:
+    """Of each track: its first row and end, its recording, and its value of `column`."""
+    first = rows[starts[:-1]]
+    return zip(pairwise(starts), first["recording"], first[column], strict=True)

@@ -1,0 +1,45 @@
+"""The table of estimates that `trackwright track` writes: `tracks.parquet`, its key columns and its kinds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import polars as pl
+
+from trackers.core.errors import UnusableInput
+
+TRACKS = "tracks.parquet"
+"""File in the output folder of `trackwright track`."""
+
+NO_ESTIMATE = ("waiting", "non-finite")
+"""Values of `status` of rows without an estimate."""
+
+
+def read_tracks(folder: Path | str) -> pl.DataFrame:
+    """The table of estimates in the output folder of `trackwright track`; raises UnusableInput if there is none."""
+    path = Path(folder) / TRACKS
+    if not path.is_file():
+        raise UnusableInput(
+            f"{path}: no such file; expected a folder with {TRACKS}; give the --out folder of `trackwright track`"
+        )
+    try:
+        tracks = pl.read_parquet(path)
+    except (pl.exceptions.PolarsError, OSError) as error:
+        raise UnusableInput(
+            f"{path}: unreadable ({str(error).splitlines()[0]}); expected a Parquet table; run `track` again"
+        ) from error
+    if tracks.is_empty():
+        raise UnusableInput(
+            f"{path}: the table is empty; expected one row per estimate; read the output of `trackwright track`"
+        )
+    return tracks
+
+
+def is_bearing(tracks: pl.DataFrame) -> bool:
+    """Whether the estimates are bearings, not positions."""
+    return "x_m" not in tracks.columns
+
+
+def track_keys(tracks: pl.DataFrame) -> list[str]:
+    """The columns that identify a track: recording and tag, for bearings also station."""
+    return ["recording", "tag", "station"] if is_bearing(tracks) else ["recording", "tag"]
