@@ -55,6 +55,7 @@ from trackers.core.track_loss import TrackLossPolicy
 from trackers.core.tracker import AbstractTracker, Tracker
 from trackers.core.tunable import Covariance, Fraction, Real, Scale, tunables
 from trackers.evaluation import Evaluation, evaluate
+from trackers.from_arrays import bearing_recording, fix_recording, phase_recording, range_recording
 from trackers.line.grid import GridFilter
 from trackers.line.motion import HaltingMotion, LineMotion
 from trackers.line.tracker import line_grid_tracker, line_motion, line_tracker
@@ -90,6 +91,10 @@ __all__ = [
     "Tag",
     "Recording",
     "Readings",
+    "fix_recording",
+    "range_recording",
+    "bearing_recording",
+    "phase_recording",
     "Batch",
     "stack",
     "UnusableInput",

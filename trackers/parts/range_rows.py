@@ -37,9 +37,24 @@ def range_rows(
     seen &= values > 0.0
     variances = np.nan_to_num(float_column(table, "range_std_m"))[:, None] ** 2
     height = None if free_height else known_height(folder, tag)
-    nearby = recent_positions(table["t_s"].to_numpy(), positions, number, values[:, 0], seen[:, 0], height)
-    inputs = {"anchors": positions[number], "anchor": number[:, None].astype(float), "nearby": nearby}
+    inputs = range_inputs(table["t_s"].to_numpy(), values[:, 0], seen[:, 0], number, positions, height)
     return Readings(values, seen, variances), inputs
+
+
+def range_inputs(
+    times: np.ndarray,
+    ranges: np.ndarray,
+    seen: np.ndarray,
+    number: np.ndarray,
+    anchors: np.ndarray,
+    height: float | None,
+) -> dict[str, np.ndarray]:
+    """The inputs of rows with one range each: `anchors` (T, 3) m, `anchor` (T, 1), its number, and `nearby` (T, 4).
+
+    `number` (T,): of each range's anchor in `anchors` (A, 3); `height` m: the tag's, where it is known.
+    """
+    nearby = recent_positions(times, anchors, number, ranges, seen, height)
+    return {"anchors": anchors[number], "anchor": number[:, None].astype(float), "nearby": nearby}
 
 
 def anchor_positions(folder: RecordingFolder) -> np.ndarray:

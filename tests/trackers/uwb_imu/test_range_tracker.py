@@ -9,8 +9,8 @@ from tests.oracles import van_loan
 from trackers.core.algebra import Vector
 from trackers.core.checks import check_motion
 from trackers.core.recording import Readings, Recording, stack
-from trackers.parts.recent_positions import recent_positions
 from trackers.parts.ranges import RANGES
+from trackers.parts.recent_positions import recent_positions
 from trackers.uwb_imu.drifting import DriftingBiases, Ranged, damped
 from trackers.uwb_imu.fusion import range_tracker
 

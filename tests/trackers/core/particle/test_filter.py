@@ -12,7 +12,7 @@ from trackers.core.ekf import Gaussian
 from trackers.core.estimates import Status
 from trackers.core.motion import ConstantPosition, Placed
 from trackers.core.particle.filter import ParticleFilter, Particles
-from trackers.core.particle.resampling import LOG_ZERO, effective_sample_size, running_sum, systematic
+from trackers.core.particle.resampling import effective_sample_size, running_sum, systematic
 from trackers.core.recording import stack
 from trackers.core.sensor import AbstractSensor, Channel, Reading, independent
 from trackers.core.tracker import Tracker

@@ -1,0 +1,170 @@
+"""Recordings from NumPy arrays that a user holds: fixes, ranges, bearings and phases, for trackers that run on arrays.
+
+Everywhere: `times` (T,) s in ascending order; NaN marks a missing value; `height` m is the tag's constant height where it
+is known; `truth` (T, 3) m is the true position, NaN where it is unknown. Raises ValueError, naming what does not fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from trackers.aoa.fusion import BEARINGS, bearing_inputs
+from trackers.aoa.rays import recent_points
+from trackers.core.recording import Readings, Recording
+from trackers.core.rig import Station
+from trackers.parts.fixes import FIXES
+from trackers.parts.range_rows import range_inputs
+from trackers.parts.ranges import RANGES
+
+
+def fix_recording(
+    times: np.ndarray,
+    positions: np.ndarray,
+    *,
+    std: np.ndarray | None = None,
+    height: float | None = None,
+    truth: np.ndarray | None = None,
+    name: str = "recording",
+) -> Recording:
+    """Position fixes, `positions` (T, 2 or 3) m, as `fix_tracker` and its kin read them; `std`: of the same shape, m.
+
+    With a `height`, for trackers over the floor (`planar=True`), z is masked.
+    """
+    values, seen = _masked("positions", positions, len(times))
+    if values.shape[1] == 2:
+        values, seen = np.pad(values, ((0, 0), (0, 1))), np.pad(seen, ((0, 0), (0, 1)))
+    if values.shape[1] != 3:
+        raise ValueError(f"positions have {values.shape[1]} columns; expected x, y or x, y, z")
+    if height is not None:
+        seen[:, 2] = False
+    variances = np.zeros(values.shape) if std is None else np.nan_to_num(_like("std", std, values)) ** 2
+    return Recording(times, {FIXES: Readings(values, seen, variances)}, _height(times, height), _truth(truth), name)
+
+
+def range_recording(
+    times: np.ndarray,
+    ranges: np.ndarray,
+    anchors: np.ndarray,
+    *,
+    anchor: np.ndarray | None = None,
+    std: np.ndarray | None = None,
+    height: float | None = None,
+    truth: np.ndarray | None = None,
+    name: str = "recording",
+) -> Recording:
+    """Ranges to `anchors` (A, 3) m, one per row, as `range_tracker` reads them; `std`: of the shape of `ranges`, m.
+
+    `ranges`: (T, A) m, one column per anchor, each of which becomes a row of its own; or (T,) with the number `anchor`
+    (T,) of the anchor of each. Ranges that are not positive are masked.
+    """
+    anchors = np.asarray(anchors, float)
+    if anchors.ndim != 2 or anchors.shape[1] != 3:
+        raise ValueError(f"anchors have shape {anchors.shape}; expected (A, 3), m")
+    table = np.asarray(ranges, float)
+    if anchor is None:
+        if table.ndim != 2 or table.shape[1] != len(anchors):
+            raise ValueError(
+                f"ranges have shape {table.shape}; expected (T, {len(anchors)}), one column per anchor, or (T,) with anchor="
+            )
+        kept = np.isfinite(table)
+        row, number = np.nonzero(kept)
+        times, table = np.asarray(times, float)[row], table[kept]
+        std = None if std is None else _like("std", std, kept)[kept]
+        truth = None if truth is None else np.asarray(truth, float)[row]
+    else:
+        number = np.asarray(anchor, int)
+        if table.ndim != 1 or number.shape != table.shape or not np.all((number >= 0) & (number < len(anchors))):
+            raise ValueError(
+                f"ranges have shape {table.shape} and anchor {number.shape}; expected (T,) both, with anchors 0 to "
+                f"{len(anchors) - 1}"
+            )
+    values, seen = _masked("ranges", table[:, None], len(times))
+    seen &= values > 0.0
+    variances = np.zeros(values.shape) if std is None else np.nan_to_num(_like("std", std, table))[:, None] ** 2
+    inputs = range_inputs(np.asarray(times, float), values[:, 0], seen[:, 0], number, anchors, height)
+    readings = {RANGES: Readings(values, seen, variances)}
+    return Recording(times, readings, inputs | _height(times, height), _truth(truth), name)
+
+
+def bearing_recording(
+    times: np.ndarray,
+    bearings: np.ndarray,
+    station: Sequence[str],
+    stations: Mapping[str, Station],
+    *,
+    std: np.ndarray | None = None,
+    height: float | None = None,
+    truth: np.ndarray | None = None,
+    name: str = "recording",
+) -> Recording:
+    """Azimuth and elevation, `bearings` (T, 2) rad, one pair per row from the `station` (T,) named; for `bearing_tracker`.
+
+    `std`: (T, 2) rad.
+    """
+    unknown = sorted(set(station) - set(stations))
+    if unknown or len(station) != len(times):
+        raise ValueError(
+            f"station has {len(station)} names, unknown among them: {', '.join(unknown) or 'none'}; expected {len(times)} "
+            f"of {', '.join(stations)}"
+        )
+    values, seen = _masked("bearings", bearings, len(times))
+    geometry = {key: bearing_inputs(s) for key, s in stations.items()}
+    where = np.stack([geometry[s] for s in station])
+    spread = np.zeros(values.shape) if std is None else np.nan_to_num(_like("std", std, values))
+    reported = np.stack([spread[:, 0] ** 2, np.zeros(len(spread)), spread[:, 1] ** 2], axis=1)
+    nearby = recent_points(
+        np.asarray(times, float), where[:, :3], where[:, 3:], values, np.asarray(seen.all(axis=1)), height
+    )
+    inputs = {"origin": where[:, :3], "axes": where[:, 3:], "nearby": nearby}
+    readings = {BEARINGS: Readings(values, seen, reported)}
+    return Recording(times, readings, inputs | _height(times, height), _truth(truth), name)
+
+
+def phase_recording(
+    times: np.ndarray,
+    phases: Mapping[str, np.ndarray],
+    *,
+    height: float | None = None,
+    truth: np.ndarray | None = None,
+    name: str = "recording",
+) -> Recording:
+    """Phases (T, n) rad of the antennas of each station, by the stations' names, for `direct_tracker`, `cascade_tracker`.
+
+    One station under the name that `beam_tracker` was given suits that one.
+    """
+    readings = {key: Readings(*_masked(f"phases['{key}']", values, len(times))) for key, values in phases.items()}
+    return Recording(times, readings, _height(times, height), _truth(truth), name)
+
+
+def _masked(what: str, values: np.ndarray, rows: int) -> tuple[np.ndarray, np.ndarray]:
+    """The values with zeros for NaN, and where there was a number."""
+    values = np.asarray(values, float)
+    if values.ndim != 2 or len(values) != rows:
+        raise ValueError(f"{what} have shape {values.shape}; expected ({rows}, n), one row for each time")
+    if np.isinf(values).any():
+        raise ValueError(
+            f"{what}: row {int(np.argwhere(np.isinf(values))[0][0])} is infinite; mark what is missing by NaN"
+        )
+    seen = ~np.isnan(values)
+    return np.where(seen, values, 0.0), seen
+
+
+def _like(what: str, values: np.ndarray, other: np.ndarray) -> np.ndarray:
+    values = np.asarray(values, float)
+    if values.shape[: other.ndim] != other.shape[: values.ndim] or values.ndim != other.ndim:
+        raise ValueError(f"{what} has shape {values.shape}; expected {other.shape}, that of the measurements")
+    return values
+
+
+def _height(times: np.ndarray, height: float | None) -> dict[str, np.ndarray]:
+    return {"height": np.full(len(times), 0.0 if height is None else height)}
+
+
+def _truth(truth: np.ndarray | None) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    if truth is None:
+        return {}
+    values = np.asarray(truth, float)
+    known = np.isfinite(values).all(axis=-1)
+    return {"position": (np.where(known[:, None], values, 0.0), known)}
