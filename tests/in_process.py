@@ -16,7 +16,7 @@ from experiments.cli.main import main
 from experiments.plots import style
 
 
-class StepInfo(NamedTuple):
+class CommandResult(NamedTuple):
     """What a command left: its exit code, standard output and standard error."""
 
     code: int
@@ -24,7 +24,7 @@ class StepInfo(NamedTuple):
     err: str
 
 
-def trackwright(*arguments: str | Path | float) -> StepInfo:
+def trackwright(*arguments: str | Path | float) -> CommandResult:
     """Run `trackwright ARGUMENTS`; figures are drawn with few pixels, which is most of their time."""
     jax.devices()  # once there are devices, the flags that `main` sets change nothing
     out, err = io.StringIO(), io.StringIO()
@@ -38,16 +38,16 @@ def trackwright(*arguments: str | Path | float) -> StepInfo:
         try:
             main()
         except SystemExit as end:
-            return StepInfo(end.code, out.getvalue(), err.getvalue())
+            return CommandResult(end.code, out.getvalue(), err.getvalue())
     raise AssertionError("main() came back without an exit code")
 
 
-def assert_refused(said: StepInfo, *words: str) -> None:
+def assert_refused(result: CommandResult, *words: str) -> None:
     """Exit code 2 and one line on standard error that holds the words; nothing on standard output."""
-    assert said.code == 2, said
-    assert said.err.startswith("trackwright: ")
-    assert said.err.count("\n") == 1, said.err
-    assert said.err.endswith("\n")
-    assert said.out == ""
+    assert result.code == 2, result
+    assert result.err.startswith("trackwright: ")
+    assert result.err.count("\n") == 1, result.err
+    assert result.err.endswith("\n")
+    assert result.out == ""
     for word in words:
-        assert word in said.err
+        assert word in result.err

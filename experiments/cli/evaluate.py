@@ -17,7 +17,7 @@ from trackers.core.errors import UnusableInput
 from trackers.evaluation import Evaluation, evaluate
 from trackers.recordings.atomic import atomic_write
 from trackers.recordings.tracks_table import read_tracks
-from trackers.worksteps.tracks import WorkReport, work_report
+from trackers.worksteps.tracks import WorkstepReport, workstep_report
 
 SOURCES = "recordings.txt"
 """File in the output folder of `track`: paths of the tracked recordings, one per line."""
@@ -40,8 +40,8 @@ def evaluate_tracks(
         json: print all metrics as JSON instead of a table.
         fail_if: exit with code 1 if this holds for the overall metrics, e.g. "p95_m>0.5" or "rmse_m>0.2 or lost_s>0".
         every_s: score only the last estimate in each interval of this many seconds, so that tags weigh equally.
-        worksteps: a table of fastening points, name, x_m, y_m and optionally z_m; adds how often the right one is
-            released.
+        worksteps: a table of fastening points, name, x_m, y_m and optionally z_m; adds how often the tool is
+            unlocked at the right one.
         tolerance: distance to a fastening point, m, up to which the tool is at it; default: half the smallest distance
             between two points.
     """
@@ -54,7 +54,7 @@ def evaluate_tracks(
     evaluation, work = evaluate(tracks, folders, every_s), None
     if worksteps is not None:
         truths = {f.name: f.tables["truth"] for f in folders if "truth" in f.tables}
-        work = work_report(tracks, truths, worksteps, tolerance, every_s)
+        work = workstep_report(tracks, truths, worksteps, tolerance, every_s)
         evaluation = with_work(evaluation, work)
     text = to_json(evaluation, None if work is None else work.plain())
     atomic_write(folder / "evaluation.json", lambda path: path.write_text(text, encoding="utf-8"))
@@ -67,13 +67,13 @@ def evaluate_tracks(
     return 0
 
 
-def with_work(evaluation: Evaluation, work: WorkReport) -> Evaluation:
-    """The evaluation with the shares of right and wrong releases added to its metrics, overall and by recording."""
+def with_work(evaluation: Evaluation, work: WorkstepReport) -> Evaluation:
+    """The evaluation with the fractions of right and wrong unlock decisions added to its metrics, overall and by recording."""
     recordings = [
-        figures | (work.figures(figures["recording"]) if figures["recording"] in work.recordings else {})
+        figures | (work.metrics(figures["recording"]) if figures["recording"] in work.recordings else {})
         for figures in evaluation.recordings
     ]
-    return dataclasses.replace(evaluation, overall=evaluation.overall | work.figures(), recordings=recordings)
+    return dataclasses.replace(evaluation, overall=evaluation.overall | work.metrics(), recordings=recordings)
 
 
 def sources(folder: Path) -> tuple[Path, ...]:

@@ -18,7 +18,7 @@ from sim.tables.phases import as_folder
 from sim.tables.uwb_imu import simulated_uwb_imu
 from sim.visits import visits
 from trackers.recordings.folder import RecordingFolder
-from trackers.worksteps.decisions import NOWHERE, Decisions, WorkPoints, at_work, decide
+from trackers.worksteps.decisions import NO_POINT, Decisions, FasteningPoints, decide, nearest_point
 
 SIGMA_P, SIGMA_R, BIAS = 0.25, 0.03, 0.05
 SECONDS, WARM_UP_S, REST_M = 10.0, 2.0, 1e-3
@@ -57,9 +57,9 @@ def bench(ids: np.ndarray, seed: int, spacing: float) -> RecordingFolder:
 def decided(tracked: TrackedRuns) -> tuple[Decisions, np.ndarray]:
     """The decisions on all rows, trajectory after trajectory, and the point at which the tool rests (n, T)."""
     table = tracked.folder.tables["points"]
-    points = WorkPoints(tuple(table["name"]), table.select("x_m", "y_m").to_numpy())
+    points = FasteningPoints(tuple(table["name"]), table.select("x_m", "y_m").to_numpy())
     rows = tracked.known & (tracked.times >= WARM_UP_S)
-    at = at_work(np.where(rows[..., None], tracked.truth, np.nan)[..., :2].reshape(-1, 2), points, REST_M)
+    at = nearest_point(np.where(rows[..., None], tracked.truth, np.nan)[..., :2].reshape(-1, 2), points, REST_M)
     means, spread = tracked.estimates[..., :2].reshape(-1, 2), tracked.covariance[..., :2, :2].reshape(-1, 2, 2)
     return decide(means, spread, points, points.tolerance(), 0.0), at.reshape(tracked.known.shape)
 
@@ -69,7 +69,7 @@ def _share(hit: Callable[[Decisions, np.ndarray], np.ndarray]) -> Callable[[Trac
 
     def measure(tracked: TrackedRuns) -> np.ndarray:
         decisions, at = decided(tracked)
-        rest = at != NOWHERE
+        rest = at != NO_POINT
         hits = np.where(rest, hit(decisions, at.ravel()).reshape(at.shape), 0.0).sum(axis=1)
         return np.where(rest.any(axis=1), hits / np.maximum(rest.sum(axis=1), 1), np.nan)
 
@@ -79,7 +79,7 @@ def _share(hit: Callable[[Decisions, np.ndarray], np.ndarray]) -> Callable[[Trac
 MEASURES = {
     "named_right": _share(lambda d, at: d.point == at),
     "claimed": _share(lambda d, at: np.nan_to_num(d.probability)),
-    "released_right": _share(lambda d, at: d.released & (d.point == at)),
-    "released_wrong": _share(lambda d, at: d.released & (d.point != at)),
-    "missed": _share(lambda d, at: ~d.released),
+    "released_right": _share(lambda d, at: d.unlocked & (d.point == at)),
+    "released_wrong": _share(lambda d, at: d.unlocked & (d.point != at)),
+    "missed": _share(lambda d, at: ~d.unlocked),
 }

@@ -1,4 +1,4 @@
-"""What tracks say of points of work, as text for people."""
+"""Unlock decisions at fastening points, as a table and sentences."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ from rich.table import Table
 
 from experiments.cli.console import compact_table, rendered
 from trackers.worksteps.decisions import LEVEL
-from trackers.worksteps.metrics import Share, Workstep
-from trackers.worksteps.tracks import WorkReport
+from trackers.worksteps.metrics import Share, UnlockMetrics
+from trackers.worksteps.tracks import WorkstepReport
 
 SHOWN_POINTS = 20
-"""More points than this are not listed; those with most wrong releases are."""
+"""Longest list of points; beyond that, those with most wrong unlock decisions are listed."""
 
 SURE = 0.95
-"""Claims from here on are summed up in a sentence."""
+"""Predicted probability from which on the calibration is summarised in a sentence."""
 
 
-def to_text(report: WorkReport, width: int = 120) -> str:
-    """A table of the points with the share of rows released rightly, wrongly or not, and sentences on the whole."""
+def to_text(report: WorkstepReport, width: int = 120) -> str:
+    """A table of unlock decisions by fastening point, and a summary."""
     return rendered(width, _table(report), *_sentences(report))
 
 
-def _table(report: WorkReport) -> Table:
+def _table(report: WorkstepReport) -> Table:
     table = compact_table(
-        f"Right place? Released from {LEVEL:.0%} on, within {report.tolerance:g} m; % of rows at work [95 %]"
+        f"Unlock decisions at {LEVEL:.0%} and within {report.tolerance:g} m; % of rows at a fastening point [95 %]"
     )
     table.add_column("point", overflow="fold")
     for name in ("n", "visits", "right", "wrong", "missed", "named right"):
@@ -39,41 +39,55 @@ def _table(report: WorkReport) -> Table:
     return table
 
 
-def _cells(w: Workstep) -> list[str]:
+def _cells(w: UnlockMetrics) -> list[str]:
     return [str(w.right.n), str(w.visits_right.n), *(_percent(s) for s in (w.right, w.wrong, w.missed, w.named))]
 
 
-def _sentences(report: WorkReport) -> list[str]:
-    w, said = report.overall, []
-    said.append("Rows of one visit are alike: intervals count visits, not rows.")
+def _sentences(report: WorkstepReport) -> list[str]:
+    w, sentences = report.overall, []
+    sentences.append("Rows of one visit are correlated: the intervals count visits, not rows.")
     if len(report.by_point) > SHOWN_POINTS:
-        said.append(f"Of {len(report.by_point)} points the {SHOWN_POINTS} with most wrong releases are listed.")
+        sentences.append(
+            f"Of {len(report.by_point)} points, the {SHOWN_POINTS} with most wrong unlock decisions are listed."
+        )
     absent = len(report.points.names) - len(report.by_point)
     if absent:
-        said.append(f"At {absent} of {len(report.points.names)} points the tool never was.")
-    said.append(
-        f"Of {w.visits_right.n} visits {_percent(w.visits_right)} % were released at the right point at least once, "
+        sentences.append(f"The tool was never at {absent} of the {len(report.points.names)} points.")
+    sentences.append(
+        f"Of {w.visits_right.n} visits, {_percent(w.visits_right)} % were unlocked at the right point at least once, "
         f"{_percent(w.visits_wrong)} % at a wrong one."
     )
     if w.false.n:
-        said.append(f"Of {w.false.n} releases {_percent(w.false)} % were at a point where the tool was not.")
+        sentences.append(
+            f"Of {w.false.n} unlock decisions, {_percent(w.false)} % named a point where the tool was not."
+        )
     if w.elsewhere:
-        said.append(f"Of {w.elsewhere} rows at no point {_percent(w.released_elsewhere)} % were released.")
+        sentences.append(
+            f"Of {w.elsewhere} rows away from all points, {_percent(w.released_elsewhere)} % were unlocked."
+        )
     if report.calibrated is None:
-        said.append("No covariance is reported: estimates were taken as exact, so that probabilities mean little.")
-        return said
-    said.append(f"The named point was claimed with {w.claimed:.1%} on average and was right in {w.named.value:.1%}.")
+        sentences.append(
+            "The tracks have no covariance: estimates were taken as exact, so the probabilities are not calibrated."
+        )
+        return sentences
+    sentences.append(
+        f"The most probable point had a mean probability of {w.claimed:.1%} and was right in {w.named.value:.1%}."
+    )
     if w.claimed < w.named.low:
-        said.append("Less was claimed than is true: covariances are too large, and tuned ones would release more.")
+        sentences.append(
+            "The probabilities are underconfident: covariances are too large, and tuning them would unlock more rows."
+        )
     if w.claimed > w.named.high:
-        said.append("More was claimed than is true: covariances are too small, and releases less sure than they look.")
+        sentences.append("The probabilities are overconfident: covariances are too small, decisions more often wrong.")
     sure = [b for b in report.calibrated if b.low >= SURE and b.right.n]
     if sure:
         n = [b.right.n for b in sure]
         claimed = np.average([b.claimed for b in sure], weights=n)
         right = np.average([b.right.value for b in sure], weights=n)
-        said.append(f"Where {SURE:.0%} or more was claimed ({sum(n)} rows, {claimed:.1%} on average) {right:.1%} were.")
-    return said
+        sentences.append(
+            f"At probabilities of {SURE:.0%} or more ({sum(n)} rows, {claimed:.1%} on average), {right:.1%} were right."
+        )
+    return sentences
 
 
 def _percent(s: Share) -> str:

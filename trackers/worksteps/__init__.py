@@ -1,1 +1,1 @@
-"""Right place? Which point of work an estimate names, and how often that is right."""
+"""Fastening points: which one is a tool at, is it unlocked there, and how often is that right."""

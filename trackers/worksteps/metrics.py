@@ -1,4 +1,4 @@
-"""How often the right point of work was named and released, with intervals, and whether 95 % means 95 %."""
+"""How often the right fastening point was named and unlocked, with intervals, and calibration of probabilities."""
 
 from __future__ import annotations
 
@@ -9,14 +9,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trackers.worksteps.decisions import LEVEL, NOWHERE, Decisions, WorkPoints, at_work, decide, visits_of
+from trackers.worksteps.decisions import (
+    LEVEL,
+    NO_POINT,
+    Decisions,
+    FasteningPoints,
+    decide,
+    nearest_point,
+    visit_numbers,
+)
 
 EDGES = (0.0, 0.5, 0.8, 0.9, 0.95, 0.99, 1.0)
-"""Between which claimed probabilities rows are counted together to see how often they are right."""
+"""Edges of the bins of predicted probability, for calibration."""
 
 
 class Share(NamedTuple):
-    """A share of `n`, with its 95 % interval; all NaN where `n` is zero."""
+    """A fraction of `n` with its 95 % interval; NaN for `n` = 0."""
 
     value: float
     low: float
@@ -24,8 +32,8 @@ class Share(NamedTuple):
     n: int
 
 
-class Bin(NamedTuple):
-    """Rows at work that claim a probability from `low` to `high`: the mean claimed, and the share that is right."""
+class CalibrationBin(NamedTuple):
+    """Rows at a point with predicted probability from `low` to `high`: its mean `claimed`, and the fraction `right`."""
 
     low: float
     high: float
@@ -34,14 +42,15 @@ class Bin(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Workstep:
-    """What is counted of a set of rows.
+class UnlockMetrics:
+    """Fractions of a set of rows; the field names are keys of `evaluation.json`.
 
-    Of the rows at work: `named`, the most probable point is the right one; `right`, `wrong` and `missed`, released at
-    the right point, at another, not at all: they add up to 1. `false`: of the releases those at a point where the tip
-    is not, another or none. `claimed`: the mean probability of the named point, which is `named` where covariances are
-    right. Of the visits, rows in a row at one point: `visits_right` and `visits_wrong`, released rightly, or wrongly,
-    at least once. `elsewhere`: rows at no point; `released_elsewhere`: their share that is released.
+    Of the rows at a fastening point: `named`, the most probable point is the right one; `right`, `wrong` and `missed`,
+    unlocked at the right point, unlocked at another, not unlocked (they sum to 1). `false`: of all unlock decisions,
+    those at a point where the tip is not. `claimed`: mean probability of the named point, which equals `named` if the
+    covariances are right. Of the visits (consecutive rows at one point): `visits_right` and `visits_wrong`, unlocked
+    there, or at another point, at least once. `elsewhere`: number of rows at no point; `released_elsewhere`: the
+    fraction of these that is unlocked.
     """
 
     named: Share
@@ -57,75 +66,76 @@ class Workstep:
 
 
 @dataclass(frozen=True)
-class Judged:
-    """Rows with decisions: `at` (n,) the points at which the tip really is, `visit` (n,) the rows' visits."""
+class ScoredDecisions:
+    """Decisions with truth: `at` (n,) the true points, `visit` (n,) the visits of the rows."""
 
     decisions: Decisions
     at: np.ndarray
     visit: np.ndarray
 
-    def part(self, rows: np.ndarray) -> Judged:
-        """Some of the rows: their numbers or a mask."""
-        return Judged(Decisions(*(x[rows] for x in self.decisions)), self.at[rows], self.visit[rows])
+    def part(self, rows: np.ndarray) -> ScoredDecisions:
+        """The selected rows, by number or mask."""
+        return ScoredDecisions(Decisions(*(x[rows] for x in self.decisions)), self.at[rows], self.visit[rows])
 
 
-def judge(
+def score(
     means: np.ndarray,
     covariances: np.ndarray,
     truth: np.ndarray,
     starts: np.ndarray,
-    points: WorkPoints,
+    points: FasteningPoints,
     tolerance: float,
     play: float,
     level: float = LEVEL,
-) -> Judged:
-    """Decisions on estimates (n, d) beside the truth (n, d) of tracks that begin at the rows `starts`."""
-    at = at_work(truth, points, tolerance)
-    return Judged(decide(means, covariances, points, tolerance, play, level), at, visits_of(at, starts))
+) -> ScoredDecisions:
+    """Decisions for estimates (n, d) and truth (n, d) of concatenated tracks that begin at rows `starts`."""
+    at = nearest_point(truth, points, tolerance)
+    return ScoredDecisions(decide(means, covariances, points, tolerance, play, level), at, visit_numbers(at, starts))
 
 
-def workstep(judged: Judged) -> Workstep:
-    """The figures of the rows."""
-    d, visit, at = judged.decisions, judged.visit, judged.at
-    work = at != NOWHERE
-    names_it = d.point == at
-    right, wrong = d.released & names_it & work, d.released & ~names_it & work
-    _, numbers = np.unique(visit[work], return_inverse=True)
-    ever = [np.bincount(numbers, x[work]) > 0 for x in (right, wrong)] if work.any() else [np.zeros(0, bool)] * 2
-    return Workstep(
-        share(names_it[work], visit[work]),
-        share(right[work], visit[work]),
-        share(wrong[work], visit[work]),
-        share(~d.released[work], visit[work]),
-        share(~right[d.released], visit[d.released]),
-        float(np.mean(d.probability[work])) if work.any() else np.nan,
+def unlock_metrics(scored: ScoredDecisions) -> UnlockMetrics:
+    """The fractions of all rows."""
+    d, visit, at = scored.decisions, scored.visit, scored.at
+    at_point = at != NO_POINT
+    named = d.point == at
+    right, wrong = d.unlocked & named & at_point, d.unlocked & ~named & at_point
+    _, numbers = np.unique(visit[at_point], return_inverse=True)
+    ever = (
+        [np.bincount(numbers, x[at_point]) > 0 for x in (right, wrong)] if at_point.any() else [np.zeros(0, bool)] * 2
+    )
+    return UnlockMetrics(
+        share(named[at_point], visit[at_point]),
+        share(right[at_point], visit[at_point]),
+        share(wrong[at_point], visit[at_point]),
+        share(~d.unlocked[at_point], visit[at_point]),
+        share(~right[d.unlocked], visit[d.unlocked]),
+        float(np.mean(d.probability[at_point])) if at_point.any() else np.nan,
         share(ever[0], np.arange(len(ever[0]))),
         share(ever[1], np.arange(len(ever[1]))),
-        int(np.sum(~work)),
-        share(d.released[~work], visit[~work]),
+        int(np.sum(~at_point)),
+        share(d.unlocked[~at_point], visit[~at_point]),
     )
 
 
-def calibration(judged: Judged) -> list[Bin]:
-    """By the claimed probability of the named point: how often it is the right one, of rows at work."""
-    work = judged.part(judged.at != NOWHERE)
-    claimed, right = work.decisions.probability, work.decisions.point == work.at
-    # A claim of exactly 1 belongs to the last bin.
+def calibration(scored: ScoredDecisions) -> list[CalibrationBin]:
+    """Fraction of right named points by their predicted probability, over the rows at a point."""
+    at_points = scored.part(scored.at != NO_POINT)
+    claimed, right = at_points.decisions.probability, at_points.decisions.point == at_points.at
+    # A probability of exactly 1 belongs to the last bin.
     which = np.minimum(np.searchsorted(EDGES, claimed, side="right") - 1, len(EDGES) - 2)
     bins = []
     for k, (low, high) in enumerate(pairwise(EDGES)):
         here = which == k
         mean = float(np.mean(claimed[here])) if here.any() else np.nan
-        bins.append(Bin(low, high, mean, share(right[here], work.visit[here])))
+        bins.append(CalibrationBin(low, high, mean, share(right[here], at_points.visit[here])))
     return bins
 
 
 def share(hits: np.ndarray, cluster: np.ndarray, level: float = 0.95) -> Share:
-    """The share of `hits` (n,) with Wilson's interval (1927), rows of one `cluster` (n,) counting as they agree.
+    """The fraction of `hits` (n,) with Wilson's interval (1927) for rows that are correlated within a `cluster` (n,).
 
-    Rows of a visit are alike, so that n of them say less than n draws would: the interval is that of n divided by the
-    design effect (Kish 1965), the variance of the share over clusters to that over independent rows. Where all rows
-    agree, every cluster counts once.
+    The interval is that of n divided by the design effect (Kish 1965): the variance of the fraction over clusters, over
+    its variance for independent rows. If all rows agree, each cluster counts once.
     """
     n = len(hits)
     if n == 0:

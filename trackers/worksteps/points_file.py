@@ -1,4 +1,4 @@
-"""Points of work from a table file: `name, x_m, y_m`, and `z_m` where heights matter."""
+"""Fastening points from a table file with columns `name, x_m, y_m` and optionally `z_m`."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import polars as pl
 
 from trackers.core.errors import UnusableInput
 from trackers.recordings.table_file import SUFFIXES, TableFile, read_table_file
-from trackers.worksteps.decisions import WorkPoints
+from trackers.worksteps.decisions import FasteningPoints
 
 _REQUIRED, _HEIGHT = ("name", "x_m", "y_m"), "z_m"
 _EXPECTED = "expected name, x_m, y_m and optionally z_m"
 
 
-def read_points(path: Path) -> WorkPoints:
-    """The points of work in a `.csv`, `.csv.gz` or `.parquet` file; raises UnusableInput where it cannot be used."""
+def read_points(path: Path) -> FasteningPoints:
+    """The fastening points of a `.csv`, `.csv.gz` or `.parquet` file; raises UnusableInput for unusable ones."""
     if not path.is_file():
         raise UnusableInput(f"{path}: no such file; {_EXPECTED} in a {', '.join(SUFFIXES)} file; check the path")
     file = read_table_file(path)
@@ -30,12 +30,12 @@ def read_points(path: Path) -> WorkPoints:
         )
     names = _names(file)
     axes = [*_REQUIRED[1:], *([_HEIGHT] if _HEIGHT in columns else [])]
-    points = WorkPoints(tuple(names), np.stack([_metres(file, axis) for axis in axes], axis=1))
+    points = FasteningPoints(tuple(names), np.stack([_metres(file, axis) for axis in axes], axis=1))
     if len(names) > 1 and points.spacing() == 0:
-        apart = np.linalg.norm(points.places[:, None] - points.places, axis=-1)
-        one, other = np.argwhere(np.triu(apart == 0, 1))[0]
+        distance = np.linalg.norm(points.positions[:, None] - points.positions, axis=-1)
+        one, other = np.argwhere(np.triu(distance == 0, 1))[0]
         raise UnusableInput(
-            f"{path}: points '{names[one]}' and '{names[other]}' lie at the same place, expected places that differ; "
+            f"{path}: points '{names[one]}' and '{names[other]}' have the same position; expected different positions; "
             f"remove one{'' if _HEIGHT in columns else ' or give z_m'}"
         )
     return points
@@ -45,11 +45,11 @@ def _names(file: TableFile) -> list[str]:
     names = [("" if n is None else str(n)).strip() for n in file.frame["name"].cast(pl.String).to_list()]
     for row, name in enumerate(names):
         if not name:
-            raise UnusableInput(f"{file.location(row, 'name')}: empty, expected a name; names tell points apart")
+            raise UnusableInput(f"{file.location(row, 'name')}: empty, expected a name")
         first = names.index(name)
         if first < row:
             raise UnusableInput(
-                f"{file.location(row, 'name')}: '{name[:40]}' stands in row {first + 1} too, expected each name once; "
+                f"{file.location(row, 'name')}: '{name[:40]}' is a duplicate of row {first + 1}; expected unique names; "
                 "rename one"
             )
     return names

@@ -1,4 +1,4 @@
-"""Tracks of recordings beside points of work: `trackwright evaluate --worksteps`."""
+"""Unlock decisions on the tracks of recordings: `trackwright evaluate --worksteps`."""
 
 from __future__ import annotations
 
@@ -15,28 +15,35 @@ from trackers.evaluation import covariances, last_of_every
 from trackers.recordings.association import Association, associate_truth
 from trackers.recordings.columns import float_column
 from trackers.recordings.tracks_table import is_bearing
-from trackers.worksteps.decisions import LEVEL, NOWHERE, WorkPoints
-from trackers.worksteps.metrics import Bin, Judged, Workstep, calibration, judge, workstep
+from trackers.worksteps.decisions import LEVEL, NO_POINT, FasteningPoints
+from trackers.worksteps.metrics import (
+    CalibrationBin,
+    ScoredDecisions,
+    UnlockMetrics,
+    calibration,
+    score,
+    unlock_metrics,
+)
 from trackers.worksteps.points_file import read_points
 
 
 @dataclass(frozen=True)
-class WorkReport:
-    """What tracks say of points of work: overall, by recording, by point (None: rows at no point), and calibration.
+class WorkstepReport:
+    """Unlock decisions scored overall, by recording and by point, and their calibration.
 
-    `tolerance`, `play` m. `calibrated`: None where no track reports a covariance.
+    `tolerance`, `play` m. `calibrated`: None where no track has a covariance.
     """
 
-    points: WorkPoints
+    points: FasteningPoints
     tolerance: float
     play: float
-    overall: Workstep
-    recordings: dict[str, Workstep]
-    by_point: dict[str, Workstep]
-    calibrated: list[Bin] | None
+    overall: UnlockMetrics
+    recordings: dict[str, UnlockMetrics]
+    by_point: dict[str, UnlockMetrics]
+    calibrated: list[CalibrationBin] | None
 
-    def figures(self, name: str | None = None) -> dict[str, float | None]:
-        """The shares that `--fail-if` knows, of a recording or overall; None where a share has no rows."""
+    def metrics(self, name: str | None = None) -> dict[str, float | None]:
+        """The fractions for `--fail-if`, of a recording or overall; None without rows."""
         w = self.overall if name is None else self.recordings[name]
         shares = {
             "work_named": w.named, "work_right": w.right, "work_wrong": w.wrong, "work_missed": w.missed,
@@ -45,9 +52,9 @@ class WorkReport:
         return {key: None if np.isnan(s.value) else s.value for key, s in shares.items()}
 
     def plain(self) -> dict[str, Any]:
-        """Everything as plain numbers, for JSON."""
+        """Everything as plain numbers, for `evaluation.json`."""
         return {
-            "points": dict(zip(self.points.names, self.points.places.tolist(), strict=True)),
+            "points": dict(zip(self.points.names, self.points.positions.tolist(), strict=True)),
             "tolerance_m": self.tolerance,
             "play_m": self.play,
             "level": LEVEL,
@@ -63,25 +70,24 @@ class WorkReport:
         }
 
 
-def work_report(
+def workstep_report(
     tracks: pl.DataFrame,
     truths: Mapping[str, pl.DataFrame],
     path: Path,
     tolerance: float | None,
     every: float | None = None,
-) -> WorkReport:
-    """The report on the points in the file `path`; `tolerance` m, by default half the points' spacing.
+) -> WorkstepReport:
+    """The report on the fastening points in the file `path`.
 
-    `every`: s, judge only the last estimate in every so many seconds.
-
-    A tip counts as being at a point anywhere within the tolerance: its play is half of that, as the standard deviation
-    per axis of places spread evenly over a disc. Raises UnusableInput for points or tracks that cannot be used.
+    `tolerance` m, by default half the points' spacing. `every`: s, score only the last estimate of each such interval.
+    The tip is at a point if it is within the tolerance; the play is half of that, the standard deviation per axis of a
+    uniform distribution over the disc. Raises UnusableInput for points or tracks that cannot be used.
     """
     points = read_points(path)
     if tolerance is not None and not (np.isfinite(tolerance) and tolerance > 0):
         raise UnusableInput(f"--tolerance {tolerance}: expected a number of metres above 0")
     if is_bearing(tracks):
-        raise UnusableInput("--worksteps: the tracks are bearings, expected positions; track with another --tracker")
+        raise UnusableInput("--worksteps: the tracks are bearings; expected positions; use another --tracker")
     association = associate_truth(tracks, truths)
     d = points.dimensions
     means = np.stack([float_column(association.rows, f"{axis}_m") for axis in "xyz"[:d]], axis=1)
@@ -90,39 +96,49 @@ def work_report(
     kept = counted[placed[counted]]
     if not len(kept):
         raise UnusableInput(
-            f"{path}: has z_m, but no estimate with a height meets a truth with one; expected heights in both; "
-            "leave the column z_m out to compare over the floor"
+            f"{path}: has z_m, but no row has a height in both track and truth; expected heights in both; "
+            "remove the column z_m to compare horizontally"
         )
     within = points.tolerance() if tolerance is None else tolerance
     covs = covariances(association.rows[kept])[:, :d, :d]
     starts = np.searchsorted(kept, association.starts[:-1])
-    judged = judge(means[kept], covs, association.truth[kept, :d], starts, points, within, within / 2)
-    _refuse_without_work(judged, association.truth[kept, :d], points, within, path)
-    return _report(association, kept, judged, points, within, bool(np.isfinite(covs).any()))
+    scored = score(means[kept], covs, association.truth[kept, :d], starts, points, within, within / 2)
+    _require_a_visit(scored, association.truth[kept, :d], points, within, path)
+    return _report(association, kept, scored, points, within, bool(np.isfinite(covs).any()))
 
 
 def _report(
-    association: Association, kept: np.ndarray, judged: Judged, points: WorkPoints, within: float, believes: bool
-) -> WorkReport:
+    association: Association,
+    kept: np.ndarray,
+    scored: ScoredDecisions,
+    points: FasteningPoints,
+    within: float,
+    has_covariance: bool,
+) -> WorkstepReport:
     names = association.rows["recording"].to_numpy()[kept]
-    recordings = {str(name): workstep(judged.part(names == name)) for name in dict.fromkeys(names)}
+    recordings = {str(name): unlock_metrics(scored.part(names == name)) for name in dict.fromkeys(names)}
     by_point = {
-        name: workstep(judged.part(judged.at == k)) for k, name in enumerate(points.names) if (judged.at == k).any()
+        name: unlock_metrics(scored.part(scored.at == k))
+        for k, name in enumerate(points.names)
+        if (scored.at == k).any()
     }
-    bins = calibration(judged) if believes else None
-    return WorkReport(points, within, within / 2, workstep(judged), recordings, by_point, bins)
+    bins = calibration(scored) if has_covariance else None
+    return WorkstepReport(points, within, within / 2, unlock_metrics(scored), recordings, by_point, bins)
 
 
-def _refuse_without_work(judged: Judged, truth: np.ndarray, points: WorkPoints, within: float, path: Path) -> None:
-    if (judged.at != NOWHERE).any():
+def _require_a_visit(
+    scored: ScoredDecisions, truth: np.ndarray, points: FasteningPoints, within: float, path: Path
+) -> None:
+    if (scored.at != NO_POINT).any():
         return
-    nearest = min(float(np.linalg.norm(truth - place, axis=1).min()) for place in points.places)
+    nearest = min(float(np.linalg.norm(truth - position, axis=1).min()) for position in points.positions)
     raise UnusableInput(
-        f"{path}: no truth comes within {within:g} m of any of the {len(points.names)} points, the nearest passes at "
-        f"{nearest:.4g} m; expected points in metres in the frame of the truth; check units and origin, or --tolerance"
+        f"{path}: the true path never comes within {within:g} m of any of the {len(points.names)} points, its "
+        f"smallest distance is {nearest:.4g} m; expected points in metres in the frame of the truth; check units and "
+        "origin, or --tolerance"
     )
 
 
-def _named(w: Workstep) -> dict[str, Any]:
+def _named(w: UnlockMetrics) -> dict[str, Any]:
     plain = {name: getattr(w, name) for name in asdict(w)}
     return {name: x._asdict() if hasattr(x, "_asdict") else x for name, x in plain.items()}

@@ -1,4 +1,4 @@
-"""Which point of work the tool is at: probabilities, releases, their figures, and `evaluate --worksteps`."""
+"""Fastening points: probabilities, unlock decisions, their metrics, and `evaluate --worksteps`."""
 
 import json
 
@@ -12,28 +12,28 @@ from tests.faulty import good_tables
 from tests.in_process import assert_refused, trackwright
 from trackers.core.rig import Rig
 from trackers.recordings.folder import RecordingFolder
-from trackers.worksteps.decisions import NOWHERE, WorkPoints, at_work, decide, probabilities, visits_of
-from trackers.worksteps.metrics import calibration, judge, share, workstep
+from trackers.worksteps.decisions import NO_POINT, FasteningPoints, decide, nearest_point, probabilities, visit_numbers
+from trackers.worksteps.metrics import calibration, score, share, unlock_metrics
 
-HOLES = WorkPoints(("a", "b", "c"), np.array([[0.0, 0.0, 1.0], [0.1, 0.0, 1.0], [0.0, 0.12, 1.05]]))
+HOLES = FasteningPoints(("a", "b", "c"), np.array([[0.0, 0.0, 1.0], [0.1, 0.0, 1.0], [0.0, 0.12, 1.05]]))
 P = np.array([[4.0, 1.0, -0.5], [1.0, 2.0, 0.3], [-0.5, 0.3, 3.0]]) * 1e-3
 
 
 def _visits(spread, believed, seed=0, visits=4000, rows=3, play=0.01):
-    """Judged rows of visits to the holes: errors of covariance `spread`, reported as `believed`, the tip with play."""
+    """Scored rows of visits to the holes: errors of covariance `spread`, reported as `believed`, the tip with play."""
     rng = np.random.default_rng(seed)
     here = rng.integers(0, 3, visits)
-    tip = np.repeat(HOLES.places[here] + play * rng.standard_normal((visits, 3)), rows, axis=0)
+    tip = np.repeat(HOLES.positions[here] + play * rng.standard_normal((visits, 3)), rows, axis=0)
     means = tip + rng.multivariate_normal(np.zeros(3), spread, len(tip))
     starts = np.arange(0, len(tip), rows)
-    return judge(means, np.broadcast_to(believed, (len(tip), 3, 3)), tip, starts, HOLES, 0.055, play)
+    return score(means, np.broadcast_to(believed, (len(tip), 3, 3)), tip, starts, HOLES, 0.055, play)
 
 
 def test_a_points_probability_is_that_of_tips_drawn_from_the_estimate_lying_about_it():
-    # The tip is drawn where the tracker believes it; each draw speaks for a point as the play about it allows.
+    # The tip is drawn from the estimate's distribution; each draw is weighted by the density of the play about a point.
     rng, mean, play = np.random.default_rng(1), np.array([0.04, 0.05, 1.02]), 0.03
     tips = rng.multivariate_normal(mean, P, 400_000)
-    weight = np.array([np.exp(-0.5 * np.sum((tips - c) ** 2, axis=1) / play**2) for c in HOLES.places])
+    weight = np.array([np.exp(-0.5 * np.sum((tips - c) ** 2, axis=1) / play**2) for c in HOLES.positions])
     drawn = weight.mean(axis=1) / weight.mean(axis=1).sum()
     # The spread of the drawn shares over seeds is 0.0015.
     assert probabilities(mean[None], P[None], HOLES, play)[0] == pytest.approx(drawn, abs=6e-3)
@@ -44,40 +44,39 @@ def test_far_from_all_points_probabilities_still_add_up_to_one():
     assert far[0] == pytest.approx([0.0, 1.0, 0.0])
 
 
-def test_an_estimate_without_covariance_counts_as_exact_and_one_without_numbers_releases_nothing():
+def test_an_estimate_without_covariance_counts_as_exact_and_one_with_nan_unlocks_nothing():
     means = np.array([[0.01, 0.0, 1.0], [np.nan, 0.0, 1.0]])
     d = decide(means, np.full((2, 3, 3), np.nan), HOLES, 0.05, 0.02)
-    assert d.point.tolist() == [0, NOWHERE]
-    assert d.released.tolist() == [True, False]
+    assert d.point.tolist() == [0, NO_POINT]
+    assert d.unlocked.tolist() == [True, False]
     assert np.isnan(d.probability[1])
 
 
-def test_a_release_needs_both_the_probability_and_the_tolerance():
+def test_unlocking_needs_both_the_probability_and_the_tolerance():
     means = np.array([[0.0, 0.0, 1.0], [0.05, 0.0, 1.0], [-0.07, 0.0, 1.0]])
     d = decide(means, np.broadcast_to(1e-4 * np.eye(3), (3, 3, 3)), HOLES, 0.06, 0.0)
-    assert d.released.tolist() == [True, False, False]  # at the hole; half-way; sure, but too far off
+    assert d.unlocked.tolist() == [True, False, False]  # at the hole; half-way; certain, but beyond the tolerance
 
 
 def test_right_covariances_make_95_percent_mean_95_percent():
-    judged = _visits(P, P)
-    w = workstep(judged)
+    scored = _visits(P, P)
+    w = unlock_metrics(scored)
     assert w.claimed == pytest.approx(w.named.value, abs=0.01)  # the share's own spread is 0.004
-    for b in calibration(judged):
+    for b in calibration(scored):
         if b.right.n > 300:
-            # 3.3 standard errors of a share for some six bins; tips beyond the tolerance, which aren't judged, are 5e-6.
+            # 3.3 standard errors of a share for some six bins; tips beyond the tolerance, which aren't scored, are 5e-6.
             assert abs(b.right.value - b.claimed) < 3.3 * np.sqrt(0.25 / b.right.n), b
-    wrong_among_releases = w.false.value
-    assert wrong_among_releases < 0.05
+    assert w.false.value < 0.05
 
 
-def test_covariances_too_small_claim_more_than_they_name():
-    w = workstep(_visits(P, P / 9))
+def test_too_small_covariances_give_overconfident_probabilities():
+    w = unlock_metrics(_visits(P, P / 9))
     assert w.claimed > w.named.value + 0.1
     assert w.false.high > w.false.value > 0.05
 
 
-def test_right_wrong_and_missed_add_up_to_all_rows_at_work():
-    w = workstep(_visits(P, P))
+def test_right_wrong_and_missed_add_up_to_all_rows_at_a_point():
+    w = unlock_metrics(_visits(P, P))
     assert w.right.value + w.wrong.value + w.missed.value == pytest.approx(1.0)
     assert w.right.n == 12_000
     assert w.visits_right.n == 4000
@@ -85,9 +84,9 @@ def test_right_wrong_and_missed_add_up_to_all_rows_at_work():
 
 def test_a_tip_is_at_the_nearest_point_within_the_tolerance_and_visits_are_rows_in_a_row():
     truth = np.array([[0.0, 0.0, 1.0], [0.02, 0.0, 1.0], [0.06, 0.0, 1.0], [0.5, 0.0, 1.0], [0.0, 0.0, 1.0]])
-    at = at_work(truth, HOLES, 0.05)
-    assert at.tolist() == [0, 0, 1, NOWHERE, 0]
-    assert visits_of(np.array([0, 0, 1, 1, 1, 0]), np.array([0, 3])).tolist() == [1, 1, 2, 3, 3, 4]
+    at = nearest_point(truth, HOLES, 0.05)
+    assert at.tolist() == [0, 0, 1, NO_POINT, 0]
+    assert visit_numbers(np.array([0, 0, 1, 1, 1, 0]), np.array([0, 3])).tolist() == [1, 1, 2, 3, 3, 4]
 
 
 def test_wilsons_interval_of_independent_rows_is_the_textbooks():
@@ -112,7 +111,7 @@ def test_no_rows_have_no_share():
 
 
 def test_the_studys_measures_count_rows_at_rest_alone():
-    # Two trajectories of four rows: moving, at rest and released, at rest and too unsure, at rest at the wrong point.
+    # Two trajectories of four rows: moving, at rest and unlocked, at rest with a large covariance, at rest elsewhere.
     truth = np.array([[0.03, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.1, 0.0, 0.0]])
     seen = np.array([[0.03, 0.0, 0.0], [0.01, 0.0, 0.0], [0.04, 0.0, 0.0], [0.0, 0.0, 0.0]])
     spread = np.array([1e-4, 1e-4, 1.0, 1e-4])[:, None, None] * np.eye(3)
@@ -144,11 +143,11 @@ def tracked(beginnings, tmp_path):
     return tmp_path
 
 
-def test_evaluate_tells_of_right_and_wrong_releases(tracked):
+def test_evaluate_prints_right_and_wrong_unlock_decisions(tracked):
     said = trackwright("evaluate", tracked, "--worksteps", tracked / "points.csv", "--tolerance", 0.2)
     assert said.code == 0, said
-    assert "Right place?" in said.out
-    assert "At 1 of 3 points the tool never was." in said.out
+    assert "Unlock decisions" in said.out
+    assert "The tool was never at 1 of the 3 points." in said.out
     found = json.loads((tracked / "evaluation.json").read_text())
     assert found["worksteps"]["overall"]["right"]["value"] > 0.7
     assert found["overall"]["work_wrong"] == 0.0
@@ -170,7 +169,7 @@ def test_the_text_says_where_covariances_are_too_large_or_too_small(tracked):
         assert words in trackwright("evaluate", tracked, "--worksteps", tracked / "dense.csv", "--tolerance", 0.01).out
 
 
-def test_a_pipeline_can_stop_on_missed_releases(tracked):
+def test_a_pipeline_can_stop_on_missed_unlock_decisions(tracked):
     said = trackwright(
         "evaluate", tracked, "--worksteps", tracked / "points.csv", "--tolerance", 0.2, "--fail-if", "work_missed > 0.9"
     )
@@ -180,7 +179,7 @@ def test_a_pipeline_can_stop_on_missed_releases(tracked):
     assert said.code == 1
 
 
-def test_the_last_estimate_of_every_interval_can_be_judged_alone(tracked):
+def test_the_last_estimate_of_every_interval_can_be_scored_alone(tracked):
     given = ("evaluate", tracked, "--worksteps", tracked / "points.csv", "--tolerance", 0.2, "--json")
     whole, thinned = (json.loads(trackwright(*given, *more).out)["worksteps"] for more in ((), ("--every-s", 0.2)))
     assert 0 < thinned["overall"]["right"]["n"] < whole["overall"]["right"]["n"]
@@ -189,8 +188,8 @@ def test_the_last_estimate_of_every_interval_can_be_judged_alone(tracked):
 BAD_POINTS = {
     "columns": ("name,x,y\na,1,2\n", "no column x_m"),
     "unknown column": ("name,x_m,y_m,z\na,3,2,1\n", "unknown column 'z'"),
-    "doubled name": ("name,x_m,y_m\na,3,2\nb,4,2\na,5,2\n", "stands in row 1 too"),
-    "same place": ("name,x_m,y_m\na,3,2\nb,3,2\n", "same place"),
+    "duplicate name": ("name,x_m,y_m\na,3,2\nb,4,2\na,5,2\n", "duplicate of row 1"),
+    "same position": ("name,x_m,y_m\na,3,2\nb,3,2\n", "have the same position"),
     "no name": ("name,x_m,y_m\n,3,2\n", "expected a name"),
     "infinite": ("name,x_m,y_m\na,inf,2\nb,4,2\n", "'inf', expected a finite number"),
     "empty cell": ("name,x_m,y_m\na,3,\nb,4,2\n", "empty, expected a finite number"),
