@@ -19,12 +19,15 @@ from trackers.core.errors import UnusableInput
 from trackers.core.estimates import Estimates
 from trackers.core.recording import Recording
 from trackers.core.rig import Station
-from trackers.recordings.association import Association, associate_truth, true_bearings
+from trackers.recordings.association import Association, associate_truth
 from trackers.recordings.columns import float_column
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracks import Tracks
 from trackers.recordings.tracks_table import is_bearing, track_keys
 from trackers.recordings.truth import TruthStatus
+from trackers.scoring import Scored, score
+
+OneOrMore = RecordingFolder | Recording | Sequence[RecordingFolder] | Sequence[Recording]
 
 Metrics = dict[str, Any]
 """Metrics by name; in lists by recording and by track also `recording`, `tag` and `station`."""
@@ -40,50 +43,52 @@ class Evaluation:
     tracks: list[Metrics]
 
 
-@dataclass(frozen=True)
-class Scored:
-    """Errors of the scored rows, and consistency and track loss of all rows.
-
-    Of the n scored rows: `index`, their position in the association; `errors` (n, 3), m, or of bearings (n, 2), rad;
-    `angle` (n, 1), rad, of bearings the angle between estimated and true direction, else None; `nees` of the horizontal
-    position or of both angles; `nees_3d`, None for bearings. Of all rows: `nis` and `dof`, zero without a measurement.
-    Of the g tracks: `lost` (g, 3), seconds lost, seconds spanned, rows lost.
-    """
-
-    index: np.ndarray
-    errors: np.ndarray
-    angle: np.ndarray | None
-    nees: np.ndarray
-    nees_3d: np.ndarray | None
-    nis: np.ndarray
-    dof: np.ndarray
-    lost: np.ndarray
-
-
 def evaluate(
-    estimates: Tracks | Estimates | pl.DataFrame,
-    recordings: RecordingFolder | Recording | Sequence[RecordingFolder] | Sequence[Recording],
+    estimates: Tracks | Estimates | pl.DataFrame | Association,
+    recordings: OneOrMore,
     every: float | None = None,
 ) -> Evaluation:
     """The error metrics of estimates against the truth of their recordings, interpolated at the times of the estimates.
 
-    `estimates`: `Tracks`, a table with the columns of tracks.parquet, or the `Estimates` of `Recording`s whose truth
-    is a `position`. `every`: s, score only the last estimate in each interval of that length. Raises UnusableInput if
-    no recording has a truth, or no estimate lies inside the truth of its recording and tag.
+    `estimates`: `Tracks`, a table with the columns of tracks.parquet, the `Estimates` of `Recording`s whose truth is a
+    `position`, or the `Association` of any of these. `every`: s, score only the last estimate in each interval of that
+    length. Raises UnusableInput if no recording has a truth, or no estimate lies inside that of its recording and tag.
     """
-    listed: list[RecordingFolder | Recording]
-    listed = [recordings] if isinstance(recordings, (RecordingFolder, Recording)) else list(recordings)
-    folders = [r for r in listed if isinstance(r, RecordingFolder)]
-    truths = {f.name: f.tables["truth"] for f in folders if "truth" in f.tables}
-    truths |= {r.name: _true_positions(r) for r in listed if isinstance(r, Recording) and "position" in r.truth}
+    association = estimates if isinstance(estimates, Association) else associate(estimates, recordings)
+    _refuse_without_overlap(association, _truths(recordings))
+    stations = {f.name: f.rig.stations for f in _several(recordings) if isinstance(f, RecordingFolder)}
+    return evaluate_association(association, stations, every)
+
+
+def associate(estimates: Tracks | Estimates | pl.DataFrame, recordings: OneOrMore) -> Association:
+    """The estimates with the true position at the time of each; `evaluate` accepts the result, and so do plots.
+
+    Arguments as of `evaluate`. Raises UnusableInput if no recording has a truth.
+    """
+    truths = _truths(recordings)
     if not truths:
-        names = ", ".join(str(getattr(r, "path", None) or r.name) for r in listed)
+        names = ", ".join(str(getattr(r, "path", None) or r.name) for r in _several(recordings))
         raise UnusableInput(f"{names}: no truth table, expected one to evaluate against; give it with --truth")
     if isinstance(estimates, Estimates):
         # an array recording has one trajectory, so its name identifies it
-        estimates = estimates.to_polars().with_columns(tag=pl.lit(""))
-    table = estimates.to_polars() if isinstance(estimates, Tracks) else estimates
-    return evaluate_table(table, truths, {f.name: f.rig.stations for f in folders}, every)
+        return associate_truth(estimates.to_polars().with_columns(tag=pl.lit("")), truths)
+    return associate_truth(estimates.to_polars() if isinstance(estimates, Tracks) else estimates, truths)
+
+
+def _several(recordings: OneOrMore) -> list[RecordingFolder | Recording]:
+    return [recordings] if isinstance(recordings, (RecordingFolder, Recording)) else list(recordings)
+
+
+def _truths(recordings: OneOrMore) -> dict[str, pl.DataFrame]:
+    """The truth tables of the recordings that have one, by name."""
+    truths = {}
+    for recording in _several(recordings):
+        if isinstance(recording, RecordingFolder):
+            if "truth" in recording.tables:
+                truths[recording.name] = recording.tables["truth"]
+        elif "position" in recording.truth:
+            truths[recording.name] = _true_positions(recording)
+    return truths
 
 
 def _true_positions(recording: Recording) -> pl.DataFrame:
@@ -129,28 +134,6 @@ def evaluate_association(
     per_track = [{**key, **_metrics(association, scored, k, k + 1)} for k, key in enumerate(keys)]
     overall = _metrics(association, scored, 0, last)
     return Evaluation(is_bearing(association.rows), overall, recordings, per_track)
-
-
-def score(
-    association: Association,
-    stations: Mapping[str, Mapping[str, Station]] | None = None,
-    every: float | None = None,
-) -> Scored:
-    """Errors, NEES, NIS and track loss of associated estimates; arguments as of `evaluate_table`."""
-    kept = last_of_every(association, every) if every else np.flatnonzero(association.scored)
-    if is_bearing(association.rows):
-        return _bearings(association, kept, stations or {})
-    return _positions(association, kept)
-
-
-def covariances(rows: pl.DataFrame) -> np.ndarray:
-    """Reported position covariances (n, 3, 3), m²; covariances missing in the table are zero."""
-    covs = np.empty((3, 3, len(rows)))
-    for i, a in enumerate("xyz"):
-        covs[i, i] = float_column(rows, f"std_{a}_m") ** 2
-        for j, b in enumerate("xyz"[:i]):
-            covs[i, j] = covs[j, i] = np.nan_to_num(float_column(rows, f"cov_{b}{a}_m2"))
-    return np.moveaxis(covs, -1, 0)
 
 
 def _metrics(association: Association, scored: Scored, first: int, end: int) -> Metrics:
@@ -203,64 +186,6 @@ def _consistency(nees: np.ndarray, dof: int, suffix: str) -> Metrics:
         f"coverage_68{suffix}": metrics.covered(known, dof, 0.68),
         f"coverage_95{suffix}": metrics.covered(known, dof, 0.95),
     }
-
-
-def _positions(association: Association, kept: np.ndarray) -> Scored:
-    rows = association.rows[kept]
-    errors = np.stack([float_column(rows, f"{axis}_m") for axis in "xyz"], axis=1) - association.truth[kept]
-    covs = covariances(rows)
-    nees, nees_3d = metrics.nees(errors[:, :2], covs[:, :2, :2]), metrics.nees(errors, covs)
-    return Scored(kept, errors, None, nees, nees_3d, *_innovations(association), _lost(association))
-
-
-def _bearings(association: Association, kept: np.ndarray, stations: Mapping[str, Mapping[str, Station]]) -> Scored:
-    rows = association.rows[kept]
-    true = true_bearings(association, stations)[kept]
-    estimate = np.stack([float_column(rows, "azimuth_rad"), float_column(rows, "elevation_rad")], axis=1)
-    errors = estimate - true
-    errors[:, 0] = np.pi - (np.pi - errors[:, 0]) % (2 * np.pi)
-    u, v = _directions(estimate), _directions(true)
-    # arctan2 of sine and cosine: the arc cosine alone is zero below 1e-8 rad
-    angle = np.arctan2(np.linalg.norm(np.cross(u, v), axis=1), np.einsum("nd,nd->n", u, v))
-    sigmas = np.stack([float_column(rows, "std_azimuth_rad"), float_column(rows, "std_elevation_rad")], axis=1)
-    nees = metrics.nees(errors, sigmas[:, :, None] ** 2 * np.eye(2))
-    return Scored(kept, errors, angle[:, None], nees, None, *_innovations(association), _lost(association))
-
-
-def _directions(angles: np.ndarray) -> np.ndarray:
-    azimuth, elevation = angles.T
-    flat = np.cos(elevation)
-    return np.stack([np.sin(azimuth) * flat, np.sin(elevation), np.cos(azimuth) * flat], axis=1)
-
-
-def _innovations(association: Association) -> tuple[np.ndarray, np.ndarray]:
-    """NIS and its degrees of freedom (n,) of all rows, both zero in rows without a measurement."""
-    nis, dof = float_column(association.rows, "nis"), float_column(association.rows, "nis_dof")
-    known = np.isfinite(nis) & (dof > 0)
-    return np.where(known, nis, 0.0), np.where(known, dof, 0.0)
-
-
-def _lost(association: Association) -> np.ndarray:
-    """Of each track (g, 3): seconds lost, seconds spanned, rows lost."""
-    times, table = float_column(association.rows, "t_s"), np.zeros((len(association.starts) - 1, 3))
-    if "status" not in association.rows.columns:
-        return table
-    lost = (association.rows["status"] == "lost").fill_null(False).to_numpy()
-    for k, (a, b) in enumerate(pairwise(association.starts)):
-        known = np.isfinite(times[a:b])
-        at, lost_at = times[a:b][known], lost[a:b][known]
-        if len(at):
-            table[k] = metrics.time_lost(at, lost_at).seconds, at[-1] - at[0], lost_at.sum()
-    return table
-
-
-def last_of_every(association: Association, every: float) -> np.ndarray:
-    """Indices of the scored rows that are the last of their track in an interval of `every` seconds."""
-    rows = np.flatnonzero(association.scored)
-    # 0.3 s belongs to the interval that starts there although 0.3 / 0.1 is 2.9999999999999996.
-    interval = np.floor(float_column(association.rows, "t_s")[rows] / every + 1e-6)
-    track = np.searchsorted(association.starts, rows, side="right")
-    return rows[np.append((np.diff(interval) != 0) | (np.diff(track) != 0), True)]
 
 
 def _refuse_without_overlap(association: Association, truths: Mapping[str, pl.DataFrame]) -> None:

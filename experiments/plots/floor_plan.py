@@ -15,8 +15,8 @@ from matplotlib.lines import Line2D
 from experiments.plots.style import BLACK, GREY, LINES, broken_at_gaps, drawing, literal
 from trackers.core.metrics import chi_square_quantile
 from trackers.core.rig import Station
-from trackers.evaluation import covariances
 from trackers.recordings.columns import float_column
+from trackers.scoring import covariances
 
 ELLIPSES = 24
 """So many ellipses are drawn in all, and at most half of them along one track; more would hide the tracks."""

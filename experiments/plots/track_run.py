@@ -14,12 +14,12 @@ from experiments.plots.run import rmse_over_time
 from experiments.plots.tracks import bearings_over_time, error_cdf, error_over_time
 from trackers.bounds import bounds_of
 from trackers.core.metrics import nees
-from trackers.evaluation import covariances
 from trackers.recordings.association import associate_truth, true_bearings
 from trackers.recordings.columns import float_column
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.tracks_table import is_bearing, track_keys
+from trackers.scoring import covariances
 
 DRAWN = 4
 """Recordings (or tags) for which figures of their own are drawn."""

@@ -12,9 +12,10 @@ import pytest
 from experiments.cli.fail_if import violation
 from experiments.reports.evaluation_text import to_json, to_text
 from trackers.core.errors import UnusableInput
-from trackers.core.rig import Station
-from trackers.evaluation import evaluate_table
+from trackers.core.rig import Rig, Station
+from trackers.evaluation import associate, evaluate, evaluate_table
 from trackers.recordings.association import associate_truth
+from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracks_table import read_tracks
 from trackers.recordings.truth import TruthStatus
 
@@ -135,6 +136,24 @@ def test_every_level_pools_the_rows_of_its_tracks(noisy):
         nees = [(e[0] / 0.3) ** 2 + (e[1] / 0.1) ** 2 for e in errors]
         assert metrics["nees_mean"] == pytest.approx(sum(nees) / len(nees), rel=1e-12)
         assert metrics["coverage_95"] == sum(value < -2 * math.log(0.05) for value in nees) / len(nees)
+
+
+def test_an_association_is_evaluated_as_the_estimates_it_was_made_of(noisy):
+    tracks, truths = noisy
+    folders = [RecordingFolder(name, None, Rig(name), {"truth": truth}) for name, truth in truths.items()]
+    association = associate(tracks, folders)
+    assert evaluate(association, folders) == evaluate(tracks, folders) == evaluate_table(tracks, truths)
+
+
+def test_a_part_of_an_association_is_the_association_of_that_recording(noisy):
+    tracks, truths = noisy
+    whole = associate_truth(tracks, truths)
+    for name in ("hall", "yard", "nowhere"):
+        part, own = whole.of_recording(name), associate_truth(tracks.filter(recording=name), truths)
+        assert part.rows.equals(own.rows)
+        np.testing.assert_array_equal(part.truth, own.truth)
+        np.testing.assert_array_equal(part.truth_status, own.truth_status)
+        np.testing.assert_array_equal(part.starts, own.starts)
 
 
 def test_the_order_of_rows_changes_nothing(noisy):

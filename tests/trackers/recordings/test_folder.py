@@ -14,7 +14,7 @@ import pytest
 from tests.broken import ANOMALOUS, BROKEN
 from tests.faulty import RIG, good_tables, write_good
 from trackers.core.errors import UnusableInput
-from trackers.recordings.folder import RecordingFolder, read_recording, write_recording
+from trackers.recordings.folder import RecordingFolder, read_recording, read_recordings, write_recording
 
 KINDS = ("parquet", "csv.gz", "csv")
 
@@ -55,6 +55,31 @@ def test_a_good_recording_reads_without_a_notice(good: RecordingFolder):
             c: pl.String if c in ("tag", "anchor", "station") else pl.Float64 for c in read.columns
         }
         assert read.equals(table.select(read.columns))
+
+
+def test_a_recording_prints_what_it_holds_in_a_few_lines(good: RecordingFolder):
+    assert repr(good).splitlines() == [
+        "RecordingFolder 'good'",
+        "  tables: bearings 200 rows, fixes 100 rows, imu 100 rows, phases 200 rows, ranges 400 rows, truth 100 rows",
+        "  tags: 2 (T1, T2)",
+        "  anchors: 4 (A1, A2, A3, A4)",
+        "  stations: 2 (S1, S2)",
+        "  truth: yes",
+    ]
+
+
+def test_several_recordings_are_read_in_the_order_given(tmp_path: Path):
+    for name in ("b", "a"):
+        write_good(tmp_path / name)
+        (tmp_path / name / "rig.toml").write_text(RIG.replace('"good"', f'"{name}"'))
+    assert [recording.name for recording in read_recordings([tmp_path / "b", tmp_path / "a"])] == ["b", "a"]
+    with pytest.raises(UnusableInput, match="is given more than once"):
+        read_recordings([tmp_path / "a", tmp_path / "b", tmp_path / "a"])
+    (tmp_path / "b" / "rig.toml").write_text(RIG.replace('"good"', '"a"'))
+    with pytest.raises(UnusableInput, match="two recordings are both named 'a'"):
+        read_recordings([tmp_path / "a", tmp_path / "b"])
+    with pytest.raises(UnusableInput, match="no recording given"):
+        read_recordings([])
 
 
 @pytest.mark.parametrize("kind", KINDS)

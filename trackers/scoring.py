@@ -1,0 +1,116 @@
+"""Errors, NEES, NIS and track loss of estimates that are associated with truth: the arrays behind all error metrics."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import polars as pl
+
+from trackers.core import metrics
+from trackers.core.rig import Station
+from trackers.recordings.association import Association, true_bearings
+from trackers.recordings.columns import float_column
+from trackers.recordings.tracks_table import is_bearing
+
+
+@dataclass(frozen=True)
+class Scored:
+    """Errors of the scored rows, and consistency and track loss of all rows.
+
+    Of the n scored rows: `index`, their position in the association; `errors` (n, 3), m, or of bearings (n, 2), rad;
+    `angle` (n, 1), rad, of bearings the angle between estimated and true direction, else None; `nees` of the horizontal
+    position or of both angles; `nees_3d`, None for bearings. Of all rows: `nis` and `dof`, zero without a measurement.
+    Of the g tracks: `lost` (g, 3), seconds lost, seconds spanned, rows lost.
+    """
+
+    index: np.ndarray
+    errors: np.ndarray
+    angle: np.ndarray | None
+    nees: np.ndarray
+    nees_3d: np.ndarray | None
+    nis: np.ndarray
+    dof: np.ndarray
+    lost: np.ndarray
+
+
+def score(
+    association: Association,
+    stations: Mapping[str, Mapping[str, Station]] | None = None,
+    every: float | None = None,
+) -> Scored:
+    """Errors, NEES, NIS and track loss of associated estimates; `stations`, `every` as in `evaluate_table`."""
+    kept = last_of_every(association, every) if every else np.flatnonzero(association.scored)
+    if is_bearing(association.rows):
+        return _bearings(association, kept, stations or {})
+    return _positions(association, kept)
+
+
+def last_of_every(association: Association, every: float) -> np.ndarray:
+    """Indices of the scored rows that are the last of their track in an interval of `every` seconds."""
+    rows = np.flatnonzero(association.scored)
+    # 0.3 s belongs to the interval that starts there although 0.3 / 0.1 is 2.9999999999999996.
+    interval = np.floor(float_column(association.rows, "t_s")[rows] / every + 1e-6)
+    track = np.searchsorted(association.starts, rows, side="right")
+    return rows[np.append((np.diff(interval) != 0) | (np.diff(track) != 0), True)]
+
+
+def covariances(rows: pl.DataFrame) -> np.ndarray:
+    """Reported position covariances (n, 3, 3), m²; covariances missing in the table are zero."""
+    covs = np.empty((3, 3, len(rows)))
+    for i, a in enumerate("xyz"):
+        covs[i, i] = float_column(rows, f"std_{a}_m") ** 2
+        for j, b in enumerate("xyz"[:i]):
+            covs[i, j] = covs[j, i] = np.nan_to_num(float_column(rows, f"cov_{b}{a}_m2"))
+    return np.moveaxis(covs, -1, 0)
+
+
+def _positions(association: Association, kept: np.ndarray) -> Scored:
+    rows = association.rows[kept]
+    errors = np.stack([float_column(rows, f"{axis}_m") for axis in "xyz"], axis=1) - association.truth[kept]
+    covs = covariances(rows)
+    nees, nees_3d = metrics.nees(errors[:, :2], covs[:, :2, :2]), metrics.nees(errors, covs)
+    return Scored(kept, errors, None, nees, nees_3d, *_innovations(association), _lost(association))
+
+
+def _bearings(association: Association, kept: np.ndarray, stations: Mapping[str, Mapping[str, Station]]) -> Scored:
+    rows = association.rows[kept]
+    true = true_bearings(association, stations)[kept]
+    estimate = np.stack([float_column(rows, "azimuth_rad"), float_column(rows, "elevation_rad")], axis=1)
+    errors = estimate - true
+    errors[:, 0] = np.pi - (np.pi - errors[:, 0]) % (2 * np.pi)
+    u, v = _directions(estimate), _directions(true)
+    # arctan2 of sine and cosine: the arc cosine alone is zero below 1e-8 rad
+    angle = np.arctan2(np.linalg.norm(np.cross(u, v), axis=1), np.einsum("nd,nd->n", u, v))
+    sigmas = np.stack([float_column(rows, "std_azimuth_rad"), float_column(rows, "std_elevation_rad")], axis=1)
+    nees = metrics.nees(errors, sigmas[:, :, None] ** 2 * np.eye(2))
+    return Scored(kept, errors, angle[:, None], nees, None, *_innovations(association), _lost(association))
+
+
+def _directions(angles: np.ndarray) -> np.ndarray:
+    azimuth, elevation = angles.T
+    flat = np.cos(elevation)
+    return np.stack([np.sin(azimuth) * flat, np.sin(elevation), np.cos(azimuth) * flat], axis=1)
+
+
+def _innovations(association: Association) -> tuple[np.ndarray, np.ndarray]:
+    """NIS and its degrees of freedom (n,) of all rows, both zero in rows without a measurement."""
+    nis, dof = float_column(association.rows, "nis"), float_column(association.rows, "nis_dof")
+    known = np.isfinite(nis) & (dof > 0)
+    return np.where(known, nis, 0.0), np.where(known, dof, 0.0)
+
+
+def _lost(association: Association) -> np.ndarray:
+    """Of each track (g, 3): seconds lost, seconds spanned, rows lost."""
+    times, table = float_column(association.rows, "t_s"), np.zeros((len(association.starts) - 1, 3))
+    if "status" not in association.rows.columns:
+        return table
+    lost = (association.rows["status"] == "lost").fill_null(False).to_numpy()
+    for k, (a, b) in enumerate(pairwise(association.starts)):
+        known = np.isfinite(times[a:b])
+        at, lost_at = times[a:b][known], lost[a:b][known]
+        if len(at):
+            table[k] = metrics.time_lost(at, lost_at).seconds, at[-1] - at[0], lost_at.sum()
+    return table
