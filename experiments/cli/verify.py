@@ -6,37 +6,37 @@ from collections.abc import Callable
 from functools import partial
 
 from experiments.cli.console import progress
-from experiments.verify import exact_checks, particle_checks
-from experiments.verify.findings import Finding, table
+from experiments.verify import deterministic_checks, particle_checks
+from experiments.verify.check_result import CheckResult, table
 
-CHECKS: tuple[Callable[[], list[Finding]], ...] = (
-    exact_checks.kalman_findings,
-    exact_checks.chain_findings,
-    exact_checks.grid_findings,
-    partial(particle_checks.corridor_findings, 25),
-    partial(particle_checks.corridor_findings, 100),
-    particle_checks.corridor_pairs_findings,
-    particle_checks.halt_findings,
-    particle_checks.corridor_order_findings,
-    particle_checks.halt_order_findings,
-    particle_checks.corridor_wrong_findings,
-    particle_checks.halt_wrong_findings,
+CHECKS: tuple[Callable[[], list[CheckResult]], ...] = (
+    deterministic_checks.kalman_checks,
+    deterministic_checks.chain_checks,
+    deterministic_checks.grid_checks,
+    partial(particle_checks.corridor_checks, 25),
+    partial(particle_checks.corridor_checks, 100),
+    particle_checks.corridor_marginal_checks,
+    particle_checks.halt_checks,
+    particle_checks.corridor_order_checks,
+    particle_checks.halt_order_checks,
+    particle_checks.corridor_wrong_checks,
+    particle_checks.halt_wrong_checks,
 )
-"""Every gradient against its oracle, and those that must be found wrong."""
+"""Correct gradients against their oracles, and biased ones that must fail."""
 
 
 def verify() -> int:
-    """Hold every gradient against an oracle that shares no code with it: prints a table; exit 1 where one is off.
+    """Check every gradient against an oracle that shares no code with it: prints a table, exits 1 if a check fails.
 
-    Kalman filter: the density of all fixes at once. Hidden Markov chain: all sequences of states. Grid filter and
-    particles: quadrature in double precision, of a corridor whose walls kill and of a halt on a line. Estimates that
-    draw random numbers are made with 400 keys, and their mean may be 4 standard errors off. Two estimators that are
-    known to be wrong must be found wrong.
+    Oracles: the joint density of all fixes for the Kalman filter; enumeration of all state sequences for the hidden
+    Markov chain; quadrature in double precision for grid and particle filters, in a corridor whose walls kill
+    particles and at a halt on a line. Random estimates use 400 keys, and their mean may be 4 standard errors off.
+    Two estimators that are known to be biased must fail.
     """
-    findings: list[Finding] = []
+    results: list[CheckResult] = []
     with progress("verifying", len(CHECKS)) as advance:
         for check in CHECKS:
-            findings += check()
+            results += check()
             advance(1)
-    print(table(findings))
-    return 0 if all(f.passed for f in findings) else 1
+    print(table(results))
+    return 0 if all(r.passed for r in results) else 1

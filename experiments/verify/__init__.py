@@ -1,1 +1,1 @@
-"""Oracles for gradients, and the table of what every estimator makes of them."""
+"""Checks of likelihoods and gradients against oracles: `trackwright verify`."""

@@ -1,4 +1,4 @@
-"""The library's own gradient of a log-likelihood, trajectory by trajectory, and what it costs."""
+"""Log-likelihood and gradient of every trajectory as the library computes them, with their computing time."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from tuning.objectives import NegativeLogLikelihood
 from tuning.parameters import flatten, select_parameters
 from tuning.problem import Problem
 
-AT_ONCE = 64
-"""Trajectories of 2,000 particles that run together: they then fit the cache; of fewer particles as many more."""
+MAX_BATCH = 64
+"""Trajectories of 2,000 particles per chunk, which fit the cache; more in proportion for fewer particles."""
 
 
 class Gradients(NamedTuple):
-    """Of n trajectories: log L (n,), its derivatives (p, n) by unconstrained numbers, and seconds for one of them."""
+    """log L (n,) of n trajectories, its gradient (p, n) by unconstrained parameters, and seconds per trajectory."""
 
     values: np.ndarray
-    slopes: np.ndarray
+    gradient: np.ndarray
     seconds: float
 
 
 def gradients(tracker: AbstractTracker, batch: Batch, patterns: str | Sequence[str]) -> Gradients:
-    """log L and its gradient as `tune` computes them, by the tunables that the patterns name.
+    """log L and its gradient as `tune` computes them, by the tunables that match the patterns.
 
-    The time is without that of compiling.
+    The time excludes compiling.
     """
     parameters = select_parameters(tracker, patterns)
-    n_workers = max(1, AT_ONCE * 2000 // getattr(getattr(tracker, "filter", None), "n_particles", 2000))
-    problem = Problem(tracker, [batch], NegativeLogLikelihood(), parameters, n_workers)
+    n_particles = getattr(getattr(tracker, "filter", None), "n_particles", 2000)
+    problem = Problem(tracker, [batch], NegativeLogLikelihood(), parameters, max(1, MAX_BATCH * 2000 // n_particles))
     vector = flatten(parameters)[None, :]
     problem.evaluate(vector, parts=[0])
     started = time.perf_counter()
@@ -44,7 +44,7 @@ def gradients(tracker: AbstractTracker, batch: Batch, patterns: str | Sequence[s
 
 
 def marginal_gradients(tracker: Tracker, batch: Batch, patterns: str | Sequence[str]) -> Gradients:
-    """The same by the marginal score; the time includes that of compiling."""
+    """The same by the marginal score; the time includes compiling."""
     started = time.perf_counter()
     found = marginal_scores(tracker, batch, patterns)
     return Gradients(found.values, found.scores.T, (time.perf_counter() - started) / batch.size)

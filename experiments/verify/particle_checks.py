@@ -1,148 +1,168 @@
-"""Particle gradients over many keys against the oracles: between walls, and where a speed is cut off at zero."""
+"""Particle gradients over many random keys against their oracles: between walls, and at a halt."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
-from experiments.verify import corridor, corridor_grid, halt, halt_grid
-from experiments.verify.estimators import Naive, Reparameterised
-from experiments.verify.findings import ERRORS, Finding, random
+from experiments.verify import oracles
+from experiments.verify.check_result import MAX_STANDARD_ERRORS, CheckResult, random_check
 from experiments.verify.gradients import Gradients, gradients, marginal_gradients
+from experiments.verify.worlds import (
+    CORRIDOR_TUNABLES,
+    HALT_TUNABLES,
+    CorridorNaive,
+    CorridorParticles,
+    CorridorReparameterised,
+    corridor_batch,
+    corridor_tracker,
+    halt_batch,
+    halt_tracker,
+)
+from experiments.verify.wrong_estimators import Naive, Reparameterised
 from sim.corridor import corridor_fixes
 from trackers.core.particle.filter import ParticleFilter
 
 KEYS, PARTICLES = 400, 2000
-"""How often an estimate is made, each time with other random numbers, and from how many particles."""
+"""Estimates with different random numbers, and particles of each."""
 
-PAIRS, PAIRS_KEYS = 200, 200
-"""The same of the marginal score, whose cost is the particles' number squared; of fewer particles more keys."""
+PAIRWISE_PARTICLES, PAIRWISE_KEYS = 200, 200
+"""The same for the marginal score, whose cost is quadratic in the particles; more keys with fewer particles."""
 
 SIZES = (125, 500, 2000)
-"""Numbers of particles over which bias and spread are followed, with keys that make all of them equally dear."""
+"""Numbers of particles over which bias and spread are followed, with numbers of keys that make their costs equal."""
 
 ORDER = 0.08
-"""By how much the power of N of the spread may differ from −½: at 125 particles it is not there yet (0.02)."""
+"""Allowed deviation of the spread's power of N from −½; the power at 125 particles is 0.02 off."""
+
+CORRIDOR, CORRIDOR_ROWS = "corridor 25", 25
 
 
-def corridor_findings(rows: int) -> list[Finding]:
-    """The score form between walls, with so many fixes."""
-    world, exact = f"corridor {rows}", corridor_grid.log_likelihood(corridor_fixes(rows))
-    found = _in_corridor(rows, corridor.Boxed, PARTICLES, KEYS)
+def corridor_checks(rows: int) -> list[CheckResult]:
+    """The score form between walls, over `rows` fixes."""
+    world, fixes = f"corridor {rows}", corridor_fixes(rows)
+    found = _in_corridor(rows, CorridorParticles, PARTICLES, KEYS)
     return [
-        _likelihood(world, exact, found),
-        *_slopes(world, "score form", corridor_grid.slopes(corridor_fixes(rows)), found),
+        _likelihood(world, oracles.corridor_log_likelihood(fixes), found),
+        *_gradients(world, "score form", oracles.corridor_gradient(fixes), found),
     ]
 
 
-def corridor_pairs_findings() -> list[Finding]:
-    """The marginal score between walls: itself, and the limit of many particles over a hundred rows.
+def corridor_marginal_checks() -> list[CheckResult]:
+    """The marginal score between walls over 25 rows, and its limit of many particles over 100 rows.
 
-    Its spread is so small that the bias of some hundred particles shows over many rows, and that it falls as 1/N.
+    Its spread is small enough to show the bias of a few hundred particles over many rows, and the decay as 1/N.
     """
 
     def run(rows: int, n: int, keys: int) -> Gradients:
-        tracker = corridor.corridor_tracker(corridor.corridor_filter(n))
-        return marginal_gradients(tracker, corridor.corridor_batch(rows, keys), corridor.TUNED)
+        return marginal_gradients(corridor_tracker(n), corridor_batch(rows, keys), CORRIDOR_TUNABLES)
 
-    name, sizes = "marginal score", (PAIRS // 4, PAIRS // 2, PAIRS)
-    found = [run(100, n, PAIRS_KEYS * PAIRS // n) for n in sizes]
-    exact = corridor_grid.slopes(corridor_fixes(100))
-    biases = [f.slopes[1].mean() - exact[1] for f in found]
+    name, world = "marginal score", "corridor 100"
+    sizes = (PAIRWISE_PARTICLES // 4, PAIRWISE_PARTICLES // 2, PAIRWISE_PARTICLES)
+    found = [run(100, n, PAIRWISE_KEYS * PAIRWISE_PARTICLES // n) for n in sizes]
+    exact, few = (oracles.corridor_gradient(corridor_fixes(rows)) for rows in (100, CORRIDOR_ROWS))
+    biases = np.array([f.gradient[1].mean() - exact[1] for f in found])
+    errors = np.array([_standard_error(f.gradient[1]) for f in found])
     return [
-        *_slopes("corridor 25", name, corridor_grid.slopes(corridor_fixes(25)), run(25, PAIRS, PAIRS_KEYS)),
-        *_limits("corridor 100", name, exact, sizes, found),
-        _power("corridor 100", name, sizes, np.array(biases), np.array([_error(f.slopes[1]) for f in found])),
+        *_gradients(CORRIDOR, name, few, run(CORRIDOR_ROWS, PAIRWISE_PARTICLES, PAIRWISE_KEYS)),
+        *_limits(world, name, exact, sizes, found),
+        _power(world, name, sizes, biases, errors),
     ]
 
 
-def corridor_wrong_findings() -> list[Finding]:
-    """Two usual derivatives, which don't see that particles die at walls."""
-    exact = corridor_grid.slopes(corridor_fixes(25))[:1]
-    naive = _in_corridor(25, corridor.BoxedNaive, PARTICLES, KEYS)
-    moves = _in_corridor(25, corridor.BoxedReparameterised, PARTICLES, KEYS)
+def corridor_wrong_checks() -> list[CheckResult]:
+    """Two common derivatives, both biased by the walls."""
+    exact = oracles.corridor_gradient(corridor_fixes(CORRIDOR_ROWS))[:1]
+    naive = _in_corridor(CORRIDOR_ROWS, CorridorNaive, PARTICLES, KEYS)
+    pathwise = _in_corridor(CORRIDOR_ROWS, CorridorReparameterised, PARTICLES, KEYS)
     return [
-        *_slopes("corridor 25", "naive", exact, naive, wrong=True),
-        *_slopes("corridor 25", "reparameterised", exact, moves, wrong=True),
+        *_gradients(CORRIDOR, "naive", exact, naive, biased=True),
+        *_gradients(CORRIDOR, "reparameterised", exact, pathwise, biased=True),
     ]
 
 
-def halt_findings() -> list[Finding]:
-    """The score form at a halt: speed, fixes and start."""
+def halt_checks() -> list[CheckResult]:
+    """The score form at a halt: speed, fixes and prior."""
     found = _at_halt(ParticleFilter, PARTICLES, KEYS)
     return [
-        _likelihood("halt", halt_grid.log_likelihood(), found),
-        *_slopes("halt", "score form", halt_grid.slopes(), found),
+        _likelihood("halt", oracles.halt_log_likelihood(), found),
+        *_gradients("halt", "score form", oracles.halt_gradient(), found),
     ]
 
 
-def halt_wrong_findings() -> list[Finding]:
-    """The same two at the halt: a cut at zero is continuous, so that moves may be differentiated, ancestors not."""
-    exact = halt_grid.slopes()
+def halt_wrong_checks() -> list[CheckResult]:
+    """The same two at the halt; the clamp at zero speed is continuous and does not bias the reparameterised one."""
+    exact = oracles.halt_gradient()[:1]
     return [
-        *_slopes("halt", "naive", exact[:1], _at_halt(Naive, PARTICLES, KEYS), wrong=True),
-        *_slopes("halt", "reparameterised", exact[:1], _at_halt(Reparameterised, PARTICLES, KEYS)),
+        *_gradients("halt", "naive", exact, _at_halt(Naive, PARTICLES, KEYS), biased=True),
+        *_gradients("halt", "reparameterised", exact, _at_halt(Reparameterised, PARTICLES, KEYS)),
     ]
 
 
-def corridor_order_findings() -> list[Finding]:
-    """How bias and spread fall with the number of particles, between walls."""
-    exact, value = corridor_grid.slopes(corridor_fixes(25)), corridor_grid.log_likelihood(corridor_fixes(25))
-    return _orders("corridor 25", exact, value, lambda n, keys: _in_corridor(25, corridor.Boxed, n, keys))
+def corridor_order_checks() -> list[CheckResult]:
+    """Decay of bias and spread with the number of particles, between walls."""
+    fixes = corridor_fixes(CORRIDOR_ROWS)
+    exact, value = oracles.corridor_gradient(fixes), oracles.corridor_log_likelihood(fixes)
+    return _orders(CORRIDOR, exact, value, partial(_in_corridor, CORRIDOR_ROWS, CorridorParticles))
 
 
-def halt_order_findings() -> list[Finding]:
+def halt_order_checks() -> list[CheckResult]:
     """The same at a halt."""
-    exact, value = halt_grid.slopes(), halt_grid.log_likelihood()
-    return _orders("halt", exact, value, lambda n, keys: _at_halt(ParticleFilter, n, keys))
+    return _orders("halt", oracles.halt_gradient(), oracles.halt_log_likelihood(), partial(_at_halt, ParticleFilter))
 
 
-def _orders(world: str, exact: tuple[float, ...], value: float, run: Callable[[int, int], Gradients]) -> list[Finding]:
-    """What bias infinitely many particles would leave, and with which power of N bias and spread fall.
+def _orders(
+    world: str, exact: tuple[float, ...], value: float, run: Callable[[int, int], Gradients]
+) -> list[CheckResult]:
+    """Bias in the limit of many particles, and the powers of N of bias and spread.
 
-    The derivative of the likelihood itself is unbiased for any N, E(L̂s) = L·slope. So the bias of s, the derivative of
-    its logarithm, is −cov(L̂/L, s), which is known many times better than the mean of s.
+    The derivative of the likelihood itself is unbiased for any N, E(L̂s) = L·slope. The bias of s, the derivative of
+    its logarithm, is therefore −cov(L̂/L, s), an estimate far more precise than the mean of s.
     """
     found = [run(n, KEYS * PARTICLES // n) for n in SIZES]
-    spreads = np.array([f.slopes[0].std(ddof=1) for f in found])
+    spreads = np.array([f.gradient[0].std(ddof=1) for f in found])
     power = float(np.polyfit(np.log(SIZES), np.log(spreads), 1)[0])
-    products = [-(np.exp(f.values - value) - 1.0) * (f.slopes[1] - f.slopes[1].mean()) for f in found]
-    biases, errors = (np.array(x) for x in zip(*((p.mean(), _error(p)) for p in products), strict=True))
+    products = [-(np.exp(f.values - value) - 1.0) * (f.gradient[1] - f.gradient[1].mean()) for f in found]
+    biases, errors = (np.array(x) for x in zip(*((p.mean(), _standard_error(p)) for p in products), strict=True))
     return [
         *_limits(world, "score form", exact, SIZES, found),
-        Finding(world, "power of N of the spread, moves", "score form", -0.5, power, ORDER),
+        CheckResult(world, "power of N of the spread, moves", "score form", -0.5, power, ORDER),
         _power(world, "score form", SIZES, biases, errors),
     ]
 
 
 def _limits(
     world: str, estimator: str, exact: tuple[float, ...], sizes: tuple[int, ...], found: list[Gradients]
-) -> list[Finding]:
-    """Which bias infinitely many particles would leave, by bias = a + c/N: by the noise of moves and of fixes."""
-    findings = []
+) -> list[CheckResult]:
+    """Bias in the limit of many particles, from bias = a + c/N, by the noise of moves and of fixes."""
+    results = []
     for k, name in enumerate(("moves", "fixes")):
-        estimates = [f.slopes[k] for f in found]
+        estimates = [f.gradient[k] for f in found]
         biases = np.array([e.mean() for e in estimates]) - exact[k]
-        (left, _), (error, _) = _line(1.0 / np.array(sizes), biases, np.array([_error(e) for e in estimates]))
-        findings.append(Finding(world, f"bias at 1/N = 0, {name}", estimator, 0.0, left, ERRORS * error, error))
-    return findings
+        errors = np.array([_standard_error(e) for e in estimates])
+        (limit, _), (error, _) = _line(1.0 / np.array(sizes), biases, errors)
+        allowed = MAX_STANDARD_ERRORS * error
+        results.append(CheckResult(world, f"bias at 1/N = 0, {name}", estimator, 0.0, limit, allowed, error))
+    return results
 
 
-def _power(world: str, estimator: str, sizes: tuple[int, ...], biases: np.ndarray, errors: np.ndarray) -> Finding:
-    """With which power of N the bias by the noise of fixes falls, which has most of it."""
+def _power(world: str, estimator: str, sizes: tuple[int, ...], biases: np.ndarray, errors: np.ndarray) -> CheckResult:
+    """The power of N of the bias by the noise of fixes, the larger of the two."""
     (_, power), (_, error) = _line(np.log(sizes), np.log(np.abs(biases)), errors / np.abs(biases))
-    return Finding(world, "power of N of the bias, fixes", estimator, -1.0, power, ERRORS * error, error)
+    allowed = MAX_STANDARD_ERRORS * error
+    return CheckResult(world, "power of N of the bias, fixes", estimator, -1.0, power, allowed, error)
 
 
-def _error(x: np.ndarray) -> float:
-    """The standard error of a mean."""
+def _standard_error(x: np.ndarray) -> float:
+    """The standard error of the mean."""
     return float(x.std(ddof=1) / math.sqrt(len(x)))
 
 
 def _line(x: np.ndarray, y: np.ndarray, errors: np.ndarray) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Intercept and slope of the line through points with these errors, and the standard errors of both."""
+    """Intercept and slope of the weighted straight-line fit, and the standard errors of both."""
     design = np.stack([np.ones(len(x)), x], axis=1) / errors[:, None]
     (intercept, slope), *_ = np.linalg.lstsq(design, y / errors)
     first, second = np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
@@ -150,24 +170,23 @@ def _line(x: np.ndarray, y: np.ndarray, errors: np.ndarray) -> tuple[tuple[float
 
 
 def _in_corridor(rows: int, kind: type[ParticleFilter], n: int, keys: int) -> Gradients:
-    tracker = corridor.corridor_tracker(corridor.corridor_filter(n, kind))
-    return gradients(tracker, corridor.corridor_batch(rows, keys), corridor.TUNED)
+    return gradients(corridor_tracker(n, kind), corridor_batch(rows, keys), CORRIDOR_TUNABLES)
 
 
 def _at_halt(kind: type[ParticleFilter], n: int, keys: int) -> Gradients:
-    return gradients(halt.halt_tracker(kind(n)), halt.halt_batch(keys), halt.TUNED)
+    return gradients(halt_tracker(kind(n)), halt_batch(keys), HALT_TUNABLES)
 
 
-def _likelihood(world: str, exact: float, found: Gradients) -> Finding:
-    """The mean of the likelihood itself, of which particles are an unbiased estimate."""
-    return random(world, "L / exact L", "particles", 1.0, np.exp(found.values - exact), found.seconds)
+def _likelihood(world: str, exact: float, found: Gradients) -> CheckResult:
+    """The likelihood itself, of which the particle filter's estimate is unbiased."""
+    return random_check(world, "L / exact L", "particles", 1.0, np.exp(found.values - exact), found.seconds)
 
 
-def _slopes(
-    world: str, estimator: str, exact: tuple[float, ...], found: Gradients, wrong: bool = False
-) -> list[Finding]:
-    names = corridor.TUNED if world.startswith("corridor") else halt.TUNED
+def _gradients(
+    world: str, estimator: str, exact: tuple[float, ...], found: Gradients, biased: bool = False
+) -> list[CheckResult]:
+    names = CORRIDOR_TUNABLES if world.startswith("corridor") else HALT_TUNABLES
     return [
-        random(world, f"d/d {name}", estimator, oracle, slopes, found.seconds, wrong)
-        for name, oracle, slopes in zip(names, exact, found.slopes, strict=False)
+        random_check(world, f"d/d {name}", estimator, oracle, slopes, found.seconds, biased)
+        for name, oracle, slopes in zip(names, exact, found.gradient, strict=False)
     ]

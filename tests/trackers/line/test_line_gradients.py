@@ -26,7 +26,7 @@ def slopes():
         tracker = Tracker(motion, {FIXES: FloorFixes(0.25)}, start, filter, NEVER_LOST)
         return gradients(tracker, stack(_trajectories("halting", keys)), TUNED)
 
-    return of(GRID, 1).slopes[:, 0], of(ParticleFilter(PARTICLES, output_map=REPORT), KEYS).slopes
+    return of(GRID, 1).gradient[:, 0], of(ParticleFilter(PARTICLES, output_map=REPORT), KEYS).gradient
 
 
 @pytest.mark.slow
