@@ -9,8 +9,8 @@ import polars as pl
 
 from trackers.baselines.fixes import fix_tracker
 from trackers.core.recording import Readings, Recording
-from trackers.line.leaving import absences
-from trackers.line.rows import path_of, raw_places
+from trackers.line.leaving import excursions
+from trackers.line.rows import path_of, raw_positions
 from trackers.parts.fixes import FIXES
 from trackers.parts.ranges import RANGES
 from trackers.recordings.columns import float_column
@@ -69,7 +69,7 @@ def off_the_path(trajectory: Trajectory, tracks: pl.DataFrame) -> list[tuple[flo
     times, places = float_column(known, "t_s"), np.stack([float_column(known, f"{a}_m") for a in "xy"], axis=1)
     spread = np.nan_to_num(np.hypot(float_column(known, "std_x_m"), float_column(known, "std_y_m")))
     rows: list[tuple[float, str, str]] = []
-    for start, end, farthest in absences(times, path.nearest(places)[1], TOLERANCE + 2 * spread, CERTAIN):
+    for start, end, farthest in excursions(times, path.nearest(places)[1], TOLERANCE + 2 * spread, CERTAIN):
         rows.append((float(times[start]), "off the prescribed path", f"up to {farthest:.2f} m from it"))
         if end < len(times):
             rows.append((float(times[end]), "back on the path", f"after {times[end] - times[start]:.1f} s"))
@@ -89,7 +89,7 @@ def left_the_line(trajectory: Trajectory, tracks: pl.DataFrame) -> list[tuple[fl
     held = np.stack([np.interp(times, known["t_s"].to_numpy(), float_column(known, f"{a}_m")) for a in "xy"], axis=1)
     apart = np.sqrt(((free - held) ** 2).sum(axis=1))
     rows: list[tuple[float, str, str]] = []
-    for start, end, farthest in absences(times, apart, LEFT_SLACK, LEFT_LIMIT):
+    for start, end, farthest in excursions(times, apart, LEFT_SLACK, LEFT_LIMIT):
         rows.append(
             (float(times[start]), "left the line", f"up to {farthest:.2f} m between free and constrained estimate")
         )
@@ -102,7 +102,7 @@ def _free_places(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     """Times and places (T, 2) that know nothing of the path, NaN where there is none."""
     whole = trajectory.recording
     if RANGES in whole.readings:
-        times, places = raw_places(trajectory)
+        times, places = raw_positions(trajectory)
         return times, np.where(_heard(whole)[:, None] >= REDUNDANT, places, np.nan)
     fixes = whole.readings[FIXES]
     missing = np.zeros((len(whole), 1))

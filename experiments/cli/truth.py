@@ -14,7 +14,7 @@ import tyro
 from experiments.cli.console import notice, read_with_notices
 from experiments.cli.manifest import write_manifest
 from trackers.core.errors import UnusableInput
-from trackers.line.rows import line_trajectories, path_of, raw_places
+from trackers.line.rows import line_trajectories, path_of, raw_positions
 from trackers.line.truth import KnotTimes, knot_times
 from trackers.recordings.folder import RecordingFolder, write_recording
 from trackers.recordings.trajectories import known_height
@@ -40,7 +40,7 @@ def truth(recording: Annotated[Path, tyro.conf.Positional], out: Path) -> int:
         )
     rows, lines = [], []
     for trajectory in line_trajectories(folder, False):
-        times, places = raw_places(trajectory)
+        times, places = raw_positions(trajectory)
         known = np.isfinite(places).all(axis=1)
         try:
             fitted = knot_times(np.asarray(folder.rig.path_knots), times[known], places[known])
@@ -59,8 +59,8 @@ def truth(recording: Annotated[Path, tyro.conf.Positional], out: Path) -> int:
 
 def _rows(folder: RecordingFolder, tag: str, times: np.ndarray, fitted: KnotTimes) -> pl.DataFrame:
     # At the knots too: between two rows the fitted path has corners, which a straight line would cut.
-    at = np.unique(np.concatenate([times, fitted.left, fitted.reached]))
-    places = fitted.places(at)
+    at = np.unique(np.concatenate([times, fitted.departed, fitted.arrived]))
+    places = fitted.positions(at)
     height = known_height(folder, tag)
     return pl.DataFrame({"t_s": at, "tag": [tag] * len(at), "x_m": places[:, 0], "y_m": places[:, 1]}).with_columns(
         pl.lit(height, pl.Float64).alias("z_m")
@@ -71,7 +71,7 @@ def _line(tag: str, fitted: KnotTimes) -> str:
     lengths = np.sqrt((np.diff(fitted.knots, axis=0) ** 2).sum(axis=1))
     pieces = [
         f"{a:.2f}-{b:.2f} s ({n / (b - a):.2f} m/s)"
-        for a, b, n in zip(fitted.left, fitted.reached, lengths, strict=True)
+        for a, b, n in zip(fitted.departed, fitted.arrived, lengths, strict=True)
         if b > a
     ]
     return f"tag {tag}: {fitted.rms:.3f} m RMS about the path; segments {', '.join(pieces)}"

@@ -47,7 +47,7 @@ from trackers import (  # noqa: E402
 from trackers.aoa.beam import Beam  # noqa: E402
 from trackers.core.recording import Batch  # noqa: E402
 from trackers.line.fixes import FIXES, FloorFixes  # noqa: E402
-from trackers.line.motion import OnLine  # noqa: E402
+from trackers.line.motion import PathState  # noqa: E402
 from trackers.parts.ranges import RANGES, RangeSensor  # noqa: E402
 from tuning import NegativeLogLikelihood, fit  # noqa: E402
 from tuning.identifiability import names_of  # noqa: E402
@@ -150,7 +150,7 @@ def carts() -> System:
         place = np.stack([np.asarray(x) for x in view.position], axis=-1)[:, :2]
         return place + sigma_p * rng.normal(size=place.shape)
 
-    start = Known(lambda x: OnLine(*x), (0.5, 0.15), (0.15, 0.03))
+    start = Known(lambda x: PathState(*x), (0.5, 0.15), (0.15, 0.03))
     known = Tracker(tracker.motion, tracker.sensors, start, tracker.filter, NEVER_LOST)
     return System(known, ("motion.sigma_a", "sensors.*.sigma_p"), read, {}, 16, 32, 0.5)
 

@@ -19,7 +19,7 @@ from trackers.core.polyline import Polyline
 from trackers.core.recording import Readings, Recording, stack
 from trackers.core.tunable import Real, Scale, replaced
 from trackers.line.grid import GridFilter
-from trackers.line.motion import OnFloor
+from trackers.line.motion import PathOutputMap
 from trackers.mhk.chain import predicted, updated
 from trackers.parts.fixes import FIXES
 
@@ -85,7 +85,7 @@ def grid_checks() -> list[CheckResult]:
     """The grid filter on a line with a halt against quadrature; a tag crosses whole cells, so that travel is exact."""
     speeds, fastest = 81, 2.0
     cells = round(12.0 / (fastest / (speeds - 1) * HALT_DT)) + 1
-    report = OnFloor(Polyline([[0.0, 0.0], [12.0, 0.0]]), Scale(0.01, "m"))
+    report = PathOutputMap(Polyline([[0.0, 0.0], [12.0, 0.0]]), Scale(0.01, "m"))
     found = gradients(halt_tracker(GridFilter(report, cells, speeds, fastest)), halt_batch(1), HALT_TUNABLES)
     value, exact = oracles.halt_log_likelihood(), oracles.halt_gradient()
     return _deterministic("halt", "grid filter", HALT_TUNABLES, value, exact, found, GRID_CELLS)

@@ -23,7 +23,7 @@ from trackers.core.track_loss import TrackLossPolicy
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import Scale
 from trackers.line.fixes import FIXES, FloorFixes
-from trackers.line.motion import LineMotion, OnLine
+from trackers.line.motion import LineMotion, PathState
 from trackers.parts.walls import Walls
 
 CORRIDOR_TUNABLES = ("motion.sigma_v", "sensors.fixes.sigma_p")
@@ -106,7 +106,7 @@ class HaltStart(AbstractStart):
 
     def belief(self, candidate: Any, row: Row) -> Gaussian:
         zero, variance = jnp.zeros_like(row.dt), self.sigma.value**2
-        return Gaussian(OnLine(zero + HALT_ARCLENGTH, zero + HALT_SPEED), diagonal([variance, variance], zero))
+        return Gaussian(PathState(zero + HALT_ARCLENGTH, zero + HALT_SPEED), diagonal([variance, variance], zero))
 
 
 def halt_tracker(filter: Any) -> Tracker:

@@ -16,7 +16,7 @@ from trackers.core.polyline import Polyline
 from trackers.core.recording import Readings, Recording, stack
 from trackers.core.tunable import tunables
 from trackers.line.fixes import FloorFixes
-from trackers.line.motion import LineMotion, OnLine
+from trackers.line.motion import LineMotion, PathState
 from trackers.line.tracker import line_grid_tracker
 from trackers.mhk.tracker import mhk_tracker
 from trackers.parts.fixes import FIXES
@@ -134,7 +134,7 @@ def test_system_a_beams(wrong):
 def _on_a_line(line, sigma_a, sigma_p):
     rng, motion, recordings = np.random.default_rng(0), LineMotion(line, sigma_a), []
     for k in range(8):
-        state, path = OnLine(np.array(0.0), np.array(0.3)), []
+        state, path = PathState(np.array(0.0), np.array(0.3)), []
         for w in rng.normal(size=300):
             state = motion.step(state, None, np.array(0.2), Vector(w))
             path.append([float(x) for x in line.position(state.arclength)])

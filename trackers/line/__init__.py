@@ -1,1 +1,1 @@
-"""System B: a tag on an assembly line whose path is known, by particles and by a grid."""
+"""System B: a tag on an assembly line with a known path; particle filter and grid filter (thesis)."""

@@ -1,4 +1,4 @@
-"""Fixes over the floor, as the thesis weighs particles by them."""
+"""Planar position fixes, the measurement model of the thesis (1.24)–(1.27)."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ FIXES = "fixes"
 
 
 class FloorFixes(AbstractSensor):
-    """x and y, m, of a locating system with normal errors of `sigma_p` m each (1.25).
+    """x and y of a fix, m, with independent normal errors of standard deviation `sigma_p` m (1.25).
 
-    What a device reports of a fix's noise are variances of x and y, m², added to that of `sigma_p`.
+    Reported variances of x and y, m², add to that of `sigma_p`.
     """
 
     sigma_p: Noise

@@ -1,7 +1,7 @@
-"""A filter on a grid of arclength and speed: Bayes' rule cell by cell, exact up to the grid, and differentiable.
+"""Grid filter (point-mass filter) of arclength and speed on a known path: Bayes' rule, exact up to the grid.
 
-No particles, so no scatter: its likelihood has a gradient in every noise level, and it is the oracle of the particle
-filter on the same motion.
+Its likelihood is deterministic and differentiable in every noise level; it is the oracle of the particle filter with
+the same motion.
 """
 
 from __future__ import annotations
@@ -20,30 +20,29 @@ from trackers.core.particle.filter import particle_residuals, weighted_moments, 
 from trackers.core.polyline import Polyline
 from trackers.core.sensor import AbstractSensor, Reading
 from trackers.core.state import State
-from trackers.line.motion import HaltingMotion, LineMotion, OnFloor, OnLine
+from trackers.line.motion import HaltingMotion, LineMotion, PathOutputMap, PathState
 
-ROUNDS = 2
-"""Rounds of a closed path that a belief may reach either way when it begins."""
+LAPS = 2
+"""Laps of a closed path, in either direction, over which the initial normal distribution is summed."""
 
 
-class Discrete(NamedTuple):
-    """A belief: probabilities of travelling (cells, speeds) and of resting (cells,), which add to 1."""
+class GridBelief(NamedTuple):
+    """Probabilities of travelling (cells, speeds) and of resting (cells,), which sum to 1."""
 
     travelling: Any
     resting: Any
 
 
 class GridFilter(eqx.Module):
-    """`cells` places along the path, the first and last at its ends, and `speeds` from 0 to `fastest` m/s.
+    """`cells` arclengths along the path, the first and last at its ends, and `speeds` from 0 to `fastest` m/s.
 
-    Of a closed path the place after the last is the first.
-
-    The motion is a `LineMotion` or a `HaltingMotion`, whose steps are copied law for law: travel shares a cell's
-    probability between the two cells it falls between, a change of speed is the heat kernel of the grid, whose mean and
-    variance are right however small the change. Sensors read the position. Nothing is faster than `fastest`.
+    On a closed path the cell after the last is the first. The motion is a `LineMotion` or a `HaltingMotion`. Travel
+    divides a cell's probability between the two cells nearest to its destination; a change of speed is the discrete
+    heat kernel, whose mean and variance are exact however small the change. Sensors measure the
+    position. Speeds are clipped to `fastest`.
     """
 
-    output_map: OnFloor
+    output_map: PathOutputMap
     cells: int = eqx.field(static=True)
     speeds: int = eqx.field(static=True)
     fastest: float = eqx.field(static=True)
@@ -58,110 +57,114 @@ class GridFilter(eqx.Module):
         """True: the belief has an axis of its own."""
         return True
 
-    def init(self, belief: Gaussian, key: Any) -> Discrete:
-        """The probabilities of a normal belief with independent components; what is off the grid counts at its edge."""
+    def init(self, belief: Gaussian, key: Any) -> GridBelief:
+        """The cells' probabilities of a normal prior with independent components; the tails go to the edges."""
         variances = belief.cov[0], belief.cov[len(belief.mean)]
-        (place, speed), sigmas = belief.mean[:2], [jnp.sqrt(jnp.maximum(v, 1e-12)) for v in variances]
-        cells, fast = self._axes(place.dtype)
-        fast = _masses(fast, speed, sigmas[1])
-        along = self._around(cells, place, sigmas[0]) if self.line.closed else _masses(cells, place, sigmas[0])
+        (arclength, speed), sigmas = belief.mean[:2], [jnp.sqrt(jnp.maximum(v, 1e-12)) for v in variances]
+        cells, speeds = self._axes(arclength.dtype)
+        fast = _bin_masses(speeds, speed, sigmas[1])
+        bins = self._wrapped_masses if self.line.closed else _bin_masses
+        along = bins(cells, arclength, sigmas[0])
         resting = belief.mean.resting if hasattr(belief.mean, "resting") else 0.0
-        return Discrete(along[:, None] * fast[None, :] * (1.0 - resting), along * resting)
+        return GridBelief(along[:, None] * fast[None, :] * (1.0 - resting), along * resting)
 
-    def predict(self, belief: Discrete, motion: AbstractMotion, inputs: Any, dt: Scalar) -> Discrete:
+    def predict(self, belief: GridBelief, motion: AbstractMotion, inputs: Any, dt: Scalar) -> GridBelief:
         """The belief `dt` seconds later."""
         if not isinstance(motion, (LineMotion, HaltingMotion)):
-            raise TypeError(f"a grid on a line knows LineMotion and HaltingMotion, found {type(motion).__name__}")
+            raise TypeError(f"GridFilter supports LineMotion and HaltingMotion, found {type(motion).__name__}")
         along, fast = self._axes(belief.resting.dtype)
         travelling, resting = belief
         if isinstance(motion, HaltingMotion):
-            travelling, halted = self._halted(travelling, motion, along, fast * dt)
+            travelling, halted = self._split_at_joins(travelling, motion, along, fast * dt)
             leaving = motion.leaving(dt)
-            departing = _masses(fast, 0.0 * dt, motion.sigma_departure.value)
+            departing = _bin_masses(fast, 0.0 * dt, motion.sigma_departure.value)
             departing = departing.at[1:].add(departing[1:]).at[0].set(2.0 * departing[0] - 1.0)
-        travelling = self._moved(travelling, fast * (dt / along[1]))
-        changes = self._changes(motion.sigma_a.value * jnp.sqrt(dt) / fast[1])
-        travelling = jnp.matmul(travelling, changes, precision="highest")
+        travelling = self._advanced(travelling, fast * (dt / along[1]))
+        transition = self._speed_transition(motion.sigma_a.value * jnp.sqrt(dt) / fast[1])
+        travelling = jnp.matmul(travelling, transition, precision="highest")
         if isinstance(motion, HaltingMotion):
             travelling = travelling + (leaving * resting)[:, None] * departing[None, :]
             resting = (1.0 - leaving) * resting + halted
-        return compute_once(Discrete(travelling, resting))
+        return compute_once(GridBelief(travelling, resting))
 
     def update(
-        self, belief: Discrete, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Any
-    ) -> tuple[Discrete, Innovation]:
-        """The belief after one reading, and what the reading said."""
+        self, belief: GridBelief, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Any
+    ) -> tuple[GridBelief, Innovation]:
+        """The belief given one reading, and its innovation."""
         along, _ = self._axes(belief.resting.dtype)
-        seen = particle_residuals(OnLine(along, jnp.zeros_like(along)), motion, sensor, reading, inputs)
+        seen = particle_residuals(PathState(along, jnp.zeros_like(along)), motion, sensor, reading, inputs)
         densities = seen.log_density
-        places = jnp.sum(belief.travelling, axis=1) + belief.resting
+        probabilities = jnp.sum(belief.travelling, axis=1) + belief.resting
         top = jnp.max(densities)
         factor = jnp.exp(densities - top)
-        likelihood = jnp.sum(places * factor)
+        likelihood = jnp.sum(probabilities * factor)
         factor = factor / likelihood
-        nis = weighted_nis(seen.whitened, places, seen.dof)
-        wrapped = jnp.zeros_like(nis) if seen.wrapped is None else jnp.sum(places * seen.wrapped)
+        nis = weighted_nis(seen.whitened, probabilities, seen.dof)
+        wrapped = jnp.zeros_like(nis) if seen.wrapped is None else jnp.sum(probabilities * seen.wrapped)
         innovation = Innovation(jnp.log(likelihood) + top, nis, seen.nis_dof, wrapped)
-        return compute_once(Discrete(belief.travelling * factor[:, None], belief.resting * factor)), innovation
+        return compute_once(GridBelief(belief.travelling * factor[:, None], belief.resting * factor)), innovation
 
-    def moments(self, belief: Discrete) -> tuple[State, tuple[Scalar, ...]]:
-        """Place and velocity at the mean arclength and speed, and the spread of both over the floor about them."""
+    def moments(self, belief: GridBelief) -> tuple[State, tuple[Scalar, ...]]:
+        """Position and velocity at the mean arclength and speed, and their covariance on the floor."""
         along, fast = self._axes(belief.resting.dtype)
         still = jnp.zeros_like(along)
-        states = OnLine(
+        states = PathState(
             jnp.concatenate([jnp.repeat(along, self.speeds), along]),
             jnp.concatenate([jnp.tile(fast, self.cells), still]),
         )
         weights = jnp.concatenate([belief.travelling.reshape(-1), belief.resting])
         return weighted_moments(states, weights, self.output_map)
 
-    def _around(self, cells: Any, mean: Scalar, sigma: Scalar) -> Any:
-        """The probabilities of a normal number in the cells of a closed path, rounds of which are the same."""
-        middles = cells - 0.5 * cells[1]
-        edges = jnp.append(middles, middles[0] + self.line.length)
-        rounds = [ndtr((edges + (k * self.line.length - mean)) / sigma) for k in range(-ROUNDS, ROUNDS + 1)]
-        masses = total(jnp.diff(edges) for edges in rounds)
+    def _wrapped_masses(self, cells: Any, mean: Scalar, sigma: Scalar) -> Any:
+        """The probabilities of a wrapped normal distribution in the cells of a closed path."""
+        lower = cells - 0.5 * cells[1]
+        edges = jnp.append(lower, lower[0] + self.line.length)
+        laps = [ndtr((edges + (k * self.line.length - mean)) / sigma) for k in range(-LAPS, LAPS + 1)]
+        masses = total(jnp.diff(edges) for edges in laps)
         return masses / jnp.sum(masses)
 
     def _axes(self, dtype: Any) -> tuple[Any, Any]:
-        """The places (cells,), m, and the speeds (speeds,), m/s."""
+        """The arclengths (cells,), m, and the speeds (speeds,), m/s."""
         spacing = jnp.asarray(self.line.length, dtype) / (self.cells if self.line.closed else self.cells - 1)
         steps = jnp.arange(self.speeds, dtype=dtype) * (self.fastest / (self.speeds - 1))
         return jnp.arange(self.cells, dtype=dtype) * spacing, steps
 
-    def _moved(self, travelling: Any, shift: Any) -> Any:
-        """Every column moved on by its own number of cells, (speeds,); at the end of a path with ends it stays."""
+    def _advanced(self, travelling: Any, shift: Any) -> Any:
+        """Every column advanced by its own number of cells, `shift` (speeds,); it stops at the end of an open path."""
         whole = jnp.minimum(jnp.floor(shift), self.cells)
-        part = jnp.clip(shift - whole, 0.0, 1.0)[None, :]
+        fraction = jnp.clip(shift - whole, 0.0, 1.0)[None, :]
         source = jnp.arange(self.cells, dtype=jnp.int32)[:, None] - whole.astype(jnp.int32)[None, :]
         if self.line.closed:
-            pieces = [jnp.take_along_axis(travelling, s % self.cells, axis=0) for s in (source, source - 1)]
-            return (1.0 - part) * pieces[0] + part * pieces[1]
-        pieces = [
+            shifted = [jnp.take_along_axis(travelling, s % self.cells, axis=0) for s in (source, source - 1)]
+            return (1.0 - fraction) * shifted[0] + fraction * shifted[1]
+        shifted = [
             jnp.where(s >= 0, jnp.take_along_axis(travelling, jnp.maximum(s, 0), axis=0), 0.0)
             for s in (source, source - 1)
         ]
-        moved = (1.0 - part) * pieces[0] + part * pieces[1]
-        rest = jnp.sum(travelling, axis=0) - jnp.sum(moved[:-1], axis=0)
-        return moved.at[-1].set(jnp.maximum(rest, 0.0))
+        advanced = (1.0 - fraction) * shifted[0] + fraction * shifted[1]
+        rest = jnp.sum(travelling, axis=0) - jnp.sum(advanced[:-1], axis=0)
+        return advanced.at[-1].set(jnp.maximum(rest, 0.0))
 
-    def _changes(self, sigma: Scalar) -> Any:
-        """The matrix (speeds, speeds) of max(0, speed + a), a of `sigma` grid steps: e^(σ²Δ/2), folded at both ends."""
+    def _speed_transition(self, sigma: Scalar) -> Any:
+        """The transition matrix (speeds, speeds) of max(0, speed + a), with `sigma` of a in grid steps.
+
+        The discrete heat kernel e^(σ²Δ/2), with the mass beyond either end added to the last speed there.
+        """
         n = self.speeds
         angles = 2 * np.pi * np.arange(4 * n) / (4 * n)
-        reach = np.arange(2 * n)
-        cosines = jnp.asarray(np.cos(np.outer(reach, angles)) / (4 * n), sigma.dtype)
+        lags = np.arange(2 * n)
+        cosines = jnp.asarray(np.cos(np.outer(lags, angles)) / (4 * n), sigma.dtype)
         decay = jnp.exp(sigma**2 * jnp.asarray(np.cos(angles) - 1.0, sigma.dtype))
         kernel = jnp.maximum(jnp.matmul(cosines, decay, precision="highest"), 0.0)
-        # Beyond j steps, by running sums from the far end, which stay positive.
+        # The mass beyond j steps, by cumulative sums from the far end, which stay positive.
         beyond = jnp.matmul(jnp.asarray(np.triu(np.ones((2 * n, 2 * n))), sigma.dtype), kernel, precision="highest")
-        apart = np.abs(np.arange(n)[None, :] - np.arange(n)[:, None])
-        changes = kernel[apart]
-        changes = changes.at[:, 0].set(beyond[np.arange(n)]).at[:, n - 1].set(beyond[n - 1 - np.arange(n)])
-        return changes / jnp.sum(changes, axis=1, keepdims=True)
+        difference = np.abs(np.arange(n)[None, :] - np.arange(n)[:, None])
+        transition = kernel[difference]
+        transition = transition.at[:, 0].set(beyond[np.arange(n)]).at[:, n - 1].set(beyond[n - 1 - np.arange(n)])
+        return transition / jnp.sum(transition, axis=1, keepdims=True)
 
-    def _halted(self, travelling: Any, motion: HaltingMotion, along: Any, steps: Any) -> tuple[Any, Any]:
-        """What travels on, and what halts at the first join it reaches in steps of (speeds,) m, by cell."""
+    def _split_at_joins(self, travelling: Any, motion: HaltingMotion, along: Any, steps: Any) -> tuple[Any, Any]:
+        """The mass travelling on (cells, speeds), and by cell the mass halted at a join within `steps` (speeds,) m."""
         tolerance = 1e-3 * along[1]
         ahead = self.line.next_join(along + tolerance) - tolerance
         halting = jnp.where(ahead[:, None] <= along[:, None] + steps[None, :], travelling * motion.halting.value, 0.0)
@@ -169,7 +172,7 @@ class GridFilter(eqx.Module):
         return travelling - halting, jnp.zeros_like(along).at[there].add(jnp.sum(halting, axis=1))
 
 
-def _masses(grid: Any, mean: Scalar, sigma: Scalar) -> Any:
-    """The probabilities of a normal number in the cells of an even grid, what is beyond its ends in the last ones."""
+def _bin_masses(grid: Any, mean: Scalar, sigma: Scalar) -> Any:
+    """The probabilities of a normal distribution in the cells of a uniform grid; the tails go to the end cells."""
     edges = ndtr((0.5 * (grid[1:] + grid[:-1]) - mean) / sigma)
     return jnp.diff(edges, prepend=jnp.zeros_like(edges[:1]), append=jnp.ones_like(edges[:1]))

@@ -1,4 +1,4 @@
-"""System B on the command line: trackers of a tag on a known path, from ranges or fixes, and when it left the line."""
+"""Trajectories and catalogue entries of trackers on a known path: table `ranges` or `fixes`, and `[path]`."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from trackers.recordings.trajectories import Trajectory, known_height, trajector
 from trackers.recordings.truth import truth_by_tag
 
 SIGMA_FIX = 0.3
-"""Metres per axis of a fix of unknown origin: the thesis's raw error is 0.39 m over both."""
+"""Standard deviation of a fix per axis, m; the raw error in the thesis is 0.39 m over both axes."""
 
 SIGMA_RANGE, POSITIVE_SKEW, DOF = 0.1, 3.0, 3.0
-"""Metres for ranges too short, three times that for ranges too long: what suits other rooms, without a path, too."""
+"""Scale, m, skew and degrees of freedom of the range errors, as fitted to recordings of other rooms."""
 
 
-CLOSED = 0.05
-"""Ends of a path nearer to each other than this part of its longest segment close it: a tag may go round and round."""
+CLOSING_GAP = 0.05
+"""Largest gap between the ends of a closed path, as a fraction of its longest segment."""
 
 
-def floor_fix_trajectories(folder: RecordingFolder) -> Iterator[Trajectory]:
-    """Each tag's fixes, x and y, one row per table row."""
+def planar_fix_trajectories(folder: RecordingFolder) -> Iterator[Trajectory]:
+    """Each tag's fixes in x and y, one row per table row."""
     paths = truth_by_tag(folder)
     for tag, table in by_tag(folder.tables["fixes"]):
         values, seen = values_of(table, ["x_m", "y_m"])
@@ -46,30 +46,30 @@ def floor_fix_trajectories(folder: RecordingFolder) -> Iterator[Trajectory]:
 
 
 def line_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
-    """Each tag's ranges where the folder has some and the tags' heights, else their fixes; raises UnusableInput."""
+    """Each tag's ranges if the rig has all heights, else its fixes; raises UnusableInput without a path."""
     path_of(folder)
-    return range_trajectories(folder, False) if _reads_ranges(folder) else floor_fix_trajectories(folder)
+    return range_trajectories(folder, False) if _reads_ranges(folder) else planar_fix_trajectories(folder)
 
 
 def path_of(folder: RecordingFolder) -> Polyline:
-    """The folder's known path, closed where its ends nearly meet; raises UnusableInput where there is none."""
+    """The folder's known path, closed if its ends nearly meet; raises UnusableInput if there is none."""
     if folder.rig.path_knots is None:
         raise UnusableInput(f"{folder.path}: no [path] in rig.toml, expected its knots_m = [[x, y], …]; add them")
     knots = np.asarray(folder.rig.path_knots, float)
     gap = float(np.linalg.norm(knots[-1] - knots[0]))
-    if 0.0 < gap <= CLOSED * np.linalg.norm(np.diff(knots, axis=0), axis=1).max():
+    if 0.0 < gap <= CLOSING_GAP * np.linalg.norm(np.diff(knots, axis=0), axis=1).max():
         knots = np.vstack([knots, knots[:1]])
     return Polyline(knots)
 
 
-def raw_places(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Times and places (T, 2), NaN where there is none: fixes as they are, or where recent ranges meet."""
-    whole = trajectory.recording
-    if RANGES in whole.readings:
-        nearby = whole.inputs["nearby"]
-        return whole.times, np.where(nearby[:, 3:] > 0.5, nearby[:, :2], np.nan)
-    fixes = whole.readings[FIXES]
-    return whole.times, np.where(np.all(fixes.seen, axis=1)[:, None], fixes.values, np.nan)
+def raw_positions(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Times (T,) s and unfiltered positions (T, 2) m, NaN if missing: fixes, or the input `nearby` of ranges."""
+    recording = trajectory.recording
+    if RANGES in recording.readings:
+        nearby = recording.inputs["nearby"]
+        return recording.times, np.where(nearby[:, 3:] > 0.5, nearby[:, :2], np.nan)
+    fixes = recording.readings[FIXES]
+    return recording.times, np.where(np.all(fixes.seen, axis=1)[:, None], fixes.values, np.nan)
 
 
 def _reads_ranges(folder: RecordingFolder) -> bool:
@@ -79,7 +79,7 @@ def _reads_ranges(folder: RecordingFolder) -> bool:
 
 
 def _lacks(folder: RecordingFolder) -> str | None:
-    """What a folder lacks for a tracker on a line."""
+    """What a folder lacks for a tracker on a known path, in words; None if nothing."""
     if folder.rig.path_knots is None:
         return "a known path, [path] with knots_m in rig.toml, found none"
     if _reads_ranges(folder) or "fixes" in folder.tables:
@@ -89,8 +89,8 @@ def _lacks(folder: RecordingFolder) -> str | None:
     return "a ranges or fixes table, found none"
 
 
-def _loses_no_height(folder: RecordingFolder) -> bool:
-    """Whether a place on the floor is all there is to know: no fix tells of a height that the rig does not give."""
+def _no_height_to_estimate(folder: RecordingFolder) -> bool:
+    """Whether all heights are known or not measured, so that a planar estimate loses nothing."""
     if _reads_ranges(folder):
         return True
     tags = folder.tables["fixes"].filter(pl.col("z_m").is_not_null())["tag"].unique()
@@ -105,7 +105,7 @@ def _geometry(trajectory: Trajectory) -> Hashable:
     )
 
 
-def _assembled(make: Callable[..., Tracker]) -> Callable[[Trajectory, bool], AbstractTracker]:
+def _builder(make: Callable[..., Tracker]) -> Callable[[Trajectory, bool], AbstractTracker]:
     def build(trajectory: Trajectory, planar: bool) -> AbstractTracker:
         motion: LineMotion | HaltingMotion = line_motion(path_of(trajectory.folder))
         sensors: dict[str, AbstractSensor] = {FIXES: FloorFixes(SIGMA_FIX)}
@@ -118,21 +118,21 @@ def _assembled(make: Callable[..., Tracker]) -> Callable[[Trajectory, bool], Abs
 
 TRACKERS = {
     "line-grid": TrackerSpec(
-        "position on a known path, by a grid of arclength and speed",
+        about="position on a known path from ranges or fixes, grid filter of arclength and speed",
         table="ranges or fixes, and [path]",
         trajectories=line_trajectories,
-        build=_assembled(line_grid_tracker),
+        build=_builder(line_grid_tracker),
         lacks=_lacks,
         geometry=_geometry,
         planar=lambda trajectory, free_height: True,
-        automatic=_loses_no_height,
+        automatic=_no_height_to_estimate,
         on_path=True,
     ),
     "line-pf": TrackerSpec(
-        "position on a known path, by 1,000 particles (the thesis's)",
+        about="position on a known path from ranges or fixes, particle filter with 1,000 particles (thesis)",
         table="ranges or fixes, and [path]",
         trajectories=line_trajectories,
-        build=_assembled(line_tracker),
+        build=_builder(line_tracker),
         lacks=_lacks,
         geometry=_geometry,
         planar=lambda trajectory, free_height: True,

@@ -1,4 +1,4 @@
-"""The assembled trackers of a tag on a line, by particles or on a grid; their sensors are whatever reads a position."""
+"""The assembled trackers of a tag on a known path, by particles or on a grid, with any sensors of position."""
 
 from __future__ import annotations
 
@@ -22,31 +22,31 @@ from trackers.core.track_loss import TrackLossPolicy
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import Scale
 from trackers.line.grid import GridFilter
-from trackers.line.motion import HaltingMotion, LineMotion, OnFloor, OnLine, OnSegment, on_floor
+from trackers.line.motion import HaltingMotion, HaltingState, LineMotion, PathOutputMap, PathState, floor_state
 
 SIGMA_A = 0.05
 """Change of speed, m/s per √s: a cart at walking pace that may take another speed on every segment."""
 
 SIGMA_LINE = 0.02
-"""How well a marked path is known, m."""
+"""Standard deviation of a marked path, m."""
 
-DRAWN = 0.5
-"""Metres between knots below which they draw a curve."""
+CURVE_SPACING = 0.5
+"""Mean distance between knots, m, below which they are taken as points on a curve."""
 
 PATIENT = TrackLossPolicy(nis_limit=30.0, max_gap=np.inf)
-"""A path that is known keeps a silent tag, and errors of fixes last for seconds; whether it left: `leaving.py`."""
+"""On a known path a gap is no track loss, and errors of fixes are correlated over seconds; see also `leaving.py`."""
 
-PLACES = 201
-"""Places along the path among which a start is looked for."""
+START_GRID = 201
+"""Points along the path at which the prior of a start is evaluated."""
 
 
 class LineStart(AbstractStart):
-    """Where the first row's readings put a tag on the line, of which it more likely has just entered the beginning.
+    """Prior of arclength, updated with the first measurements, and of speed.
 
-    Before them, half of the belief stands on the first knot, the other half of a normal one whose scale is half the
-    path's length; on a closed path all places are as likely. Afterwards the tag may be off by `sigma_start` m beyond
-    what they say, since a first reading can be wild. Half of the belief has no speed, the rest one of scale
-    `sigma_speed` m/s, or `resting` says that it rests.
+    Prior: half its mass at the first knot, the other half a half-normal along the path with a scale of half its length;
+    uniform on a closed path. The variance of the posterior is increased by `sigma_start`² m², since the first
+    measurement may be an outlier. The speed is normal about 0 with `sigma_speed` m/s, its negative half clipped to 0;
+    with `resting` the tag is at rest.
     """
 
     line: Polyline
@@ -61,20 +61,20 @@ class LineStart(AbstractStart):
         return jnp.any(jnp.stack(seen))
 
     def candidate(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
-        along = jnp.arange(PLACES, dtype=row.dt.dtype) * (self.line.length / (PLACES - 1))
+        along = jnp.arange(START_GRID, dtype=row.dt.dtype) * (self.line.length / (START_GRID - 1))
         prior = jnp.exp(-2.0 * (along / self.line.length) ** 2)
-        # Of a closed path the first place is the last one again.
+        # On a closed path the first point is the last one.
         prior = jnp.ones_like(along).at[0].set(0.0) if self.line.closed else prior.at[0].set(jnp.sum(prior))
 
-        def weigh(arclength: Scalar) -> Scalar:
-            view = on_floor(self.line, OnLine(arclength, 0.0 * arclength))
+        def log_likelihood(arclength: Scalar) -> Scalar:
+            view = floor_state(self.line, PathState(arclength, 0.0 * arclength))
             densities = []
             for name, sensor in sensors.items():
                 reading = row.readings[name]
                 densities.append(log_density(sensor.residual(reading, list(sensor.measure(view, row.inputs)))))
             return total(densities)
 
-        densities = jax.vmap(weigh)(along)
+        densities = jax.vmap(log_likelihood)(along)
         weights = jnp.exp(densities - jnp.max(densities)) * prior
         weights = weights / jnp.sum(weights)
         along = self.line.gathered(along, weights)
@@ -82,28 +82,26 @@ class LineStart(AbstractStart):
         return jnp.stack([mean, jnp.sum(weights * (along - mean) ** 2)])
 
     def belief(self, candidate: Any, row: Row) -> Gaussian:
-        place, zero = candidate[0], jnp.zeros_like(candidate[0])
+        arclength, zero = candidate[0], jnp.zeros_like(candidate[0])
         start, speed = candidate[1] + self.sigma_start.value**2, self.sigma_speed.value**2
         if self.resting:
-            return Gaussian(OnSegment(place, zero, zero + 1.0), diagonal([start, 0.0, 0.0], zero))
-        return Gaussian(OnLine(place, zero), diagonal([start, speed], zero))
+            return Gaussian(HaltingState(arclength, zero, zero + 1.0), diagonal([start, 0.0, 0.0], zero))
+        return Gaussian(PathState(arclength, zero), diagonal([start, speed], zero))
 
 
 def line_motion(line: Polyline, sigma_a: float = SIGMA_A) -> LineMotion | HaltingMotion:
-    """Travel that halts at joins; σa in m/s per √s.
-
-    Plain travel where the path has none, or where its segments are shorter than `DRAWN` on average: the knots of a
-    curve are no places to rest.
-    """
-    drawn = line.length < DRAWN * len(line.lengths)
-    return LineMotion(line, sigma_a) if drawn or not len(line.joins) else HaltingMotion(line, sigma_a)
+    """`HaltingMotion`; `LineMotion` for a path without joins, or with knots that draw a curve; `sigma_a` m/s per √s."""
+    curved = line.length < CURVE_SPACING * len(line.lengths)
+    return LineMotion(line, sigma_a) if curved or not len(line.joins) else HaltingMotion(line, sigma_a)
 
 
 def line_tracker(
     motion: LineMotion | HaltingMotion, sensors: Mapping[str, AbstractSensor], n_particles: int = 1000
 ) -> Tracker:
-    """Arclength and speed along a known path by particles, shown as place and velocity on the floor (thesis, 2.2)."""
-    return Tracker(motion, sensors, _start(motion), ParticleFilter(n_particles, output_map=_report(motion)), PATIENT)
+    """Particle filter of arclength and speed on a known path (thesis, 2.2); estimates are position and velocity."""
+    return Tracker(
+        motion, sensors, _start(motion), ParticleFilter(n_particles, output_map=_output_map(motion)), PATIENT
+    )
 
 
 def line_grid_tracker(
@@ -113,9 +111,9 @@ def line_grid_tracker(
     fastest: float = 1.5,
     speeds: int = 64,
 ) -> Tracker:
-    """The same by a grid: at least 81 places, `spacing` m apart or closer, and `speeds` from 0 to `fastest` m/s."""
+    """Grid filter of arclength and speed: at least 81 cells of at most `spacing` m, `speeds` up to `fastest` m/s."""
     cells = max(81, int(np.ceil(float(motion.line.length) / spacing)) + 1)
-    grid = GridFilter(_report(motion), cells, speeds, fastest)
+    grid = GridFilter(_output_map(motion), cells, speeds, fastest)
     return Tracker(motion, sensors, _start(motion), grid, PATIENT)
 
 
@@ -123,5 +121,5 @@ def _start(motion: LineMotion | HaltingMotion) -> LineStart:
     return LineStart(motion.line, Scale(0.5, "m"), Scale(0.1, "m/s"), isinstance(motion, HaltingMotion))
 
 
-def _report(motion: LineMotion | HaltingMotion) -> OnFloor:
-    return OnFloor(motion.line, Scale(SIGMA_LINE, "m"))
+def _output_map(motion: LineMotion | HaltingMotion) -> PathOutputMap:
+    return PathOutputMap(motion.line, Scale(SIGMA_LINE, "m"))

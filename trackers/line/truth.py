@@ -1,7 +1,8 @@
-"""Ground truth along a known path by least squares, for a recording that has no reference (thesis, section 2.6).
+"""Ground truth by a least-squares fit along a known path, for recordings without a reference (thesis, section 2.6).
 
-A tag rests on the first knot, travels each segment at a speed of its own, may rest where two segments meet, and rests
-on the last knot. The times at which it leaves and reaches the knots are fitted to its fixes. NumPy, on the host.
+Model: the tag rests at the first knot, travels each segment at a constant speed of its own, may rest at the knots in
+between, and rests at the last knot. The times at which it leaves and reaches the knots are fitted to its fixes. NumPy,
+on the host.
 """
 
 from __future__ import annotations
@@ -12,32 +13,32 @@ from itertools import pairwise
 import numpy as np
 
 CANDIDATES = 400
-"""Times among which the best of all is found exactly; from there times are fitted continuously."""
+"""Candidate times of the global search, which is exact among them; it starts the continuous fit."""
 
 SWEEPS, SHRINK = 60, 0.7
-"""Of the continuous fit: rounds over all knot times, and how steps that help nothing shrink."""
+"""Of the continuous fit: sweeps over all knot times, and the factor of a step that did not lower the cost."""
 
 
 @dataclass(frozen=True)
 class KnotTimes:
-    """When each segment was travelled: `left` and `reached` (k,) s; `rms` m: of the fixes about those places."""
+    """Start and end of the travel along each segment, `departed` and `arrived` (k,) s; `rms` m: of the residuals."""
 
     knots: np.ndarray
-    left: np.ndarray
-    reached: np.ndarray
+    departed: np.ndarray
+    arrived: np.ndarray
     rms: float
 
-    def places(self, times: np.ndarray) -> np.ndarray:
-        """The places (n, 2), m, at these times, s: (2.7) with x in place of both of its sides."""
-        events = np.stack([self.left, self.reached], axis=1).ravel()
+    def positions(self, times: np.ndarray) -> np.ndarray:
+        """The positions (n, 2), m, at `times` (n,) s: (2.7) solved for x."""
+        events = np.stack([self.departed, self.arrived], axis=1).ravel()
         corners = np.repeat(self.knots, 2, axis=0)[1:-1]
         return np.stack([np.interp(times, events, axis) for axis in corners.T], axis=1)
 
 
 def knot_times(knots: np.ndarray, times: np.ndarray, fixes: np.ndarray) -> KnotTimes:
-    """The knot times with the least sum of squared distances to `fixes` (n, 2), m, at rising `times` (n,), s.
+    """The knot times of least squared distance to `fixes` (n, 2), m, at increasing `times` (n,), s.
 
-    Raises ValueError for fewer rows than two to a segment, for which there is no fit.
+    Raises ValueError for fewer than 2k + 1 different times on a path of k segments.
     """
     knots, times, fixes = (np.asarray(x, float) for x in (knots, times, fixes))
     segments = len(knots) - 1
@@ -46,51 +47,51 @@ def knot_times(knots: np.ndarray, times: np.ndarray, fixes: np.ndarray) -> KnotT
             f"{len(np.unique(times))} different times are too few for a path of {segments} segments, "
             f"expected at least {2 * segments + 1}"
         )
-    events = _globally(knots, times, fixes)
+    events = _global_fit(knots, times, fixes)
     events = _refined(knots, times, fixes, events)
     rms = float(np.sqrt(_cost(knots, times, fixes, events) / len(times)))
     return KnotTimes(knots, events[0::2], events[1::2], rms)
 
 
-def _globally(knots: np.ndarray, times: np.ndarray, fixes: np.ndarray) -> np.ndarray:
-    """The best event times (2k,) among `CANDIDATES` of the rows' times, exactly, by dynamic programming.
+def _global_fit(knots: np.ndarray, times: np.ndarray, fixes: np.ndarray) -> np.ndarray:
+    """The best event times (2k,) among `CANDIDATES` of the rows' times, by dynamic programming.
 
-    The cost of a rest or of a straight travel between any two rows follows from running sums of the fixes' moments.
+    The cost of a rest or a straight travel between any two rows follows from cumulative sums of the fixes' moments.
     """
     rows = np.unique(np.linspace(0, len(times) - 1, min(CANDIDATES, len(times))).round().astype(int))
     t = times - times[0]
 
-    def upto(x: np.ndarray) -> np.ndarray:
+    def cumulated(x: np.ndarray) -> np.ndarray:
         return np.concatenate([np.zeros((1, *x.shape[1:])), np.cumsum(x, axis=0)])[rows]
 
-    sums = [upto(x) for x in (np.ones(len(t)), t, t * t, fixes, fixes * t[:, None], (fixes**2).sum(axis=1))]
-    # Rows i … j − 1 for candidates i ≤ j: the sums of a stretch are differences.
-    count, first, second, place, moment, square = (x[None, :] - x[:, None] for x in sums)
+    sums = [cumulated(x) for x in (np.ones(len(t)), t, t * t, fixes, fixes * t[:, None], (fixes**2).sum(axis=1))]
+    # Rows i … j − 1 for candidates i ≤ j: the sums over an interval are differences.
+    count, first, second, position, moment, square = (x[None, :] - x[:, None] for x in sums)
     start, span = t[rows][:, None], t[rows][None, :] - t[rows][:, None]
     possible = np.triu(np.ones((len(rows), len(rows)), bool))
     moving = possible & (span > 0)
     rate = np.where(moving, 1.0 / np.where(moving, span, 1.0), 0.0)
 
     def resting(knot: np.ndarray) -> np.ndarray:
-        cost = square - 2 * place @ knot + count * (knot @ knot)
+        cost = square - 2 * position @ knot + count * (knot @ knot)
         return np.where(possible, cost, np.inf)
 
     def travelling(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         u = b - a
-        along, along_moment = place @ u, moment @ u
+        along, along_moment = position @ u, moment @ u
         share = (first - start * count) * rate
         share_square = (second - 2 * start * first + start**2 * count) * rate**2
         cross = (along_moment - start * along) * rate
-        cost = square - 2 * place @ a + count * (a @ a) + 2 * share * (a @ u) + share_square * (u @ u) - 2 * cross
+        cost = square - 2 * position @ a + count * (a @ a) + 2 * share * (a @ u) + share_square * (u @ u) - 2 * cross
         return np.where(moving, cost, np.inf)
 
     last = len(rows) - 1
     best = resting(knots[0])[0]
     back: list[np.ndarray] = []
     for k, (a, b) in enumerate(pairwise(knots)):
-        pieces = [travelling(a, b)] if k == len(knots) - 2 else [travelling(a, b), resting(b)]
-        for piece in pieces:
-            through = best[:, None] + piece
+        phases = [travelling(a, b)] if k == len(knots) - 2 else [travelling(a, b), resting(b)]
+        for phase in phases:
+            through = best[:, None] + phase
             back.append(np.argmin(through, axis=0))
             best = np.min(through, axis=0)
     end = best + resting(knots[-1])[:, last]
@@ -101,7 +102,7 @@ def _globally(knots: np.ndarray, times: np.ndarray, fixes: np.ndarray) -> np.nda
 
 
 def _refined(knots: np.ndarray, times: np.ndarray, fixes: np.ndarray, events: np.ndarray) -> np.ndarray:
-    """The events moved continuously, one at a time between its neighbours, until no step helps."""
+    """The event times after a coordinate search, one at a time between its neighbours."""
     events = events.copy()
     steps = np.full(len(events), 2.0 * (times[-1] - times[0]) / min(CANDIDATES, len(times)))
     cost = _cost(knots, times, fixes, events)
@@ -109,19 +110,19 @@ def _refined(knots: np.ndarray, times: np.ndarray, fixes: np.ndarray, events: np
         for k in range(len(events)):
             low = events[k - 1] if k else times[0]
             high = events[k + 1] if k + 1 < len(events) else times[-1]
-            helped = False
+            improved = False
             for step in (steps[k], -steps[k]):
                 moved = events.copy()
                 moved[k] = np.clip(events[k] + step, low, high)
                 other = _cost(knots, times, fixes, moved)
                 if other < cost:
-                    events, cost, helped = moved, other, True
+                    events, cost, improved = moved, other, True
                     break
-            steps[k] *= 1.0 if helped else SHRINK
+            steps[k] *= 1.0 if improved else SHRINK
     return events
 
 
 def _cost(knots: np.ndarray, times: np.ndarray, fixes: np.ndarray, events: np.ndarray) -> float:
-    """The sum of squared distances of the fixes from the places of these events."""
-    places = KnotTimes(knots, events[0::2], events[1::2], 0.0).places(times)
-    return float(((fixes - places) ** 2).sum())
+    """The sum of squared distances of the fixes from the positions of these events, m²."""
+    positions = KnotTimes(knots, events[0::2], events[1::2], 0.0).positions(times)
+    return float(((fixes - positions) ** 2).sum())

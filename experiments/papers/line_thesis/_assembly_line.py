@@ -74,7 +74,7 @@ def _recording(
     # Nine recordings are nine draws: each has a seed of its own.
     world = simulate_line(situation, ids, 10 * seed + number, speed=speed, rate_hz=rate_hz, errors=errors)
     if fitted_truth:
-        places = [knot_times(world.knots, world.times, fixes).places(world.times) for fixes in world.fixes]
+        places = [knot_times(world.knots, world.times, fixes).positions(world.times) for fixes in world.fixes]
         world = dataclasses.replace(world, positions=np.stack(places))
     return simulated_line(world, f"recording-{number}-{seed}")
 

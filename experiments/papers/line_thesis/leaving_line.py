@@ -30,7 +30,7 @@ from sim.tables.line import simulated_line
 from trackers.core.recording import stack
 from trackers.core.tunable import with_values
 from trackers.events import LEFT_LIMIT, LEFT_SLACK
-from trackers.line.leaving import evidence
+from trackers.line.leaving import cusum
 from trackers.recordings.folder import RecordingFolder
 
 NUMBERS = fitted("line_thesis/table_3_1")
@@ -72,7 +72,7 @@ def apart(tracked: TrackedRuns) -> np.ndarray:
 
 
 def _sums(tracked: TrackedRuns, slack: float) -> np.ndarray:
-    return np.stack([evidence(t, x, slack) for t, x in zip(tracked.times, apart(tracked), strict=True)])
+    return np.stack([cusum(t, x, slack) for t, x in zip(tracked.times, apart(tracked), strict=True)])
 
 
 def _largest(slack: float, away: bool) -> Callable[[TrackedRuns], np.ndarray]:

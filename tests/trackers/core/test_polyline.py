@@ -9,7 +9,7 @@ from trackers.core.checks import check_motion, check_sensor
 from trackers.core.motion import Kinematic
 from trackers.core.polyline import Polyline
 from trackers.line.fixes import FloorFixes
-from trackers.line.motion import HaltingMotion, LineMotion, OnLine, OnSegment
+from trackers.line.motion import HaltingMotion, HaltingState, LineMotion, PathState
 from trackers.line.tracker import line_motion
 
 KNOTS = [[2.615, 8.26], [6.665, 8.26], [6.665, 6.151], [2.615, 6.151], [2.615, 4.065], [6.665, 4.065]]
@@ -75,26 +75,27 @@ def test_a_path_that_is_none_is_refused(knots, message):
 
 def test_motions_and_fixes_keep_their_contracts():
     line = Polyline(KNOTS)
-    check_motion(LineMotion(line, 0.1), OnLine(4.0, 0.5))
-    check_motion(HaltingMotion(line, 0.1), OnSegment(4.0, 0.5, 0.0))
-    check_motion(HaltingMotion(line, 0.1), OnSegment(4.05, 0.0, 1.0))
+    check_motion(LineMotion(line, 0.1), PathState(4.0, 0.5))
+    check_motion(HaltingMotion(line, 0.1), HaltingState(4.0, 0.5, 0.0))
+    check_motion(HaltingMotion(line, 0.1), HaltingState(4.05, 0.0, 1.0))
     check_sensor(FloorFixes(0.3), Kinematic(Vector(1.0, 2.0), Vector(0.0, 0.0)), reported=(0.01, 0.02))
 
 
 def test_a_step_is_the_printed_one():
-    moved = LineMotion(Polyline(KNOTS), 0.2).step(OnLine(1.0, 0.5), {}, jnp.asarray(0.25), Vector(-1.0))
+    moved = LineMotion(Polyline(KNOTS), 0.2).step(PathState(1.0, 0.5), {}, jnp.asarray(0.25), Vector(-1.0))
     assert (float(moved.arclength), float(moved.speed)) == (pytest.approx(1.125), pytest.approx(0.4))
     assert (
-        float(LineMotion(Polyline(KNOTS), 0.2).step(OnLine(1.0, 0.5), {}, jnp.asarray(0.25), Vector(-9.0)).speed) == 0
+        float(LineMotion(Polyline(KNOTS), 0.2).step(PathState(1.0, 0.5), {}, jnp.asarray(0.25), Vector(-9.0)).speed)
+        == 0
     )
 
 
 def test_a_tag_that_reaches_a_join_rests_on_it_or_goes_on_and_leaves_again():
     motion = HaltingMotion(Polyline(KNOTS), 0.1, halting=0.3, rest=4.0, sigma_departure=0.5)
     dt = jnp.asarray(1.0)
-    halted = motion.step(OnSegment(4.0, 0.5, 0.0), {}, dt, Vector(0.0, -0.6))
+    halted = motion.step(HaltingState(4.0, 0.5, 0.0), {}, dt, Vector(0.0, -0.6))
     assert [float(x) for x in halted] == [pytest.approx(4.05), 0.0, 1.0]
-    passed = motion.step(OnSegment(4.0, 0.5, 0.0), {}, dt, Vector(0.0, -0.5))
+    passed = motion.step(HaltingState(4.0, 0.5, 0.0), {}, dt, Vector(0.0, -0.5))
     assert [float(x) for x in passed] == [pytest.approx(4.5), 0.5, 0.0]
     still = motion.step(halted, {}, dt, Vector(2.0, 0.0))
     assert [float(x) for x in still] == [pytest.approx(4.05), 0.0, 1.0]

@@ -1,4 +1,4 @@
-"""A path that closes: the same as one with its rounds laid out one after another, on which no end is near."""
+"""A closed path: equivalent to an open one with its laps one after another, far from either end."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,15 +12,15 @@ from trackers.core.tracker import Tracker
 from trackers.core.tunable import Scale
 from trackers.line.fixes import FIXES, FloorFixes
 from trackers.line.grid import GridFilter
-from trackers.line.motion import HaltingMotion, LineMotion, OnFloor, OnLine, OnSegment
+from trackers.line.motion import HaltingMotion, HaltingState, LineMotion, PathOutputMap, PathState
 from trackers.line.tracker import line_grid_tracker, line_motion, line_tracker
 
 CORNERS = [[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [0.0, 1.0]]
-LOOP, ROUNDS = Polyline([*CORNERS, CORNERS[0]]), Polyline([*CORNERS, *CORNERS, *CORNERS, CORNERS[0]])
+LOOP, LAPS = Polyline([*CORNERS, CORNERS[0]]), Polyline([*CORNERS, *CORNERS, *CORNERS, CORNERS[0]])
 ROWS, DT = 40, 0.5
 
 
-def _places(arclength):
+def _positions(arclength):
     return np.stack([np.asarray(x) for x in LOOP.position(jnp.asarray(arclength))], axis=-1)
 
 
@@ -28,22 +28,22 @@ def _fixes():
     """Fixes of a tag that crosses the first knot twice and rests there once."""
     rng, times = np.random.default_rng(4), DT * np.arange(ROWS)
     arclength = np.interp(times, [0.0, 4.0, 7.0, 19.5], [4.5, 6.0, 6.0, 12.4])
-    return times, arclength, _places(arclength) + 0.2 * rng.normal(size=(ROWS, 2))
+    return times, arclength, _positions(arclength) + 0.2 * rng.normal(size=(ROWS, 2))
 
 
 def _run(kind, line, filter, first):
     times, _, values = _fixes()
     if kind == "plain":
-        motion, build, start, sigmas = LineMotion(line, 0.3), lambda x: OnLine(x[0], x[1]), [first, 0.4], [0.3, 0.2]
+        motion, build, start, sigmas = LineMotion(line, 0.3), lambda x: PathState(x[0], x[1]), [first, 0.4], [0.3, 0.2]
     else:
         motion = HaltingMotion(line, 0.3, halting=0.6, rest=2.0)
-        build, start, sigmas = lambda x: OnSegment(*x), [first, 0.4, 0.0], [0.3, 0.2, 0.0]
+        build, start, sigmas = lambda x: HaltingState(*x), [first, 0.4, 0.0], [0.3, 0.2, 0.0]
     tracker = Tracker(motion, {FIXES: FloorFixes(0.2)}, KnownStart(build), filter, NEVER_LOST)
     return tracker.run(recording(times, {FIXES: (values, np.ones((ROWS, 2), bool))}, start, np.diag(sigmas) ** 2))
 
 
 def _filter(kind, line):
-    report = OnFloor(line, Scale(1e-3, "m"))
+    report = PathOutputMap(line, Scale(1e-3, "m"))
     if kind == "particles":
         return ParticleFilter(500, output_map=report)
     return GridFilter(report, round(line.length / 0.02) + (0 if line.closed else 1), 41, 1.6)
@@ -51,17 +51,17 @@ def _filter(kind, line):
 
 @pytest.mark.parametrize("filter", ["particles", "grid"])
 @pytest.mark.parametrize("motion", [pytest.param("plain", marks=pytest.mark.slow), "halting"])
-def test_going_round_is_going_on_along_rounds_laid_out(motion, filter):
-    # The belief begins so near the first knot that it reaches round it before any step.
+def test_a_closed_path_is_equivalent_to_its_laps_one_after_another(motion, filter):
+    # The prior is so near the first knot that it extends beyond it.
     closed = _run(motion, LOOP, _filter(filter, LOOP), -0.1)
-    laid_out = _run(motion, ROUNDS, _filter(filter, ROUNDS), 5.9)
+    laid_out = _run(motion, LAPS, _filter(filter, LAPS), 5.9)
     for ours, theirs in zip([*closed.mean.position, *closed.mean.velocity, *closed.covariance],
                             [*laid_out.mean.position, *laid_out.mean.velocity, *laid_out.covariance], strict=True):  # fmt: skip
         np.testing.assert_allclose(ours, theirs, atol=1e-8)
     np.testing.assert_allclose(closed.log_likelihood, laid_out.log_likelihood, rtol=1e-9)
 
 
-def test_a_round_more_or_less_is_the_same_place_and_direction():
+def test_arclengths_a_lap_apart_have_the_same_position_and_direction():
     for d in (-0.3, 0.0, 1.7, 2.0, 5.999, 6.0, 13.1):
         for of in (LOOP.position, LOOP.direction):
             np.testing.assert_allclose(
@@ -77,14 +77,14 @@ def test_means_of_arclengths_on_both_sides_of_the_first_knot_are_between_them():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("make", [line_grid_tracker, line_tracker])
-def test_a_tag_that_goes_round_and_round_is_followed_from_wherever_it_is_first_seen(make):
+def test_a_tag_on_a_closed_path_is_tracked_from_any_first_position(make):
     rng, times = np.random.default_rng(1), 0.25 * np.arange(240)
     for first in (0.02, 3.1):
-        places = _places(first + 0.4 * times)
-        values = places + 0.2 * rng.normal(size=places.shape)
+        positions = _positions(first + 0.4 * times)
+        values = positions + 0.2 * rng.normal(size=positions.shape)
         seen = Readings(values, np.ones(values.shape, bool), np.zeros(values.shape))
         tracker = make(line_motion(LOOP), {FIXES: FloorFixes(0.2)})
         estimates = tracker.run(Recording(times, {FIXES: seen}, {}, name="rounds"))
-        off = np.hypot(*(np.stack(estimates.mean.position, axis=-1) - places).T)
+        off = np.hypot(*(np.stack(estimates.mean.position, axis=-1) - positions).T)
         assert np.sqrt(np.mean(off[20:] ** 2)) < 0.15
-        assert np.sqrt(np.mean(np.hypot(*(values - places).T) ** 2)) > 0.25
+        assert np.sqrt(np.mean(np.hypot(*(values - positions).T) ** 2)) > 0.25

@@ -63,7 +63,7 @@ def test_particles_and_grid_are_about_as_good(folders, tracked):
 
 
 @pytest.mark.parametrize("name", ["line-grid", pytest.param("line-pf", marks=pytest.mark.slow)])
-def test_a_tag_that_is_carried_off_is_told_and_its_return_too(tracked, name):
+def test_a_tag_that_is_carried_off_gives_an_event_and_its_return_another(tracked, name):
     tracks, found = tracked(name)
     trajectories = {
         (trajectory.folder.name, trajectory.tag): trajectory for group in found for trajectory in group.trajectories
@@ -95,7 +95,7 @@ LARGEST = {"ngbui-line-1-1": 0.045, "ngbui-line-2-1": 0.10, "ngbui-line-3-1": 0.
 
 
 @pytest.mark.slow
-def test_a_state_that_knows_the_joins_overshoots_rests_there_less(monkeypatch):
+def test_the_halting_motion_overshoots_rests_less(monkeypatch):
     world = simulate_line("halts", 24, seed=9)
     folder, overshoot = simulated_line(world, "halts"), {}
     for make in (LineMotion, HaltingMotion):
@@ -112,7 +112,7 @@ def test_a_state_that_knows_the_joins_overshoots_rests_there_less(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", list(TRACKERS))
-def test_real_ranges_along_a_marked_line_give_the_place_on_it(recordings, name):
+def test_real_ranges_along_a_marked_line_give_the_position_on_it(recordings, name):
     real = [recordings / recording for recording in LARGEST]
     if not all(path.is_dir() for path in real):
         pytest.skip(f"not all of {', '.join(LARGEST)} in {recordings}")

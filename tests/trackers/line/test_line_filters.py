@@ -18,18 +18,18 @@ from trackers.core.tracker import Tracker, scan_chunk
 from trackers.core.tunable import Scale
 from trackers.line.fixes import FIXES, FloorFixes
 from trackers.line.grid import GridFilter
-from trackers.line.motion import HaltingMotion, LineMotion, OnFloor, OnLine, OnSegment
+from trackers.line.motion import HaltingMotion, HaltingState, LineMotion, PathOutputMap, PathState
 
 KEYS, ROWS, DT = 200, 12, 0.5
 LINE = Polyline([[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [0.5, 1.0]])
-REPORT = OnFloor(LINE, Scale(1e-3, "m"))
-# Speeds of 0.04 m/s and places of 0.02 m: in half a second a tag moves by whole cells, so that travel is exact.
+REPORT = PathOutputMap(LINE, Scale(1e-3, "m"))
+# Cells of 0.02 m and speeds of 0.04 m/s: in half a second a tag moves by whole cells, so that travel is exact.
 GRID = GridFilter(REPORT, 226, 41, 1.6)
 STARTS = {
-    "plain": (LineMotion(LINE, 0.3), lambda x: OnLine(x[0], x[1]), [0.3, 0.4], [0.2, 0.2]),
+    "plain": (LineMotion(LINE, 0.3), lambda x: PathState(x[0], x[1]), [0.3, 0.4], [0.2, 0.2]),
     "halting": (
         HaltingMotion(LINE, 0.3, halting=0.6, rest=2.0),
-        lambda x: OnSegment(x[0], x[1], x[2]),
+        lambda x: HaltingState(x[0], x[1], x[2]),
         [1.0, 0.4, 0.0],
         [0.2, 0.2, 0.0],
     ),
@@ -37,12 +37,12 @@ STARTS = {
 
 
 def _fixes(seed=6):
-    """Fixes of a tag that goes round the first corner, rests on it, and goes on."""
+    """Fixes of a tag that halts at the first corner."""
     rng = np.random.default_rng(seed)
     times = DT * np.arange(ROWS)
     arclength = np.interp(times, [0, 2, 3.5, 5.5], [1.0, 2.0, 2.0, 2.9])
-    places = np.stack([np.asarray(x) for x in LINE.position(jnp.asarray(arclength))], axis=-1)
-    values = places + 0.25 * rng.normal(size=places.shape)
+    positions = np.stack([np.asarray(x) for x in LINE.position(jnp.asarray(arclength))], axis=-1)
+    values = positions + 0.25 * rng.normal(size=positions.shape)
     return times, values, rng.random(values.shape) > 0.15
 
 
@@ -70,7 +70,7 @@ def pair(request):
 
 
 def _on_line(estimates):
-    """Arclength and speed along a last axis: estimates lie on the line, so that they can be had from the places."""
+    """Arclength and speed along a last axis, from the positions, which lie on the line."""
     arclength, apart = LINE.nearest(np.stack(estimates.mean.position, axis=-1))
     assert np.all(apart < 1e-9)
     return np.stack([arclength, np.hypot(*estimates.mean.velocity)], axis=-1)
@@ -90,11 +90,11 @@ def test_the_likelihood_of_the_particles_has_the_grids_as_its_mean(pair):
     assert abs(ratio.mean() - 1) < 3 * ratio.std() / np.sqrt(KEYS) + 0.005
 
 
-def test_the_spread_of_the_particles_is_the_grids(pair):
+def test_the_covariance_of_the_particles_is_the_grids(pair):
     mine = pair.particles.cov_upper[[0, 4], :, 1:].mean(axis=1).sum(axis=0)
     exact = pair.grid.cov_upper[[0, 4]][:, 1:].sum(axis=0)
-    # A finite sample's spread about its own mean is too small by a percent or two. Near a corner it is taken about a
-    # place that scatters from key to key round it, which is no mean: 10 % there.
+    # The covariance of a finite sample about its own mean is too small by a percent or two. Near a corner it is taken
+    # about a position that varies from key to key and is not the mean: 10 % there.
     assert np.abs(mine / exact - 1).max() < 0.15
     assert np.median(np.abs(mine / exact - 1)) < 0.03
 
@@ -124,7 +124,7 @@ def _normal(state, sigma):
 
 @pytest.mark.parametrize("sigma", [0.02, 0.3, 1.0, 3.0])
 def test_a_change_of_speed_has_the_mean_and_variance_of_the_motion(sigma):
-    changes = np.asarray(GRID._changes(jnp.asarray(sigma)))
+    changes = np.asarray(GRID._speed_transition(jnp.asarray(sigma)))
     steps = np.arange(41) - 20
     assert changes[20] @ steps == pytest.approx(0.0, abs=1e-9)
     assert changes[20] @ steps**2 == pytest.approx(sigma**2, rel=1e-6)

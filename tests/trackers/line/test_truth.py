@@ -1,4 +1,4 @@
-"""Ground truth along a known path, fitted to the recording itself."""
+"""Ground truth along a known path, fitted to the fixes of a recording."""
 
 import numpy as np
 import polars as pl
@@ -19,34 +19,34 @@ def test_without_errors_the_knot_times_are_found(situation):
     fitted = knot_times(THESIS_KNOTS, world.times, world.fixes[0])
     # Times are found by steps that shrink by 0.7 each: what is left is below a millimetre of travel.
     assert fitted.rms < 1e-3
-    assert fitted.left[0] == pytest.approx(10.0, abs=0.02)
-    rests = fitted.left[1:] - fitted.reached[:-1]
+    assert fitted.departed[0] == pytest.approx(10.0, abs=0.02)
+    rests = fitted.departed[1:] - fitted.arrived[:-1]
     np.testing.assert_allclose(rests, 5.0 if situation == "halts" else 0.0, atol=0.05)
-    np.testing.assert_allclose(fitted.places(world.times), world.positions[0], atol=5e-3)
+    np.testing.assert_allclose(fitted.positions(world.times), world.positions[0], atol=5e-3)
 
 
 @pytest.mark.parametrize("situation", ["constant", "halts", "speeds"])
 def test_with_the_errors_of_the_thesis_the_truth_is_within_two_decimetres(situation):
     world = simulate_line(situation, 1, seed=6)
     fitted = knot_times(THESIS_KNOTS, world.times, world.fixes[0])
-    error = fitted.places(world.times) - world.positions[0]
-    # A slow error of 0.22 m that lasts 1.5 s leaves 0.22·√(2·1.5/7) = 0.14 m after 7 s, the half of a segment that says
-    # where one of its ends is.
+    error = fitted.positions(world.times) - world.positions[0]
+    # A slow error of 0.22 m that lasts 1.5 s leaves 0.22·√(2·1.5/7) = 0.14 m after 7 s, half a segment, which
+    # determines the time of one of its ends.
     assert np.sqrt(np.mean(np.sum(error**2, axis=1))) < 0.2
 
 
-def test_it_is_a_least_squares_fit_no_other_times_are_better():
+def test_no_other_knot_times_have_a_smaller_sum_of_squares():
     world = simulate_line("halts", 1, seed=7, errors={"white": white_noise(0.3)})
     times, fixes = world.times, world.fixes[0]
     fitted = knot_times(THESIS_KNOTS, times, fixes)
-    rng, events = np.random.default_rng(0), np.stack([fitted.left, fitted.reached], axis=1).ravel()
+    rng, events = np.random.default_rng(0), np.stack([fitted.departed, fitted.arrived], axis=1).ravel()
     true = np.sqrt(np.mean(np.sum((fixes - world.positions[0]) ** 2, axis=1)))
     assert fitted.rms < true
     for scale in (0.01, 0.1, 1.0, 5.0):
         for _ in range(50):
             other = np.sort(events + scale * rng.normal(size=len(events)))
-            places = type(fitted)(fitted.knots, other[0::2], other[1::2], 0.0).places(times)
-            assert np.sqrt(np.mean(np.sum((fixes - places) ** 2, axis=1))) > fitted.rms - 1e-4
+            positions = type(fitted)(fitted.knots, other[0::2], other[1::2], 0.0).positions(times)
+            assert np.sqrt(np.mean(np.sum((fixes - positions) ** 2, axis=1))) > fitted.rms - 1e-4
 
 
 def test_too_few_rows_for_the_path_are_refused():
@@ -54,13 +54,13 @@ def test_too_few_rows_for_the_path_are_refused():
         knot_times(THESIS_KNOTS, np.arange(5.0), np.zeros((5, 2)))
 
 
-def test_the_command_writes_the_recording_with_a_truth_that_serves(tmp_path, capsys):
+def test_the_command_writes_the_recording_with_a_fitted_truth(tmp_path, capsys):
     world = simulated_line(simulate_line("halts", 2, seed=8), "line")
     write_recording(world, tmp_path / "line")
     assert truth(tmp_path / "line", tmp_path / "fitted") == 0
-    said = capsys.readouterr()
-    assert "tag 0: 0.4" in said.out
-    assert "own truth is replaced" in said.err
+    printed = capsys.readouterr()
+    assert "tag 0: 0.4" in printed.out
+    assert "own truth is replaced" in printed.err
     fitted = read_recording(tmp_path / "fitted")
     assert fitted.tables["fixes"].equals(world.tables["fixes"])
     both = fitted.tables["truth"].join(world.tables["truth"], on=["t_s", "tag"], suffix="_true")
