@@ -67,8 +67,10 @@ from trackers.parts.range_rows import range_trajectories
 from trackers.parts.ranges import RangeSensor
 from trackers.parts.singer import Singer
 from trackers.parts.start_nearby import NearbyStart
+from trackers.recordings.checks import CheckResult, check
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.folder import read_recording as read
+from trackers.recordings.folder import read_recordings as read_all
 from trackers.recordings.folder import write_recording as write
 from trackers.recordings.named_tracker import NamedTracker
 from trackers.recordings.tracker_spec import TrackerSpec
@@ -84,6 +86,9 @@ from trackers.uwb_imu.trilateration import trilateration_tracker
 __all__ = [
     # recordings on disk and in arrays: start here
     "read",
+    "read_all",
+    "check",
+    "CheckResult",
     "write",
     "RecordingFolder",
     "Rig",

@@ -33,14 +33,28 @@ Metrics = dict[str, Any]
 """Metrics by name; in lists by recording and by track also `recording`, `tag` and `station`."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Evaluation:
-    """Error metrics over all rows, by recording and by track; `bearing`: of bearings, not of positions."""
+    """Error metrics over all rows, by recording and by track; `bearing`: of bearings, not of positions.
+
+    `metrics["rmse_m"]` is a metric over all rows; names as in docs/formats.md.
+    """
 
     bearing: bool
     overall: Metrics
     recordings: list[Metrics]
     tracks: list[Metrics]
+
+    def __getitem__(self, metric: str) -> Any:
+        return self.overall[metric]
+
+    def to_polars(self) -> pl.DataFrame:
+        """A table with one row per track and one column per metric."""
+        return pl.DataFrame(self.tracks, infer_schema_length=None)
+
+    def __repr__(self) -> str:
+        known = ", ".join(f"{name} {value:.4g}" for name, value in self.overall.items() if isinstance(value, float))
+        return f"<Evaluation of {self.overall['n']} estimates, {len(self.tracks)} tracks: {known}>"
 
 
 def evaluate(

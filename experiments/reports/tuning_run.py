@@ -17,7 +17,7 @@ from experiments.cli.tuning_job import Job
 from experiments.plots.filters import tuning_trace
 from experiments.reports.tuning import write_report
 from experiments.reports.tuning_collect import Asked, gather
-from trackers.catalogue import TRACKERS
+from trackers.catalogue import spec_of
 from trackers.recordings.atomic import atomic_write
 from tuning import FitResult
 from tuning.identifiability import IdentifiabilityIssue, identifiability_issues
@@ -55,7 +55,7 @@ def write_run(out: Path, job: Job, result: FitResult, run: Run) -> list[str]:
         command=shlex.join(words),
         again=(use, shlex.join(words)),
         tracker=run.tracker,
-        tracker_about=TRACKERS[run.tracker].about,
+        tracker_about=spec_of(run.tracker).about,
         objective=objective,
         seconds=run.seconds,
         notes=tuple(_notes(job, result)),
