@@ -1,4 +1,4 @@
-"""Worlds with truth: paths, what an array receives along them, what goes wrong, and named scenarios of the papers."""
+"""Simulated worlds with truth: paths, measurements along them, corruptions, and worlds by name in `sim.worlds`."""
 
 from sim.agv import Route, simulate_agv
 from sim.corruptions import (
@@ -12,15 +12,16 @@ from sim.corruptions import (
     outliers,
     white_noise,
 )
-from sim.fixes import correlated_noise, late, mirrored, sluggish
+from sim.fixes import correlated_noise, delayed, first_order_lag, mirrored_heights
 from sim.imu import simulate_uwb_imu
 from sim.keys import normals, stream, trajectory_keys, uniforms
 from sim.line import simulate_line
-from sim.paths import WORK_VOLUME, hand_motion, helix, straight_lines_with_halts
-from sim.phases import clean_phases, plane_phases
-from sim.ranging import Protocol, antenna_biases, chamber, obstruction, one_at_a_time, simulate_ranges, two_way
-from sim.scenarios import PATHS, PathFunction, SimulatedPhases, facing, simulate_phases, work_station
+from sim.paths import WORK_VOLUME, hand_motion, helix, point_to_point, straight_lines_with_halts
+from sim.phases import plane_phases, spherical_phases
+from sim.ranging import Protocol, antenna_biases, chamber, obstruction, round_robin, simulate_ranges, two_way_ranges
 from sim.signal import Radar, Reflector, phase_sigma, signal_phases
+from sim.stations import PATHS, PathFunction, SimulatedPhases, facing, simulate_phases, work_station
+from sim.worlds import SimulatedWorld
 
 __all__ = [
     "PATHS",
@@ -32,38 +33,40 @@ __all__ = [
     "Reflector",
     "Route",
     "SimulatedPhases",
+    "SimulatedWorld",
     "antenna_biases",
     "chamber",
-    "clean_phases",
     "constant_offsets",
     "correlated_noise",
     "corrupted",
+    "delayed",
     "drop_outs",
     "facing",
+    "first_order_lag",
     "gauss_markov",
     "hand_motion",
     "helix",
-    "late",
     "lose_station",
     "mask_antenna",
-    "mirrored",
+    "mirrored_heights",
     "normals",
     "obstruction",
-    "one_at_a_time",
     "outliers",
     "phase_sigma",
     "plane_phases",
+    "point_to_point",
+    "round_robin",
     "signal_phases",
     "simulate_agv",
     "simulate_line",
     "simulate_phases",
     "simulate_ranges",
     "simulate_uwb_imu",
-    "sluggish",
+    "spherical_phases",
     "straight_lines_with_halts",
     "stream",
     "trajectory_keys",
-    "two_way",
+    "two_way_ranges",
     "uniforms",
     "white_noise",
     "work_station",

@@ -11,7 +11,9 @@ import numpy as np
 from sim.corruptions import Corruption, corrupted, gauss_markov, outliers
 from sim.fixes import correlated_noise
 from sim.keys import stream, trajectory_keys, uniforms
+from sim.tables import axes_m, folder_of, table_of
 from trackers.mhk.tracker import STILL
+from trackers.recordings.folder import RecordingFolder
 
 LARGEST_SPEED, LARGEST_ACCELERATION = 2.0, 2.0
 """Of the paper's vehicle, m/s and m/s²."""
@@ -98,6 +100,15 @@ class SimulatedFixes:
     route: np.ndarray
     anchors: dict[str, np.ndarray]
     ids: np.ndarray
+
+    def folder(self, name: str) -> RecordingFolder:
+        """The recording folder: fixes and truth in space, the designed route as the rig's path."""
+        fixes = np.where(self.seen, self.fixes, np.nan)
+        tables = {
+            "fixes": table_of(self.times, self.ids, axes_m(fixes)),
+            "truth": table_of(self.times, self.ids, axes_m(self.positions)),
+        }
+        return folder_of(name, tables, self.ids, anchors=self.anchors, path_knots=self.route)
 
 
 def simulate_agv(

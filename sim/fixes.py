@@ -1,6 +1,6 @@
 """What goes wrong with position fixes, one piece each, beside those of `sim.corruptions`: values are (n, T, 3), m.
 
-Pieces that depend on where the tag was (`late`, `sluggish`, `mirrored`) belong before those that add noise.
+Pieces that depend on where the tag was (`late`, `first_order_lag`, `mirrored`) belong before those that add noise.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def correlated_noise(covariance: np.ndarray) -> Corruption:
     return corrupt
 
 
-def late(seconds: float) -> Corruption:
+def delayed(seconds: float) -> Corruption:
     """Fixes of where the tag was `seconds` before; before the recording it stood still."""
     _not_negative("the latency of fixes", seconds)
 
@@ -38,7 +38,7 @@ def late(seconds: float) -> Corruption:
     return corrupt
 
 
-def sluggish(tau: float) -> Corruption:
+def first_order_lag(tau: float) -> Corruption:
     """Fixes smoothed by the device: a first-order lag of `tau` s, exact for straight motion between rows.
 
     A tag at constant speed shows where it was `tau` s before. Four DWM1001 anchors show such a lag, not a plain delay.
@@ -60,7 +60,7 @@ def sluggish(tau: float) -> Corruption:
     return corrupt
 
 
-def mirrored(plane: float, share: float, mean_length_s: float) -> Corruption:
+def mirrored_heights(plane: float, share: float, mean_length_s: float) -> Corruption:
     """Heights that flip to their mirror image in the anchors' plane at height `plane`, m, for seconds at a time.
 
     A two-state Markov process in continuous time, stationary from the first row: mirrored for a `share` of the time,

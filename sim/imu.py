@@ -14,14 +14,18 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import polars as pl
 
 from sim.corruptions import Corruption, corrupted
 from sim.keys import Keys, normals, stream, trajectory_keys, uniforms
-from sim.ranging import WALK, Protocol, SimulatedRanges, one_at_a_time, simulate_ranges
-from sim.scenarios import PathFunction
+from sim.paths import PathFunction
+from sim.ranging import WALK, Protocol, SimulatedRanges, round_robin, simulate_ranges
+from sim.tables import axes_m, folder_of, named, table_of
 from trackers.core.algebra import Vector
 from trackers.core.rig import Rig
 from trackers.core.state import Rotation
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.tables import QUATERNION
 
 GRAVITY = 9.81
 
@@ -163,6 +167,25 @@ class SimulatedUwbImu:
     positions: np.ndarray
     attitudes: np.ndarray
 
+    @property
+    def ids(self) -> np.ndarray:
+        """The trajectory ids (n,)."""
+        return self.ranges.ids
+
+    def folder(self, name: str) -> RecordingFolder:
+        """The recording folder of the ranges, with IMU samples, and truth with attitudes at the samples' times."""
+        ranges = self.ranges.folder(name)
+        tag, row = np.nonzero(self.seen)
+        columns = [*(f"accel_{axis}_mps2" for axis in "xyz"), *(f"gyro_{axis}_radps" for axis in "xyz")]
+        samples = np.concatenate([self.accel, self.gyro], axis=2)[tag, row]
+        imu = pl.DataFrame(
+            {"t_s": self.times[row], "tag": named(tag, self.ids)} | dict(zip(columns, samples.T, strict=True))
+        )
+        attitudes = dict(zip(QUATERNION, np.moveaxis(self.attitudes, -1, 0), strict=True))
+        truth = table_of(self.times, self.ids, axes_m(self.positions) | attitudes)
+        rig = ranges.rig
+        return folder_of(name, {**ranges.tables, "imu": imu, "truth": truth}, rig.tags, anchors=rig.anchors)
+
 
 def simulate_uwb_imu(
     rig: Rig,
@@ -174,7 +197,7 @@ def simulate_uwb_imu(
     n_points: int = 800,
     samples: int = 3,
     protocol: Protocol | None = None,
-    corruptions: Mapping[str, Corruption] = MappingProxyType({"turn": one_at_a_time()}),
+    corruptions: Mapping[str, Corruption] = MappingProxyType({"turn": round_robin()}),
     accel: Mapping[str, Corruption] = MEMS_ACCEL,
     gyro: Mapping[str, Corruption] = MEMS_GYRO,
     gap_s: tuple[float, float] | None = None,

@@ -10,7 +10,10 @@ import numpy as np
 
 from sim.corruptions import Corruption, corrupted, gauss_markov, white_noise
 from sim.keys import Keys, stream, trajectory_keys, uniforms
+from sim.tables import axes_m, folder_of, table_of
 from trackers.core.polyline import Polyline
+from trackers.core.rig import Tag
+from trackers.recordings.folder import RecordingFolder
 
 THESIS_KNOTS = np.array([[2.615, 8.26], [6.665, 8.26], [6.665, 6.151], [2.615, 6.151], [2.615, 4.065], [6.665, 4.065]])
 """The corners of the path, m: Table 2.1 with the millimetres of equation (2.5)."""
@@ -70,6 +73,17 @@ class SimulatedLine:
     seen: np.ndarray
     knots: np.ndarray
     ids: np.ndarray
+
+    def folder(self, name: str) -> RecordingFolder:
+        """The recording folder: fixes without height, truth at the tags' known height, the rig's path."""
+        fixes = np.where(self.seen, self.fixes, np.nan)
+        shape = self.arclength.shape
+        tables = {
+            "fixes": table_of(self.times, self.ids, {**axes_m(fixes), "z_m": np.full(shape, np.nan)}),
+            "truth": table_of(self.times, self.ids, {**axes_m(self.positions), "z_m": np.full(shape, TAG_HEIGHT)}),
+        }
+        tags = {str(i): Tag(height=TAG_HEIGHT) for i in self.ids}
+        return folder_of(name, tables, tags, path_knots=self.knots)
 
 
 def simulate_line(

@@ -1,22 +1,29 @@
-"""Where the beacon goes: paths (n, T, 3) in metres, float64, one per key, each inside its volume.
+"""True paths: positions (n, T, 3) in metres, float64, one trajectory per key.
 
-Every path has the signature (keys, times, volume): one key per trajectory, times (T,) in seconds, rising but not
-necessarily regular, and the volume's lower and upper corners (2, 3). A partial of one of them, or a function of the
-user's own of keys and times, is a path for `sim.scenarios.simulate_phases`.
+A path is a function of keys (n,) and times (T,) in seconds, which rise but need not be regular. The functions here take
+further arguments, such as the volume that holds the path, lower and upper corner (2, 3); a `functools.partial` of one,
+or a function of your own, is a path for `simulate_phases`, `simulate_ranges` and `simulate_uwb_imu`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from functools import partial
+from types import MappingProxyType
+
 import numpy as np
 
 from sim.keys import Keys, normals, stream, uniforms
+
+PathFunction = Callable[[Keys, np.ndarray], np.ndarray]
+"""(keys, times) -> positions (n, T, 3), m."""
 
 WORK_VOLUME = np.array([[-0.5, -0.5, 0.0], [0.5, 0.5, 0.3]])
 """The paper's measurement area, 1 m x 1 m x 0.3 m, lower and upper corner; the origin is the middle of the table."""
 
 _HARMONICS = 32
 _SQUASH = 0.8
-"""tanh(0.8 x) of a standard normal x is close to uniform on (-1, 1): the hand visits all of the volume."""
+"""tanh(0.8 x) of a standard normal x is close to uniform on (-1, 1), so that hand motion fills the volume."""
 
 
 def helix(
@@ -28,10 +35,10 @@ def helix(
     radius: float = 0.4,
     varied: bool = False,
 ) -> np.ndarray:
-    """A helix (n, T, 3) about the volume's middle, from its floor at the first time to its lid at the last.
+    """A helix (n, T, 3) about the volume's centre, from its floor at the first time to its lid at the last.
 
-    Every trajectory is the same unless `varied`: then start angle, sense of rotation and centre are random. `radius` in
-    m; raises ValueError where the helix does not fit into the volume. Source: paper A, section 4 (200 points).
+    All trajectories are the same unless `varied`: then start angle, sense of rotation and centre are random. `radius`
+    in m. Raises ValueError where the helix does not fit into the volume. Source: paper A, section 4 (200 points).
     """
     lower, upper = np.asarray(volume, float)
     middle, half = (lower + upper) / 2, (upper - lower) / 2
@@ -58,11 +65,11 @@ def hand_motion(keys: Keys, times: np.ndarray, volume: np.ndarray = WORK_VOLUME,
 
     `speed`: the root mean square of the three-dimensional speed over the ensemble, m/s. With H the root sum of squares
     of the volume's half sides (0.72 m for the work volume) the root mean square acceleration is 2.9 speed² / H and the
-    highest frequency before squashing 0.46 speed / H (0.19 Hz at 0.3 m/s); a path first comes near its start again
-    after 64 periods of that frequency. Raises ValueError for a speed that isn't positive.
+    highest frequency before squashing 0.46 speed / H (0.19 Hz at 0.3 m/s). A path is nearly periodic, with a period of
+    64 times that frequency's. Raises ValueError for a speed that isn't positive.
     """
     if not speed > 0:
-        raise ValueError(f"the speed of a hand is positive, found {speed} m/s")
+        raise ValueError(f"speed = {speed} m/s: expected a positive number")
     lower, upper = np.asarray(volume, float)
     half = (upper - lower) / 2
     fractions = (np.arange(_HARMONICS) + 0.5) / _HARMONICS
@@ -72,7 +79,7 @@ def hand_motion(keys: Keys, times: np.ndarray, volume: np.ndarray = WORK_VOLUME,
     t = np.asarray(times, float)
     waves = np.concatenate([np.cos(t[:, None] * omega), np.sin(t[:, None] * omega)], axis=1)
     weights = normals(stream(keys, "hand motion"), (2 * _HARMONICS, 3)).astype(float) / np.sqrt(_HARMONICS)
-    # One product per trajectory, of one shape: its numbers can't depend on how many others there are.
+    # One matrix product of fixed shape per trajectory: its bits do not depend on the number of trajectories.
     noise = np.matmul(waves, weights)
     return np.clip((lower + upper) / 2 + half * np.tanh(_SQUASH * noise), lower, upper)
 
@@ -80,36 +87,96 @@ def hand_motion(keys: Keys, times: np.ndarray, volume: np.ndarray = WORK_VOLUME,
 def straight_lines_with_halts(
     keys: Keys, times: np.ndarray, volume: np.ndarray = WORK_VOLUME, *, speed: float = 0.3, halt_s: float = 1.0
 ) -> np.ndarray:
-    """Straight lines at constant speed between random places in the volume, with a halt at each: (n, T, 3).
+    """Straight lines (n, T, 3) at constant speed between random positions in the volume, with a halt at each.
 
     `speed` in m/s; each path begins with a halt of `halt_s` seconds. Raises ValueError unless both are positive.
     """
-    if not (speed > 0 and halt_s > 0):
-        raise ValueError(f"speed and halt are positive, found {speed} m/s and {halt_s} s")
+    _both_positive(speed, "halt_s", halt_s)
     lower, upper = np.asarray(volume, float)
-    t = np.asarray(times, float) - times[0]
-    # So many halts alone outlast the recording, however short the lines between them turn out.
-    n_lines = int(np.ceil(t[-1] / halt_s)) + 1
-    places = lower + (upper - lower) * uniforms(stream(keys, "straight lines"), (n_lines + 1, 3)).astype(float)
-    lines = np.diff(places, axis=1)
-    durations = np.maximum(np.sqrt((lines**2).sum(axis=-1)) / speed, np.finfo(float).tiny)
-    ends = np.cumsum(halt_s + durations, axis=1)
+    n_lines = _enough(times, halt_s)
+    stops = lower + (upper - lower) * uniforms(stream(keys, "straight lines"), (n_lines + 1, 3)).astype(float)
+    durations = np.maximum(_lengths(stops) / speed, np.finfo(float).tiny)
+    return np.clip(_with_stops(times, stops, durations, halt_s, lambda s: s), lower, upper)
 
-    path = np.repeat(places[:, :1], len(t), axis=1)
-    for k in range(n_lines):
+
+def point_to_point(
+    keys: Keys, times: np.ndarray, points: np.ndarray, *, speed: float = 0.3, rest_s: float = 1.0
+) -> np.ndarray:
+    """Point-to-point hand motion (n, T, 3): random visits of `points` (K, 3), m, K at least 2, at rest on each.
+
+    Each path begins with a rest of `rest_s` seconds; no point follows itself. Motions between points are straight and
+    of minimum jerk (Flash & Hogan 1985), at a mean `speed` in m/s and in no less than 0.25 s. Raises ValueError for a
+    single point, and unless speed and rest are positive.
+    """
+    if len(points) < 2:
+        raise ValueError(f"point-to-point motion needs at least 2 points, found {len(points)}")
+    _both_positive(speed, "rest_s", rest_s)
+    count = _enough(times, rest_s)
+    draws = uniforms(stream(keys, "round"), (count + 1,)).astype(float)
+    first = np.minimum((draws[:, :1] * len(points)).astype(int), len(points) - 1)
+    # The index of the next point is 1 to K - 1 higher, modulo K.
+    steps = 1 + np.minimum((draws[:, 1:] * (len(points) - 1)).astype(int), len(points) - 2)
+    order = np.concatenate([first, first + np.cumsum(steps, axis=1)], axis=1) % len(points)
+    stops = np.asarray(points, float)[order]
+    durations = np.maximum(_lengths(stops) / speed, 0.25)
+    return _with_stops(times, stops, durations, rest_s, lambda s: s**3 * (10 - 15 * s + 6 * s**2))
+
+
+PATHS: Mapping[str, PathFunction] = MappingProxyType(
+    {
+        "helix": helix,
+        "varied-helix": partial(helix, varied=True),
+        "hand": hand_motion,
+        "lines": straight_lines_with_halts,
+    }
+)
+"""Paths in the work volume by name."""
+
+
+def _both_positive(speed: float, rest: str, seconds: float) -> None:
+    if not (speed > 0 and seconds > 0):
+        raise ValueError(f"speed = {speed} m/s, {rest} = {seconds} s: expected positive numbers")
+
+
+def _enough(times: np.ndarray, rest_s: float) -> int:
+    """The number of rests of `rest_s` seconds that together exceed the duration, whatever lies between them."""
+    return int(np.ceil((times[-1] - times[0]) / rest_s)) + 1
+
+
+def _lengths(stops: np.ndarray) -> np.ndarray:
+    """Distances (n, k), m, between successive stops (n, k + 1, 3)."""
+    return np.sqrt((np.diff(stops, axis=1) ** 2).sum(axis=-1))
+
+
+def _with_stops(
+    times: np.ndarray,
+    stops: np.ndarray,
+    durations: np.ndarray,
+    rest_s: float,
+    profile: Callable[[np.ndarray], np.ndarray],
+) -> np.ndarray:
+    """Paths (n, T, 3) through stops (n, k + 1, 3), each with a rest; `durations` (n, k) s of the motions between them.
+
+    `profile`: the share of the distance covered as a function of the share of the duration, both 0 to 1.
+    """
+    t = np.asarray(times, float) - times[0]
+    motions = np.diff(stops, axis=1)
+    ends = np.cumsum(rest_s + durations, axis=1)
+    path = np.repeat(stops[:, :1], len(t), axis=1)
+    for k in range(motions.shape[1]):
         share = np.clip((t - (ends[:, k, None] - durations[:, k, None])) / durations[:, k, None], 0.0, 1.0)
-        path += share[..., None] * lines[:, k, None]
-    return np.clip(path, lower, upper)
+        path += profile(share)[..., None] * motions[:, k, None]
+    return path
 
 
 def _progress(times: np.ndarray) -> np.ndarray:
-    """How much of the recording has passed, 0 to 1; 0 where it has one row only."""
+    """The elapsed share of the duration (T,), 0 to 1; 0 for a single time."""
     t = np.asarray(times, float) - times[0]
     return t / t[-1] if t[-1] > 0 else t
 
 
 def _rms_slope() -> float:
-    """Root mean square slope of tanh(_SQUASH x) under a standard normal x, by Gauss-Hermite quadrature."""
+    """Root mean square derivative of tanh(_SQUASH x) for a standard normal x, by Gauss-Hermite quadrature."""
     nodes, weights = np.polynomial.hermite_e.hermegauss(60)
     slopes = _SQUASH / np.cosh(_SQUASH * nodes) ** 2
     return float(np.sqrt(np.sum(weights * slopes**2) / np.sum(weights)))

@@ -20,7 +20,7 @@ def wrapped(angle: np.ndarray) -> np.ndarray:
     return angle - turn * np.ceil(angle / turn - 0.5)
 
 
-def clean_phases(stations: Sequence[Station], positions: np.ndarray) -> np.ndarray:
+def spherical_phases(stations: Sequence[Station], positions: np.ndarray) -> np.ndarray:
     """Phases (..., stations, antennas), rad in (-pi, pi], of beacons at positions (..., 3), m: the true wave.
 
     The wave is spherical: the phase of antenna i is -2 pi / lambda times its distance from the beacon. Raises
@@ -36,7 +36,7 @@ def plane_phases(stations: Sequence[Station], positions: np.ndarray) -> np.ndarr
     """Phases (..., stations, antennas) as equation (9) has them: 2 pi / lambda * p_i . u, the beacon infinitely far.
 
     Not what an array receives: for worlds in which a tracker's model is exactly true. Shapes, units and errors as in
-    `clean_phases`.
+    `spherical_phases`.
     """
     antenna_arrays(stations)
     columns = []

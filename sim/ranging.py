@@ -12,12 +12,14 @@ from functools import partial
 from types import MappingProxyType
 
 import numpy as np
+import polars as pl
 
 from sim.corruptions import Corruption, corrupted, in_bursts
 from sim.keys import Keys, normals, stream, trajectory_keys, uniforms
-from sim.paths import hand_motion
-from sim.scenarios import PathFunction
-from trackers.core.rig import Rig
+from sim.paths import PathFunction, hand_motion
+from sim.tables import axes_m, folder_of, named, table_of
+from trackers.core.rig import Rig, Tag
+from trackers.recordings.folder import RecordingFolder
 from trackers.uwb_imu.ranging import SPEED_OF_LIGHT, double_sided, single_sided
 
 CHAMBER = np.array([[0.0, 0.0, 0.3], [5.0, 0.0, 2.5], [5.0, 5.0, 0.3], [0.0, 5.0, 2.5]])
@@ -52,7 +54,7 @@ class Protocol:
             )
 
 
-def two_way(keys: Keys, distances: np.ndarray, protocol: Protocol) -> np.ndarray:
+def two_way_ranges(keys: Keys, distances: np.ndarray, protocol: Protocol) -> np.ndarray:
     """Ranges (n, T, anchors), m, as the protocol takes them of the distances; every node's drift stays as it is."""
     rows, anchors = distances.shape[1:]
     flight = distances / SPEED_OF_LIGHT
@@ -113,7 +115,7 @@ def on_anchors(anchors: Sequence[int], piece: Corruption) -> Corruption:
     return corrupt
 
 
-def one_at_a_time() -> Corruption:
+def round_robin() -> Corruption:
     """Anchors in turn, one a row, where otherwise a row holds all of them."""
 
     def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -137,6 +139,22 @@ class SimulatedRanges:
     seen: np.ndarray
     rig: Rig
     ids: np.ndarray
+
+    def folder(self, name: str) -> RecordingFolder:
+        """The recording folder: a row per range, truth in space; constant heights are in the rig."""
+        tag, row, anchor = np.nonzero(self.seen)
+        ranges = pl.DataFrame(
+            {
+                "t_s": self.times[row],
+                "tag": named(tag, self.ids),
+                "anchor": named(anchor, list(self.rig.anchors)),
+                "range_m": self.ranges[tag, row, anchor].astype(float),
+            }
+        )
+        heights = [float(z[0]) if np.ptp(z) == 0 else None for z in self.positions[..., 2]]
+        tags = {str(i): Tag(height=height) for i, height in zip(self.ids, heights, strict=True)}
+        tables = {"ranges": ranges, "truth": table_of(self.times, self.ids, axes_m(self.positions))}
+        return folder_of(name, tables, tags, anchors=self.rig.anchors)
 
 
 def chamber(anchors: np.ndarray = CHAMBER) -> Rig:
@@ -170,6 +188,6 @@ def simulate_ranges(
     times = np.arange(n_points) / rate_hz
     positions = path(stream(keys, "path"), times)
     distances = np.linalg.norm(positions[:, :, None, :] - np.stack(list(rig.anchors.values())), axis=-1)
-    ranges = two_way(stream(keys, "two-way ranging"), distances, protocol or Protocol())
+    ranges = two_way_ranges(stream(keys, "two-way ranging"), distances, protocol or Protocol())
     ranges, seen = corrupted(corruptions, stream(keys, "corruptions"), times, ranges, np.ones(ranges.shape, bool))
     return SimulatedRanges(times, positions, np.where(seen, ranges, 0.0), seen, rig, every)

@@ -91,7 +91,7 @@ def signal_phases(
     """Phases (n, T, stations, antennas), rad in (-pi, pi], read off sampled signals of beacons at positions (n, T, 3).
 
     `offsets`: constant phase offsets that nobody calibrated, (antennas,) or (stations, antennas), rad. Needs memory for
-    n T stations antennas samples. Raises ValueError for stations as in `sim.phases.clean_phases`.
+    n T stations antennas samples. Raises ValueError for stations as in `sim.phases.spherical_phases`.
     """
     antennas, wavelengths = antenna_arrays(stations)
     positions = np.asarray(positions, float)

@@ -1,47 +1,96 @@
-"""Worlds by name with the numbers a person may set, for `simulate…` and for studies: folders of tags, with truth.
+"""Worlds by name, with sensible defaults: `station`, `line`, `ranges`, `tool` and `agv`, each a function.
 
-Every world is `make(ids, seed, **numbers)`; a tag is named by its id and depends on the seed and that id alone.
+Each takes `n`, the number of trajectories, and `seed`, and gives a `SimulatedWorld` of as many tags. Trajectories have
+the ids 0 … n − 1, or those of `ids`, which replaces `n`. A trajectory depends on the seed and its id alone: the same
+seed gives the same numbers whatever other trajectories are simulated.
+
+The signatures here are the only declaration of the worlds' parameters: the options of `trackwright simulate…` and the
+keys of `[worlds.NAME]` in a study are made of them.
 """
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 from types import MappingProxyType
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from sim import agv as vehicles
 from sim import corruptions, imu, ranging
 from sim.corruptions import Corruption
-from sim.fixes import late, mirrored
+from sim.fixes import delayed, mirrored_heights
 from sim.line import simulate_line
-from sim.scenarios import simulate_phases, work_station
-from sim.tables.agv import simulated_agv
-from sim.tables.line import simulated_line
-from sim.tables.phases import as_folder
-from sim.tables.ranging import simulated_ranging
-from sim.tables.uwb_imu import simulated_uwb_imu
+from sim.parameters import ParameterError, Range, checked, refuse_unknown
+from sim.stations import simulate_phases, work_station
+from sim.tables import Simulated
+from trackers import catalogue
+from trackers.core.recording import Recording
 from trackers.recordings.folder import RecordingFolder
 
-Ids = np.ndarray
+Trajectories = Annotated[int, Range(1, 10**7)]
+Seed = Annotated[int, Range(0, 2**63 - 1)]
+Rows = Annotated[int, Range(1, 10**7)]
+Ids = Sequence[int] | np.ndarray | None
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class SimulatedWorld:
+    """Simulated trajectories with truth: `arrays`, such as a `SimulatedLine`; `name` of their recording folder."""
+
+    name: str
+    arrays: Simulated
+
+    def folder(self) -> RecordingFolder:
+        """The recording folder in memory: tables, rig and truth, one tag per trajectory."""
+        return self.arrays.folder(self.name)
+
+    def recordings(self, tracker: str | None = None, free_height: bool = False) -> list[Recording]:
+        """The rows that a tracker reads, one recording per trajectory or, for bearings, per trajectory and station.
+
+        `tracker`: a name of `trackers.catalogue`, by default the one that fits the folder. `free_height`: heights are
+        estimated even where they are known. Raises UnusableInput for a tracker that lacks a table here.
+        """
+        folder = self.folder()
+        name = tracker or catalogue.fitting(folder)
+        batches = catalogue.spec_of(name).batches([folder], name, free_height)
+        return [trajectory.recording for batch in batches for trajectory in batch.trajectories]
+
+    def __repr__(self) -> str:
+        return f"<SimulatedWorld '{self.name}': {len(self.arrays.ids)} trajectories, {type(self.arrays).__name__}>"
+
+
+@checked
 def station(
-    ids: Ids,
-    seed: int,
-    path: str = "hand",
-    rows: int = 200,
-    rate_hz: float = 10.0,
-    sigma_p: float = 0.2,
-    outliers: float = 0.0,
-    drop_outs: float = 0.0,
-    gauss_markov: float = 0.0,
+    n: Trajectories = 100,
+    seed: Seed = 0,
+    *,
+    path: Literal["helix", "varied-helix", "hand", "lines"] = "hand",
+    rows: Rows = 200,
+    rate_hz: Annotated[float, Range(1e-3, 1e6)] = 10.0,
+    sigma_p: Annotated[float, Range(0.0, 100.0)] = 0.2,
+    outliers: Annotated[float, Range(0.0, 1.0, open=True)] = 0.0,
+    drop_outs: Annotated[float, Range(0.0, 1.0, open=True)] = 0.0,
+    gauss_markov: Annotated[float, Range(0.0, 100.0)] = 0.0,
     lost_station: str | None = None,
     masked_antenna: tuple[str, int] | None = None,
-) -> RecordingFolder:
-    """Beacons at the 24 GHz work station of three arrays: phases. What the numbers mean: `trackwright simulate --help`.
+    ids: Ids = None,
+) -> SimulatedWorld:
+    """Simulate beacons at the 24 GHz work station: phases at three stations of eight antennas, with truth.
 
-    Raises ValueError for a path, station or antenna that isn't there.
+    Args:
+        path: the paper's helix, a helix varied from tag to tag, random hand motion, or straight lines with halts.
+        rows: measurements per trajectory.
+        rate_hz: measurements per second.
+        sigma_p: white phase noise, rad.
+        outliers: probability that a phase is an outlier.
+        drop_outs: probability that a station's row is missing.
+        gauss_markov: standard deviation of slowly varying phase errors, rad, with a time constant of 1 s.
+        lost_station: a station (1, 2 or 3) without any measurement.
+        masked_antenna: a station and one of its antennas (1 … 8) without any measurement.
     """
     rig = work_station()
     pieces: dict[str, Corruption] = {}
@@ -51,37 +100,68 @@ def station(
         pieces["outliers"] = corruptions.outliers(outliers, np.pi)
     if drop_outs > 0:
         pieces["drop-outs"] = corruptions.drop_outs(drop_outs)
+    stations = list(rig.stations)
     if lost_station is not None:
-        pieces["lost station"] = corruptions.lose_station(_index(list(rig.stations), lost_station, "lost-station"))
+        if lost_station not in stations:
+            raise ParameterError("lost_station", lost_station, f"one of the stations {', '.join(stations)}")
+        pieces["lost station"] = corruptions.lose_station(stations.index(lost_station))
     if masked_antenna is not None:
         name, antenna = masked_antenna
-        if not 1 <= antenna <= 8:
-            raise ValueError(f"masked-antenna {antenna}: expected an antenna from 1 to 8")
-        number = _index(list(rig.stations), name, "masked-antenna")
-        pieces["masked antenna"] = corruptions.mask_antenna(number, antenna - 1)
+        if name not in stations or not 1 <= antenna <= 8:
+            expected = f"one of the stations {', '.join(stations)} and an antenna from 1 to 8"
+            raise ParameterError("masked_antenna", masked_antenna, expected)
+        pieces["masked antenna"] = corruptions.mask_antenna(stations.index(name), antenna - 1)
+    ids = _ids(n, ids)
     world = simulate_phases(
         rig, path, len(ids), seed, rate_hz=rate_hz, n_points=rows, sigma_p=sigma_p, corruptions=pieces, ids=ids
     )
-    return as_folder(world, f"simulated-{path}-{seed}")
+    return SimulatedWorld(f"simulated-{path}-{seed}", world)
 
 
-def line(ids: Ids, seed: int, situation: str = "halts", speed: float = 0.3, rate_hz: float = 5.0) -> RecordingFolder:
-    """Tags on the assembly line of known path: fixes. What the numbers mean: `trackwright simulate-line --help`."""
-    world = simulate_line(situation, ids.tolist(), seed, speed=speed, rate_hz=rate_hz)
-    return simulated_line(world, f"simulated-line-{situation}-{seed}")
+@checked
+def line(
+    n: Trajectories = 20,
+    seed: Seed = 0,
+    *,
+    situation: Literal["constant", "halts", "speeds"] = "halts",
+    speed: Annotated[float, Range(0.01, 10.0)] = 0.3,
+    rate_hz: Annotated[float, Range(0.1, 1000.0)] = 5.0,
+    ids: Ids = None,
+) -> SimulatedWorld:
+    """Simulate tags on the assembly line: fixes along a known path, with truth.
+
+    Args:
+        situation: constant speed, halts where segments meet, or another speed on every segment.
+        speed: mean speed along the line, m/s.
+        rate_hz: fixes per second.
+    """
+    world = simulate_line(situation, _ids(n, ids).tolist(), seed, speed=speed, rate_hz=rate_hz)
+    return SimulatedWorld(f"simulated-line-{situation}-{seed}", world)
 
 
+@checked
 def ranges(
-    ids: Ids,
-    seed: int,
-    rows: int = 200,
-    rate_hz: float = 10.0,
-    sigma_r: float = 0.05,
-    bias: float = 0.05,
-    hidden: float = 0.1,
-    lost: float = 0.1,
-) -> RecordingFolder:
-    """Hand-held UWB tags in a room with four anchors: ranges. See `trackwright simulate-ranges --help`."""
+    n: Trajectories = 20,
+    seed: Seed = 0,
+    *,
+    rows: Rows = 200,
+    rate_hz: Annotated[float, Range(0.1, 1000.0)] = 10.0,
+    sigma_r: Annotated[float, Range(0.0, 10.0)] = 0.05,
+    bias: Annotated[float, Range(0.0, 10.0)] = 0.05,
+    hidden: Annotated[float, Range(0.0, 0.9)] = 0.1,
+    lost: Annotated[float, Range(0.0, 0.99)] = 0.1,
+    ids: Ids = None,
+) -> SimulatedWorld:
+    """Simulate hand-held UWB tags in a room with four anchors: ranges, with truth.
+
+    Args:
+        rows: times at which all anchors are ranged.
+        rate_hz: times per second.
+        sigma_r: white noise of a range, m.
+        bias: standard deviation of the anchors' constant biases, m.
+        hidden: share of the time for which an anchor has no line of sight, and its ranges are too long.
+        lost: share of the ranges that are missing.
+    """
     pieces: dict[str, Corruption] = {}
     if bias > 0:
         pieces["biases"] = ranging.antenna_biases(bias)
@@ -91,53 +171,85 @@ def ranges(
         pieces["white"] = corruptions.white_noise(sigma_r)
     if lost > 0:
         pieces["lost"] = corruptions.drop_outs(lost)
+    ids = _ids(n, ids)
     world = ranging.simulate_ranges(
         ranging.chamber(), n=len(ids), seed=seed, rate_hz=rate_hz, n_points=rows, corruptions=pieces, ids=ids
     )
-    return simulated_ranging(world, f"simulated-ranges-{seed}")
+    return SimulatedWorld(f"simulated-ranges-{seed}", world)
 
 
+@checked
 def tool(
-    ids: Ids, seed: int, rows: int = 800, rate_hz: float = 40.0, gap: Sequence[float] | None = None
-) -> RecordingFolder:
-    """Hand tools with a UWB tag and an IMU: ranges and IMU. See `trackwright simulate-imu --help`."""
+    n: Trajectories = 20,
+    seed: Seed = 0,
+    *,
+    rows: Annotated[int, Range(2, 10**7)] = 800,
+    rate_hz: Annotated[float, Range(1.0, 1000.0)] = 40.0,
+    gap: tuple[float, float] | None = None,
+    ids: Ids = None,
+) -> SimulatedWorld:
+    """Simulate hand tools with a UWB tag and an IMU: ranges and IMU samples, with truth.
+
+    Args:
+        rows: ranges per tag, to one anchor after the other.
+        rate_hz: ranges per second; the rate of IMU samples is three times as high.
+        gap: start and end of a gap in the IMU's samples, s.
+    """
+    if gap is not None and not 0 <= gap[0] < gap[1]:
+        raise ParameterError("gap", gap, "two times in seconds, the first before the second")
+    ids = _ids(n, ids)
     silent = None if gap is None else (gap[0], gap[1])
     world = imu.simulate_uwb_imu(
         ranging.chamber(), n=len(ids), seed=seed, rate_hz=rate_hz, n_points=rows, gap_s=silent, ids=ids
     )
-    return simulated_uwb_imu(world, f"simulated-imu-{seed}")
+    return SimulatedWorld(f"simulated-imu-{seed}", world)
 
 
+@checked
 def agv(
-    ids: Ids,
-    seed: int,
-    rows: int = 2000,
-    speed: float = 0.5,
-    wild: float = 0.0,
-    latency: float = 0.0,
-    mirror: float = 0.0,
-) -> RecordingFolder:
-    """Vehicles round a workstation: fixes that drift. See `trackwright simulate-agv --help`."""
-    # What depends on where the tag was comes before what adds noise.
+    n: Trajectories = 20,
+    seed: Seed = 0,
+    *,
+    rows: Rows = 2000,
+    speed: Annotated[float, Range(0.01, 1.41)] = 0.5,
+    wild: Annotated[float, Range(0.0, 0.99)] = 0.0,
+    latency: Annotated[float, Range(0.0, 10.0)] = 0.0,
+    mirror: Annotated[float, Range(0.0, 0.99)] = 0.0,
+    ids: Ids = None,
+) -> SimulatedWorld:
+    """Simulate vehicles on a route round a workstation: UWB fixes that drift, with truth.
+
+    Args:
+        rows: fixes per tag, 10 per second.
+        speed: speed along the route, m/s.
+        wild: probability that a fix is an outlier.
+        latency: delay of the fixes, s.
+        mirror: share of the time for which heights are mirrored at the anchors' plane.
+    """
+    # Corruptions that depend on the true path come before those that add noise.
     pieces: dict[str, Corruption] = {}
     if latency > 0:
-        pieces["late"] = late(latency)
+        pieces["late"] = delayed(latency)
     if mirror > 0:
-        pieces["mirrored"] = mirrored(vehicles.ANCHOR_HEIGHT, mirror, 3.0)
+        pieces["mirrored"] = mirrored_heights(vehicles.ANCHOR_HEIGHT, mirror, 3.0)
     pieces |= vehicles.FIX_ERRORS
     if wild > 0:
         pieces["wild"] = corruptions.outliers(wild, 2.0)
-    world = vehicles.simulate_agv(ids.tolist(), seed, speed=speed, rows=rows, errors=pieces)
-    return simulated_agv(world, f"simulated-agv-{seed}")
+    world = vehicles.simulate_agv(_ids(n, ids).tolist(), seed, speed=speed, rows=rows, errors=pieces)
+    return SimulatedWorld(f"simulated-agv-{seed}", world)
 
 
-def _index(names: list[str], name: str, number: str) -> int:
-    if name not in names:
-        raise ValueError(f"{number} {name}: unknown station, expected one of {', '.join(names)}")
-    return names.index(name)
+def _ids(n: int, ids: Ids) -> np.ndarray:
+    return np.arange(n) if ids is None else np.asarray(ids)
+
+
+def _folder(world: Callable[..., SimulatedWorld], ids: np.ndarray, seed: int, **numbers: Any) -> RecordingFolder:
+    """A world as studies call it; raises TypeError for an unknown parameter, ParameterError for an invalid value."""
+    refuse_unknown(numbers, (name for name in inspect.signature(world).parameters if name not in ("n", "seed", "ids")))
+    return world(seed=seed, ids=ids, **numbers).folder()
 
 
 WORLDS: Mapping[str, Callable[..., RecordingFolder]] = MappingProxyType(
-    {"station": station, "line": line, "ranges": ranges, "tool": tool, "agv": agv}
+    {world.__name__: partial(_folder, world) for world in (station, line, ranges, tool, agv)}
 )
-"""Worlds by the name that a study in TOML calls them by."""
+"""`make(ids, seed, **numbers)`, a recording folder, by the name of the world in a study."""

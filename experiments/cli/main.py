@@ -34,7 +34,6 @@ def _run() -> int:
         evaluate,
         report,
         simulate,
-        simulate_worlds,
         study,
         sweep,
         track,
@@ -45,11 +44,7 @@ def _run() -> int:
     from trackers.core.errors import UnusableInput
 
     commands: dict[str, Any] = {
-        "simulate": simulate.simulate,
-        "simulate-line": simulate_worlds.simulate_line,
-        "simulate-ranges": simulate_worlds.simulate_ranges,
-        "simulate-imu": simulate_worlds.simulate_imu,
-        "simulate-agv": simulate_worlds.simulate_agv,
+        **simulate.COMMANDS,
         "check": check.check,
         "track": track.track,
         "evaluate": evaluate.evaluate_tracks,

@@ -1,74 +1,71 @@
-"""`trackwright simulate`."""
+"""`trackwright simulate`, `-line`, `-ranges`, `-imu` and `-agv`: each world of `sim.worlds` as a command."""
 
 from __future__ import annotations
 
+import inspect
 import sys
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Literal
-
-import numpy as np
+from types import MappingProxyType
+from typing import Any, get_type_hints
 
 from experiments.cli.manifest import write_manifest
-from sim.worlds import station
+from sim import worlds
+from sim.parameters import ParameterError
+from sim.worlds import SimulatedWorld
 from trackers.core.errors import UnusableInput
 from trackers.recordings.folder import write_recording
 
-
-def simulate(
-    out: Path,
-    path: Literal["helix", "varied-helix", "hand", "lines"] = "hand",
-    n: int = 100,
-    seed: int = 0,
-    rows: int = 200,
-    rate_hz: float = 10.0,
-    sigma_p: float = 0.2,
-    outliers: float = 0.0,
-    drop_outs: float = 0.0,
-    gauss_markov: float = 0.0,
-    lost_station: str | None = None,
-    masked_antenna: tuple[str, int] | None = None,
-) -> int:
-    """Simulate beacons at the 24 GHz work station: one recording folder of many tags, with truth, in Parquet.
-
-    Args:
+COMMON = """
         out: the folder to write; it must not exist or be empty.
-        path: the paper's helix, a helix varied from tag to tag, random hand motion, or straight lines with halts.
-        n: trajectories (tags).
-        seed: the same seed gives the same numbers; a tag's depend on the seed and its own number alone.
-        rows: measurements per trajectory.
-        rate_hz: measurements per second.
-        sigma_p: white phase noise, rad.
-        outliers: probability that a phase is replaced by a random one.
-        drop_outs: probability that a station's row is missing.
-        gauss_markov: level of slowly varying phase errors, rad, with a time constant of 1 s.
-        lost_station: a station (1, 2 or 3) that is silent for the whole run.
-        masked_antenna: a station and an antenna (1 … 8) that is dead.
-    """
-    started = datetime.now(UTC)
-    for name, value, low, high in (
-        ("n", n, 1, 10**8),
-        ("rows", rows, 1, 10**8),
-        ("seed", seed, 0, 2**63 - 1),
-        ("rate-hz", rate_hz, 1e-3, 1e6),
-        ("sigma-p", sigma_p, 0.0, 100.0),
-        ("gauss-markov", gauss_markov, 0.0, 100.0),
-    ):
-        if not low <= value <= high:
-            raise UnusableInput(f"--{name} {value}: expected a number from {low} to {high}")
-    for name, value in (("outliers", outliers), ("drop-outs", drop_outs)):
-        if not 0 <= value < 1:
-            raise UnusableInput(f"--{name} {value}: expected a probability from 0 to below 1")
-    numbers = {
-        "path": path, "rows": rows, "rate_hz": rate_hz, "sigma_p": sigma_p, "outliers": outliers,
-        "drop_outs": drop_outs, "gauss_markov": gauss_markov, "lost_station": lost_station,
-        "masked_antenna": masked_antenna,
-    }  # fmt: skip
-    try:
-        folder = station(np.arange(n), seed, **numbers)  # type: ignore[arg-type]
-    except ValueError as error:
-        raise UnusableInput(f"--{error}") from error
-    write_recording(folder, out)
-    write_manifest(out, sys.argv, {"n": n, **numbers}, started, seeds=(seed,))
-    print(f"wrote {out}: {n} tags x {rows} rows x {len(folder.rig.stations)} stations, with truth")
-    return 0
+        n: trajectories, each of a tag of its own.
+        seed: the same seed gives the same numbers; a trajectory depends on the seed and its own number alone."""
+"""The help of the options that all worlds share."""
+
+
+def command(world: Callable[..., SimulatedWorld]) -> Callable[..., int]:
+    """The command of a world: its parameters as options, and `--out`."""
+
+    def simulate(out: Path, **numbers: Any) -> int:
+        started = datetime.now(UTC)
+        try:
+            folder = world(**numbers).folder()
+        except ParameterError as error:
+            raise UnusableInput(_refusal(error)) from error
+        write_recording(folder, out)
+        config = {name: value for name, value in numbers.items() if name != "seed"}
+        write_manifest(out, sys.argv, config, started, seeds=(numbers["seed"],))
+        sizes = ", ".join(f"{name} {len(table)} rows" for name, table in folder.tables.items())
+        print(f"wrote {out}: {len(folder.rig.tags)} tags, {sizes}")
+        return 0
+
+    hints = get_type_hints(world, include_extras=True)
+    signature = inspect.signature(world)
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    options = [p.replace(kind=keyword, annotation=hints[p.name]) for p in signature.parameters.values()]
+    options = [inspect.Parameter("out", keyword, annotation=Path), *(p for p in options if p.name != "ids")]
+    simulate.__signature__ = signature.replace(parameters=options, return_annotation=int)  # type: ignore[attr-defined]
+    simulate.__annotations__ = {p.name: p.annotation for p in options} | {"return": int}
+    summary, _, arguments = (world.__doc__ or "").partition("\n")
+    before, head, after = arguments.partition("Args:")
+    simulate.__doc__ = (
+        f"{summary}\n\n    Writes one recording folder, its tables in Parquet.\n{before}{head}{COMMON}{after}"
+    )
+    return simulate
+
+
+def _refusal(error: ParameterError) -> str:
+    words = error.value if isinstance(error.value, (tuple, list)) else [error.value]
+    return f"--{error.name.replace('_', '-')} {' '.join(map(str, words))}: expected {error.expected}"
+
+
+COMMANDS: Mapping[str, Callable[..., int]] = MappingProxyType(
+    {
+        "simulate": command(worlds.station),
+        "simulate-line": command(worlds.line),
+        "simulate-ranges": command(worlds.ranges),
+        "simulate-imu": command(worlds.tool),
+        "simulate-agv": command(worlds.agv),
+    }
+)

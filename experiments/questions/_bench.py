@@ -12,11 +12,9 @@ import polars as pl
 from experiments.monte_carlo.errors import TrackedRuns
 from sim.corruptions import white_noise
 from sim.imu import simulate_uwb_imu
-from sim.ranging import CHAMBER, antenna_biases, chamber, one_at_a_time
-from sim.scenarios import simulate_phases, work_station
-from sim.tables.phases import as_folder
-from sim.tables.uwb_imu import simulated_uwb_imu
-from sim.visits import visits
+from sim.paths import point_to_point
+from sim.ranging import CHAMBER, antenna_biases, chamber, round_robin
+from sim.stations import simulate_phases, work_station
 from trackers.recordings.folder import RecordingFolder
 from trackers.worksteps.decisions import NO_POINT, Decisions, FasteningPoints, decide, nearest_point
 
@@ -40,15 +38,15 @@ def points_of(spacing: float) -> np.ndarray:
 def bench(ids: np.ndarray, seed: int, spacing: float) -> RecordingFolder:
     """Rounds of the tool with phases, ranges and IMU, and the points in the table `points`."""
     points = points_of(spacing)
-    path, n = partial(visits, points=points), len(ids)
+    path, n = partial(point_to_point, points=points), len(ids)
     phases = simulate_phases(
         work_station(), path, n, seed, sigma_p=SIGMA_P, rate_hz=10.0, n_points=int(10 * SECONDS), ids=ids
     )
-    errors = {"biases": antenna_biases(BIAS), "white": white_noise(SIGMA_R), "turn": one_at_a_time()}
+    errors = {"biases": antenna_biases(BIAS), "white": white_noise(SIGMA_R), "turn": round_robin()}
     ranges = simulate_uwb_imu(
         chamber(ROOM), path, n, seed, rate_hz=40.0, n_points=int(40 * SECONDS), corruptions=errors, ids=ids
     )
-    heard, felt = as_folder(phases, "bench"), simulated_uwb_imu(ranges, "bench")
+    heard, felt = phases.folder("bench"), ranges.folder("bench")
     named = pl.DataFrame({"name": [str(k) for k in range(9)]} | dict(zip(("x_m", "y_m", "z_m"), points.T, strict=True)))
     tables = {**felt.tables, "phases": heard.tables["phases"], "points": named}
     return replace(felt, rig=replace(felt.rig, stations=heard.rig.stations), tables=tables)

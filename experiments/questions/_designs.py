@@ -15,7 +15,7 @@ from experiments.monte_carlo.expectations import Conclusion, Value
 from experiments.monte_carlo.results import Results, resampled
 from experiments.papers.fitting import Fitted, fitted_file, write_fitted
 from sim.paths import WORK_VOLUME
-from sim.scenarios import work_station
+from sim.stations import work_station
 from trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
 from tuning.design.bound import bounds, mean_bound
 from tuning.design.layouts import AbstractLayout, PlanarArray, WallAnchors, range_sensor

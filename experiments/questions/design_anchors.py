@@ -35,7 +35,6 @@ from experiments.questions._designs import (
 from sim.corruptions import white_noise
 from sim.paths import hand_motion
 from sim.ranging import Protocol, chamber, simulate_ranges
-from sim.tables.ranging import simulated_ranging
 from trackers.recordings.folder import RecordingFolder
 
 DESIGNS = designs("anchors")
@@ -50,7 +49,7 @@ def walks(ids: np.ndarray, seed: int, layout: str) -> RecordingFolder:
         chamber(DESIGNS[layout].places), path, len(ids), seed, rate_hz=10.0, n_points=200, protocol=EXACT,
         corruptions={"white": white_noise(SIGMA_R)}, ids=ids,
     )  # fmt: skip
-    return simulated_ranging(world, "hall")
+    return world.folder("hall")
 
 
 def expected(results: Results) -> list[ExpectedResult | Conclusion]:

@@ -20,8 +20,7 @@ from experiments.plots.style import VERMILION
 from experiments.questions._design_pictures import maps
 from experiments.questions._designs import LAYOUTS, SIGMA_P, against_grid, bound_map, designs, fall, squares, stand
 from sim.paths import WORK_VOLUME
-from sim.scenarios import simulate_phases, work_station
-from sim.tables.phases import as_folder
+from sim.stations import simulate_phases, work_station
 from trackers.recordings.folder import RecordingFolder
 
 DESIGNS = designs("array")
@@ -33,7 +32,7 @@ def helices(ids: np.ndarray, seed: int, layout: str) -> RecordingFolder:
     """Helices of the paper's size anywhere in the volume, phases of stations with the layout's array."""
     rig = work_station(DESIGNS[layout].places)
     world = simulate_phases(rig, "varied-helix", len(ids), seed, sigma_p=SIGMA_P, rate_hz=10.0, n_points=200, ids=ids)
-    return as_folder(world, "work-stand")
+    return world.folder("work-stand")
 
 
 def expected(results: Results) -> list[ExpectedResult | Conclusion]:

@@ -23,7 +23,6 @@ import numpy as np
 
 from experiments.cli.console import progress
 from sim.line import SITUATIONS, simulate_line
-from sim.tables.line import simulated_line
 from trackers.catalogue import spec_of
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker
@@ -100,7 +99,7 @@ class World:
 def recordings(tags: int) -> World:
     """`tags` recordings of every situation, all of different tags."""
     folders = [
-        simulated_line(simulate_line(situation, range(k * tags, (k + 1) * tags)), situation)
+        simulate_line(situation, range(k * tags, (k + 1) * tags)).folder(situation)
         for k, situation in enumerate(SITUATIONS)
     ]
     (particles,), (grid,) = (spec_of(name).batches(folders, name, False) for name in ("line-pf", "line-grid"))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sim.agv import Route, simulate_agv
-from sim.fixes import correlated_noise, late, mirrored, sluggish
+from sim.fixes import correlated_noise, delayed, first_order_lag, mirrored_heights
 from sim.keys import trajectory_keys
 from trackers.core.metrics import distances_to_path
 from trackers.mhk.tracker import STILL
@@ -67,18 +67,18 @@ def test_noise_has_the_papers_covariance():
 
 
 def test_a_late_fix_is_where_the_tag_was():
-    np.testing.assert_allclose(_apply(late(0.4))[0, 4:], STRAIGHT[0, :-4], atol=1e-12)
+    np.testing.assert_allclose(_apply(delayed(0.4))[0, 4:], STRAIGHT[0, :-4], atol=1e-12)
 
 
 def test_a_sluggish_device_trails_a_steady_tag_by_its_time_constant():
-    shown = _apply(sluggish(0.4))
+    shown = _apply(first_order_lag(0.4))
     np.testing.assert_allclose(shown[0, 100:], STRAIGHT[0, 100:] - 0.4 * np.array([0.5, -0.2, 0.1]), atol=1e-9)
-    np.testing.assert_array_equal(_apply(sluggish(0.0)), STRAIGHT)
+    np.testing.assert_array_equal(_apply(first_order_lag(0.0)), STRAIGHT)
 
 
 def test_mirrored_heights_are_the_images_for_the_share_and_the_length_asked_for():
     values = np.tile([0.0, 0.0, 1.0], (200, 400, 1))
-    z = _apply(mirrored(1.5, 0.3, 2.0), values, 200)[..., 2]
+    z = _apply(mirrored_heights(1.5, 0.3, 2.0), values, 200)[..., 2]
     assert set(np.unique(z)) == {1.0, 2.0}
     flipped = z == 2.0
     # 200 tags of 40 s with stretches of some seconds: about 2,800 independent looks.
@@ -89,7 +89,12 @@ def test_mirrored_heights_are_the_images_for_the_share_and_the_length_asked_for(
 
 @pytest.mark.parametrize(
     "make",
-    [lambda: correlated_noise(-np.eye(3)), lambda: late(-1.0), lambda: sluggish(np.inf), lambda: mirrored(1, 1, 1)],
+    [
+        lambda: correlated_noise(-np.eye(3)),
+        lambda: delayed(-1.0),
+        lambda: first_order_lag(np.inf),
+        lambda: mirrored_heights(1, 1, 1),
+    ],
 )
 def test_pieces_that_make_no_sense_are_refused(make):
     with pytest.raises(ValueError, match="found"):

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from sim.phases import clean_phases, plane_phases, wrapped
-from sim.scenarios import facing, work_station
+from sim.phases import plane_phases, spherical_phases, wrapped
+from sim.stations import facing, work_station
 from trackers.core.rig import Station
 
 STATIONS = list(work_station().stations.values())
@@ -28,7 +28,7 @@ def test_plane_phases_are_those_of_the_stations_angles():
 def test_an_antenna_nearer_to_the_beacon_is_ahead_by_its_shorter_path():
     station = Station(np.zeros(3), np.array([1.0, 0, 0, 0]), np.array([[0.0, 0.0], [0.001, 0.0]]), 0.0125)
     beacon = np.array([0.5, 0.0, 1.0])
-    first, second = clean_phases([station], beacon)[0]
+    first, second = spherical_phases([station], beacon)[0]
     path = np.hypot(0.5, 1.0) - np.hypot(0.499, 1.0)
     assert path > 0
     assert wrapped(second - first) == pytest.approx(2 * np.pi / 0.0125 * path, abs=1e-9)
@@ -37,17 +37,17 @@ def test_an_antenna_nearer_to_the_beacon_is_ahead_by_its_shorter_path():
 def test_a_beacon_far_away_sends_a_plane_wave():
     far = np.array([s.position for s in STATIONS]).mean(axis=0) - [3e3, 2e3, 1e4]
     # The wave bends by d² / 2r, here below 36 mm squared over 20 km: 6e-8 m or 3e-5 rad.
-    difference = _differences(clean_phases(STATIONS, far)) - _differences(plane_phases(STATIONS, far))
+    difference = _differences(spherical_phases(STATIONS, far)) - _differences(plane_phases(STATIONS, far))
     np.testing.assert_allclose(wrapped(difference), 0, atol=1e-4)
 
 
 def test_at_one_metre_the_wave_over_the_array_is_not_plane():
     middle = np.array([0.0, 0.0, 0.15])
-    bend = wrapped(_differences(clean_phases(STATIONS, middle)) - _differences(plane_phases(STATIONS, middle)))
+    bend = wrapped(_differences(spherical_phases(STATIONS, middle)) - _differences(plane_phases(STATIONS, middle)))
     assert 0.1 < np.abs(bend).max() < 0.4
 
 
-@pytest.mark.parametrize("phases_of", [clean_phases, plane_phases])
+@pytest.mark.parametrize("phases_of", [spherical_phases, plane_phases])
 def test_turning_and_shifting_the_world_changes_no_phase_difference(phases_of):
     turn, shift = np.array([0.5, 0.1, -0.7, 0.3]), np.array([3.0, -2.0, 1.0])
     frame = Station(shift, turn)
@@ -67,7 +67,7 @@ def test_wrapping_keeps_pi_and_turns_minus_pi_to_pi():
     np.testing.assert_array_equal(wrapped(np.array([np.pi, -np.pi, 0.0, 3 * np.pi])), [np.pi, np.pi, 0.0, np.pi])
 
 
-@pytest.mark.parametrize("phases_of", [clean_phases, plane_phases])
+@pytest.mark.parametrize("phases_of", [spherical_phases, plane_phases])
 def test_stations_without_arrays_or_with_unequal_ones_are_refused(phases_of):
     blind = Station(np.zeros(3), np.array([1.0, 0, 0, 0]))
     small = Station(np.zeros(3), np.array([1.0, 0, 0, 0]), np.zeros((3, 2)), 0.0125)

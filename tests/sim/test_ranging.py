@@ -13,11 +13,10 @@ from sim.ranging import (
     chamber,
     obstruction,
     on_anchors,
-    one_at_a_time,
+    round_robin,
     simulate_ranges,
-    two_way,
+    two_way_ranges,
 )
-from sim.tables.ranging import simulated_ranging
 from trackers.core.rig import Rig
 from trackers.parts.range_rows import range_trajectories
 from trackers.uwb_imu.ranging import SPEED_OF_LIGHT
@@ -30,30 +29,30 @@ TIMES = np.arange(ROWS) * 0.1
 
 def test_perfect_clocks_and_stamps_give_the_distance():
     for double in (False, True):
-        ranges = two_way(KEYS, DISTANCES, Protocol(drift=0.0, sigma_stamp=0.0, double_sided=double))
+        ranges = two_way_ranges(KEYS, DISTANCES, Protocol(drift=0.0, sigma_stamp=0.0, double_sided=double))
         # Rounding of 0.3 ms in seconds, times the speed of light.
         np.testing.assert_allclose(ranges, DISTANCES, atol=1e-9)
 
 
 def test_single_sided_ranging_shows_half_the_clocks_difference_over_the_reply():
     protocol = Protocol(reply_s=1e-3, drift=1e-5, sigma_stamp=0.0, double_sided=False)
-    errors = (two_way(KEYS, DISTANCES, protocol) - DISTANCES)[:, 0]
+    errors = (two_way_ranges(KEYS, DISTANCES, protocol) - DISTANCES)[:, 0]
     # A difference of two clocks: √2 · 1e-5 · 1 ms · c / 2, from 160 pairs that share a tag's clock by fours.
     expected = SPEED_OF_LIGHT * 1e-3 * 1e-5 * np.sqrt(2) / 2
     assert 0.75 < np.sqrt(np.mean(errors**2)) / expected < 1.25
 
 
 def test_double_sided_ranging_cancels_the_clocks():
-    ranges = two_way(KEYS, DISTANCES, Protocol(reply_s=1e-3, drift=1e-5, sigma_stamp=0.0))
+    ranges = two_way_ranges(KEYS, DISTANCES, Protocol(reply_s=1e-3, drift=1e-5, sigma_stamp=0.0))
     # Four sigmas of a clock times 20 m.
     assert np.abs(ranges - DISTANCES).max() < 4.5e-5 * 20
 
 
 def test_stamp_noise_makes_the_range_noise_of_its_formula():
-    ranges = two_way(KEYS, DISTANCES, Protocol(drift=0.0, sigma_stamp=1e-10, double_sided=False))
+    ranges = two_way_ranges(KEYS, DISTANCES, Protocol(drift=0.0, sigma_stamp=1e-10, double_sided=False))
     # Half of four stamps' noise: c · σ · √4 / 2; 16,000 numbers know their spread to half a per cent.
     assert abs(np.std(ranges - DISTANCES) / (SPEED_OF_LIGHT * 1e-10) - 1) < 0.03
-    double = two_way(KEYS, DISTANCES, Protocol(drift=0.0, sigma_stamp=1e-10))
+    double = two_way_ranges(KEYS, DISTANCES, Protocol(drift=0.0, sigma_stamp=1e-10))
     # With equal replies (2·back − 2·answered − asked + heard − again + end)/4: variance (4 + 4 + 1 + 1 + 1 + 1)/16.
     assert abs(np.std(double - DISTANCES) / (SPEED_OF_LIGHT * 1e-10 * np.sqrt(12) / 4) - 1) < 0.03
 
@@ -81,7 +80,7 @@ def test_obstruction_lasts_as_long_as_it_should():
 
 
 def test_one_at_a_time_leaves_one_anchor_a_row_in_turn():
-    _, seen = one_at_a_time()(KEYS, TIMES, DISTANCES, np.ones(DISTANCES.shape, bool))
+    _, seen = round_robin()(KEYS, TIMES, DISTANCES, np.ones(DISTANCES.shape, bool))
     assert (seen.sum(axis=2) == 1).all()
     assert np.argmax(seen[0], axis=1)[:6].tolist() == [0, 1, 2, 3, 0, 1]
 
@@ -95,8 +94,8 @@ def test_a_tag_depends_on_the_seed_and_its_id_alone():
 
 
 def test_the_folder_holds_what_was_seen_and_trackers_take_it():
-    world = simulate_ranges(chamber(), n=2, seed=1, n_points=20, corruptions={"turns": one_at_a_time()})
-    folder = simulated_ranging(world, "chamber")
+    world = simulate_ranges(chamber(), n=2, seed=1, n_points=20, corruptions={"turns": round_robin()})
+    folder = world.folder("chamber")
     assert folder.tables["ranges"].height == 40
     trajectories = list(range_trajectories(folder, False))
     place, known = trajectories[1].recording.truth["position"]

@@ -5,14 +5,14 @@ import pytest
 
 from sim.keys import trajectory_keys
 from sim.paths import hand_motion
-from sim.phases import clean_phases, wrapped
-from sim.scenarios import work_station
+from sim.phases import spherical_phases, wrapped
 from sim.signal import Radar, Reflector, phase_sigma, signal_phases
+from sim.stations import work_station
 
 STATIONS = list(work_station().stations.values())
 KEYS = trajectory_keys(0, np.arange(60))
 POSITIONS = hand_motion(KEYS, np.arange(5) * 2.0)
-CLEAN = clean_phases(STATIONS, POSITIONS)
+CLEAN = spherical_phases(STATIONS, POSITIONS)
 QUIET = Radar(snr=np.inf)
 
 # A real tone's mirror at minus its frequency leaks into the peak: at 49 to 124 of 512 bins at most
@@ -100,10 +100,10 @@ def test_a_reflector_near_the_beacon_adds_its_mirror_image_to_the_wave():
     floor = Reflector(np.array([0.0, 0.0, -0.01]), np.array([0.0, 0.0, 2.0]), gain=0.3)
     near = POSITIONS * [1, 1, 0.1]
     phases = signal_phases(KEYS, STATIONS, near, QUIET, reflectors=[floor])
-    direct = np.exp(1j * clean_phases(STATIONS, near))
-    image = np.exp(1j * clean_phases(STATIONS, near * [1, 1, -1] - [0, 0, 0.02]))
+    direct = np.exp(1j * spherical_phases(STATIONS, near))
+    image = np.exp(1j * spherical_phases(STATIONS, near * [1, 1, -1] - [0, 0, 0.02]))
     bent = np.angle(direct + 0.3 * image)
-    assert np.abs(_deviations(bent, clean_phases(STATIONS, near))).max() > 0.05
+    assert np.abs(_deviations(bent, spherical_phases(STATIONS, near))).max() > 0.05
     # An extra path of up to 0.08 m moves the copy's tone by 0.07 bins and changes its height by a sixth at most, of an
     # echo of 0.3 in a sum of at least 0.7.
     np.testing.assert_allclose(_deviations(phases, bent), 0, atol=0.3 / 6 / 0.7 + 2 * IMAGE_LEAKAGE)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from sim.scenarios import work_station
+from sim.stations import work_station
 from tests.tuning.worlds import line_tracker, walks
 from trackers.aoa.beam import Beam
 from trackers.aoa.direct import direct_tracker

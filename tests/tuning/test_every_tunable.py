@@ -14,12 +14,7 @@ from sim.agv import simulate_agv
 from sim.imu import simulate_uwb_imu
 from sim.line import simulate_line
 from sim.ranging import chamber, simulate_ranges
-from sim.scenarios import simulate_phases, work_station
-from sim.tables.agv import simulated_agv
-from sim.tables.line import simulated_line
-from sim.tables.phases import as_folder
-from sim.tables.ranging import simulated_ranging
-from sim.tables.uwb_imu import simulated_uwb_imu
+from sim.stations import simulate_phases, work_station
 from tests.tuning.worlds import line_tracker, walks
 from trackers.aoa.fusion import bearing_tracker
 from trackers.catalogue import TRACKERS
@@ -78,22 +73,22 @@ IDLE = {
 @cache
 def _folder(kind):
     if kind == "phases":
-        return as_folder(simulate_phases(work_station(), n=1, n_points=12), kind)
+        return simulate_phases(work_station(), n=1, n_points=12).folder(kind)
     if kind == "line":
         # A path so short that the tag halts where it bends within the first rows.
         knots = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
-        return simulated_line(simulate_line("halts", 1, knots=knots, rest_s=1.0), kind)
+        return simulate_line("halts", 1, knots=knots, rest_s=1.0).folder(kind)
     if kind == "floor":
         made = _folder("agv")
         return replace(made, rig=replace(made.rig, outline=np.array([[-99.0, -99.0], [99.0, -99.0], [0.0, 99.0]])))
     if kind == "agv":
-        made = simulated_agv(simulate_agv(1, rows=40), kind)
+        made = simulate_agv(1, rows=40).folder(kind)
         reported = {f"{axis}_std_m": pl.lit(0.05) for axis in "xyz"}
         return replace(made, tables=made.tables | {"fixes": made.tables["fixes"].with_columns(**reported)})
     if kind == "imu":
         # A gap in the IMU, for what stands in for it there.
-        return simulated_uwb_imu(simulate_uwb_imu(chamber(), n=1, n_points=60, gap_s=(0.1, 1.0)), kind)
-    made = simulated_ranging(simulate_ranges(chamber(), n=1, n_points=15), kind)
+        return simulate_uwb_imu(chamber(), n=1, n_points=60, gap_s=(0.1, 1.0)).folder(kind)
+    made = simulate_ranges(chamber(), n=1, n_points=15).folder(kind)
     if kind == "level":
         return replace(made, rig=replace(made.rig, tags={"0": Tag(height=1.2, offset=None)}))
     return made

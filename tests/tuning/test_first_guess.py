@@ -5,7 +5,6 @@ import pytest
 
 from sim.corruptions import white_noise
 from sim.ranging import chamber, simulate_ranges
-from sim.tables.ranging import simulated_ranging
 from tests.tuning.worlds import STATION, beams, line_tracker, walks
 from trackers.aoa.beam import beam_tracker
 from trackers.baselines.fixes import fix_tracker
@@ -159,7 +158,7 @@ def test_system_b_on_a_grid(wrong):
 @pytest.mark.parametrize("wrong", FAR)
 def test_system_c_ranges(wrong):
     world = simulate_ranges(chamber(), n=8, n_points=200, corruptions={"white": white_noise(0.1)})
-    trajectories = list(TRACKERS["uwb"].trajectories(simulated_ranging(world, "ranges"), False))
+    trajectories = list(TRACKERS["uwb"].trajectories(world.folder("ranges"), False))
     # the walk is none of the motion's: only the sensor's level is known
     start = range_tracker(
         8, sigma_a=0.3 * wrong[0], sigma_z=0.7 * wrong[0], sigma_r=0.1 * wrong[1], positive_skew=1.001

@@ -7,7 +7,7 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
-from sim.scenarios import work_station
+from sim.stations import work_station
 from tests.known_start import NEVER_LOST, KnownStart, recording
 from trackers.aoa.beam import Beam, BeamMotion
 from trackers.core.algebra import Vector

@@ -19,7 +19,7 @@ class CeilingStations(AbstractLayout):
 
     `template`: a station with array and wavelength, its own pose unused; `corners` (2, 2) m: the lower and upper corner
     of where stations may hang; `height` m; `target` (3,) m; `up` (3,): what the arrays' y axes are turned to, as
-    `sim.scenarios.facing` has it; `spacing` m; `sigma_p` rad; `number` of stations.
+    `sim.stations.facing` has it; `spacing` m; `sigma_p` rad; `number` of stations.
     """
 
     template: Station

@@ -23,7 +23,6 @@ from experiments.questions._windows import RAW
 from sim.agv import Route, simulate_agv
 from sim.corruptions import gauss_markov, outliers
 from sim.fixes import correlated_noise
-from sim.tables.agv import simulated_agv
 from trackers.mhk.tracker import STILL
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerSpec
@@ -38,7 +37,7 @@ def workshop(
 ) -> RecordingFolder:
     """Vehicles whose fixes have the noise at rest, a `drift` m, and in a `share` of them a kick of `size` m."""
     errors = {"noise": correlated_noise(STILL), "drift": gauss_markov(drift, LASTING_S), "wild": outliers(share, size)}
-    return simulated_agv(simulate_agv(ids.tolist(), seed, route=ROUTE, speed=speed, errors=errors), "workshop")
+    return simulate_agv(ids.tolist(), seed, route=ROUTE, speed=speed, errors=errors).folder("workshop")
 
 
 def off_route(tracked: TrackedRuns) -> np.ndarray:

@@ -19,7 +19,6 @@ from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
 from experiments.monte_carlo.results import Results
 from experiments.papers.fitting import fitted
 from sim.ranging import Protocol, antenna_biases, chamber, simulate_ranges
-from sim.tables.ranging import simulated_ranging
 from trackers.recordings.folder import RecordingFolder
 
 PLACES = {f"tag at ({x:g}, {y:g})": (x, y, 1.8) for x in (0.0, 5.0) for y in (0.0, 5.0)}
@@ -51,7 +50,7 @@ def corner(
         corruptions={"biases": antenna_biases(sigma_bias)},
         ids=ids,
     )
-    return simulated_ranging(world, "chamber")
+    return world.folder("chamber")
 
 
 def under(z: np.ndarray, folder: RecordingFolder) -> np.ndarray:

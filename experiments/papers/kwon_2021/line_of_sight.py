@@ -21,7 +21,6 @@ from experiments.papers.fitting import fitted
 from sim.corruptions import Corruption, gauss_markov
 from sim.keys import Keys
 from sim.ranging import Protocol, chamber, obstruction, on_anchors, simulate_ranges
-from sim.tables.ranging import simulated_ranging
 from trackers.recordings.folder import RecordingFolder
 
 HALL = np.array([[0.0, 0.0, 1.8], [8.0, 0.0, 1.8], [0.0, 8.0, 1.8]])
@@ -55,7 +54,7 @@ def hall(ids: np.ndarray, seed: int, places: int, sigma_echo: float, detour: flo
         corruptions=pieces,
         ids=ids,
     )
-    return simulated_ranging(world, "hall")
+    return world.folder("hall")
 
 
 def _error(tracked: TrackedRuns, axis: int) -> np.ndarray:

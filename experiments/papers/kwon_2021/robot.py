@@ -28,7 +28,6 @@ from experiments.plots.style import BLACK, BLUE, GREY, VERMILION
 from sim.imu import level, simulate_uwb_imu
 from sim.keys import Keys
 from sim.ranging import Protocol, antenna_biases, chamber
-from sim.tables.uwb_imu import simulated_uwb_imu
 from trackers.recordings.folder import RecordingFolder
 
 LOW, HIGH = np.array([2.80, 2.71, 1.50]), np.array([3.19, 3.09, 1.89])
@@ -65,7 +64,7 @@ def robot(ids: np.ndarray, seed: int, sigma_bias: float, height: float) -> Recor
         attitude=level,
         ids=ids,
     )
-    return simulated_uwb_imu(world, "robot")
+    return world.folder("robot")
 
 
 def _end(axis: int, largest: bool) -> Callable[[TrackedRuns], np.ndarray]:

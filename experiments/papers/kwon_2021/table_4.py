@@ -28,10 +28,9 @@ from experiments.plots.study_pictures import picture
 from experiments.plots.style import BLACK, BLUE, GREEN, GREY, VERMILION
 from experiments.questions._windows import RAW, window
 from sim.corruptions import gauss_markov
+from sim.fixes_from_ranges import fixes_from_ranges
 from sim.imu import constant_bias, level, simulate_uwb_imu, white_density
 from sim.ranging import Protocol, chamber, on_anchors
-from sim.tables.located import fixes_from_ranges
-from sim.tables.uwb_imu import simulated_uwb_imu
 from trackers.recordings.folder import RecordingFolder
 
 TAG = np.array([2.7, 2.7, 1.8])
@@ -71,7 +70,7 @@ def still(ids: np.ndarray, seed: int, sigma_stamp: float, base: float, slow: flo
         attitude=level,
         ids=ids,
     )
-    return fixes_from_ranges(simulated_uwb_imu(world, "still tag"), "trilateration")
+    return fixes_from_ranges(world.folder("still tag"), "trilateration")
 
 
 def settled(tracked: TrackedRuns) -> list[np.ndarray]:

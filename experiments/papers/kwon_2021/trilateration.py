@@ -18,7 +18,6 @@ from experiments.monte_carlo.results import Results
 from sim.corruptions import Corruption
 from sim.paths import hand_motion
 from sim.ranging import WALK_VOLUME, antenna_biases, chamber, obstruction, simulate_ranges
-from sim.tables.ranging import simulated_ranging
 from trackers.recordings.folder import RecordingFolder
 
 FLOOR = WALK_VOLUME * [1.0, 1.0, 0.0] + [0.0, 0.0, 1.2]
@@ -33,7 +32,7 @@ def walk(ids: np.ndarray, seed: int, hidden: float = 0.0, rows: int = 300) -> Re
         pieces["hidden"] = obstruction(hidden, 2.0, 0.2, 0.15)
     path = partial(hand_motion, volume=FLOOR, speed=0.5)
     world = simulate_ranges(chamber(), path, len(ids), seed, n_points=rows, corruptions=pieces, ids=ids)
-    return simulated_ranging(world, "chamber")
+    return world.folder("chamber")
 
 
 def settled(tracked: TrackedRuns) -> np.ndarray:

@@ -18,7 +18,6 @@ from experiments.monte_carlo import Results, Study, TrackedRuns, TrackerConfig, 
 from experiments.monte_carlo.chunk import run_chunk
 from sim.corruptions import gauss_markov, white_noise
 from sim.line import simulate_line
-from sim.tables.line import simulated_line
 from trackers.baselines.fixes import fix_tracker
 from trackers.baselines.windows import MovingWindow
 from trackers.core.polyline import Polyline
@@ -76,7 +75,7 @@ def _recording(
     if fitted_truth:
         places = [knot_times(world.knots, world.times, fixes).positions(world.times) for fixes in world.fixes]
         world = dataclasses.replace(world, positions=np.stack(places))
-    return simulated_line(world, f"recording-{number}-{seed}")
+    return world.folder(f"recording-{number}-{seed}")
 
 
 def worlds(numbers: Mapping[str, float], names: Sequence[str] = RECORDINGS) -> dict[str, World]:

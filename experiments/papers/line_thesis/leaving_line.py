@@ -26,7 +26,6 @@ from experiments.plots.study_pictures import picture
 from experiments.plots.style import LINES
 from sim.corruptions import gauss_markov, white_noise
 from sim.line import simulate_line
-from sim.tables.line import simulated_line
 from trackers.core.recording import stack
 from trackers.core.tunable import with_values
 from trackers.events import LEFT_LIMIT, LEFT_SLACK
@@ -51,7 +50,7 @@ def carried(ids: np.ndarray, seed: int, size: float, white: float) -> RecordingF
         "constant", np.asarray(ids).tolist(), seed, speed=NUMBERS["speed"], rate_hz=NUMBERS["rate_hz"], errors=errors,
         carried_off=(LEFT_S, LEFT_S + AWAY_S, (float(x), float(y))) if size > 0 else None,
     )  # fmt: skip
-    return simulated_line(world, f"carried-{size}-{seed}")
+    return world.folder(f"carried-{size}-{seed}")
 
 
 _LAST: list[tuple[TrackedRuns, np.ndarray]] = []

@@ -17,8 +17,7 @@ from experiments.monte_carlo import TrackerConfig
 from experiments.papers.fitting import fitted
 from sim.corruptions import Corruption, lose_station, outliers
 from sim.keys import Keys
-from sim.scenarios import simulate_phases, work_station
-from sim.tables.phases import as_folder
+from sim.stations import simulate_phases, work_station
 from trackers.aoa.beam import beam_tracker
 from trackers.aoa.rows import PHASES, TRACKERS
 from trackers.core.rig import Rig
@@ -100,7 +99,7 @@ def recorded(
         n_points=round(POINTS * rate_hz / RATE_HZ), sigma_p=numbers["sigma_p"], wave=wave, corruptions=corruptions,
         ids=ids,
     )  # fmt: skip
-    return as_folder(world, "work stand")
+    return world.folder("work stand")
 
 
 def _as_printed(trajectory: Trajectory, planar: bool) -> AbstractTracker:

@@ -25,7 +25,7 @@ from experiments.papers.will_2020.fit_array_layout import (
     exact_layouts,
     side_lobe,
 )
-from sim.scenarios import simulate_phases
+from sim.stations import simulate_phases
 from trackers.aoa.beam import beam_tracker
 from trackers.core.recording import Batch
 from trackers.core.sensor import Reading

@@ -14,7 +14,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from sim.scenarios import facing
+from sim.stations import facing
 from tests.in_process import assert_refused, trackwright
 from trackers.catalogue import TRACKERS
 from trackers.core.rig import Station

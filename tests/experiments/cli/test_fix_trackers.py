@@ -7,8 +7,7 @@ import polars as pl
 import pytest
 
 from sim.agv import ANCHOR_HEIGHT, simulate_agv
-from sim.fixes import correlated_noise, late
-from sim.tables.agv import simulated_agv
+from sim.fixes import correlated_noise, delayed
 from tests.in_process import assert_refused, trackwright
 from trackers.baselines.rows import lacks_coplanar_anchors, mirror_trajectories
 from trackers.core.rig import Rig, Tag
@@ -24,8 +23,8 @@ LATENCY = 0.4
 
 @pytest.fixture(scope="module")
 def world():
-    errors = {"late": late(LATENCY), "noise": correlated_noise(STILL)}
-    return simulated_agv(simulate_agv(2, rows=300, speed=1.0, errors=errors), "agv")
+    errors = {"late": delayed(LATENCY), "noise": correlated_noise(STILL)}
+    return simulate_agv(2, rows=300, speed=1.0, errors=errors).folder("agv")
 
 
 @pytest.fixture(scope="module")

@@ -7,12 +7,12 @@ import sys
 import numpy as np
 
 from experiments.monte_carlo import Study, TrackerConfig, World
-from sim.worlds import line
+from sim.worlds import WORLDS
 
 SMALL = Study(
     name="small",
     about="Does it run?",
-    worlds={w: World(line, {"situation": w, "rate_hz": 1.0}) for w in ("constant", "halts")},
+    worlds={w: World(WORLDS["line"], {"situation": w, "rate_hz": 1.0}) for w in ("constant", "halts")},
     trackers={
         "kalman": TrackerConfig("fix-kf"),
         "window": TrackerConfig("moving-average"),

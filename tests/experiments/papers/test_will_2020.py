@@ -11,7 +11,7 @@ from experiments.monte_carlo.sources import available_studies, load_study
 from experiments.papers.fitting import fitted, fitted_file
 from experiments.papers.will_2020 import fit_figure_8, fit_table_1
 from experiments.papers.will_2020._work_stand import ALL, SETS, antennas_of, covered, in_use, recorded, stand
-from sim.scenarios import work_station
+from sim.stations import work_station
 from trackers.aoa.layout import DEFAULT_WAVELENGTH
 
 NAMES = ("table-1", "figures-6-7", "figure-8", "figure-10", "computing-cost", "rate-aperture")

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sim.scenarios import work_station
+from sim.stations import work_station
 from tests.known_start import NEVER_LOST, KnownStart, flat, recording
 from tests.oracles import beam_jacobian, beam_transition, cramer_rao, paper_beam_filter
 from trackers.aoa.beam import Beam, BeamMotion

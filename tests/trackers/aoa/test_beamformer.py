@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sim.scenarios import work_station
+from sim.stations import work_station
 from trackers.aoa.beamformer import Grid, capon, delay_and_sum, music, snapshots, strongest
 from trackers.core.rig import Station
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sim import corruptions
-from sim.scenarios import facing, simulate_phases, work_station
+from sim.stations import facing, simulate_phases, work_station
 from trackers.aoa.cascade import cascade_tracker
 from trackers.aoa.direct import direct_tracker
 from trackers.aoa.fusion import bearing_inputs

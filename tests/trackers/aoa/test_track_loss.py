@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 
-from sim.scenarios import work_station
+from sim.stations import work_station
 from trackers.aoa.beam import beam_tracker
 from trackers.core.estimates import Status
 from trackers.core.recording import Readings, Recording, stack

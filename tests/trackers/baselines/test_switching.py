@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from sim.agv import simulate_agv
-from sim.fixes import correlated_noise, mirrored
-from sim.tables.agv import simulated_agv
+from sim.fixes import correlated_noise, mirrored_heights
 from tests.known_start import NEVER_LOST, KnownStart, recording
 from tests.oracles import normal_log_density, van_loan
 from trackers.baselines.rows import mirror_trajectories
@@ -148,10 +147,10 @@ def test_a_track_starts_on_the_side_of_its_first_fix(climbing):
 
 @pytest.mark.slow
 def test_a_track_is_robust_to_heights_mirrored_for_seconds():
-    errors = {"mirror": mirrored(2.5, 0.3, 3.0), "noise": correlated_noise(STILL)}
+    errors = {"mirror": mirrored_heights(2.5, 0.3, 3.0), "noise": correlated_noise(STILL)}
     world = simulate_agv([0, 1, 2], rows=400, height=1.2, errors=errors)
     assert not (world.fixes[:, 0, 2] > 2.5).any()  # every track starts on the true side
-    trajectories = list(mirror_trajectories(simulated_agv(world, "flips"), True))
+    trajectories = list(mirror_trajectories(world.folder("flips"), True))
     tracker = mirror_tracker(offset=0.0, shrink=1.0, sigma_vertical=0.1, sigma_z=0.3)
     estimates = tracker.run(stack([trajectory.recording for trajectory in trajectories]))
     z = np.stack([estimates[k].mean.position[2] for k in range(3)])[:, 20:]

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sim.scenarios import work_station
+from sim.stations import work_station
 from trackers.aoa.beam import Beam, BeamMotion, InPlaneBeam, InPlaneBeamMotion
 from trackers.aoa.fusion import BearingSensor, bearing_inputs
 from trackers.aoa.phases import InPlanePhases, PlanePhases, SphericalPhases

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sim.scenarios import work_station
+from sim.stations import work_station
 from tests.oracles import normal_log_density
 from trackers.aoa.beam import Beam, BeamMotion
 from trackers.aoa.fusion import BearingSensor, bearing_inputs

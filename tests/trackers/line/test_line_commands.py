@@ -7,7 +7,6 @@ import polars as pl
 import pytest
 
 from sim.line import simulate_line
-from sim.tables.line import simulated_line
 from trackers.catalogue import fitting, spec_of
 from trackers.core.errors import UnusableInput
 from trackers.core.rig import Rig
@@ -31,7 +30,7 @@ def _tracked(folders, name):
 def folders():
     worlds = {s: simulate_line(s, 4, seed=1) for s in SITUATIONS}
     worlds["away"] = simulate_line("constant", [0], seed=1, carried_off=(35.0, 50.0, (-1.0, 3.0)))
-    return [simulated_line(world, name) for name, world in worlds.items()]
+    return [world.folder(name) for name, world in worlds.items()]
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +96,7 @@ LARGEST = {"ngbui-line-1-1": 0.045, "ngbui-line-2-1": 0.10, "ngbui-line-3-1": 0.
 @pytest.mark.slow
 def test_the_halting_motion_overshoots_rests_less(monkeypatch):
     world = simulate_line("halts", 24, seed=9)
-    folder, overshoot = simulated_line(world, "halts"), {}
+    folder, overshoot = world.folder("halts"), {}
     for make in (LineMotion, HaltingMotion):
         monkeypatch.setattr(line, "line_motion", lambda path, make=make: make(path, 0.05))
         tracks, _ = _tracked([folder], "line-grid")

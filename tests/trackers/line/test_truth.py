@@ -7,7 +7,6 @@ import pytest
 from experiments.cli.truth import truth
 from sim.corruptions import white_noise
 from sim.line import THESIS_KNOTS, simulate_line
-from sim.tables.line import simulated_line
 from trackers.core.errors import UnusableInput
 from trackers.line.truth import knot_times
 from trackers.recordings.folder import read_recording, write_recording
@@ -55,7 +54,7 @@ def test_too_few_rows_for_the_path_are_refused():
 
 
 def test_the_command_writes_the_recording_with_a_fitted_truth(tmp_path, capsys):
-    world = simulated_line(simulate_line("halts", 2, seed=8), "line")
+    world = simulate_line("halts", 2, seed=8).folder("line")
     write_recording(world, tmp_path / "line")
     assert truth(tmp_path / "line", tmp_path / "fitted") == 0
     printed = capsys.readouterr()
@@ -70,7 +69,7 @@ def test_the_command_writes_the_recording_with_a_fitted_truth(tmp_path, capsys):
 
 
 def test_a_recording_without_a_path_is_refused_in_one_line(tmp_path):
-    world = simulated_line(simulate_line("constant", 1), "line")
+    world = simulate_line("constant", 1).folder("line")
     write_recording(world, tmp_path / "line")
     text = (tmp_path / "line" / "rig.toml").read_text()
     (tmp_path / "line" / "rig.toml").write_text(text[: text.index("[path]")])
@@ -80,7 +79,7 @@ def test_a_recording_without_a_path_is_refused_in_one_line(tmp_path):
 
 
 def test_a_recording_too_short_for_its_path_is_refused_in_one_line(tmp_path):
-    world = simulated_line(simulate_line("constant", 1), "line")
+    world = simulate_line("constant", 1).folder("line")
     short = {name: table.filter(pl.col("t_s") < 1.0) for name, table in world.tables.items()}
     write_recording(type(world)(world.name, None, world.rig, short), tmp_path / "line")
     with pytest.raises(UnusableInput, match="too few for a path of 5 segments"):

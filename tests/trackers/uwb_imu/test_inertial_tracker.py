@@ -10,7 +10,6 @@ import pytest
 from sim.imu import ideal_readings, simulate_uwb_imu, swinging
 from sim.keys import trajectory_keys
 from sim.ranging import chamber
-from sim.tables.uwb_imu import simulated_uwb_imu
 from trackers.core.algebra import Vector
 from trackers.core.recording import Row, stack
 from trackers.core.rig import Rig, Tag
@@ -44,7 +43,7 @@ def _rmse(x):
 @pytest.fixture(scope="module")
 def folder():
     world = simulate_uwb_imu(chamber(), n=TAGS, seed=1, n_points=POINTS, gap_s=(3.0, 5.0))
-    return simulated_uwb_imu(world, "walks")
+    return world.folder("walks")
 
 
 @pytest.fixture(scope="module")

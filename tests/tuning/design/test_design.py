@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from experiments.questions._designs import LAYOUTS, TAG_POINTS, TOOL_POINTS, designs, hall, stand
-from sim.scenarios import facing, work_station
+from sim.stations import facing, work_station
 from trackers.aoa.layout import DEFAULT_WAVELENGTH, boresight_bounds
 from trackers.aoa.phases import PlanePhases
 from tuning.design.bound import Look, bounds, information, mean_bound, worst_bound

@@ -1,4 +1,4 @@
-"""A simulated world of ranges with the fixes that a locating system makes of them."""
+"""Simulated ranges with the fixes that a positioning system computes from them."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from trackers.recordings.trajectories import known_heights
 
 
 def fixes_from_ranges(folder: RecordingFolder, tracker: str, free_height: bool = False) -> RecordingFolder:
-    """The folder with a table of fixes: what the named tracker of single moments makes of its ranges."""
+    """The folder with a table of fixes: the usable positions that a single-epoch tracker estimates from its ranges."""
     tables = []
     for group in spec_of(tracker).batches([folder], tracker, free_height):
         for trajectories, batch in batches(group.trajectories):
             estimates = group.tracker.run(batch)
             for k, trajectory in enumerate(trajectories):
                 one, rows = estimates[k], len(trajectory.recording)
-                place = [np.asarray(x, float)[:rows] for x in one.mean.position]
-                axes = place if len(place) == 3 else [*place, known_heights(trajectory)]
+                position = [np.asarray(x, float)[:rows] for x in one.mean.position]
+                axes = position if len(position) == 3 else [*position, known_heights(trajectory)]
                 columns = {f"{a}_m": x for a, x in zip("xyz", axes, strict=True)}
                 tag = pl.repeat(trajectory.tag, rows, eager=True)
-                found = pl.DataFrame({"t_s": trajectory.recording.times, "tag": tag} | columns)
-                tables.append(found.filter(pl.Series(one.usable[:rows])))
+                fixes = pl.DataFrame({"t_s": trajectory.recording.times, "tag": tag} | columns)
+                tables.append(fixes.filter(pl.Series(one.usable[:rows])))
     return replace(folder, tables=folder.tables | {"fixes": pl.concat(tables).sort("t_s", maintain_order=True)})

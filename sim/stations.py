@@ -2,34 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
+import polars as pl
 
 from sim.corruptions import Corruption, corrupted, white_noise
-from sim.keys import Keys, stream, trajectory_keys, uniforms
-from sim.paths import WORK_VOLUME, hand_motion, helix, straight_lines_with_halts
-from sim.phases import antenna_arrays, clean_phases, plane_phases, wrapped
+from sim.keys import stream, trajectory_keys, uniforms
+from sim.paths import PATHS, WORK_VOLUME, PathFunction
+from sim.phases import antenna_arrays, plane_phases, spherical_phases, wrapped
 from sim.signal import Radar, Reflector, signal_phases
+from sim.tables import axes_m, folder_of, named, table_of
 from trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
 from trackers.core.rig import Rig, Station
-
-PathFunction = Callable[[Keys, np.ndarray], np.ndarray]
-"""(keys, times) -> positions (n, T, 3), m."""
-
-PATHS: Mapping[str, PathFunction] = MappingProxyType(
-    {
-        "helix": helix,
-        "varied-helix": partial(helix, varied=True),
-        "hand": hand_motion,
-        "lines": straight_lines_with_halts,
-    }
-)
-"""The paths `simulate_phases` knows by name, all in the work volume."""
+from trackers.recordings.folder import RecordingFolder
 
 # One shape for every chunk, the last one padded: nothing is compiled twice, and a chunk stays in the processor's cache.
 _CHUNK, _SIGNAL_CHUNK = 64, 2
@@ -51,13 +40,32 @@ class SimulatedPhases:
     rig: Rig
     ids: np.ndarray
 
+    def folder(self, name: str) -> RecordingFolder:
+        """The recording folder: a row of phases per tag, time and station with at least one, and truth in space."""
+        count, rows, stations, antennas = self.phases.shape
+        values = np.where(self.seen, self.phases, np.nan).reshape(-1, antennas)
+        phases = pl.DataFrame(
+            {
+                "t_s": np.tile(np.repeat(self.times, stations), count),
+                "tag": named(np.repeat(np.arange(count), rows * stations), self.ids),
+                "station": named(np.tile(np.arange(stations), count * rows), list(self.rig.stations)),
+            }
+            | {
+                f"phase_{k + 1}_rad": pl.Series(values[:, k].astype(np.float64), nan_to_null=True)
+                for k in range(antennas)
+            }
+        ).filter(pl.Series(np.isfinite(values).any(axis=1)))
+        tables = {"phases": phases, "truth": table_of(self.times, self.ids, axes_m(self.positions))}
+        return folder_of(name, tables, self.ids, stations=self.rig.stations)
+
 
 def work_station(antennas: np.ndarray | None = None, radius: float = 0.4) -> Rig:
     """The paper's work stand: three stations 1 m above the lid of the work volume, `radius` m off its middle line.
 
-    Each looks at the middle of the volume, all of which it has within 29 degrees (at 0.4 m); its array's x axis lies
-    level along the world's -x. `antennas` (n, 2), m: another array in place of the default one, whose layout is fitted
-    (`python -m experiments.papers.will_2020.fit_array_layout`). The paper prints no station positions: these are chosen.
+    Each faces the centre of the volume, all of which lies within 29 degrees of its boresight (at 0.4 m); the x axis of
+    its array is horizontal, along the world's -x. `antennas` (n, 2), m: another array than the default one, whose
+    layout is fitted (`python -m experiments.papers.will_2020.fit_array_layout`). The paper prints no station positions;
+    these are chosen.
     """
     layout = DEFAULT_ANTENNAS if antennas is None else np.asarray(antennas, float)
     lower, upper = WORK_VOLUME
@@ -142,7 +150,7 @@ def simulate_phases(
         keys = trajectory_keys(seed, np.pad(chunk, (0, size - len(chunk)), mode="edge"))
         where = move(stream(keys, "path"), times)
         if radar is None:
-            ideal = clean_phases(stations, where) if wave == "spherical" else plane_phases(stations, where)
+            ideal = spherical_phases(stations, where) if wave == "spherical" else plane_phases(stations, where)
             common = 2 * np.pi * uniforms(stream(keys, "common phase"), (n_points, shape[0])).astype(float)
             values = ideal + common[..., None]
         else:

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-import sim.scenarios
+import sim.stations
 from sim.corruptions import constant_offsets, drop_outs, gauss_markov, lose_station, outliers
 from sim.paths import WORK_VOLUME, hand_motion
-from sim.phases import clean_phases, plane_phases, wrapped
-from sim.scenarios import PATHS, facing, simulate_phases, work_station
+from sim.phases import plane_phases, spherical_phases, wrapped
 from sim.signal import Radar, Reflector
+from sim.stations import PATHS, facing, simulate_phases, work_station
 from trackers.core.rig import Rig, Station
 
 RIG = work_station()
@@ -55,14 +55,14 @@ def test_no_bit_of_a_trajectory_depends_on_chunk_batch_or_order(path, monkeypatc
     whole = simulate_phases(RIG, path, 150, seed=4, **settings)
     ids = [149, 3, 77, 64, 63]
     some = simulate_phases(RIG, path, 5, seed=4, ids=ids, **settings)
-    monkeypatch.setattr(sim.scenarios, "_CHUNK", 7)
+    monkeypatch.setattr(sim.stations, "_CHUNK", 7)
     other = simulate_phases(RIG, path, 150, seed=4, **settings)
     for name in ("positions", "phases", "seen"):
         assert np.array_equal(getattr(some, name), getattr(whole, name)[ids])
         assert np.array_equal(getattr(other, name), getattr(whole, name))
 
 
-@pytest.mark.parametrize(("wave", "ideal_of"), [("spherical", clean_phases), ("plane", plane_phases)])
+@pytest.mark.parametrize(("wave", "ideal_of"), [("spherical", spherical_phases), ("plane", plane_phases)])
 def test_simulated_phases_are_the_ideal_ones_with_noise_of_sigma_p(wave, ideal_of):
     simulated = simulate_phases(RIG, "hand", 50, seed=1, sigma_p=0.2, wave=wave)
     deviations = _deviations(simulated, ideal_of(STATIONS, simulated.positions))
@@ -77,14 +77,14 @@ def test_simulated_phases_are_the_ideal_ones_with_noise_of_sigma_p(wave, ideal_o
 
 def test_without_noise_the_phases_are_exact_to_float32():
     simulated = simulate_phases(RIG, "helix", sigma_p=0.0)
-    deviations = _deviations(simulated, clean_phases(STATIONS, simulated.positions))
+    deviations = _deviations(simulated, spherical_phases(STATIONS, simulated.positions))
     # Sums of a few float32 angles below 10 rad.
     assert np.abs(deviations).max() < 2e-6
 
 
 def test_every_row_of_every_station_has_its_own_common_phase():
     simulated = simulate_phases(RIG, "helix", 5, sigma_p=0.0)
-    common = np.exp(1j * (simulated.phases - clean_phases(STATIONS, simulated.positions))).mean(axis=-1)
+    common = np.exp(1j * (simulated.phases - spherical_phases(STATIONS, simulated.positions))).mean(axis=-1)
     # 3,000 uniform angles: their mean vectors have a length of about 1 / 55.
     assert np.abs(common.mean()) < 4 / 55
     assert np.abs((common[..., 1:] * common[..., :-1].conj()).mean()) < 4 / 45
@@ -113,7 +113,9 @@ def test_the_signal_level_is_the_same_world_with_the_radars_noise():
     signals = simulate_phases(RIG, "hand", 3, seed=2, n_points=20, radar=radar)
     phases = simulate_phases(RIG, "hand", 3, seed=2, n_points=20, sigma_p=radar.sigma_p)
     assert np.array_equal(signals.positions, phases.positions)
-    spreads = [np.sqrt((_deviations(s, clean_phases(STATIONS, s.positions)) ** 2).mean()) for s in (signals, phases)]
+    spreads = [
+        np.sqrt((_deviations(s, spherical_phases(STATIONS, s.positions)) ** 2).mean()) for s in (signals, phases)
+    ]
     # 1,260 deviations each; standard errors of 2 and 3 %, the signal's tones being spread over the bin.
     assert spreads[0] / spreads[1] == pytest.approx(1, abs=0.12)
 

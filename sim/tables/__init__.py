@@ -1,1 +1,0 @@
-"""Simulated worlds as recording folders of many tags."""
