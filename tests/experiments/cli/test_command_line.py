@@ -37,7 +37,8 @@ def world(there):
     """A simulated recording."""
     said = trackwright("simulate", "--out", there / "world", *SIMULATE)
     assert said.code == 0
-    assert said.out == f"wrote {there / 'world'}: {TAGS} tags x {ROWS} rows x 3 stations, with truth\n"
+    tables = f"phases {TAGS * ROWS * 3} rows, truth {TAGS * ROWS} rows"
+    assert said.out == f"wrote {there / 'world'}: {TAGS} tags, {tables}\n"
     return there / "world"
 
 
