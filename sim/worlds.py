@@ -19,12 +19,14 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from sim import agv as vehicles
-from sim import corruptions, imu, ranging
+import sim.corruptions as corruptions
+from sim.agv import ANCHOR_HEIGHT, FIX_ERRORS, simulate_agv
 from sim.corruptions import Corruption
 from sim.fixes import delayed, mirrored_heights
+from sim.imu import simulate_uwb_imu
 from sim.line import simulate_line
 from sim.parameters import ParameterError, Range, checked, refuse_unknown
+from sim.ranging import antenna_biases, chamber, obstruction, simulate_ranges
 from sim.stations import simulate_phases, work_station
 from sim.tables import Simulated
 from trackers import catalogue
@@ -164,16 +166,16 @@ def ranges(
     """
     pieces: dict[str, Corruption] = {}
     if bias > 0:
-        pieces["biases"] = ranging.antenna_biases(bias)
+        pieces["biases"] = antenna_biases(bias)
     if hidden > 0:
-        pieces["hidden"] = ranging.obstruction(hidden, 2.0, 0.3, 0.3)
+        pieces["hidden"] = obstruction(hidden, 2.0, 0.3, 0.3)
     if sigma_r > 0:
         pieces["white"] = corruptions.white_noise(sigma_r)
     if lost > 0:
         pieces["lost"] = corruptions.drop_outs(lost)
     ids = _ids(n, ids)
-    world = ranging.simulate_ranges(
-        ranging.chamber(), n=len(ids), seed=seed, rate_hz=rate_hz, n_points=rows, corruptions=pieces, ids=ids
+    world = simulate_ranges(
+        chamber(), n=len(ids), seed=seed, rate_hz=rate_hz, n_points=rows, corruptions=pieces, ids=ids
     )
     return SimulatedWorld(f"simulated-ranges-{seed}", world)
 
@@ -199,9 +201,7 @@ def tool(
         raise ParameterError("gap", gap, "two times in seconds, the first before the second")
     ids = _ids(n, ids)
     silent = None if gap is None else (gap[0], gap[1])
-    world = imu.simulate_uwb_imu(
-        ranging.chamber(), n=len(ids), seed=seed, rate_hz=rate_hz, n_points=rows, gap_s=silent, ids=ids
-    )
+    world = simulate_uwb_imu(chamber(), n=len(ids), seed=seed, rate_hz=rate_hz, n_points=rows, gap_s=silent, ids=ids)
     return SimulatedWorld(f"simulated-imu-{seed}", world)
 
 
@@ -231,11 +231,11 @@ def agv(
     if latency > 0:
         pieces["late"] = delayed(latency)
     if mirror > 0:
-        pieces["mirrored"] = mirrored_heights(vehicles.ANCHOR_HEIGHT, mirror, 3.0)
-    pieces |= vehicles.FIX_ERRORS
+        pieces["mirrored"] = mirrored_heights(ANCHOR_HEIGHT, mirror, 3.0)
+    pieces |= FIX_ERRORS
     if wild > 0:
         pieces["wild"] = corruptions.outliers(wild, 2.0)
-    world = vehicles.simulate_agv(_ids(n, ids).tolist(), seed, speed=speed, rows=rows, errors=pieces)
+    world = simulate_agv(_ids(n, ids).tolist(), seed, speed=speed, rows=rows, errors=pieces)
     return SimulatedWorld(f"simulated-agv-{seed}", world)
 
 
