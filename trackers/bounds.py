@@ -1,4 +1,4 @@
-"""The posterior Cramér–Rao bound of a tracked recording, from its truth."""
+"""Posterior Cramér–Rao bound of the position errors on a recording, evaluated along its truth."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from trackers.core.tracker import AbstractTracker, Tracker
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerBatch
 
-RUNS = 256
-"""Runs over which the information is averaged at most."""
+MAX_RUNS = 256
+"""Largest number of tags over which the information is averaged."""
 
 
-def bounds_of(folder: RecordingFolder, groups: Sequence[TrackerBatch]) -> tuple[np.ndarray, np.ndarray] | None:
-    """Times (t,) s and bounds (t, 3) m of a recording's positions; None where there is no such bound.
+def bounds_of(folder: RecordingFolder, batches: Sequence[TrackerBatch]) -> tuple[np.ndarray, np.ndarray] | None:
+    """Times (t,), s, and bounds (t, 3), m, on the standard deviation of a recording's positions, over the known truth.
 
-    Averaged over the recording's tags where they share their times, else of its first tag; over the rows at which the
-    truth is known. The true velocity is the truth's difference quotient.
+    The information is averaged over the tags of the recording if they share their times, else it is that of the first
+    tag. True velocities are difference quotients of the truth. None without truth, and for a tracker without a bound:
+    any but an extended Kalman filter of position and velocity at the times of its rows.
     """
-    mine = [(g, trajectory) for g in groups for trajectory in g.trajectories if trajectory.folder is folder]
+    mine = [(b, trajectory) for b in batches for trajectory in b.trajectories if trajectory.folder is folder]
     if not mine or not isinstance(mine[0][0].tracker, Tracker) or mine[0][1].station:
         return None
     tracker, first = mine[0][0].tracker, mine[0][1].recording
-    # A bound is of one filter's position and velocity at the rows' own times.
     if (
         not isinstance(tracker.filter, ExtendedKalman)
         or type(tracker).at_valid_time is not AbstractTracker.at_valid_time
@@ -43,22 +43,22 @@ def bounds_of(folder: RecordingFolder, groups: Sequence[TrackerBatch]) -> tuple[
     rows = slice(int(np.argmax(known)), len(known) - int(np.argmax(known[::-1])))
     same = [
         trajectory.recording
-        for group, trajectory in mine[:RUNS]
-        if group is mine[0][0]
+        for owner, trajectory in mine[:MAX_RUNS]
+        if owner is mine[0][0]
         and np.array_equal(trajectory.recording.times, first.times)
         and np.array_equal(trajectory.recording.truth["position"][1], known)
     ]
     batch = stack(same).rows(rows)
     if not _is_kinematic(tracker, batch):
         return None
-    places = np.stack([r.truth["position"][0][rows] for r in same], axis=-1)
+    positions = np.stack([r.truth["position"][0][rows] for r in same], axis=-1)
     times = first.times[rows]
     dimensions = 2 if mine[0][0].planar else 3
     step = np.maximum(np.gradient(times), 1e-3)[:, None, None]
-    speeds = np.gradient(places, axis=0) / step
+    speeds = np.gradient(positions, axis=0) / step
     velocities = getattr(tracker.start, "velocities", dimensions)
     state = Kinematic(
-        Vector.of(np.asarray(places[:, k], batch.dt.dtype) for k in range(dimensions)),
+        Vector.of(np.asarray(positions[:, k], batch.dt.dtype) for k in range(dimensions)),
         Vector.of(np.asarray(speeds[:, k], batch.dt.dtype) for k in range(velocities)),
     )
     bound = posterior_bound(tracker, batch, state)[:, :dimensions]
@@ -66,7 +66,7 @@ def bounds_of(folder: RecordingFolder, groups: Sequence[TrackerBatch]) -> tuple[
 
 
 def _is_kinematic(tracker: Tracker, batch: Batch) -> bool:
-    """Whether position and velocity, which the truth gives, are all that the tracker estimates."""
+    """Whether the state of the tracker is position and velocity alone."""
     row = Row(batch.dt, batch.valid, batch.readings, batch.inputs, None, None)
     first = jax.tree_util.tree_map(lambda x: x[0, ..., 0], row)
 

@@ -1,4 +1,4 @@
-"""What happened to tracks and when: lost, found again, and what a tracker's own entry looks for."""
+"""Events of tracks: lost, found again, and departures from a known path."""
 
 from __future__ import annotations
 
@@ -19,57 +19,62 @@ from trackers.recordings.tracks_table import track_keys
 from trackers.recordings.trajectories import Trajectory
 
 EVENTS = "events.parquet"
-_COLUMNS = {"t_s": pl.Float64, "event": pl.String, "detail": pl.String}
+"""File in the output folder of `trackwright track`."""
+
 LEFT_SLACK, LEFT_LIMIT = 1.0, 2.0
-"""Metres by which a free estimate may be off, and metre seconds beyond that after which the tag has left the line."""
+"""Deviation of free from constrained estimates that counts as none, m, and the m s beyond it that make a departure."""
 
-
-REDUNDANT, HEARD_S = 4, 2.0
-"""Anchors that must be heard within so many seconds: with fewer, a tag away is like a range that is too long."""
+REDUNDANT, WINDOW_S = 4, 2.0
+"""Anchors required within this many seconds: with fewer, a departure cannot be told from a range that is too long."""
 
 TOLERANCE, CERTAIN = 0.2, 0.5
-"""Metres beside a prescribed path that count as on it, and metre seconds beyond that after which a tag is off it."""
+"""Distance from a prescribed path that counts as on it, m, and the m s beyond it that make a departure."""
 
+_COLUMNS = {"t_s": pl.Float64, "event": pl.String, "detail": pl.String}
 _WORDS = {"lost": "lost", "restarted": "found again"}
 
 
-def events_of(tracks: pl.DataFrame, entry: TrackerSpec, groups: Sequence[TrackerBatch]) -> pl.DataFrame:
-    """One row per event: whose track (recording, tag, station for bearings), `t_s`, `event` in words, `detail`."""
+def events_of(tracks: pl.DataFrame, spec: TrackerSpec, batches: Sequence[TrackerBatch]) -> pl.DataFrame:
+    """One row per event: recording, tag (and station for bearings), `t_s`, `event` in words, `detail`.
+
+    `tracks`: the table of estimates by the tracker `spec` of the trajectories in `batches`.
+    """
     keys = track_keys(tracks)
     changed = (pl.col("status") != pl.col("status").shift(1).over(keys)).fill_null(True)
     turns = tracks.filter(changed & pl.col("status").is_in(list(_WORDS)))
-    found = [
+    events = [
         turns.select(
             *keys, pl.col("t_s"), pl.col("status").replace_strict(_WORDS).alias("event"), pl.lit("").alias("detail")
         )
     ]
-    if not entry.bearing_only:
-        look = left_the_line if entry.on_path else off_the_path
+    if not spec.bearing_only:
+        departures = left_the_line if spec.on_path else off_the_path
         trajectories = {
             (trajectory.folder.name, trajectory.tag): trajectory
-            for group in groups
-            for trajectory in group.trajectories
+            for batch in batches
+            for trajectory in batch.trajectories
         }
         for (recording, tag), trajectory in trajectories.items():
-            mine = tracks.filter((pl.col("recording") == recording) & (pl.col("tag") == tag))
-            table = pl.DataFrame(look(trajectory, mine), schema=_COLUMNS, orient="row")
-            found.append(table.select(pl.lit(recording).alias("recording"), pl.lit(tag).alias("tag"), *_COLUMNS))
-    return pl.concat(found, how="diagonal").sort([*keys, "t_s"], maintain_order=True)
+            rows = tracks.filter((pl.col("recording") == recording) & (pl.col("tag") == tag))
+            table = pl.DataFrame(departures(trajectory, rows), schema=_COLUMNS, orient="row")
+            events.append(table.select(pl.lit(recording).alias("recording"), pl.lit(tag).alias("tag"), *_COLUMNS))
+    return pl.concat(events, how="diagonal").sort([*keys, "t_s"], maintain_order=True)
 
 
 def off_the_path(trajectory: Trajectory, tracks: pl.DataFrame) -> list[tuple[float, str, str]]:
-    """When a freely tracked tag was off the prescribed path of its rig: the alarm of Kwon et al. 2021, section 1.
+    """Events (t_s, event, detail) of a freely tracked tag off the prescribed path of its rig; none without a path.
 
-    An estimate is off by what it lies beyond `TOLERANCE` and twice its own spread.
+    The alarm of Kwon et al. 2021, section 1. An estimate is off by its distance from the path beyond `TOLERANCE` and
+    twice its standard deviation. `tracks`: the estimates of this tag.
     """
     known = tracks.filter(pl.all_horizontal(pl.col("x_m", "y_m").is_finite()))
     if trajectory.folder.rig.path_knots is None or known.is_empty():
         return []
     path = path_of(trajectory.folder)
-    times, places = float_column(known, "t_s"), np.stack([float_column(known, f"{a}_m") for a in "xy"], axis=1)
-    spread = np.nan_to_num(np.hypot(float_column(known, "std_x_m"), float_column(known, "std_y_m")))
+    times, positions = float_column(known, "t_s"), np.stack([float_column(known, f"{a}_m") for a in "xy"], axis=1)
+    sigma = np.nan_to_num(np.hypot(float_column(known, "std_x_m"), float_column(known, "std_y_m")))
     rows: list[tuple[float, str, str]] = []
-    for start, end, farthest in excursions(times, path.nearest(places)[1], TOLERANCE + 2 * spread, CERTAIN):
+    for start, end, farthest in excursions(times, path.nearest(positions)[1], TOLERANCE + 2 * sigma, CERTAIN):
         rows.append((float(times[start]), "off the prescribed path", f"up to {farthest:.2f} m from it"))
         if end < len(times):
             rows.append((float(times[end]), "back on the path", f"after {times[end] - times[start]:.1f} s"))
@@ -77,19 +82,21 @@ def off_the_path(trajectory: Trajectory, tracks: pl.DataFrame) -> list[tuple[flo
 
 
 def left_the_line(trajectory: Trajectory, tracks: pl.DataFrame) -> list[tuple[float, str, str]]:
-    """Rows (t_s, event, detail) of when the trajectory's tag left the line and came back, from its constrained estimates.
+    """Events (t_s, event, detail) of a tag that left the line to which a line tracker constrains its estimates.
 
-    `tracks`: the rows of a line tracker for this tag. The free estimate is a Kalman filter on fixes, or the place where
-    recent ranges meet.
+    The free estimate is a Kalman filter on fixes, or the multilateration of recent ranges. `tracks`: the constrained
+    estimates of this tag.
     """
-    times, free = _free_places(trajectory)
+    times, free = _free_positions(trajectory)
     known = tracks.filter(pl.all_horizontal(pl.col("x_m", "y_m").is_finite()))
     if known.is_empty():
         return []
-    held = np.stack([np.interp(times, known["t_s"].to_numpy(), float_column(known, f"{a}_m")) for a in "xy"], axis=1)
-    apart = np.sqrt(((free - held) ** 2).sum(axis=1))
+    constrained = np.stack(
+        [np.interp(times, known["t_s"].to_numpy(), float_column(known, f"{a}_m")) for a in "xy"], axis=1
+    )
+    deviation = np.sqrt(((free - constrained) ** 2).sum(axis=1))
     rows: list[tuple[float, str, str]] = []
-    for start, end, farthest in excursions(times, apart, LEFT_SLACK, LEFT_LIMIT):
+    for start, end, farthest in excursions(times, deviation, LEFT_SLACK, LEFT_LIMIT):
         rows.append(
             (float(times[start]), "left the line", f"up to {farthest:.2f} m between free and constrained estimate")
         )
@@ -98,28 +105,28 @@ def left_the_line(trajectory: Trajectory, tracks: pl.DataFrame) -> list[tuple[fl
     return rows
 
 
-def _free_places(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Times and places (T, 2) that know nothing of the path, NaN where there is none."""
+def _free_positions(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Times (T,), s, and positions (T, 2), m, estimated without the path; NaN where there is none."""
     whole = trajectory.recording
     if RANGES in whole.readings:
-        times, places = raw_positions(trajectory)
-        return times, np.where(_heard(whole)[:, None] >= REDUNDANT, places, np.nan)
+        times, positions = raw_positions(trajectory)
+        return times, np.where(_observed_anchors(whole)[:, None] >= REDUNDANT, positions, np.nan)
     fixes = whole.readings[FIXES]
     missing = np.zeros((len(whole), 1))
     reported = np.zeros((len(whole), 3)) if fixes.reported is None else np.hstack([fixes.reported, missing])
     readings = {FIXES: Readings(np.hstack([fixes.values, missing]), np.hstack([fixes.seen, missing > 0]), reported)}
     free = fix_tracker(planar=True).run(Recording(whole.times, readings, whole.inputs, name=whole.name))
-    places = np.stack([np.asarray(x) for x in free.mean.position], axis=1)
-    return whole.times, np.where(free.usable[:, None], places, np.nan)
+    positions = np.stack([np.asarray(x) for x in free.mean.position], axis=1)
+    return whole.times, np.where(free.usable[:, None], positions, np.nan)
 
 
-def _heard(recording: Recording) -> np.ndarray:
-    """How many different anchors were heard in the last `HEARD_S` seconds, at each row."""
+def _observed_anchors(recording: Recording) -> np.ndarray:
+    """Number of different anchors with a range in the last `WINDOW_S` seconds, at each row (T,)."""
     times, seen = recording.times, recording.readings[RANGES].seen[:, 0]
     number = recording.inputs["anchor"][:, 0]
-    heard = np.zeros(len(times), int)
+    observed = np.zeros(len(times), int)
     for anchor in np.unique(number):
-        mine = np.flatnonzero(seen & (number == anchor))
-        last = np.searchsorted(mine, np.arange(len(times)), side="right") - 1
-        heard += (last >= 0) & (times - times[mine[np.maximum(last, 0)]] <= HEARD_S if len(mine) else False)
-    return heard
+        rows = np.flatnonzero(seen & (number == anchor))
+        last = np.searchsorted(rows, np.arange(len(times)), side="right") - 1
+        observed += (last >= 0) & (times - times[rows[np.maximum(last, 0)]] <= WINDOW_S if len(rows) else False)
+    return observed

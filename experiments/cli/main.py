@@ -10,15 +10,15 @@ from experiments.cli.runtime import set_flags
 
 
 def main() -> None:
-    """Run one command; exit 0, 1 (a check failed) or 2 (unusable input, one line on standard error)."""
+    """Run one command. Exit code 0, 1 (a check failed) or 2 (unusable input, one line on standard error)."""
     try:
         code = _run()
         sys.stdout.flush()
     except KeyboardInterrupt:
-        print("trackwright: interrupted; files already written are whole", file=sys.stderr)
+        print("trackwright: interrupted; files already written are complete", file=sys.stderr)
         code = 130
     except BrokenPipeError:
-        # Who reads the output has seen enough; what Python still holds of it goes nowhere.
+        # The reader closed the pipe: discard the rest of the output.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 141
     sys.exit(code)
@@ -26,7 +26,7 @@ def main() -> None:
 
 def _run() -> int:
     set_flags()
-    # jax reads its flags when it is first imported, so nothing that imports it may stand above.
+    # Imported here because jax reads its flags when it is first imported.
     import tyro
 
     from experiments.cli import (

@@ -1,4 +1,4 @@
-"""The manifest of a run folder: what was run, with which numbers, on what, and when."""
+"""The manifest of an output folder: command, configuration, versions, device and times of a run."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ def write_manifest(
     chunk: int | None = None,
     extra: Mapping[str, Any] | None = None,
 ) -> Path:
-    """The path of `manifest.json` in the folder, written now, which is the end of the run.
+    """Writes `manifest.json` at the end of a run and returns its path.
 
-    `started`: aware of its time zone. `chunk`: trajectories a batch is cut into, on which bit-identity depends.
-    `extra`: further entries, as the files written. Raises UnusableInput where the folder cannot be written to.
+    `started`: with its time zone. `chunk`: trajectories per chunk, on which bit-identity depends. `extra`: further
+    entries. Raises UnusableInput if the folder cannot be written to.
     """
     manifest = {
         "command": list(command),

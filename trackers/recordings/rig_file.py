@@ -1,4 +1,4 @@
-"""`rig.toml`: reads it into a `Rig` and writes a `Rig` back. Whatever is wrong is refused with the key it stands at."""
+"""Reader and writer of `rig.toml`, the geometry of a recording; an invalid value is refused with its key."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import difflib
 import json
 import math
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -18,7 +18,7 @@ from trackers.core.rig import Rig, Station, Tag
 
 FORMAT = 1
 RIG_FILE = "rig.toml"
-NORM_TOLERANCE = 1e-3  # of a quaternion written with three decimals or more
+NORM_TOLERANCE = 1e-3  # for a quaternion written with three decimals
 
 _TOP = ("format", "name", "about", "licence", "source", "anchors", "stations", "tags", "path", "floor")
 _STATION = ("position_m", "rotation_wxyz", "wavelength_m", "antennas_m")
@@ -26,7 +26,7 @@ _TAG = ("height_m", "offset_m")
 
 
 def read_rig(path: Path) -> tuple[Rig, tuple[str, ...]]:
-    """The rig in a `rig.toml` and one notice for each key that is not known; raises UnusableInput."""
+    """The rig in a `rig.toml`, and a notice for each unknown key; raises UnusableInput."""
     try:
         content = tomllib.loads(path.read_bytes().decode("utf-8-sig"))
     except FileNotFoundError:
@@ -38,12 +38,14 @@ def read_rig(path: Path) -> tuple[Rig, tuple[str, ...]]:
     except UnicodeDecodeError as error:
         raise UnusableInput(f"{path}: is not UTF-8 text at byte {error.start}; save it as UTF-8") from error
     except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise UnusableInput(f"{path}: is not valid TOML: {error}; texts stand in quotes, lists in brackets") from error
+        raise UnusableInput(
+            f"{path}: is not valid TOML: {error}; write texts in quotes and lists in brackets"
+        ) from error
     return _Reader(path).rig(content)
 
 
 class _Reader:
-    """Turns parsed TOML into geometry and collects the notices on the way."""
+    """Converts parsed TOML into a `Rig` and collects notices."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -53,12 +55,14 @@ class _Reader:
         version = content.get("format")
         if version != FORMAT or isinstance(version, bool):
             found = "no `format`" if version is None else f"format = {version!r}"
-            raise UnusableInput(f"{self.path}: {found}, expected `format = {FORMAT}`, the only one this program reads")
+            raise UnusableInput(
+                f"{self.path}: {found}, expected `format = {FORMAT}`, the only supported one; correct it"
+            )
         self.known(content, _TOP, "the top level")
-        words = {key: content.get(key, "") for key in ("name", "about", "licence", "source")}
-        for key, word in words.items():
-            if not isinstance(word, str):
-                self.refuse(key, word, "a text in quotes")
+        texts = {key: content.get(key, "") for key in ("name", "about", "licence", "source")}
+        for key, text in texts.items():
+            if not isinstance(text, str):
+                self.refuse(key, text, "a text in quotes")
         path = self.table(content, "path")
         self.known(path, ("knots_m",), "[path]")
         if "path" in content and "knots_m" not in path:
@@ -71,16 +75,14 @@ class _Reader:
                 "[x, y] corners in metres"
             )
         rig = Rig(
-            name=words["name"] or self.path.resolve().parent.name,
+            name=texts.pop("name") or self.path.resolve().parent.name,
             anchors={key: self.vector(f"anchors.{key}", v, 3) for key, v in self.table(content, "anchors").items()},
             stations={key: self.station(f"stations.{key}", v) for key, v in self.table(content, "stations").items()},
             tags={key: self.tag(f"tags.{key}", v) for key, v in self.table(content, "tags").items()},
             path_knots=self.knots(path["knots_m"]) if path else None,
             walls=self.points("floor.walls_m", floor["walls_m"], 4, 1) if "walls_m" in floor else None,
             outline=self.points("floor.outline_m", floor["outline_m"], 2, 3) if "outline_m" in floor else None,
-            about=words["about"],
-            licence=words["licence"],
-            source=words["source"],
+            **texts,
         )
         return rig, tuple(self.notices)
 
@@ -99,9 +101,12 @@ class _Reader:
                 "(array frame to world frame); no rotation is [1, 0, 0, 0]"
             )
         antennas = wavelength = None
-        if ("antennas_m" in content) != ("wavelength_m" in content):
-            have, lack = ("antennas_m", "wavelength_m") if "antennas_m" in content else ("wavelength_m", "antennas_m")
-            raise UnusableInput(f"{self.path}: [{where}] has {have} but no {lack}; a station with phases needs both")
+        given = [key for key in ("antennas_m", "wavelength_m") if key in content]
+        if len(given) == 1:
+            lack = "wavelength_m" if given == ["antennas_m"] else "antennas_m"
+            raise UnusableInput(
+                f"{self.path}: [{where}] has {given[0]} but no {lack}; a station with phases needs both"
+            )
         if "antennas_m" in content:
             antennas = self.points(f"{where}.antennas_m", content["antennas_m"])
             wavelength = self.number(f"{where}.wavelength_m", content["wavelength_m"])
@@ -153,7 +158,7 @@ class _Reader:
         self.refuse(where, value, "a finite number")
 
     def known(self, content: Iterable[str], expected: tuple[str, ...], where: str) -> None:
-        """Refuses a key that looks like a misspelt one; any other that isn't expected gets a notice."""
+        """Refuses a key that looks misspelt; adds a notice for any other unknown key."""
         for key in content:
             if key in expected:
                 continue
@@ -168,34 +173,35 @@ class _Reader:
 
 
 def rig_text(rig: Rig) -> str:
-    """The content of the `rig.toml` that `read_rig` reads back to the same rig."""
-    lines = [f"format = {FORMAT}", f"name = {_text(rig.name)}"]
-    words = {"about": rig.about, "licence": rig.licence, "source": rig.source}
-    lines += [f"{key} = {_text(word)}" for key, word in words.items() if word]
+    """The content of a `rig.toml` that `read_rig` reads back to the same rig; each vector is on one line."""
+    parts = [_entries({"format": FORMAT, "name": rig.name})]
+    parts[0] += _entries({key: getattr(rig, key) or None for key in ("about", "licence", "source")})
     if rig.anchors:
-        lines += ["", "[anchors]", *(f"{_text(key)} = {_list(position)}" for key, position in rig.anchors.items())]
+        parts.append("[anchors]\n" + "".join(f"{_text(key)} = {_value(x)}\n" for key, x in rig.anchors.items()))
     for key, station in rig.stations.items():
-        lines += ["", f"[stations.{_text(key)}]", f"position_m = {_list(station.position)}"]
-        lines += [f"rotation_wxyz = {_list(station.rotation)}"]
-        if station.antennas is not None and station.wavelength is not None:
-            lines += [f"wavelength_m = {float(station.wavelength)!r}", f"antennas_m = {_list(station.antennas)}"]
+        values = {"position_m": station.position, "rotation_wxyz": station.rotation}
+        array = {"wavelength_m": station.wavelength, "antennas_m": station.antennas}
+        parts.append(f"[stations.{_text(key)}]\n{_entries(values | array)}")
     for key, tag in rig.tags.items():
-        lines += ["", f"[tags.{_text(key)}]"]
-        lines += [] if tag.height is None else [f"height_m = {float(tag.height)!r}"]
-        lines += [] if tag.offset is None else [f"offset_m = {_list(tag.offset)}"]
+        parts.append(f"[tags.{_text(key)}]\n{_entries({'height_m': tag.height, 'offset_m': tag.offset})}")
     if rig.path_knots is not None:
-        lines += ["", "[path]", f"knots_m = {_list(rig.path_knots)}"]
+        parts.append("[path]\n" + _entries({"knots_m": rig.path_knots}))
     if rig.walls is not None or rig.outline is not None:
-        lines += ["", "[floor]"]
-        lines += [] if rig.walls is None else [f"walls_m = {_list(rig.walls)}"]
-        lines += [] if rig.outline is None else [f"outline_m = {_list(rig.outline)}"]
-    return "\n".join(lines) + "\n"
+        parts.append("[floor]\n" + _entries({"walls_m": rig.walls, "outline_m": rig.outline}))
+    return "\n".join(parts)
+
+
+def _entries(values: Mapping[str, Any]) -> str:
+    """A line of TOML for each value that is not None."""
+    return "".join(f"{key} = {_value(value)}\n" for key, value in values.items() if value is not None)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, str):
+        return _text(value)
+    return str(value) if isinstance(value, int) else json.dumps(np.asarray(value, float).tolist())
 
 
 def _text(value: str) -> str:
-    """A TOML basic string: JSON's escapes are TOML's, but for the delete character, which TOML wants escaped."""
+    """A TOML basic string: as in JSON, except that TOML requires the delete character to be escaped."""
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-
-
-def _list(value: np.ndarray) -> str:
-    return json.dumps(np.asarray(value, float).tolist())

@@ -196,7 +196,7 @@ def test_an_interrupted_command_says_so(beginnings, monkeypatch):
     monkeypatch.setattr(check_command, "read_recording", interrupted)
     said = trackwright("check", beginnings / "good")
     assert (said.code, said.out) == (130, "")
-    assert said.err == "trackwright: interrupted; files already written are whole\n"
+    assert said.err == "trackwright: interrupted; files already written are complete\n"
 
 
 def test_a_reader_that_has_seen_enough_gets_no_traceback():
