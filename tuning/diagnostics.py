@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jax
@@ -10,8 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import gammainc, ndtri
 
+from trackers.core.estimates import Estimates
 from trackers.core.metrics import chi_square_density
-from tuning.consistency import student_t_below
+from trackers.core.recording import Recording
+from trackers.core.tracker import AbstractTracker
+from tuning.consistency import student_t_below, student_t_dof_of
 
 CORRELATED = 0.1
 """Correlation of neighbouring rows from which on errors count as lasting."""
@@ -34,6 +38,40 @@ class Innovations:
     dof: np.ndarray
     trajectory: np.ndarray
     student_t_dof: float | None = None
+
+
+def innovations_of(tracker: AbstractTracker, runs: Sequence[Estimates]) -> Innovations | None:
+    """Innovations of all rows with a NIS, trajectory by trajectory; None where the distribution of NIS is unknown."""
+    try:
+        nu = student_t_dof_of(tracker)
+    except ValueError:
+        return None
+    used = [np.isfinite(run.nis) & (run.nis_dof > 0) & run.usable for run in runs]
+    trajectory = [np.full(int(rows.sum()), k) for k, rows in enumerate(used)]
+    nis, dof = (
+        np.concatenate([getattr(run, name)[rows].astype(float) for run, rows in zip(runs, used, strict=True)])
+        for name in ("nis", "nis_dof")
+    )
+    return Innovations(nis, dof, np.concatenate(trajectory), None if nu is None else float(np.asarray(nu)))
+
+
+def absolute_errors(
+    tracker: AbstractTracker, recording: Recording, run: Estimates, quantity: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Times (t,) and lengths (t,) of the errors in `quantity`: horizontal, m, or of a direction's two angles, rad.
+
+    At the times of validity of the estimates, with the truth interpolated between rows; NaN where either is missing.
+    """
+    rows = recording.times
+    true, known = recording.truth[quantity]
+    times, valid = tracker.at_valid_time(rows, run)
+    if not (hasattr(valid.mean, quantity) and known.any()):
+        return times, np.full(len(times), np.nan)
+    has_truth = (np.interp(times, rows, known) > 1 - 1e-9) & (times >= rows[0])
+    mean = np.stack([np.asarray(x) for x in getattr(valid.mean, quantity)], axis=1)[:, :2]
+    truth = np.stack([np.interp(times, rows[known], true[known, k]) for k in range(2)], axis=1)
+    length = np.sqrt(((mean - truth) ** 2).sum(axis=1))
+    return times, np.where(has_truth & valid.usable, length, np.nan)
 
 
 def probabilities(innovations: Innovations) -> np.ndarray:

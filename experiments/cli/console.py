@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import io
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Protocol
 
-from rich import box
-from rich.console import Console, RenderableType
+from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.table import Table
 
 from trackers.core.errors import UnusableInput
 from trackers.recordings.folder import RecordingFolder, read_recordings
@@ -43,28 +40,6 @@ def progress(what: str, total: int) -> Iterator[Advance]:
             bar.update(task, advance=done, description=f"{what} {now}" if now else what)
 
         yield advance
-
-
-def compact_table(title: str) -> Table:
-    """A rich table with a bold title and narrow column gaps."""
-    return Table(
-        title=title,
-        title_justify="left",
-        title_style="bold",
-        box=box.SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
-        pad_edge=False,
-        collapse_padding=True,
-    )
-
-
-def rendered(width: int, *parts: RenderableType) -> str:
-    """Tables and plain lines as text of at most `width` characters per line, without trailing blanks."""
-    page = io.StringIO()
-    console = Console(file=page, width=width, highlight=False)
-    for part in parts:
-        console.print(part, markup=False)
-    return "\n".join(line.rstrip() for line in page.getvalue().splitlines()) + "\n"
 
 
 def notice(text: str) -> None:

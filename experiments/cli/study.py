@@ -17,7 +17,7 @@ from experiments.monte_carlo.chunk_store import CHUNKS, merge_shards
 from experiments.monte_carlo.declaration import checked
 from experiments.monte_carlo.runner import StopRule, run_study
 from experiments.monte_carlo.sources import available_studies, load_study
-from experiments.reports.study import write_page
+from experiments.reports.study import write_study_report
 from experiments.reports.study_text import study_names, to_json, to_text
 from trackers.core.chunks import n_workers
 from trackers.core.errors import UnusableInput
@@ -86,7 +86,7 @@ def study(
     print(to_text(results, claims), end="")
     atomic_write(folder / RESULTS, lambda path: path.write_text(to_json(results, claims), "utf-8"))
     drawn = [] if declared.draw is None else declared.draw(results, folder)
-    written = write_page(folder, results, claims, drawn, sys.argv)
+    written = write_study_report(folder, results, claims, drawn, sys.argv)
     write_manifest(folder, sys.argv, {"study": declared.name, "runs": declared.runs}, started, (declared.seed,),
                    declared.chunk)  # fmt: skip
     print(f"wrote {written}, {RESULTS}, manifest.json" + (f" and {', '.join(drawn)}" if drawn else ""))

@@ -16,7 +16,7 @@ import tyro
 from experiments.cli.console import output_folder, progress
 from experiments.cli.manifest import write_manifest
 from experiments.cli.tuning_job import job_of, only_group
-from experiments.plots.sweep import sweep_figure
+from experiments.plots.objective import sweep_plot
 from trackers.core.errors import UnusableInput
 from trackers.recordings.atomic import atomic_write
 from tuning.problem import is_random
@@ -74,7 +74,7 @@ def sweep(
         raise UnusableInput("the objective is finite at no value of the grid; ask `trackwright check` about the data")
     _write(out / "sweep.csv", swept, objective)
     unit = "rad" if group.trajectories[0].station else "m"
-    sweep_figure(out / "sweep.png", swept, f"RMSE ({unit})" if objective == "rmse" else objective, ways)
+    sweep_plot(out / "sweep.png", swept, f"RMSE ({unit})" if objective == "rmse" else objective, ways)
     config = {
         "tracker": name, "over": over, "objective": objective, "repeats": repeats, "noise": noise, "path": path,
         "free_height": free_height, "piece_rows": piece_rows,

@@ -12,7 +12,7 @@ import tyro
 from experiments.cli.console import notice, output_folder, progress, read_with_notices
 from experiments.cli.evaluate import SOURCES
 from experiments.cli.manifest import write_manifest
-from experiments.plots.track_run import draw_tracks
+from experiments.plots.track_folder import plot_tracks
 from experiments.reports.evaluation_text import to_text
 from trackers.catalogue import TRACKERS, build, fitting
 from trackers.core.chunks import CHUNK
@@ -68,7 +68,7 @@ def track(  # noqa: D103
             print(to_text(evaluate(table, folders)), end="")
         except UnusableInput as problem:
             notice(f"notice: not evaluated: {problem}")
-    drawn = draw_tracks(out, table, folders, batches)
+    drawn = plot_tracks(out, table, folders, batches)
     config = {
         "tracker": name,
         "noise": None if noise is None else str(noise),

@@ -12,8 +12,8 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from experiments.cli.console import Advance, notice, output_folder, progress
+from experiments.cli.tuning_folder import Run, write_run
 from experiments.cli.tuning_job import Job, anomalies, bounds_of, checked, job_of, only_group
-from experiments.reports.tuning_run import Run, write_run
 from trackers.core.errors import UnusableInput
 from tuning import FitResult, checkpoint, fit
 from tuning.first_guess import first_guess

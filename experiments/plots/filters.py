@@ -1,23 +1,36 @@
-"""Figures that judge a filter: are its covariances consistent, and how did its tuning go.
+"""Plots of a filter's consistency: NEES and NIS over time, NIS against its distribution, and its autocorrelation.
 
-Every function writes one PNG, whole or not at all, and returns its path; it raises UnusableInput where the file can't
-be written.
+`consistency` writes a PNG; the others return the data address of an SVG for a page.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
-from experiments.plots.style import BLACK, BLUE, GREY, LINES, SKY, VERMILION, drawing, legend_above, literal
-from trackers.core.metrics import chi_square_density, chi_square_quantile
+from experiments.plots.style import (
+    BEFORE,
+    BLUE,
+    GREY,
+    NARROW,
+    SKY,
+    VERMILION,
+    legend_above,
+    plain,
+    png,
+    svg_address,
+)
+from trackers.core.metrics import chi_square_quantile
+from tuning.diagnostics import Innovations, autocorrelation, expected_density, probabilities
 
 WINDOW = 50
-"""Rows of the running mean that stands for the mean over runs where there is one run only."""
+"""Rows of the running mean that replaces the mean over runs where there is a single run."""
+
+LAGS = 30
 
 
 def consistency(
@@ -31,12 +44,13 @@ def consistency(
 ) -> Path:
     """Writes NEES and NIS per degree of freedom over time with χ² bounds, and the NIS histogram; returns the path.
 
-    `times` (t,) s; `nees`, `nis` (runs, t), None where they can't be had, NaN in rows without; `nis_dof` a number or
-    (runs, t). Averaged over runs; of one run a running mean over `WINDOW` rows.
+    `times` (t,) s; `nees`, `nis` (runs, t), None where unavailable, NaN in rows without; `nis_dof` a number or
+    (runs, t). Averaged over runs; a single run is averaged over `WINDOW` rows. Raises UnusableInput where the file
+    can't be written.
     """
     shown = [(name, v, dof) for name, v, dof in (("NEES", nees, nees_dof), ("NIS", nis, nis_dof)) if v is not None]
     rows = len(shown) + (nis is not None)
-    with drawing(path, 8.0, 1.0 + 1.9 * rows, title) as figure:
+    with png(path, 8.0, 1.0 + 1.9 * rows, title) as figure:
         panels = figure.subplots(rows, 1, squeeze=False)[:, 0]
         for axes, (name, values, dof) in zip(panels, shown, strict=False):
             _ratio_panel(axes, times, values, dof, name)
@@ -44,56 +58,99 @@ def consistency(
         panels[len(shown) - 1].set_xlabel("time (s)")
         legend_above(panels[0])
         if nis is not None:
-            _histogram(panels[-1], nis, nis_dof)
+            known = np.isfinite(nis) & (np.asarray(nis_dof) > 0)
+            dofs = np.broadcast_to(nis_dof, nis.shape)[known]
+            panels[-1].set(xlabel="NIS", ylabel="density")
+            if known.any():
+                _nis_histogram(panels[-1], Innovations(nis[known], dofs, np.zeros(len(dofs))))
     return Path(path)
 
 
-def tuning_trace(
-    path: Path | str,
-    objective: np.ndarray,
-    values: Mapping[str, np.ndarray],
-    units: Mapping[str, str] | None = None,
-    objective_name: str = "objective",
-    title: str = "Tuning",
-) -> Path:
-    """Writes the objective and every tuned number, on a logarithmic axis, against the iteration; returns the path.
+def nis_chart(before: Innovations, after: Innovations) -> str:
+    """Histograms of NIS before and after, and its density for a consistent filter."""
 
-    `objective` (i,); `values`: by name (i,) in the unit that `units` gives; a number that is not always positive gets
-    a linear axis.
-    """
-    lines = (len(values) + 1) // 2
-    with drawing(path, 8.0, 2.7 + 1.7 * lines, title) as figure:
-        grid = figure.add_gridspec(1 + lines, 2)
-        top = figure.add_subplot(grid[0, :])
-        top.plot(objective, color=BLACK)
-        top.set_title(literal(f"{objective_name}: {objective[-1]:.6g}"))
-        last = top
-        for k, (name, trace) in enumerate(values.items()):
-            last = figure.add_subplot(grid[1 + k // 2, k % 2], sharex=top)
-            last.plot(trace, color=LINES[k % len(LINES)])
-            unit = (units or {}).get(name, "1")
-            last.set_title(literal(f"{name}: {trace[-1]:.4g} {unit if unit != '1' else ''}"))
-            if np.nanmin(trace) > 0:
-                _log_axis(last, trace)
-            if k >= len(values) - 2:
-                last.set_xlabel("iteration")
-        last.set_xlabel("iteration")
-    return Path(path)
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots()
+        _nis_histogram(axes, after, before)
+        axes.set(xlabel="NIS of a row", yticks=())
+        axes.set_title("NIS of all rows")
+        plain(axes, "")
+
+    return svg_address(draw, NARROW, NARROW * 0.92)
 
 
-def _log_axis(axes: Axes, trace: np.ndarray) -> None:
-    """A logarithmic axis with plain numbers, of some height even where nothing moved."""
-    axes.set_yscale("log")
-    low, high = float(np.nanmin(trace)), float(np.nanmax(trace))
-    middle, factor = np.sqrt(low * high), max(np.sqrt(high / low), 1.2) * 1.15
-    axes.set_ylim(middle / factor, middle * factor)
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if factor < 10 else (1.0,)))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.yaxis.set_minor_formatter(NullFormatter())
+def probability_chart(before: Innovations, after: Innovations) -> str:
+    """Histograms of the probabilities of NIS, which are uniform for a consistent filter."""
+
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots()
+        bins = np.linspace(0, 1, 21)
+        old, new = (np.histogram(probabilities(values), bins, density=True)[0] for values in (before, after))
+        _pair(axes, bins, old, new)
+        axes.axhline(1.0, color=VERMILION, linewidth=1.6, label="consistent")
+        highest = max(2.0, float(new.max()), min(float(old.max()), 6.0))
+        axes.set(xlim=(0, 1), ylim=(0, 1.3 * highest), xlabel="probability of a smaller NIS", ylabel="density")
+        axes.legend(loc="upper center", ncols=3)
+        axes.set_title("Probability transform of NIS")
+        plain(axes)
+
+    return svg_address(draw, NARROW, NARROW * 0.92)
+
+
+def autocorrelation_chart(before: Innovations, after: Innovations) -> str:
+    """Autocorrelation over rows of NIS transformed to normal scores; near zero for white innovations."""
+
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots()
+        lags = np.arange(1, LAGS + 1)
+        old, _ = autocorrelation(before, LAGS)
+        new, pairs = autocorrelation(after, LAGS)
+        band = 1.96 / np.sqrt(max(pairs, 1))
+        axes.axhspan(-band, band, color=VERMILION, alpha=0.16, linewidth=0, label="95 % band of white noise")
+        axes.axhline(0, color=VERMILION, linewidth=0.8)
+        axes.vlines(lags, 0, new, color=BLUE, linewidth=2.4, alpha=0.55)
+        axes.plot(lags, new, "o", color=BLUE, markersize=3.5, label="after")
+        axes.plot(lags, old, "o-", color=BEFORE, markersize=2.5, linewidth=0.8, label="before")
+        known = np.concatenate([old, new, [band, -band]])
+        low, high = float(np.nanmin(known)), float(np.nanmax(known))
+        axes.set(xlabel="lag (rows)", xlim=(0, LAGS + 1), ylim=(low - 0.1 * (high - low), high + 0.4 * (high - low)))
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        axes.legend(loc="upper right", ncols=2)
+        axes.set_title("Autocorrelation of NIS (normal scores)")
+        plain(axes)
+
+    return svg_address(draw, NARROW, NARROW * 0.92)
+
+
+def _nis_histogram(axes: Axes, after: Innovations, before: Innovations | None = None) -> None:
+    """Histograms of NIS, and the density of a consistent filter with the degrees of freedom of the rows `after`."""
+    end = 1.25 * chi_square_quantile(0.995, float(np.quantile(after.dof, 0.9)))
+    bins = np.linspace(0, end, 36)
+    sides = [after] if before is None else [after, before]
+    new, *old = (np.histogram(v.nis, bins)[0] / (len(v.nis) * (bins[1] - bins[0])) for v in sides)
+    _pair(axes, bins, old[0] if old else None, new)
+    x = np.linspace(end / 400, end, 400)
+    density = expected_density(x, after)
+    law = "χ²" if after.student_t_dof is None else "Student's t"
+    axes.plot(x, density, color=VERMILION, linewidth=1.6, label=f"consistent ({law})")
+    # Before a fit the first bin may exceed all others many times; it is cut off.
+    peak = float(density[x > bins[1] / 2].max())
+    highest = max(peak, min(max(float(heights.max()) for heights in (new, *old)), 2.5 * peak))
+    axes.set(xlim=(0, end), ylim=(0, 1.12 * highest))
+    beyond = [f"{100 * np.mean(v.nis > end):.1f} %" for v in sides]
+    shares = beyond[0] if before is None else f"{beyond[1]} before, {beyond[0]} after"
+    axes.legend(loc="upper right", title=f"beyond the axis: {shares}", title_fontsize=8, alignment="left")
+
+
+def _pair(axes: Axes, bins: np.ndarray, old: np.ndarray | None, new: np.ndarray) -> None:
+    """Two histograms: `new` filled, `old` as an outline."""
+    axes.stairs(new, bins, fill=True, color=BLUE, alpha=0.35, label="filter" if old is None else "after")
+    if old is not None:
+        axes.stairs(old, bins, color=BEFORE, linewidth=1.3, label="before")
 
 
 def _ratio_panel(axes: Axes, times: np.ndarray, values: np.ndarray, dof: float | np.ndarray, name: str) -> None:
-    """The mean of `values` per degree of freedom over time: 1 where the covariance is right."""
+    """The mean of `values` per degree of freedom over time: 1 for correct covariances."""
     known = np.isfinite(values)
     total = np.where(known, values, 0.0).sum(axis=0)
     freedom = np.where(known, dof, 0.0).sum(axis=0)
@@ -105,7 +162,7 @@ def _ratio_panel(axes: Axes, times: np.ndarray, values: np.ndarray, dof: float |
     at, ratio, freedom = times[there], total[there] / freedom[there], freedom[there]
     low, high = _bounds(freedom)
     over = f"mean of {runs} runs" if runs > 1 else f"running mean of {window} rows"
-    band = "95 % of such means if consistent (χ²)" + (", rows independent" if runs == 1 else "")
+    band = "95 % band of a consistent filter (χ²)" + (", rows independent" if runs == 1 else "")
     axes.fill_between(at, low, high, color=SKY, alpha=0.35, lw=0, label=band)
     axes.axhline(1.0, color=GREY, linewidth=0.8)
     axes.plot(at, ratio, color=BLUE, label=over)
@@ -114,10 +171,8 @@ def _ratio_panel(axes: Axes, times: np.ndarray, values: np.ndarray, dof: float |
     if len(ratio) and (ratio.max() > 5 or ratio.min() < 0.1):
         axes.set_yscale("log")
     if len(ratio):
-        inside = np.mean((low <= ratio) & (ratio <= high))
-        axes.text(
-            0.995, 1.02, f"{100 * inside:.0f} % inside", transform=axes.transAxes, ha="right", fontsize=8, color=GREY
-        )
+        inside = f"{100 * np.mean((low <= ratio) & (ratio <= high)):.0f} % inside"
+        axes.text(0.995, 1.02, inside, transform=axes.transAxes, ha="right", fontsize=8, color=GREY)
 
 
 def _bounds(freedom: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -128,25 +183,3 @@ def _bounds(freedom: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     exact = [[chi_square_quantile(p, float(f)) / f for f in grid] for p in (0.025, 0.975)]
     low, high = (np.interp(freedom, grid, values) if len(grid) else freedom for values in exact)
     return low, high
-
-
-def _histogram(axes: Axes, nis: np.ndarray, nis_dof: float | np.ndarray) -> None:
-    """All NIS values that have the most frequent number of degrees of freedom above 0, against the density of χ²."""
-    known = np.isfinite(nis) & (np.asarray(nis_dof) > 0)
-    values, dofs = nis[known], np.broadcast_to(nis_dof, nis.shape)[known]
-    axes.set(xlabel="NIS", ylabel="density")
-    if len(values) == 0:
-        return
-    kinds, counts = np.unique(dofs, return_counts=True)
-    dof = float(kinds[counts.argmax()])
-    chosen = values[dofs == dof]
-    end = 1.3 * chi_square_quantile(0.999, dof)
-    bins = np.linspace(0, end, 41)
-    heights = np.histogram(chosen, bins)[0] / (len(chosen) * (bins[1] - bins[0]))
-    axes.stairs(heights, bins, fill=True, color=SKY, alpha=0.6, label=f"{len(chosen)} NIS values with {dof:g} dof")
-    x = np.linspace(end / 400, end, 400)
-    density = chi_square_density(x, dof)
-    axes.plot(x, density, color=VERMILION, label=f"χ² density, {dof:g} dof")
-    axes.set(xlim=(0, end), ylim=(0, 1.15 * max(heights.max(), density[x > bins[1] / 2].max())))
-    beyond = int((chosen > end).sum())
-    axes.legend(loc="upper right", title=f"{beyond} values beyond the axis" if beyond else None, title_fontsize=8)

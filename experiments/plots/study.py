@@ -1,7 +1,8 @@
-"""Drawings of a study: a figure over the cells or along the grid with intervals, and the distribution of errors."""
+"""Charts of a study: metrics with intervals over its conditions or along its grid, and distributions of errors."""
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -15,51 +16,50 @@ from experiments.monte_carlo.accumulators import KINDS
 from experiments.monte_carlo.declaration import Condition, short
 from experiments.monte_carlo.expectations import Value
 from experiments.monte_carlo.results import Results
-from experiments.plots.drawings import HEIGHT, WIDTH, drawn, plain
-from experiments.plots.style import LINES, literal
+from experiments.plots.style import HEIGHT, LINES, WIDTH, literal, plain, svg_address
 from experiments.reports.wording import SUFFIXES, Unit, heading, unit_of
 
 MARKS, DASHES = "osD^vPX", ("-", "--", "-.", ":")
-"""Of other counts than the colours, so that a tracker is known by two of the three, and no two look alike."""
+"""Their counts differ from that of the colours: combinations of the three repeat late, and trackers look different."""
 
-SHOWN_CELLS, LINES_SHOWN, ROWS_SHOWN, NAMES_INSIDE = 6, 8, 40, 4
-"""The most cells whose distributions are drawn, lines of a drawing, rows of one, and names in a legend on the axes."""
+SHOWN_CONDITIONS, LINES_SHOWN, ROWS_SHOWN, NAMES_INSIDE = 6, 8, 40, 4
+"""The most conditions with distributions, lines in a chart, rows in a chart, and names in a legend inside the axes."""
 
 DECADES = 30.0
-"""From so many times the least value on, the largest leaves nothing of it to be seen on a linear axis."""
+"""Ratio of the largest to the smallest value from which an axis is logarithmic."""
 
 ALIKE = 2.0
-"""Distributions that end within such a factor of each other share their axis."""
+"""Distributions whose ends differ by less than this factor share one axis."""
 
 
-class Drawing(NamedTuple):
-    """What it shows, in words, and the image's address."""
+class Chart(NamedTuple):
+    """A chart's title and its image as a data address."""
 
-    says: str
-    source: str
+    title: str
+    address: str
 
 
-def figure_chart(results: Results, figure: str, found: Mapping[tuple[int, str], Value], unit: Unit) -> Drawing | None:
-    """A figure with its intervals: along the grid where that is one row of numbers, else cell by cell.
+def metric_chart(results: Results, metric: str, found: Mapping[tuple[int, str], Value], unit: Unit) -> Chart | None:
+    """A metric with its intervals: along the grid where that is one list of numbers, else by condition.
 
-    None where there would be more lines or rows than a drawing has room for, and where nothing but zeros is known.
+    None where a chart has no room for all lines or rows, and where all values are zero or missing.
     """
     study = results.study
     values = {k: np.array(v.times(unit.factor)) for k, v in found.items() if np.isfinite(v.value)}
     if not any(v[0] for v in values.values()):
         return None
-    words = heading(figure)
+    words = heading(metric)
     title = words[0].upper() + words[1:] + (f", {unit.name}" if unit.name else "")
     along = _axis(results)
     if along is None:
-        return Drawing(title, _bars(results, values, title)) if len(values) <= ROWS_SHOWN else None
+        return Chart(title, _bars(results, values, title)) if len(values) <= ROWS_SHOWN else None
     if len(study.worlds) * len(study.trackers) > LINES_SHOWN:
         return None
-    return Drawing(title, _along(results, along, values, title))
+    return Chart(title, _along(results, along, values, title))
 
 
 def _along(results: Results, along: str, values: Mapping[tuple[int, str], np.ndarray], title: str) -> str:
-    """Lines with bands, one for every world and tracker, over the grid."""
+    """A line with its band for every world and tracker, over the grid."""
     study = results.study
     series = [(w, t) for w in study.worlds for t in study.trackers]
 
@@ -90,11 +90,11 @@ def _along(results: Results, along: str, values: Mapping[tuple[int, str], np.nda
         _legend(figure, axes)
         plain(axes)
 
-    return drawn(draw, WIDTH, _height(len(series)))
+    return svg_address(draw, WIDTH, _height(len(series)))
 
 
 def _bars(results: Results, values: Mapping[tuple[int, str], np.ndarray], title: str) -> str:
-    """Points with intervals, a row for every cell and tracker."""
+    """Points with intervals, a row for every condition and tracker."""
     trackers = list(results.study.trackers)
     rows = [(c, t) for c in results.study.conditions for t in trackers if (c.index, t) in values]
 
@@ -116,16 +116,16 @@ def _bars(results: Results, values: Mapping[tuple[int, str], np.ndarray], title:
         axes.set_title(literal(title))
         plain(axes, "x")
 
-    return drawn(draw, WIDTH, max(1.3, 0.75 + 0.24 * len(rows)))
+    return svg_address(draw, WIDTH, max(1.3, 0.75 + 0.24 * len(rows)))
 
 
-def distribution_charts(results: Results, lengths: Unit | None) -> list[Drawing]:
-    """The share of estimates whose error is at most so large, of every tracker, in the first cells.
+def distribution_charts(results: Results, lengths: Unit | None) -> list[Chart]:
+    """Distribution functions of every tracker's errors, for the first conditions.
 
-    `lengths`: the unit of lengths on the page, None where it has none.
+    `lengths`: the page's unit of lengths, or None.
     """
     study = results.study
-    conditions = study.conditions[:SHOWN_CELLS]
+    conditions = study.conditions[:SHOWN_CONDITIONS]
     kinds = [_kind(results, condition) for condition in conditions]
     medians = [
         results.at(f"median_{k}", c, t).value for c, k in zip(conditions, kinds, strict=True) for t in study.trackers
@@ -150,16 +150,16 @@ def distribution_charts(results: Results, lengths: Unit | None) -> list[Drawing]
 
     made = []
     for k, condition in enumerate(conditions):
-        title = f"Share of estimates with less error: {condition.label}"
-        image = drawn(lambda figure, k=k, title=title: draw(figure, k, title), WIDTH, _height(len(study.trackers)))  # type: ignore[misc]
-        made.append(Drawing(title, image))
+        title = f"Distribution of errors: {condition.label}"
+        draw_this = functools.partial(draw, condition=k, title=title)
+        made.append(Chart(title, svg_address(draw_this, WIDTH, _height(len(study.trackers)))))
     return made
 
 
 def _curves(
     results: Results, condition: Condition, kind: str, factor: float
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """By tracker that has such errors: errors in the unit of the drawing, and the share of estimates with less."""
+    """Errors times `factor` and their distribution function, for each tracker with errors of this kind."""
     found = {}
     for tracker in results.study.trackers:
         if kind in results.totals[condition.index, tracker].histograms:
@@ -169,12 +169,12 @@ def _curves(
 
 
 def _look(number: int) -> dict[str, Any]:
-    """The colour and dashes of a line."""
+    """Colour and dashes of a line."""
     return {"color": LINES[number % len(LINES)], "linestyle": DASHES[number % len(DASHES)]}
 
 
 def _legend(figure: Figure, axes: Axes) -> None:
-    """The names on the axes where they are few, else under them, where they hide nothing."""
+    """A legend inside the axes for few names, else below them, where it hides nothing."""
     if len(axes.get_legend_handles_labels()[1]) > NAMES_INSIDE:
         figure.legend(loc="outside lower center", ncols=2, handlelength=2.4)
     else:
@@ -186,21 +186,21 @@ def _height(names: int) -> float:
 
 
 def _spans_decades(values: Mapping[tuple[int, str], np.ndarray]) -> bool:
-    """Whether a logarithmic axis is needed, and can hold the values and their intervals."""
+    """Whether all values and intervals are positive and span more than `DECADES`."""
     every = np.concatenate(list(values.values()))
     low, high = np.nanmin(every), np.nanmax(every)
     return bool(low > 0 and high >= DECADES * low)
 
 
 def _plain_log(axis: Axis) -> None:
-    """Numbers as 0.5, 1, 2, 5 on a logarithmic axis."""
+    """Ticks 0.5, 1, 2, 5, … on a logarithmic axis."""
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.set_major_formatter("{x:g}")
     axis.set_minor_locator(NullLocator())
 
 
 def _kind(results: Results, condition: Condition) -> str:
-    """The kind of errors that the study's figures are about: of the first that names one, else what there is."""
+    """The kind of error of the first metric that has one, else the first kind that exists."""
     there = {k for t in results.study.trackers for k in results.totals[condition.index, t].histograms}
     # The longer suffixes first: `3d_m` ends in `m` too.
     kinds = sorted(there, key=len, reverse=True)
@@ -209,7 +209,7 @@ def _kind(results: Results, condition: Condition) -> str:
 
 
 def _axis(results: Results) -> str | None:
-    """The one name of the grid, where its values are numbers and more than two."""
+    """The name of the grid's only axis, where that has more than two values, all numbers; else None."""
     grid = results.study.grid
     if len(grid) != 1:
         return None

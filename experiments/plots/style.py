@@ -1,9 +1,12 @@
-"""What all figures share: colours that colour-blind people tell apart, units, and saving a PNG."""
+"""What all plots share: one matplotlib style, colours that colour-blind readers tell apart, and PNG and SVG output."""
 
 from __future__ import annotations
 
+import base64
+import io
+import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -12,6 +15,7 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from trackers.recordings.atomic import atomic_write
@@ -26,46 +30,115 @@ BLUE = "#0072b2"
 VERMILION = "#d55e00"
 PURPLE = "#cc79a7"
 LINES = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
-"""Okabe & Ito (2008) in the order tracks take them; yellow is left out, it is too light for a line on white."""
+"""Okabe & Ito (2008) in the order in which lines take them; yellow is left out, it is too light for a line on white."""
+
+INK = "#1d2733"
+BEFORE = "#7b8794"
+"""The colour of results before tuning; those after it are blue."""
+
+WIDTH, HEIGHT = 5.0, 3.1
+"""Inches of a plot on a page: about the text's size on a phone, two plots abreast on a desktop screen."""
+
+NARROW = 3.6
+"""Inches of a plot of which three stand abreast."""
+
+FONTS = "'Helvetica Neue', Arial, 'Liberation Sans', sans-serif"
 
 STYLE: dict[Any, Any] = {
     "font.size": 9,
-    "axes.titlesize": 10,
+    "text.color": INK,
+    "axes.titlesize": 9.5,
     "axes.titlelocation": "left",
+    "axes.titlecolor": INK,
+    "axes.labelcolor": GREY,
     "axes.spines.top": False,
     "axes.spines.right": False,
-    "axes.edgecolor": GREY,
+    "axes.edgecolor": "#9aa5b1",
+    "axes.linewidth": 0.7,
+    "axes.facecolor": "none",
     "axes.grid": True,
     "axes.axisbelow": True,
-    "grid.color": "#e4e4e4",
-    "grid.linewidth": 0.6,
     "axes.formatter.useoffset": False,
+    "grid.color": "#e6eaee",
+    "grid.linewidth": 0.6,
+    "xtick.color": GREY,
+    "ytick.color": GREY,
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
+    "xtick.major.size": 2.5,
+    "ytick.major.size": 2.5,
+    "xtick.minor.size": 0,
+    "ytick.minor.size": 0,
     "lines.linewidth": 1.2,
     "legend.frameon": False,
     "legend.fontsize": 8,
+    "legend.handlelength": 1.5,
+    "legend.borderaxespad": 0.2,
     "savefig.dpi": 150,
-    "savefig.bbox": "tight",
-    "savefig.pad_inches": 0.12,
-    "savefig.facecolor": "white",
+    "svg.fonttype": "none",
+    "svg.hashsalt": "trackwright",  # the same plot is the same file
 }
 
 
 @contextmanager
-def drawing(path: Path | str, width: float, height: float, title: str) -> Iterator[Figure]:
-    """A figure of the given size in inches, which is saved as a PNG at the end of the block, whole or not at all."""
+def _styled() -> Iterator[None]:
     with rc_context(STYLE), warnings.catch_warnings():
-        # A name in a script that the font lacks is drawn as boxes, which is no reason to bother the user.
+        # A name in a script that the font lacks is drawn as boxes; a warning would not help the user.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
+        yield
+
+
+@contextmanager
+def png(path: Path | str, width: float, height: float, title: str) -> Iterator[Figure]:
+    """A figure of the given size in inches, written as a PNG at the end of the block, whole or not at all."""
+    with _styled():
         figure = Figure(figsize=(width, height), layout="constrained")
         FigureCanvasAgg(figure)
         if title:
             figure.suptitle(literal(title), x=0.01, ha="left", fontsize=11, fontweight="bold")
         yield figure
-        atomic_write(path, lambda temporary: figure.savefig(temporary, format="png"))
+        options: dict[str, Any] = {"bbox_inches": "tight", "pad_inches": 0.12, "facecolor": "white"}
+        atomic_write(path, lambda temporary: figure.savefig(temporary, format="png", **options))
+
+
+def svg(draw: Callable[[Figure], object], width: float = WIDTH, height: float = HEIGHT) -> str:
+    """The SVG text that `draw` makes of an empty figure of that size in inches; its text stays text."""
+    with _styled():
+        figure = Figure(figsize=(width, height), layout="constrained")
+        FigureCanvasSVG(figure)
+        draw(figure)
+        page, nothing = io.BytesIO(), dict.fromkeys(("Date", "Creator", "Format", "Type"))
+        figure.savefig(page, format="svg", metadata=nothing, facecolor="none")
+    text = page.getvalue().decode()
+    text = re.sub(r"<\?xml.*?\?>\s*|<!DOCTYPE.*?>\s*|<metadata>.*?</metadata>\s*", "", text, flags=re.DOTALL)
+    return re.sub(r"font-family: [^;\"]*", f"font-family: {FONTS}", text)
+
+
+def svg_address(draw: Callable[[Figure], object], width: float = WIDTH, height: float = HEIGHT) -> str:
+    """`svg` as a data address, for an image inside a page."""
+    return "data:image/svg+xml;base64," + base64.b64encode(svg(draw, width, height).encode()).decode()
+
+
+def write_svg(
+    folder: Path, name: str, draw: Callable[[Figure], object], width: float = WIDTH, height: float = HEIGHT
+) -> str:
+    """Writes `svg` to the file `name` of the folder; returns the name."""
+    text = svg(draw, width, height)
+    atomic_write(folder / name, lambda temporary: temporary.write_text(text, "utf-8"))
+    return name
+
+
+def plain(axes: Axes, grid: str = "y") -> None:
+    """Removes the left spine and its ticks, and keeps a grid along one axis only."""
+    axes.grid(visible=False)
+    if grid:
+        axes.grid(visible=True, axis=grid)  # type: ignore[arg-type]
+    axes.spines["left"].set_visible(False)
+    axes.tick_params(left=False)
 
 
 def literal(text: str) -> str:
-    """A user's text for a figure: a dollar sign in it starts no formula."""
+    """A user's text for a plot: a dollar sign in it starts no formula."""
     return text.replace("$", r"\$")
 
 
@@ -74,15 +147,8 @@ def legend_above(axes: Axes, columns: int = 4) -> None:
     axes.legend(loc="lower left", bbox_to_anchor=(-0.01, 1.0), ncols=columns, borderaxespad=0.2, handlelength=1.6)
 
 
-def length_unit(size: float) -> tuple[str, float]:
-    """The unit in which people read lengths of this size in metres, and how many of them are a metre."""
-    if size >= 1.0 or not np.isfinite(size):
-        return "m", 1.0
-    return ("cm", 100.0) if size >= 0.01 else ("mm", 1000.0)
-
-
 def broken_at_gaps(times: np.ndarray, *columns: np.ndarray, gap: float = 1.0) -> tuple[np.ndarray, ...]:
-    """Times and columns with a row of NaN in each gap longer than `gap` seconds and ten usual steps."""
+    """Times and columns with a row of NaN in each gap longer than `gap` seconds and ten median steps."""
     steps = np.diff(times)
     usual = float(np.median(steps)) if len(steps) else 0.0
     at = np.flatnonzero(steps > max(gap, 10 * usual)) + 1

@@ -1,106 +1,191 @@
-"""Figures of tracks against truth: errors over time, their distribution, bearings over time.
+"""Plots of one recording's tracks: the floor plan, and bearings over time.
 
-Every function writes one PNG, whole or not at all, and returns its path; it raises UnusableInput where the file can't
-be written. The floor plan has its own file, and so have the figures that judge a filter and its tuning.
+Each function writes one PNG, whole or not at all, and returns its path; raises UnusableInput where it can't be written.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
+import polars as pl
 from matplotlib.axes import Axes
+from matplotlib.collections import EllipseCollection
+from matplotlib.lines import Line2D
 
-from experiments.plots.style import (
-    BLACK,
-    BLUE,
-    GREY,
-    SKY,
-    VERMILION,
-    broken_at_gaps,
-    drawing,
-    legend_above,
-    length_unit,
-)
-from trackers.core.metrics import percentiles
+from experiments.plots.style import BLACK, BLUE, GREY, LINES, SKY, broken_at_gaps, legend_above, literal, png
+from trackers.core.metrics import chi_square_quantile
+from trackers.core.rig import Station
+from trackers.recordings.columns import float_column
+from trackers.scoring import covariances
 
-MARKED = (50.0, 90.0, 95.0)
-"""Percentiles marked on the distribution of errors."""
+ELLIPSES = 24
+"""The most ellipses in all, at most half of them along one track; more would hide the tracks."""
 
 
-def error_over_time(
+class _Path(NamedTuple):
+    """One tag's path: times (n,), s, positions (n, 2), m, and covariances (n, 2, 2), m², NaN where none is reported."""
+
+    times: np.ndarray
+    positions: np.ndarray
+    covs: np.ndarray
+
+
+def floor_plan(
     path: Path | str,
-    times: np.ndarray,
-    errors: np.ndarray,
-    sigmas: np.ndarray,
-    bounds: np.ndarray | None = None,
-    names: Sequence[str] = ("x", "y", "z"),
-    angles: bool = False,
-    title: str = "Error over time",
+    tracks: pl.DataFrame,
+    truth: pl.DataFrame | None = None,
+    stations: Mapping[str, Station] | None = None,
+    anchors: Mapping[str, np.ndarray] | None = None,
+    title: str = "Tracks on the floor plan",
+    walls: np.ndarray | None = None,
 ) -> Path:
-    """Writes the error of each axis with the reported ± 3 σ; returns the path.
+    """Writes the floor plan of one recording: tracks, truth, rig and some 95 % ellipses; returns the path.
 
-    `times` (n,) s; `errors`, `sigmas` (n, d) m, or rad with `angles`; NaN where there is none. `bounds` (n, d), the
-    posterior Cramér–Rao bound as a standard deviation. Errors far outside the rest don't decide the scale.
+    `tracks`: rows of tag, t_s, x_m, y_m and, for ellipses, std_x_m, std_y_m, cov_xy_m2. `truth`: t_s, tag, x_m, y_m.
+    `walls`: (n, 4) m, x1, y1, x2, y2. At most six tags are drawn, and outliers don't set the scale; a note in the plot
+    says so.
     """
-    columns = [k for k in range(errors.shape[1]) if np.isfinite(errors[:, k]).any()]
-    unit, scale = _unit(errors, angles)
-    with drawing(path, 8.0, 1.0 + 1.7 * max(len(columns), 1), title) as figure:
-        panels = figure.subplots(max(len(columns), 1), 1, sharex=True, squeeze=False)[:, 0]
-        for k, axes in zip(columns, panels, strict=False):
-            limits = [] if bounds is None else [bounds[:, k]]
-            at, error, sigma, *limits = broken_at_gaps(times, errors[:, k], sigmas[:, k], *limits)
-            axes.fill_between(
-                at, -3 * scale * sigma, 3 * scale * sigma, color=SKY, alpha=0.35, lw=0, label="reported ± 3 σ"
-            )
-            axes.plot(at, scale * error, color=BLUE, linewidth=0.9, label="error")
-            for limit in limits:
-                line = {"color": VERMILION, "linewidth": 1.1, "linestyle": (0, (5, 2))}
-                axes.plot(at, 3 * scale * limit, label="± 3 × Cramér–Rao bound of this model", **line)
-                axes.plot(at, -3 * scale * limit, **line)
-            half = scale * _half_height(errors[:, k], sigmas[:, k])
-            axes.set(ylim=(-half, half), ylabel=f"error in {names[k]} ({unit})")
-            axes.margins(x=0.01)
-            _say_outside(axes, int((np.abs(scale * error) > half).sum()))
-        panels[-1].set_xlabel("time (s)")
-        if columns:
-            legend_above(panels[0])
-    return Path(path)
-
-
-def error_cdf(path: Path | str, errors: np.ndarray, title: str = "Distribution of errors") -> Path:
-    """Writes the share of estimates with at most a given error, horizontal and 3-D; returns the path.
-
-    `errors`: (n, 2) or (n, 3) m; rows without a height count horizontally only.
-    """
-    flat = errors[np.isfinite(errors[:, :2]).all(axis=1), :2]
-    curves = [("horizontal", flat, BLUE)] if len(flat) else []
-    if errors.shape[1] == 3 and np.isfinite(errors).all(axis=1).any():
-        curves.append(("3-D", errors[np.isfinite(errors).all(axis=1)], VERMILION))
-    furthest = max(percentiles(values, (99.5,))[0] for _, values, _ in curves) if len(flat) else 0.0
-    furthest = furthest or 1.0
-    unit, scale = length_unit(furthest / 2)
-    with drawing(path, 6.4, 4.4, title) as figure:
-        axes = figure.add_subplot(xlabel=f"error ({unit})", ylabel="estimates with at most this error (%)")
-        for percent in MARKED:
-            axes.axhline(percent, color=GREY, linewidth=0.7, linestyle=":")
-        for name, values, colour in curves:
-            at = percentiles(values, MARKED)
-            words = ", ".join(f"p{p:.0f} {scale * v:.3g}" for p, v in zip(MARKED, at, strict=True))
-            shares = np.linspace(0, 100, min(len(values), 2000))
+    tags = sorted(tracks["tag"].cast(pl.String).unique().to_list())
+    drawn = tags[: len(LINES)]
+    estimated = [_path_of(tracks, tag) for tag in drawn]
+    true = [] if truth is None else [_path_of(truth, tag) for tag in drawn]
+    mounted = {name: np.asarray(position)[:2] for name, position in (anchors or {}).items()}
+    mounted |= {name: np.asarray(station.position)[:2] for name, station in (stations or {}).items()}
+    certain = [*(p.positions for p in true), *(p[None] for p in mounted.values())]
+    certain += [] if walls is None else [walls.reshape(-1, 2)]
+    low, high = _limits([p.positions for p in estimated], certain)
+    width, height = _size(high - low)
+    with png(path, width, height, title) as figure:
+        axes = figure.add_subplot(aspect="equal", xlabel="x (m)", ylabel="y (m)")
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+        for x1, y1, x2, y2 in [] if walls is None else walls:
+            axes.plot([x1, x2], [y1, y2], color=GREY, linewidth=2.0, solid_capstyle="round", zorder=2)
+        _draw_rig(axes, stations or {}, anchors or {}, float(np.max(high - low)))
+        for line, colour in zip(estimated, LINES, strict=False):
+            _draw_track(axes, line, colour, min(ELLIPSES // len(drawn), ELLIPSES // 2))
+        for line in true:
+            _, positions = broken_at_gaps(line.times, line.positions)
             axes.plot(
-                scale * np.array(percentiles(values, tuple(shares))),
-                shares,
-                color=colour,
-                label=f"{name}: {words} {unit}",
+                *positions.T, color=BLACK, linewidth=0.9 if len(true) == 1 else 0.6, linestyle=(0, (4, 2)), zorder=4
             )
-            axes.plot(scale * np.array(at), MARKED, "o", color=colour, markersize=4.5, markeredgecolor="white")
-        axes.set(xlim=(0, scale * furthest * 1.05), ylim=(0, 101), yticks=(0, 25, 50, 75, 90, 95, 100))
-        if curves:
-            axes.legend(loc="lower right")
-        axes.set_title(f"{len(flat)} estimates", color=GREY, fontsize=8)
+        axes.legend(
+            handles=_handles(drawn, bool(true), bool(stations), bool(anchors)),
+            loc="upper left",
+            bbox_to_anchor=(1.01, 1.0),
+            borderaxespad=0,
+        )
+        axes.set_title("\n".join(_notes(estimated, len(tags), low, high)), color=GREY, fontsize=8)
     return Path(path)
+
+
+def _path_of(table: pl.DataFrame, tag: str) -> _Path:
+    """The rows of a tag that have a position, in time order."""
+    rows = table.filter(pl.col("tag").cast(pl.String) == tag).sort("t_s")
+    positions = np.stack([float_column(rows, "x_m"), float_column(rows, "y_m")], axis=1)
+    there = np.isfinite(positions).all(axis=1)
+    return _Path(float_column(rows, "t_s")[there], positions[there], covariances(rows)[there, :2, :2])
+
+
+def _limits(estimated: list[np.ndarray], certain: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """The axes' corners: around truth and rig, and 98 % of each tag's estimates."""
+    points = [p for p in certain if len(p)]
+    points += [np.quantile(p, (0.01, 0.99), axis=0) for p in estimated if len(p)]
+    every = np.concatenate(points) if points else np.zeros((1, 2))
+    low, high = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
+    # The millimetres of noise of a tag at rest shall not fill the plot.
+    margin = max(0.08 * float(np.max(high - low)), 0.25)
+    return low - margin, high + margin
+
+
+def _size(extent: np.ndarray) -> tuple[float, float]:
+    """Width and height in inches: a plan of about 30 square inches, and room for legend and labels."""
+    ratio = float(np.clip(extent[1] / extent[0], 0.25, 2.5))
+    width = float(np.clip(np.sqrt(30 / ratio), 3.5, 8.5))
+    return width + 1.9, width * ratio + 1.3
+
+
+def _draw_track(axes: Axes, line: _Path, colour: str, n_ellipses: int) -> None:
+    _, positions = broken_at_gaps(line.times, line.positions)
+    single = len(line.positions) == 1
+    axes.plot(
+        *positions.T, color=colour, alpha=0.9, linewidth=1.1, zorder=3, marker="o" if single else "", markersize=4
+    )
+    proper = np.flatnonzero(np.isfinite(line.covs).all(axis=(1, 2)) & (line.covs[:, 0, 0] > 0))
+    if len(proper) == 0:
+        return
+    chosen = proper[np.unique(np.linspace(0, len(proper) - 1, n_ellipses).astype(int))]
+    squares, vectors = np.linalg.eigh(line.covs[chosen])
+    axis_lengths = 2 * np.sqrt(chi_square_quantile(0.95, 2) * np.maximum(squares, 0))
+    angles = np.degrees(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1]))
+    positions = line.positions[chosen]
+    ellipses = EllipseCollection(
+        axis_lengths[:, 1],
+        axis_lengths[:, 0],
+        angles,
+        units="xy",
+        offsets=positions,
+        transOffset=axes.transData,
+        facecolors="none",
+        edgecolors=colour,
+        linewidths=0.8,
+        alpha=0.8,
+        zorder=3.5,
+    )
+    axes.add_collection(ellipses, autolim=False)
+    axes.plot(*positions.T, ".", color=colour, markersize=4, zorder=3.5)
+
+
+def _draw_rig(axes: Axes, stations: Mapping[str, Station], anchors: Mapping[str, np.ndarray], size: float) -> None:
+    """Stations as squares, with the boresight unless it points up or down; anchors as triangles."""
+    marks = [(name, float(position[0]), float(position[1]), "^", False) for name, position in anchors.items()]
+    for name, station in stations.items():
+        x, y = float(station.position[0]), float(station.position[1])
+        ahead = station.world_from_array()[:2, 2]
+        level = float(np.hypot(*ahead)) > 0.3
+        if level:
+            dx, dy = 0.06 * size * ahead / np.hypot(*ahead)
+            axes.annotate(
+                "", (x + dx, y + dy), (x, y), arrowprops={"arrowstyle": "-|>", "color": GREY, "linewidth": 1.0}
+            )
+        marks.append((name, x, y, "s", level and ahead[1] < -0.5))
+    for name, x, y, marker, above in marks:
+        axes.plot(x, y, marker, color=GREY, markersize=7, markeredgecolor="white", zorder=5)
+        offset, side = ((0, 6), "bottom") if above else ((0, -7), "top")
+        words: dict[str, Any] = {
+            "textcoords": "offset points",
+            "ha": "center",
+            "va": side,
+            "fontsize": 7,
+            "color": GREY,
+        }
+        axes.annotate(literal(name), (x, y), offset, zorder=5, **words)
+
+
+def _handles(tags: list[str], truth: bool, stations: bool, anchors: bool) -> list[Line2D]:
+    handles = [
+        Line2D([], [], color=colour, label=literal(f"tag {tag}")) for tag, colour in zip(tags, LINES, strict=False)
+    ]
+    if truth:
+        handles.append(Line2D([], [], color=BLACK, linewidth=0.9, linestyle=(0, (4, 2)), label="truth"))
+    for there, marker, label in ((stations, "s", "station"), (anchors, "^", "anchor")):
+        if there:
+            handles.append(Line2D([], [], color=GREY, linestyle="", marker=marker, label=label))
+    return handles
+
+
+def _notes(estimated: list[_Path], n_tags: int, low: np.ndarray, high: np.ndarray) -> list[str]:
+    notes = []
+    if any(np.isfinite(line.covs).all(axis=(1, 2)).any() for line in estimated):
+        notes.append("ellipses: reported 95 % regions")
+    if n_tags > len(estimated):
+        notes.append(f"{len(estimated)} of {n_tags} tags are shown")
+    outside = sum(int(((line.positions < low) | (line.positions > high)).any(axis=1).sum()) for line in estimated)
+    if outside:
+        notes.append(f"{outside} of {sum(len(line.positions) for line in estimated)} estimates lie outside the axes")
+    return notes
 
 
 def bearings_over_time(
@@ -116,7 +201,7 @@ def bearings_over_time(
 
     `times` (n,) s; `angles`, `sigmas` (n, 2) rad; `true_times` (m,) s, `true_angles` (m, 2) rad.
     """
-    with drawing(path, 8.0, 4.6, title) as figure:
+    with png(path, 8.0, 4.6, title) as figure:
         panels = figure.subplots(2, 1, sharex=True)
         for k, axes in enumerate(panels):
             true = None if true_times is None or true_angles is None else true_angles[:, k]
@@ -148,28 +233,7 @@ def _circular_mean(angle: np.ndarray) -> float:
 
 
 def _degrees_about(middle: float, angle: np.ndarray) -> np.ndarray:
-    """The angles in degrees within half a turn of `middle`, NaN where they jump: no line shall cross the panel."""
+    """The angles in degrees within half a turn of `middle`, NaN at jumps, so that no line crosses the panel."""
     degrees = np.degrees(middle + np.pi - (np.pi - (angle - middle)) % (2 * np.pi))
     jumps = np.append(np.abs(np.diff(degrees)) > 180, False)
     return np.where(jumps, np.nan, degrees)
-
-
-def _unit(errors: np.ndarray, angles: bool) -> tuple[str, float]:
-    if angles:
-        return "°", 180 / np.pi
-    known = np.abs(errors[np.isfinite(errors)])
-    return length_unit(float(np.quantile(known, 0.95)) if len(known) else 1.0)
-
-
-def _half_height(error: np.ndarray, sigma: np.ndarray) -> float:
-    """Half the height of a panel: nearly all errors, and the usual 3 σ unless it dwarfs them."""
-    most = float(np.nanquantile(np.abs(error), 0.995))
-    known = sigma[np.isfinite(sigma)]
-    band = 3 * float(np.quantile(known, 0.9)) if len(known) else 0.0
-    return 1.15 * max(most, min(band, 4 * most)) or 1e-9
-
-
-def _say_outside(axes: Axes, outside: int) -> None:
-    if outside:
-        text = f"{outside} outside the picture"
-        axes.text(0.995, 0.03, text, transform=axes.transAxes, ha="right", va="bottom", fontsize=7, color=GREY)

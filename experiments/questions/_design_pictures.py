@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from experiments.plots.study_pictures import picture
+from experiments.plots.style import write_svg
 
 
 def maps(
@@ -48,4 +48,4 @@ def maps(
         bar.ax.yaxis.set_major_formatter("{x:.1f}")
         figure.suptitle(what, x=0.01, ha="left", fontsize=9)
 
-    return picture(folder, name, draw, 7.0, 6.0 if stacked else 3.0)
+    return write_svg(folder, name, draw, 7.0, 6.0 if stacked else 3.0)

@@ -20,9 +20,7 @@ from matplotlib.ticker import PercentFormatter
 from experiments.monte_carlo.declaration import Study, TrackerConfig, World
 from experiments.monte_carlo.expectations import Conclusion, ExpectedResult, Value
 from experiments.monte_carlo.results import Results, resampled
-from experiments.plots.drawings import plain
-from experiments.plots.study_pictures import picture
-from experiments.plots.style import BLUE, GREY, ORANGE, VERMILION
+from experiments.plots.style import BLUE, GREY, ORANGE, VERMILION, plain, write_svg
 from experiments.questions._bench import BIAS, MEASURES, SIGMA_P, SIGMA_R, bench
 
 SPACINGS = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
@@ -112,7 +110,7 @@ def draw(results: Results, folder: Path) -> list[str]:
         figure.supxlabel("spacing of the points of work", fontsize=9)
         figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=4)
 
-    return [picture(folder, "right-place.svg", panels, 7.0, 4.6)]
+    return [write_svg(folder, "right-place.svg", panels, 7.0, 4.6)]
 
 
 def _at(results: Results, measure: str, tracker: str, spacing: float) -> Value:

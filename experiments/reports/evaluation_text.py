@@ -1,4 +1,4 @@
-"""An evaluation as a table for people and as JSON for programs."""
+"""An evaluation as a table for a terminal and as JSON."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from rich.console import Console
 from rich.table import Table
 
-from experiments.cli.console import compact_table, rendered
+from experiments.reports.tables import compact_table, rendered, width_of
+from experiments.reports.wording import Unit, fixed, length_unit
 from trackers.evaluation import Evaluation, Metrics
 from trackers.recordings.atomic import json_text
 
 SHOWN_TRACKS = 10
-"""More tracks of one recording than this are not listed; its worst are."""
+"""The most tracks listed per recording: the worst."""
 
 
 class Column(NamedTuple):
-    """A figure's column: heading, name, factor and digits (None for an error, which is shown in the table's unit)."""
+    """Column of a metric: heading, name, factor (None for an error, in the table's unit), digits, kept if narrow."""
 
     title: str
-    figure: str
+    metric: str
     scale: float | None = None
     digits: int = 1
     main: bool = True
@@ -56,34 +56,33 @@ BELIEF_COLUMNS = (
 
 
 def to_json(evaluation: Evaluation, work: Mapping[str, Any] | None = None) -> str:
-    """Every figure as JSON, the missing ones as null; `work`: what there is to say of points of work."""
+    """All metrics as JSON, missing ones as null; `work`: those of fastening points, if any."""
     kind = "bearing" if evaluation.bearing else "position"
     parts = {"overall": evaluation.overall, "recordings": evaluation.recordings, "tracks": evaluation.tracks}
     return json_text({"kind": kind, **parts} | ({} if work is None else {"worksteps": work}))
 
 
 def to_text(evaluation: Evaluation, width: int = 120) -> str:
-    """The figures as a table and what was not counted; the main figures only where `width` characters hold no more."""
-    console = Console(width=width)
+    """The metrics as a table, and the excluded rows; only the main metrics where `width` characters hold no more."""
     columns = (BEARING_COLUMNS if evaluation.bearing else POSITION_COLUMNS) + BELIEF_COLUMNS
     table = _table(evaluation, columns)
-    if console.measure(table, options=console.options.update(max_width=10_000)).maximum > width:
+    if width_of(table) > width:
         columns = tuple(column for column in columns if column.main)
         table = _table(evaluation, columns)
     return rendered(width, table, *_notes(evaluation, columns))
 
 
 def _table(evaluation: Evaluation, columns: Sequence[Column]) -> Table:
-    unit, scale, digits = _unit(evaluation)
+    unit, digits = _unit(evaluation)
     what = "Bearing errors" if evaluation.bearing else "Horizontal and 3-D position errors"
-    table = compact_table(f"{what} in {unit}")
-    for name in _labels(evaluation):
-        table.add_column(name, overflow="fold")
-    for name in ("n", *(column.title for column in columns)):
-        table.add_column(name, justify="right", no_wrap=True)
-    for labels, figures, style in _lines(evaluation):
-        cells = [_number(figures[c.figure], c.scale or scale, digits if c.scale is None else c.digits) for c in columns]
-        table.add_row(*labels, str(figures["n"]), *cells, style=style)
+    table = compact_table(f"{what} in {unit.name}", _labels(evaluation), ["n", *(column.title for column in columns)])
+    for labels, metrics, style in _lines(evaluation):
+        cells = []
+        for column in columns:
+            value, scale = metrics[column.metric], column.scale or unit.factor
+            shown = digits if column.scale is None else column.digits
+            cells.append(fixed(None if value is None else value * scale, shown))
+        table.add_row(*labels, str(metrics["n"]), *cells, style=style)
     return table
 
 
@@ -92,7 +91,7 @@ def _labels(evaluation: Evaluation) -> list[str]:
 
 
 def _lines(evaluation: Evaluation) -> list[tuple[list[str], Metrics, str | None]]:
-    """The table's rows: labels, figures, style."""
+    """The table's rows: labels, metrics, style."""
     labels = _labels(evaluation)
     lines: list[tuple[list[str], Metrics, str | None]] = []
     for recording in evaluation.recordings:
@@ -113,37 +112,28 @@ def _worst(tracks: list[Metrics], bearing: bool) -> list[Metrics]:
     return sorted(tracks, key=lambda track: -1.0 if track[by] is None else track[by], reverse=True)[:SHOWN_TRACKS]
 
 
-def _unit(evaluation: Evaluation) -> tuple[str, float, int]:
-    """The unit's name, how many of them are one SI unit, and the digits after the point."""
+def _unit(evaluation: Evaluation) -> tuple[Unit, int]:
+    """The unit of the errors, and their digits after the point."""
     if evaluation.bearing:
-        return "degrees", 180 / math.pi, 2
-    size = evaluation.overall["rmse_m"]
-    if size >= 1.0:
-        return "m", 1.0, 3
-    return ("cm", 100.0, 1) if size >= 0.01 else ("mm", 1000.0, 2)
-
-
-def _number(value: float | None, scale: float, digits: int) -> str:
-    # Zero is added because a rounded −0.0 would be printed with its sign.
-    return "–" if value is None else f"{round(value * scale, digits) + 0.0:.{digits}f}"
+        return Unit("degrees", 180 / math.pi), 2
+    unit = length_unit(evaluation.overall["rmse_m"])
+    return unit, {"m": 3, "cm": 1, "mm": 2}[unit.name]
 
 
 def _notes(evaluation: Evaluation, columns: Sequence[Column]) -> list[str]:
     overall, notes = evaluation.overall, []
     if max(Counter(track["recording"] for track in evaluation.tracks).values()) > SHOWN_TRACKS:
-        notes.append(f"Of a recording's tracks at most {SHOWN_TRACKS} are listed, those with the largest p95.")
-    if any(overall[c.figure] is not None for c in columns if c.figure in ("nees_mean", "nis_ratio")):
-        notes.append(
-            "NEES/dof and NIS/dof are 1 where the reported covariance is right, above 1 where it is too small."
-        )
+        notes.append(f"At most {SHOWN_TRACKS} tracks per recording are listed, those with the largest p95.")
+    if any(overall[c.metric] is not None for c in columns if c.metric in ("nees_mean", "nis_ratio")):
+        notes.append("NEES/dof and NIS/dof are 1 for correct covariances, above 1 for covariances that are too small.")
     if evaluation.bearing:
-        notes.append("The angle is between the estimated and the true direction.")
+        notes.append("angle: between the estimated and the true direction.")
     reasons = {
         "n_no_estimate": "without an estimate",
         "n_no_truth": "without truth at their time",
-        "n_hole": "in holes of the truth",
+        "n_hole": "in gaps of the truth",
     }
     n_excluded = [f"{overall[name]} {why}" for name, why in reasons.items() if overall[name]]
     if n_excluded:
-        notes.append(f"Not counted of {overall['n_rows']} rows: {', '.join(n_excluded)}.")
+        notes.append(f"Excluded of {overall['n_rows']} rows: {', '.join(n_excluded)}.")
     return notes

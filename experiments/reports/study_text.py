@@ -1,4 +1,4 @@
-"""A study's figures and claims as tables on a terminal, and as JSON."""
+"""A study's metrics and expected results as tables for a terminal, and as JSON."""
 
 from __future__ import annotations
 
@@ -6,92 +6,75 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from rich import box
 from rich.table import Table
 
-from experiments.cli.console import rendered
 from experiments.monte_carlo.declaration import Study
 from experiments.monte_carlo.expectations import Conclusion, ExpectedResult, Value
 from experiments.monte_carlo.results import NAMES, Results
-from experiments.reports.wording import Unit, heading, units_of, with_interval
+from experiments.reports.tables import aligned, rendered, ruled_table
+from experiments.reports.wording import Unit, heading, units_of, with_interval, yes_no
 from trackers.recordings.atomic import json_text
 
 WIDTH = 160
 
 
-def to_text(results: Results, claims: Sequence[ExpectedResult | Conclusion]) -> str:
-    """The main figures of every cell and tracker, and what was printed beside ours."""
+def to_text(results: Results, expected: Sequence[ExpectedResult | Conclusion]) -> str:
+    """The main metrics of every condition and tracker, and the expected results beside ours."""
     shown = results.main_metrics()
     units = units_of({f: [v.value for v in found.values()] for f, found in shown.items()})
-    tables = [_table(results.study, figure, found, units[figure]) for figure, found in shown.items()]
-    printed = [t for t in (_claims(claims), _conclusions(claims)) if t is not None]
-    return rendered(WIDTH, *tables, *printed)
+    tables = [
+        _table(results.study, heading(metric, units[metric]), found, units[metric]) for metric, found in shown.items()
+    ]
+    reproduced = [t for t in (_expected(expected), _conclusions(expected)) if t is not None]
+    return rendered(WIDTH, *tables, *reproduced)
 
 
-def _table(study: Study, figure: str, found: Mapping[tuple[int, str], Value], unit: Unit) -> Table:
-    title = heading(figure) + (f", {unit.name}" if unit.name else "")
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("world")
-    for name in study.trackers:
-        table.add_column(name, justify="right")
-    for condition in study.conditions:
-        table.add_row(condition.label, *(with_interval(found[condition.index, t], unit) for t in study.trackers))
-    return table
+def _table(study: Study, title: str, found: Mapping[tuple[int, str], Value], unit: Unit) -> Table:
+    rows = [[c.label, *(with_interval(found[c.index, t], unit) for t in study.trackers)] for c in study.conditions]
+    return ruled_table(title, ["world", *study.trackers], 1, rows)
 
 
-def _claims(claims: Sequence[ExpectedResult | Conclusion]) -> Table | None:
-    own = [c for c in claims if isinstance(c, ExpectedResult)]
-    if not own:
-        return None
-    table = Table(title="Printed and ours", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
-    for name in ("figure", "printed", "ours (95 %)", "unit", "ratio", "", "reached"):
-        table.add_column(name, justify="left" if name in ("figure", "unit", "", "reached") else "right")
-    for c in own:
-        reached = "" if c.reached is None else "yes" if c.reached else "no"
-        interval = with_interval(c.ours, Unit(c.unit, 1.0))
-        kind = "fitted" if c.fitted else "predicted"
-        table.add_row(c.quantity, f"{c.printed:g}", interval, c.unit, f"{c.ratio:.2f}", kind, reached)
-    return table
+def _expected(expected: Sequence[ExpectedResult | Conclusion]) -> Table | None:
+    rows = [
+        [r.quantity, r.unit, "fitted" if r.fitted else "predicted", f"{r.printed:g}",
+         with_interval(r.ours, Unit(r.unit, 1.0)), f"{r.ratio:.2f}", yes_no(r.reached)]
+        for r in expected if isinstance(r, ExpectedResult)
+    ]  # fmt: skip
+    head = ("result", "unit", "kind", "printed", "ours (95 %)", "ratio", "reached")
+    return ruled_table("Printed and ours", head, 3, rows) if rows else None
 
 
-def _conclusions(claims: Sequence[ExpectedResult | Conclusion]) -> Table | None:
-    own = [c for c in claims if isinstance(c, Conclusion)]
-    if not own:
-        return None
-    table = Table(title="Conclusions", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
-    for name in ("says", "holds", "evidence"):
-        table.add_column(name)
-    for c in own:
-        table.add_row(c.statement, "yes" if c.holds else "no", c.evidence)
-    return table
+def _conclusions(expected: Sequence[ExpectedResult | Conclusion]) -> Table | None:
+    rows = [[c.statement, yes_no(c.holds), c.evidence] for c in expected if isinstance(c, Conclusion)]
+    return ruled_table("Conclusions", ("conclusion", "holds", "evidence"), 3, rows) if rows else None
 
 
-def to_json(results: Results, claims: Sequence[ExpectedResult | Conclusion]) -> str:
-    """Every figure of every cell and tracker with its interval, and the differences from the first tracker."""
-    figures = _all_figures(results)
+def to_json(results: Results, expected: Sequence[ExpectedResult | Conclusion]) -> str:
+    """All metrics of every condition and tracker with intervals, and the differences from the first tracker."""
+    metrics = _all_metrics(results)
     return json_text(
         {
             "study": results.study.name,
             "about": results.study.about,
             "seed": results.study.seed,
-            "sha256": digest(figures),
+            "sha256": digest(metrics),
             "computing_s": results.seconds,
-            "cells": figures,
+            "cells": metrics,
             "us_per_row": {
                 c.label: {t: results.at("us_per_row", c, t).value for t in results.study.trackers}
                 for c in results.study.conditions
             },
-            "claims": [_claim(c) for c in claims],
+            "claims": [_claim(c) for c in expected],
         }
     )
 
 
-def digest(figures: Any) -> str:
-    """The SHA-256 of all figures but the computing times, which differ from run to run."""
-    return hashlib.sha256(json_text(figures).encode()).hexdigest()
+def digest(metrics: Any) -> str:
+    """The SHA-256 of all metrics but the computing times, which differ from run to run."""
+    return hashlib.sha256(json_text(metrics).encode()).hexdigest()
 
 
-def _all_figures(results: Results) -> list[dict[str, Any]]:
+def _all_metrics(results: Results) -> list[dict[str, Any]]:
     study, made = results.study, []
     names = [*(n for n in NAMES if n != "us_per_row"), *study.measures]
     reference = next(iter(study.trackers))
@@ -100,7 +83,7 @@ def _all_figures(results: Results) -> list[dict[str, Any]]:
             values = {n: results.at(n, condition, tracker) for n in names if _has(results, n, condition.index, tracker)}
             known = {n: v for n, v in values.items() if v.value == v.value}
             differences = {
-                n: results.compared(_less, n, condition, tracker, reference)._asdict()
+                n: results.compared(_difference, n, condition, tracker, reference)._asdict()
                 for n in known
                 if tracker != reference and _has(results, n, condition.index, reference)
             }
@@ -117,17 +100,17 @@ def _all_figures(results: Results) -> list[dict[str, Any]]:
     return made
 
 
-def _less(a: Any, b: Any) -> Any:
+def _difference(a: Any, b: Any) -> Any:
     return a - b
 
 
-def _has(results: Results, figure: str, condition: int, tracker: str) -> bool:
-    """Whether a figure of a kind of error that the tracker doesn't have is asked for."""
+def _has(results: Results, metric: str, condition: int, tracker: str) -> bool:
+    """Whether the tracker has the kind of error that the metric is of."""
     kept = results.totals[condition, tracker]
     kinds = ("3d_m", "direction_rad", "azimuth_rad", "elevation_rad", "m")
-    if figure in kept.measures or figure.startswith("bound"):
+    if metric in kept.measures or metric.startswith("bound"):
         return True
-    kind = next((k for k in kinds if figure.endswith(f"_{k}")), None)
+    kind = next((k for k in kinds if metric.endswith(f"_{k}")), None)
     return kind is None or kind in kept.histograms
 
 
@@ -148,6 +131,5 @@ def _claim(claim: ExpectedResult | Conclusion) -> dict[str, Any]:
 
 
 def study_names(studies: Sequence[Study]) -> str:
-    """The studies with what they ask, for `--list`."""
-    width = max(len(s.name) for s in studies)
-    return "\n".join(f"{s.name:{width}}  {s.about}" for s in studies)
+    """Names and questions of the studies, for `--list`."""
+    return aligned([(s.name, s.about) for s in studies])

@@ -1,4 +1,4 @@
-"""What a report of a tuning run is made of: plain numbers and text, as `gather` collects them."""
+"""The data of a tuning report: numbers and text only, as `tuning_collect.collect` gathers them."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from tuning.surface import Surface
 
 
 @dataclass(frozen=True)
-class TunedNumber:
-    """One number before and after; `low`, `high`: its 95 % interval, NaN where there is none.
+class TunedParameter:
+    """A parameter before and after; `low`, `high`: its 95 % interval, NaN where there is none.
 
-    `determined`: whether the recordings determine it; None where the objective says nothing on that.
+    `determined`: whether the recordings determine it; None where the objective has no information on that.
     """
 
     name: str
@@ -27,11 +27,11 @@ class TunedNumber:
 
 
 @dataclass(frozen=True)
-class Score:
-    """One figure of merit before and after, on the recordings tuned on and on those held out; NaN where it is missing.
+class MetricChange:
+    """A metric before and after, on the recordings tuned on and on those held out; NaN where missing.
 
-    `key`: what it is, as `rmse` or `nis-shape`. `target`: the value of a filter that tells the truth about itself, as 1
-    for NIS per degree of freedom; None where less is better.
+    `key`: its name, as `rmse` or `nis-shape`. `target`: its value for a consistent filter, as 1 for NIS per degree of
+    freedom; None where lower is better.
     """
 
     key: str
@@ -43,17 +43,17 @@ class Score:
 
 
 @dataclass(frozen=True)
-class Descent:
-    """The way from one start: the objective (i,) and the tuned numbers (i, p), physical, at every step."""
+class OptimiserTrace:
+    """The steps from one start: the objective (i,) and the physical values (i, p) of the parameters."""
 
     name: str
     objective: np.ndarray
-    numbers: np.ndarray
+    values: np.ndarray
 
 
 @dataclass(frozen=True)
 class ErrorTrack:
-    """Lengths of errors of one trajectory before and after (t,), in the evidence's error unit, NaN where unknown."""
+    """Absolute errors of one trajectory before and after (t,), in the report's error unit, NaN where unknown."""
 
     name: str
     times: np.ndarray
@@ -62,38 +62,38 @@ class ErrorTrack:
 
 
 @dataclass(frozen=True)
-class TuningEvidence:
-    """Everything that the report shows.
+class TuningReportData:
+    """Everything that a tuning report shows.
 
-    `command`, `again`: what was typed, and what to type to use the result and to run it again. `tracker`, `objective`:
-    names, `tracker_about`, `objective_about`: the same in words. `training`, `held_out`: names of recordings.
-    `descents`: one for each start, the best first. `judged_on`: in words, on which recordings `innovations` (before,
-    after) and `errors` were seen. `identifiability_issues`: sentences on what the recordings leave open. `notes`: sentences on what
-    went otherwise than usual. `provenance`: pairs of title and text.
+    `command`: as typed; `next_commands`: to use the result and to repeat the run. `tracker`, `objective`: names,
+    `tracker_about`, `objective_about`: the same in words. `training`, `held_out`: names of recordings. `traces`: one
+    per start, the best first. `evaluated_on`: in words, the recordings of `innovations` (before, after) and `errors`.
+    `issues`: sentences on undetermined parameters. `notes`: sentences on irregularities of the run. `provenance`: pairs
+    of name and text.
     """
 
     command: str
-    again: tuple[str, ...]
+    next_commands: tuple[str, ...]
     tracker: str
     tracker_about: str
     objective: str
     objective_about: str
     training: tuple[str, ...]
     held_out: tuple[str, ...]
-    numbers: tuple[TunedNumber, ...]
-    scores: tuple[Score, ...]
-    descents: tuple[Descent, ...]
-    landscape: Surface | None
-    judged_on: str
+    parameters: tuple[TunedParameter, ...]
+    metrics: tuple[MetricChange, ...]
+    traces: tuple[OptimiserTrace, ...]
+    surface: Surface | None
+    evaluated_on: str
     innovations: tuple[Innovations, Innovations] | None
     errors: tuple[ErrorTrack, ...]
     error_unit: str
     filter_runs: int
     seconds: float
-    identifiability_issues: tuple[str, ...] = ()
+    issues: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     provenance: tuple[tuple[str, str], ...] = ()
 
-    def score(self, key: str) -> Score | None:
-        """The score of this key, where there is one."""
-        return next((s for s in self.scores if s.key == key), None)
+    def metric(self, key: str) -> MetricChange | None:
+        """The metric of this key, or None."""
+        return next((m for m in self.metrics if m.key == key), None)

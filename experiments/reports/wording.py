@@ -1,4 +1,4 @@
-"""How a study's figures are said to a person: units, digits, intervals, headings."""
+"""Numbers, units, intervals, names and lists as text, for tables, pages and plots."""
 
 from __future__ import annotations
 
@@ -9,73 +9,104 @@ from typing import NamedTuple
 import numpy as np
 
 from experiments.monte_carlo.expectations import Value
-from experiments.plots.style import length_unit
 
+MISSING = "–"
 WORDS = {
     "rmse": "RMSE", "mean": "mean error", "median": "median error", "p90": "90th percentile",
     "p95": "95th percentile", "p99": "99th percentile", "max": "largest error", "bound": "Cramér–Rao bound",
     "variance_m2": "variance of the error",
-    "nees_mean": "NEES, 2 expected", "nees_3d_mean": "NEES in space, 3 expected",
+    "nees_mean": "NEES, 2 expected", "nees_3d_mean": "NEES in 3-D, 3 expected",
     "coverage_95": "inside the 95 % ellipse", "nis_ratio": "NIS per degree of freedom, 1 expected",
     "lost_fraction": "rows lost", "diverged": "trajectories lost at least once",
-    "failed": "trajectories without a usable estimate", "us_per_row": "computing time of a row",
+    "failed": "trajectories without a usable estimate", "us_per_row": "computing time per row",
 }  # fmt: skip
-SUFFIXES = {"3d_m": "in space", "direction_rad": "of direction", "azimuth_rad": "of azimuth",
+SUFFIXES = {"3d_m": "in 3-D", "direction_rad": "of direction", "azimuth_rad": "of azimuth",
             "elevation_rad": "of elevation", "m": "", "rad": "", "m2": "", "s": ""}  # fmt: skip
 PERCENT = ("coverage_95", "lost_fraction", "diverged", "failed")
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 class Unit(NamedTuple):
-    """The unit in which a figure is read, and how many of them one of ours is."""
+    """The unit in which a metric is shown, and the factor to it from the stored one."""
 
     name: str
     factor: float
 
 
-def unit_of(figure: str, values: Iterable[float]) -> Unit:
-    """The unit in which people read figures of this name and these sizes."""
+NO_UNIT = Unit("", 1.0)
+
+
+def length_unit(size: float) -> Unit:
+    """The customary unit of lengths of about `size` metres."""
+    if size >= 1.0 or not math.isfinite(size):
+        return Unit("m", 1.0)
+    return Unit("cm", 100.0) if size >= 0.01 else Unit("mm", 1000.0)
+
+
+def unit_of(metric: str, values: Iterable[float]) -> Unit:
+    """The customary unit of a metric of this name and these sizes."""
     known = [abs(v) for v in values if math.isfinite(v)]
-    if figure in PERCENT or figure.endswith("_share"):
+    if metric in PERCENT or metric.endswith("_share"):
         return Unit("%", 100.0)
-    if figure.endswith("_rad"):
+    if metric.endswith("_rad"):
         return Unit("°", float(np.rad2deg(1.0)))
-    if figure.endswith("_m2"):
+    if metric.endswith("_m2"):
         return Unit("cm²", 1e4)
-    if figure.endswith("_m"):
-        return Unit(*length_unit(float(np.median(known)) if known else math.nan))
-    if figure == "us_per_row":
+    if metric.endswith("_m"):
+        return length_unit(float(np.median(known)) if known else math.nan)
+    if metric == "us_per_row":
         return Unit("µs", 1.0)
-    return Unit("s" if figure.endswith("_s") else "", 1.0)
+    return Unit("s" if metric.endswith("_s") else "", 1.0)
 
 
 def units_of(values: Mapping[str, Sequence[float]]) -> dict[str, Unit]:
-    """The units of figures that stand side by side: all lengths in that of the first."""
-    units = {figure: unit_of(figure, numbers) for figure, numbers in values.items()}
-    lengths = [figure for figure in units if figure.endswith("_m")]
-    return units | dict.fromkeys(lengths, units[lengths[0]] if lengths else Unit("", 1.0))
+    """The units of metrics shown side by side: all lengths in that of the first."""
+    units = {metric: unit_of(metric, numbers) for metric, numbers in values.items()}
+    lengths = [metric for metric in units if metric.endswith("_m")]
+    return units | dict.fromkeys(lengths, units[lengths[0]] if lengths else NO_UNIT)
 
 
-def heading(figure: str) -> str:
-    """A figure's name in words."""
-    if figure in WORDS:
-        return WORDS[figure]
-    what, _, suffix = figure.partition("_")
+def heading(metric: str, unit: Unit = NO_UNIT, space: str = " ") -> str:
+    """A metric's name in words, with the unit where it has one."""
+    return _name(metric) + (f",{space}{unit.name}" if unit.name else "")
+
+
+def _name(metric: str) -> str:
+    if metric in WORDS:
+        return WORDS[metric]
+    what, _, suffix = metric.partition("_")
     if what in WORDS and suffix in SUFFIXES:
         return f"{WORDS[what]} {SUFFIXES[suffix]}".strip()
     for ending, words in SUFFIXES.items():
-        if figure.endswith(f"_{ending}"):
-            return f"{_spoken(figure[: -len(ending) - 1])} {words}".strip()
-    return _spoken(figure.removesuffix("_share"))
+        if metric.endswith(f"_{ending}"):
+            return f"{_spaced(metric[: -len(ending) - 1])} {words}".strip()
+    return _spaced(metric.removesuffix("_share"))
 
 
-def _spoken(name: str) -> str:
+def _spaced(name: str) -> str:
     return " ".join("RMSE" if word == "rmse" else word for word in name.split("_"))
 
 
-def said(value: float, spread: float) -> str:
-    """A number with the digits that its spread leaves it, two or three where the spread is unknown."""
+def number(value: float) -> str:
+    """Four significant digits with a true minus sign; a dash for NaN and infinities."""
     if not math.isfinite(value):
-        return "–"
+        return MISSING
+    text = f"{value:.4g}"
+    if "e" in text:
+        mantissa, exponent = text.split("e")
+        text = f"{mantissa}·10{str(int(exponent)).translate(SUPERSCRIPTS)}"
+    return text.replace("-", "−")
+
+
+def fixed(value: float | None, digits: int) -> str:
+    """So many digits after the point, never −0; a dash for None and NaN."""
+    return MISSING if value is None or math.isnan(value) else f"{round(value, digits) + 0.0:.{digits}f}"
+
+
+def rounded(value: float, spread: float) -> str:
+    """The digits that the spread of the value justifies, two or three where it is unknown."""
+    if not math.isfinite(value):
+        return MISSING
     if value == 0:
         return "0"
     size = spread / 2 if math.isfinite(spread) and spread > 0 else abs(value) / 10
@@ -83,11 +114,48 @@ def said(value: float, spread: float) -> str:
     return f"{value:.{digits}f}"
 
 
-def with_interval(value: Value, unit: Unit) -> str:
-    """A figure with its interval; without it where there is none, or its ends are the same but for rounding."""
+def with_interval(value: Value, unit: Unit = NO_UNIT) -> str:
+    """A metric with its interval; alone where the interval is unknown or empty after rounding."""
     scaled = value.times(unit.factor)
     spread = scaled.high - scaled.low
-    low, high = said(scaled.low, spread), said(scaled.high, spread)
+    low, high = rounded(scaled.low, spread), rounded(scaled.high, spread)
     if not math.isfinite(spread) or low == high:
-        return said(scaled.value, math.nan)
-    return f"{said(scaled.value, spread)} ({low} … {high})"
+        return rounded(scaled.value, math.nan)
+    return f"{rounded(scaled.value, spread)} ({low} … {high})"
+
+
+def percent_change(before: float, after: float) -> str:
+    """The relative change in per cent with its sign; empty where it is undefined."""
+    if not (math.isfinite(before) and math.isfinite(after) and before > 0):
+        return ""
+    change = 100 * (after / before - 1)
+    digits = 0 if abs(change) >= 10 else 1
+    return f"{change:+.{digits}f} %".replace("-", "−")
+
+
+def duration(seconds: float) -> str:
+    """Seconds, minutes or hours with one digit after the point."""
+    if seconds < 120:
+        return f"{seconds:.1f} s"
+    return f"{seconds / 60:.1f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
+
+
+def counted(count: int, noun: str) -> str:
+    """A count with its noun, in the plural unless it is one."""
+    return f"{count} {noun}" + ("" if count == 1 else "s")
+
+
+def listed(names: Sequence[str], most: int = 12) -> str:
+    """Names with commas between them, at most so many."""
+    more = len(names) - most
+    return ", ".join(names[:most]) + (f" and {more} more" if more > 0 else "")
+
+
+def yes_no(value: bool | None) -> str:
+    """yes, no, or nothing where it is unknown."""
+    return "" if value is None else "yes" if value else "no"
+
+
+def uncapitalised(text: str) -> str:
+    """The text for the middle of a sentence; an abbreviation at its beginning stays in capitals."""
+    return text if text[:2].isupper() else text[0].lower() + text[1:]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from rich.table import Table
 
-from experiments.cli.console import compact_table, rendered
+from experiments.reports.tables import compact_table, rendered
 from trackers.worksteps.decisions import LEVEL
 from trackers.worksteps.metrics import Share, UnlockMetrics
 from trackers.worksteps.tracks import WorkstepReport
@@ -23,12 +23,8 @@ def to_text(report: WorkstepReport, width: int = 120) -> str:
 
 
 def _table(report: WorkstepReport) -> Table:
-    table = compact_table(
-        f"Unlock decisions at {LEVEL:.0%} and within {report.tolerance:g} m; % of rows at a fastening point [95 %]"
-    )
-    table.add_column("point", overflow="fold")
-    for name in ("n", "visits", "right", "wrong", "missed", "named right"):
-        table.add_column(name, justify="right", no_wrap=True)
+    title = f"Unlock decisions at {LEVEL:.0%} and within {report.tolerance:g} m; % of rows at a fastening point [95 %]"
+    table = compact_table(title, ["point"], ["n", "visits", "right", "wrong", "missed", "named right"])
     listed = sorted(report.by_point.items(), key=lambda item: -item[1].wrong.value)[:SHOWN_POINTS]
     shown = {name for name, _ in listed}
     for name, w in report.by_point.items():

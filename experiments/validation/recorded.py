@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from experiments.cli.subprocesses import command, figures, real_recordings
+from experiments.reports.tables import aligned
 
 OUT = Path("out/recorded")
 
@@ -70,9 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             table += judged(folder, run, best)
     print("\nRMSE in m; the baseline is a Kalman filter tuned on the very recording")
     head = ("recording", "tracker", "horizontal", "smoothed", "baseline", "3-D", "smoothed", "baseline")
-    widths = [max(len(row[k]) for row in [head, *table]) for k in range(len(head))]
-    for row in [head, *table]:
-        print("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip())
+    print(aligned([head, *table]))
     return 0
 
 

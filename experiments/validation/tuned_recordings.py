@@ -20,16 +20,12 @@ set_flags()
 
 from experiments.cli.subprocesses import real_recordings  # noqa: E402
 from experiments.cli.tuning_job import job_of, only_group  # noqa: E402
-from experiments.reports.tuning_collect import innovations_of  # noqa: E402
 from trackers.catalogue import spec_of  # noqa: E402
-from trackers.core.tunable import (
-    tunables,
-    with_values,
-)
+from trackers.core.tunable import tunables, with_values  # noqa: E402
 from trackers.recordings.folder import read_recording  # noqa: E402
 from trackers.recordings.tracks import batches  # noqa: E402
 from tuning import NegativeLogLikelihood, fit  # noqa: E402
-from tuning.diagnostics import contradicted  # noqa: E402
+from tuning.diagnostics import contradicted, innovations_of  # noqa: E402
 from tuning.metrics import all_metrics  # noqa: E402
 
 WORSE = 1.02
@@ -106,8 +102,8 @@ def shown(name: str, split: Split, folder: Path) -> bool:
         if after["rmse"] > WORSE * before["rmse"]:
             worse = True
             runs = [(tracked.run(x), x.size) for x in rows]
-            said = innovations_of([found[k] for found, size in runs for k in range(size)], tracked)
-            why = [] if said is None else contradicted(said)
+            innovations = innovations_of(tracked, [found[k] for found, size in runs for k in range(size)])
+            why = [] if innovations is None else contradicted(innovations)
             print(f"{'':20s}worse; the innovations contradict: {'; '.join(why) or 'nothing'}", flush=True)
     listed = ", ".join(f"{k} {v:.3g}" for k, v in result.values.items() if v.ndim == 0)
     print(f"{'':20s}{time.perf_counter() - began:.0f} s; {listed}", flush=True)

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from experiments.cli.console import progress
+from experiments.reports.tables import aligned
 from sim.line import SITUATIONS, simulate_line
 from trackers.catalogue import spec_of
 from trackers.core.recording import Batch
@@ -173,17 +174,16 @@ def failed(swept: Sequence[Found], fitted: Sequence[Found], figures: Sequence[Ju
 def table(every: Sequence[Found], figures: Sequence[Judged]) -> str:
     """The methods side by side."""
     first = every[0]
-    lines = [
-        f"{'method':<19}{'of':<11}{'made small':>10}{'σ_a':>9}{'RMSE cm':>9}{'nll':>9}"
-        f"{'runs':>7}{'fewer':>8}{'seconds':>9}{'faster':>8}"
+    rows: list[tuple[str, ...]] = [
+        ("method", "tracker", "objective", "σ_a", "RMSE cm", "nll", "runs", "fewer", "seconds", "faster")
     ]
     for found, one in zip(every, figures, strict=True):
-        lines.append(
-            f"{found.method:<19}{found.tracker:<11}{found.goal:>10}{found.sigma:>9.4f}"
-            f"{100 * one.rmse:>9.2f}{one.nll:>9.4f}{found.runs:>7}{first.runs / found.runs:>8.1f}"
-            f"{found.seconds:>9.1f}{first.seconds / found.seconds:>8.1f}"
-        )
-    return "\n".join(lines)
+        rows.append(
+            (found.method, found.tracker, found.goal, f"{found.sigma:.4f}", f"{100 * one.rmse:.2f}", f"{one.nll:.4f}",
+             str(found.runs), f"{first.runs / found.runs:.1f}", f"{found.seconds:.1f}",
+             f"{first.seconds / found.seconds:.1f}")
+        )  # fmt: skip
+    return aligned(rows, range(3, 10))
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 from experiments.cli.subprocesses import command, figures, real_recordings
+from experiments.reports.tables import aligned
 
 OUT = Path("out/walks")
 USE_CASES = ("u1", "u2", "u3")
@@ -32,12 +33,12 @@ def main() -> None:
     known, free, smoothed = ({r["recording"]: r for r in figures(OUT / name)["recordings"]} for name in names)
     print("\nRMSE in m, tuned on the r1 recordings, one noise set for all")
     heads = ("horizontal, height known", "… smoothed", "horizontal, height free", "3-D, height free")
-    print(f"{'recording':<18}" + "".join(f"{head:>26}" for head in heads))
+    table: list[tuple[str, ...]] = [("recording", *heads)]
     for path in second:
         a, b, c = known[path.name], free[path.name], smoothed[path.name]
-        print(
-            f"{path.name:<18}" + "".join(f"{x:>26.2f}" for x in (a["rmse_m"], c["rmse_m"], b["rmse_m"], b["rmse_3d_m"]))
-        )
+        errors = (a["rmse_m"], c["rmse_m"], b["rmse_m"], b["rmse_3d_m"])
+        table.append((path.name, *(f"{error:.2f}" for error in errors)))
+    print(aligned(table, range(1, 5)))
 
 
 if __name__ == "__main__":

@@ -22,9 +22,7 @@ from experiments.monte_carlo.expectations import Conclusion, ExpectedResult, Val
 from experiments.monte_carlo.results import Results
 from experiments.papers.fitting import fitted
 from experiments.papers.kwon_2021.chamber import anchors, deviations, under
-from experiments.plots.drawings import HEIGHT, plain
-from experiments.plots.study_pictures import picture
-from experiments.plots.style import BLACK, BLUE, GREY, VERMILION
+from experiments.plots.style import BLACK, BLUE, GREY, HEIGHT, VERMILION, plain, write_svg
 from sim.imu import level, simulate_uwb_imu
 from sim.keys import Keys
 from sim.ranging import Protocol, antenna_biases, chamber
@@ -145,7 +143,7 @@ def figure_9(results: Results, folder: Path) -> list[str]:
         panels[2].set_xlabel("time, s")
         figure.legend(*panels[0].get_legend_handles_labels(), ncols=4, loc="outside lower center")
 
-    return [picture(folder, "figure_9.svg", draw, height=2 * HEIGHT)]
+    return [write_svg(folder, "figure_9.svg", draw, height=2 * HEIGHT)]
 
 
 MEASURED = "measured"

@@ -23,9 +23,7 @@ from experiments.monte_carlo.errors import TrackedRuns
 from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
 from experiments.monte_carlo.results import Results
 from experiments.papers.fitting import fitted
-from experiments.plots.drawings import HEIGHT, plain
-from experiments.plots.study_pictures import picture
-from experiments.plots.style import BLACK, BLUE, GREEN, GREY, VERMILION
+from experiments.plots.style import BLACK, BLUE, GREEN, GREY, HEIGHT, VERMILION, plain, write_svg
 from experiments.questions._windows import RAW, window
 from sim.corruptions import gauss_markov
 from sim.fixes_from_ranges import fixes_from_ranges
@@ -121,7 +119,7 @@ def figure_10(results: Results, folder: Path) -> list[str]:
         for axes in panels:
             plain(axes)
 
-    return [picture(folder, "figure_10.svg", draw, height=2 * HEIGHT)]
+    return [write_svg(folder, "figure_10.svg", draw, height=2 * HEIGHT)]
 
 
 def configs(sigma_a: float) -> dict[str, TrackerConfig]:

@@ -34,9 +34,7 @@ from experiments.papers.line_thesis._assembly_line import (
     with_noise,
     worlds,
 )
-from experiments.plots.drawings import plain
-from experiments.plots.study_pictures import picture
-from experiments.plots.style import BLACK, BLUE, GREY, VERMILION
+from experiments.plots.style import BLACK, BLUE, GREY, VERMILION, plain, write_svg
 from trackers.recordings.folder import RecordingFolder
 
 PRINTED = {"situation 1": (31.1, 8.1), "situation 2": (30.3, 9.6), "situation 3": (38.7, 11.3)}
@@ -116,7 +114,7 @@ def draw(results: Results, folder: Path) -> list[str]:
         runs = seen(results.study, f"{world}, run again", np.arange(results.study.chunk))
         pair = f"Figures 3.{2 * number + 1} and 3.{2 * number + 2}"
         names.append(
-            picture(folder, f"{situation.replace(' ', '_')}.svg", _panels(runs, f"{pair}: {situation}"), 5.0, 6.4)
+            write_svg(folder, f"{situation.replace(' ', '_')}.svg", _panels(runs, f"{pair}: {situation}"), 5.0, 6.4)
         )
     return names  # fmt: skip
 

@@ -21,9 +21,7 @@ from matplotlib.ticker import PercentFormatter
 from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, TrackedRuns, TrackerConfig, Value, World
 from experiments.papers.fitting import fitted
 from experiments.papers.line_thesis._assembly_line import KALMAN, MEASUREMENT_NOISE, PARTICLE, SIGMA, error, with_noise
-from experiments.plots.drawings import plain
-from experiments.plots.study_pictures import picture
-from experiments.plots.style import LINES
+from experiments.plots.style import LINES, plain, write_svg
 from sim.corruptions import gauss_markov, white_noise
 from sim.line import simulate_line
 from trackers.core.recording import stack
@@ -171,7 +169,7 @@ def draw(results: Results, folder: Path) -> list[str]:
         for axes in (left, right):
             plain(axes, "both")
 
-    return [picture(folder, "leaving_line.svg", roc, 7.2, 3.4)]
+    return [write_svg(folder, "leaving_line.svg", roc, 7.2, 3.4)]
 
 
 STUDY = Study(

@@ -28,9 +28,7 @@ from experiments.papers.line_thesis._assembly_line import (
     seen,
     worlds,
 )
-from experiments.plots.drawings import plain
-from experiments.plots.study_pictures import picture
-from experiments.plots.style import BLACK, BLUE, VERMILION
+from experiments.plots.style import BLACK, BLUE, VERMILION, plain, write_svg
 from trackers.core.polyline import Polyline
 from trackers.core.tracker import AbstractTracker
 from trackers.line.fixes import FIXES, FloorFixes
@@ -144,7 +142,7 @@ def draw(results: Results, folder: Path) -> list[str]:
             plain(axes)
         panels[-1].set_xlabel(f"time, s; mean over {len(found)} recordings")
 
-    return [picture(folder, "rests.svg", both, 5.0, 4.4)]
+    return [write_svg(folder, "rests.svg", both, 5.0, 4.4)]
 
 
 _LINES = worlds(fitted("line_thesis/table_3_1"), ("situation 2, set 2", "situation 1, set 2"))

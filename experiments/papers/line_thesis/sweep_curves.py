@@ -18,9 +18,7 @@ from matplotlib.figure import Figure
 from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study
 from experiments.papers.fitting import fitted
 from experiments.papers.line_thesis._assembly_line import KALMAN, PARTICLE, SIGMA, STOPPING, error, least, worlds
-from experiments.plots.drawings import plain
-from experiments.plots.study_pictures import picture
-from experiments.plots.style import BLUE, GREEN, VERMILION
+from experiments.plots.style import BLUE, GREEN, VERMILION, plain, write_svg
 
 SWEPT = (0.01, 0.03, 0.06, 0.09, 0.13, 0.18, 0.25, 0.35, 0.6, 1.0)
 WORLDS = ("situation 1, set 2", "situation 2, set 2", "situation 3, set 2")
@@ -92,7 +90,7 @@ def draw(results: Results, folder: Path) -> list[str]:
         axes.legend(loc="lower left")
         plain(axes)
 
-    return [picture(folder, "sweep_curves.svg", curves)]
+    return [write_svg(folder, "sweep_curves.svg", curves)]
 
 
 STUDY = Study(

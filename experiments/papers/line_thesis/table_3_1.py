@@ -39,9 +39,7 @@ from experiments.papers.line_thesis._assembly_line import (
     worlds,
 )
 from experiments.papers.line_thesis._printed_table_3_1 import AVERAGES, COLUMNS, PRINTED
-from experiments.plots.drawings import plain
-from experiments.plots.study_pictures import picture
-from experiments.plots.style import BLUE, SKY, VERMILION
+from experiments.plots.style import BLUE, SKY, VERMILION, plain, write_svg
 
 
 def expected(results: Results) -> list[ExpectedResult | Conclusion]:
@@ -143,7 +141,7 @@ def draw(results: Results, folder: Path) -> list[str]:
         handles = [Line2D([], [], marker=m, color=c, linestyle="", label=text) for m, c, text in marks]
         figure.legend(handles=handles, loc="outside upper center", ncols=3)
 
-    return [picture(folder, "table_3_1.svg", table, 7.2, 3.6)]
+    return [write_svg(folder, "table_3_1.svg", table, 7.2, 3.6)]
 
 
 STUDY = Study(

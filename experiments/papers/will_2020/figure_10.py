@@ -16,9 +16,7 @@ from matplotlib.ticker import PercentFormatter
 from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, TrackedRuns, World
 from experiments.papers.will_2020._work_stand import cascade, direct, recorded
 from experiments.papers.will_2020.fit_figure_8 import radius
-from experiments.plots.drawings import plain
-from experiments.plots.study_pictures import picture
-from experiments.plots.style import BLACK, LINES
+from experiments.plots.style import BLACK, LINES, plain, write_svg
 
 NONE = "all stations"
 LOST = {k: f"station {k} lost" for k in (1, 2, 3)}
@@ -100,7 +98,7 @@ def draw(results: Results, folder: Path) -> list[str]:
         axes.legend(loc="lower right")
         plain(axes, "both")
 
-    return [picture(folder, "figure_10.svg", shares)]
+    return [write_svg(folder, "figure_10.svg", shares)]
 
 
 STUDY = Study(

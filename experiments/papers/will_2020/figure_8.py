@@ -18,9 +18,7 @@ from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, 
 from experiments.papers.line_thesis._assembly_line import seen
 from experiments.papers.will_2020._work_stand import cascade, direct, recorded
 from experiments.papers.will_2020.fit_figure_8 import PRINTED_CM, radius
-from experiments.plots.drawings import plain
-from experiments.plots.study_pictures import picture
-from experiments.plots.style import BLACK, BLUE, GREY, VERMILION
+from experiments.plots.style import BLACK, BLUE, GREY, VERMILION, plain, write_svg
 
 STAND, APART, PLANE = "stand", "stations 0.4 m off the middle", "stand, plane waves"
 COLOURS = {"cascade": BLUE, "direct": VERMILION}
@@ -101,7 +99,7 @@ def draw(results: Results, folder: Path) -> list[str]:
         axes.legend(loc="lower right")
         plain(axes, "both")
 
-    return [picture(folder, "figure_8_path.svg", path, 4.2, 3.4), picture(folder, "figure_8_cdf.svg", shares)]
+    return [write_svg(folder, "figure_8_path.svg", path, 4.2, 3.4), write_svg(folder, "figure_8_cdf.svg", shares)]
 
 
 STUDY = Study(

@@ -17,9 +17,7 @@ from experiments.papers.line_thesis._assembly_line import seen
 from experiments.papers.will_2020._work_stand import beam, recorded
 from experiments.papers.will_2020.fit_figure_8 import radius
 from experiments.papers.will_2020.fit_table_1 import PRINTED
-from experiments.plots.drawings import plain
-from experiments.plots.study_pictures import picture
-from experiments.plots.style import BLUE, GREY, ORANGE
+from experiments.plots.style import BLUE, GREY, ORANGE, plain, write_svg
 
 AXES = ("azimuth", "elevation")
 HELIX, OUTLYING = "helix", "helix with outlying phases"
@@ -105,7 +103,7 @@ def draw(results: Results, folder: Path) -> list[str]:
         panels[1, 0].set_ylabel("deviation, deg")
         panels[0, 0].legend(loc="lower left", ncols=3)
 
-    return [picture(folder, "figures_6_7.svg", draw_, 7.5, 4.6)]
+    return [write_svg(folder, "figures_6_7.svg", draw_, 7.5, 4.6)]
 
 
 STUDY = Study(

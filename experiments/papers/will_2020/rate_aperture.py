@@ -19,9 +19,7 @@ from matplotlib.figure import Figure
 from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, TrackedRuns, World
 from experiments.papers.will_2020._work_stand import ALL, beam, recorded
 from experiments.papers.will_2020.fit_figure_8 import radius
-from experiments.plots.drawings import plain
-from experiments.plots.study_pictures import picture
-from experiments.plots.style import LINES
+from experiments.plots.style import LINES, plain, write_svg
 
 RATES, APERTURES = (2.5, 5.0, 10.0, 20.0), (0.5, 1.0, 2.0, 4.0)
 THREE = "2-3-6"
@@ -106,7 +104,7 @@ def draw(results: Results, folder: Path) -> list[str]:
         panels[1, 0].set_ylabel("astray, % of rows")
         panels[1, 0].legend(loc="upper right")
 
-    return [picture(folder, "rate_aperture.svg", draw_, 7.0, 4.8)]
+    return [write_svg(folder, "rate_aperture.svg", draw_, 7.0, 4.8)]
 
 
 STUDY = Study(

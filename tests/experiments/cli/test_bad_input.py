@@ -84,7 +84,7 @@ def test_no_recording_at_all_is_refused(tmp_path, monkeypatch, command):
 
 @pytest.mark.parametrize("name", ANOMALOUS)
 def test_an_odd_recording_is_tracked_with_a_notice_and_named_by_check(tmp_path, monkeypatch, name):
-    monkeypatch.setattr(track_command, "draw_tracks", lambda *arguments: [])
+    monkeypatch.setattr(track_command, "plot_tracks", lambda *arguments: [])
     folder, out = tmp_path / "recording", tmp_path / "out"
     word = ANOMALOUS[name](folder)
     said = trackwright("track", folder, "--tracker", "bearings", "--free-height", "--out", out)
@@ -99,7 +99,7 @@ def test_an_odd_recording_is_tracked_with_a_notice_and_named_by_check(tmp_path, 
 
 
 def test_tags_with_and_without_reported_spreads_are_tracked_together(tmp_path, beginnings, monkeypatch):
-    monkeypatch.setattr(track_command, "draw_tracks", lambda *arguments: [])
+    monkeypatch.setattr(track_command, "plot_tracks", lambda *arguments: [])
     write_good(tmp_path / "half")
     known = pl.when(pl.col("tag") == "T2").then(0.1)
     table = good_tables()["bearings"].with_columns(azimuth_std_rad=known, elevation_std_rad=known)
@@ -154,7 +154,7 @@ def test_intervals_of_too_few_pieces_are_refused_before_the_fit():
 
 
 def test_phases_that_are_odd_are_tracked_with_a_notice(tmp_path, monkeypatch):
-    monkeypatch.setattr(track_command, "draw_tracks", lambda *arguments: [])
+    monkeypatch.setattr(track_command, "plot_tracks", lambda *arguments: [])
     ANOMALOUS["phases from 0 to 2 pi"](tmp_path / "recording")
     said = trackwright("track", tmp_path / "recording", "--tracker", "das", "--out", tmp_path / "out")
     assert said.code == 0

@@ -1,4 +1,4 @@
-"""Every figure is a PNG that shows something, for full, odd and nearly empty input."""
+"""Every plot is a PNG that shows something, for full, odd and nearly empty input."""
 
 import numpy as np
 import polars as pl
@@ -6,10 +6,12 @@ import pytest
 from matplotlib.image import imread
 
 from experiments.plots import style
-from experiments.plots.filters import consistency, tuning_trace
-from experiments.plots.floor_plan import floor_plan
-from experiments.plots.style import BLACK, BLUE, LINES, SKY, VERMILION, broken_at_gaps, length_unit
-from experiments.plots.tracks import bearings_over_time, error_cdf, error_over_time
+from experiments.plots.errors import error_cdf, error_over_time
+from experiments.plots.filters import consistency
+from experiments.plots.objective import tuning_trace
+from experiments.plots.style import BLACK, BLUE, LINES, SKY, VERMILION, broken_at_gaps
+from experiments.plots.tracks import bearings_over_time, floor_plan
+from experiments.reports.wording import length_unit
 from trackers.core.errors import UnusableInput
 from trackers.core.rig import Station
 
@@ -55,8 +57,11 @@ def test_the_floor_plan_shows_each_tag_and_the_truth(tmp_path):
     stations = {"N": Station(np.array([5.0, 8.0, 2.0]), np.array([half, half, 0.0, 0.0]))}
     anchors = {"A": np.array([0.0, 0.0, 2.0]), "B": np.array([10.0, 0.0, 2.0])}
     picture = _pixels(floor_plan(tmp_path / "plan.png", _tracks(2), _tracks(2), stations, anchors))
-    assert all(_shows(picture, colour) for colour in (LINES[0], LINES[1], BLACK))
+    assert all(_shows(picture, colour) for colour in LINES[:2])
     assert not _shows(picture, LINES[2])
+    without = _pixels(floor_plan(tmp_path / "plan.png", _tracks(2), None, stations, anchors))
+    dark = [(p.max(axis=2) < 110).sum() for p in (picture, without)]
+    assert dark[0] > dark[1] + 300
 
 
 def test_the_floor_plan_draws_at_most_six_tags(tmp_path):

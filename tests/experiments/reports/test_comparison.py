@@ -32,11 +32,11 @@ def _evaluation(folder, rmse):
 
 def test_two_studies_differ_where_the_difference_is_larger_than_both_intervals_allow(tmp_path):
     first, second = _study(tmp_path / "a", 0.10), _study(tmp_path / "b", 0.12)
-    found = {p.figure: p for p in pairs(first, second)[0]}
+    found = {p.metric: p for p in pairs(first, second)[0]}
     assert found["rmse_m"].ratio == pytest.approx(1.2)
     assert found["rmse_m"].differs is True
     assert found["nees_mean"].differs is False
-    assert found["rmse_m"].whose == "hand, sigma_p 0.1, direct"
+    assert found["rmse_m"].subject == "hand, sigma_p 0.1, direct"
 
 
 def test_a_difference_of_two_normal_means_is_called_one_in_5_percent_of_cases_where_there_is_none(tmp_path):
@@ -54,7 +54,7 @@ def test_a_difference_of_two_normal_means_is_called_one_in_5_percent_of_cases_wh
 
 def test_two_evaluations_are_compared_without_counts_and_without_intervals(tmp_path):
     found, alone = pairs(_evaluation(tmp_path / "a", 0.2), _evaluation(tmp_path / "b", 0.1))
-    assert [(p.whose, p.figure) for p in found] == [("all recordings", "rmse_m"), ("walk", "rmse_m")]
+    assert [(p.subject, p.metric) for p in found] == [("all recordings", "rmse_m"), ("walk", "rmse_m")]
     assert all(p.differs is None and math.isnan(p.before.low) for p in found)
     assert alone == []
 

@@ -7,7 +7,7 @@ import pytest
 from experiments.monte_carlo import Conclusion, ExpectedResult
 from experiments.monte_carlo.expectations import Value
 from experiments.monte_carlo.runner import run_study
-from experiments.reports.study import page
+from experiments.reports.study import study_page
 from tests.experiments.monte_carlo.small_study import SMALL, no_progress
 
 pytestmark = pytest.mark.slow
@@ -31,7 +31,7 @@ def report(tmp_path_factory):
         Conclusion("The filter is better throughout", holds=True, evidence="0.5 against 0.7 m"),
     ]
     path = folder / "measured.html"
-    path.write_text(page(results, claims, [], ["study", "small.toml"]).replace("</body>", MEASURE), "utf-8")
+    path.write_text(study_page(results, claims, [], ["study", "small.toml"]).replace("</body>", MEASURE), "utf-8")
     return path
 
 

@@ -1,11 +1,11 @@
-"""The evidence that a report is made of, against the fit and the tracks that it is about."""
+"""The data of a tuning report, against the fit and the tracks they describe."""
 
 import numpy as np
 import polars as pl
 import pytest
 
-from experiments.reports.tuning import page
-from experiments.reports.tuning_collect import Asked, _numbers, gather
+from experiments.reports.tuning import tuning_page
+from experiments.reports.tuning_collect import Request, _parameters, collect
 from trackers.catalogue import spec_of
 from trackers.core.rig import Rig
 from trackers.recordings.folder import RecordingFolder
@@ -39,81 +39,81 @@ def run():
     training, held_out = group.trajectories[:2], group.trajectories[2:]
     rows = [batch for _, batch in batches(training)]
     result = fit(group.tracker, rows, parse_objective(NLL, "position", 3), PATTERNS, steps=6, starts=2)
-    asked = Asked("trackwright tune a b", ("trackwright track c",), "fix-kf", "a Kalman filter", NLL, 1.5)
-    doubt = [IdentifiabilityIssue((PATTERNS[0],), "a doubt")]
-    return result, gather(asked, result, training, held_out, group.planar, intervals_of(result), doubt)
+    request = Request("trackwright tune a b", ("trackwright track c",), "fix-kf", "a Kalman filter", NLL, 1.5)
+    issues = [IdentifiabilityIssue((PATTERNS[0],), "an issue")]
+    return result, collect(request, result, training, held_out, group.planar, intervals_of(result), issues)
 
 
-def test_numbers_are_those_of_the_fit_and_a_doubted_one_is_not_determined(run):
-    result, evidence = run
-    for number, name in zip(evidence.numbers, PATTERNS, strict=True):
+def test_parameters_are_those_of_the_fit_and_one_with_an_issue_is_not_determined(run):
+    result, data = run
+    for number, name in zip(data.parameters, PATTERNS, strict=True):
         assert number.name == name
         assert number.before == float(result.starts[0][0].values[name])
         assert number.after == float(result.values[name])
         assert number.determined is (name != PATTERNS[0])
-    assert evidence.numbers[1].low < evidence.numbers[1].after < evidence.numbers[1].high
-    assert evidence.identifiability_issues == ("a doubt",)
+    assert data.parameters[1].low < data.parameters[1].after < data.parameters[1].high
+    assert data.issues == ("an issue",)
 
 
-def test_the_scores_of_the_objective_are_those_of_the_fit(run):
-    result, evidence = run
-    before, after = evidence.score(NLL).training
+def test_the_metrics_of_the_objective_are_those_of_the_fit(run):
+    result, data = run
+    before, after = data.metric(NLL).training
     # single precision, rows added in another order
     assert (before, after) == pytest.approx((result.start_value, result.value), rel=1e-4)
-    assert {s.key for s in evidence.scores} == {"nll", "rmse", "rmse-3d", "state-nll", "nis-shape", "nees-shape"}
+    assert {s.key for s in data.metrics} == {"nll", "rmse", "rmse-3d", "state-nll", "nis-shape", "nees-shape"}
 
 
 def test_the_errors_row_by_row_have_the_rmse_of_the_table(run):
-    _, evidence = run
-    assert [e.name for e in evidence.errors] == ["c, tag 7", "d, tag 7"]
+    _, data = run
+    assert [e.name for e in data.errors] == ["c, tag 7", "d, tag 7"]
     for side, which in enumerate(("before", "after")):
-        pooled = np.concatenate([getattr(e, which) for e in evidence.errors])
+        pooled = np.concatenate([getattr(e, which) for e in data.errors])
         known = pooled[np.isfinite(pooled)]
         # both take the truth where a late fix was; the batch's times are sums of float32 steps
-        assert np.sqrt(np.mean(known**2)) == pytest.approx(evidence.score("rmse").held_out[side], rel=1e-4)
+        assert np.sqrt(np.mean(known**2)) == pytest.approx(data.metric("rmse").held_out[side], rel=1e-4)
 
 
 def test_recordings_tuned_on_and_held_out_are_kept_apart(run):
-    _, evidence = run
-    assert evidence.training == ("a", "b")
-    assert evidence.held_out == ("c", "d")
-    assert evidence.judged_on == "held-out recordings"
-    assert [len(np.unique(side.trajectory)) for side in evidence.innovations] == [2, 2]
+    _, data = run
+    assert data.training == ("a", "b")
+    assert data.held_out == ("c", "d")
+    assert data.evaluated_on == "held-out recordings"
+    assert [len(np.unique(side.trajectory)) for side in data.innovations] == [2, 2]
 
 
 def test_every_start_ends_in_the_trace_and_the_winner_is_first(run):
-    result, evidence = run
-    assert len(evidence.descents) == len(result.starts)
-    np.testing.assert_array_equal(evidence.descents[0].objective, [s.value for s in result.trace])
+    result, data = run
+    assert len(data.traces) == len(result.starts)
+    np.testing.assert_array_equal(data.traces[0].objective, [s.value for s in result.trace])
 
 
-def test_the_landscape_is_least_at_the_optimum(run):
-    result, evidence = run
-    found = evidence.landscape
+def test_the_surface_is_least_at_the_optimum(run):
+    result, data = run
+    found = data.surface
     assert found.axes == (0, 1)
     middle = tuple(n // 2 for n in found.values.shape)
     # the optimum is a point of the grid, between which a cubic was laid; single precision
     assert found.values[middle] == pytest.approx(result.value, rel=1e-4)
     assert found.values.min() == pytest.approx(result.value, abs=0.01)
-    for grid, number in zip(found.grids, evidence.numbers, strict=True):
+    for grid, number in zip(found.grids, data.parameters, strict=True):
         assert grid[len(grid) // 2] == pytest.approx(number.after, rel=1e-5)
 
 
-def test_the_evidence_makes_a_page(run):
-    text = page(run[1])
+def test_the_data_make_a_page(run):
+    text = tuning_page(run[1])
     for word in (
-        "a doubt",
+        "an issue",
         "<span>trackwright</span> <span>tune</span>",
         "held-out recordings",
-        "decided which of the points",
+        "to select the best point",
     ):
         assert word in text
 
 
-def test_without_any_interval_nothing_is_said_of_what_is_determined(run):
+def test_without_any_interval_it_is_unknown_what_is_determined(run):
     result, _ = run
-    assert [n.determined for n in _numbers(result, {}, [])] == [None, None]
-    assert [n.determined for n in _numbers(result, {}, [IdentifiabilityIssue((PATTERNS[0],), "a doubt")])] == [
+    assert [n.determined for n in _parameters(result, {}, [])] == [None, None]
+    assert [n.determined for n in _parameters(result, {}, [IdentifiabilityIssue((PATTERNS[0],), "an issue")])] == [
         False,
         None,
     ]

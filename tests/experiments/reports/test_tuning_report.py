@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from experiments.reports.advice import judged, number, percent
-from experiments.reports.tuning import page, write_report
-from experiments.reports.tuning_data import Score, TunedNumber
-from tests.experiments.reports.tuning_evidence import evidence, innovations
+from experiments.reports.advice import advice_on
+from experiments.reports.tuning import tuning_page, write_tuning_report
+from experiments.reports.tuning_data import MetricChange, TunedParameter
+from experiments.reports.wording import number, percent_change
+from tests.experiments.reports.tuning_report_data import innovations, report_data
 from tuning.diagnostics import Innovations, autocorrelation, expected_density, normal_scores, probabilities
 
 EMPTY = {"meta", "img", "br", "link"}
@@ -47,7 +48,7 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
-    return write_report(tmp_path_factory.mktemp("report") / "report.html", evidence()).read_text("utf-8")
+    return write_tuning_report(tmp_path_factory.mktemp("report") / "report.html", report_data()).read_text("utf-8")
 
 
 @pytest.fixture(scope="module")
@@ -57,11 +58,11 @@ def parsed(written):
 
 def test_every_element_is_closed_and_every_section_is_there(parsed):
     assert parsed.open == []
-    assert parsed.sections == ["asked", "numbers", "scores", "descent", "consistency", "errors", "again"]
+    assert parsed.sections == ["settings", "parameters", "metrics", "optimisation", "consistency", "errors", "commands"]
 
 
 def test_the_page_needs_nothing_from_anywhere_else(written, parsed):
-    assert len(parsed.addresses) == 5 + 3 + 7
+    assert len(parsed.addresses) > 10
     assert all(a.startswith("data:image/svg+xml;base64,") for a in parsed.addresses)
     assert not re.search(r"url\(|@import|<script|<link|<iframe", written)
     for address in parsed.addresses:
@@ -74,95 +75,103 @@ def test_the_page_needs_nothing_from_anywhere_else(written, parsed):
 
 def test_the_tables_hold_the_numbers_they_were_given(parsed):
     text = " ".join(parsed.cells)
-    for n in evidence().numbers:
+    for n in report_data().parameters:
         assert n.name in text
         for value in (n.before, n.after, n.low, n.high):
             assert number(value) in text
-    for s in evidence().scores:
+    for s in report_data().metrics:
         row = parsed.cells[next(k for k, c in enumerate(parsed.cells) if c.startswith(s.title)) :][:7]
         assert [row[k] for k in (1, 2, 4, 5)] == [number(v) for v in (*s.training, *s.held_out)]
 
 
 def test_commands_and_recordings_are_named(parsed):
     text = "".join(parsed.text)
-    for word in (evidence().command, *evidence().again, *evidence().training, *evidence().held_out, "4\u202f321"):
+    for word in (
+        report_data().command,
+        *report_data().next_commands,
+        *report_data().training,
+        *report_data().held_out,
+        "4\u202f321",
+    ):
         assert word in text
 
 
 def test_what_users_type_is_text_and_never_markup():
-    named = Page(page(evidence(command="tune <script>alert(1)</script> 'a&b'", training=("<b>",))))
+    named = Page(tuning_page(report_data(command="tune <script>alert(1)</script> 'a&b'", training=("<b>",))))
     assert "script" not in named.open
     assert "tune <script>alert(1)</script> 'a&b'" in "".join(named.text)
 
 
 def test_a_good_result_is_recommended_and_nothing_warns():
-    kept = tuple(n for n in evidence().numbers if n.determined)
-    verdict = judged(evidence(numbers=kept))
-    assert verdict.good
-    assert verdict.word == "Use it."
-    assert verdict.warnings == ()
-    assert "0.4812 to 0.1327 nats" in verdict.verdict
-    assert "held-out recordings RMSE went from 0.3233 to 0.2517 m (−22 %)" in verdict.verdict
-    assert "determine both numbers" in verdict.verdict
+    kept = tuple(n for n in report_data().parameters if n.determined)
+    advice = advice_on(report_data(parameters=kept))
+    assert advice.good
+    assert advice.word == "Ready to use."
+    assert advice.warnings == ()
+    assert "0.4812 to 0.1327 nats" in advice.summary
+    assert "held-out recordings RMSE changed from 0.3233 to 0.2517 m (−22 %)" in advice.summary
+    assert "determine both parameters" in advice.summary
 
 
-def _with_score(key, **changes):
-    return tuple(Score(**(vars(s) | changes)) if s.key == key else s for s in evidence().scores)
+def _with_metric(key, **changes):
+    return tuple(MetricChange(**(vars(s) | changes)) if s.key == key else s for s in report_data().metrics)
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"scores": _with_score("rmse", held_out=(0.3, 0.307))}, ("Held-out RMSE", "more than 2 % worse")),
+        ({"metrics": _with_metric("rmse", held_out=(0.3, 0.307))}, ("Held-out RMSE", "more than 2 % worse")),
         (
-            {"scores": _with_score("nis-shape", training=(0.1, 0.2))},
-            ("NIS", "on the recordings tuned on", "less belief"),
+            {"metrics": _with_metric("nis-shape", training=(0.1, 0.2))},
+            ("NIS", "on the recordings tuned on", "less reliable"),
         ),
-        ({"scores": _with_score("nis-shape", held_out=(0.1, 0.2))}, ("NIS", "on held-out recordings")),
-        ({"scores": _with_score("nll", training=(0.1, 0.2))}, ("objective itself got worse",)),
-        ({}, ("do not determine start.sigma_start", "keep them fixed")),
+        ({"metrics": _with_metric("nis-shape", held_out=(0.1, 0.2))}, ("NIS", "on held-out recordings")),
+        ({"metrics": _with_metric("nll", training=(0.1, 0.2))}, ("objective itself got worse",)),
+        ({}, ("do not determine start.sigma_start", "freeze or tie")),
         (
-            {"identifiability_issues": ("a and b are not determined one by one",)},
-            ("a and b are not", "tie those that act alike"),
+            {"issues": ("a and b are not determined one by one",)},
+            ("a and b are not", "freeze or tie"),
         ),
     ],
 )
 def test_what_got_worse_is_said_in_words(changes, words):
-    verdict = judged(evidence(**changes))
-    assert not verdict.good
-    assert any(all(word in warning for word in words) for warning in verdict.warnings)
+    advice = advice_on(report_data(**changes))
+    assert not advice.good
+    assert any(all(word in warning for word in words) for warning in advice.warnings)
 
 
-def test_a_filter_that_was_made_no_worse_but_does_not_know_how_wrong_it_is_has_its_covariances_doubted():
-    kept = tuple(n for n in evidence().numbers if n.determined)
-    verdict = judged(evidence(numbers=kept, scores=_with_score("nis-shape", held_out=(0.5, 0.3))))
-    assert verdict.word == "Use its estimates, not its covariances."
-    assert "NIS is far from its distribution on held-out recordings (0.3" in verdict.warnings[0]
+def test_the_covariances_of_an_inconsistent_filter_are_not_recommended_even_if_they_improved():
+    kept = tuple(n for n in report_data().parameters if n.determined)
+    advice = advice_on(report_data(parameters=kept, metrics=_with_metric("nis-shape", held_out=(0.5, 0.3))))
+    assert advice.word == "Use the estimates, not the covariances."
+    assert "NIS is far from its distribution on held-out recordings (distance 0.3" in advice.warnings[0]
 
 
 def test_a_fit_that_met_nothing_better_says_so():
-    same = tuple(TunedNumber(**(vars(n) | {"after": n.before, "determined": True})) for n in evidence().numbers)
-    verdict = judged(evidence(numbers=same))
-    assert verdict.word == "Look before you use it."
-    assert "Nothing was gained" in verdict.warnings[0]
+    same = tuple(
+        TunedParameter(**(vars(n) | {"after": n.before, "determined": True})) for n in report_data().parameters
+    )
+    advice = advice_on(report_data(parameters=same))
+    assert advice.word == "Check before use."
+    assert "No improvement" in advice.warnings[0]
 
 
 def test_a_held_out_error_within_two_per_cent_warns_nobody():
-    scores = _with_score("rmse", held_out=(0.3, 0.305))
-    assert not any("RMSE" in w for w in judged(evidence(scores=scores)).warnings)
+    scores = _with_metric("rmse", held_out=(0.3, 0.305))
+    assert not any("RMSE" in w for w in advice_on(report_data(metrics=scores)).warnings)
 
 
 def test_a_run_without_truth_held_out_recordings_starts_or_intervals_has_a_page_too():
     nan = (float("nan"),) * 2
-    scores = tuple(Score(**(vars(s) | {"held_out": nan})) for s in evidence().scores if s.key != "rmse")
-    numbers = (TunedNumber("motion.sigma_a", "1", 0.05, 0.1),)
-    bare = evidence(
-        scores=scores, held_out=(), numbers=numbers, errors=(), innovations=None, landscape=None, descents=()
+    scores = tuple(MetricChange(**(vars(s) | {"held_out": nan})) for s in report_data().metrics if s.key != "rmse")
+    numbers = (TunedParameter("motion.sigma_a", "1", 0.05, 0.1),)
+    bare = report_data(
+        metrics=scores, held_out=(), parameters=numbers, errors=(), innovations=None, surface=None, traces=()
     )
-    shown = Page(page(bare))
+    shown = Page(tuning_page(bare))
     assert shown.open == []
-    assert shown.sections == ["asked", "numbers", "scores", "again"]
-    assert "nothing here shows how the result does elsewhere" in "".join(shown.text)
+    assert shown.sections == ["settings", "parameters", "metrics", "commands"]
+    assert "does not show how the result generalises" in "".join(shown.text)
 
 
 def test_numbers_are_short_and_changes_have_a_sign():
@@ -172,7 +181,7 @@ def test_numbers_are_short_and_changes_have_a_sign():
         "–",
         "1.5·10⁻⁷",
     ]
-    assert [percent(p) for p in ((2.0, 1.0), (1.0, 1.013), (0.0, 1.0), (float("nan"), 1.0))] == [
+    assert [percent_change(*p) for p in ((2.0, 1.0), (1.0, 1.013), (0.0, 1.0), (float("nan"), 1.0))] == [
         "−50 %",
         "+1.3 %",
         "",

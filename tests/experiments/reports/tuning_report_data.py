@@ -1,8 +1,8 @@
-"""Evidence of a tuning run that nobody had to compute: numbers of every kind that the report shows."""
+"""Made-up data of a tuning report, with everything that the report shows."""
 
 import numpy as np
 
-from experiments.reports.tuning_data import Descent, ErrorTrack, Score, TunedNumber, TuningEvidence
+from experiments.reports.tuning_data import ErrorTrack, MetricChange, OptimiserTrace, TunedParameter, TuningReportData
 from tuning.diagnostics import Innovations
 from tuning.surface import Surface
 
@@ -14,13 +14,13 @@ def innovations(scale: float, seed: int = 0, trajectories: int = 4, rows: int = 
     return Innovations(scale * rng.chisquare(dof), dof, np.repeat(np.arange(trajectories), rows))
 
 
-def evidence(**changes) -> TuningEvidence:
+def report_data(**changes) -> TuningReportData:
     """A run that tuned three numbers from three starts, by likelihood, on two recordings, with two held out."""
     rng = np.random.default_rng(1)
     numbers = (
-        TunedNumber("motion.sigma_a", "m/s/sqrt(s)", 0.05, 0.1371, 0.121, 0.155, True),
-        TunedNumber("sensors.fixes.sigma_p", "m", 0.3, 0.2203, 0.2151, 0.2258, True),
-        TunedNumber("start.sigma_start", "m", 0.5, 0.9, float("nan"), float("nan"), False),
+        TunedParameter("motion.sigma_a", "m/s/sqrt(s)", 0.05, 0.1371, 0.121, 0.155, True),
+        TunedParameter("sensors.fixes.sigma_p", "m", 0.3, 0.2203, 0.2151, 0.2258, True),
+        TunedParameter("start.sigma_start", "m", 0.5, 0.9, float("nan"), float("nan"), False),
     )
     end = np.array([n.after for n in numbers])
     steps = np.arange(25)[:, None]
@@ -35,31 +35,31 @@ def evidence(**changes) -> TuningEvidence:
                    0.22 * np.abs(rng.normal(size=400)) + 0.03 * k)
         for k in range(5)
     )  # fmt: skip
-    made = TuningEvidence(
+    made = TuningReportData(
         command="trackwright tune line-a line-b --held-out line-c line-d --out tuned",
-        again=("trackwright track RECORDING --noise tuned/tuned.toml --out tracked",
+        next_commands=("trackwright track RECORDING --noise tuned/tuned.toml --out tracked",
                "trackwright tune line-a line-b --held-out line-c line-d --out tuned"),
         tracker="line-grid",
         tracker_about="position on a known path, by a grid of arclength and speed",
         objective="nll",
-        objective_about="negative log-likelihood per number read (nats)",
+        objective_about="negative log-likelihood per measured number (nats)",
         training=("line-a", "line-b"),
         held_out=("line-c", "line-d"),
-        numbers=numbers,
-        scores=(
-            Score("nll", "Negative log-likelihood", "nats", (0.4812, 0.1327), (0.4950, 0.1411)),
-            Score("rmse", "RMSE", "m", (0.3126, 0.2418), (0.3233, 0.2517)),
-            Score("nis_ratio", "NIS per degree of freedom", "1", (0.541, 1.013), (0.562, 0.987), 1.0),
-            Score("nis-shape", "Distance of NIS from χ²", "1", (0.2312, 0.0121), (0.2288, 0.0145)),
+        parameters=numbers,
+        metrics=(
+            MetricChange("nll", "Negative log-likelihood", "nats", (0.4812, 0.1327), (0.4950, 0.1411)),
+            MetricChange("rmse", "RMSE", "m", (0.3126, 0.2418), (0.3233, 0.2517)),
+            MetricChange("nis_ratio", "NIS per degree of freedom", "1", (0.541, 1.013), (0.562, 0.987), 1.0),
+            MetricChange("nis-shape", "Distance of NIS from χ²", "1", (0.2312, 0.0121), (0.2288, 0.0145)),
         ),
-        descents=tuple(Descent(f"start {k + 1}", 0.1327 + a, w) for k, (a, w) in enumerate(zip(away, ways, strict=True))),
-        landscape=Surface((0, 1), grids, 0.1327 + x**2 + y**2 + 0.4 * x * y),
-        judged_on="held-out recordings",
+        traces=tuple(OptimiserTrace(f"start {k + 1}", 0.1327 + a, w) for k, (a, w) in enumerate(zip(away, ways, strict=True))),
+        surface=Surface((0, 1), grids, 0.1327 + x**2 + y**2 + 0.4 * x * y),
+        evaluated_on="held-out recordings",
         innovations=(innovations(0.55), innovations(1.0, 7)),
         errors=tracks,
         error_unit="m",
         filter_runs=4321,
         seconds=47.3,
-        provenance=(("trackwright", "0.1.0"), ("made", "2026-01-02 03:04 UTC")),
+        provenance=(("trackwright", "0.1.0"), ("created", "2026-01-02 03:04 UTC")),
     )  # fmt: skip
-    return TuningEvidence(**(vars(made) | changes))
+    return TuningReportData(**(vars(made) | changes))

@@ -1,4 +1,4 @@
-"""What a tuning run leaves behind: tuned.toml, trace.csv, tuning.png, report.html and manifest.json."""
+"""The files of a tuning run: tuned.toml, trace.csv, tuning.png, report.html and manifest.json."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ import polars as pl
 
 from experiments.cli.manifest import write_manifest
 from experiments.cli.tuning_job import Job
-from experiments.plots.filters import tuning_trace
-from experiments.reports.tuning import write_report
-from experiments.reports.tuning_collect import Asked, gather
+from experiments.plots.objective import tuning_trace
+from experiments.reports.tables import aligned
+from experiments.reports.tuning import write_tuning_report
+from experiments.reports.tuning_collect import Request, collect
 from trackers.catalogue import spec_of
 from trackers.recordings.atomic import atomic_write
 from tuning import FitResult
@@ -27,7 +28,7 @@ from tuning.tuned_file import write_tuned
 
 @dataclass(frozen=True)
 class Run:
-    """What was asked: the tracker's name, the options, the recordings' folders; and how it went in time."""
+    """A finished run: the tracker's name, the options, the recordings' folders, when it started, how long it took."""
 
     tracker: str
     options: Mapping[str, Any]
@@ -38,30 +39,28 @@ class Run:
 
 
 def write_run(out: Path, job: Job, result: FitResult, run: Run) -> list[str]:
-    """Write everything to the folder; the lines to print."""
+    """Writes all files to the folder; returns the lines to print."""
     objective, unit = run.options["objective"], "rad" if job.training[0].station else "m"
     if run.options["prior"]:
         objective += " + prior"
     intervals = intervals_of(result, run.options["intervals"])
     write_tuned(out / "tuned.toml", run.tracker, objective, result, intervals)
     _write_trace(out, result, objective, unit)
-    lines = table(result, objective, intervals)
-    doubts = _doubts(result)
-    lines += [f"notice: {doubt.text}" for doubt in doubts]
-    words = ["trackwright", *run.command[1:]]
-    tuned = out / "tuned.toml"
-    use = f"trackwright track … --noise {tuned}"
-    asked = Asked(
-        command=shlex.join(words),
-        again=(use, shlex.join(words)),
+    issues = _issues(result)
+    lines = [*table(result, objective, intervals), *(f"notice: {issue.text}" for issue in issues)]
+    command = shlex.join(["trackwright", *run.command[1:]])
+    use = f"trackwright track … --noise {out / 'tuned.toml'}"
+    request = Request(
+        command=command,
+        next_commands=(use, command),
         tracker=run.tracker,
         tracker_about=spec_of(run.tracker).about,
         objective=objective,
         seconds=run.seconds,
         notes=tuple(_notes(job, result)),
     )
-    evidence = gather(asked, result, job.training, job.held_out, job.planar, intervals, doubts)
-    write_report(out / "report.html", evidence)
+    data = collect(request, result, job.training, job.held_out, job.planar, intervals, issues)
+    write_tuning_report(out / "report.html", data)
     extra = {"recordings": [str(p) for p in run.recordings], "filter_runs": result.filter_runs}
     write_manifest(out, run.command, run.options, run.started, extra=extra)
     return [*lines, f"wrote {out / 'report.html'}, tuned.toml, trace.csv, tuning.png and manifest.json; use it: {use}"]
@@ -69,12 +68,12 @@ def write_run(out: Path, job: Job, result: FitResult, run: Run) -> list[str]:
 
 def _notes(job: Job, result: FitResult) -> Iterator[str]:
     if result.uncertainty is None:
-        yield "This fit was stopped before its end: the numbers are the best met so far; --resume goes on."
+        yield "The fit was interrupted: the values are the best so far; --resume continues it."
     if result.n_excluded:
-        yield f"{result.n_excluded} of {len(job.training)} pieces had no say."
+        yield f"{result.n_excluded} of {len(job.training)} segments were excluded."
 
 
-def _doubts(result: FitResult) -> list[IdentifiabilityIssue]:
+def _issues(result: FitResult) -> list[IdentifiabilityIssue]:
     if result.uncertainty is None:
         return []
     return identifiability_issues(result.uncertainty, result.problem.evaluate(result.vector).slopes)
@@ -96,12 +95,12 @@ def _write_trace(out: Path, result: FitResult, objective: str, unit: str) -> Non
             columns[label] = parts[:, k].tolist()
             drawn[label], units[label] = parts[:, k], parameter.example.unit
     atomic_write(out / "trace.csv", pl.DataFrame(columns).write_csv)
-    names = {"nll": "negative log-likelihood per number (nats)", "rmse": f"RMSE ({unit})"}
+    names = {"nll": "negative log-likelihood per measured number (nats)", "rmse": f"RMSE ({unit})"}
     tuning_trace(out / "tuning.png", np.array(columns[objective]), drawn, units, names.get(objective, objective))
 
 
 def table(result: FitResult, objective: str, intervals: Mapping[str, Interval]) -> list[str]:
-    """The lines of a table of the tuned numbers, and of the objective before and after."""
+    """The lines of a table of the tuned parameters, and of the objective before and after."""
     first = result.starts[0][0].values
     rows: list[tuple[str, ...]] = [("tunable", "before", "after", "95 % interval", "unit")]
     for parameter in result.parameters:
@@ -113,6 +112,4 @@ def table(result: FitResult, objective: str, intervals: Mapping[str, Interval]) 
             label = name if np.ndim(result.values[name]) == 0 else f"{name}.{k}"
             interval = f"{a:.4g} to {b:.4g}" if np.isfinite([a, b]).all() else "-"
             rows.append((label, f"{before:.4g}", f"{after:.4g}", interval, parameter.example.unit))
-    widths = [max(len(r[k]) for r in rows) for k in range(5)]
-    lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
-    return [*lines, f"{objective}: {result.start_value:.5g} -> {result.value:.5g}"]
+    return [*aligned(rows).splitlines(), f"{objective}: {result.start_value:.5g} -> {result.value:.5g}"]

@@ -1,4 +1,4 @@
-"""The figures of a run folder: which ones, of what, under which names."""
+"""The plots that `track` writes into its folder: which ones, of what, under which names."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
+from experiments.plots.errors import error_cdf, error_over_time, rmse_over_time
 from experiments.plots.filters import consistency
-from experiments.plots.floor_plan import floor_plan
-from experiments.plots.run import rmse_over_time
-from experiments.plots.tracks import bearings_over_time, error_cdf, error_over_time
+from experiments.plots.tracks import bearings_over_time, floor_plan
 from trackers.bounds import bounds_of
 from trackers.core.metrics import nees
 from trackers.recordings.association import associate_truth, true_bearings
@@ -22,13 +21,13 @@ from trackers.recordings.tracks_table import is_bearing, track_keys
 from trackers.scoring import covariances
 
 DRAWN = 4
-"""Recordings (or tags) for which figures of their own are drawn."""
+"""The most recordings (or tags) with plots of their own."""
 
 
-def draw_tracks(
+def plot_tracks(
     out: Path, tracks: pl.DataFrame, folders: Sequence[RecordingFolder], groups: Sequence[TrackerBatch]
 ) -> list[str]:
-    """Draw what can be drawn of the tracks into the run folder; the file names, without their endings."""
+    """Writes the plots of the tracks into the folder; returns the file names without their endings."""
     if is_bearing(tracks):
         return _draw_bearings(out, tracks, folders)
     drawn: list[str] = []
@@ -55,8 +54,8 @@ def _draw_errors(
     association = associate_truth(rows, {folder.name: folder.tables["truth"]})
     if not association.scored.any():
         return
-    places = np.stack([float_column(association.rows, f"{a}_m") for a in "xyz"], axis=1)
-    errors = np.where(association.scored[:, None], places - association.truth, np.nan)
+    positions = np.stack([float_column(association.rows, f"{a}_m") for a in "xyz"], axis=1)
+    errors = np.where(association.scored[:, None], positions - association.truth, np.nan)
     sigmas = np.stack([float_column(association.rows, f"std_{a}_m") for a in "xyz"], axis=1)
     known = sigmas[:, 2] > 0
     errors[~known, 2] = np.nan
@@ -91,19 +90,19 @@ def _draw_runs(
     if not any(np.isfinite(g).any() for g in grid[1:]):
         return
     rmse = np.stack([np.sqrt(_mean(grid[1 + 2 * k])) for k in range(3)], axis=1)
-    said = np.stack([np.sqrt(_mean(grid[2 + 2 * k])) for k in range(3)], axis=1)
-    rmse_over_time(path, grid[0], rmse, said, None if bounds is None else _at(bounds, grid[0]), len(starts) - 1)
+    reported = np.stack([np.sqrt(_mean(grid[2 + 2 * k])) for k in range(3)], axis=1)
+    rmse_over_time(path, grid[0], rmse, reported, None if bounds is None else _at(bounds, grid[0]), len(starts) - 1)
 
 
 def _mean(values: np.ndarray) -> np.ndarray:
-    """The mean over runs of what is finite, NaN where nothing is."""
+    """The mean over runs of the finite values, NaN where there are none."""
     finite = np.isfinite(values)
     count = finite.sum(axis=0)
     return np.where(count > 0, np.where(finite, values, 0).sum(axis=0) / np.maximum(count, 1), np.nan)
 
 
 def _by_run(starts: np.ndarray, times: np.ndarray, *columns: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Times (t,) and each column as (runs, t), over all runs where they share their times, else of the first run."""
+    """Times (t,) and columns (runs, t): all runs with the times of the first; the first alone if lengths differ."""
     lengths = np.diff(starts)
     first = times[starts[0] : starts[1]]
     runs = [0]
@@ -115,7 +114,7 @@ def _by_run(starts: np.ndarray, times: np.ndarray, *columns: np.ndarray) -> tupl
 
 
 def _at(bounds: tuple[np.ndarray, np.ndarray], times: np.ndarray) -> np.ndarray:
-    """The bounds (t, 3) at other times, NaN outside theirs."""
+    """The bounds (t, 3) interpolated to other times, NaN outside their own."""
     return np.stack([np.interp(times, bounds[0], b, np.nan, np.nan) for b in bounds[1].T], axis=1)
 
 
@@ -147,5 +146,5 @@ def _png(out: Path, drawn: list[str], name: str) -> Path:
 
 
 def _plain(text: str) -> str:
-    """The text with nothing in it that a file name must not have."""
+    """The text as part of a file name."""
     return "".join(c if c.isalnum() or c in "._-" else "_" for c in text)[:80]

@@ -1,0 +1,62 @@
+"""Tables as text for a terminal."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable, Sequence
+
+from rich import box
+from rich.console import Console, RenderableType
+from rich.table import Table
+
+UNLIMITED = 100_000
+"""Characters a line where a table is not to be wrapped."""
+
+
+def ruled_table(title: str, columns: Sequence[str], n_text: int = 1, rows: Iterable[Sequence[str]] = ()) -> Table:
+    """A table with a title and a line under its head; all but the first `n_text` columns are aligned right."""
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    for k, name in enumerate(columns):
+        table.add_column(name, justify="left" if k < n_text else "right")
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def compact_table(title: str, labels: Sequence[str], numbers: Sequence[str]) -> Table:
+    """A table with little space between its many columns: `labels`, aligned left, may be wrapped, `numbers` not."""
+    table = Table(
+        title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0),
+        pad_edge=False, collapse_padding=True,
+    )  # fmt: skip
+    for name in labels:
+        table.add_column(name, overflow="fold")
+    for name in numbers:
+        table.add_column(name, justify="right", no_wrap=True)
+    return table
+
+
+def aligned(rows: Sequence[Sequence[str]], numbers: Iterable[int] = ()) -> str:
+    """Rows as lines with two spaces between columns, without a frame; columns `numbers` are aligned right."""
+    right = set(numbers)
+    table = Table(box=None, show_header=False, padding=(0, 2, 0, 0), pad_edge=False)
+    for k in range(len(rows[0])):
+        table.add_column(justify="right" if k in right else "left", no_wrap=True)
+    for row in rows:
+        table.add_row(*row)
+    return rendered(UNLIMITED, table).rstrip("\n")
+
+
+def width_of(table: Table) -> int:
+    """Characters a line of the table without wrapping."""
+    console = Console(width=UNLIMITED)
+    return console.measure(table).maximum
+
+
+def rendered(width: int, *parts: RenderableType) -> str:
+    """Tables and lines as text of at most `width` characters a line, without trailing blanks."""
+    page = io.StringIO()
+    console = Console(file=page, width=width, highlight=False, markup=False, emoji=False)
+    for part in parts:
+        console.print(part)
+    return "\n".join(line.rstrip() for line in page.getvalue().splitlines()) + "\n"
