@@ -1,6 +1,6 @@
-"""A small good recording for tests, and builders that write it to a new folder with one fault in it.
+"""A small valid recording for tests, and builders that write it to a new folder with one fault.
 
-A builder returns a word that the message about its fault has to hold.
+A builder returns a word expected in the message about its fault.
 """
 
 from __future__ import annotations
@@ -50,22 +50,22 @@ _ANCHORS = {"A1": (0.0, 0.0, 0.3), "A2": (6.0, 0.0, 2.6), "A3": (6.0, 5.0, 0.4),
 
 @cache
 def good_tables() -> dict[str, pl.DataFrame]:
-    """Five seconds of two tags at 10 Hz in every table; the values are smooth, not physical, but for the ranges."""
+    """Five seconds of two tags at 10 Hz in every table; values are smooth, and physical only in ranges."""
     rng = np.random.default_rng(3)
     rows: dict[str, list[dict]] = {name: [] for name in ("ranges", "fixes", "bearings", "phases", "imu", "truth")}
     for t in np.round(np.arange(50) * 0.1, 3):
         for tag, shift in (("T1", 0.0), ("T2", 1.0)):
-            place = np.array([2 + shift + np.cos(t), 2 + np.sin(t), 1.0])
+            position = np.array([2 + shift + np.cos(t), 2 + np.sin(t), 1.0])
             head = {"t_s": float(t), "tag": tag}
-            axes = dict(zip(("x_m", "y_m", "z_m"), place, strict=True))
+            axes = dict(zip(("x_m", "y_m", "z_m"), position, strict=True))
             rows["truth"].append(head | axes | {"qw": 1.0, "qx": 0.0, "qy": 0.0, "qz": 0.0})
             rows["fixes"].append(head | {k: v + rng.normal(0, 0.03) for k, v in axes.items()} | {"x_std_m": 0.03})
-            pull = dict(zip("xyz", rng.normal((0, 0, 9.81), 0.05), strict=True))
-            turn = dict(zip("xyz", rng.normal(0, 0.01, 3), strict=True))
-            imu = {f"accel_{k}_mps2": v for k, v in pull.items()} | {f"gyro_{k}_radps": v for k, v in turn.items()}
+            accel = dict(zip("xyz", rng.normal((0, 0, 9.81), 0.05), strict=True))
+            gyro = dict(zip("xyz", rng.normal(0, 0.01, 3), strict=True))
+            imu = {f"accel_{k}_mps2": v for k, v in accel.items()} | {f"gyro_{k}_radps": v for k, v in gyro.items()}
             rows["imu"].append(head | imu)
-            for anchor, position in _ANCHORS.items():
-                distance = float(np.linalg.norm(place - position)) + rng.normal(0, 0.03)
+            for anchor, at in _ANCHORS.items():
+                distance = float(np.linalg.norm(position - at)) + rng.normal(0, 0.03)
                 rows["ranges"].append(head | {"anchor": anchor, "range_m": distance, "range_std_m": 0.03})
             for station in ("S1", "S2"):
                 angles = {"azimuth_rad": 0.4 * np.sin(t), "elevation_rad": -0.3 + rng.normal(0, 0.01)}
@@ -76,7 +76,7 @@ def good_tables() -> dict[str, pl.DataFrame]:
 
 
 def write_good(folder: Path) -> None:
-    """The recording without a fault, as plain CSV, written without the code under test."""
+    """Write the valid recording as plain CSV, without the code under test."""
     folder.mkdir(parents=True)
     (folder / "rig.toml").write_text(RIG)
     for name, table in good_tables().items():
@@ -84,7 +84,7 @@ def write_good(folder: Path) -> None:
 
 
 def with_rig(old: str, new: str, word: str = "rig.toml") -> Builder:
-    """The good recording with a piece of its rig.toml exchanged."""
+    """The valid recording with a part of its rig.toml replaced."""
 
     def build(folder: Path) -> str:
         write_good(folder)
@@ -96,7 +96,7 @@ def with_rig(old: str, new: str, word: str = "rig.toml") -> Builder:
 
 
 def with_file(name: str, content: Callable[[bytes], bytes] | bytes, to: str = "") -> Builder:
-    """The good recording with the bytes of one file exchanged, under another name where `to` is given."""
+    """The valid recording with the bytes of one file replaced, renamed to `to` if given."""
 
     def build(folder: Path) -> str:
         write_good(folder)
@@ -109,7 +109,7 @@ def with_file(name: str, content: Callable[[bytes], bytes] | bytes, to: str = ""
 
 
 def with_cell(table: str, column: str, text: str, row: int = 7) -> Builder:
-    """The good recording with one cell exchanged; the message has to name its line."""
+    """The valid recording with one cell replaced; the message must name its line."""
 
     def build(folder: Path) -> str:
         write_good(folder)
@@ -124,7 +124,7 @@ def with_cell(table: str, column: str, text: str, row: int = 7) -> Builder:
 
 
 def with_line(table: str, change: Callable[[str], str], row: int, word: str = "") -> Builder:
-    """The good recording with one line of a table changed; line 0 is the header."""
+    """The valid recording with one line of a table changed; line 0 is the header."""
 
     def build(folder: Path) -> str:
         write_good(folder)
@@ -141,7 +141,7 @@ def with_renamed(table: str, old: str, new: str) -> Builder:
 
 
 def with_table(name: str, change: Callable[[pl.DataFrame], pl.DataFrame], kind: str = "csv", word: str = "") -> Builder:
-    """The good recording with one table changed as a frame."""
+    """The valid recording with one table changed as a frame."""
 
     def build(folder: Path) -> str:
         write_good(folder)
@@ -157,7 +157,7 @@ def with_table(name: str, change: Callable[[pl.DataFrame], pl.DataFrame], kind: 
 
 
 def then(change: Callable[[Path], str]) -> Builder:
-    """The good recording, then `change` on its folder."""
+    """The valid recording, then `change` applied to its folder."""
 
     def build(folder: Path) -> str:
         write_good(folder)
@@ -177,7 +177,7 @@ def with_directory(name: str) -> Builder:
 
 
 def with_parquet(name: str, change: Callable[[bytes], bytes]) -> Builder:
-    """The good recording with the bytes of a Parquet table damaged."""
+    """The valid recording with the bytes of a Parquet table damaged."""
 
     def build(folder: Path) -> str:
         write_good(folder)

@@ -1,4 +1,4 @@
-"""The command line run inside the test's own process, so that what one test compiled serves the next."""
+"""The command line run within the process of the tests, which share their compiled programs."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class CommandResult(NamedTuple):
 
 
 def trackwright(*arguments: str | Path | float) -> CommandResult:
-    """Run `trackwright ARGUMENTS`; figures are drawn with few pixels, which is most of their time."""
-    jax.devices()  # once there are devices, the flags that `main` sets change nothing
+    """Run `trackwright ARGUMENTS`, with plots of few pixels, which are faster to draw."""
+    jax.devices()  # the flags that `main` sets have no effect once devices exist
     out, err = io.StringIO(), io.StringIO()
     with (
         mock.patch.object(sys, "argv", ["trackwright", *map(str, arguments)]),
@@ -39,11 +39,11 @@ def trackwright(*arguments: str | Path | float) -> CommandResult:
             main()
         except SystemExit as end:
             return CommandResult(end.code, out.getvalue(), err.getvalue())
-    raise AssertionError("main() came back without an exit code")
+    raise AssertionError("main() returned without an exit code")
 
 
 def assert_refused(result: CommandResult, *words: str) -> None:
-    """Exit code 2 and one line on standard error that holds the words; nothing on standard output."""
+    """Exit code 2, one line on standard error that contains the words, and nothing on standard output."""
     assert result.code == 2, result
     assert result.err.startswith("trackwright: ")
     assert result.err.count("\n") == 1, result.err

@@ -1,1 +1,1 @@
-"""Recording folders: the only part of the library that opens recordings: rig.toml, tables, truth, checks."""
+"""Recording folders: read, checked, written and turned into trajectories. Only this package opens recordings."""

@@ -89,7 +89,7 @@ def check_geometry(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> list[CheckRe
     anchors = {key: rig.anchors[key] for key in _observed(tables, "ranges", "anchor", "range_m")}
     if anchors:
         positions = np.stack(list(anchors.values()))
-        results += _twins(anchors) + _flat("anchors", positions, known_height)
+        results += _coincident(anchors) + _flat("anchors", positions, known_height)
         dilution = range_dilution(positions, places)
         results += _dilution_results("ranges", dilution, "m per m of range noise", WEAK_RANGES, known_height, where)
     elif "fixes" in tables and rig.anchors:
@@ -100,7 +100,7 @@ def check_geometry(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> list[CheckRe
             message = f"only station {next(iter(stations))} is observed: bearings, no position without a known height"
             results.append(CheckResult("info", table, message))
         elif stations:
-            results += _twins({key: station.position for key, station in stations.items()})
+            results += _coincident({key: station.position for key, station in stations.items()})
             if len(stations) > 2 and shape(np.stack([s.position for s in stations.values()]))[0] == "line":
                 message = "the stations are collinear: positions near their line are weakly determined"
                 results.append(CheckResult("warning", "rig.toml", message))
@@ -130,13 +130,14 @@ def _positions(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> tuple[np.ndarray
     return centre[None, :], "at the centre of the rig" + (" and the height of the tags" if heights else "")
 
 
-def _twins(positions: Mapping[str, np.ndarray]) -> list[CheckResult]:
+def _coincident(positions: Mapping[str, np.ndarray]) -> list[CheckResult]:
     keys = list(positions)
     points = np.stack(list(positions.values()))
     pairs = zip(*np.triu_indices(len(keys), 1), strict=True)
-    twins = [f"{keys[i]} and {keys[j]}" for i, j in pairs if np.linalg.norm(points[i] - points[j]) < 1e-3]
+    coincident = [f"{keys[i]} and {keys[j]}" for i, j in pairs if np.linalg.norm(points[i] - points[j]) < 1e-3]
     return [
-        CheckResult("warning", "rig.toml", f"{pair} have the same position; correct one in rig.toml") for pair in twins
+        CheckResult("warning", "rig.toml", f"{pair} have the same position; correct one in rig.toml")
+        for pair in coincident
     ]
 
 
