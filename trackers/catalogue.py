@@ -15,14 +15,12 @@ from trackers.mhk import rows as mhk
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.named_tracker import NamedTracker
 from trackers.recordings.tracker_spec import TrackerSpec
-from trackers.uwb_imu import inertial_rows as uwb_imu
-from trackers.uwb_imu import range_rows as uwb
+from trackers.uwb_imu import rows as uwb_imu
 
 TRACKERS: dict[str, TrackerSpec] = {
     **aoa.TRACKERS,
     **line.TRACKERS,
     **uwb_imu.TRACKERS,
-    **uwb.TRACKERS,
     **baselines.TRACKERS,
     **mhk.TRACKERS,
 }

@@ -1,1 +1,1 @@
-"""System C: two-way ranging, trilateration, position from ranges with and without an inertial sensor."""
+"""System C: UWB two-way ranging, trilateration, and position from ranges with and without an IMU (Kwon et al. 2021)."""

@@ -1,4 +1,4 @@
-"""The assembled tracker of ranges without an inertial sensor: position, velocity and a bias per anchor."""
+"""The assembled tracker of ranges without an IMU: position, velocity and a range bias per anchor."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from trackers.core.tracker import Tracker
 from trackers.core.tunable import Scale
 from trackers.parts.ranges import RANGES, RangeSensor
 from trackers.parts.start_nearby import AbstractNearbyStart
-from trackers.uwb_imu.drifting import DriftingBiases, Ranged
+from trackers.uwb_imu.range_motion import RangeMotion, RangeState
 
-OWN_BIASES = 16
-"""Anchors up to which each has a bias in the state; the cost of a row grows with the square of their number."""
+MAX_BIASES = 16
+"""Largest number of anchors with a bias each in the state; the cost of an epoch grows with its square."""
 
 
 class RangeStart(AbstractNearbyStart):
-    """The place where recent ranges meet, from the row's input `nearby` (4,): m, and 1 where there is one.
+    """A start at the position in the input `nearby` (4,), at rest, with zero biases.
 
-    `sigma_position` m, `sigma_velocity` m/s, `sigma_bias` m: how far off place, rest and mean biases may be.
+    `sigma_position` m, `sigma_velocity` m/s, `sigma_bias` m: standard deviations. `biases`: their number.
     """
 
     sigma_position: Noise
@@ -36,7 +36,9 @@ class RangeStart(AbstractNearbyStart):
     def belief(self, candidate: Any, row: Row) -> Gaussian:
         n = 2 if self.planar else 3
         zero = candidate[0] * 0.0
-        state = Ranged(Vector(*(candidate[k] for k in range(n))), Vector(*[zero] * n), Vector(*[zero] * self.biases))
+        state = RangeState(
+            Vector(*(candidate[k] for k in range(n))), Vector(*[zero] * n), Vector(*[zero] * self.biases)
+        )
         variances = [s.value**2 for s in (self.sigma_position, self.sigma_velocity, self.sigma_bias)]
         return Gaussian(state, diagonal([variances[0]] * n + [variances[1]] * n + [variances[2]] * self.biases, zero))
 
@@ -54,17 +56,17 @@ def range_tracker(
     sigma_bias: float = 0.025,
     time_constant: float = 1000.0,
 ) -> Tracker:
-    """Position and velocity from ranges to numbered anchors, one range a row; at a known height where `planar`.
+    """Position and velocity from ranges to numbered anchors, one range per row; `planar`: at a known height.
 
-    σa, σz m/s² per √Hz, horizontal and vertical; the velocities' `memory` s; σr, the biases' mean and σ_bias m, and
-    their time constant s. The numbers are one set for walks with a tag in the hand, drones, trolleys and tags on the
-    floor. Above `OWN_BIASES` anchors the state has no biases, only those that are tunables.
+    Motion numbers as in `RangeMotion`, sensor numbers as in `RangeSensor`; `bias`: mean of the range biases, m. One set
+    of defaults serves hand-held tags, drones, trolleys and tags on the floor. Above `MAX_BIASES` anchors the state has
+    no biases; the tunable ones of the sensor remain.
     """
-    biases = anchors if anchors <= OWN_BIASES else 0
+    biases = anchors if anchors <= MAX_BIASES else 0
     return Tracker(
-        DriftingBiases(biases, sigma_a, sigma_z, memory, sigma_bias, time_constant),
+        RangeMotion(biases, sigma_a, sigma_z, memory, sigma_bias, time_constant),
         {RANGES: RangeSensor(1, anchors, sigma_r, positive_skew, dof, bias)},
         RangeStart(Scale(1.0, "m"), Scale(1.0, "m/s"), Scale(sigma_bias, "m"), planar, biases),
-        # Student's t bounds what one range adds to the NIS, and real biases make it large: silence ends a track.
+        # With Student's t each range's NIS is bounded, and real biases make it large: only a gap is a track loss.
         track_loss=TrackLossPolicy(nis_limit=1e3, max_gap=10.0),
     )

@@ -1,4 +1,4 @@
-"""The assembled trackers of ranges and an IMU: eight states over the floor, fifteen in space."""
+"""The assembled trackers of ranges and an IMU: eight states in the plane, fifteen in three dimensions."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from trackers.core.tracker import Tracker
 from trackers.core.tunable import Scale
 from trackers.parts.ranges import RANGES, RangeSensor
 from trackers.parts.start_nearby import AbstractNearbyStart
-from trackers.uwb_imu.fusion import OWN_BIASES
+from trackers.uwb_imu.fusion import MAX_BIASES
 from trackers.uwb_imu.strapdown import ImuNoise, Inertial, PlanarInertial, PlanarStrapdown, Strapdown
-from trackers.uwb_imu.yaws import YawBank
+from trackers.uwb_imu.yaw_mixture import YawMixtureFilter
 
 
 class InertialStart(AbstractNearbyStart):
-    """Where recent ranges meet, at rest for all it knows, upright by what the accelerometer feels, yaw unknown.
+    """A start at the position in the input `nearby` (4,), at rest, levelled by the accelerometer, with unknown yaw.
 
-    Inputs: `nearby` (4,), the place, m, and 1 where there is one; `rest` (7,), recent mean specific force and turning
-    rate, and 1 where the body was at rest: then the rate is the gyro's bias. The sigmas say how far off it may be:
-    `sigma_position` m, `sigma_height` m (large, for anchors at like heights see a tag and its mirror image nearly
-    alike), `sigma_velocity` m/s, `sigma_tilt` rad, `sigma_yaw` rad, biases m/s², rad/s and, of the ranges, m.
+    Input `rest` (7,): recent mean specific force m/s² and turning rate rad/s, and 1 if the body was at rest, in which
+    case the rate is the gyro bias. Standard deviations: `sigma_position` m; `sigma_height` m, large because anchors at
+    similar heights leave a mirror ambiguity; `sigma_velocity` m/s; `sigma_tilt`, `sigma_yaw` rad; accelerometer bias
+    m/s², gyro bias rad/s and range bias m.
     """
 
     sigma_position: Noise
@@ -68,32 +68,34 @@ class InertialStart(AbstractNearbyStart):
 
     def belief(self, candidate: Any, row: Row) -> Gaussian:
         zero = jnp.zeros_like(candidate[0])
-        still = row.inputs["rest"][6] > 0.5
-        rate = Vector.of(jnp.where(still, row.inputs["rest"][3 + k], 0.0) for k in range(3))
+        at_rest = row.inputs["rest"][6] > 0.5
+        rate = Vector.of(jnp.where(at_rest, row.inputs["rest"][3 + k], 0.0) for k in range(3))
         force = Vector.of(row.inputs["rest"][k] for k in range(3))
-        felt = force.norm() > 1.0
+        levelled = force.norm() > 1.0
         names = ("position", "height", "velocity", "tilt", "yaw", "accel_bias", "gyro_bias", "bias")
         variances = {name: zero + getattr(self, f"sigma_{name}").value ** 2 for name in names}
-        variances["gyro_bias"] *= jnp.where(still, 0.01, 1.0)
-        variances["tilt"] *= jnp.where(felt, 1.0, 25.0)
-        nothing, biases = Vector(zero, zero, zero), Vector(*[zero] * self.biases)
+        variances["gyro_bias"] *= jnp.where(at_rest, 0.01, 1.0)
+        variances["tilt"] *= jnp.where(levelled, 1.0, 25.0)
+        zeros, biases = Vector(zero, zero, zero), Vector(*[zero] * self.biases)
         if self.planar:
             flat = Vector(zero, zero)
             state: Any = PlanarInertial(Vector(candidate[0], candidate[1]), flat, flat, Heading(zero), rate[2], biases)
-            spread = {"position": 2, "velocity": 2, "accel_bias": 2, "yaw": 1, "gyro_bias": 1, "bias": self.biases}
-            return Gaussian(state, diagonal([variances[k] for k, count in spread.items() for _ in range(count)], zero))
-        attitude = upright(Vector.of(jnp.where(felt, f, up) for f, up in zip(force, (0.0, 0.0, 1.0), strict=True)))
-        state = Inertial(Vector(*(candidate[k] for k in range(3))), nothing, attitude, nothing, rate, biases)
-        spread = {"position": 2, "height": 1, "velocity": 3, "tilt": 3, "accel_bias": 3, "gyro_bias": 3}
-        spread["bias"] = self.biases
-        cov = diagonal([variances[k] for k, count in spread.items() for _ in range(count)], zero)
-        # Of a turn about the vertical the accelerometer says nothing; the vertical in body axes is where it points.
+            sizes = {"position": 2, "velocity": 2, "accel_bias": 2, "yaw": 1, "gyro_bias": 1, "bias": self.biases}
+            return Gaussian(state, diagonal([variances[k] for k, count in sizes.items() for _ in range(count)], zero))
+        attitude = level_attitude(
+            Vector.of(jnp.where(levelled, f, up) for f, up in zip(force, (0.0, 0.0, 1.0), strict=True))
+        )
+        state = Inertial(Vector(*(candidate[k] for k in range(3))), zeros, attitude, zeros, rate, biases)
+        sizes = {"position": 2, "height": 1, "velocity": 3, "tilt": 3, "accel_bias": 3, "gyro_bias": 3}
+        sizes["bias"] = self.biases
+        cov = diagonal([variances[k] for k, count in sizes.items() for _ in range(count)], zero)
+        # The accelerometer does not observe rotations about the vertical, here in body axes.
         vertical = attitude.inverse().apply(Vector(zero, zero, zero + 1.0))
-        return Gaussian(state, turning(cov, vertical, variances["yaw"]))
+        return Gaussian(state, with_yaw_variance(cov, vertical, variances["yaw"]))
 
 
-def turning(upper: tuple[Scalar, ...], axis: Vector, variance: Scalar) -> tuple[Scalar, ...]:
-    """The covariance of an `Inertial` state that may besides be turned about `axis` (body axes), `variance` rad²."""
+def with_yaw_variance(upper: tuple[Scalar, ...], axis: Vector, variance: Scalar) -> tuple[Scalar, ...]:
+    """The covariance of an `Inertial` state with a rotation of `variance` rad² about `axis` (body axes) added."""
     n = int((8 * len(upper) + 1) ** 0.5) // 2
     attitude = range(6, 9)
     return tuple(
@@ -102,17 +104,17 @@ def turning(upper: tuple[Scalar, ...], axis: Vector, variance: Scalar) -> tuple[
     )
 
 
-def upright(force: Vector) -> Rotation:
-    """The attitude, yaw zero, of a body whose accelerometer feels `force` (not zero) against gravity alone.
+def level_attitude(force: Vector) -> Rotation:
+    """The attitude with zero yaw of a body at rest whose accelerometer measures `force`, not zero.
 
-    The shortest turn that brings the force upwards; half a turn where it points down.
+    The smallest rotation that brings the force to the vertical; half a turn about x if it points down.
     """
     x, y, z = force / force.norm()
     down = z < -0.999
     w = jnp.where(down, 1.0, 1.0 + z)
-    turn = Rotation(w, y, -x, jnp.zeros_like(x)).normalised()
+    smallest = Rotation(w, y, -x, jnp.zeros_like(x)).normalised()
     half = Rotation(*(jnp.zeros_like(x) + value for value in (0.0, 1.0, 0.0, 0.0)))
-    return Rotation(*(jnp.where(down, getattr(half, q), getattr(turn, q)) for q in "wxyz"))
+    return Rotation(*(jnp.where(down, getattr(half, q), getattr(smallest, q)) for q in "wxyz"))
 
 
 def inertial_tracker(
@@ -125,21 +127,21 @@ def inertial_tracker(
     bias: float = 0.03,
     yaws: int = 3,
 ) -> Tracker:
-    """Position, velocity, attitude and the IMU's biases from ranges and an IMU, either of which may be missing.
+    """Position, velocity, attitude and IMU biases from ranges and an IMU; any row may lack either.
 
-    `planar`: the paper's eight states over the floor, at a known height; else fifteen in space, and for up to
-    `OWN_BIASES` numbered `anchors` a bias of each beside them. The range sensor's numbers are those of `RangeSensor`,
-    one slot a row; `yaws`: how many are tried at the start.
+    `planar`: the paper's eight states, at a known height; else fifteen in three dimensions, and a range bias for each
+    of up to `MAX_BIASES` numbered `anchors`. Sensor numbers as in `RangeSensor`, with one slot per row. `yaws`: number
+    of initial yaws.
     """
     noise = noise or ImuNoise(0.2, 0.02, 0.005, 0.0005, 1.5, 0.3, 0.005)
-    # Over the floor, where three anchors are enough, biases and places can't be told apart.
-    biases = anchors if anchors <= OWN_BIASES and not planar else 0
+    # In the plane, with three anchors, biases and position are not jointly observable.
+    biases = anchors if anchors <= MAX_BIASES and not planar else 0
     motion = PlanarStrapdown(noise) if planar else Strapdown(noise, biases=biases)
     return Tracker(
         motion,
         {RANGES: RangeSensor(1, anchors, sigma_r, positive_skew, dof, bias)},
         InertialStart(planar, biases),
-        YawBank(count=yaws),
-        # Obstructed ranges are too long for seconds: a large running NIS is no sign of a lost track there.
+        YawMixtureFilter(count=yaws),
+        # Ranges without line of sight are too long for seconds: a large NIS average is no evidence of track loss.
         TrackLossPolicy(nis_limit=1e3, max_gap=10.0),
     )

@@ -1,9 +1,9 @@
 """Trilateration with confidence compensation, equations (10)–(17) of Kwon et al. 2021, corrected.
 
-The paper solves for the two circles' intersections by dividing through y_j − y_i: (13) has a sign error, (11) is
-relative to anchor i and its y is (b − aε)/(1 + a²), and anchors that share y are divided by zero. Here the points are
-built from the baseline vector between the anchors, which knows no such case; where the paper's form exists, corrected,
-both give the same points.
+The paper computes the intersections of two circles with a division by y_j − y_i: (13) has a sign error, (11) is
+relative to anchor i and its y is (b − aε)/(1 + a²), and anchors of equal y lead to a division by zero. Here the points
+follow from the baseline vector between the anchors, without exceptions; the corrected form of the paper gives the same
+points.
 """
 
 from __future__ import annotations
@@ -26,42 +26,43 @@ from trackers.parts.ranges import RANGES
 
 
 def compensation(sigma: Scalar, count: int = 3) -> Scalar:
-    """What (14) and (15) add to a range, m: the half-width 1.96 J/√N of a 95 % interval, J its standard deviation, m.
+    """The term that (14) and (15) add to a range, m: the half-width 1.96 J/√N of its 95 % interval.
 
-    The paper calls J a Cramér–Rao bound and leaves its unit open; the term always lengthens a range.
+    J is taken as the range's standard deviation, m; the paper calls it a Cramér–Rao bound without a unit. The term
+    always lengthens a range.
     """
     return 1.96 * sigma / count**0.5
 
 
 def intersections(first: Vector, second: Vector, radius: Scalar, other: Scalar) -> tuple[Vector, Vector]:
-    """Both points, m, where circles of two radii, m, about two anchors (x, y) meet: (10), by the baseline vector.
+    """Both intersections, m, of two circles about anchors (x, y): (10), by the baseline vector.
 
-    Circles that don't meet, apart or one inside the other, give the middle of the gap between them twice; anchors at
-    one place the first anchor.
+    Circles that do not intersect give the middle of the gap between them twice; anchors at the same position give the
+    first anchor.
     """
-    across = second - first
-    square = across.dot(across)
-    apart = square > 0
-    length = jnp.sqrt(jnp.where(apart, square, 1.0))
-    unit = across * jnp.where(apart, 1.0 / length, 0.0)
+    baseline = second - first
+    square = baseline.dot(baseline)
+    distinct = square > 0
+    length = jnp.sqrt(jnp.where(distinct, square, 1.0))
+    unit = baseline * jnp.where(distinct, 1.0 / length, 0.0)
     along = (length * length + radius * radius - other * other) / (2.0 * length)
     height = radius * radius - along * along
-    meet = height > 0
-    # On the baseline's line: between two circles side by side, or between two of which one holds the other.
-    beside = (radius + length - other) / 2.0
-    inside = jnp.where(radius > other, (radius + length + other) / 2.0, -(radius + other - length) / 2.0)
-    # Circles that don't meet lie side by side where the anchors are further apart than either radius.
-    gap = jnp.where(length > jnp.maximum(radius, other), beside, inside)
-    foot = first + unit * jnp.where(meet, along, gap)
-    rise = jnp.where(meet, jnp.sqrt(jnp.where(meet, height, 1.0)), 0.0)
+    intersect = height > 0
+    # Middle of the gap, along the baseline: between separate circles, or between nested ones.
+    separate = (radius + length - other) / 2.0
+    nested = jnp.where(radius > other, (radius + length + other) / 2.0, -(radius + other - length) / 2.0)
+    # Circles that do not intersect are separate if the anchors are further apart than either radius.
+    gap = jnp.where(length > jnp.maximum(radius, other), separate, nested)
+    foot = first + unit * jnp.where(intersect, along, gap)
+    rise = jnp.where(intersect, jnp.sqrt(jnp.where(intersect, height, 1.0)), 0.0)
     normal = Vector(-unit[1], unit[0]) * rise
     return foot + normal, foot - normal
 
 
 def nearer(points: tuple[Vector, Vector], anchor: Vector, radius: Scalar) -> Vector:
-    """Of two points the one that lies nearer to a third anchor's circle: (16)."""
-    miss = [(radius - (p - anchor).norm()) ** 2 for p in points]
-    return Vector.of(jnp.where(miss[0] < miss[1], a, b) for a, b in zip(*points, strict=True))
+    """The one of two points that is nearer to a third anchor's circle: (16)."""
+    error = [(radius - (p - anchor).norm()) ** 2 for p in points]
+    return Vector.of(jnp.where(error[0] < error[1], a, b) for a, b in zip(*points, strict=True))
 
 
 def trilaterate(anchors: Sequence[Vector], radii: Sequence[Scalar]) -> Vector:
@@ -73,17 +74,17 @@ def trilaterate(anchors: Sequence[Vector], radii: Sequence[Scalar]) -> Vector:
     return (chosen[0] + chosen[1] + chosen[2]) / 3.0
 
 
-def on_floor(slant: Scalar, drop: Scalar) -> Scalar:
-    """The horizontal part of a range, m, to an anchor `drop` m above or below the tag; 0 where the range is less."""
+def horizontal_range(slant: Scalar, drop: Scalar) -> Scalar:
+    """The horizontal component of a range, m, to an anchor `drop` m above or below the tag; 0 for a shorter range."""
     square = slant * slant - drop * drop
     return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
 
 
 class Trilateration(AbstractEpochwiseTracker):
-    """The paper's position on every row with three ranges; over the floor, at the tag's known height.
+    """The paper's planar position on every row with three ranges, at the tag's known height.
 
-    Readings under `name` with three slots; inputs `anchors` (9,) m and `height` m. `sigma_r` m: the J of the
-    compensation (14), which is added where `compensated`. It reports no covariance (NaN).
+    Readings under `name` with three slots; inputs `anchors` (9,) m and `height` m. `sigma_r` m: J of the compensation
+    (14), which is added if `compensated`. The covariance is NaN.
     """
 
     sigma_r: Noise
@@ -95,19 +96,19 @@ class Trilateration(AbstractEpochwiseTracker):
         reading, inputs = batch.readings[self.name], batch.inputs
         seen = jnp.all(jnp.asarray(reading.seen), axis=1) & jnp.asarray(batch.valid)
 
-        def fix(values: Any, anchors: Any, height: Scalar) -> Vector:
-            longer = compensation(model.sigma_r.value) if self.compensated else 0.0
-            radii = [on_floor(values[k] + longer, anchors[3 * k + 2] - height) for k in range(3)]
+        def solve(values: Any, anchors: Any, height: Scalar) -> Vector:
+            added = compensation(model.sigma_r.value) if self.compensated else 0.0
+            radii = [horizontal_range(values[k] + added, anchors[3 * k + 2] - height) for k in range(3)]
             return trilaterate([Vector(anchors[3 * k], anchors[3 * k + 1]) for k in range(3)], radii)
 
-        rows = jax.vmap(jax.vmap(fix, in_axes=-1, out_axes=-1))
-        place = rows(*(jnp.asarray(x) for x in (reading.values, inputs["anchors"], inputs["height"])))
-        zero = jnp.zeros_like(place[0])
+        rows = jax.vmap(jax.vmap(solve, in_axes=-1, out_axes=-1))
+        position = rows(*(jnp.asarray(x) for x in (reading.values, inputs["anchors"], inputs["height"])))
+        zero = jnp.zeros_like(position[0])
         status = jnp.where(seen, Status.OK, jnp.where(jnp.asarray(batch.valid), Status.WAITING, Status.PADDING))
         cov = tuple(zero + jnp.nan for _ in triangle(2))
-        return Output(Placed(place), cov, zero, zero, zero, zero, status.astype(jnp.int8))
+        return Output(Placed(position), cov, zero, zero, zero, zero, status.astype(jnp.int8))
 
 
 def trilateration_tracker(compensated: bool = True, sigma_r: float = 0.1) -> Trilateration:
-    """Trilateration of rows of three ranges, with or without the paper's compensation (14); σr m."""
+    """Trilateration of rows with three ranges, with or without the paper's compensation (14); `sigma_r` m."""
     return Trilateration(Scale(sigma_r, "m"), RANGES, compensated)

@@ -1,4 +1,4 @@
-"""The fifteen-state filter on worlds that are as it believes: 500 runs with biases, ranges one anchor at a time.
+"""The fifteen-state filter on worlds that follow its model: 500 runs with biases, ranges one anchor at a time.
 
 One batch serves all tests: true states drawn from the motion itself, IMU at 50 Hz, a range every fifth row, a second
 without an IMU in the middle, and one recording that ends early.

@@ -1,4 +1,4 @@
-"""The IMU pays on real recordings: the same tracker, with its samples and without them."""
+"""The gain of the IMU on real recordings: the same tracker with and without its samples."""
 
 import dataclasses
 
@@ -8,7 +8,7 @@ import pytest
 from trackers.core.recording import stack
 from trackers.recordings.folder import read_recording
 from trackers.uwb_imu.inertial import inertial_tracker
-from trackers.uwb_imu.inertial_rows import inertial_trajectories
+from trackers.uwb_imu.rows import inertial_trajectories
 
 
 def _rmse(tracker, recordings):
@@ -32,7 +32,7 @@ def _with_and_without(folder, planar):
 
 
 @pytest.mark.slow
-def test_a_sensor_without_gravity_and_gyro_takes_a_tenth_or_more_off_the_error_of_a_tag_on_the_floor(recordings):
+def test_a_sensor_without_gravity_and_gyro_reduces_the_error_of_a_planar_tag_by_a_tenth(recordings):
     for name, limit in (("ngbui-line-1-1", 0.07), ("ngbui-line-2-1", 0.28)):
         with_imu, without = _with_and_without(recordings / name, planar=True)
         assert with_imu < 0.9 * without
@@ -40,7 +40,7 @@ def test_a_sensor_without_gravity_and_gyro_takes_a_tenth_or_more_off_the_error_o
 
 
 @pytest.mark.slow
-def test_in_space_the_error_with_the_imu_is_at_most_nine_tenths_of_that_without(recordings):
+def test_in_three_dimensions_the_error_with_the_imu_is_at_most_nine_tenths_of_that_without(recordings):
     with_imu, without = _with_and_without(recordings / "starloc-fast-s1", planar=False)
     assert with_imu < 0.9 * without
     assert with_imu < 0.2

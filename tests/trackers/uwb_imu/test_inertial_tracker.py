@@ -1,4 +1,4 @@
-"""The assembled trackers of ranges and an IMU: simulated walks from folder to tracks, and what goes wrong with them."""
+"""The assembled trackers of ranges and an IMU, on simulated walks from folder to tracks."""
 
 import dataclasses
 from pathlib import Path
@@ -15,9 +15,9 @@ from trackers.core.recording import Row, stack
 from trackers.core.rig import Rig, Tag
 from trackers.core.state import Rotation
 from trackers.recordings.folder import RecordingFolder
-from trackers.uwb_imu.inertial import InertialStart, inertial_tracker, upright
-from trackers.uwb_imu.inertial_rows import TRACKERS, inertial_trajectories
-from trackers.uwb_imu.samples import held_inputs, levelled
+from trackers.uwb_imu.imu_inputs import imu_inputs, to_level_axes
+from trackers.uwb_imu.inertial import InertialStart, inertial_tracker, level_attitude
+from trackers.uwb_imu.rows import TRACKERS, inertial_trajectories
 
 TAGS, POINTS = 6, 480
 
@@ -61,7 +61,7 @@ def runs(folder):
 
 
 @pytest.mark.slow
-def test_the_imu_takes_a_fifth_or_more_off_the_error_of_ranges_alone(runs):
+def test_the_imu_reduces_the_error_of_ranges_alone_by_at_least_a_fifth(runs):
     recordings, estimates = runs
     with_imu, without = (_rmse(_errors(estimates[a:b], recordings[a:b])) for a, b in ((0, TAGS), (TAGS, 2 * TAGS)))
     assert with_imu < 0.06
@@ -69,7 +69,7 @@ def test_the_imu_takes_a_fifth_or_more_off_the_error_of_ranges_alone(runs):
 
 
 @pytest.mark.slow
-def test_the_yaw_that_nobody_told_is_found(runs, folder):
+def test_the_unknown_initial_yaw_is_estimated(runs, folder):
     recordings, estimates = runs
     truth = folder.tables["truth"]
     for k, tag in enumerate(sorted(truth["tag"].unique().to_list())):
@@ -81,7 +81,7 @@ def test_the_yaw_that_nobody_told_is_found(runs, folder):
 
 
 @pytest.mark.slow
-def test_an_imu_without_ranges_drifts_and_says_so(runs):
+def test_an_imu_without_ranges_drifts_within_its_covariance(runs):
     recordings, estimates = runs
     k = 2 * TAGS
     sigma = estimates.sigmas["position.0"][k : k + TAGS]
@@ -95,37 +95,37 @@ def test_a_sample_is_held_for_a_while_and_a_gap_is_a_gap():
     times = np.array([-0.1, 0.0, 0.15, 0.95, 1.05, 1.3])
     samples = np.tile(np.arange(10.0)[:, None], (1, 3))
     gyro = np.where(np.arange(10)[:, None] == 9, np.nan, samples)
-    inputs = held_inputs(times, imu, samples, gyro)
+    inputs = imu_inputs(times, imu, samples, gyro)
     np.testing.assert_array_equal(inputs["imu"], [[0, 0], [1, 1], [1, 1], [1, 1], [1, 0], [0, 0]])
     np.testing.assert_array_equal(inputs["accel"][:, 0], [0, 0, 1, 9, 9, 0])
 
 
-def test_rest_is_known_and_gives_the_gyros_bias():
+def test_rest_is_detected_and_gives_the_gyro_bias():
     rng = np.random.default_rng(0)
     imu = np.arange(0, 4, 0.01)
     accel = np.array([0.0, 0.0, 9.81]) + 0.02 * rng.normal(size=(400, 3))
     gyro = 0.03 + 0.002 * rng.normal(size=(400, 3))
     accel[200:] += np.sin(10 * imu[200:, None])
-    rest = held_inputs(np.array([0.0, 1.9, 3.5]), imu, accel, gyro)["rest"]
+    rest = imu_inputs(np.array([0.0, 1.9, 3.5]), imu, accel, gyro)["rest"]
     np.testing.assert_array_equal(rest[:, 6], [1, 1, 0])
     np.testing.assert_allclose(rest[1, 3:6], 0.03, atol=0.001)
 
 
 def test_a_sensor_that_takes_gravity_out_is_levelled_by_its_own_attitude():
     q = np.array([[0.5, 0.5, 0.5, 0.5], [2.0, 0.0, 0.0, 0.0], [np.nan] * 4])  # x to y, y to z, z to x
-    accel, gyro = levelled(np.tile([1.0, 2.0, 3.0], (3, 1)), q, 9.81)
+    accel, gyro = to_level_axes(np.tile([1.0, 2.0, 3.0], (3, 1)), q, 9.81)
     np.testing.assert_allclose(accel[:2], [[3, 1, 2 + 9.81], [1, 2, 3 + 9.81]])
     np.testing.assert_array_equal(gyro[:2], 0)
     assert np.isnan(accel[2]).all()
 
 
 @pytest.mark.parametrize("force", [(0.0, 0.0, 9.8), (5.0, -1.0, 8.0), (0.0, 0.0, -9.8), (9.8, 0.0, 0.0)])
-def test_upright_brings_what_is_felt_upwards(force):
-    world = upright(Vector(*(np.float64(x) for x in force))).apply(Vector(*force))
+def test_the_level_attitude_brings_the_specific_force_to_the_vertical(force):
+    world = level_attitude(Vector(*(np.float64(x) for x in force))).apply(Vector(*force))
     np.testing.assert_allclose([*world], [0, 0, np.linalg.norm(force)], atol=1e-9)
 
 
-def test_the_start_is_unsure_of_the_yaw_and_of_little_else():
+def test_the_start_has_a_large_variance_of_the_yaw_alone():
     felt = np.array([5.0, -1.0, 8.0])
     inputs = {"nearby": np.array([1.0, 2.0, 1.5, 1.0]), "rest": np.array([*felt, 0, 0, 0, 0.0])}
     row = Row(np.float64(0), True, {}, inputs, None, None)

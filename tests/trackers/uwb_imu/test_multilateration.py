@@ -1,4 +1,4 @@
-"""Robust least squares on ranges: exact places, the least of the loss, wild ranges, mirror images, too few anchors."""
+"""Robust least squares on ranges: exact positions, minimum of the loss, outliers, mirror images, too few anchors."""
 
 import jax
 import jax.numpy as jnp
@@ -39,7 +39,7 @@ def _loss(position, ranges):
     return np.sum(np.log1p(((ranges - np.linalg.norm(full - ANCHORS, axis=1)) / SCALE) ** 2))
 
 
-def test_exact_ranges_give_the_place(locate):
+def test_exact_ranges_give_the_position(locate):
     call, n = locate
     place = call(_exact())
     assert bool(place.determined)
@@ -47,7 +47,7 @@ def test_exact_ranges_give_the_place(locate):
     np.testing.assert_allclose(place.position, PLACE[:n], atol=1e-9)
 
 
-def test_noisy_ranges_give_the_least_of_the_loss(locate):
+def test_noisy_ranges_give_the_minimum_of_the_loss(locate):
     call, n = locate
     rng = np.random.default_rng(0)
     ranges = _exact() + rng.normal(0.0, 0.1, len(ANCHORS))
@@ -58,7 +58,7 @@ def test_noisy_ranges_give_the_least_of_the_loss(locate):
     assert least <= min(around) + 1e-5
 
 
-def test_a_range_of_kilometres_is_forgotten(locate):
+def test_a_range_of_kilometres_has_no_influence(locate):
     call, n = locate
     ranges = _exact()
     ranges[1] += 4000.0
@@ -66,7 +66,7 @@ def test_a_range_of_kilometres_is_forgotten(locate):
     np.testing.assert_allclose(call(ranges).position, PLACE[:n], atol=1e-3)
 
 
-def test_what_does_not_count_has_no_say(locate):
+def test_masked_ranges_have_no_influence(locate):
     call, _ = locate
     counts = np.ones(len(ANCHORS), bool)
     counts[3] = False
@@ -89,7 +89,7 @@ def test_anchors_on_one_line_determine_nothing(locate):
     assert not bool(call(np.linalg.norm(np.array([2.0, 4.05, 1.1]) - line, axis=1), line).determined)
 
 
-def test_anchors_in_one_plane_leave_the_horizontal_place_right():
+def test_coplanar_anchors_give_the_horizontal_position():
     flat = ANCHORS * [1.0, 1.0, 0.0] + [0.0, 0.0, 2.0]
     place = multilaterate(jnp.asarray(_exact(flat)), jnp.asarray(flat), jnp.ones(6, bool), None, jnp.asarray(SCALE))
     np.testing.assert_allclose(place.position[:2], PLACE[:2], atol=1e-6)
@@ -104,13 +104,13 @@ def test_the_inverse_is_that_of_linear_algebra(n):
     np.testing.assert_allclose(inverse(jnp.asarray(matrix)), np.linalg.inv(matrix), rtol=1e-12, atol=1e-13)
 
 
-def test_the_median_passes_over_what_does_not_count():
+def test_the_median_ignores_masked_values():
     values, counts = jnp.array([5.0, 1.0, 9.0, 3.0]), jnp.array([1.0, 1.0, 0.0, 1.0])
     assert float(lower_median(values, counts)) == 3.0
     assert float(lower_median(values, counts * 0.0)) == 0.0
 
 
-def test_the_tracker_waits_for_rows_with_enough_ranges_and_reports_its_spread():
+def test_the_tracker_waits_for_rows_with_enough_ranges_and_reports_a_covariance():
     rng = np.random.default_rng(1)
     rows, sigma = 400, 0.05
     ranges = _exact() + rng.normal(0.0, sigma, (rows, len(ANCHORS)))

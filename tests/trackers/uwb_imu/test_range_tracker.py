@@ -1,4 +1,4 @@
-"""The tracker of ranges: its motion's contract, a start from any side, biases found, wild ranges and silence."""
+"""The tracker of ranges: its motion's contract, starts, biases, outliers and gaps."""
 
 import jax
 import jax.numpy as jnp
@@ -11,8 +11,8 @@ from trackers.core.checks import check_motion
 from trackers.core.recording import Readings, Recording, stack
 from trackers.parts.ranges import RANGES
 from trackers.parts.recent_positions import recent_positions
-from trackers.uwb_imu.drifting import DriftingBiases, Ranged, damped
 from trackers.uwb_imu.fusion import range_tracker
+from trackers.uwb_imu.range_motion import RangeMotion, RangeState, damped_velocity
 
 ANCHORS = np.array([[5.0, 0.0, 2.0], [0.0, 6.0, 1.0], [-4.0, -3.0, 2.5], [1.0, -6.0, 2.2], [-5.0, 4.0, 0.5]])
 HEIGHT = 1.1
@@ -20,18 +20,18 @@ HEIGHT = 1.1
 
 @pytest.mark.parametrize("dimensions", [2, 3])
 def test_the_motion_with_drifting_biases_keeps_its_contract(dimensions):
-    state = Ranged(Vector(*[0.1] * dimensions), Vector(*[0.2] * dimensions), Vector(0.01, -0.02))
-    check_motion(DriftingBiases(2, 0.3, 0.2, 5.0, 0.05, 20.0), state)
+    state = RangeState(Vector(*[0.1] * dimensions), Vector(*[0.2] * dimensions), Vector(0.01, -0.02))
+    check_motion(RangeMotion(2, 0.3, 0.2, 5.0, 0.05, 20.0), state)
 
 
 @pytest.mark.parametrize("dt", [1e-3, 0.1, 2.0, 6.0, 40.0])
 def test_the_motion_is_the_solution_of_its_differential_equation(dt):
     sigma, memory = 0.7, 4.0
-    motion = DriftingBiases(0, sigma, 0.2, memory, 0.05, 20.0)
+    motion = RangeMotion(0, sigma, 0.2, memory, 0.05, 20.0)
     F, Q = van_loan(np.array([[0.0, 1.0], [0.0, -1.0 / memory]]), np.diag([0.0, sigma**2]), dt)
 
     def moved(x, v, *noise):
-        state = Ranged(Vector(x, 0.0), Vector(v, 0.0), Vector())
+        state = RangeState(Vector(x, 0.0), Vector(v, 0.0), Vector())
         after = motion.step(state, None, jnp.asarray(dt), Vector(noise[0], 0.0, 0.0, noise[1], 0.0, 0.0))
         return np.array([float(after.position[0]), float(after.velocity[0])])
 
@@ -41,18 +41,18 @@ def test_the_motion_is_the_solution_of_its_differential_equation(dt):
     np.testing.assert_allclose(G @ G.T, Q, rtol=1e-6)
 
 
-def test_a_gradient_with_respect_to_the_motions_numbers_is_finite_where_no_time_passes():
+def test_gradients_with_respect_to_the_motions_numbers_are_finite_at_dt_zero():
     def moved(log_memory, dt):
-        kept, reach, kick, along, across = damped(dt, jnp.exp(log_memory))
+        kept, reach, kick, along, across = damped_velocity(dt, jnp.exp(log_memory))
         return kept + reach + kick + along + across
 
     for dt in (0.0, 1e-4, 3.0):
         assert np.isfinite(jax.grad(moved)(jnp.asarray(1.0), jnp.asarray(dt)))
 
 
-def test_a_bias_forgets_exactly_over_any_interval():
-    motion = DriftingBiases(1, 0.3, 0.2, 5.0, 0.05, 20.0)
-    state = Ranged(Vector(0.0, 0.0), Vector(0.0, 0.0), Vector(0.3))
+def test_a_bias_decays_exactly_over_any_interval():
+    motion = RangeMotion(1, 0.3, 0.2, 5.0, 0.05, 20.0)
+    state = RangeState(Vector(0.0, 0.0), Vector(0.0, 0.0), Vector(0.3))
     still = Vector(*[0.0] * 7)
     twice = motion.step(motion.step(state, None, jnp.asarray(3.0), still), None, jnp.asarray(4.0), still)
     # Rounding of exponentials.
@@ -65,7 +65,7 @@ def test_a_bias_forgets_exactly_over_any_interval():
     np.testing.assert_allclose((parts[0] * np.exp(-4.0 / 20.0)) ** 2 + parts[1] ** 2, parts[2] ** 2, rtol=1e-13)
 
 
-def _rows(rng, count=600, wild=0.0, sigma=0.02, biases=None, still=False):
+def _rows(rng, count=600, outlier=0.0, sigma=0.02, biases=None, still=False):
     """Times, anchors' numbers, ranges and the true places of a tag on a circle of 2 m, one range in 20 ms."""
     times = np.arange(count) * 0.02
     numbers = np.arange(count) % len(ANCHORS)
@@ -73,12 +73,12 @@ def _rows(rng, count=600, wild=0.0, sigma=0.02, biases=None, still=False):
     places = np.stack([2 * np.cos(angle), 2 * np.sin(angle), np.full(count, HEIGHT)], axis=1)
     ranges = np.linalg.norm(places - ANCHORS[numbers], axis=1) + rng.normal(0.0, sigma, count)
     ranges += 0.0 if biases is None else biases[numbers]
-    struck = rng.random(count) < wild
+    struck = rng.random(count) < outlier
     return times, numbers, np.where(struck, ranges + rng.exponential(5.0, count), ranges), places
 
 
 @pytest.mark.parametrize("height", [HEIGHT, None])
-def test_recent_places_are_the_tags_place_where_three_or_four_anchors_were_heard(height):
+def test_recent_positions_are_the_tags_with_ranges_to_three_or_four_anchors(height):
     times, numbers, ranges, places = _rows(np.random.default_rng(0), sigma=0.0, still=True)
     found = recent_positions(times, ANCHORS, numbers, ranges, np.ones(len(times), bool), height)
     least = 3 if height is not None else 4
@@ -88,15 +88,15 @@ def test_recent_places_are_the_tags_place_where_three_or_four_anchors_were_heard
     np.testing.assert_allclose(found[least + 5 :, :3], places[least + 5 :], atol=1e-3)
 
 
-def test_a_wild_range_of_kilometres_moves_no_recent_place():
+def test_an_outlier_of_kilometres_does_not_change_recent_positions():
     times, numbers, ranges, places = _rows(np.random.default_rng(1), still=True)
     ranges[200], ranges[203] = 9000.0, 0.01
     found = recent_positions(times, ANCHORS, numbers, ranges, np.ones(len(times), bool), None)
-    # 2 cm of noise, five anchors round the tag; the median of an anchor's latest five passes the wild one over.
+    # 2 cm of noise, five anchors round the tag; the median of an anchor's latest five passes the outlier one over.
     assert np.abs(found[195:230, :2] - places[195:230, :2]).max() < 0.08
 
 
-def test_anchors_on_one_line_determine_no_place():
+def test_collinear_anchors_determine_no_position():
     line = np.array([[0.0, 0.0, 2.0], [1.0, 0.0, 2.0], [2.0, 0.0, 2.0], [4.0, 0.0, 2.0]])
     times, numbers = np.arange(40) * 0.02, np.arange(40) % 4
     ranges = np.linalg.norm(np.array([1.5, 0.02, HEIGHT]) - line[numbers], axis=1)
@@ -117,12 +117,12 @@ def _recording(times, numbers, ranges, height):
 
 @pytest.fixture(scope="module")
 def runs():
-    """Errors of a run at a known height: clean, with a tenth of the ranges wild, and after a silence of a minute."""
+    """Errors of a run at a known height: clean, with a tenth of the ranges outlier, and after a silence of a minute."""
     tracker = range_tracker(5, planar=True, sigma_a=1.0, sigma_r=0.04, positive_skew=2.0, bias=0.0, sigma_bias=0.05)
     out = {}
-    for name, wild in (("clean", 0.0), ("wild", 0.1)):
+    for name, outlier in (("clean", 0.0), ("outlier", 0.1)):
         times, numbers, ranges, places = _rows(
-            np.random.default_rng(2), wild=wild, biases=np.array([0.1, 0, 0, 0, -0.1])
+            np.random.default_rng(2), outlier=outlier, biases=np.array([0.1, 0, 0, 0, -0.1])
         )
         if name == "clean":
             times = times + np.where(np.arange(len(times)) >= 300, 60.0, 0.0)
@@ -138,23 +138,23 @@ def test_the_tracker_follows_a_tag_that_moves_in_a_circle(runs):
     assert np.sqrt(np.mean(errors[150:300] ** 2)) < 0.06
 
 
-def test_a_tenth_of_wild_ranges_costs_centimetres(runs):
-    assert np.sqrt(np.mean(runs["wild"][0][150:] ** 2)) < 0.12
+def test_a_tenth_of_outliers_costs_centimetres(runs):
+    assert np.sqrt(np.mean(runs["outlier"][0][150:] ** 2)) < 0.12
 
 
-def test_biases_are_told_apart_from_motion(runs):
-    bias = np.stack([np.asarray(x) for x in runs["wild"][1].mean.bias], axis=1)
+def test_biases_are_separated_from_motion(runs):
+    bias = np.stack([np.asarray(x) for x in runs["outlier"][1].mean.bias], axis=1)
     # The mean of all five is only weakly seen; the difference of 20 cm between two is learnt to a part.
     assert bias[-1, 0] - bias[-1, 4] > 0.08
 
 
-def test_a_silence_of_a_minute_ends_the_track_and_starts_another(runs):
+def test_a_gap_of_a_minute_ends_the_track_and_starts_another(runs):
     errors, estimates = runs["clean"]
     assert estimates.summary() == "lost and re-started 1 times"
     assert np.sqrt(np.mean(errors[450:] ** 2)) < 0.06
 
 
-def test_more_anchors_than_own_biases_leave_a_state_without_them():
+def test_with_too_many_anchors_the_state_has_no_biases():
     tracker = range_tracker(24, planar=True)
     times, numbers, ranges, _ = _rows(np.random.default_rng(3), count=60)
     estimates = tracker.run(_recording(times, numbers, ranges, HEIGHT))
@@ -162,7 +162,7 @@ def test_more_anchors_than_own_biases_leave_a_state_without_them():
     assert estimates.summary() == "ok"
 
 
-def test_the_spread_is_right_where_the_world_is_the_model():
+def test_the_covariance_is_consistent_where_the_world_is_the_model():
     """300 tags over the floor by the model's own motion, biases and normal noise: NEES over them of chi-squared."""
     runs, rows, step = 300, 80, 0.05
     sigma_a, sigma_r, sigma_bias, constant = 0.5, 0.1, 0.05, 5.0

@@ -34,7 +34,7 @@ def test_single_sided_ranging_with_the_drift_known_is_the_distance(drift):
     np.testing.assert_allclose(found, DISTANCE, atol=MICROMETRES)
 
 
-def test_single_sided_ranging_is_wrong_by_half_the_drift_of_the_answers_delay():
+def test_the_error_of_single_sided_ranging_is_half_the_drift_times_the_reply_delay():
     (asked, back, _), (heard, answered, _) = _stamps(1e-5)
     error = single_sided(elapsed(asked, back), elapsed(heard, answered)) - DISTANCE
     np.testing.assert_allclose(error, -SPEED_OF_LIGHT * 1e-5 * REPLY / 2, atol=MICROMETRES)
@@ -48,7 +48,7 @@ def test_double_sided_ranging_needs_no_drift_and_no_equal_delays(drift):
     np.testing.assert_allclose(double_sided(*turns), DISTANCE, atol=MICROMETRES + abs(drift) * DISTANCE.max())
 
 
-def test_a_counter_that_starts_anew_between_two_stamps_loses_nothing():
+def test_a_counter_that_wraps_between_two_stamps_gives_the_same_interval():
     period = 2**40 / (128 * 499.2e6)
     start = period - 1e-3
     np.testing.assert_allclose(elapsed(start, np.mod(start + 3e-3, period), period), 3e-3, rtol=1e-11)

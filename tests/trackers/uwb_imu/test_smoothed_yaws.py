@@ -1,4 +1,4 @@
-"""A smoothed bank of yaws is each yaw smoothed by itself, weighed by what it had foretold of the whole track."""
+"""A smoothed mixture of yaws: each component smoothed by itself, weighted by its likelihood of the whole track."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from trackers.core.state import Heading
 from trackers.core.tracker import Tracker
 from trackers.parts.ranges import RangeSensor
 from trackers.uwb_imu.strapdown import ImuNoise, PlanarInertial, PlanarStrapdown
-from trackers.uwb_imu.yaws import YawBank
+from trackers.uwb_imu.yaw_mixture import YawMixtureFilter
 
 ROWS, STEP_S, SIGMA_R, RADIUS = 24, 0.05, 0.3, 3.0
 ANCHORS = np.array([[0.0, 0.0, 2.0], [10.0, 0.0, 2.0], [10.0, 10.0, 2.0], [0.0, 10.0, 2.0]])
@@ -51,11 +51,11 @@ def _smoothed(filter):
 @pytest.fixture(scope="module")
 def runs():
     both = _smoothed(ExtendedKalman()).run(stack([_recording(), _recording(np.pi)]))
-    return _smoothed(YawBank(count=2)).run(_recording()), [both[0], both[1]]
+    return _smoothed(YawMixtureFilter(count=2)).run(_recording()), [both[0], both[1]]
 
 
 @pytest.mark.slow
-def test_the_mean_of_the_bank_is_the_yaws_own_by_their_likelihood(runs):
+def test_the_mean_of_the_mixture_is_the_components_weighted_by_likelihood(runs):
     bank, yaws = runs
     evidence = np.array([one.log_likelihood.sum() for one in yaws])
     weights = np.exp(evidence - np.logaddexp.reduce(evidence))
@@ -74,7 +74,7 @@ def test_the_mean_of_the_bank_is_the_yaws_own_by_their_likelihood(runs):
 
 
 @pytest.mark.slow
-def test_the_spread_of_the_bank_is_within_the_yaws_and_between_them(runs):
+def test_the_covariance_of_the_mixture_is_that_within_and_between_components(runs):
     bank, yaws = runs
     evidence = np.array([one.log_likelihood.sum() for one in yaws])
     weights = np.exp(evidence - np.logaddexp.reduce(evidence))

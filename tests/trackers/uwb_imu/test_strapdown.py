@@ -1,4 +1,4 @@
-"""Strapdown mechanisation against finite differences, the paper's matrix put right, and plain physics."""
+"""Strapdown mechanisation against finite differences, the paper's corrected matrix, and physics."""
 
 import jax
 import jax.numpy as jnp
@@ -67,7 +67,7 @@ def test_the_error_states_jacobian_is_the_finite_difference(motion, state):
     np.testing.assert_allclose(_error_jacobian(motion, state, ARMED, dt), differences, atol=1e-8)
 
 
-def test_the_papers_mechanisation_has_the_papers_matrix_put_right():
+def test_the_papers_mechanisation_has_the_papers_corrected_matrix():
     """Kwon et al. 2021, (22), (23), with f₁'s sign and the four entries of the transport term corrected."""
     psi, (vx, vy), bz = 0.6, (0.7, -0.4), 0.05
     ax, ay, wz = 0.8 - 0.1, -1.1 + 0.2, 1.2 - bz

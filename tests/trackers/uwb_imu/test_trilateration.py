@@ -10,7 +10,13 @@ from hypothesis import strategies as st
 from trackers.core.algebra import Vector
 from trackers.core.recording import Readings, Recording
 from trackers.parts.ranges import RANGES
-from trackers.uwb_imu.trilateration import compensation, intersections, on_floor, trilaterate, trilateration_tracker
+from trackers.uwb_imu.trilateration import (
+    compensation,
+    horizontal_range,
+    intersections,
+    trilaterate,
+    trilateration_tracker,
+)
 
 ROUNDING = 1e-11
 
@@ -72,7 +78,7 @@ def test_as_printed_13_puts_the_points_elsewhere():
     assert abs(place @ second / 4.0 - b) > 1.0
 
 
-def test_anchors_that_share_y_are_no_special_case(meet):
+def test_anchors_of_equal_y_are_no_special_case(meet):
     points = meet([0, 0], [6, 0], 5, 5)
     np.testing.assert_allclose(sorted(points.tolist()), [[3, -4], [3, 4]], atol=ROUNDING)
 
@@ -94,11 +100,11 @@ def test_circles_that_miss_each_other_give_the_middle_of_the_gap(meet, second, r
     assert abs(abs(np.hypot(*points[0]) - radius) - abs(np.hypot(*(points[0] - second)) - other)) < ROUNDING
 
 
-def test_anchors_at_one_place_give_that_place_and_no_nan(meet):
+def test_anchors_at_one_position_give_that_position_and_no_nan(meet):
     assert np.isfinite(meet([1, 2], [1, 2], 3, 3)).all()
 
 
-def test_exact_ranges_give_the_place(locate):
+def test_exact_ranges_give_the_position(locate):
     anchors = np.array([[0.0, 0.0], [6.0, 0.0], [2.0, 5.0]])
     place = np.array([2.7, 2.7])
     # The roots of nearly equal squares keep eleven digits.
@@ -124,9 +130,9 @@ def test_compensation_lengthens_every_range_and_moves_no_tag_in_the_middle(locat
 
 
 def test_the_horizontal_part_of_a_range_is_zero_where_the_drop_is_longer():
-    assert float(on_floor(jnp.asarray(5.0), jnp.asarray(-3.0))) == 4.0
-    assert float(on_floor(jnp.asarray(2.0), jnp.asarray(3.0))) == 0.0
-    assert float(jax.grad(on_floor)(jnp.asarray(2.0), jnp.asarray(3.0))) == 0.0
+    assert float(horizontal_range(jnp.asarray(5.0), jnp.asarray(-3.0))) == 4.0
+    assert float(horizontal_range(jnp.asarray(2.0), jnp.asarray(3.0))) == 0.0
+    assert float(jax.grad(horizontal_range)(jnp.asarray(2.0), jnp.asarray(3.0))) == 0.0
 
 
 def test_the_tracker_waits_for_rows_with_three_ranges():

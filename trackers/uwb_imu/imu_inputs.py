@@ -1,0 +1,70 @@
+"""IMU samples as inputs of rows, on the host: sample and hold, detection of rest, and rotation to level axes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+HOLD_S = 0.2
+"""Longest time for which a sample is held, s; after it the row has no IMU."""
+
+REST_WINDOW_S = 1.0
+"""Window of the test for rest, s."""
+
+REST_ACCEL_STD, REST_GYRO_STD = 0.15, 0.02
+"""Largest standard deviations at rest, m/s² and rad/s: several times the noise of a MEMS IMU, below hand motion."""
+
+
+def imu_inputs(
+    times: np.ndarray, imu_times: np.ndarray, accel: np.ndarray, gyro: np.ndarray, hold: float = HOLD_S
+) -> dict[str, np.ndarray]:
+    """The inputs `accel` (T, 3) m/s², `gyro` (T, 3) rad/s, `imu` (T, 2) and `rest` (T, 7) of rows at `times` (T,) s.
+
+    Each row has the latest sample not after it. `accel`, `gyro` (n, 3): samples at `imu_times` (n,) s, sorted; NaN if
+    missing. `imu`: whether accelerometer and gyro are available. `rest`: the mean of both over the last
+    `REST_WINDOW_S`, or over the first window of the IMU, and 1 if the body was at rest; zeros without samples.
+    """
+    inputs = {"imu": np.zeros((len(times), 2))}
+    for k, (name, values) in enumerate((("accel", accel), ("gyro", gyro))):
+        known = np.isfinite(values).all(axis=1)
+        own, samples = imu_times[known], values[known]
+        last = np.searchsorted(own, times, side="right") - 1
+        fresh = last >= 0
+        fresh[fresh] = times[fresh] - own[last[fresh]] <= hold
+        inputs["imu"][:, k] = fresh
+        inputs[name] = np.where(fresh[:, None], samples[np.maximum(last, 0)] if len(own) else 0.0, 0.0)
+    both = np.isfinite(accel).all(axis=1)
+    own, pairs = imu_times[both], np.concatenate([accel, np.nan_to_num(gyro)], axis=1)[both]
+    inputs["rest"] = _rests(times, own, pairs) if len(own) else np.zeros((len(times), 7))
+    return inputs
+
+
+def _rests(times: np.ndarray, own: np.ndarray, samples: np.ndarray) -> np.ndarray:
+    """The input `rest` of `imu_inputs`, by cumulative sums."""
+    stop = np.searchsorted(own, np.maximum(times, own[0] + REST_WINDOW_S), side="right")
+    start = np.minimum(np.searchsorted(own, own[stop - 1] - REST_WINDOW_S), stop - 1)
+    # Deviations from the total mean: the squares of gravity would swamp the noise.
+    centre = samples.mean(axis=0)
+    sums, squares = (
+        np.concatenate([np.zeros((1, 6)), np.cumsum((samples - centre) ** power, axis=0)]) for power in (1, 2)
+    )
+    count = (stop - start)[:, None]
+    mean = (sums[stop] - sums[start]) / count
+    spread = np.sqrt(np.maximum((squares[stop] - squares[start]) / count - mean**2, 0.0))
+    quiet = (spread[:, :3] < REST_ACCEL_STD).all(axis=1) & (spread[:, 3:] < REST_GYRO_STD).all(axis=1)
+    at_rest = quiet & (own[stop - 1] - own[start] > 0.5 * REST_WINDOW_S)
+    recent = times - own[stop - 1] <= REST_WINDOW_S
+    return np.where(recent[:, None], np.concatenate([mean + centre, at_rest[:, None]], axis=1), 0.0)
+
+
+def to_level_axes(accel: np.ndarray, attitude: np.ndarray, gravity: float) -> tuple[np.ndarray, np.ndarray]:
+    """Samples of an IMU that reports its attitude and gravity-free acceleration, rotated to its own level axes.
+
+    `accel` (n, 3) m/s² in body axes, without gravity; `attitude` (n, 4): quaternion from body to level axes. Returns
+    the specific force in level axes and a turning rate of zero; the drift of these axes about the vertical is left to
+    the filter's gyro noise and bias. NaN stays NaN.
+    """
+    w, q = np.split(attitude / np.linalg.norm(attitude, axis=1, keepdims=True), [1], axis=1)
+    twice = 2.0 * np.cross(q, accel)
+    force = accel + w * twice + np.cross(q, twice)
+    force[:, 2] += gravity
+    return force, np.where(np.isfinite(force), 0.0, np.nan)
