@@ -92,7 +92,7 @@ def test_an_outlier_of_kilometres_does_not_change_recent_positions():
     times, numbers, ranges, places = _rows(np.random.default_rng(1), still=True)
     ranges[200], ranges[203] = 9000.0, 0.01
     found = recent_positions(times, ANCHORS, numbers, ranges, np.ones(len(times), bool), None)
-    # 2 cm of noise, five anchors round the tag; the median of an anchor's latest five passes the outlier one over.
+    # 2 cm of noise, five anchors round the tag; the median of an anchor's latest five ignores the outlier.
     assert np.abs(found[195:230, :2] - places[195:230, :2]).max() < 0.08
 
 
@@ -117,7 +117,7 @@ def _recording(times, numbers, ranges, height):
 
 @pytest.fixture(scope="module")
 def runs():
-    """Errors of a run at a known height: clean, with a tenth of the ranges outlier, and after a silence of a minute."""
+    """Errors of a run at a known height: clean, with a tenth of outliers, and after a gap of a minute."""
     tracker = range_tracker(5, planar=True, sigma_a=1.0, sigma_r=0.04, positive_skew=2.0, bias=0.0, sigma_bias=0.05)
     out = {}
     for name, outlier in (("clean", 0.0), ("outlier", 0.1)):
