@@ -1,1 +1,1 @@
-"""Studies of questions that no paper prints a result for: fastening points, and where stations should stand."""
+"""Studies without a printed result: decisions at fastening points, and positions of anchors and antennas."""

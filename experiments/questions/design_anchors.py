@@ -1,10 +1,10 @@
-"""Four anchors in a hall: in its corners, on a grid, and where the gradient of the Cramér–Rao bound puts them.
+"""Four anchors in a hall: in its corners, on the best grid points, and at a minimum of the Cramér–Rao bound.
 
-Two anchors stand low, two high, on the walls of a hall of 30 m × 10 m; tags move in it 0.8 m to 1.8 m high. The layouts
-are those of `python -m experiments.questions.fit_design_anchors`: nothing printed was used. Whether a lower bound makes a
-better tracker is seen on tracks: a filter's errors fall as the bound of one epoch does. Multilateration, which forgets
-everything from row to row and with four ranges can take a wrong place for the right one, gains less: a bound is of
-small errors alone.
+Two low and two high anchors stand on the walls of a hall of 30 m × 10 m; tags move 0.8 m to 1.8 m above the floor. The
+layouts were found by `python -m experiments.questions.fit_design_anchors`; no printed number was used. The study tests
+whether a lower bound improves tracking. The errors of a filter decrease in proportion to the bound of one epoch. Those
+of multilateration, which has no memory, decrease less: with four ranges it sometimes converges to the wrong solution,
+and the bound holds for small errors only.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from experiments.monte_carlo.declaration import Study, TrackerConfig, World
 from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
 from experiments.monte_carlo.results import Results
 from experiments.plots.style import BLACK, VERMILION
-from experiments.questions._design_pictures import maps
 from experiments.questions._designs import (
     HALL,
     LAYOUTS,
@@ -28,9 +27,10 @@ from experiments.questions._designs import (
     against_grid,
     bound_map,
     designs,
-    fall,
     hall,
-    squares,
+    maps,
+    mean_square,
+    rmse_ratio,
 )
 from sim.corruptions import white_noise
 from sim.paths import hand_motion
@@ -43,50 +43,50 @@ HEIGHT = 1.3
 
 
 def walks(ids: np.ndarray, seed: int, layout: str) -> RecordingFolder:
-    """Tags that move through the hall at 0.7 m/s, ranged by all four anchors ten times a second."""
+    """Tags that move through the hall at 0.7 m/s, with ranges to all four anchors ten times a second."""
     path = partial(hand_motion, volume=TAGS, speed=0.7)
     world = simulate_ranges(
-        chamber(DESIGNS[layout].places), path, len(ids), seed, rate_hz=10.0, n_points=200, protocol=EXACT,
+        chamber(DESIGNS[layout].positions), path, len(ids), seed, rate_hz=10.0, n_points=200, protocol=EXACT,
         corruptions={"white": white_noise(SIGMA_R)}, ids=ids,
     )  # fmt: skip
     return world.folder("hall")
 
 
 def expected(results: Results) -> list[ExpectedResult | Conclusion]:
-    """The gradient against the grid, and tracks against bounds."""
-    usual, grid, gradient = (DESIGNS[layout] for layout in LAYOUTS)
-    bound, found = gradient.bound / usual.bound, fall(results, "uwb", "gradient")
+    """Search by gradient against the grid, and errors of trackers against bounds."""
+    default, grid, gradient = (DESIGNS[layout] for layout in LAYOUTS)
+    bound, found = gradient.bound / default.bound, rmse_ratio(results, "uwb", "gradient")
     median, rmse = (
         results.value(figure, "gradient", "multilateration").value
         / results.value(figure, "default", "multilateration").value
         for figure in ("median_3d_m", "rmse_3d_m")
     )
     return [
-        against_grid(usual, grid, gradient),
+        against_grid(default, grid, gradient),
         Conclusion(
-            "the filter's RMSE falls as the bound of an epoch does, within 10 %",
+            "the filter's RMSE decreases in proportion to the bound of an epoch, within 10 %",
             abs(found.value / bound - 1) < 0.10,
-            f"RMSE to {found.value:.3f} [{found.low:.3f}, {found.high:.3f}] of the corners', bound to {bound:.3f}",
+            f"ratio to the corners: RMSE {found.value:.3f} [{found.low:.3f}, {found.high:.3f}], bound {bound:.3f}",
         ),
         Conclusion(
-            "so does the median without a filter, within 10 %, where its largest errors do not",
+            "the median error without a filter does so too, within 10 %, its RMSE does not",
             abs(median / bound - 1) < 0.10 and rmse > median,
-            f"multilateration's median to {median:.3f}, its RMSE to {rmse:.3f}: four ranges have wrong solutions too",
+            f"multilateration: median {median:.3f}, RMSE {rmse:.3f}, since four ranges also have wrong solutions",
         ),
     ]
 
 
 def draw(results: Results, folder: Path) -> list[str]:
-    """The three layouts over a map of their bounds at the height of a tool in the hand."""
+    """Map of the bound for each layout, 1.3 m above the floor, with its anchors."""
     x, y = np.linspace(0, HALL[1, 0], 61), np.linspace(0, HALL[2, 1], 21)
     grid = np.stack([a.ravel() for a in np.meshgrid(x, y, [HEIGHT], indexing="ij")], axis=1)
     layout = hall()
     fields = {}
     for name, design in DESIGNS.items():
-        fields[name] = bound_map(layout, layout.theta(design.places), grid).reshape(len(x), len(y))
+        fields[name] = bound_map(layout, layout.theta(design.positions), grid).reshape(len(x), len(y))
 
     def anchors(axes: Axes, name: str) -> None:
-        for px, py, pz in DESIGNS[name].places:
+        for px, py, pz in DESIGNS[name].positions:
             high = pz > HEIGHT
             axes.plot(px, py, "^" if high else "v", color=VERMILION if high else BLACK, markersize=8, clip_on=False)
 
@@ -97,7 +97,7 @@ def draw(results: Results, folder: Path) -> list[str]:
     ]
 
 
-TOLD = {
+NOISE = {
     "sensors.ranges.sigma_r": SIGMA_R,
     "sensors.ranges.positive_skew": 1.0,
     "sensors.ranges.dof": 30.0,
@@ -105,18 +105,18 @@ TOLD = {
     "motion.sigma_bias": 0.002,
     "start.sigma_bias": 0.002,
 }
-"""The noise of this world, which has no biases."""
+"""Tunables that agree with the noise of this world, which has no biases."""
 
 STUDY = Study(
     name="design-anchors",
-    about="Where four anchors must stand in a hall: corners, grid and gradient, by their bounds and on tracks",
+    about="Which positions of four anchors in a hall give the smallest errors? Corners, grid and gradient compared",
     worlds={layout: World(walks, {"layout": layout}) for layout in LAYOUTS},
     trackers={
-        "uwb": TrackerConfig("uwb", TOLD),
+        "uwb": TrackerConfig("uwb", NOISE),
         "multilateration": TrackerConfig("multilateration", {"sigma_r": SIGMA_R}),
     },
     runs=100,
-    measures={"square_3d_m2": squares},
+    measures={"square_3d_m2": mean_square},
     metrics=("rmse_3d_m", "median_3d_m", "p95_3d_m", "rmse_m"),
     expected=expected,
     draw=draw,

@@ -1,7 +1,7 @@
-"""Lay out four anchors in a hall: `python -m experiments.questions.fit_design_anchors` writes design_anchors.toml.
+"""Search layouts of four anchors: `python -m experiments.questions.fit_design_anchors` writes design_anchors.toml.
 
-By gradient from 48 random starts, and on a grid of twelve places round the hall at the ends of both height bands, all
-76,176 of its layouts.
+By gradient from 48 random starts, and exhaustively on a grid: twelve positions along the walls at the limits of both
+height bands, 76,176 layouts.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from itertools import combinations
 import jax
 import numpy as np
 
-from experiments.questions._designs import TAG_POINTS, design_of, hall, usual_hall, write_designs
+from experiments.questions._designs import TAG_POINTS, default_hall, design_of, hall, write_designs
 from tuning.design.search import Found, descend, exhaust
 
 STARTS, STEPS, RATE = 48, 150, 0.05
@@ -19,7 +19,7 @@ ROUND = 12
 
 
 def main() -> None:
-    """Search by both ways and keep what they find."""
+    """Run both searches and write the designs."""
     with jax.enable_x64(True):
         layout = hall()
         objective = layout.objective(TAG_POINTS)
@@ -27,7 +27,7 @@ def main() -> None:
         choices = np.array([(k / ROUND, z) for k in range(ROUND) for z in (0.0, 1.0)])
         pairs = list(combinations(range(len(choices)), 2))
         searched = {
-            "default": Found(usual_hall(), 0.0, 0),
+            "default": Found(default_hall(), 0.0, 0),
             "grid": exhaust(objective, choices, (low + high for low in pairs for high in pairs)),
             "gradient": descend(objective, layout.project, starts, STEPS, RATE),
         }

@@ -1,7 +1,7 @@
-"""Lay out eight antennas for the work stand: `python -m experiments.questions.fit_design_array` writes design_array.toml.
+"""Search layouts of eight antennas: `python -m experiments.questions.fit_design_array` writes design_array.toml.
 
-By gradient from 64 random starts. A grid of 10 × 7 places has 9·10⁹ layouts of eight: there antennas are exchanged one
-by one for the best place left, from eight random starts.
+By gradient from 64 random starts, and on a grid of 10 × 7 positions. The grid has 9·10⁹ layouts; from eight random
+ones, each antenna in turn is moved to the best free position.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ COLUMNS, ROWS, ROUNDS = 10, 7, 8
 
 
 def main() -> None:
-    """Search by both ways and keep what they find."""
+    """Run both searches and write the designs."""
     with jax.enable_x64(True):
         layout, rng = stand(), np.random.default_rng(0)
         objective = layout.objective(TOOL_POINTS)
         starts = rng.random((STARTS, *layout.shape))
         x, y = np.meshgrid(np.linspace(0, 1, COLUMNS), np.linspace(0, 1, ROWS), indexing="ij")
         choices = np.stack([x.ravel(), y.ravel()], axis=1)
-        begun = [rng.choice(len(choices), layout.shape[0], replace=False) for _ in range(ROUNDS)]
+        layouts = [rng.choice(len(choices), layout.shape[0], replace=False) for _ in range(ROUNDS)]
         searched = {
             "default": Found(layout.theta(DEFAULT_ANTENNAS), 0.0, 0),
-            "grid": exchange(objective, choices, begun),
+            "grid": exchange(objective, choices, layouts),
             "gradient": descend(objective, layout.project, starts, STEPS, RATE),
         }
         write_designs("array", {k: design_of(layout, found, TOOL_POINTS) for k, found in searched.items()})

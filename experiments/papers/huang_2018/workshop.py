@@ -19,7 +19,7 @@ from experiments.monte_carlo.errors import TrackedRuns
 from experiments.monte_carlo.expectations import Conclusion, ExpectedResult, Value
 from experiments.monte_carlo.results import Results
 from experiments.papers.fitting import fitted
-from experiments.questions._windows import RAW
+from experiments.papers.moving_windows import RAW
 from sim.agv import Route, simulate_agv
 from sim.corruptions import gauss_markov, outliers
 from sim.fixes import correlated_noise

@@ -7,7 +7,7 @@ import polars as pl
 import pytest
 
 from experiments.monte_carlo.errors import TrackedRuns
-from experiments.questions._bench import MEASURES
+from experiments.questions.worksteps import MEASURES
 from tests.faulty import good_tables
 from tests.in_process import assert_refused, trackwright
 from trackers.core.rig import Rig

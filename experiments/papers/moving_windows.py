@@ -1,4 +1,4 @@
-"""Moving windows of any length over fixes, and the fixes as they are, as entries of studies."""
+"""Moving mean or median of fixes over a window of any length, and the fixes themselves, as trackers of studies."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from trackers.recordings.tracker_spec import TrackerSpec
 
 
 def window(rows: int, median: bool = False) -> TrackerSpec:
-    """The mean or the median of the last `rows` fixes, axis by axis."""
-    entry = TRACKERS["median" if median else "moving-average"]
+    """The mean or median of the last `rows` fixes, per axis."""
+    spec = TRACKERS["median" if median else "moving-average"]
     about = f"{'median' if median else 'mean'} of the last {rows} fixes"
-    return replace(entry, about=about, build=lambda trajectory, planar: MovingWindow(rows, median, planar))
+    return replace(spec, about=about, build=lambda trajectory, planar: MovingWindow(rows, median, planar))
 
 
 RAW = replace(window(1), about="the fixes as they are")
