@@ -16,23 +16,25 @@ from trackers.core.errors import UnusableInput
 def report(
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional],
     out: Path = Path("out/comparison.html"),
-    figures: tuple[str, ...] = SHOWN,
+    metrics: tuple[str, ...] = SHOWN,
 ) -> int:
-    """Compare two runs: prints their metrics side by side and writes them as one page.
+    """Compare two runs: print their metrics side by side, and write them as a page.
 
     Args:
-        runs: two folders of `study`, or two of `track` after `evaluate`.
+        runs: two output folders of `study`, or two of `track` with the evaluation.json of `evaluate`.
         out: the page to write.
-        figures: the metrics to show, by their names in results.json or evaluation.json.
+        metrics: names of the metrics to show, as in results.json or evaluation.json.
     """
     if len(runs) != 2:
-        raise UnusableInput(f"report: found {len(runs)} folders; expected two runs to compare")
-    found, alone = pairs(*runs)
-    known = {p.metric for p in found}
-    shown = [p for p in found if p.metric in figures]
+        raise UnusableInput(f"report: found {len(runs)} folders; expected two to compare")
+    compared, notices = pairs(*runs)
+    known = {p.metric for p in compared}
+    shown = [p for p in compared if p.metric in metrics]
     if not shown:
-        raise UnusableInput(f"--figures {' '.join(figures)}: not in both runs; they have {', '.join(sorted(known))}")
-    for text in alone:
+        raise UnusableInput(
+            f"--metrics {' '.join(metrics)}: not in both runs; expected names among {', '.join(sorted(known))}"
+        )
+    for text in notices:
         notice(f"notice: {text}")
     print(comparison_text(runs, shown), end="")
     output_folder(out.parent)

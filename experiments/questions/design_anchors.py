@@ -57,9 +57,9 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
     default, grid, gradient = (DESIGNS[layout] for layout in LAYOUTS)
     bound, found = gradient.bound / default.bound, rmse_ratio(results, "uwb", "gradient")
     median, rmse = (
-        results.value(figure, "gradient", "multilateration").value
-        / results.value(figure, "default", "multilateration").value
-        for figure in ("median_3d_m", "rmse_3d_m")
+        results.value(metric, "gradient", "multilateration").value
+        / results.value(metric, "default", "multilateration").value
+        for metric in ("median_3d_m", "rmse_3d_m")
     )
     return [
         against_grid(default, grid, gradient),

@@ -1,4 +1,4 @@
-"""A study of seconds, in Python and in TOML, and the command that runs one."""
+"""A study of a few seconds, in Python and in TOML, and the command line for it."""
 
 import os
 import subprocess
@@ -25,7 +25,7 @@ SMALL = Study(
 
 
 def no_progress(done, now=""):
-    """Progress that nobody sees."""
+    """No progress bar."""
 
 
 TOML = """
@@ -40,7 +40,7 @@ rate_hz = 1.0
 
 
 def study_command(*words, devices=None):
-    """`trackwright study` with these words, on so many devices."""
+    """Run `trackwright study WORDS` as a process with this number of devices."""
     environment = dict(os.environ)
     if devices:
         environment["XLA_FLAGS"] = f"--xla_force_host_platform_device_count={devices}"

@@ -28,8 +28,8 @@ def whole(tmp_path_factory):
     return folder, run_study(SMALL, folder, (1, 1), None, no_progress)
 
 
-def _normal_run(seed, n=7, rows=50):
-    """Errors and covariances drawn here, so that every figure can be had from the rows at once."""
+def _normal_tracked(seed, n=7, rows=50):
+    """Tracked runs from random errors and covariances, and these errors."""
     rng = np.random.default_rng(seed)
     truth, scale = rng.normal(size=(n, rows, 3)), np.exp(rng.normal(size=(n, 1, 1)))
     errors, known = 0.3 * scale * rng.normal(size=(n, rows, 3)), rng.uniform(size=(n, rows)) > 0.2
@@ -41,13 +41,13 @@ def _normal_run(seed, n=7, rows=50):
 
 
 def _results_of(kept, runs, study=SMALL):
-    gathered = ChunkTotals(runs)
-    gathered.add(0, kept)
-    return Results(study, {(0, "kalman"): gathered.totals()}, {0: runs})
+    totals = ChunkTotals(runs)
+    totals.add(0, kept)
+    return Results(study, {(0, "kalman"): totals.totals()}, {0: runs})
 
 
-def test_figures_are_those_of_all_rows_at_once():
-    tracked, errors = _normal_run(3)
+def test_metrics_of_accumulators_equal_those_of_all_rows():
+    tracked, errors = _normal_tracked(3)
     found = _results_of(scored(tracked), 7)
     flat, solid = (np.linalg.norm(errors[..., :d], axis=-1)[tracked.known] for d in (2, 3))
     value = {
@@ -71,8 +71,8 @@ def test_figures_are_those_of_all_rows_at_once():
     assert value["diverged"] == np.mean((tracked.status == Status.LOST).any(axis=1))
 
 
-def _kept_of(sizes, histogram):
-    """What is kept of errors (n, T), without a run."""
+def _accumulated(sizes, histogram):
+    """Accumulators of errors (n, T)."""
     sums, largest = np.zeros((len(sizes), len(SUMS))), np.full((len(sizes), len(KINDS)), np.nan)
     for what, values in (("n", np.ones_like(sizes)), ("sum", sizes), ("squares", sizes**2)):
         sums[:, COLUMN[f"{what} m"]] = values.sum(axis=1)
@@ -89,7 +89,7 @@ def _coverage(metric, true, rng, repeats=1000, n=200, rows=20):
     for _ in range(repeats):
         scale = np.exp(0.3 * rng.normal(size=(n, 1, 1)))
         sizes = np.linalg.norm(scale * rng.normal(size=(n, rows, 2)), axis=-1)
-        value = _results_of(_kept_of(sizes, metric != "rmse_m"), n).at(metric, SMALL.conditions[0], "kalman")
+        value = _results_of(_accumulated(sizes, metric != "rmse_m"), n).at(metric, SMALL.conditions[0], "kalman")
         inside += value.low <= true <= value.high
     return inside / repeats
 
@@ -107,16 +107,16 @@ def test_95_percent_intervals_hold_the_true_median_in_93_to_97_percent_of_1000_r
     assert 0.93 <= _coverage("median_m", np.median(np.linalg.norm(draws, axis=1)), rng) <= 0.97
 
 
-def test_a_difference_of_trackers_on_the_same_runs_is_known_better_than_either(whole):
+def test_a_paired_difference_has_a_narrower_interval_than_an_unpaired_one(whole):
     results = whole[1]
     difference = results.difference("rmse_m", "constant", "stiffer", "kalman")
     parts = [results.value("rmse_m", "constant", t) for t in ("kalman", "stiffer")]
     assert difference.value == pytest.approx(parts[1].value - parts[0].value)
-    apart = np.hypot(*(p.high - p.low for p in parts))
-    assert difference.high - difference.low < apart
+    unpaired = np.hypot(*(p.high - p.low for p in parts))
+    assert difference.high - difference.low < unpaired
 
 
-def test_every_cell_and_tracker_has_its_figures(whole):
+def test_every_condition_and_tracker_has_its_metrics(whole):
     text = to_text(whole[1], [])
     assert "RMSE" in text
     assert "last" in text
@@ -125,7 +125,7 @@ def test_every_cell_and_tracker_has_its_figures(whole):
             value = whole[1].at(metric, condition, "kalman")
             assert value.low <= value.value <= value.high
     assert len(whole[1].numbers("last_m", "halts", "window")) == SMALL.runs
-    # A moving average has no model, and so no bound.
+    # A moving average has no model and hence no bound.
     assert np.isnan(whole[1].value("bound_m", "halts", "window").value)
     edges, share = whole[1].cdf("halts", "kalman")
     assert share[-1] == 1.0
@@ -147,7 +147,7 @@ def test_chunks_in_another_order_and_shards_merged_give_the_same_numbers(whole, 
     assert _sha(run_study(SMALL, tmp_path / "merged", (1, 1), None, no_progress)) == _sha(whole[1])
 
 
-def test_a_study_goes_on_where_it_was_and_reads_a_torn_chunk_as_missing(whole, tmp_path):
+def test_a_study_continues_from_its_chunks_and_computes_a_torn_one_again(whole, tmp_path):
     store = ChunkStore(tmp_path, SMALL).open()
     run_missing(store, [(SMALL.conditions[1], 1)], no_progress)
     made = store.path(1, 1).stat().st_mtime_ns
@@ -172,7 +172,7 @@ def test_one_and_two_devices_give_the_same_numbers_and_a_report(tmp_path):
     assert "http" not in page.replace("http://www.w3.org", "")
 
 
-def test_until_ends_a_cell_as_soon_as_its_figure_is_known_well_enough(tmp_path):
+def test_until_ends_a_condition_as_soon_as_its_interval_is_narrow_enough(tmp_path):
     study = dataclasses.replace(SMALL, runs=64, worlds={"constant": SMALL.worlds["constant"]})
     wide = run_study(study, tmp_path / "wide", (1, 1), StopRule.parse("rmse_m±30%", study), no_progress)
     narrow = run_study(study, tmp_path / "narrow", (1, 1), StopRule.parse("rmse_m +- 0.01 %", study), no_progress)
@@ -183,7 +183,7 @@ def test_until_ends_a_cell_as_soon_as_its_figure_is_known_well_enough(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "message"),
     [
         (("fix-kf", "fix-kg"), "fix-kg"),
         (('metrics = ["rmse_m"]', 'metrics = ["rmse_m"]\n[grid]\n"world.rate_hz" = []'), "is empty"),
@@ -198,12 +198,12 @@ def test_until_ends_a_cell_as_soon_as_its_figure_is_known_well_enough(tmp_path):
         (("[worlds.line]", "[grid]\n'motion.sigma_q' = [1.0]\n[worlds.line]"), "motion.sigma_q"),
     ],
 )
-def test_a_study_that_cannot_be_run_is_refused_in_one_line(tmp_path, change, says):
+def test_a_study_that_cannot_be_run_is_refused_in_one_line(tmp_path, change, message):
     file = tmp_path / "study.toml"
     file.write_text(TOML.replace(*change))
     with pytest.raises(UnusableInput) as refused:
         run_study(load_study(str(file)), tmp_path / "out", (1, 1), None, no_progress)
-    assert says in str(refused.value)
+    assert message in str(refused.value)
     assert "\n" not in str(refused.value)
     assert not [*tmp_path.glob("out/chunks/*.npz")]
 
@@ -223,16 +223,16 @@ def test_a_tracker_of_a_users_own_file_takes_part(tmp_path):
 def test_the_command_line_refuses_what_is_no_study(tmp_path, whole):
     file = tmp_path / "small.toml"
     file.write_text(TOML)
-    for words, says in (
+    for words, message in (
         (("tabel-1",), "did you mean table-1?"),
         ((file, "--shard", "3/2", "--out", tmp_path / "a"), "--shard 3/2"),
         ((file, "--out", whole[0]), "another study"),
         (("merge", whole[0], tmp_path, "--out", tmp_path / "b"), "study.json"),
         ((file, "--until", "rmse±1", "--out", tmp_path / "c"), "--until"),
     ):
-        said = trackwright("study", *words)
-        assert said.code == 2, (words, said)
-        assert says in said.err.splitlines()[-1]
+        result = trackwright("study", *words)
+        assert result.code == 2, (words, result)
+        assert message in result.err.splitlines()[-1]
 
 
 def test_shards_of_different_studies_are_not_merged(whole, tmp_path):

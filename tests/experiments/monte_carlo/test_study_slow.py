@@ -47,9 +47,9 @@ def test_a_full_disk_is_one_line_and_costs_nothing_that_was_written(study, tmp_p
     if mounted.returncode:
         pytest.skip("no right to mount a small file system here")
     try:
-        said = study_command(study, "--out", disk / "out")
-        assert said.returncode == 2, said.stderr
-        assert "No space left" in said.stderr.splitlines()[-1]
+        result = study_command(study, "--out", disk / "out")
+        assert result.returncode == 2, result.stderr
+        assert "No space left" in result.stderr.splitlines()[-1]
         assert not [name for _, _, files in os.walk(disk) for name in files if name.startswith(".")]
         for path in (disk / "out" / "chunks").glob("*.npz"):
             np.load(path).close()

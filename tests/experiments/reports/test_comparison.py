@@ -84,7 +84,7 @@ def test_runs_that_cannot_be_compared_are_refused_in_one_line(tmp_path):
     ):
         with pytest.raises(UnusableInput, match=says):
             report(runs, tmp_path / "comparison.html")
-    with pytest.raises(UnusableInput, match="--figures speed"):
+    with pytest.raises(UnusableInput, match="--metrics speed"):
         report((study, study), tmp_path / "comparison.html", ("speed",))
 
 
