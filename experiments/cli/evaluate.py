@@ -68,7 +68,7 @@ def evaluate_tracks(
 
 
 def with_work(evaluation: Evaluation, work: WorkstepReport) -> Evaluation:
-    """The evaluation with the fractions of right and wrong unlock decisions added to its metrics, overall and by recording."""
+    """The evaluation with the fractions of right and wrong unlock decisions among its metrics."""
     recordings = [
         figures | (work.metrics(figures["recording"]) if figures["recording"] in work.recordings else {})
         for figures in evaluation.recordings

@@ -23,8 +23,8 @@ from experiments.monte_carlo.errors import TrackedRuns
 from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
 from experiments.monte_carlo.results import Results
 from experiments.papers.fitting import fitted
-from experiments.plots.style import BLACK, BLUE, GREEN, GREY, HEIGHT, VERMILION, plain, write_svg
 from experiments.papers.moving_windows import RAW, window
+from experiments.plots.style import BLACK, BLUE, GREEN, GREY, HEIGHT, VERMILION, plain, write_svg
 from sim.corruptions import gauss_markov
 from sim.fixes_from_ranges import fixes_from_ranges
 from sim.imu import constant_bias, level, simulate_uwb_imu, white_density
