@@ -15,7 +15,7 @@ import numpy as np
 import polars as pl
 
 from trackers.core import metrics
-from trackers.core.errors import UnusableInput
+from trackers.core.errors import UnusableInput, listed
 from trackers.core.estimates import Estimates
 from trackers.core.recording import Recording
 from trackers.core.rig import Station
@@ -215,13 +215,13 @@ def _refuse_without_overlap(association: Association, truths: Mapping[str, pl.Da
     common = sorted(set(rows["recording"]) & set(truths))
     if not common:
         raise UnusableInput(
-            f"the tracks are of recording {_some(rows['recording'])}, the truth is of {_some(truths)}; {expected}; "
+            f"the tracks are of recording {_names(rows['recording'])}, the truth is of {_names(truths)}; {expected}; "
             "give the recordings that were tracked as --truth"
         )
     truth = truths[common[0]]
     raise UnusableInput(
-        f"no estimate lies inside a truth: estimates {_span(rows.filter(usable))} of tags {_some(rows['tag'])}, "
-        f"truth of '{common[0]}' {_span(truth)} of tags {_some(truth['tag'])}; "
+        f"no estimate lies inside a truth: estimates {_span(rows.filter(usable))} of tags {_names(rows['tag'])}, "
+        f"truth of '{common[0]}' {_span(truth)} of tags {_names(truth['tag'])}; "
         f"{expected}; compare time bases and tag ids"
     )
 
@@ -231,6 +231,5 @@ def _span(table: pl.DataFrame) -> str:
     return f"from {times.min():g} to {times.max():g} s" if len(times) else "at no time"
 
 
-def _some(names: Iterable[object]) -> str:
-    listed = sorted({str(name) for name in names})
-    return (", ".join(listed[:5]) or "none") + (f" and {len(listed) - 5} more" if len(listed) > 5 else "")
+def _names(names: Iterable[object]) -> str:
+    return listed(sorted({str(name) for name in names})) or "none"

@@ -20,6 +20,7 @@ from typing import Any
 
 from experiments.bench.processes import new_interpreter
 from experiments.cli.runtime import set_flags
+from experiments.reports.tables import aligned
 from trackers.core.errors import UnusableInput
 from trackers.recordings.atomic import atomic_write, json_text
 
@@ -154,11 +155,7 @@ def table(versions: Mapping[str, Mapping[str, Any]]) -> list[str]:
                 error,
             )
         )
-    widths = [max(len(row[k]) for row in rows) for k in range(len(head))]
-    return [
-        "  ".join(c.ljust(w) if k == 0 else c.rjust(w) for k, (c, w) in enumerate(zip(row, widths, strict=True)))
-        for row in rows
-    ]
+    return aligned(rows, range(1, len(head))).splitlines()
 
 
 def gradient(versions: Mapping[str, Mapping[str, Any]]) -> list[str]:

@@ -128,7 +128,7 @@ def _nis_histogram(axes: Axes, after: Innovations, before: Innovations | None = 
     bins = np.linspace(0, end, 36)
     sides = [after] if before is None else [after, before]
     new, *old = (np.histogram(v.nis, bins)[0] / (len(v.nis) * (bins[1] - bins[0])) for v in sides)
-    _pair(axes, bins, old[0] if old else None, new)
+    _pair(axes, bins, old[0] if old else None, new, "after" if old else f"{len(after.nis)} rows")
     x = np.linspace(end / 400, end, 400)
     density = expected_density(x, after)
     law = "χ²" if after.student_t_dof is None else "Student's t"
@@ -142,9 +142,9 @@ def _nis_histogram(axes: Axes, after: Innovations, before: Innovations | None = 
     axes.legend(loc="upper right", title=f"beyond the axis: {shares}", title_fontsize=8, alignment="left")
 
 
-def _pair(axes: Axes, bins: np.ndarray, old: np.ndarray | None, new: np.ndarray) -> None:
+def _pair(axes: Axes, bins: np.ndarray, old: np.ndarray | None, new: np.ndarray, label: str = "after") -> None:
     """Two histograms: `new` filled, `old` as an outline."""
-    axes.stairs(new, bins, fill=True, color=BLUE, alpha=0.35, label="filter" if old is None else "after")
+    axes.stairs(new, bins, fill=True, color=BLUE, alpha=0.35, label=label)
     if old is not None:
         axes.stairs(old, bins, color=BEFORE, linewidth=1.3, label="before")
 

@@ -10,7 +10,8 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from experiments.reports.wording import counted, duration, listed, number
+from experiments.reports.wording import counted, duration, number
+from trackers.core.errors import listed
 from trackers.recordings.atomic import atomic_write
 
 WIDE = 132

@@ -16,7 +16,7 @@ from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
 from experiments.monte_carlo.results import Results
 from experiments.plots.study import SHOWN_CONDITIONS, distribution_charts, metric_chart
 from experiments.reports.pages import page, write_page
-from experiments.reports.wording import Unit, heading, listed, units_of, with_interval, yes_no
+from experiments.reports.wording import Unit, heading, units_of, with_interval, yes_no
 
 REPORT = "report.html"
 KINDS = {".svg": "image/svg+xml", ".png": "image/png"}
@@ -140,7 +140,7 @@ def _divided(a: Any, b: Any) -> Any:
 
 
 def _settings(study: Study) -> list[tuple[str, str]]:
-    grid = "; ".join(f"{k}: {listed([*map(str, v)], len(v))}" for k, v in study.grid.items())
+    grid = "; ".join(f"{k}: {', '.join(map(str, v))}" for k, v in study.grid.items())
     return [
         ("Worlds", "; ".join(study.worlds)),
         ("Trackers", "; ".join(study.trackers)),

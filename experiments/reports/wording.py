@@ -145,12 +145,6 @@ def counted(count: int, noun: str) -> str:
     return f"{count} {noun}" + ("" if count == 1 else "s")
 
 
-def listed(names: Sequence[str], most: int = 12) -> str:
-    """Names with commas between them, at most so many."""
-    more = len(names) - most
-    return ", ".join(names[:most]) + (f" and {more} more" if more > 0 else "")
-
-
 def yes_no(value: bool | None) -> str:
     """yes, no, or nothing where it is unknown."""
     return "" if value is None else "yes" if value else "no"

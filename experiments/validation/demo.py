@@ -52,7 +52,7 @@ def main() -> None:
     print(f"  {fitted['value']:.4f} ± {fitted['standard_error']:.4f} rad   {OUT / 'tuned'}")
     if walk is not None:
         print(f"A recorded walk ({WALK}), default noise levels, height known:\n  {_line(OUT / 'walk')}")
-    print(f"Figures to look at first: floor-plan.png, error-over-time.png and consistency.png in {OUT / 'direct'}.")
+    print(f"Plots to look at first: floor-plan.png, error-over-time.png and consistency.png in {OUT / 'direct'}.")
 
 
 def _line(tracks: Path) -> str:

@@ -1,7 +1,7 @@
-"""Real recordings, tracked and judged beside the baselines of their README: `python -m experiments.validation.recorded`.
+"""Real recordings: our errors beside the baselines of their README. `python -m experiments.validation.recorded`.
 
-One set of noise levels for all recordings of a kind: the trackers' defaults, or what `tune` makes of recordings that
-are not judged. The recordings are not part of this repository: TRACKWRIGHT_RECORDINGS, default `../shared/recordings`.
+One set of noise levels for all recordings of a kind: the trackers' defaults, or those tuned on recordings that are not
+evaluated. The recordings are not part of this repository: TRACKWRIGHT_RECORDINGS, default `../shared/recordings`.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ OUT = Path("out/recorded")
 
 
 class Run(NamedTuple):
-    """Recordings of one kind: which are judged, by which tracker, and with what it is tuned before, on which others.
+    """Recordings of one kind to evaluate, the tracker, and the options and recordings of its tuning, if any.
 
-    `smooth`: the tracker has a smoother, so that its smoothed tracks are judged too.
+    `smooth`: the tracker has a smoother; its smoothed tracks are evaluated too.
     """
 
     name: str
-    judged: tuple[str, ...]
+    evaluated: tuple[str, ...]
     tracker: str
     tuned_on: tuple[str, ...] = ()
     tune: tuple[str, ...] = ()
@@ -52,7 +52,7 @@ RUNS = (
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Track every kind, smoothed too where its tracker can be, and print the table."""
+    """Track every kind, with smoothing where the tracker has it, and print the table."""
     parser = argparse.ArgumentParser(
         prog="python -m experiments.validation.recorded", description=(__doc__ or "").split("\n\n")[0]
     )
@@ -68,21 +68,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     table: list[tuple[str, ...]] = []
     for run in RUNS:
         if run.name in (kinds or names):
-            table += judged(folder, run, best)
-    print("\nRMSE in m; the baseline is a Kalman filter tuned on the very recording")
+            table += error_rows(folder, run, best)
+    print("\nRMSE in m; baseline: a Kalman filter tuned on the same recording")
     head = ("recording", "tracker", "horizontal", "smoothed", "baseline", "3-D", "smoothed", "baseline")
     print(aligned([head, *table]))
     return 0
 
 
-def judged(folder: Path, run: Run, best: dict[tuple[str, bool], float]) -> list[tuple[str, ...]]:
+def error_rows(folder: Path, run: Run, best: dict[tuple[str, bool], float]) -> list[tuple[str, ...]]:
     """The table's rows of one kind."""
     noise: Sequence[str | Path] = ()
     if run.tuned_on:
         out = OUT / f"{run.name}-tuned"
         command("tune", *(folder / name for name in run.tuned_on), "--tracker", run.tracker, *run.tune, "--out", out)
         noise = ("--noise", out / "tuned.toml")
-    paths = [folder / name for name in run.judged]
+    paths = [folder / name for name in run.evaluated]
     command("track", *paths, "--tracker", run.tracker, *noise, "--out", OUT / run.name)
     errors = figures(OUT / run.name)["recordings"]
     smoothed: dict[str, dict[str, float]] = {}
@@ -107,9 +107,9 @@ def _known(figure: float | None) -> str:
 
 
 def baselines(readme: Path) -> dict[tuple[str, bool], float]:
-    """The tuned filter's RMSE, m, by recording and whether it is 3-D, from the tables of the recordings' README.
+    """RMSE, m, of the tuned filter by recording and whether it is 3-D, from the tables of the recordings' README.
 
-    The least of a recording's rows, which differ in what was read.
+    The least of a recording's rows, which differ in the measurements used.
     """
     found: dict[tuple[str, bool], float] = {}
     solid = False

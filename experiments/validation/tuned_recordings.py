@@ -1,8 +1,8 @@
-"""Real recordings tuned by likelihood, no truth used, on one part of each group and shown on the other.
+"""Real recordings tuned by likelihood, without truth: tuned on some of each group, evaluated on the others.
 
-`python -m experiments.validation.tuned_recordings [GROUP …]` prints for the recordings that were not tuned on: the objective, the
-RMSE and the distance of the NIS from its distribution, before (the tracker's defaults) and after. The recordings are
-not part of this repository: TRACKWRIGHT_RECORDINGS, default `../shared/recordings`.
+`python -m experiments.validation.tuned_recordings [GROUP …]` prints objective, RMSE and distance of NIS from its
+distribution on the recordings that were not tuned on, before (the tracker's defaults) and after. The recordings are not
+part of this repository: TRACKWRIGHT_RECORDINGS, default `../shared/recordings`.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from tuning.diagnostics import contradicted, innovations_of  # noqa: E402
 from tuning.metrics import all_metrics  # noqa: E402
 
 WORSE = 1.02
-"""Ratio of held-out RMSE from which on a likelihood's choice counts as worse."""
+"""Ratio of held-out RMSE after to before from which tuning by likelihood counts as worse."""
 
 PIECE_ROWS = 4000
 
 
 class Split(NamedTuple):
-    """Recordings of one group: those tuned on, those judged, the tracker's name (None: what fits), what is tuned."""
+    """Recordings of one group: those tuned on, those evaluated, the tracker (None: by the tables), tuned parameters."""
 
     tuned: tuple[str, ...]
-    judged: tuple[str, ...]
+    evaluated: tuple[str, ...]
     tracker: str | None = None
     tune: tuple[str, ...] = ("*.sigma_*",)
 
@@ -62,7 +62,7 @@ GROUPS = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Tune and judge the groups named, or all; 1 where the RMSE of one got worse."""
+    """Tune and evaluate the groups named, or all; 1 where the RMSE of one got worse."""
     parser = argparse.ArgumentParser(
         prog="python -m experiments.validation.tuned_recordings", description=(__doc__ or "").split("\n\n")[0]
     )
@@ -73,14 +73,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     folder = real_recordings()
     if folder is None:
         parser.error("no folder of real recordings, expected ../shared/recordings or what TRACKWRIGHT_RECORDINGS names")
-    print(f"{'group':8s}{'tracker':12s}{'figure, on recordings not tuned on':38s}{'before':>10s}{'after':>10s}")
-    worse = [name for name in names or GROUPS if shown(name, GROUPS[name], folder)]
+    print(f"{'group':8s}{'tracker':12s}{'metric, on recordings not tuned on':38s}{'before':>10s}{'after':>10s}")
+    worse = [name for name in names or GROUPS if got_worse(name, GROUPS[name], folder)]
     print("worse by likelihood: " + (", ".join(worse) or "none"))
     return int(bool(worse))
 
 
-def shown(name: str, split: Split, folder: Path) -> bool:
-    """Tune one group, print its figures, and say whether the RMSE got worse."""
+def got_worse(name: str, split: Split, folder: Path) -> bool:
+    """Tune one group, print its metrics, and return whether the RMSE got worse."""
     began = time.perf_counter()
     tracker, group = only_group([folder / x for x in split.tuned], split.tracker, None, False)
     job = job_of(group, "nll", [], PIECE_ROWS)
@@ -88,17 +88,17 @@ def shown(name: str, split: Split, folder: Path) -> bool:
     numbers = tunables(result.tracker)
     tuned = {k: numbers[k].value for p in result.parameters for k in p.names}
     worse = False
-    # Recordings with another path or other anchors have a tracker of their own, which takes the numbers by name.
-    for judged in spec_of(tracker).batches([read_recording(folder / x) for x in split.judged], tracker, False):
-        rows = [batch for _, batch in batches(judged.trajectories)]
-        quantity = next(iter(judged.trajectories[0].recording.truth))
-        dimensions = 2 if judged.planar or quantity == "direction" else 3
-        tracked = with_values(judged.tracker, tuned, name)
-        before, after = (all_metrics(t, rows, quantity, dimensions) for t in (judged.tracker, tracked))
-        print(f"{name:8s}{tracker:12s}{', '.join(sorted({x.folder.name for x in judged.trajectories}))}")
-        for figure in ("nll", "rmse", "rmse-3d", "nis-shape"):
-            if before[figure] == before[figure]:
-                print(f"{'':20s}{figure:38s}{before[figure]:10.4g}{after[figure]:10.4g}", flush=True)
+    # Recordings with another path or other anchors have another tracker, whose parameters are set by name.
+    for batch_group in spec_of(tracker).batches([read_recording(folder / x) for x in split.evaluated], tracker, False):
+        rows = [batch for _, batch in batches(batch_group.trajectories)]
+        quantity = next(iter(batch_group.trajectories[0].recording.truth))
+        dimensions = 2 if batch_group.planar or quantity == "direction" else 3
+        tracked = with_values(batch_group.tracker, tuned, name)
+        before, after = (all_metrics(t, rows, quantity, dimensions) for t in (batch_group.tracker, tracked))
+        print(f"{name:8s}{tracker:12s}{', '.join(sorted({x.folder.name for x in batch_group.trajectories}))}")
+        for metric in ("nll", "rmse", "rmse-3d", "nis-shape"):
+            if before[metric] == before[metric]:
+                print(f"{'':20s}{metric:38s}{before[metric]:10.4g}{after[metric]:10.4g}", flush=True)
         if after["rmse"] > WORSE * before["rmse"]:
             worse = True
             runs = [(tracked.run(x), x.size) for x in rows]

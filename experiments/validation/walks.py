@@ -1,4 +1,4 @@
-"""The recorded walks, tuned on the first runs alone, judged on the second: `python -m experiments.validation.walks`."""
+"""Recorded walks, tuned on the first runs, evaluated on the second: `python -m experiments.validation.walks`."""
 
 from __future__ import annotations
 
@@ -14,15 +14,14 @@ PATTERNS = ("motion.*", "sensors.*.sigma_*", "sensors.*.dof", "sensors.*.offsets
 
 
 def main() -> None:
-    """Tune on `ble51-walk-*-r1`, track `ble51-walk-*-r2` with one noise set, and print the table."""
+    """Tune on `ble51-walk-*-r1`, track `ble51-walk-*-r2` with one set of noise levels, and print the table."""
     folder = real_recordings()
     if folder is None:
         sys.exit(
             "walks: no folder of real recordings, expected ../shared/recordings or what TRACKWRIGHT_RECORDINGS names"
         )
     first, second = ([folder / f"ble51-walk-{u}-r{run}" for u in USE_CASES] for run in (1, 2))
-    # From the tracker's own levels alone: an error knows no scale, and other starts find lower places on three walks
-    # that do not hold on others.
+    # One start, the defaults: other starts reach a lower RMSE on these three walks, but not on others.
     goal = ("--free-height", "--objective", "rmse", "--steps", "80", "--starts", "1", "--tune", *PATTERNS)
     command("tune", *first, *goal, "--out", OUT / "tuned")
     noise = ("--noise", OUT / "tuned" / "tuned.toml")

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from experiments.reports.tables import aligned
+
 MAX_STANDARD_ERRORS = 4.0
 """Allowed deviation of a mean, in standard errors: of a hundred correct means, one exceeds it in 160 runs."""
 
@@ -76,10 +78,4 @@ def table(results: Sequence[CheckResult]) -> str:
         numbers = [r.oracle, r.mean, r.mean - r.oracle, r.error, r.allowed, r.spread, 1e3 * r.seconds]
         shown = ["-" if math.isnan(x) else f"{x:.4g}" for x in numbers]
         rows.append((r.world, r.quantity, r.estimator, *shown, r.outcome))
-    widths = [max(len(row[k]) for row in rows) for k in range(len(HEADER))]
-    lines = []
-    for row in rows:
-        padded = [c.rjust(w) if 3 <= k < 10 else c.ljust(w) for k, (c, w) in enumerate(zip(row, widths, strict=True))]
-        lines.append("  ".join(padded).rstrip())
-    lines.append(f"{sum(r.passed for r in results)} of {len(results)} checks passed")
-    return "\n".join(lines)
+    return f"{aligned(rows, range(3, 10))}\n{sum(r.passed for r in results)} of {len(results)} checks passed"

@@ -16,7 +16,7 @@ from typing import IO, Any, Literal, cast, get_args
 
 import polars as pl
 
-from trackers.core.errors import UnusableInput
+from trackers.core.errors import UnusableInput, listed
 from trackers.core.rig import Rig
 from trackers.recordings.checks.anomalies import anomalies
 from trackers.recordings.rig_file import RIG_FILE, read_rig, rig_text
@@ -153,14 +153,10 @@ def _check_common_tag(path: Path, tables: dict[str, pl.DataFrame]) -> None:
         true = set(tables["truth"]["tag"].unique())
         if not measured & true:
             raise UnusableInput(
-                f"{path}: no common tag: truth has {_listed(true)}, the measurements have {_listed(measured)}; "
+                f"{path}: no common tag: truth has {listed(map(repr, sorted(true)))}, the measurements have "
+                f"{listed(map(repr, sorted(measured)))}; "
                 "expected the same ids in both; correct their spelling"
             )
-
-
-def _listed(ids: set[str]) -> str:
-    names = sorted(ids)
-    return ", ".join(repr(name) for name in names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
 
 
 def write_recording(folder: RecordingFolder, path: str | Path, kind: Kind = "parquet") -> None:

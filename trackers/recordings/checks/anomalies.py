@@ -6,10 +6,11 @@ A stream is the rows of one sensor and one tag in one table; order, gaps and out
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import polars as pl
 
+from trackers.core.errors import listed
 from trackers.core.rig import Rig
 from trackers.recordings.tables import QUATERNION, layout
 
@@ -27,7 +28,7 @@ def anomalies(tables: Mapping[str, pl.DataFrame], rig: Rig) -> list[str]:
         if rig.tags:
             unknown = [tag for tag in table["tag"].unique(maintain_order=True) if tag not in rig.tags]
             if unknown:
-                lines.append(f"{name}: tags that are not in rig.toml: {len(unknown)} ({_listed(unknown)})")
+                lines.append(f"{name}: tags that are not in rig.toml: {len(unknown)} ({listed(map(repr, unknown))})")
         lines += _impossible(name, table, expected.values)
         ordered = streams(table.filter(pl.any_horizontal(pl.col(expected.values).is_not_null())), expected.ids)
         lines += _duplicates(name, ordered, expected.values)
@@ -47,11 +48,7 @@ def _never_observed(tables: Mapping[str, pl.DataFrame], rig: Rig) -> list[str]:
     unobserved = [tag for tag in rig.tags if tag not in observed]
     if not unobserved or not observed:
         return []
-    return [f"rig.toml: tags never observed: {len(unobserved)} of {len(rig.tags)} ({_listed(unobserved)})"]
-
-
-def _listed(ids: Sequence[str]) -> str:
-    return ", ".join(map(repr, ids[:5])) + (" …" if len(ids) > 5 else "")
+    return [f"rig.toml: tags never observed: {len(unobserved)} of {len(rig.tags)} ({listed(map(repr, unobserved))})"]
 
 
 def streams(table: pl.DataFrame, ids: tuple[str, ...]) -> pl.DataFrame:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 import polars as pl
 
+from trackers.core.errors import listed
 from trackers.core.rig import Rig
 from trackers.recordings.checks.anomalies import streams
 from trackers.recordings.checks.check_result import CheckResult, Level
@@ -29,7 +30,7 @@ def check_ids(rig: Rig, measured: Mapping[str, pl.DataFrame]) -> list[CheckResul
         unobserved = [key for key in known if key not in observed[column]]
         # a folder of fixes may have anchors that no table names
         if unobserved and (observed[column] or column == "station"):
-            message = f"{column}s never observed: {len(unobserved)} of {len(known)} ({_listed(unobserved)})"
+            message = f"{column}s never observed: {len(unobserved)} of {len(known)} ({listed(unobserved, 8)})"
             results.append(CheckResult("warning", "rig.toml", message))
     return results
 
@@ -60,14 +61,10 @@ def check_truth(truth: pl.DataFrame, measured: Mapping[str, pl.DataFrame]) -> li
     without = sorted(set(rows["tag"].unique()) - set(known["tag"].unique()))
     if without:
         results.append(
-            CheckResult("info", "truth", f"measured tags without truth: {len(without)} ({_listed(without)})")
+            CheckResult("info", "truth", f"measured tags without truth: {len(without)} ({listed(without, 8)})")
         )
     if math.isclose(share, 0.0):
         message = "no measurement lies inside the time span of the truth; expected one clock for all tables"
         return [*results, CheckResult("error", "truth", message)]
     level: Level = "info" if share >= ENOUGH else "warning"
     return [*results, CheckResult(level, "truth", f"covers {100 * share:.3g} % of the measurements in time")]
-
-
-def _listed(ids: list[str]) -> str:
-    return ", ".join(ids[:8]) + (" …" if len(ids) > 8 else "")
