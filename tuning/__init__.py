@@ -1,20 +1,19 @@
-"""Fit noise levels and other numbers of trackers to recordings by gradient."""
+"""Fit noise levels and other parameters of trackers to recordings by gradient; README.md explains how."""
 
-from tuning.consistency import Consistency as Consistency
 from tuning.first_guess import first_guess as first_guess
 from tuning.fit import FitResult as FitResult
 from tuning.fit import fit as fit
 from tuning.identifiability import identifiability_issues as identifiability_issues
 from tuning.marginal_score import marginal_scores as marginal_scores
-from tuning.metrics import all_metrics as all_metrics
-from tuning.metrics import parse_objective as parse_objective
+from tuning.named_objectives import all_metrics as all_metrics
+from tuning.named_objectives import parse_objective as parse_objective
 from tuning.objectives import NegativeLogLikelihood as NegativeLogLikelihood
 from tuning.objectives import RootMeanSquareError as RootMeanSquareError
 from tuning.objectives import StateLogLikelihood as StateLogLikelihood
 from tuning.objectives import Weighted as Weighted
 from tuning.optimisers import LBFGS as LBFGS
 from tuning.optimisers import Adam as Adam
-from tuning.optimisers import GaussNewton as GaussNewton
+from tuning.pit_uniformity import PITUniformity as PITUniformity
 from tuning.priors import Prior as Prior
 from tuning.profiles import bootstrap as bootstrap
 from tuning.profiles import profile as profile
@@ -23,10 +22,9 @@ from tuning.sweep import sweep as sweep
 __all__ = [
     "LBFGS",
     "Adam",
-    "Consistency",
     "FitResult",
-    "GaussNewton",
     "NegativeLogLikelihood",
+    "PITUniformity",
     "Prior",
     "RootMeanSquareError",
     "StateLogLikelihood",

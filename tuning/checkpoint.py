@@ -1,4 +1,4 @@
-"""Checkpoints of fits: the arrays of a state, and what they belong to, in one file that is never half-written."""
+"""Checkpoints of fits: the arrays of a state and the fit's fingerprint in one file, written atomically."""
 
 from __future__ import annotations
 
@@ -16,11 +16,13 @@ from trackers.core.recording import Batch
 from trackers.recordings.atomic import atomic_write, config_hash
 
 CHECKPOINT = "checkpoint.npz"
+FORMAT = 2
+"""Of the arrays of a state; a checkpoint of another format is refused."""
 
 
 def fingerprint(config: Mapping[str, Any], batches: Sequence[Batch], start: np.ndarray) -> str:
-    """What makes a fit this one: its options, every number of its recordings, and where it starts."""
-    digest = hashlib.sha256(config_hash(config).encode())
+    """A hash of the options of a fit, of all numbers of its recordings, and of its starting values."""
+    digest = hashlib.sha256(f"{FORMAT} {config_hash(config)}".encode())
     for leaf in [start, *jax.tree_util.tree_leaves(batches)]:
         array = np.ascontiguousarray(leaf)
         digest.update(f"{array.shape}{array.dtype}".encode() + array.tobytes())
@@ -28,7 +30,7 @@ def fingerprint(config: Mapping[str, Any], batches: Sequence[Batch], start: np.n
 
 
 def save(folder: Path, arrays: Sequence[np.ndarray], belongs_to: str) -> Path:
-    """Write the state's arrays to the folder's checkpoint."""
+    """Write the arrays of a state to the folder's checkpoint; `belongs_to`: the fingerprint."""
     numbered: dict[str, Any] = {f"array_{k}": x for k, x in enumerate(arrays)}
 
     def write(temporary: Path) -> None:
@@ -39,9 +41,9 @@ def save(folder: Path, arrays: Sequence[np.ndarray], belongs_to: str) -> Path:
 
 
 def load(folder: Path, belongs_to: str) -> list[np.ndarray] | None:
-    """The arrays of the folder's checkpoint, None where there is none.
+    """The arrays of the folder's checkpoint, None without one.
 
-    Raises UnusableInput for a checkpoint of another fit, and for a file that is none.
+    Raises UnusableInput for a checkpoint of another fit, and for a file that is no checkpoint.
     """
     path = folder / CHECKPOINT
     if not path.exists():
@@ -51,10 +53,10 @@ def load(folder: Path, belongs_to: str) -> list[np.ndarray] | None:
             owner = str(file["belongs_to"])
             arrays = [file[f"array_{k}"] for k in range(len(file.files) - 1)]
     except (OSError, ValueError, KeyError, zipfile.BadZipFile, EOFError) as error:
-        raise UnusableInput(f"{path}: is no checkpoint of `tune`; remove it, or leave --resume out") from error
+        raise UnusableInput(f"{path}: is no checkpoint of `tune`; remove it, or omit --resume") from error
     if owner != belongs_to:
         raise UnusableInput(
-            f"{path}: belongs to a fit with other options, recordings or starting values; expected the command that "
-            "wrote it, as its manifest or shell history has it; leave --resume out to begin anew"
+            f"{path}: belongs to a fit with other options, recordings, starting values or version; expected the "
+            "command that wrote it (see its manifest); omit --resume to begin anew"
         )
     return arrays

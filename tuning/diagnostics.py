@@ -1,37 +1,33 @@
-"""Diagnostics of a filter's innovations: NIS against its distribution, whiteness, and which noise assumption fails."""
+"""Diagnostics of a filter's innovations: NIS against its distribution, whiteness, and violated noise assumptions."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import gammainc, ndtri
+from scipy.special import betainc, gammainc, ndtri
 
 from trackers.core.estimates import Estimates
-from trackers.core.metrics import chi_square_density
 from trackers.core.recording import Recording
 from trackers.core.tracker import AbstractTracker
-from tuning.consistency import student_t_below, student_t_dof_of
+from tuning.pit_uniformity import student_t_dof_of, student_t_nis_beta
 
-CORRELATED = 0.1
-"""Correlation of neighbouring rows from which on errors count as lasting."""
+MIN_AUTOCORRELATION = 0.1
+"""Correlation of consecutive rows from which on errors count as correlated in time."""
 
-SIZE = (0.75, 1.33)
-"""NIS per degree of freedom outside of which the noise is of another size."""
+NIS_RATIO = (0.75, 1.33)
+"""NIS per degree of freedom outside of which the noise differs in size."""
 
-RARE, TOO_OFTEN = 1e-3, 5.0
-"""A NIS that one row in a thousand should exceed, and how many times more often is too often."""
+TAIL_PROBABILITY, MAX_TAIL_RATIO = 1e-3, 5.0
+"""Probability of an outlying NIS, and the ratio of observed to expected outliers above which there are too many."""
 
 
 @dataclass(frozen=True)
 class Innovations:
-    """NIS (n,) with degrees of freedom (n,) of rows in time order; `trajectory` (n,): whose trajectory a row is.
+    """NIS (n,) with degrees of freedom (n,) of rows in time order; `trajectory` (n,): index of each row's trajectory.
 
-    `student_t_dof`: degrees of freedom of Student's t noise, whose NIS is not χ²; None for normal noise.
+    `student_t_dof`: degrees of freedom of Student's t noise, with which NIS is not χ²; None for normal noise.
     """
 
     nis: np.ndarray
@@ -74,91 +70,78 @@ def absolute_errors(
     return times, np.where(has_truth & valid.usable, length, np.nan)
 
 
-def probabilities(innovations: Innovations) -> np.ndarray:
-    """How likely a smaller NIS was, by each row's degrees of freedom (n,): even over 0 … 1 if consistent.
-
-    Rows with different degrees of freedom can be looked at together in this way (Dawid 1984).
-    """
+def nis_probabilities(innovations: Innovations) -> np.ndarray:
+    """The probability integral transform of the NIS (n,): uniform over (0, 1) for a consistent filter (Dawid 1984)."""
     nis, dof = np.asarray(innovations.nis, float), np.asarray(innovations.dof, float)
-    with jax.enable_x64(True):
-        if innovations.student_t_dof is None:
-            return np.asarray(gammainc(dof / 2, nis / 2))
-        return np.asarray(student_t_below(jnp.asarray(nis), jnp.asarray(dof), jnp.asarray(innovations.student_t_dof)))
+    if innovations.student_t_dof is None:
+        return np.asarray(gammainc(dof / 2, nis / 2))
+    a, b, scale = student_t_nis_beta(dof, innovations.student_t_dof)
+    return np.asarray(betainc(a, b, np.clip(nis / scale, 0.0, 1.0)))
 
 
 def normal_scores(innovations: Innovations) -> np.ndarray:
-    """NIS values as the standard normal values of the same probability (n,), at most 7 from zero."""
-    with jax.enable_x64(True):
-        return np.asarray(ndtri(np.clip(probabilities(innovations), 1e-12, 1 - 1e-12)))
+    """The NIS transformed to standard normal values (n,), within ±7."""
+    return np.asarray(ndtri(np.clip(nis_probabilities(innovations), 1e-12, 1 - 1e-12)))
 
 
 def autocorrelation(innovations: Innovations, lags: int) -> tuple[np.ndarray, int]:
-    """The autocorrelation of the normal scores at 1 … `lags` rows (lags,), and how many pairs lag 1 has.
+    """The autocorrelation of the normal scores at 1 … `lags` rows (lags,), and the number of pairs at lag 1.
 
-    Pairs are of one trajectory; NaN where there are none. Near zero for a filter whose model is true.
+    Pairs are within one trajectory; NaN without any. Near zero for a true model.
     """
     scores = normal_scores(innovations)
     centred = scores - scores.mean() if len(scores) else scores
     power = float(np.mean(centred**2)) if len(scores) else np.nan
-    found, pairs = np.full(lags, np.nan), 0
+    correlations, pairs = np.full(lags, np.nan), 0
     for lag in range(1, min(lags, len(scores) - 1) + 1):
-        together = innovations.trajectory[lag:] == innovations.trajectory[:-lag]
-        products = (centred[lag:] * centred[:-lag])[together]
+        same = innovations.trajectory[lag:] == innovations.trajectory[:-lag]
+        products = (centred[lag:] * centred[:-lag])[same]
         if len(products) and power > 0:
-            found[lag - 1] = products.mean() / power
+            correlations[lag - 1] = products.mean() / power
         pairs = len(products) if lag == 1 else pairs
-    return found, pairs
+    return correlations, pairs
 
 
 def expected_density(x: np.ndarray, innovations: Innovations) -> np.ndarray:
-    """The density at positive `x` of the NIS of a consistent filter with the rows' degrees of freedom.
+    """The density of a consistent filter's NIS at positive `x`, over the rows' degrees of freedom.
 
-    A mixture of χ², or for Student's t of the beta distributions of `tuning.consistency`.
+    A mixture of χ², or for Student's t of the beta distributions of `tuning.pit_uniformity`.
     """
-    kinds, counts = np.unique(innovations.dof, return_counts=True)
+    from scipy.stats import beta, chi2  # slow to import, and only plots need densities
+
     density = np.zeros(len(x))
-    for dof, count in zip(kinds, counts, strict=True):
-        one = (
-            chi_square_density(x, float(dof))
-            if innovations.student_t_dof is None
-            else _student_t_density(x, float(dof), innovations.student_t_dof)
-        )
+    for dof, count in zip(*np.unique(innovations.dof, return_counts=True), strict=True):
+        if innovations.student_t_dof is None:
+            one = chi2.pdf(x, dof)
+        else:
+            a, b, scale = student_t_nis_beta(dof, innovations.student_t_dof)
+            one = beta.pdf(x, a, b, scale=scale)
         density += count / len(innovations.dof) * one
     return density
 
 
-def _student_t_density(x: np.ndarray, nis_dof: float, nu: float) -> np.ndarray:
-    both = 0.5 * (nis_dof * (nu + 3) - 2)
-    a, reach = both / (nu + 1), nis_dof * (nu + 1)
-    b = nu * a
-    share = np.clip(x / reach, 1e-12, 1 - 1e-12)
-    log_beta = math.lgamma(a) + math.lgamma(b) - math.lgamma(both)
-    density = np.exp((a - 1) * np.log(share) + (b - 1) * np.log1p(-share) - log_beta) / reach
-    found: np.ndarray = np.where(x < reach, density, 0.0)
-    return found
-
-
-def contradicted(innovations: Innovations) -> list[str]:
-    """The assumptions that the rows contradict, each as a sentence's part with the number that says so."""
-    found: list[str] = []
+def violated_assumptions(innovations: Innovations) -> list[str]:
+    """The violated noise assumptions, each as a clause with the number that shows it."""
+    violated: list[str] = []
     if not len(innovations.nis):
-        return found
-    lasting, pairs = autocorrelation(innovations, 1)
-    if pairs and lasting[0] > max(CORRELATED, 3 / np.sqrt(pairs)):
-        found.append(
-            "that errors of neighbouring rows are independent "
-            f"(their NIS is correlated by {lasting[0]:.2f}: errors last)"
+        return violated
+    correlations, pairs = autocorrelation(innovations, 1)
+    if pairs and correlations[0] > max(MIN_AUTOCORRELATION, 3 / np.sqrt(pairs)):
+        violated.append(
+            f"that errors of consecutive rows are independent (their NIS is correlated by {correlations[0]:.2f})"
         )
-    likely = probabilities(innovations)
-    # Half the rows are above the median whatever a few wild readings do.
-    middle = float(np.median(likely))
+    probabilities = nis_probabilities(innovations)
+    # The median is robust against a few outliers.
+    middle = float(np.median(probabilities))
     ratio = float(innovations.nis.sum() / innovations.dof.sum())
-    if not SIZE[0] <= ratio <= SIZE[1] and abs(middle - 0.5) > 0.1:
-        found.append(
-            "that the noise is as large here as where it was tuned "
-            f"(NIS per degree of freedom {ratio:.2g}, 1 if it were)"
+    if not NIS_RATIO[0] <= ratio <= NIS_RATIO[1] and abs(middle - 0.5) > 0.1:
+        violated.append(
+            "that the noise is as large as in the recordings tuned on "
+            f"(NIS per degree of freedom {ratio:.2g}, expected 1)"
         )
-    often = float(np.mean(likely > 1 - RARE)) / RARE
-    if often > TOO_OFTEN:
-        found.append(f"that large errors are as rare as in its distribution ({often:.0f} times as many beyond 99.9 %)")
-    return found
+    outliers = float(np.mean(probabilities > 1 - TAIL_PROBABILITY)) / TAIL_PROBABILITY
+    if outliers > MAX_TAIL_RATIO:
+        violated.append(
+            f"that large errors are as rare as in its distribution ({outliers:.0f} times as many beyond 99.9 %)"
+        )
+    return violated

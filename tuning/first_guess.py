@@ -1,8 +1,8 @@
-"""Noise levels to start a fit from, found in the recordings themselves, so that a user need not know any.
+"""First guess of the noise levels from the recordings, as a start of a fit.
 
-What makes a filter wrong by orders of magnitude is the ratio of its motion's noise to its sensors', and their common
-scale. So the likelihood of some pieces of the recordings is computed over a coarse grid of both; then every level is
-moved alone. Where the sensor reads places, differences of readings give both in closed form first.
+The ratio of the motion's noise to the sensors', and their common scale, decide whether a filter works at all. So the
+likelihood of some segments of the recordings is evaluated over a coarse grid of both; then every level is changed
+alone. For position fixes, differences of fixes give a candidate in closed form first.
 """
 
 from __future__ import annotations
@@ -20,37 +20,37 @@ from trackers.core.recording import Batch
 from trackers.core.scan import Output
 from trackers.core.tracker import AbstractTracker
 from trackers.core.tunable import Covariance, Scale, matching, replaced, tunables
-from tuning.differences import levels_of_places
+from tuning.differences import noise_levels_of_fixes
 from tuning.objectives import AbstractObjective, NegativeLogLikelihood, Truth
 from tuning.parameters import Parameter, flatten, with_parameters
-from tuning.problem import Problem
+from tuning.problem import Problem, has_particles
 
-ROWS, PIECES, PARTICLE_PIECES = 400, 16, 4
-"""Of the pieces that are looked at: long enough for a track to settle, few enough for seconds of work.
+ROWS, SEGMENTS, SEGMENTS_OF_PARTICLES = 400, 16, 4
+"""Rows per segment and segments: long enough for a track to converge, few enough for seconds of work.
 
-A filter whose belief has an axis of particles or cells does hundreds of times the work of another.
+A filter with particles or grid cells costs hundreds of times as much as another.
 """
 
 DECADE = float(np.log(10.0))
 GRIDS = np.linspace(-2.0, 2.0, 5) * DECADE, np.linspace(-0.6, 0.6, 5) * DECADE
-"""Of both groups' factors: from a hundredth to a hundredfold by tens, then between these, a factor of 2 apart."""
+"""Logarithms of both groups' factors: first powers of ten up to 100, then a factor of 2 apart in between."""
 
-ALONE = np.array([-1.0, -0.5, -0.25, 0.25, 0.5, 1.0]) * DECADE
-"""Of each level alone."""
+SINGLE_STEPS = np.array([-1.0, -0.5, -0.25, 0.25, 0.5, 1.0]) * DECADE
+"""Logarithms of the factors tried for each level alone."""
 
 ROUNDS = 2
-WORTH = 2.0
-"""Nats that a move has to gain: less tells nothing."""
+MIN_GAIN_NATS = 2.0
+"""Least gain in likelihood of a change."""
 
 TOLERANCE = 100.0
-"""Times the usual NIS with which a track is followed all the same."""
+"""Factor on the NIS limit of track loss during the search."""
 
-LOSS = 10.0
-"""Nats per number read that it costs to have lost all rows: a lost track escapes the readings it cannot explain."""
+LOST_PENALTY = 10.0
+"""Penalty for a lost track, nats per measurement; otherwise losing the track would increase the likelihood."""
 
 
-class Steady(AbstractObjective):
-    """The negative log-likelihood per number read, and `LOSS` times the share of rows on which a track was lost."""
+class LikelihoodWithLossPenalty(AbstractObjective):
+    """The negative log-likelihood per measured number plus `LOST_PENALTY` times the share of lost rows."""
 
     @property
     def size(self) -> int:
@@ -69,46 +69,45 @@ class Steady(AbstractObjective):
         return *likelihood, jnp.where(lost, one, 0.0), jnp.where(row, one, 0.0)
 
     def value(self, sums: Any) -> Scalar:
-        return sums[0] / sums[1] + LOSS * sums[2] / sums[3]
+        return sums[0] / sums[1] + LOST_PENALTY * sums[2] / sums[3]
 
 
 def first_guess(
     tracker: AbstractTracker, batches: Batch | Sequence[Batch], frozen: Sequence[str] = ()
 ) -> AbstractTracker:
-    """The tracker with noise levels of the right order for the batches; a level that changes nothing stays as it is.
+    """The tracker with noise levels of the right order of magnitude for the batches.
 
-    Noise levels are the tunables called `sigma_…` or `covariance` of motions, sensors and filters; those that match a
-    `frozen` pattern stay. A tracker without any, or whose readings say nothing of them, comes back as it is.
+    Noise levels are the tunables `sigma_…` or `covariance` of motions, sensors and filters. Unchanged: those that match
+    a `frozen` pattern or have no effect, and a tracker without noise levels or measurements.
     """
     batches = [batches] if isinstance(batches, Batch) else list(batches)
     parameters = noise_levels(tracker, frozen)
-    has_particles = bool(getattr(getattr(tracker, "filter", None), "has_particle_axis", False))
-    some = looked_at(batches, PARTICLE_PIECES if has_particles else PIECES)
-    read = sum(int(np.sum(reading.seen)) for reading in some.readings.values())
-    if not parameters or not read:
+    segments = sample_segments(batches, SEGMENTS_OF_PARTICLES if has_particles(tracker) else SEGMENTS)
+    measured = sum(int(np.sum(reading.seen)) for reading in segments.readings.values())
+    if not parameters or not measured:
         return tracker
-    problem = Problem(_tolerant(tracker), [some], Steady(), parameters)
-    search = _Search(problem, flatten(parameters), WORTH / read)
-    search.consider(_closed_forms(parameters, some))
+    problem = Problem(_tolerant(tracker), [segments], LikelihoodWithLossPenalty(), parameters)
+    search = _Search(problem, flatten(parameters), MIN_GAIN_NATS / measured)
+    search.consider(_closed_form(parameters, segments))
     groups = [group for group in _groups(parameters) if group.any()]
     for axis in GRIDS:
         grid = np.stack(np.meshgrid(*[axis] * len(groups), indexing="ij"), axis=-1).reshape(-1, len(groups))
         search.consider(search.moved(grid @ np.array(groups)))
     search.restore(flatten(parameters))
     for _ in range(ROUNDS):
-        search.each_alone()
+        search.step_each_level()
     return with_parameters(tracker, parameters, search.vector) if np.isfinite(search.value) else tracker
 
 
 def _groups(parameters: Sequence[Parameter]) -> tuple[np.ndarray, np.ndarray]:
-    """Which levels (levels,) are noise of the motion, and which of what is read; how biases wander is neither."""
-    wander = [any(word in p.names[0].split(".")[-1] for word in ("bias", "walk")) for p in parameters]
+    """Masks (levels,) of the motion's noise levels and of the measurements'; random walks of biases are in neither."""
+    is_bias = [any(word in p.names[0].split(".")[-1] for word in ("bias", "walk")) for p in parameters]
     motion = np.array(["motion" in p.names[0].split(".") for p in parameters])
-    return (motion & ~np.array(wander)).astype(float), (~motion).astype(float)
+    return (motion & ~np.array(is_bias)).astype(float), (~motion).astype(float)
 
 
 def noise_levels(tracker: AbstractTracker, frozen: Sequence[str] = ()) -> list[Parameter]:
-    """The noise levels that are looked for, one parameter each; arrays of levels move as one."""
+    """The noise levels to guess, one parameter each; an array of levels is changed as a whole."""
     kept = set(matching(tracker, frozen)) if frozen else set()
     found = []
     for name, node in tunables(tracker).items():
@@ -119,74 +118,71 @@ def noise_levels(tracker: AbstractTracker, frozen: Sequence[str] = ()) -> list[P
     return found
 
 
-def looked_at(batches: Sequence[Batch], pieces: int) -> Batch:
-    """At most so many pieces of at most `ROWS` rows, evenly over all rows of all recordings."""
+def sample_segments(batches: Sequence[Batch], count: int) -> Batch:
+    """At most `count` segments of at most `ROWS` rows, evenly spread over all rows of all recordings."""
     rows = min(ROWS, max(len(batch.dt) for batch in batches))
-    whole = [
+    every = [
         (b, trajectory, start)
         for b, batch in enumerate(batches)
         for trajectory, length in enumerate(np.asarray(batch.valid).sum(axis=0))
         for start in range(0, int(length), rows)
         if start == 0 or length - start >= rows // 2
     ]
-    picked = [whole[k] for k in np.unique(np.linspace(0, len(whole) - 1, min(pieces, len(whole))).astype(int))]
+    picked = [every[k] for k in np.unique(np.linspace(0, len(every) - 1, min(count, len(every))).astype(int))]
 
     def cut(b: int, trajectory: int, start: int) -> Batch:
         def part(x: Any) -> np.ndarray:
-            piece = np.asarray(x)[start : start + rows, ..., trajectory]
-            return np.pad(piece, [(0, rows - len(piece))] + [(0, 0)] * (piece.ndim - 1))
+            rows_of_x = np.asarray(x)[start : start + rows, ..., trajectory]
+            return np.pad(rows_of_x, [(0, rows - len(rows_of_x))] + [(0, 0)] * (rows_of_x.ndim - 1))
 
         key = np.asarray(batches[b].key)[:, trajectory]
         return jax.tree_util.tree_map(part, batches[b]._replace(key=None))._replace(key=key)
 
-    return jax.tree_util.tree_map(lambda *x: np.stack(x, axis=-1), *(cut(*place) for place in picked))
+    return jax.tree_util.tree_map(lambda *x: np.stack(x, axis=-1), *(cut(*one) for one in picked))
 
 
 def _tolerant(tracker: AbstractTracker) -> AbstractTracker:
-    """The tracker that gives up a track only when it is hopeless.
-
-    With noise levels far off, one that gives up by its usual limit would look for a new start on every other row.
-    """
+    """The tracker with a higher limit of track loss, since noise levels far off make most rows exceed its own."""
     limits = {name: node for name, node in tunables(tracker).items() if name.split(".")[-2:] == ["loss", "limit"]}
     return replaced(tracker, {k: node.with_value(TOLERANCE * np.asarray(node.value)) for k, node in limits.items()})
 
 
 class _Search:
-    """The best vector so far, its value, and what a better one has to gain."""
+    """The best vector so far, its value, and the least gain of a better one."""
 
-    def __init__(self, problem: Problem, vector: np.ndarray, worth: float):
-        self.problem, self.vector, self.worth = problem, vector, worth
+    def __init__(self, problem: Problem, vector: np.ndarray, min_gain: float):
+        self.problem, self.vector, self.min_gain = problem, vector, min_gain
         self.value = float(self.values(vector[None])[0])
 
     def values(self, vectors: np.ndarray) -> np.ndarray:
-        """The objective (S,) at vectors (S, p), infinite where it isn't finite."""
+        """The objective (S,) at vectors (S, p), infinite where it is not finite."""
         found = self.problem.values(vectors)
         return np.where(np.isfinite(found), found, np.inf)
 
     def consider(self, vectors: np.ndarray) -> None:
-        """Take the best of the vectors (S, p), where it is worth it."""
+        """Take the best of the vectors (S, p) if it gains enough."""
         if len(vectors):
             found = self.values(vectors)
             best = int(np.argmin(found))
-            if found[best] < self.value - self.worth:
+            if found[best] < self.value - self.min_gain:
                 self.value, self.vector = float(found[best]), vectors[best]
 
     def restore(self, start: np.ndarray) -> None:
-        """Give back to each level its value at the start, where that costs nothing."""
+        """Reset each level to its start value where that costs nothing."""
         own = self.moved(np.eye(len(self.problem.parameters))) != self.vector
         found = self.values(np.where(own, start, self.vector))
-        back = own[found < self.value + self.worth].any(axis=0)
+        back = own[found < self.value + self.min_gain].any(axis=0)
         vector = np.where(back, start, self.vector)
         value = float(self.values(vector[None])[0])
-        if value < self.value + len(own) * self.worth:
+        if value < self.value + len(own) * self.min_gain:
             self.value, self.vector = value, vector
 
-    def each_alone(self) -> None:
-        """Change each level by what is best for it alone, then all together, or only the best of them."""
+    def step_each_level(self) -> None:
+        """Find each level's best step alone, then take all of them, all halved, or only the best one."""
         every = np.eye(len(self.problem.parameters))
-        found = self.values(self.moved(np.kron(every, ALONE[:, None]))).reshape(len(every), len(ALONE))
+        found = self.values(self.moved(np.kron(every, SINGLE_STEPS[:, None]))).reshape(len(every), len(SINGLE_STEPS))
         least = found.min(axis=1)
-        steps = np.where(least < self.value - self.worth, ALONE[np.argmin(found, axis=1)], 0.0)
+        steps = np.where(least < self.value - self.min_gain, SINGLE_STEPS[np.argmin(found, axis=1)], 0.0)
         if steps.any():
             best = every[int(np.argmin(least))]
             self.consider(self.moved(np.stack([steps, 0.5 * steps, steps * best])))
@@ -207,9 +203,9 @@ class _Search:
         return np.concatenate(parts, axis=1)
 
 
-def _closed_forms(parameters: Sequence[Parameter], some: Batch) -> np.ndarray:
-    """A vector (1, p) with levels from differences of places read, where a sensor reads places; else none (0, p)."""
-    found, vector = levels_of_places(some), flatten(parameters)
+def _closed_form(parameters: Sequence[Parameter], segments: Batch) -> np.ndarray:
+    """A vector (1, p) with noise levels from differences of fixes; (0, p) without fixes."""
+    found, vector = noise_levels_of_fixes(segments), flatten(parameters)
     if found is None:
         return np.zeros((0, len(vector)))
     parts = []

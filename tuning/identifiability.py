@@ -1,133 +1,145 @@
-"""In words: what of a fit the recordings determine, and what they leave open."""
+"""Identifiability in words: which parameters the recordings can't determine, before a fit and after it."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from trackers.core.tunable import Scale
-from tuning.parameters import Parameter
-from tuning.uncertainty import PART, Uncertainty, determined, unused, without_effect
+from trackers.core.tracker import AbstractTracker
+from trackers.core.tunable import Scale, tunables
+from tuning.objectives import AbstractObjective
+from tuning.parameters import Parameter, component_kinds, component_names
+from tuning.uncertainty import MIN_COMPONENT, Uncertainty, determined, unidentifiable, unused
 
-LOOSE = 1.0
+LARGE_SIGMA = 1.0
 """Standard deviation of an unconstrained number from which on it is hardly determined: a factor of e either way."""
 
 
 @dataclass(frozen=True)
 class IdentifiabilityIssue:
-    """What is wrong with a direction: `names` of the numbers that have a part in it, and what to tell the user."""
+    """An issue in one sentence, and the `names` of the numbers concerned."""
 
     names: tuple[str, ...]
     text: str
 
 
-def identifiability_issues(found: Uncertainty, slopes: np.ndarray) -> list[IdentifiabilityIssue]:
-    """What the recordings don't determine, worst first; nothing to say of a good fit.
+def cautions(tracker: AbstractTracker, parameters: Sequence[Parameter], objective: AbstractObjective) -> Iterator[str]:
+    """Warnings before a fit: tied numbers with different values, and a latency that no likelihood determines."""
+    own = tunables(tracker)
+    for parameter in parameters:
+        values = [np.asarray(own[name].value) for name in parameter.names]
+        if not all(np.array_equal(value, values[0]) for value in values):
+            listed = ", ".join(f"{float(value):.4g}" for value in values if value.ndim == 0)
+            yield f"{parameter.label}: tied numbers all start at the first value{f' of {listed}' if listed else ''}"
+        only_sensor = len(getattr(tracker, "sensors", ())) == 1
+        if parameter.label.endswith(".latency") and only_sensor and not objective.needs_truth:
+            yield (
+                f"{parameter.label}: fixes alone do not determine their latency, since a delayed track fits them as "
+                "well; give recordings with truth and objective rmse"
+            )
 
-    `slopes` (…, p, n): derivatives of trajectories' terms, as of `Evaluations`; where all are zero a number has no
-    effect at all.
+
+def identifiability_issues(uncertainty: Uncertainty, term_gradients: np.ndarray) -> list[IdentifiabilityIssue]:
+    """The parameters that the recordings don't determine, worst first; empty for a good fit.
+
+    `term_gradients` (…, p, n): as in `Evaluation`; a number whose derivatives are all zero has no effect.
     """
-    names, kinds = names_of(found.parameters), kinds_of(found.parameters)
-    idle, void = without_effect(slopes), unused(found.parameters)
-    nothing = np.flatnonzero(idle & ~void)
-    without = [names[k] for k in nothing]
-    said = [IdentifiabilityIssue(tuple(without), f"{_listed(without)} on the objective")] if without else []
-    slope = found.optimum.gradient
-    said += [IdentifiabilityIssue((names[k],), _at_its_bound(names[k], slope[k])) for k in np.flatnonzero(found.held)]
-    if not found.settled:
-        return [*said, IdentifiabilityIssue((), _elsewhere(found.distance_to_optimum))]
-    lively = np.flatnonzero(~idle & ~void & ~found.held)
-    if not len(lively) or not np.all(np.isfinite(found.optimum.hessian)):
-        return said
-    missing, _, _ = determined(found.optimum.hessian[np.ix_(lively, lively)])
-    cov = found.observed if np.all(np.isfinite(found.observed)) else found.sandwich
-    loose = np.zeros((len(lively), 0))
-    deviations: list[float] = []
-    if np.all(np.isfinite(cov)):
-        variances, directions = np.linalg.eigh(cov[np.ix_(lively, lively)])
-        wide = variances > LOOSE**2
-        loose, deviations = directions[:, wide][:, ::-1], np.sqrt(variances[wide])[::-1].tolist()
-    # Directions in which the same numbers have a part are spoken of together.
-    together: dict[tuple[int, ...], list[tuple[np.ndarray, float]]] = {}
-    for direction, deviation in zip([*missing.T, *loose.T], [math.inf] * missing.shape[1] + deviations, strict=True):
-        part = np.abs(direction) > PART
-        together.setdefault(tuple(lively[part].tolist()), []).append((direction[part], deviation))
-    for own, ways in together.items():
-        mine, theirs = [names[k] for k in own], [kinds[k] for k in own]
-        if len(ways) == len(own) > 1:
-            said.append(IdentifiabilityIssue(tuple(mine), _nothing(mine, min(deviation for _, deviation in ways))))
+    names, kinds = component_names(uncertainty.parameters), component_kinds(uncertainty.parameters)
+    no_effect, ignored = unidentifiable(term_gradients), unused(uncertainty.parameters)
+    without = [names[k] for k in np.flatnonzero(no_effect & ~ignored)]
+    issues = [IdentifiabilityIssue(tuple(without), f"{_no_effect(without)} on the objective")] if without else []
+    gradient = uncertainty.optimum.gradient
+    issues += [
+        IdentifiabilityIssue((names[k],), _at_bound(names[k], gradient[k]))
+        for k in np.flatnonzero(uncertainty.at_bound)
+    ]
+    if not uncertainty.at_optimum:
+        return [*issues, IdentifiabilityIssue((), _not_at_optimum(uncertainty.distance_to_optimum))]
+    free = np.flatnonzero(~no_effect & ~ignored & ~uncertainty.at_bound)
+    if not len(free) or not np.all(np.isfinite(uncertainty.optimum.hessian)):
+        return issues
+    for component, sigma in _groups(uncertainty, free).items():
+        own, own_kinds = [names[k] for k in component], [kinds[k] for k in component]
+        if len(sigma) == len(own) > 1:
+            text = _none_determined(own, min(deviation for _, deviation in sigma))
+            issues.append(IdentifiabilityIssue(tuple(own), text))
         else:
-            said += [IdentifiabilityIssue(tuple(mine), _words(mine, theirs, *way)) for way in ways]
-    return said
+            issues += [IdentifiabilityIssue(tuple(own), _sentence(own, own_kinds, *one)) for one in sigma]
+    return issues
 
 
-def names_of(parameters: Sequence[Parameter]) -> list[str]:
-    """A name for each unconstrained number: the parameter's label, with indices where it has several."""
-    return [".".join([p.label, *map(str, index)]) for p in parameters for index in np.ndindex(*np.shape(p.example.raw))]
+def _groups(uncertainty: Uncertainty, free: np.ndarray) -> dict[tuple[int, ...], list[tuple[np.ndarray, float]]]:
+    """The poorly determined directions by the numbers that take part, each with its standard deviation."""
+    missing, _, _ = determined(uncertainty.optimum.hessian[np.ix_(free, free)])
+    cov = uncertainty.observed if np.all(np.isfinite(uncertainty.observed)) else uncertainty.sandwich
+    loose = np.zeros((len(free), 0))
+    sigmas: list[float] = []
+    if np.all(np.isfinite(cov)):
+        variances, directions = np.linalg.eigh(cov[np.ix_(free, free)])
+        wide = variances > LARGE_SIGMA**2
+        loose, sigmas = directions[:, wide][:, ::-1], np.sqrt(variances[wide])[::-1].tolist()
+    groups: dict[tuple[int, ...], list[tuple[np.ndarray, float]]] = {}
+    for direction, sigma in zip([*missing.T, *loose.T], [math.inf] * missing.shape[1] + sigmas, strict=True):
+        part = np.abs(direction) > MIN_COMPONENT
+        groups.setdefault(tuple(free[part].tolist()), []).append((direction[part], sigma))
+    return groups
 
 
-def kinds_of(parameters: Sequence[Parameter]) -> list[type]:
-    """The kind of tunable of each unconstrained number."""
-    return [type(p.example) for p in parameters for _ in range(int(np.size(p.example.raw)))]
-
-
-def _elsewhere(distance_to_optimum: float) -> str:
-    away = f"{distance_to_optimum:.2g} standard deviations away" if distance_to_optimum < 100 else "far away"
+def _not_at_optimum(distance: float) -> str:
+    off = f"{distance:.2g} standard deviations away" if distance < 100 else "far away"
     return (
-        f"the numbers are not where the objective is least on the recordings tuned on ({away}), and have no intervals: "
-        "held-out recordings chose them, or the fit ended early, as it does where the objective is not smooth"
+        f"the numbers are not at the optimum of the recordings tuned on ({off}), and have no intervals: held-out "
+        "recordings selected them, or the fit ended early, as with objectives that are not smooth"
     )
 
 
-def _at_its_bound(name: str, gradient: float) -> str:
-    return f"{name} rests on its bound: the recordings would have it {'lower' if gradient > 0 else 'higher'}"
+def _at_bound(name: str, gradient: float) -> str:
+    return f"{name} is at its bound: the optimum is {'lower' if gradient > 0 else 'higher'}"
 
 
-def _degree(deviation: float) -> str:
-    return "not determined" if math.isinf(deviation) else "hardly determined"
+def _degree(sigma: float) -> str:
+    return "not determined" if math.isinf(sigma) else "hardly determined"
 
 
-def _nothing(names: list[str], deviation: float) -> str:
-    """Of numbers that are as open as they are many; `deviation`: of what is best known of them."""
+def _none_determined(names: list[str], sigma: float) -> str:
+    """For n numbers with n poorly determined directions; `sigma`: of the best determined."""
     together = "together" if len(names) == 2 else "in any combination"
-    return f"{', '.join(names[:-1])} and {names[-1]} are {_degree(deviation)}, neither one by one nor {together}"
+    return f"{', '.join(names[:-1])} and {names[-1]} are {_degree(sigma)}, neither one by one nor {together}"
 
 
-def _words(names: list[str], kinds: list[Any], direction: np.ndarray, deviation: float) -> str:
-    degree = _degree(deviation)
+def _sentence(names: list[str], kinds: Sequence[Any], direction: np.ndarray, sigma: float) -> str:
+    degree = _degree(sigma)
     if len(names) == 1:
-        if math.isinf(deviation):
+        if math.isinf(sigma):
             return f"{names[0]} is {degree}: near this value the objective does not depend on it"
         if kinds[0] is Scale:
-            return f"{names[0]} is {degree}: it may as well be {_factor(deviation)} times larger or smaller"
+            factor = f"{math.exp(min(sigma, 20.0)):.2g}"
+            return f"{names[0]} is {degree}: it may as well be {factor} times larger or smaller"
         return f"{names[0]} is {degree}"
     if len(names) == 2 and all(kind is Scale for kind in kinds):
-        return f"{names[0]} and {names[1]} are {degree} one by one: the data fix only {_product(names, direction)}"
+        return (
+            f"{names[0]} and {names[1]} are {degree} one by one: the data determine only {_invariant(names, direction)}"
+        )
     size = direction / np.abs(direction).max()
     moves = ", ".join(f"{name} {_change(kind, s)}" for name, kind, s in zip(names, kinds, size, strict=True))
-    return (
-        f"{', '.join(names[:-1])} and {names[-1]} are {degree} one by one: changed together ({moves}) they do nothing"
-    )
+    together = f"{', '.join(names[:-1])} and {names[-1]}"
+    return f"{together} are {degree} one by one: changed together ({moves}) they have no effect"
 
 
-def _listed(names: list[str]) -> str:
-    """That one or several numbers have no effect, at most four of them by name."""
+def _no_effect(names: list[str]) -> str:
+    """One or several numbers without effect, at most four of them by name."""
     if len(names) == 1:
         return f"{names[0]} has no effect"
     shown, rest = (names[:-1], names[-1]) if len(names) <= 4 else (names[:3], f"{len(names) - 3} others")
     return f"{', '.join(shown)} and {rest} have no effect"
 
 
-def _factor(deviation: float) -> str:
-    return f"{math.exp(min(deviation, 20.0)):.2g}"
-
-
-def _product(names: list[str], direction: np.ndarray) -> str:
-    """What stays the same along the direction: one name times a power of the other, not above 1."""
+def _invariant(names: list[str], direction: np.ndarray) -> str:
+    """The product that is constant along the direction: one name times a power of the other, at most 1."""
     first = int(np.argmin(np.abs(direction)))
     power = -float(direction[first] / direction[1 - first])
     size = abs(power)

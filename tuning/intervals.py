@@ -1,74 +1,69 @@
-"""95 % intervals of tuned numbers, by one of three ways that trust the quadratic model less and less."""
+"""95 % intervals of tuned numbers: by curvature and scatter, by profile likelihood, or by bootstrap."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from trackers.core.errors import UnusableInput
-from tuning import FitResult, bootstrap, profile
+from tuning.fit import FitResult
 from tuning.objectives import AbstractObjective
-from tuning.profiles import FEWEST, percentile_intervals
+from tuning.profiles import MIN_TRAJECTORIES, bootstrap, percentile_intervals, profile
+from tuning.uncertainty import Uncertainty
 
 Interval = tuple[np.ndarray, np.ndarray]
 """Lowest and highest value."""
 
 
 def intervals_of(result: FitResult, kind: str = "curvature") -> dict[str, Interval]:
-    """The intervals by label; none of a fit that was stopped, or did not come to rest where its objective is least.
+    """The intervals by label; empty for a fit that was interrupted or is not at its optimum.
 
-    `curvature`: by the curvature of a likelihood or by the scatter of trajectories or blocks of rows, whichever is
-    wider. `profile`: where the likelihood, all other numbers fitted anew, has fallen by 1.92. `bootstrap`: of fits to
-    trajectories drawn with replacement. NaN for what rests on a bound. Raises UnusableInput where there can be none.
+    `curvature`: the wider of a likelihood's curvature and the scatter of trajectories or blocks of rows. `profile`:
+    where the profile likelihood has fallen by 1.92 nats. `bootstrap`: percentiles of fits to resampled trajectories.
+    NaN for numbers at a bound. Raises UnusableInput where the kind does not apply.
     """
-    sure = result.uncertainty
-    if sure is None or not sure.settled:
+    uncertainty = result.uncertainty
+    if uncertainty is None or not uncertainty.at_optimum:
         return {}
     try:
         if kind == "bootstrap":
-            return _drawn_anew(result)
+            return _bootstrap_intervals(result, uncertainty)
         if kind == "profile":
-            return _profiled(result)
+            return _profile_intervals(result, uncertainty)
     except ValueError as error:
         raise UnusableInput(f"--intervals {kind}: {error}") from error
-    return dict(sure.intervals())
+    return dict(uncertainty.intervals())
 
 
-def require_possible(kind: str, goal: AbstractObjective, trajectories: int) -> None:
-    """Raise UnusableInput, before any work, for a kind of interval that there can't be of so many trajectories."""
-    if kind == "profile" and not goal.is_likelihood:
+def require_possible(kind: str, objective: AbstractObjective, trajectories: int) -> None:
+    """Raise UnusableInput, before any work, for a kind of interval that does not apply to so many trajectories."""
+    if kind == "profile" and not objective.is_likelihood:
         raise UnusableInput("--intervals profile: a profile is of a likelihood; use --objective nll, or bootstrap")
-    if kind == "bootstrap" and trajectories < FEWEST:
+    if kind == "bootstrap" and trajectories < MIN_TRAJECTORIES:
         raise UnusableInput(
-            f"--intervals bootstrap: found {trajectories} pieces of recordings, expected at least {FEWEST} to draw "
-            "from; make --piece-rows smaller, or give more recordings"
+            f"--intervals bootstrap: found {trajectories} segments of recordings, expected at least {MIN_TRAJECTORIES} "
+            "to draw from; make --piece-rows smaller, or give more recordings"
         )
 
 
-def _drawn_anew(result: FitResult) -> dict[str, Interval]:
-    assert result.uncertainty is not None
-    held = result.uncertainty.held
-    vectors = bootstrap(result.problem, result.uncertainty.optimum, held=held)
-    return percentile_intervals(result.parameters, np.where(held, np.nan, vectors))
+def _bootstrap_intervals(result: FitResult, uncertainty: Uncertainty) -> dict[str, Interval]:
+    at_bound = uncertainty.at_bound
+    vectors = bootstrap(result.problem, uncertainty.optimum, at_bound=at_bound)
+    return percentile_intervals(result.parameters, np.where(at_bound, np.nan, vectors))
 
 
-def _profiled(result: FitResult) -> dict[str, Interval]:
-    """Of single numbers; a matrix keeps the intervals of its curvature, since its entries are no parameters."""
-    assert result.uncertainty is not None
-    found, at = intervals_of(result), 0
+def _profile_intervals(result: FitResult, uncertainty: Uncertainty) -> dict[str, Interval]:
+    """Profile intervals of single numbers; a matrix keeps those by curvature, since its entries are no parameters."""
+    intervals, start = dict(uncertainty.intervals()), 0
     for parameter in result.parameters:
-        shape = np.shape(parameter.example.raw)
-        size = int(np.prod(shape, dtype=int))
-        if len(shape) < 2:
-            ends = np.array([_ends(result, at + k) for k in range(size)])
-            found[parameter.label] = np.reshape(ends[:, 0], shape), np.reshape(ends[:, 1], shape)
-        at += size
-    return found
+        if len(parameter.shape) < 2:
+            ends = np.array([_ends(result, uncertainty, start + k) for k in range(parameter.size)])
+            intervals[parameter.label] = ends[:, 0].reshape(parameter.shape), ends[:, 1].reshape(parameter.shape)
+        start += parameter.size
+    return intervals
 
 
-def _ends(result: FitResult, component: int) -> tuple[float, float]:
-    sure = result.uncertainty
-    assert sure is not None
-    if sure.held[component]:
+def _ends(result: FitResult, uncertainty: Uncertainty, component: int) -> tuple[float, float]:
+    if uncertainty.at_bound[component]:
         return np.nan, np.nan
-    found = profile(result.problem, sure.optimum, component, held=sure.held)
+    found = profile(result.problem, uncertainty.optimum, component, at_bound=uncertainty.at_bound)
     return found.low, found.high

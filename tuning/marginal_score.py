@@ -2,8 +2,8 @@
 
     T'(x') = Σ w p(x'|x) (T(x) + ∇log p(x'|x)) / Σ w p(x'|x) + ∇log g(x')        score = Σ w' T'(x')
 
-No particle keeps the history of one ancestor: what the score owes to a state is averaged over all states that may
-have led to it. So it scatters in proportion to the rows, not to their square; it costs N² densities a row.
+T of a particle is averaged over all possible ancestors instead of following one, so that the score's variance grows
+with the number of rows, not with its square; the cost is N² densities per row.
 """
 
 from __future__ import annotations
@@ -27,34 +27,33 @@ from trackers.core.tunable import freeze
 from tuning.parameters import flatten, select_parameters, with_parameters
 
 PAIRS = 2**18
-"""Of particles, in as many trajectories as run together: more fill the memory of a small computer."""
+"""Pairs of particles in all trajectories that run together; more would fill the memory of a small computer."""
 
 
 class MarginalScores(NamedTuple):
-    """Of n trajectories: log L (n,) and its derivatives (n, p) by the unconstrained numbers of the parameters."""
+    """log L of n trajectories (n,) and its derivatives (n, p) with respect to the unconstrained parameters."""
 
     values: np.ndarray
     scores: np.ndarray
 
 
-class Carried(NamedTuple):
-    """What one row hands to the next: the belief, T of every particle (p, N), whether the track has started, and log L."""
+class Carry(NamedTuple):
+    """Carry of the scan: the belief, T of every particle (p, N), whether the track has started, and log L."""
 
     belief: Particles
-    owed: Any
+    scores: Any
     started: Any
     value: Any
 
 
 def marginal_scores(tracker: Tracker, batch: Batch, tune: str | Sequence[str]) -> MarginalScores:
-    """log L and its gradient by the tunables that the patterns name, with the tracker's own particles.
+    """log L and its gradient with respect to the tunables matching the patterns, by the tracker's own particles.
 
-    A track begins once and is never given up. Raises ValueError for a tracker without particles, for a motion whose
-    noise does not reach every component of its state (system B: the place follows from the speed), and where a figure
-    is not finite.
+    A track starts once and is never lost. Raises ValueError for a tracker without particles, for a motion whose noise
+    does not reach every component of its state (system B: position follows from speed), and for non-finite results.
     """
     if not isinstance(tracker.filter, ParticleFilter):
-        raise ValueError(f"a marginal score is one of particles, found the filter {type(tracker.filter).__name__}")
+        raise ValueError(f"a marginal score needs a particle filter, found {type(tracker.filter).__name__}")
     parameters = select_parameters(tracker, tune)
     model = as_dtype(tracker, batch.dt.dtype)
     vector = jnp.asarray(flatten(parameters), batch.dt.dtype)
@@ -69,7 +68,7 @@ def marginal_scores(tracker: Tracker, batch: Batch, tune: str | Sequence[str]) -
     if not np.all(np.isfinite(values)) or not np.all(np.isfinite(scores)):
         trajectory = int(np.argmin(np.isfinite(np.asarray(values)) & np.isfinite(np.asarray(scores)).all(axis=1)))
         raise ValueError(
-            f"the score of trajectory {trajectory} is not finite: its particles died out, or it never began"
+            f"the score of trajectory {trajectory} is not finite: its particles died out, or it never started"
         )
     return MarginalScores(np.asarray(values), np.asarray(scores))
 
@@ -85,20 +84,20 @@ def _of_trajectory(model: Any, vector: Any, trajectory: Batch) -> tuple[Any, Any
         jnp.arange(len(trajectory.dt), dtype=jnp.uint32),
     )
 
-    def start(row: Row) -> Carried:
+    def start(row: Row) -> Carry:
         candidate = jax.lax.stop_gradient(tracker.start.candidate(tracker.sensors, row))
         belief = initial_carry(tracker, candidate, row).belief
 
         def density(v: Any) -> Any:
             return normal_log_density(model(v).start.belief(candidate, row), belief.states)
 
-        return Carried(belief, jax.jacfwd(density)(vector).T, row.valid & tracker.start.can_start(row), 0.0 * row.dt)
+        return Carry(belief, jax.jacfwd(density)(vector).T, row.valid & tracker.start.can_start(row), 0.0 * row.dt)
 
-    def step(carried: Carried, row: Row) -> tuple[Carried, None]:
+    def step(carried: Carry, row: Row) -> tuple[Carry, None]:
         row = row._replace(key=trajectory.key)
-        went = _row(model, vector, carried, row)
+        continued = _row(model, vector, carried, row)
         fresh = start(row)
-        kept = _select(carried.started & row.valid, went, carried)
+        kept = _select(carried.started & row.valid, continued, carried)
         return _select(~carried.started & fresh.started, fresh, kept), None
 
     first = jax.tree_util.tree_map(lambda x: x[0], rows)._replace(key=trajectory.key)
@@ -108,11 +107,11 @@ def _of_trajectory(model: Any, vector: Any, trajectory: Batch) -> tuple[Any, Any
     )
     empty = jax.tree_util.tree_map(jnp.zeros_like, begin)
     last, _ = jax.lax.scan(step, empty, rows)
-    score = jnp.sum(jnp.exp(last.belief.log_weights)[None, :] * last.owed, axis=-1)
+    score = jnp.sum(jnp.exp(last.belief.log_weights)[None, :] * last.scores, axis=-1)
     return jnp.where(last.started, last.value, jnp.nan), score
 
 
-def _row(model: Any, vector: Any, carried: Carried, row: Row) -> Carried:
+def _row(model: Any, vector: Any, carried: Carry, row: Row) -> Carry:
     """One row of a track that has started."""
     tracker: Tracker = model(vector)
     before = carried.belief
@@ -123,9 +122,9 @@ def _row(model: Any, vector: Any, carried: Carried, row: Row) -> Carried:
 
     logits = before.log_weights[None, :] + moves(vector)
     shares = jax.nn.softmax(logits, axis=1)
-    slopes = jax.jacfwd(moves)(vector)
-    owed = jnp.einsum("ij,pj->pi", shares, carried.owed, precision="highest")
-    owed = owed + jnp.where(row.dt > 0, jnp.einsum("ij,ijp->pi", shares, slopes, precision="highest"), 0.0)
+    jacobian = jax.jacfwd(moves)(vector)
+    scores = jnp.einsum("ij,pj->pi", shares, carried.scores, precision="highest")
+    scores = scores + jnp.where(row.dt > 0, jnp.einsum("ij,ijp->pi", shares, jacobian, precision="highest"), 0.0)
     value = carried.value
     for name in tracker.sensors:
         reading = row.readings[name]
@@ -136,14 +135,14 @@ def _row(model: Any, vector: Any, carried: Carried, row: Row) -> Carried:
                 moved.states, placed.motion, placed.sensors[name], reading, row.inputs
             ).log_density
 
-        owed = owed + jax.jacfwd(densities)(vector).T
-        belief, said = tracker.filter.update(belief, tracker.motion, tracker.sensors[name], reading, row.inputs)
-        value = value + said.log_likelihood
-    return Carried(belief, owed, carried.started, value)
+        scores = scores + jax.jacfwd(densities)(vector).T
+        belief, info = tracker.filter.update(belief, tracker.motion, tracker.sensors[name], reading, row.inputs)
+        value = value + info.log_likelihood
+    return Carry(belief, scores, carried.started, value)
 
 
 def _pairs(tracker: Tracker, before: Any, after: Any, row: Row) -> Any:
-    """log p (N, N) of every state after (rows) given every state before; in no time a state stays what it is."""
+    """log p (N, N) of every state after (rows) given every state before; for dt = 0 a state stays the same."""
     potential, motion = tracker.filter.potential, tracker.motion
 
     def density(old: Any, new: Any) -> Any:

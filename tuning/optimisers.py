@@ -1,13 +1,13 @@
-"""How a fit goes on from a point: optimisers that propose steps for S starts side by side; the fit judges the steps.
+"""Optimisers: each proposes the next steps of S starts; `tuning.optimisation` accepts, shortens or rejects them.
 
-Everything of a start stands at its number along the first axis, so that starts never touch each other.
+All arrays have the starts along the first axis; no start influences another.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from functools import lru_cache
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -15,63 +15,45 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from tuning.problem import Evaluations
-
-LONGEST = 2.0
-"""The longest step in unconstrained coordinates: a noise level changes by a factor of seven at most."""
+MAX_STEP = 2.0
+"""Longest step in unconstrained coordinates: a noise level changes by a factor of seven at most."""
 
 
 class AbstractOptimiser(eqx.Module):
-    """`curved`: whether it takes a likelihood's curvature; `descends`: whether a step has to make things better."""
+    """Proposes steps; `monotone`: whether a step that increases the objective is rejected."""
 
-    curved: eqx.AbstractClassVar[bool]
-    descends: eqx.AbstractClassVar[bool]
-
-    @abstractmethod
-    def begin(self, vectors: np.ndarray) -> Any:
-        """What it remembers, for starts at vectors (S, p): a tree of arrays (S, …)."""
+    monotone: eqx.AbstractClassVar[bool]
 
     @abstractmethod
-    def direction(self, memory: Any, vectors: np.ndarray, found: Evaluations) -> tuple[Any, Any]:
-        """From where the starts are: what `step` takes, and what is remembered."""
+    def init(self, vectors: np.ndarray) -> Any:
+        """The optimiser's state for starts at vectors (S, p): a tree of arrays (S, …)."""
 
     @abstractmethod
-    def step(self, direction: Any, attempt: int) -> np.ndarray:
-        """The step (S, p), shorter with every attempt, from 0."""
-
-    @abstractmethod
-    def judged(self, memory: Any, attempts: np.ndarray) -> Any:
-        """What is remembered, after the attempts (S,) that it took each start to move."""
+    def propose(self, state: Any, vectors: np.ndarray, gradients: np.ndarray) -> tuple[np.ndarray, Any]:
+        """The steps (S, p) from vectors (S, p) with gradients (S, p), and the optimiser's next state."""
 
 
 class Adam(AbstractOptimiser):
-    """Adam (Kingma and Ba 2015), whose rate falls from `rate` to a hundredth of it over `steps`.
+    """Adam (Kingma and Ba 2015); its rate falls from `rate` to a hundredth of it over `steps` along a cosine.
 
-    For objectives with noise of their own, of particles or minibatches.
+    For noisy objectives: particle filters and minibatches.
     """
 
     steps: int = 60
     rate: float = 0.15
-    curved: ClassVar[bool] = False
-    descends: ClassVar[bool] = False
+    monotone: ClassVar[bool] = False
 
-    def begin(self, vectors: np.ndarray) -> Any:
+    def init(self, vectors: np.ndarray) -> Any:
         return jax.vmap(_adam(self.steps, self.rate).init)(jnp.asarray(vectors))
 
-    def direction(self, memory: Any, vectors: np.ndarray, found: Evaluations) -> tuple[Any, Any]:
-        return _updated(_adam(self.steps, self.rate), found.gradients, memory, vectors)
-
-    def step(self, direction: Any, attempt: int) -> np.ndarray:
-        return np.asarray(direction / 2.0**attempt)
-
-    def judged(self, memory: Any, attempts: np.ndarray) -> Any:
-        return memory
+    def propose(self, state: Any, vectors: np.ndarray, gradients: np.ndarray) -> tuple[np.ndarray, Any]:
+        return _updated(_adam(self.steps, self.rate), gradients, state, vectors)
 
 
 @lru_cache
 def _adam(steps: int, rate: float) -> Any:
-    """Adam of optax; kept, since one made anew would be compiled anew."""
-    # A filter on the brink of losing a track has enormous derivatives; one such step must not drown all others.
+    """Adam of optax, cached because a new object would be compiled again."""
+    # A filter about to lose a track has enormous derivatives; one such step must not dominate all others.
     return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(optax.cosine_decay_schedule(rate, steps, 0.01)))
 
 
@@ -79,86 +61,44 @@ _lbfgs = optax.scale_by_lbfgs()
 
 
 class LBFGS(AbstractOptimiser):
-    """Limited-memory BFGS (Liu and Nocedal 1989) of optax, its steps halved until they help."""
+    """Limited-memory BFGS (Liu and Nocedal 1989) of optax with backtracking by halves."""
 
-    curved: ClassVar[bool] = False
-    descends: ClassVar[bool] = True
+    monotone: ClassVar[bool] = True
 
-    def begin(self, vectors: np.ndarray) -> Any:
+    def init(self, vectors: np.ndarray) -> Any:
         return jax.vmap(_lbfgs.init)(jnp.asarray(vectors))
 
-    def direction(self, memory: Any, vectors: np.ndarray, found: Evaluations) -> tuple[Any, Any]:
-        first = np.asarray(memory.count) == 0
-        steps, memory = _updated(_lbfgs, found.gradients, memory, vectors)
-        # Nothing lengthens the first step, from which the later ones take their scale: a factor of e is one that helps
-        # a noise level, and a shorter one is found by halving.
-        length = np.linalg.norm(found.gradients, axis=1, keepdims=True)
-        steepest = -found.gradients / np.where(length > 0, length, 1.0)
-        uphill = np.sum(steps * found.gradients, axis=1) <= 0
-        return _limited(np.where((first | uphill)[:, None], steepest, -steps)), memory
-
-    def step(self, direction: Any, attempt: int) -> np.ndarray:
-        return np.asarray(direction / 2.0**attempt)
-
-    def judged(self, memory: Any, attempts: np.ndarray) -> Any:
-        return memory
-
-
-class Bowl(NamedTuple):
-    """A quadratic model of S objectives: gradients (S, p), curvatures (S, p, p), and the damping (S,)."""
-
-    gradients: np.ndarray
-    curvatures: np.ndarray
-    damping: np.ndarray
-
-
-class GaussNewton(AbstractOptimiser):
-    """Gauss–Newton on the innovations with Levenberg and Marquardt's damping (Marquardt 1963); for likelihoods."""
-
-    curved: ClassVar[bool] = True
-    descends: ClassVar[bool] = True
-
-    def begin(self, vectors: np.ndarray) -> Any:
-        return np.full(len(vectors), 1e-3)
-
-    def direction(self, memory: Any, vectors: np.ndarray, found: Evaluations) -> tuple[Any, Any]:
-        return Bowl(found.gradients, found.curvatures, memory), memory
-
-    def step(self, direction: Any, attempt: int) -> np.ndarray:
-        diagonal = np.einsum("spp->sp", direction.curvatures)
-        # A number without curvature of its own is damped as the flattest of the others.
-        flattest = np.min(np.where(diagonal > 0, diagonal, np.inf), axis=1, keepdims=True)
-        diagonal = np.where(diagonal > 0, diagonal, np.where(np.isfinite(flattest), flattest, 1.0))
-        damping = direction.damping * 10.0**attempt
-        damped = direction.curvatures + damping[:, None, None] * np.einsum(
-            "sp,pq->spq", diagonal, np.eye(diagonal.shape[1])
-        )
-        return _limited(-np.linalg.solve(damped, direction.gradients[..., None])[..., 0])
-
-    def judged(self, memory: Any, attempts: np.ndarray) -> Any:
-        return np.clip(memory * np.where(attempts > 0, 10.0**attempts, 0.1), 1e-6, 1e6)
+    def propose(self, state: Any, vectors: np.ndarray, gradients: np.ndarray) -> tuple[np.ndarray, Any]:
+        first = np.asarray(state.count) == 0
+        steps, state = _updated(_lbfgs, gradients, state, vectors)
+        # Later steps take their scale from the first, which backtracking can only shorten. Length 1, a factor of e in
+        # a noise level, is long enough.
+        length = np.linalg.norm(gradients, axis=1, keepdims=True)
+        steepest = -gradients / np.where(length > 0, length, 1.0)
+        uphill = np.sum(steps * gradients, axis=1) <= 0
+        return _limited(np.where((first | uphill)[:, None], steepest, -steps)), state
 
 
 def _limited(steps: np.ndarray) -> np.ndarray:
-    """Steps (S, p) of at most the longest."""
-    return steps / np.maximum(1.0, np.linalg.norm(steps, axis=1, keepdims=True) / LONGEST)
+    """The steps (S, p), shortened to `MAX_STEP`."""
+    return steps / np.maximum(1.0, np.linalg.norm(steps, axis=1, keepdims=True) / MAX_STEP)
 
 
-def _updated(transformation: Any, gradients: np.ndarray, memory: Any, vectors: np.ndarray) -> tuple[np.ndarray, Any]:
-    """The updates (S, p) of optax and what it remembers, of one start after another.
+def _updated(transformation: Any, gradients: np.ndarray, state: Any, vectors: np.ndarray) -> tuple[np.ndarray, Any]:
+    """The updates (S, p) of an optax transformation and its next state, one start after another.
 
-    Not under `vmap`: XLA (jaxlib 0.10, multi-output fusion) aborts on the scatters that L-BFGS makes there.
+    Not under `vmap`: XLA (jaxlib 0.10, multi-output fusion) aborts on the scatters of L-BFGS there.
     """
-    of_starts = []
+    updates = []
     for k, (gradient, vector) in enumerate(zip(gradients, vectors, strict=True)):
-        mine = jax.tree_util.tree_map(lambda leaf: jnp.asarray(leaf[k]), memory)  # noqa: B023
+        own = jax.tree_util.tree_map(lambda leaf: jnp.asarray(leaf[k]), state)  # noqa: B023
         # Adam raises a float to the power of an integer count, which strict promotion would refuse.
         with jax.numpy_dtype_promotion("standard"):
-            of_starts.append(_one(transformation, jnp.asarray(gradient), mine, jnp.asarray(vector)))
-    steps, memories = zip(*of_starts, strict=True)
-    return np.stack(steps).astype(float), jax.tree_util.tree_map(lambda *x: np.stack(x), *memories)
+            updates.append(_update(transformation, jnp.asarray(gradient), own, jnp.asarray(vector)))
+    steps, states = zip(*updates, strict=True)
+    return np.stack(steps).astype(float), jax.tree_util.tree_map(lambda *x: np.stack(x), *states)
 
 
 @eqx.filter_jit
-def _one(transformation: Any, gradient: jax.Array, memory: Any, vector: jax.Array) -> tuple[jax.Array, Any]:
-    return transformation.update(gradient, memory, vector)  # type: ignore[no-any-return]
+def _update(transformation: Any, gradient: jax.Array, state: Any, vector: jax.Array) -> tuple[jax.Array, Any]:
+    return transformation.update(gradient, state, vector)  # type: ignore[no-any-return]

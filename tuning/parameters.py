@@ -1,9 +1,9 @@
-"""The tuned numbers of a tracker as one unconstrained vector, and back."""
+"""The tuned parameters of a tracker as one unconstrained vector, and back."""
 
 from __future__ import annotations
 
 import fnmatch
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,23 +20,33 @@ TIED = "tied:"
 
 @dataclass(frozen=True)
 class Parameter:
-    """One tunable, or several tied to be equal: `names` of the tracker's tree, `example` for unit and constraint.
+    """One tunable, or several tied to be equal: `names` in the tracker, and an `example` with unit and constraint.
 
-    `label`: under what it is reported, its name, or for tied ones the pattern that found them.
+    `label`: the tunable's name, or the pattern of tied ones.
     """
 
     names: tuple[str, ...]
     example: AbstractTunable
     label: str
 
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The shape of its unconstrained numbers."""
+        return np.shape(self.example.raw)
+
+    @property
+    def size(self) -> int:
+        """The number of its unconstrained numbers."""
+        return int(np.prod(self.shape, dtype=int))
+
 
 def select_parameters(
     tracker: AbstractTracker, patterns: str | Sequence[str], frozen: Sequence[str] = ()
 ) -> list[Parameter]:
-    """The parameters that the patterns name, but for the `frozen`; `tied:PATTERN` makes one of all that match.
+    """The parameters that match the patterns, without the `frozen`; `tied:PATTERN` ties all its matches into one.
 
-    Raises ValueError when there is no pattern, one matches nothing, tied tunables have different units or shapes, or
-    nothing is left that is not frozen.
+    Raises ValueError for a pattern without match, for tied tunables of different units or shapes, and where no
+    parameter is left.
     """
     parameters: list[Parameter] = []
     taken: set[str] = set(matching(tracker, frozen)) if frozen else set()
@@ -52,8 +62,18 @@ def select_parameters(
         else:
             parameters += [Parameter((name,), node, name) for name, node in found.items()]
     if not parameters:
-        raise ValueError("no pattern is given that names anything but what is frozen, so nothing would be tuned")
+        raise ValueError("there is nothing to tune: no pattern matches a tunable that is not frozen")
     return parameters
+
+
+def component_names(parameters: Sequence[Parameter]) -> list[str]:
+    """A name for each unconstrained number: the parameter's label, with indices where it has several."""
+    return [".".join([p.label, *map(str, index)]) for p in parameters for index in np.ndindex(*p.shape)]
+
+
+def component_kinds(parameters: Sequence[Parameter]) -> list[type]:
+    """The type of tunable of each unconstrained number."""
+    return [type(p.example) for p in parameters for _ in range(p.size)]
 
 
 def flatten(parameters: Sequence[Parameter]) -> np.ndarray:
@@ -61,30 +81,57 @@ def flatten(parameters: Sequence[Parameter]) -> np.ndarray:
     return np.concatenate([np.ravel(np.asarray(p.example.raw, float)) for p in parameters])
 
 
-def limits(parameters: Sequence[Parameter], bounds: Mapping[str, tuple[float, float]]) -> tuple[np.ndarray, np.ndarray]:
-    """The lowest and highest unconstrained vector (p,), of physical bounds by pattern, infinite elsewhere.
+def parse_bounds(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Bounds by pattern, from texts such as `sensors.*.sigma_p=0.01:1`; raises ValueError."""
+    bounds = {}
+    for text in texts:
+        pattern, _, numbers = text.partition("=")
+        low, _, high = numbers.partition(":")
+        if pattern in bounds:
+            raise ValueError(f"{text}: duplicate bound of '{pattern}'; expected one")
+        try:
+            bounds[pattern] = float(low), float(high)
+        except ValueError as error:
+            raise ValueError(f"{text}: expected PATTERN=LOWEST:HIGHEST, as 'sensors.*.sigma_p=0.01:1'") from error
+    return bounds
 
-    Raises ValueError for a pattern that no parameter matches, and bounds without room or that the number can't have.
+
+def limits(parameters: Sequence[Parameter], bounds: Mapping[str, tuple[float, float]]) -> tuple[np.ndarray, np.ndarray]:
+    """The lowest and highest unconstrained vector (p,) for physical bounds by pattern, infinite elsewhere.
+
+    Raises ValueError for a pattern without match, for empty bounds, and for values outside the parameter's constraint.
     """
-    low = [np.full(np.shape(p.example.raw), -np.inf) for p in parameters]
-    high = [np.full(np.shape(p.example.raw), np.inf) for p in parameters]
+    low = [np.full(p.shape, -np.inf) for p in parameters]
+    high = [np.full(p.shape, np.inf) for p in parameters]
     for pattern, (lowest, highest) in bounds.items():
         found = [k for k, p in enumerate(parameters) if fnmatch.filter((*p.names, p.label), pattern)]
         if not found:
-            raise ValueError(
-                f"bounds for '{pattern}': no tuned number matches; tuned are {', '.join(p.label for p in parameters)}"
-            )
+            labels = ", ".join(p.label for p in parameters)
+            raise ValueError(f"bounds for '{pattern}': no tuned number matches; tuned are {labels}")
         if not lowest < highest:
             raise ValueError(f"bounds for '{pattern}': {lowest:g} is not below {highest:g}")
         for k in found:
-            shape = np.shape(parameters[k].example.raw)
+            example = parameters[k].example
             try:
                 low[k], high[k] = (
-                    np.asarray(parameters[k].example.with_value(np.full(shape, x)).raw) for x in (lowest, highest)
+                    np.asarray(example.with_value(np.full(parameters[k].shape, x)).raw) for x in (lowest, highest)
                 )
             except ValueError as error:
                 raise ValueError(f"bounds for '{pattern}': {error}") from error
     return np.concatenate([np.ravel(x) for x in low]), np.concatenate([np.ravel(x) for x in high])
+
+
+def require_start_within(parameters: Sequence[Parameter], bounds: Mapping[str, tuple[float, float]]) -> None:
+    """Raise ValueError for bounds that don't fit the parameters, or that exclude their present values."""
+    low, high = limits(parameters, bounds)
+    vector = flatten(parameters)
+    outside = (vector < low) | (vector > high)
+    if outside.any():
+        k = outside.argmax()
+        raise ValueError(
+            f"{component_names(parameters)[k]} begins outside, at {physical_vector(parameters, vector)[k]:.4g}; give "
+            "another starting value"
+        )
 
 
 def with_raw(node: AbstractTunable, raw: Any) -> AbstractTunable:
@@ -92,33 +139,28 @@ def with_raw(node: AbstractTunable, raw: Any) -> AbstractTunable:
     return eqx.tree_at(lambda n: n.raw, node, raw)
 
 
-def with_parameters(tracker: Any, parameters: Sequence[Parameter], vector: Any) -> Any:
-    """The tracker with the parameters taken from an unconstrained vector; differentiable in the vector."""
-    own = tunables(tracker)
-    new: dict[str, AbstractTunable] = {}
+def split(parameters: Sequence[Parameter], vector: Any) -> Iterator[tuple[Parameter, Any]]:
+    """Each parameter with its part of an unconstrained vector, in its shape."""
     start = 0
     for parameter in parameters:
-        shape = np.shape(parameter.example.raw)
-        size = int(np.prod(shape, dtype=int))
-        raw = vector[start : start + size].reshape(shape)
-        new |= {name: with_raw(own[name], raw) for name in parameter.names}
-        start += size
+        yield parameter, vector[start : start + parameter.size].reshape(parameter.shape)
+        start += parameter.size
+
+
+def with_parameters(tracker: Any, parameters: Sequence[Parameter], vector: Any) -> Any:
+    """The tracker with the parameters of an unconstrained vector; differentiable with respect to it."""
+    own = tunables(tracker)
+    new = {name: with_raw(own[name], raw) for parameter, raw in split(parameters, vector) for name in parameter.names}
     return replaced(tracker, new)
 
 
 def physical(parameters: Sequence[Parameter], vector: Any) -> list[Any]:
     """The physical value of each parameter."""
-    values, start = [], 0
-    for parameter in parameters:
-        shape = np.shape(parameter.example.raw)
-        size = int(np.prod(shape, dtype=int))
-        values.append(with_raw(parameter.example, jnp.asarray(vector[start : start + size]).reshape(shape)).value)
-        start += size
-    return values
+    return [with_raw(parameter.example, jnp.asarray(raw)).value for parameter, raw in split(parameters, vector)]
 
 
 def physical_vector(parameters: Sequence[Parameter], vector: Any) -> np.ndarray:
-    """The physical values of all parameters, one after another, where the unconstrained vector has them."""
+    """The physical values of all parameters in one vector, in the order of the unconstrained one."""
     return np.concatenate([np.ravel(np.asarray(x, float)) for x in physical(parameters, vector)])
 
 

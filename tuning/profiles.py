@@ -1,37 +1,38 @@
-"""Uncertainty without a quadratic model: profile likelihoods of single numbers, and fits to resampled recordings."""
+"""Uncertainty without a quadratic model: profile likelihoods of single numbers, and the bootstrap."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from scipy.special import chdtri
 
-from trackers.core.metrics import chi_square_quantile
 from tuning.parameters import Parameter, physical, physical_vector
+from tuning.problem import Problem
 from tuning.uncertainty import Optimum, determined
 
-REACH = 3.5
-"""Standard deviations to either side that a profile covers; a likelihood of normal shape has risen by 6 nats there."""
+HALF_WIDTH = 3.5
+"""Half width of a profile in standard deviations, where the likelihood of a normal shape has fallen by 6 nats."""
 
-WIDEST = float(np.log(1e3))
-"""Furthest that a profile goes to either side in unconstrained coordinates, and how far where nothing is determined."""
+MAX_HALF_WIDTH = float(np.log(1e3))
+"""Largest half width in unconstrained coordinates, and that of an undetermined number."""
 
-FEWEST = 5
-"""Trajectories without which resampling says little."""
+MIN_TRAJECTORIES = 5
+"""Fewest trajectories for the bootstrap."""
 
 ROUNDS = 4
-"""Steps of the other numbers at every point of a profile, from where the quadratic model has them."""
+"""Steps of the other numbers at every point of a profile, starting from the quadratic model's optimum."""
 
 
 @dataclass(frozen=True)
 class Profile:
-    """The least objective for each of G values of one number.
+    """The objective minimised over all other numbers, at G values of one number.
 
     `raw`, `values` (G,): unconstrained and physical values. `rise` (G,): above the optimum, nats. `low`, `high`: the
-    physical interval of the given level, where the rise stays below half the chi-square quantile of one degree of
-    freedom (Wilks 1938); infinite (or the end of what is possible) where the profile doesn't rise so far.
+    physical interval of the given level, where the rise is below half the chi-square quantile of one degree of freedom
+    (Wilks 1938); infinite (or the end of the possible range) where the profile doesn't rise so far.
     """
 
     raw: np.ndarray
@@ -42,36 +43,35 @@ class Profile:
 
 
 def profile(
-    problem: Any,
+    problem: Problem,
     found: Optimum,
     component: int,
     level: float = 0.95,
     points: int = 15,
-    held: np.ndarray | None = None,
+    at_bound: np.ndarray | None = None,
 ) -> Profile:
-    """The profile likelihood of the unconstrained number `component`, the others re-optimised, all points at once.
+    """The profile likelihood of the unconstrained number `component`, all points at once.
 
-    `found`: the optimum, as `tuning.uncertainty` has it; `held` (p,): the others that stay, resting on their bounds.
-    Raises ValueError for an objective that is no likelihood.
+    `at_bound` (p,): other numbers that keep their values. Raises ValueError for an objective that is no likelihood.
     """
-    if not np.isfinite(found.units):
-        raise ValueError("a profile is of a likelihood; for another objective resample the recordings (bootstrap)")
+    if not np.isfinite(found.nats_per_unit):
+        raise ValueError("a profile is of a likelihood; use the bootstrap for another objective")
     p = len(found.vector)
     others = np.arange(p) != component
-    if held is not None:
-        others &= ~held
+    if at_bound is not None:
+        others &= ~at_bound
     along = found.hessian[component]
     _, inner, _ = determined(found.hessian, others)
-    curvature = found.units * (found.hessian[component, component] - along @ inner @ along)
-    reach = min(REACH / np.sqrt(curvature), WIDEST) if curvature > 0 else WIDEST
+    curvature = found.nats_per_unit * (found.hessian[component, component] - along @ inner @ along)
+    half_width = min(HALF_WIDTH / np.sqrt(curvature), MAX_HALF_WIDTH) if curvature > 0 else MAX_HALF_WIDTH
     # An odd number of points has the optimum itself among them.
-    offsets = np.linspace(-reach, reach, points + 1 - points % 2)
+    offsets = np.linspace(-half_width, half_width, points + 1 - points % 2)
     vectors = np.tile(found.vector, (len(offsets), 1))
     vectors[:, component] += offsets
     vectors -= offsets[:, None] * (inner @ along)
     refitted = refit(problem, vectors, found.hessian, others, rounds=ROUNDS)
-    rise = found.units * (refitted.values - min(found.value, np.nanmin(refitted.values)))
-    ends = _crossings(offsets, rise, 0.5 * chi_square_quantile(level, 1))
+    rise = found.nats_per_unit * (refitted.values - min(found.value, np.nanmin(refitted.values)))
+    ends = _crossings(offsets, rise, 0.5 * float(chdtri(1, 1 - level)))
     edge = [_physical(problem.parameters, found.vector, component, x) for x in ends]
     raw = found.vector[component] + offsets
     values = np.array([_physical(problem.parameters, found.vector, component, x) for x in offsets])
@@ -79,35 +79,34 @@ def profile(
 
 
 class Refitted(NamedTuple):
-    """Vectors (S, p) after some steps, and the objective (S,) there."""
+    """Vectors (S, p), and the objective (S,) there."""
 
     vectors: np.ndarray
     values: np.ndarray
 
 
 def refit(
-    problem: Any,
+    problem: Problem,
     vectors: np.ndarray,
     hessian: np.ndarray,
     free: np.ndarray | None = None,
     weights: np.ndarray | None = None,
     rounds: int = 3,
 ) -> Refitted:
-    """Better vectors (S, p), each for its own weights (S, n) of trajectories, by quasi-Newton steps all at once.
+    """Vectors (S, p) improved by quasi-Newton steps (BFGS on the inverse Hessian), all at once.
 
-    Along the numbers that are `free` (p,); `hessian`: the second derivatives that all begin with. A step is at most 1
-    long and taken back and halved where it makes nothing better; what it teaches of the second derivatives (Broyden,
-    Fletcher, Goldfarb & Shanno, on the inverse) is kept.
+    Each for its own `weights` (S, n) of trajectories, over the `free` (p,) numbers, starting with the same `hessian`. A
+    step has length 1 at most, and is rejected and halved where the objective rises.
     """
     free = np.ones(vectors.shape[1], bool) if free is None else free
     inverse = determined(hessian, free)[1][np.ix_(free, free)]
     inverses = np.tile(inverse, (len(vectors), 1, 1))
     here = vectors.copy()
     evaluated = problem.evaluate(here, weights)
-    values, slopes = evaluated.values.copy(), evaluated.gradients[:, free].copy()
+    values, gradients = evaluated.values.copy(), evaluated.gradients[:, free].copy()
     scale = np.ones(len(here))
     for _ in range(rounds if free.any() else 0):
-        step = -np.einsum("spq,sq->sp", inverses, slopes)
+        step = -np.einsum("spq,sq->sp", inverses, gradients)
         step *= (scale / np.maximum(1.0, np.linalg.norm(step, axis=1)))[:, None]
         trial = here.copy()
         trial[:, free] += step
@@ -115,54 +114,54 @@ def refit(
         with np.errstate(invalid="ignore"):
             better = (evaluated.values < values) & np.isfinite(evaluated.gradients).all(axis=1)
         inverses = np.where(
-            better[:, None, None], _updated(inverses, step, evaluated.gradients[:, free] - slopes), inverses
+            better[:, None, None], _updated(inverses, step, evaluated.gradients[:, free] - gradients), inverses
         )
         here = np.where(better[:, None], trial, here)
         values = np.where(better, evaluated.values, values)
-        slopes = np.where(better[:, None], evaluated.gradients[:, free], slopes)
+        gradients = np.where(better[:, None], evaluated.gradients[:, free], gradients)
         scale = np.where(better, np.minimum(1.0, 2.0 * scale), 0.5 * scale)
     return Refitted(here, values)
 
 
 def bootstrap(
-    problem: Any,
+    problem: Problem,
     found: Optimum,
     replicates: int = 100,
     rounds: int = 3,
     seed: int = 0,
-    held: np.ndarray | None = None,
+    at_bound: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Vectors (replicates, p) fitted to trajectories drawn anew with replacement (Efron 1979), for any objective.
+    """Vectors (replicates, p) fitted to trajectories resampled with replacement (Efron 1979), for any objective.
 
-    Each from the optimum by a few steps, all together, but for the numbers `held` (p,). Raises ValueError for fewer
-    than five trajectories, of which resampling says little.
+    All by a few steps from the optimum, with the numbers `at_bound` (p,) fixed. Raises ValueError for fewer than five
+    trajectories.
     """
     count = int(found.used.sum())
-    if count < FEWEST:
-        raise ValueError(f"{count} trajectories are too few to resample; cut recordings into pieces, or take more")
+    if count < MIN_TRAJECTORIES:
+        raise ValueError(f"{count} trajectories are too few to resample; cut recordings into segments, or add some")
     rng = np.random.default_rng(seed)
     weights = np.zeros((replicates, len(found.used)))
     weights[:, found.used] = rng.multinomial(count, np.full(count, 1.0 / count), size=replicates)
     start = np.tile(found.vector, (replicates, 1))
-    free = None if held is None else ~held
+    free = None if at_bound is None else ~at_bound
     return refit(problem, start, found.hessian, free, weights, rounds).vectors
 
 
 def percentile_intervals(
     parameters: list[Parameter], vectors: np.ndarray, level: float = 0.95
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Lowest and highest physical value by label of the middle `level` of replicates (S, p)."""
-    every = [physical(parameters, v) for v in vectors]
+    """Lowest and highest physical value of the central `level` of replicates (S, p), by label."""
+    physical_values = [physical(parameters, v) for v in vectors]
     tails = 50 * (1 - level), 50 * (1 + level)
     found = {}
     for k, p in enumerate(parameters):
-        low, high = np.percentile(np.stack([np.asarray(v[k], float) for v in every]), tails, axis=0)
+        low, high = np.percentile(np.stack([np.asarray(v[k], float) for v in physical_values]), tails, axis=0)
         found[p.label] = (low, high)
     return found
 
 
 def _updated(inverses: np.ndarray, steps: np.ndarray, changes: np.ndarray) -> np.ndarray:
-    """The BFGS update of inverses (S, p, p) by steps and changes of gradients (S, p), but where it would spoil them."""
+    """The BFGS update of inverses (S, p, p) by steps and gradient changes (S, p), of positive curvature."""
     along = np.einsum("sp,sp->s", steps, changes)
     size = np.linalg.norm(steps, axis=1) * np.linalg.norm(np.nan_to_num(changes), axis=1)
     sound = along > 1e-8 * size
@@ -173,9 +172,9 @@ def _updated(inverses: np.ndarray, steps: np.ndarray, changes: np.ndarray) -> np
 
 
 def _crossings(offsets: np.ndarray, rise: np.ndarray, height: float) -> tuple[float, float]:
-    """Where a profile first rises to `height` on either side of its least point; infinite where it does not.
+    """The offsets at which a profile first rises to `height` on either side of its minimum; infinite without any.
 
-    Linear in the signed root of the rise, which of a quadratic is a straight line.
+    Interpolated linearly in the root of the rise, which is exact for a quadratic.
     """
     root = np.sqrt(np.maximum(np.where(np.isfinite(rise), rise, np.inf), 0.0))
     least, wanted = int(np.argmin(root)), np.sqrt(height)
@@ -193,7 +192,7 @@ def _crossings(offsets: np.ndarray, rise: np.ndarray, height: float) -> tuple[fl
 
 
 def _physical(parameters: list[Parameter], vector: np.ndarray, component: int, offset: float) -> float:
-    """The physical value of one number, `offset` away from a vector in unconstrained coordinates."""
+    """The physical value of one number at an `offset` from a vector in unconstrained coordinates."""
     moved = np.array(vector, float)
     moved[component] += offset
     return float(physical_vector(parameters, moved)[component])

@@ -1,8 +1,7 @@
-"""The papers' way to tune: an objective over a grid of values of one or two numbers, each tried as it is.
+"""Grid search: an objective over a grid of values of one or two parameters, without derivatives.
 
-The assembly-line thesis (2.7 and chapter 3) varies the dynamic noise over 0 … 100 cm and takes the value of least
-RMSE over all its recordings, ten runs of the particle filter each. Here many values run in one compiled call, forward
-only: a sweep needs no derivatives.
+The assembly-line thesis (2.7 and chapter 3) tunes this way: it varies the dynamic noise over 0 … 100 cm and takes the
+value of least RMSE over all recordings, ten runs of the particle filter each. Here a compiled call has many values.
 """
 
 from __future__ import annotations
@@ -19,15 +18,15 @@ from tuning.objectives import AbstractObjective
 from tuning.parameters import TIED, Parameter, select_parameters
 from tuning.problem import Problem
 
-AT_ONCE = 32
-"""Values that are filtered before progress is told."""
+POINTS_PER_REPORT = 32
+"""Grid points between two progress reports."""
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """An objective over a grid: `values` (repeats, n) or (repeats, n, m) at `grids`, physical, one for each parameter.
+    """An objective over a grid: `values` (repeats, n) or (repeats, n, m) at the physical `grids`, one per parameter.
 
-    NaN where a trajectory gave no finite figure. `filter_runs`: trajectories filtered for it.
+    NaN where a trajectory's objective is not finite. `filter_runs`: number of trajectories filtered.
     """
 
     parameters: list[Parameter]
@@ -42,44 +41,43 @@ class Sweep:
 
     @property
     def spread(self) -> np.ndarray:
-        """The standard deviation over repeats, on the grid; zero where there is one."""
+        """The standard deviation over repeats, on the grid; zero for a single repeat."""
         return self.values.std(axis=0, ddof=1) if len(self.values) > 1 else np.zeros(self.values.shape[1:])
 
     @property
     def best_index(self) -> tuple[int, ...]:
-        """Where on the grid the mean is least."""
+        """The grid index of the least mean."""
         return tuple(int(k) for k in np.unravel_index(np.nanargmin(self.mean), self.mean.shape))
 
     @property
     def best(self) -> dict[str, float]:
         """The physical values of least mean, by the parameters' labels."""
-        places = zip(self.parameters, self.grids, self.best_index, strict=True)
-        return {p.label: float(grid[k]) for p, grid, k in places}
+        points = zip(self.parameters, self.grids, self.best_index, strict=True)
+        return {p.label: float(grid[k]) for p, grid, k in points}
 
 
 def swept_parameters(tracker: AbstractTracker, patterns: Sequence[str]) -> list[Parameter]:
-    """A parameter for each pattern, of all that it names, kept equal; raises ValueError as `sweep` does."""
+    """One parameter per pattern, with all its matches tied; raises ValueError as `sweep` does."""
     if not 1 <= len(patterns) <= 2:
         raise ValueError(f"a sweep goes over one or two patterns, found {len(patterns)}")
     parameters = select_parameters(tracker, [p if p.startswith(TIED) else TIED + p for p in patterns])
     if len(parameters) < len(patterns):
-        raise ValueError(f"the patterns {' and '.join(patterns)} name the same tunables")
+        raise ValueError(f"the patterns {' and '.join(patterns)} match the same tunables")
     return parameters
 
 
 def grid_vectors(parameters: Sequence[Parameter], grids: Sequence[np.ndarray]) -> np.ndarray:
-    """The unconstrained vectors (points, p) of all points of the grid, the last parameter's values fastest.
+    """The unconstrained vectors (points, p) of all grid points, with the last parameter varying fastest.
 
-    A parameter of several numbers takes a value in all of them. Raises ValueError for a value outside its constraint.
+    All numbers of a parameter get the same value. Raises ValueError for a value outside the parameter's constraint.
     """
     columns = []
     for parameter, mesh in zip(parameters, np.meshgrid(*grids, indexing="ij"), strict=True):
-        shape = np.shape(parameter.example.raw)
         try:
-            held = [parameter.example.with_value(np.full(shape, value)) for value in mesh.ravel()]
+            nodes = [parameter.example.with_value(np.full(parameter.shape, value)) for value in mesh.ravel()]
         except ValueError as error:
             raise ValueError(f"{parameter.label}: {error}") from error
-        columns.append([np.ravel(node.raw) for node in held])
+        columns.append([np.ravel(node.raw) for node in nodes])
     return np.concatenate([np.asarray(c, float) for c in columns], axis=1)
 
 
@@ -92,34 +90,33 @@ def sweep(
     chunk: int = CHUNK,
     report: Callable[[int], None] = lambda points: None,
 ) -> Sweep:
-    """The objective at every point of the grid that `over` spans: one or two patterns of tunables, and their values.
+    """The objective on the grid spanned by `over`: one or two patterns of tunables with their values.
 
-    What a pattern names is kept equal. A tracker that draws random numbers runs `repeats` times with other keys, one
-    that doesn't runs once. `report` counts points of the grid done, a repeat being a fresh set of them. Raises
-    ValueError for a pattern that names nothing or what can't be kept equal, for values outside a constraint, and for
-    other than one or two patterns.
+    All matches of a pattern are tied. A particle filter runs `repeats` times with other random numbers, any other
+    tracker once. `report` gets the number of grid points done since the last call. Raises ValueError for a pattern
+    without match or whose matches can't be tied, for values outside a constraint, and for more than two patterns.
     """
     parameters = swept_parameters(tracker, list(over))
     grids = [np.asarray(values, float) for values in over.values()]
     problem = Problem(tracker, [batches] if isinstance(batches, Batch) else batches, objective, parameters, chunk)
     points = grid_vectors(parameters, grids)
-    repeats = repeats if problem.random else 1
-    values = np.stack([comparable_values(problem, points, turn, report) for turn in range(repeats)])
+    repeats = repeats if problem.stochastic else 1
+    values = np.stack([comparable_values(problem, points, repeat, report) for repeat in range(repeats)])
     return Sweep(parameters, grids, values.reshape(repeats, *map(len, grids)), problem.filter_runs)
 
 
 def comparable_values(
-    problem: Problem, points: np.ndarray, turn: int = 0, report: Callable[[int], None] = lambda points: None
+    problem: Problem, points: np.ndarray, realisation: int = 0, report: Callable[[int], None] = lambda points: None
 ) -> np.ndarray:
-    """The objective (S,) at unconstrained vectors (S, p), without derivatives; another turn has other random numbers.
+    """The objective (S,) at unconstrained vectors (S, p), without derivatives, for one realisation of random numbers.
 
-    A trajectory that is finite at none of the vectors is left out; one that is finite at some makes the others NaN,
-    since figures over different trajectories can't be compared.
+    Trajectories that are finite at none of the vectors are excluded; the objective is NaN where another one is not
+    finite, since values over different trajectories are not comparable.
     """
     found = []
-    for first in range(0, len(points), AT_ONCE):
-        found.append(problem.terms(points[first : first + AT_ONCE], turn))
+    for first in range(0, len(points), POINTS_PER_REPORT):
+        found.append(problem.terms(points[first : first + POINTS_PER_REPORT], realisation))
         report(len(found[-1]))
-    every = np.concatenate(found)
-    finite = np.isfinite(every).all(axis=1)
-    return problem.figures(every[..., finite.any(axis=0)].sum(axis=-1))
+    terms = np.concatenate(found)
+    finite = np.isfinite(terms).all(axis=1)
+    return problem.values_of(terms[..., finite.any(axis=0)].sum(axis=-1))

@@ -1,57 +1,54 @@
-"""`tuned.toml`: tuned numbers with unit and standard error, written by `tune` and read by `track --noise`."""
+"""`tuned.toml`: fitted values with unit and standard error, written by `tune` and read by `track --noise`."""
 
 from __future__ import annotations
 
-import json
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tomli_w
 
 from trackers.core.errors import UnusableInput
 from trackers.recordings.atomic import atomic_write
-from tuning import FitResult
+from tuning.fit import FitResult
 from tuning.intervals import Interval
+
+COMMENT = "# Written by `trackwright tune`; read by `trackwright track --noise`.\n"
 
 
 def write_tuned(path: Path, tracker: str, objective: str, result: FitResult, intervals: Mapping[str, Interval]) -> Path:
-    """Write the fit's numbers by name: value, unit, standard error and 95 % interval, by label; nan where not known."""
-    lines = [
-        "# Written by `trackwright tune`; read by `trackwright track --noise`.",
-        f'tracker = "{tracker}"',
-        f'objective = "{objective}"',
-        f"before = {result.start_value:.8g}",
-        f"after = {result.value:.8g}",
-        "",
-    ]
-    # Tied tunables stand here one by one: a pattern for them may match others of the tracker too.
+    """Write the fitted values by name, with unit, standard error and 95 % interval; nan where unknown.
+
+    `intervals`: lowest and highest value by label.
+    """
+    table = {}
+    # Tied tunables are written one by one: a pattern for them may match others of the tracker too.
     for parameter, name in ((p, name) for p in result.parameters for name in p.names):
-        nothing = np.full(np.shape(result.values[parameter.label]), np.nan)
+        nothing = np.full(parameter.shape, np.nan)
         ends = np.stack(intervals.get(parameter.label, (nothing, nothing)))
         low, high = np.where(np.isfinite(ends).all(axis=0), ends, np.nan)
-        lines += [
-            f"[tunables.{json.dumps(name, ensure_ascii=False)}]",
-            f"value = {_number(result.values[parameter.label])}",
-            f'unit = "{parameter.example.unit}"',
-            f"standard_error = {_number(result.standard_errors[parameter.label])}",
-            f"lowest_95 = {_number(low)}",
-            f"highest_95 = {_number(high)}",
-            "",
-        ]
-    return atomic_write(path, lambda temporary: temporary.write_text("\n".join(lines), encoding="utf-8"))
-
-
-def _number(value: Any) -> str:
-    array = np.asarray(value, float)
-    if array.ndim:
-        return "[" + ", ".join(_number(x) for x in array) + "]"
-    return repr(float(array))
+        table[name] = {
+            "value": np.asarray(result.values[parameter.label], float).tolist(),
+            "unit": parameter.example.unit,
+            "standard_error": np.asarray(result.standard_errors[parameter.label], float).tolist(),
+            "lowest_95": low.tolist(),
+            "highest_95": high.tolist(),
+        }
+    content = {
+        "tracker": tracker,
+        "objective": objective,
+        "before": float(f"{result.start_value:.8g}"),
+        "after": float(f"{result.value:.8g}"),
+        "tunables": table,
+    }
+    text = COMMENT + tomli_w.dumps(content)
+    return atomic_write(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 def read_tuned(path: Path) -> dict[str, Any]:
-    """The values by name; raises UnusableInput where the file isn't what `tune` writes."""
+    """The values by name; raises UnusableInput for a file that `tune` did not write."""
     try:
         content = tomllib.loads(path.read_text("utf-8"))
     except OSError as error:

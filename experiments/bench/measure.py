@@ -218,7 +218,7 @@ def memory() -> dict[str, Any]:
         batch = jax.tree_util.tree_map(lambda x, times=times: np.concatenate([x] * times), few)._replace(key=few.key)
         problem = Problem(given, [batch], NegativeLogLikelihood(), parameters, CHUNK)
         part = problem.chunks[0]
-        arguments = term_sums, problem.at(flatten(parameters)), part
+        arguments = term_sums, problem.point(flatten(parameters)), part
         program = compiled.lower(*arguments).compile()
         jax.block_until_ready(program(*arguments))
         found["temporaries"][str(rows)] = program.compiled.memory_analysis().temp_size_in_bytes

@@ -13,13 +13,14 @@ import tyro
 
 from experiments.cli.console import Advance, notice, output_folder, progress
 from experiments.cli.tuning_folder import Run, write_run
-from experiments.cli.tuning_job import Job, anomalies, bounds_of, checked, job_of, only_group
+from experiments.cli.tuning_job import Job, checked_options, job_of, only_group
 from trackers.core.errors import UnusableInput
 from tuning import FitResult, checkpoint, fit
 from tuning.first_guess import first_guess
+from tuning.identifiability import cautions
 from tuning.intervals import require_possible
-from tuning.optimisation import FitState, stored
-from tuning.optimisers import LBFGS, AbstractOptimiser, Adam, GaussNewton
+from tuning.optimisation import FitState, to_arrays
+from tuning.optimisers import LBFGS, AbstractOptimiser, Adam
 from tuning.parameters import flatten, select_parameters
 
 EVERYTHING = "*.sigma_*"
@@ -29,7 +30,6 @@ INTERRUPTED = 130
 OPTIMISERS: dict[str, Callable[[int], AbstractOptimiser | None]] = {
     "auto": lambda steps: None,
     "lbfgs": lambda steps: LBFGS(),
-    "gauss-newton": lambda steps: GaussNewton(),
     "adam": Adam,
 }
 
@@ -46,7 +46,7 @@ def tune(
     held_out: tuple[Path, ...] = (),
     start: Path | None = None,
     starts: int = 4,
-    optimiser: Literal["auto", "lbfgs", "gauss-newton", "adam"] = "auto",
+    optimiser: Literal["auto", "lbfgs", "adam"] = "auto",
     steps: int = 60,
     minibatch: int | None = None,
     intervals: Literal["curvature", "profile", "bootstrap"] = "curvature",
@@ -62,22 +62,21 @@ def tune(
         tracker: as in `track`; default: what fits the tables.
         objective: nll, the negative log-likelihood (needs no truth); rmse, the position error, state-nll, nees-shape
             (need truth); nis-shape; or a weighted sum, as 'nll+0.1*rmse'.
-        tune: shell patterns of tunables, as 'motion.*' 'sensors.*.sigma_p'; 'tied:PATTERN' keeps all that match equal.
-        freeze: patterns of tunables that stay as they are.
+        tune: shell patterns of tunables, as 'motion.*' 'sensors.*.sigma_p'; 'tied:PATTERN' keeps all matches equal.
+        freeze: patterns of tunables to keep.
         bound: PATTERN=LOWEST:HIGHEST, physical bounds of tuned numbers.
-        prior: PATTERN=0.2x2, known within a factor of 2, or of an offset PATTERN=0+-0.1; for nll.
-        held_out: recordings that are not fitted, but decide which point is the best and when to stop; and are reported.
+        prior: PATTERN=0.2x2 for a value known within a factor of 2, PATTERN=0+-0.1 for an offset; with nll only.
+        held_out: recordings to validate on: not fitted, but they select the best point and end the fit.
         start: a tuned.toml to start from.
-        starts: how many starts are followed side by side: the given one, and the best of a guess from the data and of
-            a coarse grid.
-        optimiser: auto is lbfgs for a likelihood, adam for other objectives, minibatches and trackers that draw.
-        steps: the most steps of a start.
-        minibatch: trajectories per step, drawn anew for each; default all.
-        intervals: how sure the numbers are: by curvature and scatter of the trajectories, by the profile of a
-            likelihood, or by fits to trajectories drawn anew (needs five).
-        resume: go on from the checkpoint in --out, with the same result to the bit.
+        starts: number of starts: the given values, then the best of a first guess from the data and a coarse grid.
+        optimiser: auto is lbfgs for a likelihood, adam for other objectives, minibatches and particle filters.
+        steps: maximum number of steps per start.
+        minibatch: trajectories per step, drawn at random; default all.
+        intervals: method of the 95 % intervals: curvature (with the scatter of the trajectories), profile likelihood,
+            or bootstrap over trajectories (at least five).
+        resume: continue from the checkpoint in --out, with bit-identical results.
         free_height: estimate the height of tags whose height the rig gives.
-        piece_rows: long recordings are cut into pieces of about this many rows, which are fitted side by side.
+        piece_rows: long recordings are cut into segments of about this many rows, which are fitted side by side.
     """
     started, clock = datetime.now(UTC), time.perf_counter()
     if steps < 1 or piece_rows < 10 or starts < 1 or (minibatch is not None and minibatch < 1):
@@ -87,12 +86,9 @@ def tune(
         )
     name, group = only_group((*recordings, *held_out), tracker, start, free_height)
     job = job_of(group, objective, held_out, piece_rows)
-    bounds = bounds_of(bound)
-    priors = checked(job, tune, freeze, bounds, prior)
-    require_possible(intervals, job.goal, len(job.training))
-    if optimiser == "gauss-newton" and not job.goal.is_likelihood:
-        raise UnusableInput(f"--optimiser gauss-newton: {objective} is no likelihood; expected lbfgs, adam or auto")
-    for text in anomalies(job, tune, freeze):
+    bounds, priors = checked_options(job, tune, freeze, bound, prior)
+    require_possible(intervals, job.objective, len(job.training))
+    for text in cautions(job.tracker, select_parameters(job.tracker, tune, freeze), job.objective):
         notice(f"notice: {text}")
     output_folder(out)
     options = {
@@ -117,58 +113,58 @@ def tune(
     for line in write_run(out, job, result, run):
         print(line)
     if result.uncertainty is None:
-        notice("stopped: tuned.toml holds the best so far; go on with the same command and --resume")
+        notice("stopped: tuned.toml holds the best values so far; continue with the same command and --resume")
         return INTERRUPTED
     return 0
 
 
 def _fitted(job: Job, out: Path, options: dict[str, Any], bounds: Any, priors: Any, resume: bool) -> FitResult:
-    """The fit, with a checkpoint after every step; raises UnusableInput where it can't begin."""
-    rows, judges = job.rows(), job.rows(held_out=True)
-    # What is done with the result does not make another fit of it.
+    """The fit, with a checkpoint after every step; raises UnusableInput where the objective is never finite."""
+    training, held_out = job.rows(), job.rows(held_out=True)
+    # Intervals are computed from the result and don't change the fit.
     config = {name: value for name, value in options.items() if name != "intervals"}
-    mark = checkpoint.fingerprint(config, [*rows, *judges], flatten(select_parameters(job.tracker, "*")))
-    kept = checkpoint.load(out, mark) if resume else None
-    if resume and kept is None:
-        notice(f"notice: {out}: no checkpoint there; the fit begins anew")
+    fingerprint = checkpoint.fingerprint(config, [*training, *held_out], flatten(select_parameters(job.tracker, "*")))
+    saved = checkpoint.load(out, fingerprint) if resume else None
+    if resume and saved is None:
+        notice(f"notice: {out}: no checkpoint found; the fit starts from the beginning")
     steps, starts, freeze = options["steps"], options["starts"], options["freeze"]
     with progress("tuning", steps) as advance:
-        advance(0, "(looking for starts)")
+        advance(0, "(evaluating starts)")
         try:
             result = fit(
                 job.tracker,
-                rows,
-                job.goal,
+                training,
+                job.objective,
                 options["tune"],
                 frozen=freeze,
                 bounds=bounds,
                 optimiser=OPTIMISERS[options["optimiser"]](steps),
                 steps=steps,
                 starts=starts,
-                held_out=judges,
+                held_out=held_out,
                 minibatch=options["minibatch"],
                 priors=priors,
-                guesses=[first_guess(job.tracker, rows, freeze)] if starts > 1 and kept is None else [],
-                resume=kept,
-                report=lambda state: _after_step(out, mark, state, advance),
+                guesses=[first_guess(job.tracker, training, freeze)] if starts > 1 and saved is None else [],
+                resume=saved,
+                report=lambda state: _after_step(out, fingerprint, state, advance),
             )
         except FloatingPointError as error:
-            raise UnusableInput(f"{error}; ask `trackwright check` about the recordings") from error
+            raise UnusableInput(f"{error}; run `trackwright check` on the recordings") from error
     if result.n_excluded == len(job.training):
         raise UnusableInput(
-            f"at the best point met ({options['objective']} {result.value:.4g}) no piece of the recordings has finite "
-            "derivatives: where readings repeat exactly the least noise is the likeliest; give --bound or --prior"
+            f"at the best point ({options['objective']} {result.value:.4g}) no segment of the recordings has finite "
+            "gradients: repeated identical readings drive the noise to zero; give --bound or --prior"
         )
     if result.n_excluded:
         notice(
-            f"notice: {result.n_excluded} of {len(job.training)} pieces had no say: their figures were not finite, or "
-            "depend on the tunables without measure"
+            f"notice: {result.n_excluded} of {len(job.training)} segments were excluded: non-finite likelihood, or "
+            "gradients over 1000 x the median"
         )
     return result
 
 
-def _after_step(out: Path, mark: str, state: FitState, advance: Advance) -> None:
-    checkpoint.save(out, stored(state), mark)
+def _after_step(out: Path, fingerprint: str, state: FitState, advance: Advance) -> None:
+    checkpoint.save(out, to_arrays(state), fingerprint)
     best = int(state.best_scores.argmin())
     now = f"(objective {state.best_scores[best]:.5g}, gradient {state.past_norms[-1, best]:.2g})"
     advance(min(1, int(state.number)), now)

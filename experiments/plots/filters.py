@@ -25,7 +25,7 @@ from experiments.plots.style import (
     svg_address,
 )
 from trackers.core.metrics import chi_square_quantile
-from tuning.diagnostics import Innovations, autocorrelation, expected_density, probabilities
+from tuning.diagnostics import Innovations, autocorrelation, expected_density, nis_probabilities
 
 WINDOW = 50
 """Rows of the running mean that replaces the mean over runs where there is a single run."""
@@ -85,7 +85,7 @@ def probability_chart(before: Innovations, after: Innovations) -> str:
     def draw(figure: Figure) -> None:
         axes = figure.subplots()
         bins = np.linspace(0, 1, 21)
-        old, new = (np.histogram(probabilities(values), bins, density=True)[0] for values in (before, after))
+        old, new = (np.histogram(nis_probabilities(values), bins, density=True)[0] for values in (before, after))
         _pair(axes, bins, old, new)
         axes.axhline(1.0, color=VERMILION, linewidth=1.6, label="consistent")
         highest = max(2.0, float(new.max()), min(float(old.max()), 6.0))

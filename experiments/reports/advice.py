@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from experiments.reports.tuning_data import MetricChange, TuningReportData
 from experiments.reports.wording import number, percent_change, uncapitalised
-from tuning.diagnostics import contradicted
+from tuning.diagnostics import violated_assumptions
 
 WORSE = 0.02
 """Relative increase above which a metric counts as worse."""
@@ -16,7 +16,7 @@ WORSE_BY = 0.01
 """The same, absolute: in nats, which have no natural zero, and for distances between distributions."""
 
 FAR = 0.1
-"""Distance of NIS or NEES from its distribution (`tuning.consistency`) above which covariances are misleading."""
+"""Distance of NIS or NEES from its distribution (`tuning.pit_uniformity`) above which covariances are misleading."""
 
 ADVICE = "Do not use such values as measurements: freeze or tie these parameters, or record more motion."
 SHAPES = ("nis-shape", "nees-shape")
@@ -133,7 +133,7 @@ def _worse(data: TuningReportData) -> list[str]:
 
 def _why(data: TuningReportData) -> str:
     """The assumptions that the innovations after the fit contradict."""
-    found = [] if data.innovations is None else contradicted(data.innovations[1])
+    found = [] if data.innovations is None else violated_assumptions(data.innovations[1])
     if not found:
         return "The innovations contradict no noise assumption: perhaps too few recordings were tuned on."
     return f"The innovations contradict the assumption {'; and '.join(found)}."

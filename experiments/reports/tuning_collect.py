@@ -19,10 +19,10 @@ from trackers.recordings.trajectories import Trajectory
 from tuning import FitResult
 from tuning.diagnostics import absolute_errors, innovations_of
 from tuning.fit import Step
-from tuning.identifiability import IdentifiabilityIssue, names_of
+from tuning.identifiability import IdentifiabilityIssue
 from tuning.intervals import Interval
-from tuning.metrics import all_metrics
-from tuning.parameters import Parameter
+from tuning.named_objectives import all_metrics
+from tuning.parameters import Parameter, component_names
 from tuning.surface import surface_of
 
 TITLES = {
@@ -33,7 +33,7 @@ TITLES = {
     "nis-shape": ("NIS: distance from its distribution", "1"),
     "nees-shape": ("NEES: distance from its distribution", "1"),
 }
-"""Title and unit of each metric of `tuning.metrics`; without a unit it has that of the truth."""
+"""Title and unit of each metric of `tuning.named_objectives`; without a unit it has that of the truth."""
 
 HELD_OUT = "The held-out recordings were not fitted; they were used to select the best point and to stop the fit."
 NO_DISTRIBUTION = "NIS is not shown: for this tracker its distribution is unknown."
@@ -169,7 +169,7 @@ def _parameters(
     result: FitResult, intervals: Mapping[str, Interval], issues: Sequence[IdentifiabilityIssue]
 ) -> tuple[TunedParameter, ...]:
     undetermined = {name for issue in issues for name in issue.names}
-    names = names_of(result.parameters)
+    names = component_names(result.parameters)
     units = [p.example.unit for p in result.parameters for _ in range(int(np.size(p.example.raw)))]
     old, new = (_flat(result.parameters, values) for values in (_first_trace(result)[0].values, result.values))
     nothing = {label: (np.full(np.shape(x), np.nan),) * 2 for label, x in result.values.items()}

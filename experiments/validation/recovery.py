@@ -50,8 +50,13 @@ from trackers.line.fixes import FIXES, FloorFixes  # noqa: E402
 from trackers.line.motion import PathState  # noqa: E402
 from trackers.parts.ranges import RANGES, RangeSensor  # noqa: E402
 from tuning import NegativeLogLikelihood, fit  # noqa: E402
-from tuning.identifiability import names_of  # noqa: E402
-from tuning.parameters import Parameter, flatten, select_parameters, with_parameters  # noqa: E402
+from tuning.parameters import (  # noqa: E402
+    Parameter,
+    component_names,
+    flatten,
+    select_parameters,
+    with_parameters,
+)
 from tuning.uncertainty import By, unused  # noqa: E402
 
 REPLICATES = 200
@@ -229,7 +234,7 @@ def judged(name: str, system: System, replicates: int, seed: int) -> bool:
             for way, within in holds.items():
                 within.append(_inside(result.uncertainty.intervals(by=way), parameters))
             advance(1)
-    error, making, labels = np.array(errors), ~unused(parameters), names_of(parameters)
+    error, making, labels = np.array(errors), ~unused(parameters), component_names(parameters)
     shares = {way: np.mean(within, axis=0) for way, within in holds.items()}
     bias = error.mean(axis=0) / (error.std(axis=0, ddof=1) / np.sqrt(replicates))
     good = [(share >= COVERED[0]) & (share <= COVERED[1]) for share in shares.values()] + [np.abs(bias) < UNBIASED]

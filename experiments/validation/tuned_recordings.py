@@ -25,8 +25,8 @@ from trackers.core.tunable import tunables, with_values  # noqa: E402
 from trackers.recordings.folder import read_recording  # noqa: E402
 from trackers.recordings.tracks import batches  # noqa: E402
 from tuning import NegativeLogLikelihood, fit  # noqa: E402
-from tuning.diagnostics import contradicted, innovations_of  # noqa: E402
-from tuning.metrics import all_metrics  # noqa: E402
+from tuning.diagnostics import innovations_of, violated_assumptions  # noqa: E402
+from tuning.named_objectives import all_metrics  # noqa: E402
 
 WORSE = 1.02
 """Ratio of held-out RMSE after to before from which tuning by likelihood counts as worse."""
@@ -103,7 +103,7 @@ def got_worse(name: str, split: Split, folder: Path) -> bool:
             worse = True
             runs = [(tracked.run(x), x.size) for x in rows]
             innovations = innovations_of(tracked, [found[k] for found, size in runs for k in range(size)])
-            why = [] if innovations is None else contradicted(innovations)
+            why = [] if innovations is None else violated_assumptions(innovations)
             print(f"{'':20s}worse; the innovations contradict: {'; '.join(why) or 'nothing'}", flush=True)
     listed = ", ".join(f"{k} {v:.3g}" for k, v in result.values.items() if v.ndim == 0)
     print(f"{'':20s}{time.perf_counter() - began:.0f} s; {listed}", flush=True)

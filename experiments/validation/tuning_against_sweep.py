@@ -30,7 +30,7 @@ from trackers.core.tracker import AbstractTracker
 from trackers.core.tunable import Scale, replaced, tunables
 from trackers.recordings.tracks import batches
 from tuning import fit
-from tuning.metrics import parse_objective
+from tuning.named_objectives import parse_objective
 from tuning.objectives import Weighted
 from tuning.optimisers import LBFGS, Adam
 from tuning.parameters import select_parameters
@@ -128,13 +128,13 @@ def _both(world: World, name: str, sigmas: np.ndarray, turns: range) -> tuple[Pr
     tracker = getattr(world, name)
     goal = Weighted(tuple(parse_objective(text) for text in GOALS), (1.0, 1.0))
     problem = Problem(tracker, world.rows, goal, select_parameters(tracker, SIGMA))
-    turns = turns if problem.random else turns[:1]
+    turns = turns if problem.stochastic else turns[:1]
     figures = np.empty((len(turns), len(sigmas), len(GOALS)))
     with progress(name, figures[..., 0].size) as advance:
         for turn, of_turn in zip(turns, figures, strict=True):
             for row, sigma in zip(of_turn, sigmas, strict=True):
                 sums = problem.terms(np.log([[sigma]]), turn)[0].sum(axis=-1)
-                row[:] = [float(part.value(own)) for part, own in zip(goal.parts, goal.shares(sums), strict=True)]
+                row[:] = [float(part.value(own)) for part, own in zip(goal.parts, goal.split(sums), strict=True)]
                 advance(1)
     return problem, figures
 

@@ -36,11 +36,11 @@ def gradients(tracker: AbstractTracker, batch: Batch, patterns: str | Sequence[s
     n_particles = getattr(getattr(tracker, "filter", None), "n_particles", 2000)
     problem = Problem(tracker, [batch], NegativeLogLikelihood(), parameters, max(1, MAX_BATCH * 2000 // n_particles))
     vector = flatten(parameters)[None, :]
-    problem.evaluate(vector, parts=[0])
+    problem.evaluate(vector, subset=[0])
     started = time.perf_counter()
     found = problem.evaluate(vector)
     seconds = (time.perf_counter() - started) / batch.size
-    return Gradients(-found.terms[0, 0, : batch.size], -found.slopes[0, 0, :, : batch.size], seconds)
+    return Gradients(-found.terms[0, 0, : batch.size], -found.term_gradients[0, 0, :, : batch.size], seconds)
 
 
 def marginal_gradients(tracker: Tracker, batch: Batch, patterns: str | Sequence[str]) -> Gradients:

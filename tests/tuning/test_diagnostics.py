@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from tuning.diagnostics import Innovations, contradicted
+from tuning.diagnostics import Innovations, violated_assumptions
 
 ROWS = 20_000
 
@@ -31,19 +31,19 @@ def _wild(white):
 
 
 def test_white_normal_noise_of_the_right_size_contradicts_nothing(white):
-    assert contradicted(_squares(white)) == []
+    assert violated_assumptions(_squares(white)) == []
 
 
 @pytest.mark.parametrize(
     ("made", "says"),
-    [(_lasting, "independent"), (lambda x: 2 * x, "as large here"), (_wild, "as rare as")],
+    [(_lasting, "independent"), (lambda x: 2 * x, "as large as in"), (_wild, "as rare as")],
 )
 def test_the_assumption_that_fails_is_the_one_that_is_named(white, made, says):
-    (found,) = [x for x in contradicted(_squares(made(white))) if says in x]
-    others = [x for x in contradicted(_squares(made(white))) if x != found]
+    (found,) = [x for x in violated_assumptions(_squares(made(white))) if says in x]
+    others = [x for x in violated_assumptions(_squares(made(white))) if x != found]
     # Noise twice as large has large errors too often, too.
-    assert not others or says == "as large here"
+    assert not others or says == "as large as in"
 
 
 def test_without_rows_nothing_is_said():
-    assert contradicted(_squares(np.zeros((0, 2)))) == []
+    assert violated_assumptions(_squares(np.zeros((0, 2)))) == []

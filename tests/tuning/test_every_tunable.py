@@ -27,11 +27,10 @@ from trackers.core.tunable import tunables
 from trackers.mhk.tracker import mhk_tracker
 from trackers.recordings.trajectories import cut
 from trackers.uwb_imu.fusion import range_tracker
-from tuning.identifiability import names_of
 from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError, Weighted
-from tuning.parameters import flatten, select_parameters, with_parameters
+from tuning.parameters import component_names, flatten, select_parameters, with_parameters
 from tuning.problem import Problem
-from tuning.uncertainty import without_effect
+from tuning.uncertainty import unidentifiable
 
 STEP = 1e-5
 
@@ -160,8 +159,8 @@ def test_a_number_without_effect_is_reported_as_that():
     tracker = Tracker(whole.motion, whole.sensors, whole.start, track_loss=TrackLossPolicy(50.0, max_gap=np.inf))
     parameters = select_parameters(tracker, ("sensors.gauge.sigma", "track_loss.nis_limit"))
     problem = Problem(tracker, [stack(walks([30] * 4, 0))], NegativeLogLikelihood(), parameters)
-    slopes = problem.evaluate(flatten(parameters)).slopes
-    assert [n for n, idle in zip(names_of(parameters), without_effect(slopes), strict=True) if idle] == [
+    slopes = problem.evaluate(flatten(parameters)).term_gradients
+    assert [n for n, idle in zip(component_names(parameters), unidentifiable(slopes), strict=True) if idle] == [
         "track_loss.nis_limit"
     ]
 

@@ -21,8 +21,8 @@ from trackers.mhk.tracker import mhk_tracker
 from trackers.parts.fixes import FIXES
 from trackers.recordings.tracks import batches as in_batches
 from trackers.uwb_imu.fusion import range_tracker
-from tuning.differences import levels_of_places
-from tuning.first_guess import first_guess, looked_at
+from tuning.differences import noise_levels_of_fixes
+from tuning.first_guess import first_guess, sample_segments
 
 FAR = [(10.0, 10.0), (0.1, 0.1), (10.0, 0.1), (0.1, 10.0)]
 LEVELS = {"motion.sigma_a": 0.7, "motion.sigma_z": 0.1, "sensors.fixes.sigma_horizontal": 0.15}
@@ -61,17 +61,17 @@ def _fixes(seed, count=8, rows=300, missing=0.0, uneven=0.0, dof=None):
     [({}, 1.25), ({"missing": 0.3, "uneven": 0.3}, 1.5), ({"dof": 3.0}, 2.2)],
 )
 def test_differences_of_fixes_show_all_levels_in_closed_form(made, within):
-    found = levels_of_places(stack(_fixes(0, **made)))
-    got = np.array([found.acceleration, found.walk, found.across, found.up])
+    found = noise_levels_of_fixes(stack(_fixes(0, **made)))
+    got = np.array([found.acceleration, found.height_walk, found.horizontal, found.vertical])
     assert np.all(np.abs(np.log(got / list(LEVELS.values()))) < np.log(within))
 
 
 def test_what_differences_do_not_show_is_not_claimed():
-    assert levels_of_places(stack(walks([50], 0))) is None
-    assert levels_of_places(stack(_fixes(0, count=1, rows=6))) is None
+    assert noise_levels_of_fixes(stack(walks([50], 0))) is None
+    assert noise_levels_of_fixes(stack(_fixes(0, count=1, rows=6))) is None
     still = _fixes(1, count=1)
     flat = [Recording(r.times, {FIXES: Readings(r.readings[FIXES].values * 0, r.readings[FIXES].seen)}) for r in still]
-    assert levels_of_places(stack(flat)) is None
+    assert noise_levels_of_fixes(stack(flat)) is None
 
 
 @pytest.mark.parametrize("factors", [(10, 0.1, 10, 0.1), (0.1, 10, 0.1, 10)])
@@ -112,14 +112,14 @@ def test_what_has_no_levels_or_no_readings_comes_back_as_it_is():
 
 def test_long_recordings_are_looked_at_in_pieces():
     batches = [stack(walks([1000, 30], 0)), stack(walks([500], 1))]
-    some = looked_at(batches, 16)
+    some = sample_segments(batches, 16)
     assert some.dt.shape == (400, 5)
     assert np.asarray(some.valid).sum(axis=0).tolist() == [400, 400, 200, 30, 400]
     np.testing.assert_array_equal(
         some.readings["gauge"].values[:200, :, 2], batches[0].readings["gauge"].values[800:, :, 0]
     )
     np.testing.assert_array_equal(some.key[:, 4], batches[1].key[:, 0])
-    assert looked_at(batches, 2).dt.shape == (400, 2)
+    assert sample_segments(batches, 2).dt.shape == (400, 2)
 
 
 @pytest.mark.slow

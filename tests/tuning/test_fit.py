@@ -1,4 +1,4 @@
-"""Fits by gradient: the gradient itself, what a fit finds, how sure it is of it, and what it does when steps fail."""
+"""Fits by gradient: the gradient itself, recovered parameters, standard errors, and failing steps."""
 
 import jax
 import jax.numpy as jnp
@@ -13,8 +13,8 @@ from trackers.core.recording import Readings, Recording, stack
 from trackers.core.tunable import tunables
 from tuning import NegativeLogLikelihood, RootMeanSquareError
 from tuning.fit import fit
-from tuning.optimisation import stored
-from tuning.optimisers import LBFGS, Adam, GaussNewton
+from tuning.optimisation import to_arrays
+from tuning.optimisers import LBFGS, Adam
 from tuning.parameters import flatten, select_parameters, with_parameters
 from tuning.priors import Prior
 from tuning.problem import Problem, term_sums
@@ -24,7 +24,7 @@ NOISE = ("motion.sigma_a", "sensors.*.sigma_p")
 LEVELS = ("motion.sigma_v", "sensors.gauge.sigma")
 NLL = NegativeLogLikelihood()
 SMOOTH = ("motion.*", "sensors.*", "start.*")
-"""All but what decides whether a track is lost, of which there is no derivative."""
+"""All but the thresholds of track loss, which have no derivative."""
 
 
 def _problem(tracker, recordings, patterns, objective=NLL, rows=None):
@@ -33,8 +33,9 @@ def _problem(tracker, recordings, patterns, objective=NLL, rows=None):
 
 
 def _assert_gradient_is_the_central_difference(problem, vector, step=1e-5):
-    gradient = problem.evaluate(vector).gradients[0]
-    assert problem.n_excluded == 0
+    evaluation = problem.evaluate(vector)
+    gradient = evaluation.gradients[0]
+    assert problem.n_excluded(evaluation) == 0
     shifts = step * np.eye(len(vector))
     up, down = np.split(problem.values(np.concatenate([vector + shifts, vector - shifts])), 2)
     numeric = (up - down) / (2 * step)
@@ -44,7 +45,7 @@ def _assert_gradient_is_the_central_difference(problem, vector, step=1e-5):
 
 
 def _bearings(rows, seed):
-    """A tag that walks in a circle, seen in turn by two stations, its height unknown; some angles are missing."""
+    """A tag walking in a circle, seen alternately by two stations, with unknown height and some missing angles."""
     rng = np.random.default_rng(seed)
     times = np.cumsum(rng.uniform(0.05, 0.3, rows))
     place = np.stack([2 * np.cos(0.3 * times), 1.5 * np.sin(0.3 * times), 1.0 + 0 * times], axis=1)
@@ -87,7 +88,7 @@ def test_the_gradient_of_the_beam_tracker_is_the_central_difference_for_every_tu
 @pytest.mark.slow
 def test_the_gradient_of_the_bearing_tracker_is_the_central_difference_for_every_tunable():
     problem, vector = _problem(bearing_tracker(), [_bearings(n, n) for n in (20, 31)], SMOOTH, rows=32)
-    assert len(vector) == len([k for k in tunables(bearing_tracker()) if not k.startswith("loss.")]) + 2
+    assert len(vector) == len([k for k in tunables(bearing_tracker()) if not k.startswith("track_loss.")]) + 2
     _assert_gradient_is_the_central_difference(problem, vector)
 
 
@@ -99,13 +100,13 @@ def test_the_gradient_of_the_root_mean_square_error_is_the_central_difference():
 def _reverse(problem, vector):
     """The gradient by reverse mode through the whole scan."""
 
-    def figure(v):
+    def objective(v):
         sums = with_parameters(problem.tracker, problem.parameters, v).accumulate(
             problem.chunks[0], problem.objective.terms
         )
         return problem.objective.value([jnp.sum(s) for s in sums])
 
-    return jax.jit(jax.grad(figure))(jnp.asarray(vector))
+    return jax.jit(jax.grad(objective))(jnp.asarray(vector))
 
 
 def test_forward_and_reverse_mode_agree_on_the_line():
@@ -123,7 +124,6 @@ def test_forward_and_reverse_mode_agree_on_beams():
     ("optimiser", "wrong_a", "wrong_p"),
     [
         *((LBFGS(), a, p) for a, p in ((10.0, 0.1), (10.0, 10.0), (0.1, 10.0), (0.1, 0.1))),
-        (GaussNewton(), 10.0, 10.0),
         (Adam(40, 0.2), 10.0, 10.0),
     ],
 )
@@ -146,7 +146,7 @@ def _temporaries(rows):
     assert len(flatten(parameters)) == 4
     problem = Problem(tracker, [batch], NLL, parameters, 512)
     part = problem.chunks[0]
-    lowered = jitted.lower(term_sums, problem.at(flatten(parameters)), part)
+    lowered = jitted.lower(term_sums, problem.point(flatten(parameters)), part)
     return lowered.compile().compiled.memory_analysis().temp_size_in_bytes
 
 
@@ -169,12 +169,12 @@ def test_standard_errors_match_the_spread_of_fits():
     for name, true in zip(LEVELS, (0.3, 0.2), strict=True):
         values = np.array([r.values[name] for r in results])
         errors = np.array([r.standard_errors[name] for r in results])
-        # 40 fits know their spread to 11 %, and their mean to a sixth of it
+        # 40 fits determine their spread to 11 %, and their mean to a sixth of it
         assert values.std() / np.sqrt(np.mean(errors**2)) == pytest.approx(1.0, abs=0.33)
         assert abs(values.mean() - true) < 3.5 * values.std() / np.sqrt(replicas)
 
 
-def test_what_the_readings_do_not_determine_has_no_standard_error(line_world):
+def test_undetermined_parameters_have_no_standard_error(line_world):
     result = fit(line_tracker(), line_world, NLL, ("*.sigma", "*.offset", "*.bias"), steps=2)
     errors = result.standard_errors
     assert np.isnan(errors["sensors.gauge.offset"])
@@ -197,11 +197,11 @@ def test_a_fit_is_never_worse_than_its_start_and_keeps_its_best_point(line_world
     result = fit(
         line_tracker(), line_world, RootMeanSquareError(dimensions=1), LEVELS, steps=12, optimiser=Adam(12, 3.0)
     )
-    figures = [step.value for step in result.trace]
-    assert max(figures) > figures[0], "steps this long overshoot"
-    assert result.value == min(figures) <= result.start_value == figures[0]
-    assert result.values == result.trace[int(np.argmin(figures))].values
-    # and being no likelihood it says nothing of standard errors
+    values = [step.value for step in result.trace]
+    assert max(values) > values[0], "steps this long overshoot"
+    assert result.value == min(values) <= result.start_value == values[0]
+    assert result.values == result.trace[int(np.argmin(values))].values
+    # an RMSE of few trajectories has no standard errors
     assert all(np.isnan(error) for error in result.standard_errors.values())
 
 
@@ -210,8 +210,8 @@ def test_every_step_is_reported_and_nothing_else_is_touched(line_world):
     start = line_tracker()
     result = fit(start, line_world, NLL, LEVELS, steps=5, optimiser=Adam(5), report=seen.append)
     assert [int(state.number) for state in seen] == list(range(6))
-    assert [float(state.found.values[0]) for state in seen] == [step.value for step in result.trace[:6]]
-    # a likelihood's last steps are Newton's
+    assert [float(state.values[0]) for state in seen] == [step.value for step in result.trace[:6]]
+    # a likelihood ends with Newton steps
     assert result.value == result.trace[-1].value <= result.trace[5].value
     assert result.values == result.trace[-1].values
     assert set(result.trace[0].values) == set(LEVELS)
@@ -220,7 +220,7 @@ def test_every_step_is_reported_and_nothing_else_is_touched(line_world):
     assert {k for k in before if float(before[k].raw) != float(after[k].raw)} == set(LEVELS)
 
 
-def test_a_step_to_where_the_figure_is_not_finite_is_halved(monkeypatch):
+def test_a_step_to_a_non_finite_objective_is_halved(monkeypatch):
     whole, tried, fence = Problem.evaluate, [], np.log(0.5)
 
     def fenced(self, vectors, **options):
@@ -229,7 +229,7 @@ def test_a_step_to_where_the_figure_is_not_finite_is_halved(monkeypatch):
         return found._replace(values=np.where(np.atleast_2d(vectors)[:, 1] > fence, np.nan, found.values))
 
     monkeypatch.setattr(Problem, "evaluate", fenced)
-    # the best noise level, 0.7 m, lies behind the fence
+    # the best noise level, 0.7 m, is beyond the fence
     world = stack(walks([40] * 8, 4, sigma=0.7))
     result = fit(line_tracker(sigma=0.3), world, NLL, LEVELS, steps=10, optimiser=Adam(10, 0.4))
     assert all(step.values["sensors.gauge.sigma"] <= 0.5 for step in result.trace)
@@ -238,7 +238,7 @@ def test_a_step_to_where_the_figure_is_not_finite_is_halved(monkeypatch):
     assert 0.45 < result.values["sensors.gauge.sigma"] <= 0.5
 
 
-@pytest.mark.parametrize("optimiser", [LBFGS(), GaussNewton(), Adam(3)], ids=["LBFGS", "GaussNewton", "Adam"])
+@pytest.mark.parametrize("optimiser", [LBFGS(), Adam(3)], ids=["LBFGS", "Adam"])
 def test_a_fit_that_cannot_move_stays_at_its_start(monkeypatch, line_world, optimiser):
     whole, calls = Problem.evaluate, []
 
@@ -254,24 +254,24 @@ def test_a_fit_that_cannot_move_stays_at_its_start(monkeypatch, line_world, opti
     assert result.values["motion.sigma_v"] == pytest.approx(0.3, rel=1e-12)
 
 
-def test_a_recording_whose_figure_is_not_finite_has_no_say_and_is_counted():
+def test_a_recording_with_a_non_finite_objective_is_excluded_and_counted():
     recordings = walks([40] * 7, 5)
-    wild = recordings[2]
-    values, seen = wild.readings["gauge"].values.copy(), wild.readings["gauge"].seen.copy()
+    third = recordings[2]
+    values, seen = third.readings["gauge"].values.copy(), third.readings["gauge"].seen.copy()
     values[7], seen[7] = 1e200, True
-    spoilt = Recording(wild.times, {"gauge": Readings(values, seen)}, wild.inputs, wild.truth)
+    spoilt = Recording(third.times, {"gauge": Readings(values, seen)}, third.inputs, third.truth)
     others = recordings[:2] + recordings[3:]
     problem, vector = _problem(line_tracker(), [*others, spoilt], LEVELS)
     clean, _ = _problem(line_tracker(), others, LEVELS)
     found, expected = problem.evaluate(vector), clean.evaluate(vector)
-    assert problem.n_excluded == 1
-    assert clean.n_excluded == 0
+    assert problem.n_excluded(found) == 1
+    assert clean.n_excluded(expected) == 0
     np.testing.assert_allclose(found.values, expected.values, rtol=1e-12)
     np.testing.assert_allclose(found.gradients, expected.gradients, rtol=1e-12)
 
 
 @pytest.mark.parametrize("objective", [NLL, RootMeanSquareError(dimensions=1)])
-def test_a_world_in_which_nothing_is_scored_is_refused(objective):
+def test_recordings_without_a_scored_row_are_refused(objective):
     silent = walks([40] * 8, 5, missing=1.0)
     nowhere = {"position": (np.zeros((40, 1)), np.zeros(40, bool))}
     blind = [Recording(r.times, r.readings, r.inputs, nowhere) for r in silent]
@@ -279,12 +279,12 @@ def test_a_world_in_which_nothing_is_scored_is_refused(objective):
         fit(line_tracker(), stack(blind), objective, LEVELS, steps=2)
 
 
-@pytest.mark.parametrize("optimiser", [LBFGS(), GaussNewton(), Adam(5)], ids=["LBFGS", "GaussNewton", "Adam"])
-def test_a_fit_taken_up_again_at_any_step_ends_the_same_to_the_bit(line_world, optimiser):
-    kept = []
+@pytest.mark.parametrize("optimiser", [LBFGS(), Adam(5)], ids=["LBFGS", "Adam"])
+def test_a_fit_resumed_at_any_step_is_bit_identical(line_world, optimiser):
+    saved = []
     options = {"steps": 5, "starts": 3, "optimiser": optimiser}
-    whole = fit(line_tracker(), line_world, NLL, LEVELS, report=lambda s: kept.append(stored(s)), **options)
-    for arrays in kept[:-1:2]:
+    whole = fit(line_tracker(), line_world, NLL, LEVELS, report=lambda s: saved.append(to_arrays(s)), **options)
+    for arrays in saved[:-1:2]:
         again = fit(line_tracker(), line_world, NLL, LEVELS, resume=arrays, **options)
         assert np.array_equal(again.vector, whole.vector)
         assert again.starts == whole.starts
@@ -319,7 +319,7 @@ def test_bounds_and_frozen_numbers_hold(line_world):
         ({"*.sigma": (-1.0, 1.0)}, "positive"),
     ],
 )
-def test_bounds_that_nothing_can_have_are_refused(line_world, bounds, words):
+def test_impossible_bounds_are_refused(line_world, bounds, words):
     with pytest.raises(ValueError, match=words):
         fit(line_tracker(), line_world, NLL, LEVELS, bounds=bounds, steps=1)
 
@@ -333,40 +333,40 @@ def test_many_starts_find_at_least_what_each_of_them_finds(line_world):
     assert together.value <= alone.value * (1 + 1e-9)
 
 
-def test_what_has_no_effect_stays_as_the_user_gave_it_whichever_start_wins():
-    # rows that are read at one and the same moment say nothing of how fast the place changes
+def test_parameters_without_effect_keep_the_users_values_whichever_start_wins():
+    # rows at the same time do not depend on the speed at which the position changes
     still = walks([40] * 8, 5)
-    n_workers = [Recording(0 * r.times, r.readings, r.inputs, r.truth) for r in still]
+    simultaneous = [Recording(0 * r.times, r.readings, r.inputs, r.truth) for r in still]
     near = line_tracker(sigma_v=5.0)
-    result = fit(line_tracker(sigma=30.0), stack(n_workers), NLL, LEVELS, guesses=[near], starts=2, steps=1)
+    result = fit(line_tracker(sigma=30.0), stack(simultaneous), NLL, LEVELS, guesses=[near], starts=2, steps=1)
     assert result.trace is result.starts[1], "the guess is to win, in one step"
     assert result.trace[0].values["motion.sigma_v"] == pytest.approx(5.0)
     assert result.values["motion.sigma_v"] == pytest.approx(0.3, rel=1e-12)
 
 
-def test_held_out_recordings_decide_which_point_is_the_best():
+def test_held_out_recordings_select_the_best_point():
     quiet, loud = stack(walks([40] * 8, 3)), stack(walks([40] * 8, 4, sigma=0.7))
     result = fit(line_tracker(), quiet, NLL, LEVELS, held_out=loud)
     alone = fit(line_tracker(), quiet, NLL, LEVELS)
-    # what fits the quiet ones best is too sure of itself for the loud ones
+    # the best fit to the quiet ones is overconfident on the loud ones
     assert result.values["sensors.gauge.sigma"] > alone.values["sensors.gauge.sigma"]
 
 
 @pytest.mark.slow
-def test_minibatches_come_near_the_whole():
+def test_minibatches_come_close_to_the_full_batch():
     world = stack(walks([40] * 64, 3))
     whole = fit(line_tracker(sigma=0.4), world, NLL, LEVELS)
     part = fit(line_tracker(sigma=0.4), world, NLL, LEVELS, minibatch=16, steps=60, seed=1)
     for name in LEVELS:
-        # a minibatch knows a level to about 5 %, and the steps are averaged by a falling rate
+        # a minibatch determines a level to about 5 %, and a falling rate averages the steps
         assert part.values[name] == pytest.approx(float(whole.values[name]), rel=0.1)
     assert part.filter_runs < 64 * 3 * 61
 
 
-def test_a_prior_pulls_as_its_density_says(line_world):
+def test_a_tight_prior_outweighs_the_measurements(line_world):
     tight = Prior("sensors.gauge.sigma", 0.4, factor=1.0001)
     result = fit(line_tracker(), line_world, NLL, LEVELS, priors=[tight])
-    # so tight a prior leaves the readings no say: 320 of them know a level to 4 %, the prior to 0.01 %
+    # 320 measurements determine a level to 4 %, the prior to 0.01 %
     assert result.values["sensors.gauge.sigma"] == pytest.approx(0.4, rel=1e-3)
     with pytest.raises(ValueError, match="likelihood"):
         fit(line_tracker(), line_world, RootMeanSquareError(dimensions=1), LEVELS, priors=[tight])

@@ -114,5 +114,5 @@ def test_a_recording_without_a_single_reading_says_nothing_and_spoils_no_gradien
 
 
 def test_only_a_likelihood_has_units_of_information():
-    assert NegativeLogLikelihood().log_likelihood_units(np.array([12.0, 40.0])) == 40.0
-    assert np.isnan(RootMeanSquareError().log_likelihood_units(np.array([12.0, 40.0])))
+    assert NegativeLogLikelihood().nats_per_unit(np.array([12.0, 40.0])) == 40.0
+    assert np.isnan(RootMeanSquareError().nats_per_unit(np.array([12.0, 40.0])))

@@ -63,7 +63,7 @@ def test_a_lone_tied_tunable_keeps_its_own_name(direct):
         (["motion.*", "nonsense"], "'nonsense' matches no tunable"),
         ("tied:sensors.*", "ties tunables of different units or shapes: .*offsets"),
         ("tied:*.sigma_?", "ties tunables of different units or shapes: motion.sigma_a"),
-        ([], "no pattern is given"),
+        ([], "nothing to tune"),
     ],
 )
 def test_patterns_that_name_nothing_or_nothing_that_can_be_tied_are_refused(direct, patterns, message):

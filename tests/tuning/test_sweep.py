@@ -107,7 +107,7 @@ def test_what_a_pattern_names_is_kept_equal_in_all_its_numbers():
         ({SIGMA_V: [0.1], SIGMA: [0.1], "*.bias": [0.1]}, "one or two patterns, found 3"),
         ({}, "one or two patterns, found 0"),
         ({"nothing.*": [0.1]}, "matches no tunable"),
-        ({SIGMA_V: [0.1], "motion.*": [0.1]}, "name the same tunables"),
+        ({SIGMA_V: [0.1], "motion.*": [0.1]}, "match the same tunables"),
         ({"sensors.gauge.*": [0.1]}, "different units or shapes"),
     ],
 )

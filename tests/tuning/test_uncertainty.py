@@ -16,7 +16,7 @@ from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
 from tuning.parameters import Parameter, flatten, select_parameters
 from tuning.problem import Problem
 from tuning.profiles import bootstrap, percentile_intervals, profile, refit
-from tuning.uncertainty import Optimum, Uncertainty, assessed, optimum, students, uncertainty, unused, without_effect
+from tuning.uncertainty import Optimum, Uncertainty, optimum, uncertainty, uncertainty_at, unidentifiable, unused
 
 TYPICAL = 0.5
 
@@ -25,47 +25,47 @@ TYPICAL = 0.5
 class Numbers:
     """The negative log-likelihood of numbers `y` (n, m) from N(μ, σ²), n trajectories, as a problem of a fit.
 
-    log σ = `logs` · v and μ = `places` · v of an unconstrained vector v.
+    log σ = `logs` · v and μ = `means` · v of an unconstrained vector v.
     """
 
     y: np.ndarray
     parameters: list[Parameter]
     logs: np.ndarray
-    places: np.ndarray
-    random: bool = False
+    means: np.ndarray
+    stochastic: bool = False
     objective: NegativeLogLikelihood = field(default_factory=NegativeLogLikelihood)
 
-    def against(self, vectors, sums):
-        """No prior."""
+    def prior_penalty(self, vectors, sums):
+        """Zero: there are no priors."""
         return SimpleNamespace(values=np.zeros(len(vectors)), gradients=np.zeros(vectors.shape))
 
     def evaluate(self, vectors, weights=None):
         vectors = np.atleast_2d(vectors)
         n, m = self.y.shape
-        log_sigma, mu = vectors @ self.logs, vectors @ self.places
+        log_sigma, mu = vectors @ self.logs, vectors @ self.means
         r = self.y[None] - mu[:, None, None]
         inverse = np.exp(-2 * log_sigma)[:, None]
         nll = m * (log_sigma[:, None] + 0.5 * np.log(2 * np.pi)) + 0.5 * inverse * (r**2).sum(-1)
-        slope = (m - inverse * (r**2).sum(-1))[:, None] * self.logs[:, None]
-        slope = slope - (inverse * r.sum(-1))[:, None] * self.places[:, None]
+        gradient = (m - inverse * (r**2).sum(-1))[:, None] * self.logs[:, None]
+        gradient = gradient - (inverse * r.sum(-1))[:, None] * self.means[:, None]
         terms = np.stack([nll, np.full_like(nll, m)], axis=1)
-        slopes = np.stack([slope, np.zeros_like(slope)], axis=1)
+        term_gradients = np.stack([gradient, np.zeros_like(gradient)], axis=1)
         w = np.ones(n) if weights is None else np.atleast_2d(weights)
-        sums, slope_sums = (
+        sums, gradient_sums = (
             (terms * w[..., None, :]).sum(-1) if np.ndim(w) > 1 else (terms @ w),
-            ((slope * w[..., None, :]).sum(-1) if np.ndim(w) > 1 else slope @ w),
+            ((gradient * w[..., None, :]).sum(-1) if np.ndim(w) > 1 else gradient @ w),
         )
         return SimpleNamespace(
             values=sums[:, 0] / sums[:, 1],
-            gradients=slope_sums / sums[:, 1:],
+            gradients=gradient_sums / sums[:, 1:],
             sums=sums,
             terms=terms,
-            slopes=slopes,
+            term_gradients=term_gradients,
             used=np.ones((len(vectors), n), bool),
         )
 
 
-def _level_and_place(y):
+def _sigma_and_mu(y):
     """The problem of σ and μ, and its optimum, which has a closed form."""
     parameters = [Parameter(("sigma",), Scale(1.0), "sigma"), Parameter(("mu",), Real(0.0, typical=TYPICAL), "mu")]
     problem = Numbers(y, parameters, np.array([1.0, 0.0]), np.array([0.0, TYPICAL]))
@@ -78,7 +78,7 @@ def numbers():
 
 
 def test_the_observed_information_is_the_closed_form(numbers):
-    problem, best = _level_and_place(numbers)
+    problem, best = _sigma_and_mu(numbers)
     found = uncertainty(problem, best)
     total = numbers.size
     # of log σ: 1/(2N); of μ: σ²/N. Differences over 2 % of a level are off by (2 %)²·2/3
@@ -88,40 +88,34 @@ def test_the_observed_information_is_the_closed_form(numbers):
     low, high = found.intervals(by="curvature")["sigma"]
     assert high / low == pytest.approx(np.exp(2 * 1.96 / np.sqrt(2 * total)), rel=1e-3)
     assert low * high == pytest.approx(numbers.var())
-    assert identifiability_issues(found, problem.evaluate(best).slopes) == []
+    assert identifiability_issues(found, problem.evaluate(best).term_gradients) == []
 
 
 def test_the_sandwich_is_right_where_trajectories_differ_and_the_information_is_not():
     rng = np.random.default_rng(1)
     fits, observed, sandwich = [], [], []
     for _ in range(200):
-        # recordings with noise levels of their own, of which the model knows nothing
+        # recordings with individual noise levels, which the model lacks
         levels = np.exp(rng.normal(0, 0.4, (60, 1)))
-        problem, best = _level_and_place(rng.normal(0, levels, (60, 25)))
+        problem, best = _sigma_and_mu(rng.normal(0, levels, (60, 25)))
         found = uncertainty(problem, best)
         fits.append(best[0])
         observed.append(found.observed[0, 0])
         sandwich.append(found.sandwich[0, 0])
-    # 200 repetitions know a variance to 10 %; that of few and skewed clusters is low by some more
+    # 200 repetitions determine a variance to 10 %; that of few and skewed clusters is lower still
     assert np.mean(sandwich) / np.var(fits) == pytest.approx(1.0, abs=0.25)
     assert np.mean(observed) / np.var(fits) < 0.2
 
 
-def test_intervals_of_few_trajectories_cover_as_often_as_they_say():
+def test_intervals_of_few_trajectories_have_their_nominal_coverage():
     rng = np.random.default_rng(7)
     covered = []
     for _ in range(200):
-        problem, best = _level_and_place(rng.normal(0.3, 0.7, (20, 25)))
+        problem, best = _sigma_and_mu(rng.normal(0.3, 0.7, (20, 25)))
         ends = uncertainty(problem, best).intervals(by="scatter")
         covered.append([ends["sigma"][0] < 0.7 < ends["sigma"][1], ends["mu"][0] < 0.3 < ends["mu"][1]])
-    # 200 repetitions know 95 % to 1.5 %; of a level, whose squares are skewed, 20 trajectories are few
+    # 200 repetitions determine 95 % to 1.5 %; for a level, whose squares are skewed, 20 trajectories are few
     assert np.all(np.abs(np.mean(covered, axis=0) - [0.94, 0.95]) < 0.045)
-
-
-@pytest.mark.parametrize("freedom", [5, 19, 49])
-def test_students_quantile_is_scipys(freedom):
-    # the expansion's next term is of order 1/freedom⁴
-    assert students(stats.norm.ppf(0.975), freedom) == pytest.approx(stats.t.ppf(0.975, freedom), rel=2e-3)
 
 
 def test_intervals_are_in_physical_units_of_every_kind():
@@ -130,7 +124,7 @@ def test_intervals_are_in_physical_units_of_every_kind():
         Parameter(("matrix",), Covariance(np.diag([1.0, 4.0])), "matrix"),
     ]
     vector = np.concatenate([np.ravel(p.example.raw) for p in parameters])
-    found = SimpleNamespace(vector=vector, hessian=np.eye(5), units=1.0)
+    found = SimpleNamespace(vector=vector, hessian=np.eye(5), nats_per_unit=1.0)
     cov, none = 0.01 * np.eye(5), np.zeros(5, bool)
     every = Uncertainty(parameters, found, cov, cov, none, none, 25, 0.0).intervals(by="curvature")
     odds = np.array([x / (1 - x) for x in every["share"]])
@@ -141,28 +135,28 @@ def test_intervals_are_in_physical_units_of_every_kind():
     assert [float(x) for x in open_["share"]] == [0.0, 1.0]
 
 
-def _found(parameters, hessian, observed, sandwich=None, held=None, distance_to_optimum=0.0):
+def _found(parameters, hessian, observed, sandwich=None, at_bound=None, distance_to_optimum=0.0):
     """How sure a fit is, made up: second derivatives, covariances, what rests on a bound, how far off it is."""
     p = len(hessian)
     point = Optimum(np.zeros(p), 0.0, np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0])[:p], hessian,
                     np.zeros((3, p)), 1.0, np.ones(3, bool))  # fmt: skip
     nothing, none = np.full((p, p), np.nan), np.zeros(p, bool)
-    held = none if held is None else held
+    at_bound = none if at_bound is None else at_bound
     return Uncertainty(
-        parameters, point, observed, nothing if sandwich is None else sandwich, none, held, 25, distance_to_optimum
+        parameters, point, observed, nothing if sandwich is None else sandwich, none, at_bound, 25, distance_to_optimum
     )
 
 
-def test_what_stands_above_a_factors_diagonal_is_nobodys_fault():
+def test_entries_above_a_factors_diagonal_are_no_issue():
     parameters = [Parameter(("matrix",), Covariance(np.diag([1.0, 4.0])), "matrix")]
     found = _found(parameters, np.diag([50.0, 0.0, 70.0, 60.0]), np.diag([0.02, 0.0, 0.01, 0.02]))
-    slopes = np.ones((2, 4, 20)) * np.array([1.0, 0.0, 1.0, 1.0])[:, None]
+    term_gradients = np.ones((2, 4, 20)) * np.array([1.0, 0.0, 1.0, 1.0])[:, None]
     assert unused(parameters).tolist() == [False, True, False, False]
-    assert identifiability_issues(found, slopes) == []
+    assert identifiability_issues(found, term_gradients) == []
 
 
 def _product(y, weights):
-    """A problem in which only a·b^w, …, is seen of several levels."""
+    """A problem that depends on several levels only through a·b^w…"""
     labels = "abc"[: len(weights)]
     parameters = [Parameter((k,), Scale(1.0), k) for k in labels]
     problem = Numbers(y, parameters, np.array(weights, float), np.zeros(len(weights)))
@@ -171,23 +165,23 @@ def _product(y, weights):
 
 
 @pytest.mark.parametrize(
-    ("weights", "says"),
+    ("weights", "sentence"),
     [
-        ([1, 1], "a and b are not determined one by one: the data fix only a × b"),
-        ([1, -1], "a and b are not determined one by one: the data fix only a / b"),
-        ([1, 2], "a and b are not determined one by one: the data fix only a^0.5 × b"),
+        ([1, 1], "a and b are not determined one by one: the data determine only a × b"),
+        ([1, -1], "a and b are not determined one by one: the data determine only a / b"),
+        ([1, 2], "a and b are not determined one by one: the data determine only a^0.5 × b"),
         ([1, 0], "b has no effect on the objective"),
     ],
 )
-def test_what_is_not_determined_is_said_in_words(numbers, weights, says):
+def test_undetermined_parameters_are_described_in_words(numbers, weights, sentence):
     problem, start = _product(numbers, weights)
     found = uncertainty(problem, start)
-    said = identifiability_issues(found, problem.evaluate(start).slopes)
-    texts = [j.text for j in said]
+    issues = identifiability_issues(found, problem.evaluate(start).term_gradients)
+    texts = [j.text for j in issues]
     assert len(texts) == 1
-    assert texts[0].replace("b × a^0.5", "a^0.5 × b") == says
+    assert texts[0].replace("b × a^0.5", "a^0.5 × b") == sentence
     undetermined = [k for k, e in found.standard_errors().items() if np.isnan(e)]
-    assert set(undetermined) == set(said[0].names)
+    assert set(undetermined) == set(issues[0].names)
     low, high = found.intervals()[undetermined[0]]
     assert low == 0
     assert high == np.inf
@@ -195,79 +189,79 @@ def test_what_is_not_determined_is_said_in_words(numbers, weights, says):
 
 def test_numbers_without_effect_are_named_in_one_sentence(numbers):
     problem, start = _product(numbers, [1, 0, 0])
-    said = identifiability_issues(uncertainty(problem, start), problem.evaluate(start).slopes)
-    assert [j.text for j in said] == ["b and c have no effect on the objective"]
-    assert said[0].names == ("b", "c")
+    issues = identifiability_issues(uncertainty(problem, start), problem.evaluate(start).term_gradients)
+    assert [j.text for j in issues] == ["b and c have no effect on the objective"]
+    assert issues[0].names == ("b", "c")
     many = [Parameter(("bias",), Real(np.zeros(8)), "bias")]
     found = _found(many, np.eye(8), np.eye(8))
     text = identifiability_issues(found, np.zeros((2, 8, 3)))[0].text
     assert text == "bias.0, bias.1, bias.2 and 5 others have no effect on the objective"
 
 
-def test_several_numbers_that_hang_together_are_named_together(numbers):
+def test_parameters_of_one_product_are_named_together(numbers):
     problem, start = _product(numbers, [1, 1, 1])
-    said = identifiability_issues(uncertainty(problem, start), problem.evaluate(start).slopes)
-    assert len(said) == 2
-    assert all("not determined one by one" in j.text for j in said)
+    issues = identifiability_issues(uncertainty(problem, start), problem.evaluate(start).term_gradients)
+    assert len(issues) == 2
+    assert all("not determined one by one" in j.text for j in issues)
 
 
-def test_two_numbers_of_which_not_even_a_product_is_known_are_said_to_be_open_once(numbers):
-    problem, _ = _level_and_place(numbers)
+def test_two_parameters_without_a_determined_combination_are_named_once(numbers):
+    problem, _ = _sigma_and_mu(numbers)
     turned = np.array([[0.8, 0.6], [-0.6, 0.8]])
 
-    def said(curvatures, observed):
+    def texts(curvatures, observed):
         made = _found(
             problem.parameters, turned @ np.diag(curvatures) @ turned.T, turned @ np.diag(observed) @ turned.T
         )
         return [j.text for j in identifiability_issues(made, np.ones((2, 2, 20)))]
 
     names = " and ".join(p.label for p in problem.parameters)
-    assert said([0.0, -1.0], [0.0, 0.0]) == [f"{names} are not determined, neither one by one nor together"]
-    assert said([0.0, 0.25], [0.0, 4.0]) == [f"{names} are hardly determined, neither one by one nor together"]
-    assert len(said([0.0, 100.0], [0.0, 0.01])) == 1
+    assert texts([0.0, -1.0], [0.0, 0.0]) == [f"{names} are not determined, neither one by one nor together"]
+    assert texts([0.0, 0.25], [0.0, 4.0]) == [f"{names} are hardly determined, neither one by one nor together"]
+    assert len(texts([0.0, 100.0], [0.0, 0.01])) == 1
 
 
-def test_what_rests_on_its_bound_is_named_and_the_others_are_as_sure_as_with_it_there(numbers):
-    problem, best = _level_and_place(numbers)
-    # the level kept too high: the place is known as with this level, whatever the level's own gradient
+def test_a_parameter_at_its_bound_is_named_and_the_others_are_conditional_on_it(numbers):
+    problem, best = _sigma_and_mu(numbers)
+    # with the level fixed too high, the uncertainty of the mean is that for this level
     high = best + [0.5, 0.0]
-    found = assessed(problem, optimum(problem, high), np.array([True, False]))
-    assert [j.text for j in identifiability_issues(found, problem.evaluate(high).slopes)] == [
-        "sigma rests on its bound: the recordings would have it lower"
+    found = uncertainty_at(problem, optimum(problem, high), np.array([True, False]))
+    assert [j.text for j in identifiability_issues(found, problem.evaluate(high).term_gradients)] == [
+        "sigma is at its bound: the optimum is lower"
     ]
     assert np.isnan(found.intervals()["sigma"]).all()
     expected = np.exp(high[0]) / np.sqrt(numbers.size)
     assert found.standard_errors("curvature")["mu"] == pytest.approx(expected, rel=1e-3)
-    at = profile(problem, found.optimum, 1, held=found.held)
+    at = profile(problem, found.optimum, 1, at_bound=found.at_bound)
     assert at.high - at.low == pytest.approx(2 * 1.96 * expected, rel=1e-2)
-    drawn = bootstrap(problem, found.optimum, held=found.held)
+    drawn = bootstrap(problem, found.optimum, at_bound=found.at_bound)
     assert (drawn[:, 0] == high[0]).all()
 
 
 def test_a_point_away_from_the_optimum_has_no_interval(numbers):
-    problem, best = _level_and_place(numbers)
+    problem, best = _sigma_and_mu(numbers)
     sigma = 1 / np.sqrt(2 * numbers.size)
     near, far = (uncertainty(problem, best + [k * sigma, 0.0]) for k in (0.5, 3.0))
-    assert near.settled
+    assert near.at_optimum
     assert near.distance_to_optimum == pytest.approx(0.5, rel=0.1)
     assert far.distance_to_optimum == pytest.approx(3.0, rel=0.2)
     assert all(np.isnan(ends).all() for ends in far.intervals().values())
-    text = identifiability_issues(far, problem.evaluate(best).slopes)[0].text
-    assert text.startswith("the numbers are not where the objective is least on the recordings tuned on (3")
+    text = identifiability_issues(far, problem.evaluate(best).term_gradients)[0].text
+    assert text.startswith("the numbers are not at the optimum of the recordings tuned on (3")
 
 
-def test_a_fit_that_ended_on_a_slope_without_curvature_is_not_called_open(numbers):
-    problem, best = _level_and_place(numbers)
+def test_a_fit_that_ended_on_a_slope_without_curvature_is_not_at_the_optimum(numbers):
+    problem, best = _sigma_and_mu(numbers)
     point = optimum(problem, best)
-    slope = np.array([2.0 / point.units, 0.0])
-    flat = assessed(problem, point._replace(hessian=np.diag([0.0, point.hessian[1, 1]]), gradient=slope))
+    slope = np.array([2.0 / point.nats_per_unit, 0.0])
+    flat = uncertainty_at(problem, point._replace(hessian=np.diag([0.0, point.hessian[1, 1]]), gradient=slope))
     assert flat.distance_to_optimum == np.inf
-    said = identifiability_issues(flat, problem.evaluate(best).slopes)
-    assert ["far away" in j.text for j in said] == [True]
+    issues = identifiability_issues(flat, problem.evaluate(best).term_gradients)
+    assert ["far away" in j.text for j in issues] == [True]
 
 
 def test_an_interval_is_the_wider_of_curvature_and_scatter(numbers):
-    problem, best = _level_and_place(numbers)
+    problem, best = _sigma_and_mu(numbers)
     found = uncertainty(problem, best)
     # where every trajectory's score vanishes, so does the scatter
     flat = _found(problem.parameters, found.optimum.hessian, found.observed, 1e-9 * found.observed)
@@ -277,23 +271,23 @@ def test_an_interval_is_the_wider_of_curvature_and_scatter(numbers):
     assert flat.standard_errors()["mu"] == flat.standard_errors("curvature")["mu"]
 
 
-def test_what_is_known_only_to_a_factor_is_said(numbers):
-    problem, _ = _level_and_place(numbers)
+def test_a_parameter_known_to_a_factor_only_is_described(numbers):
+    problem, _ = _sigma_and_mu(numbers)
     quadratic = _found(problem.parameters, np.diag([0.25, 100.0]), np.diag([4.0, 0.01]))
-    said = identifiability_issues(quadratic, np.ones((2, 2, 20)))
-    assert [j.text for j in said] == ["sigma is hardly determined: it may as well be 7.4 times larger or smaller"]
+    issues = identifiability_issues(quadratic, np.ones((2, 2, 20)))
+    assert [j.text for j in issues] == ["sigma is hardly determined: it may as well be 7.4 times larger or smaller"]
 
 
-def test_a_number_without_effect_is_found():
-    slopes = np.zeros((3, 2, 4, 5))
-    slopes[1, 0, 2, 3] = 1e-9
-    slopes[0, 1, 0, 0] = np.nan
-    assert without_effect(slopes).tolist() == [True, True, False, True]
+def test_a_parameter_without_effect_is_unidentifiable():
+    term_gradients = np.zeros((3, 2, 4, 5))
+    term_gradients[1, 0, 2, 3] = 1e-9
+    term_gradients[0, 1, 0, 0] = np.nan
+    assert unidentifiable(term_gradients).tolist() == [True, True, False, True]
 
 
 def test_a_profile_is_the_closed_form_and_so_is_its_interval(numbers):
     y = numbers[:20, :3]
-    problem, best = _level_and_place(y)
+    problem, best = _sigma_and_mu(y)
     found = profile(problem, optimum(problem, best), 0)
     s, total = y.std(), y.size
 
@@ -308,7 +302,7 @@ def test_a_profile_is_the_closed_form_and_so_is_its_interval(numbers):
     np.testing.assert_allclose([found.low, found.high], exact, rtol=2e-3)
 
 
-def test_a_profile_of_what_is_not_determined_has_no_ends(numbers):
+def test_a_profile_of_an_undetermined_parameter_is_unbounded(numbers):
     problem, start = _product(numbers, [1, 1])
     found = profile(problem, optimum(problem, start), 1)
     assert found.values[-1] / found.values[0] == pytest.approx(1e6)
@@ -316,13 +310,13 @@ def test_a_profile_of_what_is_not_determined_has_no_ends(numbers):
     assert (found.low, found.high) == (0.0, np.inf)
 
 
-def test_resampled_fits_spread_as_the_sandwich_says():
+def test_resampled_fits_have_the_spread_of_the_sandwich():
     rng = np.random.default_rng(4)
     y = rng.normal(0.2, np.exp(rng.normal(0, 0.3, (80, 1))), (80, 10))
-    problem, best = _level_and_place(y)
+    problem, best = _sigma_and_mu(y)
     found = uncertainty(problem, best)
     vectors = bootstrap(problem, found.optimum, replicates=2000, rounds=4)
-    # 2,000 replicates know a standard deviation to 2 %; resampling differs from it by terms of order 1/80
+    # 2,000 replicates determine a standard deviation to 2 %; resampling differs from it by terms of order 1/80
     np.testing.assert_allclose(vectors.std(axis=0), np.sqrt(np.diagonal(found.sandwich)), rtol=0.08)
     exact = []
     for w in np.random.default_rng(0).multinomial(80, np.full(80, 1 / 80), size=2000)[:20]:
@@ -334,17 +328,17 @@ def test_resampled_fits_spread_as_the_sandwich_says():
     np.testing.assert_allclose(np.log([low, high]), np.percentile(vectors[:, 0], [2.5, 97.5]), atol=1e-6)
 
 
-def test_resampling_and_profiles_refuse_what_they_can_not_do(numbers):
-    problem, best = _level_and_place(numbers[:3])
+def test_bootstrap_and_profile_refuse_unsuitable_problems(numbers):
+    problem, best = _sigma_and_mu(numbers[:3])
     found = optimum(problem, best)
     with pytest.raises(ValueError, match="3 trajectories are too few"):
         bootstrap(problem, found)
     with pytest.raises(ValueError, match="of a likelihood"):
-        profile(problem, found._replace(units=np.nan), 0)
+        profile(problem, found._replace(nats_per_unit=np.nan), 0)
 
 
 def test_refitted_vectors_are_never_worse(numbers):
-    problem, best = _level_and_place(numbers)
+    problem, best = _sigma_and_mu(numbers)
     starts = best + np.random.default_rng(2).normal(0, 1.0, (50, 2))
     before = problem.evaluate(starts).values
     after = refit(problem, starts, optimum(problem, best).hessian, rounds=12)
@@ -376,7 +370,7 @@ def test_of_an_error_there_is_a_sandwich_and_no_information(line):
     found = uncertainty(*line)
     assert np.isnan(found.observed).all()
     assert found.clusters == 24
-    assert np.isnan(found.optimum.units)
+    assert np.isnan(found.optimum.nats_per_unit)
     assert np.isfinite(found.sandwich).all()
 
 

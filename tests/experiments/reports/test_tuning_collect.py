@@ -13,7 +13,7 @@ from trackers.recordings.tracks import batches
 from tuning import fit
 from tuning.identifiability import IdentifiabilityIssue
 from tuning.intervals import intervals_of
-from tuning.metrics import parse_objective
+from tuning.named_objectives import parse_objective
 
 PATTERNS = ("motion.sigma_a", "sensors.fixes.sigma_horizontal")
 NLL = "nll"

@@ -13,7 +13,7 @@ from experiments.reports.tuning import tuning_page, write_tuning_report
 from experiments.reports.tuning_data import MetricChange, TunedParameter
 from experiments.reports.wording import number, percent_change
 from tests.experiments.reports.tuning_report_data import innovations, report_data
-from tuning.diagnostics import Innovations, autocorrelation, expected_density, normal_scores, probabilities
+from tuning.diagnostics import Innovations, autocorrelation, expected_density, nis_probabilities, normal_scores
 
 EMPTY = {"meta", "img", "br", "link"}
 
@@ -191,7 +191,7 @@ def test_numbers_are_short_and_changes_have_a_sign():
 
 def test_probabilities_and_scores_are_those_of_scipy():
     seen = innovations(1.3)
-    np.testing.assert_allclose(probabilities(seen), stats.chi2.cdf(seen.nis, seen.dof), rtol=1e-9)
+    np.testing.assert_allclose(nis_probabilities(seen), stats.chi2.cdf(seen.nis, seen.dof), rtol=1e-9)
     # the inverse of a probability near 1 has its rounding times a few thousand
     np.testing.assert_allclose(normal_scores(seen), stats.norm.ppf(stats.chi2.cdf(seen.nis, seen.dof)), atol=1e-8)
 
@@ -210,7 +210,7 @@ def test_the_density_and_probability_of_noise_with_a_tail_belong_together():
     density = expected_density(middle, Innovations(middle, np.full(len(middle), 2.0), middle, student_t_dof=4.0))
     # the middle rule's own error over 4,000 steps
     np.testing.assert_allclose(
-        np.cumsum(density) * (edges[1] - edges[0]), probabilities(seen)[1:] - probabilities(seen)[0], atol=1e-4
+        np.cumsum(density) * (edges[1] - edges[0]), nis_probabilities(seen)[1:] - nis_probabilities(seen)[0], atol=1e-4
     )
 
 

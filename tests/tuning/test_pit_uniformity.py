@@ -17,9 +17,9 @@ from trackers.core.motion import Kinematic
 from trackers.core.recording import Recording, stack
 from trackers.core.scan import Output
 from trackers.parts.fixes import shifted_back, shifted_covariance
-from tuning.consistency import Consistency, chi_square_below, legendre, student_t_below, student_t_dof_of
-from tuning.metrics import all_metrics, parse_objective
+from tuning.named_objectives import all_metrics, parse_objective
 from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError, StateLogLikelihood, Weighted
+from tuning.pit_uniformity import PITUniformity, chi_square_cdf, legendre, student_t_dof_of, student_t_nis_cdf
 
 LANES = 50
 
@@ -27,7 +27,7 @@ LANES = 50
 @pytest.mark.parametrize("dof", [1, 2, 3, 7, 8, 32])
 def test_the_chi_square_distribution_is_scipys(dof):
     x = np.geomspace(1e-6, 120.0, 400)
-    found, slope = jax.jvp(lambda x: chi_square_below(x, dof + 0.0 * x), (jnp.asarray(x),), (jnp.ones(400),))
+    found, slope = jax.jvp(lambda x: chi_square_cdf(x, dof + 0.0 * x), (jnp.asarray(x),), (jnp.ones(400),))
     # a finite series of positive terms in double precision
     np.testing.assert_allclose(found, stats.chi2.cdf(x, dof), atol=1e-13)
     np.testing.assert_allclose(slope, stats.chi2.pdf(x, dof), rtol=1e-9, atol=1e-13)
@@ -37,14 +37,14 @@ def test_beyond_the_series_the_cube_root_is_close():
     x = np.linspace(5.0, 120.0, 200)
     for dof in (33, 60):
         # Wilson and Hilferty's error at 33 degrees of freedom, measured 3.5e-4
-        np.testing.assert_allclose(chi_square_below(x, dof + 0 * x), stats.chi2.cdf(x, dof), atol=5e-4)
+        np.testing.assert_allclose(chi_square_cdf(x, dof + 0 * x), stats.chi2.cdf(x, dof), atol=5e-4)
 
 
 @pytest.mark.parametrize("dof", [1.0, 3.0, 4.0, 30.0, 1e3])
 def test_one_channel_of_students_t_has_its_distribution(dof):
     t = np.geomspace(1e-3, 40.0, 300)
     q = (dof + 1) * t**2 / (dof + t**2)
-    found = student_t_below(jnp.asarray(q), np.ones(300), dof)
+    found = student_t_nis_cdf(jnp.asarray(q), np.ones(300), dof)
     # the rule leaves out the far end, where less than 1e-5 of the probability is
     np.testing.assert_allclose(found, 2 * stats.t.cdf(t, dof) - 1, atol=2e-5)
 
@@ -53,16 +53,16 @@ def test_one_channel_of_students_t_has_its_distribution(dof):
 def test_several_channels_have_it_nearly(dof, channels, off):
     squares = np.random.default_rng(0).standard_t(dof, (100_000, channels)) ** 2
     q = np.sort(((dof + 1) * squares / (dof + squares)).sum(axis=1))
-    found = student_t_below(jnp.asarray(q), np.full(q.shape, float(channels)), dof)
+    found = student_t_nis_cdf(jnp.asarray(q), np.full(q.shape, float(channels)), dof)
     # 100,000 draws know a distribution to 0.004; `off`: what the module's head says of the approximation
     np.testing.assert_allclose(found, (np.arange(len(q)) + 0.5) / len(q), atol=off + 0.002)
 
 
 def test_the_distribution_with_a_tail_has_derivatives_in_everything():
     point = jnp.array([1.7, 2.0, 4.0])
-    slope = jax.jacfwd(lambda p: student_t_below(p[0], p[1], p[2]))(point)
+    slope = jax.jacfwd(lambda p: student_t_nis_cdf(p[0], p[1], p[2]))(point)
     steps = 1e-6 * np.eye(3)
-    numeric = [(student_t_below(*(point + s)) - student_t_below(*(point - s))) / 2e-6 for s in steps]
+    numeric = [(student_t_nis_cdf(*(point + s)) - student_t_nis_cdf(*(point - s))) / 2e-6 for s in steps]
     np.testing.assert_allclose(slope, numeric, rtol=1e-6)
 
 
@@ -99,7 +99,7 @@ def test_the_state_likelihood_and_the_nees_are_those_of_the_normal_distribution(
     np.testing.assert_allclose(sums, [-np.sum(density), counted.sum()], rtol=1e-11)
     nees = np.array([e @ np.linalg.solve(c, e) for e, c in zip(errors[counted], S[counted], strict=True)])
     u = stats.chi2.cdf(nees, dimensions)
-    judge = Consistency("nees", "position", dimensions)
+    judge = PITUniformity("nees", "position", dimensions)
     sums = [np.sum(x) for x in judge.terms(output, truth)]
     expected = [np.sqrt(2 * k + 1) * np.polynomial.Legendre.basis(k)(2 * u - 1).sum() for k in (1, 2, 3, 4)]
     np.testing.assert_allclose(sums, [*expected, counted.sum()], rtol=1e-9, atol=1e-11)
@@ -127,7 +127,7 @@ def test_a_row_without_a_covariance_spoils_no_derivative():
 
     def figures(scale):
         scaled = output._replace(cov=tuple(scale * c for c in output.cov))
-        judges = Consistency("nees"), StateLogLikelihood()
+        judges = PITUniformity("nees"), StateLogLikelihood()
         return jnp.stack([j.value([jnp.sum(x) for x in j.terms(scaled, truth)]) for j in judges])
 
     slope = jax.jacfwd(figures)(jnp.asarray(1.3))
@@ -177,8 +177,8 @@ def test_what_makes_the_nis_says_its_tail():
     assert float(student_t_dof_of(bearing_tracker(dof=5.0))) == pytest.approx(5.0)
     assert student_t_dof_of(line_tracker()) is None
     assert student_t_dof_of(direct_tracker(work_station().stations)) is None
-    with pytest.raises(ValueError, match="informed"):
-        Consistency("nis").terms(_output(np.random.default_rng(0), Beam(*np.zeros((4, LANES))), 4)[0], {})
+    with pytest.raises(ValueError, match="for_tracker"):
+        PITUniformity("nis").terms(_output(np.random.default_rng(0), Beam(*np.zeros((4, LANES))), 4)[0], {})
 
 
 def test_a_sum_of_objectives_is_the_sum_of_their_figures(figures):
@@ -191,8 +191,8 @@ def test_a_sum_of_objectives_is_the_sum_of_their_figures(figures):
     assert both.size == 4
     assert both.needs_truth
     assert len(line_tracker().accumulate(world, both.terms)) == 4
-    assert np.isnan(both.log_likelihood_units(sums))
-    assert parse_objective("2e+0*nll").log_likelihood_units(sums) == pytest.approx(1.0)
+    assert np.isnan(both.nats_per_unit(sums))
+    assert parse_objective("2e+0*nll").nats_per_unit(sums) == pytest.approx(1.0)
     assert parse_objective("nll") == nll
 
 

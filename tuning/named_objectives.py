@@ -1,0 +1,126 @@
+"""Objectives by name: parsing a text such as `nll+0.1*rmse`, and all objectives of a tracker at once."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from trackers.core.chunks import CHUNK, as_dtype, chunks, run_chunks
+from trackers.core.recording import Batch
+from trackers.core.tracker import AbstractTracker
+from tuning.objectives import (
+    AbstractObjective,
+    MissingQuantityError,
+    NegativeLogLikelihood,
+    RootMeanSquareError,
+    StateLogLikelihood,
+    Weighted,
+)
+from tuning.pit_uniformity import PITUniformity
+
+OBJECTIVES: Mapping[str, Callable[[str, int], AbstractObjective]] = MappingProxyType(
+    {
+        "nll": lambda quantity, dimensions: NegativeLogLikelihood(),
+        "rmse": RootMeanSquareError,
+        "state-nll": StateLogLikelihood,
+        "nis-shape": lambda quantity, dimensions: PITUniformity("nis"),
+        "nees-shape": lambda quantity, dimensions: PITUniformity("nees", quantity, dimensions),
+    }
+)
+"""Constructors by name, each of a quantity and its number of components."""
+
+SUMMAND = re.compile(r"\s*(?:([0-9.]+(?:[eE][+-]?[0-9]+)?)\s*\*\s*)?([a-z][a-z-]*)\s*")
+
+
+def parse_objective(text: str, quantity: str = "position", dimensions: int = 2) -> AbstractObjective:
+    """The objective of a text such as `nll`, `0.1*rmse + nll` or `nll+5*nees-shape`.
+
+    Raises ValueError for an unknown or duplicate name, and for a weight that isn't positive.
+    """
+    parts: dict[str, AbstractObjective] = {}
+    weights, at = [], 0
+    while True:
+        match = SUMMAND.match(text, at)
+        if match is None or match[2] not in OBJECTIVES or match[2] in parts:
+            names = ", ".join(OBJECTIVES)
+            raise ValueError(f"'{text}' is no objective; expected some of {names}, each once, as 'nll+0.1*rmse'")
+        try:
+            weights.append(float(match[1] or 1.0))
+        except ValueError as error:
+            raise ValueError(f"'{text}': the weight '{match[1]}' is not a number") from error
+        parts[match[2]] = OBJECTIVES[match[2]](quantity, dimensions)
+        at = match.end()
+        if at == len(text):
+            break
+        if text[at] != "+":
+            raise ValueError(f"'{text}': found '{text[at:]}' where '+' and another objective were expected")
+        at += 1
+    only = list(parts.values())
+    return only[0] if len(only) == 1 and weights == [1.0] else Weighted(tuple(only), tuple(weights))
+
+
+def all_metrics(
+    tracker: AbstractTracker,
+    batches: Batch | Sequence[Batch],
+    quantity: str = "position",
+    dimensions: int = 2,
+    chunk: int = CHUNK,
+) -> dict[str, float]:
+    """All objectives of a tracker over batches by name, in one pass.
+
+    `rmse` of a position is horizontal, `rmse-3d` in space. NaN without truth or covariance. Each metric is over
+    the trajectories for which it is finite.
+    """
+    batches = [batches] if isinstance(batches, Batch) else list(batches)
+    objectives = _available(tracker, batches, quantity, dimensions)
+    try:
+        metrics = _evaluated(tracker, batches, objectives, chunk)
+    except MissingQuantityError:
+        without_truth = {name: objective for name, objective in objectives.items() if not objective.needs_truth}
+        metrics = _evaluated(tracker, batches, without_truth, chunk)
+    return dict.fromkeys([*OBJECTIVES, "rmse-3d"], math.nan) | metrics
+
+
+def _evaluated(
+    tracker: AbstractTracker, batches: Sequence[Batch], objectives: Mapping[str, AbstractObjective], chunk: int
+) -> dict[str, float]:
+    together = Weighted(tuple(objectives.values()), (1.0,) * len(objectives)).for_tracker(tracker)
+    model = as_dtype((tracker, together), batches[0].dt.dtype)
+    parts = run_chunks(_sums, [(model, part) for batch in batches for part in chunks(batch, chunk)])
+    sums = np.concatenate([np.asarray(part, float) for part in parts], axis=-1)
+    metrics = {}
+    for name, objective, own in zip(objectives, together.parts, together.split(sums), strict=True):
+        total = own[:, np.isfinite(own).all(axis=0)].sum(axis=-1)
+        if total[-1] > 0:  # the last sum of every objective counts what it is over
+            metrics[name] = float(objective.value(jnp.asarray(total)))
+    return metrics
+
+
+def _sums(model: Any, batch: Batch) -> Any:
+    tracker, objective = model
+    return jnp.stack(tracker.accumulate(batch, objective.terms))
+
+
+def _available(
+    tracker: AbstractTracker, batches: Sequence[Batch], quantity: str, dimensions: int
+) -> dict[str, AbstractObjective]:
+    """The objectives by name; without truth of the quantity those that need none."""
+    horizontal = min(dimensions, 2)
+    objectives = {
+        name: make(quantity, horizontal if name == "rmse" else dimensions) for name, make in OBJECTIVES.items()
+    }
+    if dimensions == 3:
+        objectives["rmse-3d"] = RootMeanSquareError(quantity, 3)
+    try:
+        objectives["nis-shape"].for_tracker(tracker)
+    except ValueError:
+        del objectives["nis-shape"]
+    in_truth = all(quantity in batch.truth for batch in batches)
+    known = in_truth and any(np.any(batch.truth[quantity][1]) for batch in batches)
+    return {name: objective for name, objective in objectives.items() if known or not objective.needs_truth}
