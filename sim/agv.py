@@ -1,4 +1,4 @@
-"""The workshop of Huang et al. 2018, section 4: a vehicle that runs round a workstation, and the fixes of its tag."""
+"""The workshop of Huang et al. 2018, section 4: a vehicle on a route round a workstation, and fixes of its tag."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from trackers.mhk.tracker import STILL
 from trackers.recordings.folder import RecordingFolder
 
 LARGEST_SPEED, LARGEST_ACCELERATION = 2.0, 2.0
-"""Of the paper's vehicle, m/s and m/s²."""
+"""Limits of the paper's vehicle, m/s and m/s²."""
 
 ANCHOR_HEIGHT = 2.5
-"""Metres; all anchors hang at it, so that heights have a mirror image."""
+"""Height of all anchors, m; heights are ambiguous by their mirror image at this plane."""
 
 FIX_ERRORS: Mapping[str, Corruption] = MappingProxyType(
     {"noise": correlated_noise(STILL), "drift": gauss_markov(0.07, 0.5), "outliers": outliers(0.25, 0.19)}
 )
-"""The paper's noise at rest; drift and outliers chosen for raw fixes as far off as the paper's."""
+"""The paper's noise at rest; drift and outliers chosen such that the errors of raw fixes equal the paper's."""
 
 
 @dataclass(frozen=True)
 class Route:
-    """A rectangle with rounded corners round the origin, once round anticlockwise; lengths in m.
+    """A closed route: a rectangle with rounded corners, centred on the origin, anticlockwise; lengths in m.
 
     Raises ValueError where the corners don't fit into the rectangle.
     """
@@ -46,11 +46,11 @@ class Route:
 
     @property
     def length(self) -> float:
-        """Once round, m."""
+        """The length of one round, m."""
         return float(self._ends()[-1])
 
     def at(self, arclength: np.ndarray) -> np.ndarray:
-        """The places (..., 2), m, so many metres along the route from the middle of its lower side."""
+        """Positions (..., 2), m, at these arc lengths, m, from the middle of the lower side."""
         ends = self._ends()
         s = np.asarray(arclength, float) % ends[-1]
         part = np.minimum(np.searchsorted(ends, s, side="right"), len(ends) - 1)
@@ -59,7 +59,7 @@ class Route:
         heading = quarter * (np.pi / 2)
         straight = part % 2 == 0
         turned = np.where(straight, 0.0, along / self.radius)
-        # Each side starts where the corner before it ends; the first side starts at its middle.
+        # Each side starts at the end of the corner before it; the first side starts at its middle.
         corner = np.array([[1, -1], [1, 1], [-1, 1], [-1, -1]]) * (np.array([self.width, self.depth]) / 2 - self.radius)
         direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
         outward = np.stack([np.sin(heading + turned), -np.cos(heading + turned)], axis=-1)
@@ -69,18 +69,18 @@ class Route:
         return corner[quarter] + self.radius * outward - back[..., None] * direction
 
     def distance(self, points: np.ndarray) -> np.ndarray:
-        """How far points (..., 2), m, are from the route, inside it or outside: the error that knows no time."""
+        """The distance of points (..., 2), m, from the route, inside or outside: an error without regard to time."""
         half = np.array([self.width, self.depth]) / 2 - self.radius
         beyond = np.abs(np.asarray(points, float)) - half
         outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1)
         return np.abs(outside + np.minimum(beyond.max(axis=-1), 0.0) - self.radius)
 
     def knots(self, spacing: float = 0.05) -> np.ndarray:
-        """The route as corners (k, 2), m, of a closed polyline, `spacing` m apart."""
+        """The route as a closed polyline: corners (k, 2), m, at most `spacing` m apart along it."""
         return self.at(np.linspace(0, self.length, int(np.ceil(self.length / spacing)) + 1))
 
     def _ends(self) -> np.ndarray:
-        """Where its parts end along the route: half a side, corner, side, corner, …, half a side, m."""
+        """Arc lengths, m, at the ends of the parts of the route: half a side, corner, side, corner, …, half a side."""
         a, b, c = self.width - 2 * self.radius, self.depth - 2 * self.radius, self.radius * np.pi / 2
         return np.cumsum([a / 2, c, b, c, a, c, b, c, a / 2])
 
@@ -89,8 +89,8 @@ class Route:
 class SimulatedFixes:
     """Fixes of n tags at T times with their truth.
 
-    `times` (T,) s; `positions`, `fixes` (n, T, 3) m and as many `seen`; `route` (k, 2) m, the designed one; `anchors`
-    by id, m; `ids` (n,): the trajectory ids.
+    `times` (T,) s; `positions` and `fixes` (n, T, 3) m; `seen` (n, T, 3); `route` (k, 2) m, the designed one;
+    `anchors` by id, m; `ids` (n,): the trajectory ids.
     """
 
     times: np.ndarray
@@ -122,22 +122,22 @@ def simulate_agv(
     rate_hz: float = 10.0,
     errors: Mapping[str, Corruption] = FIX_ERRORS,
 ) -> SimulatedFixes:
-    """Vehicles that start anywhere on the route at rest, reach `speed` at 1 m/s² and keep it, corners too.
+    """Vehicles at rest at a random position on the route that accelerate at 1 m/s² and keep `speed`, also in corners.
 
-    `n`: how many, or their trajectory ids. `errors`: what goes wrong with the fixes, piece by piece. `height` m, of the
-    tag. Raises ValueError for a speed or corners beyond what the paper's vehicle does.
+    `n`: number of trajectories, or their ids. `errors`: corruptions of the fixes by name, in order. `height`: of the
+    tag, m. Raises ValueError for a speed or corners beyond the limits of the paper's vehicle.
     """
     sideways = speed**2 / route.radius
     if not (0 < speed <= LARGEST_SPEED and sideways <= LARGEST_ACCELERATION):
         raise ValueError(
-            f"{speed} m/s and {sideways:.3g} m/s² in corners of {route.radius} m: the vehicle does at most "
-            f"{LARGEST_SPEED} m/s and {LARGEST_ACCELERATION} m/s²"
+            f"speed {speed} m/s, {sideways:.3g} m/s² in corners of radius {route.radius} m: expected at most "
+            f"{LARGEST_SPEED} m/s and {LARGEST_ACCELERATION} m/s², the limits of the vehicle"
         )
     ids = np.arange(n) if isinstance(n, int) else np.asarray(n)
     keys = trajectory_keys(seed, ids)
     times = np.arange(rows) / rate_hz
     start = uniforms(stream(keys, "start"), (1,)).astype(float) * route.length
-    # ½ t² until `speed` is reached after `speed` seconds, straight on from there.
+    # ½ t² until t = `speed`, when 1 m/s² has led to `speed`; constant speed from there.
     covered = np.where(times < speed, 0.5 * times**2, speed * times - 0.5 * speed**2)
     floor = route.at(start + covered)
     positions = np.concatenate([floor, np.full((*floor.shape[:-1], 1), height)], axis=-1)

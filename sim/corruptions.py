@@ -1,9 +1,10 @@
-"""What goes wrong with measured values, one piece each: noise, drift, outliers, drop-outs, a dead antenna or station.
+"""Corruptions of ideal measurements: noise, drift, outliers, drop-outs, antennas and stations without measurements.
 
-A piece is a function (keys, times, values, seen) -> (values, seen): one key per trajectory, times (T,) in s, values
-(n, T, stations, antennas) and as many booleans. White noise, Gauss-Markov noise and outliers take any (n, T, ...) and
-are in the unit of the values; phases are wrapped after all pieces, by whoever calls them. The functions below make
-pieces. `corrupted` gives every piece the random stream of its name, so that none changes the noise of another.
+A corruption is a function (keys, times, values, seen) -> (values, seen): one key per trajectory, times (T,) in s,
+values (n, T, stations, antennas) and booleans of the same shape. White noise, Gauss-Markov noise and outliers take any
+(n, T, ...), in the unit of the values; the caller wraps phases after all corruptions. The functions below make
+corruptions. `corrupted` applies several by name; each draws from the random stream of its name, so that adding one
+leaves the noise of the others as it is.
 """
 
 from __future__ import annotations
@@ -15,15 +16,15 @@ import numpy as np
 from sim.keys import Keys, normals, stream, uniforms
 
 Corruption = Callable[[Keys, np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""(keys, times, values, seen) -> (values, seen); makes new arrays and leaves its arguments alone."""
+"""(keys, times, values, seen) -> (values, seen), new arrays; the arguments are not modified."""
 
 
 def corrupted(
-    pieces: Mapping[str, Corruption], keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray
+    corruptions: Mapping[str, Corruption], keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Values and seen after all pieces in their order, each drawing from the stream that bears its name."""
-    for name, piece in pieces.items():
-        values, seen = piece(stream(keys, name), times, values, seen)
+    """`values` and `seen` after all corruptions in order, each with the random stream of its name."""
+    for name, corruption in corruptions.items():
+        values, seen = corruption(stream(keys, name), times, values, seen)
     return values, seen
 
 
@@ -38,9 +39,9 @@ def white_noise(sigma: float) -> Corruption:
 
 
 def gauss_markov(sigma: float, tau: float) -> Corruption:
-    """A slow error of every channel: stationary, standard deviation `sigma`, correlation exp(-|dt| / tau), tau in s.
+    """A stationary error of every channel: standard deviation `sigma`, correlation exp(-|dt| / tau), tau in s.
 
-    Discretised exactly, so that the correlation does not change with the rate and times may be irregular.
+    Discretised exactly: the correlation is independent of the rate, and times may be irregular.
     """
     _positive("the standard deviation of Gauss-Markov noise", sigma)
     _positive("the time constant of Gauss-Markov noise", tau)
@@ -58,7 +59,7 @@ def gauss_markov(sigma: float, tau: float) -> Corruption:
 
 
 def outliers(probability: float, size: float) -> Corruption:
-    """Wild values: with `probability`, each value gets a Gaussian error of standard deviation `size` on top."""
+    """Outliers: with `probability`, a Gaussian error of standard deviation `size` is added to a value."""
     _fraction("the probability of an outlier", probability)
     _positive("the size of an outlier", size)
 
@@ -71,14 +72,13 @@ def outliers(probability: float, size: float) -> Corruption:
 
 
 def drop_outs(probability: float, mean_length_s: float = 0.0) -> Corruption:
-    """Rows in which a station reports nothing: a share `probability` of them, in bursts.
+    """Drop-outs: a share `probability` of a station's rows is missing, in bursts of mean length `mean_length_s`.
 
-    A two-state Markov process in continuous time, stationary from the first row; bursts last `mean_length_s` on
-    average. At 0 s every row is lost or not on its own.
+    A two-state Markov process in continuous time, stationary from the first row. At 0 s rows are independent.
     """
     _fraction("the share of lost rows", probability)
     if not mean_length_s >= 0:
-        raise ValueError(f"the mean length of a drop-out is not negative, found {mean_length_s} s")
+        raise ValueError(f"the mean length of a drop-out is {mean_length_s} s: expected 0 or more")
 
     def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         lost = in_bursts(keys, times, values.shape[2], probability, mean_length_s)
@@ -88,14 +88,14 @@ def drop_outs(probability: float, mean_length_s: float = 0.0) -> Corruption:
 
 
 def in_bursts(keys: Keys, times: np.ndarray, channels: int, share: float, mean_length_s: float) -> np.ndarray:
-    """When something lasts, (n, T, channels): true for a `share` of the time, `mean_length_s` on average at a stretch.
+    """Bursts (n, T, channels): true for a `share` of the time, for `mean_length_s` at a stretch on average.
 
     A two-state Markov process in continuous time for each channel, stationary from the first row.
     """
     draws = uniforms(keys, (len(times), channels))
     lasts = draws < share
     if mean_length_s > 0:
-        # Ends at 1 / length, begins at p / (1 - p) of that: both together forget the state at this rate.
+        # Bursts end at the rate 1 / length and start at p / (1 - p) of it; the correlation decays at the sum of both.
         forgetting = 1 / (mean_length_s * (1 - share))
         kept = np.exp(-np.diff(times) * forgetting)
         for k in range(len(kept)):
@@ -105,7 +105,7 @@ def in_bursts(keys: Keys, times: np.ndarray, channels: int, share: float, mean_l
 
 
 def constant_offsets(offsets: np.ndarray) -> Corruption:
-    """An array that nobody calibrated: constant offsets (antennas,) or (stations, antennas) on the values."""
+    """Constant offsets (antennas,) or (stations, antennas), as of an uncalibrated array."""
 
     def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return values + np.asarray(offsets, values.dtype), seen
@@ -114,7 +114,7 @@ def constant_offsets(offsets: np.ndarray) -> Corruption:
 
 
 def mask_antenna(station: int, antenna: int) -> Corruption:
-    """A dead antenna: never seen. Station and antenna count from 0 in the rig's order."""
+    """An antenna without measurements. `station` and `antenna` count from 0 in the rig's order."""
 
     def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         _index("station", station, values.shape[2])
@@ -127,7 +127,7 @@ def mask_antenna(station: int, antenna: int) -> Corruption:
 
 
 def lose_station(station: int, from_s: float = -np.inf, to_s: float = np.inf) -> Corruption:
-    """A station that reports nothing from `from_s` until before `to_s`; it counts from 0 in the rig's order."""
+    """A station without measurements from `from_s` until before `to_s`. `station` counts from 0 in the rig's order."""
 
     def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         _index("station", station, values.shape[2])
@@ -140,12 +140,12 @@ def lose_station(station: int, from_s: float = -np.inf, to_s: float = np.inf) ->
 
 def _positive(what: str, number: float) -> None:
     if not (number > 0 and np.isfinite(number)):
-        raise ValueError(f"{what} is positive and finite, found {number}; leave the piece out for none")
+        raise ValueError(f"{what} is {number}: expected a positive finite number; for none, leave the corruption out")
 
 
 def _fraction(what: str, number: float) -> None:
     if not 0 <= number < 1:
-        raise ValueError(f"{what} lies in 0..1, found {number}")
+        raise ValueError(f"{what} is {number}: expected 0 to below 1")
 
 
 def _index(what: str, number: int, count: int) -> None:

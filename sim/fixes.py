@@ -1,6 +1,6 @@
-"""What goes wrong with position fixes, one piece each, beside those of `sim.corruptions`: values are (n, T, 3), m.
+"""Corruptions of position fixes (n, T, 3), m, beside those of `sim.corruptions`.
 
-Pieces that depend on where the tag was (`late`, `first_order_lag`, `mirrored`) belong before those that add noise.
+Those that act on the true path (`delayed`, `first_order_lag`, `mirrored_heights`) belong before those that add noise.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from sim.keys import Keys, normals, stream, uniforms
 
 
 def correlated_noise(covariance: np.ndarray) -> Corruption:
-    """Independent rows of Gaussian noise whose axes hang together: `covariance` (3, 3), m².
+    """White Gaussian noise with correlated axes: `covariance` (3, 3), m².
 
     Raises ValueError for a matrix that isn't symmetric positive definite.
     """
     matrix = np.asarray(covariance, float)
     if matrix.shape != (3, 3) or not np.allclose(matrix, matrix.T) or np.linalg.eigvalsh(matrix)[0] <= 0:
-        raise ValueError(f"the covariance of fixes is 3 × 3, symmetric and positive definite, found {matrix.tolist()}")
+        raise ValueError(f"covariance of fixes {matrix.tolist()}: expected 3 × 3, symmetric and positive definite")
     factor = np.linalg.cholesky(matrix)
 
     def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -28,7 +28,7 @@ def correlated_noise(covariance: np.ndarray) -> Corruption:
 
 
 def delayed(seconds: float) -> Corruption:
-    """Fixes of where the tag was `seconds` before; before the recording it stood still."""
+    """A pure delay of the fixes by `seconds`; before its first time the tag is taken to be at rest."""
     _not_negative("the latency of fixes", seconds)
 
     def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -39,9 +39,9 @@ def delayed(seconds: float) -> Corruption:
 
 
 def first_order_lag(tau: float) -> Corruption:
-    """Fixes smoothed by the device: a first-order lag of `tau` s, exact for straight motion between rows.
+    """Smoothing by the device: a first-order lag with time constant `tau`, s, exact for straight motion between rows.
 
-    A tag at constant speed shows where it was `tau` s before. Four DWM1001 anchors show such a lag, not a plain delay.
+    At constant speed it equals a delay by `tau`. Four DWM1001 anchors have such a lag, not a pure delay.
     """
     _not_negative("the time constant of a lag", tau)
 
@@ -61,13 +61,13 @@ def first_order_lag(tau: float) -> Corruption:
 
 
 def mirrored_heights(plane: float, share: float, mean_length_s: float) -> Corruption:
-    """Heights that flip to their mirror image in the anchors' plane at height `plane`, m, for seconds at a time.
+    """Heights mirrored at the anchors' plane at height `plane`, m, for a `share` of the time.
 
-    A two-state Markov process in continuous time, stationary from the first row: mirrored for a `share` of the time,
-    `mean_length_s` s at a stretch on average. Raises ValueError unless 0 ≤ share < 1 and the length is positive.
+    A two-state Markov process in continuous time, stationary from the first row; `mean_length_s` s at a stretch on
+    average. Raises ValueError unless 0 ≤ share < 1 and the length is positive.
     """
     if not (0 <= share < 1 and mean_length_s > 0):
-        raise ValueError(f"a share lies in 0..1 and a length is positive, found {share} and {mean_length_s} s")
+        raise ValueError(f"share = {share}, mean length {mean_length_s} s: expected 0 to below 1 and a positive length")
 
     def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         draws = uniforms(stream(keys, "mirror"), values.shape[1:2])
@@ -84,4 +84,4 @@ def mirrored_heights(plane: float, share: float, mean_length_s: float) -> Corrup
 
 def _not_negative(what: str, seconds: float) -> None:
     if not (seconds >= 0 and np.isfinite(seconds)):
-        raise ValueError(f"{what} is not negative, found {seconds} s")
+        raise ValueError(f"{what} is {seconds} s: expected 0 or more, finite")

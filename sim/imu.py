@@ -1,7 +1,7 @@
-"""An IMU on a body that moves: what an ideal one reads along a true path with attitude, and what a real one adds.
+"""An IMU on a moving body: ideal measurements along a true path with attitude, and the errors of real ones.
 
-The pieces that spoil readings are `sim.corruptions.Corruption` on (n, T, 3) accelerations or turning rates; those of
-`sim.corruptions` that take any values are others. Ranges to the same body are `sim.ranging`'s.
+The corruptions here act on accelerations or angular rates (n, T, 3), as do those of `sim.corruptions` that take any
+shape. Ranges to the same body: `sim.ranging`.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ _WAVES = 8
 def swinging(
     keys: Keys, times: np.ndarray, *, tilt: float = 0.15, turn: float = 1.5, period_s: float = 6.0
 ) -> np.ndarray:
-    """Attitudes (n, T, 4), w x y z, body to room, of a thing in a hand: smooth random yaw, pitch and roll.
+    """Attitudes (n, T, 4), w x y z, body to room, of a hand-held body: smooth random yaw, pitch and roll.
 
-    `tilt`: standard deviation of pitch and roll, rad; `turn`: of the yaw about a random one; `period_s`: of the fastest
-    of the waves that make them. Raises ValueError for a period that isn't positive.
+    `tilt`: standard deviation of pitch and roll, rad. `turn`: standard deviation of the yaw about its random mean, rad.
+    `period_s`: shortest period of the oscillations. Raises ValueError for a period that isn't positive.
     """
     if not period_s > 0:
-        raise ValueError(f"a period is positive, found {period_s} s")
+        raise ValueError(f"period {period_s} s: expected a positive number")
     omega = 2 * np.pi / period_s * (np.arange(_WAVES) + 0.5) / _WAVES
     t = np.asarray(times, float)
     waves = np.concatenate([np.cos(t[:, None] * omega), np.sin(t[:, None] * omega)], axis=1)
@@ -59,34 +59,33 @@ def swinging(
 
 
 def level(keys: Keys, times: np.ndarray) -> np.ndarray:
-    """Attitudes (n, T, 4) of a thing that stands or slides level, its yaw random and always the same."""
+    """Attitudes (n, T, 4) of a level body with a random, constant yaw."""
     half = np.pi * uniforms(stream(keys, "yaw"), (1,)).astype(float) + 0.0 * np.asarray(times, float)
     nothing = np.zeros_like(half)
     return np.stack([np.cos(half), nothing, nothing, np.sin(half)], axis=-1)
 
 
 def ideal_readings(times: np.ndarray, positions: np.ndarray, attitudes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Specific force (n, T, 3), m/s², and turning rate (n, T, 3), rad/s, in body axes, from path and attitudes.
+    """Specific force (n, T, 3), m/s², and angular rate (n, T, 3), rad/s, in body axes, from path and attitudes.
 
-    Each sample is the mean over the interval before its time, as an IMU's own filter makes it; the first, which has no
-    interval, repeats the second.
+    Each sample is the mean over the interval before its time, as of an IMU's own filter; the first repeats the second.
     """
     dt = np.diff(times)[:, None]
     between = np.diff(positions, axis=1) / dt
-    # The velocity at a time is the mean of those before and after it; at the ends a parabola's.
+    # The velocity at a time is the mean of those of the adjacent intervals; at both ends, that of a parabola.
     middle = 0.5 * (between[:, 1:] + between[:, :-1])
     ends = 1.5 * between[:, [0, -1]] - 0.5 * middle[:, [0, -1]]
     velocity = np.concatenate([ends[:, :1], middle, ends[:, 1:]], axis=1)
     acceleration = np.diff(velocity, axis=1) / dt
-    force, rate = _felt(acceleration + np.array([0.0, 0.0, GRAVITY]), attitudes)
+    force, rate = _in_body(acceleration + np.array([0.0, 0.0, GRAVITY]), attitudes)
     rate = rate / dt
     return np.concatenate([force[:, :1], force], axis=1), np.concatenate([rate[:, :1], rate], axis=1)
 
 
-def _felt(force: np.ndarray, attitudes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Room-axes forces (n, T − 1, 3) in the body's axes half-way between two attitudes, and the turns between these."""
+def _in_body(force: np.ndarray, attitudes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Forces (n, T − 1, 3) rotated from room to body axes half-way between two attitudes, and the rotation vectors."""
     with jax.enable_x64(True):
-        result = _felt_each(
+        result = _in_body_each(
             *(jnp.asarray(np.asarray(x, np.float64)) for x in (force, attitudes[:, :-1], attitudes[:, 1:]))
         )
         return np.asarray(result[0]), np.asarray(result[1])
@@ -95,7 +94,7 @@ def _felt(force: np.ndarray, attitudes: np.ndarray) -> tuple[np.ndarray, np.ndar
 @jax.jit
 @jax.vmap
 @jax.vmap
-def _felt_each(force: Any, before: Any, after: Any) -> tuple[Any, Any]:
+def _in_body_each(force: Any, before: Any, after: Any) -> tuple[Any, Any]:
     first, second = Rotation(*before), Rotation(*after)
     turn = first.local(second)
     middle = first.retract([0.5 * x for x in turn])
@@ -103,7 +102,7 @@ def _felt_each(force: Any, before: Any, after: Any) -> tuple[Any, Any]:
 
 
 def constant_bias(sigma: float) -> Corruption:
-    """A bias of every axis that stays: normal, standard deviation `sigma` in the unit of the values."""
+    """A constant bias of every axis, normal with standard deviation `sigma` in the unit of the values."""
     _not_negative("a bias", sigma)
 
     def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -113,7 +112,7 @@ def constant_bias(sigma: float) -> Corruption:
 
 
 def random_walk(sigma: float) -> Corruption:
-    """A bias of every axis that wanders from zero, by `sigma` in the unit of the values after a second."""
+    """A random-walk bias of every axis, zero at first; `sigma`: its standard deviation after 1 s."""
     _not_negative("a random walk", sigma)
 
     def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -124,7 +123,7 @@ def random_walk(sigma: float) -> Corruption:
 
 
 def white_density(sigma: float) -> Corruption:
-    """White noise of power density `sigma`² (unit per √Hz): the same noise at any rate of samples."""
+    """White noise of density `sigma` (unit per √Hz), independent of the sampling rate."""
     _not_negative("a noise density", sigma)
 
     def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -137,26 +136,26 @@ def white_density(sigma: float) -> Corruption:
 
 def _not_negative(what: str, sigma: float) -> None:
     if not sigma >= 0:
-        raise ValueError(f"the size of {what} isn't negative, found {sigma}")
+        raise ValueError(f"the sigma of {what} is {sigma}: expected 0 or more")
 
 
 MEMS_ACCEL: Mapping[str, Corruption] = MappingProxyType(
     {"bias": constant_bias(0.1), "walk": random_walk(0.005), "noise": white_density(0.02)}
 )
-"""A cheap accelerometer, m/s²."""
+"""Errors of a low-cost accelerometer, m/s²."""
 
 MEMS_GYRO: Mapping[str, Corruption] = MappingProxyType(
     {"bias": constant_bias(0.01), "walk": random_walk(0.0005), "noise": white_density(0.002)}
 )
-"""A cheap gyro, rad/s."""
+"""Errors of a low-cost gyroscope, rad/s."""
 
 
 @dataclass(frozen=True)
 class SimulatedUwbImu:
     """Ranges and IMU samples of n bodies with their truth.
 
-    `ranges`: the world of ranges. `times` (S,) s of the IMU's samples; `accel`, `gyro` (n, S, 3) m/s² and rad/s, zero
-    where not `seen` (n, S); `positions` (n, S, 3) m and `attitudes` (n, S, 4): the truth at them.
+    `ranges`: the ranges and their times. `times` (S,) s, of the IMU samples; `accel`, `gyro` (n, S, 3) m/s² and rad/s,
+    zero where not `seen` (n, S); `positions` (n, S, 3) m and `attitudes` (n, S, 4): the truth at these times.
     """
 
     ranges: SimulatedRanges
@@ -204,11 +203,11 @@ def simulate_uwb_imu(
     attitude: Callable[[Keys, np.ndarray], np.ndarray] = swinging,
     ids: Sequence[int] | np.ndarray | None = None,
 ) -> SimulatedUwbImu:
-    """`n` tags with an IMU of their own on smooth paths of (keys, times), by default one anchor's range at a time.
+    """`n` tags, each with an IMU, on smooth paths; by default one anchor's range at a time.
 
-    `rate_hz`, `n_points`, `protocol`, `corruptions` and `ids` as for `simulate_ranges`; so many IMU `samples` for each
-    of its rows; `accel`, `gyro`: what their readings suffer, name -> piece; `gap_s`: from when to when, s, the IMU is
-    silent; `attitude`: of (keys, times), how the body turns. A body depends on the seed and its id, on no other.
+    `rate_hz`, `n_points`, `protocol`, `corruptions` and `ids` as for `simulate_ranges`. `samples`: IMU samples per row
+    of ranges. `accel`, `gyro`: corruptions of the IMU by name, in order. `gap_s`: start and end, s, of a gap in the
+    IMU's samples. `attitude`: the body's attitudes (n, T, 4) as a function of (keys, times).
     """
     ranges = simulate_ranges(
         rig, path, n, seed, rate_hz=rate_hz, n_points=n_points, protocol=protocol, corruptions=corruptions, ids=ids

@@ -1,8 +1,8 @@
-"""Random keys that depend on (seed, trajectory id) alone, and named streams below them.
+"""Random keys that depend on (seed, trajectory id) alone, and named random streams derived from them.
 
-A trajectory's numbers are the same whatever batch or chunk it is drawn in, and every piece of a world draws from a
-stream of its own name, so that adding one piece changes no number of another. All draws are float32 whatever JAX's
-default is, so that a run in double precision sees the same world.
+A trajectory has the same numbers in every batch and chunk. Each part of a world draws from a stream of its own name, so
+that adding one part leaves the numbers of the others as they are. All draws are float32 whatever JAX's default, so that
+worlds are the same in runs with double precision.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ import jax.numpy as jnp
 import numpy as np
 
 Keys = Any
-"""A JAX array of typed keys, (n,): one per trajectory."""
+"""A JAX array (n,) of typed keys, one per trajectory."""
 
 LARGEST_ID = 2**32 - 1
 
 
 def trajectory_keys(seed: int, ids: Sequence[int] | np.ndarray) -> Keys:
-    """One key per trajectory id (n,), a function of the seed and that id only.
+    """One key per trajectory id (n,), a function of the seed and that id alone.
 
     Raises ValueError for ids that aren't whole numbers from 0 to 2³² − 1.
     """
@@ -37,17 +37,17 @@ def trajectory_keys(seed: int, ids: Sequence[int] | np.ndarray) -> Keys:
 
 
 def stream(keys: Keys, name: str) -> Keys:
-    """The keys (n,) of the stream called `name` below each key; other names give independent numbers."""
+    """The keys (n,) of the random stream `name` of each key; streams of different names are independent."""
     return _fold_name(keys, np.uint32(zlib.crc32(name.encode())))
 
 
 def normals(keys: Keys, shape: tuple[int, ...]) -> np.ndarray:
-    """Standard normal float32 numbers (n, *shape), row i from key i alone."""
+    """Standard normal float32 numbers (n, *shape); row i depends on key i alone."""
     return np.asarray(_normals(keys, math.prod(shape))).reshape(-1, *shape)
 
 
 def uniforms(keys: Keys, shape: tuple[int, ...]) -> np.ndarray:
-    """Uniform float32 numbers in [0, 1), (n, *shape), row i from key i alone."""
+    """Uniform float32 numbers in [0, 1), (n, *shape); row i depends on key i alone."""
     return np.asarray(_uniforms(keys, math.prod(shape))).reshape(-1, *shape)
 
 

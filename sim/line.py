@@ -1,4 +1,4 @@
-"""The assembly line of the thesis: a cart on a known path in three situations, and the fixes of its tag."""
+"""The assembly line of the thesis: a cart on a known path in three situations, and fixes of its tag."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ TAG_HEIGHT = 0.78
 """Metres above the floor at which the cart carries its tag (section 2.5)."""
 
 FIX_ERRORS: Mapping[str, Corruption] = MappingProxyType({"white": white_noise(0.22), "slow": gauss_markov(0.22, 1.5)})
-"""A mean distance of 0.39 m from the truth, as Table 3.1 has it; white noise alone cannot give its ratios."""
+"""A mean error of 0.39 m, as in Table 3.1, whose ratios white noise alone does not reproduce."""
 
 Situation = Callable[[Keys, np.ndarray, float], tuple[np.ndarray, np.ndarray]]
-"""(keys, lengths of the segments, mean speed) -> travel time of each segment and rest after it, both (n, k) s."""
+"""(keys, lengths of the segments, mean speed) -> travel time on each segment and rest after it, both (n, k), s."""
 
 
 def constant_speed(keys: Keys, lengths: np.ndarray, speed: float) -> tuple[np.ndarray, np.ndarray]:
@@ -35,16 +35,16 @@ def constant_speed(keys: Keys, lengths: np.ndarray, speed: float) -> tuple[np.nd
 
 
 def halts(keys: Keys, lengths: np.ndarray, speed: float, halt_s: float = 5.0) -> tuple[np.ndarray, np.ndarray]:
-    """Situation 2: the same speed on all segments, and a halt of `halt_s` s where two of them meet."""
+    """Situation 2: the same speed on all segments, and a halt of `halt_s` s where two segments meet."""
     travel, rest = constant_speed(keys, lengths, speed)
     rest[:, :-1] = halt_s
     return travel, rest
 
 
 def speed_changes(keys: Keys, lengths: np.ndarray, speed: float) -> tuple[np.ndarray, np.ndarray]:
-    """Situation 3: another speed on every segment, slowest and fastest up to 4 times apart, no halts.
+    """Situation 3: a random speed on every segment, with a ratio of at most 4 between fastest and slowest, no halts.
 
-    Scaled so that the whole path takes as long as at `speed`.
+    The duration of the whole path is that of `speed`.
     """
     factors = 2.0 ** (2.0 * uniforms(stream(keys, "speeds"), (len(lengths),)).astype(float) - 1.0)
     travel = lengths / factors
@@ -55,15 +55,15 @@ def speed_changes(keys: Keys, lengths: np.ndarray, speed: float) -> tuple[np.nda
 SITUATIONS: Mapping[str, Situation] = MappingProxyType(
     {"constant": constant_speed, "halts": halts, "speeds": speed_changes}
 )
-"""The three of section 2.5."""
+"""The three situations of section 2.5."""
 
 
 @dataclass(frozen=True)
 class SimulatedLine:
     """Fixes of n tags at T times with their truth.
 
-    `times` (T,) s; `arclength` (n, T) m; `positions` (n, T, 2) m; `fixes` (n, T, 2) m and as many `seen`; `knots`
-    (k, 2) m; `ids` (n,): the trajectory ids.
+    `times` (T,) s; `arclength` (n, T) m; `positions` and `fixes` (n, T, 2) m; `seen` (n, T, 2); `knots` (k, 2) m;
+    `ids` (n,): the trajectory ids.
     """
 
     times: np.ndarray
@@ -98,16 +98,17 @@ def simulate_line(
     errors: Mapping[str, Corruption] = FIX_ERRORS,
     carried_off: tuple[float, float, Sequence[float]] | None = None,
 ) -> SimulatedLine:
-    """Tags that travel the path once, `rest_s` s at rest before and after, with fixes `rate_hz` times a second.
+    """Tags that travel the path once, at rest for `rest_s` s before and after, with fixes at `rate_hz`.
 
-    `n`: how many, or their trajectory ids. `errors`: what goes wrong with the fixes, piece by piece. `carried_off`:
-    from and to which second the tag is away from the line, and by how much, (dx, dy) m. The thesis prints neither
-    speeds nor rate. Raises ValueError for an unknown situation and for speeds, rests and rates that aren't positive.
+    `n`: number of trajectories, or their ids. `errors`: corruptions of the fixes by name, in order. `carried_off`:
+    start and end, s, of the time that the tag spends off the line, and its offset then, (dx, dy) m. The thesis prints
+    neither speeds nor rate. Raises ValueError for an unknown situation, a speed or rate that isn't positive and a
+    negative rest.
     """
     if isinstance(situation, str) and situation not in SITUATIONS:
         raise ValueError(f"situation '{situation}' is unknown, expected one of {', '.join(SITUATIONS)}")
     if not (speed > 0 and rest_s >= 0 and rate_hz > 0):
-        raise ValueError(f"speed, rest and rate are positive, found {speed} m/s, {rest_s} s, {rate_hz} Hz")
+        raise ValueError(f"speed {speed} m/s, rest {rest_s} s, rate {rate_hz} Hz: expected positive numbers")
     line = Polyline(knots)
     lengths = np.asarray(line.lengths)
     ids = np.arange(n) if isinstance(n, int) else np.asarray(n)
@@ -115,7 +116,7 @@ def simulate_line(
     travel, rest = (SITUATIONS[situation] if isinstance(situation, str) else situation)(keys, lengths, speed)
     legs = np.stack([travel, rest], axis=-1).reshape(len(ids), -1)
     ends = rest_s + np.concatenate([np.zeros((len(ids), 1)), np.cumsum(legs, axis=1)], axis=1)
-    # Tags are the same whatever others there are: every situation gives all of them one duration.
+    # In every situation all tags have the same duration, so that one tag does not depend on the others.
     times = np.arange(int(np.floor((ends[0, -1] + rest_s) * rate_hz)) + 1) / rate_hz
     marks = np.concatenate([[0.0], np.repeat(np.cumsum(lengths), 2)])
     arclength = np.stack([np.interp(times, row, marks) for row in ends])
@@ -129,7 +130,7 @@ def simulate_line(
 
 
 def along(knots: np.ndarray, arclength: np.ndarray) -> np.ndarray:
-    """The places (..., 2), m, at these arclengths, m, of the path through `knots` (k, 2)."""
+    """Positions (..., 2), m, at the arc lengths, m, along the path through `knots` (k, 2), m."""
     knots = np.asarray(knots, float)
     marks = np.concatenate([[0.0], np.cumsum(np.sqrt((np.diff(knots, axis=0) ** 2).sum(axis=1)))])
     return np.stack([np.interp(arclength, marks, axis) for axis in knots.T], axis=-1)

@@ -1,7 +1,7 @@
-"""The phases an ideal array receives: from true distances, and in the plane-wave approximation trackers use.
+"""Ideal phases at an antenna array: of spherical waves, and in the plane-wave approximation of the trackers.
 
 The sign is that of equation (9) of paper A and of the recordings: phase of antenna i = +2 pi / lambda * p_i . u +
-common, u the unit vector to the beacon. The common offset of a station's row carries nothing and is left out here.
+common, u the unit vector to the beacon. The common offset of a station's row holds no information and is omitted here.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from trackers.core.rig import Station
 
 
 def wrapped(angle: np.ndarray) -> np.ndarray:
-    """The angles brought into (-pi, pi], radians, float64."""
+    """The angles wrapped into (-pi, pi], rad, float64."""
     turn = 2 * np.pi
     angle = np.asarray(angle, float)
     return angle - turn * np.ceil(angle / turn - 0.5)
 
 
 def spherical_phases(stations: Sequence[Station], positions: np.ndarray) -> np.ndarray:
-    """Phases (..., stations, antennas), rad in (-pi, pi], of beacons at positions (..., 3), m: the true wave.
+    """Phases (..., stations, antennas), rad in (-pi, pi], of spherical waves from beacons at positions (..., 3), m.
 
-    The wave is spherical: the phase of antenna i is -2 pi / lambda times its distance from the beacon. Raises
-    ValueError for stations without an array or with arrays of unequal size.
+    The phase of antenna i is -2 pi / lambda times its distance from the beacon. Raises ValueError for stations without
+    an array or with arrays of unequal size.
     """
     antennas, wavelengths = antenna_arrays(stations)
     x, y, z = np.moveaxis(np.asarray(positions, float)[..., None, None, :], -1, 0)
@@ -33,9 +33,9 @@ def spherical_phases(stations: Sequence[Station], positions: np.ndarray) -> np.n
 
 
 def plane_phases(stations: Sequence[Station], positions: np.ndarray) -> np.ndarray:
-    """Phases (..., stations, antennas) as equation (9) has them: 2 pi / lambda * p_i . u, the beacon infinitely far.
+    """Phases (..., stations, antennas) of plane waves, equation (9): 2 pi / lambda * p_i . u.
 
-    Not what an array receives: for worlds in which a tracker's model is exactly true. Shapes, units and errors as in
+    An approximation for distant beacons; for worlds in which a tracker's model is exact. Shapes, units and errors as in
     `spherical_phases`.
     """
     antenna_arrays(stations)
@@ -49,14 +49,14 @@ def plane_phases(stations: Sequence[Station], positions: np.ndarray) -> np.ndarr
 
 
 def antenna_arrays(stations: Sequence[Station]) -> tuple[np.ndarray, np.ndarray]:
-    """All antennas' places (stations, antennas, 3), m, world frame, and the stations' wavelengths (stations,), m.
+    """Antenna positions (stations, antennas, 3), m, world frame, and wavelengths (stations,), m.
 
     Raises ValueError for no station, for stations without an array or wavelength, and for arrays of unequal size.
     """
     if any(station.antennas is None or station.wavelength is None for station in stations):
-        raise ValueError("phases need stations with antennas and a wavelength; these report angles")
+        raise ValueError("phases need stations with antennas and a wavelength, found a station without")
     sizes = [len(station.antenna_positions()) for station in stations]
     if len(set(sizes)) != 1:
-        raise ValueError(f"phases are one table: give one or more stations with equally many antennas, found {sizes}")
+        raise ValueError(f"phases need one or more stations with equal numbers of antennas, found {sizes}")
     antennas = np.stack([station.antenna_positions() for station in stations])
     return antennas, np.array([station.wavelength for station in stations], float)

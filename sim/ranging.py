@@ -1,7 +1,6 @@
-"""Ranges of tags among anchors: two-way ranging by clocks that differ, and what real rooms do to it, one piece each.
+"""Ranges between tags and anchors: two-way ranging with clock drift, and corruptions of ranges (n, T, anchors), m.
 
-A piece is a `sim.corruptions.Corruption` on ranges (n, T, anchors), m; `drop_outs`, `white_noise`, `gauss_markov` and
-`outliers` of `sim.corruptions` are others.
+`drop_outs`, `white_noise`, `gauss_markov` and `outliers` of `sim.corruptions` apply to ranges, too.
 """
 
 from __future__ import annotations
@@ -23,10 +22,10 @@ from trackers.recordings.folder import RecordingFolder
 from trackers.uwb_imu.ranging import SPEED_OF_LIGHT, double_sided, single_sided
 
 CHAMBER = np.array([[0.0, 0.0, 0.3], [5.0, 0.0, 2.5], [5.0, 5.0, 0.3], [0.0, 5.0, 2.5]])
-"""Four anchors 5 m apart, as in the paper's chamber (section 4.1), m; it prints no heights: low and high in turn."""
+"""Four anchors 5 m apart, m, as in the paper's chamber (section 4.1); heights, not printed, alternate low and high."""
 
 WALK_VOLUME = np.array([[0.8, 0.8, 0.8], [4.2, 4.2, 1.6]])
-"""Where tags move among the chamber's anchors, lower and upper corner, m."""
+"""The volume of the tags' paths in the chamber, lower and upper corner, m."""
 
 WALK: PathFunction = partial(hand_motion, volume=WALK_VOLUME, speed=0.5)
 """Smooth random motion through that volume at 0.5 m/s."""
@@ -34,11 +33,11 @@ WALK: PathFunction = partial(hand_motion, volume=WALK_VOLUME, speed=0.5)
 
 @dataclass(frozen=True)
 class Protocol:
-    """How a range is taken: an anchor asks, the tag answers `reply_s` later, by clocks of their own.
+    """A two-way ranging protocol: an anchor polls, the tag replies after `reply_s`, each with its own clock.
 
-    `drift`: the standard deviation of a clock's rate about the true one; crystals have 1e-5. `sigma_stamp`: the noise
-    of a time stamp, s. `double_sided`: whether a second turn follows, which cancels the drift; without it nothing is
-    known of the drift, and 1e-5 over 0.3 ms makes half a metre.
+    `drift`: standard deviation of the relative clock rates; crystals have 1e-5. `sigma_stamp`: noise of a time stamp,
+    s. `double_sided`: whether a second exchange cancels the drift; otherwise 1e-5 over 0.3 ms is an error of half a
+    metre.
     """
 
     reply_s: float = 0.3e-3
@@ -49,32 +48,32 @@ class Protocol:
     def __post_init__(self) -> None:
         if not (self.reply_s > 0 and self.drift >= 0 and self.sigma_stamp >= 0):
             raise ValueError(
-                f"a reply takes a positive time, drift and noise aren't negative: found {self.reply_s} s, "
-                f"{self.drift}, {self.sigma_stamp} s"
+                f"reply_s = {self.reply_s}, drift = {self.drift}, sigma_stamp = {self.sigma_stamp}: expected a "
+                "positive time, and drift and noise of 0 or more"
             )
 
 
 def two_way_ranges(keys: Keys, distances: np.ndarray, protocol: Protocol) -> np.ndarray:
-    """Ranges (n, T, anchors), m, as the protocol takes them of the distances; every node's drift stays as it is."""
+    """Ranges (n, T, anchors), m, measured by the protocol at these distances; the drift of a node is constant."""
     rows, anchors = distances.shape[1:]
     flight = distances / SPEED_OF_LIGHT
     rates = 1.0 + protocol.drift * normals(stream(keys, "clocks"), (anchors + 1,)).astype(float)
     tag, anchor = rates[:, None, :1], rates[:, None, 1:]
-    # Intervals between two stamps each, every stamp with its own noise.
+    # Every interval lies between two time stamps, each with independent noise.
     stamps = protocol.sigma_stamp * normals(stream(keys, "stamps"), (rows, anchors, 6)).astype(float)
-    asked, heard, answered, back, again, end = np.moveaxis(stamps, -1, 0)
+    poll_sent, poll_received, reply_sent, reply_received, final_sent, final_received = np.moveaxis(stamps, -1, 0)
     reply = protocol.reply_s
-    total = (2.0 * flight + reply) * anchor + back - asked
-    wait = reply * tag + answered - heard
+    total = (2.0 * flight + reply) * anchor + reply_received - poll_sent
+    wait = reply * tag + reply_sent - poll_received
     if not protocol.double_sided:
         return single_sided(total, wait)
-    second_total = (2.0 * flight + reply) * tag + end - answered
-    second_wait = reply * anchor + again - back
+    second_total = (2.0 * flight + reply) * tag + final_received - reply_sent
+    second_wait = reply * anchor + final_sent - reply_received
     return double_sided(total, wait, second_total, second_wait)
 
 
 def antenna_biases(sigma: float, mean: float = 0.0) -> Corruption:
-    """A constant bias of every anchor's ranges, m, normal about `mean`: antenna delays that nobody measured."""
+    """A constant bias of each anchor's ranges, m, normal about `mean`: uncalibrated antenna delays."""
 
     def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         biases = mean + sigma * normals(keys, (values.shape[2],))
@@ -84,14 +83,14 @@ def antenna_biases(sigma: float, mean: float = 0.0) -> Corruption:
 
 
 def obstruction(share: float, mean_length_s: float, bias: float, tail: float) -> Corruption:
-    """No line of sight for a `share` of the time, `mean_length_s` at a stretch: a detour of `bias` m, and a heavy tail.
+    """No line of sight to an anchor for a `share` of the time, `mean_length_s` at a stretch on average.
 
-    While an anchor is hidden its ranges are too long by `bias`, and by exponential numbers of mean `tail` m.
+    Meanwhile its ranges are too long by `bias` m plus exponential noise of mean `tail` m.
     """
     if not (0 <= share < 1 and mean_length_s >= 0 and bias >= 0 and tail >= 0):
         raise ValueError(
-            f"a share lies in 0..1, length, bias and tail aren't negative: found {share}, {mean_length_s} s, {bias} m, "
-            f"{tail} m"
+            f"share = {share}, mean length {mean_length_s} s, bias {bias} m, tail {tail} m: expected a share from 0 to "
+            "below 1, the others 0 or more"
         )
 
     def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -103,20 +102,20 @@ def obstruction(share: float, mean_length_s: float, bias: float, tail: float) ->
     return corrupt
 
 
-def on_anchors(anchors: Sequence[int], piece: Corruption) -> Corruption:
-    """The piece on the ranges of some anchors alone; they count from 0 in the rig's order."""
+def on_anchors(anchors: Sequence[int], corruption: Corruption) -> Corruption:
+    """The corruption restricted to the ranges of some anchors, which count from 0 in the rig's order."""
     chosen = list(anchors)
 
     def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         values, seen = values.copy(), seen.copy()
-        values[..., chosen], seen[..., chosen] = piece(keys, times, values[..., chosen], seen[..., chosen])
+        values[..., chosen], seen[..., chosen] = corruption(keys, times, values[..., chosen], seen[..., chosen])
         return values, seen
 
     return corrupt
 
 
 def round_robin() -> Corruption:
-    """Anchors in turn, one a row, where otherwise a row holds all of them."""
+    """Polling of the anchors in turn: one range per row instead of one to every anchor."""
 
     def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         turn = np.arange(values.shape[1])[:, None] % values.shape[2] == np.arange(values.shape[2])
@@ -158,7 +157,7 @@ class SimulatedRanges:
 
 
 def chamber(anchors: np.ndarray = CHAMBER) -> Rig:
-    """A room with anchors (A, 3), m, by default the paper's chamber."""
+    """The rig of a room with anchors (A, 3), m, by default those of the paper's chamber."""
     return Rig("chamber", anchors={f"A{k + 1}": np.asarray(a, float) for k, a in enumerate(anchors)})
 
 
@@ -174,16 +173,17 @@ def simulate_ranges(
     corruptions: Mapping[str, Corruption] = MappingProxyType({}),
     ids: Sequence[int] | np.ndarray | None = None,
 ) -> SimulatedRanges:
-    """`n` tags on paths of (keys, times), `n_points` rows of ranges to all anchors of the rig.
+    """`n` trajectories of `n_points` rows of ranges to all anchors of the rig, with truth.
 
-    `corruptions`: name -> piece, in order; the name is the piece's random stream. A tag depends on the seed and its id,
-    on no other. Raises ValueError for a rig without anchors and for ids that aren't `n`.
+    `corruptions`: by name, which is the random stream, in order. `ids`: trajectory ids, 0 … n − 1 by default; a
+    trajectory depends on the seed and its id alone. Raises ValueError for a rig without anchors and for ids that aren't
+    `n`.
     """
     if not rig.anchors:
-        raise ValueError("ranges take anchors, this rig has none")
+        raise ValueError("ranges need anchors, found a rig without")
     every = np.arange(n) if ids is None else np.asarray(ids)
     if len(every) != n:
-        raise ValueError(f"as many ids as trajectories are needed, n = {n}: found {len(every)}")
+        raise ValueError(f"expected as many ids as trajectories, n = {n}: found {len(every)}")
     keys = trajectory_keys(seed, every)
     times = np.arange(n_points) / rate_hz
     positions = path(stream(keys, "path"), times)

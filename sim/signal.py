@@ -1,7 +1,7 @@
-"""The signal level of paper A: sampled FMCW baseband signals per antenna, and the phases a station reads off them.
+"""The signal level of paper A: sampled FMCW baseband signals per antenna, and the phases estimated from them.
 
-Equations (1)-(3), section 4. The beacon's ramp arrives after its flight and mixes with the station's own, which started
-at an unknown time and phase: a tone whose frequency says how late and whose phase says where the beacon is.
+Equations (1)-(3), section 4. The beacon's ramp arrives after its time of flight and is mixed with the station's own,
+which started at an unknown time and phase: a tone whose frequency gives the delay and whose phase gives the direction.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from trackers.core.rig import Station
 
 @dataclass(frozen=True)
 class Radar:
-    """An FMCW receiver; the carrier, in the middle of the ramp, is the station's wavelength.
+    """An FMCW receiver; the wavelength at the middle of the ramp is that of the station.
 
-    `snr`: power of the direct tone over noise power in one sample of one antenna (a ratio; infinite for no noise).
-    `bandwidth_hz` over `ramp_s`: the ramp. `n_samples` in that time. `cutoff_hz`: of the low-pass before sampling,
-    fourth-order Butterworth (the paper prints 5 GHz, which no baseband has). `sync_s`: range of the station's unknown
-    start, tau_m, uniform, new in every row.
+    `snr`: power of the direct tone over noise power in one sample of one antenna (a ratio; infinite for no noise). The
+    ramp: `bandwidth_hz` in `ramp_s`, `n_samples` in that time. `cutoff_hz`: of the low-pass before sampling,
+    fourth-order Butterworth (the printed 5 GHz cannot be that of a baseband). `sync_s`: range of the station's unknown
+    start, tau_m, uniform and independent in every row.
     """
 
     snr: float = 1.0
@@ -38,23 +38,22 @@ class Radar:
         tone = self.bandwidth_hz / self.ramp_s * np.asarray(self.sync_s)
         if not (self.snr > 0 and 0 < tone[0] <= tone[1] < self.n_samples / self.ramp_s / 2):
             raise ValueError(
-                f"the tone of a radar lies between 0 and half the sampling rate and its snr is positive, found "
-                f"{tone[0]:.4g}..{tone[1]:.4g} Hz, {self.n_samples / self.ramp_s:.4g} samples/s, snr {self.snr}"
+                f"radar tone {tone[0]:.4g}..{tone[1]:.4g} Hz at {self.n_samples / self.ramp_s:.4g} samples/s, snr "
+                f"{self.snr}: expected a tone between 0 and half the sampling rate and a positive snr"
             )
 
     @property
     def sigma_p(self) -> float:
-        """The phase noise, rad, to give the phase level for the same spread."""
+        """The phase noise, rad, that has the same standard deviation at the phase level."""
         return phase_sigma(self.snr, self.n_samples)
 
 
 @dataclass(frozen=True)
 class Reflector:
-    """A large flat thing that adds a delayed copy of the beacon, as if from its mirror image.
+    """A large plane reflector that adds a delayed copy of the beacon's signal, as if from its mirror image.
 
-    `point` on it (3,), m; `normal` (3,); `gain`: amplitude of the copy over the direct wave's. A copy with the same
-    extra path at all antennas would be a factor common to them and change no phase difference: what harms is the
-    image's other direction.
+    `point` on the plane (3,), m; `normal` (3,); `gain`: amplitude ratio of the copy to the direct wave. The error of
+    phase differences comes from the direction of the image: a copy with equal extra path at all antennas causes none.
     """
 
     point: np.ndarray
@@ -74,7 +73,7 @@ def phase_sigma(snr: float, n_samples: int) -> float:
     Amplitude A and noise sigma make a sample's snr A² / (2 sigma²). The peak is N A / 2 times sinc(d) with the tone d
     bins from the bin's middle; noise there has the standard deviation sigma sqrt(N / 2) across it. The quotient is
     1 / (sqrt(N snr) sinc(d)). Coarse synchronisation makes d uniform on +-1/2, and the mean of 1 / sinc² is 2 ln 2.
-    Small angles: valid while the result is well below 1 rad.
+    A small-angle approximation: valid well below 1 rad.
     """
     return float(np.sqrt(2 * np.log(2) / (n_samples * snr)))
 
@@ -88,34 +87,35 @@ def signal_phases(
     reflectors: Sequence[Reflector] = (),
     offsets: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Phases (n, T, stations, antennas), rad in (-pi, pi], read off sampled signals of beacons at positions (n, T, 3).
+    """Phases (n, T, stations, antennas), rad in (-pi, pi], from sampled signals of beacons at positions (n, T, 3), m.
 
-    `offsets`: constant phase offsets that nobody calibrated, (antennas,) or (stations, antennas), rad. Needs memory for
-    n T stations antennas samples. Raises ValueError for stations as in `sim.phases.spherical_phases`.
+    `offsets`: constant uncalibrated phase offsets, (antennas,) or (stations, antennas), rad. Holds all n × T × stations
+    × antennas signals in memory. Raises ValueError for stations as `sim.phases.spherical_phases`.
     """
     antennas, wavelengths = antenna_arrays(stations)
     positions = np.asarray(positions, float)
     rows = (*positions.shape[:2], len(stations))
-    places = np.broadcast_to(antennas, rows[:2] + antennas.shape)
+    antennas_at_rows = np.broadcast_to(antennas, rows[:2] + antennas.shape)
     earliest, latest = radar.sync_s
     sync = earliest + (latest - earliest) * uniforms(stream(keys, "sync"), rows[1:]).astype(float)
     common = 2 * np.pi * uniforms(stream(keys, "common phase"), rows[1:]).astype(float)[..., None]
     if offsets is not None:
         common = common - np.broadcast_to(np.asarray(offsets, float), antennas.shape[:2])
 
-    # Time counts from the middle of the ramp, and so does the carrier. The spectrum of such a window is real: the
-    # peak's phase is that of the carrier in whichever bin the peak lies. Counted from the ramp's start, the phase would
-    # take half a turn per bin along, and antennas, whose tones differ by some hundredths of a bin, would be biased.
+    # Time and carrier phase are counted from the middle of the ramp. The spectrum of a window centred at zero is real,
+    # so that the phase at the peak is that of the carrier, whatever the bin. Counted from the start of the ramp, the
+    # phase would change by half a turn per bin, and antennas, whose tones differ by hundredths of a bin, would be
+    # biased.
     t = (np.arange(radar.n_samples) - (radar.n_samples - 1) / 2) * (radar.ramp_s / radar.n_samples)
     chirp = radar.bandwidth_hz / radar.ramp_s
     carrier = 2 * np.pi * SPEED_OF_LIGHT / wavelengths[:, None]
 
-    baseband = np.zeros(places.shape[:-1] + t.shape)
+    baseband = np.zeros(antennas_at_rows.shape[:-1] + t.shape)
     for beacon, gain in [(positions, 1.0), *((r.image(positions), r.gain) for r in reflectors)]:
-        flight = np.sqrt(((beacon[:, :, None, None] - places) ** 2).sum(axis=-1)) / SPEED_OF_LIGHT
+        flight = np.sqrt(((beacon[:, :, None, None] - antennas_at_rows) ** 2).sum(axis=-1)) / SPEED_OF_LIGHT
         delay = sync[..., None] + flight
         tone = chirp * delay
-        # The low-pass comes before sampling. It shifts every antenna's phase alike, so that its gain is all it does.
+        # The low-pass acts before sampling. Its phase shift is common to all antennas: only its gain matters.
         passed = gain / np.sqrt(1 + (tone / radar.cutoff_hz) ** 8)
         baseband += passed[..., None] * np.cos(
             (2 * np.pi * tone)[..., None] * t + (carrier * delay + common)[..., None]
@@ -126,11 +126,11 @@ def signal_phases(
 
 
 def _peak_phase(baseband: np.ndarray) -> np.ndarray:
-    """Phase (..., antennas) in the bin where the magnitude spectra of (..., antennas, N) samples sum to the most.
+    """Phase (..., antennas) in the bin with the largest sum of magnitude spectra of samples (..., antennas, N).
 
-    By equation (2) it grows with distance. Equation (9) and the recordings have it fall: callers take the conjugate.
+    By equation (2) it grows with distance; by equation (9) and in the recordings it falls: callers take the conjugate.
     """
-    # The FFT counts time from its first sample, which at one bin turns all antennas alike and so changes nothing.
+    # The FFT counts time from the first sample: in one bin, a rotation common to all antennas, without effect.
     spectrum = np.fft.rfft(baseband)
     peak = np.abs(spectrum).sum(axis=-2).argmax(axis=-1)[..., None, None]
     return np.angle(np.take_along_axis(spectrum, peak, axis=-1)[..., 0])

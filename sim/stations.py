@@ -20,7 +20,7 @@ from trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
 from trackers.core.rig import Rig, Station
 from trackers.recordings.folder import RecordingFolder
 
-# One shape for every chunk, the last one padded: nothing is compiled twice, and a chunk stays in the processor's cache.
+# All chunks have one shape, the last one padded: nothing is compiled twice, and a chunk fits the processor's cache.
 _CHUNK, _SIGNAL_CHUNK = 64, 2
 _BELOW_PI = np.nextafter(np.float32(np.pi), np.float32(0))
 
@@ -60,7 +60,7 @@ class SimulatedPhases:
 
 
 def work_station(antennas: np.ndarray | None = None, radius: float = 0.4) -> Rig:
-    """The paper's work stand: three stations 1 m above the lid of the work volume, `radius` m off its middle line.
+    """The paper's work stand: three stations 1 m above the work volume, at `radius` m from its vertical axis.
 
     Each faces the centre of the volume, all of which lies within 29 degrees of its boresight (at 0.4 m); the x axis of
     its array is horizontal, along the world's -x. `antennas` (n, 2), m: another array than the default one, whose
@@ -78,18 +78,18 @@ def work_station(antennas: np.ndarray | None = None, radius: float = 0.4) -> Rig
 
 
 def facing(position: np.ndarray, target: np.ndarray, up: Sequence[float] = (0.0, 1.0, 0.0)) -> np.ndarray:
-    """The quaternion w, x, y, z (4,), array frame -> world frame, of a station at `position` that looks at `target`.
+    """The quaternion w, x, y, z (4,), array frame -> world frame, of a station whose boresight points at `target`.
 
-    The array's y axis is as near to `up`, a world direction, as it can be. Raises ValueError where `up` is the line of
-    sight.
+    The array's y axis is as close as possible to `up`, a direction in the world. Raises ValueError where `up` is the
+    line of sight.
     """
     z = np.asarray(target, float) - position
     x = np.cross(up, z)
     if not np.linalg.norm(x) > 1e-9 * np.linalg.norm(z):
-        raise ValueError(f"a station at {position} looks at {target} along its own up direction {up}: choose another")
+        raise ValueError(f"a station at {position} that faces {target}: up direction {up} is its line of sight")
     x, z = x / np.linalg.norm(x), z / np.linalg.norm(z)
     (a, b, c), (d, e, f), (g, h, i) = np.stack([x, np.cross(z, x), z], axis=1)
-    # Four times q q': its row with the largest diagonal has no cancellation, even for a station looking straight down.
+    # Four times q q': the row with the largest diagonal has no cancellation, even for a station that faces down.
     product = np.array(
         [
             [1 + a + e + i, h - f, c - g, d - b],
@@ -119,25 +119,26 @@ def simulate_phases(
 ) -> SimulatedPhases:
     """`n` trajectories of `n_points` rows of phases at all stations of the rig, with truth.
 
-    Phase level: the phases of a spherical (or plane) wave, one random common offset per row and station, white noise of
-    `sigma_p` rad, zero for none. With a `radar`, signal level: phases read off sampled signals with the radar's noise
-    and `reflectors` in the scene, `sigma_p` and `wave` unused; some hundred times slower. `corruptions`: name -> piece,
-    in order; the name is the piece's random stream. `ids`: trajectory ids, 0..n-1 if not given; a trajectory depends
-    on the seed and its id, on no other. Raises ValueError for what it doesn't know and for stations without arrays.
+    Phase level: phases of a spherical (or plane) wave, a random common offset per row and station, white noise of
+    `sigma_p` rad. With a `radar`, signal level: phases estimated from sampled signals with the radar's noise and with
+    `reflectors`; `sigma_p` and `wave` are unused; about a hundred times slower. `corruptions`: by name, which is the
+    random stream, in order. `ids`: trajectory ids, 0 … n − 1 by default; a trajectory depends on the seed and its id
+    alone. Raises ValueError for an unknown path or wave, for reflectors without a radar, for ids that aren't `n`, for a
+    rate or number of points that isn't positive and for stations without arrays.
     """
     stations = list(rig.stations.values())
     shape = antenna_arrays(stations)[0].shape[:2]
     every = np.arange(n) if ids is None else np.asarray(ids)
     if len(every) != n:
-        raise ValueError(f"as many ids as trajectories are needed, n = {n}: found {len(every)}")
+        raise ValueError(f"expected as many ids as trajectories, n = {n}: found {len(every)}")
     if wave not in ("spherical", "plane"):
-        raise ValueError(f"a wave is 'spherical' or 'plane', found {wave!r}")
+        raise ValueError(f"wave = {wave!r}: expected 'spherical' or 'plane'")
     if radar is None and reflectors:
-        raise ValueError("reflectors delay signals: give a radar too")
+        raise ValueError("reflectors act on sampled signals: give a radar, too")
     if not (rate_hz > 0 and n_points >= 1):
-        raise ValueError(f"rate and number of points are positive, found {rate_hz} Hz and {n_points}")
+        raise ValueError(f"rate {rate_hz} Hz, {n_points} points: expected positive numbers")
     move = _path_of(path)
-    pieces = {"phase noise": white_noise(sigma_p)} if sigma_p > 0 and radar is None else {}
+    noise = {"phase noise": white_noise(sigma_p)} if sigma_p > 0 and radar is None else {}
     times = np.arange(n_points) / rate_hz
 
     positions = np.empty((n, n_points, 3))
@@ -155,9 +156,9 @@ def simulate_phases(
             values = ideal + common[..., None]
         else:
             values = signal_phases(stream(keys, "radar"), stations, where, radar, reflectors=reflectors)
-        values, visible = corrupted(pieces, keys, times, values.astype(np.float32), np.ones(values.shape, bool))
+        values, visible = corrupted(noise, keys, times, values.astype(np.float32), np.ones(values.shape, bool))
         values, visible = corrupted(corruptions, stream(keys, "corruptions"), times, values, visible)
-        # Rounded to float32, pi lies above pi: the clip keeps the range what it says.
+        # In float32, pi is rounded up: the clip keeps the values in (-pi, pi].
         values = np.clip(wrapped(values).astype(np.float32), -_BELOW_PI, _BELOW_PI)
         positions[here] = where[: len(chunk)]
         phases[here] = np.where(visible, values, np.float32(0))[: len(chunk)]
@@ -169,5 +170,5 @@ def _path_of(path: str | PathFunction) -> PathFunction:
     if not isinstance(path, str):
         return path
     if path not in PATHS:
-        raise ValueError(f"there is no path '{path}'; known: {', '.join(PATHS)}; or give a function (keys, times)")
+        raise ValueError(f"path '{path}' is unknown; known: {', '.join(PATHS)}; or give a function (keys, times)")
     return PATHS[path]

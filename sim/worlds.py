@@ -95,27 +95,27 @@ def station(
         masked_antenna: a station and one of its antennas (1 … 8) without any measurement.
     """
     rig = work_station()
-    pieces: dict[str, Corruption] = {}
+    errors: dict[str, Corruption] = {}
     if gauss_markov > 0:
-        pieces["gauss-markov"] = corruptions.gauss_markov(gauss_markov, 1.0)
+        errors["gauss-markov"] = corruptions.gauss_markov(gauss_markov, 1.0)
     if outliers > 0:
-        pieces["outliers"] = corruptions.outliers(outliers, np.pi)
+        errors["outliers"] = corruptions.outliers(outliers, np.pi)
     if drop_outs > 0:
-        pieces["drop-outs"] = corruptions.drop_outs(drop_outs)
+        errors["drop-outs"] = corruptions.drop_outs(drop_outs)
     stations = list(rig.stations)
     if lost_station is not None:
         if lost_station not in stations:
             raise ParameterError("lost_station", lost_station, f"one of the stations {', '.join(stations)}")
-        pieces["lost station"] = corruptions.lose_station(stations.index(lost_station))
+        errors["lost station"] = corruptions.lose_station(stations.index(lost_station))
     if masked_antenna is not None:
         name, antenna = masked_antenna
         if name not in stations or not 1 <= antenna <= 8:
             expected = f"one of the stations {', '.join(stations)} and an antenna from 1 to 8"
             raise ParameterError("masked_antenna", masked_antenna, expected)
-        pieces["masked antenna"] = corruptions.mask_antenna(stations.index(name), antenna - 1)
+        errors["masked antenna"] = corruptions.mask_antenna(stations.index(name), antenna - 1)
     ids = _ids(n, ids)
     world = simulate_phases(
-        rig, path, len(ids), seed, rate_hz=rate_hz, n_points=rows, sigma_p=sigma_p, corruptions=pieces, ids=ids
+        rig, path, len(ids), seed, rate_hz=rate_hz, n_points=rows, sigma_p=sigma_p, corruptions=errors, ids=ids
     )
     return SimulatedWorld(f"simulated-{path}-{seed}", world)
 
@@ -164,18 +164,18 @@ def ranges(
         hidden: share of the time for which an anchor has no line of sight, and its ranges are too long.
         lost: share of the ranges that are missing.
     """
-    pieces: dict[str, Corruption] = {}
+    errors: dict[str, Corruption] = {}
     if bias > 0:
-        pieces["biases"] = antenna_biases(bias)
+        errors["biases"] = antenna_biases(bias)
     if hidden > 0:
-        pieces["hidden"] = obstruction(hidden, 2.0, 0.3, 0.3)
+        errors["hidden"] = obstruction(hidden, 2.0, 0.3, 0.3)
     if sigma_r > 0:
-        pieces["white"] = corruptions.white_noise(sigma_r)
+        errors["white"] = corruptions.white_noise(sigma_r)
     if lost > 0:
-        pieces["lost"] = corruptions.drop_outs(lost)
+        errors["lost"] = corruptions.drop_outs(lost)
     ids = _ids(n, ids)
     world = simulate_ranges(
-        chamber(), n=len(ids), seed=seed, rate_hz=rate_hz, n_points=rows, corruptions=pieces, ids=ids
+        chamber(), n=len(ids), seed=seed, rate_hz=rate_hz, n_points=rows, corruptions=errors, ids=ids
     )
     return SimulatedWorld(f"simulated-ranges-{seed}", world)
 
@@ -227,15 +227,15 @@ def agv(
         mirror: share of the time for which heights are mirrored at the anchors' plane.
     """
     # Corruptions that depend on the true path come before those that add noise.
-    pieces: dict[str, Corruption] = {}
+    errors: dict[str, Corruption] = {}
     if latency > 0:
-        pieces["late"] = delayed(latency)
+        errors["late"] = delayed(latency)
     if mirror > 0:
-        pieces["mirrored"] = mirrored_heights(ANCHOR_HEIGHT, mirror, 3.0)
-    pieces |= FIX_ERRORS
+        errors["mirrored"] = mirrored_heights(ANCHOR_HEIGHT, mirror, 3.0)
+    errors |= FIX_ERRORS
     if wild > 0:
-        pieces["wild"] = corruptions.outliers(wild, 2.0)
-    world = simulate_agv(_ids(n, ids).tolist(), seed, speed=speed, rows=rows, errors=pieces)
+        errors["wild"] = corruptions.outliers(wild, 2.0)
+    world = simulate_agv(_ids(n, ids).tolist(), seed, speed=speed, rows=rows, errors=errors)
     return SimulatedWorld(f"simulated-agv-{seed}", world)
 
 

@@ -1,4 +1,4 @@
-"""The workshop's world: a route that the vehicle can drive, and errors that are what their pieces say."""
+"""The workshop's world: a route within the limits of the vehicle, and corruptions of fixes with their stated statistics."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def _apply(piece, values=STRAIGHT, n=1):
 
 
 @pytest.mark.parametrize("speed", [0.3, 1.4])
-def test_the_vehicle_keeps_its_speed_and_its_limits(speed):
+def test_the_vehicle_keeps_its_speed_within_its_limits(speed):
     world = simulate_agv(3, speed=speed, errors={})
     velocity = np.diff(world.positions, axis=1) * 10
     assert world.positions.shape == (3, 2000, 3)
@@ -46,14 +46,14 @@ def test_the_route_closes_and_is_as_long_as_its_parts():
     np.testing.assert_allclose(np.abs(places).max(axis=0), [4.0, 2.5])
 
 
-def test_what_the_vehicle_cannot_do_is_refused():
+def test_speeds_beyond_the_limits_of_the_vehicle_are_refused():
     with pytest.raises(ValueError, match="at most"):
         simulate_agv(1, speed=1.9)
     with pytest.raises(ValueError, match="do not fit"):
         Route(4.0, 2.0, 1.5)
 
 
-def test_a_vehicle_is_the_same_whatever_others_there_are():
+def test_a_vehicle_does_not_depend_on_the_others():
     together, alone = simulate_agv(5, rows=100), simulate_agv([3], rows=100)
     np.testing.assert_array_equal(together.fixes[3], alone.fixes[0])
 
@@ -66,17 +66,17 @@ def test_noise_has_the_papers_covariance():
     assert np.abs((found - STILL) / np.outer(sigmas, sigmas)).max() < 0.04
 
 
-def test_a_late_fix_is_where_the_tag_was():
+def test_a_delayed_fix_is_the_earlier_position():
     np.testing.assert_allclose(_apply(delayed(0.4))[0, 4:], STRAIGHT[0, :-4], atol=1e-12)
 
 
-def test_a_sluggish_device_trails_a_steady_tag_by_its_time_constant():
+def test_a_first_order_lag_delays_uniform_motion_by_its_time_constant():
     shown = _apply(first_order_lag(0.4))
     np.testing.assert_allclose(shown[0, 100:], STRAIGHT[0, 100:] - 0.4 * np.array([0.5, -0.2, 0.1]), atol=1e-9)
     np.testing.assert_array_equal(_apply(first_order_lag(0.0)), STRAIGHT)
 
 
-def test_mirrored_heights_are_the_images_for_the_share_and_the_length_asked_for():
+def test_mirrored_heights_have_the_stated_share_and_mean_length():
     values = np.tile([0.0, 0.0, 1.0], (200, 400, 1))
     z = _apply(mirrored_heights(1.5, 0.3, 2.0), values, 200)[..., 2]
     assert set(np.unique(z)) == {1.0, 2.0}
@@ -96,8 +96,8 @@ def test_mirrored_heights_are_the_images_for_the_share_and_the_length_asked_for(
         lambda: mirrored_heights(1, 1, 1),
     ],
 )
-def test_pieces_that_make_no_sense_are_refused(make):
-    with pytest.raises(ValueError, match="found"):
+def test_invalid_corruptions_of_fixes_are_refused(make):
+    with pytest.raises(ValueError, match="expected"):
         make()
 
 

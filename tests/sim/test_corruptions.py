@@ -1,4 +1,4 @@
-"""Each piece does what its name says, and none touches another's noise."""
+"""Corruptions: their stated statistics, and noise that is independent of other corruptions."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ CLEAN = np.zeros((N, T, STATIONS, ANTENNAS), np.float32)
 SEEN = np.ones(CLEAN.shape, bool)
 
 
-def test_white_noise_is_independent_and_of_its_sigma():
+def test_white_noise_is_independent_with_standard_deviation_sigma():
     noise, seen = white_noise(0.3)(KEYS, TIMES, CLEAN, SEEN)
     # 216,000 values: a standard error of 0.15 % of sigma, 0.2 % of a correlation.
     assert noise.std() == pytest.approx(0.3, rel=0.007)
@@ -33,7 +33,7 @@ def test_white_noise_is_independent_and_of_its_sigma():
         assert abs(np.mean(first * second)) < 0.01 * 0.09
 
 
-def test_gauss_markov_noise_is_stationary_and_forgets_with_its_time_constant_on_irregular_times():
+def test_gauss_markov_noise_is_stationary_with_its_time_constant_on_irregular_times():
     drift, _ = gauss_markov(0.5, tau=1.5)(KEYS, TIMES, CLEAN, SEEN)
     channels = drift.transpose(0, 2, 3, 1).reshape(-1, T).astype(float)
     covariance = channels.T @ channels / len(channels)
@@ -42,7 +42,7 @@ def test_gauss_markov_noise_is_stationary_and_forgets_with_its_time_constant_on_
     np.testing.assert_allclose(covariance, expected, rtol=0, atol=0.03)
 
 
-def test_outliers_hit_their_share_with_their_size():
+def test_outliers_have_the_stated_share_and_size():
     values, seen = outliers(0.05, 2.0)(KEYS, TIMES, CLEAN, SEEN)
     hit = values != 0
     # 216,000 values, 10,800 hits: standard errors of 0.0005 and 0.7 %.
@@ -52,7 +52,7 @@ def test_outliers_hit_their_share_with_their_size():
 
 
 @pytest.mark.parametrize("length", [0.0, 0.8])
-def test_drop_outs_lose_their_share_of_rows_from_first_to_last(length):
+def test_drop_outs_have_the_stated_share_at_every_row(length):
     _, seen = drop_outs(0.2, length)(KEYS, TIMES, CLEAN, SEEN)
     assert np.array_equal(seen.any(axis=-1), seen.all(axis=-1))
     lost = ~seen[..., 0]
@@ -60,7 +60,7 @@ def test_drop_outs_lose_their_share_of_rows_from_first_to_last(length):
     np.testing.assert_allclose(lost.mean(axis=(0, 2)), 0.2, atol=0.06)
 
 
-def test_drop_outs_last_as_long_as_stated_and_do_not_depend_on_the_rate():
+def test_drop_outs_have_the_stated_mean_length_at_any_rate():
     for dt in (0.05, 0.2):
         times = np.arange(0, 40, dt)
         values = np.zeros((N, len(times), 1, 1))
@@ -87,7 +87,7 @@ def test_a_masked_antenna_is_never_seen_and_nothing_else_changes():
     assert SEEN.all()
 
 
-def test_a_lost_station_is_lost_from_its_time_until_before_its_end():
+def test_a_lost_station_has_no_measurements_from_its_start_until_before_its_end():
     _, seen = lose_station(2, TIMES[10], TIMES[20])(KEYS, TIMES, CLEAN, SEEN)
     assert not seen[:, 10:20, 2].any()
     assert seen.sum() == seen.size - N * 10 * ANTENNAS
@@ -95,13 +95,13 @@ def test_a_lost_station_is_lost_from_its_time_until_before_its_end():
     assert not seen[:, :, 0].any()
 
 
-def test_constant_offsets_move_each_antenna_by_its_own():
+def test_every_antenna_has_its_own_constant_offset():
     offsets = np.arange(STATIONS * ANTENNAS).reshape(STATIONS, ANTENNAS)
     values, _ = constant_offsets(offsets)(KEYS, TIMES, CLEAN, SEEN)
     np.testing.assert_array_equal(values, np.broadcast_to(offsets, CLEAN.shape))
 
 
-def test_adding_a_piece_changes_no_noise_of_another():
+def test_adding_a_corruption_changes_no_noise_of_another():
     some = {"noise": white_noise(0.1), "drop-outs": drop_outs(0.1, 0.5)}
     more = {"drift": gauss_markov(1.0, 2.0), "wild": outliers(0.1, 3.0), **some, "second noise": white_noise(0.1)}
     without = corrupted(some, KEYS, TIMES, CLEAN, SEEN)
@@ -112,7 +112,7 @@ def test_adding_a_piece_changes_no_noise_of_another():
     assert np.array_equal(within[1], without[1])
 
 
-def test_two_pieces_of_one_kind_have_noise_of_their_own():
+def test_two_corruptions_of_one_kind_have_independent_noise():
     once = corrupted({"a": white_noise(1.0)}, KEYS, TIMES, CLEAN, SEEN)[0]
     twice = corrupted({"a": white_noise(1.0), "b": white_noise(1.0)}, KEYS, TIMES, CLEAN, SEEN)[0]
     # Equal noise would add up to twice, not the square root of two.
@@ -133,6 +133,6 @@ def test_two_pieces_of_one_kind_have_noise_of_their_own():
         lambda: lose_station(STATIONS)(KEYS, TIMES, CLEAN, SEEN),
     ],
 )
-def test_impossible_pieces_are_refused(make):
-    with pytest.raises(ValueError, match=r"found|does not exist"):
+def test_invalid_corruptions_are_refused(make):
+    with pytest.raises(ValueError, match=r"expected|does not exist"):
         make()

@@ -1,4 +1,4 @@
-"""Random numbers belong to (seed, trajectory id, stream), and to nothing else."""
+"""Random numbers depend on (seed, trajectory id, stream) alone."""
 
 import jax
 import numpy as np
@@ -39,6 +39,6 @@ def test_draws_are_the_same_float32_numbers_whatever_precision_jax_runs_in(doubl
 
 
 @pytest.mark.parametrize("ids", [[-1], [2**32], [0.5], [[1]]])
-def test_ids_that_are_no_key_are_refused(ids):
+def test_invalid_ids_are_refused(ids):
     with pytest.raises(ValueError, match="trajectory ids"):
         trajectory_keys(0, ids)

@@ -45,12 +45,12 @@ def test_speeds_differ_from_segment_to_segment_and_tag_to_tag():
     assert np.unique(np.round(speeds, 3)).size == speeds.size
 
 
-def test_a_tag_is_the_same_whatever_others_there_are():
+def test_a_tag_does_not_depend_on_the_others():
     many, one = simulate_line("speeds", 4, seed=2), simulate_line("speeds", [3], seed=2)
     np.testing.assert_array_equal(many.fixes[3], one.fixes[0])
 
 
-def test_errors_are_as_large_as_printed_and_half_of_them_last():
+def test_errors_are_as_large_as_printed_and_half_of_their_variance_is_slow():
     world = simulate_line("constant", 200, seed=3)
     error = world.fixes - world.positions
     # 200 tags x 75 s with a time constant of 1.5 s: about 10,000 independent errors.
@@ -60,7 +60,7 @@ def test_errors_are_as_large_as_printed_and_half_of_them_last():
     assert correlation == pytest.approx(0.5 * np.exp(-1.0 / 1.5), abs=0.02)
 
 
-def test_errors_can_be_had_one_by_one_and_a_tag_can_be_carried_off():
+def test_corruptions_apply_one_by_one_and_a_tag_can_be_carried_off():
     away = simulate_line("constant", 1, errors={}, carried_off=(20.0, 30.0, (0.0, 1.5)))
     home = simulate_line("constant", 1, errors={"white": white_noise(1e-6)})
     np.testing.assert_array_equal(away.fixes, away.positions)
@@ -70,11 +70,11 @@ def test_errors_can_be_had_one_by_one_and_a_tag_can_be_carried_off():
     np.testing.assert_allclose(apart[0, ~inside], 0.0)
 
 
-def test_places_along_the_path_are_the_corners_at_the_cumulative_lengths_printed():
+def test_positions_along_the_path_are_the_corners_at_the_printed_cumulative_lengths():
     np.testing.assert_allclose(along(THESIS_KNOTS, np.array([0, 4.05, 6.159, 10.209, 12.295, 16.345])), THESIS_KNOTS)
 
 
 @pytest.mark.parametrize("wrong", [{"situation": "rush"}, {"speed": 0.0}, {"rate_hz": -1.0}])
-def test_a_world_that_is_none_is_refused(wrong):
+def test_unknown_situations_and_invalid_numbers_are_refused(wrong):
     with pytest.raises(ValueError, match="unknown|positive"):
         simulate_line(**wrong)

@@ -63,7 +63,7 @@ def test_varied_helices_turn_either_way_about_different_centres():
 
 
 @pytest.mark.parametrize("volume", [WORK_VOLUME, ELSEWHERE], ids=["work", "elsewhere"])
-def test_a_hand_moves_with_the_stated_speed_and_acceleration(volume):
+def test_hand_motion_has_the_stated_speed_and_acceleration(volume):
     dt, speed = 0.02, 0.4
     path = hand_motion(trajectory_keys(0, np.arange(1500)), np.arange(0, 3, dt), volume, speed=speed)
     velocity = np.diff(path, axis=1) / dt
@@ -74,7 +74,7 @@ def test_a_hand_moves_with_the_stated_speed_and_acceleration(volume):
     assert np.sqrt((acceleration**2).sum(axis=-1).mean()) == pytest.approx(2.9 * speed**2 / reach, rel=0.05)
 
 
-def test_a_hand_visits_all_of_the_volume():
+def test_hand_motion_fills_the_volume():
     places = hand_motion(trajectory_keys(0, np.arange(1500)), np.array([0.0]))[:, 0]
     counts = np.histogram(places[:, 0], bins=5, range=(-0.5, 0.5))[0]
     # 300 each if uniform, which the squash is to some per cent.
@@ -101,7 +101,7 @@ def test_lines_are_either_halted_or_straight_at_the_stated_speed():
         assert all(halt - 2.5 * dt <= length <= halt + 1e-9 for length in lengths)
 
 
-def test_paths_that_cannot_be_are_refused():
+def test_invalid_paths_are_refused():
     with pytest.raises(ValueError, match="does not fit"):
         helix(KEYS, TIMES, radius=0.6)
     with pytest.raises(ValueError, match="positive"):

@@ -1,4 +1,4 @@
-"""Ideal phases: the sign of equation (9), the true wave, and the plane one."""
+"""Ideal phases: the sign of equation (9), spherical and plane waves."""
 
 import numpy as np
 import pytest

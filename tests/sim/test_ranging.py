@@ -34,7 +34,7 @@ def test_perfect_clocks_and_stamps_give_the_distance():
         np.testing.assert_allclose(ranges, DISTANCES, atol=1e-9)
 
 
-def test_single_sided_ranging_shows_half_the_clocks_difference_over_the_reply():
+def test_the_error_of_single_sided_ranging_is_half_the_relative_drift_over_the_reply():
     protocol = Protocol(reply_s=1e-3, drift=1e-5, sigma_stamp=0.0, double_sided=False)
     errors = (two_way_ranges(KEYS, DISTANCES, protocol) - DISTANCES)[:, 0]
     # A difference of two clocks: √2 · 1e-5 · 1 ms · c / 2, from 160 pairs that share a tag's clock by fours.
@@ -42,13 +42,13 @@ def test_single_sided_ranging_shows_half_the_clocks_difference_over_the_reply():
     assert 0.75 < np.sqrt(np.mean(errors**2)) / expected < 1.25
 
 
-def test_double_sided_ranging_cancels_the_clocks():
+def test_double_sided_ranging_cancels_the_clock_drift():
     ranges = two_way_ranges(KEYS, DISTANCES, Protocol(reply_s=1e-3, drift=1e-5, sigma_stamp=0.0))
     # Four sigmas of a clock times 20 m.
     assert np.abs(ranges - DISTANCES).max() < 4.5e-5 * 20
 
 
-def test_stamp_noise_makes_the_range_noise_of_its_formula():
+def test_range_noise_from_time_stamps_agrees_with_its_formula():
     ranges = two_way_ranges(KEYS, DISTANCES, Protocol(drift=0.0, sigma_stamp=1e-10, double_sided=False))
     # Half of four stamps' noise: c · σ · √4 / 2; 16,000 numbers know their spread to half a per cent.
     assert abs(np.std(ranges - DISTANCES) / (SPEED_OF_LIGHT * 1e-10) - 1) < 0.03
@@ -57,7 +57,7 @@ def test_stamp_noise_makes_the_range_noise_of_its_formula():
     assert abs(np.std(double - DISTANCES) / (SPEED_OF_LIGHT * 1e-10 * np.sqrt(12) / 4) - 1) < 0.03
 
 
-def test_obstruction_lengthens_its_share_of_the_ranges_and_no_other():
+def test_obstruction_lengthens_only_the_stated_share_of_the_ranges():
     zero = np.zeros(DISTANCES.shape)
     values, seen = obstruction(0.3, 1.0, 0.25, 0.1)(KEYS, TIMES, zero, zero == 0)
     assert seen.all()
@@ -69,7 +69,7 @@ def test_obstruction_lengthens_its_share_of_the_ranges_and_no_other():
     assert abs(values[struck].mean() - 0.35) < 0.01
 
 
-def test_obstruction_lasts_as_long_as_it_should():
+def test_obstruction_has_the_stated_mean_length():
     zero = np.zeros(DISTANCES.shape)
     struck = obstruction(0.3, 1.0, 0.25, 0.0)(KEYS, TIMES, zero, zero == 0)[0] > 0
     ends = np.sum(struck[:, :-1] & ~struck[:, 1:])
@@ -79,7 +79,7 @@ def test_obstruction_lasts_as_long_as_it_should():
     assert abs(ends / expected - 1) < 0.15
 
 
-def test_one_at_a_time_leaves_one_anchor_a_row_in_turn():
+def test_round_robin_leaves_one_anchor_per_row_in_turn():
     _, seen = round_robin()(KEYS, TIMES, DISTANCES, np.ones(DISTANCES.shape, bool))
     assert (seen.sum(axis=2) == 1).all()
     assert np.argmax(seen[0], axis=1)[:6].tolist() == [0, 1, 2, 3, 0, 1]
@@ -93,7 +93,7 @@ def test_a_tag_depends_on_the_seed_and_its_id_alone():
     np.testing.assert_array_equal(one.positions[0], many.positions[2])
 
 
-def test_the_folder_holds_what_was_seen_and_trackers_take_it():
+def test_the_folder_has_the_seen_ranges_and_gives_the_rows_of_a_tracker():
     world = simulate_ranges(chamber(), n=2, seed=1, n_points=20, corruptions={"turns": round_robin()})
     folder = world.folder("chamber")
     assert folder.tables["ranges"].height == 40
@@ -107,7 +107,7 @@ def test_the_folder_holds_what_was_seen_and_trackers_take_it():
     assert np.array_equal(np.unique(trajectories[1].recording.inputs["anchors"], axis=0), np.unique(CHAMBER, axis=0))
 
 
-def test_a_piece_on_some_anchors_leaves_the_others_alone():
+def test_a_corruption_of_some_anchors_leaves_the_others_unchanged():
     keys, times = trajectory_keys(0, np.arange(2)), np.arange(5.0)
     ranges, seen = np.full((2, 5, 4), 3.0), np.ones((2, 5, 4), bool)
     piece = on_anchors([1, 3], obstruction(0.9, 0.0, 0.5, 0.0))
@@ -118,7 +118,7 @@ def test_a_piece_on_some_anchors_leaves_the_others_alone():
     assert (ranges == 3.0).all()
 
 
-def test_a_level_body_at_rest_feels_gravity_alone():
+def test_a_level_body_at_rest_measures_gravity_alone():
     def rest(keys, times):
         return np.ones((len(keys), len(times), 3))
 
@@ -131,11 +131,11 @@ def test_a_level_body_at_rest_feels_gravity_alone():
     ("wrong", "message"),
     [
         (lambda: Protocol(reply_s=0.0), "positive time"),
-        (lambda: obstruction(1.0, 1.0, 0.1, 0.1), r"lies in 0\.\.1"),
-        (lambda: simulate_ranges(Rig("empty")), "takes? anchors"),
+        (lambda: obstruction(1.0, 1.0, 0.1, 0.1), "share from 0"),
+        (lambda: simulate_ranges(Rig("empty")), "need anchors"),
         (lambda: simulate_ranges(chamber(), n=2, ids=[1]), "as many ids"),
     ],
 )
-def test_what_makes_no_world_is_refused(wrong, message):
+def test_invalid_simulations_are_refused(wrong, message):
     with pytest.raises(ValueError, match=message):
         wrong()

@@ -77,7 +77,7 @@ def test_the_predicted_spread_falls_with_the_root_of_samples_and_snr():
     assert phase_sigma(4.0, 2048) == pytest.approx(phase_sigma(1.0, 512) / 4)
 
 
-def test_the_peak_phase_carries_no_leakage_bias_between_antennas():
+def test_the_peak_phase_has_no_leakage_bias_between_antennas():
     # Antennas' tones differ by up to 0.06 of a bin. Were time counted from the ramp's start, that would be 0.2 rad.
     deviations = _deviations(signal_phases(KEYS, STATIONS, POSITIONS, QUIET))
     assert np.abs(deviations).max() < 2 * IMAGE_LEAKAGE < 0.012
@@ -109,7 +109,7 @@ def test_a_reflector_near_the_beacon_adds_its_mirror_image_to_the_wave():
     np.testing.assert_allclose(_deviations(phases, bent), 0, atol=0.3 / 6 / 0.7 + 2 * IMAGE_LEAKAGE)
 
 
-def test_the_low_pass_keeps_a_loud_far_echo_from_being_taken_for_the_beacon():
+def test_the_low_pass_suppresses_a_strong_distant_echo():
     # Mirrored at 75 m: 150 m or 122 kHz further, three times as loud.
     far = Reflector(np.array([0.0, 75.0, 0.0]), np.array([0.0, 1.0, 0.0]), gain=3.0)
     radars = {cutoff: Radar(snr=np.inf, cutoff_hz=cutoff, sync_s=(0.2e-6, 0.25e-6)) for cutoff in (80e3, 1e9)}
@@ -130,6 +130,6 @@ def test_a_trajectorys_signals_are_the_same_in_any_batch(noisy):
 @pytest.mark.parametrize(
     "settings", [{"snr": 0.0}, {"n_samples": 64}, {"sync_s": (0.0, 1e-6)}, {"sync_s": (2e-7, 1e-7)}]
 )
-def test_a_radar_that_could_not_see_the_tone_is_refused(settings):
-    with pytest.raises(ValueError, match="tone of a radar"):
+def test_a_radar_whose_tone_is_out_of_band_is_refused(settings):
+    with pytest.raises(ValueError, match="radar tone"):
         Radar(**settings)

@@ -1,4 +1,4 @@
-"""The work station and its thousands of trajectories: geometry, truth, and numbers that no chunk changes."""
+"""The work station and its simulated phases: geometry, truth, and bits independent of the chunks."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def _deviations(simulated, ideal):
     return residual - residual.mean(axis=-1, keepdims=True)
 
 
-def test_the_work_station_has_all_of_the_volume_within_the_beam_formers_grid():
+def test_the_work_volume_lies_within_the_grid_of_the_beamformer():
     corners = np.stack(np.meshgrid(*WORK_VOLUME.T, indexing="ij"), axis=-1).reshape(-1, 3)
     assert len(STATIONS) == 3
     for station in STATIONS:
@@ -31,7 +31,7 @@ def test_the_work_station_has_all_of_the_volume_within_the_beam_formers_grid():
 
 
 @pytest.mark.parametrize("target", [(0.0, 0.0, 0.0), (3.0, 1.0, 2.0), (0.0, 1.0, 5.0), (-2.0, 0.3, 2.0)])
-def test_a_facing_station_looks_at_its_target_with_its_y_axis_up(target):
+def test_a_station_faces_its_target_with_its_y_axis_up(target):
     position, up = np.array([0.0, 0.0, 2.0]), np.array([0.0, 1.0, 0.2])
     world_from_array = Station(position, facing(position, np.array(target), up)).world_from_array()
     x, y, z = world_from_array.T
@@ -99,7 +99,7 @@ def test_adding_a_corruption_changes_neither_truth_nor_the_noise_beneath():
     np.testing.assert_allclose(wrapped(moved.phases - plain.phases - offsets), 0, atol=2e-6)
 
 
-def test_what_is_not_seen_is_zero_and_what_is_lies_in_its_range():
+def test_phases_are_zero_where_not_seen_and_wrapped_elsewhere():
     simulated = simulate_phases(
         RIG, "lines", 20, sigma_p=1.0, corruptions={"lost": lose_station(1, 5.0, 8.0), "gaps": drop_outs(0.2, 0.5)}
     )
@@ -141,6 +141,6 @@ def test_every_named_path_simulates():
         ({"rig": Rig("no stations")}, "stations"),
     ],
 )
-def test_worlds_that_cannot_be_are_refused(arguments, message):
+def test_invalid_simulations_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         simulate_phases(**{"rig": RIG, **arguments})
