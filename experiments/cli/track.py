@@ -19,6 +19,7 @@ from trackers.core.chunks import CHUNK
 from trackers.core.errors import UnusableInput
 from trackers.evaluation import evaluate
 from trackers.events import EVENTS, events_of
+from trackers.recordings.association import associate_truth
 from trackers.recordings.atomic import atomic_write
 from trackers.recordings.tracks import track as run
 from trackers.recordings.tracks_table import TRACKS
@@ -63,12 +64,14 @@ def track(  # noqa: D103
         f"{sum(summaries.values())} tracks: "
         + "; ".join(f"{n} {v}" for v, n in sorted(summaries.items(), key=lambda x: -x[1]))
     )
-    if any("truth" in f.tables for f in folders):
+    truths = {f.name: f.tables["truth"] for f in folders if "truth" in f.tables}
+    association = associate_truth(table, truths)
+    if truths:
         try:
-            print(to_text(evaluate(table, folders)), end="")
+            print(to_text(evaluate(association, folders)), end="")
         except UnusableInput as problem:
             notice(f"notice: not evaluated: {problem}")
-    drawn = plot_tracks(out, table, folders, batches)
+    drawn = plot_tracks(out, association, folders, batches)
     config = {
         "tracker": name,
         "noise": None if noise is None else str(noise),

@@ -6,40 +6,41 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import polars as pl
 
 from experiments.plots.errors import error_cdf, error_over_time, rmse_over_time
 from experiments.plots.filters import consistency
 from experiments.plots.tracks import bearings_over_time, floor_plan
 from trackers.bounds import bounds_of
-from trackers.core.metrics import nees
-from trackers.recordings.association import associate_truth, true_bearings
+from trackers.recordings.association import Association, true_bearings
 from trackers.recordings.columns import float_column
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.tracks_table import is_bearing, track_keys
-from trackers.scoring import covariances
+from trackers.scoring import score
 
 DRAWN = 4
 """The most recordings (or tags) with plots of their own."""
 
 
 def plot_tracks(
-    out: Path, tracks: pl.DataFrame, folders: Sequence[RecordingFolder], groups: Sequence[TrackerBatch]
+    out: Path, association: Association, folders: Sequence[RecordingFolder], batches: Sequence[TrackerBatch]
 ) -> list[str]:
-    """Writes the plots of the tracks into the folder; returns the file names without their endings."""
-    if is_bearing(tracks):
-        return _draw_bearings(out, tracks, folders)
+    """Writes the plots of tracks and their errors into the folder `out`; returns the file names without their endings.
+
+    `association`: the estimates with their truth. `batches`: the trajectories of the folders, for their bounds.
+    """
+    if is_bearing(association.rows):
+        return _draw_bearings(out, association, folders)
     drawn: list[str] = []
     for folder in folders[:DRAWN]:
-        rows = tracks.filter(pl.col("recording") == folder.name)
+        part = association.of_recording(folder.name)
         suffix = "" if len(folders) == 1 else f"-{_plain(folder.name)}"
         truth = folder.tables.get("truth")
         rig = folder.rig
         plan = _png(out, drawn, "floor-plan" + suffix)
-        floor_plan(plan, rows, truth, rig.stations, rig.anchors, folder.name, rig.all_walls())
-        if truth is not None:
-            _draw_errors(out, drawn, suffix, rows, folder, groups)
+        floor_plan(plan, part.rows, truth, rig.stations, rig.anchors, folder.name, rig.all_walls())
+        if part.scored.any():
+            _draw_errors(out, drawn, suffix, part, folder, batches)
     return drawn
 
 
@@ -47,15 +48,13 @@ def _draw_errors(
     out: Path,
     drawn: list[str],
     suffix: str,
-    rows: pl.DataFrame,
+    association: Association,
     folder: RecordingFolder,
-    groups: Sequence[TrackerBatch],
+    batches: Sequence[TrackerBatch],
 ) -> None:
-    association = associate_truth(rows, {folder.name: folder.tables["truth"]})
-    if not association.scored.any():
-        return
-    positions = np.stack([float_column(association.rows, f"{a}_m") for a in "xyz"], axis=1)
-    errors = np.where(association.scored[:, None], positions - association.truth, np.nan)
+    scored = score(association)
+    errors, nees = np.full((len(association.rows), 3), np.nan), np.full(len(association.rows), np.nan)
+    errors[scored.index], nees[scored.index] = scored.errors, scored.nees
     sigmas = np.stack([float_column(association.rows, f"std_{a}_m") for a in "xyz"], axis=1)
     known = sigmas[:, 2] > 0
     errors[~known, 2] = np.nan
@@ -63,18 +62,16 @@ def _draw_errors(
     error_cdf(_png(out, drawn, "error-cdf" + suffix), errors[association.scored], f"Errors, {folder.name}")
     first = slice(association.starts[0], association.starts[1])
     tag = association.rows["tag"][0]
-    bounds = bounds_of(folder, groups)
+    bounds = bounds_of(folder, batches)
     alone = None if bounds is None else _at(bounds, times[first])
     title = f"Error over time, {folder.name}, tag {tag}"
     error_over_time(
         _png(out, drawn, "error-over-time" + suffix), times[first], errors[first], sigmas[first], alone, title=title
     )
-    covs = covariances(association.rows)
-    square = nees(errors[:, :2], covs[:, :2, :2])
     grid = _by_run(
         association.starts,
         times,
-        square,
+        nees,
         float_column(association.rows, "nis"),
         float_column(association.rows, "nis_dof"),
     )
@@ -118,24 +115,26 @@ def _at(bounds: tuple[np.ndarray, np.ndarray], times: np.ndarray) -> np.ndarray:
     return np.stack([np.interp(times, bounds[0], b, np.nan, np.nan) for b in bounds[1].T], axis=1)
 
 
-def _draw_bearings(out: Path, tracks: pl.DataFrame, folders: Sequence[RecordingFolder]) -> list[str]:
+def _draw_bearings(out: Path, association: Association, folders: Sequence[RecordingFolder]) -> list[str]:
     drawn: list[str] = []
-    by_name = {f.name: f for f in folders}
-    keys = tracks.select(track_keys(tracks)).unique(maintain_order=True).to_dicts()
-    for key in keys[:DRAWN]:
-        folder = by_name[key["recording"]]
-        rows = tracks.filter(pl.all_horizontal(pl.col(k) == v for k, v in key.items()))
+    true = true_bearings(association, {folder.name: folder.rig.stations for folder in folders})
+    keys = association.rows.select(track_keys(association.rows))[association.starts[:-1]].to_dicts()
+    for k, key in enumerate(keys[:DRAWN]):
+        part = slice(association.starts[k], association.starts[k + 1])
+        rows = association.rows[part]
         angles = np.stack([float_column(rows, f"{a}_rad") for a in ("azimuth", "elevation")], axis=1)
         sigmas = np.stack([float_column(rows, f"std_{a}_rad") for a in ("azimuth", "elevation")], axis=1)
-        times, true = float_column(rows, "t_s"), None
-        if "truth" in folder.tables:
-            association = associate_truth(rows, {folder.name: folder.tables["truth"]})
-            true = true_bearings(association, {folder.name: folder.rig.stations})
-            true = true if np.isfinite(true).any() else None
+        times, known = float_column(rows, "t_s"), bool(np.isfinite(true[part]).any())
         label = f"{key['recording']}, tag {key['tag']}, station {key['station']}"
         name = "bearings-" + _plain(label.replace(", ", "-"))
         bearings_over_time(
-            _png(out, drawn, name), times, angles, sigmas, times if true is not None else None, true, label
+            _png(out, drawn, name),
+            times,
+            angles,
+            sigmas,
+            true_times=times if known else None,
+            true_angles=true[part] if known else None,
+            title=label,
         )
     return drawn
 
