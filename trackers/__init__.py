@@ -47,8 +47,8 @@ from trackers.core.particle.filter import ParticleFilter
 from trackers.core.polyline import Polyline
 from trackers.core.recording import Batch, Readings, Recording, Row, stack
 from trackers.core.rig import Rig, Station, Tag
-from trackers.core.rts import Smoothed
 from trackers.core.sensor import AbstractSensor, Channel, Reading, Residual, independent
+from trackers.core.smoother import Smoothed
 from trackers.core.start import AbstractStart
 from trackers.core.state import Heading, Rotation, wrap
 from trackers.core.track_loss import TrackLossPolicy

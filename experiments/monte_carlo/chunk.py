@@ -16,7 +16,7 @@ from trackers.core.algebra import triangle
 from trackers.core.errors import UnusableInput
 from trackers.core.estimates import Estimates, Status
 from trackers.core.recording import stack
-from trackers.core.rts import Smoothed
+from trackers.core.smoother import Smoothed
 from trackers.core.tracker import AbstractTracker, Tracker
 from trackers.core.tunable import tunables, with_values
 from trackers.recordings.folder import RecordingFolder

@@ -89,7 +89,7 @@ class MirrorModels(InteractingModels):
         super().__init__(switching_rate, mode_prior)
         self.reach = Scale(reach, "m")
 
-    def rates(self, belief: Mixture, inputs: Any) -> list[Scalar]:
+    def switching_rates(self, belief: Mixture, inputs: Any) -> list[Scalar]:
         rates = []
         for mean, cov in belief.components:
             variance = full(cov, dimension(mean))[2][2] + self.reach.value**2

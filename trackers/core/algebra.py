@@ -1,8 +1,8 @@
 """Small linear algebra over scalars, for states of a dozen components and batches of thousands.
 
-Every entry is its own scalar, so that under `vmap` each becomes one long vector and XLA fuses a whole filter
-step; a matrix of shape (batch, n, n) would cost a pass over memory for every product. Structural zeros are
-absent entries and structural ones the Python float 1.0: both vanish while the code is traced.
+Each entry is a scalar of its own, so that under `vmap` it becomes one long vector over trajectories and XLA fuses a
+whole filter step; a matrix of shape (batch, n, n) would cost a pass over memory for every product. Structural zeros are
+absent entries and structural ones the Python float 1.0: both cost nothing in the compiled program.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ Scalar = Any
 """A traced or concrete number: one component of one trajectory."""
 
 SparseRow = dict[int, Scalar]
-"""One row of a matrix: column index -> entry; an absent column is a structural zero."""
+"""One row of a matrix, column index -> entry; an absent column is a structural zero."""
 
 
 @jax.tree_util.register_pytree_node_class
 class Vector:
-    """A vector of scalars that adds, scales and multiplies like the textbook's; a pytree of its components."""
+    """A vector of scalars with the usual arithmetic; a pytree of its components."""
 
     __slots__ = ("parts",)
 
@@ -68,11 +68,11 @@ class Vector:
         return Vector.of(a / divisor for a in self)
 
     def dot(self, other: Iterable[Scalar]) -> Scalar:
-        """The inner product with any sequence of as many numbers."""
+        """The inner product with any sequence of equal length."""
         return total(a * b for a, b in zip(self, other, strict=True))
 
     def norm(self) -> Scalar:
-        """The Euclidean length; its derivative at zero is zero, not NaN."""
+        """The Euclidean norm; its derivative at zero is zero, not NaN."""
         square = self.dot(self)
         safe = jnp.where(square > 0, square, 1.0)
         return jnp.where(square > 0, jnp.sqrt(safe), 0.0)
@@ -112,17 +112,17 @@ def times(a: Scalar, b: Scalar) -> Scalar:
 
 
 def compute_once(tree: Tree) -> Tree:
-    """The same numbers, to the bit, computed once however many use them.
+    """The same numbers, bit-identical, computed once however many fused loops use them (a CSE barrier).
 
-    XLA's CPU compiler computes an addition or a sine again in every loop that uses it; only divisions are never
-    repeated. So this is a division by one, by a one that XLA can't see and LLVM, which comes after, can: it is free.
+    XLA's CPU compiler recomputes additions and sines in every loop that uses them; it never duplicates divisions. So
+    this is a division by one, a one that is hidden from XLA but not from LLVM, which removes the division.
     """
-    return jax.tree_util.tree_map(_shared, tree)
+    return jax.tree_util.tree_map(_once, tree)
 
 
-def _shared(x: Any) -> Any:
+def _once(x: Any) -> Any:
     floating = hasattr(x, "dtype") and jnp.issubdtype(x.dtype, jnp.floating)
-    return _shared_p.bind(x) if floating else x
+    return _once_p.bind(x) if floating else x
 
 
 def _divided(x: jax.Array) -> jax.Array:
@@ -130,22 +130,22 @@ def _divided(x: jax.Array) -> jax.Array:
     return x / jax.lax.select(x < jnp.full_like(x, -jnp.inf), two, one)
 
 
-_shared_p = Primitive("shared")
-_shared_p.def_impl(jax.jit(_divided))
-_shared_p.def_abstract_eval(lambda x: x)
-ad.deflinear2(_shared_p, lambda cotangent, _: [_shared(cotangent)])
-batching.defvectorized(_shared_p)
-mlir.register_lowering(_shared_p, mlir.lower_fun(_divided, multiple_results=False))
+_once_p = Primitive("compute_once")
+_once_p.def_impl(jax.jit(_divided))
+_once_p.def_abstract_eval(lambda x: x)
+ad.deflinear2(_once_p, lambda cotangent, _: [_once(cotangent)])
+batching.defvectorized(_once_p)
+mlir.register_lowering(_once_p, mlir.lower_fun(_divided, multiple_results=False))
 
 
 def mark_dependent(tree: Tree, numbers: Any) -> Tree:
-    """The same tree, to the bit, as a function of the floating arrays in `numbers`: what a scan over them begins with.
+    """Identity that makes a scan's initial carry formally depend on `numbers`, so that jax types its tangents in one trace.
 
-    jax finds out by tracing which parts of a scan's carry have a derivative or differ from one set of numbers to the
-    next, and traces the whole step again for every round in which more of them turn out to: seconds for large states.
+    Without it jax traces the step again whenever more of the carry turns out to have a tangent or to be batched, which
+    takes seconds for large states.
     """
-    found = [x for x in jax.tree_util.tree_leaves(numbers) if hasattr(x, "dtype") and x.size]
-    floating = [jnp.ravel(x)[0] for x in found if jnp.issubdtype(x.dtype, jnp.floating)]
+    arrays = [x for x in jax.tree_util.tree_leaves(numbers) if hasattr(x, "dtype") and x.size]
+    floating = [jnp.ravel(x)[0] for x in arrays if jnp.issubdtype(x.dtype, jnp.floating)]
     if not floating:
         return tree
     number = total(floating)
@@ -173,6 +173,11 @@ def dense(upper: Sequence[Any], n: int, stack: Callable[..., Any] = jnp.stack) -
     return stack([stack(row, axis=-1) for row in full(upper, n)], axis=-2)
 
 
+def densify(rows: Sequence[SparseRow], columns: int, zero: Scalar) -> Any:
+    """Sparse rows as one array (rows, columns) of the type of `zero`."""
+    return jnp.stack([jnp.stack([zero + row.get(j, 0.0) for j in range(columns)]) for row in rows])
+
+
 def diagonal(variances: Sequence[Scalar], zero: Scalar) -> tuple[Scalar, ...]:
     """The upper triangle of a diagonal covariance, every entry shaped like `zero`."""
     return tuple(variances[i] + zero if i == j else zero for i, j in triangle(len(variances)))
@@ -182,12 +187,11 @@ def congruence(rows: Sequence[SparseRow], upper: Sequence[Scalar], added: Sequen
     """F P Fᵀ + G Gᵀ as an upper triangle; F = `rows`, P = `upper`, G = `added`, all without their structural zeros."""
     n = len(rows)
     P = full(upper, n)
-    # Of F P the columns that the rows from the diagonal on multiply: in a motion whose later states drive the earlier
-    # ones little more than half of it.
+    # Only the columns of F P that later rows multiply: little more than half of them for a chain of integrators.
     needed = [sorted({j for later in rows[i:] for j in later}) for i in range(n)]
     products = [{k: total(times(f, P[j][k]) for j, f in rows[i].items()) for k in needed[i]} for i in range(n)]
-    # Each goes into many sums. Computed again in every one of them, 15 states took twice as long to compile and ten
-    # times as long to run.
+    # Each enters many sums. Recomputed in each of them, 15 states took twice as long to compile and ten times as long
+    # to run.
     FP = [compute_once(entries) if len(row) > 1 else entries for row, entries in zip(rows, products, strict=True)]
     result = []
     for i, k in triangle(n):
@@ -198,7 +202,7 @@ def congruence(rows: Sequence[SparseRow], upper: Sequence[Scalar], added: Sequen
 
 
 def gram(rows: Sequence[SparseRow], columns: Sequence[int]) -> dict[tuple[int, int], Scalar]:
-    """JᵀJ over the given columns of the sparse rows, upper triangle by (row, column) of the original numbering."""
+    """JᵀJ over the given columns of the sparse rows J: upper triangle by (row, column) in the original numbering."""
     return {
         (i, j): total(times(row[i], row[j]) for row in rows if i in row and j in row)
         for a, i in enumerate(columns)
@@ -211,19 +215,18 @@ def cholesky(
 ) -> dict[tuple[int, int], Scalar]:
     """Lower Cholesky factor of a semi-definite matrix; a pivot below `tolerance` × its diagonal gives a zero column.
 
-    So directions that the channels don't see (every antenna masked, antennas on a line) drop out instead of
-    becoming infinite.
+    Unobserved directions (all antennas masked, antennas on a line) thus drop out instead of becoming infinite.
     """
     L: dict[tuple[int, int], Scalar] = {}
     for a, j in enumerate(columns):
-        before = columns[:a]
-        pivot = upper[j, j] - total(L[j, k] * L[j, k] for k in before)
+        previous = columns[:a]
+        pivot = upper[j, j] - total(L[j, k] * L[j, k] for k in previous)
         positive = pivot > tolerance * upper[j, j]
         root = jnp.sqrt(jnp.where(positive, pivot, 1.0))
         L[j, j] = jnp.where(positive, root, 0.0)
         for i in columns[a + 1 :]:
-            rest = upper[j, i] - total(L[i, k] * L[j, k] for k in before)
-            L[i, j] = jnp.where(positive, rest / root, 0.0)
+            remainder = upper[j, i] - total(L[i, k] * L[j, k] for k in previous)
+            L[i, j] = jnp.where(positive, remainder / root, 0.0)
     return L
 
 

@@ -1,7 +1,7 @@
-"""What a motion and a sensor promise, as checks that run on one's own classes before they meet a filter.
+"""Contract checks for user-defined motions and sensors, to run before they are used in a filter.
 
-They take seconds, belong into a test, and raise `BrokenContract` with one line that says what was found, what is
-expected, and the usual fix.
+They take seconds and belong in a test. They raise `BrokenContract` with one line: what was found, what is expected, and
+the usual fix.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.algebra import Scalar, Vector
-from trackers.core.density import integral
+from trackers.core.algebra import Scalar, Vector, densify
+from trackers.core.density_integral import integral
 from trackers.core.ekf import ExtendedKalman, Gaussian
 from trackers.core.linearise import linearise
 from trackers.core.motion import AbstractMotion
@@ -25,15 +25,15 @@ from trackers.core.tunable import freeze
 Tree = TypeVar("Tree")
 
 FAR = 1e6
-"""Units of a channel by which a reading is wild; what a whitened residual then squares to stays finite in float32."""
+"""Error of an outlier in units of a channel; the square of its whitened residual is still finite in float32."""
 
 
-class BrokenContract(ValueError):  # noqa: N818 - it names what is wrong with a class, for its author
-    """A motion or a sensor doesn't do what filters rely on."""
+class BrokenContract(ValueError):  # noqa: N818 - public name
+    """A motion or a sensor violates an assumption of the filters."""
 
 
 class Still(AbstractMotion):
-    """The motion of what doesn't move, whose state is what sensors read."""
+    """A motion without motion, whose view is the state itself."""
 
     @property
     def noise_dimension(self) -> int:
@@ -47,10 +47,10 @@ class Still(AbstractMotion):
 
 
 def check_motion(motion: AbstractMotion, state: State, inputs: Any = None, dt: float = 0.1, seed: int = 0) -> None:
-    """Raise `BrokenContract` unless `motion` keeps its promises at `state`, for one interval `dt` (s) and for none.
+    """Raises `BrokenContract` unless `motion` fulfils its contract at `state`, for dt = 0 and for `dt` s.
 
-    Promised: `step` gives back a state of the same kind, leaves it as it is when dt = 0 whatever the noise, gives the
-    same numbers when called again, and has finite values and derivatives with respect to state and noise.
+    Contract: `step` returns a state of the same structure, equals the state for dt = 0 whatever the noise, is
+    deterministic, and has finite values and derivatives with respect to state and noise.
     """
     name = type(motion).__name__
     motion, state, inputs = freeze(_arrays(motion)), _arrays(state), _arrays(inputs)
@@ -61,50 +61,48 @@ def check_motion(motion: AbstractMotion, state: State, inputs: Any = None, dt: f
     def step(interval: Any, w: Any) -> State:
         return motion.step(state, inputs, interval, Vector.of(w))
 
-    def slopes(interval: Any, w: Any) -> Any:
-        moved = step(interval, w)
+    def jacobian_of(interval: Any, w: Any) -> Any:
+        after = step(interval, w)
 
-        def from_moved(*values: Scalar) -> list[Scalar]:
+        def deviation(*values: Scalar) -> list[Scalar]:
             return local(
-                moved, motion.step(rebuild(values[: len(point)]), inputs, interval, Vector.of(values[len(point) :]))
+                after, motion.step(rebuild(values[: len(point)]), inputs, interval, Vector.of(values[len(point) :]))
             )
 
-        return _dense(*linearise(from_moved, [*point, *w]), len(components))
+        return densify(linearise(deviation, [*point, *w])[1], len(components), jnp.zeros(()))
 
-    step_once, slopes_once = jax.jit(step), jax.jit(slopes)
+    jitted_step, jitted_jacobian = jax.jit(step), jax.jit(jacobian_of)
     for interval in (jnp.asarray(0.0), jnp.asarray(dt)):
         for w in (list(_arrays(draw)) for draw in noise):
-            moved = _call(f"{name}.step", step_once, interval, w)
+            after = _call(f"{name}.step", jitted_step, interval, w)
             # jax's stubs give a tree structure no typed equality.
-            same_tree = jax.tree_util.tree_structure(moved) == jax.tree_util.tree_structure(state)  # type: ignore[operator]
-            if not same_tree or _shapes(moved) != _shapes(state):
+            same_tree = jax.tree_util.tree_structure(after) == jax.tree_util.tree_structure(state)  # type: ignore[operator]
+            if not same_tree or _shapes(after) != _shapes(state):
                 raise BrokenContract(
-                    f"{name}.step returns {_kind(moved)}, expected a state like the given one: {_kind(state)}"
+                    f"{name}.step returns {_kind(after)}, expected a state like the given one: {_kind(state)}"
                 )
-            if float(interval) == 0 and not _same(moved, state):
-                shift = np.abs(np.array([float(x) for x in local(state, moved)]))
+            if float(interval) == 0 and not _same(after, state):
+                shift = np.abs(np.array([float(x) for x in local(state, after)]))
                 raise BrokenContract(
-                    f"{name}.step with dt = 0 moves {components[int(np.argmax(shift))]} by {shift.max():.3g}, expected "
-                    "no change to the bit whatever the noise; usual fix: give every term a factor that is zero if dt is"
+                    f"{name}.step with dt = 0 changes {components[int(np.argmax(shift))]} by {shift.max():.3g}, expected "
+                    "a bit-identical state whatever the noise; usual fix: a factor in each term that is zero for dt = 0"
                 )
-            _require_finite(f"{name}.step at dt = {interval} s", jnp.stack(coordinates(moved)[0]), components)
-            jacobian = _call(f"{name}.step", slopes_once, interval, w)
+            _require_finite(f"{name}.step at dt = {interval} s", jnp.stack(coordinates(after)[0]), components)
+            jacobian = _call(f"{name}.step", jitted_jacobian, interval, w)
             _require_finite(f"the derivative of {name}.step at dt = {interval} s", jacobian, components)
-    if not _same(moved, jax.jit(lambda *x: step(*x))(interval, w)):
-        raise BrokenContract(
-            f"{name}.step gives other numbers when traced again; expected all its randomness to come as w"
-        )
+    if not _same(after, jax.jit(lambda *x: step(*x))(interval, w)):
+        raise BrokenContract(f"{name}.step gives other numbers when traced again; expected all its randomness in w")
 
 
 def check_sensor(
     sensor: AbstractSensor, view: Any, inputs: Any = None, reported: Sequence[float] = (), seed: int = 0
 ) -> None:
-    """Raise `BrokenContract` unless `sensor` keeps its promises where `view` is what it reads of a state.
+    """Raises `BrokenContract` unless `sensor` fulfils its contract at `view`, a `motion.view` of a state.
 
-    Promised: as many channels as predicted and whitened numbers; a channel that wasn't seen changes nothing and isn't
-    counted; no channel seen, no likelihood; finite residuals and derivatives for wild readings; and a density that
-    integrates to 1 over readings, for up to three channels at a time, the others unseen. `reported`: what a device
-    would report of one reading's noise. Angles are checked while their noise is well inside half a turn.
+    Contract: one predicted and one whitened number per channel; a masked channel has no influence and adds nothing to
+    `nis_dof`; with all channels masked the likelihood is 1; residuals and derivatives are finite for outliers; the
+    density integrates to 1 over readings, for up to three channels at a time, the others masked. `reported`: the noise
+    columns of one reading. The integral over an angle needs noise well below half a turn.
     """
     name, m = type(sensor).__name__, len(sensor.channels)
     names = [channel.name for channel in sensor.channels]
@@ -125,12 +123,12 @@ def check_sensor(
     _require_finite(f"{name}.measure", predicted, names)
 
     @jax.jit
-    def judge(values: Any, seen: Any) -> Residual:
+    def residual_of(values: Any, seen: Any) -> Residual:
         residual = sensor.residual(Reading(values, seen, noise), list(sensor.measure(view, inputs)))
         return residual._replace(whitened=list(residual.whitened))
 
     def residual(offset: Any, seen: Any) -> tuple[np.ndarray, float, float]:
-        result = _call(f"{name}.residual", judge, _arrays(predicted + offset), np.asarray(seen, bool))
+        result = _call(f"{name}.residual", residual_of, _arrays(predicted + offset), np.asarray(seen, bool))
         if len(result.whitened) != m:
             raise BrokenContract(
                 f"{name}.residual has {len(result.whitened)} whitened numbers, expected one per channel, {m}"
@@ -148,18 +146,18 @@ def check_sensor(
         _check_mask(name, residual, rng.normal(size=m) * 0.1, seen)
 
     @jax.jit
-    def slopes(values: Any, seen: Any) -> Any:
-        def misfit(*x: Scalar) -> list[Scalar]:
+    def jacobian_of(values: Any, seen: Any) -> Any:
+        def whitened_of(*x: Scalar) -> list[Scalar]:
             return list(
                 sensor.residual(Reading(values, seen, noise), list(sensor.measure(rebuild(x), inputs))).whitened
             )
 
-        return _dense(*linearise(misfit, point), len(point))
+        return densify(linearise(whitened_of, point)[1], len(point), jnp.zeros(()))
 
     for offset in (0.0, FAR, -FAR):
         for seen in (np.ones(m, bool), np.zeros(m, bool)):
             _require_finite(f"{name}.residual of a reading off by {offset:g}", residual(offset, seen)[0], names)
-            jacobian = slopes(_arrays(predicted + offset), seen)
+            jacobian = jacobian_of(_arrays(predicted + offset), seen)
             _require_finite(f"the derivative of {name}.residual of a reading off by {offset:g}", jacobian, names)
 
     def log_density(values: Any, seen: Any) -> Any:
@@ -167,22 +165,22 @@ def check_sensor(
         return ExtendedKalman().update(belief, Still(), sensor, Reading(values, seen, noise), inputs)[1].log_likelihood
 
     densities = jax.jit(jax.vmap(log_density, in_axes=(0, None)))
-    against_reading = jax.jit(jax.jacfwd(lambda z, s: jnp.stack(judge(z, s).whitened)))
-    dof = judge(_arrays(predicted), np.ones(m, bool)).dof
+    by_reading = jax.jit(jax.jacfwd(lambda z, s: jnp.stack(residual_of(z, s).whitened)))
+    dof = residual_of(_arrays(predicted), np.ones(m, bool)).dof
     dof = None if dof is None else float(dof)
     wraps = np.array([channel.wraps for channel in sensor.channels])
     for seen in _windows(m):
-        held = round(seen.sum() - residual(np.zeros(m), seen)[2])
-        free = np.flatnonzero(seen)[held:]
+        n_redundant = round(seen.sum() - residual(np.zeros(m), seen)[2])
+        free = np.flatnonzero(seen)[n_redundant:]
         if not len(free):
             continue
-        slope = np.array(against_reading(_arrays(predicted), seen), float)[:, free]
+        jacobian = np.array(by_reading(_arrays(predicted), seen), float)[:, free]
 
         def density(readings: Any, seen: np.ndarray = seen) -> Any:
             return densities(_arrays(readings), seen)
 
-        mass, doubt = integral(density, predicted, free, slope, wraps, dof)
-        if not abs(mass - 1) < 2e-3 + doubt:
+        mass, wrapped = integral(density, predicted, free, jacobian, wraps, dof)
+        if not abs(mass - 1) < 2e-3 + wrapped:
             raise BrokenContract(
                 f"{name}: the density of a reading integrates to {mass:.4g} over "
                 f"{', '.join(names[j] for j in free)}, expected 1; usual fix: log_scale is −½ log 2π − log sigma for "
@@ -191,12 +189,10 @@ def check_sensor(
 
 
 def _check_mask(name: str, residual: Callable[..., Any], offset: np.ndarray, seen: np.ndarray) -> None:
-    """What wasn't seen has no say: not in the whitened residual, nor nis_dof, nor through its value."""
+    """Raises unless a masked channel has no influence: its whitened residual is 0, and its value changes nothing."""
     whitened, log_scale, nis_dof = residual(offset, seen)
     if np.any(whitened[~seen] != 0):
-        raise BrokenContract(
-            f"{name}.residual is {whitened} where seen is {seen}, expected 0 for a channel that wasn't seen"
-        )
+        raise BrokenContract(f"{name}.residual is {whitened} where seen is {seen}, expected 0 for a masked channel")
     if nis_dof > seen.sum():
         raise BrokenContract(f"{name}.residual counts {nis_dof:g} numbers where {seen.sum()} channels were seen")
     if not seen.any() and (nis_dof != 0 or log_scale != 0):
@@ -206,7 +202,7 @@ def _check_mask(name: str, residual: Callable[..., Any], offset: np.ndarray, see
     other = residual(np.where(seen, offset, offset + 3.0), seen)
     if not (np.array_equal(whitened, other[0]) and (log_scale, nis_dof) == other[1:]):
         raise BrokenContract(
-            f"{name}.residual changes with the value of a channel that wasn't seen (seen: {seen}), expected no change"
+            f"{name}.residual changes with the value of a masked channel (seen: {seen}), expected no change"
         )
 
 
@@ -218,7 +214,7 @@ def _windows(m: int) -> Iterator[np.ndarray]:
 
 
 def _arrays(tree: Tree) -> Tree:
-    """The tree with its numbers as arrays of jax's default precision, as a run has them."""
+    """The tree with its floats as arrays of jax's default precision, as in a run."""
     kind = jnp.zeros(0).dtype
 
     def cast(x: Any) -> Any:
@@ -230,23 +226,18 @@ def _arrays(tree: Tree) -> Tree:
 
 
 def _call(what: str, function: Callable[..., Any], *arguments: Any) -> Any:
-    """The result of a compiled function, with a plain word where jax can't trace it."""
+    """The result of a jitted function; raises `BrokenContract` if jax cannot trace it."""
     try:
         return function(*arguments)
     except (jax.errors.JAXTypeError, jax.errors.JAXIndexError) as error:
         reason = str(error).splitlines()[0]
         raise BrokenContract(
-            f"{what} can't be traced ({reason}); usual fix: jnp.where for a choice, jnp for math and numpy"
+            f"{what} cannot be traced ({reason}); usual fix: jnp.where instead of if, jnp instead of math and numpy"
         ) from error
 
 
-def _dense(_: Any, rows: Sequence[dict[int, Scalar]], columns: int) -> Any:
-    """Sparse rows as one array."""
-    return jnp.stack([jnp.stack([jnp.asarray(row.get(j, 0.0), float) for j in range(columns)]) for row in rows])
-
-
 def _same(a: Any, b: Any) -> bool:
-    """Whether two trees hold the same numbers to the bit."""
+    """Whether the numbers of two trees are bit-identical."""
     leaves = zip(jax.tree_util.tree_leaves(a), jax.tree_util.tree_leaves(b), strict=True)
     return all(np.array_equal(np.asarray(x), np.asarray(y)) for x, y in leaves)
 
@@ -260,7 +251,7 @@ def _kind(tree: Any) -> str:
 
 
 def _require_finite(what: str, values: Any, names: Sequence[str]) -> None:
-    """`values`: one row, or one number, for each of the names."""
+    """Raises for the first non-finite entry; `values`: one row, or one number, per name."""
     bad = np.argwhere(~np.isfinite(np.asarray(values)))
     if len(bad):
         raise BrokenContract(

@@ -1,4 +1,4 @@
-"""The posterior Cramér–Rao bound: the error below which no tracker of this model can be (Tichavský et al. 1998)."""
+"""The posterior Cramér–Rao lower bound of a tracker's model (Tichavský, Muravchik and Nehorai 1998)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.algebra import Scalar, Vector, dense
+from trackers.core.algebra import Scalar, Vector, dense, densify
 from trackers.core.chunks import as_dtype
 from trackers.core.linearise import linearise
 from trackers.core.recording import Batch, Row
@@ -19,13 +19,13 @@ from trackers.core.tunable import freeze
 
 
 def posterior_bound(tracker: Tracker, batch: Batch, states: Any) -> np.ndarray:
-    """Lower bounds (T, n), standard deviations of the state's components in filtering, averaged over the batch.
+    """Lower bounds (T, n) on the standard deviations of the filtered state's components, averaged over the batch.
 
-    `states`: the true states, leaves (T, B). The recursion starts at the first row with the covariance of the
-    tracker's start there and takes its information from the rows that follow, averaged over the batch's valid
-    trajectories; readings that weren't seen carry none.
+    `states`: the true states, leaves (T, B). The recursion starts at the first row with the covariance of the tracker's
+    start. Jacobians and information of later rows are means over the valid trajectories; masked channels carry no
+    information.
     """
-    prior, F, Q, information = (np.asarray(x, float) for x in _pieces(as_dtype(tracker, batch.dt.dtype), batch, states))
+    prior, F, Q, information = (np.asarray(x, float) for x in _terms(as_dtype(tracker, batch.dt.dtype), batch, states))
     P, result = prior, [np.sqrt(np.diag(prior))]
     for k in range(1, len(F)):
         P = F[k] @ P @ F[k].T + Q[k]
@@ -36,8 +36,8 @@ def posterior_bound(tracker: Tracker, batch: Batch, states: Any) -> np.ndarray:
 
 
 @eqx.filter_jit
-def _pieces(tracker: Tracker, batch: Batch, states: Any) -> tuple[Any, ...]:
-    """The start's covariance (n, n), and by row F, Q and the readings' information (T, n, n), means over the batch."""
+def _terms(tracker: Tracker, batch: Batch, states: Any) -> tuple[Any, ...]:
+    """The start's covariance (n, n), and per row F, Q and the measurements' information (T, n, n), means over the batch."""
     tracker = freeze(tracker)
     rows = Row(batch.dt, batch.valid, batch.readings, batch.inputs, None, None)
 
@@ -46,27 +46,27 @@ def _pieces(tracker: Tracker, batch: Batch, states: Any) -> tuple[Any, ...]:
         n = len(point)
         zero = jnp.zeros_like(point[0])
         motion, q = tracker.motion, tracker.motion.noise_dimension
-        moved = motion.step(state, row.inputs, row.dt, Vector.of([zero] * q))
+        predicted = motion.step(state, row.inputs, row.dt, Vector.of([zero] * q))
 
         def step(*values: Scalar) -> list[Scalar]:
-            return local(moved, motion.step(rebuild(values[:n]), row.inputs, row.dt, Vector.of(values[n:])))
+            return local(predicted, motion.step(rebuild(values[:n]), row.inputs, row.dt, Vector.of(values[n:])))
 
-        jacobian = _matrix(linearise(step, [*point, *[zero] * q])[1], n + q, zero)
+        jacobian = densify(linearise(step, [*point, *[zero] * q])[1], n + q, zero)
         F, G = jacobian[:, :n], jacobian[:, n:]
-        total = jnp.zeros((n, n), zero.dtype)
+        information = jnp.zeros((n, n), zero.dtype)
         for name, sensor in tracker.sensors.items():
             exact = row.readings[name]._replace(values=sensor.measure(motion.view(state), row.inputs))
 
-            def misfit(*values: Scalar, sensor: Any = sensor, exact: Any = exact) -> list[Scalar]:
+            def residual_of(*values: Scalar, sensor: Any = sensor, exact: Any = exact) -> list[Scalar]:
                 result = sensor.residual(exact, list(sensor.measure(motion.view(rebuild(values)), row.inputs)))
-                # Fisher's information of Student's t is (ν + 1)/(ν + 3) of the normal's.
+                # The Fisher information of Student's t is (ν + 1)/(ν + 3) times that of the normal.
                 weight = 1.0 if result.dof is None else (result.dof + 1.0) / (result.dof + 3.0)
                 return [*result.whitened, weight]
 
-            (*_, weight), slopes = linearise(misfit, point)
-            H = _matrix(slopes[:-1], n, zero)
-            total = total + weight * (H.T @ H)
-        return F, G @ G.T, jnp.where(row.valid, total, 0.0)
+            (*_, weight), jacobian_rows = linearise(residual_of, point)
+            H = densify(jacobian_rows[:-1], n, zero)
+            information = information + weight * (H.T @ H)
+        return F, G @ G.T, jnp.where(row.valid, information, 0.0)
 
     def one_row(row: Row, state: Any) -> tuple[Any, ...]:
         F, Q, information = jax.vmap(trajectory, in_axes=-1)(row, state)
@@ -79,8 +79,3 @@ def _pieces(tracker: Tracker, batch: Batch, states: Any) -> tuple[Any, ...]:
     belief = tracker.start.belief(candidate, first)
     n = len(coordinates(belief.mean)[0])
     return dense(list(belief.cov), n), *jax.lax.map(lambda x: one_row(*x), (rows, states))
-
-
-def _matrix(rows: list[dict[int, Scalar]], columns: int, zero: Scalar) -> Any:
-    """Sparse rows as an array."""
-    return jnp.stack([jnp.stack([zero + row.get(j, 0.0) for j in range(columns)]) for row in rows])

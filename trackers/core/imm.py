@@ -1,17 +1,17 @@
-"""Interacting multiple models: one extended Kalman filter per mode, in which the target or its sensor may be.
+"""The interacting-multiple-model filter (Blom and Bar-Shalom 1988): one extended Kalman filter per mode.
 
-    K  modes             μⱼ  probability of mode j                 xⱼ, Pⱼ  the normal belief in mode j
-    πⱼ  long-run share   κⱼ  exp(−rateⱼ·dt), the chance that the mode was not drawn anew in dt
+    K  number of modes      μⱼ  probability of mode j               xⱼ, Pⱼ  Gaussian belief in mode j
+    πⱼ  prior of mode j     κⱼ  exp(−rateⱼ·dt), probability that the mode does not switch in dt
 
-The mode is a Markov process in continuous time that is drawn anew from π at a rate, which knows dt and for which two
-steps in a row are one long step: where all rates are one, its transition is κ I + (1 − κ) 1πᵀ. Of Blom and
-Bar-Shalom's (1988) K² mixed estimates only K are then left to compute: mode j starts the row from itself and from the
-mixture x̄, P̄ of all that is drawn anew, N(xᵢ, Pᵢ) by the weights (1 − κᵢ) μᵢ, whose sum is φ:
+The mode is a Markov process in continuous time: at a rate it is redrawn from the prior π, so that the transition over
+dt follows from dt, and two steps are one long step. With one rate for all modes the transition matrix is
+κ I + (1 − κ) 1πᵀ. Of the K² mixed estimates of Blom and Bar-Shalom K remain: mode j starts from itself and from the
+mixture x̄, P̄ of all that switched, N(xᵢ, Pᵢ) with weights (1 − κᵢ) μᵢ, whose sum is φ:
 
     μⱼ⁻ = κⱼ μⱼ + φ πⱼ        aⱼ = φ πⱼ / μⱼ⁻        d = x̄ − xⱼ
     xⱼ ← (1 − aⱼ) xⱼ + aⱼ x̄        Pⱼ ← (1 − aⱼ) Pⱼ + aⱼ P̄ + aⱼ (1 − aⱼ) ddᵀ
 
-Motions and sensors that differ from mode to mode say so by `in_mode`.
+Motions and sensors that depend on the mode have `in_mode`.
 """
 
 from __future__ import annotations
@@ -27,50 +27,51 @@ import numpy as np
 from trackers.core.algebra import Scalar, Vector, compute_once, total, triangle
 from trackers.core.ekf import ExtendedKalman, Gaussian, Innovation
 from trackers.core.motion import AbstractMotion, Noise
-from trackers.core.rts_step import RtsGain
+from trackers.core.rts import RtsGain
 from trackers.core.sensor import AbstractSensor, Reading
 from trackers.core.state import State, local, retract
 from trackers.core.tunable import Scale
 
 
 class Mixture(NamedTuple):
-    """A belief: a normal one for each mode, and the logarithms of the modes' probabilities."""
+    """A belief: one Gaussian per mode, and the logarithms of the modes' probabilities."""
 
     components: tuple[Gaussian, ...]
     log_weights: tuple[Scalar, ...]
 
 
-class Drawn(NamedTuple):
-    """How the modes of a row become those of the next: probabilities there, and those of here kept and drawn anew."""
+class ModeTransition(NamedTuple):
+    """Mode transition over dt: predicted probabilities μ⁻, the parts of μ that stayed or switched, and their sum φ."""
 
-    after: list[Scalar]
-    kept: list[Scalar]
-    anew: list[Scalar]
-    whole: Scalar
+    predicted: list[Scalar]
+    stayed: list[Scalar]
+    switched: list[Scalar]
+    total_switched: Scalar
 
 
 class ModeGains(NamedTuple):
-    """What ties mode i of a row to mode j of the next: `chances[i][j]`, P(i here | j there), and `each[i][j]`.
+    """RTS gains between modes: `gains[i][j]` from mode i to mode j of the next time step.
 
-    `each[i]` holds one link where the modes move alike.
+    `backward[i][j]`: P(mode i now | mode j at the next step). `gains[i]` has one entry where the motion is the same in
+    all modes. `connected`: the next step continues the track.
     """
 
     filtered: Mixture
-    each: tuple[tuple[RtsGain, ...], ...]
-    chances: tuple[tuple[Scalar, ...], ...]
-    joined: Scalar
+    gains: tuple[tuple[RtsGain, ...], ...]
+    backward: tuple[tuple[Scalar, ...], ...]
+    connected: Scalar
 
 
 class AbstractSwitching(eqx.Module):
-    """A motion or a sensor that is another one in each mode."""
+    """A motion or a sensor that depends on the mode."""
 
     @abstractmethod
     def in_mode(self, mode: int) -> Any:
-        """The motion or the sensor of the mode, counted from 0."""
+        """The motion or the sensor of a mode, counted from 0."""
 
 
 class SwitchingMotion(AbstractMotion, AbstractSwitching):
-    """One motion per mode, all of one kind of state; a filter that knows no modes sees the first."""
+    """One motion per mode, all of one kind of state; a filter without modes uses the first."""
 
     modes: tuple[AbstractMotion, ...]
 
@@ -89,10 +90,11 @@ class SwitchingMotion(AbstractMotion, AbstractSwitching):
 
 
 class InteractingModels(eqx.Module):
-    """The interacting-multiple-model filter (Blom & Bar-Shalom 1988) with the transition of the module's head.
+    """The interacting-multiple-model filter with the mode transition of the module's head.
 
-    `switching_rate`: draws of a new mode, 1/s. `mode_prior` (K,): the modes' long-run shares, in proportion. Estimates are the
-    mixture's mean and covariance, the log-likelihood is the mixture's; NIS is the modes' mean by their probabilities.
+    `switching_rate`: 1/s. `mode_prior` (K,): the modes' long-run probabilities, up to a factor. Estimates are the
+    mixture's mean and covariance; the log-likelihood is the mixture's; the NIS is the probability-weighted mean of the
+    modes' NIS.
     """
 
     switching_rate: Noise
@@ -103,120 +105,125 @@ class InteractingModels(eqx.Module):
         self.filter = ExtendedKalman()
         self.switching_rate, self.mode_prior = Scale(switching_rate, "1/s"), Scale(np.asarray(mode_prior, float))
 
-    def shares(self) -> list[Scalar]:
-        """The modes' long-run probabilities."""
-        odds = [self.mode_prior.value[k] for k in range(self.mode_prior.value.shape[0])]
-        whole = total(odds)
-        return [x / whole for x in odds]
+    def prior(self) -> list[Scalar]:
+        """The modes' long-run probabilities π, with sum 1."""
+        factors = [self.mode_prior.value[k] for k in range(self.mode_prior.value.shape[0])]
+        norm = total(factors)
+        return [x / norm for x in factors]
 
-    def rates(self, belief: Mixture, inputs: Any) -> list[Scalar]:
-        """How often each mode is drawn anew, 1/s: here all at one rate."""
+    def switching_rates(self, belief: Mixture, inputs: Any) -> list[Scalar]:
+        """The switching rate of each mode, 1/s: one for all here."""
         return [self.switching_rate.value] * len(belief.components)
 
     def init(self, belief: Gaussian, key: Any) -> Mixture:
-        """Every mode at the same belief, with its long-run probability."""
-        shares = self.shares()
+        """All modes at the same Gaussian, with their prior probabilities; `key` is unused."""
+        prior = self.prior()
         zero = jnp.zeros_like(belief.cov[0])
-        return Mixture((belief,) * len(shares), tuple(jnp.log(s) + zero for s in shares))
+        return Mixture((belief,) * len(prior), tuple(jnp.log(p) + zero for p in prior))
 
     def moments(self, belief: Mixture) -> tuple[State, tuple[Scalar, ...]]:
         """The mean and covariance of the mixture."""
-        return merged(belief.components, [jnp.exp(w) for w in belief.log_weights])
+        return collapsed(belief.components, [jnp.exp(w) for w in belief.log_weights])
 
-    def drawn(self, belief: Mixture, inputs: Any, dt: Scalar) -> Drawn:
-        """The modes' probabilities `dt` seconds later, and what they come of."""
-        # Its square has an inverse still, which the derivative of a quotient takes.
+    def transition(self, belief: Mixture, inputs: Any, dt: Scalar) -> ModeTransition:
+        """The mode transition over `dt` s."""
+        # The square of this number still has an inverse, which the derivative of a quotient needs.
         tiny = float(jnp.finfo(dt.dtype).tiny) ** 0.5
         weights = [jnp.exp(w) for w in belief.log_weights]
-        rates = self.rates(belief, inputs)
-        kept = [w * jnp.exp(-rate * dt) for rate, w in zip(rates, weights, strict=True)]
-        anew = [-jnp.expm1(-rate * dt) * w for rate, w in zip(rates, weights, strict=True)]
-        whole = jnp.maximum(total(anew), tiny)
-        after = [jnp.maximum(k + whole * share, tiny) for k, share in zip(kept, self.shares(), strict=True)]
-        return Drawn(after, kept, anew, whole)
+        rates = self.switching_rates(belief, inputs)
+        stayed = [w * jnp.exp(-rate * dt) for rate, w in zip(rates, weights, strict=True)]
+        switched = [-jnp.expm1(-rate * dt) * w for rate, w in zip(rates, weights, strict=True)]
+        total_switched = jnp.maximum(total(switched), tiny)
+        predicted = [jnp.maximum(k + total_switched * p, tiny) for k, p in zip(stayed, self.prior(), strict=True)]
+        return ModeTransition(predicted, stayed, switched, total_switched)
 
     def predict(self, belief: Mixture, motion: AbstractMotion, inputs: Any, dt: Scalar) -> Mixture:
-        """The belief `dt` seconds later, the modes mixed first."""
-        drawn = self.drawn(belief, inputs, dt)
-        mixture = compute_once(merged(belief.components, [x / drawn.whole for x in drawn.anew]))
+        """The belief `dt` s later: mixing of the modes, then each mode's prediction."""
+        transition = self.transition(belief, inputs, dt)
+        weights = [x / transition.total_switched for x in transition.switched]
+        switched = compute_once(collapsed(belief.components, weights))
         components = []
-        for mode, share in enumerate(self.shares()):
-            part = drawn.whole * share / drawn.after[mode]
-            mixed = compute_once(merged((belief.components[mode], mixture), [1.0 - part, part]))
-            components.append(self.filter.predict(mixed, _of(motion, mode), inputs, dt))
-        return Mixture(tuple(components), tuple(jnp.log(x) for x in drawn.after))
+        for mode, prior in enumerate(self.prior()):
+            share = transition.total_switched * prior / transition.predicted[mode]
+            mixed = compute_once(collapsed((belief.components[mode], switched), [1.0 - share, share]))
+            components.append(self.filter.predict(mixed, _in_mode(motion, mode), inputs, dt))
+        return Mixture(tuple(components), tuple(jnp.log(x) for x in transition.predicted))
 
     def update(
         self, belief: Mixture, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Any
     ) -> tuple[Mixture, Innovation]:
-        """The belief after one reading, and what the reading said."""
-        found = [
-            self.filter.update(component, _of(motion, mode), _of(sensor, mode), reading, inputs)
+        """The belief after one reading, and the reading's `Innovation`."""
+        updated = [
+            self.filter.update(component, _in_mode(motion, mode), _in_mode(sensor, mode), reading, inputs)
             for mode, component in enumerate(belief.components)
         ]
-        joint = [w + said.log_likelihood for w, (_, said) in zip(belief.log_weights, found, strict=True)]
+        joint = [w + one.log_likelihood for w, (_, one) in zip(belief.log_weights, updated, strict=True)]
         top = joint[0]
         for x in joint[1:]:
             top = jnp.maximum(top, x)
         log_likelihood = compute_once(top + jnp.log(total(jnp.exp(x - top) for x in joint)))
         log_weights = tuple(x - log_likelihood for x in joint)
-        nis = total(jnp.exp(w) * said.nis for w, (_, said) in zip(log_weights, found, strict=True))
-        first = found[0][1]
+        nis = total(jnp.exp(w) * one.nis for w, (_, one) in zip(log_weights, updated, strict=True))
+        first = updated[0][1]
         innovation = Innovation(log_likelihood, nis, first.nis_dof, first.wrapped)
-        return Mixture(tuple(g for g, _ in found), log_weights), innovation
+        return Mixture(tuple(g for g, _ in updated), log_weights), innovation
 
-    def rts_gain(self, belief: Mixture, motion: AbstractMotion, joined: Scalar, dt: Scalar, inputs: Any) -> ModeGains:
-        """What ties a row's belief to the next row's, every mode to every mode."""
-        drawn, shares = self.drawn(belief, inputs, dt), self.shares()
-        pairs = list(zip(drawn.kept, drawn.anew, strict=True))
-        chances = tuple(
-            tuple(((kept if i == j else 0.0) + anew * shares[j]) / drawn.after[j] for j in range(len(shares)))
-            for i, (kept, anew) in enumerate(pairs)
+    def rts_gain(
+        self, belief: Mixture, motion: AbstractMotion, connected: Scalar, dt: Scalar, inputs: Any
+    ) -> ModeGains:
+        """The RTS gains to the next time step, from every mode to every mode."""
+        transition, prior = self.transition(belief, inputs, dt), self.prior()
+        pairs = list(zip(transition.stayed, transition.switched, strict=True))
+        backward = tuple(
+            tuple(
+                ((stayed if i == j else 0.0) + switched * prior[j]) / transition.predicted[j] for j in range(len(prior))
+            )
+            for i, (stayed, switched) in enumerate(pairs)
         )
-        motions = [motion.in_mode(j) for j in range(len(shares))] if isinstance(motion, AbstractSwitching) else [motion]
-        each = tuple(
-            tuple(self.filter.rts_gain(component, one, joined, dt, inputs) for one in motions)
+        motions = [motion.in_mode(j) for j in range(len(prior))] if isinstance(motion, AbstractSwitching) else [motion]
+        gains = tuple(
+            tuple(self.filter.rts_gain(component, one, connected, dt, inputs) for one in motions)
             for component in belief.components
         )
-        return ModeGains(belief, each, chances, joined)
+        return ModeGains(belief, gains, backward, connected)
 
     def rts_step(self, rts_gain: ModeGains, after: Mixture) -> Mixture:
-        """The smoothed belief of a row, from the next row's (Kim, "Dynamic linear models with Markov-switching", 1994).
+        """The smoothed belief of a time step, given that of the next one (Kim 1994).
 
-        Each mode is the mixture of what follows for it from every mode of the next row. As Kim does it takes which mode
-        a row was in, given the next row's mode, from the rows up to here alone: exact only where no mode is drawn anew.
+        Each mode is the collapsed mixture of its smoothed Gaussians over the next step's modes. Kim's approximation:
+        P(mode now | mode at the next step) is taken from measurements up to now alone; exact only without switching.
         """
         tiny = float(jnp.finfo(after.log_weights[0].dtype).tiny) ** 0.5
         later = [jnp.exp(w) for w in after.log_weights]
         components, log_weights = [], []
-        for i, (chances, links) in enumerate(zip(rts_gain.chances, rts_gain.each, strict=True)):
-            # A mode that nothing comes of goes on as itself, so that its weights add up to one too.
-            joint = [p * w + (tiny if i == j else 0.0) for j, (p, w) in enumerate(zip(chances, later, strict=True))]
+        for i, (backward, gains) in enumerate(zip(rts_gain.backward, rts_gain.gains, strict=True)):
+            # `tiny`: a mode without any successor continues as itself, so that its weights still have the sum 1.
+            joint = [p * w + (tiny if i == j else 0.0) for j, (p, w) in enumerate(zip(backward, later, strict=True))]
             probability = compute_once(total(joint))
             weights = [x / probability for x in joint]
-            if len(links) == 1:
-                found = self.filter.rts_step(links[0], merged(after.components, weights))
+            if len(gains) == 1:
+                smoothed = self.filter.rts_step(gains[0], collapsed(after.components, weights))
             else:
-                found = merged(
-                    [self.filter.rts_step(a, b) for a, b in zip(links, after.components, strict=True)], weights
+                smoothed = collapsed(
+                    [self.filter.rts_step(a, b) for a, b in zip(gains, after.components, strict=True)], weights
                 )
-            components.append(compute_once(found))
-            log_weights.append(jnp.where(rts_gain.joined, jnp.log(probability), rts_gain.filtered.log_weights[i]))
+            components.append(compute_once(smoothed))
+            log_weights.append(jnp.where(rts_gain.connected, jnp.log(probability), rts_gain.filtered.log_weights[i]))
         return Mixture(tuple(components), tuple(log_weights))
 
 
-def merged(components: Sequence[Gaussian], weights: Sequence[Scalar]) -> Gaussian:
-    """The normal belief with the mean and covariance of a mixture whose weights add up to one."""
+def collapsed(components: Sequence[Gaussian], weights: Sequence[Scalar]) -> Gaussian:
+    """The moment-matched Gaussian of a mixture with weights of sum 1."""
     origin = components[0].mean
     steps = [local(origin, g.mean) for g in components[1:]]
-    middle = [total(w * s for w, s in zip(weights[1:], column, strict=True)) for column in zip(*steps, strict=True)]
-    mean = retract(origin, middle) if middle else origin
-    apart = [local(mean, g.mean) for g in components]
+    mean_step = [total(w * s for w, s in zip(weights[1:], column, strict=True)) for column in zip(*steps, strict=True)]
+    mean = retract(origin, mean_step) if mean_step else origin
+    deviations = [local(mean, g.mean) for g in components]
     cov = []
-    for k, (i, j) in enumerate(triangle(len(apart[0]))):
-        cov.append(total(w * (g.cov[k] + d[i] * d[j]) for w, g, d in zip(weights, components, apart, strict=True)))
+    for k, (i, j) in enumerate(triangle(len(deviations[0]))):
+        cov.append(total(w * (g.cov[k] + d[i] * d[j]) for w, g, d in zip(weights, components, deviations, strict=True)))
     return Gaussian(mean, tuple(cov))
 
 
-def _of(part: Any, mode: int) -> Any:
+def _in_mode(part: Any, mode: int) -> Any:
     return part.in_mode(mode) if isinstance(part, AbstractSwitching) else part

@@ -1,29 +1,26 @@
-"""Error figures of estimates against truth, and whether the reported covariances deserve belief.
+"""Error metrics of estimates against truth, and the consistency of reported covariances (Bar-Shalom 2001, section 5.4).
 
     e  error, estimate − truth, (N, d)        P  reported covariance, (N, d, d)
     NEES  eᵀP⁻¹e, normalised estimation error squared        NIS  the same of an innovation
 
-Plain NumPy in double precision on arrays already matched; what is matched with what is not decided here.
+NumPy in double precision, on estimates and truth that are already associated.
 """
 
 from __future__ import annotations
 
-import functools
 import math
-from statistics import NormalDist
 from typing import NamedTuple
 
-import jax
 import numpy as np
-from jax.scipy.special import gammainc
 from jaxtyping import Bool, Float
+from scipy.special import gammainc, gammaincinv
 
 Errors = Float[np.ndarray, "N d"]
 Covariances = Float[np.ndarray, "N d d"]
 
 
 class ErrorMetrics(NamedTuple):
-    """Figures of the lengths of N error vectors, in the errors' unit; NaN where N is zero."""
+    """Statistics of the norms of N error vectors, in the errors' unit; NaN for N = 0."""
 
     rmse: float
     median: float
@@ -34,7 +31,7 @@ class ErrorMetrics(NamedTuple):
 
 
 class Consistency(NamedTuple):
-    """The mean of chi-square values, what it should be, and the interval it lies in when the model is true."""
+    """The mean of N chi-square values, its expectation, and its interval if the model is true."""
 
     mean: float
     expected: float
@@ -44,21 +41,21 @@ class Consistency(NamedTuple):
 
 
 class TimeLost(NamedTuple):
-    """How long a track was lost: seconds, and the fraction of its span."""
+    """The time during which a track was lost: seconds, and the fraction of its duration."""
 
     seconds: float
     fraction: float
 
 
 def error_metrics(errors: Errors) -> ErrorMetrics:
-    """RMSE, median, 90th, 95th and 99th percentile and maximum of the errors' lengths."""
+    """RMSE, median, 90th, 95th and 99th percentile and maximum of the error norms."""
     if len(errors) == 0:
         return ErrorMetrics(*[math.nan] * 6)
     return ErrorMetrics(rmse(errors), *percentiles(errors, (50.0, 90.0, 95.0, 99.0, 100.0)))
 
 
 def rmse(errors: Errors) -> float:
-    """The root of the mean squared length of the errors."""
+    """The root of the mean squared norm of the errors."""
     return math.sqrt(_mean(np.einsum("nd,nd->n", errors, errors)))
 
 
@@ -68,40 +65,40 @@ def bias(errors: Errors) -> Float[np.ndarray, " d"]:
 
 
 def percentiles(errors: Errors, percents: tuple[float, ...]) -> list[float]:
-    """Percentiles of the errors' lengths, linear between order statistics (Hyndman & Fan 1996, definition 7)."""
+    """Percentiles of the error norms, linear between order statistics (Hyndman & Fan 1996, definition 7)."""
     ordered = np.sort(np.sqrt(np.einsum("nd,nd->n", errors, errors)))
     ranks = np.asarray(percents) * ((len(ordered) - 1) / 100.0)
     return np.interp(ranks, np.arange(len(ordered)), ordered).tolist() if len(ordered) else [math.nan] * len(percents)
 
 
 def distances_to_path(points: Float[np.ndarray, "N 2"], knots: Float[np.ndarray, "K 2"]) -> Float[np.ndarray, " N"]:
-    """The distance of each point from the nearest place of a polyline: the error where only the way is known, not when.
+    """The distance of each point from a polyline: the cross-track error, for truth that is a path without times.
 
-    An error along the way, as that of an estimate which comes late, does not show in it.
+    Along-track errors, as those of a latency, are not part of it.
     """
-    starts, ways = knots[:-1], np.diff(knots, axis=0)
-    lengths = np.maximum(np.einsum("kd,kd->k", ways, ways), np.finfo(float).tiny)
+    starts, segments = knots[:-1], np.diff(knots, axis=0)
+    squares = np.maximum(np.einsum("kd,kd->k", segments, segments), np.finfo(float).tiny)
     nearest = np.full(len(points), np.inf)
-    for start, way, length in zip(starts, ways, lengths, strict=True):
-        apart = points - start
-        apart = apart - np.clip(apart @ way / length, 0.0, 1.0)[:, None] * way
-        nearest = np.minimum(nearest, np.einsum("nd,nd->n", apart, apart))
+    for start, segment, square in zip(starts, segments, squares, strict=True):
+        deviation = points - start
+        deviation = deviation - np.clip(deviation @ segment / square, 0.0, 1.0)[:, None] * segment
+        nearest = np.minimum(nearest, np.einsum("nd,nd->n", deviation, deviation))
     return np.sqrt(nearest)
 
 
 def nees(errors: Errors, covs: Covariances) -> Float[np.ndarray, " N"]:
-    """eᵀP⁻¹e of each row; NaN where P is not positive definite.
+    """NEES eᵀP⁻¹e of each row; NaN where P is not positive definite.
 
-    By elimination over the d columns, all rows at once: a single singular P must not spoil the others.
+    By elimination over the d columns for all rows at once, so that a singular P affects its own row alone.
     """
-    # Rows last in memory: each step below then runs along one long vector.
-    left, P = np.array(errors.T, float, order="C"), np.array(np.moveaxis(covs, 0, -1), float, order="C")
-    value = np.zeros(left.shape[1])
-    for j in range(len(left)):
+    # Rows last in memory: each step below runs along one long vector.
+    remainder, P = np.array(errors.T, float, order="C"), np.array(np.moveaxis(covs, 0, -1), float, order="C")
+    value = np.zeros(remainder.shape[1])
+    for j in range(len(remainder)):
         pivot = np.where(P[j, j] > 0, P[j, j], math.nan)
-        value += left[j] ** 2 / pivot
+        value += remainder[j] ** 2 / pivot
         gain = P[j + 1 :, j] / pivot
-        left[j + 1 :] -= gain * left[j]
+        remainder[j + 1 :] -= gain * remainder[j]
         P[j + 1 :, j + 1 :] -= gain[:, None] * P[j, j + 1 :]
     return value
 
@@ -109,11 +106,10 @@ def nees(errors: Errors, covs: Covariances) -> Float[np.ndarray, " N"]:
 def consistency(
     values: Float[np.ndarray, " N"], dof: float | Float[np.ndarray, " N"], level: float = 0.95
 ) -> Consistency:
-    """The mean NEES or NIS of N independent runs and its two-sided interval (Bar-Shalom 2001, section 5.4.2).
+    """The mean NEES or NIS of N independent values and its two-sided interval (Bar-Shalom 2001, section 5.4.2).
 
-    `dof`: degrees of freedom of each value, which may differ from row to row. The sum of independent chi-square
-    values is chi-square with the sum of the degrees; values that are NaN are left out. Rows of one run are not
-    independent where errors last, so there the interval is too narrow.
+    `dof`: degrees of freedom of each value; the sum of the values is chi-square with the sum of these. NaN is left out.
+    Rows of one run with correlated errors are not independent: the interval is then too narrow.
     """
     known = np.isfinite(values)
     n, total = int(known.sum()), float(np.broadcast_to(dof, values.shape)[known].sum())
@@ -124,26 +120,26 @@ def consistency(
 
 
 def coverage(errors: Errors, covs: Covariances, level: float = 0.95) -> float:
-    """The fraction of errors inside the reported ellipse of the given level; rows without a proper P left out."""
+    """The fraction of errors inside the reported ellipse of the given level; rows with an indefinite P are left out."""
     return covered(nees(errors, covs), errors.shape[1], level)
 
 
 def covered(values: Float[np.ndarray, " N"], dof: int, level: float = 0.95) -> float:
-    """The fraction of NEES values inside the ellipse of the given level; values that are NaN are left out."""
+    """The fraction of NEES values inside the ellipse of the given level; NaN is left out."""
     known = values[np.isfinite(values)]
     return _mean(known <= chi_square_quantile(level, dof))
 
 
 def coverage_per_axis(errors: Errors, covs: Covariances, k: float) -> Float[np.ndarray, " d"]:
-    """For each axis the fraction of errors within `k` reported standard deviations of zero."""
+    """Per axis, the fraction of errors within `k` reported standard deviations."""
     variances = np.diagonal(covs, axis1=1, axis2=2)
     return np.array([_mean(e[v > 0] ** 2 <= k * k * v[v > 0]) for e, v in zip(errors.T, variances.T, strict=True)])
 
 
 def time_lost(times: Float[np.ndarray, " N"], lost: Bool[np.ndarray, " N"]) -> TimeLost:
-    """Time during which a track was lost; a row speaks for the time until the next one.
+    """The time during which a track was lost; a row's status holds until the next row.
 
-    `times`: sorted, s. The fraction is of the span of `times`, or of the rows where all share one time.
+    `times`: sorted, s. The fraction is of the time between first and last row, or of the rows if all have one time.
     """
     if len(times) == 0:
         return TimeLost(0.0, math.nan)
@@ -152,43 +148,21 @@ def time_lost(times: Float[np.ndarray, " N"], lost: Bool[np.ndarray, " N"]) -> T
 
 
 def chi_square_cdf(x: float, dof: float) -> float:
-    """The probability that a chi-square value with `dof` degrees of freedom is at most `x`."""
-    # In single precision the incomplete gamma function is off by 3e-4 at 40,000 degrees of freedom.
-    with jax.enable_x64(True):
-        return float(gammainc(np.float64(dof / 2), np.float64(x / 2)))
+    """The probability that a chi-square variable with `dof` degrees of freedom is at most `x`."""
+    return float(gammainc(dof / 2, x / 2))
 
 
 def chi_square_density(x: Float[np.ndarray, " N"], dof: float) -> Float[np.ndarray, " N"]:
-    """The density of chi-square with `dof` degrees of freedom at positive `x`."""
+    """The chi-square density with `dof` degrees of freedom at positive `x`."""
     a = dof / 2
     return np.exp((a - 1) * np.log(x) - x / 2 - a * math.log(2) - math.lgamma(a))
 
 
-@functools.lru_cache(maxsize=4096)
 def chi_square_quantile(probability: float, dof: float) -> float:
-    """The value that a chi-square variable with `dof` degrees of freedom stays under with the given probability.
-
-    Newton's method on the distribution function from the Wilson–Hilferty value, bisecting where a step would leave
-    the bracket. Raises ValueError outside 0 < probability < 1 and dof > 0.
-    """
+    """The quantile of the chi-square distribution; raises ValueError outside 0 < probability < 1 and dof > 0."""
     if not (0 < probability < 1 and dof > 0):
         raise ValueError(f"a chi-square quantile needs 0 < probability < 1 and dof > 0, found {probability} and {dof}")
-    low, high = 0.0, dof + 10.0
-    while chi_square_cdf(high, dof) < probability:
-        low, high = high, 2 * high
-    spread = 2 / (9 * dof)
-    x = dof * (1 - spread + NormalDist().inv_cdf(probability) * math.sqrt(spread)) ** 3
-    for _ in range(200):
-        x = x if low < x < high else 0.5 * (low + high)
-        excess = chi_square_cdf(x, dof) - probability
-        low, high = (low, x) if excess > 0 else (x, high)
-        density = float(chi_square_density(np.array([x]), dof)[0])
-        step = excess / density if density > 0 else math.nan
-        x -= step
-        # The error after a Newton step is of the order of the step squared.
-        if abs(step) <= 1e-8 * abs(x):
-            break
-    return x
+    return 2 * float(gammaincinv(dof / 2, probability))
 
 
 def _mean(values: np.ndarray) -> float:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from trackers.core.errors import UnusableInput
-from trackers.core.rts import Smoothed
+from trackers.core.smoother import Smoothed
 from trackers.core.tracker import AbstractTracker
 from trackers.core.tunable import AbstractTunable, tunables, with_values
 from trackers.recordings.folder import RecordingFolder

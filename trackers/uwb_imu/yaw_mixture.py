@@ -24,11 +24,11 @@ class YawMixture(NamedTuple):
 
 
 class YawRtsGains(NamedTuple):
-    """The RTS gains of each component, and the filtered weights, which remain where no later row is `joined`."""
+    """The RTS gains of each component, and the filtered weights, which remain where no later row is `connected`."""
 
     each: Any
     log_weights: Any
-    joined: Scalar
+    connected: Scalar
 
 
 class YawMixtureFilter(eqx.Module):
@@ -89,15 +89,15 @@ class YawMixtureFilter(eqx.Module):
         return retract(centre, mean), cov
 
     def rts_gain(
-        self, belief: YawMixture, motion: AbstractMotion, joined: Scalar, dt: Scalar, inputs: Any
+        self, belief: YawMixture, motion: AbstractMotion, connected: Scalar, dt: Scalar, inputs: Any
     ) -> YawRtsGains:
         """The RTS gains to the next row, component by component."""
-        each = jax.vmap(lambda b: self.kalman.rts_gain(b, motion, joined, dt, inputs))
-        return YawRtsGains(each(belief.beliefs), belief.log_weights, joined)
+        each = jax.vmap(lambda b: self.kalman.rts_gain(b, motion, connected, dt, inputs))
+        return YawRtsGains(each(belief.beliefs), belief.log_weights, connected)
 
     def rts_step(self, rts_gain: YawRtsGains, after: YawMixture) -> YawMixture:
         """Every component smoothed, with the weights of the later rows."""
-        log_weights = jnp.where(rts_gain.joined, after.log_weights, rts_gain.log_weights)
+        log_weights = jnp.where(rts_gain.connected, after.log_weights, rts_gain.log_weights)
         return YawMixture(jax.vmap(self.kalman.rts_step)(rts_gain.each, after.beliefs), log_weights)
 
 

@@ -84,10 +84,10 @@ class Walk(AbstractMotion):
 @pytest.mark.parametrize(
     ("move", "message"),
     [
-        (lambda p, dt, w: Placed(p + w * 0.1), r"dt = 0 moves position\.[01] by .*whatever the noise"),
-        (lambda p, dt, w: Placed(p * jnp.exp(dt) * 1.0000001), "dt = 0 moves"),
+        (lambda p, dt, w: Placed(p + w * 0.1), r"dt = 0 changes position\.[01] by .*whatever the noise"),
+        (lambda p, dt, w: Placed(p * jnp.exp(dt) * 1.0000001), "dt = 0 changes"),
         (lambda p, dt, w: p + w * dt, "returns Vector with shapes .*expected a state like"),
-        (lambda p, dt, w: Placed(p + w * dt if p[0] > 0 else p), "can't be traced"),
+        (lambda p, dt, w: Placed(p + w * dt if p[0] > 0 else p), "cannot be traced"),
         (lambda p, dt, w: Placed(p + w * (dt * np.random.default_rng().normal())), "other numbers when traced again"),
         (
             lambda p, dt, w: Placed(p + w * dt * jnp.sqrt((p - p).dot(p))),
@@ -95,7 +95,7 @@ class Walk(AbstractMotion):
         ),
         (
             lambda p, dt, w: Placed(p + w * (jnp.sin(dt) / dt * dt)),
-            "Walk.step at dt = 0.0 s is not finite|dt = 0 moves",
+            "Walk.step at dt = 0.0 s is not finite|dt = 0 changes",
         ),
     ],
     ids=["noise", "drift", "another kind", "if", "random", "root of zero", "division by dt"],
@@ -140,7 +140,7 @@ def _root(good, reading, predicted):
         (lambda g, z, p: g._replace(log_scale=0.0 * g.log_scale), "integrates to .* expected 1; usual fix: log_scale"),
         (lambda g, z, p: g._replace(dof=jnp.asarray(4.0)), "integrates to"),
         (lambda g, z, p: g._replace(whitened=[w * 2.0 for w in g.whitened]), "integrates to 0.5 over x"),
-        (_unmasked, "expected 0 for a channel that wasn't seen"),
+        (_unmasked, "expected 0 for a masked channel"),
         (lambda g, z, p: g._replace(log_scale=g.log_scale + 0.1), "no channel seen has nis_dof 0 and log_scale 0.1"),
         (lambda g, z, p: g._replace(log_scale=g.log_scale + 0.1 * z.values[1]), "expected 0 and 0|changes with the value"),
         (lambda g, z, p: g._replace(nis_dof=g.nis_dof + 1.0), "counts 3 numbers"),

@@ -12,7 +12,7 @@ from trackers.core.algebra import Vector
 from trackers.core.estimates import Status
 from trackers.core.motion import ConstantVelocity, Kinematic
 from trackers.core.recording import stack
-from trackers.core.rts import Smoothed
+from trackers.core.smoother import Smoothed
 from trackers.core.track_loss import TrackLossPolicy
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import Scale

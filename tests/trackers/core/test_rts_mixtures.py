@@ -11,7 +11,7 @@ from trackers.core.algebra import Vector
 from trackers.core.imm import InteractingModels, SwitchingMotion
 from trackers.core.motion import ConstantVelocity, Kinematic
 from trackers.core.recording import stack
-from trackers.core.rts import Smoothed
+from trackers.core.smoother import Smoothed
 from trackers.core.tracker import Tracker
 
 ROWS, SIGMAS, LAG = 8, (0.3, 3.0), 0.9

@@ -7,7 +7,7 @@ from tests.known_start import NEVER_LOST, KnownStart, flat, recording
 from trackers.core.algebra import Vector
 from trackers.core.ekf import ExtendedKalman
 from trackers.core.recording import stack
-from trackers.core.rts import Smoothed
+from trackers.core.smoother import Smoothed
 from trackers.core.state import Heading
 from trackers.core.tracker import Tracker
 from trackers.parts.ranges import RangeSensor

@@ -1,4 +1,4 @@
-"""The integral of a sensor's density over its readings, which is 1 where its scale is right."""
+"""The integral of a sensor's density over its readings, by quadrature: 1 if `Residual.log_scale` is right."""
 
 from __future__ import annotations
 
@@ -7,45 +7,45 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from jax.scipy.special import betainc
+from scipy.special import betainc
 
 POINTS = 4096
-"""Readings whose density is computed at once: 1 × 4096, 64 × 64, or eight blocks of 32 × 32 × 32."""
+"""Readings per call of the density: 4096 for one channel, 64 × 64 for two, an eighth of 32 × 32 × 32 for three."""
 
 
 def integral(
     log_density: Callable[[np.ndarray], Any],
     predicted: np.ndarray,
     free: np.ndarray,
-    slope: np.ndarray,
+    jacobian: np.ndarray,
     wraps: np.ndarray,
     dof: float | None,
 ) -> tuple[float, float]:
-    """∫ density over the free channels, the others held at the prediction, and what wrapping may take away from 1.
+    """∫ density over the free channels, the others fixed at the prediction, and the probability lost by wrapping.
 
-    By the trapezoidal rule after u = sinh s, with u the whitened reading: exponentially accurate for the normal
-    density, and s reaches far into the tail of Student's t. `slope`: ∂whitened/∂reading over the free channels.
+    Trapezoidal rule in s with u = sinh s the whitened reading: exponentially accurate for the normal density, and far
+    into the tails of Student's t. `jacobian`: ∂whitened/∂reading over the free channels. `dof`: of Student's t, or None.
     """
     k = len(free)
-    rows = slope[np.any(slope != 0, axis=1)]
-    factor = rows if len(rows) == k else np.linalg.qr(slope)[1]
+    rows = jacobian[np.any(jacobian != 0, axis=1)]
+    factor = rows if len(rows) == k else np.linalg.qr(jacobian)[1]
     if not np.all(np.isfinite(factor)) or abs(np.linalg.det(factor)) < 1e-30:
         return math.nan, 0.0
-    spread = np.linalg.inv(factor)
+    inverse = np.linalg.inv(factor)
     reach = math.asinh(8.0) if dof is None else min(3.0 + 16.0 / dof, 18.0)
     s = np.linspace(-reach, reach, {1: POINTS, 2: 64, 3: 32}[k])
     grid = np.stack(np.meshgrid(*[s] * k, indexing="ij"), axis=-1).reshape(-1, k)
-    offsets = np.sinh(grid) @ spread.T
+    offsets = np.sinh(grid) @ inverse.T
     values = np.tile(predicted, (len(grid), 1))
     values[:, free] += offsets
     blocks = values.reshape(-1, POINTS, len(predicted))
     density = np.exp(np.concatenate([np.asarray(log_density(block), float) for block in blocks]))
     inside = np.all((np.abs(offsets) <= np.pi) | ~wraps[free], axis=1)
-    weight = np.prod(np.cosh(grid), axis=1) * (s[1] - s[0]) ** k * abs(np.linalg.det(spread))
-    scales = np.sqrt(np.sum(spread**2, axis=1))[wraps[free]]
+    weight = np.prod(np.cosh(grid), axis=1) * (s[1] - s[0]) ** k * abs(np.linalg.det(inverse))
+    scales = np.sqrt(np.sum(inverse**2, axis=1))[wraps[free]]
     return float(np.sum(density * weight * inside)), sum(beyond(np.pi / scale, dof) for scale in scales)
 
 
 def beyond(x: float, dof: float | None) -> float:
-    """The probability that a standard normal number, or Student's t with `dof` degrees of freedom, is beyond ± x."""
+    """The probability beyond ± x of the standard normal, or of Student's t with `dof` degrees of freedom."""
     return math.erfc(x / math.sqrt(2)) if dof is None else float(betainc(dof / 2, 0.5, dof / (dof + x * x)))
