@@ -1,1 +1,1 @@
-"""System A: antenna arrays, beamformers, the beam tracker, bearings-only fusion, phases straight to position."""
+"""System A: antenna arrays at 24 GHz; beamformers, beam tracker, bearings-only fusion, position from phases."""

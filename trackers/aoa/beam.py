@@ -37,7 +37,7 @@ class Beam(NamedTuple):
 
 
 class InPlaneBeam(NamedTuple):
-    """A direction in the array's plane, about its z axis, and its rate, rad and rad/s."""
+    """An angle in the array's plane, about its z axis, and its rate, rad and rad/s."""
 
     heading: Heading
     rate: Scalar
@@ -46,7 +46,7 @@ class InPlaneBeam(NamedTuple):
 class BeamMotion(AbstractMotion):
     """Constant angular rates with an acceleration that is constant during a step: F and Q of equations (5), (6).
 
-    `sigma_a`: rad/s². The noise of two short steps is not that of one long one; the paper's rate is constant.
+    `sigma_a`: rad/s². The noise depends on how an interval is divided into steps; the paper's rate is constant.
     """
 
     sigma_a: Noise
@@ -88,9 +88,10 @@ class InPlaneBeamMotion(AbstractMotion):
 
 
 class BeamStart(AbstractStart):
-    """The strongest direction of a delay-and-sum beamformer on one row, once `antennas` are seen.
+    """A start at the maximum of the delay-and-sum spectrum of one row with at least `antennas` phases.
 
-    `sigma_angle`: rad, 30° in the paper. `sigma_rate`: rad/s. In an array's plane when the grid has one angle.
+    `sigma_angle` rad, 30° in the paper, and `sigma_rate` rad/s: standard deviations. A grid of one angle gives an
+    `InPlaneBeam`.
     """
 
     station: str = eqx.field(static=True)
@@ -124,16 +125,19 @@ def beam_tracker(
     span: float = np.deg2rad(30.0),
     loss: TrackLossPolicy | None = None,
 ) -> Tracker:
-    """The tracker of one station's beam; `name`: the station's readings in a recording. σa rad/s², σp and span rad."""
+    """The beam tracker of one station, whose phases a recording holds under `name`; `span`: of the start's grid, rad.
+
+    `sigma_a` rad/s², `sigma_p` rad. `paper_form`: residuals as printed, see `pairwise` in phases.py.
+    """
     sensor = PlanePhases(station, sigma_p, paper_form)
     start = BeamStart(name, Grid.of(station, span), Scale(np.deg2rad(30.0), "rad"), Scale(1.0, "rad/s"))
     return Tracker(BeamMotion(Scale(sigma_a, "rad/s^2")), {name: sensor}, start, track_loss=loss or TrackLossPolicy())
 
 
 def in_plane_beam_tracker(station: Station, name: str, sigma_a: float = 0.005, sigma_p: float = 0.7) -> Tracker:
-    """The tracker of a beam in the plane of a flat array, all round; σa rad/s² per √Hz, σp rad.
+    """The beam tracker in the plane of a flat array, over all angles; `sigma_a` rad/s² per √Hz, `sigma_p` rad.
 
-    All round, a wrong lobe is never far: a track is given up earlier than by the usual policy.
+    Over all angles ambiguous lobes are close, so track loss is declared earlier than by the default policy.
     """
     sensor = InPlanePhases(station, sigma_p)
     start = BeamStart(name, Grid.in_plane(station), Scale(np.deg2rad(30.0), "rad"), Scale(0.05, "rad/s"))

@@ -1,7 +1,7 @@
 """Beamformers: delay-and-sum, Capon and MUSIC over a grid of directions, batched over rows.
 
-They take phases only, every antenna with the same weight, and know no time: the baseline of the beam tracker and
-its first state (Will et al. 2020, section 4).
+They use phases only, with equal weights of the antennas, and one row at a time: the baseline of the beam tracker and
+its start (Will et al. 2020, section 4).
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def music(grid: Grid, covariance: jax.Array) -> jax.Array:
     n = covariance.shape[-1]
     vector = covariance
     for _ in range(6):
-        # Squaring the matrix six times is sixty-four power iterations; the scale keeps it in range.
+        # Six squarings are 64 power iterations; the division prevents overflow.
         vector = vector @ vector
         vector = vector / (_power(vector) + 1e-30)
     signal = jnp.maximum(_form(grid, vector), 0.0)
@@ -88,7 +88,7 @@ def strongest(grid: Grid, spectrum: jax.Array) -> jax.Array:
 
 
 def _power(matrix: jax.Array) -> jax.Array:
-    """The trace of Hermitian matrices, (…, 1, 1), of the matrices' own type."""
+    """The trace of Hermitian matrices, (…, 1, 1), of the matrices' dtype."""
     return jnp.trace(matrix, axis1=-2, axis2=-1).real[..., None, None].astype(matrix.dtype)
 
 

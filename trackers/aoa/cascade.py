@@ -1,4 +1,4 @@
-"""The paper's chain: a beam tracker per station, then bearings-only fusion with the covariances they report."""
+"""The paper's cascade: a beam tracker per station, then bearings-only fusion of their estimates and covariances."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.aoa.beam import beam_tracker
-from trackers.aoa.fusion import BEARINGS, BearingSensor, bearing_inputs, surroundings
+from trackers.aoa.fusion import BEARINGS, BearingSensor, bearing_inputs, region_centre
 from trackers.aoa.rays import nearest_to_rays, unit_vector
 from trackers.core.estimates import Status
 from trackers.core.motion import ConstantVelocity
@@ -26,8 +26,9 @@ from trackers.parts.start_nearby import NearbyStart
 class Cascade(AbstractTracker):
     """A beam tracker per station, `beams` by the stations' names in a recording, and the `fusion` of their angles.
 
-    The estimates of a beam tracker are fused as if they were readings with independent errors, as the paper does;
-    `fusion.sensors.bearings.reported_std_scale` scales the reported standard deviations where they are too small for that.
+    As in the paper, the estimates of a beam tracker are fused as readings with independent errors;
+    `fusion.sensors.bearings.reported_std_scale` scales their standard deviations where that makes them too small.
+    `geometry`: origin and axes (12,) of each station; `centre` (3,) m: see `region_centre`.
     """
 
     beams: Mapping[str, Tracker]
@@ -36,13 +37,13 @@ class Cascade(AbstractTracker):
     centre: Any
 
     def scan(self, batch: Batch) -> Output:
-        return self._joined(self.fusion.scan(self._bearings(batch)))
+        return self._per_row(self.fusion.scan(self._bearings(batch)))
 
     def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
         return self.fusion.accumulate(self._bearings(batch), score)
 
     def _bearings(self, batch: Batch) -> Batch:
-        """The recording that the fusion sees: the stations' angles of each row one after another, dt = 0 between."""
+        """The batch for the fusion: one row per station and row, the stations' angles in order with dt = 0 between."""
         readings = [self._reading(name, batch) for name in self.beams]
         count = len(readings)
 
@@ -61,7 +62,7 @@ class Cascade(AbstractTracker):
         first = jnp.arange(batch.dt.shape[0] * count)[:, None] % count == 0
         inputs = {name: repeated(x) for name, x in batch.inputs.items()}
         inputs |= {"origin": geometry(slice(0, 3)), "axes": geometry(slice(3, 12))}
-        inputs["nearby"] = repeated(self._meeting(readings))
+        inputs["nearby"] = repeated(self._nearest_points(readings))
         return Batch(
             jnp.where(first, repeated(batch.dt), 0.0),
             repeated(batch.valid),
@@ -71,10 +72,10 @@ class Cascade(AbstractTracker):
             batch.key,
         )
 
-    def _meeting(self, readings: list[Reading]) -> Any:
-        """Where each row's beams meet, (T, 4, B), and whether two or more were heard."""
+    def _nearest_points(self, readings: list[Reading]) -> Any:
+        """The point nearest to each row's beams, m, and 1 where there are two or more, (T, 4, B)."""
 
-        def one(*parts: Reading) -> Any:
+        def nearest(*parts: Reading) -> Any:
             rays = []
             for name, part in zip(self.beams, parts, strict=True):
                 geometry = jnp.asarray(self.geometry[name])
@@ -84,29 +85,29 @@ class Cascade(AbstractTracker):
             point = nearest_to_rays(rays, jnp.asarray(self.centre))
             return jnp.append(point, jnp.where(count > 1, jnp.ones_like(point[0]), 0.0))
 
-        return jax.vmap(jax.vmap(one, in_axes=-1, out_axes=-1))(*readings)
+        return jax.vmap(jax.vmap(nearest, in_axes=-1, out_axes=-1))(*readings)
 
     def _reading(self, name: str, batch: Batch) -> Reading:
-        """One station's beam estimates as readings with covariances, where the row had phases of that station."""
+        """One station's beam estimates as readings with covariances, masked on rows without its phases."""
         output = self.beams[name].scan(batch._replace(readings={name: batch.readings[name]}))
         mean, cov = output.mean, output.cov
-        heard = (output.status == Status.RESTARTED) | ((output.status == Status.OK) & (output.nis_dof > 0))
+        updated = (output.status == Status.RESTARTED) | ((output.status == Status.OK) & (output.nis_dof > 0))
         angles = jnp.stack([mean.azimuth, mean.elevation], axis=1)
-        return Reading(angles, jnp.stack([heard, heard], axis=1), jnp.stack([cov[0], cov[1], cov[4]], axis=1))
+        return Reading(angles, jnp.stack([updated, updated], axis=1), jnp.stack([cov[0], cov[1], cov[4]], axis=1))
 
-    def _joined(self, output: Output) -> Output:
-        """The fusion's rows back to one per row of the recording: the last belief, the sums of what was said."""
+    def _per_row(self, output: Output) -> Output:
+        """The fusion's output per row of the recording: the last belief, and the sums of the diagnostics."""
         stations = len(self.beams)
 
         def last(x: Any) -> Any:
             return x[stations - 1 :: stations]
 
-        def every(x: Any) -> Any:
+        def per_row(x: Any) -> Any:
             return x.reshape(-1, stations, *x.shape[1:])
 
-        restarted = jnp.any(every(output.status) == Status.RESTARTED, axis=1)
+        restarted = jnp.any(per_row(output.status) == Status.RESTARTED, axis=1)
         status = jnp.where(restarted & (last(output.status) == Status.OK), Status.RESTARTED, last(output.status))
-        log_likelihood, nis, nis_dof, wrapped = (jnp.sum(every(x), axis=1) for x in output[2:6])
+        log_likelihood, nis, nis_dof, wrapped = (jnp.sum(per_row(x), axis=1) for x in output[2:6])
         mean, cov = jax.tree_util.tree_map(last, (output.mean, output.cov))
         return Output(mean, cov, log_likelihood, nis, nis_dof, wrapped, status.astype(jnp.int8))
 
@@ -121,11 +122,11 @@ def cascade_tracker(
 ) -> Cascade:
     """The cascade for these stations (Will et al. 2020, sections 3 and 4.2).
 
-    σa of the beams rad/s², of the fusion m/s² per √Hz; σp and the span of the start rad.
+    `sigma_a_beam` rad/s², `sigma_a` of the fusion m/s² per √Hz; `sigma_p` and the `span` of the start rad.
     """
     beams = {name: beam_tracker(s, name, sigma_a_beam, sigma_p, paper_form, span) for name, s in stations.items()}
     sensors = {BEARINGS: BearingSensor(np.deg2rad(0.3), np.deg2rad(0.3), dof=30.0)}
     start = NearbyStart(Scale(0.2, "m"), Scale(0.5, "m/s"), False, 3)
     fusion = Tracker(ConstantVelocity(sigma_a, 3), sensors, start)
     geometry = {name: bearing_inputs(s) for name, s in stations.items()}
-    return Cascade(beams, fusion, geometry, surroundings(stations))
+    return Cascade(beams, fusion, geometry, region_centre(stations))

@@ -1,4 +1,4 @@
-"""The circular mean of a few angles, as cheap as a dozen multiplications each."""
+"""The circular mean of a few angles by polynomials, at a dozen multiplications per angle."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ def polynomial(coefficients: Sequence[float], x: Scalar) -> Scalar:
 def circular_mean(angles: Sequence[Scalar], seen: Sequence[Scalar], count: Scalar) -> Scalar:
     """The direction of Σ exp(iθ) over the angles seen, rad, in (−π, π], to 1e-5 rad.
 
-    It only decides which differences wrap, so that this accuracy is enough; `count` is the number seen, at least 1.
+    It only decides which differences wrap, for which this accuracy suffices. `count`: the number seen, at least 1.
     """
     turns = [a * (1.0 / jnp.pi) for a in angles]
     turns = [t - 2.0 * jnp.round(0.5 * t) for t in turns]
     squares = [t * t for t in turns]
-    # Divisions, though direction needs none: XLA never computes one twice, so both sums are shared by all antennas.
+    # The divisions do not change the angle, but XLA never duplicates one, so that all antennas share both sums.
     sine = total(s * t * (1.0 - q) * polynomial(SINE, q) for s, t, q in zip(seen, turns, squares, strict=True)) / count
     cosine = total(s * polynomial(COSINE, q) for s, q in zip(seen, squares, strict=True)) / count
     return compute_once(arctangent(sine, cosine))

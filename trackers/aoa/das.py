@@ -1,4 +1,4 @@
-"""Delay-and-sum on every row by itself: the baseline that the beam tracker is compared with."""
+"""Delay-and-sum on every row by itself, the baseline of the beam tracker (Will et al. 2020, section 4.1)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from trackers.core.tracker import AbstractEpochwiseTracker
 
 
 class DelayAndSum(AbstractEpochwiseTracker):
-    """The strongest direction of each row with three antennas or more; it reports no covariance (NaN)."""
+    """The maximum of the delay-and-sum spectrum of each row with three antennas or more; the covariance is NaN."""
 
     grid: Grid
     name: str = eqx.field(static=True)
@@ -36,7 +36,7 @@ class DelayAndSum(AbstractEpochwiseTracker):
         def one(values: Any, seen: Any) -> Any:
             return strongest(self.grid, delay_and_sum(self.grid, values, seen))
 
-        # A row at a time: the spectrum of a whole chunk would be gigabytes.
+        # One row at a time: the spectra of a whole chunk would take gigabytes.
         row = jax.vmap(one, in_axes=-1, out_axes=-1)
         angles = jax.lax.map(lambda r: row(*r), (jnp.asarray(reading.values), jnp.asarray(reading.seen)))
         zero = jnp.zeros_like(angles[:, 0])

@@ -1,4 +1,4 @@
-"""One filter straight from all stations' phases to a position in space, on spherical waves."""
+"""Direct positioning: one EKF from the phases of all stations to the position, with spherical waves."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.aoa.beamformer import Grid, delay_and_sum, strongest
-from trackers.aoa.fusion import surroundings
+from trackers.aoa.fusion import region_centre
 from trackers.aoa.phases import SphericalPhases
 from trackers.aoa.rays import nearest_to_rays, unit_vector
 from trackers.core.algebra import Scalar, Vector, diagonal, total
@@ -25,9 +25,10 @@ from trackers.core.tunable import Scale
 
 
 class PhaseStart(AbstractStart):
-    """The point nearest to the delay-and-sum beams of one row, once `stations` of them see three antennas or more.
+    """A start at the point nearest to the delay-and-sum beams of one row, at rest.
 
-    `sigma_position` m, `sigma_velocity` m/s: how far off that point may be.
+    It needs `stations` stations with three phases or more. `sigma_position` m, `sigma_velocity` m/s: standard
+    deviations.
     """
 
     centre: Any
@@ -64,10 +65,13 @@ def direct_tracker(
     span: float = np.deg2rad(45.0),
     planar: bool = False,
 ) -> Tracker:
-    """Position and velocity straight from the phases of all stations; σa m/s² per √Hz, σp and the start's span rad."""
+    """Position and velocity from the phases of all stations; `sigma_a` m/s² per √Hz, `sigma_p` rad.
+
+    `span`: half-width of the start's grid, rad. `planar`: at a known height.
+    """
     sensors = {name: SphericalPhases(s, sigma_p) for name, s in stations.items()}
     start = PhaseStart(
-        surroundings(stations),
+        region_centre(stations),
         Scale(0.2, "m"),
         Scale(0.5, "m/s"),
         {name: Grid.of(s, span) for name, s in stations.items()},

@@ -1,7 +1,7 @@
-"""Bearings-only fusion: position and velocity from the angles of any number of stations, one bearing a row.
+"""Bearings-only fusion: position and velocity from the angles of any number of stations, one bearing per row.
 
-Which station a row's bearing comes from stands in the row's inputs (`origin`, `axes`), so that stations may report at
-any time and in any order, and recordings from different installations share a tracker and its noise levels.
+The station of a row's bearing is given by the row's inputs `origin` and `axes`, so that stations may report at any time
+and in any order, and recordings of different installations share a tracker.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ BEARINGS = "bearings"
 
 
 class BearingSensor(AbstractSensor):
-    """Azimuth and elevation, rad, array frame, of a position as the station of this row sees it.
+    """Azimuth and elevation, rad, of a position in the array frame of this row's station.
 
-    Inputs: `origin` (3,) m, `axes` (9,) the array's x, y, z axes in the world, row after row, and `height` m for a
-    planar state. `sigma_azimuth`, `sigma_elevation`: rad, beside what the station reports (variance of azimuth,
-    covariance, variance of elevation, rad²), whose square root is scaled by `reported_std_scale`. `dof`: degrees of freedom of
-    Student's t. `offsets` (2,) rad and `compression` (2,) rad⁻²: arrays pull large angles a towards boresight, as
-    a/√(1 + c·a²) + offset; both zero for a calibrated one.
+    Inputs: `origin` (3,) m; `axes` (9,), the array's x, y and z axes in world axes; `height` m for a planar state.
+    `sigma_azimuth`, `sigma_elevation` rad add to the reported covariance (variance of azimuth, covariance, variance of
+    elevation, rad²), whose square root is scaled by `reported_std_scale`. `dof`: degrees of freedom of Student's t.
+    `offsets` (2,) rad and `compression` (2,) rad⁻²: arrays compress large angles a to a/√(1 + c·a²) + offset; both zero
+    for a calibrated array.
     """
 
     sigma_azimuth: Noise
@@ -61,26 +61,26 @@ class BearingSensor(AbstractSensor):
         x, y, z = (ray.dot(axes[3 * k : 3 * k + 3]) for k in range(3))
         true = jnp.arctan2(x, z), jnp.arctan2(y, jnp.sqrt(x * x + z * z))
         pairs = zip(true, self.compression.value, self.offsets.value, strict=True)
-        return [a / jnp.sqrt(jnp.maximum(1.0 + squeeze * a * a, 0.1)) + offset for a, squeeze, offset in pairs]
+        return [a / jnp.sqrt(jnp.maximum(1.0 + c * a * a, 0.1)) + offset for a, c, offset in pairs]
 
     def residual(self, reading: Reading, predicted: Sequence[Scalar]) -> Residual:
         """Azimuth first, elevation given azimuth second: whitened by the Cholesky factor of the covariance."""
         azimuth, elevation = (wrap(z - p) for z, p in zip(reading.values, predicted, strict=True))
-        saw_azimuth, saw_elevation = reading.seen
+        azimuth_seen, elevation_seen = reading.seen
         reported = (
             [r * self.reported_std_scale.value**2 for r in reading.reported]
             if len(reading.reported)
             else [0.0, 0.0, 0.0]
         )
         first = jnp.sqrt(self.sigma_azimuth.value**2 + reported[0])
-        coupling = jnp.where(saw_azimuth, reported[1] / first, 0.0)
+        coupling = jnp.where(azimuth_seen, reported[1] / first, 0.0)
         second = jnp.sqrt(self.sigma_elevation.value**2 + reported[2] - coupling**2)
-        whitened = jnp.where(saw_azimuth, azimuth / first, 0.0)
-        rest = jnp.where(saw_elevation, (elevation - coupling * whitened) / second, 0.0)
-        scales = ((saw_azimuth, first), (saw_elevation, second))
+        whitened = jnp.where(azimuth_seen, azimuth / first, 0.0)
+        second_whitened = jnp.where(elevation_seen, (elevation - coupling * whitened) / second, 0.0)
+        scales = ((azimuth_seen, first), (elevation_seen, second))
         log_scale = total(jnp.where(s, log_peak(self.dof.value) - jnp.log(sigma), 0.0) for s, sigma in scales)
         nis_dof = total(jnp.where(s, jnp.ones_like(azimuth), 0.0) for s, _ in scales)
-        return Residual([whitened, rest], log_scale, nis_dof, dof=self.dof.value)
+        return Residual([whitened, second_whitened], log_scale, nis_dof, dof=self.dof.value)
 
 
 def bearing_inputs(station: Station) -> np.ndarray:
@@ -88,8 +88,8 @@ def bearing_inputs(station: Station) -> np.ndarray:
     return np.concatenate([np.asarray(station.position, float), station.world_from_array().T.ravel()])
 
 
-def surroundings(stations: Mapping[str, Station]) -> np.ndarray:
-    """The middle of where tags can be, (3,) m: the point nearest to the boresights, drawn weakly to the stations."""
+def region_centre(stations: Mapping[str, Station]) -> np.ndarray:
+    """The centre of the region of tags, (3,) m: the point nearest to the boresights, weakly drawn to the stations."""
     positions = np.array([s.position for s in stations.values()])
     boresights = np.array([s.world_from_array()[:, 2] for s in stations.values()])
     across = np.eye(3) - boresights[:, :, None] * boresights[:, None, :]
@@ -106,13 +106,13 @@ def bearing_tracker(
     dof: float = 4.0,
     planar: bool = False,
 ) -> Tracker:
-    """Position over the floor with velocity, and a drifting height unless it is known (`planar`), from bearings.
+    """Constant velocity in x and y, from bearings; the height is a random walk, or known if `planar`.
 
-    The bearings-only EKF of Will et al. 2020, section 4.2, with Student's t instead of a gate. σa m/s² per √Hz, σz m
-    per √s, angles rad.
+    The bearings-only EKF of Will et al. 2020, section 4.2, with Student's t instead of a gate. `sigma_a` m/s² per √Hz,
+    `sigma_z` m per √s, angles rad; `dof`: degrees of freedom.
     """
     sensors = {BEARINGS: BearingSensor(sigma_azimuth, sigma_elevation, dof)}
-    # Errors of real bearings last for seconds: a large running NIS is no sign of a lost track there.
+    # Errors of real bearings are correlated over seconds, so a large NIS average is no evidence of track loss.
     return Tracker(
         GroundMotion(sigma_a, sigma_z),
         sensors,

@@ -1,4 +1,4 @@
-"""The default planar array: eight antennas for 24 GHz, and the bounds an array's layout sets on both angles."""
+"""The default planar array of eight antennas for 24 GHz, and the Cramér–Rao bounds of a layout."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ DEFAULT_ANTENNAS = np.array(
         [-0.01018, -0.00996],
     ]
 )
-"""Eight antennas inside +-4 cm x +-2 cm, x and y in m, antennas 1 to 8 of paper A in order.
+"""Eight antennas within ±4 cm × ±2 cm, x and y in m, in the order of antennas 1 to 8 of the paper.
 
-The figure with the true places is lost. These are fitted: the bounds of the five antenna sets in Table 1 stand in the
-ratios of the printed errors; of the many layouts that do, one with low ambiguity. `python -m
+The figure with the true positions is lost. These are fitted: the bounds of the five antenna sets of Table 1 have the
+ratios of the printed errors; among the many such layouts this one has low ambiguity. `python -m
 experiments.papers.will_2020.fit_array_layout` prints them.
 """
 
 
 def boresight_bounds(antennas: Any, wavelength: float = DEFAULT_WAVELENGTH, sigma_p: float = 1.0) -> Any:
-    """Cramer-Rao bounds (..., 2), rad, of azimuth and elevation at boresight from one row of phases of one array.
+    """Cramér–Rao bounds (…, 2), rad, of azimuth and elevation at boresight from one row of phases of one array.
 
     `antennas` (..., n, 2) in m, `sigma_p` the phase noise in rad. One unknown common offset leaves the information
     G' (I - 11'/n) G / sigma_p², with G = 2 pi / wavelength times the places: their scatter about their own centre.

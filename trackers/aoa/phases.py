@@ -1,8 +1,8 @@
-"""Phase sensors of a planar array: what the antennas should read, and the residual of phases with a common offset.
+"""Phase sensors of a planar array: predicted phases, and the residual of phases with an unknown common offset.
 
-The paper (Will et al. 2020, equations 8–17) takes all 28 wrapped differences with their singular 28 × 28 noise
-covariance. Its pseudo-inverse form equals n centred phases with independent noise, which is what stands here; the
-two differ only where something wraps, see `centred` and `pairwise`, and docs/papers.md.
+The paper (Will et al. 2020, equations 8–17) uses all 28 wrapped differences with their singular 28 × 28 noise
+covariance. With its pseudo-inverse this equals n centred phases with independent noise, the form used here; the two
+differ only where a difference wraps: see `centred`, `pairwise` and docs/papers.md.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from trackers.core.tunable import Real, Scale
 
 
 def centred(reading: Reading, predicted: Sequence[Scalar], sigma_p: Scalar) -> Residual:
-    """Subtract the circular mean of the seen antennas' differences, wrap, centre: the default form.
+    """The default form: differences less their circular mean, wrapped and centred.
 
     Rank n − 1 for n antennas seen; the density is that of the n − 1 differences to one antenna.
     """
     seen, n, nis_dof = _counts(reading)
     differences = [z - p for z, p in zip(reading.values, predicted, strict=True)]
-    # Whatever is subtracted from all antennas, the centring below removes again: no derivative is lost.
-    middle = circular_mean([jax.lax.stop_gradient(d) for d in differences], seen, n)
-    wrapped = [wrap(d - middle) for d in differences]
+    # A constant subtracted from all antennas is removed by the centring below, so its derivative may be left out.
+    common = circular_mean([jax.lax.stop_gradient(d) for d in differences], seen, n)
+    wrapped = [wrap(d - common) for d in differences]
     centre = compute_once(total(s * d for s, d in zip(seen, wrapped, strict=True)) / n)
     residuals = [s * (d - centre) for s, d in zip(seen, wrapped, strict=True)]
-    # Two antennas more than half a turn apart: then, and only then, the paper's differences wrap and the forms part.
+    # Two residuals more than half a turn apart: exactly then the paper's differences wrap and the two forms differ.
     low = high = residuals[0]
     for r in residuals[1:]:
         low, high = jnp.minimum(low, r), jnp.maximum(high, r)
@@ -44,7 +44,7 @@ def centred(reading: Reading, predicted: Sequence[Scalar], sigma_p: Scalar) -> R
 
 
 def pairwise(reading: Reading, predicted: Sequence[Scalar], sigma_p: Scalar) -> Residual:
-    """Wrap each of the n(n − 1)/2 differences and average them per antenna, Dᵀν/n: the paper's form (8)–(17)."""
+    """The paper's form (8)–(17): all n(n − 1)/2 differences wrapped, then averaged per antenna, Dᵀν/n."""
     seen, n, nis_dof = _counts(reading)
     differences = [z - p for z, p in zip(reading.values, predicted, strict=True)]
     residuals = [
@@ -52,7 +52,7 @@ def pairwise(reading: Reading, predicted: Sequence[Scalar], sigma_p: Scalar) -> 
         for s, d in zip(seen, differences, strict=True)
     ]
     pairs = [(i, j) for i in range(len(seen)) for j in range(i)]
-    # Where nothing wraps each difference of two residuals is the wrapped difference itself.
+    # If nothing wraps, the difference of two residuals is the wrapped difference itself.
     gaps = [jnp.abs(wrap(differences[i] - differences[j]) - residuals[i] + residuals[j]) for i, j in pairs]
     wrapped = total(
         jnp.where((g > 1.0) & reading.seen[i] & reading.seen[j], 1, 0) for g, (i, j) in zip(gaps, pairs, strict=True)
@@ -61,7 +61,7 @@ def pairwise(reading: Reading, predicted: Sequence[Scalar], sigma_p: Scalar) -> 
 
 
 def _counts(reading: Reading) -> tuple[list[Scalar], Scalar, Scalar]:
-    """Which antennas were seen as 0 or 1, how many (at least 1), and the rank of their centred phases."""
+    """The mask of seen antennas as 0 or 1, their number (at least 1), and the rank of their centred phases."""
     one = jnp.ones_like(reading.values[0])
     seen = [jnp.where(s, one, 0.0) for s in reading.seen]
     n = jnp.maximum(compute_once(total(seen)), 1.0)
@@ -74,7 +74,7 @@ def _scaled(residuals: Sequence[Scalar], n: Scalar, nis_dof: Scalar, sigma_p: Sc
 
 
 class AbstractPhaseSensor(AbstractSensor):
-    """Phases of n antennas with one unknown common offset a row and one constant offset an antenna."""
+    """Phases of n antennas with an unknown common offset per row and a constant offset per antenna."""
 
     sigma_p: eqx.AbstractVar[Noise]
     offsets: eqx.AbstractVar[Noise]
@@ -94,7 +94,8 @@ class AbstractPhaseSensor(AbstractSensor):
 class PlanePhases(AbstractPhaseSensor):
     """Phases of a plane wave from azimuth and elevation in the array frame: equation (9) for each antenna.
 
-    `sigma_p`: rad. `offsets`: (n,) rad, what calibration leaves. `wavenumbers`: (n, 2), 2π/λ times the antennas' x, y.
+    `sigma_p`: phase noise, rad. `offsets`: (n,) rad, residual calibration errors. `wavenumbers`: (n, 2), 2π/λ times the
+    antennas' x, y.
     """
 
     sigma_p: Noise
@@ -115,10 +116,10 @@ class PlanePhases(AbstractPhaseSensor):
 
 
 class InPlanePhases(AbstractPhaseSensor):
-    """Phases of a plane wave that arrives in the plane of the array, from an angle about its z axis: `view.heading`.
+    """Phases of a plane wave in the plane of the array, from the angle `view.heading` about its z axis.
 
-    For flat arrays whose beacons are at the array's own height: there azimuth and elevation about the boresight are
-    singular. Fields as in `PlanePhases`.
+    For flat arrays with beacons at their own height, where azimuth and elevation about the boresight are singular.
+    Fields as in `PlanePhases`.
     """
 
     sigma_p: Noise
@@ -168,7 +169,7 @@ class SphericalPhases(AbstractPhaseSensor):
         phases = []
         for antenna, offset in zip(self.antennas, self.offsets.value, strict=True):
             a = Vector.of(antenna)
-            # |p| − |p − a| without subtracting two distances: single precision keeps a thousandth of a radian's part.
+            # |p| − |p − a| without subtracting two distances: accurate to under 1 mrad in single precision.
             shorter = (2.0 * to_tag.dot(a) - a.dot(a)) / (distance + (to_tag - a).norm())
             phases.append(self.wavenumber * shorter + offset)
         return phases

@@ -1,4 +1,4 @@
-"""Where the rays of bearings meet: the start of position trackers, and a fix without a filter."""
+"""Least-squares intersection of the rays of bearings: the start of position trackers."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ import numpy as np
 
 from trackers.core.algebra import Scalar
 
-PARALLEL = 0.02
-"""Least information of the worst-seen direction per ray, 0 … 2/3, with which a point counts as determined."""
+MIN_INFORMATION = 0.02
+"""Smallest eigenvalue of the information matrix, per ray (0 … ⅔), with which a point is determined."""
 
 
 def unit_vector(azimuth: Scalar, elevation: Scalar) -> Any:
-    """The direction of two angles in the array frame, (3,)."""
+    """The unit vector of two angles in the array frame, (3,)."""
     cosine = jnp.cos(elevation)
     return jnp.stack([jnp.sin(azimuth) * cosine, jnp.sin(elevation), jnp.cos(azimuth) * cosine])
 
 
 def nearest_to_rays(rays: Sequence[tuple[Any, Any, Any]], centre: Any, height: Any = None) -> Any:
-    """The point (3,), m, nearest to all rays (origin, unit direction, whether it counts), drawn weakly to `centre`."""
+    """The point (3,), m, nearest to the rays (origin, unit direction, mask), with a weak prior at `centre`."""
     eye = jnp.eye(3, dtype=centre.dtype)
     information = eye * 1e-2
     if height is not None:
@@ -29,8 +29,8 @@ def nearest_to_rays(rays: Sequence[tuple[Any, Any, Any]], centre: Any, height: A
         information = information.at[2, 2].set(1e4)
     sums = information @ centre
     for origin, direction, counts in rays:
-        across = jnp.where(counts, eye - jnp.outer(direction, direction), 0.0)
-        information, sums = information + across, sums + across @ origin
+        projection = jnp.where(counts, eye - jnp.outer(direction, direction), 0.0)
+        information, sums = information + projection, sums + projection @ origin
     # Cramer's rule: batched LAPACK calls can deadlock when several threads share few cores.
     a, b, c = information
     by_a, by_b, by_c = jnp.cross(b, c), jnp.cross(c, a), jnp.cross(a, b)
@@ -48,25 +48,24 @@ def recent_points(
 ) -> np.ndarray:
     """For every row (T, 4): the point nearest to the rays of the last `window` s, m, and 1 where they determine it.
 
-    `times` (T,) s, sorted; `origins` (T, 3) m and `axes` (T, 9) of each row's station; `angles` (T, 2) rad and
-    `seen` (T,).
-    With a known `height` the point has it, and one ray may do; without, two directions are needed.
+    `times` (T,) s, sorted; `origins` (T, 3) m and `axes` (T, 9): of each row's station; `angles` (T, 2) rad and
+    `seen` (T,). With a known `height`, m, one ray can be enough; without, two directions are needed.
     """
     azimuth, elevation = angles.T
     u = np.stack([np.sin(azimuth) * np.cos(elevation), np.sin(elevation), np.cos(azimuth) * np.cos(elevation)], axis=1)
     direction = np.einsum("tk,tki->ti", u, axes.reshape(-1, 3, 3))
-    across = np.where(seen[:, None, None], np.eye(3) - direction[:, :, None] * direction[:, None, :], 0.0)
+    projection = np.where(seen[:, None, None], np.eye(3) - direction[:, :, None] * direction[:, None, :], 0.0)
     # Sums over a sliding window are differences of cumulative sums.
     first = np.searchsorted(times, times - window)
     information, sums, counts = (
-        _windowed(x, first) for x in (across, np.einsum("tij,tj->ti", across, origins), seen.astype(float))
+        _windowed(x, first) for x in (projection, np.einsum("tij,tj->ti", projection, origins), seen.astype(float))
     )
     n = 3 if height is None else 2
     if height is not None:
         sums = sums[:, :2] - information[:, :2, 2] * height
     information = information[:, :n, :n]
-    worst = np.linalg.eigvalsh(information)[:, 0] / np.maximum(counts, 1.0)
-    determined = worst > PARALLEL
+    smallest = np.linalg.eigvalsh(information)[:, 0] / np.maximum(counts, 1.0)
+    determined = smallest > MIN_INFORMATION
     safe = np.where(determined[:, None, None], information, np.eye(n))
     points = np.linalg.solve(safe, sums[:, :n, None])[:, :, 0]
     if height is not None:
@@ -75,6 +74,6 @@ def recent_points(
 
 
 def _windowed(values: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Σ of the rows first[t] … t."""
+    """The sum of the rows first[t] … t."""
     total = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
     return total[1:] - total[first]

@@ -1,4 +1,4 @@
-"""System A on the command line: trackers of phases and bearings, and their trajectories."""
+"""Trajectories and catalogue entries of trackers of phases and bearings: tables `phases` and `bearings`."""
 
 from __future__ import annotations
 
@@ -24,47 +24,47 @@ from trackers.recordings.truth import truth_by_tag
 PHASES = "phases"
 
 IN_PLANE = 0.5
-"""Metres between the heights of a flat array and a tag up to which the tag counts as being in the array's plane."""
+"""Largest difference of height, m, between a flat array and a tag that counts as in the array's plane."""
 
 
 def bearing_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
-    """Each tag's bearings, one row per table row, with the geometry of the row's station as inputs."""
+    """Each tag's bearings, one row per table row; inputs `origin`, `axes` of the row's station, and `nearby`."""
     stations = folder.rig.stations
     geometry = {name: bearing_inputs(s) for name, s in stations.items()}
     paths = truth_by_tag(folder)
     for tag, table in by_tag(folder.tables["bearings"]):
         values, seen = values_of(table, ["azimuth_rad", "elevation_rad"])
-        # Without reported spreads zeros stand here, so that trajectories with and without share a batch.
-        spread = np.nan_to_num(
-            np.stack([float_column(table, f"{a}_std_rad") for a in ("azimuth", "elevation")], axis=1)
-        )
-        reported = np.stack([spread[:, 0] ** 2, np.zeros(len(spread)), spread[:, 1] ** 2], axis=1)
-        where = np.stack([geometry[s] for s in table["station"].to_list()])
+        # Zeros where no standard deviations are reported, so that trajectories with and without them share a batch.
+        std = np.nan_to_num(np.stack([float_column(table, f"{a}_std_rad") for a in ("azimuth", "elevation")], axis=1))
+        reported = np.stack([std[:, 0] ** 2, np.zeros(len(std)), std[:, 1] ** 2], axis=1)
+        geometries = np.stack([geometry[s] for s in table["station"].to_list()])
         times, height = table["t_s"].to_numpy(), None if free_height else known_height(folder, tag)
-        nearby = recent_points(times, where[:, :3], where[:, 3:], values, np.asarray(seen.all(axis=1)), height)
-        inputs = {"origin": where[:, :3], "axes": where[:, 3:], "nearby": nearby}
+        nearby = recent_points(
+            times, geometries[:, :3], geometries[:, 3:], values, np.asarray(seen.all(axis=1)), height
+        )
+        inputs = {"origin": geometries[:, :3], "axes": geometries[:, 3:], "nearby": nearby}
         readings = {BEARINGS: Readings(values, seen, reported)}
         yield trajectory_of(folder, tag, "", times, readings, inputs, paths)
 
 
 def phase_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
-    """Each tag's phases at all stations, by the stations' ids; a row per time."""
+    """Each tag's phases at all stations, readings by the stations' ids; one row per time."""
     stations = {name: s for name, s in folder.rig.stations.items() if s.antennas is not None}
     paths = truth_by_tag(folder)
     for tag, table in by_tag(folder.tables["phases"]):
-        times, place = _rows(table["t_s"].to_numpy(), table["station"].to_numpy())
+        times, row = _rows(table["t_s"].to_numpy(), table["station"].to_numpy())
         readings = {}
         for name, station in stations.items():
             here = (table["station"] == name).to_numpy()
             values, seen = values_of(table.filter(here), _phase_columns(station))
-            every, mask = np.zeros((len(times), values.shape[1])), np.zeros((len(times), values.shape[1]), bool)
-            every[place[here]], mask[place[here]] = values, seen
-            readings[name] = Readings(every, mask)
+            all_values, mask = np.zeros((len(times), values.shape[1])), np.zeros((len(times), values.shape[1]), bool)
+            all_values[row[here]], mask[row[here]] = values, seen
+            readings[name] = Readings(all_values, mask)
         yield trajectory_of(folder, tag, "", times, readings, {}, paths)
 
 
 def beam_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
-    """Each tag's phases at one station, for every pair of them, under the name `phases`."""
+    """Each pair of a tag and a station: the tag's phases there, readings `phases`, one row per table row."""
     paths = truth_by_tag(folder)
     for tag, table in by_tag(folder.tables["phases"]):
         for (name,), part in table.group_by(["station"], maintain_order=True):
@@ -79,18 +79,18 @@ def _phase_columns(station: Station) -> list[str]:
 
 
 def _rows(times: np.ndarray, stations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """One row per time, and per repeat of a station at one time; the rows' times and each entry's row."""
+    """One row per time, and one more for each repeat of a station at that time: times, and the row of each entry."""
     order = np.lexsort((np.arange(len(times)), stations, times))
     repeat = np.zeros(len(times), int)
     same = (np.diff(times[order]) == 0) & (stations[order][1:] == stations[order][:-1])
     for k in np.flatnonzero(same):
         repeat[order[k + 1]] = repeat[order[k]] + 1
-    keys, place = np.unique(np.stack([times, repeat], axis=1), axis=0, return_inverse=True)
-    return keys[:, 0], place.ravel()
+    keys, row = np.unique(np.stack([times, repeat], axis=1), axis=0, return_inverse=True)
+    return keys[:, 0], row.ravel()
 
 
 def stations_of(table: str, least: int) -> Callable[[RecordingFolder], str | None]:
-    """What a folder lacks for a tracker that needs a table with at least so many stations."""
+    """A function of a folder: what it lacks of a `table` with at least `least` stations, in words, or None."""
 
     def lacks(folder: RecordingFolder) -> str | None:
         if table not in folder.tables:
@@ -102,7 +102,7 @@ def stations_of(table: str, least: int) -> Callable[[RecordingFolder], str | Non
 
 
 def _in_plane(trajectory: Trajectory, free_height: bool) -> bool:
-    """Whether a flat array hears a tag at its own height: there azimuth and elevation are singular."""
+    """Whether an upright array and a tag are at one height: there azimuth and elevation are singular."""
     station, height = (
         trajectory.folder.rig.stations[trajectory.station],
         known_height(trajectory.folder, trajectory.tag),
@@ -140,7 +140,7 @@ def _all_arrays(trajectory: Trajectory) -> Hashable:
 
 TRACKERS = {
     "direct": TrackerSpec(
-        "3-D position straight from all stations' phases, spherical waves",
+        about="position from the phases of all stations in one EKF, spherical waves",
         table="phases",
         trajectories=phase_trajectories,
         build=lambda trajectory, planar: direct_tracker(_arrays(trajectory), planar=planar),
@@ -148,7 +148,7 @@ TRACKERS = {
         geometry=_all_arrays,
     ),
     "cascade": TrackerSpec(
-        "3-D position: a beam tracker per station, then fusion (the paper's)",
+        about="3-D position from phases, a beam tracker per station, then bearings-only fusion (Will et al.)",
         table="phases",
         trajectories=phase_trajectories,
         build=lambda trajectory, planar: cascade_tracker(_arrays(trajectory)),
@@ -158,7 +158,7 @@ TRACKERS = {
         automatic=on_request,
     ),
     "beam": TrackerSpec(
-        "azimuth and elevation per station, EKF on phases",
+        about="azimuth and elevation per station from phases, EKF (Will et al.)",
         table="phases",
         trajectories=beam_trajectories,
         build=_beam,
@@ -168,7 +168,7 @@ TRACKERS = {
         bearing_only=True,
     ),
     "das": TrackerSpec(
-        "azimuth and elevation per station, delay-and-sum on each row: the baseline",
+        about="azimuth and elevation per station from phases, delay-and-sum on each row without a filter",
         table="phases",
         trajectories=beam_trajectories,
         build=lambda trajectory, planar: DelayAndSum.of(_station(trajectory), PHASES, planar),
@@ -179,7 +179,7 @@ TRACKERS = {
         bearing_only=True,
     ),
     "bearings": TrackerSpec(
-        "position from azimuths and elevations of any number of stations",
+        about="position from azimuths and elevations of any number of stations, EKF",
         table="bearings",
         trajectories=bearing_trajectories,
         build=lambda trajectory, planar: bearing_tracker(planar=planar),

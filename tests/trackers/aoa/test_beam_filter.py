@@ -100,7 +100,7 @@ def test_it_is_the_papers_pseudo_inverse_filter_while_nothing_wraps(both_forms, 
         np.testing.assert_allclose(mine[trajectory].log_likelihood[1:] + stick, log_likelihoods, atol=1e-9)
 
 
-def test_rows_with_no_antenna_or_one_say_nothing(estimates, truth):
+def test_rows_with_no_antenna_or_one_carry_no_information(estimates, truth):
     np.testing.assert_array_equal(estimates.nis_dof[:, [7, 11]], 0)
     np.testing.assert_array_equal(estimates.nis[:, [7, 11]], 0)
     np.testing.assert_array_equal(estimates.log_likelihood[:, [7, 11]], 0)

@@ -84,7 +84,7 @@ def test_capon_and_music_find_the_direction_from_several_rows(spectrum, missing)
     assert np.abs(np.asarray(strongest(GRID, powers)) - TRUE[:20]).max() <= 2 * STEP
 
 
-def test_what_a_masked_antenna_reads_changes_nothing():
+def test_the_phase_of_a_masked_antenna_has_no_influence():
     phases, seen = _phases(TRUE[:4], np.random.default_rng(4), 0.2, rows=8), np.arange(8) != 5
     other = np.where(seen, phases, 2.2)
     for of in (_das, _covariance):

@@ -1,4 +1,4 @@
-"""Bearings-only fusion: whitening, symmetry of space, and single precision where joint updates die.
+"""Bearings-only fusion: whitening, symmetry of space, and single precision where joint updates fail.
 
 256 tags, each seen by three stations in turn to 0.05°, from a belief of 100 m about a place metres off.
 """
@@ -124,7 +124,7 @@ def test_the_tracks_end_near_the_truth(double):
     st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(lambda q: np.linalg.norm(q) > 0.1),
     st.tuples(*[st.floats(-50, 50)] * 3),
 )
-def test_a_turned_and_shifted_world_has_turned_and_shifted_tracks(double, quaternion, shift):
+def test_a_rotated_and_shifted_world_has_rotated_and_shifted_tracks(double, quaternion, shift):
     rotation = Station(np.zeros(3), np.array(quaternion)).world_from_array()
     moved = _run(_batch(np.float64, rotation, np.array(shift)))
     both = np.kron(np.eye(2), rotation)
@@ -164,7 +164,7 @@ def test_a_bearing_is_the_stations_angle_of_the_position():
         np.testing.assert_allclose(np.array([float(m) for m in measured]), STATIONS[0].angles(point), atol=1e-12)
 
 
-def test_an_azimuth_beyond_half_a_turn_is_taken_the_short_way_round():
+def test_an_azimuth_beyond_half_a_turn_is_wrapped():
     predicted = [jnp.asarray(3.1), jnp.asarray(0.0)]
     result = SENSOR.residual(Reading(jnp.array([-3.1, 0.0]), jnp.ones(2, bool), ()), predicted)
     assert float(result.whitened[0]) * 0.05 == pytest.approx(2 * np.pi - 6.2, rel=1e-9)

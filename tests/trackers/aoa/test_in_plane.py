@@ -1,4 +1,4 @@
-"""The beam tracker of a flat array's own plane: all round, through the half turn, without a jump."""
+"""The beam tracker in a flat array's plane: all headings, without a jump at half a turn."""
 
 import numpy as np
 
@@ -26,7 +26,7 @@ def _recording(trajectory):
     return Recording(TIMES, {"a": Readings(np.angle(np.exp(1j * phases)), rng.random(phases.shape) < 0.9)})
 
 
-def test_a_beacon_that_circles_is_followed_through_every_heading_without_a_loss():
+def test_a_circling_beacon_is_tracked_through_every_heading_without_track_loss():
     estimates = in_plane_beam_tracker(STATION, "a", sigma_a=0.3, sigma_p=SIGMA_P).run(
         stack([_recording(k) for k in range(4)])
     )

@@ -1,4 +1,4 @@
-"""Residuals of phases with a common offset: their density, when they wrap, and what a mask or an offset may change."""
+"""Residuals of phases with a common offset: density, wrapping, masks and offsets."""
 
 import itertools
 
@@ -66,7 +66,7 @@ def test_whole_turns_and_a_common_offset_change_nothing(form):
         np.testing.assert_allclose(a, b, atol=1e-12)
 
 
-def test_both_forms_agree_where_neither_says_it_wrapped_and_both_know_when_they_part():
+def test_both_forms_agree_where_neither_flags_a_wrap_and_flag_the_same_rows():
     phases = np.random.default_rng(2).normal(size=(4000, 8)) * 0.9
     seen = np.array([1, 1, 1, 0, 1, 1, 1, 1], bool)
     default, paper = (_residual(form, phases, seen, 1.0) for form in (centred, pairwise))

@@ -1,4 +1,4 @@
-"""From phases and angles to places: the direct tracker, the cascade, and the points in which rays meet."""
+"""From phases and angles to positions: the direct tracker, the cascade, and the intersection of rays."""
 
 from __future__ import annotations
 
@@ -88,14 +88,14 @@ def test_direct_is_better_than_the_cascade(runs):
 
 
 @pytest.mark.parametrize("world", ["whole", "a station is lost"])
-def test_the_direct_tracker_knows_its_errors(runs, world):
+def test_the_direct_tracker_is_consistent(runs, world):
     estimates, errors = runs["direct", world]
     sigmas = np.sqrt(np.einsum("...ii->...i", estimates.covariance[..., :3, :3]))
     inside = np.abs(errors[:, 5:]) < 3 * sigmas[:, 5:]
     assert inside.mean() > 0.98
 
 
-def test_a_lost_station_widens_the_reported_spread(runs):
+def test_a_lost_station_increases_the_reported_covariance(runs):
     whole, less = (runs["direct", world][0].covariance[:, -1, 2, 2] for world in ("whole", "a station is lost"))
     assert (less > whole).all()
 
@@ -147,7 +147,7 @@ def test_points_are_the_least_squares_of_the_rays_of_the_last_second(height):
         assert (points[several, 2] == height).all()
 
 
-def test_exact_rays_meet_in_the_place_they_point_at():
+def test_exact_rays_intersect_at_the_position():
     times, origins, axes, angles, _ = _rays(np.random.default_rng(4), 60, 0.0)
     for height in (None, MIDDLE[2]):
         points = recent_points(times, origins, axes, angles, np.ones(60, bool), height)

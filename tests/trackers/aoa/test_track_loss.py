@@ -1,4 +1,4 @@
-"""The beam tracker from its own start: it finds the beam, knows when it lost it, and finds it again.
+"""The beam tracker from its own start: acquisition, track loss and restart.
 
 In single precision, as users run it.
 """
@@ -74,7 +74,7 @@ def test_a_track_starts_on_its_first_row_and_stays(estimates):
     assert estimates.cov_upper.dtype == np.float32
 
 
-def test_after_a_jump_the_track_is_lost_started_again_and_recovers(estimates):
+def test_after_a_jump_the_track_is_lost_restarted_and_recovers(estimates):
     status = estimates[JUMP].status
     restarts = np.flatnonzero(status == Status.RESTARTED)
     assert np.all(status[:JUMP_ROW] == Status.OK)
@@ -84,7 +84,7 @@ def test_after_a_jump_the_track_is_lost_started_again_and_recovers(estimates):
     assert estimates[JUMP].summary().startswith("lost and re-started")
 
 
-def test_a_long_silence_loses_the_track_and_the_next_reading_starts_it_again(estimates):
+def test_a_long_gap_is_a_track_loss_and_the_next_measurement_restarts_it(estimates):
     status = estimates[SILENT].status
     # Five seconds of patience are fifty rows of the sixty.
     assert np.all(status[30:80] == Status.OK)
@@ -93,7 +93,7 @@ def test_a_long_silence_loses_the_track_and_the_next_reading_starts_it_again(est
     assert _error(estimates, SILENT)[95:].max() < 2
 
 
-def test_a_short_silence_widens_the_covariance_and_is_survived(estimates):
+def test_a_short_gap_increases_the_covariance_without_track_loss(estimates):
     one = estimates[SHORT_SILENCE]
     assert np.all(one.status == Status.OK)
     assert np.all(np.diff(one.sigmas["azimuth"][30:60]) > 0)
@@ -101,7 +101,7 @@ def test_a_short_silence_widens_the_covariance_and_is_survived(estimates):
     assert _error(estimates, SHORT_SILENCE)[70:].max() < 2
 
 
-def test_a_recording_without_a_reading_never_starts_and_says_so(estimates):
+def test_a_recording_without_measurements_stays_waiting(estimates):
     assert np.all(estimates[EMPTY].status == Status.WAITING)
     assert estimates[EMPTY].summary() == "too little data: no row could start the tracker"
     assert not estimates[EMPTY].usable.any()
@@ -122,7 +122,7 @@ def _with_garbage(recordings, size):
 
 
 @pytest.mark.parametrize("size", [np.pi, 1e9, 1e30, 3e38])
-def test_garbage_in_one_trajectory_changes_no_other_by_a_bit_though_it_is_searched_again_and_again(
+def test_garbage_in_one_trajectory_leaves_the_others_bit_identical_through_repeated_restarts(
     recordings, estimates, size
 ):
     result = _with_garbage(recordings, size)
@@ -135,7 +135,7 @@ def test_garbage_in_one_trajectory_changes_no_other_by_a_bit_though_it_is_search
 
 
 @pytest.mark.parametrize("size", [1e9, 1e15, 1e30, 3e38])
-def test_what_is_said_of_garbage_is_finite(recordings, size):
+def test_the_output_for_garbage_is_finite(recordings, size):
     one = _with_garbage(recordings, size)[NOISE]
     assert np.all(np.isfinite(one.log_likelihood))
     assert np.all(np.isfinite(one.nis))
