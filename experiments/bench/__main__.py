@@ -1,25 +1,23 @@
-"""The benchmark: the beam tracker beside a textbook version and, with `--peers`, beside other libraries.
+"""Speed of the beam tracker beside a textbook version and other libraries: `python -m experiments.bench [--peers]`.
 
-`python -m experiments.bench` measures twice, each time in a process of its own in which all versions take turns: as
-XLA comes, and with the flags that the command line sets. Other work on the machine slows all versions alike, so the
-ratios mean more than the times.
+Two settings are measured, XLA's default flags and those of the command line, each in its own process, in which all
+versions take turns. Other load on the machine slows all versions alike; ratios are more reliable than times.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
 import platform
-import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from experiments.bench.processes import new_interpreter
+import tyro
+
 from experiments.cli.runtime import set_flags
+from experiments.cli.subprocesses import in_new_process
 from experiments.reports.tables import aligned
 from trackers.core.errors import UnusableInput
 from trackers.recordings.atomic import atomic_write, json_text
@@ -28,52 +26,47 @@ DEFAULT, COMMAND_LINE, MEMORY = "default", "command-line", "memory"
 TITLES = {DEFAULT: "default flags", COMMAND_LINE: "flags of the command line"}
 PEERS = ("dynamax", "cuthbert", "filterpy")
 LIMIT_S = 150.0
-"""A process that takes longer hangs: two cores can deadlock in batched LAPACK calls, which textbook versions make."""
+"""Limit of one process: batched LAPACK calls, as textbook versions make them, can deadlock on two cores."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure, print the tables and write the figures as JSON; 0, or 2 where that was not possible."""
-    parser = argparse.ArgumentParser(prog="python -m experiments.bench", description=(__doc__ or "").split("\n\n")[0])
-    parser.add_argument("--peers", action="store_true", help="also dynamax, cuthbert and filterpy (extra: peers)")
-    parser.add_argument("--out", type=Path, default=Path("out/bench.json"), help="where the figures go")
-    parser.add_argument("--part", choices=(DEFAULT, COMMAND_LINE, MEMORY), help=argparse.SUPPRESS)
-    parser.add_argument("--peer", choices=PEERS, help=argparse.SUPPRESS)
-    options = parser.parse_args(arguments)
-    if options.part:
-        print(json_text(part(options.part, options.peer)))
-        return 0
+def main(peers: bool = False, out: Path = Path("out/bench.json")) -> int:
+    """Measure the beam tracker, print the tables and write the results as JSON; 2 if a part fails.
+
+    Args:
+        peers: also dynamax, cuthbert and filterpy (extra: peers).
+        out: the JSON file to write.
+    """
     try:
-        figures = measured(options.peers)
-        options.out.parent.mkdir(parents=True, exist_ok=True)
-        atomic_write(options.out, lambda path: path.write_text(json_text(figures), "utf-8"))
+        results = measured(peers)
+        out.parent.mkdir(parents=True, exist_ok=True)
+        atomic_write(out, lambda path: path.write_text(json_text(results), "utf-8"))
     except (UnusableInput, OSError) as problem:
         print(f"bench: {problem}", file=sys.stderr)
         return 2
-    print(report(figures))
-    print(f"Written: {options.out}")
+    print(report(results))
+    print(f"Written: {out}")
     return 0
 
 
-def part(name: str, peer: str | None) -> dict[str, Any]:
-    """What one process measures: our versions and the textbook's, or ours and a peer."""
+def part(name: str, peer: str | None = None) -> dict[str, Any]:
+    """The results of one process: our versions and the textbook's, or ours and a peer's."""
     if name != DEFAULT:
         set_flags()
-    # jax reads its flags when it is first imported.
+    # jax reads its flags when it is first used.
     from experiments.bench import measure
 
-    figures = measure.memory() if name == MEMORY else measure.measure(peer)
-    return figures | {"xla_flags": os.environ.get("XLA_FLAGS", "")}
+    results = measure.memory() if name == MEMORY else measure.measure(peer)
+    return results | {"xla_flags": os.environ.get("XLA_FLAGS", "")}
 
 
 def measured(peers: bool) -> dict[str, Any]:
-    """All figures, with the machine and the time they hold for; raises UnusableInput where a process fails."""
+    """All results, with machine and time; raises UnusableInput if a process of ours fails."""
     began, host = datetime.now(UTC), machine()
-    settings = {name: in_process(name) for name in (DEFAULT, COMMAND_LINE)}
+    settings = {name: _part_apart(name) for name in (DEFAULT, COMMAND_LINE)}
     for name, setting in settings.items():
         for peer in PEERS if peers else ():
-            # A process of its own: a library that hangs must not take the others along.
             try:
-                found = in_process(name, peer)
+                found = _part_apart(name, peer)
             except UnusableInput as problem:
                 print(f"bench: left out: {problem}", file=sys.stderr)
                 continue
@@ -84,30 +77,17 @@ def measured(peers: bool) -> dict[str, Any]:
         "command": ["python", "-m", "experiments.bench", *(["--peers"] if peers else [])],
         "machine": host,
         "settings": settings,
-        "memory": in_process(MEMORY),
+        "memory": _part_apart(MEMORY),
         "took_s": (datetime.now(UTC) - began).total_seconds(),
     }
 
 
-def in_process(name: str, peer: str | None = None) -> dict[str, Any]:
-    """The figures of one part, measured by a new interpreter without the user's own flags."""
-    print(f"measuring: {TITLES.get(name, name)}{f', {peer}' if peer else ''} …", file=sys.stderr, flush=True)
-    try:
-        done = new_interpreter(["experiments.bench", "--part", name, *(["--peer", peer] if peer else [])], LIMIT_S)
-    except subprocess.TimeoutExpired:
-        raise UnusableInput(
-            f"part '{name}'{f' with {peer}' if peer else ''} took over {LIMIT_S:.0f} s; expected a minute or two; "
-            "run it again: batched LAPACK calls, as textbook versions make, can deadlock"
-        ) from None
-    if done.returncode:
-        lines = done.stderr.strip().splitlines() or ["no message"]
-        hint = "; the other libraries are in the extra 'peers'" if peer else ""
-        raise UnusableInput(f"part '{name}' ended with status {done.returncode}: {lines[-1]}{hint}")
-    return json.loads(done.stdout)
+def _part_apart(name: str, peer: str | None = None) -> dict[str, Any]:
+    return in_new_process("experiments.bench.__main__", "part", (name, peer), LIMIT_S)
 
 
 def machine() -> dict[str, Any]:
-    """The processor and what it has to do besides."""
+    """The processor and its load."""
     lines = Path("/proc/cpuinfo").read_text("utf-8").splitlines() if Path("/proc/cpuinfo").exists() else []
     models = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
     return {
@@ -119,19 +99,19 @@ def machine() -> dict[str, Any]:
     }
 
 
-def report(figures: Mapping[str, Any]) -> str:
-    """The figures as tables for people."""
-    host, lines = figures["machine"], []
-    lines.append(f"{host['cpu']}, {host['cores']} cores, load {host['load_average'][0]:.1f}, {figures['date']}")
+def report(results: Mapping[str, Any]) -> str:
+    """The results as text."""
+    host, lines = results["machine"], []
+    lines.append(f"{host['cpu']}, {host['cores']} cores, load {host['load_average'][0]:.1f}, {results['date']}")
     for name, title in TITLES.items():
-        setting = figures["settings"][name]
+        setting = results["settings"][name]
         lines += [
             "",
             f"{title}: {setting['xla_flags'] or 'none'}",
             *table(setting["versions"]),
             *gradient(setting["versions"]),
         ]
-    lines += ["", *memory(figures["memory"]), f"The whole took {figures['took_s']:.0f} s."]
+    lines += ["", *memory(results["memory"]), f"The whole took {results['took_s']:.0f} s."]
     return "\n".join(lines)
 
 
@@ -159,7 +139,7 @@ def table(versions: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 
 def gradient(versions: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """The gradient in units of a run."""
+    """Cost of the gradient in units of a run."""
     v = versions["ours, gradient"]
     return [
         f"gradient of two tunables: {v['ours_is_faster_by']:.2f} × one run, {v['run_ms']:.0f} ms; compile "
@@ -167,14 +147,14 @@ def gradient(versions: Mapping[str, Mapping[str, Any]]) -> list[str]:
     ]
 
 
-def memory(figures: Mapping[str, Any]) -> list[str]:
+def memory(results: Mapping[str, Any]) -> list[str]:
     """Memory of the gradient for few and for many rows."""
     return [
-        f"gradient of {figures['trajectories']} trajectories × {rows} rows: temporaries {size / 1024:.0f} KiB, "
-        f"inputs {figures['inputs'][rows] / 2**20:.1f} MiB, peak of the process {figures['peak'][rows] / 2**20:.0f} MiB"
-        for rows, size in figures["temporaries"].items()
+        f"gradient of {results['trajectories']} trajectories × {rows} rows: temporaries {size / 1024:.0f} KiB, "
+        f"inputs {results['inputs'][rows] / 2**20:.1f} MiB, peak of the process {results['peak'][rows] / 2**20:.0f} MiB"
+        for rows, size in results["temporaries"].items()
     ]
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(tyro.cli(main, prog="python -m experiments.bench"))

@@ -1,7 +1,7 @@
-"""The speed of MH-K's chain of 7,129 accelerations: `python -m experiments.bench.chain`.
+"""Speed of MH-K's hidden Markov chain of 7,129 accelerations: `python -m experiments.bench.chain`.
 
-MH-K as printed and with a chain that lasts, beside the same filter without a chain; and one step of the chain beside
-the textbook's forward algorithm, which multiplies by a transition matrix of 7,129² numbers.
+MH-K as printed and with a chain that has memory, beside the same filter without a chain; and one step of the chain
+beside the textbook's forward algorithm with a transition matrix of 7,129² entries.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def main() -> int:
 
 
 def timed(run: Callable[[], Any]) -> tuple[float, float]:
-    """Seconds of the first call, compiling, and the median of the others."""
+    """Seconds of the first call, compiling included, and the median of the others."""
     seconds = []
     for _ in range(ROUNDS + 1):
         began = time.perf_counter()
@@ -58,7 +58,7 @@ def timed(run: Callable[[], Any]) -> tuple[float, float]:
 
 
 def filtered(world: Any, tracker: Any) -> Callable[[], Any]:
-    """A function that runs the tracker over the world's fixes."""
+    """A run of the tracker over the world's fixes."""
     from trackers.core.recording import Readings, Recording, stack
     from trackers.parts.fixes import FIXES
 
@@ -69,23 +69,23 @@ def filtered(world: Any, tracker: Any) -> Callable[[], Any]:
 
 
 def chain_steps() -> dict[str, Callable[[], Any]]:
-    """One step of the chain for all trajectories: ours in O(N), and by the whole transition matrix."""
+    """One step of the chain for all trajectories: ours in O(N), and by the full transition matrix."""
     import jax
     import jax.numpy as jnp
 
     from trackers.mhk.accelerations import AccelerationSphere
     from trackers.mhk.chain import predicted, updated
 
-    shares = jnp.asarray(AccelerationSphere().blocks().probabilities, jnp.float32)
-    kept = jnp.float32(0.9)
-    matrix = kept * jnp.eye(len(shares), dtype=jnp.float32) + (1 - kept) * shares[None]
-    weights = jnp.tile(shares, (TRAJECTORIES, 1))
-    spoken = jnp.asarray(np.random.default_rng(0).normal(size=weights.shape), jnp.float32)
-    ours = jax.jit(jax.vmap(lambda w, x: updated(predicted(w, shares, kept), x)[0]))
+    stationary = jnp.asarray(AccelerationSphere().blocks().probabilities, jnp.float32)
+    kappa = jnp.float32(0.9)
+    matrix = kappa * jnp.eye(len(stationary), dtype=jnp.float32) + (1 - kappa) * stationary[None]
+    weights = jnp.tile(stationary, (TRAJECTORIES, 1))
+    log_likelihoods = jnp.asarray(np.random.default_rng(0).normal(size=weights.shape), jnp.float32)
+    ours = jax.jit(jax.vmap(lambda w, x: updated(predicted(w, stationary, kappa), x)[0]))
     dense = jax.jit(lambda w, x: jax.vmap(lambda a, b: updated(a, b)[0])(w @ matrix, x))
     return {
-        "rank one": lambda: ours(weights, spoken).block_until_ready(),
-        "N x N": lambda: dense(weights, spoken).block_until_ready(),
+        "rank one": lambda: ours(weights, log_likelihoods).block_until_ready(),
+        "N x N": lambda: dense(weights, log_likelihoods).block_until_ready(),
     }
 
 

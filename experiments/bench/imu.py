@@ -1,29 +1,29 @@
 """The speed of UWB + IMU filters, beside a textbook version and dynamax: `python -m experiments.bench.imu`.
 
-The paper's eight states over the floor, an IMU sample and a range to one anchor in every row; and what a user waits for
-while the fifteen-state filter compiles. Each filter and setting is measured in a process of its own, as XLA comes and
-with the flags that the command line sets. dynamax (extra: peers) and the textbook version filter a slice of the rows.
+The paper's eight planar states, with an IMU sample and a range to one anchor in every row, and the compile time of the
+fifteen-state filter. Each filter runs in its own process, with XLA's default flags and with those of the command line.
+dynamax (extra: peers) and the textbook version filter a slice of the rows.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tyro
 
-from experiments.bench.processes import figures_apart
 from experiments.cli.runtime import set_flags
+from experiments.cli.subprocesses import in_new_process_or_failed
 from trackers.recordings.atomic import atomic_write, json_text
 
 TRAJECTORIES, ROWS, SLICE = 1024, 2000, (64, 200)
 COMPILED = (512, 100)
-"""Trajectories and rows of the fifteen-state filter, of which only the compiling counts: a full chunk, one vector."""
+"""Trajectories and rows of the fifteen-state filter, of which only the compile time matters: one full chunk."""
 
 STEP_S, SIGMA_R = 0.01, 0.1
 ANCHORS = np.array([[0.0, 0.0, 2.0], [10.0, 0.0, 2.0], [10.0, 10.0, 2.0], [0.0, 10.0, 2.0]])
@@ -33,46 +33,45 @@ LIMIT_S = 400.0
 PARTS = ("default", "command-line", "fifteen, default", "fifteen, command-line", "dynamax")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure every part, print the figures and write them as JSON; a part that fails is named and left out."""
-    parser = argparse.ArgumentParser(
-        prog="python -m experiments.bench.imu", description=(__doc__ or "").split("\n\n")[0]
-    )
-    parser.add_argument("--out", type=Path, default=Path("out/bench-imu.json"), help="where the figures go")
-    parser.add_argument("--part", choices=PARTS, help=argparse.SUPPRESS)
-    options = parser.parse_args(arguments)
-    if options.part:
-        if not options.part.endswith("default"):
-            set_flags()
-        fifteen = options.part.startswith("fifteen")
-        print(json_text(_dynamax() if options.part == "dynamax" else _ours(fifteen)))
-        return 0
-    figures = {part: figures_apart("experiments.bench.imu", "--part", part, LIMIT_S) for part in PARTS}
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    atomic_write(options.out, lambda path: path.write_text(json_text(figures), "utf-8"))
-    for part, found in figures.items():
-        print(f"\n{part}, load {os.getloadavg()[0]:.1f}")
+def main(out: Path = Path("out/bench-imu.json")) -> int:
+    """Measure all parts, print the results and write them as JSON; a part that fails is listed with its reason.
+
+    Args:
+        out: the JSON file to write.
+    """
+    results = {name: in_new_process_or_failed("experiments.bench.imu", "part", (name,), LIMIT_S) for name in PARTS}
+    out.parent.mkdir(parents=True, exist_ok=True)
+    atomic_write(out, lambda path: path.write_text(json_text(results), "utf-8"))
+    for title, found in results.items():
+        print(f"\n{title}, load {os.getloadavg()[0]:.1f}")
         for name, value in found.items():
             print(f"  {name:<44}{value:>10.3f}" if isinstance(value, float) else f"  {name:<44}{value}")
-    ours, peer = figures["command-line"].get("ours, M rows/s"), figures["dynamax"].get("dynamax, M rows/s")
+    ours, peer = results["command-line"].get("ours, M rows/s"), results["dynamax"].get("dynamax, M rows/s")
     if ours and peer:
         print(f"\nours with the command line's flags is {ours / peer:.0f} × faster than dynamax")
-    print(f"Written: {options.out}")
+    print(f"Written: {out}")
     return 0
+
+
+def part(name: str) -> dict[str, Any]:
+    """The results of one of `PARTS`."""
+    if not name.endswith("default"):
+        set_flags()
+    return _dynamax() if name == "dynamax" else _ours(name.startswith("fifteen"))
 
 
 def _world(trajectories: int, rows: int) -> dict[str, np.ndarray]:
     """Bodies on circles of 3 m at 1 rad/s: float32 arrays (T, components, B)."""
     rng = np.random.default_rng(0)
     angle = (np.arange(rows) * STEP_S)[:, None] + rng.uniform(0, 2 * np.pi, trajectories)
-    place = 5.0 + 3.0 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    position = 5.0 + 3.0 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     accel = rng.normal(size=(rows, 3, trajectories)) * 0.5 + np.array([-3.0, 0.0, 9.81])[:, None]
     gyro = rng.normal(size=(rows, 3, trajectories)) * 0.05 + np.array([0.0, 0.0, 1.0])[:, None]
     anchors = np.broadcast_to(ANCHORS[np.arange(rows) % 4][:, :, None], (rows, 3, trajectories))
-    ranges = np.sqrt(((place - anchors[:, :2]) ** 2).sum(axis=1, keepdims=True) + 1.0)
+    ranges = np.sqrt(((position - anchors[:, :2]) ** 2).sum(axis=1, keepdims=True) + 1.0)
     velocity = 3.0 * np.stack([-np.sin(angle[0]), np.cos(angle[0])])
-    start = np.concatenate([place[0], velocity, np.zeros((2, trajectories)), angle[:1], np.zeros((1, trajectories))])
-    made = {"accel": accel, "gyro": gyro, "anchors": anchors, "place": place, "start": start}
+    start = np.concatenate([position[0], velocity, np.zeros((2, trajectories)), angle[:1], np.zeros((1, trajectories))])
+    made = {"accel": accel, "gyro": gyro, "anchors": anchors, "position": position, "start": start}
     made["ranges"] = ranges + SIGMA_R * rng.normal(size=ranges.shape)
     return {name: np.ascontiguousarray(x, np.float32) for name, x in made.items()}
 
@@ -82,7 +81,7 @@ NOISE = (0.05, 0.005, 0.005, 0.0005)
 
 
 def _ours(fifteen: bool) -> dict[str, Any]:
-    """Our filter forward and with a gradient, of fifteen states or of eight; beside the latter the textbook's."""
+    """Our filter and its gradient, with fifteen or eight states; with eight also the textbook's."""
     import jax
     import jax.numpy as jnp
 
@@ -102,7 +101,7 @@ def _ours(fifteen: bool) -> dict[str, Any]:
     from tuning.problem import Problem
 
     class Given(AbstractStart):
-        """Begins at the first row from the place, velocity and yaw in its inputs."""
+        """Start at the first row from the position, velocity and yaw in its inputs."""
 
         planar: bool
 
@@ -158,7 +157,7 @@ def _ours(fifteen: bool) -> dict[str, Any]:
             f"{name}, M rows/s": rows / forward[1] / 1e6,
             f"{name}, gradient of two: compile s": gradient[0],
             f"{name}, gradient of two: run s": gradient[1],
-            f"{name}, last error m": float(np.sqrt(((last - world["place"][-1]) ** 2).sum(axis=0).mean())),
+            f"{name}, last error m": float(np.sqrt(((last - world["position"][-1]) ** 2).sum(axis=0).mean())),
         }
 
     if fifteen:
@@ -169,7 +168,7 @@ def _ours(fifteen: bool) -> dict[str, Any]:
     begins = jnp.asarray(world["start"].T)
     run = jax.jit(jax.vmap(_textbook))
     last, seconds = _timed(lambda: run(begins, *rows))
-    error = float(np.sqrt(((np.asarray(last)[:, -1, :2] - world["place"][-1].T) ** 2).sum(axis=1).mean()))
+    error = float(np.sqrt(((np.asarray(last)[:, -1, :2] - world["position"][-1].T) ** 2).sum(axis=1).mean()))
     return found | {
         "textbook, compile s": seconds[0],
         "textbook, M rows/s": SLICE[0] * SLICE[1] / seconds[1] / 1e6,
@@ -184,9 +183,9 @@ def _move(x: Any, u: Any) -> Any:
 
     rate = u[5] - x[7]
     c, s = jnp.cos(x[6] + 0.5 * rate * STEP_S), jnp.sin(x[6] + 0.5 * rate * STEP_S)
-    felt = jnp.stack([c * (u[0] - x[4]) - s * (u[1] - x[5]), s * (u[0] - x[4]) + c * (u[1] - x[5])])
-    place, speed = x[:2] + x[2:4] * STEP_S + 0.5 * felt * STEP_S**2, x[2:4] + felt * STEP_S
-    return jnp.concatenate([place, speed, x[4:6], jnp.stack([x[6] + rate * STEP_S, x[7]])])
+    accel = jnp.stack([c * (u[0] - x[4]) - s * (u[1] - x[5]), s * (u[0] - x[4]) + c * (u[1] - x[5])])
+    position, velocity = x[:2] + x[2:4] * STEP_S + 0.5 * accel * STEP_S**2, x[2:4] + accel * STEP_S
+    return jnp.concatenate([position, velocity, x[4:6], jnp.stack([x[6] + rate * STEP_S, x[7]])])
 
 
 def _range(x: Any, u: Any) -> Any:
@@ -206,7 +205,7 @@ def _process_noise() -> np.ndarray:
 
 
 def _textbook(start: Any, accel: Any, gyro: Any, anchors: Any, ranges: Any) -> Any:
-    """Matrices, `jacfwd`, and Joseph's form, of one trajectory: the means (T, 8) of all rows."""
+    """Means (T, 8) of one trajectory, with dense matrices, `jacfwd` and the Joseph form."""
     import jax
     import jax.numpy as jnp
 
@@ -250,19 +249,19 @@ def _dynamax() -> dict[str, Any]:
     rows = [jnp.moveaxis(jnp.asarray(world[name]), -1, 0) for name in ("accel", "gyro", "anchors", "ranges")]
     run, begins = jax.jit(jax.vmap(one)), jnp.asarray(world["start"].T)
     last, seconds = _timed(lambda: run(begins, *rows))
-    error = np.sqrt(((np.asarray(last[0])[:, -1, :2] - world["place"][-1].T) ** 2).sum(axis=1).mean())
+    error = np.sqrt(((np.asarray(last[0])[:, -1, :2] - world["position"][-1].T) ** 2).sum(axis=1).mean())
     speed = SLICE[0] * SLICE[1] / seconds[1] / 1e6
     return {"dynamax, compile s": seconds[0], "dynamax, M rows/s": speed, "dynamax, last error m": float(error)}
 
 
 def _timed(run: Callable[[], Any]) -> tuple[Any, tuple[float, float]]:
-    """What `run` gives, the seconds that its first call took longer, and the median seconds of the others."""
+    """Result of `run`, extra seconds of its first call (compiling), and median seconds of the others."""
     import jax
 
     seconds: list[float] = []
     result = None
     for _ in range(ROUNDS + 1):
-        # Gigabytes of estimates, of which two sets would not leave room for a third.
+        # Free the previous estimates, which take gigabytes, before the next run.
         result = None
         began = time.perf_counter()
         result = jax.block_until_ready(run())
@@ -272,4 +271,4 @@ def _timed(run: Callable[[], Any]) -> tuple[Any, tuple[float, float]]:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(tyro.cli(main, prog="python -m experiments.bench.imu"))

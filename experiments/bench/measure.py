@@ -1,4 +1,4 @@
-"""One setting of the benchmark: the beam tracker and what it is compared with, taking turns in one process."""
+"""One setting of the benchmark: the beam tracker and its competitors, taking turns in one process."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ from tuning.problem import Problem, term_sums
 
 TRAJECTORIES, ROWS = 4096, 200
 SLICE = (256, 50)
-"""Trajectories and rows for the versions that are a hundred times slower."""
+"""Trajectories and rows for versions that are a hundred times slower."""
 
 PEER_SLICES = {"dynamax": (16, 50), "cuthbert": (256, 50), "filterpy": (8, 50)}
 """Larger batches of dynamax's 28-dimensional solves deadlock on two cores (jaxlib 0.10); smaller ones run as fast."""
 
 ROUNDS = 9
-MEMORY_LANES, MEMORY_ROWS = 64, (200, 20_000)
+MEMORY_TRAJECTORIES, MEMORY_ROWS = 64, (200, 20_000)
 TUNED = ("motion.sigma_a", "sensors.*.sigma_p")
 SIGMA_A, SIGMA_P, STEP_S = 0.5, 0.3, 0.01
 SIGMA_ANGLE, SIGMA_RATE = np.deg2rad(30.0), 1.0
@@ -45,7 +45,7 @@ MASKED = 0.05
 
 
 class GivenStart(AbstractStart):
-    """Begins every trajectory at its first row, from the angles in the recording's inputs: no search."""
+    """Start at the first row from the angles in the recording's inputs, without a search."""
 
     def can_start(self, row: Any) -> Any:
         return row.valid
@@ -60,13 +60,13 @@ class GivenStart(AbstractStart):
 
 
 class World(NamedTuple):
-    """Raw phases of beams that move as the tracker's model says; `angles` (T, 2, B) rad are the truth."""
+    """Raw phases of beams that move by the tracker's own model; `angles` (T, 2, B), rad, are the truth."""
 
     batch: Batch
     angles: np.ndarray
 
     def part(self, trajectories: int, rows: int) -> tuple[np.ndarray, ...]:
-        """What the other libraries take, batch first: phases, seen, dt, mean and covariance of the first row."""
+        """Input of the other libraries, batch first: phases, mask, dt, and mean and covariance of the first row."""
         cut = jax.tree_util.tree_map(lambda x: np.moveaxis(x[:rows, ..., :trajectories], -1, 0), self.batch)
         first = np.moveaxis(self.angles[0, :, :trajectories], -1, 0)
         mean = np.concatenate([first, np.zeros_like(first)], axis=1).astype(np.float32)
@@ -76,7 +76,7 @@ class World(NamedTuple):
 
 
 def simulate(trajectories: int, rows: int) -> World:
-    """The world of the benchmark, the same every time: 5 % of the phases masked, common offsets and wraps on."""
+    """The benchmark's world, seeded: wrapped phases with common offsets, 5 % of them masked."""
     random = np.random.default_rng(20)
     shape = (rows, 2, trajectories)
     kicks = SIGMA_A * random.normal(size=shape) * STEP_S
@@ -104,7 +104,7 @@ def simulate(trajectories: int, rows: int) -> World:
 
 @dataclass
 class Version:
-    """One way to do the work: `run` does it once, `azimuth` finds in its result the last azimuths (B,), rad."""
+    """A competitor: `run` filters once; `azimuth` takes the last azimuths (B,), rad, from its result."""
 
     name: str
     trajectories: int
@@ -129,7 +129,7 @@ def trackers() -> tuple[AbstractTracker, AbstractTracker]:
 
 
 def versions(world: World, peer: str | None) -> list[Version]:
-    """Everything that takes turns, ours with a given start first."""
+    """All versions that take turns; first ours with a given start."""
     own, given = trackers()
     pairs = all_pairs(DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH)
 
@@ -163,56 +163,56 @@ def versions(world: World, peer: str | None) -> list[Version]:
 
 
 def measure(peer: str | None = None) -> dict[str, Any]:
-    """Compile and run times of every version in this process, medians of rounds in which each has one turn."""
+    """Compile and run times of every version: medians over rounds in which each has one turn."""
     world = simulate(TRAJECTORIES, ROWS)
-    contenders = versions(world, peer)
-    for contender in contenders:
-        (contender.first_s, _), result = contender.timed()
-        if contender.azimuth is not None:
-            truth = world.angles[contender.rows - 1, 0, : contender.trajectories]
-            contender.error_deg = float(np.rad2deg(np.sqrt(np.mean((contender.azimuth(result) - truth) ** 2))))
+    competitors = versions(world, peer)
+    for competitor in competitors:
+        (competitor.first_s, _), result = competitor.timed()
+        if competitor.azimuth is not None:
+            truth = world.angles[competitor.rows - 1, 0, : competitor.trajectories]
+            competitor.error_deg = float(np.rad2deg(np.sqrt(np.mean((competitor.azimuth(result) - truth) ** 2))))
         del result
-    seconds = np.array([[contender.timed()[0] for contender in contenders] for _ in range(ROUNDS)])
-    return {"versions": summarised(contenders, seconds), "packages": packages(peer)}
+    seconds = np.array([[competitor.timed()[0] for competitor in competitors] for _ in range(ROUNDS)])
+    return {"versions": summarised(competitors, seconds), "packages": packages(peer)}
 
 
-def summarised(contenders: list[Version], seconds: np.ndarray) -> dict[str, dict[str, Any]]:
-    """Figures by the version's name; `seconds` (rounds, versions, 2), of the clock and of processors.
+def summarised(competitors: list[Version], seconds: np.ndarray) -> dict[str, dict[str, Any]]:
+    """Results by the version's name; `seconds` (rounds, versions, 2): wall and processor time.
 
-    Ratios are medians over rounds, each of what was measured within one round.
+    Ratios are taken within a round, then their median over rounds.
     """
-    steps = np.array([c.trajectories * c.rows for c in contenders])
+    steps = np.array([c.trajectories * c.rows for c in competitors])
     rates = steps[:, None] / seconds
     faster = np.median(rates[:, :1] / rates, axis=0)
     found = {}
-    for k, contender in enumerate(contenders):
+    for k, competitor in enumerate(competitors):
         median, median_cpu = np.median(seconds[:, k], axis=0)
-        found[contender.name] = {
-            "trajectories": contender.trajectories,
-            "rows": contender.rows,
-            "compile_s": max(contender.first_s - median, 0.0),
+        found[competitor.name] = {
+            "trajectories": competitor.trajectories,
+            "rows": competitor.rows,
+            "compile_s": max(competitor.first_s - median, 0.0),
             "run_ms": 1e3 * median,
             "cpu_ms": 1e3 * median_cpu,
             "run_ms_each_round": 1e3 * seconds[:, k, 0],
             "million_steps_per_s": np.median(rates[:, k, 0]) / 1e6,
             "ours_is_faster_by": faster[k, 0],
             "ours_is_faster_by_per_cpu_second": faster[k, 1],
-            "azimuth_error_deg": contender.error_deg,
+            "azimuth_error_deg": competitor.error_deg,
         }
     return found
 
 
 def memory() -> dict[str, Any]:
-    """What the gradient of two tunables takes, for few rows and for many: in a process of its own, few first, bytes.
+    """Memory, bytes, of the gradient of two tunables for few and for many rows; needs its own process.
 
-    `temporaries`: of the compiled program, beside its inputs and outputs. `peak`: most the process ever held, inputs
-    and compiler included; it can only grow.
+    `temporaries`: of the compiled program, beside inputs and outputs. `peak`: of the process, inputs and compiler
+    included; it never decreases, so that few rows come first.
     """
     _, given = trackers()
     parameters = select_parameters(given, TUNED)
     compiled: Any = jitted
-    found: dict[str, Any] = {"trajectories": MEMORY_LANES, "temporaries": {}, "inputs": {}, "peak": {}}
-    few = simulate(MEMORY_LANES, MEMORY_ROWS[0]).batch
+    found: dict[str, Any] = {"trajectories": MEMORY_TRAJECTORIES, "temporaries": {}, "inputs": {}, "peak": {}}
+    few = simulate(MEMORY_TRAJECTORIES, MEMORY_ROWS[0]).batch
     for rows in MEMORY_ROWS:
         times = rows // len(few.dt)
         batch = jax.tree_util.tree_map(lambda x, times=times: np.concatenate([x] * times), few)._replace(key=few.key)
@@ -228,5 +228,5 @@ def memory() -> dict[str, Any]:
 
 
 def packages(peer: str | None) -> dict[str, str]:
-    """Versions of the packages that do the work."""
+    """Versions of the packages used."""
     return {name: version(name) for name in ("jax", "jaxlib", "numpy", *([peer] if peer else []))}

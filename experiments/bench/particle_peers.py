@@ -1,54 +1,50 @@
 """The particle filter on a line beside `particles` and cuthbert: `python -m experiments.bench.particle_peers`.
 
-All filter fixes of the same carts with the motion, the 1,000 particles, the systematic resampling below half of them
-and the start of the textbook version in `experiments/bench/particles.py`. Each library is measured in a process of its
-own, taking turns with ours there: `particles` one trajectory after the other on NumPy, as it is made, cuthbert under
-`vmap`, with the flags of the command line. Both are extra dependencies (`pip install trackwright[peers]`).
+All filter fixes of the same carts with the motion, particles, resampling and start of the textbook version in
+`experiments/bench/particles.py`. Each library runs in its own process and takes turns with ours: `particles` one
+trajectory after the other on NumPy, cuthbert under `vmap`, with the flags of the command line. Both are extra
+dependencies (`pip install trackwright[peers]`).
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tyro
 
 from experiments.bench.__main__ import machine
 from experiments.bench.particles import PARTICLES, SIGMA_A, SIGMA_P, ours, rmse, task
-from experiments.bench.processes import figures_apart
 from experiments.cli.runtime import set_flags
+from experiments.cli.subprocesses import in_new_process_or_failed
 from trackers.recordings.atomic import atomic_write, json_text
 
 SLICES = {"particles": 4, "cuthbert": 32}
-"""Trajectories for the versions that are dozens of times slower; cuthbert keeps every particle of every row."""
+"""Trajectories for the peers, which are dozens of times slower; cuthbert stores every particle of every row."""
 
 ROUNDS = 5
 LIMIT_S = 300.0
 FLOOR = 25.0
-"""How many times faster than theirs ours is to be."""
+"""Required speed-up over the peers."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure beside every library, print the figures and write them as JSON; 1 where ours is below the floor."""
-    parser = argparse.ArgumentParser(
-        prog="python -m experiments.bench.particle_peers", description=(__doc__ or "").split("\n\n")[0]
-    )
-    parser.add_argument("--out", type=Path, default=Path("out/bench-particles.json"), help="where the figures go")
-    parser.add_argument("--peer", choices=SLICES, help=argparse.SUPPRESS)
-    options = parser.parse_args(arguments)
-    if options.peer:
-        print(json_text(beside(options.peer)))
-        return 0
+def main(out: Path = Path("out/bench-particles.json")) -> int:
+    """Measure beside both libraries, print the results and write them as JSON; 1 if the speed-up is too small.
+
+    Args:
+        out: the JSON file to write.
+    """
     began, host = datetime.now(UTC), machine()
-    peers = {peer: figures_apart("experiments.bench.particle_peers", "--peer", peer, LIMIT_S) for peer in SLICES}
-    figures = {
+    module = "experiments.bench.particle_peers"
+    peers = {peer: in_new_process_or_failed(module, "beside", (peer,), LIMIT_S) for peer in SLICES}
+    results = {
         "date": began.isoformat(timespec="seconds"),
         "command": ["python", "-m", "experiments.bench.particle_peers"],
         "machine": host,
@@ -56,8 +52,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "peers": peers,
         "took_s": (datetime.now(UTC) - began).total_seconds(),
     }
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    atomic_write(options.out, lambda path: path.write_text(json_text(figures), "utf-8"))
+    out.parent.mkdir(parents=True, exist_ok=True)
+    atomic_write(out, lambda path: path.write_text(json_text(results), "utf-8"))
     slowest = np.inf
     for peer, found in peers.items():
         if "failed" in found:
@@ -74,16 +70,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(
             f"ours is {faster:.0f} times as fast, {found['ours_is_faster_by_per_cpu_second']:.0f} per processor second"
         )
-    print(f"floor {FLOOR:g}. Written: {options.out}")
+    print(f"floor {FLOOR:g}. Written: {out}")
     return int(slowest < FLOOR)
 
 
 def beside(peer: str) -> dict[str, Any]:
-    """Ours and a library's, taking turns in this process: medians over rounds, ratios within rounds."""
+    """Ours and a peer's filter, taking turns in this process: medians over rounds, ratios within rounds."""
     set_flags()
     from sim.line import THESIS_KNOTS
 
-    fixes, times, positions = task()
+    fixes, times, truth = task()
     few = SLICES[peer]
     build = {"particles": with_particles, "cuthbert": with_cuthbert}[peer]
     versions = {
@@ -93,12 +89,12 @@ def beside(peer: str) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for name, (size, run) in versions.items():
         began = time.perf_counter()
-        places = run()
+        estimated = run()
         found[name] = {
             "trajectories": size,
             "rows": fixes.shape[1],
             "first_s": time.perf_counter() - began,
-            "rmse_m": rmse(places, positions[:size]),
+            "rmse_m": rmse(estimated, truth[:size]),
         }
     seconds = np.zeros((ROUNDS, 2, 2))
     for turn in range(ROUNDS):
@@ -122,7 +118,7 @@ def beside(peer: str) -> dict[str, Any]:
 
 
 def with_particles(fixes: np.ndarray, dt: float, knots: np.ndarray) -> Callable[[], np.ndarray]:
-    """`particles.SMC` on a model in NumPy, collecting moments; a function that returns places (n, T, 2), m."""
+    """A run of `particles.SMC` on a NumPy model, collecting moments; returns positions (n, T, 2), m."""
     import particles
     from particles.collectors import Moments
 
@@ -130,7 +126,7 @@ def with_particles(fixes: np.ndarray, dt: float, knots: np.ndarray) -> Callable[
     marks = np.concatenate([[0.0], np.cumsum(np.sqrt((np.diff(knots, axis=0) ** 2).sum(axis=1)))])
 
     class Line(particles.FeynmanKac):
-        """The line's motion and fixes (T, 2) of one cart; states are arclengths, m, and speeds, m/s, (N, 2)."""
+        """Motion along the line and fixes (T, 2), m, of one cart; states (N, 2): arclength, m, and speed, m/s."""
 
         def __init__(self, fixes: np.ndarray):
             super().__init__(len(fixes))
@@ -164,7 +160,7 @@ def with_particles(fixes: np.ndarray, dt: float, knots: np.ndarray) -> Callable[
 
 
 def with_cuthbert(fixes: np.ndarray, dt: float, knots: np.ndarray) -> Callable[[], np.ndarray]:
-    """cuthbert's particle filter under `jit` and `vmap`; a function that returns places (n, T, 2), m."""
+    """A run of cuthbert's particle filter under `jit` and `vmap`; returns positions (n, T, 2), m."""
     import cuthbert
     import jax
     import jax.numpy as jnp
@@ -175,7 +171,7 @@ def with_cuthbert(fixes: np.ndarray, dt: float, knots: np.ndarray) -> Callable[[
     marks = np.concatenate([[0.0], np.cumsum(np.sqrt((np.diff(knots, axis=0) ** 2).sum(axis=1)))]).astype(np.float32)
     table = knots.astype(np.float32)
 
-    def place(d: Any) -> Any:
+    def position(d: Any) -> Any:
         return jnp.stack([jnp.interp(d, marks, table[:, 0]), jnp.interp(d, marks, table[:, 1])], axis=-1)
 
     def start(key: Any) -> Any:
@@ -186,7 +182,7 @@ def with_cuthbert(fixes: np.ndarray, dt: float, knots: np.ndarray) -> Callable[[
         return jnp.stack([jnp.clip(state[0] + dt * state[1], 0.0, marks[-1]), speed])
 
     def density(before: Any, state: Any, fix: Any) -> Any:
-        return -0.5 * jnp.sum((fix - place(state[0])) ** 2) / SIGMA_P**2 - jnp.log(2 * jnp.pi * SIGMA_P**2)
+        return -0.5 * jnp.sum((fix - position(state[0])) ** 2) / SIGMA_P**2 - jnp.log(2 * jnp.pi * SIGMA_P**2)
 
     smc = build_filter(start, step, density, PARTICLES, ess_decorator(resampling, 0.5))
 
@@ -194,7 +190,7 @@ def with_cuthbert(fixes: np.ndarray, dt: float, knots: np.ndarray) -> Callable[[
         first, rest = jax.random.split(key)
         states = cuthbert.filter(smc, rows[1:], smc.init_prepare(key=first), key=rest)
         weights = jax.nn.softmax(states.log_weights, axis=-1)
-        return place(jnp.sum(weights * states.particles[..., 0], axis=-1))
+        return position(jnp.sum(weights * states.particles[..., 0], axis=-1))
 
     filtered = jax.jit(jax.vmap(one))
     keys, rows = jax.random.split(jax.random.key(0), len(fixes)), jnp.asarray(fixes, jnp.float32)
@@ -202,4 +198,4 @@ def with_cuthbert(fixes: np.ndarray, dt: float, knots: np.ndarray) -> Callable[[
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(tyro.cli(main, prog="python -m experiments.bench.particle_peers"))

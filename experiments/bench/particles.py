@@ -1,8 +1,8 @@
-"""The speed of the particle filter on a line beside the textbook's: `python -m experiments.bench.particles`.
+"""Speed of the particle filter on a line beside the textbook's: `python -m experiments.bench.particles`.
 
-Both filter the same fixes with the same motion, 1,000 particles and resampling below half of them, in one process, and
-take turns. The textbook's resamples by a cumulative sum and a binary search per offspring, and looks places up in the
-table of knots. Ours also returns the covariance and the NIS of every row.
+Both filter the same fixes with the same motion and 1,000 particles, resample below an effective sample size of 500, and
+take turns in one process. The textbook's resampling is a cumulative sum and a binary search per offspring; its
+positions are interpolated between the knots. Ours also returns the covariance and the NIS of every row.
 """
 
 from __future__ import annotations
@@ -20,25 +20,25 @@ TRAJECTORIES, ROWS, PARTICLES = 256, 200, 1000
 ROUNDS = 3
 SIGMA_A, SIGMA_P = 0.1, 0.3
 CHUNK = 64
-"""Trajectories per chunk: so many clouds of particles stay in the processor's cache."""
+"""Trajectories per chunk, whose particles fit the processor's cache."""
 
 FLOOR = 4.0
-"""How many times faster than the textbook's ours is to be."""
+"""Required speed-up over the textbook's."""
 
 
 def main() -> int:
-    """Measure, print a table, and return 1 where ours is below the floor."""
+    """Measure and print a table; 1 if the speed-up is below the floor."""
     set_flags()
     from sim.line import THESIS_KNOTS
 
-    fixes, times, positions = task()
+    fixes, times, truth = task()
     versions = {"ours": ours(fixes, times), "textbook": textbook(fixes, times, THESIS_KNOTS)}
     first, errors = {}, {}
     for name, run in versions.items():
         began = time.perf_counter()
-        places = run()
+        estimated = run()
         first[name] = time.perf_counter() - began
-        errors[name] = rmse(places, positions)
+        errors[name] = rmse(estimated, truth)
     seconds = {name: np.zeros((ROUNDS, 2)) for name in versions}
     for turn in range(ROUNDS):
         for name, run in versions.items():
@@ -59,20 +59,20 @@ def main() -> int:
 
 
 def task() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Fixes (n, T, 2), m, their times (T,), s, and the true places (n, T, 2), m, of carts on the thesis's line."""
+    """Fixes (n, T, 2), m, times (T,), s, and true positions (n, T, 2), m, of carts on the thesis's line."""
     from sim.line import simulate_line
 
     world = simulate_line("constant", TRAJECTORIES, seed=20, rest_s=3.0, rate_hz=2.0 * ROWS / 120.0)
     return world.fixes[:, :ROWS], world.times[:ROWS], world.positions[:, :ROWS]
 
 
-def rmse(places: np.ndarray, positions: np.ndarray) -> float:
-    """The error of places (n, T, 2), m, without the first row, where the filters start, each in its own way."""
-    return float(np.sqrt(np.mean(np.sum((places - positions)[:, 1:] ** 2, axis=-1))))
+def rmse(estimated: np.ndarray, truth: np.ndarray) -> float:
+    """RMSE, m, of positions (n, T, 2) without the first row, where the filters start in different ways."""
+    return float(np.sqrt(np.mean(np.sum((estimated - truth)[:, 1:] ** 2, axis=-1))))
 
 
 def ours(fixes: np.ndarray, times: np.ndarray) -> Callable[[], np.ndarray]:
-    """The tracker `line-pf` without halts; a function that runs it and returns places (n, T, 2), m."""
+    """A run of the tracker `line-pf` without halts; returns positions (n, T, 2), m."""
     from sim.line import THESIS_KNOTS
     from trackers.core.chunks import as_dtype, chunks, run_chunks
     from trackers.core.polyline import Polyline
@@ -95,7 +95,7 @@ def ours(fixes: np.ndarray, times: np.ndarray) -> Callable[[], np.ndarray]:
 
 
 def textbook(fixes: np.ndarray, times: np.ndarray, knots: np.ndarray) -> Callable[[], np.ndarray]:
-    """The filter as it is usually written: one trajectory in a scan, `vmap` over trajectories."""
+    """A run of the filter as usually written: a scan over one trajectory, `vmap` over trajectories."""
     import jax
     import jax.numpy as jnp
 
@@ -103,36 +103,36 @@ def textbook(fixes: np.ndarray, times: np.ndarray, knots: np.ndarray) -> Callabl
     table = np.asarray(knots, np.float32)
     dt = np.float32(times[1] - times[0])
 
-    def place(d: Any) -> Any:
+    def position(d: Any) -> Any:
         return jnp.stack([jnp.interp(d, marks, table[:, 0]), jnp.interp(d, marks, table[:, 1])], axis=-1)
 
     def step(carry: Any, row: Any) -> tuple[Any, Any]:
         key, d, speed, weights = carry
-        key, noise, spot = jax.random.split(key, 3)
+        key, noise, offset = jax.random.split(key, 3)
         cumulative = jnp.cumsum(weights)
-        points = (jnp.arange(PARTICLES) + jax.random.uniform(spot)) / PARTICLES * cumulative[-1]
+        points = (jnp.arange(PARTICLES) + jax.random.uniform(offset)) / PARTICLES * cumulative[-1]
         ancestors = jnp.minimum(jnp.searchsorted(cumulative, points), PARTICLES - 1)
-        few = 1.0 / jnp.sum(weights**2) < 0.5 * PARTICLES
-        d, speed = jnp.where(few, d[ancestors], d), jnp.where(few, speed[ancestors], speed)
-        weights = jnp.where(few, 1.0 / PARTICLES, weights)
+        resample = 1.0 / jnp.sum(weights**2) < 0.5 * PARTICLES
+        d, speed = jnp.where(resample, d[ancestors], d), jnp.where(resample, speed[ancestors], speed)
+        weights = jnp.where(resample, 1.0 / PARTICLES, weights)
         d = jnp.clip(d + dt * speed, 0.0, marks[-1])
         speed = jnp.maximum(speed + SIGMA_A * jnp.sqrt(dt) * jax.random.normal(noise, (PARTICLES,)), 0.0)
-        square = jnp.sum((row - place(d)) ** 2, axis=-1) / SIGMA_P**2
+        square = jnp.sum((row - position(d)) ** 2, axis=-1) / SIGMA_P**2
         log_weights = jnp.log(weights) - 0.5 * square
         top = jnp.max(log_weights)
         weights = jnp.exp(log_weights - top)
         total = jnp.sum(weights)
         weights = weights / total
-        said = top + jnp.log(total) - jnp.log(2 * jnp.pi * SIGMA_P**2)
-        return (key, d, speed, weights), (place(jnp.sum(weights * d)), said)
+        log_evidence = top + jnp.log(total) - jnp.log(2 * jnp.pi * SIGMA_P**2)
+        return (key, d, speed, weights), (position(jnp.sum(weights * d)), log_evidence)
 
     def one(key: Any, rows: Any) -> Any:
         key, start, pace = jax.random.split(key, 3)
         d = jnp.maximum(0.5 * jax.random.normal(start, (PARTICLES,)), 0.0)
         speed = jnp.maximum(0.1 * jax.random.normal(pace, (PARTICLES,)), 0.0)
         weights = jnp.full(PARTICLES, 1.0 / PARTICLES)
-        places, said = jax.lax.scan(step, (key, d, speed, weights), rows[1:])[1]
-        return jnp.concatenate([place(jnp.mean(d))[None], places]), jnp.sum(said)
+        positions, log_evidence = jax.lax.scan(step, (key, d, speed, weights), rows[1:])[1]
+        return jnp.concatenate([position(jnp.mean(d))[None], positions]), jnp.sum(log_evidence)
 
     filtered = jax.jit(jax.vmap(one))
     keys, rows = jax.random.split(jax.random.key(0), len(fixes)), jnp.asarray(fixes, jnp.float32)

@@ -1,7 +1,7 @@
-"""The same filter in other libraries, each as its documentation has it: dynamax, cuthbert and filterpy.
+"""The same filter in dynamax, cuthbert and filterpy, each used as documented.
 
-All get what the textbook version gets: every wrapped difference of antenna pairs, masks and a known start. They are
-extra dependencies (`pip install trackwright[peers]`).
+All have the textbook version's input: wrapped differences of all antenna pairs, masks and a known start. They are extra
+dependencies (`pip install trackwright[peers]`).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from experiments.bench.textbook import Pairs, both_seen, noise, predicted, trans
 
 
 def with_dynamax(pairs: Pairs, sigma_a: float, sigma_p: float) -> Callable[..., Any]:
-    """`extended_kalman_filter` under `vmap`; wraps and masks enter through the emission function's inputs."""
+    """`extended_kalman_filter` under `vmap`; wraps and masks are inputs of the emission function."""
 
     def one(phases: Any, seen: Any, dt: Any, mean: Any, cov: Any) -> Any:
         differences = phases @ jnp.asarray(pairs.take).T
@@ -48,7 +48,7 @@ def with_dynamax(pairs: Pairs, sigma_a: float, sigma_p: float) -> Callable[..., 
 
 
 def with_cuthbert(pairs: Pairs, sigma_a: float, sigma_p: float) -> Callable[..., Any]:
-    """The filter that linearises moments, in square-root form, under `vmap`; NaN marks what was not seen."""
+    """The moment-linearising filter in square-root form, under `vmap`; NaN marks masked differences."""
     count = len(pairs.take)
     full = sigma_p**2 * pairs.take @ pairs.take.T + 1e-3 * np.eye(count)
     root = jnp.asarray(np.linalg.cholesky(full), jnp.float32)
@@ -77,7 +77,7 @@ def with_cuthbert(pairs: Pairs, sigma_a: float, sigma_p: float) -> Callable[...,
 
 
 def with_filterpy(pairs: Pairs, sigma_a: float, sigma_p: float) -> Callable[..., Any]:
-    """`ExtendedKalmanFilter` in double precision, one trajectory after the other; pairs that miss one are left out."""
+    """`ExtendedKalmanFilter` in double precision, one trajectory after the other; masked pairs are left out."""
     take, wavenumbers = (np.asarray(x, float) for x in pairs)
     full = sigma_p**2 * take @ take.T + 1e-3 * np.eye(len(take))
 

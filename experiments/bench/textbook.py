@@ -1,7 +1,7 @@
-"""The beam tracker as textbooks write it, under `vmap`: what the benchmark measures the engine against.
+"""The beam tracker as textbooks write it, under `vmap`: the benchmark's reference.
 
-All wrapped differences of antenna pairs (28 of 8 antennas), their covariance with a jitter because it is singular, a
-Cholesky factor and two solves a step, and Joseph's form: equations (5) to (17) of Will et al. 2020 line by line.
+All wrapped phase differences (28 of 8 antennas), their singular covariance with a jitter, a Cholesky factor and two
+solves per step, and the Joseph form: equations (5) to (17) of Will et al. 2020 line by line.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 
 JITTER = 1e-3
-"""Added to the variance of every difference, rad²; without it there is no Cholesky factor in single precision."""
+"""Added to the variance of every difference, rad²; makes the Cholesky factor exist in single precision."""
 
 
 class Pairs(NamedTuple):
-    """The differences of all antenna pairs: `take` (m, n) makes them, `wavenumbers` (m, 2) predicts them, rad."""
+    """Differences of all antenna pairs: `take` (m, n) forms them, `wavenumbers` (m, 2), rad, predict them."""
 
     take: np.ndarray
     wavenumbers: np.ndarray
@@ -34,7 +34,7 @@ def all_pairs(antennas: np.ndarray, wavelength: float) -> Pairs:
 
 
 def wrap(angle: Any) -> Any:
-    """The angle brought into [−π, π], rad."""
+    """The angle wrapped to [−π, π], rad."""
     return angle - 2 * jnp.pi * jnp.round(angle / (2 * jnp.pi))
 
 
@@ -47,26 +47,26 @@ def transition(dt: Any, sigma_a: float) -> tuple[Any, Any]:
 
 
 def predicted(pairs: Pairs, x: Any) -> Any:
-    """The differences that a state makes one expect, equation (9), rad, not wrapped."""
+    """Predicted differences (m,), rad, equation (9), not wrapped."""
     direction = jnp.stack([jnp.sin(x[0]) * jnp.cos(x[1]), jnp.sin(x[1])])
     return jnp.asarray(pairs.wavenumbers) @ direction
 
 
 def both_seen(pairs: Pairs, seen: Any) -> Any:
-    """Which pairs have both their antennas seen."""
+    """Mask (m,) of the pairs with both antennas seen."""
     return jnp.abs(jnp.asarray(pairs.take)) @ (1.0 - seen.astype(jnp.float32)) < 0.5
 
 
 def noise(pairs: Pairs, usable: Any, sigma_p: float) -> Any:
-    """The covariance of the differences; pairs that aren't usable have unit variance and know of no other."""
+    """Covariance of the differences; unusable pairs have unit variance and no correlation."""
     full = sigma_p**2 * pairs.take @ pairs.take.T + JITTER * np.eye(len(pairs.take))
     return jnp.where(usable[:, None] & usable[None], full.astype(np.float32), jnp.diag(jnp.where(usable, 0.0, 1.0)))
 
 
 def textbook(pairs: Pairs, sigma_a: float, sigma_p: float) -> Callable[..., Any]:
-    """The filter of many trajectories: phases (B, T, n), seen (B, T, n), dt (B, T), mean (B, 4), cov (B, 4, 4).
+    """The filter of a batch of trajectories: phases (B, T, n), seen (B, T, n), dt (B, T), mean (B, 4), cov (B, 4, 4).
 
-    It returns for every row the mean, the covariance, the normalised innovation squared and the log-likelihood.
+    Returns mean, covariance, NIS and log-likelihood of every row.
     """
 
     def step(carry: Any, row: Any) -> tuple[Any, Any]:

@@ -1,13 +1,12 @@
-"""How long a fit takes: `python -m experiments.bench.tuning`, with `--peers` beside scipy and dynamax.
+"""Computing time of a fit: `python -m experiments.bench.tuning`, with `--peers` beside scipy and dynamax.
 
-System A, 4,096 trajectories of 200 rows, σ_a and σ_p, from starts wrong by a factor of ten, until nothing is gained.
-Beside it, in the same process, scipy's L-BFGS-B on finite differences of the same jitted objective, and Adam of optax
-on the likelihood of dynamax's filter, of which a small slice is run: larger batches of its solves deadlock.
+System A, 4,096 trajectories of 200 rows, σ_a and σ_p, from starts wrong by a factor of ten, until convergence. Beside
+it, in the same process, scipy's L-BFGS-B on finite differences of the same jitted objective, and optax's Adam on the
+likelihood of dynamax's filter, on a small slice because larger batches of its solves deadlock.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 import time
@@ -16,41 +15,42 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tyro
 
 from experiments.cli.runtime import set_flags
 
 LIMIT_S = 5.0
-"""What a fit may take once it is compiled."""
+"""Limit of the time of a compiled fit."""
 
 CORNERS = ((10.0, 10.0), (0.1, 0.1), (10.0, 0.1), (0.1, 10.0))
 DYNAMAX_SLICE, DYNAMAX_STEPS = (16, 50), 20
 
 
-def main() -> int:
-    """Measure, print and write the figures; 1 where a fit takes too long."""
-    about = (__doc__ or "").split("\n\n")[0]
-    parser = argparse.ArgumentParser(prog="python -m experiments.bench.tuning", description=about)
-    parser.add_argument("--peers", action="store_true", help="also scipy and dynamax (extra: peers)")
-    parser.add_argument("--out", type=Path, default=Path("out/bench-tuning.json"), help="where the figures go")
-    options = parser.parse_args()
+def main(peers: bool = False, out: Path = Path("out/bench-tuning.json")) -> int:
+    """Measure fits, print the results and write them as JSON; 1 if a fit takes too long.
+
+    Args:
+        peers: also scipy and dynamax (extra: peers).
+        out: the JSON file to write.
+    """
     set_flags()
     from experiments.bench.__main__ import machine
     from trackers.recordings.atomic import atomic_write, json_text
 
     command = ["python", "-m", "experiments.bench.tuning", *sys.argv[1:]]
-    figures: dict[str, Any] = {"command": command, "machine": machine(), "ours": ours()}
-    if options.peers:
-        figures |= {"scipy": with_scipy(), "dynamax": with_dynamax()}
-    print(json.dumps(figures, indent=2))
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    atomic_write(options.out, lambda path: path.write_text(json_text(figures), "utf-8"))
-    slowest = max(run["seconds"] for run in figures["ours"]["fits"])
+    results: dict[str, Any] = {"command": command, "machine": machine(), "ours": ours()}
+    if peers:
+        results |= {"scipy": with_scipy(), "dynamax": with_dynamax()}
+    print(json.dumps(results, indent=2))
+    out.parent.mkdir(parents=True, exist_ok=True)
+    atomic_write(out, lambda path: path.write_text(json_text(results), "utf-8"))
+    slowest = max(run["seconds"] for run in results["ours"]["fits"])
     print(f"the slowest of {len(CORNERS)} fits took {slowest:.2f} s; limit {LIMIT_S:g} s")
     return int(slowest > LIMIT_S)
 
 
 def wrong(corner: tuple[float, float]) -> Any:
-    """The benchmark's tracker with both noise levels wrong by these factors."""
+    """The benchmark's tracker with both noise levels multiplied by these factors."""
     from experiments.bench.measure import TUNED, trackers
     from tuning.parameters import flatten, select_parameters, with_parameters
 
@@ -60,7 +60,7 @@ def wrong(corner: tuple[float, float]) -> Any:
 
 
 def ours() -> dict[str, Any]:
-    """Every start once for compiling, and once for the clock."""
+    """Timed fits from every start, after one fit for compiling."""
     from experiments.bench.measure import ROWS, TRAJECTORIES, TUNED, simulate
     from tuning import NegativeLogLikelihood, fit
 
@@ -89,7 +89,7 @@ def ours() -> dict[str, Any]:
 
 
 def with_scipy() -> dict[str, Any]:
-    """scipy's L-BFGS-B, which differences the objective itself; the step suits single precision."""
+    """Timed fits by scipy's L-BFGS-B with finite differences; their step suits single precision."""
     from scipy.optimize import minimize
 
     from experiments.bench.measure import ROWS, TRAJECTORIES, TUNED, simulate
@@ -118,7 +118,7 @@ def with_scipy() -> dict[str, Any]:
 
 
 def with_dynamax() -> dict[str, Any]:
-    """Adam on the mean negative log-likelihood of dynamax's filter: some steps on a slice, and what all would take."""
+    """Adam on the negative log-likelihood of dynamax's filter: time per gradient on a slice, and scaled to all data."""
     import jax
     import jax.numpy as jnp
     import optax
@@ -131,7 +131,7 @@ def with_dynamax() -> dict[str, Any]:
     part = simulate(TRAJECTORIES, ROWS).part(*DYNAMAX_SLICE)
     pairs = all_pairs(DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH)
 
-    def figure(v: Any) -> Any:
+    def objective(v: Any) -> Any:
         levels: Any = jnp.exp(v)
         return -jnp.mean(build(pairs, levels[0], levels[1])(*part)[2]) / DYNAMAX_SLICE[1]
 
@@ -139,7 +139,7 @@ def with_dynamax() -> dict[str, Any]:
 
     @jax.jit
     def step(v: Any, state: Any) -> tuple[Any, Any, Any]:
-        value, gradient = jax.value_and_grad(figure)(v)
+        value, gradient = jax.value_and_grad(objective)(v)
         update, state = optimiser.update(gradient, state)
         return v + update, state, value
 
@@ -168,4 +168,4 @@ def _clocked(work: Callable[[], Any]) -> tuple[float, Any]:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(tyro.cli(main, prog="python -m experiments.bench.tuning"))

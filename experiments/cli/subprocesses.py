@@ -1,4 +1,4 @@
-"""`trackwright` commands run one after another, as a person would type them: for the demo and the printed tables."""
+"""Commands and functions in fresh processes: `trackwright` as a user types it, and parts that may hang or fail."""
 
 from __future__ import annotations
 
@@ -11,32 +11,73 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-REPOSITORY = Path(__file__).parents[1]
+from trackers.core.errors import UnusableInput
+
+REPOSITORY = Path(__file__).parents[2]
 
 
-def real_recordings() -> Path | None:
+def recordings_folder() -> Path | None:
     """The folder of real recordings: TRACKWRIGHT_RECORDINGS, else `../shared/recordings` beside the repository."""
     folder = Path(os.environ.get("TRACKWRIGHT_RECORDINGS", REPOSITORY.parent / "shared" / "recordings"))
     return folder if folder.is_dir() else None
 
 
 def command(*arguments: str | Path) -> None:
-    """Print the command and run it, its output to the terminal; exits with its code where it fails."""
+    """Print a `trackwright` command and run it, its output to the terminal; exits with its code if it fails."""
     print(f"\n$ trackwright {shlex.join(map(str, arguments))}", flush=True)
-    _checked(subprocess.run(_line(arguments), check=False))
+    _exit_on_failure(subprocess.run(_trackwright(arguments), check=False))
 
 
-def figures(tracks: Path) -> dict[str, Any]:
-    """What `trackwright evaluate TRACKS --json` prints."""
-    done = subprocess.run(_line(("evaluate", tracks, "--json")), check=False, stdout=subprocess.PIPE, text=True)
-    _checked(done)
-    return json.loads(done.stdout)
+def evaluation(tracks: Path) -> dict[str, Any]:
+    """The output of `trackwright evaluate TRACKS --json`."""
+    done = subprocess.run(_trackwright(("evaluate", tracks, "--json")), check=False, stdout=subprocess.PIPE, text=True)
+    _exit_on_failure(done)
+    metrics: dict[str, Any] = json.loads(done.stdout)
+    return metrics
 
 
-def _line(arguments: Sequence[str | Path]) -> list[str]:
+def new_interpreter(arguments: Sequence[str], limit_s: float) -> subprocess.CompletedProcess[str]:
+    """A Python run with these arguments, without the user's XLA flags; raises TimeoutExpired after `limit_s`."""
+    environment = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
+    line = [sys.executable, *arguments]
+    return subprocess.run(line, env=environment, capture_output=True, text=True, timeout=limit_s, check=False)
+
+
+def in_new_process(module: str, function: str, arguments: Sequence[str | None], limit_s: float) -> dict[str, Any]:
+    """The dict that a module's function returns in a new interpreter; raises UnusableInput if it fails or hangs."""
+    name = ", ".join(a for a in arguments if a is not None)
+    print(f"measuring: {name} …", file=sys.stderr, flush=True)
+    program = (
+        "from trackers.recordings.atomic import json_text\n"
+        f"from {module} import {function}\n"
+        f"print(json_text({function}(*{list(arguments)!r})))"
+    )
+    try:
+        done = new_interpreter(["-c", program], limit_s)
+    except subprocess.TimeoutExpired:
+        raise UnusableInput(f"'{name}' took over {limit_s:.0f} s; run it again on an idle machine") from None
+    if done.returncode:
+        raise UnusableInput(
+            f"'{name}' ended with status {done.returncode}: {(done.stderr.strip().splitlines() or ['no message'])[-1]}"
+        )
+    result: dict[str, Any] = json.loads(done.stdout)
+    return result
+
+
+def in_new_process_or_failed(
+    module: str, function: str, arguments: Sequence[str | None], limit_s: float
+) -> dict[str, Any]:
+    """The same, or the reason of the failure under the key `failed`."""
+    try:
+        return in_new_process(module, function, arguments, limit_s)
+    except UnusableInput as problem:
+        return {"failed": str(problem)}
+
+
+def _trackwright(arguments: Sequence[str | Path]) -> list[str]:
     return [sys.executable, "-m", "experiments", *map(str, arguments)]
 
 
-def _checked(done: subprocess.CompletedProcess) -> None:
+def _exit_on_failure(done: subprocess.CompletedProcess) -> None:
     if done.returncode:
         sys.exit(done.returncode)

@@ -16,8 +16,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from experiments.bench.processes import new_interpreter
 from experiments.cli.console import notice, progress
+from experiments.cli.subprocesses import new_interpreter
 from experiments.monte_carlo.expectations import Value
 from experiments.monte_carlo.sources import available_studies, load_study
 from experiments.reports.wording import Unit, with_interval
@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with progress("papers", len(chosen)) as advance:
         for study in chosen:
             folder = options.out / study.name
-            done = new_interpreter(["experiments", "study", study.name, "--out", str(folder)], LIMIT_S)
+            done = new_interpreter(["-m", "experiments", "study", study.name, "--out", str(folder)], LIMIT_S)
             if done.returncode:
                 failed.append(study.name)
                 notice(f"{study.name} failed: {(done.stderr.strip().splitlines() or ['no message'])[-1]}")

@@ -1,4 +1,4 @@
-"""The main job from end to end on a simulated work station: `make demo`, or `python -m experiments.validation.demo`."""
+"""The main workflow end to end on a simulated work station: `make demo`, or `python -m experiments.validation.demo`."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import time
 import tomllib
 from pathlib import Path
 
-from experiments.cli.subprocesses import command, figures, real_recordings
+from experiments.cli.subprocesses import command, evaluation, recordings_folder
 
 OUT = Path("out/demo")
 SIGMA_P = 0.2
 """Phase noise of the simulated worlds, rad."""
 
 WALK = "ble51-walk-u1-r2"
-WRONG_START = f"""# A phase noise three times the one that the recording was simulated with.
+WRONG_START = f"""# Three times the simulated phase noise.
 [tunables."sensors.*.sigma_p"]
 value = {3 * SIGMA_P}
 unit = "rad"
@@ -22,7 +22,7 @@ unit = "rad"
 
 
 def main() -> None:
-    """Simulate, check, track, evaluate and tune, then say what was done and where to look."""
+    """Simulate, check, track, evaluate and tune, then print a summary."""
     began = time.monotonic()
     shutil.rmtree(OUT, ignore_errors=True)
     world, short = OUT / "world", OUT / "short-world"
@@ -38,7 +38,7 @@ def main() -> None:
     tune = ("--tune", "motion.sigma_a", "tied:sensors.*.sigma_p")
     command("tune", short, "--objective", "nll", *tune, "--start", start, "--steps", "40", "--out", OUT / "tuned")
 
-    recordings = real_recordings()
+    recordings = recordings_folder()
     walk = None if recordings is None or not (recordings / WALK).is_dir() else recordings / WALK
     if walk is not None:
         command("track", walk, "--out", OUT / "walk")
@@ -56,7 +56,7 @@ def main() -> None:
 
 
 def _line(tracks: Path) -> str:
-    overall = figures(tracks)["overall"]
+    overall = evaluation(tracks)["overall"]
     return f"{overall['rmse_m']:.3f} m horizontal, {overall['rmse_3d_m']:.3f} m 3-D RMSE   {tracks}"
 
 

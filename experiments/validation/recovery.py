@@ -13,9 +13,10 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import tyro
 
 from experiments.cli.console import progress
 from experiments.cli.runtime import set_flags
@@ -61,7 +62,7 @@ from tuning.uncertainty import By, unused  # noqa: E402
 
 REPLICATES = 200
 COVERED = (0.89, 0.99)
-"""Of 95 % intervals; 200 replicates know the share to 1.5 %."""
+"""Accepted coverage of 95 % intervals; its standard error over 200 replicates is 1.5 %."""
 
 UNBIASED = 3.0
 WRONG = np.log(10.0)
@@ -69,7 +70,7 @@ NEVER_LOST = TrackLossPolicy(nis_limit=np.inf, max_gap=np.inf)
 
 
 class Known(AbstractStart):
-    """Begins at the first row from the belief that the world draws its states from."""
+    """Start at the first row, with the distribution from which the world draws its states."""
 
     state: Any = eqx.field(static=True)
     mean: tuple[float, ...] = eqx.field(static=True)
@@ -89,9 +90,9 @@ class Known(AbstractStart):
 
 @dataclass(frozen=True)
 class System:
-    """A tracker with the true numbers, which of them are fitted, and what its sensors read of states (n,) with noise.
+    """A tracker with the true parameters, the tunables to fit, and the simulation of its measurements.
 
-    `read` takes a view of n states and a random generator and gives values (n, m); `inputs`: of every row.
+    `read` maps the observation view of n states and a random generator to measurements (n, m). `inputs`: of every row.
     """
 
     tracker: Tracker
@@ -103,7 +104,7 @@ class System:
     dt: float
 
     def batches(self, replicates: int, seed: int) -> list[Batch]:
-        """One batch of trajectories for each replicate, of states drawn by the tracker's own start and motion."""
+        """One batch of trajectories per replicate, with states drawn from the tracker's own start and motion."""
         n, rng = replicates * self.trajectories, np.random.default_rng(seed)
         start: Any = self.tracker.start
         motion = self.tracker.motion
@@ -128,7 +129,7 @@ class System:
 
 
 def beams() -> System:
-    """A: azimuth and elevation from the phases of eight antennas, whose common phase is unknown."""
+    """A: azimuth and elevation from the phases of eight antennas with an unknown common phase."""
     station, sigma_p = work_station().stations["1"], 0.2
     assert station.wavelength is not None
     tracker = beam_tracker(station, "1", 0.15, sigma_p)
@@ -140,20 +141,20 @@ def beams() -> System:
         phases = plane @ wave + rng.uniform(-np.pi, np.pi, (len(plane), 1))
         return np.angle(np.exp(1j * (phases + sigma_p * rng.normal(size=phases.shape))))
 
-    # Within one lobe of the array: a filter that starts in another is another world than its model.
+    # Within one lobe of the array: a start in another lobe would violate the model.
     start = Known(lambda x: Beam(*x), (0.0,) * 4, (0.01, 0.01, 0.05, 0.05))
     known = Tracker(tracker.motion, tracker.sensors, start, tracker.filter, NEVER_LOST)
     return System(known, ("motion.sigma_a", "sensors.*.sigma_p"), read, {}, 16, 60, 0.05)
 
 
 def carts() -> System:
-    """B: a cart on a line with a bend, by the grid filter; on a coarser grid the fixes would seem less noisy."""
+    """B: a cart on a bent line, by the grid filter; a coarser grid would bias the noise of the fixes low."""
     line, sigma_p = Polyline([[0.0, 0.0], [1.5, 0.0], [1.5, 1.5]]), 0.3
     tracker = line_grid_tracker(LineMotion(line, 0.04), {FIXES: FloorFixes(sigma_p)}, 0.03, 0.6, 32)
 
     def read(view: Any, rng: np.random.Generator) -> np.ndarray:
-        place = np.stack([np.asarray(x) for x in view.position], axis=-1)[:, :2]
-        return place + sigma_p * rng.normal(size=place.shape)
+        position = np.stack([np.asarray(x) for x in view.position], axis=-1)[:, :2]
+        return position + sigma_p * rng.normal(size=position.shape)
 
     start = Known(lambda x: PathState(*x), (0.5, 0.15), (0.15, 0.03))
     known = Tracker(tracker.motion, tracker.sensors, start, tracker.filter, NEVER_LOST)
@@ -161,18 +162,18 @@ def carts() -> System:
 
 
 def ranges() -> System:
-    """C: a tag in the air and its ranges to six anchors, with normal errors."""
+    """C: a tag in space and its ranges to six anchors, with normal errors."""
     anchors = np.array([[0, 0, 2.5], [8, 0, 0.3], [8, 6, 2.5], [0, 6, 0.3], [4, 0, 0.5], [4, 6, 2.3]], float)
     count, sigma_r = len(anchors), 0.1
-    # So many degrees of freedom make Student's t normal, and ranges too long are as likely as ones too short.
+    # This many degrees of freedom make Student's t normal, and a skew of 1 makes it symmetric.
     sensor = RangeSensor(count, count, sigma_r, positive_skew=1.0, dof=1e4)
 
     def read(view: Any, rng: np.random.Generator) -> np.ndarray:
-        place = np.stack([np.asarray(x) for x in view.position], axis=-1)
-        apart = np.linalg.norm(place[:, None] - anchors, axis=-1)
-        return apart + sigma_r * rng.normal(size=apart.shape)
+        position = np.stack([np.asarray(x) for x in view.position], axis=-1)
+        distance = np.linalg.norm(position[:, None] - anchors, axis=-1)
+        return distance + sigma_r * rng.normal(size=distance.shape)
 
-    # Half a metre would bend a range by 3 cm, which a filter that linearises takes for noise.
+    # A spread of half a metre would make the linearisation error 3 cm, which the fit takes for noise.
     start = Known(_moving, (4.0, 3.0, 1.2, 0.0, 0.0, 0.0), (0.1, 0.1, 0.1, 0.3, 0.3, 0.1))
     tracker = Tracker(ConstantVelocity(0.5, 3), {RANGES: sensor}, start, track_loss=NEVER_LOST)
     inputs = {"anchors": anchors.ravel(), "anchor": np.arange(count, dtype=float), "height": np.zeros(())}
@@ -180,14 +181,14 @@ def ranges() -> System:
 
 
 def fixes() -> System:
-    """D: fixes whose errors hang together, as MH-K fuses them."""
+    """D: fixes with correlated errors, as MH-K fuses them."""
     fusion = mhk_tracker(sigma_a=0.8).fusion
     sensor = fusion.sensors[FIXES]
     factor = np.linalg.cholesky(np.array(sensor.covariance.value))  # type: ignore[attr-defined]
 
     def read(view: Any, rng: np.random.Generator) -> np.ndarray:
-        place = np.stack([np.asarray(x) for x in view.position], axis=-1)
-        return place + rng.normal(size=place.shape) @ factor.T
+        position = np.stack([np.asarray(x) for x in view.position], axis=-1)
+        return position + rng.normal(size=position.shape) @ factor.T
 
     start = Known(_moving, (0.0,) * 6, (0.5,) * 6)
     tracker = Tracker(fusion.motion, {FIXES: sensor}, start, track_loss=NEVER_LOST)
@@ -202,7 +203,7 @@ SYSTEMS = {"A": beams, "B": carts, "C": ranges, "D": fixes}
 
 
 def wrong(system: System, replicate: int) -> Tracker:
-    """The tracker with the motion's noise and the sensors' each ten times too small or too large, turn by turn."""
+    """The tracker with process and measurement noise each ten times too small or too large, by replicate."""
     parameters = select_parameters(system.tracker, system.tune)
     corners = [(a, b) for a in (WRONG, -WRONG) for b in (WRONG, -WRONG)]
     motion, sensors = corners[replicate % len(corners)]
@@ -211,31 +212,31 @@ def wrong(system: System, replicate: int) -> Tracker:
         shape = np.shape(parameter.example.raw)
         size = int(np.prod(shape, dtype=int))
         step = motion if parameter.names[0].startswith("motion.") else sensors
-        # Of a covariance the logarithms of its Cholesky factor's diagonal.
+        # For a covariance: the logarithms of its Cholesky factor's diagonal.
         vector[at : at + size] += np.ravel(step * (np.eye(len(parameter.example.raw)) if shape else np.ones(shape)))
         at += size
     made: Tracker = with_parameters(system.tracker, parameters, vector)
     return made
 
 
-def judged(name: str, system: System, replicates: int, seed: int) -> bool:
-    """Fit every replicate, print coverage and bias, and return whether all checks passed."""
+def recovered(name: str, system: System, replicates: int, seed: int) -> bool:
+    """Fit every replicate, print the results, and return whether all criteria hold."""
     batches, began = system.batches(replicates, seed), time.perf_counter()
     parameters = select_parameters(system.tracker, system.tune)
     truth = flatten(parameters)
     errors, worse = [], 0
-    holds: dict[By, list[np.ndarray]] = {"curvature": [], "scatter": [], "either": []}
+    covered: dict[By, list[np.ndarray]] = {"curvature": [], "scatter": [], "either": []}
     with progress(f"system {name}", replicates) as advance:
         for k, batch in enumerate(batches):
             result = fit(wrong(system, k), batch, NegativeLogLikelihood(), system.tune, starts=4)
             worse += int(result.value > result.start_value)
             assert result.uncertainty is not None
             errors.append(result.vector - truth)
-            for way, within in holds.items():
+            for way, within in covered.items():
                 within.append(_inside(result.uncertainty.intervals(by=way), parameters))
             advance(1)
     error, making, labels = np.array(errors), ~unused(parameters), component_names(parameters)
-    shares = {way: np.mean(within, axis=0) for way, within in holds.items()}
+    shares = {way: np.mean(within, axis=0) for way, within in covered.items()}
     bias = error.mean(axis=0) / (error.std(axis=0, ddof=1) / np.sqrt(replicates))
     good = [(share >= COVERED[0]) & (share <= COVERED[1]) for share in shares.values()] + [np.abs(bias) < UNBIASED]
     seconds = time.perf_counter() - began
@@ -251,7 +252,7 @@ def judged(name: str, system: System, replicates: int, seed: int) -> bool:
 
 
 def _inside(intervals: Mapping[str, tuple[np.ndarray, np.ndarray]], parameters: Sequence[Parameter]) -> np.ndarray:
-    """Whether the intervals hold the parameters' values: of a matrix, entry by entry."""
+    """Whether the intervals cover the parameters' values; entry by entry for a matrix."""
     inside = []
     for parameter in parameters:
         low, high = intervals[parameter.label]
@@ -260,15 +261,19 @@ def _inside(intervals: Mapping[str, tuple[np.ndarray, np.ndarray]], parameters: 
     return np.concatenate(inside)
 
 
-def main(names: Sequence[str]) -> int:
-    """Judge the systems named, or all; 1 where one fails."""
-    unknown = [name for name in names if name not in SYSTEMS]
+def main(systems: Annotated[tuple[str, ...], tyro.conf.Positional] = ()) -> int:
+    """Fit all replicates of the systems and print the recovery of their parameters; 1 if a system fails.
+
+    Args:
+        systems: of A, B, C and D; all where none is named.
+    """
+    unknown = [name for name in systems if name not in SYSTEMS]
     if unknown:
         print(f"unknown system {unknown[0]}: expected some of {', '.join(SYSTEMS)}", file=sys.stderr)
         return 2
-    good = [judged(name, SYSTEMS[name](), REPLICATES, seed=7) for name in names or SYSTEMS]
+    good = [recovered(name, SYSTEMS[name](), REPLICATES, seed=7) for name in systems or SYSTEMS]
     return int(not all(good))
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(tyro.cli(main, prog="python -m experiments.validation.recovery"))

@@ -1,15 +1,15 @@
-"""What tuning costs by gradient and by the papers' sweep: `python -m experiments.validation.tuning_against_sweep`.
+"""Cost of tuning by gradient and by the papers' sweep: `python -m experiments.validation.tuning_against_sweep`.
 
-Nine recordings of the assembly line, three of each of its situations, and σ_a, the noise of the speed. The thesis
-(2.7, chapter 3) tries 0 … 100 cm, ten runs of the particle filter each; here 101 values up to 1 m/s per √s, of which
-the first is 1 mm since a noise that is absent is another model. Against it the gradient from the far end of that range:
-of the grid filter, whose model is the same, and of the particles themselves by their score. An error has several
-minima, so the grid filter follows two starts: that end, and the better of a tenth and ten times it. A filter run is one
-recording filtered at one value, with or without its gradient.
+Nine simulated recordings of the assembly line, three of each situation, and one parameter, σ_a, the noise of the speed.
+The sweep follows the thesis (2.7, chapter 3): ten runs of the particle filter at each of 101 values up to 1 m/s per √s,
+the first 1 mm/s because zero noise is a different model. The gradient starts at the far end of that range: of the grid
+filter, which has the same model, and of the particle filter by its score. The RMSE has several minima, so the grid
+filter has two starts: that end, and the better of a tenth and ten times it. One filter run is one recording filtered at
+one value, with or without gradient.
 
-What is found is judged with the tracker that it was tuned for, particles by random numbers that neither sweep nor fit
-has seen. Where σ_a is small against the grid's cells, 2.4 cm/s wide, these blur the speed and a thousand particles do
-not: of the least error the grid's σ_a is too small for particles, while their likelihoods are greatest at one value.
+Each result is scored with the tracker it was tuned for, particles with random numbers not used by sweep or fit. The
+grid's cells, 2.4 cm/s wide, blur the speed: the σ_a of least RMSE is smaller for the grid than for particles. The
+maxima of their likelihoods agree.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import tyro
 
 from experiments.cli.console import progress
 from experiments.reports.tables import aligned
@@ -42,17 +43,17 @@ FIRST, LAST, VALUES = 0.001, 1.0, 101
 REPEATS = 10
 STARTS, STEPS = 2, 12
 ADAM = Adam(STEPS, rate=0.5)
-"""For an error, nearly flat over the logarithm of a noise, and for particles, whose every step takes three looks."""
+"""For the RMSE, nearly flat over log σ_a, and for particles, whose line search would take three runs per step."""
 
 CLOSE, FEWER = 0.02, 20.0
-"""How near to the sweep's best a fit has to come, and by how much fewer filter runs."""
+"""Allowed relative excess over the sweep's best, and required ratio of filter runs."""
 
 
 @dataclass(frozen=True)
 class Found:
-    """What a method found for the least of `goal`, from how many filter runs and seconds, compiling included.
+    """The σ_a at which a method minimised `goal`, its number of filter runs, and seconds, compiling included.
 
-    `tracker`: particles or grid, whose σ_a it is.
+    `tracker`: particles or grid.
     """
 
     method: str
@@ -64,23 +65,29 @@ class Found:
 
 
 @dataclass(frozen=True)
-class Judged:
-    """RMSE, m, and negative log-likelihood per number read, nats, of a tracker at a value."""
+class Score:
+    """RMSE, m, and negative log-likelihood per measurement, nats, of a tracker at a value."""
 
     rmse: float
     nll: float
 
 
 def main(values: int = VALUES, repeats: int = REPEATS, tags: int = 3) -> int:
-    """Print the comparison; 0 where every fit is close enough by few enough filter runs, else 1."""
+    """Print the comparison; 1 if a fit is worse than the sweep's best or takes too many filter runs.
+
+    Args:
+        values: values of σ_a in the sweep.
+        repeats: runs of the particle filter at each value.
+        tags: recordings of each situation.
+    """
     world = recordings(tags)
     print(f"{3 * tags} recordings of the line, {values} values, {repeats} repeats; σ_a in m/s per √s")
     swept = by_sweep(world, np.r_[FIRST, np.linspace(0, LAST, values)[1:]], repeats)
     fitted = by_gradient(world, LAST)
     every = [*swept, *fitted]
-    figures = judged(world, every, range(repeats, 2 * repeats))
-    print(table(every, figures), flush=True)
-    failures = failed(swept, fitted, figures)
+    scores = scored(world, every, range(repeats, 2 * repeats))
+    print(table(every, scores), flush=True)
+    failures = failed(swept, fitted, scores)
     for line in failures:
         print(f"fails: {line}")
     if not failures:
@@ -90,7 +97,7 @@ def main(values: int = VALUES, repeats: int = REPEATS, tags: int = 3) -> int:
 
 @dataclass(frozen=True)
 class World:
-    """The recordings' rows, and the trackers of one model: by particles, and on a grid."""
+    """The recordings, and a particle filter and a grid filter with the same model."""
 
     rows: list[Batch]
     particles: AbstractTracker
@@ -98,7 +105,7 @@ class World:
 
 
 def recordings(tags: int) -> World:
-    """`tags` recordings of every situation, all of different tags."""
+    """`tags` recordings of every situation, each with its own tag."""
     folders = [
         simulate_line(situation, range(k * tags, (k + 1) * tags)).folder(situation)
         for k, situation in enumerate(SITUATIONS)
@@ -108,39 +115,39 @@ def recordings(tags: int) -> World:
 
 
 def by_sweep(world: World, sigmas: np.ndarray, repeats: int) -> list[Found]:
-    """The values of least mean RMSE and negative log-likelihood, from one sweep for both."""
+    """The values of least mean RMSE and of least negative log-likelihood, from one sweep."""
     started = time.perf_counter()
-    problem, figures = _both(world, "particles", sigmas, range(repeats))
+    problem, metrics = _both(world, "particles", sigmas, range(repeats))
     seconds = time.perf_counter() - started
-    best = np.argmin(figures.mean(axis=0), axis=0)
+    best = np.argmin(metrics.mean(axis=0), axis=0)
     name = f"sweep of {len(sigmas)} x {repeats}"
     return [Found(name, "particles", goal, float(sigmas[k]), problem.filter_runs, seconds)
             for goal, k in zip(GOALS, best, strict=True)]  # fmt: skip
 
 
-def judged(world: World, every: Sequence[Found], turns: range) -> list[Judged]:
-    """Both figures of what was found, means over turns of the random numbers."""
-    return [Judged(*map(float, _both(world, f.tracker, np.array([f.sigma]), turns)[1].mean(axis=0)[0])) for f in every]
+def scored(world: World, every: Sequence[Found], turns: range) -> list[Score]:
+    """Both metrics at each result, means over the random numbers of `turns`."""
+    return [Score(*map(float, _both(world, f.tracker, np.array([f.sigma]), turns)[1].mean(axis=0)[0])) for f in every]
 
 
 def _both(world: World, name: str, sigmas: np.ndarray, turns: range) -> tuple[Problem, np.ndarray]:
-    """RMSE and negative log-likelihood of a tracker (turns, n, 2); of one that draws nothing, one turn."""
+    """RMSE and negative log-likelihood (turns, n, 2) of a tracker; one turn if it is deterministic."""
     tracker = getattr(world, name)
     goal = Weighted(tuple(parse_objective(text) for text in GOALS), (1.0, 1.0))
     problem = Problem(tracker, world.rows, goal, select_parameters(tracker, SIGMA))
     turns = turns if problem.stochastic else turns[:1]
-    figures = np.empty((len(turns), len(sigmas), len(GOALS)))
-    with progress(name, figures[..., 0].size) as advance:
-        for turn, of_turn in zip(turns, figures, strict=True):
+    metrics = np.empty((len(turns), len(sigmas), len(GOALS)))
+    with progress(name, metrics[..., 0].size) as advance:
+        for turn, of_turn in zip(turns, metrics, strict=True):
             for row, sigma in zip(of_turn, sigmas, strict=True):
                 sums = problem.terms(np.log([[sigma]]), turn)[0].sum(axis=-1)
                 row[:] = [float(part.value(own)) for part, own in zip(goal.parts, goal.split(sums), strict=True)]
                 advance(1)
-    return problem, figures
+    return problem, metrics
 
 
 def by_gradient(world: World, start: float) -> list[Found]:
-    """Fits of both trackers from `start`: the grid filter's of either figure, the particles' of their likelihood."""
+    """Fits from `start`: of the grid filter by RMSE and by likelihood, of the particle filter by likelihood."""
     found = []
     for method, name, goal, optimiser, starts in (
         ("gradient", "grid", "rmse", ADAM, STARTS),
@@ -158,11 +165,11 @@ def by_gradient(world: World, start: float) -> list[Found]:
     return found
 
 
-def failed(swept: Sequence[Found], fitted: Sequence[Found], figures: Sequence[Judged]) -> list[str]:
-    """What a fit does not keep: near the sweep's best in what it made small, and far fewer filter runs."""
-    best = {f.goal: getattr(one, f.goal) for f, one in zip(swept, figures, strict=False)}
+def failed(swept: Sequence[Found], fitted: Sequence[Found], scores: Sequence[Score]) -> list[str]:
+    """Messages on fits that are worse than the sweep's best, or take too many filter runs."""
+    best = {f.goal: getattr(one, f.goal) for f, one in zip(swept, scores, strict=False)}
     lines = []
-    for found, one in zip(fitted, figures[len(swept) :], strict=True):
+    for found, one in zip(fitted, scores[len(swept) :], strict=True):
         value, least = getattr(one, found.goal), best[found.goal]
         if not value <= least + CLOSE * abs(least):
             lines.append(f"{found.method}, {found.tracker}: {found.goal} {value:.4f}, the sweep's best {least:.4f}")
@@ -171,13 +178,13 @@ def failed(swept: Sequence[Found], fitted: Sequence[Found], figures: Sequence[Ju
     return lines
 
 
-def table(every: Sequence[Found], figures: Sequence[Judged]) -> str:
+def table(every: Sequence[Found], scores: Sequence[Score]) -> str:
     """The methods side by side."""
     first = every[0]
     rows: list[tuple[str, ...]] = [
         ("method", "tracker", "objective", "σ_a", "RMSE cm", "nll", "runs", "fewer", "seconds", "faster")
     ]
-    for found, one in zip(every, figures, strict=True):
+    for found, one in zip(every, scores, strict=True):
         rows.append(
             (found.method, found.tracker, found.goal, f"{found.sigma:.4f}", f"{100 * one.rmse:.2f}", f"{one.nll:.4f}",
              str(found.runs), f"{first.runs / found.runs:.1f}", f"{found.seconds:.1f}",
@@ -187,4 +194,4 @@ def table(every: Sequence[Found], figures: Sequence[Judged]) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(tyro.cli(main, prog="python -m experiments.validation.tuning_against_sweep"))

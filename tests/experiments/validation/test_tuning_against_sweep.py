@@ -1,13 +1,13 @@
-"""The comparison of gradient and sweep: what it compares, and that it fails where the claim does."""
+"""The comparison of gradient and sweep: its recordings, its models, and its failures."""
 
 import numpy as np
 import pytest
 
-from experiments.validation.tuning_against_sweep import GOALS, SIGMA, Found, Judged, failed, recordings, table
+from experiments.validation.tuning_against_sweep import GOALS, SIGMA, Found, Score, failed, recordings, table
 from trackers.core.tunable import tunables
 
 SWEPT = [Found("sweep", "particles", goal, 0.1, 9090, 400.0) for goal in GOALS]
-BEST = [Judged(0.2, 0.24), Judged(0.21, 0.23)]
+BEST = [Score(0.2, 0.24), Score(0.21, 0.23)]
 
 
 def test_nine_recordings_are_three_of_each_situation_and_no_two_alike():
@@ -30,22 +30,22 @@ def test_both_trackers_have_the_same_model():
 
 
 @pytest.mark.parametrize(
-    ("found", "judged", "words"),
+    ("found", "score", "words"),
     [
-        (Found("fit", "grid", "rmse", 0.1, 90, 100.0), Judged(0.2039, 0.3), None),
-        (Found("fit", "grid", "rmse", 0.1, 90, 100.0), Judged(0.2041, 0.3), "rmse 0.2041, the sweep's best 0.2000"),
-        (Found("fit", "grid", "nll", 0.1, 90, 100.0), Judged(0.3, 0.2345), None),
-        (Found("fit", "grid", "nll", 0.1, 90, 100.0), Judged(0.3, 0.2347), "nll 0.2347, the sweep's best 0.2300"),
-        (Found("fit", "grid", "nll", 0.1, 454, 100.0), Judged(0.3, 0.23), None),
-        (Found("fit", "grid", "nll", 0.1, 455, 100.0), Judged(0.3, 0.23), "455 filter runs, the sweep 9090"),
-        (Found("fit", "grid", "rmse", 0.1, 90, 100.0), Judged(float("nan"), 0.3), "rmse nan"),
+        (Found("fit", "grid", "rmse", 0.1, 90, 100.0), Score(0.2039, 0.3), None),
+        (Found("fit", "grid", "rmse", 0.1, 90, 100.0), Score(0.2041, 0.3), "rmse 0.2041, the sweep's best 0.2000"),
+        (Found("fit", "grid", "nll", 0.1, 90, 100.0), Score(0.3, 0.2345), None),
+        (Found("fit", "grid", "nll", 0.1, 90, 100.0), Score(0.3, 0.2347), "nll 0.2347, the sweep's best 0.2300"),
+        (Found("fit", "grid", "nll", 0.1, 454, 100.0), Score(0.3, 0.23), None),
+        (Found("fit", "grid", "nll", 0.1, 455, 100.0), Score(0.3, 0.23), "455 filter runs, the sweep 9090"),
+        (Found("fit", "grid", "rmse", 0.1, 90, 100.0), Score(float("nan"), 0.3), "rmse nan"),
     ],
 )
-def test_a_fit_fails_that_is_too_far_off_or_too_dear(found, judged, words):
-    lines = failed(SWEPT, [found], [*BEST, judged])
+def test_a_fit_fails_that_is_too_inaccurate_or_too_expensive(found, score, words):
+    lines = failed(SWEPT, [found], [*BEST, score])
     assert lines == [] if words is None else words in lines[0]
 
 
-def test_the_table_tells_how_many_times_fewer_and_faster():
-    line = table([*SWEPT, Found("fit", "grid", "nll", 0.1, 90, 100.0)], [*BEST, Judged(0.21, 0.23)]).splitlines()[-1]
+def test_the_table_shows_the_ratios_of_runs_and_of_seconds():
+    line = table([*SWEPT, Found("fit", "grid", "nll", 0.1, 90, 100.0)], [*BEST, Score(0.21, 0.23)]).splitlines()[-1]
     assert line.split() == ["fit", "grid", "nll", "0.1000", "21.00", "0.2300", "90", "101.0", "100.0", "4.0"]
