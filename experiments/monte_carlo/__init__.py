@@ -4,6 +4,8 @@ from experiments.monte_carlo.declaration import Condition, Study, TrackerConfig,
 from experiments.monte_carlo.errors import TrackedRuns
 from experiments.monte_carlo.expectations import Conclusion, ExpectedResult, Value
 from experiments.monte_carlo.results import Results
+from experiments.monte_carlo.runner import run_study
+from experiments.monte_carlo.sources import load_study
 
 __all__ = [
     "Conclusion",
@@ -15,4 +17,6 @@ __all__ = [
     "TrackerConfig",
     "Value",
     "World",
+    "load_study",
+    "run_study",
 ]

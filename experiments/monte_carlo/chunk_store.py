@@ -83,16 +83,16 @@ class ChunkStore:
             atomic_write(path, lambda temporary: temporary.write_text(own, "utf-8"))
         return self
 
-    def path(self, condition: int, chunk: int) -> Path:
-        """The file of a chunk of a condition."""
-        return self.folder / CHUNKS / f"{condition:04d}-{chunk:06d}.npz"
+    def path(self, index: int, chunk: int) -> Path:
+        """The file of a chunk of the condition with this index."""
+        return self.folder / CHUNKS / f"{index:04d}-{chunk:06d}.npz"
 
-    def has(self, condition: int, chunk: int) -> bool:
+    def has(self, index: int, chunk: int) -> bool:
         """Whether the chunk is finished and its file intact."""
-        path = self.path(condition, chunk)
+        path = self.path(index, chunk)
         return path.exists() and zipfile.is_zipfile(path)
 
-    def write(self, condition: int, chunk: int, trackers: Sequence[Mapping[str, np.ndarray]]) -> None:
+    def write(self, index: int, chunk: int, trackers: Sequence[Mapping[str, np.ndarray]]) -> None:
         """Write a chunk, by the trackers' order; raises UnusableInput where the disk is full."""
         arrays = {f"{k}/{name}": x for k, own in enumerate(trackers) for name, x in own.items()}
 
@@ -100,23 +100,23 @@ class ChunkStore:
             with temporary.open("wb") as file:
                 np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
 
-        atomic_write(self.path(condition, chunk), save)
+        atomic_write(self.path(index, chunk), save)
 
     def results(self, runs: Mapping[int, int]) -> Results:
-        """The results from the stored chunks; `runs`: number of runs by condition."""
+        """The results of the stored chunks; `runs`: number of runs by index of the condition."""
         totals: dict[tuple[int, str], Totals] = {}
-        for condition in runs:
-            sums = {name: ChunkTotals(runs[condition]) for name in self.study.trackers}
-            for chunk in range(-(-runs[condition] // self.study.chunk)):
-                with self._file(condition, chunk) as file:
+        for index in runs:
+            sums = {name: ChunkTotals(runs[index]) for name in self.study.trackers}
+            for chunk in range(-(-runs[index] // self.study.chunk)):
+                with self._file(index, chunk) as file:
                     for k, name in enumerate(sums):
                         own = {n.partition("/")[2]: file[n] for n in file.files if n.startswith(f"{k}/")}
                         sums[name].add(chunk * self.study.chunk, own)
-            totals |= {(condition, name): own.totals() for name, own in sums.items()}
+            totals |= {(index, name): own.totals() for name, own in sums.items()}
         return Results(self.study, totals, runs)
 
-    def _file(self, condition: int, chunk: int) -> Any:
-        path = self.path(condition, chunk)
+    def _file(self, index: int, chunk: int) -> Any:
+        path = self.path(index, chunk)
         try:
             return np.load(path, allow_pickle=False)
         except (OSError, ValueError, zipfile.BadZipFile) as error:

@@ -55,8 +55,16 @@ class StopRule:
         return True
 
 
+def _no_progress(done: int, now: str = "") -> None:
+    """Ignore progress."""
+
+
 def run_study(
-    study: Study, folder: Path, shard: tuple[int, int], until: StopRule | None, advance: Advance
+    study: Study,
+    folder: Path,
+    shard: tuple[int, int] = (1, 1),
+    until: StopRule | None = None,
+    advance: Advance = _no_progress,
 ) -> Results | None:
     """Run the missing chunks of a shard (i, n); the results, or None while chunks of other shards are missing.
 
@@ -74,7 +82,7 @@ def run_study(
         runs = {condition.index: study.runs for condition in study.conditions}
     else:
         runs = {condition.index: _run_until(store, condition, until, advance) for condition in study.conditions}
-    whole = all(store.has(condition, k) for condition, n in runs.items() for k in range(-(-n // study.chunk)))
+    whole = all(store.has(index, k) for index, n in runs.items() for k in range(-(-n // study.chunk)))
     return store.results(runs) if whole else None
 
 

@@ -49,7 +49,7 @@ def swept(numbers: Mapping[str, float], trackers: Mapping[str, TrackerConfig], r
         "fit-table-3-1", "", worlds(numbers), trackers, runs, {SIGMA: SWEPT}, SEED, {"error_m": error}, ("mean_m",)
     )
     with tempfile.TemporaryDirectory() as folder:
-        results = run_study(study, Path(folder), (1, 1), None, lambda done, now="": None)
+        results = run_study(study, Path(folder))
     assert results is not None
     return results
 

@@ -31,7 +31,7 @@ def error_cm(radius: float, runs: int = RUNS, seed: int = SEED) -> float:
         metrics=("rmse_3d_m",),
     )  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
-        results = run_study(study, Path(folder), (1, 1), None, lambda done, now="": None)
+        results = run_study(study, Path(folder))
     assert results is not None
     return 100 * results.value("rmse_3d_m", "stand", "cascade").value
 

@@ -25,7 +25,7 @@ def _sha(results):
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     folder = tmp_path_factory.mktemp("study")
-    return folder, run_study(SMALL, folder, (1, 1), None, no_progress)
+    return folder, run_study(SMALL, folder)
 
 
 def _normal_tracked(seed, n=7, rows=50):
@@ -144,7 +144,7 @@ def test_chunks_in_another_order_and_shards_merged_give_the_same_numbers(whole, 
     for k, part in enumerate(parts, start=1):
         assert run_study(SMALL, part, (k, 2), None, no_progress) is None
     assert merge_shards(parts, tmp_path / "merged") == 4
-    assert _sha(run_study(SMALL, tmp_path / "merged", (1, 1), None, no_progress)) == _sha(whole[1])
+    assert _sha(run_study(SMALL, tmp_path / "merged")) == _sha(whole[1])
 
 
 def test_a_study_continues_from_its_chunks_and_computes_a_torn_one_again(whole, tmp_path):
@@ -152,7 +152,7 @@ def test_a_study_continues_from_its_chunks_and_computes_a_torn_one_again(whole, 
     run_missing(store, [(SMALL.conditions[1], 1)], no_progress)
     made = store.path(1, 1).stat().st_mtime_ns
     store.path(0, 0).write_bytes(b"torn")
-    assert _sha(run_study(SMALL, tmp_path, (1, 1), None, no_progress)) == _sha(whole[1])
+    assert _sha(run_study(SMALL, tmp_path)) == _sha(whole[1])
     assert store.path(1, 1).stat().st_mtime_ns == made
 
 
@@ -202,7 +202,7 @@ def test_a_study_that_cannot_be_run_is_refused_in_one_line(tmp_path, change, mes
     file = tmp_path / "study.toml"
     file.write_text(TOML.replace(*change))
     with pytest.raises(UnusableInput) as refused:
-        run_study(load_study(str(file)), tmp_path / "out", (1, 1), None, no_progress)
+        run_study(load_study(str(file)), tmp_path / "out")
     assert message in str(refused.value)
     assert "\n" not in str(refused.value)
     assert not [*tmp_path.glob("out/chunks/*.npz")]
@@ -213,7 +213,7 @@ def test_a_tracker_of_a_users_own_file_takes_part(tmp_path):
     mine.write_text("from trackers.catalogue import spec_of\n\nMINE = spec_of('fix-kf')\n")
     file.write_text(TOML.replace("[trackers.moving-average]", f"[trackers.mine]\ntracker = '{mine}:MINE'"))
     study = load_study(str(file))
-    results = run_study(study, tmp_path / "out", (1, 1), None, no_progress)
+    results = run_study(study, tmp_path / "out")
     assert results.value("rmse_m", "line", "mine") == results.value("rmse_m", "line", "fix-kf")
     mine.write_text("MINE = None\n")
     with pytest.raises(UnusableInput, match=r"trackers.mine: .*MINE is no TrackerSpec"):

@@ -29,7 +29,7 @@ MINE = (
 
 def _results(study, runs, folder):
     few = replace(study, runs=runs, metrics=study.metrics[:2])
-    return run_study(few, folder, (1, 1), None, lambda *_: None)
+    return run_study(few, folder)
 
 
 def _run(estimates, truth, folder=None):

@@ -133,7 +133,7 @@ def test_a_study_is_called_as_its_file(module):
 def table(tmp_path_factory):
     best = fitted("line_thesis/table_3_1")["sigma_particle"]
     study = dataclasses.replace(table_3_1.STUDY, runs=2, grid={SIGMA: (best,)})
-    return run_study(study, tmp_path_factory.mktemp("table"), (1, 1), None, lambda done, now="": None)
+    return run_study(study, tmp_path_factory.mktemp("table"))
 
 
 @pytest.mark.slow
@@ -162,7 +162,7 @@ def test_the_table_has_its_27_figures_and_says_which_were_fitted(table):
 @pytest.mark.slow
 @pytest.mark.parametrize("module", STUDIES, ids=lambda m: m.STUDY.name)
 def test_a_study_runs_and_draws_what_it_says(module, tmp_path):
-    results = run_study(dataclasses.replace(module.STUDY, runs=4), tmp_path, (1, 1), None, lambda done, now="": None)
+    results = run_study(dataclasses.replace(module.STUDY, runs=4), tmp_path)
     assert results is not None
     assert module.STUDY.expected(results)
     pictures = module.STUDY.draw(results, tmp_path) if module.STUDY.draw else []

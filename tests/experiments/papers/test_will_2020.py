@@ -20,7 +20,7 @@ NAMES = ("table-1", "figures-6-7", "figure-8", "figure-10", "computing-cost", "r
 def _carried_out(tmp_path_factory, name, runs, **changed):
     study = load_study(name)
     study = type(study)(**{**vars(study), "runs": runs, **changed})
-    return run_study(study, tmp_path_factory.mktemp(name), (1, 1), None, lambda done, now="": None)
+    return run_study(study, tmp_path_factory.mktemp(name))
 
 
 @pytest.fixture(scope="module")

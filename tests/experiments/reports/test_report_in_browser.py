@@ -8,7 +8,7 @@ from experiments.monte_carlo import Conclusion, ExpectedResult
 from experiments.monte_carlo.expectations import Value
 from experiments.monte_carlo.runner import run_study
 from experiments.reports.study import study_page
-from tests.experiments.monte_carlo.small_study import SMALL, no_progress
+from tests.experiments.monte_carlo.small_study import SMALL
 
 pytestmark = pytest.mark.slow
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -23,7 +23,7 @@ MEASURE = """<script>addEventListener("load", () => {
 @pytest.fixture(scope="module")
 def report(tmp_path_factory):
     folder = tmp_path_factory.mktemp("browser")
-    results = run_study(SMALL, folder, (1, 1), None, no_progress)
+    results = run_study(SMALL, folder)
     claims = [
         ExpectedResult(
             "Table 1, antennas 3-7-8, elevation", 10.731, Value(10.2, 9.9, 10.6), "°", fitted=False, note="A remark."
