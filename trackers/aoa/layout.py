@@ -36,7 +36,7 @@ def boresight_bounds(antennas: Any, wavelength: float = DEFAULT_WAVELENGTH, sigm
     """Cramér–Rao bounds (…, 2), rad, of azimuth and elevation at boresight from one row of phases of one array.
 
     `antennas` (..., n, 2) in m, `sigma_p` the phase noise in rad. One unknown common offset leaves the information
-    G' (I - 11'/n) G / sigma_p², with G = 2 pi / wavelength times the places: their scatter about their own centre.
+    G' (I - 11'/n) G / sigma_p², with G = 2 pi / wavelength times the positions: the scatter about their centroid.
     """
     centred = antennas - antennas.mean(axis=-2, keepdims=True)
     x, y = centred[..., 0], centred[..., 1]

@@ -32,7 +32,7 @@ def spatial_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator
 
 TRACKERS = {
     "mhk": TrackerSpec(
-        "position from fixes: sliding median, hidden Markov model of accelerations, Kalman filter (Huang et al.)",
+        about="position from fixes: sliding median, hidden Markov model of accelerations, Kalman filter (Huang et al.)",
         table="fixes",
         trajectories=spatial_trajectories,
         build=lambda trajectory, planar: mhk_tracker(),
@@ -41,7 +41,7 @@ TRACKERS = {
         automatic=on_request,
     ),
     "mhk-stamped": TrackerSpec(
-        "mhk, with each estimate at the time of the middle of its median window",
+        about="mhk, with each estimate at the time of the middle of its median window",
         table="fixes",
         trajectories=spatial_trajectories,
         build=lambda trajectory, planar: mhk_tracker(stamped=True),

@@ -49,8 +49,8 @@ def _rests(times: np.ndarray, own: np.ndarray, samples: np.ndarray) -> np.ndarra
     )
     count = (stop - start)[:, None]
     mean = (sums[stop] - sums[start]) / count
-    spread = np.sqrt(np.maximum((squares[stop] - squares[start]) / count - mean**2, 0.0))
-    quiet = (spread[:, :3] < REST_ACCEL_STD).all(axis=1) & (spread[:, 3:] < REST_GYRO_STD).all(axis=1)
+    std = np.sqrt(np.maximum((squares[stop] - squares[start]) / count - mean**2, 0.0))
+    quiet = (std[:, :3] < REST_ACCEL_STD).all(axis=1) & (std[:, 3:] < REST_GYRO_STD).all(axis=1)
     at_rest = quiet & (own[stop - 1] - own[start] > 0.5 * REST_WINDOW_S)
     recent = times - own[stop - 1] <= REST_WINDOW_S
     return np.where(recent[:, None], np.concatenate([mean + centre, at_rest[:, None]], axis=1), 0.0)

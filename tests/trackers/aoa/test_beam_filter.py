@@ -22,8 +22,8 @@ from trackers.core.tracker import Tracker
 from trackers.core.tunable import Scale
 
 RUNS, ROWS, SIGMA_A, SIGMA_P = 1000, 40, 0.3, 0.2
-# A spread of the start at which no phase difference is off by half a turn: beyond, a wrong lobe is a fair answer.
-MEAN, SPREAD = np.array([0.1, -0.2, 0.0, 0.0]), np.array([0.02, 0.02, 0.05, 0.05])
+# A prior for which no phase difference is off by half a turn; beyond, an ambiguous lobe is equally valid.
+MEAN, SIGMAS = np.array([0.1, -0.2, 0.0, 0.0]), np.array([0.02, 0.02, 0.05, 0.05])
 STATION = work_station().stations["1"]
 ANTENNAS = len(STATION.antennas)
 
@@ -36,7 +36,7 @@ class Truth:
         self.dts = np.concatenate([[0.0], rng.uniform(0.02, 0.1, ROWS - 1)])
         self.seen = rng.random((ROWS, ANTENNAS)) < 0.75
         self.seen[7], self.seen[11], self.seen[12] = False, np.arange(8) == 3, np.arange(8) < 2
-        start = MEAN + SPREAD * rng.normal(size=(RUNS, 4))
+        start = MEAN + SIGMAS * rng.normal(size=(RUNS, 4))
         kicks = rng.normal(size=(ROWS, 2, RUNS))
         motion = BeamMotion(Scale(SIGMA_A, "rad/s^2"))
 
@@ -54,7 +54,7 @@ class Truth:
         self.phases = np.angle(np.exp(1j * (plane + common + SIGMA_P * rng.normal(size=plane.shape))))
 
     def batch(self, trajectories):
-        cov, times = np.diag(SPREAD**2), np.cumsum(self.dts)
+        cov, times = np.diag(SIGMAS**2), np.cumsum(self.dts)
         return stack([recording(times, {"1": (phases, self.seen)}, MEAN, cov) for phases in self.phases[:trajectories]])
 
 
@@ -90,7 +90,7 @@ def test_it_is_the_papers_pseudo_inverse_filter_while_nothing_wraps(both_forms, 
     seen = truth.seen[1:]
     for trajectory in range(16):
         means, covs, log_likelihoods = paper_beam_filter(
-            wavenumbers, SIGMA_A, SIGMA_P, truth.dts[1:], truth.phases[trajectory, 1:], seen, MEAN, np.diag(SPREAD**2)
+            wavenumbers, SIGMA_A, SIGMA_P, truth.dts[1:], truth.phases[trajectory, 1:], seen, MEAN, np.diag(SIGMAS**2)
         )
         np.testing.assert_allclose(flat(mine[trajectory].mean)[1:], means, atol=1e-10)
         np.testing.assert_allclose(mine[trajectory].covariance[1:], covs, atol=1e-10)
@@ -115,14 +115,14 @@ def test_the_nees_is_inside_its_95_percent_interval(estimates, truth):
     errors, covs = _errors(estimates, truth), estimates.covariance
     last = consistency(nees(errors[:, -1], covs[:, -1]), 4)
     assert last.low <= last.mean <= last.high
-    # Rows of one run are correlated: over all rows the interval comes from the spread of the runs' own means.
+    # Rows of one run are correlated: over all rows the interval comes from the scatter of the runs' own means.
     means = nees(errors.reshape(-1, 4), covs.reshape(-1, 4, 4)).reshape(RUNS, ROWS).mean(axis=1)
     assert abs(means.mean() - 4) < 1.96 * means.std() / np.sqrt(RUNS)
 
 
 def test_the_nis_is_inside_its_95_percent_interval(estimates):
-    figure = consistency(estimates.nis[:, 1:].ravel(), estimates.nis_dof[:, 1:].ravel())
-    assert figure.low <= figure.mean <= figure.high
+    metric = consistency(estimates.nis[:, 1:].ravel(), estimates.nis_dof[:, 1:].ravel())
+    assert metric.low <= metric.mean <= metric.high
 
 
 def _bounds(truth, trajectories=RUNS):
@@ -135,14 +135,14 @@ def _bounds(truth, trajectories=RUNS):
             slopes = [centre @ beam_jacobian(k, *beam[:2])[1] for beam in truth.beams[:trajectories, row]]
             information[row, :2, :2] = np.mean([G.T @ G for G in slopes], axis=0) / SIGMA_P**2
     transitions = [beam_transition(dt, SIGMA_A) for dt in truth.dts]
-    return cramer_rao(transitions, information, np.diag(SPREAD**2))
+    return cramer_rao(transitions, information, np.diag(SIGMAS**2))
 
 
 @pytest.mark.parametrize(("name", "components"), [("angles", slice(0, 2)), ("rates", slice(2, 4))])
 def test_the_error_is_at_the_cramer_rao_bound(estimates, truth, name, components):
     square = np.mean(_errors(estimates, truth)[:, 1:, components] ** 2, axis=0).sum()
     bound = sum(np.trace(b[components, components]) for b in _bounds(truth)[1:])
-    # 1,000 runs know an RMSE to about 1 %; below the bound by more would mean a wrong bound.
+    # The RMSE of 1,000 runs is accurate to about 1 %; below the bound by more would mean a wrong bound.
     assert 0.97 < np.sqrt(square / bound) < 1.05
 
 

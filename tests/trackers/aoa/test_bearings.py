@@ -1,6 +1,6 @@
 """Bearings-only fusion: whitening, symmetry of space, and single precision where joint updates fail.
 
-256 tags, each seen by three stations in turn to 0.05°, from a belief of 100 m about a place metres off.
+256 tags, each seen by three stations in turn to 0.05°, from a prior of 100 m about a position metres off.
 """
 
 import jax.numpy as jnp
@@ -20,7 +20,7 @@ from trackers.core.tracker import Tracker
 
 TAGS, ROWS, SIGMA = 256, 36, np.deg2rad(0.05)
 TIMES = np.repeat(np.arange(ROWS / 3) * 0.1, 3)
-SPREAD = np.array([100.0, 100.0, 100.0, 3.0, 3.0, 3.0])
+SIGMAS = np.array([100.0, 100.0, 100.0, 3.0, 3.0, 3.0])
 
 
 def _facing(position, target):
@@ -76,7 +76,7 @@ def _batch(dtype, rotation=None, shift=None):
     inputs = {"origin": geometry[:, :3], "axes": geometry[:, 3:]}
     return stack(
         [
-            recording(TIMES, {"b": (a, s)}, m, np.diag(SPREAD**2), inputs)
+            recording(TIMES, {"b": (a, s)}, m, np.diag(SIGMAS**2), inputs)
             for a, s, m in zip(angles, seen, means, strict=True)
         ],
         dtype=dtype,

@@ -84,7 +84,7 @@ def test_three_phases_a_third_of_a_turn_apart_are_flagged_by_both_forms():
 
 
 def test_the_default_form_is_closer_to_the_truth_than_the_papers_when_noise_wraps():
-    # SPEC A: at 0.7 rad pairwise differences wrap often; the error of the centred residuals tells who wrapped rightly.
+    # At 0.7 rad pairwise differences wrap often; the error of the centred residuals shows which form wraps correctly.
     noise = np.random.default_rng(3).normal(size=(4000, 8)) * 0.9
     exact = noise - noise.mean(axis=1, keepdims=True)
     errors = [

@@ -25,17 +25,17 @@ WORLDS = {
     "a station falls silent": {"lost": corruptions.lose_station(1, 1.0, 3.0)},
     "an antenna is dead": {"dead": corruptions.mask_antenna(0, 2)},
     "rows drop out": {"rows": corruptions.drop_outs(0.3)},
-    "phases are wild": {"wild": corruptions.outliers(0.02, np.pi)},
+    "phases with outliers": {"wild": corruptions.outliers(0.02, np.pi)},
 }
 
 
 def _recordings(pieces):
     world = simulate_phases(RIG, "hand", TAGS, 5, n_points=ROWS, sigma_p=SIGMA_P, corruptions=pieces)
     made = []
-    for phases, seen, place in zip(world.phases, world.seen, world.positions, strict=True):
+    for phases, seen, position in zip(world.phases, world.seen, world.positions, strict=True):
         readings = {name: Readings(phases[:, k], seen[:, k]) for k, name in enumerate(RIG.stations)}
         inputs = {"height": np.zeros(ROWS)}
-        made.append(Recording(world.times, readings, inputs, {"position": (place, np.ones(ROWS, bool))}))
+        made.append(Recording(world.times, readings, inputs, {"position": (position, np.ones(ROWS, bool))}))
     return made
 
 
@@ -48,8 +48,8 @@ def runs():
             tracker, world = key
             recordings = _recordings(WORLDS[world])
             estimates = TRACKERS[tracker](RIG.stations).run(stack(recordings))
-            places = np.stack([np.asarray(x) for x in estimates.mean.position], axis=-1)
-            errors = places - np.stack([r.truth["position"][0] for r in recordings])
+            positions = np.stack([np.asarray(x) for x in estimates.mean.position], axis=-1)
+            errors = positions - np.stack([r.truth["position"][0] for r in recordings])
             errors[~estimates.usable] = np.nan
             self[key] = estimates, errors
             return self[key]
@@ -71,14 +71,14 @@ def _rmse(errors):
         ("a station falls silent", 0.05),
         ("an antenna is dead", 0.034),
         ("rows drop out", 0.042),
-        ("phases are wild", 0.046),
+        ("phases with outliers", 0.046),
     ],
 )
 def test_positions_are_found_to_centimetres_whatever_is_missing(runs, tracker, world, bound):
     estimates, errors = runs[tracker, world]
     assert np.isfinite(errors[:, 3:]).all()
     assert _rmse(errors[:, 3:]) < bound
-    started_again = {Status.RESTARTED} if world == "phases are wild" else set()
+    started_again = {Status.RESTARTED} if world == "phases with outliers" else set()
     assert set(np.unique(estimates.status)) <= {Status.OK, Status.WAITING} | started_again
 
 
@@ -107,11 +107,11 @@ CORNERS = np.array([[0.0, 0.0, 2.4], [6.0, 0.0, 2.3], [6.0, 5.0, 2.5], [0.0, 5.0
 STATIONS = [Station(corner, facing(corner, MIDDLE, (0.0, 0.0, 1.0))) for corner in CORNERS]
 
 
-def _rays(rng, rows, noise, place=MIDDLE):
-    """Rows of bearings to one place from random stations at random times, as `recent_points` takes them."""
+def _rays(rng, rows, noise, position=MIDDLE):
+    """Rows of bearings to one position from random stations at random times, as `recent_points` takes them."""
     turn = rng.integers(0, len(STATIONS), rows)
     where = np.array([bearing_inputs(STATIONS[k]) for k in turn])
-    angles = np.array([STATIONS[k].angles(place) for k in turn]) + noise * rng.normal(size=(rows, 2))
+    angles = np.array([STATIONS[k].angles(position) for k in turn]) + noise * rng.normal(size=(rows, 2))
     return np.sort(rng.uniform(0, 5, rows)), where[:, :3], where[:, 3:], angles, turn
 
 
@@ -200,7 +200,7 @@ def test_the_point_nearest_to_beams_is_the_stacked_least_squares(height):
     centre = np.array([2.5, 2.0, 1.0])
     rays = [(jnp.asarray(o), jnp.asarray(u), c) for o, u, c in zip(origins, directions, counts, strict=True)]
     found = nearest_to_rays(rays, jnp.asarray(centre), height)
-    # each ray says that the part of p − o across it is zero; the centre pulls with a tenth of that, a height with 100
+    # each ray measures the component of p − o across it as zero; the centre has a weight of a tenth, a height of 100
     across = [np.eye(3) - np.outer(u, u) for u in directions[counts]]
     weights, target = np.full(3, 0.1), centre.copy()
     if height is not None:

@@ -91,16 +91,16 @@ def test_the_derivative_with_respect_to_the_latency_is_the_finite_difference(cir
         return tuple(x for objective in objectives for x in objective.terms(output, truth))
 
     @jax.jit
-    def figures(raw):
+    def metrics(raw):
         sums = eqx.tree_at(lambda t: t.sensors[FIXES].latency.raw, tracker, raw).accumulate(batch, terms)
         sums = jnp.stack(sums)[:, 0]
         return jnp.stack([objectives[0].value(sums[:2]), objectives[1].value(sums[2:])])
 
     at, by = jnp.asarray(0.66), 1e-5  # between rows, where truth is linear
-    slopes = jax.jit(jax.jacfwd(figures))(at)
+    slopes = jax.jit(jax.jacfwd(metrics))(at)
     assert np.all(np.abs(slopes) > 1e-3)
     # Rounding 1e-16 / 1e-5 and the third derivative times 1e-10.
-    np.testing.assert_allclose(slopes, (figures(at + by) - figures(at - by)) / (2 * by), rtol=1e-6)
+    np.testing.assert_allclose(slopes, (metrics(at + by) - metrics(at - by)) / (2 * by), rtol=1e-6)
 
 
 def test_a_second_sensor_without_latency_identifies_the_latency_without_truth(circling):
@@ -112,14 +112,14 @@ def test_a_second_sensor_without_latency_identifies_the_latency_without_truth(ci
     tracker = as_dtype(eqx.tree_at(lambda t: t.sensors, fix_tracker(sigma_a=0.3), sensors), batch.dt.dtype)
 
     @jax.jit
-    def figure(raw):
+    def metric(raw):
         at = eqx.tree_at(lambda t: t.sensors[FIXES].latency.raw, tracker, raw)
         return jnp.stack(at.accumulate(batch, NegativeLogLikelihood().terms))[0, 0]
 
     latencies = np.arange(0.25, 0.6, 0.05)
-    figures = [float(figure(jnp.asarray(latency / 0.5))) for latency in latencies]
+    metrics = [float(metric(jnp.asarray(latency / 0.5))) for latency in latencies]
     # Fixes of 3 cm at 0.75 m/s, hundreds of them: the latency is known to a few milliseconds, the grid has 50.
-    assert latencies[np.argmin(figures)] == pytest.approx(0.4, abs=0.026)
+    assert latencies[np.argmin(metrics)] == pytest.approx(0.4, abs=0.026)
 
 
 def test_estimates_at_their_valid_time_are_near_the_true_positions_then(circling):

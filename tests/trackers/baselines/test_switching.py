@@ -133,10 +133,10 @@ def test_a_height_whose_mirror_image_is_below_the_floor_is_resolved(climbing):
 def test_where_the_side_is_ambiguous_both_lie_within_the_reported_covariance(climbing):
     _, z, estimates = climbing
     middle = (z > PLANE + 0.5) & (z < 2 * PLANE - 0.5)
-    spread = estimates.sigmas["position.2"][middle]
+    sigma = estimates.sigmas["position.2"][middle]
     height = estimates.mean.position[2][middle]
     for side in (z[middle], 2 * PLANE - z[middle]):
-        assert np.all(np.abs(height - side) < 2 * spread + 0.2)
+        assert np.all(np.abs(height - side) < 2 * sigma + 0.2)
 
 
 def test_a_track_starts_on_the_side_of_its_first_fix(climbing):

@@ -78,7 +78,7 @@ def _on_line(estimates):
 
 def test_estimates_over_200_keys_are_the_grids_within_3_standard_errors(pair):
     means, exact = _on_line(pair.particles)[:, 1:], _on_line(pair.grid)[1:]
-    # The grid itself is off by the square of its steps over the spread: 1 mm, and 2 mm/s.
+    # The grid itself is off by the square of its steps over the standard deviation: 1 mm, and 2 mm/s.
     error, slack = np.abs(means.mean(axis=0) - exact), np.array([0.001, 0.002])
     standard = means.std(axis=0) / np.sqrt(KEYS)
     assert np.all(error < 3 * standard + slack)

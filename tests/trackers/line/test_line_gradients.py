@@ -1,4 +1,4 @@
-"""The particles' score by every number of the line's tracker, initial spread included, against the grid's gradient."""
+"""The particles' score by every number of the line's tracker, the initial standard deviation included, against the grid's gradient."""
 
 import numpy as np
 import pytest

@@ -58,6 +58,6 @@ def test_blocks_between_have_the_density_of_equation_5_and_the_centroids_of_unif
     expected = probabilities[:6480] / probabilities[:6480].sum() * len(draws)
     # Poisson counts of 2 to 60: the mean of (n − m)²/m over 6480 blocks is 1 within 0.02.
     assert np.mean((counts - expected) ** 2 / expected) == pytest.approx(1.0, abs=0.1)
-    # Each draw against its block's centroid: no block's mean is off by more than its own spread allows.
+    # Each draw against its block's centroid: the mean of each block is within its scatter.
     off = np.stack([np.bincount(block, draws[:, k] - accelerations[block, k], 6480) for k in range(3)], axis=1)
     assert np.abs(off[counts > 20] / counts[counts > 20, None]).max() < 0.1

@@ -22,10 +22,10 @@ from trackers.uwb_imu.strapdown import ImuNoise, Inertial, Strapdown
 RUNS, ROWS, ENDS, DT, SIGMA_R = 500, 200, 120, 0.02, 0.05
 MOTION = Strapdown(ImuNoise(0.1, 0.01, 0.02, 0.002, 1.0, 0.05))
 ANCHORS = np.array([[0, 0, 0.5], [8, 0, 2.5], [8, 8, 0.3], [0, 8, 2.8], [4, 0, 2.0], [4, 8, 1.0]])
-# On a circle of 1.5 m about the middle of the room.
+# On a circle of 1.5 m about the centre of the room.
 MEAN = np.array([5.5, 4.0, 1.0, 0.0, 1.5, 0.0, 1.0, 0.0, 0.0, 0.0, *[0.0] * 6])
 # Attitude known to a degree: at 3 degrees gravity's second order, 10 m/s² × 0.05²/2, makes the NEES 5 % too large.
-SPREAD = np.repeat([0.1, 0.1, 0.02, 0.2, 0.02], 3)
+SIGMAS = np.repeat([0.1, 0.1, 0.02, 0.2, 0.02], 3)
 
 
 def _build(x):
@@ -38,7 +38,7 @@ def _truth_and_batch():
     # What the IMU read, the same in all runs: a body that swings on a circle; what was true differs by bias and noise.
     accel = np.stack([-1.5 + 0.5 * np.sin(5 * t), 0.5 * np.cos(7 * t), 9.81 + np.cos(4 * t)], axis=1)
     gyro = np.stack([0.2 * np.cos(6 * t), 0.2 * np.sin(8 * t), 1.0 + 0.5 * np.cos(3 * t)], axis=1)
-    heard = np.repeat(((t < 2) | (t >= 3)).astype(float)[:, None], 2, axis=1)
+    available = np.repeat(((t < 2) | (t >= 3)).astype(float)[:, None], 2, axis=1)
     fixed = freeze(MOTION)
     base = _build(list(jnp.asarray(MEAN)))
 
@@ -51,22 +51,28 @@ def _truth_and_batch():
             return state, state
 
         dts = jnp.concatenate([jnp.zeros(1), jnp.full(ROWS - 1, DT)])
-        rows = ({"accel": jnp.asarray(accel), "gyro": jnp.asarray(gyro), "imu": jnp.asarray(heard)}, dts, kicks)
+        rows = ({"accel": jnp.asarray(accel), "gyro": jnp.asarray(gyro), "imu": jnp.asarray(available)}, dts, kicks)
         return jax.lax.scan(step, retract(base, list(start)), rows)[1]
 
-    true = states(SPREAD * rng.normal(size=(RUNS, 15)), rng.normal(size=(RUNS, ROWS, 15)))
-    place = np.stack([np.asarray(x) for x in true.position], axis=-1)
+    true = states(SIGMAS * rng.normal(size=(RUNS, 15)), rng.normal(size=(RUNS, ROWS, 15)))
+    position = np.stack([np.asarray(x) for x in true.position], axis=-1)
     number = np.arange(ROWS) // 5 % len(ANCHORS)
-    ranges = np.linalg.norm(place - ANCHORS[number], axis=2) + SIGMA_R * rng.normal(size=(RUNS, ROWS))
+    ranges = np.linalg.norm(position - ANCHORS[number], axis=2) + SIGMA_R * rng.normal(size=(RUNS, ROWS))
     seen = (np.arange(ROWS) % 5 == 0)[:, None] & (np.arange(ROWS) > 0)[:, None]
-    inputs = {"accel": accel, "gyro": gyro, "imu": heard, "anchors": ANCHORS[number], "anchor": number[:, None] * 1.0}
+    inputs = {
+        "accel": accel,
+        "gyro": gyro,
+        "imu": available,
+        "anchors": ANCHORS[number],
+        "anchor": number[:, None] * 1.0,
+    }
     inputs["height"] = np.zeros(ROWS)
     records = []
     for k in range(RUNS):
         part = slice(ENDS if k == 0 else ROWS)
         cut = {name: x[part] for name, x in inputs.items()}
         records.append(
-            recording(t[part], {"ranges": (ranges[k, part, None], seen[part])}, MEAN, np.diag(SPREAD**2), cut, str(k))
+            recording(t[part], {"ranges": (ranges[k, part, None], seen[part])}, MEAN, np.diag(SIGMAS**2), cut, str(k))
         )
     return true, stack(records)
 
@@ -87,17 +93,17 @@ def test_the_nees_is_inside_its_95_percent_interval_with_biases_and_a_gap_of_the
     true, covs = world[0], estimates.covariance[1:]
     errors = np.stack(jax.jit(jax.vmap(jax.vmap(local)))(estimates.mean, true), axis=-1)[1:]
     for row in (60, 149, ROWS - 1):  # before the gap, at its end, at the end
-        figure = consistency(nees(errors[:, row], covs[:, row]), 15)
-        assert figure.low <= figure.mean <= figure.high
+        metric = consistency(nees(errors[:, row], covs[:, row]), 15)
+        assert metric.low <= metric.mean <= metric.high
     means = nees(errors.reshape(-1, 15), covs.reshape(-1, 15, 15)).reshape(RUNS - 1, ROWS).mean(axis=1)
-    # Rows of one run are correlated: the interval comes from the spread of the runs' own means.
+    # Rows of one run are correlated: the interval comes from the scatter of the runs' own means.
     assert abs(means.mean() - 15) < 1.96 * means.std() / np.sqrt(RUNS)
 
 
 def test_the_nis_is_inside_its_95_percent_interval(estimates):
-    heard = estimates.nis_dof[1:] > 0
-    figure = consistency(estimates.nis[1:][heard], estimates.nis_dof[1:][heard].astype(float))
-    assert figure.low <= figure.mean <= figure.high
+    updated = estimates.nis_dof[1:] > 0
+    metric = consistency(estimates.nis[1:][updated], estimates.nis_dof[1:][updated].astype(float))
+    assert metric.low <= metric.mean <= metric.high
 
 
 def test_rows_after_the_end_change_no_bit_of_a_state_with_a_quaternion(estimates):
@@ -108,4 +114,4 @@ def test_rows_after_the_end_change_no_bit_of_a_state_with_a_quaternion(estimates
 
 def test_the_vertical_accelerometer_bias_is_found(estimates):
     # It stands beside gravity: of 0.2 m/s² it leaves what the vertical speed hides in four seconds.
-    assert estimates.sigmas["accel_bias.2"][1:, -1].max() < 0.7 * SPREAD[11]
+    assert estimates.sigmas["accel_bias.2"][1:, -1].max() < 0.7 * SIGMAS[11]

@@ -15,11 +15,11 @@ def _rmse(tracker, recordings):
     """Over the last row of every tenth of a second with a truth, all tags together."""
     estimates, found = tracker.run(stack(recordings)), []
     for k, one in enumerate(recordings):
-        place = [np.asarray(x)[k, : len(one)] for x in estimates.mean.position]
-        place = np.stack(place if len(place) == 3 else [*place, one.inputs["height"]], axis=1)
+        position = [np.asarray(x)[k, : len(one)] for x in estimates.mean.position]
+        position = np.stack(position if len(position) == 3 else [*position, one.inputs["height"]], axis=1)
         truth, known = one.truth["position"]
         last = np.append(np.diff(np.floor(one.times * 10)) > 0, True)
-        found.append((place - truth)[known & last & estimates.usable[k, : len(one)]])
+        found.append((position - truth)[known & last & estimates.usable[k, : len(one)]])
     return np.sqrt((np.concatenate(found) ** 2).sum(axis=1).mean())
 
 

@@ -31,8 +31,8 @@ def _errors(estimates, recordings, last_s=6.0):
     found = []
     for k, recording in enumerate(recordings):
         rows = recording.times > recording.times[-1] - last_s
-        place = np.stack([np.asarray(x)[k, : len(recording)] for x in estimates.mean.position], axis=-1)
-        found.append((place - recording.truth["position"][0])[rows])
+        position = np.stack([np.asarray(x)[k, : len(recording)] for x in estimates.mean.position], axis=-1)
+        found.append((position - recording.truth["position"][0])[rows])
     return np.concatenate(found)
 
 
@@ -76,7 +76,7 @@ def test_the_unknown_initial_yaw_is_estimated(runs, folder):
         q = [float(np.asarray(getattr(estimates.mean.attitude, c))[k, len(recordings[k]) - 1]) for c in "wxyz"]
         end = truth.filter(pl.col("tag") == tag).tail(1).select("qw", "qx", "qy", "qz").row(0)
         turn = np.array(Rotation(*q).local(Rotation(*end)))
-        # From anywhere on the circle; a slow hand's accelerations, 0.3 m/s², tell it no better in twelve seconds.
+        # From any yaw; the accelerations of a slow hand, 0.3 m/s², do not resolve it better in twelve seconds.
         assert np.linalg.norm(turn) < 0.5
 
 
@@ -161,15 +161,15 @@ def test_tags_on_one_body_share_their_ranges_and_their_imu_and_others_do_not():
     ranges = pl.DataFrame({"t_s": t, "tag": ["1", "2", "1"], "anchor": ["A", "B", "C"], "range_m": [1.0, 2.0, 3.0]})
     columns = ["accel_x_mps2", "accel_y_mps2", "accel_z_mps2", "gyro_x_radps", "gyro_y_radps", "gyro_z_radps"]
     imu = pl.DataFrame({"t_s": [0.05, 0.1], "tag": ["1", "1"]} | {c: [0.5, 0.5] for c in columns})
-    places = {"A": np.zeros(3), "B": np.array([4.0, 0, 0]), "C": np.array([0, 4.0, 0])}
+    anchors = {"A": np.zeros(3), "B": np.array([4.0, 0, 0]), "C": np.array([0, 4.0, 0])}
     tags = {"1": Tag(offset=np.array([0.1, 0, 0])), "2": Tag(offset=np.array([0, 0.2, 0]))}
-    folder = RecordingFolder("body", Path("body"), Rig("body", places, tags=tags), {"ranges": ranges, "imu": imu})
+    folder = RecordingFolder("body", Path("body"), Rig("body", anchors, tags=tags), {"ranges": ranges, "imu": imu})
     first, second = (trajectory.recording for trajectory in inertial_trajectories(folder, False))
     np.testing.assert_array_equal(first.times, [0, 0.05, 0.1, 0.2])
     np.testing.assert_allclose(first.inputs["levers"], [[0, 0, 0], [0, 0, 0], [-0.1, 0.2, 0], [0, 0, 0]])
     np.testing.assert_allclose(second.inputs["arm"], np.tile([0, 0.2, 0], (4, 1)))
     np.testing.assert_array_equal(second.inputs["imu"], [[0, 0], [1, 1], [1, 1], [1, 1]])
-    apart = dataclasses.replace(folder, rig=Rig("apart", places))
+    apart = dataclasses.replace(folder, rig=Rig("apart", anchors))
     first, second = (trajectory.recording for trajectory in inertial_trajectories(apart, False))
     np.testing.assert_array_equal(first.inputs["imu"], [[0, 0], [1, 1], [1, 1], [1, 1]])
     # A tag without an IMU of its own is tracked by its ranges.

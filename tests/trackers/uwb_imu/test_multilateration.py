@@ -13,11 +13,11 @@ from trackers.uwb_imu.multilateration import multilateration_tracker
 ANCHORS = np.array(
     [[5.0, 0.0, 2.0], [0.0, 6.0, 1.0], [-4.0, -3.0, 2.5], [1.0, -6.0, 2.2], [-5.0, 4.0, 0.3], [4.0, 4.0, 2.8]]
 )
-PLACE = np.array([0.7, -1.2, 1.1])
+POSITION = np.array([0.7, -1.2, 1.1])
 SCALE = 0.3
 
 
-@pytest.fixture(scope="module", params=[PLACE[2], None], ids=["at a known height", "in space"])
+@pytest.fixture(scope="module", params=[POSITION[2], None], ids=["at a known height", "in three dimensions"])
 def locate(request):
     """`multilaterate` for ranges and the anchors that count, and how many coordinates it finds."""
     height = request.param
@@ -31,20 +31,20 @@ def locate(request):
 
 
 def _exact(anchors=ANCHORS):
-    return np.linalg.norm(PLACE - anchors, axis=1)
+    return np.linalg.norm(POSITION - anchors, axis=1)
 
 
 def _loss(position, ranges):
-    full = np.append(position, PLACE[2])[:3]
+    full = np.append(position, POSITION[2])[:3]
     return np.sum(np.log1p(((ranges - np.linalg.norm(full - ANCHORS, axis=1)) / SCALE) ** 2))
 
 
 def test_exact_ranges_give_the_position(locate):
     call, n = locate
-    place = call(_exact())
-    assert bool(place.determined)
+    fit = call(_exact())
+    assert bool(fit.determined)
     # Each step leaves a thousandth of the way to the ridge: twenty of them leave the rounding of 6 m.
-    np.testing.assert_allclose(place.position, PLACE[:n], atol=1e-9)
+    np.testing.assert_allclose(fit.position, POSITION[:n], atol=1e-9)
 
 
 def test_noisy_ranges_give_the_minimum_of_the_loss(locate):
@@ -54,7 +54,7 @@ def test_noisy_ranges_give_the_minimum_of_the_loss(locate):
     found = np.asarray(call(ranges).position)
     least = _loss(found, ranges)
     around = [_loss(found + d, ranges) for d in rng.normal(0.0, 0.02, (200, n))]
-    # The steps near the place by a factor each: what is left in the loss is far below what 2 cm make of it.
+    # Convergence is linear: the remaining excess of the loss is far below the effect of 2 cm.
     assert least <= min(around) + 1e-5
 
 
@@ -63,7 +63,7 @@ def test_a_range_of_kilometres_has_no_influence(locate):
     ranges = _exact()
     ranges[1] += 4000.0
     # A range at 4 km keeps a weight of (0.3/4000)².
-    np.testing.assert_allclose(call(ranges).position, PLACE[:n], atol=1e-3)
+    np.testing.assert_allclose(call(ranges).position, POSITION[:n], atol=1e-3)
 
 
 def test_masked_ranges_have_no_influence(locate):
@@ -78,9 +78,9 @@ def test_masked_ranges_have_no_influence(locate):
 def test_too_few_ranges_determine_nothing_and_give_no_nan(locate):
     call, n = locate
     for count in range(len(ANCHORS) + 1):
-        place = call(_exact(), counts=np.arange(len(ANCHORS)) < count)
-        assert bool(place.determined) == (count > n)
-        assert np.isfinite(place.position).all()
+        fit = call(_exact(), counts=np.arange(len(ANCHORS)) < count)
+        assert bool(fit.determined) == (count > n)
+        assert np.isfinite(fit.position).all()
 
 
 def test_anchors_on_one_line_determine_nothing(locate):
@@ -91,10 +91,10 @@ def test_anchors_on_one_line_determine_nothing(locate):
 
 def test_coplanar_anchors_give_the_horizontal_position():
     flat = ANCHORS * [1.0, 1.0, 0.0] + [0.0, 0.0, 2.0]
-    place = multilaterate(jnp.asarray(_exact(flat)), jnp.asarray(flat), jnp.ones(6, bool), None, jnp.asarray(SCALE))
-    np.testing.assert_allclose(place.position[:2], PLACE[:2], atol=1e-6)
+    fit = multilaterate(jnp.asarray(_exact(flat)), jnp.asarray(flat), jnp.ones(6, bool), None, jnp.asarray(SCALE))
+    np.testing.assert_allclose(fit.position[:2], POSITION[:2], atol=1e-6)
     # Either image: below the plane or above it.
-    assert abs(abs(float(place.position[2]) - 2.0) - 0.9) < 1e-5
+    assert abs(abs(float(fit.position[2]) - 2.0) - 0.9) < 1e-5
 
 
 @pytest.mark.parametrize("n", [2, 3])
@@ -116,12 +116,12 @@ def test_the_tracker_waits_for_rows_with_enough_ranges_and_reports_a_covariance(
     ranges = _exact() + rng.normal(0.0, sigma, (rows, len(ANCHORS)))
     seen = np.ones(ranges.shape, bool)
     seen[0, 1:] = False
-    inputs = {"anchors": np.tile(ANCHORS.ravel(), (rows, 1)), "height": np.full(rows, PLACE[2])}
+    inputs = {"anchors": np.tile(ANCHORS.ravel(), (rows, 1)), "height": np.full(rows, POSITION[2])}
     recording = Recording(np.arange(rows) * 0.1, {RANGES: Readings(ranges, seen)}, inputs)
     estimates = multilateration_tracker(planar=True, sigma_r=sigma).run(recording)
     assert not estimates.usable[0]
     assert estimates.usable[1:].all()
-    errors = np.stack([np.asarray(x) for x in estimates.mean.position], axis=1)[1:] - PLACE[:2]
+    errors = np.stack([np.asarray(x) for x in estimates.mean.position], axis=1)[1:] - POSITION[:2]
     nees = np.einsum("ti,tij,tj->t", errors, np.linalg.inv(estimates.covariance[1:]), errors)
     # Cauchy's loss with its scale at three sigmas loses a few per cent of efficiency and the covariance grows with it.
     assert 1.7 < nees.mean() < 2.4

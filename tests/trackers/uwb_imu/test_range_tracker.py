@@ -66,34 +66,34 @@ def test_a_bias_decays_exactly_over_any_interval():
 
 
 def _rows(rng, count=600, outlier=0.0, sigma=0.02, biases=None, still=False):
-    """Times, anchors' numbers, ranges and the true places of a tag on a circle of 2 m, one range in 20 ms."""
+    """Times, anchors' numbers, ranges and the true positions of a tag on a circle of 2 m, one range in 20 ms."""
     times = np.arange(count) * 0.02
     numbers = np.arange(count) % len(ANCHORS)
     angle = 0.0 * times if still else 0.5 * times
-    places = np.stack([2 * np.cos(angle), 2 * np.sin(angle), np.full(count, HEIGHT)], axis=1)
-    ranges = np.linalg.norm(places - ANCHORS[numbers], axis=1) + rng.normal(0.0, sigma, count)
+    positions = np.stack([2 * np.cos(angle), 2 * np.sin(angle), np.full(count, HEIGHT)], axis=1)
+    ranges = np.linalg.norm(positions - ANCHORS[numbers], axis=1) + rng.normal(0.0, sigma, count)
     ranges += 0.0 if biases is None else biases[numbers]
     struck = rng.random(count) < outlier
-    return times, numbers, np.where(struck, ranges + rng.exponential(5.0, count), ranges), places
+    return times, numbers, np.where(struck, ranges + rng.exponential(5.0, count), ranges), positions
 
 
 @pytest.mark.parametrize("height", [HEIGHT, None])
 def test_recent_positions_are_the_tags_with_ranges_to_three_or_four_anchors(height):
-    times, numbers, ranges, places = _rows(np.random.default_rng(0), sigma=0.0, still=True)
+    times, numbers, ranges, positions = _rows(np.random.default_rng(0), sigma=0.0, still=True)
     found = recent_positions(times, ANCHORS, numbers, ranges, np.ones(len(times), bool), height)
     least = 3 if height is not None else 4
     assert not found[: least - 1, 3].any()
     assert found[least - 1 :, 3].all()
     # A weak ridge keeps undetermined directions finite; noise-free ranges leave a thousandth of a step of it.
-    np.testing.assert_allclose(found[least + 5 :, :3], places[least + 5 :], atol=1e-3)
+    np.testing.assert_allclose(found[least + 5 :, :3], positions[least + 5 :], atol=1e-3)
 
 
 def test_an_outlier_of_kilometres_does_not_change_recent_positions():
-    times, numbers, ranges, places = _rows(np.random.default_rng(1), still=True)
+    times, numbers, ranges, positions = _rows(np.random.default_rng(1), still=True)
     ranges[200], ranges[203] = 9000.0, 0.01
     found = recent_positions(times, ANCHORS, numbers, ranges, np.ones(len(times), bool), None)
     # 2 cm of noise, five anchors round the tag; the median of an anchor's latest five ignores the outlier.
-    assert np.abs(found[195:230, :2] - places[195:230, :2]).max() < 0.08
+    assert np.abs(found[195:230, :2] - positions[195:230, :2]).max() < 0.08
 
 
 def test_collinear_anchors_determine_no_position():
@@ -121,14 +121,14 @@ def runs():
     tracker = range_tracker(5, planar=True, sigma_a=1.0, sigma_r=0.04, positive_skew=2.0, bias=0.0, sigma_bias=0.05)
     out = {}
     for name, outlier in (("clean", 0.0), ("outlier", 0.1)):
-        times, numbers, ranges, places = _rows(
+        times, numbers, ranges, positions = _rows(
             np.random.default_rng(2), outlier=outlier, biases=np.array([0.1, 0, 0, 0, -0.1])
         )
         if name == "clean":
             times = times + np.where(np.arange(len(times)) >= 300, 60.0, 0.0)
         estimates = tracker.run(_recording(times, numbers, ranges, HEIGHT))
         found = np.stack([np.asarray(x) for x in estimates.mean.position], axis=1)
-        out[name] = np.linalg.norm(found - places[:, :2], axis=1), estimates
+        out[name] = np.linalg.norm(found - positions[:, :2], axis=1), estimates
     return out
 
 
@@ -172,18 +172,18 @@ def test_the_covariance_is_consistent_where_the_world_is_the_model():
         return rng.normal(size=(runs, *shape))
 
     times, numbers = np.arange(rows) * step, np.arange(rows) % len(ANCHORS)
-    place, velocity, bias = normal(2), normal(2), sigma_bias * normal(len(ANCHORS))
-    begun = place + normal(2)
+    position, velocity, bias = normal(2), normal(2), sigma_bias * normal(len(ANCHORS))
+    begun = position + normal(2)
     recordings, readings = [], []
     for k in range(rows):
         if k:
             along, across = normal(2), normal(2)
             kick = sigma_a * np.sqrt(step)
-            place = place + velocity * step + kick * step * (along / 2 + across / np.sqrt(12))
+            position = position + velocity * step + kick * step * (along / 2 + across / np.sqrt(12))
             velocity = velocity + kick * along
             kept = np.exp(-step / constant)
             bias = kept * bias + sigma_bias * np.sqrt(1 - kept**2) * normal(len(ANCHORS))
-        full = np.column_stack([place, np.full(runs, HEIGHT)])
+        full = np.column_stack([position, np.full(runs, HEIGHT)])
         readings.append(np.linalg.norm(full - ANCHORS[numbers[k]], axis=1) + bias[:, numbers[k]] + sigma_r * normal())
     for run in range(runs):
         nearby = np.column_stack([np.tile(begun[run], (rows, 1)), np.full(rows, HEIGHT), np.ones(rows)])
@@ -210,7 +210,7 @@ def test_the_covariance_is_consistent_where_the_world_is_the_model():
     )
     estimates = tracker.run(stack(recordings))
     found = np.stack([np.asarray(x)[:, -1] for x in (*estimates.mean.position, *estimates.mean.velocity)], axis=1)
-    errors = found - np.column_stack([place, velocity])
+    errors = found - np.column_stack([position, velocity])
     cov = estimates.covariance[:, -1, :4, :4]
     nees = np.einsum("ri,rij,rj->r", errors, np.linalg.inv(cov), errors)
     # The mean of 300 chi-squared numbers of 4 degrees of freedom: 4 ± 3 √(8/300); linearising adds a few per cent.

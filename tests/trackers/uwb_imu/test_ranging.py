@@ -11,15 +11,15 @@ REPLY, SECOND_REPLY = 0.8e-3, 1.7e-3
 
 
 def _stamps(drift):
-    """What both clocks say of two turns that begin at 3 s; the answering clock runs `drift` faster, 5 s ahead."""
+    """Time stamps by both clocks of two turns from 3 s on; the responder's clock is 5 s ahead and `drift` faster."""
     asked = 3.0
-    heard = asked + FLIGHT
-    answered = heard + REPLY
+    arrived = asked + FLIGHT
+    answered = arrived + REPLY
     back = answered + FLIGHT
     again = back + SECOND_REPLY
     end = again + FLIGHT
     asking = [x + 0.0 * FLIGHT for x in (asked, back, again)]
-    answering = [5.0 + (1.0 + drift) * x for x in (heard, answered, end)]
+    answering = [5.0 + (1.0 + drift) * x for x in (arrived, answered, end)]
     return asking, answering
 
 
@@ -29,21 +29,21 @@ MICROMETRES = 5e-6
 
 @pytest.mark.parametrize("drift", [0.0, 1e-5, -2e-5])
 def test_single_sided_ranging_with_the_drift_known_is_the_distance(drift):
-    (asked, back, _), (heard, answered, _) = _stamps(drift)
-    found = single_sided(elapsed(asked, back), elapsed(heard, answered), drift)
+    (asked, back, _), (arrived, answered, _) = _stamps(drift)
+    found = single_sided(elapsed(asked, back), elapsed(arrived, answered), drift)
     np.testing.assert_allclose(found, DISTANCE, atol=MICROMETRES)
 
 
 def test_the_error_of_single_sided_ranging_is_half_the_drift_times_the_reply_delay():
-    (asked, back, _), (heard, answered, _) = _stamps(1e-5)
-    error = single_sided(elapsed(asked, back), elapsed(heard, answered)) - DISTANCE
+    (asked, back, _), (arrived, answered, _) = _stamps(1e-5)
+    error = single_sided(elapsed(asked, back), elapsed(arrived, answered)) - DISTANCE
     np.testing.assert_allclose(error, -SPEED_OF_LIGHT * 1e-5 * REPLY / 2, atol=MICROMETRES)
 
 
 @pytest.mark.parametrize("drift", [0.0, 2e-5, -2e-5])
 def test_double_sided_ranging_needs_no_drift_and_no_equal_delays(drift):
-    (asked, back, again), (heard, answered, end) = _stamps(drift)
-    turns = elapsed(asked, back), elapsed(heard, answered), elapsed(answered, end), elapsed(back, again)
+    (asked, back, again), (arrived, answered, end) = _stamps(drift)
+    turns = elapsed(asked, back), elapsed(arrived, answered), elapsed(answered, end), elapsed(back, again)
     # What is left is half the drift times the distance: 2 mm at 180 m.
     np.testing.assert_allclose(double_sided(*turns), DISTANCE, atol=MICROMETRES + abs(drift) * DISTANCE.max())
 

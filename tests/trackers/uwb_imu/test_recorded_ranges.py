@@ -26,11 +26,11 @@ def _errors(folder, name, tracker):
     estimates = tracker.run(stack([trajectory.recording for trajectory in trajectories], rows=max(8192, longest)))
     parts = []
     for k, trajectory in enumerate(trajectories):
-        place, known = trajectory.recording.truth["position"]
+        position, known = trajectory.recording.truth["position"]
         rows = len(trajectory.recording)
         last = known & np.append(np.diff(trajectory.recording.times) > 0, True) & estimates[k].usable[:rows]
         found = np.stack([np.asarray(x)[k, :rows] for x in estimates.mean.position], axis=1)
-        parts.append((found - place[:, : found.shape[1]])[last])
+        parts.append((found - position[:, : found.shape[1]])[last])
     return np.concatenate(parts)
 
 

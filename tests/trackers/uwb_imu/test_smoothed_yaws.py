@@ -23,11 +23,11 @@ def _state(x):
 
 
 def _recording(yaw=0.0):
-    """A body on a circle at 1 rad/s, a range a row; its velocity is known too badly to tell the yaw at once."""
+    """A body on a circle at 1 rad/s, a range a row; its velocity is too uncertain to resolve the yaw at once."""
     rng, times = np.random.default_rng(1), STEP_S * np.arange(ROWS)
-    place = 5.0 + RADIUS * np.stack([np.cos(times), np.sin(times)], axis=1)
+    position = 5.0 + RADIUS * np.stack([np.cos(times), np.sin(times)], axis=1)
     anchors = ANCHORS[np.arange(ROWS) % 4]
-    ranges = np.sqrt(((place - anchors[:, :2]) ** 2).sum(axis=1) + 1.0) + SIGMA_R * rng.normal(size=ROWS)
+    ranges = np.sqrt(((position - anchors[:, :2]) ** 2).sum(axis=1) + 1.0) + SIGMA_R * rng.normal(size=ROWS)
     inputs = {
         "accel": np.tile([-RADIUS, 0.0, 9.81], (ROWS, 1)),
         "gyro": np.tile([0.0, 0.0, 1.0], (ROWS, 1)),
@@ -36,7 +36,7 @@ def _recording(yaw=0.0):
         "anchor": np.zeros((ROWS, 1)),
         "height": np.ones(ROWS),
     }
-    mean = np.array([*place[0], 0.0, RADIUS, 0.0, 0.0, 0.3 + yaw, 0.0])
+    mean = np.array([*position[0], 0.0, RADIUS, 0.0, 0.0, 0.3 + yaw, 0.0])
     cov = np.diag([0.5, 0.5, 3.0, 3.0, 0.2, 0.2, 0.3, 0.02]) ** 2
     readings = {"ranges": (ranges[:, None], np.ones((ROWS, 1), bool), np.zeros((ROWS, 0)))}
     return recording(times, readings, mean, cov, inputs)
@@ -59,7 +59,7 @@ def test_the_mean_of_the_mixture_is_the_components_weighted_by_likelihood(runs):
     bank, yaws = runs
     evidence = np.array([one.log_likelihood.sum() for one in yaws])
     weights = np.exp(evidence - np.logaddexp.reduce(evidence))
-    # Both have a say, so that the weights are of the rows to come and not of the first ones.
+    # Both have weight, so that the weights depend on the later rows and not on the first ones.
     assert weights.max() < 1 - 1e-6
     parts = [flat(one.mean) for one in yaws]
     angle = 6

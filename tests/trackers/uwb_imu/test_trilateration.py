@@ -38,7 +38,7 @@ def meet():
 
 @pytest.fixture(scope="module")
 def locate():
-    """The place of three circles, (2,)."""
+    """The trilaterated position, (2,)."""
     solve = jax.jit(lambda anchors, radii: trilaterate([Vector(*a) for a in anchors], list(radii)).array())
     return lambda anchors, radii: np.array(solve(jnp.asarray(anchors, float), jnp.asarray(radii, float)))
 
@@ -56,10 +56,10 @@ def _paper(first, second, radius, other):
 @given(st.integers(0, 10**6))
 def test_the_points_are_those_of_the_papers_corrected_formula(seed):
     rng = np.random.default_rng(seed)
-    first, second, place = rng.uniform(-5, 5, (3, 2))
+    first, second, position = rng.uniform(-5, 5, (3, 2))
     if abs(second[1] - first[1]) < 0.1:
         second[1] += 1.0
-    radii = np.linalg.norm(place - first), np.linalg.norm(place - second)
+    radii = np.linalg.norm(position - first), np.linalg.norm(position - second)
     points = intersections(Vector(*first), Vector(*second), *(jnp.asarray(r) for r in radii))
     ours = np.array([[float(x) for x in p] for p in points])
     theirs = _paper(first, second, *radii)
@@ -69,13 +69,13 @@ def test_the_points_are_those_of_the_papers_corrected_formula(seed):
 
 
 def test_as_printed_13_puts_the_points_elsewhere():
-    first, second, place = np.array([0.0, 0.0]), np.array([3.0, 4.0]), np.array([2.0, 1.0])
-    radius, other = np.linalg.norm(place - first), np.linalg.norm(place - second)
+    first, second, position = np.array([0.0, 0.0]), np.array([3.0, 4.0]), np.array([2.0, 1.0])
+    radius, other = np.linalg.norm(position - first), np.linalg.norm(position - second)
     b = (25.0 - (other**2 + radius**2)) / 8.0
     corrected = (25.0 - other**2 + radius**2) / 8.0
-    # On the radical line x·Δx + y·Δy = b·Δy lies the place, with the corrected b alone.
-    assert abs(place @ second / 4.0 - corrected) < ROUNDING
-    assert abs(place @ second / 4.0 - b) > 1.0
+    # On the radical line x·Δx + y·Δy = b·Δy lies the position, with the corrected b alone.
+    assert abs(position @ second / 4.0 - corrected) < ROUNDING
+    assert abs(position @ second / 4.0 - b) > 1.0
 
 
 def test_anchors_of_equal_y_are_no_special_case(meet):
@@ -106,27 +106,27 @@ def test_anchors_at_one_position_give_that_position_and_no_nan(meet):
 
 def test_exact_ranges_give_the_position(locate):
     anchors = np.array([[0.0, 0.0], [6.0, 0.0], [2.0, 5.0]])
-    place = np.array([2.7, 2.7])
+    position = np.array([2.7, 2.7])
     # The roots of nearly equal squares keep eleven digits.
-    np.testing.assert_allclose(locate(anchors, np.linalg.norm(place - anchors, axis=1)), place, atol=1e-10)
+    np.testing.assert_allclose(locate(anchors, np.linalg.norm(position - anchors, axis=1)), position, atol=1e-10)
 
 
 def test_anchors_on_one_line_leave_two_mirror_images_and_no_nan(locate):
     anchors = np.array([[0.0, 0.0], [2.0, 2.0], [5.0, 5.0]])
-    place = np.array([3.0, 1.0])
-    found = locate(anchors, np.linalg.norm(place - anchors, axis=1))
+    position = np.array([3.0, 1.0])
+    found = locate(anchors, np.linalg.norm(position - anchors, axis=1))
     # Each pair's point is on either side of the line; along the line they agree.
-    assert abs((found - place) @ [1.0, 1.0]) < 1e-9
+    assert abs((found - position) @ [1.0, 1.0]) < 1e-9
 
 
 def test_compensation_lengthens_every_range_and_moves_no_tag_in_the_middle(locate):
     anchors = 4.0 * np.array([[np.cos(t), np.sin(t)] for t in 2 * np.pi * np.arange(3) / 3])
     assert abs(float(compensation(0.1)) - 1.96 * 0.1 / np.sqrt(3)) < 1e-15
     np.testing.assert_allclose(locate(anchors, np.full(3, 4.0) + compensation(0.1)), 0.0, atol=1e-9)
-    place = np.array([1.5, 0.4])
-    exact = np.linalg.norm(place - anchors, axis=1)
+    position = np.array([1.5, 0.4])
+    exact = np.linalg.norm(position - anchors, axis=1)
     # Ranges that are right already are made wrong by 11 cm.
-    assert 0.005 < np.linalg.norm(locate(anchors, exact + compensation(0.1)) - place) < 0.3
+    assert 0.005 < np.linalg.norm(locate(anchors, exact + compensation(0.1)) - position) < 0.3
 
 
 def test_the_horizontal_part_of_a_range_is_zero_where_the_drop_is_longer():
@@ -137,8 +137,8 @@ def test_the_horizontal_part_of_a_range_is_zero_where_the_drop_is_longer():
 
 def test_the_tracker_waits_for_rows_with_three_ranges():
     anchors = np.array([[0.0, 0.0, 2.0], [6.0, 0.0, 2.5], [2.0, 5.0, 1.0]])
-    places = np.array([[2.0, 1.0, 0.5], [2.1, 1.2, 0.5], [2.2, 1.4, 0.5]])
-    ranges = np.linalg.norm(places[:, None] - anchors, axis=2)
+    positions = np.array([[2.0, 1.0, 0.5], [2.1, 1.2, 0.5], [2.2, 1.4, 0.5]])
+    ranges = np.linalg.norm(positions[:, None] - anchors, axis=2)
     seen = np.ones((3, 3), bool)
     seen[1, 2] = False
     inputs = {"anchors": np.tile(anchors.ravel(), (3, 1)), "height": np.full(3, 0.5)}
@@ -146,4 +146,4 @@ def test_the_tracker_waits_for_rows_with_three_ranges():
     estimates = trilateration_tracker(compensated=False).run(recording)
     found = np.stack([np.asarray(x) for x in estimates.mean.position], axis=1)
     assert estimates.usable.tolist() == [True, False, True]
-    np.testing.assert_allclose(found[[0, 2]], places[[0, 2], :2], atol=1e-9)
+    np.testing.assert_allclose(found[[0, 2]], positions[[0, 2], :2], atol=1e-9)
