@@ -16,11 +16,11 @@ from sim.fixes import correlated_noise, delayed, first_order_lag, mirrored_heigh
 from sim.imu import simulate_uwb_imu
 from sim.keys import normals, stream, trajectory_keys, uniforms
 from sim.line import simulate_line
-from sim.paths import WORK_VOLUME, hand_motion, helix, point_to_point, straight_lines_with_halts
+from sim.paths import PATHS, WORK_VOLUME, PathFunction, hand_motion, helix, point_to_point, straight_lines_with_halts
 from sim.phases import plane_phases, spherical_phases
 from sim.ranging import Protocol, antenna_biases, chamber, obstruction, round_robin, simulate_ranges, two_way_ranges
 from sim.signal import Radar, Reflector, phase_sigma, signal_phases
-from sim.stations import PATHS, PathFunction, SimulatedPhases, facing, simulate_phases, work_station
+from sim.stations import SimulatedPhases, facing, simulate_phases, work_station
 from sim.worlds import SimulatedWorld
 
 __all__ = [
