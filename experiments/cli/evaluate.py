@@ -70,8 +70,8 @@ def evaluate_tracks(
 def with_work(evaluation: Evaluation, work: WorkstepReport) -> Evaluation:
     """The evaluation with the fractions of right and wrong unlock decisions among its metrics."""
     recordings = [
-        figures | (work.metrics(figures["recording"]) if figures["recording"] in work.recordings else {})
-        for figures in evaluation.recordings
+        metrics | (work.metrics(metrics["recording"]) if metrics["recording"] in work.recordings else {})
+        for metrics in evaluation.recordings
     ]
     return dataclasses.replace(evaluation, overall=evaluation.overall | work.metrics(), recordings=recordings)
 

@@ -22,10 +22,10 @@ CONDITION = re.compile(
 
 
 def violation(evaluation: Evaluation, expression: str) -> str | None:
-    """The conditions that hold, such as `p95_m is 0.62 > 0.5` (overall metrics); None if the expression is false.
+    """The conditions that hold, such as `p95_m is 0.62 > 0.5`; None if the expression is false of the overall metrics.
 
-    The expression is NAME OPERATOR NUMBER, joined by `and` and `or`; `and` takes precedence. Raises UnusableInput for any
-    other expression, an unknown name, and a metric without a value, which must not pass.
+    The expression is NAME OPERATOR NUMBER, joined by `and` and `or`; `and` takes precedence. Raises UnusableInput for
+    any other expression, an unknown name, and a metric without a value, which must not pass.
     """
     true = []
     for alternative in re.split(r"\bor\b", expression):

@@ -1,4 +1,4 @@
-"""Files written whole or not at all, and JSON that every reader accepts."""
+"""Atomic writes, and strict JSON without NaN."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from trackers.core.errors import UnusableInput
 
 
 def atomic_write(path: Path | str, writer: Callable[[Path], object]) -> Path:
-    """The path, written by `writer` under a temporary name beside it and then renamed.
+    """Atomic write: `writer` writes a temporary file in the same folder, which is then renamed to `path`; returns it.
 
-    Whatever goes wrong, no half-written file stays and an older one of that name is untouched. Raises UnusableInput
-    where the system refuses (full disk, no permission, a folder that isn't there).
+    After a failure no partial file remains, and an older file of that name is unchanged. Raises UnusableInput for a
+    full disk, missing permission or a missing folder.
     """
     path = Path(path)
     temporary = path.with_name(f".{uuid.uuid4().hex[:12]}-{path.name}")
@@ -44,7 +44,7 @@ def json_text(value: Any) -> str:
 
 
 def config_hash(config: Mapping[str, Any]) -> str:
-    """The SHA-256 of the configuration, whatever the order of its keys."""
+    """The SHA-256 of a configuration, independent of the order of its keys."""
     canonical = json.dumps(json.loads(json_text(config)), sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(canonical.encode()).hexdigest()
 
@@ -52,7 +52,7 @@ def config_hash(config: Mapping[str, Any]) -> str:
 def _discard(temporary: Path) -> None:
     try:
         temporary.unlink(missing_ok=True)
-    except OSError:  # the folder itself isn't there or may not be read; the first error says so
+    except OSError:  # missing or unreadable folder, which the first error reports
         return
 
 

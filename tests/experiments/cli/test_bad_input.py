@@ -64,7 +64,7 @@ def test_a_recording_given_twice_is_refused(tmp_path, beginnings, command):
     assert_refused(trackwright(command, good, again, "--out", tmp_path / "out"), "given more than once")
 
 
-def test_results_are_not_written_among_a_recording(tmp_path, simulated):
+def test_results_are_not_written_into_a_recording_folder(tmp_path, simulated):
     before = _contents(simulated)
     for command in ("track", "tune"):
         said = trackwright(command, simulated, "--tracker", "beam", "--out", simulated)
@@ -73,17 +73,17 @@ def test_results_are_not_written_among_a_recording(tmp_path, simulated):
 
 
 @pytest.mark.parametrize("command", [("track", "--out", "out"), ("tune", "--out", "out"), ("check",)])
-def test_no_recording_at_all_is_refused(tmp_path, monkeypatch, command):
+def test_an_empty_list_of_recordings_is_refused(tmp_path, monkeypatch, command):
     monkeypatch.chdir(tmp_path)
     assert_refused(trackwright(*command), "no recording given")
     assert not list(tmp_path.iterdir())
 
 
-# recordings that are odd but usable
+# recordings with anomalies
 
 
 @pytest.mark.parametrize("name", ANOMALOUS)
-def test_an_odd_recording_is_tracked_with_a_notice_and_named_by_check(tmp_path, monkeypatch, name):
+def test_a_recording_with_an_anomaly_is_tracked_with_a_notice_and_reported_by_check(tmp_path, monkeypatch, name):
     monkeypatch.setattr(track_command, "plot_tracks", lambda *arguments: [])
     folder, out = tmp_path / "recording", tmp_path / "out"
     word = ANOMALOUS[name](folder)
@@ -98,7 +98,7 @@ def test_an_odd_recording_is_tracked_with_a_notice_and_named_by_check(tmp_path, 
     assert found.code == int("error  " in found.out)
 
 
-def test_tags_with_and_without_reported_spreads_are_tracked_together(tmp_path, beginnings, monkeypatch):
+def test_tags_with_and_without_reported_standard_deviations_are_tracked_together(tmp_path, beginnings, monkeypatch):
     monkeypatch.setattr(track_command, "plot_tracks", lambda *arguments: [])
     write_good(tmp_path / "half")
     known = pl.when(pl.col("tag") == "T2").then(0.1)
@@ -153,7 +153,7 @@ def test_intervals_of_too_few_segments_are_refused_before_the_fit():
     require_possible("bootstrap", NegativeLogLikelihood(), 5)
 
 
-def test_phases_that_are_odd_are_tracked_with_a_notice(tmp_path, monkeypatch):
+def test_unwrapped_phases_are_tracked_with_a_notice(tmp_path, monkeypatch):
     monkeypatch.setattr(track_command, "plot_tracks", lambda *arguments: [])
     ANOMALOUS["phases from 0 to 2 pi"](tmp_path / "recording")
     said = trackwright("track", tmp_path / "recording", "--tracker", "das", "--out", tmp_path / "out")
@@ -161,20 +161,20 @@ def test_phases_that_are_odd_are_tracked_with_a_notice(tmp_path, monkeypatch):
     assert "not wrapped" in said.err
     write_good(tmp_path / "plain")
     trackwright("track", tmp_path / "plain", "--tracker", "das", "--out", tmp_path / "plain-out")
-    odd, plain = (pl.read_parquet(tmp_path / name / "tracks.parquet") for name in ("out", "plain-out"))
-    assert odd["azimuth_rad"].equals(plain["azimuth_rad"])
+    unwrapped, plain = (pl.read_parquet(tmp_path / name / "tracks.parquet") for name in ("out", "plain-out"))
+    assert unwrapped["azimuth_rad"].equals(plain["azimuth_rad"])
 
 
 # trackers and tunables
 
 
-def test_an_unknown_tracker_is_refused_with_those_there_are(tmp_path, beginnings):
+def test_an_unknown_tracker_is_refused_with_the_known_ones(tmp_path, beginnings):
     for command in ("track", "tune"):
         said = trackwright(command, beginnings / "good", "--tracker", "kalman", "--out", tmp_path / "out")
         assert_refused(said, "--tracker kalman: unknown", "direct, cascade, beam, das, bearings")
 
 
-def test_a_tracker_that_the_tables_do_not_feed_is_refused(tmp_path, simulated):
+def test_a_tracker_without_its_table_is_refused(tmp_path, simulated):
     said = trackwright("track", simulated, "--tracker", "bearings", "--out", tmp_path / "out")
     assert_refused(said, str(simulated), "'bearings' needs a bearings table", "phases, truth")
 

@@ -41,11 +41,11 @@ REFUSED = {
 
 @pytest.mark.parametrize("tracker", TRACKERS)
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_no_tracker_of_ranges_can_use_is_refused_in_one_line(tmp_path, name, tracker):
+def test_unusable_ranges_are_refused_in_one_line(tmp_path, name, tracker):
     build, word = REFUSED[name]
     build(tmp_path / "recording")
     said = trackwright("track", tmp_path / "recording", "--tracker", tracker, "--out", tmp_path / "out")
-    # What is odd in the recording is said first, a line each.
+    # Notices of anomalies come first, one line each.
     last = said._replace(err="".join(x for x in said.err.splitlines(keepends=True) if not x.startswith("notice: ")))
     assert_refused(last, str(tmp_path / "recording"), f"tracker '{tracker}' needs", word)
     assert not (tmp_path / "out").exists()
@@ -67,7 +67,7 @@ def _outlying(table):
 @pytest.fixture(scope="module")
 def tracked(tmp_path_factory):
     """Notices of outlying ranges and of a tag without measurements, and the tracks; by the tracker's name."""
-    folder = tmp_path_factory.mktemp("odd-ranges")
+    folder = tmp_path_factory.mktemp("outlying-ranges")
     _ranges(_outlying)(folder / "recording")
     rig = folder / "recording" / "rig.toml"
     rig.write_text(rig.read_text().replace("[path]", "[tags.T9]\nheight_m = 1.0\n\n[path]"))
@@ -82,7 +82,7 @@ def tracked(tmp_path_factory):
     return found, truth
 
 
-def test_negative_ranges_and_kilometres_are_named(tracked):
+def test_negative_ranges_and_kilometres_are_reported(tracked):
     for said, _ in tracked[0].values():
         assert "ranges: negative values of range_m: 20" in said
         assert "ranges: outliers of range_m" in said

@@ -1,4 +1,4 @@
-"""Runs that cannot be judged, and runs that cannot be written: exit code 2, one line, older files as they were."""
+"""Runs that cannot be evaluated or written: exit code 2, one line, older files unchanged."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def _contents(folder: Path) -> dict[str, bytes]:
         ("", "cannot read ''"),
     ],
 )
-def test_a_condition_that_means_nothing_is_refused(beginnings, expression, word):
+def test_an_invalid_condition_is_refused(beginnings, expression, word):
     said = trackwright("evaluate", beginnings / "tracked", "--fail-if", expression)
     assert said.code == 2
     assert said.err.count("\n") == 1
@@ -47,7 +47,7 @@ def test_a_condition_that_means_nothing_is_refused(beginnings, expression, word)
 
 
 @pytest.mark.parametrize("seconds", ["nan", "inf", "0", "-1"])
-def test_an_interval_that_is_none_is_refused(beginnings, seconds):
+def test_an_invalid_interval_is_refused(beginnings, seconds):
     assert_refused(trackwright("evaluate", beginnings / "tracked", f"--every-s={seconds}"), "--every-s")
 
 
@@ -112,7 +112,7 @@ def test_a_folder_without_tracks_is_refused(beginnings, folder):
         (lambda truth: truth.with_columns(x_m=pl.lit(None)), "no estimate lies inside a truth"),
     ],
 )
-def test_truth_that_no_estimate_meets_is_refused(tmp_path, beginnings, change, word):
+def test_truth_without_an_estimate_inside_is_refused(tmp_path, beginnings, change, word):
     write_good(tmp_path / "other")
     change(good_tables()["truth"]).write_csv(tmp_path / "other" / "truth.csv")
     assert_refused(trackwright("evaluate", beginnings / "tracked", "--truth", tmp_path / "other"), word)
@@ -123,7 +123,7 @@ def test_the_truth_of_another_recording_is_refused(beginnings, simulated):
     assert_refused(said, "the tracks are of recording good, the truth is of simulated-hand-0")
 
 
-def test_a_recording_without_truth_is_no_truth(tmp_path, beginnings):
+def test_a_recording_without_truth_is_refused_as_truth(tmp_path, beginnings):
     write_good(tmp_path / "blind")
     (tmp_path / "blind" / "truth.csv").unlink()
     said = trackwright("evaluate", beginnings / "tracked", "--truth", tmp_path / "blind")
@@ -189,7 +189,7 @@ def test_a_disk_that_is_full_for_a_simulation_leaves_nothing(tmp_path, monkeypat
     assert not list(tmp_path.iterdir())
 
 
-def test_an_interrupted_command_says_so(beginnings, monkeypatch):
+def test_an_interrupted_command_prints_one_line(beginnings, monkeypatch):
     def interrupted(path):
         raise KeyboardInterrupt
 
@@ -199,7 +199,7 @@ def test_an_interrupted_command_says_so(beginnings, monkeypatch):
     assert said.err == "trackwright: interrupted; files already written are complete\n"
 
 
-def test_a_reader_that_has_seen_enough_gets_no_traceback():
+def test_a_closed_pipe_causes_no_traceback():
     pipe = f"{sys.executable} -m experiments --help | true; echo ${{PIPESTATUS[0]}}"
     run = subprocess.run(["bash", "-c", pipe], capture_output=True, text=True, check=True)
     assert (run.stdout, run.stderr) == ("141\n", "")

@@ -1,4 +1,4 @@
-"""The command line from end to end on small worlds: what is written, what is said, and that the figures are right."""
+"""The command line from end to end on small worlds: files, output and metrics."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def world(there):
 
 @pytest.fixture(scope="module")
 def runs(there, world):
-    """What `track` said of each tracker on that recording, run when first asked for."""
+    """The output of `track` for each tracker on that recording, run on first use."""
 
     class Runs(dict):
         def __missing__(self, tracker):
@@ -135,7 +135,7 @@ def test_corruptions_are_in_the_recording(there):
     assert "phase_3_rad" in said.out
 
 
-def test_check_finds_nothing_wrong_with_a_simulated_recording(world):
+def test_a_simulated_recording_passes_all_checks(world):
     said = trackwright("check", world)
     assert (said.code, said.err) == (0, "")
     assert said.out.startswith(f"{world}\n")
@@ -170,7 +170,7 @@ def test_bearing_trackers_write_azimuth_and_elevation_per_station(runs, there, t
     assert tracks.height == TAGS * ROWS * 3
     assert tracks.select("recording", "tag", "station", "t_s").is_unique().all()
     assert tracks["azimuth_rad"].null_count() == 0
-    # delay-and-sum says nothing of its own errors
+    # delay-and-sum reports no covariance
     assert tracks["std_azimuth_rad"].null_count() == (tracks.height if tracker == "das" else 0)
 
 
@@ -181,7 +181,7 @@ def test_bearing_trackers_write_azimuth_and_elevation_per_station(runs, there, t
         ("beam", {f"bearings-simulated-hand-{SEED}-tag_0-station_{k}" for k in (1, 2, 3)}),
     ],
 )
-def test_a_run_folder_says_how_it_was_made_and_has_pictures(runs, there, world, tracker, pictures):
+def test_a_run_folder_has_a_manifest_and_plots(runs, there, world, tracker, pictures):
     said, folder = runs[tracker], there / tracker
     assert pictures <= _pictures(folder)
     assert said.out.splitlines()[0].endswith("ok")
@@ -212,7 +212,7 @@ def test_the_beam_tracker_is_better_than_delay_and_sum(runs, there):
     assert beam < 0.8 * das < np.deg2rad(2.0)
 
 
-def test_evaluate_prints_a_table_and_keeps_the_figures(runs, there):
+def test_evaluate_prints_a_table_and_writes_the_metrics(runs, there):
     said = trackwright("evaluate", there / "direct") if runs["direct"].code == 0 else None
     assert (said.code, said.err) == (0, "")
     assert said.out.startswith("Horizontal and 3-D position errors in ")
@@ -235,7 +235,7 @@ def test_fail_if_decides_the_exit_code(runs, there):
     assert failed.out == passed.out
 
 
-def test_without_truth_tracks_are_written_but_not_judged(runs, there, world):
+def test_without_truth_tracks_are_written_but_not_evaluated(runs, there, world):
     assert runs["direct"].code == 0
     blind = there / "blind"
     shutil.copytree(world, blind)
@@ -250,7 +250,7 @@ def test_without_truth_tracks_are_written_but_not_judged(runs, there, world):
     assert _overall(there / "blind-run", "--truth", world) == _overall(there / "direct")
 
 
-def test_without_a_tracker_it_picks_what_fits_and_says_so(runs, there, world):
+def test_without_a_tracker_the_fitting_one_is_chosen_with_a_notice(runs, there, world):
     assert runs["direct"].code == 0
     said = trackwright("track", world, "--out", there / "picked")
     assert said.err.startswith("tracker: direct (")
@@ -277,9 +277,9 @@ def test_bearings_of_a_walk_are_tracked_at_the_known_height(there, room):
     assert tracks.height == 28
     assert (tracks["z_m"] == 1.2).all()
     assert (tracks["std_z_m"] == 0).all()
-    figures = _overall(there / "walk")
-    assert figures["rmse_m"] < 0.15
-    assert figures["rmse_3d_m"] is None or figures["rmse_3d_m"] == pytest.approx(figures["rmse_m"])
+    metrics = _overall(there / "walk")
+    assert metrics["rmse_m"] < 0.15
+    assert metrics["rmse_3d_m"] is None or metrics["rmse_3d_m"] == pytest.approx(metrics["rmse_m"])
 
 
 def test_free_height_estimates_the_height_too(there, room):
@@ -289,9 +289,9 @@ def test_free_height_estimates_the_height_too(there, room):
     tracks = pl.read_parquet(there / "free" / "tracks.parquet")
     assert (tracks["std_z_m"] > 0).all()
     assert tracks["z_m"].n_unique() == 28
-    figures = _overall(there / "free")
-    assert figures["rmse_m"] < 0.15
-    assert figures["rmse_3d_m"] < 0.25
+    metrics = _overall(there / "free")
+    assert metrics["rmse_m"] < 0.15
+    assert metrics["rmse_3d_m"] < 0.25
 
 
 def test_tuned_noise_levels_are_written_and_used(runs, there, world):

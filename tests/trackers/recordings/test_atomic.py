@@ -1,4 +1,4 @@
-"""Files are written whole or not at all; the manifest says what was run."""
+"""Atomic writes, strict JSON, and the manifest of a run."""
 
 import errno
 import json
@@ -35,7 +35,7 @@ def test_a_writer_sees_the_ending_of_the_name(tmp_path):
     assert seen[0].endswith("t.csv.gz")
 
 
-def test_a_full_disk_leaves_the_old_file_and_no_half(tmp_path):
+def test_a_full_disk_leaves_the_old_file_and_no_partial_one(tmp_path):
     (tmp_path / "out.json").write_text("old")
     with pytest.raises(UnusableInput, match=r"cannot write .*out\.json: No space left on device"):
         atomic_write(tmp_path / "out.json", _half_then(OSError(errno.ENOSPC, "No space left on device")))
@@ -44,20 +44,20 @@ def test_a_full_disk_leaves_the_old_file_and_no_half(tmp_path):
 
 
 @pytest.mark.parametrize("error", [ValueError("a bug"), KeyboardInterrupt()])
-def test_any_other_failure_passes_and_leaves_no_half(tmp_path, error):
+def test_any_other_failure_is_raised_and_leaves_no_partial_file(tmp_path, error):
     with pytest.raises(type(error)):
         atomic_write(tmp_path / "out.json", _half_then(error))
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("name", ["nowhere/out.json", "file/out.json"])
-def test_a_place_that_is_no_folder_is_refused(tmp_path, name):
+def test_a_path_in_a_missing_folder_is_refused(tmp_path, name):
     (tmp_path / "file").write_text("")
     with pytest.raises(UnusableInput, match="cannot write"):
         atomic_write(tmp_path / name, lambda p: p.write_text("x"))
 
 
-def test_a_folder_in_the_files_place_is_refused(tmp_path):
+def test_a_folder_of_the_same_name_is_refused(tmp_path):
     (tmp_path / "out.json" / "inside").mkdir(parents=True)
     with pytest.raises(UnusableInput, match="cannot write"):
         atomic_write(tmp_path / "out.json", lambda p: p.write_text("x"))
@@ -74,7 +74,7 @@ def test_json_takes_arrays_of_jax():
     assert json.loads(json_text({"a": jax.numpy.ones(2)})) == {"a": [1.0, 1.0]}
 
 
-def test_the_manifest_says_what_was_run_on_what(tmp_path):
+def test_the_manifest_records_command_versions_and_device(tmp_path):
     config = {"sigma_a": np.float32(0.5), "recordings": [Path("hall")]}
     started = datetime(2024, 5, 1, 12, 0, tzinfo=UTC)
     path = write_manifest(
@@ -91,7 +91,7 @@ def test_the_manifest_says_what_was_run_on_what(tmp_path):
     assert datetime.fromisoformat(manifest["started"]) == started < datetime.fromisoformat(manifest["ended"])
 
 
-def test_the_configs_hash_depends_on_its_values_and_not_on_their_order():
+def test_the_hash_of_a_configuration_depends_on_its_values_and_not_on_their_order():
     first, second = config_hash({"a": 1, "b": {"c": 2.0, "d": 3}}), config_hash({"b": {"d": 3, "c": 2.0}, "a": 1})
     assert first == second
     assert first != config_hash({"a": 1, "b": {"c": 2.0, "d": 4}})

@@ -1,4 +1,4 @@
-"""From folders to trajectories: rows, masks and truth of each, and trajectories cut into pieces."""
+"""From folders to trajectories: rows, masks and truth of each, and their segments."""
 
 import numpy as np
 import polars as pl
@@ -21,7 +21,7 @@ def _with(folder, **tables):
     return RecordingFolder(folder.name, folder.path, folder.rig, folder.tables | tables)
 
 
-def test_bearings_become_a_row_each_with_their_stations_place(good):
+def test_each_bearing_is_a_row_with_the_position_of_its_station(good):
     first, second = bearing_trajectories(good, free_height=False)
     assert (first.tag, second.tag, first.station) == ("T1", "T2", "")
     assert len(first.recording) == 100
@@ -38,7 +38,7 @@ def test_bearings_become_a_row_each_with_their_stations_place(good):
     np.testing.assert_allclose(place[::2, 0], good.tables["truth"].filter(tag="T1")["x_m"])
 
 
-def test_an_angle_that_is_missing_is_a_mask_and_reported_spreads_are_variances(good):
+def test_a_missing_angle_is_masked_and_reported_standard_deviations_become_variances(good):
     table = good.tables["bearings"].with_columns(
         azimuth_rad=pl.when(pl.col("t_s") == 1.0).then(None).otherwise("azimuth_rad"),
         azimuth_std_rad=pl.lit(0.1),
@@ -52,7 +52,7 @@ def test_an_angle_that_is_missing_is_a_mask_and_reported_spreads_are_variances(g
     np.testing.assert_allclose(readings.reported[times == 2.0], [[0.1**2, 0.0, 0.0]] * 2)
 
 
-def test_phases_of_all_stations_at_one_time_are_one_row_and_repeats_another(good):
+def test_phases_of_all_stations_at_one_time_share_a_row_and_duplicates_get_another(good):
     table = good.tables["phases"]
     again = table.filter((pl.col("t_s") == 1.0) & (pl.col("tag") == "T1") & (pl.col("station") == "S2"))
     again = again.with_columns(phase_1_rad=pl.lit(0.25))
@@ -60,12 +60,12 @@ def test_phases_of_all_stations_at_one_time_are_one_row_and_repeats_another(good
         phase_trajectories(_with(good, phases=pl.concat([table, again]).sort("t_s", maintain_order=True)), False)
     )
     assert len(trajectory.recording) == 51
-    (twice,) = np.flatnonzero(np.diff(trajectory.recording.times) == 0)
+    (repeated,) = np.flatnonzero(np.diff(trajectory.recording.times) == 0)
     one, two = (trajectory.recording.readings[name] for name in ("S1", "S2"))
-    assert one.seen[twice].all()
-    assert not one.seen[twice + 1].any()
-    assert two.seen[[twice, twice + 1]].all()
-    assert two.values[twice + 1, 0] == 0.25
+    assert one.seen[repeated].all()
+    assert not one.seen[repeated + 1].any()
+    assert two.seen[[repeated, repeated + 1]].all()
+    assert two.values[repeated + 1, 0] == 0.25
     assert two.seen.all()
 
 
@@ -82,7 +82,7 @@ def test_beams_are_a_trajectory_for_each_tag_and_station_with_true_directions(go
     np.testing.assert_allclose(angles, good.rig.stations[trajectory.station].angles(place))
 
 
-def test_pieces_hold_all_rows_in_order_and_about_as_many_as_asked_for(good):
+def test_segments_hold_all_rows_in_order_and_about_the_requested_number_each(good):
     trajectory = next(bearing_trajectories(good, False))
     for rows, count in ((100, 1), (1000, 1), (30, 3), (14, 7), (10, 10)):
         parts = segments(trajectory, rows)
@@ -96,7 +96,7 @@ def test_pieces_hold_all_rows_in_order_and_about_as_many_as_asked_for(good):
         np.testing.assert_array_equal(values, trajectory.recording.readings[BEARINGS].values)
 
 
-def test_a_piece_has_the_rows_of_everything(good):
+def test_a_segment_has_the_rows_of_readings_inputs_and_truth(good):
     whole = next(bearing_trajectories(good, False)).recording
     part = cut(whole, 20, 45)
     assert len(part) == 25

@@ -1,4 +1,4 @@
-"""Dilution of precision against other ways to the same number, and shapes of known point sets."""
+"""Dilution of precision against independent computations, and the shapes of known point sets."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from trackers.recordings.checks.geometry import bearing_dilution, range_dilution
 ONE_DEGREE = np.radians(1.0)
 
 
-def test_range_dilution_is_the_spread_of_least_squares_positions():
+def test_range_dilution_is_the_standard_deviation_of_least_squares_positions():
     # oracle: 20,000 noisy sets of ranges, each solved by Gauss and Newton from the true place
     anchors = np.array([[0, 0, 0.3], [6, 0, 2.6], [6, 5, 0.4], [0, 5, 2.9], [3, 2, 3.0]])
     place = np.array([2.0, 3.0, 1.0])
@@ -53,7 +53,7 @@ def test_bearing_dilution_agrees_with_finite_differences_of_the_angles():
     np.testing.assert_allclose(dilution.horizontal_at_height[0], known, rtol=1e-7)
 
 
-def test_what_no_measurement_sees_is_undetermined_and_the_rest_is_not():
+def test_only_coordinates_without_information_are_undetermined():
     square = np.array([[0.0, 0, 1], [4, 0, 1], [4, 4, 1], [0, 4, 1]])
     dilution = range_dilution(square, np.array([[2.0, 2.0, 1.0]]))
     assert np.isinf(dilution.vertical[0])
@@ -64,7 +64,7 @@ def test_what_no_measurement_sees_is_undetermined_and_the_rest_is_not():
     assert np.isinf(pair.horizontal_at_height[0])
 
 
-def test_shapes_are_told_apart_however_they_are_turned():
+def test_shapes_are_recognised_in_any_orientation():
     rng = np.random.default_rng(2)
     turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     corners = np.array([[x, y, z] for x in (0, 4) for y in (0, 5) for z in (0, 3)], float)
