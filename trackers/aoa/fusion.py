@@ -15,7 +15,7 @@ import numpy as np
 from trackers.core.algebra import Scalar, Vector, total
 from trackers.core.motion import GroundMotion, Noise
 from trackers.core.rig import Station
-from trackers.core.sensor import AbstractSensor, Channel, Reading, Residual, log_peak, placed
+from trackers.core.sensor import AbstractSensor, Channel, Reading, Residual, position_in_space, student_t_log_peak
 from trackers.core.state import wrap
 from trackers.core.track_loss import TrackLossPolicy
 from trackers.core.tracker import Tracker
@@ -57,7 +57,7 @@ class BearingSensor(AbstractSensor):
 
     def measure(self, view: Any, inputs: Any) -> list[Scalar]:
         axes = [inputs["axes"][k] for k in range(9)]
-        ray = Vector.of(p - inputs["origin"][k] for k, p in enumerate(placed(view.position, inputs)))
+        ray = Vector.of(p - inputs["origin"][k] for k, p in enumerate(position_in_space(view.position, inputs)))
         x, y, z = (ray.dot(axes[3 * k : 3 * k + 3]) for k in range(3))
         true = jnp.arctan2(x, z), jnp.arctan2(y, jnp.sqrt(x * x + z * z))
         pairs = zip(true, self.compression.value, self.offsets.value, strict=True)
@@ -78,7 +78,7 @@ class BearingSensor(AbstractSensor):
         whitened = jnp.where(azimuth_seen, azimuth / first, 0.0)
         second_whitened = jnp.where(elevation_seen, (elevation - coupling * whitened) / second, 0.0)
         scales = ((azimuth_seen, first), (elevation_seen, second))
-        log_scale = total(jnp.where(s, log_peak(self.dof.value) - jnp.log(sigma), 0.0) for s, sigma in scales)
+        log_scale = total(jnp.where(s, student_t_log_peak(self.dof.value) - jnp.log(sigma), 0.0) for s, sigma in scales)
         nis_dof = total(jnp.where(s, jnp.ones_like(azimuth), 0.0) for s, _ in scales)
         return Residual([whitened, second_whitened], log_scale, nis_dof, dof=self.dof.value)
 

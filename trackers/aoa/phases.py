@@ -19,7 +19,7 @@ from trackers.aoa.circular import circular_mean
 from trackers.core.algebra import Scalar, Vector, compute_once, total
 from trackers.core.motion import Noise
 from trackers.core.rig import Station
-from trackers.core.sensor import LOG_2PI, AbstractSensor, Channel, Reading, Residual, placed
+from trackers.core.sensor import LOG_2PI, AbstractSensor, Channel, Reading, Residual, position_in_space
 from trackers.core.state import wrap
 from trackers.core.tunable import Real, Scale
 
@@ -164,7 +164,7 @@ class SphericalPhases(AbstractPhaseSensor):
         self.paper_form = paper_form
 
     def measure(self, view: Any, inputs: Any) -> list[Scalar]:
-        to_tag = Vector.of(p - o for p, o in zip(placed(view.position, inputs), self.origin, strict=True))
+        to_tag = Vector.of(p - o for p, o in zip(position_in_space(view.position, inputs), self.origin, strict=True))
         distance = to_tag.norm()
         phases = []
         for antenna, offset in zip(self.antennas, self.offsets.value, strict=True):

@@ -139,7 +139,7 @@ mlir.register_lowering(_once_p, mlir.lower_fun(_divided, multiple_results=False)
 
 
 def mark_dependent(tree: Tree, numbers: Any) -> Tree:
-    """Identity that makes a scan's initial carry formally depend on `numbers`, so that jax types its tangents in one trace.
+    """Identity that makes the initial carry of a scan formally depend on `numbers`, for jax to type it in one trace.
 
     Without it jax traces the step again whenever more of the carry turns out to have a tangent or to be batched, which
     takes seconds for large states.

@@ -84,8 +84,9 @@ def check_motion(motion: AbstractMotion, state: State, inputs: Any = None, dt: f
             if float(interval) == 0 and not _same(after, state):
                 shift = np.abs(np.array([float(x) for x in local(state, after)]))
                 raise BrokenContract(
-                    f"{name}.step with dt = 0 changes {components[int(np.argmax(shift))]} by {shift.max():.3g}, expected "
-                    "a bit-identical state whatever the noise; usual fix: a factor in each term that is zero for dt = 0"
+                    f"{name}.step with dt = 0 changes {components[int(np.argmax(shift))]} by {shift.max():.3g}, "
+                    "expected a bit-identical state whatever the noise; usual fix: a factor that is zero "
+                    "for dt = 0 in each term"
                 )
             _require_finite(f"{name}.step at dt = {interval} s", jnp.stack(coordinates(after)[0]), components)
             jacobian = _call(f"{name}.step", jitted_jacobian, interval, w)
@@ -197,7 +198,8 @@ def _check_mask(name: str, residual: Callable[..., Any], offset: np.ndarray, see
         raise BrokenContract(f"{name}.residual counts {nis_dof:g} numbers where {seen.sum()} channels were seen")
     if not seen.any() and (nis_dof != 0 or log_scale != 0):
         raise BrokenContract(
-            f"{name}.residual with no channel seen has nis_dof {nis_dof:g} and log_scale {log_scale:.4g}, expected 0 and 0"
+            f"{name}.residual with no channel seen has nis_dof {nis_dof:g} and log_scale {log_scale:.4g}, "
+            "expected 0 and 0"
         )
     other = residual(np.where(seen, offset, offset + 3.0), seen)
     if not (np.array_equal(whitened, other[0]) and (log_scale, nis_dof) == other[1:]):

@@ -1,4 +1,4 @@
-"""Batches in chunks of one shape, so that a trajectory's numbers never depend on what it is batched with."""
+"""Batches in chunks of one shape, so that the numbers of a trajectory do not depend on the others in its batch."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from trackers.core.recording import Batch
 Tree = TypeVar("Tree")
 
 CHUNK = 512
-"""Trajectories per chunk: large enough to amortise a step's overhead, small enough for the cache."""
+"""Trajectories per chunk: enough to amortise the overhead of a step, few enough for the cache."""
 
 
 def as_dtype(tree: Tree, dtype: Any) -> Tree:
-    """The tree with its floating numbers as arrays of the run's type, so that other numbers compile nothing anew."""
+    """The tree with its floats as arrays of `dtype`, so that other values reuse the compiled program."""
 
     def cast(x: Any) -> Any:
         floating = isinstance(x, (float, np.floating)) or (
@@ -34,34 +34,34 @@ def as_dtype(tree: Tree, dtype: Any) -> Tree:
 
 
 def chunks(batch: Batch, chunk: int) -> Iterator[Batch]:
-    """The batch in parts of `chunk` trajectories, by turns on all devices of the host; under `jax.default_device` on that one.
+    """The batch in parts of `chunk` trajectories, by turns on the host's devices, or all on `jax.default_device`.
 
-    No part is spread over devices: XLA fuses the program of several otherwise, which moves last bits.
+    No part is sharded: XLA fuses the program for several devices differently, which changes last bits.
     """
     only = jax.config.jax_default_device  # type: ignore[attr-defined]
     devices = jax.local_devices() if only is None else [only]
-    # A small batch gets a small chunk, a power of two so that few shapes are ever compiled.
+    # A small batch gets a small chunk, a power of two so that few shapes are compiled.
     chunk = min(chunk, 1 << (batch.size - 1).bit_length())
     for k, start in enumerate(range(0, batch.size, chunk)):
         yield jax.device_put(batch.columns(start, start + chunk), devices[k % len(devices)])
 
 
 def n_workers() -> int:
-    """How many parts the host runs at once: one per device, and on CPUs one per core."""
+    """The number of chunks that run in parallel: one per device, on CPUs one per core."""
     devices = len(jax.local_devices())
-    # Not every system can say which cores are ours.
+    # The cores available to this process, where the system reports them.
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return max(devices, cores) if jax.default_backend() == "cpu" else devices
 
 
 def run_chunks(function: Callable[[Any, Batch], Tree], pairs: Sequence[tuple[Any, Batch]]) -> list[Tree]:
-    """`function(model, part)` for pairs of a model and a part that `chunks` made, as NumPy arrays, in their order."""
+    """`function(model, part)` for each pair, `part` from `chunks`; results as NumPy arrays, in order."""
     double = bool(jax.config.jax_enable_x64)  # type: ignore[attr-defined]
 
     def run(pair: tuple[Any, Batch]) -> Tree:
-        # A thread has settings of its own.
+        # The x64 setting is local to a thread.
         with jax.enable_x64(double):
-            return jax.tree_util.tree_map(np.asarray, _begun(function, *pair))
+            return jax.tree_util.tree_map(np.asarray, _dispatched(function, *pair))
 
     if len(pairs) == 1:
         return [run(pairs[0])]
@@ -75,17 +75,17 @@ def run_chunks(function: Callable[[Any, Batch], Tree], pairs: Sequence[tuple[Any
 
 @eqx.filter_jit
 def jitted(function: Callable[[Any, Batch], Tree], model: Any, part: Batch) -> Tree:
-    """What `run_chunks` compiles, once per function, kind of model, shape of the part and device."""
+    """`function(model, part)`, compiled once per function, tree structure, shapes and device."""
     return function(model, part)
 
 
 _compiling: dict[Hashable, Lock] = {}
 _compiled: set[Hashable] = set()
-"""Programs by what makes jax compile one: those that a thread is at work on, and those that are there."""
+"""Programs by their compilation key: locks of those being compiled, and those that are compiled."""
 
 
-def _begun(function: Callable[[Any, Batch], Tree], model: Any, part: Batch) -> Tree:
-    """The result of `jitted`, on its way; of threads that are the first to need a program one alone compiles it."""
+def _dispatched(function: Callable[[Any, Batch], Tree], model: Any, part: Batch) -> Tree:
+    """The result of `jitted`, dispatched; if several threads need a new program, one of them compiles it."""
     leaves, kind = jax.tree_util.tree_flatten((model, part))
     shapes = tuple((np.shape(x), x.dtype) if eqx.is_array(x) else x for x in leaves)
     program = function, kind, shapes, part.dt.device

@@ -37,7 +37,7 @@ def posterior_bound(tracker: Tracker, batch: Batch, states: Any) -> np.ndarray:
 
 @eqx.filter_jit
 def _terms(tracker: Tracker, batch: Batch, states: Any) -> tuple[Any, ...]:
-    """The start's covariance (n, n), and per row F, Q and the measurements' information (T, n, n), means over the batch."""
+    """The start's covariance (n, n), and per row the batch means of F, Q and the information (T, n, n)."""
     tracker = freeze(tracker)
     rows = Row(batch.dt, batch.valid, batch.readings, batch.inputs, None, None)
 

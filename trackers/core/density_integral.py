@@ -24,7 +24,7 @@ def integral(
     """∫ density over the free channels, the others fixed at the prediction, and the probability lost by wrapping.
 
     Trapezoidal rule in s with u = sinh s the whitened reading: exponentially accurate for the normal density, and far
-    into the tails of Student's t. `jacobian`: ∂whitened/∂reading over the free channels. `dof`: of Student's t, or None.
+    into the tails of Student's t (`dof`). `jacobian`: ∂whitened/∂reading over the free channels.
     """
     k = len(free)
     rows = jacobian[np.any(jacobian != 0, axis=1)]

@@ -48,7 +48,7 @@ class Gaussian(NamedTuple):
 
 
 class Innovation(NamedTuple):
-    """Statistics of one reading: log-likelihood, normalised innovation squared, its degrees of freedom, ambiguous wraps."""
+    """Statistics of one reading: log-likelihood, NIS and its degrees of freedom, number of ambiguous wraps."""
 
     log_likelihood: Scalar
     nis: Scalar

@@ -1,12 +1,12 @@
-"""What a user meets when something he brought cannot be used."""
+"""The error for unusable input."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 
 
-class UnusableInput(Exception):  # noqa: N818 - it names what is wrong for the person who reads it, not a fault of the program
-    """Input that can't be used, in one line: what, where, found, expected, usual fix."""
+class UnusableInput(Exception):  # noqa: N818 - a fault of the input, not of the program
+    """Unusable input, with a message of one line: what, where, found, expected, usual fix."""
 
     def __init__(self, message: str) -> None:
         printable = "".join(c if c.isprintable() or c.isspace() else "\N{REPLACEMENT CHARACTER}" for c in message)

@@ -1,4 +1,4 @@
-"""Estimates: what every tracker returns, on the host, ready for metrics, reports and the next tracker."""
+"""Estimates: the result of a tracker's run, as NumPy arrays for metrics, reports and the next tracker."""
 
 from __future__ import annotations
 
@@ -15,7 +15,12 @@ from trackers.core.state import component_names
 
 
 class Status(IntEnum):
-    """What a row of a trajectory is."""
+    """The status of an estimate.
+
+    OK: a track is running. WAITING: no track yet. RESTARTED: a new track starts here after a loss. LOST: the track is
+    lost and none has started since; the estimate is its last one. NON_FINITE: numerical failure. PADDING: beyond the
+    end of the recording.
+    """
 
     OK = 0
     WAITING = 1
@@ -41,12 +46,12 @@ STEP_COLUMNS = ("nis", "nis_dof", "log_likelihood")
 
 @dataclass(frozen=True, repr=False)
 class Estimates:
-    """A tracker's output for one recording (arrays start with T) or a batch (with B, T).
+    """The estimates of one recording (arrays start with T) or of several (with B, T).
 
     `mean`: the state, one array per named component. `cov_upper`: (n(n+1)/2, …, T), the covariance of the small step
-    about the mean, upper triangle row by row. `log_likelihood`, `nis`, `nis_dof` (degrees of freedom of the NIS),
-    `wrapped` (readings whose wrapping was ambiguous): per row, summed over sensors. `status`: `Status` codes.
-    `times`: (T,) or (B, T) s, NaN in padding, None after a run of a `Batch`. `names`: of the recordings.
+    about the mean, upper triangle row by row. `log_likelihood`, `nis`, `nis_dof` (its degrees of freedom), `wrapped`
+    (number of ambiguous angle wraps): per row, summed over sensors. `status`: `Status` codes. `times`: (T,) or (B, T)
+    s, NaN in padding, None after a run of a `Batch`. `names`: of the recordings.
     """
 
     mean: Any
@@ -81,7 +86,7 @@ class Estimates:
 
     @property
     def usable(self) -> np.ndarray:
-        """Where there is an estimate: rows that are neither padding, waiting nor non-finite."""
+        """Rows with an estimate: neither padding, waiting nor non-finite."""
         return ~np.isin(self.status, (Status.PADDING, Status.WAITING, Status.NON_FINITE))
 
     def __getitem__(self, trajectory: Any) -> Estimates:
@@ -124,8 +129,8 @@ class Estimates:
     def to_polars(self) -> pl.DataFrame:
         """A table with one row per estimate: recording, `t_s`, the state, its standard deviations, NIS and status.
 
-        A position becomes `x_m`, `y_m`, `z_m` with `std_…_m` and `cov_…_m2`, a velocity `vx_mps`, …; other components keep
-        their names. `t_s` is the row's own time. Empty where there is no estimate; rows of padding are left out.
+        A position becomes `x_m`, `y_m`, `z_m` with `std_…_m` and `cov_…_m2`, a velocity `vx_mps`, …; other components
+        keep their names. `t_s` is the row's own time. Empty where there is no estimate; rows of padding are left out.
         `.to_pandas()` of the table gives a pandas frame. Raises ValueError where the run was of a bare `Batch`,
         which has no times.
         """

@@ -1,4 +1,4 @@
-"""Jacobians of small functions as sparse rows of scalars, by pushing unit columns through one linearised trace."""
+"""Jacobians of small functions as sparse rows of scalars, by forward mode through one linearised trace."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ def linearise(
 ) -> tuple[list[Scalar], list[SparseRow]]:
     """The value of `function(*point)` and its Jacobian, one sparse row per output.
 
-    `function` takes and returns scalars. It is traced once; every column of the Jacobian is then read off the
-    linear program that `jax.linearize` leaves, where a zero that follows from the program's structure is never
-    computed: a constant-velocity step of four components costs two products, not sixteen.
+    `function` takes and returns scalars and is traced once. Each column of the Jacobian is then read off the linear
+    program of `jax.linearize`, without computing structural zeros: a constant-velocity step of four components costs
+    two products, not sixteen.
     """
     point = [jnp.asarray(x) for x in point]
     value, tangent_map = jax.linearize(lambda *x: list(function(*x)), *point)
@@ -36,7 +36,7 @@ def linearise(
 def _push(jaxpr: Any, consts: Sequence[Any], inputs: Sequence[Any], fixed: Sequence[bool] = ()) -> list[Any]:
     """Evaluate a linear program; None is a structural zero, a Python float a known constant.
 
-    `fixed` marks the inputs that carry numbers of the linearisation point, not tangents (nested programs have some).
+    `fixed`: inputs that are values at the linearisation point, not tangents (nested programs have some).
     """
     env: dict[Any, Any] = dict(zip(jaxpr.constvars, consts, strict=True)) | dict(zip(jaxpr.invars, inputs, strict=True))
     fixed = fixed or [False] * len(jaxpr.invars)

@@ -1,7 +1,7 @@
-"""Motions: how a state moves in an interval `dt`, driven by unit white noise.
+"""Motions: process models, the change of a state over an interval `dt`, driven by unit white noise.
 
-A motion is one function, `step`; Jacobians, particles and simulation all come from it, so no separate F and Q can
-disagree. Its law: `dt = 0` leaves the state as it is, whatever the noise.
+A motion is one function, `step`; Jacobians, particles and simulation are derived from it, so that F and Q cannot
+disagree. Contract: for `dt = 0` the state is unchanged, whatever the noise.
 """
 
 from __future__ import annotations
@@ -22,43 +22,43 @@ Noise = AbstractTunable | Constant
 
 
 class AbstractMotion(eqx.Module):
-    """How a state moves. `noise_dimension` numbers of unit white noise drive one step."""
+    """A process model, driven by `noise_dimension` numbers of unit white noise per step."""
 
     @property
     @abstractmethod
     def noise_dimension(self) -> int:
-        """The number of independent unit normal numbers that one step takes."""
+        """The number of independent standard normal numbers per step."""
 
     @abstractmethod
     def step(self, state: State, inputs: Any, dt: Scalar, w: Vector) -> State:
-        """The state `dt` seconds later under the known inputs and the noise draw `w`."""
+        """The state `dt` s later, given the known inputs and the noise draw `w`."""
 
     @property
     def stages(self) -> tuple[Callable[[State, Any, Scalar, Vector], State], ...]:
-        """What `step` does one after another, each as sparse as can be; a filter carries its covariance over each."""
+        """`step` as a composition of functions with sparse Jacobians; covariances are predicted stage by stage."""
         return (self.step,)
 
     def log_density(self, state: State, inputs: Any, dt: Scalar, w: Vector) -> Scalar:
-        """The log density of what was drawn in a step by `w`, in physical units and up to what no tunable changes.
+        """The log density of the noise draw of one step, in physical units, up to terms without tunables.
 
-        Differentiated for the score of a particle filter, with the draw held fixed, never the state that it led to: at
-        a speed cut off at zero that has no density. Noise of the scale s drew s·w, of density `scaled(w, s)`.
-        Raises ValueError where the motion does not say; only tuning of a particle filter asks.
+        It is differentiated for the score of a particle filter with the draw held fixed, not the next state, which has
+        no density at a speed clipped at zero. A draw s·w of scale s has the density `draw_log_density(w, s)`. Only
+        tuning of a particle filter needs it; raises ValueError for a motion without it.
         """
         raise ValueError(
-            f"the motion {type(self).__name__} has no log_density: how its tunables enter the density of its noise is "
-            "unknown, so that particles have no derivative by them; tune with an ExtendedKalman, or give it one"
+            f"the motion {type(self).__name__} has no log_density, which a particle filter needs for derivatives with "
+            "respect to the motion's tunables; tune with an ExtendedKalman, or define it"
         )
 
     @abstractmethod
     def view(self, state: State) -> Any:
-        """What sensors and reports may read of the state, by field name (`position`, `azimuth`, …)."""
+        """The quantities of the state that sensors and outputs use, by field name (`position`, `azimuth`, …)."""
 
 
-def scaled(w: Scalar, scale: Scalar) -> Scalar:
-    """The log density of a normal number of standard deviation `scale` at `scale`·w, the number itself held fixed.
+def draw_log_density(w: Scalar, scale: Scalar) -> Scalar:
+    """The log density of a normal draw of standard deviation `scale` at `scale`·w, the value of the draw held fixed.
 
-    Up to a constant: factors of the scale that nothing tunes may be left out.
+    Up to a constant: factors of the scale that are no tunables may be omitted.
     """
     unit = w * (jax.lax.stop_gradient(scale) / scale)
     return -jnp.log(scale) - 0.5 * unit * unit
@@ -110,14 +110,14 @@ class ConstantVelocity(AbstractMotion):
         return Kinematic(position, state.velocity + along * kick)
 
     def log_density(self, state: Kinematic, inputs: Any, dt: Scalar, w: Vector) -> Scalar:
-        return total(scaled(x, self.sigma_a.value) for x in w)
+        return total(draw_log_density(x, self.sigma_a.value) for x in w)
 
     def view(self, state: Kinematic) -> Kinematic:
         return state
 
 
 class ConstantPosition(AbstractMotion):
-    """A place that drifts as a random walk; `sigma_v`: m per √s."""
+    """A position that drifts as a random walk; `sigma_v`: m per √s."""
 
     sigma_v: Noise
     dimensions: int = eqx.field(static=True)
@@ -134,7 +134,7 @@ class ConstantPosition(AbstractMotion):
         return Placed(state.position + w * (self.sigma_v.value * jnp.sqrt(dt)))
 
     def log_density(self, state: Placed, inputs: Any, dt: Scalar, w: Vector) -> Scalar:
-        return total(scaled(x, self.sigma_v.value) for x in w)
+        return total(draw_log_density(x, self.sigma_v.value) for x in w)
 
     def view(self, state: Placed) -> Placed:
         return state
@@ -166,8 +166,8 @@ class GroundMotion(AbstractMotion):
         return Kinematic(Vector(*moved.position, *heights), moved.velocity)
 
     def log_density(self, state: Kinematic, inputs: Any, dt: Scalar, w: Vector) -> Scalar:
-        across = total(scaled(x, self.sigma_a.value) for x in w.parts[:4])
-        return across + scaled(w[4], self.sigma_z.value) if len(state.position) == 3 else across
+        across = total(draw_log_density(x, self.sigma_a.value) for x in w.parts[:4])
+        return across + draw_log_density(w[4], self.sigma_z.value) if len(state.position) == 3 else across
 
     def view(self, state: Kinematic) -> Kinematic:
         return state

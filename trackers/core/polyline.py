@@ -1,4 +1,4 @@
-"""A known path on the floor: straight segments between knots, by the length travelled along it."""
+"""A known path on the floor: a polyline, parametrised by arclength."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from trackers.core.algebra import Scalar, Vector, total
 from trackers.core.state import wrap
 
 FEW = 16
-"""Segments up to which places are sums over the joins; on a path of more its segment is looked up."""
+"""Up to so many segments a position is a sum over the joins; with more, its segment is looked up."""
 
 LOOK_UP = "scan_unrolled"
-"""Halving without a loop, which an accelerator and a batch of particles both like."""
+"""Binary search, unrolled: fast on accelerators and for batches of particles."""
 
 
 class Polyline(eqx.Module):
-    """The path through `knots` (k, 2) m, by arclength d in m from its first knot; beyond its ends it stays there.
+    """The path through `knots` (k, 2) m, by arclength d in m from its first knot, clipped at its ends.
 
-    A path whose last knot is its first is closed, and goes on round and round: d and d + length are the same place.
-    Places on few segments are sums over the joins sₖ, so that thousands of particles need no look-up: x(d) = x₀ +
-    u₀·d + Σ (uₖ − uₖ₋₁)·max(d − sₖ, 0) with d cut off at the ends, which is (2.5) of the thesis for its five segments.
-    Raises ValueError for a knot that is not finite or repeats the one before.
+    A path whose last knot equals its first is closed: d and d + length are the same position. With few segments a
+    position is a sum over the joins sₖ, so that thousands of particles need no look-up: x(d) = x₀ + u₀·d +
+    Σ (uₖ − uₖ₋₁)·max(d − sₖ, 0), which is (2.5) of the thesis for its five segments. Raises ValueError for a knot that
+    is not finite or repeats the previous one.
     """
 
     knots: Any
@@ -54,11 +54,11 @@ class Polyline(eqx.Module):
 
     @property
     def joins(self) -> Any:
-        """The arclengths at which two segments meet, m, in their order; of a closed path its end is one too."""
+        """The arclengths at which two segments meet, m, in order, including the end of a closed path."""
         return jnp.append(self.starts[1:], self.length) if self.closed else self.starts[1:]
 
     def next_join(self, arclength: Any) -> Any:
-        """The first join beyond these arclengths on the path, m; infinite where there is none."""
+        """The first join beyond these arclengths, m; infinite where there is none."""
         joins = self.joins
         if len(joins) > FEW:
             return jnp.append(joins, jnp.inf)[jnp.searchsorted(joins, arclength, side="right", method=LOOK_UP)]
@@ -68,15 +68,15 @@ class Polyline(eqx.Module):
         return ahead
 
     def on_path(self, arclength: Scalar) -> Scalar:
-        """The arclength brought to 0 … `length`: cut off at the ends, or less whole rounds of a closed path."""
+        """The arclength within 0 … `length`: clipped, or modulo the length of a closed path."""
         return jnp.clip(self.unwound(arclength), 0.0, self.length)
 
     def unwound(self, arclength: Scalar) -> Scalar:
-        """The arclength, less the whole rounds of a closed path that are in it."""
+        """The arclength modulo the length of a closed path; unchanged for an open one."""
         return arclength - self.length * jnp.floor(arclength / self.length) if self.closed else arclength
 
     def gathered(self, arclength: Any, weights: Any) -> Any:
-        """Arclengths (N,) that may be averaged: of a closed path within half a round of their mean on the circle."""
+        """Arclengths (N,) that can be averaged: unwrapped about their circular mean if the path is closed."""
         if not self.closed:
             return arclength
         angle = arclength * (2.0 * jnp.pi / self.length)
@@ -84,7 +84,7 @@ class Polyline(eqx.Module):
         return (mean + wrap(angle - mean)) * (self.length / (2.0 * jnp.pi))
 
     def position(self, arclength: Scalar) -> Vector:
-        """The place at this arclength, m."""
+        """The position at this arclength, m."""
         along = self.on_path(arclength)
         if len(self.starts) > FEW:
             k = self._segment(along)
@@ -93,7 +93,7 @@ class Polyline(eqx.Module):
             return Vector.of(corner[..., a] + ahead[..., a] * beyond for a in (0, 1))
         joins, (x0, _), (_, y1) = self.starts[1:], self.knots[0], self.knots[-1]
         turns = [b - a for a, b in zip(self.directions[:-1], self.directions[1:], strict=True)]
-        # y from the far end: terms that both sums share would go through memory, one array of particles each.
+        # y from the far end: terms shared by both sums would go through memory, one array of particles each.
         x = x0 + self.directions[0][0] * along
         y = y1 - self.directions[-1][1] * (self.length - along)
         for turn, s in zip(turns, joins, strict=True):
@@ -101,7 +101,7 @@ class Polyline(eqx.Module):
         return Vector(x, y)
 
     def direction(self, arclength: Scalar) -> Vector:
-        """The unit vector of the segment at this arclength; at a join that of the segment which begins there."""
+        """The unit vector of the segment at this arclength; at a join, of the segment that begins there."""
         along = self.on_path(arclength)
         if len(self.starts) > FEW:
             directions = jnp.asarray(self.directions)[self._segment(along)]
@@ -115,13 +115,13 @@ class Polyline(eqx.Module):
     def _segment(self, along: Any) -> Any:
         return jnp.searchsorted(self.starts[1:], along, side="right", method=LOOK_UP)
 
-    def nearest(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The arclengths of the points of the path nearest to `places` (..., 2), and their distances, m; NumPy."""
+    def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The arclengths of the projections of `points` (..., 2) onto the path, and their distances, m; NumPy."""
         knots, directions = np.asarray(self.knots, float), np.asarray(self.directions, float)
         starts, lengths = np.asarray(self.starts, float), np.asarray(self.lengths, float)
-        apart = np.asarray(places, float)[..., None, :] - knots[:-1]
-        along = np.clip((apart * directions).sum(axis=-1), 0.0, lengths)
-        distance = np.sqrt(((apart - along[..., None] * directions) ** 2).sum(axis=-1))
+        offset = np.asarray(points, float)[..., None, :] - knots[:-1]
+        along = np.clip((offset * directions).sum(axis=-1), 0.0, lengths)
+        distance = np.sqrt(((offset - along[..., None] * directions) ** 2).sum(axis=-1))
         best = np.argmin(distance, axis=-1)[..., None]
         arclength = np.take_along_axis(starts + along, best, -1)[..., 0]
         return arclength, np.take_along_axis(distance, best, -1)[..., 0]

@@ -1,7 +1,7 @@
-"""Recordings: rows of readings in time order, one trajectory each, and batches of them.
+"""Recordings: the rows of one trajectory in time order, and batches of them.
 
-A recording is checked once, on the host: times sorted, every number finite, missing marked by a mask and never by
-NaN. A batch stands batch-last, so that inside a filter step each number is one contiguous vector over trajectories.
+A recording is checked once, on the host: sorted times, finite numbers, missing values marked by a mask, never by NaN.
+Batches are batch-last, so that inside a filter step each number is one contiguous vector over trajectories.
 """
 
 from __future__ import annotations
@@ -101,9 +101,8 @@ class Recording:
 class Batch(NamedTuple):
     """Recordings stacked batch-last: `dt` (T, B) s, `valid` (T, B), readings (T, m, B), inputs and truth likewise.
 
-    `key` (2, B): the random key of each trajectory, from its name and never from its place in the batch.
-
-    Rows beyond a recording's end are not valid: whatever stands there, the belief stays as it is to the bit.
+    `key` (2, B): random key of each trajectory, from its name, independent of its column. Rows beyond a recording's end
+    are not valid (padding): the belief passes them bit-identical.
     """
 
     dt: Any
@@ -119,11 +118,11 @@ class Batch(NamedTuple):
         return int(self.dt.shape[-1])
 
     def rows(self, part: slice) -> Batch:
-        """Some of the rows of all trajectories."""
+        """A slice of the time steps of all trajectories."""
         return jax.tree_util.tree_map(lambda x: x[part], self)._replace(key=self.key)
 
     def columns(self, start: int, stop: int) -> Batch:
-        """The trajectories start … stop − 1, filled up with invalid ones where the batch ends before."""
+        """The trajectories start … stop − 1, padded with invalid ones beyond the end of the batch."""
 
         def cut(x: Any) -> Any:
             part = np.asarray(x[..., start:stop])
@@ -148,7 +147,7 @@ class Row(NamedTuple):
 
 
 def stack(recordings: Sequence[Recording], rows: int | None = None, dtype: Any = None) -> Batch:
-    """The recordings as one batch, padded to `rows` (default: the longest), floats in `dtype` (default: jax's own).
+    """The recordings as one batch, padded to `rows` (default: the longest), floats in `dtype` (default: jax's).
 
     All recordings name the same sensors, inputs and truths; `dt` is computed here, in float64.
     """

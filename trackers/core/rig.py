@@ -42,7 +42,7 @@ class Station:
         return np.stack([np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))], axis=-1)
 
     def antenna_positions(self) -> np.ndarray:
-        """The antennas' places (n, 3), m, world frame; raises ValueError for a station without an array."""
+        """The antenna positions (n, 3), m, world frame; raises ValueError for a station without an array."""
         if self.antennas is None:
             raise ValueError("this station has no antennas_m: it reports angles, not phases")
         flat = np.concatenate([self.antennas, np.zeros((len(self.antennas), 1))], axis=1)
@@ -51,7 +51,7 @@ class Station:
 
 @dataclass(frozen=True)
 class Tag:
-    """What is known of a tag: a constant `height` (m), and where it sits on its body (`offset`, (3,) m, body axes)."""
+    """A tag: its constant `height`, m, if known, and its position on the body (`offset`, (3,) m, body axes)."""
 
     height: float | None = None
     offset: np.ndarray | None = None
@@ -59,10 +59,10 @@ class Tag:
 
 @dataclass(frozen=True)
 class Rig:
-    """Everything that stays in place during a recording.
+    """The fixed geometry of an installation.
 
     `path_knots`: (k, 2) m, corners of a known path on the floor. `walls`: (n, 4) m, x1, y1, x2, y2 of each; `outline`:
-    (m, 2) m, corners of the floor that holds the tags. `about`, `licence`, `source`: words for people.
+    (m, 2) m, corners of the floor that holds the tags. `about`, `licence`, `source`: free text.
     """
 
     name: str

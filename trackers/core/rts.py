@@ -129,7 +129,7 @@ def _width(rows: Sequence[SparseRow]) -> int:
 
 
 def _product(A: Any, B: Any) -> Any:
-    """AB as a sum of outer products: XLA vectorises these over trajectories, but multiplies small matrices one by one."""
+    """AB as a sum of outer products: XLA vectorises these over trajectories, unlike products of small matrices."""
     terms = [jnp.outer(A[:, k], B[k]) for k in range(A.shape[1])]
     return total(terms) if terms else jnp.zeros((A.shape[0], B.shape[1]), A.dtype)
 

@@ -35,7 +35,7 @@ class StepInfo(NamedTuple):
 
 
 class Carry(NamedTuple):
-    """The state of the scan between two time steps: belief, track status, running mean of NIS/dof, seconds since data."""
+    """The carry between two time steps: belief, track status, running mean of NIS/dof, s since the last measurement."""
 
     belief: Any
     running: Scalar

@@ -1,4 +1,4 @@
-"""One of two trees of numbers, trajectory by trajectory, and without a pass over them where all trajectories agree."""
+"""Selection between two trees of arrays, per trajectory, without a copy where all trajectories agree."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from trackers.core.algebra import Scalar
 
 
 def select(condition: Scalar, yes: Any, no: Any) -> Any:
-    """One of two trees of numbers."""
+    """The tree `yes` where the condition holds, else `no`."""
     return jax.tree_util.tree_map(lambda a, b: jnp.where(condition, a, b), yes, no)
 
 
 @custom_vmap
 def where_mostly(condition: Scalar, yes: Any, no: Any) -> Any:
-    """`select` for large trees and a condition that usually holds in all trajectories: then nothing is copied."""
+    """`select` for large trees and a condition that usually holds in all trajectories: nothing is copied then."""
     return select(condition, yes, no)
 
 

@@ -1,7 +1,7 @@
-"""Sensors: what a reading should be, given the state, and how far it is from that in units of its own noise.
+"""Sensors: measurement models with their noise, as a prediction and a whitened residual.
 
-Masks, wraps, reported covariances and singular noise live here; a filter sees whitened residuals only. A sensor
-draws no noise: what the world does (`sim`) and what a tracker assumes are different objects.
+Masks, angle wrapping, reported covariances and singular noise are handled here; filters use whitened residuals alone. A
+sensor draws no noise: simulated worlds (`sim`) and the models of trackers are different objects.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ class Channel(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """One row of one sensor: values, which of them were seen, and what the device reported of their noise.
+    """One row of one sensor: values, their mask, and the noise that the device reported (empty for most sensors).
 
-    All three are sequences of scalars; `reported` is empty for most sensors. Values are finite where not seen too.
+    All three are sequences of scalars. Masked values are finite.
     """
 
     values: Any
@@ -39,11 +39,12 @@ class Reading(NamedTuple):
 
 
 class Residual(NamedTuple):
-    """A reading's distance from the prediction: log density of the reading = log_scale − ½ Σ whitened².
+    """A whitened residual: the log density of the reading is log_scale − ½ Σ whitened².
 
-    With Student's t noise of `dof` ν it is log_scale − ½ (ν + 1) Σ log(1 + whitened²/ν): log_scale is the log density at no distance.
+    For Student's t of `dof` ν it is log_scale − ½ (ν + 1) Σ log(1 + whitened²/ν). `log_scale`: the log density at zero
+    residual.
 
-    `whitened`: unit covariance, zero where a channel was not seen. `nis_dof`: its rank.
+    `whitened`: unit covariance, zero for masked channels. `nis_dof`: its rank.
     `wrapped`: whether the sign of an angle's residual is ambiguous (near half a turn). `dof`: degrees of freedom ν of
     Student's t, the same for each channel; None for normal noise.
     """
@@ -65,20 +66,20 @@ class AbstractSensor(eqx.Module):
 
     @abstractmethod
     def measure(self, view: Any, inputs: Any) -> Sequence[Scalar]:
-        """The noise-free reading, one scalar per channel, of what `motion.view` shows of a state."""
+        """The noise-free reading, one scalar per channel, of a `motion.view` of a state."""
 
     @abstractmethod
     def residual(self, reading: Reading, predicted: Sequence[Scalar]) -> Residual:
-        """The whitened distance between a reading and a prediction, with the scale of its density."""
+        """The whitened residual of a reading from a prediction, with the log of its density's scale."""
 
 
-def placed(position: Vector, inputs: Any) -> Vector:
-    """A position in space: a planar one gets the known height from `inputs["height"]`, m."""
+def position_in_space(position: Vector, inputs: Any) -> Vector:
+    """The position in three dimensions; a planar one is completed by the known height `inputs["height"]`, m."""
     return position if len(position) == 3 else Vector(*position, inputs["height"])
 
 
-def log_peak(dof: Scalar) -> Scalar:
-    """The log density of Student's t at zero with unit scale: what stands in a log_scale for −½ log 2π."""
+def student_t_log_peak(dof: Scalar) -> Scalar:
+    """The log density of Student's t of unit scale at zero; it replaces −½ log 2π in a log_scale."""
     return gammaln(0.5 * (dof + 1.0)) - gammaln(0.5 * dof) - 0.5 * jnp.log(jnp.pi * dof)
 
 

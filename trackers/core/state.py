@@ -1,8 +1,8 @@
 """States as pytrees with named fields, and the flat list of tangent components in which filters work.
 
-A flat leaf (a number, or a one-dimensional array) is its own tangent. A curved leaf (`Heading`, `Rotation`) knows
-`retract` (state + small step) and `local` (the small step between two states), so an error-state filter is the
-ordinary one on a state that has such a leaf.
+A flat leaf (a number, or a one-dimensional array) is its own tangent. A curved leaf (`Heading`, `Rotation`) has
+`retract` (state + small step) and `local` (small step between two states), so that the EKF on a state with such a leaf
+is an error-state Kalman filter.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ State = Any
 
 
 class AbstractCurved(eqx.Module):
-    """A leaf of a state that isn't a vector space: it has its own small steps."""
+    """A leaf of a state on a manifold, with small steps in its tangent space."""
 
     @property
     @abstractmethod
@@ -31,7 +31,7 @@ class AbstractCurved(eqx.Module):
 
     @abstractmethod
     def retract(self, step: Sequence[Scalar]) -> AbstractCurved:
-        """The element reached from this one by a small step; a zero step gives this one back to the bit."""
+        """The element reached from this one by a small step; a zero step returns this one bit-identical."""
 
     @abstractmethod
     def local(self, other: Any) -> tuple[Scalar, ...]:
@@ -181,7 +181,7 @@ def retract(state: State, step: Sequence[Scalar]) -> State:
 
 
 def local(origin: State, other: State) -> list[Scalar]:
-    """The small step that leads from `origin` to `other`, component by component: other − origin where flat."""
+    """The small step from `origin` to `other`, component by component: other − origin for flat leaves."""
     steps: list[Scalar] = []
     for a, b in zip(_leaves(origin)[0], _leaves(other)[0], strict=True):
         if isinstance(a, AbstractCurved):
@@ -194,9 +194,9 @@ def local(origin: State, other: State) -> list[Scalar]:
 
 
 def local_after(origin: State, before: State, values: Sequence[Scalar], after: State) -> list[Scalar]:
-    """`local(origin, after)`, where `before` was made of the coordinates `values` about `origin`.
+    """`local(origin, after)`, where `before` was built from the coordinates `values` about `origin`.
 
-    A curved leaf that `after` has from `before` as it is gives its coordinates back, which a derivative then sees.
+    A curved leaf that passed from `before` to `after` unchanged returns its coordinates, so that its Jacobian is exact.
     """
     steps, leaves = local(origin, after), _leaves(before)[0]
     start = 0
@@ -209,10 +209,10 @@ def local_after(origin: State, before: State, values: Sequence[Scalar], after: S
 
 
 def coordinates(state: State) -> tuple[list[Scalar], Any]:
-    """Coordinates around `state` and the function that turns such coordinates back into a state.
+    """Coordinates of the state and the function that rebuilds a state from such coordinates.
 
-    Flat leaves are their own coordinates, a curved leaf contributes zeros (a small step away from itself); so no
-    sum with zero stands in the traced program of a flat state.
+    A flat leaf is its own coordinates; a curved leaf has zeros, the small step from itself. So the traced program of a
+    flat state has no sums with zero.
     """
     leaves, structure = _leaves(state)
     point: list[Scalar] = []

@@ -118,7 +118,7 @@ class Tracker(AbstractTracker):
         return scan_rows(freeze(self), batch, score)[0]
 
     def step(self, carry: Carry, row: Row) -> tuple[Carry, StepInfo]:
-        """One time step of one trajectory: predict, update, track status. `scan.reinitialise` then starts lost tracks."""
+        """One time step of one trajectory: predict, update, track status; `scan.reinitialise` then starts tracks."""
         belief = self.filter.predict(carry.belief, self.motion, row.inputs, row.dt)
         innovations = []
         for name, sensor in self.sensors.items():

@@ -1,6 +1,6 @@
-"""Tunable numbers: one physical value each, stored unconstrained, found by walking the tree.
+"""Tunables: parameters of a tracker, each with one physical value, stored unconstrained and found by name in the tree.
 
-*What* is tuned is an argument of `tuning.fit`, by name pattern; nothing here is switched on or off.
+`tuning.fit` takes the names or patterns of those to tune; nothing is switched on or off here.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ RENAMED = {
 
 
 class AbstractTunable(eqx.Module):
-    """A number (or array of numbers) of a tracker that can be tuned; `raw` is unconstrained, `value` physical."""
+    """A tunable number or array: `raw` is unconstrained, `value` physical."""
 
     raw: eqx.AbstractVar[Any]
     unit: eqx.AbstractVar[str]
@@ -148,7 +148,7 @@ class Covariance(AbstractTunable):
 
 
 class Constant(eqx.Module):
-    """What a tunable becomes for a run: its value, computed once and not at every step."""
+    """The value of a tunable, frozen for a run so that it is not recomputed at each step."""
 
     value: Any
 
@@ -172,7 +172,7 @@ def tunables(tree: Any) -> dict[str, AbstractTunable]:
 def matching(tree: Any, patterns: str | Sequence[str]) -> dict[str, AbstractTunable]:
     """The tunables whose names match one of the shell patterns (`sensors.*.sigma_p`).
 
-    Raises ValueError when a pattern matches none, listing what there is.
+    Raises ValueError, listing the tunables, for a pattern that matches none.
     """
     patterns = [patterns] if isinstance(patterns, str) else list(patterns)
     every = tunables(tree)
@@ -185,7 +185,7 @@ def matching(tree: Any, patterns: str | Sequence[str]) -> dict[str, AbstractTuna
 
 
 def replaced(tree: Tree, new: Mapping[str, AbstractTunable]) -> Tree:
-    """The tree with the named tunables exchanged; names as `tunables` gives them."""
+    """The tree with the named tunables replaced; names as in `tunables`."""
 
     def exchange(path: Any, node: Any) -> Any:
         return new.get(".".join(_name(k) for k in path), node) if is_tunable(node) else node

@@ -1,4 +1,4 @@
-"""Correlated channels made independent: the Cholesky factor of the covariance of those channels that were seen."""
+"""Whitening of correlated channels by the Cholesky factor of the covariance of the channels seen."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import jax.numpy as jnp
 from trackers.core.algebra import Scalar, total
 
 
-def whitened(
+def whiten(
     differences: Sequence[Scalar], covariance: Sequence[Sequence[Scalar]], seen: Sequence[Scalar]
 ) -> tuple[list[Scalar], list[Scalar]]:
-    """L⁻¹d with LLᵀ the covariance of the channels seen, zero where one wasn't, and the diagonal of L.
+    """L⁻¹d with LLᵀ the covariance of the channels seen, zero for masked channels, and the diagonal of L.
 
-    `covariance`: n rows, symmetric positive definite. The log determinant is twice the sum of the logarithms of the
+    `covariance`: n rows, symmetric positive definite. Its log determinant is twice the sum of the logarithms of the
     diagonal over the channels seen.
     """
     L: list[list[Scalar]] = []
@@ -22,8 +22,8 @@ def whitened(
     for i, (d, saw) in enumerate(zip(differences, seen, strict=True)):
         row: list[Scalar] = []
         for j in range(i):
-            rest = covariance[i][j] - total(row[k] * L[j][k] for k in range(j))
-            row.append(jnp.where(seen[j], rest / L[j][j], 0.0))
+            remainder = covariance[i][j] - total(row[k] * L[j][k] for k in range(j))
+            row.append(jnp.where(seen[j], remainder / L[j][j], 0.0))
         row.append(jnp.sqrt(covariance[i][i] - total(x * x for x in row)))
         L.append(row)
         result.append(jnp.where(saw, (d - total(x * w for x, w in zip(row, result, strict=False))) / row[i], 0.0))

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax.scipy.special import ndtri
 
 from trackers.core.algebra import Scalar, Vector
-from trackers.core.motion import AbstractMotion, Kinematic, Noise, scaled
+from trackers.core.motion import AbstractMotion, Kinematic, Noise, draw_log_density
 from trackers.core.particle.filter import AbstractOutputMap, second_moments, weighted_mean
 from trackers.core.polyline import Polyline
 from trackers.core.tunable import Fraction, Scale
@@ -55,7 +55,7 @@ class LineMotion(AbstractMotion):
         return PathState(self.line.on_path(there), jnp.maximum(state.speed + change, 0.0))
 
     def log_density(self, state: PathState, inputs: Any, dt: Scalar, w: Vector) -> Scalar:
-        return scaled(w[0], self.sigma_a.value)
+        return draw_log_density(w[0], self.sigma_a.value)
 
     def view(self, state: Any) -> Kinematic:
         return floor_state(self.line, state)
@@ -101,11 +101,11 @@ class HaltingMotion(AbstractMotion):
     def log_density(self, state: HaltingState, inputs: Any, dt: Scalar, w: Vector) -> Scalar:
         _, ahead = self._travelled(state, inputs, dt, w)
         resting, halts, leaves = self._choices(state, ahead, dt, w)
-        travels = scaled(w[0], self.sigma_a.value)
+        travels = draw_log_density(w[0], self.sigma_a.value)
         halting, rate = self.halting.value, 1.0 / self.rest.value
         passes = travels + jnp.where(jnp.isfinite(ahead), jnp.log1p(-halting), 0.0)
         chance = jnp.where(dt > 0, self.leaving(dt), 1.0)
-        departs = jnp.log(chance) + scaled(w[0], self.sigma_departure.value)
+        departs = jnp.log(chance) + draw_log_density(w[0], self.sigma_departure.value)
         rests = jnp.where(leaves, departs, -dt * rate)
         return jnp.where(resting, rests, jnp.where(halts, jnp.log(halting), passes))
 

@@ -22,12 +22,20 @@ from trackers.core.estimates import Estimates
 from trackers.core.motion import Accelerated, Kinematic, Noise
 from trackers.core.recording import Batch, Row
 from trackers.core.scan import Output, Score
-from trackers.core.sensor import LOG_2PI, AbstractSensor, Channel, Reading, Residual, log_peak, placed
+from trackers.core.sensor import (
+    LOG_2PI,
+    AbstractSensor,
+    Channel,
+    Reading,
+    Residual,
+    position_in_space,
+    student_t_log_peak,
+)
 from trackers.core.start import AbstractStart
 from trackers.core.track_loss import TrackLossPolicy
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import Covariance, Real, Scale
-from trackers.core.whitening import whitened
+from trackers.core.whitening import whiten
 
 FIXES = "fixes"
 
@@ -59,7 +67,7 @@ class AbstractFixSensor(AbstractSensor):
     def measure(self, view: Any, inputs: Any) -> list[Scalar]:
         lag = [-v * self.latency.value for v in view.velocity]
         # A planar motion has no vertical velocity: its height is taken as constant over the latency.
-        position = list(placed(view.position, inputs))
+        position = list(position_in_space(view.position, inputs))
         return [p + lag[k] if k < len(lag) else p for k, p in enumerate(position)]
 
     def residual(self, reading: Reading, predicted: Sequence[Scalar]) -> Residual:
@@ -68,9 +76,9 @@ class AbstractFixSensor(AbstractSensor):
         for k, variance in enumerate(reading.reported):
             noise[k][k] = noise[k][k] + variance * self.reported_std_scale.value**2
         differences = [z - p for z, p in zip(reading.values, predicted, strict=True)]
-        values, sigmas = whitened(differences, noise, list(reading.seen))
+        values, sigmas = whiten(differences, noise, list(reading.seen))
         dof = None if self.dof is None else self.dof.value
-        peak = -0.5 * LOG_2PI if dof is None else log_peak(dof)
+        peak = -0.5 * LOG_2PI if dof is None else student_t_log_peak(dof)
         seen = list(zip(reading.seen, sigmas, strict=True))
         log_scale = total(jnp.where(s, peak - jnp.log(sigma), 0.0) for s, sigma in seen)
         nis_dof = total(jnp.where(s, jnp.ones_like(sigma), 0.0) for s, sigma in seen)

@@ -15,7 +15,7 @@ import numpy as np
 
 from trackers.core.algebra import Scalar, Vector, total
 from trackers.core.motion import Noise
-from trackers.core.sensor import AbstractSensor, Channel, Reading, Residual, log_peak, placed
+from trackers.core.sensor import AbstractSensor, Channel, Reading, Residual, position_in_space, student_t_log_peak
 from trackers.core.state import Heading
 from trackers.core.tunable import Real, Scale
 
@@ -54,7 +54,7 @@ class RangeSensor(AbstractSensor):
         return tuple(Channel(f"range_{k + 1}", "m") for k in range(self.slots))
 
     def measure(self, view: Any, inputs: Any) -> list[Scalar]:
-        position = placed(view.position, inputs)
+        position = position_in_space(view.position, inputs)
         ranges = []
         for slot in range(self.slots):
             tag = position
@@ -77,7 +77,7 @@ class RangeSensor(AbstractSensor):
         for z, p, seen, variance in zip(reading.values, predicted, reading.seen, variances, strict=True):
             sigma = jnp.sqrt(self.sigma_r.value**2 + variance)
             whitened.append(jnp.where(seen, (z - p) / jnp.where(z > p, sigma * positive_skew, sigma), 0.0))
-            peak = log_peak(dof) - jnp.log(sigma) - jnp.log(0.5 * (1.0 + positive_skew))
+            peak = student_t_log_peak(dof) - jnp.log(sigma) - jnp.log(0.5 * (1.0 + positive_skew))
             log_scales.append(jnp.where(seen, peak, 0.0))
         nis_dof = total(jnp.where(seen, jnp.ones_like(whitened[0]), 0.0) for seen in reading.seen)
         return Residual(whitened, total(log_scales), nis_dof, dof=dof)

@@ -59,8 +59,8 @@ class ParticleFilter(eqx.Module):
     numbers have 16 bits: no noise draw exceeds 4.3 standard deviations. `output_map`: estimates are of the mapped
     quantity. `potential`: log-weights of moves, as `Walls`; they enter the log-likelihood of the next measurement.
 
-    The derivative is in score form (`trackers/core/particle/score.py`); it needs `motion.log_density` where the motion is
-    tuned. `discount`: the fraction of an ancestor's score that offspring keep (MOP-α); below 1 it trades variance for bias.
+    The derivative is in score form (`trackers/core/particle/score.py`); tuning the motion needs its `log_density`.
+    `discount`: the fraction of an ancestor's score that offspring keep (MOP-α); less variance, but a bias.
     """
 
     n_particles: int = eqx.field(static=True, default=1000)

@@ -58,7 +58,7 @@ def resample_states(needed: Scalar, offset: Scalar, states: Any, weights: Any) -
 
 @resample_states.def_vmap
 def _in_trajectories(size: int, batched: Any, needed: Any, offset: Any, states: Any, weights: Any) -> tuple[Any, Any]:
-    """Resampling under `vmap`: of the trajectories that need it alone, a few at a time; it is the most expensive part."""
+    """Resampling under `vmap`: only the trajectories that need it, a few at a time; it is the most expensive part."""
 
     def spread(x: Any, has: bool) -> Any:
         return x if has else jnp.broadcast_to(x[None], (size, *x.shape))
@@ -104,7 +104,7 @@ def effective_sample_size(weights: Any) -> Scalar:
 
 
 def systematic(weights: Any, u: Any) -> Any:
-    """The ancestors (..., N) of N offspring at the points (k + u)/N of the cumulative weights, ascending (Kitagawa 1996).
+    """The ancestors (..., N), ascending, at the points (k + u)/N of the cumulative weights (Kitagawa 1996).
 
     `weights` (..., N), `u` (...). Weights are first rounded to whole numbers with a sum below 2^mantissa, so that
     cumulative sums are exact and monotone, and no particle of weight zero has offspring. The rounding error of a weight
