@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,8 +19,9 @@ from trackers.core.algebra import Scalar
 from trackers.core.estimates import Status
 from trackers.core.recording import Batch
 from trackers.core.scan import Output
+from trackers.core.track_loss import TrackLossPolicy
 from trackers.core.tracker import AbstractTracker
-from trackers.core.tunable import Covariance, Scale, matching, replaced, tunables
+from trackers.core.tunable import Covariance, Scale, matching, tunables
 from tuning.differences import noise_levels_of_fixes
 from tuning.objectives import AbstractObjective, NegativeLogLikelihood, Truth
 from tuning.parameters import Parameter, flatten, with_parameters
@@ -86,7 +88,7 @@ def first_guess(
     measured = sum(int(np.sum(reading.seen)) for reading in segments.readings.values())
     if not parameters or not measured:
         return tracker
-    problem = Problem(_tolerant(tracker), [segments], LikelihoodWithLossPenalty(), parameters)
+    problem = Problem(tolerant(tracker), [segments], LikelihoodWithLossPenalty(), parameters)
     search = _Search(problem, flatten(parameters), MIN_GAIN_NATS / measured)
     search.consider(_closed_form(parameters, segments))
     groups = [group for group in _groups(parameters) if group.any()]
@@ -141,10 +143,16 @@ def sample_segments(batches: Sequence[Batch], count: int) -> Batch:
     return jax.tree_util.tree_map(lambda *x: np.stack(x, axis=-1), *(cut(*one) for one in picked))
 
 
-def _tolerant(tracker: AbstractTracker) -> AbstractTracker:
-    """The tracker with a higher limit of track loss, since noise levels far off make most rows exceed its own."""
-    limits = {name: node for name, node in tunables(tracker).items() if name.split(".")[-2:] == ["loss", "limit"]}
-    return replaced(tracker, {k: node.with_value(TOLERANCE * np.asarray(node.value)) for k, node in limits.items()})
+def tolerant(tracker: AbstractTracker) -> AbstractTracker:
+    """The tracker with `TOLERANCE` times the NIS limit of track loss: noise levels far off make most rows exceed it."""
+
+    def raised(node: Any) -> Any:
+        if not (isinstance(node, TrackLossPolicy) and isinstance(node.nis_limit, Scale)):
+            return node
+        limit = node.nis_limit.with_value(TOLERANCE * np.asarray(node.nis_limit.value))
+        return eqx.tree_at(lambda policy: policy.nis_limit, node, limit)
+
+    return jax.tree_util.tree_map(raised, tracker, is_leaf=lambda node: isinstance(node, TrackLossPolicy))
 
 
 class _Search:

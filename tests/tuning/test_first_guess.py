@@ -22,7 +22,7 @@ from trackers.parts.fixes import FIXES
 from trackers.recordings.tracks import batches as in_batches
 from trackers.uwb_imu.fusion import range_tracker
 from tuning.differences import noise_levels_of_fixes
-from tuning.first_guess import first_guess, sample_segments
+from tuning.first_guess import TOLERANCE, first_guess, sample_segments, tolerant
 
 FAR = [(10.0, 10.0), (0.1, 0.1), (10.0, 0.1), (0.1, 10.0)]
 LEVELS = {"motion.sigma_a": 0.7, "motion.sigma_z": 0.1, "sensors.fixes.sigma_horizontal": 0.15}
@@ -72,6 +72,13 @@ def test_what_differences_do_not_show_is_not_claimed():
     still = _fixes(1, count=1)
     flat = [Recording(r.times, {FIXES: Readings(r.readings[FIXES].values * 0, r.readings[FIXES].seen)}) for r in still]
     assert noise_levels_of_fixes(stack(flat)) is None
+
+
+def test_the_search_raises_the_nis_limit_of_track_loss_and_changes_nothing_else():
+    for tracker, limit in ((mhk_tracker(), "fusion.track_loss.nis_limit"), (range_tracker(4), "track_loss.nis_limit")):
+        before, after = _values(tracker), _values(tolerant(tracker))
+        assert [name for name in before if not np.array_equal(before[name], after[name])] == [limit]
+        assert after[limit] == pytest.approx(TOLERANCE * before[limit])
 
 
 @pytest.mark.parametrize("factors", [(10, 0.1, 10, 0.1), (0.1, 10, 0.1, 10)])
