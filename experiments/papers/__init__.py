@@ -1,1 +1,1 @@
-"""The printed results of the four papers, one folder a paper and one file a printed table or figure."""
+"""Reproductions of the four papers: one folder per paper, one file per printed table or figure."""

@@ -1,14 +1,15 @@
-"""Numbers that a paper doesn't print, fitted to some that it does: how they are found, written down and read."""
+"""Parameters that a paper does not print, fitted to results that it does: fitting, writing and reading them."""
 
 from __future__ import annotations
 
-import json
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import tomli_w
+from scipy.optimize import approx_fprime, least_squares
 
 from experiments.monte_carlo.chunk import run_chunk
 from experiments.monte_carlo.declaration import Study
@@ -16,10 +17,11 @@ from trackers.recordings.atomic import atomic_write
 
 EXPERIMENTS = Path(__file__).parents[1]
 STEP = 0.05
+"""Of the forward differences by log parameters."""
 
 
 class Fitted(NamedTuple):
-    """A number found by a fit: value, unit, and the printed figures that it was fitted to."""
+    """A fitted parameter: value, unit, and the printed results it was fitted to."""
 
     value: float
     unit: str
@@ -27,59 +29,52 @@ class Fitted(NamedTuple):
 
 
 def fitted(name: str) -> dict[str, float]:
-    """The numbers of a fit by its name, `will_2020/table_1`."""
+    """The parameters of a fit by its name, such as `will_2020/table_1`."""
     content = tomllib.loads(fitted_file(name).read_text("utf-8"))
     return {number: table["value"] for number, table in content["numbers"].items()}
 
 
 def fitted_file(name: str) -> Path:
-    """The file of a fit's numbers: `will_2020/table_1` is papers/will_2020/fitted/table_1.toml."""
+    """The file of a fit: `will_2020/table_1` is papers/will_2020/fitted/table_1.toml."""
     folder, _, stem = name.rpartition("/")
     home = EXPERIMENTS / folder if folder == "questions" else EXPERIMENTS / "papers" / folder
     return home / "fitted" / f"{stem}.toml"
 
 
 def write_fitted(name: str, free: str, numbers: Mapping[str, Fitted]) -> Path:
-    """Write what the fit of that name found; `free`: how many printed figures it left alone."""
+    """Write the parameters of a fit, to four digits; `free`: the degrees of freedom left, in words."""
     folder, _, stem = name.rpartition("/")
     package = folder if folder == "questions" else f"papers.{folder}"
-    lines = [
-        f"# Written by `python -m experiments.{package}.fit_{stem}`.",
-        f"degrees_of_freedom_left = {json.dumps(free, ensure_ascii=False)}",
-    ]
-    for number, (value, unit, to) in numbers.items():
-        lines += [
-            "",
-            f"[numbers.{number}]",
-            f"value = {float(f'{value:.4g}')!r}",
-            f'unit = "{unit}"',
-            f"fitted_to = {json.dumps(to, ensure_ascii=False)}",
-        ]
-    text = "\n".join(lines) + "\n"
+    table = {
+        "degrees_of_freedom_left": free,
+        "numbers": {
+            number: {"value": float(f"{value:.4g}"), "unit": unit, "fitted_to": to}
+            for number, (value, unit, to) in numbers.items()
+        },
+    }
+    text = f"# Written by `python -m experiments.{package}.fit_{stem}`.\n{tomli_w.dumps(table)}"
     return atomic_write(fitted_file(name), lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
-def solved(
-    ratios: Callable[[np.ndarray], np.ndarray], start: Sequence[float], rounds: int = 6, farthest: float = 0.5
-) -> np.ndarray:
-    """The positive numbers (k,) at which all `ratios` (m,) of found to printed figures are as near one as can be.
+def solved(ratios: Callable[[np.ndarray], np.ndarray], start: Sequence[float], rounds: int = 6) -> np.ndarray:
+    """The positive parameters (k,) at which the `ratios` (m,) of simulated to printed results are closest to one.
 
-    Gauss–Newton on logarithms with one-sided differences, no step beyond `farthest`; least squares where m > k. The
-    figures come of seeded runs, so that they are smooth enough.
+    Least squares of the ratios' logarithms over the parameters' logarithms, with forward differences over 5 %, until a
+    step is below a thousandth or after `rounds` steps. Seeded runs make the ratios smooth functions of the parameters.
     """
+
+    def residuals(logs: np.ndarray) -> np.ndarray:
+        return np.log(ratios(np.exp(logs)))
+
+    def jacobian(logs: np.ndarray) -> np.ndarray:
+        return np.atleast_2d(approx_fprime(logs, residuals, STEP))
+
     logs = np.log(np.asarray(start, float))
-    for _ in range(rounds):
-        here = np.log(ratios(np.exp(logs)))
-        slopes = [(np.log(ratios(np.exp(logs + d))) - here) / STEP for d in STEP * np.eye(len(logs))]
-        step = -np.linalg.lstsq(np.stack(slopes, axis=1), here, rcond=None)[0]
-        logs = logs + np.clip(step, -farthest, farthest)
-        if np.abs(step).max() < 1e-3:
-            break
-    return np.exp(logs)
+    return np.exp(least_squares(residuals, logs, jacobian, xtol=1e-3, max_nfev=rounds).x)
 
 
 def means(study: Study, runs: int) -> dict[tuple[str, str], dict[str, float]]:
-    """The measures' means of a few trajectories: (world, tracker) -> measure -> mean; of the grid's last point."""
+    """Means of the measures over `runs` trajectories, by (world, tracker) and measure, at the grid's last point."""
     found = {}
     for condition in study.conditions:
         kept = run_chunk(study, condition, np.arange(runs), first=False)

@@ -1,12 +1,11 @@
-"""All reproductions of the four papers, one after another: `python -m experiments.papers.reproduce` (`make papers`).
+"""All reproductions of the four papers: `python -m experiments.papers.reproduce` (`make papers`).
 
-Every study is run as `trackwright study NAME --out out/papers/NAME`, and goes on where it was interrupted. What they
-found is written to docs/results.md; every number there is read from their results.json.
+Every study is run as `trackwright study NAME --out out/papers/NAME` and resumes if interrupted. The results are written
+to docs/results.md; every number there is read from a results.json.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import platform
@@ -15,6 +14,8 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+
+import tyro
 
 from experiments.cli.console import notice, progress
 from experiments.cli.subprocesses import new_interpreter
@@ -28,19 +29,18 @@ LIMIT_S = 1800.0
 RESULTS = Path("docs/results.md")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the studies that have something to be held against; 1 where one could not be run."""
-    parser = argparse.ArgumentParser(
-        prog="python -m experiments.papers.reproduce", description=(__doc__ or "").split("\n\n")[0]
-    )
-    parser.add_argument("--out", type=Path, default=Path("out/papers"), help="where the studies go")
-    parser.add_argument("--results", type=Path, default=RESULTS, help="the page to write")
-    options = parser.parse_args(arguments)
+def main(out: Path = Path("out/papers"), results: Path = RESULTS) -> int:
+    """Run all studies with expected results and write the page of their results; 1 if a study fails.
+
+    Args:
+        out: the folder of the studies.
+        results: the page to write.
+    """
     chosen = [study for study in map(load_study, available_studies()) if study.expected is not None]
     parts, failed, seconds = [], [], 0.0
     with progress("papers", len(chosen)) as advance:
         for study in chosen:
-            folder = options.out / study.name
+            folder = out / study.name
             done = new_interpreter(["-m", "experiments", "study", study.name, "--out", str(folder)], LIMIT_S)
             if done.returncode:
                 failed.append(study.name)
@@ -52,11 +52,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 notice(f"{study.name}: {found['computing_s']:.0f} s")
             advance(1, study.name)
     if failed:
-        notice(f"{options.results} is left as it was: {', '.join(failed)} could not be run")
+        notice(f"{results} is unchanged: {', '.join(failed)} failed")
         return 1
     text = page(parts, seconds)
     try:
-        print(f"wrote {atomic_write(options.results, lambda path: path.write_text(text, 'utf-8'))}")
+        print(f"wrote {atomic_write(results, lambda path: path.write_text(text, 'utf-8'))}")
     except UnusableInput as problem:
         print(f"papers: {problem}", file=sys.stderr)
         return 2
@@ -79,12 +79,12 @@ not print, as the study's file says; *predicted*: it was not.
 def part(found: dict[str, Any]) -> str:
     """The section of a study, from its results.json."""
     claims = [c for c in found["claims"] if "printed" in c]
-    judged = [c for c in claims if c["reached"] is not None]
+    compared = [c for c in claims if c["reached"] is not None]
     lines = [f"## {found['study']}", "", found["about"], ""]
     if claims:
         lines += ["| figure | printed | ours | ratio | | near enough |", "| --- | --- | --- | --- | --- | --- |"]
         lines += [_row(c) for c in claims]
-        lines += ["", f"{sum(c['reached'] for c in judged)} of {len(judged)} are as near as asked.", ""]
+        lines += ["", f"{sum(c['reached'] for c in compared)} of {len(compared)} are as near as asked.", ""]
         lines += [f"- {c['figure']}: {c['note']}" for c in claims if c["note"]]
         lines += [""] if any(c["note"] for c in claims) else []
     stated = [c for c in found["claims"] if "says" in c]
@@ -103,4 +103,4 @@ def _row(claim: dict[str, Any]) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(tyro.cli(main, prog="python -m experiments.papers.reproduce"))

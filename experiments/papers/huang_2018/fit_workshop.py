@@ -1,7 +1,8 @@
-"""Fit the workshop's world to the raw fixes of Huang et al. 2018: `python -m experiments.papers.huang_2018.fit_workshop`.
+"""Fit of the workshop's world to the raw fixes of Huang et al. 2018.
 
-Drift, share and size of wild fixes are solved for the mean, the maximum and the variance of the raw distances to the
-route; then Q and the speed limit of MH-K, which aren't printed either, are taken from a grid for its mean and maximum.
+`python -m experiments.papers.huang_2018.fit_workshop`. Drift, share and size of outliers are fitted to mean, maximum
+and variance of the raw distances to the route. Q and speed limit of MH-K, not printed either, are then taken from a
+grid, by its mean and maximum.
 """
 
 from __future__ import annotations
@@ -17,20 +18,20 @@ from experiments.papers.huang_2018.workshop import PRINTED, study_with
 RUNS = 100
 SIGMAS_A = (0.02, 0.03, 0.04, 0.05, 0.07, 0.1)
 SPEED_LIMITS = (0.55, 0.6, 0.8, 1.0, 2.0, 4.0)
-"""m/s; the vehicle does 0.5, and a limit closer to that would hold it back."""
+"""m/s; the vehicle's speed is 0.5 m/s, and a closer limit would slow its estimates."""
 
 START = {"drift": 0.05, "share": 0.45, "size": 0.16, "sigma_a": 0.05, "speed_limit": 0.6}
 
 
-def ratios(numbers: dict[str, float], tracker: str, figures: tuple[str, ...]) -> np.ndarray:
-    """Found over printed figures of a tracker."""
+def ratios(numbers: dict[str, float], tracker: str, metrics: tuple[str, ...]) -> np.ndarray:
+    """Simulated over printed metrics of a tracker."""
     whole = study_with(numbers, RUNS, seed=0)
     found = means(replace(whole, trackers={tracker: whole.trackers[tracker]}), RUNS)["workshop", tracker]
-    return np.array([found[p.measure] * p.factor / getattr(p, tracker) for p in map(PRINTED.__getitem__, figures)])
+    return np.array([found[p.measure] * p.factor / getattr(p, tracker) for p in map(PRINTED.__getitem__, metrics)])
 
 
 def main() -> None:
-    """Fit, write the file and say where."""
+    """Fit and write the file."""
     of_world = ("drift", "share", "size")
     raw = ("mean error", "largest error", "variance")
     start = [START[name] for name in of_world]

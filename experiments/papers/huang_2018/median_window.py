@@ -1,7 +1,7 @@
-"""What the length of MH-K's median trades: smoothing against lag (Huang et al. 2018, section 4: "the size is 9").
+"""Smoothing against lag by the length of MH-K's median (Huang et al. 2018, section 4: "the size is 9").
 
-The workshop of `workshop`, its world as fitted there; windows of 1 to 21 fixes, at two speeds. The distance to the
-route hides lag, the error in time shows it, and stamping the estimates with their window's middle takes it out.
+The world of `workshop` as fitted there, with windows of 1 to 21 fixes, at two speeds. The distance to the route hides
+the lag; the error in time shows it, and time stamps at the middle of the window remove it.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ WINDOWS = (1, 3, 5, 9, 13, 21)
 NUMBERS = fitted("huang_2018/workshop")
 WORLD = {name: NUMBERS[name] for name in ("drift", "share", "size")}
 OWN = {"fusion.motion.sigma_a": NUMBERS["sigma_a"], "median.speed_limit": 4.0}
-"""The speed limit out of the way: at the fitted one a short window is held back by it and not by its length."""
+"""A speed limit without effect: the fitted one would limit short windows more than their length does."""
 
 
 def of_window(rows: int, stamped: bool) -> TrackerSpec:
-    """MH-K with a median of so many fixes."""
+    """MH-K with a median of `rows` fixes."""
     return replace(
         TRACKERS["mhk"],
         about=f"MH-K with a median of {rows}",
@@ -36,7 +36,7 @@ def of_window(rows: int, stamped: bool) -> TrackerSpec:
 
 
 def expected(results: Results) -> list[ExpectedResult | Conclusion]:
-    """The longer the smoother, the longer the later; and what 9 balances."""
+    """Smoothing and lag by window length, and the balance at 9."""
     found: list[ExpectedResult | Conclusion] = []
     for world in ("0.5 m/s", "0.2 m/s"):
         cm = {

@@ -1,8 +1,8 @@
-"""MH-K against Singer's model, interacting models and a plain Kalman filter; and what its Markov chain adds.
+"""MH-K compared with Singer's model, an IMM and a plain Kalman filter, and with itself without its Markov chain.
 
-The workshop of `workshop`, its world as fitted there, and one whose vehicle brakes for nothing: the same at 1.2 m/s,
-where corners of 1 m take 1.4 m/s². All differences are paired: the same vehicles, the same errors. The rivals run with
-the numbers they come with; tuned ones might be nearer.
+The world of `workshop` as fitted there, and the same at a constant 1.2 m/s, where corners of 1 m radius take 1.4 m/s².
+All differences are paired: same vehicles, same errors. The competitors run with their default parameters; tuned ones
+might be closer.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Figures 6 and 7 of Huang et al. 2018: a vehicle round a workstation by MH-K, 2,000 fixes at 0.1 s.
+"""Figures 6 and 7 of Huang et al. 2018: a vehicle around a workstation, tracked by MH-K, 2,000 fixes at 0.1 s.
 
-The world has three numbers that the paper doesn't print: how large a drift is, how often a fix is wild and how wild.
-They are fitted to the three figures of the raw fixes. Of the six figures of MH-K two, mean and maximum, choose the two
-numbers of MH-K that matter and aren't printed either, Q and the speed limit; four are predictions. Speed, route and how
-long a drift lasts are assumed: 0.5 m/s, 10 m × 6 m, 10 s. All errors are distances to the designed route, which is what
-the paper can only mean: a causal median of 9 is 0.4 s late. Errors in time stand beside them.
+Three parameters of the world are not printed: size of the drift, frequency and size of outliers. They are fitted to the
+three metrics of the raw fixes. Two of the six metrics of MH-K, mean and maximum, determine its Q and speed limit, not
+printed either; four are predictions. Assumed: speed 0.5 m/s, route 10 m × 6 m, drift of 10 s. All errors are distances
+to the designed route; the paper can mean nothing else, because a causal median of 9 is 0.4 s late. Errors in time are
+listed beside them.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ from trackers.recordings.tracker_spec import TrackerSpec
 
 ROUTE = Route()
 LASTING_S = 10.0
-"""How long a drift lasts: much longer than the median's window, which then leaves it as it is."""
+"""Time constant of the drift; far longer than the median's window, which therefore passes it."""
 
 
 def workshop(
     ids: np.ndarray, seed: int, drift: float, share: float, size: float, speed: float = 0.5
 ) -> RecordingFolder:
-    """Vehicles whose fixes have the noise at rest, a `drift` m, and in a `share` of them a kick of `size` m."""
+    """Vehicles whose fixes have the noise at rest, a `drift`, m, and outliers of `size`, m, in a `share` of them."""
     errors = {"noise": correlated_noise(STILL), "drift": gauss_markov(drift, LASTING_S), "wild": outliers(share, size)}
     return simulate_agv(ids.tolist(), seed, route=ROUTE, speed=speed, errors=errors).folder("workshop")
 
 
 def off_route(tracked: TrackedRuns) -> np.ndarray:
-    """Distances (n, T), m, of the estimates to the designed route; NaN where there is none."""
+    """Distances (n, T), m, of the estimates to the designed route; NaN without an estimate."""
     return np.where(tracked.known, ROUTE.distance(tracked.estimates[..., :2]), np.nan)
 
 
@@ -51,12 +51,12 @@ def raw_off_route(tracked: TrackedRuns) -> np.ndarray:
     return ROUTE.distance(fixes.reshape(-1, len(tracked.estimates), 2)).T
 
 
-def _each(figure: Callable[[np.ndarray], np.ndarray]) -> Callable[[TrackedRuns], np.ndarray]:
-    return lambda tracked: figure(off_route(tracked))
+def _each(metric: Callable[[np.ndarray], np.ndarray]) -> Callable[[TrackedRuns], np.ndarray]:
+    return lambda tracked: metric(off_route(tracked))
 
 
 def _improved(tracked: TrackedRuns) -> np.ndarray:
-    """The share of the fixes that are nearer to the route than they were."""
+    """Fraction (n,) of the estimates that are closer to the route than the raw fixes."""
     nearer = np.where(tracked.known, off_route(tracked) < raw_off_route(tracked), np.nan)
     share: np.ndarray = np.nanmean(nearer, axis=1)
     return share
@@ -77,7 +77,7 @@ MEASURES: dict[str, Callable[[TrackedRuns], np.ndarray]] = {
 
 
 class Printed(NamedTuple):
-    """A figure of the paper in `unit`: the measure that is it, in SI units times `factor`, raw and by MH-K."""
+    """A printed metric in `unit`: our measure, in SI units, times `factor`; printed for raw fixes and for MH-K."""
 
     measure: str
     factor: float
@@ -98,14 +98,14 @@ FITTED_OF_MHK = ("mean error", "largest error")
 
 
 def expected(results: Results) -> list[ExpectedResult | Conclusion]:
-    """The nine printed figures, and what the paper says of them."""
+    """The nine printed metrics, and the paper's conclusions."""
     found: list[ExpectedResult | Conclusion] = []
-    for figure, printed in PRINTED.items():
+    for metric, printed in PRINTED.items():
         for tracker, number in (("raw", printed.raw), ("mhk", printed.mhk)):
             if number is not None:
                 ours = results.value(printed.measure, "workshop", tracker).times(printed.factor)
-                chosen = tracker == "raw" or figure in FITTED_OF_MHK
-                found.append(ExpectedResult(f"Figure 7, {figure}, {tracker}", number, ours, printed.unit, chosen))
+                chosen = tracker == "raw" or metric in FITTED_OF_MHK
+                found.append(ExpectedResult(f"Figure 7, {metric}, {tracker}", number, ours, printed.unit, chosen))
     return [*found, *_conclusions(results)]
 
 
@@ -145,7 +145,7 @@ def _listed(values: dict[str, Value]) -> str:
 
 
 def study_with(numbers: dict[str, float], runs: int = 200, seed: int = 1) -> Study:
-    """The study with these numbers of the world and of MH-K; its vehicles are others than the fit's, of seed 0."""
+    """The study with these parameters of the world and of MH-K; its seed differs from the fit's, 0."""
     own = {"fusion.motion.sigma_a": numbers["sigma_a"], "median.speed_limit": numbers["speed_limit"]}
     world = World(workshop, {name: numbers[name] for name in ("drift", "share", "size")})
     configs: dict[str, str | TrackerSpec] = {

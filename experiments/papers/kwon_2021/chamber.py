@@ -1,10 +1,10 @@
-"""Table 2 of Kwon et al. 2021: how far the estimates of a still tag in an anechoic chamber deviate at most.
+"""Table 2 of Kwon et al. 2021: largest deviations of the estimates of a tag at rest in an anechoic chamber.
 
-The mean over four tags in the corners of a square of 5 m. The anchors are 5 m apart; where they hang isn't printed.
-Right over a tag an anchor would tell its height as well as x and y, so that their square is turned: by 15°, which of
-0°, 15°, 30° and 45° is best for the heights of Table 3 (`robot`). The noise of a time stamp is that of `table-4`.
-Fitted to Table 2: the spread of the anchors' biases to x, the anchors' height to z; y is predicted, and by the symmetry
-of the room not hard to.
+The mean over four tags in the corners of a square of 5 m. The anchors are 5 m apart; their positions are not printed.
+Anchors right above the tags would make z as accurate as x and y; their square is therefore turned by 15°, the best of
+0°, 15°, 30° and 45° for the heights of Table 3 (`robot`). The noise of a time stamp is that of `table-4`. Fitted to
+Table 2: the spread of the anchors' biases to x, the anchors' height to z. Predicted: y, which the symmetry of the room
+makes easy.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from trackers.recordings.folder import RecordingFolder
 
 PLACES = {f"tag at ({x:g}, {y:g})": (x, y, 1.8) for x in (0.0, 5.0) for y in (0.0, 5.0)}
 SIDE, TURN = 5.0, np.deg2rad(15.0)
-"""Of the anchors' square, m, and how far it is turned against the tags', rad."""
+"""Side of the anchors' square, m, and its angle to the tags' square, rad."""
 
 ROWS = 100
 PRINTED_MM = {"x": 55.75, "y": 57.0, "z": 144.25}
 
 
 def anchors(height: float) -> np.ndarray:
-    """The anchors (4, 3), m, `height` m high, about the middle of the tags' square."""
+    """Anchors (4, 3), m, at `height`, m, around the centre of the tags' square."""
     angles = TURN + np.pi / 4 + np.pi / 2 * np.arange(4)
     around = SIDE / np.sqrt(2) * np.column_stack([np.cos(angles), np.sin(angles)])
     return np.column_stack([2.5 + around, np.full(4, height)])
@@ -39,7 +39,7 @@ def anchors(height: float) -> np.ndarray:
 def corner(
     ids: np.ndarray, seed: int, place: tuple[float, float, float], sigma_bias: float, height: float
 ) -> RecordingFolder:
-    """Tags at rest at `place` m; anchors `height` m high, their biases normal, `sigma_bias` m."""
+    """Tags at rest at `place`, m; anchors at `height`, m, with normal biases of `sigma_bias`, m."""
     world = simulate_ranges(
         chamber(anchors(height)),
         lambda keys, times: np.tile(np.asarray(place, float), (len(keys), len(times), 1)),
@@ -54,13 +54,13 @@ def corner(
 
 
 def under(z: np.ndarray, folder: RecordingFolder) -> np.ndarray:
-    """Heights, m, under the anchors: in one plane they see a tag and its mirror image alike."""
+    """Heights, m, mirrored to below the anchors' plane, in which a tag and its mirror image are indistinguishable."""
     plane = next(iter(folder.rig.anchors.values()))[2]
     return plane - np.abs(z - plane)
 
 
 def deviations(tracked: TrackedRuns) -> np.ndarray:
-    """How far off each axis is (n, T, 3), m, what is above the anchors mirrored; NaN where there is no estimate."""
+    """Errors (n, T, 3), m, of each axis, with heights above the anchors mirrored; NaN without an estimate."""
     found = tracked.estimates.copy()
     found[..., 2] = under(found[..., 2], tracked.folder)
     return np.where(tracked.known[..., None], found - tracked.truth, np.nan)
@@ -86,7 +86,7 @@ TRACKER = "least squares"
 
 
 def study_with(numbers: dict[str, float], runs: int = 200, seed: int = 1) -> Study:
-    """The study with these numbers of the chamber; other tags than the fit's, of seed 0."""
+    """The study with these parameters of the chamber; its seed differs from the fit's, 0."""
     return Study(
         name="chamber",
         about="Table 2 of Kwon et al. 2021: the largest deviations of a still tag in a chamber",

@@ -1,7 +1,7 @@
-"""Fit the hall of Kwon et al. 2021, Table 1: `python -m experiments.papers.kwon_2021.fit_line_of_sight`.
+"""Fit of the hall of Kwon et al. 2021, Table 1: `python -m experiments.papers.kwon_2021.fit_line_of_sight`.
 
-The spread of the ranges' errors is solved for the spans of the errors in sight, the geometric mean of x and y, the
-detour round the obstacle for the span in x without.
+The spread of the range errors is fitted to the geometric mean of the error spans in x and y with line of sight, the
+detour round the obstacle to the span in x without it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ START = {"sigma_echo": 0.07, "detour": 0.3}
 
 
 def ratios(values: np.ndarray) -> np.ndarray:
-    """Found over printed, in sight and hidden."""
+    """Simulated over printed spans, with line of sight and hidden."""
     whole = study_with(dict(zip(START, values.tolist(), strict=True)), RUNS, seed=0)
     found = means(replace(whole, trackers={TRACKER: whole.trackers[TRACKER]}), RUNS)
     over = {
@@ -30,7 +30,7 @@ def ratios(values: np.ndarray) -> np.ndarray:
 
 
 def main() -> None:
-    """Fit, write the file and say where."""
+    """Fit and write the file."""
     echo, detour = solved(ratios, list(START.values()), rounds=3)
     numbers = {
         "sigma_echo": Fitted(echo, "m", "in sight, geometric mean of x and y"),

@@ -1,8 +1,8 @@
-"""Fit the still tag of Kwon et al. 2021, Table 4: `python -m experiments.papers.kwon_2021.fit_table_4`.
+"""Fit of the tag at rest of Kwon et al. 2021, Table 4: `python -m experiments.papers.kwon_2021.fit_table_4`.
 
-Five numbers are solved for five figures: noise of the time stamps and distance of the two anchors on one side for the
-raw pair, size of their slow errors for the moving average in y, and for the geometric mean of x and y Q of the Kalman
-filter and, of the proposed filter, how long the slow errors last.
+Five parameters are fitted to five spreads. Raw x and y: noise of the time stamps, and distance of the two anchors on
+one side. Moving average in y: size of the anchors' slow errors. Geometric means of x and y: Q of the Kalman filter,
+and time constant of the slow errors for the proposed filter.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ START = {"sigma_stamp": 2.7e-11, "base": 6.0, "slow": 5.4e-3, "tau": 0.55, "sigm
 
 
 def ratios(values: np.ndarray) -> np.ndarray:
-    """Found over printed: raw x, raw y, moving average y, Kalman and proposed, of which x and y in one."""
+    """Simulated over printed spreads: raw x, raw y, moving average y, and means of x and y of Kalman and proposed."""
     found = means(study_with(dict(zip(START, values.tolist(), strict=True)), RUNS, seed=0), RUNS)
     over = {
         (name, axis): 1e3 * found["still", name][f"spread_{axis}_m"] / number
@@ -29,7 +29,7 @@ def ratios(values: np.ndarray) -> np.ndarray:
 
 
 def main() -> None:
-    """Fit, write the file and say where."""
+    """Fit and write the file."""
     stamp, base, slow, tau, sigma_a = solved(ratios, list(START.values()), rounds=2)
     path = write_fitted(
         "kwon_2021/table_4",

@@ -1,10 +1,11 @@
-"""Table 1 of Kwon et al. 2021: errors of still tags with and without line of sight to three anchors.
+"""Table 1 of Kwon et al. 2021: errors of tags at rest with and without line of sight to three anchors.
 
-The largest and the smallest error over sixteen places in sight, and over four where an obstacle hides an anchor. As
-printed, minimum and maximum of the second stand in each other's rows: 289 is above −382; here they are taken in order.
-Anchors, places and obstacles aren't printed: assumed are three anchors in a right angle, the one along x hidden.
-Fitted: the spread of the ranges' errors, each place's own, to the two spans in sight, their geometric mean, the detour
-round the obstacle to the span in x without; that in y is predicted. Four figures, two numbers.
+Largest and smallest error over sixteen positions with line of sight, and over four where an obstacle hides an anchor.
+The printed minimum and maximum of the latter are exchanged (289 is above −382) and taken in order here. Anchors,
+positions and obstacles are not printed; assumed are three anchors at a right angle, the one along x hidden. Fitted:
+the spread of the range errors, constant at each position, to the geometric mean of the two spans with line of sight,
+and the detour round the obstacle to the span in x without it. Predicted: the span in y without it. Four spans, two
+parameters.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ TRACKER = "trilateration"
 
 
 def hall(ids: np.ndarray, seed: int, places: int, sigma_echo: float, detour: float = 0.0) -> RecordingFolder:
-    """Tags that stand at so many `places`, a square of them, one after the other; `detour` m where an anchor hides."""
+    """Tags that visit a square grid of `places` positions; `detour`, m, is added to ranges of the hidden anchor."""
     side = round(places**0.5)
     spots = np.stack(np.meshgrid(np.linspace(1.0, 3.0, side), np.linspace(1.0, 3.0, side)), -1).reshape(-1, 2)
     stops = np.column_stack([spots, np.full(places, 1.2)]).repeat(REPEATS, axis=0)
@@ -39,10 +40,10 @@ def hall(ids: np.ndarray, seed: int, places: int, sigma_echo: float, detour: flo
     def visits(keys: Keys, times: np.ndarray) -> np.ndarray:
         return np.tile(stops, (len(keys), 1, 1))
 
-    # Echoes are those of a place, and gone at the next.
+    # Echoes are constant at a position and independent between positions.
     pieces: dict[str, Corruption] = {"echoes": gauss_markov(sigma_echo, REPEATS / 10)}
     if detour:
-        # For as long as a tag stands at a place, on average.
+        # Obstructions last as long as a stop, on average.
         pieces["hidden"] = on_anchors(HIDDEN, obstruction(0.5, REPEATS / 10, detour, detour / 2))
     world = simulate_ranges(
         chamber(HALL),
@@ -103,7 +104,7 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
 
 
 def study_with(numbers: dict[str, float], runs: int = 200, seed: int = 1) -> Study:
-    """The study with these numbers of the hall; other tags than the fit's, of seed 0."""
+    """The study with these parameters of the hall; its seed differs from the fit's, 0."""
     echo = {"sigma_echo": numbers["sigma_echo"]}
     return Study(
         name="line-of-sight",

@@ -1,10 +1,10 @@
-"""Table 3 and Figure 9 of Kwon et al. 2021: a tag that a robot moves to and fro along x, y and z, with and without IMU.
+"""Table 3 and Figure 9 of Kwon et al. 2021: a tag moved by a robot along x, y and z, with and without IMU.
 
-The chamber is that of `chamber`, its anchors' biases and height as fitted to Table 2, the noise of a time stamp that of
-`table-4`; how far its square of anchors is turned was chosen for the heights here, x and y are predicted. Assumed: five
-strokes of 4 s along each axis, ten rows a second. An error is the distance between the mean of the strokes' ends as
-estimated and the true end. Two printed errors contradict their own rows: 3,190 mm found at 3,191 mm with an error of
-41 mm, 2,710 mm at 2,730 mm with one of 30 mm; the errors are taken.
+The chamber is that of `chamber`, with biases and height of the anchors as fitted to Table 2 and the time-stamp noise
+of `table-4`. The angle of the anchors' square was chosen for the heights here; x and y are predicted. Assumed: five
+strokes of 4 s along each axis, ten rows a second. An error is the distance between the mean estimated end of the
+strokes and the true end. Two printed errors contradict their own rows (3,190 mm estimated as 3,191 mm with an error of
+41 mm, 2,710 mm as 2,730 mm with 30 mm); the printed errors are used.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ HEIGHTS = "the higher end is nearer to the anchors' plane, where heights are see
 
 
 def strokes(keys: Keys, times: np.ndarray) -> np.ndarray:
-    """Along x, then y, then z, each from its least coordinate to the largest and back; the others at their least."""
+    """Strokes along x, then y, then z, from the smallest coordinate to the largest and back."""
     path = np.tile(LOW, (len(times), 1))
     for axis in range(3):
         mine = (times >= axis * AXIS_S) & (times < (axis + 1) * AXIS_S)
@@ -49,7 +49,7 @@ def strokes(keys: Keys, times: np.ndarray) -> np.ndarray:
 
 
 def robot(ids: np.ndarray, seed: int, sigma_bias: float, height: float) -> RecordingFolder:
-    """Tags with an IMU on the robot, level; the chamber's anchors."""
+    """Tags with a level IMU on the robot, among the chamber's anchors."""
     world = simulate_uwb_imu(
         chamber(anchors(height)),
         strokes,
@@ -66,7 +66,7 @@ def robot(ids: np.ndarray, seed: int, sigma_bias: float, height: float) -> Recor
 
 
 def _end(axis: int, largest: bool) -> Callable[[TrackedRuns], np.ndarray]:
-    """How far off the mean of the strokes' least or largest coordinates is."""
+    """Error, m, of the mean of the strokes' smallest or largest coordinates."""
 
     def off(tracked: TrackedRuns) -> np.ndarray:
         found = (deviations(tracked) + tracked.truth)[..., axis]
@@ -87,7 +87,7 @@ def _mean_of(axes: range) -> Callable[[TrackedRuns], np.ndarray]:
 
 
 def expected(results: Results) -> list[ExpectedResult | Conclusion]:
-    """Table 3, and what the IMU is good for."""
+    """Table 3, and the benefit of the IMU."""
     found: list[ExpectedResult | Conclusion] = []
     means: dict[str, Value] = {}
     for axis, printed in PRINTED_MM.items():

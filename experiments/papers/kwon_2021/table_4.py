@@ -1,11 +1,11 @@
-"""Table 4 and Figure 10 of Kwon et al. 2021: a tag that stands still at (2.7 m, 2.7 m), about 380 fixes.
+"""Table 4 and Figure 10 of Kwon et al. 2021: a tag at rest at (2.7 m, 2.7 m), about 380 fixes.
 
-The spread of an axis is the largest less the smallest of 380 estimates, the filters settled. The paper prints neither
-anchors, rate and noise nor the numbers of its filters. Assumed: 40 rows a second, three anchors 0.7 m above the tag,
-two on one side 5 m from the third, and an accelerometer of 0.001 m/s²/√Hz, which the proposed filter knows. Fitted,
-as `fitted/table_4.toml` says: five numbers and the length of the window. The two anchors on one side have slow errors,
-which are felt in y more than in x, so that filters help y less, as printed. Eight printed figures, six numbers: two
-degrees of freedom are left. The still tag says nothing of a filter's lag, which is why its paper can tune it at will.
+The spread of an axis is the range of 380 estimates after the filters have settled. Anchors, rate, noise and the
+filters' parameters are not printed. Assumed: 40 rows a second, three anchors 0.7 m above the tag, two of them on one
+side 5 m from the third, and an accelerometer noise of 0.001 m/s²/√Hz, known to the proposed filter. Fitted
+(`fitted/table_4.toml`): five parameters and the window length. The two anchors on one side have slow errors, which
+affect y more than x, so that filters improve y less, as printed. Eight printed spreads, six parameters: two degrees of
+freedom are left. A tag at rest does not show a filter's lag.
 """
 
 from __future__ import annotations

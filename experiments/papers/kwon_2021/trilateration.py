@@ -1,8 +1,8 @@
-"""What the confidence compensation (14) of Kwon et al. 2021 does to trilateration, in sight and behind obstacles.
+"""Effect of the confidence compensation (14) of Kwon et al. 2021 on trilateration, with and without line of sight.
 
-Tags at a known height among the chamber's four anchors, in line of sight and with anchors hidden for a third of the
-time, by trilateration with and without (14), by least squares on all four ranges, and by the filter. J of (15), whose
-unit the paper leaves open, is the standard deviation of a range. Stamps of 0.1 ns, biases of 3 cm.
+Tags at a known height among the chamber's four anchors, with line of sight and with anchors hidden for a third of the
+time. Compared: trilateration with and without (14), least squares on all four ranges, and the filter. J of (15), whose
+unit is not printed, is taken as the standard deviation of a range. Time stamps of 0.1 ns, biases of 3 cm.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from trackers.recordings.folder import RecordingFolder
 
 FLOOR = WALK_VOLUME * [1.0, 1.0, 0.0] + [0.0, 0.0, 1.2]
 SETTLED_S = 5.0
-"""Seconds at the beginning that aren't judged: the filter learns its biases."""
+"""Seconds at the beginning that are not scored, while the filter estimates its biases."""
 
 
 def walk(ids: np.ndarray, seed: int, hidden: float = 0.0, rows: int = 300) -> RecordingFolder:
-    """Tags with `rows` rows of four ranges each, ten rows a second, anchors hidden for a share of the time."""
+    """Tags with `rows` rows of four ranges each, ten rows a second, anchors hidden for a fraction of the time."""
     pieces: dict[str, Corruption] = {"biases": antenna_biases(0.03)}
     if hidden:
         pieces["hidden"] = obstruction(hidden, 2.0, 0.2, 0.15)

@@ -1,8 +1,8 @@
-"""What the studies of the assembly line share: the nine recordings of Table 3.1 as worlds, and the thesis's filters.
+"""Shared by the studies of the assembly line: the nine recordings of Table 3.1 as worlds, and the thesis's filters.
 
-A world is a recording: its situation, the white noise that brings it to its measurement error, and what is common to
-all nine. The truth is fitted to the recording's own fixes by least squares, as section 2.6 does: errors that hang
-together along the path enter both, and are seen less than they are.
+A world is a recording: its situation, the white noise that gives its measurement error, and the parameters common to
+all nine. The truth is fitted to the recording's own fixes by least squares, as in section 2.6; errors correlated along
+the path enter both, and are therefore underestimated.
 """
 
 from __future__ import annotations
@@ -36,21 +36,21 @@ SITUATIONS = {"situation 1": "constant", "situation 2": "halts", "situation 3": 
 RECORDINGS = tuple(f"{situation}, set {k}" for situation in SITUATIONS for k in (1, 2, 3))
 
 MEASUREMENT_NOISE = 0.392
-"""m: the average error of all measurements, which the thesis takes for its filters' measurement noise (chapter 3)."""
+"""Average error of all measurements, m; the measurement noise of the thesis's filters (chapter 3)."""
 
 BEYOND = 10.0
-"""Metres by which the last segment goes on: the last case of (2.5) has no upper end."""
+"""Extension of the last segment, m; the last case of (2.5) has no upper end."""
 
 SIGMA = "motion.sigma_a"
 SWEPT = (0.06, 0.09, 0.13, 0.18, 0.25, 0.35)
-"""m/s per √s; at 5 Hz a change of 3 … 16 cm/s per step, inside the 0 … 100 cm that the thesis looks through."""
+"""m/s per √s; at 5 Hz 3 to 16 cm/s per step, inside the thesis's range of 0 to 100 cm."""
 
 
 def recording(ids: np.ndarray, seed: int, number: int, **numbers: Any) -> RecordingFolder:
-    """Draws of recording `number` of Table 3.1, one for each id, with the truth that least squares find in its fixes.
+    """Draws of recording `number` of Table 3.1, one per id, with the truth fitted to its fixes by least squares.
 
     `numbers`: `situation`, `speed` m/s, `rate_hz`; `white`, `slow`: standard deviations, m, of independent errors and
-    of those with the time constant `tau` s; `fitted_truth`: whether to fit it, as the thesis does.
+    of errors with time constant `tau`, s; `fitted_truth`: False keeps the simulated truth.
     """
     return _recording(tuple(np.asarray(ids).tolist()), seed, number, **numbers)
 
@@ -68,9 +68,9 @@ def _recording(
     rate_hz: float,
     fitted_truth: bool = True,
 ) -> RecordingFolder:
-    """Kept, since a sweep asks for the same recordings at every value, and least squares take their time."""
+    """Cached: a sweep uses the same recordings at every value, and the least squares are slow."""
     errors = {"white": white_noise(white), "slow": gauss_markov(slow, tau)}
-    # Nine recordings are nine draws: each has a seed of its own.
+    # Nine recordings are nine draws, each with its own seed.
     world = simulate_line(situation, ids, 10 * seed + number, speed=speed, rate_hz=rate_hz, errors=errors)
     if fitted_truth:
         places = [knot_times(world.knots, world.times, fixes).positions(world.times) for fixes in world.fixes]
@@ -79,7 +79,7 @@ def _recording(
 
 
 def worlds(numbers: Mapping[str, float], names: Sequence[str] = RECORDINGS) -> dict[str, World]:
-    """The recordings as worlds, from numbers such as `fitted("line_thesis/table_3_1")`: those common to all, and their noises."""
+    """The recordings as worlds, from parameters such as `fitted("line_thesis/table_3_1")`."""
     common = {name: numbers[name] for name in ("slow", "tau", "speed", "rate_hz")}
     return {
         name: World(
@@ -96,12 +96,12 @@ def worlds(numbers: Mapping[str, float], names: Sequence[str] = RECORDINGS) -> d
 
 
 def noise_of(name: str) -> str:
-    """What a recording's white noise is called among the numbers: `white_1_3` of situation 1, set 3."""
+    """The parameter of a recording's white noise: `white_1_3` for situation 1, set 3."""
     return "white_" + "_".join(word for word in name.replace(",", "").split() if word.isdigit())
 
 
 def open_ended(knots: Any) -> Polyline:
-    """The path as (2.5) has it: its last segment goes on, so that particles may pass the end."""
+    """The path of (2.5), whose last segment is extended, so that particles may pass the end."""
     knots = np.asarray(knots, float)
     along = (knots[-1] - knots[-2]) / np.linalg.norm(knots[-1] - knots[-2])
     return Polyline(np.vstack([knots[:-1], knots[-1] + BEYOND * along]))
@@ -155,31 +155,31 @@ STOPPING = TrackerConfig(
 
 
 def distances(tracked: TrackedRuns) -> np.ndarray:
-    """Horizontal errors (n, T), m, NaN where a row doesn't count."""
+    """Horizontal errors (n, T), m; NaN for rows that are not scored."""
     return np.where(
         tracked.known, np.hypot(*np.moveaxis(tracked.estimates[..., :2] - tracked.truth[..., :2], -1, 0)), np.nan
     )
 
 
 def error(tracked: TrackedRuns) -> np.ndarray:
-    """(2.8) in words: the average distance from the truth (n,), m."""
+    """Mean distance from the truth (n,), m: (2.8) by its text."""
     return np.asarray(np.nanmean(distances(tracked), axis=1))
 
 
 def root_mean_square(tracked: TrackedRuns) -> np.ndarray:
-    """(2.8) by its name: the root mean square distance (n,), m."""
+    """Root mean square distance from the truth (n,), m: (2.8) by its name."""
     return np.asarray(np.sqrt(np.nanmean(distances(tracked) ** 2, axis=1)))
 
 
 def least(results: Results, tracker: str, measure: str = "error_m") -> float:
-    """The dynamic noise of the sweep with the least average error over all worlds: one for all recordings."""
+    """The dynamic noise with the least average error over all worlds."""
     swept = results.study.grid[SIGMA]
     pairs = [(world, tracker) for world in results.study.worlds]
     return float(swept[int(np.argmin([results.average(measure, pairs, **{SIGMA: s}).value for s in swept]))])
 
 
 def seen(study: Study, world: str, ids: np.ndarray, **point: float) -> dict[str, TrackedRuns]:
-    """What every tracker of a study makes of some trajectories, row by row."""
+    """The estimates of every tracker of a study for some trajectories."""
     found: list[TrackedRuns] = []
 
     def keep(tracked: TrackedRuns) -> np.ndarray:
@@ -193,5 +193,5 @@ def seen(study: Study, world: str, ids: np.ndarray, **point: float) -> dict[str,
 
 
 def with_noise(config: TrackerConfig, sigma: float) -> TrackerConfig:
-    """The tracker with this dynamic noise."""
+    """The tracker with dynamic noise `sigma`."""
     return dataclasses.replace(config, tunables={SIGMA: sigma})

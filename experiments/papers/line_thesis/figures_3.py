@@ -1,12 +1,12 @@
-"""Figures 3.1-3.6 of the thesis: one recording of each situation, the filters' places and their errors over time.
+"""Figures 3.1-3.6 of the thesis: one recording of each situation, the filters' positions and their errors over time.
 
 Figures 3.1, 3.3 and 3.5 show the path with the outputs of both filters, 3.2, 3.4 and 3.6 the errors over time with
-their averages, of set 1 of each situation. Their captions print two figures each, the measurement error and by how much
-the particle filter is better than the Kalman filter; those of measurements are fitted (`fit_table_3_1`), the three
-improvements are predicted. As in Table 3.1 a printed one is one recording and ours the mean over many.
+their averages, of set 1 of each situation. Their captions print two numbers each: the measurement error, which is
+fitted (`fit_table_3_1`), and the improvement of the particle filter over the Kalman filter, which is predicted. As in
+Table 3.1 a printed number belongs to one recording, ours is the mean over many.
 
-The worlds `… run again` hold one recording over and over, for particles of other random numbers: the thesis averages
-ten such runs, since a single one "does not necessarily provide a representative output".
+The worlds `… run again` repeat one recording for particles with other random numbers: the thesis averages ten such
+runs, because a single one "does not necessarily provide a representative output".
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ COLOURS = {"raw": GREY, "Kalman": BLUE, "particle": VERMILION}
 
 
 def over_and_over(ids: np.ndarray, seed: int, **numbers: float) -> RecordingFolder:
-    """The first draw of a recording under as many names as there are ids."""
+    """The first draw of a recording, repeated under the names of all ids."""
     one = recording(np.array([0]), seed, **numbers)  # type: ignore[arg-type]
     tags = pl.DataFrame({"tag": [str(i) for i in ids]})
     tables = {
@@ -58,13 +58,13 @@ def over_and_over(ids: np.ndarray, seed: int, **numbers: float) -> RecordingFold
 
 
 def off_path(tracked: TrackedRuns) -> np.ndarray:
-    """How far estimates are from the path on average (n,), m; (2.5) has it go on beyond its last knot."""
-    apart = open_ended(tracked.folder.rig.path_knots).nearest(np.nan_to_num(tracked.estimates[..., :2]))[1]
-    return np.asarray(np.nanmean(np.where(tracked.known, apart, np.nan), axis=1))
+    """Mean distance (n,), m, of the estimates from the path, extended beyond its last knot as in (2.5)."""
+    distance = open_ended(tracked.folder.rig.path_knots).nearest(np.nan_to_num(tracked.estimates[..., :2]))[1]
+    return np.asarray(np.nanmean(np.where(tracked.known, distance, np.nan), axis=1))
 
 
 def expected(results: Results) -> list[ExpectedResult | Conclusion]:
-    """What the captions print, and what chapter 3 says of the figures."""
+    """The captions' numbers, and the conclusions of chapter 3."""
     made: list[ExpectedResult | Conclusion] = []
     largest = {"Kalman": 0.0, "particle": 0.0}
     shares, scatter, spread = [], [], []

@@ -1,11 +1,11 @@
-"""Fit the world of Table 3.1: `python -m experiments.papers.line_thesis.fit_table_3_1` writes `fitted/table_3_1.toml`.
+"""Fit of the world of Table 3.1: `python -m experiments.papers.line_thesis.fit_table_3_1`.
 
-Neither errors, rate nor speeds of the nine recordings are printed. Fitted are eleven numbers to eighteen printed ones:
-the white noise of each recording to its measurement error, the level of the slow errors, common to all, to the average
-of the Kalman column, and the mean speed to its nine errors. These hardly tell one speed from another: allowed is each
-whose misfit is no greater than that of nine single draws of the fitted world itself, and the middle one is taken. How
-much the particle filter's average changes over those allowed stands in the file. The time constant of the slow errors
-and the rate are chosen. The particle filter's nine errors have no part in the fit.
+Neither errors, rate nor speeds of the nine recordings are printed. Eleven parameters are fitted to eighteen printed
+errors: the white noise of each recording to its measurement error, the common level of the slow errors to the average
+of the Kalman column, and the mean speed to its nine errors. These hardly depend on the speed. A speed is allowed if
+its sum of squared residuals is at most that of nine single draws of the fitted world; the middle one is taken. The
+file lists the particle filter's average at each allowed speed. The time constant of the slow errors and the rate are
+chosen. The particle filter's nine errors are not used.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def swept(numbers: Mapping[str, float], trackers: Mapping[str, TrackerConfig], r
 
 
 class Column(NamedTuple):
-    """A column of the table, m: means over draws (9,), how much one draw scatters (9,), at which dynamic noise."""
+    """A column of the table, m: means over draws (9,), scatter of one draw (9,), and the dynamic noise."""
 
     means: np.ndarray
     scatter: np.ndarray
@@ -63,14 +63,14 @@ class Column(NamedTuple):
 
 
 def column(results: Results, tracker: str) -> Column:
-    """What a sweep gives for a tracker at its best dynamic noise."""
+    """The column of a tracker at its best dynamic noise of a sweep."""
     best = least(results, tracker)
     draws = np.array([results.numbers("error_m", name, tracker, **{SIGMA: best}) for name in RECORDINGS])
     return Column(draws.mean(axis=1), draws.std(axis=1, ddof=1), best)
 
 
 class Fit(NamedTuple):
-    """What was found at a mean speed, m/s: numbers, and sums of squares of the Kalman column's ratios less one.
+    """The fit at one mean speed: parameters, and the sum of squared relative residuals of the Kalman column.
 
     `squares`: of the fit; `expected`: of nine single draws of the fitted world.
     """
@@ -81,8 +81,8 @@ class Fit(NamedTuple):
 
 
 def fit_at(speed: float, runs: int = RUNS, rounds: int = ROUNDS) -> Fit:
-    """The numbers that give the nine measurement errors and the Kalman filter's average at this mean speed."""
-    # Of normal errors the mean distance is √(π/2) of the deviation; the fitted truth takes a few per cent of it.
+    """The parameters that reproduce the measurement errors and the Kalman filter's average at a mean speed, m/s."""
+    # The mean distance of normal errors is √(π/2) σ; the fitted truth absorbs a few per cent of it.
     total, slow = 1.03 * MEASURED / np.sqrt(np.pi / 2), START
     for turn in range(rounds + 1):
         white = np.sqrt(np.maximum(total**2 - slow**2, 0.02**2))
@@ -99,13 +99,13 @@ def fit_at(speed: float, runs: int = RUNS, rounds: int = ROUNDS) -> Fit:
         )
         if turn < rounds:
             total = total * MEASURED / raw.means
-            # Part of the filter's error comes of the tag's motion: the level has to change by more than the error.
+            # Part of the filter's error is due to the motion: the level changes by more than the error.
             slow *= float(FILTERED.mean() / kalman.means.mean()) ** 1.3
     return Fit(numbers, squares, expected)
 
 
 def main() -> int:
-    """Fit at every speed, take the middle one of those that the Kalman column allows, write it."""
+    """Fit at every speed and write the middle one of those that the Kalman column allows."""
     fits = [fit_at(speed) for speed in SPEEDS]
     allowed = [fit for fit in fits if fit.squares <= fit.expected] or [min(fits, key=lambda fit: fit.squares)]
     numbers = allowed[len(allowed) // 2].numbers

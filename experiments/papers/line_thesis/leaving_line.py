@@ -2,11 +2,11 @@
 
 The thesis would detect "events where a tracked object may leave an assembly line … by tracking the cumulative error
 between a standard Kalman filter and a map-constrained filter, identifying an event when they sufficiently diverge".
-Nothing is printed. Here: the cumulative sum of their distance beyond a slack (`trackers/line/leaving.py`), the free
-filter being the thesis's Kalman filter, the constrained one its particle filter or a grid that knows of segments, in
-the world of Table 3.1. Tags of situation 1 are carried to a place so many metres beside the line for `AWAY_S` seconds,
-or never. A detection is a sum over the limit while the tag is away or within `AFTER_S` seconds, a false alarm a sum
-over the limit at any time in a recording, of about a minute, of a tag that stays.
+No result is printed. Here: the cumulative sum of their distance beyond a slack (`trackers/line/leaving.py`). The free
+filter is the thesis's Kalman filter, the constrained one its particle filter or a grid filter with segments, in the
+world of Table 3.1. Tags of situation 1 are carried to a position beside the line for `AWAY_S` seconds, or never. A
+detection is a sum above the limit while the tag is away or within `AFTER_S` seconds; a false alarm is a sum above the
+limit at any time in a recording, of about a minute, of a tag that stays.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def _sums(tracked: TrackedRuns, slack: float) -> np.ndarray:
 
 
 def _largest(slack: float, away: bool) -> Callable[[TrackedRuns], np.ndarray]:
-    """The largest sum (n,), m·s: while a tag would be away, or at any time."""
+    """Largest sum (n,), m·s, during the time away or over the whole recording."""
 
     def largest(tracked: TrackedRuns) -> np.ndarray:
         inside = (tracked.times >= LEFT_S) & (tracked.times < LEFT_S + AWAY_S + AFTER_S)
@@ -83,7 +83,7 @@ def _largest(slack: float, away: bool) -> Callable[[TrackedRuns], np.ndarray]:
 
 
 def _delay(limit: float) -> Callable[[TrackedRuns], np.ndarray]:
-    """Seconds (n,) from leaving until the sum is over the limit; NaN where it isn't while the tag is away."""
+    """Seconds (n,) from leaving to a sum above the limit; NaN without a detection."""
 
     def delay(tracked: TrackedRuns) -> np.ndarray:
         after = (tracked.times >= LEFT_S) & (tracked.times < LEFT_S + AWAY_S + AFTER_S)
@@ -95,7 +95,7 @@ def _delay(limit: float) -> Callable[[TrackedRuns], np.ndarray]:
 
 
 def curve(results: Results, world: str, tracker: str, slack: float) -> tuple[np.ndarray, np.ndarray]:
-    """Shares of false alarms and of detections (k,) over all limits, from the highest."""
+    """Rates of false alarms and of detections (k,) over all limits, from the highest."""
     stay = results.numbers(f"at any time, slack {slack}", STAYS, tracker)
     leave = results.numbers(f"while away, slack {slack}", world, tracker)
     limits = np.r_[np.inf, np.sort(np.concatenate([stay, leave]))[::-1]]
@@ -103,19 +103,19 @@ def curve(results: Results, world: str, tracker: str, slack: float) -> tuple[np.
 
 
 def area(results: Results, world: str, tracker: str, slack: float) -> Value:
-    """The area under that curve: how often a tag that leaves has more evidence than one that stays."""
+    """Area under the ROC: probability that the sum of a leaving tag exceeds that of a staying one."""
     stay = results.numbers(f"at any time, slack {slack}", STAYS, tracker)
     leave = results.numbers(f"while away, slack {slack}", world, tracker)
     wins = (leave[:, None] > stay[None, :]) + 0.5 * (leave[:, None] == stay[None, :])
     rng = np.random.default_rng(results.study.seed)
     weights = rng.multinomial(len(stay), np.full(len(stay), 1 / len(stay)), size=1000) / len(stay)
-    # A tag's noise is the same whether it leaves or not: both are drawn together.
+    # A tag has the same noise whether it leaves or stays; both are resampled together.
     low, high = np.quantile(np.einsum("ri,ij,rj->r", weights, wins, weights, optimize=True), [0.025, 0.975])
     return Value(float(wins.mean()), float(low), float(high))
 
 
 def expected(results: Results) -> list[ExpectedResult | Conclusion]:
-    """How well tags that leave are told from tags that stay, and how soon."""
+    """Detection rates and delays of tags that leave."""
     made: list[ExpectedResult | Conclusion] = []
     for tracker in results.study.trackers:
         areas = {world: area(results, world, tracker, SHOWN_SLACK) for world in SIZES}
@@ -146,7 +146,7 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
 
 
 def draw(results: Results, folder: Path) -> list[str]:
-    """The ROC, and detections' delays against false alarms."""
+    """The ROC, and detection delay against false alarms."""
     stay = results.numbers(f"at any time, slack {SHOWN_SLACK}", STAYS, "particle")
 
     def roc(figure: Figure) -> None:

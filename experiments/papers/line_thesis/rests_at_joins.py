@@ -1,11 +1,11 @@
 """Rests where segments meet, with and without a segment in the state: the first future work of chapter 4.
 
-The thesis expects that its filter "tends to overshoot such rest periods", and that one whose state knows the segment
-"could recognize the transition at a junction and change to a piecewise function that is pure rest". Neither figure nor
-number is printed: nothing is predicted, the conclusion is checked. `HaltingMotion` has whether the tag rests in its
-state; which join it rests at says the arclength. Both motions, by particles and on a grid of arclength and speed, each
-with its own best dynamic noise, in the world of Table 3.1: situation 2, whose tag rests for 5 s at each of four joins,
-and situation 1, which has none, for what expecting rests costs where none come. Judged against the simulated truth.
+The thesis expects that its filter "tends to overshoot such rest periods", and that a filter with the segment in its
+state "could recognize the transition at a junction and change to a piecewise function that is pure rest". No result is
+printed; the study checks the conclusion. The state of `HaltingMotion` includes whether the tag rests; the arclength
+identifies the join. Both motions run by particles and on a grid of arclength and speed, each with its own best dynamic
+noise, in the world of Table 3.1: situation 2, with rests of 5 s at four joins, and situation 1, without rests, which
+shows the cost of the extra state. Scored against the simulated truth.
 """
 
 from __future__ import annotations
@@ -48,23 +48,23 @@ def _plain_grid(trajectory: Trajectory, planar: bool) -> AbstractTracker:
 
 
 def arclengths(tracked: TrackedRuns) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Arclengths of estimates and truth (n, T), m, and the rows at which the tag rests at a join."""
+    """Arclengths (n, T), m, of estimates and truth, and mask (n, T) of rests at a join."""
     assert tracked.folder.rig.path_knots is not None
     line = Polyline(tracked.folder.rig.path_knots)
     found, true = (line.nearest(np.nan_to_num(x[..., :2]))[0] for x in (tracked.estimates, tracked.truth))
     still = np.diff(true, axis=1, append=np.nan) == 0
-    # The bends of the path, of which the truth's arclength is exact up to rounding.
+    # The bends of the path; the truth's arclength at them is exact up to rounding.
     at_join = np.abs(true[..., None] - np.asarray(line.starts)[1:]).min(axis=-1) < 1e-6
     return found, true, still & at_join & tracked.known
 
 
 def rest_error(tracked: TrackedRuns) -> np.ndarray:
-    """The average distance from the truth (n,), m, while the tag rests at a join; NaN where it never does."""
+    """Mean distance from the truth (n,), m, during rests at joins; NaN without rests."""
     return _mean_of(distances(tracked), arclengths(tracked)[2])
 
 
 def overshoot(tracked: TrackedRuns) -> np.ndarray:
-    """How far the estimate is past the join on average (n,), m, while the tag rests there; negative: short of it."""
+    """Mean signed distance (n,), m, of the estimate past the join during rests."""
     found, true, rests = arclengths(tracked)
     return _mean_of(found - true, rests)
 
@@ -75,7 +75,7 @@ def _mean_of(values: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
 
 def expected(results: Results) -> list[ExpectedResult | Conclusion]:
-    """Whether the plain motion overshoots rests, and whether the segment helps."""
+    """Overshoot of the plain motion, and improvement by the segment."""
     made: list[ExpectedResult | Conclusion] = []
     for without, known in PAIRS.items():
         past, past_known = (100 * _numbers(results, "overshoot_m", RESTS, t).mean() for t in (without, known))
@@ -104,7 +104,7 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
 
 
 def _numbers(results: Results, measure: str, world: str, tracker: str) -> np.ndarray:
-    """Trajectory by trajectory, with the dynamic noise that is best for this tracker over both worlds."""
+    """The measure per trajectory, at the tracker's best dynamic noise over both worlds."""
     return results.numbers(measure, world, tracker, **{SIGMA: least(results, tracker)})
 
 

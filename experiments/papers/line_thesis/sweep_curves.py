@@ -1,11 +1,11 @@
 """The thesis's sweep: the error of both filters against their dynamic noise, 0 to 100 cm, over the three situations.
 
-Chapter 3 sets the dynamic noise by varying it "over a range of 0 to 100 cm" and taking the least error over all data;
-neither the curve nor the value is printed, so that nothing is fitted and nothing numerical predicted here. Here: one
-recording of each situation of the world of Table 3.1, noise in m/s per √s (at 5 Hz 1 m/s per √s is 45 cm/s per step).
-Zero would be a speed that never changes, another model; the sweep begins at a small noise instead.
+Chapter 3 varies the dynamic noise "over a range of 0 to 100 cm" and takes the least error over all data. Neither curve
+nor value is printed, so that nothing is fitted or predicted in numbers. Here: one recording of each situation of the
+world of Table 3.1, noise in m/s per √s (at 5 Hz 1 m/s per √s is 45 cm/s per step). Zero noise would be another model, a
+constant speed; the sweep begins at a small value instead.
 
-Beside the thesis's particle filter, whose path has no end (2.5), stands the same on a path that ends.
+The thesis's particle filter, whose path has no end (2.5), is compared with the same filter on a path that ends.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ SWEPT = (0.01, 0.03, 0.06, 0.09, 0.13, 0.18, 0.25, 0.35, 0.6, 1.0)
 WORLDS = ("situation 1, set 2", "situation 2, set 2", "situation 3, set 2")
 COLOURS = {"Kalman": BLUE, "particle": VERMILION, "particle, path ends": GREEN}
 NEAR = 1.05
-"""Within a twentieth of the least error counts as flat."""
+"""Ratio to the least error up to which the curve counts as flat."""
 
 
 def expected(results: Results) -> list[ExpectedResult | Conclusion]:
-    """Where the least errors are, and how much a wrong noise costs."""
+    """Positions of the minima, and the cost of a wrong noise."""
     best = {tracker: least(results, tracker) for tracker in results.study.trackers}
     curves = {tracker: _curve(results, tracker)[:, 0] for tracker in results.study.trackers}
     inside = all(SWEPT[0] < x < SWEPT[-1] for x in best.values())

@@ -1,19 +1,18 @@
 """Table 3.1 of the thesis: nine recordings of a cart on a known path, measured, by a Kalman filter and by particles.
 
-As the thesis does it: the measurement noise of both filters is the average measurement error, the dynamic noise the one
-of a sweep with the least average error over all nine, and the truth is fitted to the recordings themselves. (2.8) is
-garbled; its text says average distance, which is what is compared here, its name root mean square, which stands beside.
+As in the thesis, the measurement noise of both filters is the average measurement error, the dynamic noise is that of
+least average error over all nine in a sweep, and the truth is fitted to the recordings themselves. (2.8) is garbled: by
+its text it is the mean distance, which is compared here, by its name the root mean square, which is listed beside it.
 
-Fitted (`fit_table_3_1`, 11 numbers): the column of measurements, by the white noise of each recording, and the Kalman
-column, by the level of the slow errors and, weakly, the mean speed: 7 of 18 are left over. Predicted: the particle
-filter's nine figures and average. How far the weakly known speed moves that average stands in the file of the fit; and
-the rule that takes the middle of the allowed speeds was made when particle averages of prototypes were known already.
+Fitted (`fit_table_3_1`, 11 parameters): the measurement column by the white noise of each recording, and the Kalman
+column by the level of the slow errors and, weakly, the mean speed; 7 of 18 degrees of freedom are left. Predicted: the
+particle filter's nine errors and their average. The fitted file lists the average for all speeds that the Kalman column
+allows; the rule that chooses the middle one was made when particle averages of prototypes were known.
 
-What is compared: a printed figure is one draw, a recording that was made once; ours is the mean over many draws. One
-draw scatters about its mean by what the note of each figure says, so that figures of single recordings may differ by
-more than a tenth although the world is right; the averages over nine scatter by a third of that. The thesis runs its
-particles ten times on a recording to average their scatter; here every draw has particles of its own. The last
-case of (2.5) has no upper end, and neither has the path of these particles: they overrun its last knot.
+A printed error is one draw, a recording made once; ours is the mean over many draws. The note of each error states the
+scatter of one draw, so that errors of single recordings may differ by more than a tenth in a correct world; averages
+over nine scatter by a third of that. The thesis averages ten runs of its particles per recording; here every draw has
+its own particles. The last case of (2.5) has no upper end; the particles may pass the last knot.
 """
 
 from __future__ import annotations
@@ -43,10 +42,10 @@ from experiments.plots.style import BLUE, SKY, VERMILION, plain, write_svg
 
 
 def expected(results: Results) -> list[ExpectedResult | Conclusion]:
-    """The 27 figures, their averages, and what the thesis concludes from them."""
+    """The 27 errors, their averages, and the thesis's conclusions."""
     noise = _noise(results)
     made: list[ExpectedResult | Conclusion] = [
-        _figure(results, noise, name, k) for name in RECORDINGS for k in range(3)
+        _printed_error(results, noise, name, k) for name in RECORDINGS for k in range(3)
     ]
     for k, tracker in enumerate(COLUMNS):
         pairs = [(name, tracker) for name in RECORDINGS]
@@ -71,11 +70,11 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
 
 
 def _noise(results: Results) -> dict[str, float]:
-    """One dynamic noise of each filter for all nine; measurements have none: any point of the grid will do."""
+    """One dynamic noise per filter for all nine; that of raw measurements has no effect."""
     return {"raw": results.study.grid[SIGMA][0]} | {tracker: least(results, tracker) for tracker in COLUMNS[1:]}
 
 
-def _figure(results: Results, noise: dict[str, float], name: str, k: int) -> ExpectedResult:
+def _printed_error(results: Results, noise: dict[str, float], name: str, k: int) -> ExpectedResult:
     tracker = COLUMNS[k]
     ours = results.value("error_m", name, tracker, **{SIGMA: noise[tracker]}).times(100)
     draws = 100 * _draws(results, noise, name, tracker)
@@ -89,7 +88,7 @@ def _draws(results: Results, noise: dict[str, float], name: str, tracker: str) -
 
 
 def _improvement(results: Results, noise: dict[str, float], other: str) -> Value:
-    """Percent, with an interval over draws of the whole table."""
+    """Improvement in percent, with an interval over draws of the whole table."""
     mine, its = (np.mean([_draws(results, noise, n, t) for n in RECORDINGS], axis=0) for t in ("particle", other))
     picks = np.random.default_rng(results.study.seed).integers(len(mine), size=(1000, len(mine)))
     drawn = 100 * (1 - mine[picks].mean(axis=1) / its[picks].mean(axis=1))
@@ -120,7 +119,7 @@ def _conclusions(results: Results, noise: dict[str, float]) -> list[ExpectedResu
 
 
 def draw(results: Results, folder: Path) -> list[str]:
-    """The table as a picture: what single recordings of this world give, and what was printed."""
+    """The table as a plot: errors of single simulated recordings beside the printed ones."""
     noise = _noise(results)
 
     def table(figure: Figure) -> None:

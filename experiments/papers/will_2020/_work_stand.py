@@ -1,8 +1,8 @@
-"""What the studies of the work stand share: the paper's stand with the fitted array, its helix, what fails on it.
+"""Shared by the studies of the work stand: the paper's stand with the fitted array, its helix, trackers and failures.
 
-Table 1 of paper A is a filter's errors with three antennas of eight. Three antennas so far apart have several
-directions of equal beamformer power within ±30°, so that a track that starts on them alone starts on any: the paper's
-must have started on all eight. Here antennas are covered from the second row on, after the start.
+Table 1 of paper A lists errors with three of eight antennas. Three antennas that far apart have several directions of
+equal beamformer power within ±30°; a track started on them alone could start on any of them. The paper's tracks must
+therefore have started on all eight. Here antennas are masked from the second row on.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ SETS = ("3-7-8", "2-7-8", "1-2-5", "2-3-6", ALL)
 """Antennas in use, counted from 1, in the order of Table 1."""
 
 POINTS, RATE_HZ = 200, 10.0
-"""Of the helix; only σa ΔT² enters the filter, so a rate is chosen and σa fitted."""
+"""Rows and rate of the helix; only σa ΔT² enters the filter, so that the rate is chosen and σa follows."""
 
 HELIX = "helix"
 
 
 def antennas_of(numbers: Mapping[str, float]) -> np.ndarray:
-    """The array (8, 2), m, from numbers such as `fitted("will_2020/table_1")`."""
+    """The array (8, 2), m, from parameters such as `fitted("will_2020/table_1")`."""
     return np.array([[numbers[f"{axis}_{k}"] for axis in "xy"] for k in range(1, 9)]) / 1000
 
 
 def in_use(name: str) -> np.ndarray:
-    """Which antennas (8,) a set of `SETS` has."""
+    """Mask (8,) of the antennas of a set of `SETS`."""
     used = np.ones(8, bool)
     if name != ALL:
         used[:] = False
@@ -51,7 +51,7 @@ def in_use(name: str) -> np.ndarray:
 
 
 def covered(name: str) -> Corruption:
-    """Antennas that are not of the set, at all stations, from the second row on."""
+    """Masks the antennas outside the set, at all stations, from the second row on."""
 
     def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         after = np.arange(len(times)) > 0
@@ -63,8 +63,8 @@ def covered(name: str) -> Corruption:
 def stand(numbers: Mapping[str, float], radius: float = 0.4, aperture: float = 1.0) -> Rig:
     """The work stand with the fitted array scaled by `aperture`, stations `radius` m off the middle line.
 
-    The paper prints no station positions and so does not say which its station 1 is. Numbered here so that it is the
-    one whose loss leaves the two that see most alike.
+    Station positions and numbers are not printed. Here station 1 is the one whose loss leaves the two stations with the
+    most similar geometry.
     """
     rig = work_station(aperture * antennas_of(numbers), radius)
     first, second, third = rig.stations.values()
@@ -83,10 +83,10 @@ def recorded(
     outlying: float = 0.0,
     size: float = 0.0,
 ) -> RecordingFolder:
-    """Phases at the stand on the helix, a trajectory for each id, in 20 s at any rate.
+    """Phases of beacons on the helix, one trajectory per id, 20 s at any rate.
 
-    An antenna set, a `lost` station (0: none), a wave, the geometry, and a share of phases that are `outlying`, with an
-    error of standard deviation `size`, rad, on top.
+    `antennas`: a set of `SETS`. `lost`: number of a lost station, 0 for none. `outlying`: fraction of outliers, with an
+    additional error of standard deviation `size`, rad.
     """
     numbers = fitted("will_2020/table_1")
     corruptions: dict[str, Corruption] = {"covered": covered(antennas)} if antennas != ALL else {}
@@ -121,14 +121,14 @@ def beam(tracker: str | TrackerSpec = "beam") -> TrackerConfig:
 
 
 def cascade() -> TrackerConfig:
-    """The paper's chain with the fitted noise levels in its beam trackers; the fusion's are the defaults."""
+    """The paper's cascade, with the fitted noise levels in its beam trackers and the default ones in its fusion."""
     return TrackerConfig(
         "cascade", _noise(fitted("will_2020/table_1"), "beams.*.motion.sigma_a", "beams.*.sensors.*.sigma_p")
     )
 
 
 def direct() -> TrackerConfig:
-    """The filter straight from phases, with the fitted phase noise."""
+    """The filter from phases to position, with the fitted phase noise."""
     return TrackerConfig("direct", {"sensors.*.sigma_p": fitted("will_2020/table_1")["sigma_p"]})
 
 

@@ -1,8 +1,8 @@
-"""What delay-and-sum costs against the EKF, and by what it grows: paper A, section 4.1.
+"""Computing cost of delay-and-sum and of the EKF: paper A, section 4.1.
 
-Times are of this machine and of a batch of trajectories, compiling left out; their ratios are what the paper talks
-about. The paper's own filter inverts a 28 x 28 matrix; here the 28 differences are 8 phases with a 2 x 2 solution, so
-that the EKF is cheaper than the paper's while its estimates are the same.
+Times hold for this machine and a batch of trajectories, without compiling; the paper compares their ratios. The paper's
+filter inverts a 28 × 28 matrix. Here the 28 differences are compressed to 2 channels, which makes the EKF cheaper with
+the same estimates.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ RESOLUTIONS = {"DAS, 1.2 deg": 1.2, "DAS, 0.6 deg": 0.6, "DAS, 0.3 deg": 0.3}
 
 
 def _searching(resolution: float) -> TrackerSpec:
-    """The beamformer on a grid of this resolution, degrees."""
+    """The beamformer on a grid with a resolution in degrees."""
 
     def build(trajectory: Trajectory, planar: bool) -> AbstractTracker:
         station = trajectory.folder.rig.stations[trajectory.station]
@@ -35,7 +35,7 @@ def _searching(resolution: float) -> TrackerSpec:
 
 
 def expected(results: Results) -> list[ExpectedResult | Conclusion]:
-    """The paper's statements on the effort of both."""
+    """The paper's conclusions on both costs."""
     us = {t: results.value("us_per_row", "stand", t).value for t in results.study.trackers}
     rmse = {t: np.rad2deg(results.value("rmse_direction_rad", "stand", t).value) for t in results.study.trackers}
     coarse, usual, fine = (us[name] for name in RESOLUTIONS)

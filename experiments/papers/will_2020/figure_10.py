@@ -1,8 +1,8 @@
 """Figure 10 of paper A: each of the three stations lost for the whole run.
 
-Nothing here was fitted to the figure, whose curves are lost; stations and noise are those of Table 1 and Figure 8. The
-paper prints neither where its stations stand nor which is which: ours are numbered so that station 1 is the one that
-matters most, and what is left to find is whether one does.
+Nothing was fitted to the figure, whose curves are lost; stations and noise are those of Table 1 and Figure 8. Positions
+and numbers of the paper's stations are not printed. Ours are numbered so that station 1 matters most; the study tests
+whether any station does.
 """
 
 from __future__ import annotations
@@ -25,29 +25,29 @@ SETTLED = 20
 
 
 def _square(tracked: TrackedRuns, rows: slice) -> np.ndarray:
-    """The root mean square error in space (n,), m, of some rows."""
+    """3-D RMSE (n,), m, of some rows."""
     error = np.where(tracked.known[..., None], tracked.estimates - tracked.truth, np.nan)[:, rows]
     return np.asarray(np.sqrt(np.nanmean((error**2).sum(axis=-1), axis=1)))
 
 
 def beginning(tracked: TrackedRuns) -> np.ndarray:
-    """The root mean square error in space (n,), m, of the first points."""
+    """3-D RMSE (n,), m, of the first points."""
     return _square(tracked, slice(0, SETTLED))
 
 
 def rest(tracked: TrackedRuns) -> np.ndarray:
-    """The same of the points after them."""
+    """3-D RMSE (n,), m, of the later points."""
     return _square(tracked, slice(SETTLED, None))
 
 
 def height(tracked: TrackedRuns) -> np.ndarray:
-    """The root mean square error of the height (n,), m."""
+    """RMSE (n,), m, of the height."""
     error = np.where(tracked.known, tracked.estimates[..., 2] - tracked.truth[..., 2], np.nan)
     return np.asarray(np.sqrt(np.nanmean(error**2, axis=1)))
 
 
 def expected(results: Results) -> list[ExpectedResult | Conclusion]:
-    """What the paper reads off the figure."""
+    """The paper's conclusions from the figure."""
     cm = {w: results.value("rmse_3d_m", w, "cascade").times(100) for w in results.study.worlds}
     early = {w: 100 * results.value("beginning_m", w, "cascade").value for w in results.study.worlds}
     late = {w: 100 * results.value("rest_m", w, "cascade").value for w in results.study.worlds}
@@ -85,7 +85,7 @@ def _pairs(early: dict[str, float], late: dict[str, float]) -> str:
 
 
 def draw(results: Results, folder: Path) -> list[str]:
-    """The share of errors below a size, for every station lost."""
+    """Cumulative distribution of the errors, for every lost station."""
 
     def shares(figure: Figure) -> None:
         axes = figure.subplots()

@@ -1,9 +1,9 @@
-"""Figure 8 of paper A: positions on the helix by three stations, and what the paper's chain costs.
+"""Figure 8 of paper A: positions on the helix by three stations, and the accuracy lost by the paper's cascade.
 
-Fitted (`fit_figure_8`): how far the stations are off the middle line, to the 3.18 cm; array and noise are Table 1's. At
-the 0.4 m that simulations of the stand take by default, the array fitted to Table 1 predicts the number that stands
-beside it. The curve of Figure 8 is lost: nothing of the distribution is compared. Not in the paper: one filter straight
-from phases to a position, and a world of plane waves, in which (9) is exact, beside the true one.
+Fitted (`fit_figure_8`): the stations' distance from the centre line, to the printed 3.18 cm; array and noise are those
+of Table 1. Predicted: the error at the default distance of 0.4 m. The curve of Figure 8 is lost, so that the
+distribution is not compared. Not in the paper: one filter from phases to position, and a world with plane waves, in
+which (9) is exact.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ COLOURS = {"cascade": BLUE, "direct": VERMILION}
 
 
 def offset(tracked: TrackedRuns) -> np.ndarray:
-    """The length (n,), m, of the mean error over the stand's rows: what no averaging removes."""
+    """Length (n,), m, of each run's mean error vector: the part that averaging does not remove."""
     return np.asarray(np.linalg.norm(np.nanmean(tracked.estimates - tracked.truth, axis=1), axis=-1))
 
 
 def expected(results: Results) -> list[ExpectedResult | Conclusion]:
-    """The error in space, what was predicted of it, and what cascade and plane waves cost."""
+    """The 3-D error, its prediction, and the accuracy lost by the cascade and by assuming plane waves."""
     cm = {
         (w, t): results.value("rmse_3d_m", w, t).times(100)
         for w in results.study.worlds
@@ -74,7 +74,7 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
 
 
 def draw(results: Results, folder: Path) -> list[str]:
-    """The first trajectory in space, and the share of errors below a size."""
+    """The first trajectory in space, and the cumulative distribution of the errors."""
     runs = seen(results.study, STAND, np.arange(results.study.chunk))
 
     def path(figure: Figure) -> None:

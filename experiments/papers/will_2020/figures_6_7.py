@@ -1,8 +1,8 @@
 """Figures 6 and 7 of paper A: azimuth and elevation over the helix, by the EKF and by the delay-and-sum beamformer.
 
-The EKF's errors on this helix are the full array's in Table 1, which were fitted; the beamformer's were not, nor was by
-how much the EKF is better. The curves of the figures are lost. The paper's recording has outlying measurements, whose
-number and size it doesn't print: a second world has some, chosen, to show what both make of them.
+The EKF's errors on this helix are those of the full array in Table 1, which were fitted. Predicted: the beamformer's
+errors and the EKF's advantage. The curves of the figures are lost. The paper's recording has outliers, whose number and
+size are not printed; a second world has some of chosen number and size, to show their effect on both.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from experiments.plots.style import BLUE, GREY, ORANGE, plain, write_svg
 AXES = ("azimuth", "elevation")
 HELIX, OUTLYING = "helix", "helix with outlying phases"
 OUTLIERS, SIZE = 0.02, 1.5
-"""Share of the phases that are outlying, and the standard deviation of what is added to them, rad: chosen."""
+"""Fraction of outlying phases and the standard deviation of their additional error, rad; both chosen."""
 
-WILD = np.deg2rad(5.0)
+OUTLIER = np.deg2rad(5.0)
 
 
 def _errors(tracked: TrackedRuns) -> np.ndarray:
-    """Absolute errors (n, T, stations, 2), rad, NaN where a row doesn't count."""
+    """Absolute errors (n, T, stations, 2), rad; NaN for rows that are not scored."""
     return np.where(tracked.known[..., None], np.abs(tracked.estimates - tracked.truth), np.nan)
 
 
 def wild(tracked: TrackedRuns) -> np.ndarray:
-    """The share (n,) of directions that are off by more than 5 degrees in an angle."""
-    return np.asarray((_errors(tracked).max(axis=-1) > WILD).mean(axis=(1, 2)))
+    """Fraction (n,) of directions with an error above 5° in either angle."""
+    return np.asarray((_errors(tracked).max(axis=-1) > OUTLIER).mean(axis=(1, 2)))
 
 
 def azimuth(tracked: TrackedRuns) -> np.ndarray:
@@ -48,7 +48,7 @@ def elevation(tracked: TrackedRuns) -> np.ndarray:
 
 
 def expected(results: Results) -> list[ExpectedResult | Conclusion]:
-    """The errors told with Figure 7, and that the EKF is the better."""
+    """The errors printed with Figure 7, and the EKF's advantage."""
     made: list[ExpectedResult | Conclusion] = []
     for axis, printed in zip(AXES, PRINTED["full array"], strict=True):
         ours = results.value(f"rmse_{axis}_rad", HELIX, "EKF").times(180 / np.pi)

@@ -1,10 +1,10 @@
-"""Fit the default array: where eight antennas must stand for the bounds of Table 1's antenna sets to have its ratios.
+"""Fit of the default array: positions of eight antennas whose Cramér–Rao bounds have the ratios of Table 1's errors.
 
-Run by `python -m experiments.papers.will_2020.fit_array_layout`; what it prints is `DEFAULT_ANTENNAS` in trackers/aoa/layout.py. Ten
-printed errors against sixteen coordinates and one noise level leave many layouts: from seeded random starts a
-Gauss-Newton iteration finds some hundred exact ones, each is scaled to fill the box, and the one is taken whose array
-factor has the lowest side lobes, so that a beamformer seldom starts a track on the wrong one. The printed errors are a
-filter's, not bounds: this is a fit, not a reconstruction of the array.
+`python -m experiments.papers.will_2020.fit_array_layout` prints `DEFAULT_ANTENNAS` of trackers/aoa/layout.py. Ten
+printed errors leave many layouts of sixteen coordinates. Gauss-Newton iterations, batched over seeded random starts,
+find some hundred exact ones; each is scaled to fill the box, and the one whose array factor has the lowest side lobes
+is chosen, so that a beamformer rarely starts a track on a wrong lobe. The printed errors are a filter's, not bounds:
+this is a fit, not a reconstruction of the array.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ STARTS, ITERATIONS, LONGEST_STEP = 2000, 40, 0.005
 
 
 def log_ratios(layouts: np.ndarray) -> np.ndarray:
-    """Log of bound over printed error (..., 10), less its mean: zero where a layout (..., 8, 2) has the ratios."""
+    """Log of bound over printed error (..., 10), less its mean; zero if a layout (..., 8, 2) has the ratios."""
     sets = [boresight_bounds(layouts[..., np.array(chosen) - 1, :]) for chosen in TABLE_1_DEG]
     logs = np.log(np.concatenate(sets, axis=-1)) - np.log(np.concatenate(list(TABLE_1_DEG.values())))
     return logs - logs.mean(axis=-1, keepdims=True)
@@ -39,7 +39,7 @@ def exact_layouts(seed: int = 0) -> np.ndarray:
     layouts = np.random.default_rng(seed).uniform(-1, 1, (STARTS, 8, 2)) * HALF_BOX
     for _ in range(ITERATIONS):
         residual, jacobian = log_ratios(layouts), _jacobian(layouts)
-        # The residuals sum to zero; the added ones give the square matrix the rank it lacks and change no step.
+        # The residuals sum to zero; the added constant restores full rank and changes no step.
         square = jacobian @ jacobian.swapaxes(-1, -2) + np.ones((10, 10)) * 1e4
         step = -(jacobian.swapaxes(-1, -2) @ np.linalg.solve(square, residual[..., None]))[..., 0]
         step *= np.minimum(1, LONGEST_STEP / np.abs(step).max(axis=-1, keepdims=True).clip(1e-30))
@@ -76,7 +76,7 @@ def _jacobian(layouts: np.ndarray) -> np.ndarray:
 
 
 def main() -> None:
-    """Print the fitted layout, how near its bounds come to Table 1's ratios, and whether it is the stored one."""
+    """Print the fitted layout, its bounds beside Table 1, and whether it is the stored one."""
     layout = fitted_layout()
     print("DEFAULT_ANTENNAS = np.array(")
     print("    [")
@@ -88,7 +88,7 @@ def main() -> None:
     bounds = {chosen: boresight_bounds(layout[np.array(chosen) - 1]) for chosen in TABLE_1_DEG}
     ours = np.exp(np.mean([np.log(bound) for bound in bounds.values()]))
     print(
-        f"\nbounds with sigma_p = {scale / np.degrees(ours):.3f} rad, at which they equal the printed errors on average"
+        f"\nbounds with sigma_p = {scale / np.degrees(ours):.3f} rad, at which their mean is that of the printed errors"
     )
     print("antennas          azimuth, deg: printed  bound   elevation, deg: printed  bound")
     for chosen, printed in TABLE_1_DEG.items():

@@ -1,8 +1,8 @@
-"""Fit where the stations stand: `python -m experiments.papers.will_2020.fit_figure_8` writes `fitted/figure_8.toml`.
+"""Fit of the station positions: `python -m experiments.papers.will_2020.fit_figure_8` writes `fitted/figure_8.toml`.
 
-Paper A prints no station positions. How far its stations are off the middle line, which decides how well height is
-seen, is fitted to one number, the 3.18 cm of the cascade on the helix with the array of Table 1. Run after
-`fit_table_1`, whose errors hardly depend on it.
+Paper A prints no station positions. Their distance from the centre line, which determines the accuracy of the height,
+is fitted to one number, the 3.18 cm of the cascade on the helix with the array of Table 1. Run it after `fit_table_1`,
+whose errors hardly depend on it.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from experiments.papers.fitting import Fitted, fitted, solved, write_fitted
 from experiments.papers.will_2020._work_stand import cascade, recorded
 
 PRINTED_CM = 3.18
-"""Paper A, section 4.2: root mean square error in space."""
+"""Paper A, section 4.2: 3-D RMSE."""
 
 START, RUNS, SEED = 0.29, 64, 1
 
 
 def error_cm(radius: float, runs: int = RUNS, seed: int = SEED) -> float:
-    """The cascade's root mean square error in space, cm, with stations `radius` m off the middle line."""
+    """The cascade's 3-D RMSE, cm, with stations at `radius`, m, from the centre line."""
     study = Study(
         "fit-figure-8", "", {"stand": World(recorded, {"radius": radius})}, {"cascade": cascade()}, runs, seed=seed,
         metrics=("rmse_3d_m",),
@@ -37,11 +37,11 @@ def error_cm(radius: float, runs: int = RUNS, seed: int = SEED) -> float:
 
 
 def main() -> int:
-    """Find the radius, write it."""
+    """Fit the radius and write it."""
     (radius,) = solved(lambda numbers: np.array([error_cm(float(numbers[0])) / PRINTED_CM]), [START], rounds=3)
     radius = float(f"{radius:.4g}")
     found = error_cm(radius)
-    print(f"stations {radius:.3f} m off the middle line: {found:.3f} cm, printed {PRINTED_CM} cm")
+    print(f"stations {radius:.3f} m from the centre line: {found:.3f} cm, printed {PRINTED_CM} cm")
     told = {
         "radius": Fitted(radius, "m", "section 4.2, 3.18 cm"),
         "error": Fitted(found, "cm", f"what the radius gives, {RUNS} trajectories"),
@@ -51,7 +51,7 @@ def main() -> int:
 
 
 def radius() -> float:
-    """The fitted distance of the stations from the middle line, m."""
+    """The fitted distance of the stations from the centre line, m."""
     return fitted("will_2020/figure_8")["radius"]
 
 

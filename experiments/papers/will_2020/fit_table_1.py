@@ -1,13 +1,13 @@
-"""Fit the array of Table 1: `python -m experiments.papers.will_2020.fit_table_1` writes `fitted/table_1.toml`.
+"""Fit of the array of Table 1: `python -m experiments.papers.will_2020.fit_table_1` writes `fitted/table_1.toml`.
 
-Antenna places, phase noise and the filter's process noise of paper A are not printed. The process noise is chosen, the
-seventeen others are fitted to the ten numbers of Table 1, which are errors of a filter, not bounds: the beam tracker
-runs on the helix at all three stations with every antenna set, on the same seeded noise at every step. From layouts
-whose bounds have the ratios of the table (`experiments.papers.will_2020.fit_array_layout`) Levenberg-Marquardt steps of least change
-lead to one whose errors have them. Antennas stay half a wavelength apart and inside ±4 cm x ±2 cm.
+Paper A prints neither antenna positions nor phase and process noise. The process noise is chosen; the other seventeen
+parameters are fitted to the ten errors of Table 1. These are errors of a filter, not bounds: the beam tracker runs on
+the helix at all three stations with every antenna set, with the same seeded noise at every step. Minimum-norm
+Levenberg-Marquardt steps start at layouts whose bounds have the table's ratios (`fit_array_layout`). Antennas stay
+half a wavelength apart and inside ±4 cm × ±2 cm.
 
-While it fits, tracks that end on a wrong direction are left out, since their errors follow no slope. Of several starts
-the one is taken whose errors, all counted, are nearest to the table on fresh noise.
+The fit excludes tracks on a wrong direction, whose errors are not differentiable. The start whose errors, of all
+tracks, are closest to the table on new noise is chosen.
 """
 
 from __future__ import annotations
@@ -36,32 +36,32 @@ PRINTED = {
 """Table 1: antenna set -> root mean square error of azimuth and elevation, degrees."""
 
 RADIUS = 0.27
-"""m: about where `fit_figure_8` finds the stations; the table depends on it little."""
+"""Approximate radius of the stations from `fit_figure_8`, m; the table hardly depends on it."""
 
 SIGMA_A = 0.3
-"""rad/s², chosen, about the beacon's own on the helix: at 0.5 some tracks of the weakest sets leave the beacon."""
+"""Chosen, rad/s², about the beacon's own on the helix; at 0.5 some tracks of the weakest sets diverge."""
 
 STARTS, ROUNDS, RUNS, FRESH = 4, 8, 64, 400
 SEED, FRESH_SEED = 1, 2
 LEFT = 4.0
-"""Times its printed error a track is off that has left the beacon."""
+"""Ratio to the printed error above which a track counts as diverged."""
 
 STEPS = np.array([0.1] * 16 + [0.03])
-"""For differences: mm, and the logarithm of the phase noise."""
+"""Steps of the differences: mm, and log phase noise."""
 
 WEIGHTS = np.array([1.0] * 16 + [0.1])
-"""How large a change of each number counts as equally much."""
+"""Scale of each parameter in the norm of a step."""
 
 
 def numbers_of(free: np.ndarray) -> dict[str, float]:
-    """Places in mm, σp in rad and σa in rad/s² by name, of free numbers (17,)."""
+    """Positions, mm, σp, rad, and σa, rad/s², by name, from free parameters (17,)."""
     names = [f"{axis}_{k}" for k in range(1, 9) for axis in "xy"]
     noise = {"sigma_p": float(np.exp(free[16])), "sigma_a": SIGMA_A}
     return {**dict(zip(names, free[:16].tolist(), strict=True)), **noise}
 
 
 def errors(numbers: dict[str, float], runs: int, seed: int, all_tracks: bool, radius: float = RADIUS) -> np.ndarray:
-    """Root mean square errors (5, 2), degrees, of azimuth and elevation by antenna set, all stations together."""
+    """RMSE (5, 2), degrees, of azimuth and elevation by antenna set, over all stations."""
     rig = stand(numbers, radius)
     world = simulate_phases(rig, HELIX, runs, seed, rate_hz=RATE_HZ, n_points=POINTS, sigma_p=numbers["sigma_p"])
     stations = list(rig.stations.values())
@@ -84,27 +84,27 @@ def errors(numbers: dict[str, float], runs: int, seed: int, all_tracks: bool, ra
     return np.asarray(np.sqrt(np.nanmean(squares, axis=1)))
 
 
-def misfits(free: np.ndarray) -> np.ndarray:
-    """Logarithms of found over printed errors (10,), then in mm what antennas lack in distance and exceed the box."""
+def residuals(free: np.ndarray) -> np.ndarray:
+    """Log of simulated over printed errors (10,), then violations of spacing and box, mm."""
     logs = np.log(errors(numbers_of(free), RUNS, SEED, False) / np.array(list(PRINTED.values())))
     places = free[:16].reshape(8, 2)
-    apart = np.linalg.norm(places[:, None] - places, axis=-1)[np.triu_indices(8, 1)]
-    # A tenth of a millimetre more than asked: what pushes outward never quite arrives.
-    short = np.maximum(1000 * SMALLEST_SPACING + 0.1 - apart, 0)
+    distances = np.linalg.norm(places[:, None] - places, axis=-1)[np.triu_indices(8, 1)]
+    # A margin of 0.1 mm, because penalties are never met exactly.
+    short = np.maximum(1000 * SMALLEST_SPACING + 0.1 - distances, 0)
     beyond = np.maximum(np.abs(places) - 1000 * HALF_BOX + 0.1, 0)
     return np.concatenate([logs.ravel(), short, beyond.ravel()])
 
 
 def fit(layout: np.ndarray) -> np.ndarray:
-    """The free numbers (17,) nearest to a layout (8, 2), m, at which the errors fit."""
+    """The free parameters (17,) closest to a layout (8, 2), m, whose errors match the table."""
     free = np.append(1000 * layout.ravel(), np.log(0.22))
-    here, damping = misfits(free), 1e-2
+    here, damping = residuals(free), 1e-2
     for _ in range(ROUNDS):
-        slopes = np.stack([(misfits(free + d) - here) / np.abs(d).sum() for d in np.diag(STEPS)], axis=1) * WEIGHTS
+        slopes = np.stack([(residuals(free + d) - here) / np.abs(d).sum() for d in np.diag(STEPS)], axis=1) * WEIGHTS
         while damping < 1e3:
             square = slopes @ slopes.T + damping * np.eye(len(here))
             tried = free - WEIGHTS * (slopes.T @ np.linalg.solve(square, here))
-            there = misfits(tried)
+            there = residuals(tried)
             damping = damping / 4 if there @ there < here @ here else damping * 4
             if there @ there < here @ here:
                 free, here = tried, there
@@ -115,25 +115,25 @@ def fit(layout: np.ndarray) -> np.ndarray:
 
 
 def worst(numbers: dict[str, float], runs: int = FRESH) -> float:
-    """The largest of |log of found over printed error| on fresh noise, every track counted."""
+    """Largest |log(simulated / printed error)| on new noise, over all tracks."""
     ratios = errors(numbers, runs, FRESH_SEED, True) / np.array(list(PRINTED.values()))
     return float(np.abs(np.log(ratios)).max())
 
 
 def main() -> int:
-    """Fit from several layouts, keep the one that holds on fresh noise, write it."""
+    """Fit from several layouts and write the best one on new noise."""
     found: list[tuple[float, dict[str, float]]] = []
     for layout in sorted(exact_layouts(), key=side_lobe)[:STARTS]:
-        # Rounded as they are written: places to 0.01 mm.
+        # Rounded as they are written: positions to 0.01 mm.
         numbers = {name: float(f"{value:.4g}") for name, value in numbers_of(fit(layout)).items()}
         found.append((worst(numbers), numbers))
         print(f"start {len(found)}: phase noise {numbers['sigma_p']:.3f} rad, "
-              f"furthest from print {100 * np.expm1(found[-1][0]):.1f} %", flush=True)  # fmt: skip
-    misfit, numbers = min(found, key=lambda one: one[0])
+              f"largest deviation from print {100 * np.expm1(found[-1][0]):.1f} %", flush=True)  # fmt: skip
+    deviation, numbers = min(found, key=lambda one: one[0])
     told = {name: Fitted(value, "mm", "Table 1, ten figures") for name, value in numbers.items() if name[1] == "_"}
     told["sigma_p"] = Fitted(numbers["sigma_p"], "rad", "Table 1, ten figures")
     told["sigma_a"] = Fitted(numbers["sigma_a"], "rad/s^2", "chosen")
-    told["worst"] = Fitted(misfit, "1", f"largest |log(found / printed)| on fresh noise, {FRESH} trajectories")
+    told["worst"] = Fitted(deviation, "1", f"largest |log(found / printed)| on fresh noise, {FRESH} trajectories")
     print(f"wrote {write_fitted('will_2020/table_1', 'none: 17 numbers against 10 printed figures', told)}")
     return 0
 

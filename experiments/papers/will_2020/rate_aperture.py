@@ -1,12 +1,12 @@
 """Measurement rate x aperture x track loss: the trade-off that paper A's conclusion names.
 
-A larger aperture is more accurate and has ambiguous directions closer to the true one; with few antennas they are as
-strong as it. Between two rows a beacon may then move from one to the next, the more so the lower the rate, and the
-track is lost. The waves are plane here, so that (9) is exact and nothing but rate and aperture matters. Array and noise
-are Table 1's, scaled; nothing was fitted to this study, and the paper prints no numbers for it.
+A larger aperture is more accurate, but its ambiguous directions are closer to the true one, and equally strong with few
+antennas. At a low rate a beacon can move from one to the next between two rows, and the track is lost. The waves are
+plane, so that (9) is exact and only rate and aperture matter. The array is Table 1's, scaled, with the same noise;
+nothing was fitted, and no numbers are printed.
 
-A direction is astray where it is off by more than half the distance to the next ambiguous one, lambda over twice the
-array's largest extent.
+A direction is astray if its error exceeds half the distance to the next ambiguous direction, the wavelength over twice
+the array's largest extent.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from experiments.plots.style import LINES, plain, write_svg
 RATES, APERTURES = (2.5, 5.0, 10.0, 20.0), (0.5, 1.0, 2.0, 4.0)
 THREE = "2-3-6"
 HELD = 2.0
-"""Percent of the directions that may be astray where a track counts as kept."""
+"""Percentage of directions that may be astray in a track that counts as held."""
 
 
-def distance_to_optimum(tracked: TrackedRuns) -> np.ndarray:
-    """The share (n,) of directions that are on a wrong lobe."""
+def astray(tracked: TrackedRuns) -> np.ndarray:
+    """Fraction (n,) of directions on a wrong lobe."""
     station = next(iter(tracked.folder.rig.stations.values()))
     assert station.antennas is not None
     assert station.wavelength is not None
@@ -38,7 +38,7 @@ def distance_to_optimum(tracked: TrackedRuns) -> np.ndarray:
 
 
 def expected(results: Results) -> list[ExpectedResult | Conclusion]:
-    """What the paper says of the trade-off."""
+    """The paper's conclusions on the trade-off."""
     fast, slow, large = RATES[-1], RATES[0], APERTURES[-1]
     usual = [_degrees(results, ALL, fast, a, "median") for a in APERTURES]
     lost = {(w, r, a): 100 * _astray(results, w, r, a) for w in (ALL, THREE) for r in RATES for a in APERTURES}
@@ -74,9 +74,9 @@ def _listed(apertures: list[float]) -> str:
     return ", ".join(f"{a:g} x at {r:g} Hz" for a, r in zip(apertures, RATES, strict=True))
 
 
-def _degrees(results: Results, world: str, rate: float, aperture: float, figure: str = "rmse") -> float:
+def _degrees(results: Results, world: str, rate: float, aperture: float, metric: str = "rmse") -> float:
     point = {"world.rate_hz": rate, "world.aperture": aperture}
-    return results.value(f"{figure}_direction_rad", world, "EKF", **point).times(180 / np.pi).value
+    return results.value(f"{metric}_direction_rad", world, "EKF", **point).times(180 / np.pi).value
 
 
 def _astray(results: Results, world: str, rate: float, aperture: float) -> float:
@@ -84,7 +84,7 @@ def _astray(results: Results, world: str, rate: float, aperture: float) -> float
 
 
 def draw(results: Results, folder: Path) -> list[str]:
-    """Error and share astray against the rate, a line for each aperture."""
+    """Error and fraction astray against the rate, one line per aperture."""
 
     def draw_(figure: Figure) -> None:
         panels = figure.subplots(2, 2, sharex=True, sharey="row")
@@ -114,7 +114,7 @@ STUDY = Study(
     trackers={"EKF": beam()},
     runs=40,
     grid={"world.rate_hz": RATES, "world.aperture": APERTURES},
-    measures={"astray": distance_to_optimum},
+    measures={"astray": astray},
     metrics=("rmse_direction_rad", "median_direction_rad", "astray", "diverged"),
     expected=expected,
     draw=draw,

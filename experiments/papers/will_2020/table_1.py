@@ -1,12 +1,12 @@
 """Table 1 of paper A: errors of the beam tracker on the helix with five sets of antennas.
 
-Fitted (`fit_table_1`): the places of the eight antennas and the phase noise, seventeen numbers to the table's ten; the
-filter's process noise and the rate are chosen. No degree of freedom is left, so the table shows that the system can
-have had these errors, not that it must. The errors here come of other noise than the fit's. The orders of the antenna
-sets follow from the ten numbers and are as little predicted. What the fit did not use: `figures_6_7`, `figure_8`,
-`figure_10`, `rate_aperture`.
+Fitted (`fit_table_1`): positions of the eight antennas and the phase noise, seventeen parameters to the table's ten
+errors; the filter's process noise and the rate are chosen. No degree of freedom is left: the table shows that the
+system can have these errors, not that it must. The simulated noise differs from the fit's. The order of the antenna
+sets follows from the ten errors and is no prediction either. Predictions: `figures_6_7`, `figure_8`, `figure_10`,
+`rate_aperture`.
 
-Beside the default form of the filter stands the paper's, which wraps each of the 28 differences (8)-(17).
+The filter runs in its default form and in the paper's, which wraps each of the 28 differences (8)-(17).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ AXES = ("azimuth", "elevation")
 
 
 def expected(results: Results) -> list[ExpectedResult | Conclusion]:
-    """The ten errors of the table, and what the paper concludes from them."""
+    """The ten errors of the table, and the paper's conclusions."""
     made: list[ExpectedResult | Conclusion] = []
     for name in SETS:
         for axis, printed in zip(AXES, PRINTED[name], strict=True):
