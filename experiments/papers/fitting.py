@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 import tomli_w
-from scipy.optimize import approx_fprime, least_squares
+from scipy.optimize import least_squares
 
 from experiments.monte_carlo.chunk import run_chunk
 from experiments.monte_carlo.declaration import Study
@@ -63,14 +63,13 @@ def solved(ratios: Callable[[np.ndarray], np.ndarray], start: Sequence[float], r
     step is below a thousandth or after `rounds` steps. Seeded runs make the ratios smooth functions of the parameters.
     """
 
-    def residuals(logs: np.ndarray) -> np.ndarray:
-        return np.log(ratios(np.exp(logs)))
+    def residuals(shifted: np.ndarray) -> np.ndarray:
+        return np.log(ratios(begin * np.exp(shifted - 1.0)))
 
-    def jacobian(logs: np.ndarray) -> np.ndarray:
-        return np.atleast_2d(approx_fprime(logs, residuals, STEP))
-
-    logs = np.log(np.asarray(start, float))
-    return np.exp(least_squares(residuals, logs, jacobian, xtol=1e-3, max_nfev=rounds).x)
+    # Log parameters are shifted to one at the start, so that the relative step of the differences is STEP.
+    begin = np.asarray(start, float)
+    found = least_squares(residuals, np.ones(len(begin)), diff_step=STEP, xtol=1e-3, max_nfev=rounds + 1)
+    return np.asarray(begin * np.exp(found.x - 1.0))
 
 
 def means(study: Study, runs: int) -> dict[tuple[str, str], dict[str, float]]:

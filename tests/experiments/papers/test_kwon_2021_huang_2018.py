@@ -48,13 +48,13 @@ def test_a_study_is_listed_and_can_be_run(name):
     assert load_study(name).expected is not None
 
 
-def test_a_fit_finds_the_numbers_that_make_the_figures_equal():
+def test_a_fit_finds_the_parameters_at_which_the_ratios_are_one():
     found = solved(lambda x: np.array([x[0] * x[1] / 6.0, x[0] / x[1] ** 2 * 3.0]), [1.0, 1.0], rounds=20)
-    # x y = 6 and 3 x = y²: y³ = 18; Gauss-Newton stops at steps of a thousandth.
+    # x y = 6 and 3 x = y²: y³ = 18; the fit stops at steps of a thousandth.
     np.testing.assert_allclose(found, [6 / 18 ** (1 / 3), 18 ** (1 / 3)], rtol=2e-3)
 
 
-def test_fitted_numbers_are_read_as_they_were_written(tmp_path, monkeypatch):
+def test_fitted_parameters_are_read_as_they_were_written(tmp_path, monkeypatch):
     monkeypatch.setattr(fitting, "EXPERIMENTS", tmp_path)
     (tmp_path / "papers" / "someone" / "fitted").mkdir(parents=True)
     write_fitted(

@@ -51,7 +51,7 @@ def test_a_fitted_file_says_what_it_was_fitted_to_and_which_command_wrote_it():
 
 
 @pytest.mark.slow
-def test_the_fitted_numbers_give_the_misfits_that_their_files_tell():
+def test_the_fitted_parameters_give_the_deviations_in_their_files():
     numbers = fitted("will_2020/table_1")
     # Seeded, so the same but for the order of sums: 0.1 % of an error.
     assert fit_table_1.worst(numbers) == pytest.approx(numbers["worst"], abs=1e-3)
