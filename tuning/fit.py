@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import jax
 import numpy as np
 
 from trackers.core.chunks import CHUNK
-from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.named_tracker import NamedTracker
+from tuning.data import Arrays, fit_arrays
 from tuning.objectives import AbstractObjective
 from tuning.optimisation import FitState, MultiStart, from_arrays, min_gain
 from tuning.optimisers import LBFGS, AbstractOptimiser, Adam
@@ -20,6 +23,8 @@ from tuning.priors import Prior
 from tuning.problem import Problem
 from tuning.starts import coarse_grid
 from tuning.uncertainty import Optimum, Uncertainty, determined, optimum, uncertainty_at, unidentifiable
+
+AnyTracker = TypeVar("AnyTracker", bound="AbstractTracker | NamedTracker")
 
 NEWTON_STEPS = 4
 
@@ -34,7 +39,7 @@ class Step:
 
 
 @dataclass(frozen=True)
-class FitResult:
+class FitResult(Generic[AnyTracker]):
     """A tuned tracker, its uncertainty and the optimiser trace.
 
     `values`: physical, by label. `value`, `start_value`: the objective. `n_excluded`: trajectories without usable
@@ -43,7 +48,7 @@ class FitResult:
     `before`: the tracker at the first start, tied numbers made equal and bounded ones clipped.
     """
 
-    tracker: AbstractTracker
+    tracker: AnyTracker
     parameters: list[Parameter]
     values: dict[str, Any]
     value: float
@@ -66,17 +71,17 @@ class FitResult:
 
 
 def fit(
-    tracker: AbstractTracker,
-    batches: Batch | Sequence[Batch],
-    objective: AbstractObjective,
-    tune: str | Sequence[str],
+    tracker: AnyTracker,
+    recordings: Arrays | RecordingFolder | Sequence[RecordingFolder],
+    objective: str | AbstractObjective,
+    tune: str | Sequence[str] = "*.sigma_*",
     *,
     frozen: Sequence[str] = (),
     bounds: Mapping[str, tuple[float, float]] | None = None,
     optimiser: AbstractOptimiser | None = None,
     steps: int = 60,
     starts: int = 1,
-    held_out: Batch | Sequence[Batch] = (),
+    held_out: Arrays | RecordingFolder | Sequence[RecordingFolder] = (),
     minibatch: int | None = None,
     priors: Sequence[Prior] = (),
     guesses: Sequence[AbstractTracker] = (),
@@ -84,9 +89,11 @@ def fit(
     chunk: int = CHUNK,
     resume: Sequence[np.ndarray] | None = None,
     report: Callable[[FitState], None] = lambda state: None,
-) -> FitResult:
+) -> FitResult[AnyTracker]:
     """The tracker with the tunables matching `tune` (shell patterns) fitted to minimise the objective.
 
+    `tracker`, `recordings`: a tracker by name with recording folders, or a tracker with recordings in arrays: one,
+    several, or batches. `objective`: an object, or its name as on the command line (`nll`, `rmse`, `state-nll`, ...).
     `frozen`: patterns of tunables to keep. `bounds`: lowest and highest physical value by pattern. `optimiser`:
     default `LBFGS` for likelihoods, `Adam` for particle filters, minibatches and other objectives. `starts`: number of
     starts: the tracker's own values, then the best of the `guesses` and of a coarse grid. `held_out`: recordings that
@@ -99,12 +106,13 @@ def fit(
     Raises ValueError for patterns that match nothing or can't be tied, for empty bounds and for priors without a
     likelihood; FloatingPointError where the objective is not finite at the first start.
     """
-    parameters = select_parameters(tracker, tune, frozen)
+    model, batches, apart, objective = fit_arrays(tracker, recordings, objective, held_out)
+    parameters = select_parameters(model, tune, frozen)
     if priors and not objective.is_likelihood:
         raise ValueError("priors need a likelihood as objective; give bounds with another one")
     trajectories = chunk if minibatch is None else min(chunk, minibatch)
-    problem = Problem(tracker, _as_list(batches), objective, parameters, trajectories, priors)
-    scoring = Problem(tracker, _as_list(held_out), objective, parameters, chunk) if held_out else None
+    problem = Problem(model, batches, objective, parameters, trajectories, priors)
+    scoring = Problem(model, apart, objective, parameters, chunk) if apart else None
     low, high = limits(parameters, bounds or {})
     # Errors are discontinuous where a track is nearly lost, and a line search ends there; Adam steps over.
     smooth = objective.is_likelihood and minibatch is None and not problem.stochastic
@@ -116,18 +124,19 @@ def fit(
     else:
         others = [flatten(select_parameters(guess, tune, frozen)) for guess in guesses]
         state = initial_state(driver, np.stack([flatten(parameters), *others]), starts)
+    interrupted = False
     try:
         report(state)
         while not driver.done(state):
             state = driver.step(state)
             report(state)
     except KeyboardInterrupt:
-        return _result(tracker, driver, state, interrupted=True)
-    return _result(tracker, driver, state, interrupted=False)
-
-
-def _as_list(batches: Batch | Sequence[Batch]) -> list[Batch]:
-    return [batches] if isinstance(batches, Batch) else list(batches)
+        interrupted = True
+    result = _result(model, driver, state, interrupted)
+    if isinstance(tracker, NamedTracker):
+        values = {name: result.values[p.label] for p in parameters for name in p.names}
+        result = dataclasses.replace(result, tracker=tracker.with_values(values, "the fit"))
+    return result
 
 
 def initial_state(driver: MultiStart, vectors: np.ndarray, starts: int) -> FitState:
@@ -143,7 +152,7 @@ def initial_state(driver: MultiStart, vectors: np.ndarray, starts: int) -> FitSt
     return state.select(np.concatenate([[0], others])[:starts])
 
 
-def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, interrupted: bool) -> FitResult:
+def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, interrupted: bool) -> FitResult[Any]:
     """The result at the best point met, after a few Newton steps of a likelihood."""
     problem, parameters = driver.problem, driver.problem.parameters
     winner, own = int(np.argmin(state.best_scores)), state.past_vectors[0, 0]

@@ -15,10 +15,11 @@ import tyro
 
 from experiments.cli.console import output_folder, progress
 from experiments.cli.manifest import write_manifest
-from experiments.cli.tuning_job import job_of, only_group
+from experiments.cli.tuning_options import tracker_and_folders
 from experiments.plots.objective import sweep_plot
 from trackers.core.errors import UnusableInput
 from trackers.recordings.atomic import atomic_write
+from tuning.data import fit_data
 from tuning.problem import is_stochastic
 from tuning.sweep import Sweep, grid_vectors, swept_parameters
 from tuning.sweep import sweep as run
@@ -56,9 +57,10 @@ def sweep(
     if repeats < 1 or piece_rows < 10:
         raise UnusableInput(f"--repeats {repeats} --piece-rows {piece_rows}: expected at least 1 and 10")
     grids = _grids(over)
-    name, group = only_group(recordings, tracker, noise, free_height)
+    named, folders = tracker_and_folders(recordings, tracker, noise, free_height)
+    group = named.only_batch(folders)
     model = group.tracker
-    job = job_of(group, objective, (), piece_rows)
+    data = fit_data(group, objective, (), piece_rows)
     try:
         parameters = swept_parameters(model, list(grids))
         points = grid_vectors(parameters, list(grids.values()))
@@ -68,7 +70,7 @@ def sweep(
     output_folder(out)
     runs = repeats if is_stochastic(model) else 1
     with progress("sweeping", len(points) * runs) as advance:
-        swept = run(model, job.rows(), job.objective, grids, repeats, report=advance)
+        swept = run(model, data.rows(), data.objective, grids, repeats, report=advance)
     seconds = time.perf_counter() - clock
     if not np.isfinite(swept.mean).any():
         raise UnusableInput("the objective is not finite at any grid point; run `trackwright check` on the recordings")
@@ -76,7 +78,7 @@ def sweep(
     unit = "rad" if group.trajectories[0].station else "m"
     sweep_plot(out / "sweep.png", swept, f"RMSE ({unit})" if objective == "rmse" else objective, traces)
     config = {
-        "tracker": name, "over": over, "objective": objective, "repeats": repeats, "noise": noise, "path": path,
+        "tracker": named.name, "over": over, "objective": objective, "repeats": repeats, "noise": noise, "path": path,
         "free_height": free_height, "piece_rows": piece_rows,
     }  # fmt: skip
     extra = {

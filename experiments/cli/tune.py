@@ -13,9 +13,10 @@ import tyro
 
 from experiments.cli.console import Advance, notice, output_folder, progress
 from experiments.cli.tuning_folder import Run, write_run
-from experiments.cli.tuning_job import Job, checked_options, job_of, only_group
+from experiments.cli.tuning_options import checked_options, tracker_and_folders
 from trackers.core.errors import UnusableInput
 from tuning import FitResult, checkpoint, fit
+from tuning.data import FitData, fit_data
 from tuning.first_guess import first_guess
 from tuning.identifiability import cautions
 from tuning.intervals import require_possible
@@ -84,15 +85,15 @@ def tune(
             f"--steps {steps} --piece-rows {piece_rows} --starts {starts} --minibatch {minibatch}: expected at least "
             "1, 10, 1 and 1"
         )
-    name, group = only_group((*recordings, *held_out), tracker, start, free_height)
-    job = job_of(group, objective, held_out, piece_rows)
-    bounds, priors = checked_options(job, tune, freeze, bound, prior)
-    require_possible(intervals, job.objective, len(job.training))
-    for text in cautions(job.tracker, select_parameters(job.tracker, tune, freeze), job.objective):
+    named, folders = tracker_and_folders((*recordings, *held_out), tracker, start, free_height)
+    data = fit_data(named.only_batch(folders), objective, folders[len(recordings) :], piece_rows)
+    bounds, priors = checked_options(data, tune, freeze, bound, prior)
+    require_possible(intervals, data.objective, len(data.training))
+    for text in cautions(data.tracker, select_parameters(data.tracker, tune, freeze), data.objective):
         notice(f"notice: {text}")
     output_folder(out)
     options = {
-        "tracker": name,
+        "tracker": named.name,
         "objective": objective,
         "tune": tune,
         "freeze": freeze,
@@ -108,9 +109,9 @@ def tune(
         "free_height": free_height,
         "piece_rows": piece_rows,
     }
-    result = _fitted(job, out, options, bounds, priors, resume)
-    run = Run(name, options, recordings, time.perf_counter() - clock, started, sys.argv)
-    for line in write_run(out, job, result, run):
+    result = _fitted(data, out, options, bounds, priors, resume)
+    run = Run(named.name, options, recordings, time.perf_counter() - clock, started, sys.argv)
+    for line in write_run(out, data, result, run):
         print(line)
     if result.uncertainty is None:
         notice("stopped: tuned.toml holds the best values so far; continue with the same command and --resume")
@@ -118,12 +119,12 @@ def tune(
     return 0
 
 
-def _fitted(job: Job, out: Path, options: dict[str, Any], bounds: Any, priors: Any, resume: bool) -> FitResult:
+def _fitted(data: FitData, out: Path, options: dict[str, Any], bounds: Any, priors: Any, resume: bool) -> FitResult:
     """The fit, with a checkpoint after every step; raises UnusableInput where the objective is never finite."""
-    training, held_out = job.rows(), job.rows(held_out=True)
+    training, held_out = data.rows(), data.rows(held_out=True)
     # Intervals are computed from the result and don't change the fit.
     config = {name: value for name, value in options.items() if name != "intervals"}
-    fingerprint = checkpoint.fingerprint(config, [*training, *held_out], flatten(select_parameters(job.tracker, "*")))
+    fingerprint = checkpoint.fingerprint(config, [*training, *held_out], flatten(select_parameters(data.tracker, "*")))
     saved = checkpoint.load(out, fingerprint) if resume else None
     if resume and saved is None:
         notice(f"notice: {out}: no checkpoint found; the fit starts from the beginning")
@@ -132,9 +133,9 @@ def _fitted(job: Job, out: Path, options: dict[str, Any], bounds: Any, priors: A
         advance(0, "(evaluating starts)")
         try:
             result = fit(
-                job.tracker,
+                data.tracker,
                 training,
-                job.objective,
+                data.objective,
                 options["tune"],
                 frozen=freeze,
                 bounds=bounds,
@@ -144,20 +145,20 @@ def _fitted(job: Job, out: Path, options: dict[str, Any], bounds: Any, priors: A
                 held_out=held_out,
                 minibatch=options["minibatch"],
                 priors=priors,
-                guesses=[first_guess(job.tracker, training, freeze)] if starts > 1 and saved is None else [],
+                guesses=[first_guess(data.tracker, training, freeze)] if starts > 1 and saved is None else [],
                 resume=saved,
                 report=lambda state: _after_step(out, fingerprint, state, advance),
             )
         except FloatingPointError as error:
             raise UnusableInput(f"{error}; run `trackwright check` on the recordings") from error
-    if result.n_excluded == len(job.training):
+    if result.n_excluded == len(data.training):
         raise UnusableInput(
             f"at the best point ({options['objective']} {result.value:.4g}) no segment of the recordings has finite "
             "gradients: repeated identical readings drive the noise to zero; give --bound or --prior"
         )
     if result.n_excluded:
         notice(
-            f"notice: {result.n_excluded} of {len(job.training)} segments were excluded: non-finite likelihood, or "
+            f"notice: {result.n_excluded} of {len(data.training)} segments were excluded: non-finite likelihood, or "
             "gradients over 1000 x the median"
         )
     return result

@@ -13,7 +13,6 @@ import numpy as np
 import polars as pl
 
 from experiments.cli.manifest import write_manifest
-from experiments.cli.tuning_job import Job
 from experiments.plots.objective import tuning_trace
 from experiments.reports.tables import aligned
 from experiments.reports.tuning import write_tuning_report
@@ -21,6 +20,7 @@ from experiments.reports.tuning_collect import Request, collect
 from trackers.catalogue import spec_of
 from trackers.recordings.atomic import atomic_write
 from tuning import FitResult
+from tuning.data import FitData
 from tuning.identifiability import IdentifiabilityIssue, identifiability_issues
 from tuning.intervals import Interval, intervals_of
 from tuning.tuned_file import write_tuned
@@ -38,9 +38,9 @@ class Run:
     command: Sequence[str]
 
 
-def write_run(out: Path, job: Job, result: FitResult, run: Run) -> list[str]:
+def write_run(out: Path, data: FitData, result: FitResult, run: Run) -> list[str]:
     """Writes all files to the folder; returns the lines to print."""
-    objective, unit = run.options["objective"], "rad" if job.training[0].station else "m"
+    objective, unit = run.options["objective"], "rad" if data.training[0].station else "m"
     if run.options["prior"]:
         objective += " + prior"
     intervals = intervals_of(result, run.options["intervals"])
@@ -57,20 +57,20 @@ def write_run(out: Path, job: Job, result: FitResult, run: Run) -> list[str]:
         tracker_about=spec_of(run.tracker).about,
         objective=objective,
         seconds=run.seconds,
-        notes=tuple(_notes(job, result)),
+        notes=tuple(_notes(data, result)),
     )
-    data = collect(request, result, job.training, job.held_out, job.planar, intervals, issues)
-    write_tuning_report(out / "report.html", data)
+    report = collect(request, result, data.training, data.held_out, data.planar, intervals, issues)
+    write_tuning_report(out / "report.html", report)
     extra = {"recordings": [str(p) for p in run.recordings], "filter_runs": result.filter_runs}
     write_manifest(out, run.command, run.options, run.started, extra=extra)
     return [*lines, f"wrote {out / 'report.html'}, tuned.toml, trace.csv, tuning.png and manifest.json; use it: {use}"]
 
 
-def _notes(job: Job, result: FitResult) -> Iterator[str]:
+def _notes(data: FitData, result: FitResult) -> Iterator[str]:
     if result.uncertainty is None:
         yield "The fit was interrupted: the values are the best so far; --resume continues it."
     if result.n_excluded:
-        yield f"{result.n_excluded} of {len(job.training)} segments were excluded."
+        yield f"{result.n_excluded} of {len(data.training)} segments were excluded."
 
 
 def _issues(result: FitResult) -> list[IdentifiabilityIssue]:

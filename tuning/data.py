@@ -1,0 +1,141 @@
+"""The data of a fit: from recordings, in folders or arrays, to the batches and the objective that a fit works on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+
+from trackers.core.errors import UnusableInput
+from trackers.core.recording import Batch, Recording, stack
+from trackers.core.tracker import AbstractTracker
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.named_tracker import NamedTracker
+from trackers.recordings.tracker_spec import TrackerBatch
+from trackers.recordings.tracks import batches
+from trackers.recordings.trajectories import Trajectory, segments
+from tuning.named_objectives import parse_objective
+from tuning.objectives import AbstractObjective
+
+SEGMENT_ROWS = 8000
+"""Rows of the segments that long recordings are cut into, which are fitted side by side."""
+
+Arrays = Recording | Batch | Sequence[Recording] | Sequence[Batch]
+"""Recordings in arrays, as `AbstractTracker.run` takes them, or several batches of them."""
+
+
+@dataclass(frozen=True)
+class FitData:
+    """The trajectories of recording folders that a tracker is fitted to, those held out, and the objective.
+
+    `planar`: whether only the position over the floor is estimated.
+    """
+
+    tracker: AbstractTracker
+    objective: AbstractObjective
+    planar: bool
+    training: list[Trajectory]
+    held_out: list[Trajectory]
+
+    def rows(self, held_out: bool = False) -> list[Batch]:
+        """The rows of the trajectories to fit to, or of those held out, as a fit takes them."""
+        trajectories = self.held_out if held_out else self.training
+        return [batch for _, batch in batches(trajectories)] if trajectories else []
+
+
+def fit_data(
+    batch: TrackerBatch,
+    objective: str | AbstractObjective,
+    held_out: Sequence[RecordingFolder] = (),
+    segment_rows: int = SEGMENT_ROWS,
+) -> FitData:
+    """The data of a fit to the trajectories of one tracker, cut into segments; `held_out`: folders not fitted to.
+
+    Raises UnusableInput for an objective that is not known, or that needs truth where there is none.
+    """
+    trajectories = [segment for trajectory in batch.trajectories for segment in segments(trajectory, segment_rows)]
+    quantity = next(iter(trajectories[0].recording.truth))
+    floor = quantity == "direction" or batch.planar
+    goal = _objective(objective, batch.tracker, quantity, 2 if floor else 3)
+    if goal.needs_truth and batch.planar and trajectories[0].station:
+        raise UnusableInput(
+            f"--objective {objective}: azimuth and elevation of a tag in a flat array's own plane are singular; "
+            "expected a tag above or below it; use --objective nll"
+        )
+    apart = {folder.name for folder in held_out}
+    parts: tuple[list[Trajectory], list[Trajectory]] = ([], [])
+    for trajectory in trajectories:
+        if not goal.needs_truth or trajectory.recording.truth[quantity][1].any():
+            parts[trajectory.folder.name in apart].append(trajectory)
+    for part, wanted, where in zip(parts, (True, bool(apart)), ("these recordings", "those held out"), strict=True):
+        if wanted and not part:
+            raise UnusableInput(f"--objective {objective} needs truth, and {where} have none; use --objective nll")
+    return FitData(batch.tracker, goal, batch.planar, *parts)
+
+
+class FitArrays(NamedTuple):
+    """A tracker, the batches to fit it to and to hold out, and the objective: what the optimisation works on."""
+
+    tracker: AbstractTracker
+    training: list[Batch]
+    held_out: list[Batch]
+    objective: AbstractObjective
+
+
+def fit_arrays(
+    tracker: AbstractTracker | NamedTracker, recordings: Any, objective: str | AbstractObjective, held_out: Any
+) -> FitArrays:
+    """Tracker, batches and objective of a fit, from what `tuning.fit` takes; raises ValueError and UnusableInput."""
+    if isinstance(tracker, NamedTracker):
+        training, apart = (
+            [folders] if isinstance(folders, RecordingFolder) else list(folders) for folders in (recordings, held_out)
+        )
+        data = fit_data(tracker.only_batch([*training, *apart]), objective, apart)
+        return FitArrays(data.tracker, data.rows(), data.rows(held_out=True), data.objective)
+    batches = _batches(recordings)
+    return FitArrays(tracker, batches, _batches(held_out), _array_objective(objective, tracker, batches))
+
+
+def _batches(recordings: Arrays) -> list[Batch]:
+    """Recordings in arrays as batches; raises ValueError for anything else."""
+    if isinstance(recordings, Recording):
+        return [stack([recordings])]
+    listed: list[Any] = [recordings] if isinstance(recordings, (Batch, RecordingFolder)) else list(recordings)
+    if all(isinstance(x, Batch) for x in listed):
+        return [x for x in listed if isinstance(x, Batch)]
+    found = [x for x in listed if isinstance(x, Recording)]
+    if len(found) != len(listed):
+        kinds = ", ".join(sorted({type(x).__name__ for x in listed}))
+        raise ValueError(
+            f"fit: found {kinds}; expected Recordings or Batches; recording folders are fitted by a tracker by name, as "
+            "`build` and `tracker_for` return it"
+        )
+    return [stack(found)] if found else []
+
+
+def _array_objective(
+    objective: str | AbstractObjective, tracker: AbstractTracker, rows: Sequence[Batch]
+) -> AbstractObjective:
+    """The objective by name for recordings in arrays: of the quantity whose truth they have, in the state's dimensions."""
+    if not isinstance(objective, str):
+        return objective
+    quantity = next(iter(rows[0].truth), "position")
+    first = rows[0].rows(slice(0, 2)).columns(0, 1)
+    mean = jax.eval_shape(lambda: tracker.scan(first)).mean
+    dimensions = len(jax.tree_util.tree_leaves(getattr(mean, quantity, ()))) or 2
+    return _objective(objective, tracker, quantity, dimensions)
+
+
+def _objective(
+    objective: str | AbstractObjective, tracker: AbstractTracker, quantity: str, dimensions: int
+) -> AbstractObjective:
+    if not isinstance(objective, str):
+        return objective
+    try:
+        goal = parse_objective(objective, quantity, dimensions)
+        goal.for_tracker(tracker)
+    except ValueError as error:
+        raise UnusableInput(f"--objective {objective}: {error}") from error
+    return goal
