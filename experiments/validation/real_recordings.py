@@ -181,29 +181,29 @@ def likelihood(cases: Cases = ()) -> int:
 def compared(folder: Path, name: str, case: Case) -> bool:
     """Tune one case by likelihood, print its held-out metrics, and return whether the RMSE got worse."""
     set_flags()
-    from experiments.cli.tuning_job import job_of, only_group
-    from trackers.catalogue import spec_of
-    from trackers.core.tunable import tunables, with_values
+    from trackers.catalogue import build, fitting
     from trackers.recordings.folder import read_recording
     from trackers.recordings.tracks import batches
-    from tuning import NegativeLogLikelihood, fit
+    from tuning import fit
+    from tuning.data import fit_data
     from tuning.diagnostics import innovations_of, violated_assumptions
     from tuning.named_objectives import all_metrics
 
     began, indent = time.perf_counter(), " " * 22
-    tracker, group = only_group([folder / x for x in case.tuned_on], case.tracker, None, False)
-    job = job_of(group, "nll", [], SEGMENT_ROWS)
-    result = fit(job.tracker, job.rows(), NegativeLogLikelihood(), case.likelihood, starts=2)
-    parameters = tunables(result.tracker)
-    tuned = {k: parameters[k].value for p in result.parameters for k in p.names}
+    training = [read_recording(folder / x) for x in case.tuned_on]
+    tracker = case.tracker or fitting(training[0])
+    default = build(tracker, training)
+    data = fit_data(default.only_batch(training), "nll", segment_rows=SEGMENT_ROWS)
+    result = fit(data.tracker, data.rows(), data.objective, case.likelihood, starts=2)
+    tuned = default.with_values({k: result.values[p.label] for p in result.parameters for k in p.names}, name)
     worse = False
     held_out = [read_recording(folder / x) for x in case.scored if x not in case.tuned_on]
     # Recordings with another path or other anchors have a tracker of their own, which takes the values by name.
-    for scored in spec_of(tracker).batches(held_out, tracker, False):
+    for scored, after_tuning in zip(default.batches(held_out), tuned.batches(held_out), strict=True):
         rows = [batch for _, batch in batches(scored.trajectories)]
         quantity = next(iter(scored.trajectories[0].recording.truth))
         dimensions = 2 if scored.planar or quantity == "direction" else 3
-        tuned_tracker = with_values(scored.tracker, tuned, name)
+        tuned_tracker = after_tuning.tracker
         before, after = (all_metrics(t, rows, quantity, dimensions) for t in (scored.tracker, tuned_tracker))
         print(f"{name:10s}{tracker:12s}{', '.join(sorted({x.folder.name for x in scored.trajectories}))}")
         for metric in ("nll", "rmse", "rmse-3d", "nis-shape"):
