@@ -55,6 +55,7 @@ from trackers.core.track_loss import TrackLossPolicy
 from trackers.core.tracker import AbstractTracker, Tracker
 from trackers.core.tunable import Covariance, Fraction, Real, Scale, tunables
 from trackers.evaluation import Evaluation, evaluate
+from trackers.events import events_of
 from trackers.from_arrays import bearing_recording, fix_recording, phase_recording, range_recording
 from trackers.line.grid import GridFilter
 from trackers.line.motion import HaltingMotion, LineMotion
@@ -113,6 +114,7 @@ __all__ = [
     "Status",
     "evaluate",
     "Evaluation",
+    "events_of",
     "error_metrics",
     "rmse",
     "bias",

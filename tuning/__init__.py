@@ -1,9 +1,12 @@
 """Fit noise levels and other parameters of trackers to recordings by gradient; README.md explains how."""
 
+from tuning.diagnostics import innovations_of as innovations_of
+from tuning.diagnostics import violated_assumptions as violated_assumptions
 from tuning.first_guess import first_guess as first_guess
 from tuning.fit import FitResult as FitResult
 from tuning.fit import fit as fit
 from tuning.identifiability import identifiability_issues as identifiability_issues
+from tuning.intervals import intervals_of as intervals_of
 from tuning.marginal_score import marginal_scores as marginal_scores
 from tuning.named_objectives import all_metrics as all_metrics
 from tuning.named_objectives import parse_objective as parse_objective
@@ -17,7 +20,10 @@ from tuning.pit_uniformity import PITUniformity as PITUniformity
 from tuning.priors import Prior as Prior
 from tuning.profiles import bootstrap as bootstrap
 from tuning.profiles import profile as profile
+from tuning.surface import surface_of as surface_of
 from tuning.sweep import sweep as sweep
+from tuning.tuned_file import read_tuned as read_tuned
+from tuning.tuned_file import write_tuned as write_tuned
 
 __all__ = [
     "LBFGS",
@@ -34,8 +40,14 @@ __all__ = [
     "first_guess",
     "fit",
     "identifiability_issues",
+    "innovations_of",
+    "intervals_of",
     "marginal_scores",
     "parse_objective",
     "profile",
+    "read_tuned",
+    "surface_of",
     "sweep",
+    "violated_assumptions",
+    "write_tuned",
 ]
