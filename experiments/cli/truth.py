@@ -22,10 +22,10 @@ from trackers.recordings.truth import interpolate_truth, truth_paths
 
 
 def truth(recording: Annotated[Path, tyro.conf.Positional], out: Path) -> int:
-    """Fit a truth to a recording along its known path, by least squares: writes the recording with a truth table.
+    """Fit ground truth along a known path by least squares: writes the recording with a truth table.
 
-    Every tag goes once from the first knot of rig.toml's [path] to the last, each segment at a speed of its own, with
-    rests where segments meet; the times of the knots are fitted to its fixes, or to the places where its ranges meet.
+    Every tag travels once from the first to the last knot of [path] in rig.toml, at a constant speed on each segment,
+    with rests at the knots. The knot times are fitted to its fixes, or to positions from its ranges.
 
     Args:
         recording: a recording folder with [path] knots_m in rig.toml and a fixes or ranges table.
@@ -40,10 +40,10 @@ def truth(recording: Annotated[Path, tyro.conf.Positional], out: Path) -> int:
         )
     rows, lines = [], []
     for trajectory in line_trajectories(folder, False):
-        times, places = raw_positions(trajectory)
-        known = np.isfinite(places).all(axis=1)
+        times, measured = raw_positions(trajectory)
+        known = np.isfinite(measured).all(axis=1)
         try:
-            fitted = knot_times(np.asarray(folder.rig.path_knots), times[known], places[known])
+            fitted = knot_times(np.asarray(folder.rig.path_knots), times[known], measured[known])
         except ValueError as problem:
             raise UnusableInput(f"{recording}: tag '{trajectory.tag}': {problem}; record for longer") from problem
         rows.append(_rows(folder, trajectory.tag, times, fitted))
@@ -58,34 +58,34 @@ def truth(recording: Annotated[Path, tyro.conf.Positional], out: Path) -> int:
 
 
 def _rows(folder: RecordingFolder, tag: str, times: np.ndarray, fitted: KnotTimes) -> pl.DataFrame:
-    # At the knots too: between two rows the fitted path has corners, which a straight line would cut.
+    # Rows at the knot times, too: interpolation between measurement times would cut the corners of the path.
     at = np.unique(np.concatenate([times, fitted.departed, fitted.arrived]))
-    places = fitted.positions(at)
+    positions = fitted.positions(at)
     height = known_height(folder, tag)
-    return pl.DataFrame({"t_s": at, "tag": [tag] * len(at), "x_m": places[:, 0], "y_m": places[:, 1]}).with_columns(
-        pl.lit(height, pl.Float64).alias("z_m")
-    )
+    return pl.DataFrame(
+        {"t_s": at, "tag": [tag] * len(at), "x_m": positions[:, 0], "y_m": positions[:, 1]}
+    ).with_columns(pl.lit(height, pl.Float64).alias("z_m"))
 
 
 def _line(tag: str, fitted: KnotTimes) -> str:
     lengths = np.sqrt((np.diff(fitted.knots, axis=0) ** 2).sum(axis=1))
-    pieces = [
+    segments = [
         f"{a:.2f}-{b:.2f} s ({n / (b - a):.2f} m/s)"
         for a, b, n in zip(fitted.departed, fitted.arrived, lengths, strict=True)
         if b > a
     ]
-    return f"tag {tag}: {fitted.rms:.3f} m RMS about the path; segments {', '.join(pieces)}"
+    return f"tag {tag}: {fitted.rms:.3f} m RMS about the path; segments {', '.join(segments)}"
 
 
 def _compare(folder: RecordingFolder, table: pl.DataFrame) -> None:
-    """How far the fitted truth is from the one that the recording already has, where it has one."""
+    """Notice of the deviation from the recording's own truth, if it has one."""
     if "truth" not in folder.tables:
         return
     given, fitted = truth_paths(folder.tables["truth"], folder.name), truth_paths(table, folder.name)
     for tag in sorted(given.keys() & fitted.keys()):
-        times, places = fitted[tag]
+        times, positions = fitted[tag]
         known, _ = interpolate_truth(times, *given[tag])
-        apart = np.sqrt(((places - known)[:, :2] ** 2).sum(axis=1))
-        if np.isfinite(apart).any():
-            rms = np.sqrt(np.nanmean(apart**2))
-            notice(f"notice: tag {tag}: the recording's own truth is replaced; it is {rms:.3f} m RMS away")
+        deviation = np.sqrt(((positions - known)[:, :2] ** 2).sum(axis=1))
+        if np.isfinite(deviation).any():
+            rms = np.sqrt(np.nanmean(deviation**2))
+            notice(f"notice: tag {tag}: the recording's own truth is replaced; RMS deviation {rms:.3f} m")

@@ -66,12 +66,12 @@ def main(out: Path = Path("out/papers"), results: Path = RESULTS) -> int:
 def page(parts: Sequence[str], seconds: float) -> str:
     """The page of all studies."""
     machine = f"{os.cpu_count()} cores, {platform.machine()}, jax {version('jax')}, Python {platform.python_version()}"
-    return f"""# What is printed, and what came out
+    return f"""# Printed and reproduced results
 
 Written by `make papers` ({machine}; {seconds / 60:.0f} minutes of computing). Every number is read from the
-results of a study that `trackwright study NAME` runs again; the report of a study has its figures and pictures. In
-brackets are 95 % intervals over the study's runs. *Fitted*: the printed number was used to choose what the paper does
-not print, as the study's file says; *predicted*: it was not.
+results of a study, which `trackwright study NAME` runs again; the study's report has all metrics and plots. Brackets
+are 95 % intervals over the study's runs. *Fitted*: the printed number was used to fit parameters that the paper does
+not print (see the README of the paper's folder in `experiments/papers`); *predicted*: it was not.
 
 {chr(10).join(parts)}"""
 
@@ -82,9 +82,9 @@ def part(found: dict[str, Any]) -> str:
     compared = [c for c in claims if c["reached"] is not None]
     lines = [f"## {found['study']}", "", found["about"], ""]
     if claims:
-        lines += ["| figure | printed | ours | ratio | | near enough |", "| --- | --- | --- | --- | --- | --- |"]
+        lines += ["| result | printed | ours | ratio | | within tolerance |", "| --- | --- | --- | --- | --- | --- |"]
         lines += [_row(c) for c in claims]
-        lines += ["", f"{sum(c['reached'] for c in compared)} of {len(compared)} are as near as asked.", ""]
+        lines += ["", f"{sum(c['reached'] for c in compared)} of {len(compared)} are within tolerance.", ""]
         lines += [f"- {c['figure']}: {c['note']}" for c in claims if c["note"]]
         lines += [""] if any(c["note"] for c in claims) else []
     stated = [c for c in found["claims"] if "says" in c]

@@ -99,6 +99,6 @@ def test_the_page_of_all_reproductions_says_what_is_fitted_and_what_was_not_reac
     text = part({"study": "some", "about": "What?", "claims": claims, "computing_s": 12.0})
     assert "| Table 1 | 10 cm | 10.40 (10.30 … 10.50) | 1.04 | fitted | yes |" in text
     assert "| 1.40 | predicted | **no** |" in text
-    assert "1 of 2 are as near as asked." in text
+    assert "1 of 2 are within tolerance." in text
     assert "The nearest is this." in text
     assert "**Does not hold**: A is better. 1 against 2" in text
