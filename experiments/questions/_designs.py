@@ -24,7 +24,7 @@ from sim.stations import work_station
 from trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
 from tuning.design.bound import bounds, mean_bound
 from tuning.design.layouts import AbstractLayout, PlanarArray, WallAnchors, range_sensor
-from tuning.design.search import Found
+from tuning.design.search import SearchResult
 
 LAYOUTS = ("default", "grid", "gradient")
 
@@ -74,11 +74,11 @@ class Design(NamedTuple):
     thousands: float
 
 
-def design_of(layout: AbstractLayout, found: Found, points: np.ndarray) -> Design:
+def design_of(layout: AbstractLayout, found: SearchResult, points: np.ndarray) -> Design:
     """The positions that a search found, and their mean bound without the weight of constraints."""
     theta = jnp.asarray(found.theta)
-    bound = float(mean_bound(layout.looks(theta), jnp.asarray(points)))
-    return Design(np.asarray(layout.places(theta)), bound, found.evaluations / 1000)
+    bound = float(mean_bound(layout.sensors(theta), jnp.asarray(points)))
+    return Design(np.asarray(layout.positions(theta)), bound, found.evaluations / 1000)
 
 
 def write_designs(name: str, designs: Mapping[str, Design]) -> None:
@@ -111,7 +111,7 @@ def designs(name: str) -> dict[str, Design]:
 def bound_map(layout: AbstractLayout, theta: np.ndarray, points: np.ndarray) -> np.ndarray:
     """The bounds (k,), m, at points (k, 3) for a layout's theta."""
     with jax.enable_x64(True):
-        return np.asarray(jax.jit(lambda t, p: bounds(layout.looks(t), p))(jnp.asarray(theta), jnp.asarray(points)))
+        return np.asarray(jax.jit(lambda t, p: bounds(layout.sensors(t), p))(jnp.asarray(theta), jnp.asarray(points)))
 
 
 def mean_square(tracked: TrackedRuns) -> np.ndarray:

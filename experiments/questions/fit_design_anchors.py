@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from experiments.questions._designs import TAG_POINTS, default_hall, design_of, hall, write_designs
-from tuning.design.search import Found, descend, exhaust
+from tuning.design.search import SearchResult, descend, exhaust
 
 STARTS, STEPS, RATE = 48, 150, 0.05
 ROUND = 12
@@ -27,7 +27,7 @@ def main() -> None:
         choices = np.array([(k / ROUND, z) for k in range(ROUND) for z in (0.0, 1.0)])
         pairs = list(combinations(range(len(choices)), 2))
         searched = {
-            "default": Found(default_hall(), 0.0, 0),
+            "default": SearchResult(default_hall(), 0.0, 0),
             "grid": exhaust(objective, choices, (low + high for low in pairs for high in pairs)),
             "gradient": descend(objective, layout.project, starts, STEPS, RATE),
         }

@@ -11,7 +11,7 @@ import numpy as np
 
 from experiments.questions._designs import TOOL_POINTS, design_of, stand, write_designs
 from trackers.aoa.layout import DEFAULT_ANTENNAS
-from tuning.design.search import Found, descend, exchange
+from tuning.design.search import SearchResult, descend, exchange
 
 STARTS, STEPS, RATE = 64, 150, 0.05
 COLUMNS, ROWS, ROUNDS = 10, 7, 8
@@ -27,7 +27,7 @@ def main() -> None:
         choices = np.stack([x.ravel(), y.ravel()], axis=1)
         layouts = [rng.choice(len(choices), layout.shape[0], replace=False) for _ in range(ROUNDS)]
         searched = {
-            "default": Found(layout.theta(DEFAULT_ANTENNAS), 0.0, 0),
+            "default": SearchResult(layout.theta(DEFAULT_ANTENNAS), 0.0, 0),
             "grid": exchange(objective, choices, layouts),
             "gradient": descend(objective, layout.project, starts, STEPS, RATE),
         }

@@ -1,1 +1,1 @@
-"""Layouts by gradient: where anchors, stations or antennas must stand for the least Cramér–Rao bound over a volume."""
+"""Layouts by gradient: positions of anchors, stations or antennas with the least Cramér–Rao bound over a volume."""

@@ -1,4 +1,4 @@
-"""The least of an objective: by gradient from many starts at once, and by grids to see what that is worth."""
+"""Minimisation of a layout's cost: by gradient from many starts, and by grid searches for comparison."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ import optax
 from tuning.design.layouts import WEIGHT
 
 Objective = Callable[..., Any]
-"""Of theta and, where it isn't to be its own, the weight of the constraints."""
+"""Cost as a function of theta, and optionally of the weight of the violations."""
 
-EASED = 1000.0
-"""By how much the constraints' weight rises during a descent."""
+WEIGHT_INCREASE = 1000.0
+"""Factor by which the weight of violations rises during a descent."""
 
 _BATCH = 1024
 
 
-class Found(NamedTuple):
-    """The best `theta`, its `value`, and how many `evaluations` of the objective, or of it with its gradient."""
+class SearchResult(NamedTuple):
+    """The best `theta`, its `value`, and the number of `evaluations` of the cost or its gradient."""
 
     theta: np.ndarray
     value: float
@@ -32,23 +32,23 @@ class Found(NamedTuple):
 
 def descend(
     objective: Objective, project: Callable[[Any], Any], starts: np.ndarray, steps: int = 150, rate: float = 0.05
-) -> Found:
-    """Adam (Kingma & Ba 2015) from all `starts` (s, …) in one call, each step projected; the best of all ends.
+) -> SearchResult:
+    """The best result of Adam (Kingma & Ba 2015) with projected steps from all `starts` (s, …), in one call.
 
-    The `rate` falls to zero along a cosine while the constraints' weight, the objective's second argument, rises by
-    `EASED` to its own: walls that stand from the beginning leave most starts where they can't get out. A slope that
-    isn't finite counts as none.
+    The `rate` falls to zero along a cosine while the weight of violations, the cost's second argument, rises by
+    `WEIGHT_INCREASE` to its final value: full weight from the beginning would trap most starts. A non-finite gradient
+    counts as zero.
     """
     optimiser = optax.scale_by_adam()
 
     def one(theta: Any) -> tuple[Any, Any]:
         def step(carry: Any, done: Any) -> tuple[Any, None]:
             theta, state = carry
-            slope = jax.grad(objective)(theta, WEIGHT * EASED ** (done - 1.0))
-            slope = jnp.where(jnp.all(jnp.isfinite(slope)), slope, 0.0)
+            gradient = jax.grad(objective)(theta, WEIGHT * WEIGHT_INCREASE ** (done - 1.0))
+            gradient = jnp.where(jnp.all(jnp.isfinite(gradient)), gradient, 0.0)
             # Adam raises a float to the power of an integer count, which strict promotion would refuse.
             with jax.numpy_dtype_promotion("standard"):
-                update, state = optimiser.update(slope, state, theta)
+                update, state = optimiser.update(gradient, state, theta)
             return (project(theta - 0.5 * rate * (1.0 + jnp.cos(jnp.pi * done)) * update), state), None
 
         (theta, _), _ = jax.lax.scan(step, (theta, optimiser.init(theta)), jnp.arange(steps) / steps)
@@ -58,12 +58,12 @@ def descend(
     return _best(np.asarray(ends), np.asarray(values), len(starts) * (steps + 1))
 
 
-def exhaust(objective: Objective, choices: np.ndarray, ways: Iterable[tuple[int, ...]]) -> Found:
-    """The best of all `ways` to put things on some of the `choices` (c, d), each the numbers of the chosen."""
+def exhaust(objective: Objective, choices: np.ndarray, ways: Iterable[tuple[int, ...]]) -> SearchResult:
+    """The best of all `ways` to place elements on a grid of `choices` (c, d); a way is the indices of its choices."""
     evaluate = jax.jit(jax.vmap(lambda theta: objective(theta)))
     every, best, number = iter(ways), None, 0
     while chosen := list(islice(every, _BATCH)):
-        # The last batch is filled up, so that one program serves all.
+        # The last batch is padded to the shape of the others.
         filled = chosen + [chosen[-1]] * (_BATCH - len(chosen))
         thetas = choices[np.array(filled)]
         number += len(chosen)
@@ -73,10 +73,10 @@ def exhaust(objective: Objective, choices: np.ndarray, ways: Iterable[tuple[int,
     return best._replace(evaluations=number)
 
 
-def exchange(objective: Objective, choices: np.ndarray, starts: Sequence[np.ndarray], sweeps: int = 20) -> Found:
-    """Things in turn moved to the best of all `choices` (c, d), until none moves: where all combinations are too many.
+def exchange(objective: Objective, choices: np.ndarray, starts: Sequence[np.ndarray], sweeps: int = 20) -> SearchResult:
+    """Fedorov's exchange (1972) on a grid: elements move in turn to the best of all `choices` (c, d), until none moves.
 
-    From each of the `starts`, numbers (n,) of choices; Fedorov's exchange (1972) on a grid.
+    For too many combinations to try all. From each of the `starts`, indices (n,) of choices.
     """
     evaluate = jax.jit(jax.vmap(lambda theta: objective(theta)))
     best, number = None, 0
@@ -94,11 +94,11 @@ def exchange(objective: Objective, choices: np.ndarray, starts: Sequence[np.ndar
             if np.array_equal(chosen, before):
                 break
         if best is None or value < best.value:
-            best = Found(choices[chosen], value, number)
+            best = SearchResult(choices[chosen], value, number)
     assert best is not None
     return best._replace(evaluations=number)
 
 
-def _best(thetas: np.ndarray, values: np.ndarray, evaluations: int) -> Found:
+def _best(thetas: np.ndarray, values: np.ndarray, evaluations: int) -> SearchResult:
     k = int(np.argmin(np.where(np.isfinite(values), values, np.inf)))
-    return Found(thetas[k], float(values[k]), evaluations)
+    return SearchResult(thetas[k], float(values[k]), evaluations)

@@ -13,8 +13,8 @@ from experiments.questions._designs import LAYOUTS, TAG_POINTS, TOOL_POINTS, des
 from sim.stations import facing, work_station
 from trackers.aoa.layout import DEFAULT_WAVELENGTH, boresight_bounds
 from trackers.aoa.phases import PlanePhases
-from tuning.design.bound import Look, bounds, information, mean_bound, worst_bound
-from tuning.design.layouts import PlanarArray, WallAnchors, range_sensor, too_near
+from tuning.design.bound import SensorAtEpoch, bounds, information, mean_bound, worst_bound
+from tuning.design.layouts import PlanarArray, WallAnchors, range_sensor, spacing_violation
 from tuning.design.search import descend, exchange, exhaust
 from tuning.design.stations import CeilingStations
 
@@ -50,7 +50,9 @@ def _room_bound(places, points=POINTS):
 def test_the_bound_of_ranges_is_that_of_dense_matrices(room):
     layout, evaluate = room
     # Finite differences are good to 1e-9 of the slopes; a tail of a million degrees of freedom leaves 2e-6.
-    assert float(jnp.exp(evaluate(THETA)[0])) == pytest.approx(_room_bound(np.asarray(layout.places(THETA))), rel=1e-5)
+    assert float(jnp.exp(evaluate(THETA)[0])) == pytest.approx(
+        _room_bound(np.asarray(layout.positions(THETA))), rel=1e-5
+    )
 
 
 def test_the_slope_of_the_bound_is_that_of_finite_differences(room):
@@ -65,8 +67,8 @@ def test_the_slope_of_the_bound_is_that_of_finite_differences(room):
 
 def test_a_known_height_leaves_the_information_of_the_plane():
     layout = WallAnchors(ROOM, BANDS, 1.0, range_sensor(4, SIGMA), height=1.2)
-    found = np.asarray(jax.jit(lambda t: information(layout.looks(t), jnp.asarray([2.0, 1.0])))(THETA))
-    places = np.asarray(layout.places(THETA))
+    found = np.asarray(jax.jit(lambda t: information(layout.sensors(t), jnp.asarray([2.0, 1.0])))(THETA))
+    places = np.asarray(layout.positions(THETA))
     H = _differences(lambda p: np.linalg.norm(np.append(p, 1.2) - places, axis=1), np.array([2.0, 1.0]))
     assert found == pytest.approx(H.T @ H / SIGMA**2, rel=1e-5)
 
@@ -74,7 +76,7 @@ def test_a_known_height_leaves_the_information_of_the_plane():
 def test_the_bound_of_phases_is_that_of_centred_dense_matrices():
     layout = stand()
     theta = np.random.default_rng(0).random(layout.shape)
-    places, wave = np.asarray(layout.places(theta)), 2 * np.pi / DEFAULT_WAVELENGTH
+    places, wave = np.asarray(layout.positions(theta)), 2 * np.pi / DEFAULT_WAVELENGTH
     point, n = TOOL_POINTS[5], len(theta)
     centre, J = np.eye(n) - np.ones((n, n)) / n, np.zeros((3, 3))
     for station in work_station(places).stations.values():
@@ -82,7 +84,7 @@ def test_the_bound_of_phases_is_that_of_centred_dense_matrices():
         # Steps of 10 µm in distances that are a metre: good to 1e-6 of a phase's slope.
         H = _differences(lambda p, a=antennas: -wave * np.linalg.norm(p - a, axis=1), point)
         J += H.T @ centre @ H / layout.sigma_p**2
-    found = np.asarray(jax.jit(lambda t: information(layout.looks(t), jnp.asarray(point)))(theta))
+    found = np.asarray(jax.jit(lambda t: information(layout.sensors(t), jnp.asarray(point)))(theta))
     assert found == pytest.approx(J, rel=1e-4, abs=1e-4 * np.abs(J).max())
 
 
@@ -103,7 +105,7 @@ def test_stations_on_a_ceiling_have_the_bound_of_those_that_the_simulator_turns_
     centre = np.eye(8) - np.ones((8, 8)) / 8
     for point in TOOL_POINTS:
         J = np.zeros((3, 3))
-        for place in np.asarray(layout.places(theta)):
+        for place in np.asarray(layout.positions(theta)):
             station = replace(layout.template, position=place, rotation=facing(place, layout.target))
             antennas = station.antenna_positions()
             H = _differences(lambda p, a=antennas: -wave * np.linalg.norm(p - a, axis=1), point)
@@ -135,7 +137,7 @@ def test_at_boresight_a_plane_waves_information_is_the_closed_form():
             return self.sensor.residual(reading, predicted)
 
     station = work_station().stations["1"]
-    look = Look(Angles(PlanePhases(station, 0.3)), {}, 8)
+    look = SensorAtEpoch(Angles(PlanePhases(station, 0.3)), {}, 8)
     J = np.asarray(jax.jit(lambda p: information([look], p))(np.zeros(2)))
     assert np.sqrt(np.diag(np.linalg.inv(J))) == pytest.approx(
         boresight_bounds(station.antennas, station.wavelength, 0.3), rel=1e-6
@@ -144,8 +146,8 @@ def test_at_boresight_a_plane_waves_information_is_the_closed_form():
 
 def test_the_worst_bound_is_the_largest_but_for_the_power_mean(room):
     def of(theta, points):
-        looks = room[0].looks(theta)
-        return bounds(looks, points), worst_bound(looks, points), mean_bound(looks, points)
+        sensors = room[0].sensors(theta)
+        return bounds(sensors, points), worst_bound(sensors, points), mean_bound(sensors, points)
 
     each, worst, mean = jax.jit(of)(THETA, POINTS)
     assert each.max() * 3 ** (-1 / 24) <= worst <= each.max()
@@ -155,19 +157,19 @@ def test_the_worst_bound_is_the_largest_but_for_the_power_mean(room):
 def test_anchors_stay_on_the_walls_and_in_their_bands(room):
     layout, _ = room
     theta = layout.project(jnp.asarray(np.random.default_rng(1).normal(0.5, 2.0, (4, 2))))
-    x, y, z = np.asarray(layout.places(theta)).T
+    x, y, z = np.asarray(layout.positions(theta)).T
     assert np.all(np.minimum(np.minimum(abs(x), abs(x - 6.0)), np.minimum(abs(y), abs(y - 4.0))) < 1e-9)
     assert np.all((BANDS[:, 0] - 1e-12 <= z) & (z <= BANDS[:, 1] + 1e-12))
-    assert layout.theta(np.asarray(layout.places(theta))) == pytest.approx(np.asarray(theta), abs=1e-9)
+    assert layout.theta(np.asarray(layout.positions(theta))) == pytest.approx(np.asarray(theta), abs=1e-9)
     with pytest.raises(ValueError, match="off the walls"):
         layout.theta(np.full((4, 3), 1.0))
 
 
 def test_things_that_stand_too_near_cost_the_square_of_what_is_missing():
     places = jnp.asarray([[0.0, 0.0], [0.5, 0.0], [5.0, 0.0]])
-    assert float(too_near(places, 1.0)) == pytest.approx(0.25)
-    assert float(too_near(places, 0.5)) == 0.0
-    assert np.all(np.isfinite(jax.jit(jax.grad(lambda p: too_near(p, 1.0)))(np.zeros((2, 2)))))
+    assert float(spacing_violation(places, 1.0)) == pytest.approx(0.25)
+    assert float(spacing_violation(places, 0.5)) == 0.0
+    assert np.all(np.isfinite(jax.jit(jax.grad(lambda p: spacing_violation(p, 1.0)))(np.zeros((2, 2)))))
 
 
 def _valley(theta, weight=1.0):
@@ -201,9 +203,9 @@ def test_an_exhausted_grid_gives_the_best_pair_and_an_exchange_one_that_no_singl
 @pytest.mark.parametrize(("name", "layout", "points"), [("anchors", hall, TAG_POINTS), ("array", stand, TOOL_POINTS)])
 def test_designs_that_are_kept_hold_their_constraints_and_have_the_bounds_they_say(name, layout, points):
     layout, kept = layout(), designs(name)
-    evaluate = jax.jit(lambda t: (mean_bound(layout.looks(t), jnp.asarray(points)), layout.violation(t)))
+    evaluate = jax.jit(lambda t: (mean_bound(layout.sensors(t), jnp.asarray(points)), layout.violation(t)))
     for design in kept.values():
-        theta = jnp.asarray(layout.theta(design.places))
+        theta = jnp.asarray(layout.theta(design.positions))
         assert np.all((theta > -1e-3) & (theta < 1 + 1e-3))  # places are kept to four digits
         bound, violation = evaluate(theta)
         assert float(bound) == pytest.approx(design.bound, rel=2e-3)
