@@ -60,7 +60,7 @@ def test_every_sensor_keeps_its_contract(sensor, view, inputs, reported):
 
 
 def test_the_papers_form_is_no_density_over_all_phases_of_three_antennas():
-    # Phases a third of a turn apart all wrap and average to zero: the form takes them for a perfect reading.
+    # Phases a third of a turn apart all wrap and average to zero: their whitened residual is zero.
     with pytest.raises(BrokenContract, match="integrates to 1.8"):
         check_sensor(PlanePhases(STATION, 0.3, paper_form=True), BEAM)
 
@@ -108,7 +108,7 @@ def test_a_broken_motion_is_named_with_what_is_wrong(move, message):
 class Ruler(AbstractSensor):
     """Both coordinates with sigmas of 0.1 and 0.3 m, whose residual a test breaks."""
 
-    judge: object = eqx.field(static=True)
+    change: object = eqx.field(static=True)
 
     @property
     def channels(self):
@@ -119,7 +119,7 @@ class Ruler(AbstractSensor):
 
     def residual(self, reading, predicted):
         good = independent([z - p for z, p in zip(reading.values, predicted, strict=True)], [0.1, 0.3], reading.seen)
-        return self.judge(good, reading, predicted)
+        return self.change(good, reading, predicted)
 
 
 def test_a_sound_sensor_of_ones_own_passes():
@@ -135,7 +135,7 @@ def _root(good, reading, predicted):
 
 
 @pytest.mark.parametrize(
-    ("judge", "message"),
+    ("change", "message"),
     [
         (lambda g, z, p: g._replace(log_scale=0.0 * g.log_scale), "integrates to .* expected 1; usual fix: log_scale"),
         (lambda g, z, p: g._replace(dof=jnp.asarray(4.0)), "integrates to"),
@@ -155,9 +155,9 @@ def _root(good, reading, predicted):
         "count", "too few", "biased", "infinite slope", "overflow", "constant count",
     ],
 )  # fmt: skip
-def test_a_broken_sensor_is_named_with_what_is_wrong(judge, message):
+def test_a_broken_sensor_is_named_with_what_is_wrong(change, message):
     with pytest.raises(BrokenContract, match=message):
-        check_sensor(Ruler(judge), Placed(Vector(0.4, 0.7)))
+        check_sensor(Ruler(change), Placed(Vector(0.4, 0.7)))
 
 
 def test_a_sensor_that_predicts_too_few_channels_is_named():

@@ -35,16 +35,16 @@ def _many(trajectories, rows=30):
 
 @pytest.mark.slow
 def test_one_device_and_two_give_the_same_bits():
-    said = []
+    printed = []
     for devices in (1, 2):
         flags = {"XLA_FLAGS": f"--xla_force_host_platform_device_count={devices}", "JAX_PLATFORMS": "cpu"}
         done = subprocess.run(
             [sys.executable, "-c", HASHED], env=os.environ | flags, capture_output=True, text=True, check=False
         )
         assert done.returncode == 0, done.stderr
-        said.append(done.stdout.split())
-    assert [int(count) for count, _ in said] == [1, 2]
-    assert said[0][1] == said[1][1]
+        printed.append(done.stdout.split())
+    assert [int(count) for count, _ in printed] == [1, 2]
+    assert printed[0][1] == printed[1][1]
 
 
 def test_parts_side_by_side_are_those_one_after_another_in_their_order():

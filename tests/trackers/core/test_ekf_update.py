@@ -65,11 +65,11 @@ def test_compressed_channels_are_the_joint_update_of_all(columns, deficient):
     if deficient:
         # Masked channels, and all others seeing one direction only, like antennas on a line.
         H, residual = np.outer(np.arange(8) % 3, H[0]), residual * (np.arange(8) % 3 > 0)
-    few, rows, apart = compressed(list(map(jnp.asarray, residual)), _rows(H, columns))
-    assert len(few) == len(columns)
+    equivalent, rows, rest = compressed(list(map(jnp.asarray, residual)), _rows(H, columns))
+    assert len(equivalent) == len(columns)
     upper = tuple(jnp.asarray(cov[np.triu_indices(STATES)]))
-    step, upper, nis, log_density = joseph(upper, few, rows, STATES)
-    _assert_is_joint(cov, residual, H, (step, upper, nis + apart, log_density - 0.5 * apart))
+    step, upper, nis, log_density = joseph(upper, equivalent, rows, STATES)
+    _assert_is_joint(cov, residual, H, (step, upper, nis + rest, log_density - 0.5 * rest))
 
 
 def test_what_no_state_explains_keeps_its_digits_in_single_precision():
@@ -80,10 +80,10 @@ def test_what_no_state_explains_keeps_its_digits_in_single_precision():
     beside -= H @ np.linalg.lstsq(H.astype(float), beside, rcond=None)[0]
     residual = (H @ np.array([3e3, -2e3]) + beside).astype(np.float32)
     exact = residual - H.astype(float) @ np.linalg.lstsq(H.astype(float), residual.astype(float), rcond=None)[0]
-    apart = compressed(list(jnp.asarray(residual)), [dict(enumerate(jnp.asarray(row))) for row in H])[2]
-    assert apart.dtype == jnp.float32
+    rest = compressed(list(jnp.asarray(residual)), [dict(enumerate(jnp.asarray(row))) for row in H])[2]
+    assert rest.dtype == jnp.float32
     # Each component of the remainder is rounded like the residual, to 2e-4.
-    assert float(apart) == pytest.approx(exact @ exact, rel=2e-3)
+    assert float(rest) == pytest.approx(exact @ exact, rel=2e-3)
 
 
 BELIEFS = {

@@ -43,10 +43,10 @@ def _transition(sigma, dt):
     return van_loan(np.array([[0.0, 1.0], [0.0, 0.0]]), np.diag([0.0, sigma**2]), dt)
 
 
-def _textbook(sigmas, rate, odds):
+def _textbook(sigmas, rate, mode_prior):
     """Bar-Shalom 2001, section 11.6.6, with all K² mixing probabilities and rows really deleted."""
     times, values, seen = _rows()
-    K, shares = len(sigmas), np.array(odds) / np.sum(odds)
+    K, shares = len(sigmas), np.array(mode_prior) / np.sum(mode_prior)
     means, covs, weights = np.tile(MEAN, (K, 1)), np.tile(COV, (K, 1, 1)), shares
     out = []
     for dt, z, s in zip(np.diff(times), values[1:], seen[1:], strict=True):
@@ -55,9 +55,10 @@ def _textbook(sigmas, rate, odds):
         c = weights @ P
         mixing = weights[:, None] * P / c
         mixed = mixing.T @ means
-        apart = means[:, None] - mixed[None]
+        deviations = means[:, None] - mixed[None]
         spread = [
-            sum(mixing[i, j] * (covs[i] + np.outer(apart[i, j], apart[i, j])) for i in range(K)) for j in range(K)
+            sum(mixing[i, j] * (covs[i] + np.outer(deviations[i, j], deviations[i, j])) for i in range(K))
+            for j in range(K)
         ]
         lls = np.zeros(K)
         for j in range(K):

@@ -51,8 +51,8 @@ def test_the_direction_is_the_slope_of_the_place_on_slanting_segments_too():
 
 def test_the_nearest_point_of_places_on_the_path_is_where_they_are():
     line, d = Polyline(KNOTS), np.linspace(0, 16.3, 40)
-    places = np.stack(list(line.position(jnp.asarray(d))), axis=-1)
-    arclength, distance = line.nearest(places)
+    points = np.stack(list(line.position(jnp.asarray(d))), axis=-1)
+    arclength, distance = line.nearest(points)
     np.testing.assert_allclose(arclength, d, atol=1e-9)
     np.testing.assert_allclose(distance, 0, atol=1e-9)
     arclength, distance = line.nearest(np.array([4.0, 7.9]))
@@ -113,10 +113,10 @@ def test_a_path_of_many_knots_is_the_polyline_through_them(closed):
     line = Polyline(knots)
     starts = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(knots, axis=0), axis=1))])
     d = np.linspace(1e-6, line.length - 1e-6, 333)
-    places = np.stack([np.interp(d, starts, axis) for axis in knots.T])
-    np.testing.assert_allclose(list(line.position(jnp.asarray(d))), places, atol=1e-9)
-    slopes = (np.asarray(list(line.position(jnp.asarray(d + 1e-7)))) - places) / 1e-7
-    np.testing.assert_allclose(list(line.direction(jnp.asarray(d))), slopes, atol=1e-5)
+    points = np.stack([np.interp(d, starts, axis) for axis in knots.T])
+    np.testing.assert_allclose(list(line.position(jnp.asarray(d))), points, atol=1e-9)
+    directions = (np.asarray(list(line.position(jnp.asarray(d + 1e-7)))) - points) / 1e-7
+    np.testing.assert_allclose(list(line.direction(jnp.asarray(d))), directions, atol=1e-5)
     joins = starts[1:] if closed else starts[1:-1]
     expected = [min((j for j in joins if j > x), default=np.inf) for x in d]
     np.testing.assert_allclose(line.next_join(jnp.asarray(d)), expected, atol=1e-9)

@@ -84,7 +84,7 @@ def test_what_the_filter_said_and_its_last_row_stay(world):
 
 
 def test_nothing_reaches_back_over_a_new_start(world):
-    # Whatever lies beyond the limit ends the track, and the next row starts it anew.
+    # A NIS beyond the limit ends the track, and the next row starts a new one.
     fragile = world.with_loss(TrackLossPolicy(nis_limit=3.0, nis_window=1.0, max_gap=np.inf))
     filtered, smoothed = fragile.run(world.batch), Smoothed(fragile).run(world.batch)
     before = np.argwhere(filtered.status[:, 1:] == Status.RESTARTED)

@@ -22,7 +22,7 @@ MOTIONS = {"two motions": SwitchingMotion((ConstantVelocity(1.0, 1),) * 2), "one
 
 def _rows():
     rng, times = np.random.default_rng(4), 0.3 * np.arange(ROWS)
-    # Straight on and then away: the end tells what the beginning could not.
+    # Straight, then a manoeuvre: only later measurements determine the first modes.
     values = 0.3 * times + 2.0 * np.maximum(times - times[3], 0.0) ** 2 + 0.2 * rng.normal(size=ROWS)
     return times, values[:, None], np.ones((ROWS, 1), bool)
 
@@ -65,15 +65,15 @@ def _enumerated(sigmas, rate, lag=None):
         covs.append(cov)
     w = np.exp(np.array(weights) - np.logaddexp.reduce(weights, axis=0))[..., None]
     mean = np.sum(w * means, axis=0)
-    apart = np.array(means) - mean
-    return mean, np.sum(w[..., None] * (np.array(covs) + apart[..., :, None] * apart[..., None, :]), axis=0)
+    deviations = np.array(means) - mean
+    return mean, np.sum(w[..., None] * (np.array(covs) + deviations[..., :, None] * deviations[..., None, :]), axis=0)
 
 
 @pytest.mark.parametrize("lag", [None, LAG], ids=["fixed interval", "fixed lag"])
 def test_without_switching_the_smoothed_mixture_is_every_mode_smoothed_and_weighed_by_its_likelihood(lag):
     estimates = _smoothed(_tracker(SIGMAS, 1e-9), lag)
     means, covs = _enumerated(SIGMAS, 0.0, lag)
-    # A mode drawn anew at 1e-9 a second, which the enumeration leaves out, weighs a few of that.
+    # Switches at 1e-9 per second, absent from the enumeration, have a weight of that order.
     np.testing.assert_allclose(flat(estimates.mean)[1:], means, rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(estimates.covariance[1:], covs, rtol=1e-6, atol=1e-6)
 
@@ -85,7 +85,7 @@ def test_with_switching_the_smoothed_mixture_is_nearer_the_enumeration_of_all_12
     filtered, smoothed = tracker.run(recording(times, {"z": (values, seen)}, MEAN, COV)), _smoothed(tracker)
     spread = np.sqrt(np.einsum("tii->ti", covs))
     off = np.abs(flat(smoothed.mean)[1:] - means) / spread
-    # Merged moments and modes judged by the past alone are no exact ones: the method's error.
+    # Collapsed moments and Kim's approximation of the modes are not exact: the error of the method.
     assert off.max() < 0.3
     assert off[:-1].mean() < 0.2 * (np.abs(flat(filtered.mean)[1:] - means) / spread)[:-1].mean()
     np.testing.assert_allclose(np.sqrt(np.einsum("tii->ti", smoothed.covariance[1:])), spread, rtol=0.3)

@@ -21,7 +21,7 @@ SIZE = st.sampled_from([1e-200, 1e-12, 9e-5, 1.1e-4, 1e-3, 1.0])
 
 class Pose(NamedTuple):
     attitude: Rotation
-    place: Vector
+    position: Vector
     bias: jax.Array
     heading: Heading
     speed: float
@@ -96,7 +96,7 @@ def test_coordinates_rebuild_the_state_around_which_they_stand():
 def test_components_are_named_in_the_order_of_the_covariance():
     names = component_names(_pose([0.0, 0.0, 0.0]))
     assert names == [
-        "attitude.0", "attitude.1", "attitude.2", "place.0", "place.1", "bias.0", "bias.1", "heading.0", "speed",
+        "attitude.0", "attitude.1", "attitude.2", "position.0", "position.1", "bias.0", "bias.1", "heading.0", "speed",
     ]  # fmt: skip
 
 

@@ -181,8 +181,8 @@ def test_one_trajectory_of_garbage_changes_no_other_by_a_bit(case, garbage):
 def test_a_trajectory_is_the_same_wherever_it_stands_in_the_batch(case):
     order = [3, 5, 0, 4, 1, 2]
     shuffled = case.make().run(stack([case.recordings[k] for k in order]))
-    for place, trajectory in enumerate(order):
-        _assert_same_bits(shuffled[place], case.estimates[trajectory], slice(len(case.recordings[trajectory])))
+    for column, trajectory in enumerate(order):
+        _assert_same_bits(shuffled[column], case.estimates[trajectory], slice(len(case.recordings[trajectory])))
 
 
 def test_a_trajectory_of_a_batch_is_the_one_run_alone():
@@ -195,8 +195,8 @@ def test_a_trajectory_of_a_batch_is_the_one_run_alone():
 
 def test_chunks_side_by_side_give_what_one_chunk_gives():
     batch = stack(_recordings(2, 1))
-    apart, together = _flat().run(batch, chunk=2), _flat().run(batch)
-    for a, b in zip(*map(jax.tree_util.tree_leaves, (_as_tree(apart), _as_tree(together))), strict=True):
+    in_pairs, together = _flat().run(batch, chunk=2), _flat().run(batch)
+    for a, b in zip(*map(jax.tree_util.tree_leaves, (_as_tree(in_pairs), _as_tree(together))), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
 
 

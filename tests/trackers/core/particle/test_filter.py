@@ -75,10 +75,10 @@ def test_every_particle_has_offspring_as_many_as_its_share_rounded_down_or_up():
 
 def test_the_mean_number_of_offspring_is_the_share():
     w = _weights(40, seed=3)
-    places = (np.arange(2000) + 0.5) / 2000
-    ancestors = jax.vmap(lambda u: systematic(jnp.asarray(w), u))(jnp.asarray(places))
+    offsets = (np.arange(2000) + 0.5) / 2000
+    ancestors = jax.vmap(lambda u: systematic(jnp.asarray(w), u))(jnp.asarray(offsets))
     mean = np.bincount(np.asarray(ancestors).ravel(), minlength=40) / 2000
-    # The places are a grid of 1/2000: each share is met to two of its steps.
+    # The offsets are a grid of 1/2000: each share is exact to two of its steps.
     np.testing.assert_allclose(mean, 40 * w, atol=1e-3)
 
 
@@ -117,26 +117,26 @@ def _reading(x, y=0.0):
 
 def test_weights_and_log_likelihood_are_those_of_bayes_rule():
     w = np.array([0.4, 0.3, 0.2, 0.1])
-    belief, said = ParticleFilter(4).update(
+    belief, innovation = ParticleFilter(4).update(
         _still(np.log(w)), ConstantPosition(Constant(1.0), 2), Ruler(Constant(0.5)), _reading(1.2, 0.1), {}
     )
     density = np.exp(-0.5 * ((1.2 - np.arange(4)) ** 2 + 0.1**2) / 0.25) / (2 * np.pi * 0.25)
     np.testing.assert_allclose(np.exp(belief.log_weights), w * density / np.sum(w * density), rtol=1e-12)
-    np.testing.assert_allclose(said.log_likelihood, np.log(np.sum(w * density)), rtol=1e-12)
+    np.testing.assert_allclose(innovation.log_likelihood, np.log(np.sum(w * density)), rtol=1e-12)
     # The particles' residuals are (1.2 − x)/0.5 and 0.2: mean and variance of the first by hand.
     r = (1.2 - np.arange(4)) / 0.5
     mean = np.sum(w * r)
     nis = mean**2 / (1 + np.sum(w * (r - mean) ** 2)) + 0.2**2
-    np.testing.assert_allclose(said.nis, nis, rtol=1e-12)
+    np.testing.assert_allclose(innovation.nis, nis, rtol=1e-12)
 
 
 def test_states_that_a_reading_rules_out_have_weight_zero_for_good():
     states = Placed(Vector(jnp.array([-1.0, 0.5, 1.0, -2.0]), jnp.zeros(4)))
     belief = Particles(states, jnp.full(4, -np.log(4.0)), jax.random.key_data(jax.random.key(1)))
     motion, filter = ConstantPosition(Constant(1e-12), 2), ParticleFilter(4, fraction=0.9)
-    once, said = filter.update(belief, motion, Wall(Constant(1.0)), _reading(0.7), {})
+    once, innovation = filter.update(belief, motion, Wall(Constant(1.0)), _reading(0.7), {})
     assert np.all(np.exp(once.log_weights[np.array([0, 3])]) == 0)
-    assert np.isfinite(said.log_likelihood)
+    assert np.isfinite(innovation.log_likelihood)
     twice = filter.predict(once, motion, {}, jnp.asarray(1.0))
     assert np.all(twice.states.position[0] > 0)
 

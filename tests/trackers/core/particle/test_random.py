@@ -27,12 +27,12 @@ def test_normal_numbers_have_the_moments_and_the_quantiles_of_the_normal_distrib
 
 
 def test_keys_follow_one_another_and_uniform_numbers_fill_the_interval():
-    key, places = jax.random.key_data(jax.random.key(2)), []
+    key, offsets = jax.random.key_data(jax.random.key(2)), []
     step = jax.jit(lambda key: draws(key, 1, 3, jnp.float32))
     for _ in range(400):
-        key, place, _ = step(key)
-        places.append(float(place))
-    assert 0 <= min(places) < 0.02
-    assert 0.98 < max(places) < 1
-    assert len(set(places)) == 400
-    assert abs(np.mean(places) - 0.5) < 0.05
+        key, offset, _ = step(key)
+        offsets.append(float(offset))
+    assert 0 <= min(offsets) < 0.02
+    assert 0.98 < max(offsets) < 1
+    assert len(set(offsets)) == 400
+    assert abs(np.mean(offsets) - 0.5) < 0.05

@@ -19,9 +19,9 @@ N = 64
 
 
 def _belief(log_weights=None):
-    place = Vector(jnp.linspace(-1.0, 1.0, N), jnp.zeros(N))
+    position = Vector(jnp.linspace(-1.0, 1.0, N), jnp.zeros(N))
     weights = jnp.full(N, -np.log(N)) if log_weights is None else log_weights
-    return Particles(Placed(place), weights, jax.random.key_data(jax.random.key(2)))
+    return Particles(Placed(position), weights, jax.random.key_data(jax.random.key(2)))
 
 
 def _moved(sigma, dt=1.0, **options):
@@ -57,13 +57,13 @@ def test_nothing_is_drawn_in_no_time():
 @pytest.mark.parametrize("discount", [1.0, 0.8])
 def test_offspring_keep_the_derivative_of_their_ancestor_less_the_discount(discount):
     log_weights = jax.nn.log_softmax(3.0 * jax.random.normal(jax.random.key(0), (N,)))
-    states, place, weights = jnp.arange(float(N)), jnp.asarray(0.4), jnp.exp(log_weights)
+    states, offset, weights = jnp.arange(float(N)), jnp.asarray(0.4), jnp.exp(log_weights)
 
-    def drawn(slope, few):
-        return resample_with_score(few, place, states, log_weights + slope * states, weights, discount=discount)
+    def drawn(slope, needed):
+        return resample_with_score(needed, offset, states, log_weights + slope * states, weights, discount=discount)
 
     (ancestors, value, _), (still, inherited, _) = jax.jvp(lambda s: drawn(s, jnp.asarray(True)), (0.0,), (1.0,))
-    expected = resample(jnp.asarray(True), place, states, log_weights, weights)
+    expected = resample(jnp.asarray(True), offset, states, log_weights, weights)
     np.testing.assert_array_equal(ancestors, expected[0])
     np.testing.assert_array_equal(value, expected[1])
     np.testing.assert_allclose(inherited, discount * np.asarray(ancestors), rtol=1e-12)
@@ -107,17 +107,19 @@ def test_the_first_particles_owe_the_density_of_the_normal_belief():
 
     drawn = ParticleFilter(N).init(belief(at), key)
     init = jax.jit(lambda x, t: jax.jvp(lambda x: ParticleFilter(N).init(belief(x), key).log_weights, (x,), (t,))[1])
-    slopes = jnp.stack([init(at, unit) for unit in jnp.eye(4)], axis=-1)
+    scores = jnp.stack([init(at, unit) for unit in jnp.eye(4)], axis=-1)
 
     def density(x):
         mean, cov = x[:2], np.array([[x[2] ** 2, 0.3 * x[2] * x[3]], [0.3 * x[2] * x[3], x[3] ** 2]])
-        apart = np.stack(list(drawn.states.position), axis=-1) - mean
-        return -0.5 * np.log(np.linalg.det(cov)) - 0.5 * np.einsum("ni,ij,nj->n", apart, np.linalg.inv(cov), apart)
+        deviations = np.stack(list(drawn.states.position), axis=-1) - mean
+        return -0.5 * np.log(np.linalg.det(cov)) - 0.5 * np.einsum(
+            "ni,ij,nj->n", deviations, np.linalg.inv(cov), deviations
+        )
 
     step = 1e-5 * np.eye(4)
     expected = [(density(np.asarray(at) + s) - density(np.asarray(at) - s)) / 2e-5 for s in step]
     # The third derivative times the step's square: 1e-8 of the largest.
-    np.testing.assert_allclose(slopes, np.stack(expected, axis=-1), rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(scores, np.stack(expected, axis=-1), rtol=1e-5, atol=1e-6)
 
 
 def test_a_direction_without_variance_owes_nothing():
