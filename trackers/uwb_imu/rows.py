@@ -205,7 +205,7 @@ def _bias_slots(trajectory: Trajectory) -> int:
 TRACKERS = {
     "uwb-imu": TrackerSpec(
         about="position, velocity and attitude from ranges and an IMU, error-state EKF",
-        table="ranges",
+        table="ranges and imu",
         trajectories=inertial_trajectories,
         build=lambda trajectory, planar: inertial_tracker(_anchors(trajectory), planar),
         lacks=lacks_ranges_or_imu,
