@@ -152,3 +152,15 @@ def paper_beam_filter(wavenumbers, sigma_a, sigma_p, dts, phases, seen, mean, co
             mean, cov = mean + K @ innovation, cov - K @ S @ K.T
         out.append((mean, cov, log_likelihood))
     return tuple(np.array(column) for column in zip(*out, strict=True))
+
+
+def distances_to_path(points, knots):
+    """The distance of each point (N, 2) from the polyline of `knots` (K, 2), segment by segment."""
+    starts, segments = knots[:-1], np.diff(knots, axis=0)
+    squares = np.maximum(np.einsum("kd,kd->k", segments, segments), np.finfo(float).tiny)
+    nearest = np.full(len(points), np.inf)
+    for start, segment, square in zip(starts, segments, squares, strict=True):
+        deviation = points - start
+        deviation = deviation - np.clip(deviation @ segment / square, 0.0, 1.0)[:, None] * segment
+        nearest = np.minimum(nearest, np.einsum("nd,nd->n", deviation, deviation))
+    return np.sqrt(nearest)

@@ -6,7 +6,7 @@ import pytest
 from sim.agv import Route, simulate_agv
 from sim.fixes import correlated_noise, delayed, first_order_lag, mirrored_heights
 from sim.keys import trajectory_keys
-from trackers.core.metrics import distances_to_path
+from tests.oracles import distances_to_path
 from trackers.mhk.tracker import STILL
 
 TIMES = np.arange(400) / 10.0

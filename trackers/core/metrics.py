@@ -71,21 +71,6 @@ def percentiles(errors: Errors, percents: tuple[float, ...]) -> list[float]:
     return np.interp(ranks, np.arange(len(ordered)), ordered).tolist() if len(ordered) else [math.nan] * len(percents)
 
 
-def distances_to_path(points: Float[np.ndarray, "N 2"], knots: Float[np.ndarray, "K 2"]) -> Float[np.ndarray, " N"]:
-    """The distance of each point from a polyline: the cross-track error, for truth that is a path without times.
-
-    Along-track errors, as those of a latency, are not part of it.
-    """
-    starts, segments = knots[:-1], np.diff(knots, axis=0)
-    squares = np.maximum(np.einsum("kd,kd->k", segments, segments), np.finfo(float).tiny)
-    nearest = np.full(len(points), np.inf)
-    for start, segment, square in zip(starts, segments, squares, strict=True):
-        deviation = points - start
-        deviation = deviation - np.clip(deviation @ segment / square, 0.0, 1.0)[:, None] * segment
-        nearest = np.minimum(nearest, np.einsum("nd,nd->n", deviation, deviation))
-    return np.sqrt(nearest)
-
-
 def nees(errors: Errors, covs: Covariances) -> Float[np.ndarray, " N"]:
     """NEES eᵀP⁻¹e of each row; NaN where P is not positive definite.
 
@@ -130,12 +115,6 @@ def covered(values: Float[np.ndarray, " N"], dof: int, level: float = 0.95) -> f
     return _mean(known <= chi_square_quantile(level, dof))
 
 
-def coverage_per_axis(errors: Errors, covs: Covariances, k: float) -> Float[np.ndarray, " d"]:
-    """Per axis, the fraction of errors within `k` reported standard deviations."""
-    variances = np.diagonal(covs, axis1=1, axis2=2)
-    return np.array([_mean(e[v > 0] ** 2 <= k * k * v[v > 0]) for e, v in zip(errors.T, variances.T, strict=True)])
-
-
 def time_lost(times: Float[np.ndarray, " N"], lost: Bool[np.ndarray, " N"]) -> TimeLost:
     """The time during which a track was lost; a row's status holds until the next row.
 
@@ -150,12 +129,6 @@ def time_lost(times: Float[np.ndarray, " N"], lost: Bool[np.ndarray, " N"]) -> T
 def chi_square_cdf(x: float, dof: float) -> float:
     """The probability that a chi-square variable with `dof` degrees of freedom is at most `x`."""
     return float(gammainc(dof / 2, x / 2))
-
-
-def chi_square_density(x: Float[np.ndarray, " N"], dof: float) -> Float[np.ndarray, " N"]:
-    """The chi-square density with `dof` degrees of freedom at positive `x`."""
-    a = dof / 2
-    return np.exp((a - 1) * np.log(x) - x / 2 - a * math.log(2) - math.lgamma(a))
 
 
 def chi_square_quantile(probability: float, dof: float) -> float:

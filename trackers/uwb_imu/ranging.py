@@ -40,17 +40,3 @@ def double_sided(total: Any, reply: Any, second_total: Any, second_reply: Any) -
     first, second, delay, second_delay = (np.asarray(x, float) for x in (total, second_total, reply, second_reply))
     flight = (first * second - delay * second_delay) / (first + second + delay + second_delay)
     return np.asarray(SPEED_OF_LIGHT * flight)
-
-
-def clock_drift(sent: Any, received: Any) -> float:
-    """The drift of the receiving clock, from messages `sent` by the initiator's clock and `received` by it, s.
-
-    Least-squares slope of reception over transmission times, less one; a relative speed of 1 m/s adds 3e-9. Raises
-    ValueError for fewer than two messages or equal times.
-    """
-    sent, received = np.asarray(sent, float), np.asarray(received, float)
-    centred = sent - sent.mean() if sent.size else sent
-    if sent.size < 2 or sent.shape != received.shape or not np.any(centred):
-        raise ValueError(f"a drift takes two messages at different times; found {sent.size} and {received.size}")
-    delay = (received - received[0]) - (sent - sent[0])
-    return float(centred @ delay / (centred @ centred))

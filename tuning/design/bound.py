@@ -89,13 +89,3 @@ def bounds(sensors: Sequence[SensorAtEpoch], points: Any) -> Any:
 def mean_bound(sensors: Sequence[SensorAtEpoch], points: Any) -> Any:
     """The root mean square of the bounds over the points, m: for tags anywhere in the volume."""
     return jnp.sqrt(jnp.mean(bounds(sensors, points) ** 2))
-
-
-def worst_bound(sensors: Sequence[SensorAtEpoch], points: Any) -> Any:
-    """A smooth maximum of the bounds over the points, m: their power mean with exponent 24.
-
-    For k points at most a factor of k to the 1/24 too small.
-    """
-    each = bounds(sensors, points)
-    largest = jax.lax.stop_gradient(jnp.max(each))
-    return largest * jnp.mean((each / largest) ** 24) ** (1 / 24)

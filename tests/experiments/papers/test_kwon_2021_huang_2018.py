@@ -13,7 +13,7 @@ from experiments.papers import fitting
 from experiments.papers.fitting import Fitted, fitted, means, solved, write_fitted
 from experiments.papers.huang_2018 import workshop
 from experiments.papers.kwon_2021 import chamber, line_of_sight, robot, table_4, trilateration
-from trackers.core.metrics import distances_to_path
+from tests.oracles import distances_to_path
 
 MINE = (
     "chamber",
