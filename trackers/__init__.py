@@ -59,6 +59,7 @@ from trackers.events import events_of
 from trackers.from_arrays import bearing_recording, fix_recording, phase_recording, range_recording
 from trackers.line.grid import GridFilter
 from trackers.line.motion import HaltingMotion, LineMotion
+from trackers.line.rows import fit_path_truth
 from trackers.line.tracker import line_grid_tracker, line_motion, line_tracker
 from trackers.line.truth import knot_times
 from trackers.mhk.tracker import mhk_tracker
@@ -115,6 +116,7 @@ __all__ = [
     "evaluate",
     "Evaluation",
     "events_of",
+    "fit_path_truth",
     "error_metrics",
     "rmse",
     "bias",

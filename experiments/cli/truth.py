@@ -13,11 +13,9 @@ import tyro
 
 from experiments.cli.console import notice, read_with_notices
 from experiments.cli.manifest import write_manifest
-from trackers.core.errors import UnusableInput
-from trackers.line.rows import line_trajectories, path_of, raw_positions
-from trackers.line.truth import KnotTimes, knot_times
+from trackers.line.rows import fit_path_truth
+from trackers.line.truth import KnotTimes
 from trackers.recordings.folder import RecordingFolder, write_recording
-from trackers.recordings.trajectories import known_height
 from trackers.recordings.truth import interpolate_truth, truth_paths
 
 
@@ -33,38 +31,14 @@ def truth(recording: Annotated[Path, tyro.conf.Positional], out: Path) -> int:
     """
     started = datetime.now(UTC)
     (folder,) = read_with_notices((recording,))
-    path_of(folder)
-    if not {"fixes", "ranges"} & set(folder.tables):
-        raise UnusableInput(
-            f"{recording}: tables {', '.join(folder.tables)}, expected fixes or ranges to fit a truth to; add one"
-        )
-    rows, lines = [], []
-    for trajectory in line_trajectories(folder, False):
-        times, measured = raw_positions(trajectory)
-        known = np.isfinite(measured).all(axis=1)
-        try:
-            fitted = knot_times(np.asarray(folder.rig.path_knots), times[known], measured[known])
-        except ValueError as problem:
-            raise UnusableInput(f"{recording}: tag '{trajectory.tag}': {problem}; record for longer") from problem
-        rows.append(_rows(folder, trajectory.tag, times, fitted))
-        lines.append(_line(trajectory.tag, fitted))
-    table = pl.concat(rows).sort("t_s", maintain_order=True)
+    fitted, knot_times = fit_path_truth(folder)
+    table = fitted.tables["truth"]
     _compare(folder, table)
-    write_recording(RecordingFolder(folder.name, None, folder.rig, folder.tables | {"truth": table}), out)
+    write_recording(fitted, out)
     write_manifest(out, sys.argv, {"recording": str(recording)}, started)
-    print("\n".join(lines))
+    print("\n".join(_line(tag, times) for tag, times in knot_times.items()))
     print(f"wrote {out}: the recording with a fitted truth of {len(table)} rows; use it: evaluate … --truth {out}")
     return 0
-
-
-def _rows(folder: RecordingFolder, tag: str, times: np.ndarray, fitted: KnotTimes) -> pl.DataFrame:
-    # Rows at the knot times, too: interpolation between measurement times would cut the corners of the path.
-    at = np.unique(np.concatenate([times, fitted.departed, fitted.arrived]))
-    positions = fitted.positions(at)
-    height = known_height(folder, tag)
-    return pl.DataFrame(
-        {"t_s": at, "tag": [tag] * len(at), "x_m": positions[:, 0], "y_m": positions[:, 1]}
-    ).with_columns(pl.lit(height, pl.Float64).alias("z_m"))
 
 
 def _line(tag: str, fitted: KnotTimes) -> str:

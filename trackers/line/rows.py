@@ -15,6 +15,7 @@ from trackers.core.tracker import AbstractTracker, Tracker
 from trackers.line.fixes import FIXES, FloorFixes
 from trackers.line.motion import HaltingMotion, LineMotion
 from trackers.line.tracker import line_grid_tracker, line_motion, line_tracker
+from trackers.line.truth import KnotTimes, knot_times
 from trackers.parts.range_rows import range_trajectories
 from trackers.parts.ranges import RANGES, RangeSensor
 from trackers.recordings.columns import by_tag, float_column, values_of
@@ -70,6 +71,38 @@ def raw_positions(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
         return recording.times, np.where(nearby[:, 3:] > 0.5, nearby[:, :2], np.nan)
     fixes = recording.readings[FIXES]
     return recording.times, np.where(np.all(fixes.seen, axis=1)[:, None], fixes.values, np.nan)
+
+
+def fit_path_truth(folder: RecordingFolder) -> tuple[RecordingFolder, dict[str, KnotTimes]]:
+    """The recording with a truth table fitted along its known path by least squares, and the knot times of each tag.
+
+    Every tag travels once from the first to the last knot, at a constant speed on each segment, with rests at the knots.
+    Raises UnusableInput where the rig has no path, for a recording without fixes or ranges, and for too short a one.
+    """
+    path_of(folder)
+    where = folder.path or folder.name
+    if not {"fixes", "ranges"} & set(folder.tables):
+        raise UnusableInput(
+            f"{where}: tables {', '.join(folder.tables)}, expected fixes or ranges to fit a truth to; add one"
+        )
+    tables, fitted = [], {}
+    for trajectory in line_trajectories(folder, False):
+        times, measured = raw_positions(trajectory)
+        known = np.isfinite(measured).all(axis=1)
+        try:
+            found = knot_times(np.asarray(folder.rig.path_knots), times[known], measured[known])
+        except ValueError as problem:
+            raise UnusableInput(f"{where}: tag '{trajectory.tag}': {problem}; record for longer") from problem
+        fitted[trajectory.tag] = found
+        # Rows at the knot times, too: interpolation between measurement times would cut the corners of the path.
+        at = np.unique(np.concatenate([times, found.departed, found.arrived]))
+        x, y = found.positions(at).T
+        height = pl.lit(known_height(folder, trajectory.tag), pl.Float64)
+        tables.append(
+            pl.DataFrame({"t_s": at, "tag": [trajectory.tag] * len(at), "x_m": x, "y_m": y}).with_columns(z_m=height)
+        )
+    truth = pl.concat(tables).sort("t_s", maintain_order=True)
+    return RecordingFolder(folder.name, None, folder.rig, folder.tables | {"truth": truth}), fitted
 
 
 def _reads_ranges(folder: RecordingFolder) -> bool:
