@@ -6,6 +6,7 @@ import importlib.util
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from types import ModuleType
 
 from trackers.aoa import rows as aoa
 from trackers.baselines import rows as baselines
@@ -73,15 +74,8 @@ def _from_file(file: Path, attribute: str) -> TrackerSpec:
     """The `TrackerSpec` of this name in a user's Python file, which is run."""
     if not file.is_file():
         raise UnusableInput(f"--tracker {file}:{attribute}: there is no file {file}; expected FILE.py:NAME")
-    # Registered under a name of its own: dataclasses and pytrees of the file look their module up there.
-    name = f"trackwright_tracker_{file.stem}"
-    spec = importlib.util.spec_from_file_location(name, file)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
     try:
-        spec.loader.exec_module(module)
+        module = run_file(file, f"trackwright_tracker_{file.stem}")
     except Exception as error:
         line = str(error).splitlines()[0] if str(error) else "no message"
         raise UnusableInput(f"{file}: cannot be run ({type(error).__name__}: {line}); correct the file") from error
@@ -90,3 +84,14 @@ def _from_file(file: Path, attribute: str) -> TrackerSpec:
         mine = ", ".join(k for k, v in vars(module).items() if isinstance(v, TrackerSpec)) or "none"
         raise UnusableInput(f"{file}: {attribute} is no TrackerSpec; the file's are: {mine}; name one as {file}:NAME")
     return found
+
+
+def run_file(file: Path, name: str) -> ModuleType:
+    """The module of a Python file, which is run; registered as `name`, where dataclasses and pytrees look it up."""
+    spec = importlib.util.spec_from_file_location(name, file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module

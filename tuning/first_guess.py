@@ -8,7 +8,7 @@ alone. For position fixes, differences of fixes give a candidate in closed form 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -54,13 +54,8 @@ LOST_PENALTY = 10.0
 class LikelihoodWithLossPenalty(AbstractObjective):
     """The negative log-likelihood per measured number plus `LOST_PENALTY` times the share of lost rows."""
 
-    @property
-    def size(self) -> int:
-        return 4
-
-    @property
-    def needs_truth(self) -> bool:
-        return False
+    size: ClassVar[int] = 4
+    needs_truth: ClassVar[bool] = False
 
     def terms(self, output: Output, truth: Truth) -> tuple[Scalar, ...]:
         lost = (output.status == Status.LOST) | (output.status == Status.RESTARTED)

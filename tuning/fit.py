@@ -12,6 +12,7 @@ import numpy as np
 
 from trackers.core.chunks import CHUNK
 from trackers.core.tracker import AbstractTracker
+from trackers.core.tunable import Covariance, Scale
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.named_tracker import NamedTracker
 from tuning.data import Arrays, fit_arrays
@@ -21,12 +22,14 @@ from tuning.optimisers import LBFGS, AbstractOptimiser, Adam
 from tuning.parameters import Parameter, flatten, limits, physical, select_parameters, with_parameters
 from tuning.priors import Prior
 from tuning.problem import Problem
-from tuning.starts import coarse_grid
 from tuning.uncertainty import Optimum, Uncertainty, determined, optimum, uncertainty_at, unidentifiable
 
 AnyTracker = TypeVar("AnyTracker", bound="AbstractTracker | NamedTracker")
 
 NEWTON_STEPS = 4
+
+GRID_STEP = np.log(10.0)
+"""Distance between points of the coarse grid of starts, in unconstrained coordinates: a factor of ten."""
 
 
 @dataclass(frozen=True)
@@ -150,6 +153,32 @@ def initial_state(driver: MultiStart, vectors: np.ndarray, starts: int) -> FitSt
         )
     others = 1 + np.argsort(state.best_scores[1:], kind="stable")
     return state.select(np.concatenate([[0], others])[:starts])
+
+
+def coarse_grid(parameters: Sequence[Parameter], vector: np.ndarray) -> np.ndarray:
+    """Starts (S, p): the vector itself first, then with the motion's and all other scales a tenth or tenfold.
+
+    Scales are noise levels, times and rates; offsets and fractions stay. Nine starts where both groups are tuned, three
+    for one, one for none.
+    """
+    motion, others = np.zeros_like(vector), np.zeros_like(vector)
+    at = 0
+    for parameter in parameters:
+        raised = np.zeros(parameter.shape)
+        if isinstance(parameter.example, Scale):
+            raised = raised + 1.0
+        elif isinstance(parameter.example, Covariance):
+            raised = np.eye(len(raised))  # the logarithms of a Cholesky factor's diagonal
+        part = motion if parameter.names[0].startswith("motion.") else others
+        part[at : at + parameter.size] = np.ravel(raised)
+        at += parameter.size
+    steps = (0.0, -GRID_STEP, GRID_STEP)
+    grid = [
+        vector + a * motion + b * others
+        for a in (steps if motion.any() else steps[:1])
+        for b in (steps if others.any() else steps[:1])
+    ]
+    return np.stack(grid)
 
 
 def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, interrupted: bool) -> FitResult[Any]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 import math
 from abc import abstractmethod
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -67,13 +67,8 @@ class AbstractObjective(eqx.Module):
 class NegativeLogLikelihood(AbstractObjective):
     """The mean negative log-likelihood per measured number, nats; needs no truth."""
 
-    @property
-    def size(self) -> int:
-        return 2
-
-    @property
-    def needs_truth(self) -> bool:
-        return False
+    size: ClassVar[int] = 2
+    needs_truth: ClassVar[bool] = False
 
     def terms(self, output: Output, truth: Truth) -> tuple[Scalar, ...]:
         return -output.log_likelihood, output.nis_dof
@@ -93,14 +88,8 @@ class RootMeanSquareError(AbstractObjective):
 
     quantity: str = eqx.field(static=True, default="position")
     dimensions: int = eqx.field(static=True, default=2)
-
-    @property
-    def size(self) -> int:
-        return 2
-
-    @property
-    def needs_truth(self) -> bool:
-        return True
+    size: ClassVar[int] = 2
+    needs_truth: ClassVar[bool] = True
 
     def terms(self, output: Output, truth: Truth) -> tuple[Scalar, ...]:
         errors, scored = errors_of(output, truth, self.quantity, self.dimensions)
@@ -120,14 +109,8 @@ class StateLogLikelihood(AbstractObjective):
 
     quantity: str = eqx.field(static=True, default="position")
     dimensions: int = eqx.field(static=True, default=2)
-
-    @property
-    def size(self) -> int:
-        return 2
-
-    @property
-    def needs_truth(self) -> bool:
-        return True
+    size: ClassVar[int] = 2
+    needs_truth: ClassVar[bool] = True
 
     def terms(self, output: Output, truth: Truth) -> tuple[Scalar, ...]:
         error = normalised_error(output, truth, self.quantity, self.dimensions)

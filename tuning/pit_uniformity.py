@@ -13,7 +13,7 @@ for ν → ∞; for two and three channels the error of u is at most 0.019 at ν
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -47,10 +47,7 @@ class PITUniformity(AbstractObjective):
     dimensions: int = eqx.field(static=True, default=2)
     student_t_dof: Any = None
     has_tracker: bool = eqx.field(static=True, default=False)
-
-    @property
-    def size(self) -> int:
-        return ORDERS + 1
+    size: ClassVar[int] = ORDERS + 1
 
     @property
     def needs_truth(self) -> bool:

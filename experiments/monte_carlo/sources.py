@@ -7,7 +7,6 @@ import difflib
 import importlib
 import importlib.util
 import pkgutil
-import sys
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 from experiments import papers, questions
 from experiments.monte_carlo.declaration import Study, TrackerConfig, World, checked
 from sim.worlds import WORLDS
+from trackers.catalogue import run_file
 from trackers.core.errors import UnusableInput
 
 KINDS = {str: "text", int: "a whole number", float: "a number", list: "a list", dict: "a table", bool: "true or false"}
@@ -71,15 +71,8 @@ def _with_source(module: Any, path: Path) -> Study:
 def _from_python(path: Path) -> Study:
     if not path.is_file():
         raise UnusableInput(f"{path}: no such file; expected a Python file with `STUDY = Study(...)`")
-    # Registered in sys.modules, where dataclasses and pickle look up the module.
-    name = f"trackwright_study_{path.stem}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
     try:
-        spec.loader.exec_module(module)
+        module = run_file(path, f"trackwright_study_{path.stem}")
     except UnusableInput:
         raise
     except Exception as error:

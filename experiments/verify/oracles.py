@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from experiments.verify.corridor import CORRIDOR, SIGMA_FIX, SIGMA_MOVE, START
 from experiments.verify.worlds import (
     HALT_ARCLENGTH,
     HALT_DT,
@@ -22,7 +23,6 @@ from experiments.verify.worlds import (
     HALT_SPREAD,
     halt_fixes,
 )
-from sim.corridor import CORRIDOR, SIGMA_FIX, SIGMA_MOVE, START
 
 CORRIDOR_POINTS = (64, 24)
 """Quadrature points along and across the corridor."""

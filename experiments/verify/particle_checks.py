@@ -10,6 +10,7 @@ import numpy as np
 
 from experiments.verify import oracles
 from experiments.verify.check_result import MAX_STANDARD_ERRORS, CheckResult, random_check
+from experiments.verify.corridor import corridor_fixes
 from experiments.verify.gradients import Gradients, gradients, marginal_gradients
 from experiments.verify.worlds import (
     CORRIDOR_TUNABLES,
@@ -23,7 +24,6 @@ from experiments.verify.worlds import (
     halt_tracker,
 )
 from experiments.verify.wrong_estimators import Naive, Reparameterised
-from sim.corridor import corridor_fixes
 from trackers.core.particle.filter import ParticleFilter
 
 KEYS, PARTICLES = 400, 2000

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr
 
+from experiments.verify.corridor import CORRIDOR, SIGMA_FIX, SIGMA_MOVE, START, corridor_fixes, rectangle
 from experiments.verify.wrong_estimators import Naive, Reparameterised
-from sim.corridor import CORRIDOR, SIGMA_FIX, SIGMA_MOVE, START, corridor_fixes, rectangle
 from trackers.core.algebra import Scalar, Vector, diagonal
 from trackers.core.ekf import Gaussian
 from trackers.core.motion import ConstantPosition, Noise, Placed

@@ -65,9 +65,6 @@ class BeamMotion(AbstractMotion):
             state.elevation_rate + elevation * dt,
         )
 
-    def view(self, state: Beam) -> Beam:
-        return state
-
 
 class InPlaneBeamMotion(AbstractMotion):
     """A constant turning rate about the array's z axis with white acceleration; `sigma_a`: rad/s² per √Hz."""
@@ -82,9 +79,6 @@ class InPlaneBeamMotion(AbstractMotion):
         kick = self.sigma_a.value * jnp.sqrt(dt)
         turn = state.rate * dt + kick * dt * (0.5 * w[0] + w[1] / 12**0.5)
         return InPlaneBeam(state.heading.retract([turn]), state.rate + kick * w[0])
-
-    def view(self, state: InPlaneBeam) -> InPlaneBeam:
-        return state
 
 
 class BeamStart(AbstractStart):

@@ -112,31 +112,23 @@ class PlanePhases(AbstractPhaseSensor):
 
     def measure(self, view: Any, inputs: Any) -> list[Scalar]:
         x, y = compute_once((jnp.sin(view.azimuth) * jnp.cos(view.elevation), jnp.sin(view.elevation)))
+        return self._plane_wave(x, y)
+
+    def _plane_wave(self, x: Scalar, y: Scalar) -> list[Scalar]:
         return [k[0] * x + k[1] * y + offset for k, offset in zip(self.wavenumbers, self.offsets.value, strict=True)]
 
 
-class InPlanePhases(AbstractPhaseSensor):
+class InPlanePhases(PlanePhases):
     """Phases of a plane wave in the plane of the array, from the angle `view.heading` about its z axis.
 
     For flat arrays with beacons at their own height, where azimuth and elevation about the boresight are singular.
-    Fields as in `PlanePhases`.
     """
 
-    sigma_p: Noise
-    offsets: Noise
-    wavenumbers: Any
-    paper_form: bool = eqx.field(static=True)
-
     def __init__(self, station: Station, sigma_p: float | Noise = 0.5, paper_form: bool = False):
-        antennas, wavelength = _array(station)
-        self.sigma_p = sigma_p if isinstance(sigma_p, Noise) else Scale(sigma_p, "rad")
-        self.offsets = Real(np.zeros(len(antennas)), "rad", typical=0.1)
-        self.wavenumbers = 2 * np.pi / wavelength * antennas
-        self.paper_form = paper_form
+        super().__init__(station, sigma_p, paper_form)
 
     def measure(self, view: Any, inputs: Any) -> list[Scalar]:
-        x, y = jnp.cos(view.heading.angle), jnp.sin(view.heading.angle)
-        return [k[0] * x + k[1] * y + offset for k, offset in zip(self.wavenumbers, self.offsets.value, strict=True)]
+        return self._plane_wave(jnp.cos(view.heading.angle), jnp.sin(view.heading.angle))
 
 
 class SphericalPhases(AbstractPhaseSensor):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterator
+from functools import partial
 
 import numpy as np
 
@@ -39,10 +40,9 @@ def bearing_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator
         reported = np.stack([std[:, 0] ** 2, np.zeros(len(std)), std[:, 1] ** 2], axis=1)
         geometries = np.stack([geometry[s] for s in table["station"].to_list()])
         times, height = table["t_s"].to_numpy(), None if free_height else known_height(folder, tag)
-        nearby = recent_points(
-            times, geometries[:, :3], geometries[:, 3:], values, np.asarray(seen.all(axis=1)), height
-        )
-        inputs = {"origin": geometries[:, :3], "axes": geometries[:, 3:], "nearby": nearby}
+        origin, axes = geometries[:, :3], geometries[:, 3:]
+        nearby = recent_points(times, origin, axes, values, np.asarray(seen.all(axis=1)), height)
+        inputs = {"origin": origin, "axes": axes, "nearby": nearby}
         readings = {BEARINGS: Readings(values, seen, reported)}
         yield trajectory_of(folder, tag, "", times, readings, inputs, paths)
 
@@ -103,10 +103,7 @@ def stations_of(table: str, least: int) -> Callable[[RecordingFolder], str | Non
 
 def _in_plane(trajectory: Trajectory, free_height: bool) -> bool:
     """Whether an upright array and a tag are at one height: there azimuth and elevation are singular."""
-    station, height = (
-        trajectory.folder.rig.stations[trajectory.station],
-        known_height(trajectory.folder, trajectory.tag),
-    )
+    station, height = _station(trajectory), known_height(trajectory.folder, trajectory.tag)
     upright = abs(station.world_from_array()[2, 2]) > 0.99
     return upright and height is not None and abs(height - station.position[2]) < IN_PLANE
 
@@ -138,6 +135,16 @@ def _all_arrays(trajectory: Trajectory) -> Hashable:
     )
 
 
+_per_station = partial(
+    TrackerSpec,
+    table="phases",
+    trajectories=beam_trajectories,
+    lacks=stations_of("phases", 1),
+    geometry=_one_array,
+    planar=_in_plane,
+    bearing_only=True,
+)
+
 TRACKERS = {
     "direct": TrackerSpec(
         about="position from the phases of all stations in one EKF, spherical waves",
@@ -157,26 +164,14 @@ TRACKERS = {
         planar=lambda trajectory, free_height: False,
         automatic=on_request,
     ),
-    "beam": TrackerSpec(
+    "beam": _per_station(
         about="azimuth and elevation per station from phases, EKF (Will et al.)",
-        table="phases",
-        trajectories=beam_trajectories,
         build=_beam,
-        lacks=stations_of("phases", 1),
-        geometry=_one_array,
-        planar=_in_plane,
-        bearing_only=True,
     ),
-    "das": TrackerSpec(
+    "das": _per_station(
         about="azimuth and elevation per station from phases, delay-and-sum on each row without a filter",
-        table="phases",
-        trajectories=beam_trajectories,
         build=lambda trajectory, planar: DelayAndSum.of(_station(trajectory), PHASES, planar),
-        lacks=stations_of("phases", 1),
-        geometry=_one_array,
-        planar=_in_plane,
         automatic=on_request,
-        bearing_only=True,
     ),
     "bearings": TrackerSpec(
         about="position from azimuths and elevations of any number of stations, EKF",

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from trackers.baselines.fixes import fix_tracker, singer_tracker
-from trackers.baselines.floor import floor_tracker
+from trackers.baselines.fixes import fix_tracker, floor_tracker, singer_tracker
 from trackers.baselines.switching import mirror_tracker, switching_tracker
 from trackers.baselines.windows import MovingWindow
 from trackers.core.errors import UnusableInput
@@ -88,6 +88,8 @@ def _floor_geometry(trajectory: Trajectory) -> Hashable:
     return np.asarray(walls.segments).tobytes(), np.asarray(walls.outline).tobytes()
 
 
+_of_fixes = partial(TrackerSpec, table="fixes", lacks=lacks_fixes, trajectories=fix_trajectories)
+
 TRACKERS = {
     "floor-pf": TrackerSpec(
         about="position from fixes on a floor with walls, particle filter with 1,000 particles",
@@ -98,26 +100,17 @@ TRACKERS = {
         geometry=_floor_geometry,
         planar=lambda trajectory, free_height: True,
     ),
-    "fix-kf": TrackerSpec(
+    "fix-kf": _of_fixes(
         about="position from fixes, Kalman filter, constant velocity in x and y",
-        table="fixes",
-        lacks=lacks_fixes,
-        trajectories=fix_trajectories,
         build=lambda trajectory, planar: fix_tracker(planar=planar),
     ),
-    "fix-singer": TrackerSpec(
+    "fix-singer": _of_fixes(
         about="position from fixes, Kalman filter, Singer's acceleration model",
-        table="fixes",
-        lacks=lacks_fixes,
-        trajectories=fix_trajectories,
         build=lambda trajectory, planar: singer_tracker(planar=planar),
         automatic=on_request,
     ),
-    "imm": TrackerSpec(
+    "imm": _of_fixes(
         about="position from fixes, IMM filter of three constant-velocity models",
-        table="fixes",
-        lacks=lacks_fixes,
-        trajectories=fix_trajectories,
         build=lambda trajectory, planar: switching_tracker(planar=planar),
         automatic=on_request,
     ),
@@ -130,19 +123,13 @@ TRACKERS = {
         planar=lambda trajectory, free_height: False,
         automatic=on_request,
     ),
-    "moving-average": TrackerSpec(
+    "moving-average": _of_fixes(
         about=f"mean of the last {WINDOW} fixes, axis by axis",
-        table="fixes",
-        lacks=lacks_fixes,
-        trajectories=fix_trajectories,
         build=lambda trajectory, planar: MovingWindow(WINDOW, median=False, planar=planar),
         automatic=on_request,
     ),
-    "median": TrackerSpec(
+    "median": _of_fixes(
         about=f"median of the last {WINDOW} fixes, axis by axis",
-        table="fixes",
-        lacks=lacks_fixes,
-        trajectories=fix_trajectories,
         build=lambda trajectory, planar: MovingWindow(WINDOW, median=True, planar=planar),
         automatic=on_request,
     ),

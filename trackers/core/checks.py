@@ -42,9 +42,6 @@ class Still(AbstractMotion):
     def step(self, state: State, inputs: Any, dt: Scalar, w: Vector) -> State:
         return state
 
-    def view(self, state: State) -> Any:
-        return state
-
 
 def check_motion(motion: AbstractMotion, state: State, inputs: Any = None, dt: float = 0.1, seed: int = 0) -> None:
     """Raises `BrokenContract` unless `motion` fulfils its contract at `state`, for dt = 0 and for `dt` s.

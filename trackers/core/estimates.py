@@ -11,7 +11,7 @@ import numpy as np
 import polars as pl
 
 from trackers.core.algebra import dense, triangle
-from trackers.core.state import component_names
+from trackers.core.state import component_names, path_name
 
 
 class Status(IntEnum):
@@ -180,7 +180,7 @@ def state_columns(estimates: Estimates) -> dict[str, np.ndarray]:
     if hasattr(mean, "velocity"):
         columns |= {f"v{a}_mps": v for a, v in zip(AXES, mean.velocity, strict=False)}
     for path, leaf in jax.tree_util.tree_flatten_with_path(mean)[0]:
-        name = ".".join(str(getattr(k, "name", getattr(k, "idx", getattr(k, "key", k)))) for k in path)
+        name = path_name(path)
         if name.split(".")[0] not in ("position", "velocity"):
             parts = np.asarray(leaf).reshape(*estimates.status.shape, -1)
             columns |= {name if parts.shape[-1] == 1 else f"{name}.{k}": parts[..., k] for k in range(parts.shape[-1])}

@@ -50,9 +50,12 @@ class AbstractMotion(eqx.Module):
             "respect to the motion's tunables; tune with an ExtendedKalman, or define it"
         )
 
-    @abstractmethod
     def view(self, state: State) -> Any:
-        """The quantities of the state that sensors and outputs use, by field name (`position`, `azimuth`, …)."""
+        """The quantities of the state that sensors and outputs use, by field name (`position`, `azimuth`, …).
+
+        By default the state itself.
+        """
+        return state
 
 
 def draw_log_density(w: Scalar, scale: Scalar) -> Scalar:
@@ -112,9 +115,6 @@ class ConstantVelocity(AbstractMotion):
     def log_density(self, state: Kinematic, inputs: Any, dt: Scalar, w: Vector) -> Scalar:
         return total(draw_log_density(x, self.sigma_a.value) for x in w)
 
-    def view(self, state: Kinematic) -> Kinematic:
-        return state
-
 
 class ConstantPosition(AbstractMotion):
     """A position that drifts as a random walk; `sigma_v`: m per √s."""
@@ -135,9 +135,6 @@ class ConstantPosition(AbstractMotion):
 
     def log_density(self, state: Placed, inputs: Any, dt: Scalar, w: Vector) -> Scalar:
         return total(draw_log_density(x, self.sigma_v.value) for x in w)
-
-    def view(self, state: Placed) -> Placed:
-        return state
 
 
 class GroundMotion(AbstractMotion):
@@ -168,6 +165,3 @@ class GroundMotion(AbstractMotion):
     def log_density(self, state: Kinematic, inputs: Any, dt: Scalar, w: Vector) -> Scalar:
         across = total(draw_log_density(x, self.sigma_a.value) for x in w.parts[:4])
         return across + draw_log_density(w[4], self.sigma_z.value) if len(state.position) == 3 else across
-
-    def view(self, state: Kinematic) -> Kinematic:
-        return state

@@ -8,7 +8,7 @@ is an error-state Kalman filter.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -149,35 +149,38 @@ def component_names(state: State) -> list[str]:
     paths, _ = jax.tree_util.tree_flatten_with_path(state, is_leaf=lambda x: isinstance(x, AbstractCurved))
     names = []
     for path, leaf in paths:
-        base = ".".join(_key(k) for k in path)
+        base = path_name(path)
         curved_or_array = isinstance(leaf, AbstractCurved) or jnp.ndim(leaf)
         names += [f"{base}.{k}" for k in range(_dimension(leaf))] if curved_or_array else [base]
     return names
 
 
-def _key(entry: Any) -> str:
-    for attribute in ("name", "key", "idx"):
-        if hasattr(entry, attribute):
-            return str(getattr(entry, attribute))
-    return str(getattr(entry, "key", entry))
+def path_name(path: Iterable[Any]) -> str:
+    """The name of a leaf by its path in a tree: fields, keys and indices with dots between them."""
+    return ".".join(str(getattr(k, "name", getattr(k, "key", getattr(k, "idx", k)))) for k in path)
 
 
 def retract(state: State, step: Sequence[Scalar]) -> State:
     """The state moved by a small step, component by component in the order of the covariance."""
     leaves, structure = _leaves(state)
-    moved: list[Any] = []
+    moved = [
+        leaf.retract(part) if isinstance(leaf, AbstractCurved) else leaf + _flat(leaf, part)
+        for leaf, part in _parts(leaves, step)
+    ]
+    return jax.tree_util.tree_unflatten(structure, moved)
+
+
+def _parts(leaves: Sequence[Any], values: Sequence[Scalar]) -> Iterator[tuple[Any, Sequence[Scalar]]]:
+    """Each leaf with the values of its own components."""
     start = 0
     for leaf in leaves:
-        size = _dimension(leaf)
-        part = step[start : start + size]
-        if isinstance(leaf, AbstractCurved):
-            moved.append(leaf.retract(part))
-        elif jnp.ndim(leaf):
-            moved.append(leaf + jnp.stack(list(part)))
-        else:
-            moved.append(leaf + part[0])
-        start += size
-    return jax.tree_util.tree_unflatten(structure, moved)
+        yield leaf, values[start : start + _dimension(leaf)]
+        start += _dimension(leaf)
+
+
+def _flat(leaf: Any, part: Sequence[Scalar]) -> Any:
+    """The values in the shape of a flat leaf."""
+    return jnp.stack(list(part)) if jnp.ndim(leaf) else part[0]
 
 
 def local(origin: State, other: State) -> list[Scalar]:
@@ -224,16 +227,10 @@ def coordinates(state: State) -> tuple[list[Scalar], Any]:
             point += list(leaf) if jnp.ndim(leaf) else [leaf]
 
     def rebuild(values: Sequence[Scalar]) -> State:
-        rebuilt: list[Any] = []
-        start = 0
-        for leaf in leaves:
-            size = _dimension(leaf)
-            part = values[start : start + size]
-            if isinstance(leaf, AbstractCurved):
-                rebuilt.append(leaf.retract(part))
-            else:
-                rebuilt.append(jnp.stack(list(part)) if jnp.ndim(leaf) else part[0])
-            start += size
+        rebuilt = [
+            leaf.retract(part) if isinstance(leaf, AbstractCurved) else _flat(leaf, part)
+            for leaf, part in _parts(leaves, values)
+        ]
         return jax.tree_util.tree_unflatten(structure, rebuilt)
 
     return point, rebuild

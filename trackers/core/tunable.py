@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.core.errors import UnusableInput
+from trackers.core.state import path_name
 
 Tree = TypeVar("Tree")
 
@@ -166,7 +167,7 @@ def freeze(tree: Tree) -> Tree:
 def tunables(tree: Any) -> dict[str, AbstractTunable]:
     """Every tunable of the tree by its dotted name, as `motion.sigma_a` or `sensors.north.sigma_p`."""
     paths, _ = jax.tree_util.tree_flatten_with_path(tree, is_leaf=is_tunable)
-    return {".".join(_name(k) for k in path): node for path, node in paths if is_tunable(node)}
+    return {path_name(path): node for path, node in paths if is_tunable(node)}
 
 
 def matching(tree: Any, patterns: str | Sequence[str]) -> dict[str, AbstractTunable]:
@@ -188,7 +189,7 @@ def replaced(tree: Tree, new: Mapping[str, AbstractTunable]) -> Tree:
     """The tree with the named tunables replaced; names as in `tunables`."""
 
     def exchange(path: Any, node: Any) -> Any:
-        return new.get(".".join(_name(k) for k in path), node) if is_tunable(node) else node
+        return new.get(path_name(path), node) if is_tunable(node) else node
 
     return jax.tree_util.tree_map_with_path(exchange, tree, is_leaf=is_tunable)
 
@@ -225,10 +226,3 @@ def _present_name(pattern: str) -> str:
         if pattern == old or pattern.endswith("." + old):
             return pattern.removesuffix(old) + new
     return pattern
-
-
-def _name(entry: Any) -> str:
-    for attribute in ("name", "key", "idx"):
-        if hasattr(entry, attribute):
-            return str(getattr(entry, attribute))
-    return str(entry)

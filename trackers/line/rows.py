@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterator
+from functools import partial
 
 import numpy as np
 import polars as pl
@@ -149,27 +150,25 @@ def _builder(make: Callable[..., Tracker]) -> Callable[[Trajectory, bool], Abstr
     return build
 
 
+_on_path = partial(
+    TrackerSpec,
+    table="ranges or fixes, and [path]",
+    trajectories=line_trajectories,
+    lacks=_lacks,
+    geometry=_geometry,
+    planar=lambda trajectory, free_height: True,
+    on_path=True,
+)
+
 TRACKERS = {
-    "line-grid": TrackerSpec(
+    "line-grid": _on_path(
         about="position on a known path from ranges or fixes, grid filter of arclength and speed",
-        table="ranges or fixes, and [path]",
-        trajectories=line_trajectories,
         build=_builder(line_grid_tracker),
-        lacks=_lacks,
-        geometry=_geometry,
-        planar=lambda trajectory, free_height: True,
         automatic=_no_height_to_estimate,
-        on_path=True,
     ),
-    "line-pf": TrackerSpec(
+    "line-pf": _on_path(
         about="position on a known path from ranges or fixes, particle filter with 1,000 particles (thesis)",
-        table="ranges or fixes, and [path]",
-        trajectories=line_trajectories,
         build=_builder(line_tracker),
-        lacks=_lacks,
-        geometry=_geometry,
-        planar=lambda trajectory, free_height: True,
         automatic=on_request,
-        on_path=True,
     ),
 }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -30,23 +31,22 @@ def spatial_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator
         yield replace(trajectory, recording=replace(trajectory.recording, readings=readings))
 
 
+_mhk = partial(
+    TrackerSpec,
+    table="fixes",
+    trajectories=spatial_trajectories,
+    lacks=lacks_fixes,
+    planar=lambda trajectory, free_height: False,
+    automatic=on_request,
+)
+
 TRACKERS = {
-    "mhk": TrackerSpec(
+    "mhk": _mhk(
         about="position from fixes: sliding median, hidden Markov model of accelerations, Kalman filter (Huang et al.)",
-        table="fixes",
-        trajectories=spatial_trajectories,
         build=lambda trajectory, planar: mhk_tracker(),
-        lacks=lacks_fixes,
-        planar=lambda trajectory, free_height: False,
-        automatic=on_request,
     ),
-    "mhk-stamped": TrackerSpec(
+    "mhk-stamped": _mhk(
         about="mhk, with each estimate at the time of the middle of its median window",
-        table="fixes",
-        trajectories=spatial_trajectories,
         build=lambda trajectory, planar: mhk_tracker(stamped=True),
-        lacks=lacks_fixes,
-        planar=lambda trajectory, free_height: False,
-        automatic=on_request,
     ),
 }

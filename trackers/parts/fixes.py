@@ -35,7 +35,6 @@ from trackers.core.start import AbstractStart
 from trackers.core.track_loss import TrackLossPolicy
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import Covariance, Real, Scale
-from trackers.core.whitening import whiten
 
 FIXES = "fixes"
 
@@ -83,6 +82,27 @@ class AbstractFixSensor(AbstractSensor):
         log_scale = total(jnp.where(s, peak - jnp.log(sigma), 0.0) for s, sigma in seen)
         nis_dof = total(jnp.where(s, jnp.ones_like(sigma), 0.0) for s, sigma in seen)
         return Residual(values, log_scale, nis_dof, dof=dof)
+
+
+def whiten(
+    differences: Sequence[Scalar], covariance: Sequence[Sequence[Scalar]], seen: Sequence[Scalar]
+) -> tuple[list[Scalar], list[Scalar]]:
+    """L⁻¹d with LLᵀ the covariance of the channels seen, zero for masked channels, and the diagonal of L.
+
+    `covariance`: n rows, symmetric positive definite. Its log determinant is twice the sum of the logarithms of the
+    diagonal over the channels seen.
+    """
+    L: list[list[Scalar]] = []
+    result: list[Scalar] = []
+    for i, (d, saw) in enumerate(zip(differences, seen, strict=True)):
+        row: list[Scalar] = []
+        for j in range(i):
+            remainder = covariance[i][j] - total(row[k] * L[j][k] for k in range(j))
+            row.append(jnp.where(seen[j], remainder / L[j][j], 0.0))
+        row.append(jnp.sqrt(covariance[i][i] - total(x * x for x in row)))
+        L.append(row)
+        result.append(jnp.where(saw, (d - total(x * w for x, w in zip(row, result, strict=False))) / row[i], 0.0))
+    return result, [row[i] for i, row in enumerate(L)]
 
 
 class FixSensor(AbstractFixSensor):

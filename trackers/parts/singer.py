@@ -80,9 +80,6 @@ class Singer(AbstractMotion):
         )
         return Accelerated(position, velocity, a * E + first_kick)
 
-    def view(self, state: Accelerated) -> Accelerated:
-        return state
-
 
 def singer_terms(h: Scalar) -> SingerTerms:
     """The terms of a step at h ≥ 0; they and their derivatives are accurate to a few units of rounding."""

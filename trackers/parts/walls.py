@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.core.algebra import Scalar
-from trackers.core.particle.potential import AbstractPotential
+from trackers.core.particle.filter import AbstractPotential
 from trackers.core.particle.resampling import LOG_ZERO
 
 

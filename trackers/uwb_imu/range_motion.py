@@ -60,9 +60,6 @@ class RangeMotion(AbstractMotion):
         bias_noise = self.sigma_bias.value * safe_sqrt(-jnp.expm1(-2.0 * dt / self.time_constant.value))
         return RangeState(position, velocity, state.bias * bias_decay + Vector(*w.parts[6:]) * bias_noise)
 
-    def view(self, state: RangeState) -> RangeState:
-        return state
-
 
 def damped_velocity(dt: Scalar, memory: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar, Scalar]:
     """Transition and noise factor of dv = −v/τ dt + dW, dx = v dt over `dt` s, with τ = `memory` s.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -202,6 +203,15 @@ def _bias_slots(trajectory: Trajectory) -> int:
     return -(-_anchors(trajectory) // 8) * 8
 
 
+_trilateration = partial(
+    TrackerSpec,
+    table="ranges",
+    trajectories=triple_trajectories,
+    lacks=_lacks_known_height,
+    planar=lambda trajectory, free_height: True,
+    automatic=on_request,
+)
+
 TRACKERS = {
     "uwb-imu": TrackerSpec(
         about="position, velocity and attitude from ranges and an IMU, error-state EKF",
@@ -228,22 +238,12 @@ TRACKERS = {
         geometry=_anchors,
         automatic=on_request,
     ),
-    "trilateration": TrackerSpec(
+    "trilateration": _trilateration(
         about="planar position from three ranges, intersection of circles (Kwon et al.) without compensation (14)",
-        table="ranges",
-        trajectories=triple_trajectories,
         build=lambda trajectory, planar: trilateration_tracker(compensated=False),
-        lacks=_lacks_known_height,
-        planar=lambda trajectory, free_height: True,
-        automatic=on_request,
     ),
-    "trilateration-compensated": TrackerSpec(
+    "trilateration-compensated": _trilateration(
         about="planar position from three ranges, intersection of circles with compensation (14) (Kwon et al.)",
-        table="ranges",
-        trajectories=triple_trajectories,
         build=lambda trajectory, planar: trilateration_tracker(compensated=True),
-        lacks=_lacks_known_height,
-        planar=lambda trajectory, free_height: True,
-        automatic=on_request,
     ),
 }

@@ -149,9 +149,6 @@ class PlanarStrapdown(AbstractMotion):
             state.bias + Vector(*w.parts[8:]) * self.noise.range_bias_sigma(dt),
         )
 
-    def view(self, state: PlanarInertial) -> PlanarInertial:
-        return state
-
 
 class Strapdown(AbstractMotion):
     """The mechanisation in three dimensions, world axes with z up (Solà 2017, section 5.2); `noise`: of the IMU.
@@ -202,9 +199,6 @@ class Strapdown(AbstractMotion):
             state.gyro_bias + Vector(*w.parts[12:15]) * gyro_walk,
             state.bias + Vector(*w.parts[15:]) * self.noise.range_bias_sigma(dt),
         )
-
-    def view(self, state: Inertial) -> Inertial:
-        return state
 
 
 def imu_available(inputs: Any) -> tuple[Scalar, Scalar]:

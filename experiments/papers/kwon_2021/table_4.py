@@ -23,10 +23,10 @@ from experiments.monte_carlo.errors import TrackedRuns
 from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
 from experiments.monte_carlo.results import Results
 from experiments.papers.fitting import fitted
+from experiments.papers.kwon_2021.fixes_from_ranges import fixes_from_ranges
 from experiments.papers.moving_windows import RAW, window
 from experiments.plots.style import BLACK, BLUE, GREEN, GREY, HEIGHT, VERMILION, plain, write_svg
 from sim.corruptions import gauss_markov
-from sim.fixes_from_ranges import fixes_from_ranges
 from sim.imu import constant_bias, level, simulate_uwb_imu, white_density
 from sim.ranging import Protocol, chamber, on_anchors
 from trackers.recordings.folder import RecordingFolder

@@ -5,6 +5,7 @@ import pytest
 
 from experiments.cli import verify
 from experiments.verify.check_result import CheckResult, random_check, table
+from experiments.verify.corridor import corridor_fixes
 from experiments.verify.deterministic_checks import chain_checks, kalman_checks
 from experiments.verify.gradients import gradients, marginal_gradients
 from experiments.verify.oracles import (
@@ -25,7 +26,6 @@ from experiments.verify.worlds import (
     halt_batch,
     halt_tracker,
 )
-from sim.corridor import corridor_fixes
 from tests.in_process import trackwright
 from trackers.core.particle.filter import ParticleFilter
 from trackers.core.recording import Readings, Recording, stack

@@ -17,7 +17,6 @@ import jax.numpy as jnp
 from trackers.core.algebra import Scalar, Vector, cholesky, solve_lower, total, triangle
 from trackers.core.ekf import Gaussian, Innovation
 from trackers.core.motion import AbstractMotion
-from trackers.core.particle.potential import AbstractPotential
 from trackers.core.particle.random import draws
 from trackers.core.particle.resampling import LOG_ZERO, cached_exp, effective_sample_size
 from trackers.core.particle.score import normal_log_density, resample_with_score, with_score
@@ -39,6 +38,17 @@ class Particles(NamedTuple):
     def linear(self) -> Any:
         """The weights (N,), with the derivative of exp(log_weights)."""
         return jnp.exp(self.log_weights) if self.weights is None else cached_exp(self.log_weights, self.weights)
+
+
+class AbstractPotential(eqx.Module):
+    """A factor of a particle's weight that depends on its last move alone."""
+
+    @abstractmethod
+    def log_weight(self, before: Any, after: Any) -> Scalar:
+        """The log of the factor, from `motion.view` of the states before and after the move.
+
+        0 for an ordinary move, `LOG_ZERO` for an impossible one.
+        """
 
 
 class AbstractOutputMap(eqx.Module):
