@@ -32,11 +32,7 @@ def run_chunk(study: Study, condition: Condition, ids: np.ndarray, first: bool) 
     `first`: whether this is a condition's first chunk, which also gives bounds and computing times. Raises
     UnusableInput where world, trackers and values do not fit each other.
     """
-    world = study.worlds[condition.world]
-    try:
-        folder = world.make(ids, study.seed, **study.numbers(condition))
-    except (TypeError, ValueError) as error:
-        raise UnusableInput(f"study '{study.name}', world '{condition.world}': {error}") from error
+    folder = _simulated(study, condition, ids)
     untuned = {name: c.spec.batches([folder], name, c.free_height) for name, c in study.trackers.items()}
     _require_grid_is_used(study, condition, untuned)
     results = []
@@ -57,11 +53,22 @@ def run_chunk(study: Study, condition: Condition, ids: np.ndarray, first: bool) 
     return results
 
 
-def tracker_batches(
-    study: Study, condition: Condition, name: str, config: TrackerConfig, folder: RecordingFolder
-) -> list[TrackerBatch]:
-    """The batches of a folder for a tracker in a condition; raises UnusableInput where they do not fit."""
-    return _configured(study, condition, name, config, config.spec.batches([folder], name, config.free_height))
+def tracked_runs(study: Study, world: str, ids: np.ndarray, **point: float) -> dict[str, TrackedRuns]:
+    """The estimates of every tracker of a study for the trajectories with these ids, at a point of the grid."""
+    (condition,) = [c for c in study.conditions if c.world == world and point.items() <= c.point.items()]
+    folder, found = _simulated(study, condition, ids), {}
+    for name, config in study.trackers.items():
+        untuned = config.spec.batches([folder], name, config.free_height)
+        batches = _configured(study, condition, name, config, untuned)
+        found[name] = _track(batches, ids, study.chunk, config)[0]
+    return found
+
+
+def _simulated(study: Study, condition: Condition, ids: np.ndarray) -> RecordingFolder:
+    try:
+        return study.worlds[condition.world].make(ids, study.seed, **study.numbers(condition))
+    except (TypeError, ValueError) as error:
+        raise UnusableInput(f"study '{study.name}', world '{condition.world}': {error}") from error
 
 
 def _configured(

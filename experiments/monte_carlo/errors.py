@@ -31,6 +31,11 @@ class TrackedRuns(NamedTuple):
     dof: np.ndarray
     folder: RecordingFolder
 
+    @property
+    def error(self) -> np.ndarray:
+        """Estimates less truth, m or rad; NaN for rows that are not scored."""
+        return np.where(self.known[..., None], self.estimates - self.truth, np.nan)
+
 
 def scored(tracked: TrackedRuns) -> dict[str, np.ndarray]:
     """Arrays of n trajectories: `sums` (n, columns), `largest` (n, kinds), and a histogram for each kind of error."""

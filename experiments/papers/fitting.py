@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import tempfile
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,8 +13,8 @@ import numpy as np
 import tomli_w
 from scipy.optimize import least_squares
 
+from experiments.monte_carlo import Results, Study, run_study
 from experiments.monte_carlo.chunk import run_chunk
-from experiments.monte_carlo.declaration import Study
 from trackers.recordings.atomic import atomic_write
 
 EXPERIMENTS = Path(__file__).parents[1]
@@ -56,31 +58,48 @@ def write_fitted(name: str, free: str, numbers: Mapping[str, Fitted]) -> Path:
     return atomic_write(fitted_file(name), lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
-def solved(ratios: Callable[[np.ndarray], np.ndarray], start: Sequence[float], rounds: int = 6) -> np.ndarray:
-    """The positive parameters (k,) at which the `ratios` (m,) of simulated to printed results are closest to one.
+def solved(
+    ratios: Callable[[dict[str, float]], np.ndarray], start: Mapping[str, float], rounds: int = 6
+) -> dict[str, float]:
+    """The positive parameters at which the `ratios` (m,) of simulated to printed results are closest to one.
 
     Least squares of the ratios' logarithms over the parameters' logarithms, with forward differences over 5 %, until a
     step is below a thousandth or after `rounds` steps. Seeded runs make the ratios smooth functions of the parameters.
     """
 
-    def residuals(shifted: np.ndarray) -> np.ndarray:
-        return np.log(ratios(begin * np.exp(shifted - 1.0)))
+    def numbers(shifted: np.ndarray) -> dict[str, float]:
+        return dict(zip(start, (begin * np.exp(shifted - 1.0)).tolist(), strict=True))
 
     # Log parameters are shifted to one at the start, so that the relative step of the differences is STEP.
-    begin = np.asarray(start, float)
-    found = least_squares(residuals, np.ones(len(begin)), diff_step=STEP, xtol=1e-3, max_nfev=rounds + 1)
-    return np.asarray(begin * np.exp(found.x - 1.0))
+    begin = np.array(list(start.values()), float)
+    found = least_squares(
+        lambda x: np.log(ratios(numbers(x))), np.ones(len(begin)), diff_step=STEP, xtol=1e-3, max_nfev=rounds + 1
+    )
+    return numbers(found.x)
 
 
-def means(study: Study, runs: int) -> dict[tuple[str, str], dict[str, float]]:
-    """Means of the measures over `runs` trajectories, by (world, tracker) and measure, at the grid's last point."""
+def unsaved(study: Study) -> Results:
+    """The results of a study whose chunks are not kept."""
+    with tempfile.TemporaryDirectory() as folder:
+        results = run_study(study, Path(folder))
+    assert results is not None
+    return results
+
+
+def means(study: Study, runs: int, tracker: str | None = None) -> dict[tuple[str, str], dict[str, float]]:
+    """Means of the measures over `runs` trajectories, by (world, tracker) and measure, at the grid's last point.
+
+    Of one tracker, or of all if none is named.
+    """
+    if tracker is not None:
+        study = replace(study, trackers={tracker: study.trackers[tracker]})
     found = {}
     for condition in study.conditions:
         kept = run_chunk(study, condition, np.arange(runs), first=False)
-        for tracker, arrays in zip(study.trackers, kept, strict=True):
-            found[condition.world, tracker] = {
-                name.removeprefix("measure "): float(np.nanmean(values))
-                for name, values in arrays.items()
-                if name.startswith("measure ")
+        for name, arrays in zip(study.trackers, kept, strict=True):
+            found[condition.world, name] = {
+                key.removeprefix("measure "): float(np.nanmean(values))
+                for key, values in arrays.items()
+                if key.startswith("measure ")
             }
     return found

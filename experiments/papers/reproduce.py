@@ -19,7 +19,7 @@ import tyro
 
 from experiments.cli.console import notice, progress
 from experiments.cli.subprocesses import new_interpreter
-from experiments.monte_carlo.expectations import Value
+from experiments.monte_carlo import Value
 from experiments.monte_carlo.sources import available_studies, load_study
 from experiments.reports.wording import Unit, with_interval
 from trackers.core.errors import UnusableInput

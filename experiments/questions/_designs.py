@@ -14,9 +14,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from experiments.monte_carlo.errors import TrackedRuns
-from experiments.monte_carlo.expectations import Conclusion, Value
-from experiments.monte_carlo.results import Results, resampled
+from experiments.monte_carlo import Conclusion, Results, TrackedRuns, Value
+from experiments.monte_carlo.results import resampled
 from experiments.papers.fitting import Fitted, fitted_file, write_fitted
 from experiments.plots.style import write_svg
 from sim.paths import WORK_VOLUME
@@ -116,9 +115,8 @@ def bound_map(layout: AbstractLayout, theta: np.ndarray, points: np.ndarray) -> 
 
 def mean_square(tracked: TrackedRuns) -> np.ndarray:
     """The mean squared 3-D error (n,), m², after the first three seconds."""
-    rows = tracked.known & (tracked.times - tracked.times[:, :1] >= 3.0)
-    square = np.sum((tracked.estimates - tracked.truth) ** 2, axis=-1)
-    return np.asarray(np.nanmean(np.where(rows, square, np.nan), axis=1))
+    later = tracked.times - tracked.times[:, :1] >= 3.0
+    return np.asarray(np.nanmean(np.where(later, np.sum(tracked.error**2, axis=-1), np.nan), axis=1))
 
 
 def against_grid(default: Design, grid: Design, gradient: Design) -> Conclusion:

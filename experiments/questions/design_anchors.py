@@ -15,9 +15,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from experiments.monte_carlo.declaration import Study, TrackerConfig, World
-from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
-from experiments.monte_carlo.results import Results
+from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, TrackerConfig, World
 from experiments.plots.style import BLACK, VERMILION
 from experiments.questions._designs import (
     HALL,

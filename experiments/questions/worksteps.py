@@ -22,10 +22,8 @@ import polars as pl
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from experiments.monte_carlo.declaration import Study, TrackerConfig, World
-from experiments.monte_carlo.errors import TrackedRuns
-from experiments.monte_carlo.expectations import Conclusion, ExpectedResult, Value
-from experiments.monte_carlo.results import Results, resampled
+from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, TrackedRuns, TrackerConfig, Value, World
+from experiments.monte_carlo.results import resampled
 from experiments.plots.style import BLUE, GREY, ORANGE, VERMILION, plain, write_svg
 from sim.corruptions import white_noise
 from sim.imu import simulate_uwb_imu

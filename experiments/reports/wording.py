@@ -124,6 +124,17 @@ def with_interval(value: Value, unit: Unit = NO_UNIT) -> str:
     return f"{rounded(scaled.value, spread)} ({low} … {high})"
 
 
+def fixed_interval(value: Value, form: str, unit: str = "") -> str:
+    """A value and its interval by a number format such as `+.1f`, the unit after the value."""
+    return f"{value.value:{form}}{unit} ({value.low:{form}} … {value.high:{form}})"
+
+
+def listed(values: Mapping[str, float | Value], form: str) -> str:
+    """Names with their values, which are formatted by a text such as `{:.1f} cm`."""
+    plain = {name: v.value if isinstance(v, Value) else v for name, v in values.items()}
+    return ", ".join(f"{name} {form.format(v)}" for name, v in plain.items())
+
+
 def percent_change(before: float, after: float) -> str:
     """The relative change in per cent with its sign; empty where it is undefined."""
     if not (math.isfinite(before) and math.isfinite(after) and before > 0):

@@ -7,7 +7,6 @@ grid, by its mean and maximum.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -25,8 +24,7 @@ START = {"drift": 0.05, "share": 0.45, "size": 0.16, "sigma_a": 0.05, "speed_lim
 
 def ratios(numbers: dict[str, float], tracker: str, metrics: tuple[str, ...]) -> np.ndarray:
     """Simulated over printed metrics of a tracker."""
-    whole = study_with(numbers, RUNS, seed=0)
-    found = means(replace(whole, trackers={tracker: whole.trackers[tracker]}), RUNS)["workshop", tracker]
+    found = means(study_with(numbers, RUNS, seed=0), RUNS, tracker)["workshop", tracker]
     return np.array([found[p.measure] * p.factor / getattr(p, tracker) for p in map(PRINTED.__getitem__, metrics)])
 
 
@@ -34,9 +32,8 @@ def main() -> None:
     """Fit and write the file."""
     of_world = ("drift", "share", "size")
     raw = ("mean error", "largest error", "variance")
-    start = [START[name] for name in of_world]
-    world = solved(lambda x: ratios(START | dict(zip(of_world, x, strict=True)), "raw", raw), start)
-    numbers = START | dict(zip(of_world, world.tolist(), strict=True))
+    start = {name: START[name] for name in of_world}
+    numbers = START | solved(lambda x: ratios(START | x, "raw", raw), start)
     tried = {}
     for sigma_a, limit in product(SIGMAS_A, SPEED_LIMITS):
         own = numbers | {"sigma_a": sigma_a, "speed_limit": limit}
@@ -47,9 +44,7 @@ def main() -> None:
         "huang_2018/workshop",
         "4 of 9 printed figures are predictions: variance, under 10 cm, under 15 cm and improved of MH-K",
         {
-            "drift": Fitted(numbers["drift"], "m", all_raw),
-            "share": Fitted(numbers["share"], "1", all_raw),
-            "size": Fitted(numbers["size"], "m", all_raw),
+            **{name: Fitted(numbers[name], unit, all_raw) for name, unit in zip(of_world, "m1m", strict=True)},
             "sigma_a": Fitted(sigma_a, "m/s^2/sqrt(Hz)", both),
             "speed_limit": Fitted(limit, "m/s", both),
         },

@@ -10,9 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from experiments.monte_carlo.declaration import Study, TrackerConfig, World
-from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
-from experiments.monte_carlo.results import Results
+from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, TrackerConfig, World
 from experiments.papers.fitting import fitted
 from experiments.papers.huang_2018.workshop import MEASURES, workshop
 from trackers.mhk.rows import TRACKERS

@@ -11,11 +11,10 @@ from dataclasses import replace
 
 import equinox as eqx
 
-from experiments.monte_carlo.declaration import Study, TrackerConfig, World
-from experiments.monte_carlo.expectations import Conclusion, ExpectedResult, Value
-from experiments.monte_carlo.results import Results
+from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, TrackerConfig, Value, World
 from experiments.papers.fitting import fitted
 from experiments.papers.huang_2018.workshop import MEASURES, workshop
+from experiments.reports.wording import fixed_interval
 from trackers.core.ekf import ExtendedKalman
 from trackers.mhk.rows import TRACKERS
 from trackers.mhk.tracker import mhk_tracker
@@ -60,8 +59,8 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
             Conclusion(
                 f"at {world} the Markov chain adds nothing that could be seen: less than 1 mm",
                 max(abs(v) for x in (chain, in_time, sticky) for v in (x.low, x.high)) < 1.0,
-                f"with less without: {_said(chain)} to the route, {_said(in_time)} in time, with a sticky chain "
-                f"{_said(sticky)}",
+                f"with less without: {_text(chain)} to the route, {_text(in_time)} in time, with a sticky chain "
+                f"{_text(sticky)}",
             )
         )
         for other in ("fix-kf", "fix-singer", "imm"):
@@ -71,7 +70,7 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
                 Conclusion(
                     f"at {world} MH-K is nearer to the route than {other}, but in time further off",
                     route.high < 0 < time.low,
-                    f"MH-K less {other}: {_said(route)} to the route, {_said(time)} in time",
+                    f"MH-K less {other}: {_text(route)} to the route, {_text(time)} in time",
                 )
             )
     return found
@@ -81,8 +80,8 @@ def _mm(value: Value) -> Value:
     return value.times(1e3)
 
 
-def _said(mm: Value) -> str:
-    return f"{mm.value:+.2f} mm ({mm.low:+.2f} … {mm.high:+.2f})"
+def _text(mm: Value) -> str:
+    return fixed_interval(mm, "+.2f", " mm")
 
 
 STUDY = Study(

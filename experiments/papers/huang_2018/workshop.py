@@ -14,12 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.monte_carlo.declaration import Study, TrackerConfig, World
-from experiments.monte_carlo.errors import TrackedRuns
-from experiments.monte_carlo.expectations import Conclusion, ExpectedResult, Value
-from experiments.monte_carlo.results import Results
+from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, TrackedRuns, TrackerConfig, Value, World
 from experiments.papers.fitting import fitted
 from experiments.papers.moving_windows import RAW
+from experiments.reports.wording import listed
 from sim.agv import Route, simulate_agv
 from sim.corruptions import gauss_markov, outliers
 from sim.fixes import correlated_noise
@@ -95,6 +93,7 @@ PRINTED = {
     "fixes improved": Printed("improved", 100.0, "%", None, 71.6),
 }
 FITTED_OF_MHK = ("mean error", "largest error")
+CM = "{:.1f} cm"
 
 
 def expected(results: Results) -> list[ExpectedResult | Conclusion]:
@@ -120,12 +119,12 @@ def _conclusions(results: Results) -> list[ExpectedResult | Conclusion]:
         Conclusion(
             "the drift is alleviated by the median as well as by MH-K",
             max(largest["median"].value, largest["mhk"].value) < 0.5 * largest["raw"].value,
-            "largest distance to the route " + _listed(largest),
+            "largest distance to the route " + listed(largest, CM),
         ),
         Conclusion(
             "where the drift is largest MH-K is closer to the route than the median alone",
             results.difference("route_max_m", "workshop", "mhk", "median").high < 0,
-            f"largest distance to the route {_listed(largest)}; but in the mean {_listed(mean)}",
+            f"largest distance to the route {listed(largest, CM)}; but in the mean {listed(mean, CM)}",
         ),
         Conclusion(
             "the location error is less than 20 cm",
@@ -135,13 +134,9 @@ def _conclusions(results: Results) -> list[ExpectedResult | Conclusion]:
         Conclusion(
             "in time MH-K as printed is worse than the raw fixes, and better where its estimates say when they hold",
             in_time["mhk"].low > in_time["raw"].high and in_time["mhk-stamped"].high < in_time["raw"].low,
-            "mean distance to the place at that time " + _listed(in_time),
+            "mean distance to the place at that time " + listed(in_time, CM),
         ),
     ]
-
-
-def _listed(values: dict[str, Value]) -> str:
-    return ", ".join(f"{name} {v.value:.1f} cm" for name, v in values.items())
 
 
 def study_with(numbers: dict[str, float], runs: int = 200, seed: int = 1) -> Study:

@@ -13,11 +13,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from experiments.monte_carlo.declaration import Study, TrackerConfig, World
-from experiments.monte_carlo.errors import TrackedRuns
-from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
-from experiments.monte_carlo.results import Results
+from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, TrackedRuns, TrackerConfig, World
 from experiments.papers.fitting import fitted
+from experiments.reports.wording import listed
 from sim.ranging import Protocol, antenna_biases, chamber, simulate_ranges
 from trackers.recordings.folder import RecordingFolder
 
@@ -63,7 +61,7 @@ def deviations(tracked: TrackedRuns) -> np.ndarray:
     """Errors (n, T, 3), m, of each axis, with heights above the anchors mirrored; NaN without an estimate."""
     found = tracked.estimates.copy()
     found[..., 2] = under(found[..., 2], tracked.folder)
-    return np.where(tracked.known[..., None], found - tracked.truth, np.nan)
+    return tracked._replace(estimates=found).error
 
 
 def _largest(axis: int) -> Callable[[TrackedRuns], np.ndarray]:
@@ -78,8 +76,7 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
         claim = f"Table 2, largest deviation in {axis}, mean over four places"
         found.append(ExpectedResult(claim, printed, ours[axis], "mm", fitted=axis != "y"))
     says = "errors in z are larger than in x and y"
-    evidence = ", ".join(f"{axis} {v.value:.0f} mm" for axis, v in ours.items())
-    return [*found, Conclusion(says, ours["z"].low > max(ours["x"].high, ours["y"].high), evidence)]
+    return [*found, Conclusion(says, ours["z"].low > max(ours["x"].high, ours["y"].high), listed(ours, "{:.0f} mm"))]
 
 
 TRACKER = "least squares"

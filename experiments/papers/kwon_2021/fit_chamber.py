@@ -6,8 +6,6 @@ The spread of the anchors' biases is fitted to the largest deviation in x, the a
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from experiments.papers.fitting import Fitted, means, solved, write_fitted
@@ -17,17 +15,16 @@ RUNS = 100
 START = {"sigma_bias": 0.05, "height": 2.45}
 
 
-def ratios(values: np.ndarray) -> np.ndarray:
+def ratios(numbers: dict[str, float]) -> np.ndarray:
     """Simulated over printed deviations in x and z."""
-    whole = study_with(dict(zip(START, values.tolist(), strict=True)), RUNS, seed=0)
-    mine = means(replace(whole, trackers={TRACKER: whole.trackers[TRACKER]}), RUNS).values()
+    mine = means(study_with(numbers, RUNS, seed=0), RUNS, TRACKER).values()
     return np.array([1e3 * np.mean([m[f"largest_{axis}_m"] for m in mine]) / PRINTED_MM[axis] for axis in "xz"])
 
 
 def main() -> None:
     """Fit and write the file."""
-    bias, height = solved(ratios, list(START.values()), rounds=3)
-    numbers = {"sigma_bias": Fitted(bias, "m", "x"), "height": Fitted(height, "m", "z")}
+    found = solved(ratios, START, rounds=3)
+    numbers = {name: Fitted(found[name], "m", axis) for name, axis in (("sigma_bias", "x"), ("height", "z"))}
     print(f"wrote {write_fitted('kwon_2021/chamber', '1 of 3 printed figures: y', numbers)}")
 
 

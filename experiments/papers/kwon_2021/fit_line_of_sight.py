@@ -6,8 +6,6 @@ detour round the obstacle to the span in x without it. Reproduces `fitted/line_o
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from experiments.papers.fitting import Fitted, means, solved, write_fitted
@@ -17,10 +15,9 @@ RUNS = 60
 START = {"sigma_echo": 0.07, "detour": 0.3}
 
 
-def ratios(values: np.ndarray) -> np.ndarray:
+def ratios(numbers: dict[str, float]) -> np.ndarray:
     """Simulated over printed spans, with line of sight and hidden."""
-    whole = study_with(dict(zip(START, values.tolist(), strict=True)), RUNS, seed=0)
-    found = means(replace(whole, trackers={TRACKER: whole.trackers[TRACKER]}), RUNS)
+    found = means(study_with(numbers, RUNS, seed=0), RUNS, TRACKER)
     over = {
         (world, axis): 1e3 * found[world, TRACKER][f"span_{axis}_m"] / (high - low)
         for world, axes in PRINTED_MM.items()
@@ -31,10 +28,10 @@ def ratios(values: np.ndarray) -> np.ndarray:
 
 def main() -> None:
     """Fit and write the file."""
-    echo, detour = solved(ratios, list(START.values()), rounds=3)
+    found = solved(ratios, START, rounds=3)
     numbers = {
-        "sigma_echo": Fitted(echo, "m", "in sight, geometric mean of x and y"),
-        "detour": Fitted(detour, "m", "hidden, x"),
+        "sigma_echo": Fitted(found["sigma_echo"], "m", "in sight, geometric mean of x and y"),
+        "detour": Fitted(found["detour"], "m", "hidden, x"),
     }
     print(f"wrote {write_fitted('kwon_2021/line_of_sight', '2 of 4 printed figures', numbers)}")
 

@@ -16,9 +16,9 @@ RUNS = 48
 START = {"sigma_stamp": 2.7e-11, "base": 6.0, "slow": 5.4e-3, "tau": 0.55, "sigma_a": 0.028}
 
 
-def ratios(values: np.ndarray) -> np.ndarray:
+def ratios(numbers: dict[str, float]) -> np.ndarray:
     """Simulated over printed spreads: raw x, raw y, moving average y, and means of x and y of Kalman and proposed."""
-    found = means(study_with(dict(zip(START, values.tolist(), strict=True)), RUNS, seed=0), RUNS)
+    found = means(study_with(numbers, RUNS, seed=0), RUNS)
     over = {
         (name, axis): 1e3 * found["still", name][f"spread_{axis}_m"] / number
         for name, printed in PRINTED.items()
@@ -30,17 +30,17 @@ def ratios(values: np.ndarray) -> np.ndarray:
 
 def main() -> None:
     """Fit and write the file."""
-    stamp, base, slow, tau, sigma_a = solved(ratios, list(START.values()), rounds=2)
+    to = {
+        "sigma_stamp": ("s", "raw x"),
+        "base": ("m", "raw y"),
+        "slow": ("m", "moving average y"),
+        "tau": ("s", "proposed x and y, their geometric mean"),
+        "sigma_a": ("m/s^2/sqrt(Hz)", "Kalman x and y, their geometric mean"),
+    }
     path = write_fitted(
         "kwon_2021/table_4",
         f"2 of 8 printed figures: beside these five numbers the window's length, {WINDOW}, was chosen",
-        {
-            "sigma_stamp": Fitted(stamp, "s", "raw x"),
-            "base": Fitted(base, "m", "raw y"),
-            "slow": Fitted(slow, "m", "moving average y"),
-            "tau": Fitted(tau, "s", "proposed x and y, their geometric mean"),
-            "sigma_a": Fitted(sigma_a, "m/s^2/sqrt(Hz)", "Kalman x and y, their geometric mean"),
-        },
+        {name: Fitted(value, *to[name]) for name, value in solved(ratios, START, rounds=2).items()},
     )
     print(f"wrote {path}")
 

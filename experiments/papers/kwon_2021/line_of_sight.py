@@ -14,10 +14,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from experiments.monte_carlo.declaration import Study, TrackerConfig, World
-from experiments.monte_carlo.errors import TrackedRuns
-from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
-from experiments.monte_carlo.results import Results
+from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, TrackedRuns, TrackerConfig, World
 from experiments.papers.fitting import fitted
 from sim.corruptions import Corruption, gauss_markov
 from sim.keys import Keys
@@ -58,17 +55,16 @@ def hall(ids: np.ndarray, seed: int, places: int, sigma_echo: float, detour: flo
     return world.folder("hall")
 
 
-def _error(tracked: TrackedRuns, axis: int) -> np.ndarray:
-    return np.where(tracked.known, tracked.estimates[..., axis] - tracked.truth[..., axis], np.nan)
-
-
 def _largest(tracked: TrackedRuns) -> np.ndarray:
-    largest: np.ndarray = np.nanmax(np.stack([np.abs(_error(tracked, k)) for k in range(2)]), axis=(0, 2))
-    return largest
+    return np.asarray(np.nanmax(np.abs(tracked.error[..., :2]), axis=(1, 2)))
 
 
 def _span(axis: int) -> Callable[[TrackedRuns], np.ndarray]:
-    return lambda tracked: np.nanmax(_error(tracked, axis), axis=1) - np.nanmin(_error(tracked, axis), axis=1)
+    def span(tracked: TrackedRuns) -> np.ndarray:
+        error = tracked.error[..., axis]
+        return np.asarray(np.nanmax(error, axis=1) - np.nanmin(error, axis=1))
+
+    return span
 
 
 def expected(results: Results) -> list[ExpectedResult | Conclusion]:

@@ -15,14 +15,12 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.monte_carlo.chunk import tracker_batches
-from experiments.monte_carlo.declaration import Study, TrackerConfig, World
-from experiments.monte_carlo.errors import TrackedRuns
-from experiments.monte_carlo.expectations import Conclusion, ExpectedResult, Value
-from experiments.monte_carlo.results import Results
+from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, TrackedRuns, TrackerConfig, Value, World
+from experiments.monte_carlo.chunk import tracked_runs
 from experiments.papers.fitting import fitted
 from experiments.papers.kwon_2021.chamber import anchors, deviations, under
 from experiments.plots.style import BLACK, BLUE, GREY, HEIGHT, VERMILION, plain, write_svg
+from experiments.reports.wording import fixed_interval, listed
 from sim.imu import level, simulate_uwb_imu
 from sim.keys import Keys
 from sim.ranging import Protocol, antenna_biases, chamber
@@ -109,12 +107,12 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
         Conclusion(
             "tracking is accurate in x and y, the error in z is larger",
             means["z"].low > max(means["x"].high, means["y"].high),
-            ", ".join(f"{axis} {v.value:.0f} mm" for axis, v in means.items()),
+            listed(means, "{:.0f} mm"),
         ),
         Conclusion(
             "with an IMU the horizontal error is smaller than without",
             without.high < 0,
-            f"{without.value:+.1f} mm ({without.low:+.1f} … {without.high:+.1f}) beside the filter of ranges, "
+            f"{fixed_interval(without, '+.1f', ' mm')} beside the filter of ranges, "
             f"{raw.value:+.1f} mm beside least squares: what is wrong are biases, and those an IMU doesn't see",
         ),
     ]
@@ -122,19 +120,16 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
 
 def figure_9(results: Results, folder: Path) -> list[str]:
     """The coordinates of the first tag."""
-    study = results.study
-    condition = study.conditions[0]
-    world = robot(np.arange(1), study.seed, **study.numbers(condition))
+    runs = tracked_runs(results.study, "robot", np.arange(1))
 
     def draw(figure: Figure) -> None:
         panels = figure.subplots(3, 1, sharex=True)
         for colour, name in zip((GREY, VERMILION, BLUE), (MEASURED, "without IMU", "with IMU"), strict=True):
-            group = tracker_batches(study, condition, name, study.trackers[name], world)[0]
-            recording = group.trajectories[0].recording
-            last = np.append(np.diff(recording.times) > 0, True)
-            x, y, z = (np.asarray(v, float)[last] for v in group.tracker.run(recording).mean.position)
-            for axes, values in zip(panels, (x, y, under(z, world)), strict=True):
-                axes.plot(recording.times[last], values, color=colour, label=name)
+            run = runs[name]
+            last = np.append(np.diff(run.times[0]) > 0, True)
+            x, y, z = run.estimates[0, last].T
+            for axes, values in zip(panels, (x, y, under(z, run.folder)), strict=True):
+                axes.plot(run.times[0, last], values, color=colour, label=name)
         times = np.arange(0, 3 * AXIS_S, 0.05)
         for axes, true, letter in zip(panels, strokes(np.zeros(1), times)[0].T, "xyz", strict=True):
             axes.plot(times, true, color=BLACK, linewidth=0.8, linestyle="--", label="robot")

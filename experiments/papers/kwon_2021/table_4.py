@@ -17,11 +17,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.monte_carlo.chunk import tracker_batches
-from experiments.monte_carlo.declaration import Study, TrackerConfig, World
-from experiments.monte_carlo.errors import TrackedRuns
-from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
-from experiments.monte_carlo.results import Results
+from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, TrackedRuns, TrackerConfig, World
+from experiments.monte_carlo.chunk import tracked_runs
 from experiments.papers.fitting import fitted
 from experiments.papers.kwon_2021.fixes_from_ranges import fixes_from_ranges
 from experiments.papers.moving_windows import RAW, window
@@ -32,7 +29,7 @@ from sim.ranging import Protocol, chamber, on_anchors
 from trackers.recordings.folder import RecordingFolder
 
 TAG = np.array([2.7, 2.7, 1.8])
-RATE_HZ, JUDGED, SETTLING = 40.0, 380, 300
+RATE_HZ, SCORED, SETTLING = 40.0, 380, 300
 WINDOW = 4
 ONE_SIDE = (0, 1)
 SIGMA_ACCEL, SIGMA_RANGE = 0.001, 0.007
@@ -60,7 +57,7 @@ def still(ids: np.ndarray, seed: int, sigma_stamp: float, base: float, slow: flo
         len(ids),
         seed,
         rate_hz=RATE_HZ,
-        n_points=SETTLING + JUDGED,
+        n_points=SETTLING + SCORED,
         protocol=Protocol(sigma_stamp=sigma_stamp),
         corruptions={"slow": on_anchors(ONE_SIDE, gauss_markov(slow, tau))},
         accel={"bias": constant_bias(0.1), "noise": white_density(SIGMA_ACCEL)},
@@ -73,7 +70,7 @@ def still(ids: np.ndarray, seed: int, sigma_stamp: float, base: float, slow: flo
 
 def settled(tracked: TrackedRuns) -> list[np.ndarray]:
     """The last 380 places (380, 2), m, of every tag."""
-    return [e[k][-JUDGED:, :2] for e, k in zip(tracked.estimates, tracked.known, strict=True)]
+    return [e[k][-SCORED:, :2] for e, k in zip(tracked.estimates, tracked.known, strict=True)]
 
 
 def _spread(axis: int) -> Callable[[TrackedRuns], np.ndarray]:
@@ -99,19 +96,15 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
 
 def figure_10(results: Results, folder: Path) -> list[str]:
     """The estimates of the first tag."""
-    study = results.study
-    condition = study.conditions[0]
-    world = still(np.arange(1), study.seed, **study.numbers(condition))
+    runs = tracked_runs(results.study, "still", np.arange(1))
 
     def draw(figure: Figure) -> None:
         panels = figure.subplots(2, 1, sharex=True)
         for colour, name in zip((GREY, GREEN, BLUE, VERMILION), PRINTED, strict=True):
-            group = tracker_batches(study, condition, name, study.trackers[name], world)[0]
-            recording = group.trajectories[0].recording
-            last = np.append(np.diff(recording.times) > 0, True) & (recording.times >= SETTLING / RATE_HZ)
-            place = group.tracker.run(recording).mean.position
-            for axes, values, letter in zip(panels, place, "xy", strict=False):
-                axes.plot(recording.times[last], 1e3 * np.asarray(values)[last], color=colour, label=name)
+            run = runs[name]
+            last = np.append(np.diff(run.times[0]) > 0, True) & (run.times[0] >= SETTLING / RATE_HZ)
+            for axes, values, letter in zip(panels, run.estimates[0, last].T, "xy", strict=False):
+                axes.plot(run.times[0, last], 1e3 * values, color=colour, label=name)
                 axes.axhline(1e3 * TAG[0], color=BLACK, linewidth=0.6)
                 axes.set_title(f"{letter}, mm")
         panels[1].set_xlabel("time, s")

@@ -11,10 +11,8 @@ from functools import partial
 
 import numpy as np
 
-from experiments.monte_carlo.declaration import Study, TrackerConfig, World
-from experiments.monte_carlo.errors import TrackedRuns
-from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
-from experiments.monte_carlo.results import Results
+from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, TrackedRuns, TrackerConfig, World
+from experiments.reports.wording import fixed_interval
 from sim.corruptions import Corruption
 from sim.paths import hand_motion
 from sim.ranging import WALK_VOLUME, antenna_biases, chamber, obstruction, simulate_ranges
@@ -37,11 +35,8 @@ def walk(ids: np.ndarray, seed: int, hidden: float = 0.0, rows: int = 300) -> Re
 
 def settled(tracked: TrackedRuns) -> np.ndarray:
     """The root mean square of the horizontal errors after the first seconds."""
-    off = np.linalg.norm((tracked.estimates - tracked.truth)[..., :2], axis=-1)
-    rms: np.ndarray = np.sqrt(
-        np.nanmean(np.where(tracked.known & (tracked.times >= SETTLED_S), off, np.nan) ** 2, axis=1)
-    )
-    return rms
+    size = np.linalg.norm(tracked.error[..., :2], axis=-1)
+    return np.asarray(np.sqrt(np.nanmean(np.where(tracked.times >= SETTLED_S, size, np.nan) ** 2, axis=1)))
 
 
 def expected(results: Results) -> list[ExpectedResult | Conclusion]:
@@ -53,7 +48,7 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
             Conclusion(
                 f"{world}: lengthening every range by (14) prevents errors",
                 more.high < 0,
-                f"RMSE with (14) less without: {more.value:+.1f} cm ({more.low:+.1f} … {more.high:+.1f})",
+                f"RMSE with (14) less without: {fixed_interval(more, '+.1f', ' cm')}",
             )
         )
     for world in results.study.worlds:

@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from experiments.monte_carlo import Results, Study, TrackedRuns, TrackerConfig, World
-from experiments.monte_carlo.chunk import run_chunk
+from experiments.monte_carlo import Results, TrackedRuns, TrackerConfig, World
+from experiments.papers.moving_windows import RAW as FIXES_ALONE
 from sim.corruptions import gauss_markov, white_noise
 from sim.line import simulate_line
 from trackers.baselines.fixes import fix_tracker
-from trackers.baselines.windows import MovingWindow
+from trackers.baselines.rows import TRACKERS as BASELINES
 from trackers.core.polyline import Polyline
 from trackers.core.tracker import AbstractTracker
 from trackers.line.fixes import FIXES, FloorFixes
@@ -27,13 +27,26 @@ from trackers.line.motion import LineMotion
 from trackers.line.rows import TRACKERS, path_of
 from trackers.line.tracker import line_tracker
 from trackers.line.truth import knot_times
-from trackers.parts.fix_rows import fix_trajectories, lacks_fixes
 from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.tracker_spec import TrackerSpec
 from trackers.recordings.trajectories import Trajectory
 
 SITUATIONS = {"situation 1": "constant", "situation 2": "halts", "situation 3": "speeds"}
-RECORDINGS = tuple(f"{situation}, set {k}" for situation in SITUATIONS for k in (1, 2, 3))
+
+PRINTED = {
+    "situation 1, set 1": (31.1, 24.4, 16.3),
+    "situation 1, set 2": (31.2, 25.8, 16.9),
+    "situation 1, set 3": (52.8, 31.7, 16.1),
+    "situation 2, set 1": (30.3, 25.2, 15.8),
+    "situation 2, set 2": (33.5, 24.3, 14.9),
+    "situation 2, set 3": (29.4, 24.5, 13.7),
+    "situation 3, set 1": (38.7, 31.2, 20.2),
+    "situation 3, set 2": (44.8, 31.1, 19.6),
+    "situation 3, set 3": (60.8, 33.7, 24.8),
+}
+"""Table 3.1, cm: measurement, Kalman filter and particle filter of each recording."""
+
+AVERAGES = (39.2, 27.9, 17.6)
+RECORDINGS, COLUMNS = tuple(PRINTED), ("raw", "Kalman", "particle")
 
 MEASUREMENT_NOISE = 0.392
 """Average error of all measurements, m; the measurement noise of the thesis's filters (chapter 3)."""
@@ -118,31 +131,13 @@ def _particles_that_stop(trajectory: Trajectory, planar: bool) -> AbstractTracke
     return line_tracker(LineMotion(path_of(trajectory.folder), 0.1), {FIXES: FloorFixes(MEASUREMENT_NOISE)})
 
 
-def _measurements(trajectory: Trajectory, planar: bool) -> AbstractTracker:
-    return MovingWindow(1, median=False, planar=planar)
-
-
 def _kalman(trajectory: Trajectory, planar: bool) -> AbstractTracker:
     return fix_tracker(sigma_a=0.1, sigma_horizontal=MEASUREMENT_NOISE, dof=None, planar=planar)
 
 
-RAW = TrackerConfig(
-    TrackerSpec(
-        "the measurements themselves",
-        table="fixes",
-        trajectories=fix_trajectories,
-        build=_measurements,
-        lacks=lacks_fixes,
-    )
-)
+RAW = TrackerConfig(dataclasses.replace(FIXES_ALONE, about="the measurements themselves"))
 KALMAN = TrackerConfig(
-    TrackerSpec(
-        "the thesis's Kalman filter, (1.3)-(1.21)",
-        table="fixes",
-        trajectories=fix_trajectories,
-        build=_kalman,
-        lacks=lacks_fixes,
-    )
+    dataclasses.replace(BASELINES["fix-kf"], about="the thesis's Kalman filter, (1.3)-(1.21)", build=_kalman)
 )
 PARTICLE = TrackerConfig(
     dataclasses.replace(TRACKERS["line-pf"], about="the thesis's particle filter, (2.1)-(2.5)", build=_particles)
@@ -156,9 +151,7 @@ STOPPING = TrackerConfig(
 
 def distances(tracked: TrackedRuns) -> np.ndarray:
     """Horizontal errors (n, T), m; NaN for rows that are not scored."""
-    return np.where(
-        tracked.known, np.hypot(*np.moveaxis(tracked.estimates[..., :2] - tracked.truth[..., :2], -1, 0)), np.nan
-    )
+    return np.hypot(tracked.error[..., 0], tracked.error[..., 1])
 
 
 def error(tracked: TrackedRuns) -> np.ndarray:
@@ -176,20 +169,6 @@ def least(results: Results, tracker: str, measure: str = "error_m") -> float:
     swept = results.study.grid[SIGMA]
     pairs = [(world, tracker) for world in results.study.worlds]
     return float(swept[int(np.argmin([results.average(measure, pairs, **{SIGMA: s}).value for s in swept]))])
-
-
-def seen(study: Study, world: str, ids: np.ndarray, **point: float) -> dict[str, TrackedRuns]:
-    """The estimates of every tracker of a study for some trajectories."""
-    found: list[TrackedRuns] = []
-
-    def keep(tracked: TrackedRuns) -> np.ndarray:
-        found.append(tracked)
-        return np.zeros(len(tracked.times))
-
-    alone = dataclasses.replace(study, measures={"kept": keep}, metrics=())
-    (condition,) = [c for c in study.conditions if c.world == world and point.items() <= c.point.items()]
-    run_chunk(alone, condition, ids, first=False)
-    return dict(zip(study.trackers, found, strict=True))
 
 
 def with_noise(config: TrackerConfig, sigma: float) -> TrackerConfig:

@@ -20,6 +20,7 @@ import polars as pl
 from matplotlib.figure import Figure
 
 from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, TrackedRuns, World
+from experiments.monte_carlo.chunk import tracked_runs
 from experiments.papers.fitting import fitted
 from experiments.papers.line_thesis._assembly_line import (
     KALMAN,
@@ -30,7 +31,6 @@ from experiments.papers.line_thesis._assembly_line import (
     error,
     open_ended,
     recording,
-    seen,
     with_noise,
     worlds,
 )
@@ -83,7 +83,7 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
         )
         for tracker in largest:
             largest[tracker] = max(largest[tracker], results.value("off_path_m", world, tracker).value)
-        runs = seen(results.study, world, np.arange(results.study.chunk))
+        runs = tracked_runs(results.study, world, np.arange(results.study.chunk))
         below = distances(runs["particle"]) < distances(runs["Kalman"])
         shares.append(float(below[runs["particle"].known].mean()))
         scatter.append(100 * results.numbers("error_m", f"{world}, run again", "particle").std(ddof=1))
@@ -111,7 +111,7 @@ def draw(results: Results, folder: Path) -> list[str]:
     """The path and the errors over time, for each situation."""
     names = []
     for number, (situation, world) in enumerate(FIRST.items()):
-        runs = seen(results.study, f"{world}, run again", np.arange(results.study.chunk))
+        runs = tracked_runs(results.study, f"{world}, run again", np.arange(results.study.chunk))
         pair = f"Figures 3.{2 * number + 1} and 3.{2 * number + 2}"
         names.append(
             write_svg(folder, f"{situation.replace(' ', '_')}.svg", _panels(runs, f"{pair}: {situation}"), 5.0, 6.4)

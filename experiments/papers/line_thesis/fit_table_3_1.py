@@ -11,19 +11,17 @@ chosen. The particle filter's nine errors are not used.
 from __future__ import annotations
 
 import sys
-import tempfile
 from collections.abc import Mapping
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from experiments.monte_carlo import Results, Study, TrackerConfig
-from experiments.monte_carlo.runner import run_study
-from experiments.papers.fitting import Fitted, write_fitted
+from experiments.papers.fitting import Fitted, unsaved, write_fitted
 from experiments.papers.line_thesis._assembly_line import (
     KALMAN,
     PARTICLE,
+    PRINTED,
     RAW,
     RECORDINGS,
     SIGMA,
@@ -33,7 +31,6 @@ from experiments.papers.line_thesis._assembly_line import (
     noise_of,
     worlds,
 )
-from experiments.papers.line_thesis._printed_table_3_1 import PRINTED
 
 TAU, RATE_HZ = 1.5, 5.0
 SPEEDS = (0.3, 0.45, 0.6)
@@ -48,10 +45,7 @@ def swept(numbers: Mapping[str, float], trackers: Mapping[str, TrackerConfig], r
     study = Study(
         "fit-table-3-1", "", worlds(numbers), trackers, runs, {SIGMA: SWEPT}, SEED, {"error_m": error}, ("mean_m",)
     )
-    with tempfile.TemporaryDirectory() as folder:
-        results = run_study(study, Path(folder))
-    assert results is not None
-    return results
+    return unsaved(study)
 
 
 class Column(NamedTuple):

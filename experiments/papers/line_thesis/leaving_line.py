@@ -22,6 +22,7 @@ from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, 
 from experiments.papers.fitting import fitted
 from experiments.papers.line_thesis._assembly_line import KALMAN, MEASUREMENT_NOISE, PARTICLE, SIGMA, error, with_noise
 from experiments.plots.style import LINES, plain, write_svg
+from experiments.reports.wording import fixed_interval, listed
 from sim.corruptions import gauss_markov, white_noise
 from sim.line import simulate_line
 from trackers.core.recording import stack
@@ -119,7 +120,7 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
     made: list[ExpectedResult | Conclusion] = []
     for tracker in results.study.trackers:
         areas = {world: area(results, world, tracker, SHOWN_SLACK) for world in SIZES}
-        told = ", ".join(f"{w} {a.value:.3f} ({a.low:.3f} … {a.high:.3f})" for w, a in areas.items())
+        told = ", ".join(f"{w} {fixed_interval(a, '.3f')}" for w, a in areas.items())
         values = [a.value for a in areas.values()]
         says = f"{tracker}: the growing difference tells tags that left, the better the farther they are"
         made.append(Conclusion(says, values[-1] > 0.95 and values == sorted(values), f"area under the ROC: {told}"))
@@ -140,7 +141,7 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
     usual = {w: (results.numbers(f"while away, {at}", w, "grid") >= LEFT_LIMIT).mean() for w in SIZES}
     false = (results.numbers(f"at any time, {at}", STAYS, "grid") >= LEFT_LIMIT).mean()
     says = f"the slack and limit of `track`, {LEFT_SLACK:g} m and {LEFT_LIMIT:g} m·s, give next to no false alarms"
-    told = ", ".join(f"{w} {100 * share:.0f} %" for w, share in usual.items())
+    told = listed({w: 100 * share for w, share in usual.items()}, "{:.0f} %")
     made.append(Conclusion(says, bool(false <= 0.01), f"{100 * false:.1f} %; noticed: {told}"))
     return made
 

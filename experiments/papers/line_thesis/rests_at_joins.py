@@ -17,6 +17,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, TrackedRuns, TrackerConfig, Value, World
+from experiments.monte_carlo.chunk import tracked_runs
 from experiments.papers.fitting import fitted
 from experiments.papers.line_thesis._assembly_line import (
     MEASUREMENT_NOISE,
@@ -25,10 +26,10 @@ from experiments.papers.line_thesis._assembly_line import (
     distances,
     error,
     least,
-    seen,
     worlds,
 )
 from experiments.plots.style import BLACK, BLUE, VERMILION, plain, write_svg
+from experiments.reports.wording import fixed_interval
 from trackers.core.polyline import Polyline
 from trackers.core.tracker import AbstractTracker
 from trackers.line.fixes import FIXES, FloorFixes
@@ -92,12 +93,12 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
             Conclusion(
                 f"{without}: the segment in the state makes rests more accurate",
                 rest.high < 0,
-                f"{at_rest:.1f} cm, with the segment {_told(rest)}; over whole recordings {_told(whole)}",
+                f"{at_rest:.1f} cm, with the segment {_text(rest)}; over whole recordings {_text(whole)}",
             ),
             Conclusion(
                 f"{without}: where no rests come, expecting them does no harm",
                 travel.low <= 0,
-                f"{_told(travel)} over whole recordings",
+                f"{_text(travel)} over whole recordings",
             ),
         ]
     return made
@@ -116,14 +117,15 @@ def _gain(results: Results, measure: str, world: str, without: str) -> Value:
     return Value(float(gap.mean()), float(low), float(high))
 
 
-def _told(value: Value) -> str:
-    return f"{value.value:+.1f} cm ({value.low:+.1f} … {value.high:+.1f})"
+def _text(cm: Value) -> str:
+    return fixed_interval(cm, "+.1f", " cm")
 
 
 def draw(results: Results, folder: Path) -> list[str]:
     """How far past the place of a tag the estimates of its arclength are, over one recording with rests."""
     at = {tracker: least(results, tracker) for tracker in results.study.trackers}
-    runs = {t: seen(results.study, RESTS, np.arange(results.study.chunk), **{SIGMA: x})[t] for t, x in at.items()}
+    ids = np.arange(results.study.chunk)
+    runs = {t: tracked_runs(results.study, RESTS, ids, **{SIGMA: x})[t] for t, x in at.items()}
 
     def both(figure: Figure) -> None:
         panels = figure.subplots(2, 1, sharex=True)

@@ -26,8 +26,11 @@ from matplotlib.lines import Line2D
 from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, Value
 from experiments.papers.fitting import fitted
 from experiments.papers.line_thesis._assembly_line import (
+    AVERAGES,
+    COLUMNS,
     KALMAN,
     PARTICLE,
+    PRINTED,
     RAW,
     RECORDINGS,
     SIGMA,
@@ -37,7 +40,6 @@ from experiments.papers.line_thesis._assembly_line import (
     root_mean_square,
     worlds,
 )
-from experiments.papers.line_thesis._printed_table_3_1 import AVERAGES, COLUMNS, PRINTED
 from experiments.plots.style import BLUE, SKY, VERMILION, plain, write_svg
 
 

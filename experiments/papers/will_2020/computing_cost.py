@@ -14,6 +14,7 @@ import numpy as np
 from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, TrackerConfig, World
 from experiments.papers.will_2020._work_stand import beam, recorded
 from experiments.papers.will_2020.fit_figure_8 import radius
+from experiments.reports.wording import listed
 from trackers.aoa.beamformer import Grid
 from trackers.aoa.das import DelayAndSum
 from trackers.aoa.rows import PHASES, TRACKERS
@@ -39,15 +40,14 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
     us = {t: results.value("us_per_row", "stand", t).value for t in results.study.trackers}
     rmse = {t: np.rad2deg(results.value("rmse_direction_rad", "stand", t).value) for t in results.study.trackers}
     coarse, usual, fine = (us[name] for name in RESOLUTIONS)
-    told = ", ".join(f"{t} {v:.2f} us" for t, v in us.items())
     return [
         Conclusion("the EKF costs less than a beamformer of 10,000 hypotheses", us["EKF"] < usual,
-                   f"a row: {told}; {usual / us['EKF']:.0f} times less"),
+                   f"a row: {listed(us, '{:.2f} us')}; {usual / us['EKF']:.0f} times less"),
         Conclusion("the beamformer's effort grows with the resolution of its search space, the EKF has none",
                    coarse < usual < fine and fine > 2 * usual,
                    f"at half the step {fine / usual:.1f} times, at twice the step {usual / coarse:.1f} times less"),
         Conclusion("no finer search makes the beamformer as accurate as the EKF", rmse["DAS, 0.3 deg"] > rmse["EKF"],
-                   ", ".join(f"{t} {v:.2f} deg" for t, v in rmse.items())),
+                   listed(rmse, "{:.2f} deg")),
     ]  # fmt: skip
 
 

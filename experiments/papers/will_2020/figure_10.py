@@ -17,6 +17,7 @@ from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, 
 from experiments.papers.will_2020._work_stand import cascade, direct, recorded
 from experiments.papers.will_2020.fit_figure_8 import radius
 from experiments.plots.style import BLACK, LINES, plain, write_svg
+from experiments.reports.wording import listed
 
 NONE = "all stations"
 LOST = {k: f"station {k} lost" for k in (1, 2, 3)}
@@ -26,8 +27,7 @@ SETTLED = 20
 
 def _square(tracked: TrackedRuns, rows: slice) -> np.ndarray:
     """3-D RMSE (n,), m, of some rows."""
-    error = np.where(tracked.known[..., None], tracked.estimates - tracked.truth, np.nan)[:, rows]
-    return np.asarray(np.sqrt(np.nanmean((error**2).sum(axis=-1), axis=1)))
+    return np.asarray(np.sqrt(np.nanmean((tracked.error[:, rows] ** 2).sum(axis=-1), axis=1)))
 
 
 def beginning(tracked: TrackedRuns) -> np.ndarray:
@@ -42,8 +42,7 @@ def rest(tracked: TrackedRuns) -> np.ndarray:
 
 def height(tracked: TrackedRuns) -> np.ndarray:
     """RMSE (n,), m, of the height."""
-    error = np.where(tracked.known, tracked.estimates[..., 2] - tracked.truth[..., 2], np.nan)
-    return np.asarray(np.sqrt(np.nanmean(error**2, axis=1)))
+    return np.asarray(np.sqrt(np.nanmean(tracked.error[..., 2] ** 2, axis=1)))
 
 
 def expected(results: Results) -> list[ExpectedResult | Conclusion]:
@@ -52,7 +51,8 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
     early = {w: 100 * results.value("beginning_m", w, "cascade").value for w in results.study.worlds}
     late = {w: 100 * results.value("rest_m", w, "cascade").value for w in results.study.worlds}
     heights = {w: 100 * results.value("height_m", w, "cascade").value for w in results.study.worlds}
-    told = ", ".join(f"{w} {v.value:.2f} cm" for w, v in cm.items())
+    told = listed(cm, "{:.2f} cm")
+    pairs = ", ".join(f"{w} {early[w]:.1f} and {late[w]:.1f} cm" for w in early)
     failed = max(results.value("failed", w, "cascade").value for w in LOST.values())
     others = max(cm[LOST[k]].high for k in (2, 3))
     return [
@@ -69,19 +69,15 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
         Conclusion(
             "errors are larger while the fusion settles",
             np.mean([early[w] for w in LOST.values()]) > np.mean([late[w] for w in LOST.values()]),
-            f"first {SETTLED} points against the rest: {_pairs(early, late)}",
+            f"first {SETTLED} points against the rest: {pairs}",
         ),
         Conclusion(
             "station 1 matters most mainly because of outliers at the beginning",
             late[LOST[1]] < max(late[LOST[k]] for k in (2, 3)),
             f"without the first {SETTLED} points it still does: here geometry is why, the other two see height worst; "
-            "error of the height: " + ", ".join(f"{w} {v:.1f} cm" for w, v in heights.items()),
+            f"error of the height: {listed(heights, '{:.1f} cm')}",
         ),
     ]
-
-
-def _pairs(early: dict[str, float], late: dict[str, float]) -> str:
-    return ", ".join(f"{w} {early[w]:.1f} and {late[w]:.1f} cm" for w in early)
 
 
 def draw(results: Results, folder: Path) -> list[str]:

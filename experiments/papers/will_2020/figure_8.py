@@ -15,10 +15,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
 from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, TrackedRuns, World
-from experiments.papers.line_thesis._assembly_line import seen
+from experiments.monte_carlo.chunk import tracked_runs
 from experiments.papers.will_2020._work_stand import cascade, direct, recorded
 from experiments.papers.will_2020.fit_figure_8 import PRINTED_CM, radius
 from experiments.plots.style import BLACK, BLUE, GREY, VERMILION, plain, write_svg
+from experiments.reports.wording import fixed_interval
 
 STAND, APART, PLANE = "stand", "stations 0.4 m off the middle", "stand, plane waves"
 COLOURS = {"cascade": BLUE, "direct": VERMILION}
@@ -49,7 +50,7 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
             "one filter straight from phases is more accurate than the paper's cascade",
             gain.high < 1,
             f"{cm[STAND, 'direct'].value:.2f} against {cm[STAND, 'cascade'].value:.2f} cm, "
-            f"{gain.value:.2f} ({gain.low:.2f} … {gain.high:.2f}) times",
+            f"{fixed_interval(gain, '.2f')} times",
         )
     )
     lost = cm[STAND, "cascade"].value - cm[PLANE, "cascade"].value
@@ -75,7 +76,7 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
 
 def draw(results: Results, folder: Path) -> list[str]:
     """The first trajectory in space, and the cumulative distribution of the errors."""
-    runs = seen(results.study, STAND, np.arange(results.study.chunk))
+    runs = tracked_runs(results.study, STAND, np.arange(results.study.chunk))
 
     def path(figure: Figure) -> None:
         axes = figure.add_subplot(projection="3d")

@@ -7,17 +7,19 @@ size are not printed; a second world has some of chosen number and size, to show
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, TrackedRuns, TrackerConfig, World
-from experiments.papers.line_thesis._assembly_line import seen
+from experiments.monte_carlo.chunk import tracked_runs
 from experiments.papers.will_2020._work_stand import beam, recorded
 from experiments.papers.will_2020.fit_figure_8 import radius
 from experiments.papers.will_2020.fit_table_1 import PRINTED
 from experiments.plots.style import BLUE, GREY, ORANGE, plain, write_svg
+from experiments.reports.wording import fixed_interval
 
 AXES = ("azimuth", "elevation")
 HELIX, OUTLYING = "helix", "helix with outlying phases"
@@ -27,24 +29,14 @@ OUTLIERS, SIZE = 0.02, 1.5
 OUTLIER = np.deg2rad(5.0)
 
 
-def _errors(tracked: TrackedRuns) -> np.ndarray:
-    """Absolute errors (n, T, stations, 2), rad; NaN for rows that are not scored."""
-    return np.where(tracked.known[..., None], np.abs(tracked.estimates - tracked.truth), np.nan)
-
-
 def wild(tracked: TrackedRuns) -> np.ndarray:
     """Fraction (n,) of directions with an error above 5° in either angle."""
-    return np.asarray((_errors(tracked).max(axis=-1) > OUTLIER).mean(axis=(1, 2)))
+    return np.asarray((np.abs(tracked.error).max(axis=-1) > OUTLIER).mean(axis=(1, 2)))
 
 
-def azimuth(tracked: TrackedRuns) -> np.ndarray:
-    """Root mean square error (n,), rad, of each trajectory."""
-    return np.asarray(np.sqrt(np.nanmean(_errors(tracked)[..., 0] ** 2, axis=(1, 2))))
-
-
-def elevation(tracked: TrackedRuns) -> np.ndarray:
-    """Root mean square error (n,), rad, of each trajectory."""
-    return np.asarray(np.sqrt(np.nanmean(_errors(tracked)[..., 1] ** 2, axis=(1, 2))))
+def _rms(angle: int) -> Callable[[TrackedRuns], np.ndarray]:
+    """Root mean square error (n,), rad, of azimuth or elevation, by trajectory."""
+    return lambda tracked: np.asarray(np.sqrt(np.nanmean(tracked.error[..., angle] ** 2, axis=(1, 2))))
 
 
 def expected(results: Results) -> list[ExpectedResult | Conclusion]:
@@ -58,9 +50,7 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
             mine, its = (results.value(f"rmse_{axis}_rad", world, t).times(180 / np.pi) for t in ("EKF", "DAS"))
             ratio = results.ratio(f"rmse_{axis}_rad", world, "DAS", "EKF")
             each = results.numbers(f"{axis}_rad", world, "EKF") < results.numbers(f"{axis}_rad", world, "DAS")
-            told = (
-                f"{mine.value:.2f} against {its.value:.2f} deg, {ratio.value:.2f} ({ratio.low:.2f} … {ratio.high:.2f})"
-            )
+            told = f"{mine.value:.2f} against {its.value:.2f} deg, {fixed_interval(ratio, '.2f')}"
             made.append(
                 Conclusion(
                     f"{world}: the EKF's {axis} is better than the beamformer's",
@@ -82,7 +72,7 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
 
 def draw(results: Results, folder: Path) -> list[str]:
     """Angles and deviations of the first trajectory at station 1, with outlying phases."""
-    runs = seen(results.study, OUTLYING, np.arange(results.study.chunk))
+    runs = tracked_runs(results.study, OUTLYING, np.arange(results.study.chunk))
 
     def draw_(figure: Figure) -> None:
         panels = figure.subplots(2, 2, sharex=True, height_ratios=[1.5, 1])
@@ -115,7 +105,7 @@ STUDY = Study(
     },
     trackers={"EKF": beam(), "DAS": TrackerConfig("das")},
     runs=100,
-    measures={"wild": wild, "azimuth_rad": azimuth, "elevation_rad": elevation},
+    measures={"wild": wild, "azimuth_rad": _rms(0), "elevation_rad": _rms(1)},
     metrics=("rmse_azimuth_rad", "rmse_elevation_rad", "median_direction_rad", "p95_direction_rad", "wild"),
     expected=expected,
     draw=draw,

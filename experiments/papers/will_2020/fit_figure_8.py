@@ -8,14 +8,11 @@ whose errors hardly depend on it. Reproduces `fitted/figure_8.toml` to its four 
 from __future__ import annotations
 
 import sys
-import tempfile
-from pathlib import Path
 
 import numpy as np
 
 from experiments.monte_carlo import Study, World
-from experiments.monte_carlo.runner import run_study
-from experiments.papers.fitting import Fitted, fitted, solved, write_fitted
+from experiments.papers.fitting import Fitted, fitted, solved, unsaved, write_fitted
 from experiments.papers.will_2020._work_stand import cascade, recorded
 
 PRINTED_CM = 3.18
@@ -30,16 +27,13 @@ def error_cm(radius: float, runs: int = RUNS, seed: int = SEED) -> float:
         "fit-figure-8", "", {"stand": World(recorded, {"radius": radius})}, {"cascade": cascade()}, runs, seed=seed,
         metrics=("rmse_3d_m",),
     )  # fmt: skip
-    with tempfile.TemporaryDirectory() as folder:
-        results = run_study(study, Path(folder))
-    assert results is not None
-    return 100 * results.value("rmse_3d_m", "stand", "cascade").value
+    return 100 * unsaved(study).value("rmse_3d_m", "stand", "cascade").value
 
 
 def main() -> int:
     """Fit the radius and write it."""
-    (radius,) = solved(lambda numbers: np.array([error_cm(float(numbers[0])) / PRINTED_CM]), [START], rounds=3)
-    radius = float(f"{radius:.4g}")
+    solution = solved(lambda numbers: np.array([error_cm(numbers["radius"]) / PRINTED_CM]), {"radius": START}, rounds=3)
+    radius = float(f"{solution['radius']:.4g}")
     found = error_cm(radius)
     print(f"stations {radius:.3f} m from the centre line: {found:.3f} cm, printed {PRINTED_CM} cm")
     told = {

@@ -6,11 +6,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from experiments.monte_carlo import Conclusion, ExpectedResult
+from experiments.monte_carlo import Conclusion, ExpectedResult, TrackedRuns
 from experiments.monte_carlo.runner import run_study
 from experiments.papers.fitting import fitted
 from experiments.papers.line_thesis import figures_3, leaving_line, rests_at_joins, sweep_curves, table_3_1
 from experiments.papers.line_thesis._assembly_line import (
+    AVERAGES,
+    PRINTED,
     RECORDINGS,
     SIGMA,
     distances,
@@ -21,7 +23,6 @@ from experiments.papers.line_thesis._assembly_line import (
     root_mean_square,
     worlds,
 )
-from experiments.papers.line_thesis._printed_table_3_1 import AVERAGES, PRINTED
 from sim.line import THESIS_KNOTS
 
 STUDIES = [figures_3, leaving_line, rests_at_joins, sweep_curves, table_3_1]
@@ -39,13 +40,8 @@ def _run(estimates, truth=None):
     ]
     rig = SimpleNamespace(path_knots=THESIS_KNOTS)
     times = np.tile(np.arange(estimates.shape[1], dtype=float), (len(estimates), 1))
-    return SimpleNamespace(
-        times=times,
-        estimates=solid[0],
-        truth=solid[1],
-        known=np.ones(times.shape, bool),
-        folder=SimpleNamespace(rig=rig),
-    )
+    known, folder = np.ones(times.shape, bool), SimpleNamespace(rig=rig)
+    return TrackedRuns(times, solid[0], None, solid[1], known, None, None, None, folder)
 
 
 def test_the_printed_averages_are_those_of_the_printed_columns():
