@@ -49,6 +49,4 @@ def folder_of(
     """
     known = tags if isinstance(tags, Mapping) else {str(i): Tag() for i in tags}
     rig = Rig(name, tags=known, about="Simulated, see manifest.json.", **geometry)
-    return RecordingFolder(
-        name, None, rig, {key: table.sort("t_s", maintain_order=True) for key, table in tables.items()}
-    )
+    return RecordingFolder(name, None, rig, {k: t.sort("t_s", maintain_order=True) for k, t in tables.items()})

@@ -112,9 +112,7 @@ def _available(
 ) -> dict[str, AbstractObjective]:
     """The objectives by name; without truth of the quantity those that need none."""
     horizontal = min(dimensions, 2)
-    objectives = {
-        name: make(quantity, horizontal if name == "rmse" else dimensions) for name, make in OBJECTIVES.items()
-    }
+    objectives = {n: make(quantity, horizontal if n == "rmse" else dimensions) for n, make in OBJECTIVES.items()}
     if dimensions == 3:
         objectives["rmse-3d"] = RootMeanSquareError(quantity, 3)
     try:

@@ -143,9 +143,7 @@ class Weighted(AbstractObjective):
         return tuple(x for part in self.parts for x in part.terms(output, truth))
 
     def value(self, sums: Any) -> Scalar:
-        return total(
-            w * part.value(own) for w, part, own in zip(self.weights, self.parts, self.split(sums), strict=True)
-        )
+        return total(w * part.value(s) for w, part, s in zip(self.weights, self.parts, self.split(sums), strict=True))
 
     def nats_per_unit(self, sums: Any) -> float:
         if len(self.parts) > 1:

@@ -185,9 +185,7 @@ def fresh_keys(part: Batch, realisation: int) -> Batch:
 @jax.jit
 def _folded(keys: jax.Array, realisation: int) -> jax.Array:
     """Raw keys (2, B) with a number folded in."""
-    fold = jax.vmap(
-        lambda key: jax.random.key_data(jax.random.fold_in(jax.random.wrap_key_data(key), realisation)), -1, -1
-    )
+    fold = jax.vmap(lambda k: jax.random.key_data(jax.random.fold_in(jax.random.wrap_key_data(k), realisation)), -1, -1)
     return fold(keys)
 
 

@@ -17,11 +17,11 @@ import numpy as np
 
 from trackers.aoa.circular import circular_mean
 from trackers.core.algebra import Scalar, Vector, compute_once, total
-from trackers.core.motion import Noise
+from trackers.core.motion import Noise, as_scale
 from trackers.core.rig import Station
 from trackers.core.sensor import LOG_2PI, AbstractSensor, Channel, Reading, Residual, position_in_space
 from trackers.core.state import wrap
-from trackers.core.tunable import Real, Scale
+from trackers.core.tunable import Real
 
 
 def centred(reading: Reading, predicted: Sequence[Scalar], sigma_p: Scalar) -> Residual:
@@ -105,7 +105,7 @@ class PlanePhases(AbstractPhaseSensor):
 
     def __init__(self, station: Station, sigma_p: float | Noise = 0.3, paper_form: bool = False):
         antennas, wavelength = _array(station)
-        self.sigma_p = sigma_p if isinstance(sigma_p, Noise) else Scale(sigma_p, "rad")
+        self.sigma_p = as_scale(sigma_p, "rad")
         self.offsets = Real(np.zeros(len(antennas)), "rad", typical=0.1)
         self.wavenumbers = 2 * np.pi / wavelength * antennas
         self.paper_form = paper_form
@@ -147,7 +147,7 @@ class SphericalPhases(AbstractPhaseSensor):
 
     def __init__(self, station: Station, sigma_p: float | Noise = 0.3, paper_form: bool = False):
         _, wavelength = _array(station)
-        self.sigma_p = sigma_p if isinstance(sigma_p, Noise) else Scale(sigma_p, "rad")
+        self.sigma_p = as_scale(sigma_p, "rad")
         self.antennas = station.antenna_positions() - station.position
         self.offsets = Real(np.zeros(len(self.antennas)), "rad", typical=0.1)
         self.origin = np.asarray(station.position, float)

@@ -164,10 +164,7 @@ TRACKERS = {
         planar=lambda trajectory, free_height: False,
         automatic=on_request,
     ),
-    "beam": _per_station(
-        about="azimuth and elevation per station from phases, EKF (Will et al.)",
-        build=_beam,
-    ),
+    "beam": _per_station(about="azimuth and elevation per station from phases, EKF (Will et al.)", build=_beam),
     "das": _per_station(
         about="azimuth and elevation per station from phases, delay-and-sum on each row without a filter",
         build=lambda trajectory, planar: DelayAndSum.of(_station(trajectory), PHASES, planar),

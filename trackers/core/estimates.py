@@ -184,6 +184,4 @@ def state_columns(estimates: Estimates) -> dict[str, np.ndarray]:
         if name.split(".")[0] not in ("position", "velocity"):
             parts = np.asarray(leaf).reshape(*estimates.status.shape, -1)
             columns |= {name if parts.shape[-1] == 1 else f"{name}.{k}": parts[..., k] for k in range(parts.shape[-1])}
-    return columns | {
-        f"std_{name}": x for name, x in sigmas.items() if name.split(".")[0] not in ("position", "velocity")
-    }
+    return columns | {f"std_{n}": x for n, x in sigmas.items() if n.split(".")[0] not in ("position", "velocity")}

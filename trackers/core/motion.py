@@ -21,6 +21,11 @@ from trackers.core.tunable import AbstractTunable, Constant, Scale
 Noise = AbstractTunable | Constant
 
 
+def as_scale(value: float | Noise, unit: str) -> Noise:
+    """The value as a positive tunable in this unit; a tunable or constant is returned unchanged."""
+    return value if isinstance(value, Noise) else Scale(value, unit)
+
+
 class AbstractMotion(eqx.Module):
     """A process model, driven by `noise_dimension` numbers of unit white noise per step."""
 
@@ -98,7 +103,7 @@ class ConstantVelocity(AbstractMotion):
     dimensions: int = eqx.field(static=True)
 
     def __init__(self, sigma_a: float | Noise, dimensions: int):
-        self.sigma_a = sigma_a if isinstance(sigma_a, Noise) else Scale(sigma_a, "m/s^2/sqrt(Hz)")
+        self.sigma_a = as_scale(sigma_a, "m/s^2/sqrt(Hz)")
         self.dimensions = dimensions
 
     @property
@@ -123,7 +128,7 @@ class ConstantPosition(AbstractMotion):
     dimensions: int = eqx.field(static=True)
 
     def __init__(self, sigma_v: float | Noise, dimensions: int):
-        self.sigma_v = sigma_v if isinstance(sigma_v, Noise) else Scale(sigma_v, "m/sqrt(s)")
+        self.sigma_v = as_scale(sigma_v, "m/sqrt(s)")
         self.dimensions = dimensions
 
     @property
@@ -148,8 +153,8 @@ class GroundMotion(AbstractMotion):
     sigma_z: Noise
 
     def __init__(self, sigma_a: float | Noise, sigma_z: float | Noise):
-        self.sigma_a = sigma_a if isinstance(sigma_a, Noise) else Scale(sigma_a, "m/s^2/sqrt(Hz)")
-        self.sigma_z = sigma_z if isinstance(sigma_z, Noise) else Scale(sigma_z, "m/sqrt(s)")
+        self.sigma_a = as_scale(sigma_a, "m/s^2/sqrt(Hz)")
+        self.sigma_z = as_scale(sigma_z, "m/sqrt(s)")
 
     @property
     def noise_dimension(self) -> int:

@@ -22,11 +22,8 @@ class TrackLossPolicy(eqx.Module):
     max_gap: Noise
 
     def __init__(self, nis_limit: float = 6.0, nis_window: float = 8.0, max_gap: float = 5.0):
-        self.nis_limit, self.nis_window, self.max_gap = (
-            _threshold(nis_limit, "1"),
-            _threshold(nis_window, "1"),
-            _threshold(max_gap, "s"),
-        )
+        self.nis_limit, self.nis_window = _threshold(nis_limit, "1"), _threshold(nis_window, "1")
+        self.max_gap = _threshold(max_gap, "s")
 
 
 def _threshold(value: float, unit: str) -> Noise:

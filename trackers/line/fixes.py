@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from trackers.core.algebra import Scalar
-from trackers.core.motion import Noise
+from trackers.core.motion import Noise, as_scale
 from trackers.core.sensor import AbstractSensor, Channel, Reading, Residual, independent
-from trackers.core.tunable import Scale
 
 FIXES = "fixes"
 
@@ -22,7 +21,7 @@ class FloorFixes(AbstractSensor):
     sigma_p: Noise
 
     def __init__(self, sigma_p: float | Noise):
-        self.sigma_p = sigma_p if isinstance(sigma_p, Noise) else Scale(sigma_p, "m")
+        self.sigma_p = as_scale(sigma_p, "m")
 
     @property
     def channels(self) -> tuple[Channel, ...]:

@@ -42,9 +42,8 @@ def planar_fix_trajectories(folder: RecordingFolder) -> Iterator[Trajectory]:
     for tag, table in by_tag(folder.tables["fixes"]):
         values, seen = values_of(table, ["x_m", "y_m"])
         reported = np.nan_to_num(np.stack([float_column(table, f"{a}_std_m") for a in "xy"], axis=1)) ** 2
-        yield trajectory_of(
-            folder, tag, "", table["t_s"].to_numpy(), {FIXES: Readings(values, seen, reported)}, {}, paths
-        )
+        readings = {FIXES: Readings(values, seen, reported)}
+        yield trajectory_of(folder, tag, "", table["t_s"].to_numpy(), readings, {}, paths)
 
 
 def line_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:

@@ -23,8 +23,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar, Vector
-from trackers.core.motion import AbstractMotion, Accelerated, Noise
-from trackers.core.tunable import Scale
+from trackers.core.motion import AbstractMotion, Accelerated, Noise, as_scale
 
 
 class SingerTerms(NamedTuple):
@@ -50,8 +49,8 @@ class Singer(AbstractMotion):
     dimensions: int = eqx.field(static=True)
 
     def __init__(self, sigma_a: float | Noise, tau: float | Noise, dimensions: int):
-        self.sigma_a = sigma_a if isinstance(sigma_a, Noise) else Scale(sigma_a, "m/s^2")
-        self.tau = tau if isinstance(tau, Noise) else Scale(tau, "s")
+        self.sigma_a = as_scale(sigma_a, "m/s^2")
+        self.tau = as_scale(tau, "s")
         self.dimensions = dimensions
 
     @property

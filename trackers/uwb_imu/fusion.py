@@ -36,9 +36,8 @@ class RangeStart(AbstractNearbyStart):
     def belief(self, candidate: Any, row: Row) -> Gaussian:
         n = 2 if self.planar else 3
         zero = candidate[0] * 0.0
-        state = RangeState(
-            Vector(*(candidate[k] for k in range(n))), Vector(*[zero] * n), Vector(*[zero] * self.biases)
-        )
+        position = Vector(*(candidate[k] for k in range(n)))
+        state = RangeState(position, Vector(*[zero] * n), Vector(*[zero] * self.biases))
         variances = [s.value**2 for s in (self.sigma_position, self.sigma_velocity, self.sigma_bias)]
         return Gaussian(state, diagonal([variances[0]] * n + [variances[1]] * n + [variances[2]] * self.biases, zero))
 

@@ -44,9 +44,7 @@ def _rests(times: np.ndarray, own: np.ndarray, samples: np.ndarray) -> np.ndarra
     start = np.minimum(np.searchsorted(own, own[stop - 1] - REST_WINDOW_S), stop - 1)
     # Deviations from the total mean: the squares of gravity would swamp the noise.
     centre = samples.mean(axis=0)
-    sums, squares = (
-        np.concatenate([np.zeros((1, 6)), np.cumsum((samples - centre) ** power, axis=0)]) for power in (1, 2)
-    )
+    sums, squares = (np.concatenate([np.zeros((1, 6)), np.cumsum((samples - centre) ** p, axis=0)]) for p in (1, 2))
     count = (stop - start)[:, None]
     mean = (sums[stop] - sums[start]) / count
     std = np.sqrt(np.maximum((squares[stop] - squares[start]) / count - mean**2, 0.0))

@@ -18,9 +18,9 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 
 from trackers.core.algebra import Scalar, Vector
-from trackers.core.motion import AbstractMotion, Noise
+from trackers.core.motion import AbstractMotion, Noise, as_scale
 from trackers.core.state import Heading, Rotation
-from trackers.core.tunable import Real, Scale
+from trackers.core.tunable import Real
 
 
 class PlanarInertial(NamedTuple):
@@ -79,13 +79,13 @@ class ImuNoise(eqx.Module):
         sigma_turn: float | Noise = 0.5,
         sigma_range_walk: float | Noise = 0.005,
     ):
-        self.sigma_accel = _as_scale(sigma_accel, "m/s^2/sqrt(Hz)")
-        self.sigma_gyro = _as_scale(sigma_gyro, "rad/s/sqrt(Hz)")
-        self.sigma_accel_walk = _as_scale(sigma_accel_walk, "m/s^2/sqrt(s)")
-        self.sigma_gyro_walk = _as_scale(sigma_gyro_walk, "rad/s/sqrt(s)")
-        self.sigma_a = _as_scale(sigma_a, "m/s^2/sqrt(Hz)")
-        self.sigma_turn = _as_scale(sigma_turn, "rad/sqrt(s)")
-        self.sigma_range_walk = _as_scale(sigma_range_walk, "m/sqrt(s)")
+        self.sigma_accel = as_scale(sigma_accel, "m/s^2/sqrt(Hz)")
+        self.sigma_gyro = as_scale(sigma_gyro, "rad/s/sqrt(Hz)")
+        self.sigma_accel_walk = as_scale(sigma_accel_walk, "m/s^2/sqrt(s)")
+        self.sigma_gyro_walk = as_scale(sigma_gyro_walk, "rad/s/sqrt(s)")
+        self.sigma_a = as_scale(sigma_a, "m/s^2/sqrt(Hz)")
+        self.sigma_turn = as_scale(sigma_turn, "rad/sqrt(s)")
+        self.sigma_range_walk = as_scale(sigma_range_walk, "m/sqrt(s)")
 
     def range_bias_sigma(self, dt: Scalar) -> Scalar:
         """Standard deviation of the change of a range bias over `dt`, m."""
@@ -241,7 +241,3 @@ def renormalised(attitude: Rotation, dt: Scalar) -> Rotation:
     square = q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z
     scale = jnp.where(dt > 0, 1.5 - 0.5 * square, 1.0)
     return Rotation(attitude.w * scale, attitude.x * scale, attitude.y * scale, attitude.z * scale)
-
-
-def _as_scale(value: float | Noise, unit: str) -> Noise:
-    return value if isinstance(value, Noise) else Scale(value, unit)

@@ -55,7 +55,9 @@ def check_rates(tables: Mapping[str, pl.DataFrame]) -> list[CheckResult]:
             shares = ", ".join(f"{column} {100 * share:.3g} %" for column, share in empty.items())
             results.append(CheckResult("info", name, f"empty cells: {shares}"))
         gaps = (
-            long_gaps(ordered).group_by("stream").agg(gaps=pl.len(), longest=pl.col("dt").max(), before=_at_longest())
+            long_gaps(ordered)
+            .group_by("stream")
+            .agg(gaps=pl.len(), longest=pl.col("dt").max(), before=pl.col("t_s").sort_by("dt").last())
         )
         per_stream = (
             ordered.group_by("stream", *expected.ids, maintain_order=True)
@@ -68,10 +70,6 @@ def check_rates(tables: Mapping[str, pl.DataFrame]) -> list[CheckResult]:
             lines = [_summary(per_stream, expected.ids)]
         results += [CheckResult("info", name, line) for line in lines]
     return results
-
-
-def _at_longest() -> pl.Expr:
-    return pl.col("t_s").sort_by("dt").last()
 
 
 def _stream_line(stream: dict, ids: tuple[str, ...]) -> str:
