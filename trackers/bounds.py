@@ -32,10 +32,8 @@ def bounds_of(folder: RecordingFolder, batches: Sequence[TrackerBatch]) -> tuple
     if not mine or not isinstance(mine[0][0].tracker, Tracker) or mine[0][1].station:
         return None
     tracker, first = mine[0][0].tracker, mine[0][1].recording
-    if (
-        not isinstance(tracker.filter, ExtendedKalman)
-        or type(tracker).at_valid_time is not AbstractTracker.at_valid_time
-    ):
+    at_row_times = type(tracker).at_valid_time is AbstractTracker.at_valid_time
+    if not (isinstance(tracker.filter, ExtendedKalman) and at_row_times):
         return None
     known = first.truth["position"][1]
     if known.sum() < 3:

@@ -108,9 +108,7 @@ def _truths(recordings: OneOrMore) -> dict[str, pl.DataFrame]:
 def _true_positions(recording: Recording) -> pl.DataFrame:
     """The truth of an array recording as a truth table."""
     values, known = recording.truth["position"]
-    axes = {
-        f"{a}_m": np.asarray(values, float)[known, k] for k, a in zip(range(np.shape(values)[1]), "xyz", strict=False)
-    }
+    axes = {f"{a}_m": x for a, x in zip("xyz", np.asarray(values, float)[known].T, strict=False)}
     none = {f"{a}_m": np.full(int(np.sum(known)), np.nan) for a in "xyz"}
     return pl.DataFrame({"t_s": recording.times[known], "tag": [""] * int(np.sum(known))} | none | axes)
 

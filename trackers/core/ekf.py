@@ -106,13 +106,8 @@ class ExtendedKalman(eqx.Module):
             result = sensor.residual(reading, list(predicted))
             has_student_t[:] = [result.dof is not None]
             wrapped = jnp.where(result.wrapped, 1.0, 0.0)
-            return [
-                *result.whitened,
-                result.log_scale,
-                result.nis_dof,
-                wrapped,
-                0.0 if result.dof is None else result.dof,
-            ]
+            dof = 0.0 if result.dof is None else result.dof
+            return [*result.whitened, result.log_scale, result.nis_dof, wrapped, dof]
 
         values, rows = linearise(residual_of, point)
         *whitened, log_scale, nis_dof, wrapped, dof = values

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -27,9 +27,7 @@ def segments(trajectory: Trajectory, rows: int) -> list[Trajectory]:
     whole = trajectory.recording
     count = max(1, round(len(whole) / rows))
     ends = np.linspace(0, len(whole), count + 1).astype(int)
-    return [
-        Trajectory(trajectory.folder, trajectory.tag, trajectory.station, cut(whole, a, b)) for a, b in pairwise(ends)
-    ]
+    return [replace(trajectory, recording=cut(whole, a, b)) for a, b in pairwise(ends)]
 
 
 def cut(recording: Recording, start: int, stop: int) -> Recording:

@@ -143,25 +143,20 @@ def _coincident(positions: Mapping[str, np.ndarray]) -> list[CheckResult]:
 
 def _flat(what: str, positions: np.ndarray, known_height: bool) -> list[CheckResult]:
     kind, normal = shape(positions)
-    level: Level = "info" if known_height else "warning"
+    level: Level = "warning"
     if len(positions) < 3:
-        return [
-            CheckResult(
-                "warning", "rig.toml", f"{what} observed: {len(positions)}, expected three or more for a position"
-            )
-        ]
-    if kind in ("point", "line"):
+        message = f"{what} observed: {len(positions)}, expected three or more for a position"
+    elif kind in ("point", "line"):
         message = f"the {what} are collinear: positions on a circle around their line cannot be distinguished"
-        return [CheckResult("warning", "rig.toml", message)]
-    if kind == "plane" and abs(normal[2]) > 0.7:
+    elif kind == "plane" and abs(normal[2]) > 0.7:
         message = f"the {what} are coplanar: the height is weakly determined and may be mirrored at their plane"
-        return [
-            CheckResult(level, "rig.toml", message + (" (the height of the tags is known)" if known_height else ""))
-        ]
-    if kind == "plane":
+        if known_height:
+            level, message = "info", f"{message} (the height of the tags is known)"
+    elif kind == "plane":
         message = f"the {what} are coplanar in a vertical plane: positions may be mirrored at it"
-        return [CheckResult("warning", "rig.toml", message)]
-    return []
+    else:
+        return []
+    return [CheckResult(level, "rig.toml", message)]
 
 
 def _dilution_results(
