@@ -16,11 +16,11 @@ from typing import Any
 
 import tyro
 
+from experiments.bench.timing import write_json
 from experiments.cli.runtime import set_flags
 from experiments.cli.subprocesses import in_new_process
 from experiments.reports.tables import aligned
 from trackers.core.errors import UnusableInput
-from trackers.recordings.atomic import atomic_write, json_text
 
 DEFAULT, COMMAND_LINE, MEMORY = "default", "command-line", "memory"
 TITLES = {DEFAULT: "default flags", COMMAND_LINE: "flags of the command line"}
@@ -38,8 +38,7 @@ def main(peers: bool = False, out: Path = Path("out/bench.json")) -> int:
     """
     try:
         results = measured(peers)
-        out.parent.mkdir(parents=True, exist_ok=True)
-        atomic_write(out, lambda path: path.write_text(json_text(results), "utf-8"))
+        write_json(out, results)
     except (UnusableInput, OSError) as problem:
         print(f"bench: {problem}", file=sys.stderr)
         return 2

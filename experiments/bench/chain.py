@@ -7,12 +7,12 @@ beside the textbook's forward algorithm with a transition matrix of 7,129² entr
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
+from experiments.bench.timing import turns
 from experiments.cli.runtime import set_flags
 
 TRAJECTORIES, ROWS, ROUNDS = 256, 200, 3
@@ -49,12 +49,8 @@ def main() -> int:
 
 def timed(run: Callable[[], Any]) -> tuple[float, float]:
     """Seconds of the first call, compiling included, and the median of the others."""
-    seconds = []
-    for _ in range(ROUNDS + 1):
-        began = time.perf_counter()
-        run()
-        seconds.append(time.perf_counter() - began)
-    return seconds[0], float(np.median(seconds[1:]))
+    first, *others = turns([run], ROUNDS + 1)[:, 0, 0].tolist()
+    return first, float(np.median(others))
 
 
 def filtered(world: Any, tracker: Any) -> Callable[[], Any]:

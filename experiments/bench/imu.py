@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,9 +16,9 @@ from typing import Any
 import numpy as np
 import tyro
 
+from experiments.bench.timing import clocked, write_json
 from experiments.cli.runtime import set_flags
 from experiments.cli.subprocesses import in_new_process_or_failed
-from trackers.recordings.atomic import atomic_write, json_text
 
 TRAJECTORIES, ROWS, SLICE = 1024, 2000, (64, 200)
 COMPILED = (512, 100)
@@ -40,8 +39,7 @@ def main(out: Path = Path("out/bench-imu.json")) -> int:
         out: the JSON file to write.
     """
     results = {name: in_new_process_or_failed("experiments.bench.imu", "part", (name,), LIMIT_S) for name in PARTS}
-    out.parent.mkdir(parents=True, exist_ok=True)
-    atomic_write(out, lambda path: path.write_text(json_text(results), "utf-8"))
+    write_json(out, results)
     for title, found in results.items():
         print(f"\n{title}, load {os.getloadavg()[0]:.1f}")
         for name, value in found.items():
@@ -263,9 +261,8 @@ def _timed(run: Callable[[], Any]) -> tuple[Any, tuple[float, float]]:
     for _ in range(ROUNDS + 1):
         # Free the previous estimates, which take gigabytes, before the next run.
         result = None
-        began = time.perf_counter()
-        result = jax.block_until_ready(run())
-        seconds.append(time.perf_counter() - began)
+        (wall, _), result = clocked(lambda: jax.block_until_ready(run()))
+        seconds.append(wall)
     usual = float(np.median(seconds[1:]))
     return result, (seconds[0] - usual, usual)
 

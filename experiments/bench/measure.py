@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import resource
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -15,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.bench.textbook import all_pairs, textbook
+from experiments.bench.timing import clocked
 from trackers.aoa.beam import Beam, beam_tracker
 from trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
 from trackers.core.algebra import diagonal
@@ -116,9 +116,7 @@ class Version:
 
     def timed(self) -> tuple[tuple[float, float], Any]:
         """Seconds and processor seconds of one run, and its result."""
-        began, began_cpu = time.perf_counter(), time.process_time()
-        result = jax.block_until_ready(self.run())
-        return (time.perf_counter() - began, time.process_time() - began_cpu), result
+        return clocked(lambda: jax.block_until_ready(self.run()))
 
 
 def trackers() -> tuple[AbstractTracker, AbstractTracker]:

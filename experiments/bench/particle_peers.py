@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import os
 import sys
-import time
 from collections.abc import Callable
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -21,10 +20,10 @@ import numpy as np
 import tyro
 
 from experiments.bench.__main__ import machine
-from experiments.bench.particles import PARTICLES, SIGMA_A, SIGMA_P, ours, rmse, task
+from experiments.bench.particles import PARTICLES, SIGMA_A, SIGMA_P, arclengths, ours, position_on, rmse, task
+from experiments.bench.timing import clocked, turns, write_json
 from experiments.cli.runtime import set_flags
 from experiments.cli.subprocesses import in_new_process_or_failed
-from trackers.recordings.atomic import atomic_write, json_text
 
 SLICES = {"particles": 4, "cuthbert": 32}
 """Trajectories for the peers, which are dozens of times slower; cuthbert stores every particle of every row."""
@@ -52,8 +51,7 @@ def main(out: Path = Path("out/bench-particles.json")) -> int:
         "peers": peers,
         "took_s": (datetime.now(UTC) - began).total_seconds(),
     }
-    out.parent.mkdir(parents=True, exist_ok=True)
-    atomic_write(out, lambda path: path.write_text(json_text(results), "utf-8"))
+    write_json(out, results)
     slowest = np.inf
     for peer, found in peers.items():
         if "failed" in found:
@@ -88,20 +86,14 @@ def beside(peer: str) -> dict[str, Any]:
     }
     found: dict[str, Any] = {}
     for name, (size, run) in versions.items():
-        began = time.perf_counter()
-        estimated = run()
+        (first, _), estimated = clocked(run)
         found[name] = {
             "trajectories": size,
             "rows": fixes.shape[1],
-            "first_s": time.perf_counter() - began,
+            "first_s": first,
             "rmse_m": rmse(estimated, truth[:size]),
         }
-    seconds = np.zeros((ROUNDS, 2, 2))
-    for turn in range(ROUNDS):
-        for k, (_, run) in enumerate(versions.values()):
-            began, began_cpu = time.perf_counter(), time.process_time()
-            run()
-            seconds[turn, k] = time.perf_counter() - began, time.process_time() - began_cpu
+    seconds = turns([run for _, run in versions.values()], ROUNDS)
     rates = np.array([size * fixes.shape[1] for size, _ in versions.values()])[:, None] / seconds
     for k, name in enumerate(versions):
         found[name]["run_s"] = float(np.median(seconds[:, k, 0]))
@@ -123,7 +115,7 @@ def with_particles(fixes: np.ndarray, dt: float, knots: np.ndarray) -> Callable[
     from particles.collectors import Moments
 
     random = np.random.default_rng(0)
-    marks = np.concatenate([[0.0], np.cumsum(np.sqrt((np.diff(knots, axis=0) ** 2).sum(axis=1)))])
+    marks = arclengths(knots)
 
     class Line(particles.FeynmanKac):
         """Motion along the line and fixes (T, 2), m, of one cart; states (N, 2): arclength, m, and speed, m/s."""
@@ -168,18 +160,14 @@ def with_cuthbert(fixes: np.ndarray, dt: float, knots: np.ndarray) -> Callable[[
     from cuthbertlib.resampling.adaptive import ess_decorator
     from cuthbertlib.resampling.systematic import resampling
 
-    marks = np.concatenate([[0.0], np.cumsum(np.sqrt((np.diff(knots, axis=0) ** 2).sum(axis=1)))]).astype(np.float32)
-    table = knots.astype(np.float32)
-
-    def position(d: Any) -> Any:
-        return jnp.stack([jnp.interp(d, marks, table[:, 0]), jnp.interp(d, marks, table[:, 1])], axis=-1)
+    end, position = arclengths(knots).astype(np.float32)[-1], position_on(knots)
 
     def start(key: Any) -> Any:
         return jnp.maximum(jax.random.normal(key, (2,)) * jnp.array([0.5, 0.1]), 0.0)
 
     def step(key: Any, state: Any, fix: Any) -> Any:
         speed = jnp.maximum(state[1] + SIGMA_A * dt**0.5 * jax.random.normal(key), 0.0)
-        return jnp.stack([jnp.clip(state[0] + dt * state[1], 0.0, marks[-1]), speed])
+        return jnp.stack([jnp.clip(state[0] + dt * state[1], 0.0, end), speed])
 
     def density(before: Any, state: Any, fix: Any) -> Any:
         return -0.5 * jnp.sum((fix - position(state[0])) ** 2) / SIGMA_P**2 - jnp.log(2 * jnp.pi * SIGMA_P**2)

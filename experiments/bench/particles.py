@@ -8,12 +8,12 @@ positions are interpolated between the knots. Ours also returns the covariance a
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
+from experiments.bench.timing import clocked, turns
 from experiments.cli.runtime import set_flags
 
 TRAJECTORIES, ROWS, PARTICLES = 256, 200, 1000
@@ -35,20 +35,13 @@ def main() -> int:
     versions = {"ours": ours(fixes, times), "textbook": textbook(fixes, times, THESIS_KNOTS)}
     first, errors = {}, {}
     for name, run in versions.items():
-        began = time.perf_counter()
-        estimated = run()
-        first[name] = time.perf_counter() - began
+        (first[name], _), estimated = clocked(run)
         errors[name] = rmse(estimated, truth)
-    seconds = {name: np.zeros((ROUNDS, 2)) for name in versions}
-    for turn in range(ROUNDS):
-        for name, run in versions.items():
-            began, began_cpu = time.perf_counter(), time.process_time()
-            run()
-            seconds[name][turn] = time.perf_counter() - began, time.process_time() - began_cpu
-    faster, faster_cpu = np.median(seconds["textbook"] / seconds["ours"], axis=0).tolist()
+    seconds = turns(list(versions.values()), ROUNDS)
+    faster, faster_cpu = np.median(seconds[:, 1] / seconds[:, 0], axis=0).tolist()
     print(f"{TRAJECTORIES} trajectories x {ROWS} rows x {PARTICLES} particles, medians of {ROUNDS} turns")
-    for name in versions:
-        median = float(np.median(seconds[name][:, 0]))
+    for k, name in enumerate(versions):
+        median = float(np.median(seconds[:, k, 0]))
         rate = TRAJECTORIES * ROWS / median / 1e6
         print(
             f"{name:10s} {median:7.3f} s  {rate:6.3f} million trajectory-steps/s  first call {first[name]:5.1f} s"
@@ -94,17 +87,26 @@ def ours(fixes: np.ndarray, times: np.ndarray) -> Callable[[], np.ndarray]:
     return run
 
 
+def arclengths(knots: np.ndarray) -> np.ndarray:
+    """Arclengths, m, of the knots (k, 2), m, of a path."""
+    return np.concatenate([[0.0], np.cumsum(np.sqrt((np.diff(knots, axis=0) ** 2).sum(axis=1)))])
+
+
+def position_on(knots: np.ndarray) -> Callable[[Any], Any]:
+    """Positions (…, 2), m, by arclength, interpolated between the knots in single precision."""
+    import jax.numpy as jnp
+
+    marks, table = arclengths(knots).astype(np.float32), np.asarray(knots, np.float32)
+    return lambda d: jnp.stack([jnp.interp(d, marks, table[:, k]) for k in (0, 1)], axis=-1)
+
+
 def textbook(fixes: np.ndarray, times: np.ndarray, knots: np.ndarray) -> Callable[[], np.ndarray]:
     """A run of the filter as usually written: a scan over one trajectory, `vmap` over trajectories."""
     import jax
     import jax.numpy as jnp
 
-    marks = np.concatenate([[0.0], np.cumsum(np.sqrt((np.diff(knots, axis=0) ** 2).sum(axis=1)))]).astype(np.float32)
-    table = np.asarray(knots, np.float32)
+    end, position = arclengths(knots).astype(np.float32)[-1], position_on(knots)
     dt = np.float32(times[1] - times[0])
-
-    def position(d: Any) -> Any:
-        return jnp.stack([jnp.interp(d, marks, table[:, 0]), jnp.interp(d, marks, table[:, 1])], axis=-1)
 
     def step(carry: Any, row: Any) -> tuple[Any, Any]:
         key, d, speed, weights = carry
@@ -115,7 +117,7 @@ def textbook(fixes: np.ndarray, times: np.ndarray, knots: np.ndarray) -> Callabl
         resample = 1.0 / jnp.sum(weights**2) < 0.5 * PARTICLES
         d, speed = jnp.where(resample, d[ancestors], d), jnp.where(resample, speed[ancestors], speed)
         weights = jnp.where(resample, 1.0 / PARTICLES, weights)
-        d = jnp.clip(d + dt * speed, 0.0, marks[-1])
+        d = jnp.clip(d + dt * speed, 0.0, end)
         speed = jnp.maximum(speed + SIGMA_A * jnp.sqrt(dt) * jax.random.normal(noise, (PARTICLES,)), 0.0)
         square = jnp.sum((row - position(d)) ** 2, axis=-1) / SIGMA_P**2
         log_weights = jnp.log(weights) - 0.5 * square

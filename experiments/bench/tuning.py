@@ -10,13 +10,13 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tyro
 
+from experiments.bench.timing import clocked, write_json
 from experiments.cli.runtime import set_flags
 
 LIMIT_S = 5.0
@@ -35,15 +35,13 @@ def main(peers: bool = False, out: Path = Path("out/bench-tuning.json")) -> int:
     """
     set_flags()
     from experiments.bench.__main__ import machine
-    from trackers.recordings.atomic import atomic_write, json_text
 
     command = ["python", "-m", "experiments.bench.tuning", *sys.argv[1:]]
     results: dict[str, Any] = {"command": command, "machine": machine(), "ours": ours()}
     if peers:
         results |= {"scipy": with_scipy(), "dynamax": with_dynamax()}
     print(json.dumps(results, indent=2))
-    out.parent.mkdir(parents=True, exist_ok=True)
-    atomic_write(out, lambda path: path.write_text(json_text(results), "utf-8"))
+    write_json(out, results)
     slowest = max(run["seconds"] for run in results["ours"]["fits"])
     print(f"the slowest of {len(CORNERS)} fits took {slowest:.2f} s; limit {LIMIT_S:g} s")
     return int(slowest > LIMIT_S)
@@ -66,15 +64,13 @@ def ours() -> dict[str, Any]:
 
     batch = simulate(TRAJECTORIES, ROWS).batch
 
-    def run(corner: tuple[float, float]) -> tuple[float, Any]:
-        began = time.perf_counter()
-        result = fit(wrong(corner), batch, NegativeLogLikelihood(), TUNED)
-        return time.perf_counter() - began, result
+    def run(corner: tuple[float, float]) -> tuple[tuple[float, float], Any]:
+        return clocked(lambda: fit(wrong(corner), batch, NegativeLogLikelihood(), TUNED))
 
-    first = run(CORNERS[0])[0]
+    (first, _), _ = run(CORNERS[0])
     fits = []
     for corner in CORNERS:
-        seconds, result = run(corner)
+        (seconds, _), result = run(corner)
         fits.append(
             {
                 "wrong_by": corner,
@@ -145,7 +141,7 @@ def with_dynamax() -> dict[str, Any]:
 
     vector = jnp.log(jnp.array([10 * SIGMA_A, 10 * SIGMA_P], jnp.float32))
     state = optimiser.init(vector)
-    first, _ = _clocked(lambda: jax.block_until_ready(step(vector, state)))
+    (first, _), _ = clocked(lambda: jax.block_until_ready(step(vector, state)))
     began, values = time.perf_counter(), []
     for _ in range(DYNAMAX_STEPS):
         vector, state, value = step(vector, state)
@@ -159,12 +155,6 @@ def with_dynamax() -> dict[str, Any]:
         "seconds_per_gradient_of_all": seconds * whole,
         "values": values,
     }
-
-
-def _clocked(work: Callable[[], Any]) -> tuple[float, Any]:
-    began = time.perf_counter()
-    result = work()
-    return time.perf_counter() - began, result
 
 
 if __name__ == "__main__":

@@ -147,13 +147,17 @@ def beams() -> System:
     return System(known, ("motion.sigma_a", "sensors.*.sigma_p"), read, {}, 16, 60, 0.05)
 
 
+def _positions(view: Any) -> np.ndarray:
+    return np.stack([np.asarray(x) for x in view.position], axis=-1)
+
+
 def carts() -> System:
     """B: a cart on a bent line, by the grid filter; a coarser grid would bias the noise of the fixes low."""
     line, sigma_p = Polyline([[0.0, 0.0], [1.5, 0.0], [1.5, 1.5]]), 0.3
     tracker = line_grid_tracker(LineMotion(line, 0.04), {FIXES: FloorFixes(sigma_p)}, 0.03, 0.6, 32)
 
     def read(view: Any, rng: np.random.Generator) -> np.ndarray:
-        position = np.stack([np.asarray(x) for x in view.position], axis=-1)[:, :2]
+        position = _positions(view)[:, :2]
         return position + sigma_p * rng.normal(size=position.shape)
 
     start = Known(lambda x: PathState(*x), (0.5, 0.15), (0.15, 0.03))
@@ -169,7 +173,7 @@ def ranges() -> System:
     sensor = RangeSensor(count, count, sigma_r, positive_skew=1.0, dof=1e4)
 
     def read(view: Any, rng: np.random.Generator) -> np.ndarray:
-        position = np.stack([np.asarray(x) for x in view.position], axis=-1)
+        position = _positions(view)
         distance = np.linalg.norm(position[:, None] - anchors, axis=-1)
         return distance + sigma_r * rng.normal(size=distance.shape)
 
@@ -187,7 +191,7 @@ def fixes() -> System:
     factor = np.linalg.cholesky(np.array(sensor.covariance.value))  # type: ignore[attr-defined]
 
     def read(view: Any, rng: np.random.Generator) -> np.ndarray:
-        position = np.stack([np.asarray(x) for x in view.position], axis=-1)
+        position = _positions(view)
         return position + rng.normal(size=position.shape) @ factor.T
 
     start = Known(_moving, (0.0,) * 6, (0.5,) * 6)

@@ -25,7 +25,7 @@ import tyro
 from experiments.cli.console import progress
 from experiments.reports.tables import aligned
 from sim.line import SITUATIONS, simulate_line
-from trackers.catalogue import spec_of
+from trackers.catalogue import build
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker
 from trackers.core.tunable import Scale, replaced, tunables
@@ -110,7 +110,7 @@ def recordings(tags: int) -> World:
         simulate_line(situation, range(k * tags, (k + 1) * tags)).folder(situation)
         for k, situation in enumerate(SITUATIONS)
     ]
-    (particles,), (grid,) = (spec_of(name).batches(folders, name, False) for name in ("line-pf", "line-grid"))
+    particles, grid = (build(name, folders).only_batch(folders) for name in ("line-pf", "line-grid"))
     return World([batch for _, batch in batches(particles.trajectories)], particles.tracker, grid.tracker)
 
 

@@ -40,7 +40,7 @@ def settled(tracked: TrackedRuns) -> np.ndarray:
 
 
 def expected(results: Results) -> list[ExpectedResult | Conclusion]:
-    """Whether (14) helps, which the paper says and shows no figure of."""
+    """Effect of (14), which the paper claims without a figure, and of the fourth range."""
     found: list[ExpectedResult | Conclusion] = []
     for world in results.study.worlds:
         more = results.difference("settled_rmse_m", world, "with (14)", "trilateration").times(100)

@@ -53,10 +53,10 @@ def carried(ids: np.ndarray, seed: int, size: float, white: float) -> RecordingF
 
 
 _LAST: list[tuple[TrackedRuns, np.ndarray]] = []
-"""The distances found last: every measure asks for the same."""
+"""The distances found last: all measures use the same."""
 
 
-def apart(tracked: TrackedRuns) -> np.ndarray:
+def deviation(tracked: TrackedRuns) -> np.ndarray:
     """The distances (n, T), m, between the constrained estimates and the free Kalman filter's."""
     if not (_LAST and _LAST[0][0] is tracked):
         (group,) = KALMAN.spec.batches([tracked.folder], "Kalman", False)
@@ -70,7 +70,7 @@ def apart(tracked: TrackedRuns) -> np.ndarray:
 
 
 def _sums(tracked: TrackedRuns, slack: float) -> np.ndarray:
-    return np.stack([cusum(t, x, slack) for t, x in zip(tracked.times, apart(tracked), strict=True)])
+    return np.stack([cusum(t, x, slack) for t, x in zip(tracked.times, deviation(tracked), strict=True)])
 
 
 def _largest(slack: float, away: bool) -> Callable[[TrackedRuns], np.ndarray]:

@@ -29,7 +29,7 @@ OUTLIERS, SIZE = 0.02, 1.5
 OUTLIER = np.deg2rad(5.0)
 
 
-def wild(tracked: TrackedRuns) -> np.ndarray:
+def outliers(tracked: TrackedRuns) -> np.ndarray:
     """Fraction (n,) of directions with an error above 5° in either angle."""
     return np.asarray((np.abs(tracked.error).max(axis=-1) > OUTLIER).mean(axis=(1, 2)))
 
@@ -105,7 +105,7 @@ STUDY = Study(
     },
     trackers={"EKF": beam(), "DAS": TrackerConfig("das")},
     runs=100,
-    measures={"wild": wild, "azimuth_rad": _rms(0), "elevation_rad": _rms(1)},
+    measures={"wild": outliers, "azimuth_rad": _rms(0), "elevation_rad": _rms(1)},
     metrics=("rmse_azimuth_rad", "rmse_elevation_rad", "median_direction_rad", "p95_direction_rad", "wild"),
     expected=expected,
     draw=draw,
