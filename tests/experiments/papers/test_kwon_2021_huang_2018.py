@@ -49,9 +49,11 @@ def test_a_study_is_listed_and_can_be_run(name):
 
 
 def test_a_fit_finds_the_parameters_at_which_the_ratios_are_one():
-    found = solved(lambda x: np.array([x[0] * x[1] / 6.0, x[0] / x[1] ** 2 * 3.0]), [1.0, 1.0], rounds=20)
+    found = solved(
+        lambda n: np.array([n["x"] * n["y"] / 6.0, n["x"] / n["y"] ** 2 * 3.0]), {"x": 1.0, "y": 1.0}, rounds=20
+    )
     # x y = 6 and 3 x = y²: y³ = 18; the fit stops at steps of a thousandth.
-    np.testing.assert_allclose(found, [6 / 18 ** (1 / 3), 18 ** (1 / 3)], rtol=2e-3)
+    np.testing.assert_allclose([found["x"], found["y"]], [6 / 18 ** (1 / 3), 18 ** (1 / 3)], rtol=2e-3)
 
 
 def test_fitted_parameters_are_read_as_they_were_written(tmp_path, monkeypatch):
@@ -136,7 +138,7 @@ def test_a_still_tags_fixes_come_of_its_ranges():
     numbers = {k: v for k, v in fitted("kwon_2021/table_4").items() if k != "sigma_a"}
     folder = table_4.still(np.arange(2), 0, **numbers)
     fixes = folder.tables["fixes"]
-    assert len(fixes) == 2 * (table_4.SETTLING + table_4.JUDGED)
+    assert len(fixes) == 2 * (table_4.SETTLING + table_4.SCORED)
     assert set(folder.tables) == {"ranges", "imu", "fixes", "truth"}
     off = fixes.select("x_m", "y_m").to_numpy() - table_4.TAG[:2]
     # Ranges are off by 1 cm, and nothing of it is a bias.
