@@ -33,6 +33,8 @@ from trackers import catalogue
 from trackers.core.recording import Recording
 from trackers.recordings.folder import RecordingFolder
 
+__all__ = ["WORLDS", "SimulatedWorld", "agv", "line", "ranges", "station", "tool"]
+
 Trajectories = Annotated[int, Range(1, 10**7)]
 Seed = Annotated[int, Range(0, 2**63 - 1)]
 Rows = Annotated[int, Range(1, 10**7)]
@@ -253,3 +255,7 @@ WORLDS: Mapping[str, Callable[..., RecordingFolder]] = MappingProxyType(
     {world.__name__: partial(_folder, world) for world in (station, line, ranges, tool, agv)}
 )
 """`make(ids, seed, **numbers)`, a recording folder, by the name of the world in a study."""
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -42,6 +42,7 @@ from trackers.core.motion import (
     GroundMotion,
     Kinematic,
     Placed,
+    draw_log_density,
 )
 from trackers.core.particle.filter import ParticleFilter
 from trackers.core.polyline import Polyline
@@ -172,6 +173,7 @@ __all__ = [
     "Beam",
     "InPlaneBeam",
     "AbstractMotion",
+    "draw_log_density",
     "ConstantPosition",
     "ConstantVelocity",
     "GroundMotion",

@@ -14,7 +14,7 @@ from trackers.core.errors import UnusableInput
 from trackers.line import rows as line
 from trackers.mhk import rows as mhk
 from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.named_tracker import NamedTracker
+from trackers.recordings.named_tracker import NamedTracker, folder_list
 from trackers.recordings.tracker_spec import TrackerSpec
 from trackers.uwb_imu import rows as uwb_imu
 
@@ -44,8 +44,8 @@ def tracker_for(recordings: RecordingFolder | Sequence[RecordingFolder], free_he
 
     Raises UnusableInput where none fits.
     """
-    folder = recordings if isinstance(recordings, RecordingFolder) else recordings[0]
-    return build(fitting(folder), recordings, free_height)
+    folders = folder_list(recordings)
+    return build(fitting(folders[0]), folders, free_height)
 
 
 def fitting(folder: RecordingFolder) -> str:
@@ -62,10 +62,12 @@ def fitting(folder: RecordingFolder) -> str:
 
 def spec_of(name: str) -> TrackerSpec:
     """The entry of a tracker by its name in the catalogue, or a user's own by `FILE.py:NAME`; raises UnusableInput."""
+    if not isinstance(name, str):
+        raise UnusableInput(f'tracker: found {type(name).__name__}; expected a name, as in build("uwb", recording)')
     if name in TRACKERS:
         return TRACKERS[name]
-    file, colon, attribute = name.rpartition(":")
-    if colon and file.endswith(".py"):
+    file, _, attribute = name.rpartition(":") if ":" in name else (name, "", "")
+    if file.endswith(".py"):
         return _from_file(Path(file), attribute)
     raise UnusableInput(f"--tracker {name}: unknown; expected FILE.py:NAME or one of {', '.join(TRACKERS)}")
 
@@ -82,7 +84,8 @@ def _from_file(file: Path, attribute: str) -> TrackerSpec:
     found = getattr(module, attribute, None)
     if not isinstance(found, TrackerSpec):
         mine = ", ".join(k for k, v in vars(module).items() if isinstance(v, TrackerSpec)) or "none"
-        raise UnusableInput(f"{file}: {attribute} is no TrackerSpec; the file's are: {mine}; name one as {file}:NAME")
+        what = f"{attribute} is no TrackerSpec" if attribute else "no TrackerSpec is named"
+        raise UnusableInput(f"{file}: {what}; the file's are: {mine}; name one as {file}:NAME")
     return found
 
 

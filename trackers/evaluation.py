@@ -46,6 +46,8 @@ class Evaluation:
     tracks: list[Metrics]
 
     def __getitem__(self, metric: str) -> Any:
+        if metric not in self.overall:
+            raise KeyError(f"no metric '{metric}'; there are {', '.join(self.overall)}")
         return self.overall[metric]
 
     def to_polars(self) -> pl.DataFrame:
@@ -90,7 +92,15 @@ def associate(estimates: Tracks | Estimates | pl.DataFrame, recordings: OneOrMor
 
 
 def _several(recordings: OneOrMore) -> list[RecordingFolder | Recording]:
-    return [recordings] if isinstance(recordings, (RecordingFolder, Recording)) else list(recordings)
+    listed = (
+        [recordings] if isinstance(recordings, (RecordingFolder, Recording, Tracks, Estimates)) else list(recordings)
+    )
+    wrong = next((x for x in listed if not isinstance(x, (RecordingFolder, Recording))), None)
+    if wrong is not None:
+        raise UnusableInput(
+            f"evaluate: found {type(wrong).__name__} for the recordings; expected evaluate(estimates, recordings)"
+        )
+    return [x for x in listed if isinstance(x, (RecordingFolder, Recording))]
 
 
 def _truths(recordings: OneOrMore) -> dict[str, pl.DataFrame]:

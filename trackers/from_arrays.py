@@ -1,7 +1,7 @@
 """Recordings from NumPy arrays that a user holds: fixes, ranges, bearings and phases, for trackers that run on arrays.
 
 Everywhere: `times` (T,) s in ascending order; NaN marks a missing value; `height` m is the tag's constant height where it
-is known; `truth` (T, 3) m is the true position, NaN where it is unknown. Raises ValueError, naming what does not fit.
+is known; `truth` (T, 3) m, or (T, 2) over the floor, is the true position, NaN where it is unknown. Raises ValueError, naming what does not fit.
 """
 
 from __future__ import annotations
@@ -40,7 +40,9 @@ def fix_recording(
     if height is not None:
         seen[:, 2] = False
     variances = np.zeros(values.shape) if std is None else np.nan_to_num(_like("std", std, values)) ** 2
-    return Recording(times, {FIXES: Readings(values, seen, variances)}, _height(times, height), _truth(truth), name)
+    return Recording(
+        times, {FIXES: Readings(values, seen, variances)}, _height(times, height), _truth(truth, len(times)), name
+    )
 
 
 def range_recording(
@@ -72,7 +74,7 @@ def range_recording(
         row, number = np.nonzero(kept)
         times, table = np.asarray(times, float)[row], table[kept]
         std = None if std is None else _like("std", std, kept)[kept]
-        truth = None if truth is None else np.asarray(truth, float)[row]
+        truth = None if truth is None else _rows_of(truth, row, len(kept))
     else:
         number = np.asarray(anchor, int)
         if table.ndim != 1 or number.shape != table.shape or not np.all((number >= 0) & (number < len(anchors))):
@@ -85,7 +87,7 @@ def range_recording(
     variances = np.zeros(values.shape) if std is None else np.nan_to_num(_like("std", std, table))[:, None] ** 2
     inputs = range_inputs(np.asarray(times, float), values[:, 0], seen[:, 0], number, anchors, height)
     readings = {RANGES: Readings(values, seen, variances)}
-    return Recording(times, readings, inputs | _height(times, height), _truth(truth), name)
+    return Recording(times, readings, inputs | _height(times, height), _truth(truth, len(times)), name)
 
 
 def bearing_recording(
@@ -119,7 +121,7 @@ def bearing_recording(
     )
     inputs = {"origin": where[:, :3], "axes": where[:, 3:], "nearby": nearby}
     readings = {BEARINGS: Readings(values, seen, reported)}
-    return Recording(times, readings, inputs | _height(times, height), _truth(truth), name)
+    return Recording(times, readings, inputs | _height(times, height), _truth(truth, len(times)), name)
 
 
 def phase_recording(
@@ -135,7 +137,7 @@ def phase_recording(
     One station under the name that `beam_tracker` was given suits that one.
     """
     readings = {key: Readings(*_masked(f"phases['{key}']", values, len(times))) for key, values in phases.items()}
-    return Recording(times, readings, _height(times, height), _truth(truth), name)
+    return Recording(times, readings, _height(times, height), _truth(truth, len(times)), name)
 
 
 def _masked(what: str, values: np.ndarray, rows: int) -> tuple[np.ndarray, np.ndarray]:
@@ -158,13 +160,21 @@ def _like(what: str, values: np.ndarray, other: np.ndarray) -> np.ndarray:
     return values
 
 
+def _rows_of(truth: np.ndarray, row: np.ndarray, rows: int) -> np.ndarray:
+    if len(truth) != rows:
+        raise ValueError(f"truth has {len(truth)} rows; expected {rows}, one for each time")
+    return np.asarray(truth, float)[row]
+
+
 def _height(times: np.ndarray, height: float | None) -> dict[str, np.ndarray]:
     return {"height": np.full(len(times), 0.0 if height is None else height)}
 
 
-def _truth(truth: np.ndarray | None) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def _truth(truth: np.ndarray | None, rows: int) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     if truth is None:
         return {}
     values = np.asarray(truth, float)
+    if values.ndim != 2 or values.shape[0] != rows or values.shape[1] not in (2, 3):
+        raise ValueError(f"truth has shape {values.shape}; expected ({rows}, 3), or ({rows}, 2) over the floor")
     known = np.isfinite(values).all(axis=-1)
     return {"position": (np.where(known[:, None], values, 0.0), known)}

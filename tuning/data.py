@@ -89,6 +89,10 @@ def fit_arrays(
 ) -> FitArrays:
     """Tracker, batches and objective of a fit, from what `tuning.fit` takes; raises ValueError and UnusableInput."""
     if isinstance(tracker, NamedTracker):
+        if tracker.smoothed:
+            raise UnusableInput(
+                "a smoother has the filter's numbers: fit the filter, then use result.tracker.smoothing()"
+            )
         training, apart = (
             [folders] if isinstance(folders, RecordingFolder) else list(folders) for folders in (recordings, held_out)
         )

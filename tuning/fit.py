@@ -41,7 +41,7 @@ class Step:
     values: dict[str, Any]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class FitResult(Generic[AnyTracker]):
     """A tuned tracker, its uncertainty and the optimiser trace.
 
@@ -64,6 +64,15 @@ class FitResult(Generic[AnyTracker]):
     before: AbstractTracker
     trace: list[Step] = field(default_factory=list)
     starts: list[list[Step]] = field(default_factory=list)
+
+    def __repr__(self) -> str:
+        lines = [f"<FitResult: objective {self.start_value:.5g} -> {self.value:.5g}, {self.filter_runs} filter runs"]
+        errors = self.standard_errors
+        for p in self.parameters:
+            value, error = np.asarray(self.values[p.label]), np.asarray(errors[p.label])
+            shown = f"{value:.4g} ± {error:.2g}" if value.ndim == 0 else np.array2string(value, precision=4)
+            lines.append(f"  {p.label} {shown} {p.example.unit}")
+        return "\n".join(lines) + ">"
 
     @property
     def standard_errors(self) -> dict[str, Any]:

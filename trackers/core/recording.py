@@ -28,7 +28,7 @@ class Readings:
     reported: np.ndarray | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Recording:
     """One trajectory's rows.
 
@@ -96,6 +96,13 @@ class Recording:
 
     def __len__(self) -> int:
         return len(self.times)
+
+    def __repr__(self) -> str:
+        sensors = ", ".join(f"{name} ({np.shape(r.values)[1]})" for name, r in self.readings.items())
+        truth = f"; truth of {', '.join(self.truth)}" if self.truth else ""
+        return (
+            f"<Recording '{self.name}': {len(self)} rows, {self.times[0]:g} to {self.times[-1]:g} s; {sensors}{truth}>"
+        )
 
 
 class Batch(NamedTuple):

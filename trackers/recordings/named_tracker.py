@@ -40,7 +40,7 @@ class NamedTracker:
     @classmethod
     def of(cls, name: str, spec: TrackerSpec, recordings: Recordings, free_height: bool = False) -> NamedTracker:
         """The tracker of an entry for recordings; raises UnusableInput for a recording that lacks what it reads."""
-        groups = spec.batches(_several(recordings), name, free_height)
+        groups = spec.batches(folder_list(recordings), name, free_height)
         if not groups:
             raise UnusableInput(f"tracker '{name}': no trajectory in the recordings; expected one tag at least")
         return cls(name, spec, groups[0].tracker, free_height)
@@ -54,7 +54,7 @@ class NamedTracker:
 
     def batches(self, recordings: Recordings) -> list[TrackerBatch]:
         """The trajectories of the recordings and the trackers that run them, with this tracker's numbers."""
-        groups = self.spec.batches(_several(recordings), self.name, self.free_height)
+        groups = self.spec.batches(folder_list(recordings), self.name, self.free_height)
         return [dataclasses.replace(group, tracker=self._finished(group.tracker)) for group in groups]
 
     def only_batch(self, recordings: Recordings) -> TrackerBatch:
@@ -105,12 +105,18 @@ class NamedTracker:
         return f"<tracker {self.name}: {self.spec.about}{smoothed}; tunables {', '.join(self.tunables)}>"
 
 
-def _several(recordings: Recordings) -> list[RecordingFolder]:
-    folders = [recordings] if isinstance(recordings, RecordingFolder) else list(recordings)
+def folder_list(recordings: Recordings) -> list[RecordingFolder]:
+    """One recording folder or several as a list; raises UnusableInput for anything else."""
+    folders: list[Any]
+    try:
+        folders = [recordings] if isinstance(recordings, RecordingFolder) else list(recordings)
+    except TypeError:
+        folders = [recordings]
     wrong = next((x for x in folders if not isinstance(x, RecordingFolder)), None)
     if not folders or wrong is not None:
         raise UnusableInput(
             f"found {'nothing' if wrong is None else type(wrong).__name__}; expected one or more recording folders, as "
-            "`read` and `read_all` return them; arrays are run by the tracker itself, as `range_tracker(4).run`"
+            "`read`, `read_all` and `world.folder()` return them; recordings in arrays are run by a tracker of arrays, as "
+            "`range_tracker(4).run`"
         )
     return folders
