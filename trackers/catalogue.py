@@ -33,8 +33,8 @@ def build(
 ) -> NamedTracker:
     """The tracker of this name for recordings; `name` is one of the catalogue's or `FILE.py:NAME` of a `TrackerSpec`.
 
-    `free_height`: estimate the height of tags even where rig.toml gives it. Raises UnusableInput for an unknown name and
-    for a recording that lacks what the tracker reads.
+    `free_height`: estimate the height of tags even where rig.toml gives it. Raises UnusableInput for an unknown name
+    and for a recording that lacks what the tracker reads.
     """
     return NamedTracker.of(name, spec_of(name), recordings, free_height)
 

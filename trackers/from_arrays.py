@@ -1,7 +1,8 @@
 """Recordings from NumPy arrays that a user holds: fixes, ranges, bearings and phases, for trackers that run on arrays.
 
-Everywhere: `times` (T,) s in ascending order; NaN marks a missing value; `height` m is the tag's constant height where it
-is known; `truth` (T, 3) m, or (T, 2) over the floor, is the true position, NaN where it is unknown. Raises ValueError, naming what does not fit.
+Everywhere: `times` (T,) s in ascending order; NaN marks a missing value; `height` m is the tag's constant height where
+it is known; `truth` (T, 3) m, or (T, 2) over the floor, is the true position, NaN where it is unknown. All raise
+ValueError for arrays that do not fit each other.
 """
 
 from __future__ import annotations
@@ -68,7 +69,7 @@ def range_recording(
     if anchor is None:
         if table.ndim != 2 or table.shape[1] != len(anchors):
             raise ValueError(
-                f"ranges have shape {table.shape}; expected (T, {len(anchors)}), one column per anchor, or (T,) with anchor="
+                f"ranges have shape {table.shape}; expected (T, {len(anchors)}), a column per anchor, or (T,) and anchor="
             )
         kept = np.isfinite(table)
         row, number = np.nonzero(kept)
@@ -101,15 +102,15 @@ def bearing_recording(
     truth: np.ndarray | None = None,
     name: str = "recording",
 ) -> Recording:
-    """Azimuth and elevation, `bearings` (T, 2) rad, one pair per row from the `station` (T,) named; for `bearing_tracker`.
+    """Azimuth and elevation, `bearings` (T, 2) rad, one pair per row, for `bearing_tracker`.
 
-    `std`: (T, 2) rad.
+    `station`: (T,) the name of each row's station. `std`: (T, 2) rad.
     """
     unknown = sorted(set(station) - set(stations))
     if unknown or len(station) != len(times):
         raise ValueError(
-            f"station has {len(station)} names, unknown among them: {', '.join(unknown) or 'none'}; expected {len(times)} "
-            f"of {', '.join(stations)}"
+            f"station has {len(station)} names, unknown among them: {', '.join(unknown) or 'none'}; expected "
+            f"{len(times)} of {', '.join(stations)}"
         )
     values, seen = _masked("bearings", bearings, len(times))
     geometry = {key: bearing_inputs(s) for key, s in stations.items()}
@@ -132,7 +133,7 @@ def phase_recording(
     truth: np.ndarray | None = None,
     name: str = "recording",
 ) -> Recording:
-    """Phases (T, n) rad of the antennas of each station, by the stations' names, for `direct_tracker`, `cascade_tracker`.
+    """Phases (T, n) rad of the antennas of each station by name, for `direct_tracker` and `cascade_tracker`.
 
     One station under the name that `beam_tracker` was given suits that one.
     """

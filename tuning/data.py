@@ -113,7 +113,7 @@ def _batches(recordings: Arrays) -> list[Batch]:
     if len(found) != len(listed):
         kinds = ", ".join(sorted({type(x).__name__ for x in listed}))
         raise ValueError(
-            f"fit: found {kinds}; expected Recordings or Batches; recording folders are fitted by a tracker by name, as "
+            f"fit: found {kinds}; expected Recordings or Batches; recording folders need a tracker by name, as "
             "`build` and `tracker_for` return it"
         )
     return [stack(found)] if found else []
@@ -122,7 +122,7 @@ def _batches(recordings: Arrays) -> list[Batch]:
 def _array_objective(
     objective: str | AbstractObjective, tracker: AbstractTracker, rows: Sequence[Batch]
 ) -> AbstractObjective:
-    """The objective by name for recordings in arrays: of the quantity whose truth they have, in the state's dimensions."""
+    """The objective by name for recordings in arrays: of the quantity of their truth, in the state's dimensions."""
     if not isinstance(objective, str):
         return objective
     quantity = next(iter(rows[0].truth), "position")

@@ -76,8 +76,8 @@ def raw_positions(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
 def fit_path_truth(folder: RecordingFolder) -> tuple[RecordingFolder, dict[str, KnotTimes]]:
     """The recording with a truth table fitted along its known path by least squares, and the knot times of each tag.
 
-    Every tag travels once from the first to the last knot, at a constant speed on each segment, with rests at the knots.
-    Raises UnusableInput where the rig has no path, for a recording without fixes or ranges, and for too short a one.
+    Every tag travels once from the first to the last knot, at a constant speed on each segment, with rests at the
+    knots. Raises UnusableInput for a rig without a path, without fixes or ranges, and for too short a recording.
     """
     path_of(folder)
     where = folder.path or folder.name

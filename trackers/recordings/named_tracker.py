@@ -24,8 +24,8 @@ class NamedTracker:
 
     `tracker`: the tracker of the first trajectory of the recordings it was made for. `values`: physical numbers by
     tunable name or shell pattern that replace the defaults in every recording; `source`: where they come from, for
-    messages. `smoothed`: whether each row uses the later rows, too, `lag` seconds of them or all. A recording with other
-    stations or anchors gets a tracker of its own geometry with the same numbers.
+    messages. `smoothed`: whether each row uses the later rows, too, `lag` seconds of them or all. A recording with
+    other stations or anchors gets a tracker of its own geometry with the same numbers.
     """
 
     name: str
@@ -76,7 +76,7 @@ class NamedTracker:
         return tunables(self.tracker)
 
     def with_values(self, values: Mapping[str, Any], source: object = "values") -> NamedTracker:
-        """This tracker with other physical numbers by tunable name or pattern; raises UnusableInput if they don't fit."""
+        """This tracker with other values by tunable name or pattern; raises UnusableInput where they do not fit."""
         found = with_values(self.tracker, values, source)
         return dataclasses.replace(self, tracker=found, values={**self.values, **values}, source=str(source))
 
@@ -116,7 +116,7 @@ def folder_list(recordings: Recordings) -> list[RecordingFolder]:
     if not folders or wrong is not None:
         raise UnusableInput(
             f"found {'nothing' if wrong is None else type(wrong).__name__}; expected one or more recording folders, as "
-            "`read`, `read_all` and `world.folder()` return them; recordings in arrays are run by a tracker of arrays, as "
-            "`range_tracker(4).run`"
+            "`read`, `read_all` and `world.folder()` return them; recordings in arrays are run by a tracker of arrays, "
+            "as `range_tracker(4).run`"
         )
     return folders

@@ -44,8 +44,8 @@ class TrackerSpec:
     `geometry(trajectory)`: the part of the installation that is built into the tracker; trajectories that agree in
     it and in `planar` run as one batch. `planar(trajectory, free_height)`: whether the state lies in a plane.
     `automatic(folder)`: whether the tracker may be chosen for a folder that it fits when none is named.
-    `bearing_only`: it estimates directions, not positions. `on_path`: its estimates lie on the rig's known path, so that
-    leaving the path is an event.
+    `bearing_only`: it estimates directions, not positions. `on_path`: its estimates lie on the rig's known path, so
+    that leaving the path is an event.
     """
 
     about: str

@@ -40,7 +40,8 @@ class Tracks:
     def __repr__(self) -> str:
         count = sum(self.summaries.values())
         ended = ", ".join(f"{n} {words}" for words, n in self.summaries.items())
-        return f"<Tracks: {len(self.table)} estimates of {count} {'trajectory' if count == 1 else 'trajectories'}: {ended}>"
+        noun = "trajectory" if count == 1 else "trajectories"
+        return f"<Tracks: {len(self.table)} estimates of {count} {noun}: {ended}>"
 
 
 def batches(trajectories: Sequence[Trajectory]) -> list[tuple[list[Trajectory], Batch]]:
