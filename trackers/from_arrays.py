@@ -69,7 +69,7 @@ def range_recording(
     if anchor is None:
         if table.ndim != 2 or table.shape[1] != len(anchors):
             raise ValueError(
-                f"ranges have shape {table.shape}; expected (T, {len(anchors)}), a column per anchor, or (T,) and anchor="
+                f"ranges have shape {table.shape}; expected (T, {len(anchors)}), one per anchor, or (T,) and anchor="
             )
         kept = np.isfinite(table)
         row, number = np.nonzero(kept)
