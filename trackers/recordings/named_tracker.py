@@ -25,7 +25,8 @@ class NamedTracker:
     `tracker`: the tracker of the first trajectory of the recordings it was made for. `values`: physical numbers by
     tunable name or shell pattern that replace the defaults in every recording; `source`: where they come from, for
     messages. `smoothed`: whether each row uses the later rows, too, `lag` seconds of them or all. A recording with
-    other stations or anchors gets a tracker of its own geometry with the same numbers.
+    other stations or anchors gets a tracker of its own geometry with the same numbers. `made_for`: the recordings that
+    it was made for and their rows, which are made only once.
     """
 
     name: str
@@ -36,14 +37,16 @@ class NamedTracker:
     source: str = "values"
     smoothed: bool = False
     lag: float | None = None
+    made_for: tuple[list[RecordingFolder], list[TrackerBatch]] = field(default_factory=lambda: ([], []))
 
     @classmethod
     def of(cls, name: str, spec: TrackerSpec, recordings: Recordings, free_height: bool = False) -> NamedTracker:
         """The tracker of an entry for recordings; raises UnusableInput for a recording that lacks what it reads."""
-        groups = spec.batches(folder_list(recordings), name, free_height)
+        folders = folder_list(recordings)
+        groups = spec.batches(folders, name, free_height)
         if not groups:
             raise UnusableInput(f"tracker '{name}': no trajectory in the recordings; expected one tag at least")
-        return cls(name, spec, groups[0].tracker, free_height)
+        return cls(name, spec, groups[0].tracker, free_height, made_for=(folders, groups))
 
     def run(self, recordings: Recordings, advance: Callable[[int], None] = lambda done: None) -> Tracks:
         """The estimates of every tag of one recording or several; `advance` gets the number of trajectories done.
@@ -54,7 +57,11 @@ class NamedTracker:
 
     def batches(self, recordings: Recordings) -> list[TrackerBatch]:
         """The trajectories of the recordings and the trackers that run them, with this tracker's numbers."""
-        groups = self.spec.batches(folder_list(recordings), self.name, self.free_height)
+        folders = folder_list(recordings)
+        own, groups = self.made_for
+        # Rows of long recordings take longer to make than to filter.
+        if len(folders) != len(own) or any(a is not b for a, b in zip(folders, own, strict=True)):
+            groups = self.spec.batches(folders, self.name, self.free_height)
         return [dataclasses.replace(group, tracker=self._finished(group.tracker)) for group in groups]
 
     def only_batch(self, recordings: Recordings) -> TrackerBatch:

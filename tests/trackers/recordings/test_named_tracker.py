@@ -31,6 +31,13 @@ def test_one_recording_or_several_run_by_name_and_give_a_table_of_all_tags(track
     assert tracks.table.filter(pl.col("recording") == "agv 0").drop("recording").equals(alone.drop("recording"))
 
 
+def test_the_rows_of_the_recordings_it_was_made_for_are_made_once(tracker, folders):
+    (first,), (again,) = tracker.batches(folders), tracker.batches(list(folders))
+    assert all(a is b for a, b in zip(first.trajectories, again.trajectories, strict=True))
+    (other,) = tracker.batches(folders[::-1])
+    assert other.trajectories[0] is not first.trajectories[-1]
+
+
 def test_the_tables_of_a_recording_choose_the_tracker(folders):
     assert tw.tracker_for(folders).name == "fix-kf"
     assert "sensors.fixes.sigma_horizontal" in tw.tracker_for(folders[0]).tunables
