@@ -49,7 +49,8 @@ def _names(file: TableFile) -> list[str]:
         first = names.index(name)
         if first < row:
             raise UnusableInput(
-                f"{file.location(row, 'name')}: '{name[:40]}' duplicates row {first + 1}; expected unique names; "
+                f"{file.location(row, 'name')}: '{name[:40]}' is a duplicate of row {first + 1}; "
+                "expected unique names; "
                 "rename one"
             )
     return names
