@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from trackers.core.algebra import total
-from trackers.core.ekf import Gaussian
+from trackers.core.filter import Gaussian
 from trackers.core.recording import Readings, Recording
 from trackers.core.sensor import AbstractSensor, Channel, independent
 from trackers.core.start import AbstractStart

@@ -29,9 +29,10 @@ from trackers.catalogue import TRACKERS, build, tracker_for
 from trackers.core.algebra import Vector, diagonal
 from trackers.core.checks import BrokenContract, check_motion, check_sensor
 from trackers.core.crlb import posterior_bound
-from trackers.core.ekf import ExtendedKalman, Gaussian
+from trackers.core.ekf import ExtendedKalman
 from trackers.core.errors import UnusableInput
 from trackers.core.estimates import Estimates, Status
+from trackers.core.filter import Gaussian
 from trackers.core.imm import InteractingModels, SwitchingMotion
 from trackers.core.metrics import bias, consistency, coverage, error_metrics, nees, rmse, time_lost
 from trackers.core.motion import (

@@ -143,7 +143,9 @@ def _row(model: Any, vector: Any, carried: Carry, row: Row) -> Carry:
 
 def _pairs(tracker: Tracker, before: Any, after: Any, row: Row) -> Any:
     """log p (N, N) of every state after (rows) given every state before; for dt = 0 a state stays the same."""
-    potential, motion = tracker.filter.potential, tracker.motion
+    particle_filter, motion = tracker.filter, tracker.motion
+    assert isinstance(particle_filter, ParticleFilter)
+    potential = particle_filter.potential
 
     def density(old: Any, new: Any) -> Any:
         moved = transition_log_density(motion, old, new, row.inputs, jnp.where(row.dt > 0, row.dt, 1.0))

@@ -13,7 +13,6 @@ import numpy as np
 from trackers.core.chunks import CHUNK, as_dtype, chunks, run_chunks
 from trackers.core.particle.filter import ParticleFilter
 from trackers.core.recording import Batch
-from trackers.core.scan import has_particle_axis
 from trackers.core.tracker import AbstractTracker, Tracker
 from tuning.objectives import AbstractObjective
 from tuning.parameters import Parameter, with_parameters
@@ -174,7 +173,7 @@ def is_stochastic(tracker: AbstractTracker) -> bool:
 
 def has_particles(tracker: AbstractTracker) -> bool:
     """Whether the filter's belief has an axis of particles or grid cells."""
-    return isinstance(tracker, Tracker) and has_particle_axis(tracker)
+    return isinstance(tracker, Tracker) and tracker.filter.has_particle_axis
 
 
 def fresh_keys(part: Batch, realisation: int) -> Batch:

@@ -85,7 +85,7 @@ def _ours(fifteen: bool) -> dict[str, Any]:
 
     from trackers.core.algebra import Vector, diagonal
     from trackers.core.chunks import CHUNK, as_dtype, chunks, run_chunks
-    from trackers.core.ekf import Gaussian
+    from trackers.core.filter import Gaussian
     from trackers.core.recording import Batch
     from trackers.core.sensor import Reading
     from trackers.core.start import AbstractStart

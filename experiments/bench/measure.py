@@ -19,7 +19,7 @@ from trackers.aoa.beam import Beam, beam_tracker
 from trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
 from trackers.core.algebra import diagonal
 from trackers.core.chunks import CHUNK, as_dtype, chunks, jitted, run_chunks
-from trackers.core.ekf import Gaussian
+from trackers.core.filter import Gaussian
 from trackers.core.recording import Batch
 from trackers.core.rig import Station
 from trackers.core.sensor import Reading

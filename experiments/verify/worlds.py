@@ -12,7 +12,7 @@ from jax.scipy.special import ndtr
 from experiments.verify.corridor import CORRIDOR, SIGMA_FIX, SIGMA_MOVE, START, corridor_fixes, rectangle
 from experiments.verify.wrong_estimators import Naive, Reparameterised
 from trackers.core.algebra import Scalar, Vector, diagonal
-from trackers.core.ekf import Gaussian
+from trackers.core.filter import Gaussian
 from trackers.core.motion import ConstantPosition, Noise, Placed
 from trackers.core.particle.filter import ParticleFilter, Particles
 from trackers.core.polyline import Polyline

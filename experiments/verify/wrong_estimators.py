@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar, Vector, cholesky, total, triangle
-from trackers.core.ekf import Gaussian
+from trackers.core.filter import Gaussian
 from trackers.core.motion import AbstractMotion
 from trackers.core.particle.filter import ParticleFilter, Particles
 from trackers.core.particle.random import draws

@@ -11,7 +11,7 @@ import numpy as np
 from trackers.aoa.beamformer import Grid, delay_and_sum, strongest
 from trackers.aoa.phases import InPlanePhases, PlanePhases
 from trackers.core.algebra import Scalar, Vector, diagonal
-from trackers.core.ekf import Gaussian
+from trackers.core.filter import Gaussian
 from trackers.core.motion import AbstractMotion, Noise
 from trackers.core.recording import Row
 from trackers.core.rig import Station

@@ -14,7 +14,7 @@ from trackers.aoa.fusion import region_centre
 from trackers.aoa.phases import SphericalPhases
 from trackers.aoa.rays import nearest_to_rays, unit_vector
 from trackers.core.algebra import Scalar, Vector, diagonal, total
-from trackers.core.ekf import Gaussian
+from trackers.core.filter import Gaussian
 from trackers.core.motion import ConstantVelocity, Kinematic, Noise
 from trackers.core.recording import Row
 from trackers.core.rig import Station

@@ -18,9 +18,11 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 
 from trackers.core.algebra import Scalar, full
-from trackers.core.imm import AbstractSwitching, InteractingModels, Mixture, SwitchingMotion
+from trackers.core.ekf import ExtendedKalman
+from trackers.core.imm import AbstractInteractingModels, AbstractSwitching, InteractingModels, Mixture, SwitchingMotion
 from trackers.core.motion import GroundMotion, Noise
 from trackers.core.recording import Row
 from trackers.core.sensor import AbstractSensor, Channel
@@ -76,17 +78,21 @@ class MirrorSensor(AbstractFixSensor, AbstractSwitching):
         return [[sigma.value**2 if i == j else 0.0 for j in range(4)] for i, sigma in enumerate(sigmas)]
 
 
-class MirrorModels(InteractingModels):
+class MirrorModels(AbstractInteractingModels):
     """IMM filter whose modes switch near the anchors' plane only, at `switching_rate`, 1/s, in the plane.
 
     Away from it the rate is scaled by exp(−(z − h)²/2(P + reach²)) with the height's variance P and `reach` m; mixing
     branches that are metres apart would bias both. Input: `plane`, h, m.
     """
 
+    switching_rate: Noise
+    mode_prior: Noise
+    filter: ExtendedKalman
     reach: Noise
 
     def __init__(self, switching_rate: float, mode_prior: Sequence[float], reach: float):
-        super().__init__(switching_rate, mode_prior)
+        self.filter = ExtendedKalman()
+        self.switching_rate, self.mode_prior = Scale(switching_rate, "1/s"), Scale(np.asarray(mode_prior, float))
         self.reach = Scale(reach, "m")
 
     def switching_rates(self, belief: Mixture, inputs: Any) -> list[Scalar]:

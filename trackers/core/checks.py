@@ -15,7 +15,8 @@ import numpy as np
 
 from trackers.core.algebra import Scalar, Vector, densify
 from trackers.core.density_integral import integral
-from trackers.core.ekf import ExtendedKalman, Gaussian
+from trackers.core.ekf import ExtendedKalman
+from trackers.core.filter import Gaussian
 from trackers.core.linearise import linearise
 from trackers.core.motion import AbstractMotion
 from trackers.core.sensor import AbstractSensor, Reading, Residual

@@ -15,9 +15,8 @@ density that is a t of the same ν and scale √s.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 
 from trackers.core.algebra import (
@@ -33,6 +32,7 @@ from trackers.core.algebra import (
     total,
     triangle,
 )
+from trackers.core.filter import AbstractSmoothableFilter, Gaussian, Innovation
 from trackers.core.linearise import linearise
 from trackers.core.motion import AbstractMotion
 from trackers.core.rts import RtsGain, rts_gain, rts_step
@@ -40,23 +40,7 @@ from trackers.core.sensor import AbstractSensor, Reading
 from trackers.core.state import State, coordinates, local_after, retract
 
 
-class Gaussian(NamedTuple):
-    """A Gaussian belief: the mean state and the covariance of the small step about it, upper triangle row by row."""
-
-    mean: State
-    cov: tuple[Scalar, ...]
-
-
-class Innovation(NamedTuple):
-    """Statistics of one reading: log-likelihood, NIS and its degrees of freedom, number of ambiguous wraps."""
-
-    log_likelihood: Scalar
-    nis: Scalar
-    nis_dof: Scalar
-    wrapped: Scalar
-
-
-class ExtendedKalman(eqx.Module):
+class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
     """The extended Kalman filter: motion and sensors are linearised at the current mean."""
 
     def init(self, belief: Gaussian, key: Any) -> Gaussian:

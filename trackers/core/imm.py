@@ -25,7 +25,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.core.algebra import Scalar, Vector, compute_once, total, triangle
-from trackers.core.ekf import ExtendedKalman, Gaussian, Innovation
+from trackers.core.ekf import ExtendedKalman
+from trackers.core.filter import AbstractSmoothableFilter, Gaussian, Innovation
 from trackers.core.motion import AbstractMotion, Noise
 from trackers.core.rts import RtsGain
 from trackers.core.sensor import AbstractSensor, Reading
@@ -89,31 +90,27 @@ class SwitchingMotion(AbstractMotion, AbstractSwitching):
         return self.modes[mode]
 
 
-class InteractingModels(eqx.Module):
-    """The interacting-multiple-model filter with the mode transition of the module's head.
+class AbstractInteractingModels(AbstractSmoothableFilter[Mixture]):
+    """An interacting-multiple-model filter with the mode transition of the module's head.
 
     `switching_rate`: 1/s. `mode_prior` (K,): the modes' long-run probabilities, up to a factor. Estimates are the
     mixture's mean and covariance; the log-likelihood is the mixture's; the NIS is the probability-weighted mean of the
     modes' NIS.
     """
 
-    switching_rate: Noise
-    mode_prior: Noise
-    filter: ExtendedKalman
+    switching_rate: eqx.AbstractVar[Noise]
+    mode_prior: eqx.AbstractVar[Noise]
+    filter: eqx.AbstractVar[ExtendedKalman]
 
-    def __init__(self, switching_rate: float, mode_prior: Sequence[float]):
-        self.filter = ExtendedKalman()
-        self.switching_rate, self.mode_prior = Scale(switching_rate, "1/s"), Scale(np.asarray(mode_prior, float))
+    @abstractmethod
+    def switching_rates(self, belief: Mixture, inputs: Any) -> list[Scalar]:
+        """The switching rate of each mode, 1/s."""
 
     def prior(self) -> list[Scalar]:
         """The modes' long-run probabilities π, with sum 1."""
         factors = [self.mode_prior.value[k] for k in range(self.mode_prior.value.shape[0])]
         norm = total(factors)
         return [x / norm for x in factors]
-
-    def switching_rates(self, belief: Mixture, inputs: Any) -> list[Scalar]:
-        """The switching rate of each mode, 1/s: one for all here."""
-        return [self.switching_rate.value] * len(belief.components)
 
     def init(self, belief: Gaussian, key: Any) -> Mixture:
         """All modes at the same Gaussian, with their prior probabilities; `key` is unused."""
@@ -210,6 +207,21 @@ class InteractingModels(eqx.Module):
             components.append(compute_once(smoothed))
             log_weights.append(jnp.where(rts_gain.connected, jnp.log(probability), rts_gain.filtered.log_weights[i]))
         return Mixture(tuple(components), tuple(log_weights))
+
+
+class InteractingModels(AbstractInteractingModels):
+    """The interacting-multiple-model filter with one switching rate, 1/s, for all modes."""
+
+    switching_rate: Noise
+    mode_prior: Noise
+    filter: ExtendedKalman
+
+    def __init__(self, switching_rate: float, mode_prior: Sequence[float]):
+        self.filter = ExtendedKalman()
+        self.switching_rate, self.mode_prior = Scale(switching_rate, "1/s"), Scale(np.asarray(mode_prior, float))
+
+    def switching_rates(self, belief: Mixture, inputs: Any) -> list[Scalar]:
+        return [self.switching_rate.value] * len(belief.components)
 
 
 def collapsed(components: Sequence[Gaussian], weights: Sequence[Scalar]) -> Gaussian:

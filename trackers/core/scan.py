@@ -15,6 +15,7 @@ import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar, mark_dependent
 from trackers.core.estimates import Status
+from trackers.core.filter import AbstractFilter
 from trackers.core.recording import Batch, Row
 from trackers.core.select import select
 from trackers.core.sensor import AbstractSensor
@@ -68,28 +69,32 @@ class RecursiveTracker(Protocol):
     @property
     def start(self) -> AbstractStart: ...
     @property
-    def filter(self) -> Any: ...
+    def filter(self) -> AbstractFilter[Any]: ...
     def step(self, carry: Carry, row: Row) -> tuple[Carry, StepInfo]: ...
 
 
 def scan_rows(
-    tracker: RecursiveTracker, batch: Batch, score: Score | None = None
+    tracker: RecursiveTracker,
+    batch: Batch,
+    score: Score | None = None,
+    moments: Callable[[Any], tuple[Any, tuple[Scalar, ...]]] | None = None,
 ) -> tuple[tuple[Any, ...], Output | None]:
     """All time steps of one chunk, batch-last: the outputs of every step, or with a `score` its sums over time.
 
-    Returns (sums, None) with a score, ((), outputs) without.
+    `moments`: mean and covariance of an output from the belief of one trajectory, by default the filter's. Returns
+    (sums, None) with a score, ((), outputs) without.
     """
     size, trajectory_keys = batch.size, jnp.asarray(batch.key)
     rows = Row(batch.dt, batch.valid, batch.readings, batch.inputs, None, jnp.arange(len(batch.dt), dtype=jnp.uint32))
     axes = carry_axes(tracker)
     step = jax.vmap(tracker.step, in_axes=(axes, -1), out_axes=(axes, -1))
-    moments = jax.vmap(tracker.filter.moments, in_axes=axes.belief, out_axes=-1)
+    every_moments = jax.vmap(moments or tracker.filter.moments, in_axes=axes.belief, out_axes=-1)
 
     def one_row(carry: Carry, row: Row) -> tuple[Carry, Output]:
         row = row._replace(key=trajectory_keys, number=jnp.broadcast_to(row.number, (size,)))
         carry, info = step(carry, row)
         carry, info = reinitialise(tracker, carry, row, info)
-        mean, cov = moments(carry.belief)
+        mean, cov = every_moments(carry.belief)
         return carry, Output(mean, cov, *info)
 
     def body(state: tuple[Carry, tuple[Any, ...]], inputs: tuple[Row, Any]) -> tuple[Any, Output | None]:
@@ -108,23 +113,18 @@ def scan_rows(
         # The shapes of the score come from an empty output: tracing one more step takes seconds for large states.
         zero = jnp.zeros_like(first_row.dt)
         info = StepInfo(zero, zero, zero, zero, zero.astype(jnp.int8))
-        mean, cov = moments(empty.belief)
+        mean, cov = every_moments(empty.belief)
         shapes = jax.eval_shape(lambda: score(Output(mean, cov, *info), first_truth))
         sums = tuple(jnp.zeros(s.shape, s.dtype) for s in shapes)
     # Particles have no derivative, so that nothing is marked as dependent.
-    initial = (empty, sums) if has_particle_axis(tracker) else mark_dependent((empty, sums), tracker)
+    initial = (empty, sums) if tracker.filter.has_particle_axis else mark_dependent((empty, sums), tracker)
     (_, sums), outputs = jax.lax.scan(body, initial, (rows, batch.truth))
     return sums, outputs
 
 
 def carry_axes(tracker: RecursiveTracker) -> Carry:
     """The axis of trajectories in each part of the carry: last, but first in a belief with a particle axis."""
-    return Carry(0 if has_particle_axis(tracker) else -1, -1, -1, -1, -1)
-
-
-def has_particle_axis(tracker: RecursiveTracker) -> bool:
-    """Whether the filter's belief has an axis of its own, of particles or grid cells."""
-    return bool(getattr(tracker.filter, "has_particle_axis", False))
+    return Carry(0 if tracker.filter.has_particle_axis else -1, -1, -1, -1, -1)
 
 
 def initial_carry(tracker: RecursiveTracker, candidate: Any, row: Row) -> Carry:
@@ -153,7 +153,9 @@ def reinitialise(tracker: RecursiveTracker, carry: Carry, row: Row, info: StepIn
 
     # Making a Gaussian belief costs less than the condition; making a thousand particles costs more.
     after = (
-        jax.lax.cond(jnp.any(need), with_new_tracks, lambda: carry) if has_particle_axis(tracker) else with_new_tracks()
+        jax.lax.cond(jnp.any(need), with_new_tracks, lambda: carry)
+        if tracker.filter.has_particle_axis
+        else with_new_tracks()
     )
     status = jnp.where(need, jnp.where(carry.started, Status.RESTARTED, Status.OK), info.status).astype(jnp.int8)
     return after, info._replace(status=status)

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from trackers.core.algebra import Scalar
 from trackers.core.estimates import Estimates, Status
-from trackers.core.motion import AbstractMotion
+from trackers.core.filter import AbstractSmoothableFilter
 from trackers.core.recording import Batch
 from trackers.core.rts import fixed_interval, fixed_lag
 from trackers.core.scan import Output, scan_rows
@@ -20,37 +18,19 @@ from trackers.core.tracker import AbstractEpochwiseTracker, Tracker
 from trackers.core.tunable import freeze
 
 
-class FullBeliefFilter(eqx.Module):
-    """A filter whose `moments` return the whole belief as the mean, with no covariance, so that a scan keeps it."""
-
-    filter: Any
-
-    def init(self, belief: Any, key: Any) -> Any:
-        return self.filter.init(belief, key)
-
-    def predict(self, belief: Any, motion: AbstractMotion, inputs: Any, dt: Scalar) -> Any:
-        return self.filter.predict(belief, motion, inputs, dt)
-
-    def update(self, belief: Any, motion: AbstractMotion, sensor: Any, reading: Any, inputs: Any) -> Any:
-        return self.filter.update(belief, motion, sensor, reading, inputs)
-
-    def moments(self, belief: Any) -> tuple[Any, tuple[Scalar, ...]]:
-        """The belief, and an empty covariance."""
-        return belief, ()
-
-
 class Smoothed(AbstractEpochwiseTracker):
     """A tracker with an RTS smoother; log-likelihood, NIS and status remain those of the filter.
 
     `lag`: fixed-lag smoothing with measurements up to `lag` s later; None for fixed-interval smoothing. The recursion
-    does not cross a restart of the track. Raises TypeError for a filter without `rts_gain` and `rts_step`.
+    does not cross a restart of the track. Raises TypeError unless the filter is an
+    `AbstractSmoothableFilter`.
     """
 
     tracker: Tracker
     lag: float | None = None
 
     def __check_init__(self) -> None:
-        if not (isinstance(self.tracker, Tracker) and hasattr(self.tracker.filter, "rts_step")):
+        if not (isinstance(self.tracker, Tracker) and isinstance(self.tracker.filter, AbstractSmoothableFilter)):
             raise TypeError("Kalman filters and their mixtures have a smoother; chains, particles and grids have none")
 
     def at_valid_time(self, times: np.ndarray, estimates: Estimates) -> tuple[np.ndarray, Estimates]:
@@ -59,7 +39,9 @@ class Smoothed(AbstractEpochwiseTracker):
 
     def scan(self, batch: Batch) -> Output:
         tracker = freeze(self.tracker)
-        output = scan_rows(dataclasses.replace(tracker, filter=FullBeliefFilter(tracker.filter)), batch)[1]
+        filter_ = tracker.filter
+        assert isinstance(filter_, AbstractSmoothableFilter)
+        output = scan_rows(tracker, batch, moments=lambda belief: (belief, ()))[1]
         assert output is not None
         filtered = output.mean
         but_last = jax.tree_util.tree_map(lambda x: x[:-1], filtered)
@@ -70,13 +52,13 @@ class Smoothed(AbstractEpochwiseTracker):
         last = jax.tree_util.tree_map(lambda x: x[-1:], filtered)
 
         def gain_of(belief: Any, connected: Scalar, dt: Scalar, inputs: Any) -> Any:
-            return tracker.filter.rts_gain(belief, tracker.motion, connected, dt, inputs)
+            return filter_.rts_gain(belief, tracker.motion, connected, dt, inputs)
 
-        rts_step = tracker.filter.rts_step
+        rts_step = filter_.rts_step
         if self.lag is None:
             smoothed = fixed_interval(gain_of, rts_step, jax.tree_util.tree_map(lambda x: x[0], last), steps)
         else:
             smoothed = fixed_lag(gain_of, rts_step, filtered, steps, dt, jnp.asarray(self.lag, batch.dt.dtype))
         beliefs = jax.tree_util.tree_map(lambda a, b: jnp.concatenate([a, b]), smoothed, last)
-        mean, cov = jax.vmap(jax.vmap(tracker.filter.moments, in_axes=-1, out_axes=-1))(beliefs)
+        mean, cov = jax.vmap(jax.vmap(filter_.moments, in_axes=-1, out_axes=-1))(beliefs)
         return output._replace(mean=mean, cov=cov)

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import equinox as eqx
 
 from trackers.core.algebra import Scalar
-from trackers.core.ekf import Gaussian
+from trackers.core.filter import Gaussian
 from trackers.core.recording import Row
 from trackers.core.sensor import AbstractSensor
 

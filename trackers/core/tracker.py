@@ -20,9 +20,10 @@ from trackers.core.algebra import compute_once, total
 from trackers.core.chunks import CHUNK, as_dtype, chunks, run_chunks
 from trackers.core.ekf import ExtendedKalman
 from trackers.core.estimates import Estimates, Status
+from trackers.core.filter import AbstractFilter
 from trackers.core.motion import AbstractMotion
 from trackers.core.recording import Batch, Recording, Row, stack
-from trackers.core.scan import Carry, Output, Score, StepInfo, has_particle_axis, scan_rows
+from trackers.core.scan import Carry, Output, Score, StepInfo, scan_rows
 from trackers.core.select import select, where_mostly
 from trackers.core.sensor import AbstractSensor
 from trackers.core.start import AbstractStart
@@ -99,14 +100,13 @@ def scan_chunk(tracker: AbstractTracker, batch: Batch) -> Output:
 class Tracker(AbstractTracker):
     """A recursive Bayesian tracker: predict, update with each sensor in turn, detect track loss, start again.
 
-    `sensors`: by the names of their readings in a recording. `filter`: has init, predict, update and moments over its
-    own belief, as `ExtendedKalman`; with `rts_gain` and `rts_step` it can be smoothed.
+    `sensors`: by the names of their readings in a recording.
     """
 
     motion: AbstractMotion
     sensors: Mapping[str, AbstractSensor]
     start: AbstractStart
-    filter: Any = ExtendedKalman()
+    filter: AbstractFilter[Any] = ExtendedKalman()
     track_loss: TrackLossPolicy = TrackLossPolicy()
 
     def scan(self, batch: Batch) -> Output:
@@ -125,7 +125,7 @@ class Tracker(AbstractTracker):
             belief, innovation = self.filter.update(belief, self.motion, sensor, row.readings[name], row.inputs)
             innovations.append(innovation)
         log_likelihood, nis, nis_dof, wrapped = (total(x) for x in zip(*innovations, strict=True))
-        if has_particle_axis(self):
+        if self.filter.has_particle_axis:
             # A non-finite belief gives a non-finite likelihood; summing the whole belief would be a pass over memory.
             log_likelihood, nis = compute_once((log_likelihood, nis))
             finite = jnp.isfinite(log_likelihood)
@@ -145,7 +145,7 @@ class Tracker(AbstractTracker):
         status = jnp.where(carry.running, status, jnp.where(carry.started, Status.LOST, Status.WAITING))
         updated = Carry(belief, carry.running & finite & ~lost, carry.started, nis_average, time_since_measurement)
         keep = row.valid & carry.running & finite
-        kept = (where_mostly if has_particle_axis(self) else select)(keep, belief, carry.belief)
+        kept = (where_mostly if self.filter.has_particle_axis else select)(keep, belief, carry.belief)
         after = Carry(kept, *select(row.valid, updated[1:], carry[1:]))
         zero = jnp.zeros_like(nis)
         log_likelihood, nis, nis_dof, wrapped = select(keep, (log_likelihood, nis, nis_dof, wrapped), (zero,) * 4)

@@ -6,7 +6,7 @@ the same motion.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ import numpy as np
 from jax.scipy.special import ndtr
 
 from trackers.core.algebra import Scalar, compute_once, total
-from trackers.core.ekf import Gaussian, Innovation
+from trackers.core.filter import AbstractFilter, Gaussian, Innovation
 from trackers.core.motion import AbstractMotion
 from trackers.core.particle.filter import particle_residuals, weighted_moments, weighted_nis
 from trackers.core.polyline import Polyline
@@ -33,7 +33,7 @@ class GridBelief(NamedTuple):
     resting: Any
 
 
-class GridFilter(eqx.Module):
+class GridFilter(AbstractFilter[GridBelief]):
     """`cells` arclengths along the path, the first and last at its ends, and `speeds` from 0 to `fastest` m/s.
 
     On a closed path the cell after the last is the first. The motion is a `LineMotion` or a `HaltingMotion`. Travel
@@ -47,15 +47,12 @@ class GridFilter(eqx.Module):
     speeds: int = eqx.field(static=True)
     fastest: float = eqx.field(static=True)
 
+    has_particle_axis: ClassVar[bool] = True
+
     @property
     def line(self) -> Polyline:
         """The path."""
         return self.output_map.line
-
-    @property
-    def has_particle_axis(self) -> bool:
-        """True: the belief has an axis of its own."""
-        return True
 
     def init(self, belief: Gaussian, key: Any) -> GridBelief:
         """The cells' probabilities of a normal prior with independent components; the tails go to the edges."""

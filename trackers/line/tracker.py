@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.core.algebra import Scalar, diagonal, total
-from trackers.core.ekf import Gaussian
+from trackers.core.filter import Gaussian
 from trackers.core.motion import Noise
 from trackers.core.particle.filter import ParticleFilter, log_density
 from trackers.core.polyline import Polyline

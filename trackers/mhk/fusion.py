@@ -11,11 +11,11 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar, Vector
-from trackers.core.ekf import ExtendedKalman, Gaussian, Innovation
+from trackers.core.ekf import ExtendedKalman
+from trackers.core.filter import AbstractFilter, Gaussian, Innovation
 from trackers.core.motion import AbstractMotion, Kinematic, Noise
 from trackers.core.sensor import AbstractSensor, Reading
 from trackers.core.tunable import Scale
@@ -39,7 +39,7 @@ class MhkBelief(NamedTuple):
     remaining: Scalar
 
 
-class AccelerationFilter(eqx.Module):
+class AccelerationFilter(AbstractFilter[MhkBelief]):
     """The Kalman filter (9)–(20), its prediction driven by the acceleration estimate of the hidden Markov model.
 
     `sigma_displacement`: noise of a displacement, m. `rate`: draws of a new acceleration, 1/s; None for one at every

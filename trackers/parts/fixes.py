@@ -17,8 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.core.algebra import Scalar, SparseRow, Vector, congruence, diagonal, total, triangle
-from trackers.core.ekf import Gaussian
 from trackers.core.estimates import Estimates
+from trackers.core.filter import Gaussian
 from trackers.core.motion import Accelerated, Kinematic, Noise
 from trackers.core.recording import Batch, Row
 from trackers.core.scan import Output, Score

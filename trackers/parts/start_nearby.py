@@ -9,7 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar, Vector, diagonal
-from trackers.core.ekf import Gaussian
+from trackers.core.filter import Gaussian
 from trackers.core.motion import Kinematic, Noise
 from trackers.core.recording import Row
 from trackers.core.sensor import AbstractSensor

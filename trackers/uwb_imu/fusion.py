@@ -7,7 +7,7 @@ from typing import Any
 import equinox as eqx
 
 from trackers.core.algebra import Vector, diagonal
-from trackers.core.ekf import Gaussian
+from trackers.core.filter import Gaussian
 from trackers.core.motion import Noise
 from trackers.core.recording import Row
 from trackers.core.track_loss import TrackLossPolicy

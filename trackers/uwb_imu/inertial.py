@@ -8,7 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar, Vector, diagonal, triangle
-from trackers.core.ekf import Gaussian
+from trackers.core.filter import Gaussian
 from trackers.core.motion import Noise
 from trackers.core.recording import Row
 from trackers.core.state import Heading, Rotation

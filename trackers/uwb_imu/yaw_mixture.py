@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.core.algebra import Scalar, full, total, triangle
-from trackers.core.ekf import ExtendedKalman, Gaussian, Innovation
+from trackers.core.ekf import ExtendedKalman
+from trackers.core.filter import AbstractSmoothableFilter, Gaussian, Innovation
 from trackers.core.motion import AbstractMotion
 from trackers.core.sensor import AbstractSensor, Reading
 from trackers.core.state import Heading, Rotation, State, local, retract
@@ -31,7 +32,7 @@ class YawRtsGains(NamedTuple):
     connected: Scalar
 
 
-class YawMixtureFilter(eqx.Module):
+class YawMixtureFilter(AbstractSmoothableFilter[YawMixture]):
     """A Gaussian sum filter of `count` components, whose initial yaws divide the circle evenly.
 
     An EKF linearised at a yaw far from the truth diverges; one of the components is near enough. Each is the extended

@@ -12,7 +12,8 @@ from trackers.aoa.beam import Beam, BeamMotion
 from trackers.aoa.fusion import BearingSensor, bearing_inputs
 from trackers.aoa.phases import PlanePhases, SphericalPhases
 from trackers.core.algebra import Vector
-from trackers.core.ekf import ExtendedKalman, Gaussian, compressed, joseph
+from trackers.core.ekf import ExtendedKalman, compressed, joseph
+from trackers.core.filter import Gaussian
 from trackers.core.motion import ConstantVelocity, Kinematic
 from trackers.core.sensor import Reading
 from trackers.core.tunable import Scale

@@ -9,8 +9,8 @@ import pytest
 from tests.known_start import NEVER_LOST, KnownStart, recording
 from trackers.core.algebra import diagonal
 from trackers.core.chunks import as_dtype
-from trackers.core.ekf import Gaussian
 from trackers.core.estimates import Status
+from trackers.core.filter import Gaussian
 from trackers.core.particle.filter import ParticleFilter
 from trackers.core.polyline import Polyline
 from trackers.core.recording import stack

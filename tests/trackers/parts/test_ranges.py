@@ -7,7 +7,8 @@ import pytest
 
 from trackers.core.algebra import Vector, diagonal
 from trackers.core.checks import Still, check_sensor
-from trackers.core.ekf import ExtendedKalman, Gaussian
+from trackers.core.ekf import ExtendedKalman
+from trackers.core.filter import Gaussian
 from trackers.core.motion import Kinematic, Placed
 from trackers.core.sensor import Reading
 from trackers.core.state import Heading, Rotation

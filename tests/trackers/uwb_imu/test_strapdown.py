@@ -7,7 +7,8 @@ import pytest
 
 from trackers.core.algebra import Vector
 from trackers.core.checks import check_motion
-from trackers.core.ekf import ExtendedKalman, Gaussian
+from trackers.core.ekf import ExtendedKalman
+from trackers.core.filter import Gaussian
 from trackers.core.linearise import linearise
 from trackers.core.state import Heading, Rotation, coordinates, local
 from trackers.core.tunable import freeze

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar, Vector, cholesky, solve_lower, total, triangle
-from trackers.core.ekf import Gaussian, Innovation
+from trackers.core.filter import AbstractFilter, Gaussian, Innovation
 from trackers.core.motion import AbstractMotion
 from trackers.core.particle.random import draws
 from trackers.core.particle.resampling import LOG_ZERO, cached_exp, effective_sample_size
@@ -62,7 +62,7 @@ class AbstractOutputMap(eqx.Module):
         """
 
 
-class ParticleFilter(eqx.Module):
+class ParticleFilter(AbstractFilter[Particles]):
     """Bootstrap particle filter with systematic resampling where the effective sample size is below `fraction`·N.
 
     Equations (1.22)–(1.30) of the assembly-line thesis, with E for the mean in (1.29); see `docs/papers.md`. Its random
@@ -79,10 +79,7 @@ class ParticleFilter(eqx.Module):
     discount: float = eqx.field(static=True, default=1.0)
     potential: AbstractPotential | None = None
 
-    @property
-    def has_particle_axis(self) -> bool:
-        """True: the belief has an axis of its own."""
-        return True
+    has_particle_axis: ClassVar[bool] = True
 
     def init(self, belief: Gaussian, key: Any) -> Particles:
         """N particles drawn from a Gaussian belief, of weight 1/N (1.22); `key` (2,): raw random key."""

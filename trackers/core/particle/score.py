@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar, cholesky, solve_lower, total, triangle
-from trackers.core.ekf import Gaussian
+from trackers.core.filter import Gaussian
 from trackers.core.particle.resampling import resample
 from trackers.core.state import State, dimension, local
 

@@ -8,8 +8,8 @@ import pytest
 from tests.known_start import NEVER_LOST, KnownStart, flat, recording
 from tests.oracles import kalman
 from trackers.core.algebra import Vector
-from trackers.core.ekf import Gaussian
 from trackers.core.estimates import Status
+from trackers.core.filter import Gaussian
 from trackers.core.motion import ConstantPosition, Placed
 from trackers.core.particle.filter import ParticleFilter, Particles
 from trackers.core.particle.resampling import effective_sample_size, running_sum, systematic

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from trackers.core.algebra import Vector
-from trackers.core.ekf import Gaussian
+from trackers.core.filter import Gaussian
 from trackers.core.motion import ConstantPosition, ConstantVelocity, GroundMotion, Kinematic, Placed
 from trackers.core.particle.filter import ParticleFilter, Particles
 from trackers.core.particle.resampling import resample
