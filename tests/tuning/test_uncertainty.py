@@ -118,6 +118,19 @@ def test_intervals_of_few_trajectories_have_their_nominal_coverage():
     assert np.all(np.abs(np.mean(covered, axis=0) - [0.94, 0.95]) < 0.045)
 
 
+def test_the_scatter_of_a_mean_is_the_textbook_interval_of_few_clusters():
+    y = np.random.default_rng(3).normal(0.3, 0.7, (20, 25))
+    found = uncertainty(*_sigma_and_mu(y))
+    # The mean of twenty means: their standard deviation with n − 1, and Student's t with 19 degrees of freedom.
+    expected = stats.sem(y.mean(axis=1))
+    assert found.standard_errors("scatter")["mu"] == pytest.approx(expected, rel=1e-3)
+    low, high = found.intervals(level=0.9, by="scatter")["mu"]
+    np.testing.assert_allclose([low, high], stats.t.interval(0.9, 19, y.mean(), expected), rtol=1e-3)
+    # The likelihood's curvature has no degrees of freedom: normal quantiles.
+    low, high = found.intervals(level=0.9, by="curvature")["mu"]
+    assert high - low == pytest.approx(2 * 1.6449 * found.standard_errors("curvature")["mu"], rel=1e-4)
+
+
 def test_intervals_are_in_physical_units_of_every_kind():
     parameters = [
         Parameter(("share",), Fraction(0.3), "share"),

@@ -10,7 +10,7 @@ from tests.known_start import NEVER_LOST, KnownStart, LinearSensor, flat, record
 from tests.oracles import joint_conditioning, van_loan
 from trackers.core.algebra import Vector
 from trackers.core.estimates import Status
-from trackers.core.motion import ConstantVelocity, Kinematic
+from trackers.core.motion import AbstractMotion, ConstantVelocity, Kinematic
 from trackers.core.recording import stack
 from trackers.core.smoother import Smoothed
 from trackers.core.track_loss import TrackLossPolicy
@@ -24,10 +24,42 @@ def _state(x):
     return Kinematic(Vector(*x[:2]), Vector(*x[2:]))
 
 
+class HalfSteps(AbstractMotion):
+    """Half a step of straight motion, a change of velocity, the other half: the noise passes through a later stage."""
+
+    noise_dimension = 2
+
+    def step(self, state, inputs, dt, w):
+        for stage in self.stages:
+            state = stage(state, inputs, dt, w)
+        return state
+
+    @property
+    def stages(self):
+        return self.coast, self.kick, self.coast
+
+    def coast(self, state, inputs, dt, w):
+        return state._replace(position=state.position + state.velocity * (0.5 * dt))
+
+    def kick(self, state, inputs, dt, w):
+        return state._replace(velocity=state.velocity + w * (SIGMA_A * jnp.sqrt(dt)))
+
+
+def _constant_velocity(dt):
+    A = np.kron([[0.0, 1.0], [0.0, 0.0]], np.eye(2))
+    return van_loan(A, np.kron([[0.0, 0.0], [0.0, SIGMA_A**2]], np.eye(2)), dt)
+
+
+def _half_steps(dt):
+    gain = np.kron([[0.5 * dt], [1.0]], np.eye(2)) * SIGMA_A * np.sqrt(dt)
+    return np.kron([[1.0, dt], [0.0, 1.0]], np.eye(2)), gain @ gain.T
+
+
 class World:
     """Sparse readings of a linear model at irregular times, ragged, and a tracker of it."""
 
-    def __init__(self):
+    def __init__(self, motion=None, transition=_constant_velocity):
+        self.motion, self.transition = motion or ConstantVelocity(SIGMA_A, 2), transition
         rng = np.random.default_rng(5)
         self.H, self.sigmas = rng.normal(size=(3, 4)), rng.uniform(0.1, 0.5, 3)
         factor = rng.normal(size=(4, 4))
@@ -43,16 +75,14 @@ class World:
 
     def with_loss(self, loss):
         sensors = {"z": LinearSensor(self.H, self.sigmas, 3)}
-        return Tracker(ConstantVelocity(SIGMA_A, 2), sensors, KnownStart(_state), track_loss=loss)
+        return Tracker(self.motion, sensors, KnownStart(_state), track_loss=loss)
 
     def stacked(self, dtype=None):
         return stack([recording(t, {"z": (z, s)}, self.mean, self.cov) for t, z, s in self.trajectories], dtype=dtype)
 
     def oracle(self, trajectory, lag):
         times, values, seen = self.trajectories[trajectory]
-        A = np.kron([[0.0, 1.0], [0.0, 0.0]], np.eye(2))
-        noise = np.kron([[0.0, 0.0], [0.0, SIGMA_A**2]], np.eye(2))
-        transitions = [van_loan(A, noise, dt) for dt in np.diff(times)]
+        transitions = [self.transition(dt) for dt in np.diff(times)]
         until = [int(np.sum(times[1:] <= t + lag + 1e-12)) - 1 for t in times[1:]]
         R = np.diag(self.sigmas**2)
         return joint_conditioning(transitions, self.H, R, values[1:], seen[1:], self.mean, self.cov, until)[:2]
@@ -72,6 +102,16 @@ def test_smoothed_rows_are_those_of_dense_conditioning(world, lag):
         # Both sides invert matrices with condition numbers of about 1e4.
         np.testing.assert_allclose(flat(estimates[trajectory].mean)[rows], means, rtol=1e-8, atol=1e-8)
         np.testing.assert_allclose(estimates[trajectory].covariance[rows], covs, rtol=1e-8, atol=1e-8)
+
+
+def test_noise_of_an_early_stage_passes_through_the_later_ones():
+    world = World(HalfSteps(), _half_steps)
+    estimates = Smoothed(world.tracker).run(world.batch)
+    for trajectory in range(LANES):
+        rows = slice(1, len(world.trajectories[trajectory][0]))
+        means, covs = world.oracle(trajectory, np.inf)
+        np.testing.assert_allclose(flat(estimates[trajectory].mean)[rows], means, rtol=1e-7, atol=1e-7)
+        np.testing.assert_allclose(estimates[trajectory].covariance[rows], covs, rtol=1e-7, atol=1e-7)
 
 
 def test_what_the_filter_said_and_its_last_row_stay(world):

@@ -136,6 +136,23 @@ def test_the_start_has_a_large_variance_of_the_yaw_alone():
     np.testing.assert_allclose(P, 0.15**2 * np.eye(3) + np.outer(up, up), atol=1e-9)
 
 
+@pytest.mark.parametrize("planar", [False, True])
+def test_a_body_at_rest_starts_with_the_measured_gyro_bias_known_ten_times_better(planar):
+    nearby, found = np.array([1.0, 2.0, 1.5, 1.0]), []
+    for at_rest in (0.0, 1.0):
+        inputs = {"nearby": nearby, "rest": np.array([0.0, 0.0, 9.81, 0.01, -0.02, 0.04, at_rest])}
+        belief = InertialStart(planar, sigma_gyro_bias=0.06).belief(nearby[:3], Row(0.0, True, {}, inputs, None, None))
+        n = 8 if planar else 15
+        diagonal = [p for p, (i, j) in zip(belief.cov, zip(*np.triu_indices(n), strict=True), strict=True) if i == j]
+        first, count = (7, 1) if planar else (12, 3)
+        found.append((np.ravel(belief.mean.gyro_bias), np.sqrt(np.array(diagonal[first : first + count], float))))
+    (unknown, loose), (measured, tight) = found
+    np.testing.assert_array_equal(unknown, 0.0)
+    np.testing.assert_allclose(measured, [0.04] if planar else [0.01, -0.02, 0.04], rtol=1e-12)
+    np.testing.assert_allclose(loose, 0.06, rtol=1e-12)
+    np.testing.assert_allclose(tight, 0.006, rtol=1e-12)
+
+
 def test_the_ideal_imu_reads_circle_and_gravity():
     t = np.arange(0, 2, 0.005)
     positions = np.stack([2 * np.cos(t), 2 * np.sin(t), 0 * t], axis=1)[None]

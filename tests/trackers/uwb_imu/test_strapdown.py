@@ -151,6 +151,26 @@ def test_two_seconds_without_an_imu_are_constant_velocity_with_white_acceleratio
     np.testing.assert_allclose(upper[6, 6], 0.5**2 * 2, rtol=1e-12)
 
 
+@pytest.mark.parametrize("imu", [(1, 1), (1, 0), (0, 1), (0, 0)])
+def test_each_missing_sensor_has_the_process_noise_of_its_own_quantity(imu):
+    # A body that does not turn, so that changes in the body's axes before and after the step are the same.
+    dt, inputs = 0.25, {**_with_imu(*imu), "gyro": np.array([*SPACE.gyro_bias])}
+    # Root of 0.25 s is 0.5; the IMU's noise where the sensor is there, that of the motion where it is not.
+    velocity, attitude = 0.5 * (0.05 if imu[0] else 1.0), 0.5 * (0.01 if imu[1] else 0.5)
+
+    def change(motion, state, component):
+        state = _arrays(state)
+        noise = [[jnp.asarray(float(k == j)) for k in range(motion.noise_dimension)] for j in (None, component)]
+        still, moved = (freeze(motion).step(state, _arrays(inputs), dt, Vector.of(w)) for w in noise)
+        return np.array([float(x) for x in local(still, moved)])
+
+    space, planar = Strapdown(NOISE), PlanarStrapdown(NOISE)
+    for component, row, expected in ((0, 3, velocity), (8, 8, attitude), (9, 9, 0.5 * 0.005), (14, 14, 0.5 * 0.001)):
+        np.testing.assert_allclose(change(space, SPACE, component)[row], expected, rtol=1e-9)
+    for component, row, expected in ((1, 3, velocity), (6, 6, attitude), (4, 4, 0.5 * 0.005), (7, 7, 0.5 * 0.001)):
+        np.testing.assert_allclose(change(planar, PLANAR, component)[row], expected, rtol=1e-9)
+
+
 def test_the_attitude_keeps_its_length_over_a_hundred_thousand_steps_in_single_precision():
     motion = freeze(Strapdown(NOISE))
     motion = jax.tree_util.tree_map(lambda x: jnp.asarray(x, jnp.float32), motion)
