@@ -50,9 +50,9 @@ class LineMotion(AbstractMotion):
         return 1
 
     def step(self, state: PathState, inputs: Any, dt: Scalar, w: Vector) -> PathState:
-        _, there = _travel(self.line, state, dt)
+        arclength, speed = possible(self.line, state.arclength, state.speed)
         change = w[0] * (self.sigma_a.value * jnp.sqrt(dt))
-        return PathState(self.line.on_path(there), jnp.maximum(state.speed + change, 0.0))
+        return PathState(self.line.on_path(arclength + speed * dt), jnp.maximum(speed + change, 0.0))
 
     def log_density(self, state: PathState, inputs: Any, dt: Scalar, w: Vector) -> Scalar:
         return draw_log_density(w[0], self.sigma_a.value)
@@ -112,9 +112,9 @@ class HaltingMotion(AbstractMotion):
     def _travelled(self, state: HaltingState, inputs: Any, dt: Scalar, w: Vector) -> tuple[PathState, Scalar]:
         """The state after travel without halts, and the arclength of the first join reached; infinite for none."""
         travelled = LineMotion(self.line, self.sigma_a).step(PathState(state.arclength, state.speed), inputs, dt, w)
-        here, there = _travel(self.line, state, dt)
-        ahead = self.line.next_join(here)
-        return travelled, jnp.where(ahead <= there, ahead, jnp.inf)
+        arclength, speed = possible(self.line, state.arclength, state.speed)
+        ahead = self.line.next_join(arclength)
+        return travelled, jnp.where(ahead <= arclength + speed * dt, ahead, jnp.inf)
 
     def _choices(self, state: HaltingState, ahead: Scalar, dt: Scalar, w: Vector) -> tuple[Scalar, Scalar, Scalar]:
         """Whether the tag rests, whether it halts at the join ahead, and whether it leaves its rest."""
@@ -130,16 +130,19 @@ class HaltingMotion(AbstractMotion):
         return floor_state(self.line, state)
 
 
-def _travel(line: Polyline, state: Any, dt: Scalar) -> tuple[Scalar, Scalar]:
-    """The arclength on the path, and that after `dt` s without a halt, possibly beyond the end, m."""
-    # A normal prior extends beyond the path and to negative speeds: both are clipped here.
-    here = line.on_path(state.arclength)
-    return here, here + jnp.maximum(state.speed, 0.0) * dt
+def possible(line: Polyline, arclength: Scalar, speed: Scalar) -> PathState:
+    """The state with its arclength on the path and its speed clipped at zero.
+
+    A normal prior extends beyond the ends of the path and to negative speeds: the mass there goes to the limits, as in
+    `GridFilter.init`.
+    """
+    return PathState(line.on_path(arclength), jnp.maximum(speed, 0.0))
 
 
 def floor_state(line: Polyline, state: Any) -> Kinematic:
     """Position, m, and velocity, m/s, on the floor of a state on the path (2.4)."""
-    return Kinematic(line.position(state.arclength), line.direction(state.arclength) * state.speed)
+    arclength, speed = possible(line, state.arclength, state.speed)
+    return Kinematic(line.position(arclength), line.direction(arclength) * speed)
 
 
 class PathOutputMap(AbstractOutputMap):
@@ -153,6 +156,7 @@ class PathOutputMap(AbstractOutputMap):
 
         The covariance of the velocity is along the segment of the mean.
         """
+        states = possible(self.line, states.arclength, states.speed)
         mean = weighted_mean(states._replace(arclength=self.line.gathered(states.arclength, weights)), weights)
         output = floor_state(self.line, mean)
         offsets = self.line.position(states.arclength) - output.position
