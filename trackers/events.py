@@ -31,7 +31,6 @@ TOLERANCE, CERTAIN = 0.2, 0.5
 """Distance from a prescribed path that counts as on it, m, and the m s beyond it that make a departure."""
 
 _COLUMNS = {"t_s": pl.Float64, "event": pl.String, "detail": pl.String}
-_WORDS = {"lost": "lost", "restarted": "found again"}
 
 
 def events_of(tracks: pl.DataFrame, spec: TrackerSpec, batches: Sequence[TrackerBatch]) -> pl.DataFrame:
@@ -40,12 +39,12 @@ def events_of(tracks: pl.DataFrame, spec: TrackerSpec, batches: Sequence[Tracker
     `tracks`: the table of estimates by the tracker `spec` of the trajectories in `batches`.
     """
     keys = track_keys(tracks)
-    changed = (pl.col("status") != pl.col("status").shift(1).over(keys)).fill_null(True)
-    turns = tracks.filter(changed & pl.col("status").is_in(list(_WORDS)))
+    # A track lost and found again at one time has the status of a restart alone, which is both events.
+    restarted, before = pl.col("status") == "restarted", pl.col("status").shift(1).over(keys)
+    lost = ((pl.col("status") == "lost") | restarted) & (before != "lost").fill_null(True)
     events = [
-        turns.select(
-            *keys, pl.col("t_s"), pl.col("status").replace_strict(_WORDS).alias("event"), pl.lit("").alias("detail")
-        )
+        tracks.filter(happened).select(*keys, "t_s", event=pl.lit(event), detail=pl.lit(""))
+        for event, happened in (("lost", lost), ("found again", restarted))
     ]
     if not spec.bearing_only:
         departures = left_the_line if spec.on_path else off_the_path

@@ -50,11 +50,21 @@ def score(
 
 def last_of_every(association: Association, every: float) -> np.ndarray:
     """Indices of the scored rows that are the last of their track in an interval of `every` seconds."""
-    rows = np.flatnonzero(association.scored)
+    kept, times = association.scored, float_column(association.rows, "t_s")
+    for a, b in pairwise(association.starts):
+        kept[a:b] = last_of_intervals(times[a:b], kept[a:b], every)
+    return np.flatnonzero(kept)
+
+
+def last_of_intervals(times: np.ndarray, scored: np.ndarray, every: float | None) -> np.ndarray:
+    """The mask (n,) of the scored rows that are the last in an interval of `every` seconds; all of them without one."""
+    if every is None:
+        return scored
+    rows, kept = np.flatnonzero(scored), np.zeros_like(scored)
     # 0.3 s belongs to the interval that starts there although 0.3 / 0.1 is 2.9999999999999996.
-    interval = np.floor(float_column(association.rows, "t_s")[rows] / every + 1e-6)
-    track = np.searchsorted(association.starts, rows, side="right")
-    return rows[np.append((np.diff(interval) != 0) | (np.diff(track) != 0), True)]
+    interval = np.floor(times[rows] / every + 1e-6)
+    kept[rows[np.append(np.diff(interval) != 0, True)[: len(rows)]]] = True
+    return kept
 
 
 def covariances(rows: pl.DataFrame) -> np.ndarray:

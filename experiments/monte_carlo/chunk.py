@@ -12,7 +12,6 @@ import numpy as np
 from experiments.monte_carlo.declaration import WORLD, Condition, Study, TrackerConfig
 from experiments.monte_carlo.errors import TrackedRuns, scored
 from trackers.bounds import bounds_of
-from trackers.core.algebra import triangle
 from trackers.core.errors import UnusableInput
 from trackers.core.estimates import Estimates, Status
 from trackers.core.recording import stack
@@ -23,7 +22,8 @@ from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.tracks import angles, rounded
 from trackers.recordings.trajectories import Trajectory, known_heights
-from trackers.recordings.truth import TruthStatus, interpolate_truth, truth_by_tag
+from trackers.recordings.truth import TruthPath, TruthStatus, interpolate_truth, truth_by_tag
+from trackers.scoring import last_of_intervals
 
 
 def run_chunk(study: Study, condition: Condition, ids: np.ndarray, first: bool) -> list[dict[str, np.ndarray]]:
@@ -125,7 +125,7 @@ def _track(
     covariance = np.full((*shape, axes, axes), np.nan)
     known, status = np.zeros(shape, bool), np.full(shape, int(Status.PADDING))
     nis, dof = np.zeros(shape), np.zeros(shape)
-    seconds = 0.0
+    seconds, paths = 0.0, truth_by_tag(trajectories[0].folder)
     for batch in batches:
         padded = rounded(max(len(trajectory.recording) for trajectory in batch.trajectories))
         stacked = stack([trajectory.recording for trajectory in batch.trajectories], rows=padded)
@@ -134,7 +134,6 @@ def _track(
         began = time.perf_counter()
         found = batch.tracker.run(whole, chunk)
         seconds += time.perf_counter() - began
-        paths: Mapping[str, Any] = truth_by_tag(batch.trajectories[0].folder) if _shifts(batch.tracker) else {}
         for k, trajectory in enumerate(batch.trajectories):
             one, size = found[k], len(trajectory.recording)
             at = number[trajectory.tag], slice(0, size), stations.index(trajectory.station)
@@ -143,10 +142,11 @@ def _track(
             times[at[0], :size] = at_valid_time
             estimates[at], status[at], nis[at], dof[at] = position, own.status, own.nis, own.nis_dof
             covariance[at][..., : P.shape[-1], : P.shape[-1]] = P
-            (truth[at], counts) = _truth(trajectory, at_valid_time, paths)
-            known[at] = (
-                counts & own.usable & _last(at_valid_time, config.every) & np.isfinite(position[:, :2]).all(axis=1)
-            )
+            truth[at], counts = _truth(trajectory, at_valid_time, paths)
+            last, merged = own.per_time(trajectory.recording.times)
+            scored_rows = counts & np.isfinite(position[:, :2]).all(axis=1)
+            scored_rows[last] &= merged.usable
+            known[at] = last_of_intervals(at_valid_time, scored_rows & last, config.every)
     values = (estimates, covariance, truth, known, status, nis, dof)
     if not stations[0]:
         values = tuple(x[:, :, 0] for x in values)  # type: ignore[assignment]
@@ -165,31 +165,17 @@ def _moments(trajectory: Trajectory, own: Estimates) -> tuple[np.ndarray, np.nda
         axes = [np.asarray(x, float) for x in own.mean.position]
         d = len(axes)
         position = np.stack(axes if d == 3 else [*axes, known_heights(trajectory)], axis=-1)
-        index = {pair: k for k, pair in enumerate(triangle(own.dimension))}
-        P = np.stack(
-            [np.stack([own.cov_upper[index[min(i, j), max(i, j)]] for j in range(d)], -1) for i in range(d)], -2
-        )
+        P = own.marginal("position")
     return np.where(usable[:, None], position, np.nan), np.where(usable[:, None, None], P, np.nan)
 
 
-def _shifts(tracker: AbstractTracker) -> bool:
-    """Whether the tracker's estimates are valid at other times than those of its rows."""
-    return type(tracker).at_valid_time is not AbstractTracker.at_valid_time
-
-
-def _truth(trajectory: Trajectory, times: np.ndarray, paths: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
-    """The truth at `times`, and the rows that have one."""
-    if trajectory.tag in paths:
-        position, status = interpolate_truth(times, *paths[trajectory.tag])
-        return position, status == TruthStatus.SCORED
-    return next(iter(trajectory.recording.truth.values()))
-
-
-def _last(times: np.ndarray, every: float | None) -> np.ndarray:
-    """The mask of each time's last row, or of the last row in each interval of `every` seconds."""
-    # The margin keeps 0.3 s in the interval that it starts, although 0.3 / 0.1 is 2.9999999999999996.
-    at = times if every is None else np.floor(times / every + 1e-6)
-    return np.append(np.diff(at) > 0, True)
+def _truth(trajectory: Trajectory, times: np.ndarray, paths: Mapping[str, TruthPath]) -> tuple[np.ndarray, np.ndarray]:
+    """The truth at `times`, (T, 3) m or (T, 2) rad, and the rows that have one; heights may be missing (NaN)."""
+    if trajectory.station or trajectory.tag not in paths:
+        values, known = next(iter(trajectory.recording.truth.values()))
+        return values, known.copy()
+    position, status = interpolate_truth(times, *paths[trajectory.tag])
+    return position, status == TruthStatus.SCORED
 
 
 def _measured(study: Study, name: str, found: Any, n: int) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Any
 
@@ -41,7 +41,7 @@ STATUS_WORDS = {
 }
 
 STEP_COLUMNS = ("nis", "nis_dof", "log_likelihood")
-"""Columns of tables of estimates: attributes of `Estimates`."""
+"""Columns of tables of estimates: attributes of `Estimates`, summed over the rows of a time."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -126,39 +126,78 @@ class Estimates:
             )
         return self.covariance[..., index, :][..., index]
 
-    def to_polars(self) -> pl.DataFrame:
-        """A table with one row per estimate: recording, `t_s`, the state, its standard deviations, NIS and status.
+    def per_time(self, times: np.ndarray | None = None) -> tuple[np.ndarray, Estimates]:
+        """The mask (…, T) of the last row of each time, and one estimate (N,) per time; rows of padding are left out.
 
-        A position becomes `x_m`, `y_m`, `z_m` with `std_…_m` and `cov_…_m2`, a velocity `vx_mps`, …; other components
-        keep their names. `t_s` is the row's own time. Empty where there is no estimate; rows of padding are left out.
-        `.to_pandas()` of the table gives a pandas frame. Raises ValueError where the run was of a bare `Batch`,
-        which has no times.
+        State and covariance are those of the last row; log-likelihood, NIS, its degrees of freedom and wraps are sums
+        over the rows of the time, in double precision (a row whose NIS is not finite is in neither of these two). The
+        status is `NON_FINITE` if any of the rows is, `RESTARTED` if a track restarted in any of them and runs after
+        the last, else that of the last row. `times` (…, T): of the rows, by default the estimates' own.
         """
-        if self.times is None:
+        times = self.times if times is None else times
+        if times is None:
             raise ValueError("these estimates have no times: a Batch was run; run the recordings themselves")
-        keep = self.status != Status.PADDING
-        names = (
-            np.broadcast_to(np.array(self.names)[:, None], keep.shape)
-            if keep.ndim == 2
-            else np.full(keep.shape, self.names[0])
+        rows = self.status != Status.PADDING
+        ends = np.ones_like(rows)
+        ends[..., :-1] = (np.diff(times) != 0) | ~rows[..., 1:]
+        last = rows & ends
+        first = np.flatnonzero(np.append(True, last[rows])[:-1])
+        counted = np.isfinite(self.nis)
+
+        def summed(values: np.ndarray) -> np.ndarray:
+            return np.add.reduceat(values[rows].astype(float), first)
+
+        def occurs(status: Status) -> np.ndarray:
+            return np.logical_or.reduceat(self.status[rows] == status, first)
+
+        status = self.status[last]
+        status = np.where((status == Status.OK) & occurs(Status.RESTARTED), Status.RESTARTED, status)
+        merged = replace(
+            self,
+            mean=jax.tree_util.tree_map(lambda x: np.asarray(x)[last], self.mean),
+            cov_upper=self.cov_upper[:, last],
+            log_likelihood=summed(self.log_likelihood),
+            nis=summed(np.where(counted, self.nis, 0.0)),
+            nis_dof=summed(np.where(counted, self.nis_dof, 0.0)),
+            wrapped=summed(self.wrapped),
+            status=np.where(occurs(Status.NON_FINITE), Status.NON_FINITE, status).astype(np.int8),
+            times=None if self.times is None else self.times[last],
         )
-        usable = self.usable[keep]
-        state = {name: np.where(usable, np.asarray(x, float)[keep], np.nan) for name, x in state_columns(self).items()}
+        return last, merged
+
+    def to_polars(self) -> pl.DataFrame:
+        """A table with one row per time: recording, `t_s`, the state, its standard deviations, NIS and status.
+
+        Rows that share a time are merged as by `per_time`. A position becomes `x_m`, `y_m`, `z_m` with `std_…_m` and
+        `cov_…_m2`, a velocity `vx_mps`, …; other components keep their names. `t_s` is the row's own time. Empty where
+        there is no estimate. `.to_pandas()` of the table gives a pandas frame. Raises ValueError where the run was of a
+        bare `Batch`, which has no times.
+        """
+        last, merged = self.per_time()
+        assert merged.times is not None
+        names = np.array(self.names)[:, None] if last.ndim == 2 else np.array(self.names[0])
+        columns = {name: np.asarray(x, float) for name, x in state_columns(merged).items()}
+        state = {name: np.where(merged.usable, x, np.nan) for name, x in columns.items()}
         return pl.DataFrame(
-            {"recording": names[keep], "t_s": self.times[keep]}
+            {"recording": np.broadcast_to(names, last.shape)[last], "t_s": merged.times}
             | {name: pl.Series(x, nan_to_null=True) for name, x in state.items()}
-            | {name: getattr(self, name)[keep].astype(float) for name in STEP_COLUMNS}
-            | {"status": [STATUS_WORDS[Status(s)] for s in self.status[keep]]}
+            | {name: getattr(merged, name) for name in STEP_COLUMNS}
+            | {"status": [STATUS_WORDS[Status(s)] for s in merged.status]}
         )
 
     def summary(self) -> str:
-        """One sentence on a single trajectory: ok, lost and re-started, non-finite at row k, or too little data."""
+        """One sentence on a single trajectory: ok, lost and re-started, non-finite at row k, or too little data.
+
+        The number of restarts is that of times with the status `RESTARTED`; of rows, where there are no times.
+        """
         status = self.status[self.status != Status.PADDING]
         if np.all(status == Status.WAITING):
             return "too little data: no row could start the tracker"
         bad = np.flatnonzero(status == Status.NON_FINITE)
         if len(bad):
             return f"non-finite at row {bad[0]}"
+        if self.times is not None:
+            status = self.per_time()[1].status
         restarts = int(np.sum(status == Status.RESTARTED))
         if restarts or np.any(status == Status.LOST):
             return f"lost and re-started {restarts} times" if restarts else "lost and never re-started"

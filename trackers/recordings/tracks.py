@@ -13,7 +13,6 @@ import polars as pl
 from trackers.core.chunks import CHUNK
 from trackers.core.estimates import AXES, STATUS_WORDS, STEP_COLUMNS, Estimates, Status
 from trackers.core.recording import Batch, stack
-from trackers.core.tracker import AbstractTracker
 from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.trajectories import Trajectory, known_heights
 
@@ -25,8 +24,9 @@ MAX_BATCH = 8 * CHUNK
 class Tracks:
     """The estimates of all trajectories of one or more recordings.
 
-    `table`: one row per estimate, the columns of tracks.parquet (docs/formats.md). `summaries`: how many trajectories
-    ended how, as `ok` or `lost and re-started`. `batches`: the trajectories and the trackers that ran them.
+    `table`: one row per time of a trajectory, the columns of tracks.parquet (docs/formats.md). `summaries`: how many
+    trajectories ended how, as `ok` or `lost and re-started`. `batches`: the trajectories, with the trackers that ran
+    them.
     """
 
     table: pl.DataFrame
@@ -65,34 +65,30 @@ def track(groups: Sequence[TrackerBatch], advance: Callable[[int], None] = lambd
         for trajectories, batch in batches(group.trajectories):
             estimates = group.tracker.run(batch)
             for k, trajectory in enumerate(trajectories):
-                one = estimates[k]
-                summary = re.split(r":| \d+ times| at row \d+", one.summary())[0]
+                recording = trajectory.recording
+                times, one = group.tracker.at_valid_time(recording.times, estimates[k][: len(recording)])
+                last, merged = one.per_time(recording.times)
+                summary = re.split(r":| \d+ times| at row \d+", merged.summary())[0]
                 summaries[summary] = summaries.get(summary, 0) + 1
-                tables.append(_table(trajectory, group.tracker, one))
+                tables.append(_table(trajectory, times, last, merged))
             advance(len(trajectories))
     table = pl.concat(tables, how="diagonal").sort(["recording", "tag", "t_s"], maintain_order=True)
     return Tracks(table, summaries, list(groups))
 
 
-def _table(trajectory: Trajectory, tracker: AbstractTracker, estimates: Estimates) -> pl.DataFrame:
-    """One trajectory's estimates, the last of each time, at the times for which they are valid."""
-    recording = trajectory.recording
-    rows = len(recording)
-    times, estimates = tracker.at_valid_time(recording.times, estimates[:rows])
-    last = np.append(np.diff(recording.times) > 0, True)
-    status = estimates.status[:rows]
-    usable = estimates.usable[:rows]
-    columns = angles(estimates) if trajectory.station else _positions(estimates, known_heights(trajectory))
+def _table(trajectory: Trajectory, times: np.ndarray, last: np.ndarray, estimates: Estimates) -> pl.DataFrame:
+    """One trajectory's estimates, one per time; `times` (T,), s: validity of its rows, of which `last` are kept."""
+    columns = angles(estimates) if trajectory.station else _positions(estimates, known_heights(trajectory)[last])
     ids: dict[str, Any] = {"recording": trajectory.folder.name, "tag": trajectory.tag}
     if trajectory.station:
         ids["station"] = trajectory.station
-    known = {name: np.where(usable, np.asarray(x)[:rows].astype(float), np.nan)[last] for name, x in columns.items()}
+    known = {name: np.where(estimates.usable, np.asarray(x, float), np.nan) for name, x in columns.items()}
     return pl.DataFrame(
         {name: pl.repeat(text, int(last.sum()), eager=True) for name, text in ids.items()}
         | {"t_s": times[last]}
         | {name: pl.Series(x, nan_to_null=True) for name, x in known.items()}
-        | {name: getattr(estimates, name)[:rows][last].astype(float) for name in STEP_COLUMNS}
-        | {"wrapped": estimates.wrapped[:rows][last] > 0, "status": [STATUS_WORDS[Status(s)] for s in status[last]]}
+        | {name: getattr(estimates, name) for name in STEP_COLUMNS}
+        | {"wrapped": estimates.wrapped > 0, "status": [STATUS_WORDS[Status(s)] for s in estimates.status]}
     )
 
 

@@ -1,0 +1,196 @@
+"""The table of estimates where several rows share a time: one line per time, which holds all of its rows."""
+
+from __future__ import annotations
+
+import numpy as np
+import polars as pl
+import pytest
+
+import trackwright as tw
+from experiments.monte_carlo import Study, TrackerConfig, World
+from experiments.monte_carlo.chunk import tracked_runs
+from experiments.monte_carlo.errors import scored
+from experiments.monte_carlo.results import ChunkTotals, Results
+from trackers.catalogue import spec_of
+from trackers.core.algebra import Vector
+from trackers.core.estimates import STEP_COLUMNS, Estimates, Status
+from trackers.core.motion import Placed
+from trackers.core.rig import Rig
+from trackers.events import events_of
+from trackers.recordings.folder import RecordingFolder
+
+ANCHORS = {
+    str(k): np.array(p)
+    for k, p in enumerate(
+        [(0, 0, 3), (8, 0, 2.5), (8, 6, 3), (0, 6, 2.5), (4, 0, 0.3), (8, 3, 0.5), (4, 6, 0.4), (0, 3, 0.2)]
+    )
+}
+
+
+def _ranges(times, noise, tags=("a",), seed=0):
+    """A folder of tags on circles with a range to every anchor at each time; `noise`: m, by anchor."""
+    rng, names = np.random.default_rng(seed), list(ANCHORS)[: len(noise)]
+    ranges, truths = [], []
+    for number, tag in enumerate(tags):
+        turn = 0.3 * times + number
+        path = np.stack([4 + 2 * np.cos(turn), 3 + 1.5 * np.sin(turn), 1.2 + 0 * times], axis=1)
+        truths.append(pl.DataFrame({"t_s": times, "tag": tag} | {f"{a}_m": path[:, k] for k, a in enumerate("xyz")}))
+        distances = np.linalg.norm(path[:, None] - np.stack([ANCHORS[a] for a in names]), axis=-1)
+        measured = distances + rng.normal(size=distances.shape) * noise
+        columns = {"t_s": np.repeat(times, len(names)), "anchor": names * len(times), "range_m": measured.ravel()}
+        ranges.append(pl.DataFrame(columns).with_columns(tag=pl.lit(tag), range_std_m=pl.lit(None, pl.Float64)))
+    rig = Rig("hall", anchors={name: ANCHORS[name] for name in names})
+    return RecordingFolder("hall", None, rig, {"ranges": pl.concat(ranges), "truth": pl.concat(truths)})
+
+
+def _all_rows(tracker, folder):
+    """The estimates of every row, of all tags one after the other."""
+    runs = [b.tracker.run(trajectory.recording) for b in tracker.batches(folder) for trajectory in b.trajectories]
+    return [np.concatenate([getattr(run, name) for run in runs]).astype(float) for name in (*STEP_COLUMNS, "wrapped")]
+
+
+@pytest.fixture(scope="module")
+def one_noisy():
+    """Four anchors at one time, one of them 12 times as noisy and never the last row of its time; two tags."""
+    return _ranges(np.arange(60) * 0.1, np.array([0.05, 0.6, 0.05, 0.05]), tags=("a", "b"))
+
+
+def test_a_line_holds_the_sums_over_all_rows_of_its_time(one_noisy):
+    tracker = tw.build("uwb", one_noisy)
+    table = tracker.run(one_noisy).table
+    assert table.height == 2 * 60
+    sums = [x.sum() for x in _all_rows(tracker, one_noisy)]
+    # Sums of 480 numbers in another order.
+    assert [table[name].sum() for name in STEP_COLUMNS] == pytest.approx(sums[:3], rel=1e-12)
+    # Every range but those before the start of the track.
+    assert 4 * 2 * 57 <= table["nis_dof"].sum() <= 4 * 2 * 60
+
+
+def test_evaluate_and_a_study_find_the_same_nis_ratio_and_errors(one_noisy):
+    study = Study(
+        name="noisy",
+        about="",
+        worlds={"hall": World(lambda ids, seed: one_noisy)},
+        trackers={"uwb": TrackerConfig("uwb"), "slow": TrackerConfig("uwb", every=0.7)},
+        runs=2,
+    )
+    tracker, ids = tw.build("uwb", one_noisy), np.array(["a", "b"])
+    for name, every in (("uwb", None), ("slow", 0.7)):
+        evaluation = tw.evaluate(tracker.run(one_noisy), one_noisy, every)
+        totals = ChunkTotals(2)
+        totals.add(0, scored(tracked_runs(study, "hall", ids)[name]))
+        results = Results(study, {(0, name): totals.totals()}, {0: 2})
+        for metric in ("nis_ratio", "rmse_m", "rmse_3d_m", "nees_mean", "coverage_95"):
+            found = results.at(metric, study.conditions[0], name).value
+            assert found == pytest.approx(evaluation[metric], rel=1e-9), (name, metric)
+
+
+def test_a_track_lost_and_restarted_within_one_time_is_told_by_its_line_and_by_events():
+    times = np.concatenate([np.arange(150) * 0.1, 75 + np.arange(150) * 0.1])
+    folder = _ranges(times, np.full(8, 0.05))
+    tracker = tw.build("uwb", folder)
+    tracks = tracker.run(folder)
+    (trajectory,) = tracker.batches(folder)[0].trajectories
+    status = tracker.batches(folder)[0].tracker.run(trajectory.recording).status
+    after = trajectory.recording.times == 75.0
+    # The rows of the first time after the silence: lost until there are enough ranges, then restarted, then running.
+    assert {Status(s) for s in status[after]} == {Status.LOST, Status.RESTARTED, Status.OK}
+    assert status[after][-1] == Status.OK
+    assert tracks.table.filter(pl.col("status") != "ok").select("t_s", "status").rows() == [(75.0, "restarted")]
+    assert tracks.summaries == {"lost and re-started": 1}
+    events = events_of(tracks.table, spec_of("uwb"), tracker.batches(folder))
+    assert events.select("t_s", "event").rows() == [(75.0, "lost"), (75.0, "found again")]
+
+
+def test_every_restart_is_an_event_of_its_own():
+    status = ["ok", "restarted", "restarted", "ok", "lost", "restarted"]
+    times = [float(t) for t in range(6)]
+    tracks = pl.DataFrame({"recording": "a", "tag": "1", "station": "s", "t_s": times, "status": status})
+    lost, found = "lost", "found again"
+    assert events_of(tracks, spec_of("bearings"), []).select("t_s", "event").rows() == [
+        (1.0, lost), (1.0, found), (2.0, lost), (2.0, found), (4.0, lost), (5.0, found),
+    ]  # fmt: skip
+
+
+OK, WAITING, RESTARTED, LOST, BAD, PADDING = (
+    Status.OK, Status.WAITING, Status.RESTARTED, Status.LOST, Status.NON_FINITE, Status.PADDING
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("rows", "line"),
+    [
+        ((WAITING, OK, OK), OK),
+        ((WAITING, WAITING), WAITING),
+        ((OK, LOST, RESTARTED, OK), RESTARTED),
+        ((OK, RESTARTED), RESTARTED),
+        ((RESTARTED, OK, RESTARTED, OK), RESTARTED),
+        ((RESTARTED, OK, LOST), LOST),
+        ((OK, LOST, LOST), LOST),
+        ((OK, BAD, RESTARTED, OK), BAD),
+        ((BAD, LOST), BAD),
+        # Without a filter each row stands alone: the line has the last row's estimate, so also its status.
+        ((OK, WAITING), WAITING),
+    ],
+)
+def test_the_status_of_a_line_is_the_worst_that_happened_and_still_holds(rows, line):
+    times = np.array([0.0, *[1.0] * len(rows), 2.0, 2.0, np.nan])
+    status = np.array([OK, *rows, OK, OK, PADDING], np.int8)
+    number = np.arange(len(status), dtype=float)
+    steps = [number, number, np.ones_like(number), number, status]
+    estimates = Estimates(Placed(Vector(number)), number[None], *steps, times, ("a",))
+    last, merged = estimates.per_time()
+    assert np.flatnonzero(last).tolist() == [0, len(rows), len(rows) + 2]
+    assert [Status(s) for s in merged.status] == [OK, line, OK]
+    assert merged.times.tolist() == [0.0, 1.0, 2.0]
+    np.testing.assert_array_equal(merged.mean.position.parts[0], number[last])
+    np.testing.assert_array_equal(merged.cov_upper[0], number[last])
+    within = number[1 : len(rows) + 1].sum()
+    for name in ("log_likelihood", "nis", "wrapped"):
+        assert getattr(merged, name)[1] == within
+    assert merged.nis_dof.tolist() == [1.0, len(rows), 2.0]
+
+
+def test_the_summary_counts_the_restarted_lines_of_the_table():
+    times, status = np.array([0.0, 1.0, 1.0, 1.0, 2.0]), np.array([OK, RESTARTED, LOST, RESTARTED, OK], np.int8)
+    none = np.zeros(5)
+    estimates = Estimates(Placed(Vector(none)), none[None], none, none, none, none, status, times, ("a",))
+    assert estimates.summary() == "lost and re-started 1 times"
+    assert estimates.to_polars()["status"].to_list() == ["ok", "restarted", "ok"]
+
+
+def test_a_row_whose_nis_overflows_is_left_out_of_nis_and_degrees_of_freedom_alike():
+    nis, dof, times = np.array([1.0, np.inf, 2.0]), np.full(3, 2.0), np.zeros(3)
+    zero, status = np.zeros(3), np.full(3, OK, np.int8)
+    estimates = Estimates(Placed(Vector(zero)), zero[None], zero, nis, dof, zero, status, times, ("a",))
+    merged = estimates.per_time()[1]
+    assert (merged.nis.tolist(), merged.nis_dof.tolist()) == ([3.0], [4.0])
+
+
+def test_recordings_of_different_lengths_have_one_line_per_time_each():
+    rng, recordings = np.random.default_rng(5), []
+    for name, rows in (("short", 6), ("long", 11)):
+        times = np.repeat(np.arange(rows) * 0.2, 2)
+        fixes = rng.normal(scale=0.1, size=(2 * rows, 3))
+        recordings.append(tw.fix_recording(times, fixes, truth=np.zeros((2 * rows, 3)), name=name))
+    estimates = tw.fix_tracker().run(recordings)
+    table = estimates.to_polars()
+    assert table.group_by("recording", maintain_order=True).len().rows() == [("short", 6), ("long", 11)]
+    assert table["log_likelihood"].sum() == pytest.approx(estimates.log_likelihood.sum(), rel=1e-12)
+    alone = tw.fix_tracker().run(recordings[0]).to_polars()
+    assert alone["x_m"].to_list() == pytest.approx(table.filter(pl.col("recording") == "short")["x_m"], rel=1e-12)
+    assert tw.evaluate(estimates, recordings)["n"] == 17
+
+
+def test_the_log_likelihood_of_a_real_recording_is_that_of_all_its_ranges(recordings):
+    whole = tw.read(recordings / "lias-planar-fast")
+    begin = whole.tables["ranges"]["t_s"].min()
+    part = {name: t.filter(pl.col("t_s") < begin + 2.0) for name, t in whole.tables.items()}
+    folder = RecordingFolder(whole.name, None, whole.rig, part)
+    tracker = tw.build("uwb", folder)
+    table = tracker.run(folder).table
+    nis, dof, log_likelihood, _ = (x.sum() for x in _all_rows(tracker, folder))
+    assert table["log_likelihood"].sum() == pytest.approx(log_likelihood, rel=1e-9)
+    assert tw.evaluate(tracker.run(folder), folder)["nis_ratio"] == pytest.approx(nis / dof, rel=1e-9)
+    # Eight ranges share a time.
+    assert table["nis_dof"].max() == 8.0
