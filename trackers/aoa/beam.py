@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -93,6 +94,11 @@ class BeamStart(AbstractStart):
     sigma_angle: Noise
     sigma_rate: Noise
     antennas: int = eqx.field(static=True, default=3)
+
+    @property
+    def readings(self) -> Mapping[str, int]:
+        """The phases of its station."""
+        return {self.station: self.antennas}
 
     def can_start(self, row: Row) -> Scalar:
         return jnp.sum(row.readings[self.station].seen) >= self.antennas

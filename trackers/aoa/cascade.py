@@ -10,9 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.aoa.beam import beam_tracker
-from trackers.aoa.fusion import BEARINGS, BearingSensor, bearing_inputs, region_centre
+from trackers.aoa.fusion import AXES, BEARINGS, ORIGIN, BearingSensor, bearing_inputs, region_centre
 from trackers.aoa.rays import nearest_to_rays, unit_vector
 from trackers.core.estimates import Status
+from trackers.core.layout import Layout
 from trackers.core.motion import ConstantVelocity
 from trackers.core.recording import Batch
 from trackers.core.rig import Station
@@ -20,7 +21,7 @@ from trackers.core.scan import Output, Score
 from trackers.core.sensor import Reading
 from trackers.core.tracker import AbstractTracker, Tracker
 from trackers.core.tunable import Scale
-from trackers.parts.start_nearby import NearbyStart
+from trackers.parts.start_nearby import NEARBY, NearbyStart
 
 
 class Cascade(AbstractTracker):
@@ -35,6 +36,13 @@ class Cascade(AbstractTracker):
     fusion: Tracker
     geometry: Mapping[str, Any]
     centre: Any
+
+    def check_layout(self, layout: Layout) -> None:
+        """Each beam tracker reads its station's readings; `bearings` and their inputs are made of these."""
+        for beam in self.beams.values():
+            beam.check_layout(layout)
+        made = {one.name: one.row_shape(2) for one in (ORIGIN, AXES, NEARBY)}
+        self.fusion.check_layout(layout._replace(readings={BEARINGS: (2, 3)}, inputs={**layout.inputs, **made}))
 
     def scan(self, batch: Batch) -> Output:
         return self._per_row(self.fusion.scan(self._bearings(batch)))

@@ -12,9 +12,11 @@ from trackers.aoa.beam import Beam, InPlaneBeam
 from trackers.aoa.beamformer import Grid, delay_and_sum, strongest
 from trackers.core.algebra import triangle
 from trackers.core.estimates import Status
+from trackers.core.layout import Layout
 from trackers.core.recording import Batch
 from trackers.core.rig import Station
 from trackers.core.scan import Output
+from trackers.core.sensor import Channel
 from trackers.core.state import Heading
 from trackers.core.tracker import AbstractEpochwiseTracker
 
@@ -29,6 +31,10 @@ class DelayAndSum(AbstractEpochwiseTracker):
     def of(cls, station: Station, name: str, in_plane: bool = False) -> DelayAndSum:
         """The beamformer of a station, whose readings a recording holds under `name`, on the paper's grid."""
         return cls(Grid.in_plane(station) if in_plane else Grid.of(station), name)
+
+    def check_layout(self, layout: Layout) -> None:
+        antennas = range(1, len(self.grid.cosine) + 1)
+        layout.check_readings("DelayAndSum", self.name, [Channel(f"phase_{k}", "rad", True) for k in antennas])
 
     def scan(self, batch: Batch) -> Output:
         reading = batch.readings[self.name]

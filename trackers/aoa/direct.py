@@ -15,6 +15,7 @@ from trackers.aoa.phases import SphericalPhases
 from trackers.aoa.rays import nearest_to_rays, unit_vector
 from trackers.core.algebra import Scalar, Vector, diagonal, total
 from trackers.core.filter import Gaussian
+from trackers.core.inputs import HEIGHT, Input
 from trackers.core.motion import ConstantVelocity, Kinematic, Noise
 from trackers.core.recording import Row
 from trackers.core.rig import Station
@@ -37,6 +38,15 @@ class PhaseStart(AbstractStart):
     grids: Mapping[str, Grid]
     planar: bool = eqx.field(static=True)
     stations: int = eqx.field(static=True)
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        return (HEIGHT,)
+
+    @property
+    def readings(self) -> Mapping[str, int]:
+        """The phases of its stations."""
+        return dict.fromkeys(self.grids, 3)
 
     def can_start(self, row: Row) -> Scalar:
         return total(jnp.where(jnp.sum(row.readings[name].seen) >= 3, 1, 0) for name in self.grids) >= self.stations

@@ -7,12 +7,13 @@ and in any order, and recordings of different installations share a tracker.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
 
 from trackers.core.algebra import Scalar, Vector, total
+from trackers.core.inputs import HEIGHT, Input
 from trackers.core.motion import GroundMotion, Noise
 from trackers.core.rig import Station
 from trackers.core.sensor import AbstractSensor, Channel, Reading, Residual, position_in_space, student_t_log_peak
@@ -25,6 +26,21 @@ from trackers.parts.start_nearby import NearbyStart
 BEARINGS = "bearings"
 
 
+ORIGIN = Input(
+    "origin", (3,), "m", "the position of the station", "`bearing_recording`, or `bearing_inputs` of the station"
+)
+"""The input with the position of a row's station."""
+
+AXES = Input(
+    "axes",
+    (9,),
+    "",
+    "x, y and z axis of the station's array in world axes",
+    "`bearing_recording`, or `bearing_inputs` of the station",
+)
+"""The input with the orientation of a row's station."""
+
+
 class BearingSensor(AbstractSensor):
     """Azimuth and elevation, rad, of a position in the array frame of this row's station.
 
@@ -34,6 +50,8 @@ class BearingSensor(AbstractSensor):
     `offsets` (2,) rad and `compression` (2,) rad⁻²: arrays compress large angles a to a/√(1 + c·a²) + offset; both zero
     for a calibrated array.
     """
+
+    view_fields: ClassVar[tuple[str, ...]] = ("position",)
 
     sigma_azimuth: Noise
     sigma_elevation: Noise
@@ -54,6 +72,16 @@ class BearingSensor(AbstractSensor):
     def channels(self) -> tuple[Channel, ...]:
         """Azimuth and elevation."""
         return Channel("azimuth", "rad", True), Channel("elevation", "rad", True)
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        return ORIGIN, AXES, HEIGHT
+
+    @property
+    def reported(self) -> tuple[Channel, ...]:
+        """The covariance of azimuth and elevation, upper triangle, rad²."""
+        names = ("variance_azimuth", "covariance", "variance_elevation")
+        return tuple(Channel(name, "rad^2") for name in names)
 
     def measure(self, view: Any, inputs: Any) -> list[Scalar]:
         axes = [inputs["axes"][k] for k in range(9)]

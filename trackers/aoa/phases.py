@@ -8,7 +8,7 @@ differ only where a difference wraps: see `centred`, `pairwise` and docs/papers.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -17,6 +17,7 @@ import numpy as np
 
 from trackers.aoa.circular import circular_mean
 from trackers.core.algebra import Scalar, Vector, compute_once, total
+from trackers.core.inputs import HEIGHT, Input
 from trackers.core.motion import Noise, as_scale
 from trackers.core.rig import Station
 from trackers.core.sensor import LOG_2PI, AbstractSensor, Channel, Reading, Residual, position_in_space
@@ -98,6 +99,8 @@ class PlanePhases(AbstractPhaseSensor):
     antennas' x, y.
     """
 
+    view_fields: ClassVar[tuple[str, ...]] = ("azimuth", "elevation")
+
     sigma_p: Noise
     offsets: Noise
     wavenumbers: Any
@@ -124,6 +127,8 @@ class InPlanePhases(PlanePhases):
     For flat arrays with beacons at their own height, where azimuth and elevation about the boresight are singular.
     """
 
+    view_fields: ClassVar[tuple[str, ...]] = ("heading",)
+
     def __init__(self, station: Station, sigma_p: float | Noise = 0.5, paper_form: bool = False):
         super().__init__(station, sigma_p, paper_form)
 
@@ -136,6 +141,8 @@ class SphericalPhases(AbstractPhaseSensor):
 
     `sigma_p`, `offsets` as in `PlanePhases`. `antennas`: (n, 3) m from `origin` (3,) m, world axes.
     """
+
+    view_fields: ClassVar[tuple[str, ...]] = ("position",)
 
     sigma_p: Noise
     offsets: Noise
@@ -154,6 +161,10 @@ class SphericalPhases(AbstractPhaseSensor):
         self.array_from_world = station.world_from_array().T
         self.wavenumber = np.asarray(2 * np.pi / wavelength)
         self.paper_form = paper_form
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        return (HEIGHT,)
 
     def measure(self, view: Any, inputs: Any) -> list[Scalar]:
         to_tag = Vector.of(p - o for p, o in zip(position_in_space(view.position, inputs), self.origin, strict=True))

@@ -23,6 +23,7 @@ import numpy as np
 from trackers.core.algebra import Scalar, full
 from trackers.core.ekf import ExtendedKalman
 from trackers.core.imm import AbstractInteractingModels, AbstractSwitching, InteractingModels, Mixture, SwitchingMotion
+from trackers.core.inputs import HEIGHT, Input
 from trackers.core.motion import GroundMotion, Noise
 from trackers.core.recording import Row
 from trackers.core.sensor import AbstractSensor, Channel
@@ -31,6 +32,18 @@ from trackers.core.tunable import Real, Scale
 from trackers.parts.fixes import FIXES, PATIENT, AbstractFixSensor, FixSensor, FixStart, FixTracker
 
 BELOW, ABOVE = 0, 1
+
+PLANE = Input("plane", (), "m", "the height of the anchors' plane", "the tracker `fix-mirror` on a recording folder")
+"""The input with the height h of the plane."""
+
+FIX_Z = Input(
+    "fix_z",
+    (),
+    "m",
+    "z of the fix, or the height of the anchors' plane where z is missing",
+    "the tracker `fix-mirror` on a recording folder",
+)
+"""The input with the height of a start."""
 
 
 class MirrorSensor(AbstractFixSensor, AbstractSwitching):
@@ -59,6 +72,10 @@ class MirrorSensor(AbstractFixSensor, AbstractSwitching):
         self.reported_std_scale, self.dof = Scale(1.0), None if dof is None else Scale(dof)
         self.latency = Real(0.0, "s", typical=0.5)
         self.side = -1.0
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        return PLANE, HEIGHT
 
     def in_mode(self, mode: int) -> MirrorSensor:
         return eqx.tree_at(lambda sensor: sensor.side, self, 1.0 if mode == ABOVE else -1.0)
@@ -95,6 +112,10 @@ class MirrorModels(AbstractInteractingModels):
         self.switching_rate, self.mode_prior = Scale(switching_rate, "1/s"), Scale(np.asarray(mode_prior, float))
         self.reach = Scale(reach, "m")
 
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        return (PLANE,)
+
     def switching_rates(self, belief: Mixture, inputs: Any) -> list[Scalar]:
         rates = []
         for mean, cov in belief.components:
@@ -110,6 +131,10 @@ class MirrorStart(FixStart):
 
     Input: `fix_z`, m, the z of the row's fix, or the plane's height where z is missing.
     """
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        return (FIX_Z,)
 
     def candidate(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
         values, z = row.readings[FIXES].values, row.inputs["fix_z"]

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 
 from trackers.core.algebra import Vector, triangle
 from trackers.core.estimates import Status
+from trackers.core.layout import Layout
 from trackers.core.motion import Placed
 from trackers.core.recording import Batch
 from trackers.core.scan import Output
@@ -32,6 +33,9 @@ class MovingWindow(AbstractEpochwiseTracker):
     def __check_init__(self) -> None:
         if self.window < 1:
             raise ValueError(f"a window holds at least one row, found {self.window}")
+
+    def check_layout(self, layout: Layout) -> None:
+        layout.check_readings("MovingWindow", FIXES, 2 if self.planar else 3)
 
     def scan(self, batch: Batch) -> Output:
         reading = batch.readings[FIXES]

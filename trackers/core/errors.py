@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 
-class UnusableInput(Exception):  # noqa: N818 - a fault of the input, not of the program
+class UnusableInput(ValueError):  # noqa: N818 - a fault of the input, not of the program
     """Unusable input, with a message of one line: what, where, found, expected, usual fix."""
 
     def __init__(self, message: str) -> None:

@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 import equinox as eqx
 
 from trackers.core.algebra import Scalar
+from trackers.core.inputs import Input
 from trackers.core.motion import AbstractMotion
 from trackers.core.sensor import AbstractSensor, Reading
 from trackers.core.state import State
@@ -45,6 +46,16 @@ class AbstractFilter(eqx.Module, Generic[Belief]):
     """
 
     has_particle_axis: ClassVar[bool] = False
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        """The known inputs that it reads itself; none by default."""
+        return ()
+
+    @property
+    def view_fields(self) -> tuple[str, ...]:
+        """The fields of `motion.view` that it needs itself; none by default."""
+        return ()
 
     @abstractmethod
     def init(self, belief: Gaussian, key: Any) -> Belief:

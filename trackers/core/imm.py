@@ -27,6 +27,7 @@ import numpy as np
 from trackers.core.algebra import Scalar, Vector, compute_once, total, triangle
 from trackers.core.ekf import ExtendedKalman
 from trackers.core.filter import AbstractSmoothableFilter, Gaussian, Innovation
+from trackers.core.inputs import Input
 from trackers.core.motion import AbstractMotion, Noise
 from trackers.core.rts import RtsGain
 from trackers.core.sensor import AbstractSensor, Reading
@@ -85,6 +86,10 @@ class SwitchingMotion(AbstractMotion, AbstractSwitching):
 
     def view(self, state: State) -> Any:
         return self.modes[0].view(state)
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        return self.modes[0].inputs
 
     def in_mode(self, mode: int) -> AbstractMotion:
         return self.modes[mode]

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar, Vector, total
+from trackers.core.inputs import Input
 from trackers.core.state import State
 from trackers.core.tunable import AbstractTunable, Constant, Scale
 
@@ -37,6 +38,11 @@ class AbstractMotion(eqx.Module):
     @abstractmethod
     def step(self, state: State, inputs: Any, dt: Scalar, w: Vector) -> State:
         """The state `dt` s later, given the known inputs and the noise draw `w`."""
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        """The known inputs that `step` reads; none by default."""
+        return ()
 
     @property
     def stages(self) -> tuple[Callable[[State, Any, Scalar, Vector], State], ...]:

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 from jax.scipy.special import gammaln
 
 from trackers.core.algebra import Scalar, Vector, total
+from trackers.core.inputs import Input
 
 LOG_2PI = 1.8378770664093453
 
@@ -57,12 +58,27 @@ class Residual(NamedTuple):
 
 
 class AbstractSensor(eqx.Module):
-    """A source of readings with a fixed number of channels."""
+    """A source of readings with a fixed number of channels.
+
+    `view_fields`: the fields of `motion.view` that `measure` needs, as `("position", "velocity")`.
+    """
+
+    view_fields: ClassVar[tuple[str, ...]] = ()
 
     @property
     @abstractmethod
     def channels(self) -> tuple[Channel, ...]:
         """Name, unit and wrapping of each channel, in the order of a reading's values."""
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        """The known inputs that `measure` reads; none by default."""
+        return ()
+
+    @property
+    def reported(self) -> tuple[Channel, ...]:
+        """The noise columns that `residual` reads where a device reports its noise; by default it reads none."""
+        return ()
 
     @abstractmethod
     def measure(self, view: Any, inputs: Any) -> Sequence[Scalar]:

@@ -11,6 +11,7 @@ import numpy as np
 from trackers.core.algebra import Scalar
 from trackers.core.estimates import Estimates, Status
 from trackers.core.filter import AbstractSmoothableFilter
+from trackers.core.layout import Layout
 from trackers.core.recording import Batch
 from trackers.core.rts import fixed_interval, fixed_lag
 from trackers.core.scan import Output, scan_rows
@@ -32,6 +33,9 @@ class Smoothed(AbstractEpochwiseTracker):
     def __check_init__(self) -> None:
         if not (isinstance(self.tracker, Tracker) and isinstance(self.tracker.filter, AbstractSmoothableFilter)):
             raise TypeError("Kalman filters and their mixtures have a smoother; chains, particles and grids have none")
+
+    def check_layout(self, layout: Layout) -> None:
+        self.tracker.check_layout(layout)
 
     def at_valid_time(self, times: np.ndarray, estimates: Estimates) -> tuple[np.ndarray, Estimates]:
         """As for the tracker without smoothing: its latency is the same."""

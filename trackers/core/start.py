@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, ClassVar
 
 import equinox as eqx
 
 from trackers.core.algebra import Scalar
 from trackers.core.filter import Gaussian
+from trackers.core.inputs import Input
 from trackers.core.recording import Row
 from trackers.core.sensor import AbstractSensor
 
@@ -22,6 +24,16 @@ class AbstractStart(eqx.Module):
     """
 
     smooth: ClassVar[bool] = False
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        """The known inputs that it reads; none by default."""
+        return ()
+
+    @property
+    def readings(self) -> Mapping[str, int]:
+        """The readings that it reads by name, with the smallest number of their channels; none by default."""
+        return MappingProxyType({})
 
     @abstractmethod
     def can_start(self, row: Row) -> Scalar:

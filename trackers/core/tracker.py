@@ -21,8 +21,10 @@ from trackers.core.chunks import CHUNK, as_dtype, chunks, run_chunks
 from trackers.core.ekf import ExtendedKalman
 from trackers.core.estimates import Estimates, Status
 from trackers.core.filter import AbstractFilter
+from trackers.core.layout import Layout
 from trackers.core.motion import AbstractMotion
 from trackers.core.recording import Batch, Recording, Row, stack
+from trackers.core.requirements import Parts, check_input, check_parts
 from trackers.core.scan import Carry, Output, Score, StepInfo, scan_rows
 from trackers.core.select import select, where_mostly
 from trackers.core.sensor import AbstractSensor
@@ -46,25 +48,27 @@ class AbstractTracker(eqx.Module):
     def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
         """The sums over time of `score` of each step's output, (B,) each; memory does not grow with the rows."""
 
+    @abstractmethod
+    def check_layout(self, layout: Layout) -> None:
+        """Raises UnusableInput unless recordings of this layout have what the tracker reads."""
+
     def run(self, recordings: Recording | Sequence[Recording] | Batch, chunk: int = CHUNK) -> Estimates:
         """The estimates for one recording, several, or a batch of them, in chunks of `chunk` trajectories.
 
-        Raises ValueError for no recording at all, and where the recordings differ in their sensors, inputs or truth.
+        Raises UnusableInput, a ValueError, before anything is traced: for no recording at all, for one that lacks what
+        the tracker reads, and where the recordings differ in their sensors, inputs or truth.
         """
+        recordings = check_input(self, recordings, "run")
         if isinstance(recordings, Recording):
             one = self._run(stack([recordings]), 1)[0]
             return dataclasses.replace(one, times=recordings.times, names=(recordings.name,))
         if isinstance(recordings, Batch):
             return self._run(recordings, chunk)
-        listed = list(recordings)
-        if not listed or not all(isinstance(r, Recording) for r in listed):
-            found = ", ".join(sorted({type(r).__name__ for r in listed})) or "nothing"
-            raise ValueError(f"run: found {found}; expected a Recording, several, or a Batch")
-        batch = stack(listed)
-        times = np.full((len(listed), len(batch.dt)), np.nan)
-        for row, recording in zip(times, listed, strict=True):
+        batch = stack(recordings)
+        times = np.full((len(recordings), len(batch.dt)), np.nan)
+        for row, recording in zip(times, recordings, strict=True):
             row[: len(recording)] = recording.times
-        return dataclasses.replace(self._run(batch, chunk), times=times, names=tuple(r.name for r in listed))
+        return dataclasses.replace(self._run(batch, chunk), times=times, names=tuple(r.name for r in recordings))
 
     def _run(self, batch: Batch, chunk: int) -> Estimates:
         model = as_dtype(self, batch.dt.dtype)
@@ -108,6 +112,9 @@ class Tracker(AbstractTracker):
     start: AbstractStart
     filter: AbstractFilter[Any] = ExtendedKalman()
     track_loss: TrackLossPolicy = TrackLossPolicy()
+
+    def check_layout(self, layout: Layout) -> None:
+        check_parts(layout, Parts(self.motion, self.sensors, self.start, self.filter))
 
     def scan(self, batch: Batch) -> Output:
         output = scan_rows(freeze(self), batch)[1]

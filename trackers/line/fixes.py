@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 from trackers.core.algebra import Scalar
 from trackers.core.motion import Noise, as_scale
@@ -18,6 +18,8 @@ class FloorFixes(AbstractSensor):
     Reported variances of x and y, m², add to that of `sigma_p`.
     """
 
+    view_fields: ClassVar[tuple[str, ...]] = ("position",)
+
     sigma_p: Noise
 
     def __init__(self, sigma_p: float | Noise):
@@ -26,6 +28,11 @@ class FloorFixes(AbstractSensor):
     @property
     def channels(self) -> tuple[Channel, ...]:
         return Channel("x", "m"), Channel("y", "m")
+
+    @property
+    def reported(self) -> tuple[Channel, ...]:
+        """The variances of x and y, m²."""
+        return Channel("variance_x", "m^2"), Channel("variance_y", "m^2")
 
     def measure(self, view: Any, inputs: Any) -> list[Scalar]:
         return list(view.position)[:2]

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.core.estimates import Estimates
+from trackers.core.layout import Layout
 from trackers.core.motion import ConstantVelocity
 from trackers.core.recording import Batch
 from trackers.core.scan import Output, Score
@@ -33,6 +34,10 @@ class MedianMarkovKalman(AbstractTracker):
     median: LimitedMedian
     fusion: FixTracker
     stamped: bool = eqx.field(static=True, default=False)
+
+    def check_layout(self, layout: Layout) -> None:
+        layout.check_readings("the median of MH-K", FIXES, 3)
+        self.fusion.check_layout(layout)
 
     def scan(self, batch: Batch) -> Output:
         return self.fusion.scan(self._with_medians(batch))

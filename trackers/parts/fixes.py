@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -19,6 +19,7 @@ import numpy as np
 from trackers.core.algebra import Scalar, SparseRow, Vector, congruence, diagonal, total, triangle
 from trackers.core.estimates import Estimates
 from trackers.core.filter import Gaussian
+from trackers.core.inputs import HEIGHT, Input
 from trackers.core.motion import Accelerated, Kinematic, Noise
 from trackers.core.recording import Batch, Row
 from trackers.core.scan import Output, Score
@@ -53,6 +54,17 @@ class AbstractFixSensor(AbstractSensor):
     reported_std_scale: eqx.AbstractVar[Noise]
     dof: eqx.AbstractVar[Noise | None]
     latency: eqx.AbstractVar[Noise]
+
+    view_fields: ClassVar[tuple[str, ...]] = ("position", "velocity")
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        return (HEIGHT,)
+
+    @property
+    def reported(self) -> tuple[Channel, ...]:
+        """The variances of x, y and z, m²."""
+        return tuple(Channel(f"variance_{axis}", "m^2") for axis in "xyz")
 
     @abstractmethod
     def noise(self) -> list[list[Scalar]]:
@@ -155,6 +167,11 @@ class FixStart(AbstractStart):
     planar: bool = eqx.field(static=True)
     velocities: int = eqx.field(static=True)
     accelerations: int = eqx.field(static=True, default=0)
+
+    @property
+    def readings(self) -> Mapping[str, int]:
+        """Fixes with x, y and z."""
+        return {FIXES: 3}
 
     def can_start(self, row: Row) -> Scalar:
         seen = row.readings[FIXES].seen

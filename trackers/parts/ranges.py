@@ -7,19 +7,25 @@ row, so that ranges may arrive one at a time or together, and recordings of diff
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from trackers.core.algebra import Scalar, Vector, total
+from trackers.core.inputs import HEIGHT, Input, Need
 from trackers.core.motion import Noise
 from trackers.core.sensor import AbstractSensor, Channel, Reading, Residual, position_in_space, student_t_log_peak
 from trackers.core.state import Heading
 from trackers.core.tunable import Real, Scale
 
 RANGES = "ranges"
+
+ANCHORS = Input(
+    "anchors", (3,), "m", "x, y, z of the anchor of each slot", "`range_recording(anchors=)`", per_channel=True
+)
+"""The input with the anchors' positions."""
 
 
 class RangeSensor(AbstractSensor):
@@ -33,6 +39,8 @@ class RangeSensor(AbstractSensor):
     `positive_skew`·`sigma_r` above: ranges are too long more often than too short. Reported variances, m², one per
     slot, add to that of `sigma_r`.
     """
+
+    view_fields: ClassVar[tuple[str, ...]] = ("position",)
 
     sigma_r: Noise
     positive_skew: Noise
@@ -52,6 +60,33 @@ class RangeSensor(AbstractSensor):
     def channels(self) -> tuple[Channel, ...]:
         """One range per slot, m."""
         return tuple(Channel(f"range_{k + 1}", "m") for k in range(self.slots))
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        number = Input(
+            "anchor",
+            (1,),
+            "",
+            "the number of the anchor of each slot, from 0",
+            "`range_recording`, which counts the anchors in the order given",
+            per_channel=True,
+            below=np.shape(self.bias.value)[0],
+        )
+        levers = Input(
+            "levers",
+            (3,),
+            "m",
+            "the lever arm, in body axes, of the tag of each slot, for a view with an `attitude`",
+            "`offset_m` of the tags in rig.toml",
+            Need.IF_GIVEN,
+            per_channel=True,
+        )
+        return ANCHORS, number, HEIGHT, levers
+
+    @property
+    def reported(self) -> tuple[Channel, ...]:
+        """The variance of the range of each slot, m²."""
+        return tuple(Channel(f"variance_{k + 1}", "m^2") for k in range(self.slots))
 
     def measure(self, view: Any, inputs: Any) -> list[Scalar]:
         position = position_in_space(view.position, inputs)

@@ -10,10 +10,20 @@ import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar, Vector, diagonal
 from trackers.core.filter import Gaussian
+from trackers.core.inputs import Input
 from trackers.core.motion import Kinematic, Noise
 from trackers.core.recording import Row
 from trackers.core.sensor import AbstractSensor
 from trackers.core.start import AbstractStart
+
+NEARBY = Input(
+    "nearby",
+    (4,),
+    "m",
+    "a position from recent measurements, and 1 where they determine it, else 0",
+    "`range_recording`, `bearing_recording`, `recent_points`",
+)
+"""The input with the position of a start."""
 
 
 class AbstractNearbyStart(AbstractStart):
@@ -22,6 +32,10 @@ class AbstractNearbyStart(AbstractStart):
     `nearby` comes from `recent_points` (trackers/aoa/rays.py) for bearings and from `recent_positions`
     (trackers/parts/recent_positions.py) for ranges.
     """
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        return (NEARBY,)
 
     def can_start(self, row: Row) -> Scalar:
         return row.inputs["nearby"][3] > 0.5

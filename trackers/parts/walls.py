@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +19,8 @@ class Walls(AbstractPotential):
     walls. A position on a wall counts as on its right side, seen from the first end; walls that share an end leave no
     gap. Raises ValueError if there is neither, and for walls that are not finite or have no length.
     """
+
+    view_fields: ClassVar[tuple[str, ...]] = ("position",)
 
     segments: Any
     outline: Any

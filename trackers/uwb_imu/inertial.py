@@ -9,6 +9,7 @@ import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar, Vector, diagonal, triangle
 from trackers.core.filter import Gaussian
+from trackers.core.inputs import Input
 from trackers.core.motion import Noise
 from trackers.core.recording import Row
 from trackers.core.state import Heading, Rotation
@@ -16,7 +17,7 @@ from trackers.core.track_loss import TrackLossPolicy
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import Scale
 from trackers.parts.ranges import RANGES, RangeSensor
-from trackers.parts.start_nearby import AbstractNearbyStart
+from trackers.parts.start_nearby import NEARBY, AbstractNearbyStart
 from trackers.uwb_imu.fusion import MAX_BIASES
 from trackers.uwb_imu.strapdown import ImuNoise, Inertial, PlanarInertial, PlanarStrapdown, Strapdown
 from trackers.uwb_imu.yaw_mixture import YawMixtureFilter
@@ -65,6 +66,17 @@ class InertialStart(AbstractNearbyStart):
         self.sigma_accel_bias = Scale(sigma_accel_bias, "m/s^2")
         self.sigma_gyro_bias = Scale(sigma_gyro_bias, "rad/s")
         self.sigma_bias = Scale(sigma_bias, "m")
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        rest = Input(
+            "rest",
+            (7,),
+            "m/s^2, rad/s",
+            "recent mean specific force and turning rate, and 1 at rest, else 0",
+            "`tw.build('uwb-imu', folder)`, from the table imu of a recording folder",
+        )
+        return NEARBY, rest
 
     def belief(self, candidate: Any, row: Row) -> Gaussian:
         zero = jnp.zeros_like(candidate[0])

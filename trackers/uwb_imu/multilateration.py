@@ -10,13 +10,15 @@ import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar, Vector, triangle
 from trackers.core.estimates import Status
+from trackers.core.inputs import HEIGHT, Input, Need
+from trackers.core.layout import Layout
 from trackers.core.motion import Noise, Placed
 from trackers.core.recording import Batch
 from trackers.core.scan import Output
 from trackers.core.tracker import AbstractEpochwiseTracker
 from trackers.core.tunable import Scale, freeze
 from trackers.parts.multilaterate import PositionFit, multilaterate
-from trackers.parts.ranges import RANGES
+from trackers.parts.ranges import ANCHORS, RANGES
 
 
 class Multilateration(AbstractEpochwiseTracker):
@@ -30,17 +32,26 @@ class Multilateration(AbstractEpochwiseTracker):
     name: str = eqx.field(static=True)
     planar: bool = eqx.field(static=True)
 
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        """The known inputs that it reads."""
+        return ANCHORS, HEIGHT
+
+    def check_layout(self, layout: Layout) -> None:
+        layout.check_readings("Multilateration", self.name, 3 if self.planar else 4)
+        needs = (Need.ALWAYS, Need.PLANAR) if self.planar else (Need.ALWAYS,)
+        layout.check_inputs("Multilateration", self.inputs, layout.readings[self.name][0], needs)
+
     def scan(self, batch: Batch) -> Output:
         sigma = freeze(self).sigma_r.value
         reading, inputs = batch.readings[self.name], batch.inputs
 
-        def solve(values: Any, seen: Any, anchors: Any, height: Scalar) -> PositionFit:
-            known_height = height if self.planar else None
-            return multilaterate(values, anchors.reshape(-1, 3), seen, known_height, 3.0 * sigma)
+        def solve(values: Any, seen: Any, anchors: Any, height: Scalar | None) -> PositionFit:
+            return multilaterate(values, anchors.reshape(-1, 3), seen, height, 3.0 * sigma)
 
         # One row at a time: solving all rows at once would keep every iteration of all of them in memory.
         row = jax.vmap(solve, in_axes=-1, out_axes=-1)
-        arrays = (reading.values, reading.seen, inputs["anchors"], inputs["height"])
+        arrays = (reading.values, reading.seen, inputs["anchors"], inputs["height"] if self.planar else None)
         fit = jax.lax.map(lambda x: row(*x), jax.tree_util.tree_map(jnp.asarray, arrays))
         zero, n = jnp.zeros_like(fit.cost), 2 if self.planar else 3
         mean = Placed(Vector(*(fit.position[:, k] for k in range(n))))

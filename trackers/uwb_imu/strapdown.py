@@ -18,9 +18,16 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 
 from trackers.core.algebra import Scalar, Vector
+from trackers.core.inputs import Input, Need
 from trackers.core.motion import AbstractMotion, Noise, as_scale
 from trackers.core.state import Heading, Rotation
 from trackers.core.tunable import Real
+
+_HELPER = "`tw.build('uwb-imu', folder)`, from the table imu of a recording folder"
+ACCEL = Input("accel", (3,), "m/s^2", "specific force in body axes", _HELPER)
+GYRO = Input("gyro", (3,), "rad/s", "turning rate in body axes", _HELPER)
+IMU = Input("imu", (2,), "", "whether accelerometer and gyro are available, 1 or 0", _HELPER)
+"""The inputs with the IMU's sample."""
 
 
 class PlanarInertial(NamedTuple):
@@ -116,6 +123,10 @@ class PlanarStrapdown(AbstractMotion):
     biases: int = eqx.field(static=True, default=0)
 
     @property
+    def inputs(self) -> tuple[Input, ...]:
+        return ACCEL, GYRO, IMU
+
+    @property
     def noise_dimension(self) -> int:
         return 8 + self.biases
 
@@ -165,6 +176,18 @@ class Strapdown(AbstractMotion):
         self.noise = noise
         self.biases = biases
         self.gravity = gravity if isinstance(gravity, Noise) else Real(gravity, "m/s^2", typical=0.1)
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        arm = Input(
+            "arm",
+            (3,),
+            "m",
+            "the lever arm from the IMU to the tag in body axes",
+            "`offset_m` of the tag in rig.toml",
+            Need.IF_GIVEN,
+        )
+        return ACCEL, GYRO, IMU, arm
 
     @property
     def noise_dimension(self) -> int:

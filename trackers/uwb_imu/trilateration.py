@@ -17,12 +17,15 @@ import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar, Vector, triangle
 from trackers.core.estimates import Status
+from trackers.core.inputs import HEIGHT, Input, Need
+from trackers.core.layout import Layout
 from trackers.core.motion import Noise, Placed
 from trackers.core.recording import Batch
 from trackers.core.scan import Output
+from trackers.core.sensor import Channel
 from trackers.core.tracker import AbstractEpochwiseTracker
 from trackers.core.tunable import Scale, freeze
-from trackers.parts.ranges import RANGES
+from trackers.parts.ranges import ANCHORS, RANGES
 
 
 def compensation(sigma: Scalar, count: int = 3) -> Scalar:
@@ -90,6 +93,15 @@ class Trilateration(AbstractEpochwiseTracker):
     sigma_r: Noise
     name: str = eqx.field(static=True)
     compensated: bool = eqx.field(static=True)
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        """The known inputs that it reads."""
+        return ANCHORS, HEIGHT
+
+    def check_layout(self, layout: Layout) -> None:
+        layout.check_readings("Trilateration", self.name, [Channel(f"range_{k}", "m") for k in (1, 2, 3)])
+        layout.check_inputs("Trilateration", self.inputs, layout.readings[self.name][0], (Need.ALWAYS, Need.PLANAR))
 
     def scan(self, batch: Batch) -> Output:
         model = freeze(self)

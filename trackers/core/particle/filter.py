@@ -41,7 +41,12 @@ class Particles(NamedTuple):
 
 
 class AbstractPotential(eqx.Module):
-    """A factor of a particle's weight that depends on its last move alone."""
+    """A factor of a particle's weight that depends on its last move alone.
+
+    `view_fields`: the fields of `motion.view` that it needs.
+    """
+
+    view_fields: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def log_weight(self, before: Any, after: Any) -> Scalar:
@@ -80,6 +85,10 @@ class ParticleFilter(AbstractFilter[Particles]):
     potential: AbstractPotential | None = None
 
     has_particle_axis: ClassVar[bool] = True
+
+    @property
+    def view_fields(self) -> tuple[str, ...]:
+        return () if self.potential is None else self.potential.view_fields
 
     def init(self, belief: Gaussian, key: Any) -> Particles:
         """N particles drawn from a Gaussian belief, of weight 1/N (1.22); `key` (2,): raw random key."""

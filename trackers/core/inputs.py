@@ -1,0 +1,52 @@
+"""Known inputs: quantities of a row that motions, sensors, starts and filters read beside the measurements.
+
+A part declares its inputs, so that a recording without one is refused before a run, and docs/inputs.md lists them all.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import NamedTuple
+
+
+class Need(Enum):
+    """When a part reads an input."""
+
+    ALWAYS = "always"
+    PLANAR = "for a planar state"
+    IF_GIVEN = "if given"
+
+
+class Input(NamedTuple):
+    """A known input: a recording holds an array (T, *shape) under `name`.
+
+    `about`: its meaning in one phrase. `source`: what makes it, for the usual fix in messages. `per_channel`: the shape
+    is that of one channel of the readings, and the array has the numbers of all channels in a row, flattened. `below`:
+    the values are whole numbers from 0 to below − 1; None for any number.
+    """
+
+    name: str
+    shape: tuple[int, ...]
+    unit: str
+    about: str
+    source: str = ""
+    need: Need = Need.ALWAYS
+    per_channel: bool = False
+    below: int | None = None
+
+    def row_shape(self, channels: int) -> tuple[int, ...]:
+        """The shape of one row, for readings with so many channels."""
+        if not self.per_channel:
+            return self.shape
+        return (channels * (self.shape[0] if self.shape else 1),)
+
+
+HEIGHT = Input(
+    "height",
+    (),
+    "m",
+    "the known height of the tag",
+    "`height=` of `fix_recording`, `range_recording`, `bearing_recording` or `phase_recording`",
+    Need.PLANAR,
+)
+"""The input that completes a planar position to one in space: `sensor.position_in_space`."""

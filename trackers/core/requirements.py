@@ -1,0 +1,197 @@
+"""The check of recordings against a tracker before it runs: their kind, names, channels, inputs and the motion's view.
+
+Only names and shapes are compared, and the range of inputs that number something; no row is filtered.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any, NamedTuple, Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from trackers.core.algebra import Vector
+from trackers.core.errors import UnusableInput, listed
+from trackers.core.filter import AbstractFilter
+from trackers.core.inputs import Input, Need
+from trackers.core.layout import Layout
+from trackers.core.motion import AbstractMotion
+from trackers.core.recording import Batch, Recording, Row
+from trackers.core.sensor import AbstractSensor, Reading
+from trackers.core.start import AbstractStart
+
+KINDS = {
+    "RecordingFolder": "a tracker by name for folders, `tw.tracker_for(folder).run(folder)`",
+    "SimulatedWorld": "its `recordings()`, or its `folder()` for a tracker by name",
+    "Trajectory": "its `recording`",
+    "Estimates": "the recording itself; estimates become measurements by `fix_recording`",
+    "Tracks": "the recording itself; estimates become measurements by `fix_recording`",
+    "DataFrame": "a recording of its columns, by `fix_recording` or `range_recording`",
+    "ndarray": "a recording of arrays, by `fix_recording` or `range_recording`",
+    "dict": "`Recording(times, readings, inputs)`, or the values as a list",
+    "str": "`tw.read(path)`, and a tracker by name for folders, `tw.tracker_for(folder).run(folder)`",
+    "PosixPath": "`tw.read(path)`, and a tracker by name for folders, `tw.tracker_for(folder).run(folder)`",
+    "Batch": "each batch by itself, or `stack` of all recordings",
+}
+"""The usual fix by the type of what was given in place of a recording."""
+
+
+class ChecksLayout(Protocol):
+    """A tracker, as the check sees it."""
+
+    def check_layout(self, layout: Layout) -> None: ...
+
+
+def check_input(tracker: ChecksLayout, recordings: Any, caller: str) -> Recording | list[Recording] | Batch:
+    """The recording, the recordings as a list, or the batch, once they have what the tracker reads.
+
+    Raises UnusableInput, in the name of the `caller`, for anything else and for recordings that lack something. The
+    check compares names and shapes: its time does not grow with rows, but for inputs that number anchors.
+    """
+    if isinstance(recordings, Recording):
+        tracker.check_layout(Layout.of_recording(recordings))
+        return recordings
+    if isinstance(recordings, Batch):
+        tracker.check_layout(Layout.of_batch(recordings))
+        return recordings
+    several = list(recordings) if _is_sequence(recordings) else [recordings]
+    wrong = [x for x in several if not isinstance(x, Recording)]
+    if wrong or not several:
+        kind = type(wrong[0]).__name__ if wrong else "nothing"
+        among = " in a sequence" if wrong and wrong[0] is not recordings else ""
+        fix = KINDS.get(kind, "`fix_recording`, `range_recording`, `bearing_recording` or `phase_recording`")
+        raise UnusableInput(
+            f"{caller}: found {kind}{among}; expected a Recording, several, or a Batch; usual fix: {fix}"
+        )
+    tracker.check_layout(Layout.of_recordings(several))
+    return several
+
+
+def _is_sequence(recordings: Any) -> bool:
+    """Whether it may hold recordings: a list, a tuple, a generator; tables, arrays, texts and mappings hold none."""
+    return type(recordings).__name__ not in KINDS and hasattr(recordings, "__iter__")
+
+
+class MissingInputError(KeyError):
+    """A part reads an input that is neither declared nor given: `reader` and `name`."""
+
+    def __init__(self, reader: str, name: str) -> None:
+        super().__init__(name)
+        self.reader, self.name = reader, name
+
+
+class GivenInputs(dict[str, Any]):
+    """The inputs of a row, which name the reader of one that is missing."""
+
+    def __init__(self, values: Mapping[str, Any], reader: str) -> None:
+        super().__init__(values)
+        self.reader = reader
+
+    def __missing__(self, name: str) -> Any:
+        raise MissingInputError(self.reader, name)
+
+
+class Parts(NamedTuple):
+    """The parts of a recursive tracker that read rows."""
+
+    motion: AbstractMotion
+    sensors: Mapping[str, AbstractSensor]
+    start: AbstractStart
+    filter: AbstractFilter[Any]
+
+    def readers(self) -> Iterator[tuple[str, Sequence[Input], int]]:
+        """Every part by a name for messages, its declared inputs, and the number of channels of its readings."""
+        yield f"the motion ({type(self.motion).__name__})", self.motion.inputs, 0
+        for name, sensor in self.sensors.items():
+            yield _sensor(name, sensor), sensor.inputs, len(sensor.channels)
+        yield f"the start ({type(self.start).__name__})", self.start.inputs, 0
+        yield f"the filter ({type(self.filter).__name__})", self.filter.inputs, 0
+
+
+def check_parts(layout: Layout, parts: Parts) -> None:
+    """Raises UnusableInput unless recordings of this layout have what the parts of a recursive tracker read."""
+    for name, sensor in parts.sensors.items():
+        layout.check_readings(_sensor(name, sensor), name, sensor.channels)
+        layout.check_reported(_sensor(name, sensor), name, sensor.reported)
+    for name, least in parts.start.readings.items():
+        layout.check_readings(f"the start ({type(parts.start).__name__})", name, least)
+    readers = list(parts.readers())
+    for reader, inputs, channels in readers:
+        layout.check_inputs(reader, inputs, channels, (Need.ALWAYS, Need.IF_GIVEN))
+    view = initial_view(layout, parts)
+    fields = {_sensor(name, sensor): sensor.view_fields for name, sensor in parts.sensors.items()}
+    fields[f"the filter ({type(parts.filter).__name__})"] = parts.filter.view_fields
+    for reader, names in fields.items():
+        for name in names:
+            if not hasattr(view, name):
+                shown = listed(getattr(view, "_fields", ()), 8) or type(view).__name__
+                raise UnusableInput(
+                    f"the view of {type(parts.motion).__name__} has {shown}; expected '{name}', which {reader} reads; "
+                    f"usual fix: a motion whose state has '{name}', or whose `view` computes it"
+                )
+    if len(getattr(view, "position", ())) == 2:
+        for reader, inputs, channels in readers:
+            layout.check_inputs(reader, inputs, channels, (Need.PLANAR,))
+
+
+def initial_view(layout: Layout, parts: Parts) -> Any:
+    """`motion.view` of a state that the start makes, in shapes; inputs that are declared and missing are filled in.
+
+    Raises UnusableInput for an input that is read without being declared, where the recordings lack it.
+    """
+    kind = jnp.zeros(0).dtype
+
+    def array(*shape: int) -> jax.ShapeDtypeStruct:
+        return jax.ShapeDtypeStruct(shape, kind)
+
+    inputs = {name: array(*shape) for name, shape in layout.inputs.items()}
+    for _, declared, channels in parts.readers():
+        for one in declared:
+            if one.need is not Need.IF_GIVEN and one.name not in inputs:
+                inputs[one.name] = array(*one.row_shape(channels))
+    readings = {
+        name: Reading(array(m), jax.ShapeDtypeStruct((m,), bool), array(k)) for name, (m, k) in layout.readings.items()
+    }
+    row = Row(
+        array(),
+        jax.ShapeDtypeStruct((), bool),
+        readings,
+        inputs,
+        jax.ShapeDtypeStruct((2,), np.uint32),
+        jax.ShapeDtypeStruct((), np.uint32),
+    )
+    leaves, tree = jax.tree_util.tree_flatten((parts.motion, parts.sensors, parts.start))
+    numeric = [isinstance(x, (float, np.ndarray, np.floating, jax.Array)) for x in leaves]
+    fixed = tuple(None if n else x for n, x in zip(numeric, leaves, strict=True))
+    numbers = [_shape(x, kind) if n else None for n, x in zip(numeric, leaves, strict=True)]
+    try:
+        return _view_of.eval_shape(tree, fixed, numbers, row)
+    except MissingInputError as missing:
+        raise UnusableInput(
+            f"{layout.where}: no input '{missing.name}', found {listed(layout.inputs, 8) or 'none'}; expected it, "
+            f"since {missing.reader} reads it; usual fix: add it to the recording's `inputs`, one row per time"
+        ) from None
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _view_of(tree: Any, fixed: tuple[Any, ...], numbers: list[Any], row: Row) -> Any:
+    """The view after the start; jax keeps the shapes by tree and shapes, so that a second check traces nothing."""
+    leaves = [f if n is None else n for f, n in zip(fixed, numbers, strict=True)]
+    motion, sensors, start = jax.tree_util.tree_unflatten(tree, leaves)
+    given = row._replace(inputs=GivenInputs(row.inputs, f"the start ({type(start).__name__})"))
+    state = start.belief(start.candidate(sensors, given), given).mean
+    inputs = GivenInputs(row.inputs, f"the motion ({type(motion).__name__})")
+    motion.step(state, inputs, row.dt, Vector(*[row.dt] * motion.noise_dimension))
+    return motion.view(state)
+
+
+def _shape(x: Any, kind: Any) -> jax.ShapeDtypeStruct:
+    dtype = np.result_type(x)
+    return jax.ShapeDtypeStruct(np.shape(x), kind if np.issubdtype(dtype, np.floating) else dtype)
+
+
+def _sensor(name: str, sensor: AbstractSensor) -> str:
+    return f"sensor '{name}' ({type(sensor).__name__})"
