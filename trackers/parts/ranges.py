@@ -70,7 +70,8 @@ class RangeSensor(AbstractSensor):
             "the number of the anchor of each slot, from 0",
             "`range_recording`, which counts the anchors in the order given",
             per_channel=True,
-            below=np.shape(self.bias.value)[0],
+            # A sensor built for no anchor has no biases, and serves any number of anchors.
+            below=np.shape(self.bias.value)[0] or None,
         )
         levers = Input(
             "levers",
