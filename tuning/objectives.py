@@ -14,12 +14,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from trackers.core.algebra import Scalar, cholesky, full, times, total, triangle
+from trackers.core.algebra import Scalar, cholesky, total, triangle
 from trackers.core.estimates import Status
-from trackers.core.linearise import linearise
+from trackers.core.linearise import covariance_of
 from trackers.core.scan import Output
 from trackers.core.sensor import LOG_2PI
-from trackers.core.state import coordinates
 
 Truth = dict[str, tuple[Any, Any]]
 """The truth of a row by quantity: its components, each (B,), and whether it is known (B,)."""
@@ -183,7 +182,7 @@ def normalised_error(output: Output, truth: Truth, quantity: str, dimensions: in
     By a Cholesky factor over scalars; NaN where the covariance of a scored row is not positive definite.
     """
     errors, scored = errors_of(output, truth, quantity, dimensions)
-    S = covariance_of(output, quantity, dimensions)
+    S = _covariance_of(output, quantity, dimensions)
     one = jnp.ones_like(errors[0])
     # Other rows get the unit matrix: before a track starts there is no covariance, and NaN has no derivative.
     cov = {(i, j): jnp.where(scored, S[i, j], one if i == j else 0.0) for i, j in triangle(dimensions)}
@@ -197,17 +196,11 @@ def normalised_error(output: Output, truth: Truth, quantity: str, dimensions: in
     )
 
 
-def covariance_of(output: Output, quantity: str, dimensions: int) -> dict[tuple[int, int], Scalar]:
-    """The covariance of a quantity's first components, upper triangle by index, linearised in the state."""
+def _covariance_of(output: Output, quantity: str, dimensions: int) -> dict[tuple[int, int], Scalar]:
+    """The covariance of a quantity's first components, upper triangle by index."""
 
     def one(mean: Any, cov: Any) -> dict[tuple[int, int], Scalar]:
-        point, rebuild = coordinates(mean)
-        _, rows = linearise(lambda *x: list(getattr(rebuild(x), quantity))[:dimensions], point)
-        P = full(cov, len(point))
-        return {
-            (i, j): total(times(times(a, P[m][n]), b) for m, a in rows[i].items() for n, b in rows[j].items())
-            for i, j in triangle(dimensions)
-        }
+        return covariance_of(mean, cov, lambda state: list(getattr(state, quantity))[:dimensions])
 
     # States are written for one trajectory: vmap tells their vector leaves from vectors of trajectories.
     each = jax.vmap(one, in_axes=-1, out_axes=-1) if jnp.ndim(output.status) else one

@@ -14,6 +14,7 @@ from trackers.aoa.fusion import AXES, BEARINGS, ORIGIN, BearingSensor, bearing_i
 from trackers.aoa.rays import nearest_to_rays, unit_vector
 from trackers.core.estimates import Status
 from trackers.core.layout import Layout
+from trackers.core.linearise import covariance_of
 from trackers.core.motion import ConstantVelocity
 from trackers.core.recording import Batch
 from trackers.core.rig import Station
@@ -101,7 +102,8 @@ class Cascade(AbstractTracker):
         mean, cov = output.mean, output.cov
         updated = (output.status == Status.RESTARTED) | ((output.status == Status.OK) & (output.nis_dof > 0))
         angles = jnp.stack([mean.azimuth, mean.elevation], axis=1)
-        return Reading(angles, jnp.stack([updated, updated], axis=1), jnp.stack([cov[0], cov[1], cov[4]], axis=1))
+        angular = jax.vmap(jax.vmap(_angular_covariance, in_axes=-1, out_axes=-1))(mean, cov)
+        return Reading(angles, jnp.stack([updated, updated], axis=1), angular)
 
     def _per_row(self, output: Output) -> Output:
         """The fusion's output per row of the recording: the last belief, and the sums of the diagnostics."""
@@ -118,6 +120,12 @@ class Cascade(AbstractTracker):
         log_likelihood, nis, nis_dof, wrapped = (jnp.sum(per_row(x), axis=1) for x in output[2:6])
         mean, cov = jax.tree_util.tree_map(last, (output.mean, output.cov))
         return Output(mean, cov, log_likelihood, nis, nis_dof, wrapped, status.astype(jnp.int8))
+
+
+def _angular_covariance(mean: Any, cov: Any) -> Any:
+    """The variance of the azimuth, the covariance of both angles and the variance of the elevation, (3,) rad²."""
+    angular = covariance_of(mean, cov, lambda beam: (beam.azimuth, beam.elevation))
+    return jnp.stack([angular[0, 0], angular[0, 1], angular[1, 1]])
 
 
 def cascade_tracker(

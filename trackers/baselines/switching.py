@@ -20,14 +20,14 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.algebra import Scalar, full
+from trackers.core.algebra import Scalar
 from trackers.core.ekf import ExtendedKalman
 from trackers.core.imm import AbstractInteractingModels, AbstractSwitching, InteractingModels, Mixture, SwitchingMotion
 from trackers.core.inputs import HEIGHT, Input
+from trackers.core.linearise import covariance_of
 from trackers.core.motion import GroundMotion, Noise
 from trackers.core.recording import Row
 from trackers.core.sensor import AbstractSensor, Channel
-from trackers.core.state import dimension
 from trackers.core.tunable import Real, Scale
 from trackers.parts.fixes import FIXES, PATIENT, AbstractFixSensor, FixSensor, FixStart, FixTracker
 
@@ -119,7 +119,7 @@ class MirrorModels(AbstractInteractingModels):
     def switching_rates(self, belief: Mixture, inputs: Any) -> list[Scalar]:
         rates = []
         for mean, cov in belief.components:
-            variance = full(cov, dimension(mean))[2][2] + self.reach.value**2
+            variance = covariance_of(mean, cov, lambda state: state.position)[2, 2] + self.reach.value**2
             rates.append(
                 self.switching_rate.value * jnp.exp(-0.5 * (mean.position[2] - inputs["plane"]) ** 2 / variance)
             )

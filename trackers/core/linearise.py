@@ -1,15 +1,16 @@
-"""Jacobians of small functions as sparse rows of scalars, by forward mode through one linearised trace."""
+"""Jacobians of small functions as sparse rows of scalars, by forward mode, and the covariances they propagate."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax.extend.core import Literal
 
-from trackers.core.algebra import Scalar, SparseRow, times
+from trackers.core.algebra import Scalar, SparseRow, full, times, total, triangle
+from trackers.core.state import State, coordinates
 
 
 def linearise(
@@ -31,6 +32,23 @@ def linearise(
             if tangent is not None:
                 row[column] = tangent
     return value, rows
+
+
+def covariance_of(
+    mean: State, upper: Sequence[Scalar], quantity: Callable[[State], Iterable[Scalar]]
+) -> dict[tuple[int, int], Scalar]:
+    """The covariance of a quantity of one trajectory's state, linearised at the mean: its upper triangle by index.
+
+    `upper`: covariance of the small step about `mean`. A component of the state is selected by its name, whatever the
+    order of the fields, at no cost in the compiled program.
+    """
+    point, rebuild = coordinates(mean)
+    _, rows = linearise(lambda *x: list(quantity(rebuild(x))), point)
+    P = full(upper, len(point))
+    return {
+        (i, j): total(times(times(a, P[m][n]), b) for m, a in rows[i].items() for n, b in rows[j].items())
+        for i, j in triangle(len(rows))
+    }
 
 
 def _push(jaxpr: Any, consts: Sequence[Any], inputs: Sequence[Any], fixed: Sequence[bool] = ()) -> list[Any]:

@@ -15,6 +15,7 @@ from jax.scipy.special import ndtr
 
 from trackers.core.algebra import Scalar, compute_once, total
 from trackers.core.filter import AbstractFilter, Gaussian, Innovation
+from trackers.core.linearise import covariance_of
 from trackers.core.motion import AbstractMotion
 from trackers.core.particle.filter import particle_residuals, weighted_moments, weighted_nis
 from trackers.core.polyline import Polyline
@@ -56,8 +57,9 @@ class GridFilter(AbstractFilter[GridBelief]):
 
     def init(self, belief: Gaussian, key: Any) -> GridBelief:
         """The cells' probabilities of a normal prior with independent components; the tails go to the edges."""
-        variances = belief.cov[0], belief.cov[len(belief.mean)]
-        (arclength, speed), sigmas = belief.mean[:2], [jnp.sqrt(jnp.maximum(v, 1e-12)) for v in variances]
+        arclength, speed = belief.mean.arclength, belief.mean.speed
+        cov = covariance_of(belief.mean, belief.cov, lambda state: (state.arclength, state.speed))
+        sigmas = [jnp.sqrt(jnp.maximum(cov[k, k], 1e-12)) for k in range(2)]
         cells, speeds = self._axes(arclength.dtype)
         fast = _bin_masses(speeds, speed, sigmas[1])
         bins = self._wrapped_masses if self.line.closed else _bin_masses

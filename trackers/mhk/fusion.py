@@ -74,7 +74,7 @@ class AccelerationFilter(AbstractFilter[MhkBelief]):
         accelerated = jnp.minimum(dt, belief.remaining)
         a = belief.acceleration
         position = after.mean.position + a * (accelerated * dt - 0.5 * accelerated * accelerated)
-        mean = Kinematic(position, after.mean.velocity + a * accelerated)
+        mean = after.mean._replace(position=position, velocity=after.mean.velocity + a * accelerated)
         weights = belief.weights
         if self.rate is not None:
             weights = predicted(weights, self.sphere.blocks().probabilities, jnp.exp(-self.rate.value * dt))

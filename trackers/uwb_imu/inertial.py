@@ -12,7 +12,7 @@ from trackers.core.filter import Gaussian
 from trackers.core.inputs import Input
 from trackers.core.motion import Noise
 from trackers.core.recording import Row
-from trackers.core.state import Heading, Rotation
+from trackers.core.state import Heading, Rotation, component_names
 from trackers.core.track_loss import TrackLossPolicy
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import Scale
@@ -103,17 +103,18 @@ class InertialStart(AbstractNearbyStart):
         cov = diagonal([variances[k] for k, count in sizes.items() for _ in range(count)], zero)
         # The accelerometer does not observe rotations about the vertical, here in body axes.
         vertical = attitude.inverse().apply(Vector(zero, zero, zero + 1.0))
-        return Gaussian(state, with_yaw_variance(cov, vertical, variances["yaw"]))
+        return with_yaw_variance(Gaussian(state, cov), vertical, variances["yaw"])
 
 
-def with_yaw_variance(upper: tuple[Scalar, ...], axis: Vector, variance: Scalar) -> tuple[Scalar, ...]:
-    """The covariance of an `Inertial` state with a rotation of `variance` rad² about `axis` (body axes) added."""
-    n = int((8 * len(upper) + 1) ** 0.5) // 2
-    attitude = range(6, 9)
-    return tuple(
-        p + axis[i - 6] * axis[j - 6] * variance if i in attitude and j in attitude else p
-        for p, (i, j) in zip(upper, triangle(n), strict=True)
+def with_yaw_variance(belief: Gaussian, axis: Vector, variance: Scalar) -> Gaussian:
+    """The belief with a rotation of `variance` rad² about `axis` (body axes) added to that of its `attitude`."""
+    names = component_names(belief.mean)
+    part = {names.index(f"attitude.{k}"): axis[k] for k in range(3)}
+    cov = tuple(
+        p + part[i] * part[j] * variance if i in part and j in part else p
+        for p, (i, j) in zip(belief.cov, triangle(len(names)), strict=True)
     )
+    return Gaussian(belief.mean, cov)
 
 
 def level_attitude(force: Vector) -> Rotation:

@@ -1,0 +1,216 @@
+"""A state whose first field is not `position`: the same filter gives the same ellipses, NEES and coverage everywhere."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import polars as pl
+import pytest
+
+import trackwright as tw
+from experiments.monte_carlo import Study, TrackerConfig, World
+from experiments.monte_carlo.chunk import tracked_runs
+from experiments.monte_carlo.errors import scored
+from experiments.monte_carlo.results import ChunkTotals, Results
+from trackers.baselines.switching import mirror_tracker
+from trackers.catalogue import spec_of
+from trackers.core.algebra import Vector
+from trackers.core.ekf import Gaussian
+from trackers.core.imm import Mixture
+from trackers.core.linearise import covariance_of
+from trackers.core.motion import AbstractMotion, ConstantVelocity, Kinematic
+from trackers.core.polyline import Polyline
+from trackers.core.rig import Rig
+from trackers.core.start import AbstractStart
+from trackers.core.state import Rotation
+from trackers.core.tracker import Tracker
+from trackers.core.tunable import Constant, Scale
+from trackers.line.grid import GridFilter
+from trackers.line.motion import PathOutputMap, PathState
+from trackers.parts.fixes import FIXES, PATIENT, CorrelatedFixSensor, FixStart
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.tracks import batches as stacked
+from trackers.recordings.tracks import track
+from trackers.uwb_imu.inertial import with_yaw_variance
+from tuning.named_objectives import all_metrics
+
+IDS, ROWS = np.array([f"tag {k}" for k in range(12)]), 40
+
+R = np.array([[0.09, -0.05, 0.0], [-0.05, 0.04, 0.0], [0.0, 0.0, 0.25]])
+"""Covariance of the fixes, m²: correlated, so that cov_xy is not zero."""
+
+
+class VelocityFirst(NamedTuple):
+    velocity: Any
+    position: Any
+
+
+class VelocityFirstMotion(AbstractMotion):
+    """Constant velocity of a state with the velocity before the position."""
+
+    motion: ConstantVelocity
+
+    @property
+    def noise_dimension(self):
+        return self.motion.noise_dimension
+
+    def step(self, state, inputs, dt, w):
+        moved = self.motion.step(Kinematic(state.position, state.velocity), inputs, dt, w)
+        return VelocityFirst(moved.velocity, moved.position)
+
+
+class VelocityFirstStart(AbstractStart):
+    """The belief of a `FixStart`, whose components are independent, with the fields exchanged."""
+
+    start: FixStart
+
+    def can_start(self, row):
+        return self.start.can_start(row)
+
+    def candidate(self, sensors, row):
+        return self.start.candidate(sensors, row)
+
+    def belief(self, candidate, row):
+        mean, cov = self.start.belief(candidate, row)
+        return Gaussian(VelocityFirst(mean.velocity, mean.position), _permuted(cov, [3, 4, 5, 0, 1, 2]))
+
+
+def _permuted(upper, order):
+    """The upper triangle with rows and columns in another order."""
+    n = len(order)
+    at = {pair: k for k, pair in enumerate(zip(*np.triu_indices(n), strict=True))}
+    pairs = [(order[i], order[j]) for i in range(n) for j in range(i, n)]
+    return tuple(upper[at[min(pair), max(pair)]] for pair in pairs)
+
+
+def _tracker(exchanged):
+    motion, start = ConstantVelocity(0.5, 3), FixStart(Scale(0.5, "m"), Scale(1.0, "m/s"), False, 3)
+    if exchanged:
+        motion, start = VelocityFirstMotion(motion), VelocityFirstStart(start)
+    return Tracker(motion, {FIXES: CorrelatedFixSensor(R)}, start, track_loss=PATIENT)
+
+
+@pytest.fixture(scope="module")
+def folder():
+    """Tags with white accelerations of 0.5 m/s² per √Hz and correlated fixes at 5 Hz: the trackers' own model."""
+    rng, dt = np.random.default_rng(3), 0.2
+    times, fixes, truths = np.arange(ROWS) * dt, [], []
+    for tag in IDS:
+        a, b = 0.5 * np.sqrt(dt) * rng.normal(size=(2, ROWS, 3))
+        velocity = rng.normal(size=3) + np.cumsum(a, axis=0)
+        path = np.cumsum((velocity - a) * dt + a * dt / 2 + b * dt / 12**0.5, axis=0)
+        for found, x in ((truths, path), (fixes, path + rng.multivariate_normal(np.zeros(3), R, ROWS))):
+            found.append(pl.DataFrame({"t_s": times, "tag": tag} | {f"{c}_m": x[:, k] for k, c in enumerate("xyz")}))
+    spread = {f"{c}_std_m": pl.lit(None, pl.Float64) for c in "xyz"}
+    tables = {"fixes": pl.concat(fixes).with_columns(**spread), "truth": pl.concat(truths)}
+    return RecordingFolder("hall", None, Rig("hall"), tables)
+
+
+@pytest.fixture(scope="module")
+def specs():
+    return {
+        name: replace(spec_of("fix-kf"), build=lambda trajectory, planar, e=exchanged: _tracker(e))
+        for name, exchanged in (("usual", False), ("exchanged", True))
+    }
+
+
+def test_the_tables_and_their_evaluation_do_not_depend_on_the_order_of_the_fields(folder, specs):
+    tracks = {name: track(spec.batches([folder], name)) for name, spec in specs.items()}
+    usual, exchanged = (tracks[name].table for name in ("usual", "exchanged"))
+    assert usual["cov_xy_m2"].min() < -0.005
+    for name in usual.columns:
+        if usual.schema[name].is_numeric():
+            np.testing.assert_allclose(exchanged[name], usual[name], rtol=1e-7, atol=1e-9, err_msg=name)
+    one, other = (tw.evaluate(tracks[name], folder) for name in ("usual", "exchanged"))
+    assert other["nees_mean"] == pytest.approx(one["nees_mean"], rel=1e-7)
+    assert other["coverage_95"] == one["coverage_95"]
+
+
+def test_objectives_do_not_depend_on_the_order_of_the_fields(folder, specs):
+    metrics = []
+    for name, spec in specs.items():
+        ((_, rows),) = stacked(spec.batches([folder], name)[0].trajectories)
+        metrics.append(all_metrics(_tracker(name == "exchanged"), rows, "position", 3))
+    assert metrics[1] == pytest.approx(metrics[0], rel=1e-7)
+    # The model is true: four squares of a mean over 480 correlated rows.
+    assert metrics[0]["nees-shape"] < 0.1
+
+
+def test_studies_do_not_depend_on_the_order_of_the_fields(folder, specs):
+    trackers = {name: TrackerConfig(spec) for name, spec in specs.items()}
+    world = World(lambda ids, seed: folder)
+    study = Study("order", "", {"hall": world}, trackers, runs=len(IDS))
+    results = {}
+    for name, runs in tracked_runs(study, "hall", IDS).items():
+        totals = ChunkTotals(len(IDS))
+        totals.add(0, scored(runs))
+        results[name] = Results(study, {(0, name): totals.totals()}, {0: len(IDS)})
+    for metric, expected, within in (("nees_mean", 2.0, 0.6), ("nees_3d_mean", 3.0, 0.8), ("coverage_95", 0.95, 0.04)):
+        one, other = (results[name].at(metric, study.conditions[0], name).value for name in specs)
+        assert other == pytest.approx(one, rel=1e-7), metric
+        # The model is true; 480 correlated rows of 12 tags.
+        assert one == pytest.approx(expected, abs=within), metric
+
+
+def _random_cov(n, seed=0):
+    A = np.random.default_rng(seed).normal(size=(n, n))
+    return A @ A.T
+
+
+def _upper(cov):
+    return tuple(cov[np.triu_indices(len(cov))])
+
+
+def test_the_covariance_of_a_quantity_is_that_of_its_jacobian():
+    P, x = _random_cov(4), np.array([0.3, -0.4, 1.2, 2.0])
+    state = VelocityFirst(Vector(*x[:2]), Vector(*x[2:]))
+
+    def polar(s):
+        px, py = s.position
+        return (s.velocity[1], jnp.hypot(px, py), jnp.arctan2(py, px))
+
+    J = np.array(jax.jacobian(lambda v: jnp.stack(polar(VelocityFirst((v[0], v[1]), (v[2], v[3])))))(x))
+    found = covariance_of(state, _upper(P), polar)
+    for (i, j), value in found.items():
+        assert value == pytest.approx((J @ P @ J.T)[i, j], rel=1e-12)
+    selected = covariance_of(state, _upper(P), lambda s: s.position)
+    # The very entries: no operation is traced.
+    assert (selected[0, 0], selected[0, 1], selected[1, 1]) == (P[2, 2], P[2, 3], P[3, 3])
+
+
+def test_the_rate_of_crossing_the_plane_uses_the_variance_of_the_height():
+    P, z, reach, plane = _random_cov(5), 1.3, 0.1, 2.0
+    cov = jnp.asarray(_upper(P))
+    state = VelocityFirst(Vector(0.1, 0.2), Vector(1.0, 2.0, z))
+    models = mirror_tracker(rate=0.7).filter
+    (rate,) = models.switching_rates(Mixture((Gaussian(state, tuple(cov)),), (0.0,)), {"plane": plane})
+    assert float(rate) == pytest.approx(0.7 * np.exp(-0.5 * (z - plane) ** 2 / (P[4, 4] + reach**2)), rel=1e-12)
+
+
+def test_a_grid_starts_from_the_variances_of_arclength_and_speed():
+    class SpeedFirst(NamedTuple):
+        speed: Any
+        arclength: Any
+
+    line = Polyline(np.array([[0.0, 0.0], [4.0, 0.0]]))
+    grid = GridFilter(PathOutputMap(line, Constant(0.02)), 41, 11, 1.5)
+    usual = Gaussian(PathState(jnp.array(1.0), jnp.array(0.4)), (jnp.array(0.25), jnp.array(0.0), jnp.array(0.01)))
+    exchanged = Gaussian(SpeedFirst(usual.mean.speed, usual.mean.arclength), usual.cov[::-1])
+    key = jnp.zeros(2, jnp.uint32)
+    np.testing.assert_array_equal(grid.init(exchanged, key).travelling, grid.init(usual, key).travelling)
+
+
+def test_a_yaw_variance_is_added_to_the_attitude():
+    class AttitudeFirst(NamedTuple):
+        attitude: Any
+        position: Any
+
+    P, axis = _random_cov(5), np.array([0.0, 0.6, 0.8])
+    belief = Gaussian(AttitudeFirst(Rotation(1.0, 0.0, 0.0, 0.0), Vector(0.0, 0.0)), _upper(P))
+    added = with_yaw_variance(belief, Vector(*axis), 2.0)
+    expected = P + 2.0 * np.pad(np.outer(axis, axis), ((0, 2), (0, 2)))
+    np.testing.assert_allclose(added.cov, _upper(expected), rtol=1e-12)
