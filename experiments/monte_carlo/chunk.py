@@ -32,12 +32,10 @@ def run_chunk(study: Study, condition: Condition, ids: np.ndarray, first: bool) 
     `first`: whether this is a condition's first chunk, which also gives bounds and computing times. Raises
     UnusableInput where world, trackers and values do not fit each other.
     """
-    folder = _simulated(study, condition, ids)
-    untuned = {name: c.spec.batches([folder], name, c.free_height) for name, c in study.trackers.items()}
-    _require_grid_is_used(study, condition, untuned)
+    folder, prepared = _prepared(study, condition, ids)
     results = []
     for name, config in study.trackers.items():
-        batches = _configured(study, condition, name, config, untuned[name])
+        batches = prepared[name]
         tracked, seconds = _track(batches, ids, study.chunk, config)
         arrays = scored(tracked)
         for measure, function in study.measures.items():
@@ -56,12 +54,29 @@ def run_chunk(study: Study, condition: Condition, ids: np.ndarray, first: bool) 
 def tracked_runs(study: Study, world: str, ids: np.ndarray, **point: float) -> dict[str, TrackedRuns]:
     """The estimates of every tracker of a study for the trajectories with these ids, at a point of the grid."""
     (condition,) = [c for c in study.conditions if c.world == world and point.items() <= c.point.items()]
-    folder, found = _simulated(study, condition, ids), {}
-    for name, config in study.trackers.items():
-        untuned = config.spec.batches([folder], name, config.free_height)
-        batches = _configured(study, condition, name, config, untuned)
-        found[name] = _track(batches, ids, study.chunk, config)[0]
-    return found
+    prepared = _prepared(study, condition, ids)[1]
+    return {name: _track(prepared[name], ids, study.chunk, c)[0] for name, c in study.trackers.items()}
+
+
+def require_fitting_parts(study: Study) -> None:
+    """Refuse a study whose worlds, trackers and values do not fit each other, by one trajectory of every world.
+
+    Raises UnusableInput. Values of the grid beyond the first of each world are checked when their chunks run.
+    """
+    for world in study.worlds:
+        _prepared(study, next(c for c in study.conditions if c.world == world), np.zeros(1, int))
+
+
+def _prepared(
+    study: Study, condition: Condition, ids: np.ndarray
+) -> tuple[RecordingFolder, dict[str, list[TrackerBatch]]]:
+    """The simulated recording of the trajectories with these ids, and the batches of every tracker."""
+    folder = _simulated(study, condition, ids)
+    untuned = {name: c.spec.batches([folder], name, c.free_height) for name, c in study.trackers.items()}
+    _require_grid_is_used(study, condition, untuned)
+    return folder, {
+        name: _configured(study, condition, name, config, untuned[name]) for name, config in study.trackers.items()
+    }
 
 
 def _simulated(study: Study, condition: Condition, ids: np.ndarray) -> RecordingFolder:

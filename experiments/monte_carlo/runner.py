@@ -14,8 +14,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from experiments.monte_carlo.chunk import run_chunk
-from experiments.monte_carlo.chunk_store import ChunkStore
+from experiments.monte_carlo.chunk import require_fitting_parts, run_chunk
+from experiments.monte_carlo.chunk_store import IDENTITY, ChunkStore
 from experiments.monte_carlo.declaration import Condition, Study
 from experiments.monte_carlo.results import NAMES, Results
 from trackers.core.chunks import n_workers
@@ -75,6 +75,8 @@ def run_study(
         raise UnusableInput(
             "--until with --shard: a shard has only its own chunks; expected one of the two options; remove the other"
         )
+    if not (folder / IDENTITY).exists():
+        require_fitting_parts(study)
     store = ChunkStore(folder, study).open()
     if until is None:
         chunks = [(condition, k) for condition in study.conditions for k in range(study.chunks)]
