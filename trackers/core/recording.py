@@ -21,11 +21,25 @@ from trackers.core.sensor import Reading
 
 @dataclass(frozen=True)
 class Readings:
-    """All rows of one sensor: `values` (T, m), `seen` (T, m) bool, `reported` noise columns (T, k), k often 0."""
+    """All rows of one sensor: `values` (T, m), `seen` (T, m) bool, `reported` noise columns (T, k), k often 0.
+
+    Its arrays are read-only views: recordings share them.
+    """
 
     values: np.ndarray
     seen: np.ndarray
     reported: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("values", "seen") if self.reported is None else ("values", "seen", "reported"):
+            object.__setattr__(self, name, _read_only(getattr(self, name)))
+
+
+def _read_only(array: Any) -> np.ndarray:
+    """A view of the array that refuses assignment."""
+    view = np.asarray(array).view()
+    view.flags.writeable = False
+    return view
 
 
 @dataclass(frozen=True, repr=False)
@@ -34,7 +48,8 @@ class Recording:
 
     `times`: (T,) seconds, float64, not decreasing. `readings`: by sensor name. `inputs`: by name, (T, …), known
     quantities that motion and sensors may use. `truth`: by quantity name, values (T, d) with the rows where it is
-    known. Raises ValueError where times are unsorted, shapes differ or a number isn't finite.
+    known. Its arrays are read-only views. Raises ValueError where times are unsorted, shapes differ or a number isn't
+    finite.
     """
 
     times: np.ndarray
@@ -61,6 +76,10 @@ class Recording:
         for name, (values, known) in self.truth.items():
             self._check_rows(f"truth['{name}']", values)
             self._check_rows(f"truth['{name}'], where it is known,", known)
+        object.__setattr__(self, "times", _read_only(times))
+        object.__setattr__(self, "inputs", {name: _read_only(x) for name, x in self.inputs.items()})
+        truth = {name: (_read_only(values), _read_only(known)) for name, (values, known) in self.truth.items()}
+        object.__setattr__(self, "truth", truth)
 
     def _check_rows(self, what: str, array: np.ndarray) -> None:
         array = np.asarray(array)

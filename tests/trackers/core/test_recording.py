@@ -101,3 +101,19 @@ def test_the_trajectories_of_a_batch_are_filled_up_with_invalid_ones():
     assert part.size == 4
     np.testing.assert_array_equal(part.valid[0], [True, False, False, False])
     assert part.readings["north"].values[0, 0].tolist() == [2, 0, 0, 0]
+
+
+def test_the_arrays_of_a_recording_are_read_only_views():
+    times, values, seen, reported = np.arange(3.0), np.zeros((3, 2)), np.ones((3, 2), bool), np.ones((3, 1))
+    heights, true, known = np.ones(3), np.zeros((3, 3)), np.ones(3, bool)
+    readings = {"north": Readings(values, seen, reported)}
+    made = Recording(times, readings, {"height": heights}, {"position": (true, known)})
+    own = made.readings["north"]
+    arrays = [made.times, own.values, own.seen, own.reported, made.inputs["height"], *made.truth["position"]]
+    for array, given in zip(arrays, (times, values, seen, reported, heights, true, known), strict=True):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0
+        assert np.shares_memory(array, given)
+        # The caller's own array stays writable, and an array made from the view is a new one.
+        given[0] = 0
+        array.copy()[0] = 1
