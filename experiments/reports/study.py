@@ -16,7 +16,8 @@ from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
 from experiments.monte_carlo.results import Results
 from experiments.plots.study import SHOWN_CONDITIONS, distribution_charts, metric_chart
 from experiments.reports.pages import page, write_page
-from experiments.reports.wording import Unit, heading, units_of, with_interval, yes_no
+from experiments.reports.study_text import headline_of
+from experiments.reports.wording import Unit, heading, ratio_text, units_of, with_interval, yes_no
 
 REPORT = "report.html"
 KINDS = {".svg": "image/svg+xml", ".png": "image/png"}
@@ -63,7 +64,10 @@ def study_page(results: Results, expected: Expected, pictures: Sequence[Path], c
         title=re.sub(r"-(?!\d)|(?<!\d)-", " ", study.name).capitalize(),
         about=study.about,
         expected=_expected([c for c in expected if isinstance(c, ExpectedResult)]),
-        conclusions=[[c.statement, yes_no(c.holds), c.evidence] for c in expected if isinstance(c, Conclusion)],
+        conclusions=[
+            [c.statement, c.origin, yes_no(c.holds), c.evidence] for c in expected if isinstance(c, Conclusion)
+        ],
+        counts=headline_of(expected),
         pictures=[_picture(path) for path in pictures],
         charts=charts,
         distributions=distribution_charts(results, lengths),
@@ -78,17 +82,21 @@ def study_page(results: Results, expected: Expected, pictures: Sequence[Path], c
 
 def _expected(results: Sequence[ExpectedResult]) -> Table:
     rows = [
-        [r.quantity, f"{r.printed:g}\u00a0{r.unit}", with_interval(r.ours, Unit(r.unit, 1.0)), f"{r.ratio:.2f}",
-         "fitted" if r.fitted else "predicted", yes_no(r.reached), r.note]
+        [r.quantity, f"{r.printed:g}\u00a0{r.unit}", with_interval(r.ours, Unit(r.unit, 1.0)),
+         ratio_text(r.ratio, r.compares_rest), r.origin, yes_no(r.reached), r.note]
         for r in results
     ]  # fmt: skip
     asked = [r for r in results if r.reached is not None]
     within = " or ".join(f"{100 * width:g} %" for width in sorted({r.within for r in asked if r.within is not None}))
-    lead = "Fitted: the printed value was used to choose parameters that are not printed; predicted: it was not."
+    lead = (
+        "Fitted: parameters or a choice were adjusted to the printed value; derived: it follows from other numbers and "
+        "is not judged again; predicted: neither."
+    )
     if asked:
-        reached = sum(bool(r.reached) for r in asked)
-        lead = f"{reached} of {len(asked)} are within {within} of the printed values. {lead}"
-    head = ["result", "printed", "ours (95 % interval)", "ours / printed", "kind", "reached", "remark"]
+        lead = f"Within tolerance: at most {within} from the printed value. {lead}"
+    if any(r.compares_rest for r in results):
+        lead += " Shares above one half are compared by the rest."
+    head = ["result", "printed", "ours (95 % interval)", "ours / printed", "origin", "within tolerance", "remark"]
     shown = len(head) if any(r.note for r in results) else len(head) - 1
     return Table(lead, head[:shown], [row[:shown] for row in rows], ["", "", "after", "", "", "answer", "long"][:shown])
 

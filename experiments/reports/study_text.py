@@ -12,7 +12,7 @@ from experiments.monte_carlo.declaration import Study
 from experiments.monte_carlo.expectations import Conclusion, ExpectedResult, Value
 from experiments.monte_carlo.results import NAMES, Results
 from experiments.reports.tables import aligned, rendered, ruled_table
-from experiments.reports.wording import Unit, heading, units_of, with_interval, yes_no
+from experiments.reports.wording import Unit, heading, headline, ratio_text, units_of, with_interval, yes_no
 from trackers.recordings.atomic import json_text
 
 WIDTH = 160
@@ -26,7 +26,16 @@ def to_text(results: Results, expected: Sequence[ExpectedResult | Conclusion]) -
         _table(results.study, heading(metric, units[metric]), found, units[metric]) for metric, found in shown.items()
     ]
     reproduced = [t for t in (_expected(expected), _conclusions(expected)) if t is not None]
-    return rendered(WIDTH, *tables, *reproduced)
+    text = rendered(WIDTH, *tables, *reproduced)
+    return f"{text}\n{headline_of(expected)}\n" if reproduced else text
+
+
+def headline_of(expected: Sequence[ExpectedResult | Conclusion]) -> str:
+    """How many of the expected results are predicted, fitted and derived, and how many of them are reached."""
+    return headline(
+        [(c.origin, c.reached) for c in expected if isinstance(c, ExpectedResult)],
+        [(c.origin, c.holds) for c in expected if isinstance(c, Conclusion)],
+    )
 
 
 def _table(study: Study, title: str, found: Mapping[tuple[int, str], Value], unit: Unit) -> Table:
@@ -36,17 +45,17 @@ def _table(study: Study, title: str, found: Mapping[tuple[int, str], Value], uni
 
 def _expected(expected: Sequence[ExpectedResult | Conclusion]) -> Table | None:
     rows = [
-        [r.quantity, r.unit, "fitted" if r.fitted else "predicted", f"{r.printed:g}",
-         with_interval(r.ours, Unit(r.unit, 1.0)), f"{r.ratio:.2f}", yes_no(r.reached)]
+        [r.quantity, r.unit, r.origin, f"{r.printed:g}",
+         with_interval(r.ours, Unit(r.unit, 1.0)), ratio_text(r.ratio, r.compares_rest), yes_no(r.reached)]
         for r in expected if isinstance(r, ExpectedResult)
     ]  # fmt: skip
-    head = ("result", "unit", "kind", "printed", "ours (95 %)", "ratio", "reached")
+    head = ("result", "unit", "origin", "printed", "ours (95 %)", "ratio", "within tolerance")
     return ruled_table("Printed and ours", head, 3, rows) if rows else None
 
 
 def _conclusions(expected: Sequence[ExpectedResult | Conclusion]) -> Table | None:
-    rows = [[c.statement, yes_no(c.holds), c.evidence] for c in expected if isinstance(c, Conclusion)]
-    return ruled_table("Conclusions", ("conclusion", "holds", "evidence"), 3, rows) if rows else None
+    rows = [[c.statement, c.origin, yes_no(c.holds), c.evidence] for c in expected if isinstance(c, Conclusion)]
+    return ruled_table("Conclusions", ("conclusion", "origin", "holds", "evidence"), 4, rows) if rows else None
 
 
 def to_json(results: Results, expected: Sequence[ExpectedResult | Conclusion]) -> str:
@@ -116,7 +125,12 @@ def _has(results: Results, metric: str, condition: int, tracker: str) -> bool:
 
 def _claim(claim: ExpectedResult | Conclusion) -> dict[str, Any]:
     if isinstance(claim, Conclusion):
-        return {"says": claim.statement, "holds": claim.holds, "evidence": claim.evidence}
+        return {
+            "says": claim.statement,
+            "holds": claim.holds,
+            "evidence": claim.evidence,
+            "origin": claim.origin.value,
+        }
     own: Value = claim.ours
     return {
         "figure": claim.quantity,
@@ -124,7 +138,8 @@ def _claim(claim: ExpectedResult | Conclusion) -> dict[str, Any]:
         "ours": own._asdict(),
         "unit": claim.unit,
         "ratio": claim.ratio,
-        "fitted": claim.fitted,
+        "compares_rest": claim.compares_rest,
+        "origin": claim.origin.value,
         "reached": claim.reached,
         "note": claim.note,
     }

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.monte_carlo.expectations import Value
+from experiments.monte_carlo.expectations import Origin, Value
 
 MISSING = "–"
 WORDS = {
@@ -164,3 +164,33 @@ def yes_no(value: bool | None) -> str:
 def uncapitalised(text: str) -> str:
     """The text for the middle of a sentence; an abbreviation at its beginning stays in capitals."""
     return text if text[:2].isupper() else text[0].lower() + text[1:]
+
+
+def headline(numbers: Iterable[tuple[str, bool | None]], conclusions: Iterable[tuple[str, bool]]) -> str:
+    """How many numbers and conclusions are predicted, fitted and derived, and how many of them are reached or hold.
+
+    `numbers`: origin, and whether the number is reached, None where it is not judged. `conclusions`: origin, and
+    whether they hold.
+    """
+    judged, stated = [n for n in numbers if n[1] is not None or n[0] == Origin.DERIVED], list(conclusions)
+    sentences = []
+    for origin in reversed(Origin):
+        ours = [bool(reached) for o, reached in judged if o == origin]
+        held = [holds for o, holds in stated if o == origin]
+        parts = [counted(len(ours), "number")] if ours else []
+        parts += [counted(len(held), "conclusion")] if held else []
+        if origin is Origin.DERIVED:
+            sentences += [f"Derived, not counted: {', '.join(parts)}."] if parts else []
+            continue
+        if ours:
+            parts[0] += f", {sum(ours)} within tolerance"
+        if held:
+            parts[-1] += f", {sum(held)} {'holds' if sum(held) == 1 else 'hold'}"
+        if parts or origin is Origin.PREDICTED:
+            sentences.append(f"{origin.capitalize()}: {'; '.join(parts) or 'nothing'}.")
+    return " ".join(sentences)
+
+
+def ratio_text(ratio: float, compares_rest: bool) -> str:
+    """The ratio of our number to the printed one; marked where it is that of what two shares leave over."""
+    return f"{ratio:.2f} (rest)" if compares_rest else f"{ratio:.2f}"

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, TrackerConfig, World
+from experiments.monte_carlo import PREDICTED, Conclusion, ExpectedResult, Results, Study, TrackerConfig, World
 from experiments.papers.fitting import fitted
 from experiments.papers.huang_2018.workshop import MEASURES, workshop
 from trackers.mhk.rows import TRACKERS
@@ -50,11 +50,13 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
                 f"at {world}: the larger the window, the better the smoothing",
                 bool(np.all(np.diff(longest) < 0)),
                 "largest distance to the route " + _listed(longest),
+                PREDICTED,
             ),
             Conclusion(
                 f"at {world}: a window of 9 balances smoothing and lag best",
                 best == 9,
                 f"mean distance to the place at that time is least with {best}: " + _listed(in_time),
+                PREDICTED,
             ),
         ]
     stamped = results.difference("mean_m", "0.5 m/s", "median of 9, stamped", "median of 9").times(100)
@@ -63,6 +65,7 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
             "most of the error in time is lag that a stamp takes out",
             stamped.high < 0,
             f"a median of 9 at 0.5 m/s, stamped less unstamped: {stamped.value:.1f} cm",
+            PREDICTED,
         )
     )
     return found

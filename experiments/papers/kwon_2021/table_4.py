@@ -17,7 +17,17 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, TrackedRuns, TrackerConfig, World
+from experiments.monte_carlo import (
+    FITTED,
+    Conclusion,
+    ExpectedResult,
+    Results,
+    Study,
+    TrackedRuns,
+    TrackerConfig,
+    World,
+    inherited,
+)
 from experiments.monte_carlo.chunk import tracked_runs
 from experiments.papers.fitting import fitted
 from experiments.papers.kwon_2021.fixes_from_ranges import fixes_from_ranges
@@ -83,7 +93,7 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
     for name, printed in PRINTED.items():
         for axis, number in zip("xy", printed, strict=True):
             ours = results.value(f"spread_{axis}_m", "still", name).times(1e3)
-            found.append(ExpectedResult(f"Table 4, {name}, {axis}", number, ours, "mm", fitted=True))
+            found.append(ExpectedResult(f"Table 4, {name}, {axis}", number, ours, "mm", FITTED))
     order = list(PRINTED)
     less = [
         results.difference(f"spread_{axis}_m", "still", after, before).high < 0
@@ -91,7 +101,8 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
         for axis in "xy"
     ]
     listed = ", ".join(f"{n} {results.value('spread_x_m', 'still', n).value * 1e3:.1f} mm" for n in order)
-    return [*found, Conclusion("raw > moving average > Kalman > proposed, in x and in y", all(less), f"in x {listed}")]
+    says = "raw > moving average > Kalman > proposed, in x and in y"
+    return [*found, Conclusion(says, all(less), f"in x {listed}", inherited(FITTED))]
 
 
 def figure_10(results: Results, folder: Path) -> list[str]:

@@ -11,7 +11,16 @@ from functools import partial
 
 import numpy as np
 
-from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, TrackedRuns, TrackerConfig, World
+from experiments.monte_carlo import (
+    PREDICTED,
+    Conclusion,
+    ExpectedResult,
+    Results,
+    Study,
+    TrackedRuns,
+    TrackerConfig,
+    World,
+)
 from experiments.reports.wording import fixed_interval
 from sim.corruptions import Corruption
 from sim.paths import hand_motion
@@ -49,6 +58,7 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
                 f"{world}: lengthening every range by (14) prevents errors",
                 more.high < 0,
                 f"RMSE with (14) less without: {fixed_interval(more, '+.1f', ' cm')}",
+                PREDICTED,
             )
         )
     for world in results.study.worlds:
@@ -58,6 +68,7 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
                 f"{world}: all four ranges are better than three",
                 less.high < 0,
                 f"RMSE of least squares less that of trilateration: {less.value:+.1f} cm",
+                PREDICTED,
             )
         )
     return found

@@ -1,9 +1,9 @@
 """Figures 3.1-3.6 of the thesis: one recording of each situation, the filters' positions and their errors over time.
 
 Figures 3.1, 3.3 and 3.5 show the path with the outputs of both filters, 3.2, 3.4 and 3.6 the errors over time with
-their averages, of set 1 of each situation. Their captions print two numbers each: the measurement error, which is
-fitted (`fit_table_3_1`), and the improvement of the particle filter over the Kalman filter, which is predicted. As in
-Table 3.1 a printed number belongs to one recording, ours is the mean over many.
+their averages, of set 1 of each situation. Their captions print two numbers each, the measurement error and the
+improvement of the particle filter over the Kalman filter. Both follow from Table 3.1 (`table_3_1`) and are not judged
+again. A printed number belongs to one recording, ours is the mean over many.
 
 The worlds `… run again` repeat one recording for particles with other random numbers: the thesis averages ten such
 runs, because a single one "does not necessarily provide a representative output".
@@ -19,7 +19,18 @@ import numpy as np
 import polars as pl
 from matplotlib.figure import Figure
 
-from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, TrackedRuns, World
+from experiments.monte_carlo import (
+    DERIVED,
+    FITTED,
+    PREDICTED,
+    Conclusion,
+    ExpectedResult,
+    Results,
+    Study,
+    TrackedRuns,
+    World,
+    inherited,
+)
 from experiments.monte_carlo.chunk import tracked_runs
 from experiments.papers.fitting import fitted
 from experiments.papers.line_thesis._assembly_line import (
@@ -71,15 +82,16 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
     for number, (situation, (measured, better)) in enumerate(PRINTED.items()):
         world, figure = FIRST[situation], f"Figure 3.{2 * number + 2}"
         raw = results.value("error_m", world, "raw").times(100)
-        made.append(ExpectedResult(f"{figure}, average measurement error", measured, raw, "cm", True))
+        note = "printed in Table 3.1, too"
+        made.append(ExpectedResult(f"{figure}, average measurement error", measured, raw, "cm", DERIVED, note=note))
         gain = results.difference("error_m", world, "Kalman", "particle").times(100)
         gains = 100 * (results.numbers("error_m", world, "Kalman") - results.numbers("error_m", world, "particle"))
         note = (
-            f"one recording scatters by ± {gains.std(ddof=1):.1f} cm; the printed one lies "
+            f"follows from Table 3.1; one recording scatters by ± {gains.std(ddof=1):.1f} cm, and the printed one lies "
             f"{(better - gain.value) / gains.std(ddof=1):+.1f} of that away"
         )
         made.append(
-            ExpectedResult(f"{figure}, improvement of the particle filter", better, gain, "cm", False, note=note)
+            ExpectedResult(f"{figure}, improvement of the particle filter", better, gain, "cm", DERIVED, note=note)
         )
         for tracker in largest:
             largest[tracker] = max(largest[tracker], results.value("off_path_m", world, tracker).value)
@@ -92,17 +104,20 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
         "the particle filter's output always stays on the assembly line, the Kalman filter strays away",
         largest["particle"] < 1e-3 < largest["Kalman"],
         f"{100 * largest['particle']:.2f} and up to {100 * largest['Kalman']:.1f} cm from the path on average",
+        DERIVED,
     )
     below_ = Conclusion(
         "the particle filter's error is below the Kalman filter's for a large part of the time",
         min(shares) > 0.6,
         "of the time: " + ", ".join(f"{100 * s:.0f} %" for s in shares),
+        inherited(FITTED),
     )
     single = Conclusion(
         "a single trial is not representative: other random numbers give other errors",
         min(scatter) > 0,
         f"runs on one recording scatter by ± {min(scatter):.1f} to {max(scatter):.1f} cm, recordings by "
         f"± {min(spread):.1f} to {max(spread):.1f} cm: ten runs average the lesser of the two",
+        PREDICTED,
     )
     return [*made, stays, below_, single]
 

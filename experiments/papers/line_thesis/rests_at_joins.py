@@ -16,7 +16,17 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, TrackedRuns, TrackerConfig, Value, World
+from experiments.monte_carlo import (
+    PREDICTED,
+    Conclusion,
+    ExpectedResult,
+    Results,
+    Study,
+    TrackedRuns,
+    TrackerConfig,
+    Value,
+    World,
+)
 from experiments.monte_carlo.chunk import tracked_runs
 from experiments.papers.fitting import fitted
 from experiments.papers.line_thesis._assembly_line import (
@@ -89,16 +99,19 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
                 f"{without}: without the segment rests are overshot, with it less",
                 bool(past > 0 and abs(past_known) < past),
                 f"while the tag rests the estimate is {past:+.1f} cm past the join, with it {past_known:+.1f} cm",
+                PREDICTED,
             ),
             Conclusion(
                 f"{without}: the segment in the state makes rests more accurate",
                 rest.high < 0,
                 f"{at_rest:.1f} cm, with the segment {_text(rest)}; over whole recordings {_text(whole)}",
+                PREDICTED,
             ),
             Conclusion(
                 f"{without}: where no rests come, expecting them does no harm",
                 travel.low <= 0,
                 f"{_text(travel)} over whole recordings",
+                PREDICTED,
             ),
         ]
     return made

@@ -13,7 +13,17 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, TrackedRuns, World
+from experiments.monte_carlo import (
+    FITTED,
+    PREDICTED,
+    Conclusion,
+    ExpectedResult,
+    Results,
+    Study,
+    TrackedRuns,
+    World,
+    inherited,
+)
 from experiments.papers.will_2020._work_stand import cascade, direct, recorded
 from experiments.papers.will_2020.fit_figure_8 import radius
 from experiments.plots.style import BLACK, LINES, plain, write_svg
@@ -60,22 +70,26 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
             "with a station lost the position is known still, with reduced accuracy",
             failed == 0 and min(cm[w].low for w in LOST.values()) > cm[NONE].high,
             told,
+            inherited(FITTED, PREDICTED),
         ),
         Conclusion(
             "the failure of station 1 has the biggest impact",
             cm[LOST[1]].low > others,
             f"{told}; which of the stations is called 1 is ours to say, that one matters most is not",
+            FITTED,
         ),
         Conclusion(
             "errors are larger while the fusion settles",
             np.mean([early[w] for w in LOST.values()]) > np.mean([late[w] for w in LOST.values()]),
             f"first {SETTLED} points against the rest: {pairs}",
+            PREDICTED,
         ),
         Conclusion(
             "station 1 matters most mainly because of outliers at the beginning",
             late[LOST[1]] < max(late[LOST[k]] for k in (2, 3)),
             f"without the first {SETTLED} points it still does: here geometry is why, the other two see height worst; "
             f"error of the height: {listed(heights, '{:.1f} cm')}",
+            PREDICTED,
         ),
     ]
 

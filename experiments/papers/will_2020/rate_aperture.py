@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, TrackedRuns, World
+from experiments.monte_carlo import PREDICTED, Conclusion, ExpectedResult, Results, Study, TrackedRuns, World
 from experiments.papers.will_2020._work_stand import ALL, beam, recorded
 from experiments.papers.will_2020.fit_figure_8 import radius
 from experiments.plots.style import LINES, plain, write_svg
@@ -49,23 +49,27 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
             usual == sorted(usual, reverse=True),
             f"median at {fast:g} Hz, all antennas: "
             + ", ".join(f"{a:g} x {m:.2f} deg" for a, m in zip(APERTURES, usual, strict=True)),
+            PREDICTED,
         ),
         Conclusion(
             "a larger aperture needs a higher rate to keep track",
             all(lost[w, slow, large] > 5 + lost[w, fast, large] for w in (ALL, THREE)),
             f"antennas {THREE}, {large:g} times the aperture, astray: "
             + ", ".join(f"{lost[THREE, r, large]:.1f} % at {r:g} Hz" for r in RATES),
+            PREDICTED,
         ),
         Conclusion(
             "the largest aperture that keeps its track is the larger, the higher the rate",
             all(found == sorted(found) and found[0] < found[-1] for found in sure.values()),
             f"less than {HELD:g} % astray: " + "; ".join(f"{w} {_listed(found)}" for w, found in sure.items()),
+            PREDICTED,
         ),
         Conclusion(
             "three antennas lose the track sooner than eight",
             all(lost[THREE, r, a] >= lost[ALL, r, a] for r in RATES for a in APERTURES),
             f"at {slow:g} Hz and {large:g} times the aperture {lost[THREE, slow, large]:.1f} against "
             f"{lost[ALL, slow, large]:.1f} % astray",
+            PREDICTED,
         ),
     ]
 

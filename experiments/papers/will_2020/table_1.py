@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from experiments.monte_carlo import Conclusion, ExpectedResult, Results, Study, Value, World
+from experiments.monte_carlo import FITTED, Conclusion, ExpectedResult, Results, Study, Value, World, inherited
 from experiments.papers.will_2020._work_stand import ALL, PRINTED_FORM, SETS, beam, recorded
 from experiments.papers.will_2020.fit_figure_8 import radius
 from experiments.papers.will_2020.fit_table_1 import PRINTED
@@ -30,7 +30,9 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
             wrapped = _error(results, name, axis, "EKF, each difference wrapped")
             note = f"with each of the 28 differences wrapped, as printed: {wrapped.value:.3f} deg"
             made.append(
-                ExpectedResult(f"Table 1, {name}, {axis}", printed, _error(results, name, axis), "deg", True, note=note)
+                ExpectedResult(
+                    f"Table 1, {name}, {axis}", printed, _error(results, name, axis), "deg", FITTED, note=note
+                )
             )
     return made + _conclusions(results)
 
@@ -47,7 +49,7 @@ def _conclusions(results: Results) -> list[ExpectedResult | Conclusion]:
         printed = sorted(SETS, key=lambda name: PRINTED[name][k])
         told = ", ".join(f"{name} {ours[axis][name].value:.2f}" for name in order)
         text = f"{axis}: {printed[0]} is best and {printed[-1]} worst, with the others in the printed order between"
-        made.append(Conclusion(text, order == printed, f"{told} deg"))
+        made.append(Conclusion(text, order == printed, f"{told} deg", inherited(FITTED)))
     loss = max(ours[axis]["2-3-6"].value / ours[axis][ALL].value for axis in AXES)
     poor = min(max(ours[axis][name].value / ours[axis][ALL].value for axis in AXES) for name in SETS[:3])
     made.append(
@@ -55,6 +57,7 @@ def _conclusions(results: Results) -> list[ExpectedResult | Conclusion]:
             "the three outermost antennas alone are only slightly worse than all eight",
             loss < 1.25,
             f"at most {100 * (loss - 1):.0f} % worse in an angle, every small aperture {poor:.1f} times and more",
+            inherited(FITTED),
         )
     )
     full = ours["azimuth"][ALL], ours["elevation"][ALL]
@@ -63,6 +66,7 @@ def _conclusions(results: Results) -> list[ExpectedResult | Conclusion]:
             "with all antennas both errors are under one degree, the azimuth's smaller, whose aperture is larger",
             full[0].high < full[1].low and full[1].high < 1.0,
             f"azimuth {full[0].value:.2f} deg, elevation {full[1].value:.2f} deg",
+            inherited(FITTED),
         )
     )
     return made

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from experiments.monte_carlo.errors import TrackedRuns
-from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
+from experiments.monte_carlo.expectations import PREDICTED, Conclusion, ExpectedResult
 from experiments.monte_carlo.runner import run_study
 from experiments.monte_carlo.sources import available_studies, load_study
 from experiments.papers import fitting
@@ -79,10 +79,11 @@ def test_the_raw_fixes_of_the_workshop_are_as_far_off_the_route_as_its_polyline_
 def test_the_workshop_has_nine_printed_figures_of_which_four_are_predicted(tmp_path):
     found = workshop.expected(_results(workshop.STUDY, 4, tmp_path))
     claims = [c for c in found if isinstance(c, ExpectedResult)]
-    assert [c.fitted for c in claims].count(False) == 4
+    assert [c.origin for c in claims].count(PREDICTED) == 4
+    assert [c.share for c in claims] == [c.unit == "%" for c in claims]
     assert len(claims) == 9
     # Four vehicles: their largest errors spread by 15 %, so that the mean of four is off by 25 % in 1 of 1,000 cases.
-    assert all(abs(c.ratio - 1) < 0.25 for c in claims)
+    assert all(abs(c.ours.value / c.printed - 1) < 0.25 for c in claims)
 
 
 @pytest.mark.slow

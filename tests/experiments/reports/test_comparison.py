@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from experiments.cli.report import report
-from experiments.papers.reproduce import part
+from experiments.papers.reproduce import page, part
 from experiments.reports.comparison import pairs
 from trackers.core.errors import UnusableInput
 
@@ -90,15 +90,28 @@ def test_runs_that_cannot_be_compared_are_refused_in_one_line(tmp_path):
 
 def test_the_page_of_all_reproductions_says_what_is_fitted_and_what_was_not_reached():
     claims = [
-        {"figure": "Table 1", "printed": 10.0, "ours": _value(10.4, 0.2), "unit": "cm", "ratio": 1.04, "fitted": True,
-         "reached": True, "note": ""},
-        {"figure": "Table 2", "printed": 10.0, "ours": _value(14.0, 0.2), "unit": "cm", "ratio": 1.4, "fitted": False,
-         "reached": False, "note": "The nearest is this."},
-        {"says": "A is better", "holds": False, "evidence": "1 against 2"},
+        {"figure": "Table 1", "printed": 10.0, "ours": _value(10.4, 0.2), "unit": "cm", "ratio": 1.04,
+         "compares_rest": False, "origin": "fitted", "reached": True, "note": ""},
+        {"figure": "Table 2", "printed": 10.0, "ours": _value(14.0, 0.2), "unit": "cm", "ratio": 1.4,
+         "compares_rest": False, "origin": "predicted", "reached": False, "note": "The nearest is this."},
+        {"figure": "Table 3", "printed": 98.3, "ours": _value(93.7, 0.2), "unit": "%", "ratio": 3.71,
+         "compares_rest": True, "origin": "predicted", "reached": False, "note": ""},
+        {"figure": "Table 4", "printed": 5.0, "ours": _value(5.0, 0.2), "unit": "cm", "ratio": 1.0,
+         "compares_rest": False, "origin": "derived", "reached": None, "note": ""},
+        {"says": "A is better", "holds": False, "evidence": "1 against 2", "origin": "derived"},
+        {"says": "B is better", "holds": True, "evidence": "2 against 1", "origin": "predicted"},
     ]  # fmt: skip
     text = part({"study": "some", "about": "What?", "claims": claims, "computing_s": 12.0})
     assert "| Table 1 | 10 cm | 10.40 (10.30 … 10.50) | 1.04 | fitted | yes |" in text
     assert "| 1.40 | predicted | **no** |" in text
-    assert "1 of 2 are within tolerance." in text
+    assert "| 3.71 (rest) | predicted | **no** |" in text
+    assert "| 1.00 | derived |  |" in text
+    counts = (
+        "Predicted: 2 numbers, 0 within tolerance; 1 conclusion, 1 holds. Derived, not counted: 1 number, 1 conclusion. "
+        "Fitted: 1 number, 1 within tolerance."
+    )
+    assert f"**{counts}**" in text
+    assert page([{"study": "some", "about": "What?", "claims": claims, "computing_s": 12.0}], 12.0).count(counts) == 2
     assert "The nearest is this." in text
-    assert "**Does not hold**: A is better. 1 against 2" in text
+    assert "**Does not hold** (*derived*): A is better. 1 against 2" in text
+    assert "Holds (*predicted*): B is better. 2 against 1" in text

@@ -4,7 +4,7 @@ import subprocess
 
 import pytest
 
-from experiments.monte_carlo import Conclusion, ExpectedResult
+from experiments.monte_carlo import PREDICTED, Conclusion, ExpectedResult
 from experiments.monte_carlo.expectations import Value
 from experiments.monte_carlo.runner import run_study
 from experiments.reports.study import study_page
@@ -26,9 +26,9 @@ def report(tmp_path_factory):
     results = run_study(SMALL, folder)
     claims = [
         ExpectedResult(
-            "Table 1, antennas 3-7-8, elevation", 10.731, Value(10.2, 9.9, 10.6), "°", fitted=False, note="A remark."
+            "Table 1, antennas 3-7-8, elevation", 10.731, Value(10.2, 9.9, 10.6), "°", PREDICTED, note="A remark."
         ),
-        Conclusion("The filter is better throughout", holds=True, evidence="0.5 against 0.7 m"),
+        Conclusion("The filter is better throughout", holds=True, evidence="0.5 against 0.7 m", origin=PREDICTED),
     ]
     path = folder / "measured.html"
     path.write_text(study_page(results, claims, [], ["study", "small.toml"]).replace("</body>", MEASURE), "utf-8")
