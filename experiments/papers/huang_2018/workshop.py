@@ -148,7 +148,7 @@ def _conclusions(results: Results) -> list[ExpectedResult | Conclusion]:
             inherited(FITTED),
         ),
         Conclusion(
-            "in time MH-K as printed is worse than the raw fixes, and better with the times of its windows' middle rows",
+            "in time MH-K as printed is worse than the raw fixes, and better with the times of its windows' middles",
             in_time["mhk"].low > in_time["raw"].high and in_time["mhk-stamped"].high < in_time["raw"].low,
             "mean distance to the place at that time " + listed(in_time, CM),
             PREDICTED,
