@@ -15,7 +15,8 @@ from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.named_tracker import NamedTracker
 from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.tracks import batches
-from trackers.recordings.trajectories import Trajectory, segments
+from trackers.recordings.trajectories import Trajectory, segments, with_floor_truth
+from trackers.recordings.truth import truth_by_tag
 from tuning.named_objectives import parse_objective
 from tuning.objectives import AbstractObjective
 
@@ -55,9 +56,12 @@ def fit_data(
 
     Raises UnusableInput for an objective that is not known, or that needs truth where there is none.
     """
-    trajectories = [segment for trajectory in batch.trajectories for segment in segments(trajectory, segment_rows)]
-    quantity = next(iter(trajectories[0].recording.truth))
+    whole = batch.trajectories
+    quantity = next(iter(whole[0].recording.truth))
     floor = quantity == "direction" or batch.planar
+    if quantity == "position" and floor:
+        whole = _over_the_floor(whole)
+    trajectories = [segment for trajectory in whole for segment in segments(trajectory, segment_rows)]
     goal = _objective(objective, batch.tracker, quantity, 2 if floor else 3)
     if goal.needs_truth and batch.planar and trajectories[0].station:
         raise UnusableInput(
@@ -71,8 +75,20 @@ def fit_data(
             parts[trajectory.folder.name in apart].append(trajectory)
     for part, wanted, where in zip(parts, (True, bool(apart)), ("these recordings", "those held out"), strict=True):
         if wanted and not part:
+            if not floor and any(t.recording.truth["position"][1].any() for t in _over_the_floor(whole)):
+                raise UnusableInput(
+                    f"--objective {objective} needs truth with z_m, since the height is estimated, and {where} have x_m "
+                    "and y_m alone; give height_m of the tags in rig.toml, or use --objective nll"
+                )
             raise UnusableInput(f"--objective {objective} needs truth, and {where} have none; use --objective nll")
     return FitData(batch.tracker, goal, batch.planar, *parts)
+
+
+def _over_the_floor(trajectories: Sequence[Trajectory]) -> list[Trajectory]:
+    """The trajectories with true positions over the floor, as `evaluate` judges them, with or without heights."""
+    folders = {id(trajectory.folder): trajectory.folder for trajectory in trajectories}
+    paths = {key: truth_by_tag(folder) for key, folder in folders.items()}
+    return [with_floor_truth(trajectory, paths[id(trajectory.folder)]) for trajectory in trajectories]
 
 
 class FitArrays(NamedTuple):

@@ -25,7 +25,7 @@ Truth = dict[str, tuple[Any, Any]]
 
 
 class MissingQuantityError(ValueError):
-    """A tracker's state lacks the quantity whose error an objective needs."""
+    """A tracker's state, or the truth, lacks the quantity whose error an objective needs, or components of it."""
 
 
 class AbstractObjective(eqx.Module):
@@ -171,6 +171,11 @@ def errors_of(output: Output, truth: Truth, quantity: str, dimensions: int) -> t
     if not hasattr(output.mean, quantity):
         raise MissingQuantityError(f"the tracker's state is a {type(output.mean).__name__}, which has no {quantity}")
     true, known = truth[quantity]
+    if len(true) < dimensions:
+        raise MissingQuantityError(
+            f"the truth of the {quantity} has {len(true)} components, and {dimensions} are judged; give the truth its "
+            "height, or use a tracker over the floor"
+        )
     usable = (output.status == Status.OK) | (output.status == Status.RESTARTED) | (output.status == Status.LOST)
     components = list(getattr(output.mean, quantity))[:dimensions]
     return [m - t for m, t in zip(components, true[:dimensions], strict=True)], usable & known

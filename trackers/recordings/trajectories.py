@@ -61,6 +61,20 @@ def trajectory_of(
     return Trajectory(folder, tag, station, Recording(times, readings, inputs, truth, f"{folder.name}, tag {tag}"))
 
 
+def with_floor_truth(trajectory: Trajectory, paths: dict[str, TruthPath]) -> Trajectory:
+    """The trajectory with true positions over the floor, (T, 2) m, known also where the truth has no height.
+
+    `paths`: from `truth_by_tag`.
+    """
+    recording = trajectory.recording
+    position, known = np.zeros((len(recording), 2)), np.zeros(len(recording), bool)
+    if trajectory.tag in paths:
+        found, status = interpolate_truth(recording.times, *paths[trajectory.tag])
+        known = status == TruthStatus.SCORED
+        position = np.where(known[:, None], found[:, :2], 0.0)
+    return replace(trajectory, recording=replace(recording, truth={"position": (position, known)}))
+
+
 def known_height(folder: RecordingFolder, tag: str) -> float | None:
     """The constant height of a tag in the rig, m; None if it has none."""
     known = folder.rig.tags.get(tag)

@@ -1,0 +1,93 @@
+"""The data of a fit from folders: the truth that an objective needs, and recordings that lack it."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import polars as pl
+import pytest
+
+import trackwright as tw
+from experiments.monte_carlo import Study, TrackerConfig, World
+from experiments.monte_carlo.chunk import tracked_runs
+from experiments.monte_carlo.errors import scored
+from experiments.monte_carlo.results import ChunkTotals, Results
+from trackers.core.errors import UnusableInput
+from trackers.core.rig import Rig, Tag
+from trackers.recordings.folder import RecordingFolder
+from tuning.data import fit_data
+from tuning.named_objectives import all_metrics
+from tuning.objectives import MissingQuantityError
+
+ROWS = 60
+
+
+def _folder(height, heights_of_truth):
+    """A tag on a circle at 1.2 m with noisy fixes; `height`: in its rig; `heights_of_truth`: z_m of the truth's rows."""
+    rng, times = np.random.default_rng(1), np.arange(ROWS) * 0.1
+    path = np.stack([np.cos(times), np.sin(times), 1.2 + 0 * times], axis=1)
+    fixes = path + 0.1 * rng.normal(size=path.shape)
+    columns = {"t_s": times, "tag": ["1"] * ROWS}
+    tables = {
+        "fixes": pl.DataFrame(columns | {f"{a}_m": fixes[:, k] for k, a in enumerate("xyz")}).with_columns(
+            **{f"{a}_std_m": pl.lit(None, pl.Float64) for a in "xyz"}
+        ),
+        "truth": pl.DataFrame(columns | {"x_m": path[:, 0], "y_m": path[:, 1]}).with_columns(
+            z_m=pl.Series(heights_of_truth, dtype=pl.Float64)
+        ),
+    }
+    return RecordingFolder("hall", None, Rig("hall", tags={"1": Tag(height)}), tables)
+
+
+NONE, HALF, ALL = [None] * ROWS, [1.2, None] * (ROWS // 2), [1.2] * ROWS
+
+
+@pytest.mark.parametrize("heights", [NONE, HALF, ALL], ids=["no height", "every other height", "all heights"])
+def test_a_fit_over_the_floor_judges_truth_without_heights_as_evaluate_does(heights):
+    folder = _folder(1.2, heights)
+    tracker = tw.build("fix-kf", folder)
+    data = fit_data(tracker.only_batch(folder), "rmse")
+    found = all_metrics(data.tracker, data.rows(), "position", 2)
+    evaluation = tw.evaluate(tracker.run(folder), folder)
+    assert evaluation["n"] == ROWS
+    assert found["rmse"] == pytest.approx(evaluation["rmse_m"], rel=1e-9)
+
+
+@pytest.mark.parametrize("height", [1.2, None], ids=["over the floor", "in space"])
+def test_a_study_judges_truth_without_heights_as_evaluate_does(height):
+    folder = _folder(height, NONE)
+    study = Study("floor", "", {"hall": World(lambda ids, seed: folder)}, {"kf": TrackerConfig("fix-kf")}, runs=1)
+    runs = tracked_runs(study, "hall", np.array(["1"]))["kf"]
+    totals = ChunkTotals(1)
+    totals.add(0, scored(runs))
+    results = Results(study, {(0, "kf"): totals.totals()}, {0: 1})
+    evaluation = tw.evaluate(tw.build("fix-kf", folder).run(folder), folder)
+    assert int(runs.known.sum()) == evaluation["n"] == ROWS
+    assert results.at("rmse_m", study.conditions[0], "kf").value == pytest.approx(evaluation["rmse_m"], rel=1e-9)
+
+
+@pytest.mark.parametrize("objective", ["rmse", "nll+0.1*state-nll"])
+def test_the_error_of_an_estimated_height_needs_truth_with_heights(objective):
+    folder = _folder(None, NONE)
+    tracker = tw.build("fix-kf", folder)
+    with pytest.raises(UnusableInput, match=r"needs truth with z_m, .* have x_m and y_m alone; give height_m") as error:
+        fit_data(tracker.only_batch(folder), objective)
+    assert "\n" not in str(error.value)
+    assert fit_data(tracker.only_batch(folder), "nll").training
+    half = _folder(None, HALF)
+    assert fit_data(tw.build("fix-kf", half).only_batch(half), objective).training
+
+
+def test_a_recording_without_truth_has_none_to_fit_to():
+    folder = _folder(1.2, ALL)
+    blind = dataclasses.replace(folder, tables={"fixes": folder.tables["fixes"]})
+    with pytest.raises(UnusableInput, match="--objective rmse needs truth, and these recordings have none"):
+        fit_data(tw.build("fix-kf", blind).only_batch(blind), "rmse")
+
+
+def test_truth_over_the_floor_of_a_state_in_space_is_refused_with_the_usual_fix():
+    times = np.arange(5) * 0.1
+    recording = tw.fix_recording(times, np.zeros((5, 3)), truth=np.zeros((5, 2)))
+    with pytest.raises(MissingQuantityError, match="truth of the position has 2 components, and 3 are judged"):
+        tw.fit(tw.fix_tracker(), recording, objective="rmse")
