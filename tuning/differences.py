@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trackers.core.recording import Batch
+from trackers.core.tunable import Covariance, Scale
 from trackers.parts.fixes import FIXES
 
 LAGS = 1, 2, 4, 8, 16, 32
@@ -41,16 +42,19 @@ class FixNoiseLevels:
     acceleration: float
     height_walk: float
 
-    def level(self, name: str, unit: str) -> float | None:
-        """The noise level of a tunable with this name and unit; None if unknown."""
-        path, last = set(name.split(".")[:-1]), name.split(".")[-1]
-        is_vertical = last in ("sigma_vertical", "sigma_z")
-        found = float("nan")
-        if "motion" in path and unit == "m/s^2/sqrt(Hz)" and not is_vertical:
+    def of(self, node: Scale | Covariance) -> float | None:
+        """The noise level of a tunable with this role, axis and unit; None if unknown.
+
+        Of a covariance: its horizontal part.
+        """
+        is_vertical, found = node.axis == "vertical", float("nan")
+        if node.axis is None:
+            return None
+        if node.role == "process noise" and node.unit == "m/s^2/sqrt(Hz)" and not is_vertical:
             found = self.acceleration
-        elif "motion" in path and unit == "m/sqrt(s)" and is_vertical:
+        elif node.role == "process noise" and node.unit == "m/sqrt(s)" and is_vertical:
             found = self.height_walk
-        elif "sensors" in path and FIXES in path and unit in ("m", "m^2"):
+        elif node.role == "measurement noise" and node.unit in ("m", "m^2"):
             found = self.vertical if is_vertical else self.horizontal
         return found if np.isfinite(found) and found > 0 else None
 

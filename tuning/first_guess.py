@@ -21,7 +21,7 @@ from trackers.core.recording import Batch
 from trackers.core.scan import Output
 from trackers.core.track_loss import TrackLossPolicy
 from trackers.core.tracker import AbstractTracker
-from trackers.core.tunable import Covariance, Scale, matching, tunables
+from trackers.core.tunable import Covariance, Scale, matching, role_of, tunables
 from tuning.differences import noise_levels_of_fixes
 from tuning.objectives import AbstractObjective, NegativeLogLikelihood, Truth
 from tuning.parameters import Parameter, flatten, with_parameters
@@ -74,8 +74,8 @@ def first_guess(
 ) -> AbstractTracker:
     """The tracker with noise levels of the right order of magnitude for the batches.
 
-    Noise levels are the tunables `sigma_…` or `covariance` of motions, sensors and filters. Unchanged: those that match
-    a `frozen` pattern or have no effect, and a tracker without noise levels or measurements.
+    Noise levels are the tunables with a `role`. Unchanged: those that match a `frozen` pattern or have no effect, and a
+    tracker without noise levels or measurements.
     """
     batches = [batches] if isinstance(batches, Batch) else list(batches)
     parameters = noise_levels(tracker, frozen)
@@ -97,22 +97,20 @@ def first_guess(
 
 
 def _groups(parameters: Sequence[Parameter]) -> tuple[np.ndarray, np.ndarray]:
-    """Masks (levels,) of the motion's noise levels and of the measurements'; random walks of biases are in neither."""
-    is_bias = [any(word in p.names[0].split(".")[-1] for word in ("bias", "walk")) for p in parameters]
-    motion = np.array(["motion" in p.names[0].split(".") for p in parameters])
-    return (motion & ~np.array(is_bias)).astype(float), (~motion).astype(float)
+    """Masks (levels,) of the process noise and of the measurement noise; the noise of biases is in neither."""
+    roles = [role_of(p.example) for p in parameters]
+    process, measurement = ([float(role == r) for role in roles] for r in ("process noise", "measurement noise"))
+    return np.array(process), np.array(measurement)
 
 
 def noise_levels(tracker: AbstractTracker, frozen: Sequence[str] = ()) -> list[Parameter]:
     """The noise levels to guess, one parameter each; an array of levels is changed as a whole."""
     kept = set(matching(tracker, frozen)) if frozen else set()
-    found = []
-    for name, node in tunables(tracker).items():
-        *path, last = name.split(".")
-        level = isinstance(node, (Scale, Covariance)) and (last.startswith("sigma") or last == "covariance")
-        if level and name not in kept and {"motion", "sensors", "filter"} & set(path):
-            found.append(Parameter((name,), node, name))
-    return found
+    return [
+        Parameter((name,), node, name)
+        for name, node in tunables(tracker).items()
+        if role_of(node) is not None and name not in kept
+    ]
 
 
 def sample_segments(batches: Sequence[Batch], count: int) -> Batch:
@@ -142,7 +140,7 @@ def tolerant(tracker: AbstractTracker) -> AbstractTracker:
     """The tracker with `TOLERANCE` times the NIS limit of track loss: noise levels far off make most rows exceed it."""
 
     def raised(node: Any) -> Any:
-        if not (isinstance(node, TrackLossPolicy) and isinstance(node.nis_limit, Scale)):
+        if not isinstance(node, TrackLossPolicy):
             return node
         limit = node.nis_limit.with_value(TOLERANCE * np.asarray(node.nis_limit.value))
         return eqx.tree_at(lambda policy: policy.nis_limit, node, limit)
@@ -213,8 +211,8 @@ def _closed_form(parameters: Sequence[Parameter], segments: Batch) -> np.ndarray
         return np.zeros((0, len(vector)))
     parts = []
     for parameter in parameters:
-        kind: Any = parameter.example
-        level = found.level(parameter.names[0], kind.unit)
+        kind = parameter.example
+        level = found.of(kind) if isinstance(kind, (Scale, Covariance)) else None
         if level is not None and isinstance(kind, Covariance):
             value = np.asarray(kind.value, float)
             kind = kind.with_value(value * (level**2 / np.mean(np.diagonal(value)[:2])))

@@ -12,7 +12,7 @@ import numpy as np
 
 from trackers.core.chunks import CHUNK
 from trackers.core.tracker import AbstractTracker
-from trackers.core.tunable import Covariance, Scale
+from trackers.core.tunable import Covariance, Scale, role_of
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.named_tracker import NamedTracker
 from tuning.data import Arrays, fit_arrays
@@ -165,7 +165,7 @@ def initial_state(driver: MultiStart, vectors: np.ndarray, starts: int) -> FitSt
 
 
 def coarse_grid(parameters: Sequence[Parameter], vector: np.ndarray) -> np.ndarray:
-    """Starts (S, p): the vector itself first, then with the motion's and all other scales a tenth or tenfold.
+    """Starts (S, p): the vector itself first, then with process noise and all other scales a tenth or tenfold.
 
     Scales are noise levels, times and rates; offsets and fractions stay. Nine starts where both groups are tuned, three
     for one, one for none.
@@ -178,7 +178,7 @@ def coarse_grid(parameters: Sequence[Parameter], vector: np.ndarray) -> np.ndarr
             raised = raised + 1.0
         elif isinstance(parameter.example, Covariance):
             raised = np.eye(len(raised))  # the logarithms of a Cholesky factor's diagonal
-        part = motion if parameter.names[0].startswith("motion.") else others
+        part = motion if role_of(parameter.example) in ("process noise", "bias noise") else others
         part[at : at + parameter.size] = np.ravel(raised)
         at += parameter.size
     steps = (0.0, -GRID_STEP, GRID_STEP)
@@ -194,17 +194,18 @@ def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, inter
     """The result at the best point met, after a few Newton steps of a likelihood."""
     problem, parameters = driver.problem, driver.problem.parameters
     winner, own = int(np.argmin(state.best_scores)), state.past_vectors[0, 0]
-    runs = problem.filter_runs
-    vector, uncertainty = _best_vector(problem, state, winner), None
+    (vector, vectors), uncertainty = _best_vector(problem, state, winner), None
     if not interrupted:
-        found = _newton(driver, optimum(problem, vector))
-        vector = found.vector
+        found, more = _newton(driver, vector)
+        vector, vectors = found.vector, vectors + more
         uncertainty = uncertainty_at(problem, found, driver.at_bound(vector, found.gradient))
-    # Over all trajectories, as at the start; the value of an optimum is without those that lack usable gradients.
     last = problem.evaluate(vector)
-    value, n_excluded = float(last.values[0]), problem.n_excluded(last)
+    value = float(problem.finite_values(vector, last.terms)[0])
     # A minibatch's value is over a part of the trajectories.
-    start_value = state.past_values[0, 0] if driver.minibatch is None else problem.evaluate(own).values[0]
+    start_value = state.past_values[0, 0]
+    if driver.minibatch is not None:
+        start_value = problem.finite_values(own, problem.evaluate(own).terms)[0]
+    vectors += 1 if driver.minibatch is None else 2
     traces = [_trace(parameters, state, k) for k in range(len(state.vectors))]
     if not np.array_equal(vector, state.best_vectors[winner]):
         traces[winner].append(Step(value, float(np.linalg.norm(last.gradients)), by_label(parameters, vector)))
@@ -214,10 +215,10 @@ def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, inter
         values=by_label(parameters, vector),
         value=value,
         start_value=float(start_value),
-        n_excluded=n_excluded,
+        n_excluded=problem.n_excluded(last),
         problem=problem,
         vector=vector,
-        filter_runs=int(state.filter_runs) + problem.filter_runs - runs,
+        filter_runs=int(state.filter_runs) + vectors * problem.n_trajectories(),
         uncertainty=uncertainty,
         before=with_parameters(tracker, parameters, own),
         trace=traces[winner],
@@ -225,20 +226,22 @@ def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, inter
     )
 
 
-def _best_vector(problem: Problem, state: FitState, winner: int) -> np.ndarray:
+def _best_vector(problem: Problem, state: FitState, winner: int) -> tuple[np.ndarray, int]:
     """The winner's best point, with the tracker's own values for parameters that have no effect on these recordings.
 
-    Other recordings may depend on them.
+    Other recordings may depend on them. Second: the number of vectors evaluated.
     """
     vector, (own, first) = state.best_vectors[winner], state.past_vectors[0, [0, winner]]
     if np.array_equal(own, first):
-        return vector
+        return vector, 0
     evaluation = problem.evaluate(vector)
     no_effect = unidentifiable(evaluation.term_gradients) & (evaluation.gradients[0] == 0) & (own != first)
     if not no_effect.any():
-        return vector
+        return vector, 1
     restored = np.where(no_effect, own, vector)
-    return restored if problem.evaluate(restored).values[0] <= evaluation.values[0] else vector
+    other = problem.finite_values(restored, problem.evaluate(restored).terms)
+    as_good = other[0] <= problem.finite_values(vector, evaluation.terms)[0]
+    return restored if as_good else vector, 2
 
 
 def by_label(parameters: Sequence[Parameter], vector: np.ndarray) -> dict[str, Any]:
@@ -263,14 +266,17 @@ def _trace(parameters: Sequence[Parameter], state: FitState, start: int) -> list
     ]
 
 
-def _newton(driver: MultiStart, found: Optimum) -> Optimum:
-    """The optimum after a few Newton steps, while they help.
+def _newton(driver: MultiStart, vector: np.ndarray) -> tuple[Optimum, int]:
+    """The optimum at a vector (p,) or after a few Newton steps from there, while they help.
 
-    For smooth likelihoods only, and not where held-out recordings select the point.
+    For smooth likelihoods only, and not where held-out recordings select the point. Second: the number of vectors
+    evaluated.
     """
-    problem = driver.problem
+    problem, found = driver.problem, optimum(driver.problem, vector)
+    n_each = 2 * len(vector) + 1
+    vectors = n_each
     if not np.isfinite(found.nats_per_unit) or driver.held_out is not None or problem.stochastic:
-        return found
+        return found, vectors
     for _ in range(NEWTON_STEPS):
         _, inverse, _ = determined(found.hessian, ~driver.at_bound(found.vector, found.gradient))
         step = -inverse @ found.gradient
@@ -279,7 +285,10 @@ def _newton(driver: MultiStart, found: Optimum) -> Optimum:
             break
         step = step / max(1.0, float(np.linalg.norm(step)))
         vector = np.clip(found.vector + step, driver.low, driver.high)
-        if not np.diff(problem.evaluate(np.stack([found.vector, vector])).values)[0] < 0:
+        both = np.stack([found.vector, vector])
+        vectors += 2
+        evaluation = problem.evaluate(both)
+        if not (evaluation.finite.all() and np.diff(problem.finite_values(both, evaluation.terms))[0] < 0):
             break
-        found = optimum(problem, vector)
-    return found
+        found, vectors = optimum(problem, vector), vectors + n_each
+    return found, vectors

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from tuning.optimisers import AbstractOptimiser
-from tuning.problem import Evaluation, Problem
+from tuning.problem import Evaluation, Problem, weighted_sum
 
 MAX_HALVINGS = 7
 """Attempts at a step, each half as long as the one before; a start that none of them helps has converged."""
@@ -22,16 +22,18 @@ MIN_GAIN_NATS = 0.01
 class FitState(NamedTuple):
     """S starts of p parameters after `number` steps; arrays only, so that a file can hold it.
 
-    `values` (S,), `gradients` (S, p), `sums` (S, k): the objective at `vectors` (S, p). `best_scores`, `best_vectors`:
-    each start's best point by the held-out objective, or by the objective itself. `stale`: steps since then. `active`:
-    starts that continue. `past_values`, `past_norms` (steps, S), `past_vectors` (steps, S, p): the optimiser trace.
+    `values` (S,), `gradients` (S, p), `terms` (S, k, n), `used` (S, n): the objective at `vectors` (S, p), as in
+    `Evaluation`. `best_scores`, `best_vectors`: each start's best point by the held-out objective, or by the objective
+    over all finite trajectories. `stale`: steps since then. `active`: starts that continue. `past_values`, `past_norms`
+    (steps, S), `past_vectors` (steps, S, p): the optimiser trace.
     """
 
     number: np.ndarray
     vectors: np.ndarray
     values: np.ndarray
     gradients: np.ndarray
-    sums: np.ndarray
+    terms: np.ndarray
+    used: np.ndarray
     optimiser_state: Any
     best_scores: np.ndarray
     best_vectors: np.ndarray
@@ -72,13 +74,14 @@ class MultiStart:
         vectors = np.clip(np.atleast_2d(vectors), self.low, self.high)
         evaluation = self._evaluate(vectors, 0)
         finite = evaluation.finite
-        scores = np.where(finite, self._scores(vectors, evaluation.values), np.inf)
+        scores = np.where(finite, self._scores(vectors, evaluation.terms), np.inf)
         state = FitState(
             number=np.array(0),
             vectors=vectors,
             values=evaluation.values,
             gradients=evaluation.gradients,
-            sums=evaluation.sums,
+            terms=evaluation.terms,
+            used=evaluation.used,
             optimiser_state=self.optimiser.init(vectors),
             best_scores=scores,
             best_vectors=vectors,
@@ -87,56 +90,64 @@ class MultiStart:
             past_values=np.zeros((0, len(vectors))),
             past_norms=np.zeros((0, len(vectors))),
             past_vectors=np.zeros((0, *vectors.shape)),
-            filter_runs=np.array(self._filter_runs()),
+            filter_runs=np.array(evaluation.filter_runs + self._score_runs(vectors)),
         )
-        return _with_trace(state)
+        return self._with_trace(state, self._subset(0))
 
     def step(self, state: FitState) -> FitState:
         """The state after one more step; a start that has converged, or whose step fails at any length, ends there."""
-        number = int(state.number) + 1
-        runs = self._filter_runs()
-        before = state.values, state.gradients, state.sums
+        number, runs, subset = int(state.number) + 1, 0, self._subset(int(state.number) + 1)
         if self._noisy:
             # Another minibatch, or other random numbers: the objective at the present points has changed.
-            before = self._evaluate(state.vectors, number)[:3]
-        steps, optimiser_state = self.optimiser.propose(state.optimiser_state, state.vectors, before[1])
-        vectors, after = state.vectors.copy(), tuple(x.copy() for x in before)
+            again = self._evaluate(state.vectors, number)
+            runs += again.filter_runs
+            state = state._replace(values=again.values, gradients=again.gradients, terms=again.terms, used=again.used)
+        steps, optimiser_state = self.optimiser.propose(state.optimiser_state, state.vectors, state.gradients)
+        vectors, gain = state.vectors.copy(), np.zeros(len(state.vectors))
+        after = tuple(x.copy() for x in (state.values, state.gradients, state.terms, state.used))
         pending = state.active.copy()
         for halving in range(MAX_HALVINGS):
             if not pending.any():
                 break
             index = np.flatnonzero(pending)
             trial = np.clip(state.vectors + np.asarray(steps / 2.0**halving), self.low, self.high)[index]
-            evaluation = self._evaluate(trial, number)
-            accepted = evaluation.finite
+            found = self._evaluate(trial, number)
+            runs += found.filter_runs
+            # Which trajectories count differs from point to point; values are compared over the same ones.
+            both = state.used[index] & found.used
+            gains = self.problem.values_over(both, state.vectors[index], state.terms[index], subset)
+            gains -= self.problem.values_over(both, trial, found.terms, subset)
+            accepted = found.finite & np.isfinite(gains)
             if self.optimiser.monotone:
-                accepted &= evaluation.values <= before[0][index]
+                accepted &= gains >= 0
             moved = index[accepted]
-            vectors[moved] = trial[accepted]
-            for old, new in zip(after, evaluation[:3], strict=True):
+            vectors[moved], gain[moved] = trial[accepted], gains[accepted]
+            for old, new in zip(after, (found.values, found.gradients, found.terms, found.used), strict=True):
                 old[moved] = new[accepted]
             pending[moved] = False
         moved = state.active & ~pending
-        values, gradients, sums = after
-        scores = np.where(moved, self._scores(vectors, values), np.inf)
+        values, gradients, terms, used = after
+        scores = np.where(moved, self._scores(vectors, terms), np.inf)
         better = scores < state.best_scores
         stale = np.where(better, 0, state.stale + moved)
-        converged = self.optimiser.monotone & (before[0] - values < self._min_gains(values, sums))
+        converged = self.optimiser.monotone & (gain < self._min_gains(values, terms, used))
         improving = stale < self.max_stale if self.held_out is not None else True
-        return _with_trace(
+        return self._with_trace(
             state._replace(
                 number=np.array(number),
                 vectors=vectors,
                 values=values,
                 gradients=gradients,
-                sums=sums,
+                terms=terms,
+                used=used,
                 optimiser_state=optimiser_state,
                 best_scores=np.where(better, scores, state.best_scores),
                 best_vectors=np.where(better[:, None], vectors, state.best_vectors),
                 stale=stale,
                 active=moved & ~converged & improving,
-                filter_runs=state.filter_runs + self._filter_runs() - runs,
-            )
+                filter_runs=state.filter_runs + runs + self._score_runs(vectors),
+            ),
+            subset,
         )
 
     def done(self, state: FitState) -> bool:
@@ -148,30 +159,46 @@ class MultiStart:
         return ((vector <= self.low) & (gradient > 0)) | ((vector >= self.high) & (gradient < 0))
 
     def _evaluate(self, vectors: np.ndarray, number: int) -> Evaluation:
-        subset = None
-        if self.minibatch is not None:
-            draw = np.random.default_rng((self.seed, number))
-            subset = sorted(draw.permutation(len(self.problem.chunks))[: self.minibatch].tolist())
-        return self.problem.evaluate(vectors, subset=subset, realisation=number)
+        return self.problem.evaluate(vectors, subset=self._subset(number), realisation=number)
 
-    def _scores(self, vectors: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """The scores (S,) that select the best point: held-out, of all trajectories, or the values themselves."""
+    def _subset(self, number: int) -> list[int] | None:
+        """The chunks of a step's minibatch; None for all."""
+        if self.minibatch is None:
+            return None
+        draw = np.random.default_rng((self.seed, number))
+        return sorted(draw.permutation(len(self.problem.chunks))[: self.minibatch].tolist())
+
+    def _scores(self, vectors: np.ndarray, terms: np.ndarray) -> np.ndarray:
+        """The scores (S,) that select the best point: `Problem.values` of the held-out or of all trajectories."""
         if self.held_out is not None:
             return self.held_out.values(vectors)
-        return self.problem.values(vectors) if self._noisy else values
+        return self.problem.values(vectors) if self._noisy else self.problem.finite_values(vectors, terms)
 
-    def _min_gains(self, values: np.ndarray, sums: np.ndarray) -> np.ndarray:
+    def _score_runs(self, vectors: np.ndarray) -> int:
+        """The trajectories that scores at these vectors filter."""
+        if self.held_out is not None:
+            return len(vectors) * self.held_out.n_trajectories()
+        return len(vectors) * self.problem.n_trajectories() if self._noisy else 0
+
+    def _min_gains(self, values: np.ndarray, terms: np.ndarray, used: np.ndarray) -> np.ndarray:
         """The least gain (S,) that is worth another step."""
-        nats = [self.problem.objective.nats_per_unit(s) for s in sums]
+        nats = [self.problem.objective.nats_per_unit(s) for s in weighted_sum(terms, used)]
         return np.array([min_gain(v, n) for v, n in zip(values, nats, strict=True)])
+
+    def _with_trace(self, state: FitState, subset: Sequence[int] | None) -> FitState:
+        """The state with its present point appended to the trace, by its value over all finite trajectories."""
+        values = self.problem.finite_values(state.vectors, state.terms, subset)
+        norms = np.linalg.norm(state.gradients, axis=1)
+        return state._replace(
+            past_values=np.concatenate([state.past_values, values[None]]),
+            past_norms=np.concatenate([state.past_norms, norms[None]]),
+            past_vectors=np.concatenate([state.past_vectors, state.vectors[None]]),
+        )
 
     @property
     def _noisy(self) -> bool:
         """Whether the objective changes from step to step."""
         return self.minibatch is not None or self.problem.stochastic
-
-    def _filter_runs(self) -> int:
-        return self.problem.filter_runs + (0 if self.held_out is None else self.held_out.filter_runs)
 
 
 def min_gain(value: float, nats_per_unit: float) -> float:
@@ -195,13 +222,3 @@ def from_arrays(optimiser: AbstractOptimiser, arrays: Sequence[np.ndarray]) -> F
     if len(leaves) != len(arrays):
         raise ValueError(f"the state of a fit with this optimiser has {len(leaves)} arrays, found {len(arrays)}")
     return FitState(*jax.tree_util.tree_unflatten(structure, list(arrays)))
-
-
-def _with_trace(state: FitState) -> FitState:
-    """The state with its present point appended to the trace."""
-    norms = np.linalg.norm(state.gradients, axis=1)
-    return state._replace(
-        past_values=np.concatenate([state.past_values, state.values[None]]),
-        past_norms=np.concatenate([state.past_norms, norms[None]]),
-        past_vectors=np.concatenate([state.past_vectors, state.vectors[None]]),
-    )

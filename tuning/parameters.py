@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.core.tracker import AbstractTracker
-from trackers.core.tunable import AbstractTunable, matching, replaced, tunables
+from trackers.core.tunable import AbstractTunable, Threshold, matching, replaced, tunables
 
 TIED = "tied:"
 
@@ -41,21 +41,24 @@ class Parameter:
 
 
 def select_parameters(
-    tracker: AbstractTracker, patterns: str | Sequence[str], frozen: Sequence[str] = ()
+    tracker: AbstractTracker, patterns: str | Sequence[str], frozen: Sequence[str] = (), thresholds: bool = False
 ) -> list[Parameter]:
     """The parameters that match the patterns, without the `frozen`; `tied:PATTERN` ties all its matches into one.
 
-    Raises ValueError for a pattern without match, for tied tunables of different units or shapes, and where no
-    parameter is left.
+    `thresholds`: whether tunables without a derivative are among them, as for a sweep. Raises ValueError for a pattern
+    without match, for one that matches only thresholds where these are left out, for tied tunables of different units
+    or shapes, and where no parameter is left.
     """
     parameters: list[Parameter] = []
     taken: set[str] = set(matching(tracker, frozen)) if frozen else set()
     for pattern in [patterns] if isinstance(patterns, str) else patterns:
-        found = {k: v for k, v in matching(tracker, pattern.removeprefix(TIED)).items() if k not in taken}
+        found = matching(tracker, pattern.removeprefix(TIED))
+        if not thresholds:
+            found = _without_thresholds(pattern, found)
+        found = {k: v for k, v in found.items() if k not in taken}
         taken.update(found)
         if pattern.startswith(TIED) and found:
-            kinds = {(jax.tree_util.tree_structure(v), np.shape(v.raw)) for v in found.values()}
-            if len(kinds) > 1:
+            if not _same_kind(list(found.values())):
                 raise ValueError(f"'{pattern}' ties tunables of different units or shapes: {', '.join(found)}")
             label = pattern.removeprefix(TIED) if len(found) > 1 else next(iter(found))
             parameters.append(Parameter(tuple(found), next(iter(found.values())), label))
@@ -64,6 +67,28 @@ def select_parameters(
     if not parameters:
         raise ValueError("there is nothing to tune: no pattern matches a tunable that is not frozen")
     return parameters
+
+
+def _without_thresholds(pattern: str, found: Mapping[str, AbstractTunable]) -> dict[str, AbstractTunable]:
+    differentiable = {name: node for name, node in found.items() if not isinstance(node, Threshold)}
+    if not differentiable:
+        raise ValueError(
+            f"'{pattern}' matches only {', '.join(found)}: no objective has a derivative with respect to a threshold; "
+            "use a sweep"
+        )
+    return differentiable
+
+
+def _same_kind(nodes: Sequence[AbstractTunable]) -> bool:
+    """Whether equal unconstrained numbers are equal values of all nodes, in the same unit."""
+    first = nodes[0]
+    return all(
+        type(node) is type(first)
+        and node.unit == first.unit
+        and np.shape(node.raw) == np.shape(first.raw)
+        and np.array_equal(with_raw(node, np.ones_like(node.raw)).value, with_raw(first, np.ones_like(node.raw)).value)
+        for node in nodes
+    )
 
 
 def component_names(parameters: Sequence[Parameter]) -> list[str]:

@@ -22,15 +22,15 @@ MAX_VECTORS = 8
 """Most vectors in one compiled call: with few recordings, eight cost little more than one."""
 
 MAX_GRADIENT_RATIO = 1e3
-"""Gradient size of a trajectory, relative to the median, above which its gradient is excluded."""
+"""Gradient size of a trajectory, relative to the median, above which the trajectory is excluded."""
 
 
 class Evaluation(NamedTuple):
     """An objective of k sums at S vectors of p numbers over n trajectories.
 
-    `values` (S,), `gradients` (S, p), `sums` (S, k). `terms` (S, k, n), `term_gradients` (S, k, p, n): each
-    trajectory's part of the sums and its derivatives, not finite where a filter diverged. `used` (S, n): trajectories
-    whose gradients count.
+    `used` (S, n): the trajectories that count at each vector. `values` (S,), `gradients` (S, p): the objective over
+    these and its derivatives; `sums` (S, k). `terms` (S, k, n), `term_gradients` (S, k, p, n): each trajectory's part of the sums and
+    its derivatives, not finite where a filter diverged. `filter_runs`: trajectories filtered, once per vector.
     """
 
     values: np.ndarray
@@ -39,6 +39,7 @@ class Evaluation(NamedTuple):
     terms: np.ndarray
     term_gradients: np.ndarray
     used: np.ndarray
+    filter_runs: int
 
     @property
     def finite(self) -> np.ndarray:
@@ -50,7 +51,13 @@ class Evaluation(NamedTuple):
 class Problem:
     """The objective of a tracker over batches as a function of unconstrained vectors, compiled once per shape.
 
-    `filter_runs`: trajectories filtered so far, counted once per vector. `priors`: added to a likelihood.
+    `priors`: added to a likelihood.
+
+    A filter on the verge of losing a track has derivatives without bound, which would dominate all others. So
+    `evaluate` leaves such a trajectory out of value and gradient alike, besides those that are not finite: its gradient
+    is that of its value. Which trajectories these are depends on the vector, and values over different trajectories are
+    not comparable: a line search compares `values_over` those that count at both of its points. `values`, without
+    derivatives, leaves out only what is not finite; it ranks points and starts, and is compared with itself alone.
     """
 
     def __init__(
@@ -73,7 +80,6 @@ class Problem:
         # nothing by more than one, and would compute both sides of its conditions at every row.
         fitting = CHUNK // (1 << (trajectories - 1).bit_length())
         self.vectors_per_call = 1 if has_particles(self.tracker) else max(1, min(MAX_VECTORS, fitting))
-        self.filter_runs = 0
 
     def evaluate(
         self,
@@ -82,35 +88,52 @@ class Problem:
         subset: Sequence[int] | None = None,
         realisation: int = 0,
     ) -> Evaluation:
-        """The objective and its gradient at vectors (S, p), without trajectories that aren't finite.
+        """The objective and its gradient at vectors (S, p), over the trajectories that are usable there.
 
         `weights` (n,) or (S, n): multiplicity of each trajectory. `subset`: indices of the chunks, default all.
         `realisation`: number of the random draws, where the tracker uses any.
         """
         found = self._run(term_sums, vectors, subset, realisation)
         terms, term_gradients = (np.concatenate(xs, axis=-1) for xs in zip(*found, strict=True))
-        finite = np.isfinite(terms).all(axis=1)
-        used = finite & np.stack([_usable(x) for x in term_gradients])
-        count = np.ones(1) if weights is None else np.atleast_2d(np.asarray(weights, float))
-        sums = _weighted_sum(terms, finite * count)
+        used = np.isfinite(terms).all(axis=1) & np.stack([_usable(x) for x in term_gradients])
+        used &= self._valid(subset)
+        count = used if weights is None else used * np.atleast_2d(np.asarray(weights, float))
+        sums = weighted_sum(terms, count)
         values, by_sum = (np.asarray(x, float) for x in value_and_gradient(self.objective, jnp.asarray(sums)))
-        valid = self._valid(subset)
         with np.errstate(invalid="ignore"):  # without a single scored row value and gradient are NaN
-            gradients = np.einsum("sk,skp->sp", by_sum, _weighted_sum(term_gradients, used * count))
-        # With a subset of the trajectories the priors weigh in proportion.
-        prior = self.prior_penalty(vectors, sums, float(valid.sum() / self.valid.sum()))
-        values, gradients = values + prior.values, gradients + prior.gradients
-        return Evaluation(values, gradients, sums, terms, term_gradients, used & valid)
+            gradients = np.einsum("sk,skp->sp", by_sum, weighted_sum(term_gradients, count))
+        prior = self.prior_penalty(vectors, sums, self._share(subset))
+        runs = self.n_trajectories(subset) * len(terms)
+        return Evaluation(values + prior.values, gradients + prior.gradients, sums, terms, term_gradients, used, runs)
+
+    def values_over(
+        self, count: np.ndarray, vectors: np.ndarray, terms: np.ndarray, subset: Sequence[int] | None = None
+    ) -> np.ndarray:
+        """The objective (S,) at vectors (S, p) from its `terms` (S, k, n) there, over chosen trajectories.
+
+        `count` (S, n): multiplicity of each trajectory, 0 to leave it out. `subset`: the chunks of the terms.
+        """
+        sums = weighted_sum(terms, count)
+        return self.values_of(sums) + self.prior_penalty(vectors, sums, self._share(subset)).values
 
     def n_excluded(self, evaluation: Evaluation) -> int:
-        """The number of trajectories without usable gradients in an evaluation over all chunks, its best vector's."""
+        """The number of trajectories left out of an evaluation over all chunks, at the vector with the fewest."""
         return int(self.valid.sum() - evaluation.used.sum(axis=1).max())
 
     def values(self, vectors: np.ndarray, realisation: int = 0) -> np.ndarray:
-        """The objective (S,) at vectors (S, p) without derivatives, at a third of the cost."""
-        terms = self.terms(vectors, realisation)
-        sums = _weighted_sum(terms, np.isfinite(terms).all(axis=1))
-        return self.values_of(sums) + self.prior_penalty(vectors, sums).values
+        """The objective (S,) at vectors (S, p) over all trajectories that are finite there, at a third of the cost.
+
+        `evaluate` leaves out more, those without usable derivatives; elsewhere the two are one function.
+        """
+        return self.finite_values(vectors, self.terms(vectors, realisation))
+
+    def finite_values(self, vectors: np.ndarray, terms: np.ndarray, subset: Sequence[int] | None = None) -> np.ndarray:
+        """`values` (S,) from the terms (S, k, n) of a subset of the chunks, default all, at vectors (S, p)."""
+        return self.values_over(np.isfinite(terms).all(axis=1), vectors, terms, subset)
+
+    def n_trajectories(self, subset: Sequence[int] | None = None) -> int:
+        """The number of trajectories that one vector filters, in a subset of the chunks or in all."""
+        return int(self._valid(subset).sum())
 
     def terms(self, vectors: np.ndarray, realisation: int = 0) -> np.ndarray:
         """Each trajectory's part of the sums (S, k, n), without derivatives."""
@@ -147,7 +170,6 @@ class Problem:
         """The arrays of `function` for every chunk at all vectors, float64 on the host."""
         vectors = np.atleast_2d(np.asarray(vectors, float))
         size, width = len(vectors), self.vectors_per_call
-        self.filter_runs += size * int(self._valid(subset).sum())
         padded = np.concatenate([vectors, np.repeat(vectors[-1:], -size % width, axis=0)])
         blocks = [self.point(block) for block in padded.reshape(-1, width, vectors.shape[1])]
         parts = self.chunks if subset is None else [self.chunks[k] for k in subset]
@@ -158,6 +180,10 @@ class Problem:
             tuple(np.concatenate([np.asarray(x, float) for x in xs])[:size] for xs in zip(*of_part, strict=True))
             for of_part in (found[k : k + len(blocks)] for k in range(0, len(found), len(blocks)))
         ]
+
+    def _share(self, subset: Sequence[int] | None) -> float:
+        """Part of the trajectories in a subset of the chunks: the priors weigh in proportion."""
+        return self.n_trajectories(subset) / self.n_trajectories()
 
     def _valid(self, subset: Sequence[int] | None) -> np.ndarray:
         if subset is None:
@@ -188,17 +214,14 @@ def _folded(keys: jax.Array, realisation: int) -> jax.Array:
     return fold(keys)
 
 
-def _weighted_sum(x: np.ndarray, weights: np.ndarray) -> np.ndarray:
+def weighted_sum(x: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """The sums over trajectories of (S, …, n) with weights (S, n); values of weight zero may be NaN."""
     weights = weights.reshape(len(weights), *[1] * (x.ndim - 2), -1)
     return np.sum(np.where(weights > 0, x, 0.0) * weights, axis=-1)
 
 
 def _usable(term_gradients: np.ndarray) -> np.ndarray:
-    """Which trajectories (B,) have usable derivatives (k, p, B): finite, and at most 1000 times the median size.
-
-    A filter on the verge of losing a track has derivatives without bound, which would dominate all others.
-    """
+    """Which trajectories (B,) have usable derivatives (k, p, B): finite, and at most 1000 times the median size."""
     size = np.sqrt(np.sum(np.where(np.isfinite(term_gradients), term_gradients, np.inf) ** 2, axis=(0, 1)))
     moving = size[np.isfinite(size) & (size > 0)]
     return np.isfinite(size) & (size <= MAX_GRADIENT_RATIO * np.median(moving)) if len(moving) else np.isfinite(size)

@@ -69,7 +69,7 @@ def profile(
     vectors = np.tile(found.vector, (len(offsets), 1))
     vectors[:, component] += offsets
     vectors -= offsets[:, None] * (inner @ along)
-    refitted = refit(problem, vectors, found.hessian, others, rounds=ROUNDS)
+    refitted = refit(problem, vectors, found.hessian, others, found.used.astype(float), ROUNDS)
     rise = found.nats_per_unit * (refitted.values - min(found.value, np.nanmin(refitted.values)))
     ends = _crossings(offsets, rise, 0.5 * float(chdtri(1, 1 - level)))
     edge = [_physical(problem.parameters, found.vector, component, x) for x in ends]
@@ -79,7 +79,7 @@ def profile(
 
 
 class Refitted(NamedTuple):
-    """Vectors (S, p), and the objective (S,) there."""
+    """Vectors (S, p), and the objective (S,) there, over the same trajectories; NaN where one is not finite."""
 
     vectors: np.ndarray
     values: np.ndarray
@@ -102,8 +102,9 @@ def refit(
     inverse = determined(hessian, free)[1][np.ix_(free, free)]
     inverses = np.tile(inverse, (len(vectors), 1, 1))
     here = vectors.copy()
+    count = problem.valid if weights is None else np.atleast_2d(weights)
     evaluated = problem.evaluate(here, weights)
-    values, gradients = evaluated.values.copy(), evaluated.gradients[:, free].copy()
+    terms, used, gradients = evaluated.terms.copy(), evaluated.used.copy(), evaluated.gradients[:, free].copy()
     scale = np.ones(len(here))
     for _ in range(rounds if free.any() else 0):
         step = -np.einsum("spq,sq->sp", inverses, gradients)
@@ -111,16 +112,18 @@ def refit(
         trial = here.copy()
         trial[:, free] += step
         evaluated = problem.evaluate(trial, weights)
+        both = used & evaluated.used
+        before, after = (problem.values_over(both * count, v, t) for v, t in ((here, terms), (trial, evaluated.terms)))
         with np.errstate(invalid="ignore"):
-            better = (evaluated.values < values) & np.isfinite(evaluated.gradients).all(axis=1)
+            better = (after < before) & evaluated.finite
         inverses = np.where(
             better[:, None, None], _updated(inverses, step, evaluated.gradients[:, free] - gradients), inverses
         )
         here = np.where(better[:, None], trial, here)
-        values = np.where(better, evaluated.values, values)
+        terms[better], used[better] = evaluated.terms[better], evaluated.used[better]
         gradients = np.where(better[:, None], evaluated.gradients[:, free], gradients)
         scale = np.where(better, np.minimum(1.0, 2.0 * scale), 0.5 * scale)
-    return Refitted(here, values)
+    return Refitted(here, problem.values_over(np.broadcast_to(count, used.shape), here, terms))
 
 
 def bootstrap(

@@ -60,7 +60,7 @@ def swept_parameters(tracker: AbstractTracker, patterns: Sequence[str]) -> list[
     """One parameter per pattern, with all its matches tied; raises ValueError as `sweep` does."""
     if not 1 <= len(patterns) <= 2:
         raise ValueError(f"a sweep goes over one or two patterns, found {len(patterns)}")
-    parameters = select_parameters(tracker, [p if p.startswith(TIED) else TIED + p for p in patterns])
+    parameters = select_parameters(tracker, [p if p.startswith(TIED) else TIED + p for p in patterns], thresholds=True)
     if len(parameters) < len(patterns):
         raise ValueError(f"the patterns {' and '.join(patterns)} match the same tunables")
     return parameters
@@ -102,7 +102,12 @@ def sweep(
     points = grid_vectors(parameters, grids)
     repeats = repeats if problem.stochastic else 1
     values = np.stack([comparable_values(problem, points, repeat, report) for repeat in range(repeats)])
-    return Sweep(parameters, grids, values.reshape(repeats, *map(len, grids)), problem.filter_runs)
+    return Sweep(
+        parameters,
+        grids,
+        values.reshape(repeats, *map(len, grids)),
+        points.shape[0] * repeats * problem.n_trajectories(),
+    )
 
 
 def comparable_values(

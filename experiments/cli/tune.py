@@ -124,7 +124,9 @@ def _fitted(data: FitData, out: Path, options: dict[str, Any], bounds: Any, prio
     training, held_out = data.rows(), data.rows(held_out=True)
     # Intervals are computed from the result and don't change the fit.
     config = {name: value for name, value in options.items() if name != "intervals"}
-    fingerprint = checkpoint.fingerprint(config, [*training, *held_out], flatten(select_parameters(data.tracker, "*")))
+    fingerprint = checkpoint.fingerprint(
+        config, [*training, *held_out], flatten(select_parameters(data.tracker, "*", thresholds=True))
+    )
     saved = checkpoint.load(out, fingerprint) if resume else None
     if resume and saved is None:
         notice(f"notice: {out}: no checkpoint found; the fit starts from the beginning")

@@ -117,20 +117,21 @@ def recordings(tags: int) -> World:
 def by_sweep(world: World, sigmas: np.ndarray, repeats: int) -> list[Found]:
     """The values of least mean RMSE and of least negative log-likelihood, from one sweep."""
     started = time.perf_counter()
-    problem, metrics = _both(world, "particles", sigmas, range(repeats))
+    metrics = _both(world, "particles", sigmas, range(repeats))
     seconds = time.perf_counter() - started
     best = np.argmin(metrics.mean(axis=0), axis=0)
     name = f"sweep of {len(sigmas)} x {repeats}"
-    return [Found(name, "particles", goal, float(sigmas[k]), problem.filter_runs, seconds)
+    runs = metrics[..., 0].size * sum(batch.size for batch in world.rows)
+    return [Found(name, "particles", goal, float(sigmas[k]), runs, seconds)
             for goal, k in zip(GOALS, best, strict=True)]  # fmt: skip
 
 
 def scored(world: World, every: Sequence[Found], turns: range) -> list[Score]:
     """Both metrics at each result, means over the random numbers of `turns`."""
-    return [Score(*map(float, _both(world, f.tracker, np.array([f.sigma]), turns)[1].mean(axis=0)[0])) for f in every]
+    return [Score(*map(float, _both(world, f.tracker, np.array([f.sigma]), turns).mean(axis=0)[0])) for f in every]
 
 
-def _both(world: World, name: str, sigmas: np.ndarray, turns: range) -> tuple[Problem, np.ndarray]:
+def _both(world: World, name: str, sigmas: np.ndarray, turns: range) -> np.ndarray:
     """RMSE and negative log-likelihood (turns, n, 2) of a tracker; one turn if it is deterministic."""
     tracker = getattr(world, name)
     goal = Weighted(tuple(parse_objective(text) for text in GOALS), (1.0, 1.0))
@@ -143,7 +144,7 @@ def _both(world: World, name: str, sigmas: np.ndarray, turns: range) -> tuple[Pr
                 sums = problem.terms(np.log([[sigma]]), turn)[0].sum(axis=-1)
                 row[:] = [float(part.value(own)) for part, own in zip(goal.parts, goal.split(sums), strict=True)]
                 advance(1)
-    return problem, metrics
+    return metrics
 
 
 def by_gradient(world: World, start: float) -> list[Found]:

@@ -1,19 +1,27 @@
 """Noise levels found in recordings made by the models themselves, from starts that are wrong by orders of magnitude."""
 
+from functools import partial
+from typing import Any
+
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from sim.corruptions import white_noise
 from sim.ranging import chamber, simulate_ranges
-from tests.tuning.worlds import STATION, beams, line_tracker, walks
+from tests.known_start import NEVER_LOST
+from tests.tuning.worlds import STATION, LineStart, beams, line_tracker, walks
 from trackers.aoa.beam import beam_tracker
 from trackers.baselines.fixes import fix_tracker
 from trackers.baselines.windows import MovingWindow
 from trackers.catalogue import TRACKERS
 from trackers.core.algebra import Vector
+from trackers.core.motion import AbstractMotion, Placed
 from trackers.core.polyline import Polyline
 from trackers.core.recording import Readings, Recording, stack
-from trackers.core.tunable import tunables
+from trackers.core.sensor import AbstractSensor, Channel, independent
+from trackers.core.tracker import Tracker
+from trackers.core.tunable import Scale, tunables
 from trackers.line.fixes import FloorFixes
 from trackers.line.motion import LineMotion, PathState
 from trackers.line.tracker import line_grid_tracker
@@ -21,8 +29,10 @@ from trackers.mhk.tracker import mhk_tracker
 from trackers.parts.fixes import FIXES
 from trackers.recordings.tracks import batches as in_batches
 from trackers.uwb_imu.fusion import range_tracker
-from tuning.differences import noise_levels_of_fixes
-from tuning.first_guess import TOLERANCE, first_guess, sample_segments, tolerant
+from tuning.differences import FixNoiseLevels, noise_levels_of_fixes
+from tuning.first_guess import TOLERANCE, first_guess, noise_levels, sample_segments, tolerant
+from tuning.fit import coarse_grid
+from tuning.parameters import select_parameters
 
 FAR = [(10.0, 10.0), (0.1, 0.1), (10.0, 0.1), (0.1, 10.0)]
 LEVELS = {"motion.sigma_a": 0.7, "motion.sigma_z": 0.1, "sensors.fixes.sigma_horizontal": 0.15}
@@ -91,6 +101,64 @@ def test_every_level_of_fixes_is_found_from_starts_wrong_in_all_ways(factors):
 def test_a_random_walk_and_its_gauge_are_found_by_the_likelihood(wrong):
     guess = first_guess(line_tracker(0.3 * wrong[0], 0.2 * wrong[1]), stack(walks([200] * 8, 1)))
     _assert_found(guess, {"motion.sigma_v": 0.3, "sensors.gauge.sigma": 0.2}, 1.5)
+
+
+class Drift(AbstractMotion):
+    """A random walk on a line with a level of an unusual name, and a number named like a level that is none."""
+
+    liveliness: Any
+    sigma_bias_walk: Any
+
+    @property
+    def noise_dimension(self):
+        return 1
+
+    def step(self, state, inputs, dt, w):
+        return Placed(state.position + w * (self.liveliness.value * self.sigma_bias_walk.value * jnp.sqrt(dt)))
+
+
+class Dial(AbstractSensor):
+    """Reads a place on a line with white noise of an unusual name."""
+
+    fuzziness: Any
+    sigma_bias_walk: Any
+
+    @property
+    def channels(self):
+        return (Channel("x", "m"),)
+
+    def measure(self, view, inputs):
+        return [view.position[0]]
+
+    def residual(self, reading, predicted):
+        return independent(
+            [reading.values[0] - predicted[0]], [self.fuzziness.value * self.sigma_bias_walk.value], reading.seen
+        )
+
+
+def test_levels_of_a_users_own_motion_and_sensor_are_found_by_their_roles_whatever_their_names():
+    motion = Drift(Scale(3.0, "m/sqrt(s)", "process noise"), Scale(1.0))
+    sensor = Dial(Scale(0.02, "m", "measurement noise"), Scale(1.0))
+    tracker = Tracker(motion, {"gauge": sensor}, LineStart(), track_loss=NEVER_LOST)
+    assert [p.label for p in noise_levels(tracker)] == ["motion.liveliness", "sensors.gauge.fuzziness"]
+    guess = first_guess(tracker, stack(walks([200] * 8, 1)))
+    _assert_found(guess, {"motion.liveliness": 0.3, "sensors.gauge.fuzziness": 0.2}, 1.5)
+    assert _values(guess)["sensors.gauge.sigma_bias_walk"] == 1.0
+    grid = coarse_grid(select_parameters(tracker, ("motion.liveliness", "sensors.gauge.fuzziness")), np.zeros(2))
+    assert sorted({tuple(np.sign(v)) for v in grid}) == [(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1)]
+
+
+def test_closed_forms_go_to_roles_and_axes_of_fixes():
+    found = FixNoiseLevels(1.0, 2.0, 3.0, 4.0)
+    level = partial(Scale, 0.1)
+    assert found.of(level("m", "measurement noise", "horizontal")) == 1.0
+    assert found.of(level("m", "measurement noise", "vertical")) == 2.0
+    assert found.of(level("m/s^2/sqrt(Hz)", "process noise", "all")) == 3.0
+    assert found.of(level("m/sqrt(s)", "process noise", "vertical")) == 4.0
+    assert found.of(level("m", "measurement noise")) is None, "a range has no axis"
+    assert found.of(level("m/s^2/sqrt(Hz)", "process noise", "vertical")) is None
+    assert found.of(level("m", "bias noise", "horizontal")) is None
+    assert FixNoiseLevels(np.nan, 2.0, 3.0, 4.0).of(level("m", "measurement noise", "all")) is None
 
 
 def test_what_changes_nothing_and_what_is_frozen_stays():

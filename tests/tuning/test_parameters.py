@@ -25,7 +25,9 @@ def test_a_pattern_finds_tunables_by_name(direct):
         "sensors.north.sigma_p",
         "sensors.south.sigma_p",
     ]
-    assert {p.label for p in select_parameters(direct, "*")} == set(tunables(direct))
+    thresholds = {f"track_loss.{name}" for name in ("nis_limit", "nis_window", "max_gap")}
+    assert {p.label for p in select_parameters(direct, "*")} == set(tunables(direct)) - thresholds
+    assert {p.label for p in select_parameters(direct, "*", thresholds=True)} == set(tunables(direct))
 
 
 def test_a_tunable_that_two_patterns_find_is_tuned_once(direct):
@@ -64,6 +66,7 @@ def test_a_lone_tied_tunable_keeps_its_own_name(direct):
         ("tied:sensors.*", "ties tunables of different units or shapes: .*offsets"),
         ("tied:*.sigma_?", "ties tunables of different units or shapes: motion.sigma_a"),
         ([], "nothing to tune"),
+        ("track_loss.*", r"'track_loss\.\*' matches only .*max_gap: no objective has a derivative .* use a sweep"),
     ],
 )
 def test_patterns_that_name_nothing_or_nothing_that_can_be_tied_are_refused(direct, patterns, message):

@@ -93,6 +93,19 @@ def test_particles_are_drawn_anew_in_every_repeat(particles):
     np.testing.assert_allclose(particles.mean, particles.values.mean(axis=0))
 
 
+def test_a_threshold_of_track_loss_is_swept_by_name_and_none_is_left_to_a_fit(batches):
+    found = sweep(line_tracker(), batches, NLL, {"track_loss.max_gap": np.array([1e-3, np.inf])})
+    # a gap of 1 ms is every row: the track is lost at each, and nothing is measured
+    assert np.isfinite(found.values[0, 1])
+    assert not found.values[0, 0] < found.values[0, 1]
+    assert [p.label for p in select_parameters(line_tracker(), "*")] == [
+        "motion.sigma_v",
+        "sensors.gauge.sigma",
+        "sensors.gauge.offset",
+        "sensors.gauge.bias",
+    ]
+
+
 def test_what_a_pattern_names_is_kept_equal_in_all_its_numbers():
     several = Parameter(("a",), Scale(np.array([0.1, 0.2, 0.3])), "a")
     offset = Parameter(("b",), Real(0.0, typical=2.0), "b")

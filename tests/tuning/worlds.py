@@ -73,7 +73,7 @@ class LineStart(KnownStart):
 
 def line_tracker(sigma_v: float = 0.3, sigma: float = 0.2) -> Tracker:
     """A random walk on a line, read by a gauge: compiles in a second, and a textbook Kalman filter is its oracle."""
-    gauge = Gauge(Scale(sigma, "m"), Real(0.0, "m", typical=0.1), Real(0.0, "m", typical=0.1))
+    gauge = Gauge(Scale(sigma, "m", "measurement noise"), Real(0.0, "m", typical=0.1), Real(0.0, "m", typical=0.1))
     return Tracker(ConstantPosition(sigma_v, 1), {"gauge": gauge}, LineStart(), track_loss=NEVER_LOST)
 
 

@@ -13,7 +13,7 @@ from trackers.aoa.beamformer import Grid, delay_and_sum, strongest
 from trackers.aoa.phases import InPlanePhases, PlanePhases
 from trackers.core.algebra import Scalar, Vector, diagonal
 from trackers.core.filter import Gaussian
-from trackers.core.motion import AbstractMotion, Noise
+from trackers.core.motion import AbstractMotion, Noise, process_noise
 from trackers.core.recording import Row
 from trackers.core.rig import Station
 from trackers.core.start import AbstractStart
@@ -131,7 +131,8 @@ def beam_tracker(
     """
     sensor = PlanePhases(station, sigma_p, paper_form)
     start = BeamStart(name, Grid.of(station, span), Scale(np.deg2rad(30.0), "rad"), Scale(1.0, "rad/s"))
-    return Tracker(BeamMotion(Scale(sigma_a, "rad/s^2")), {name: sensor}, start, track_loss=loss or TrackLossPolicy())
+    motion = BeamMotion(process_noise(sigma_a, "rad/s^2"))
+    return Tracker(motion, {name: sensor}, start, track_loss=loss or TrackLossPolicy())
 
 
 def in_plane_beam_tracker(station: Station, name: str, sigma_a: float = 0.005, sigma_p: float = 0.7) -> Tracker:
@@ -141,7 +142,7 @@ def in_plane_beam_tracker(station: Station, name: str, sigma_a: float = 0.005, s
     """
     sensor = InPlanePhases(station, sigma_p)
     start = BeamStart(name, Grid.in_plane(station), Scale(np.deg2rad(30.0), "rad"), Scale(0.05, "rad/s"))
-    motion = InPlaneBeamMotion(Scale(sigma_a, "rad/s^2/sqrt(Hz)"))
+    motion = InPlaneBeamMotion(process_noise(sigma_a, "rad/s^2/sqrt(Hz)"))
     return Tracker(
         motion, {name: sensor}, start, track_loss=TrackLossPolicy(nis_limit=2.5, nis_window=16.0, max_gap=30.0)
     )

@@ -61,8 +61,8 @@ class BearingSensor(AbstractSensor):
     compression: Noise
 
     def __init__(self, sigma_azimuth: float, sigma_elevation: float, dof: float):
-        self.sigma_azimuth = Scale(sigma_azimuth, "rad")
-        self.sigma_elevation = Scale(sigma_elevation, "rad")
+        self.sigma_azimuth = Scale(sigma_azimuth, "rad", "measurement noise")
+        self.sigma_elevation = Scale(sigma_elevation, "rad", "measurement noise")
         self.reported_std_scale = Scale(1.0)
         self.dof = Scale(dof)
         self.offsets = Real(np.zeros(2), "rad", typical=0.1)

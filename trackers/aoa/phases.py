@@ -108,7 +108,7 @@ class PlanePhases(AbstractPhaseSensor):
 
     def __init__(self, station: Station, sigma_p: float | Noise = 0.3, paper_form: bool = False):
         antennas, wavelength = _array(station)
-        self.sigma_p = as_scale(sigma_p, "rad")
+        self.sigma_p = as_scale(sigma_p, "rad", "measurement noise")
         self.offsets = Real(np.zeros(len(antennas)), "rad", typical=0.1)
         self.wavenumbers = 2 * np.pi / wavelength * antennas
         self.paper_form = paper_form
@@ -154,7 +154,7 @@ class SphericalPhases(AbstractPhaseSensor):
 
     def __init__(self, station: Station, sigma_p: float | Noise = 0.3, paper_form: bool = False):
         _, wavelength = _array(station)
-        self.sigma_p = as_scale(sigma_p, "rad")
+        self.sigma_p = as_scale(sigma_p, "rad", "measurement noise")
         self.antennas = station.antenna_positions() - station.position
         self.offsets = Real(np.zeros(len(self.antennas)), "rad", typical=0.1)
         self.origin = np.asarray(station.position, float)

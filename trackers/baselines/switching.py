@@ -66,7 +66,8 @@ class MirrorSensor(AbstractFixSensor, AbstractSwitching):
     side: float
 
     def __init__(self, sigma_horizontal: float, sigma_vertical: float, offset: float, shrink: float, dof: float | None):
-        self.sigma_horizontal, self.sigma_vertical = Scale(sigma_horizontal, "m"), Scale(sigma_vertical, "m")
+        self.sigma_horizontal = Scale(sigma_horizontal, "m", "measurement noise", "horizontal")
+        self.sigma_vertical = Scale(sigma_vertical, "m", "measurement noise", "vertical")
         self.offset, self.shrink = Real(offset, "m", typical=0.1), Scale(shrink)
         self.floor, self.give = Real(0.0, "m"), Scale(0.3, "m")
         self.reported_std_scale, self.dof = Scale(1.0), None if dof is None else Scale(dof)

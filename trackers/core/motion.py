@@ -17,14 +17,24 @@ import jax.numpy as jnp
 from trackers.core.algebra import Scalar, Vector, total
 from trackers.core.inputs import Input
 from trackers.core.state import State
-from trackers.core.tunable import AbstractTunable, Constant, Scale
+from trackers.core.tunable import AbstractTunable, Axis, Constant, Role, Scale, with_role
 
 Noise = AbstractTunable | Constant
 
 
-def as_scale(value: float | Noise, unit: str) -> Noise:
-    """The value as a positive tunable in this unit; a tunable or constant is returned unchanged."""
-    return value if isinstance(value, Noise) else Scale(value, unit)
+def as_scale(value: float | Noise, unit: str, role: Role | None = None, axis: Axis | None = None) -> Noise:
+    """The value as a positive tunable in this unit, with this role; a tunable keeps its own unit and role.
+
+    A `Constant` is returned unchanged.
+    """
+    if isinstance(value, Scale):
+        return with_role(value, role, axis)
+    return value if isinstance(value, Noise) else Scale(value, unit, role, axis)
+
+
+def process_noise(value: float | Noise, unit: str, axis: Axis | None = None) -> Noise:
+    """A level of a motion's driving noise; see `as_scale`."""
+    return as_scale(value, unit, "process noise", axis)
 
 
 class AbstractMotion(eqx.Module):
@@ -109,7 +119,7 @@ class ConstantVelocity(AbstractMotion):
     dimensions: int = eqx.field(static=True)
 
     def __init__(self, sigma_a: float | Noise, dimensions: int):
-        self.sigma_a = as_scale(sigma_a, "m/s^2/sqrt(Hz)")
+        self.sigma_a = process_noise(sigma_a, "m/s^2/sqrt(Hz)", "all")
         self.dimensions = dimensions
 
     @property
@@ -134,7 +144,7 @@ class ConstantPosition(AbstractMotion):
     dimensions: int = eqx.field(static=True)
 
     def __init__(self, sigma_v: float | Noise, dimensions: int):
-        self.sigma_v = as_scale(sigma_v, "m/sqrt(s)")
+        self.sigma_v = process_noise(sigma_v, "m/sqrt(s)", "all")
         self.dimensions = dimensions
 
     @property
@@ -159,8 +169,8 @@ class GroundMotion(AbstractMotion):
     sigma_z: Noise
 
     def __init__(self, sigma_a: float | Noise, sigma_z: float | Noise):
-        self.sigma_a = as_scale(sigma_a, "m/s^2/sqrt(Hz)")
-        self.sigma_z = as_scale(sigma_z, "m/sqrt(s)")
+        self.sigma_a = process_noise(sigma_a, "m/s^2/sqrt(Hz)", "horizontal")
+        self.sigma_z = process_noise(sigma_z, "m/sqrt(s)", "vertical")
 
     @property
     def noise_dimension(self) -> int:

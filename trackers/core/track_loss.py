@@ -3,28 +3,21 @@
 from __future__ import annotations
 
 import equinox as eqx
-import numpy as np
 
-from trackers.core.motion import Noise
-from trackers.core.tunable import Constant, Scale
+from trackers.core.tunable import Threshold
 
 
 class TrackLossPolicy(eqx.Module):
     """The thresholds above which a track is lost and started again.
 
     `nis_limit`: of the running mean of NIS per degree of freedom, over about `nis_window` rows with measurements.
-    `max_gap`: of the time without measurements, s. Thresholds are not differentiable; tune them by sweep. np.inf
-    disables one, which is then no tunable.
+    `max_gap`: of the time without measurements, s. np.inf disables one. No fit changes them; tune them by sweep.
     """
 
-    nis_limit: Noise
-    nis_window: Noise
-    max_gap: Noise
+    nis_limit: Threshold
+    nis_window: Threshold
+    max_gap: Threshold
 
     def __init__(self, nis_limit: float = 6.0, nis_window: float = 8.0, max_gap: float = 5.0):
-        self.nis_limit, self.nis_window = _threshold(nis_limit, "1"), _threshold(nis_window, "1")
-        self.max_gap = _threshold(max_gap, "s")
-
-
-def _threshold(value: float, unit: str) -> Noise:
-    return Scale(value, unit) if np.isfinite(value) else Constant(value)
+        self.nis_limit, self.nis_window = Threshold(nis_limit), Threshold(nis_window)
+        self.max_gap = Threshold(max_gap, "s")

@@ -8,7 +8,7 @@ from __future__ import annotations
 import fnmatch
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar, get_args
 
 import equinox as eqx
 import jax
@@ -34,6 +34,13 @@ RENAMED = {
 """Former endings of tunable names and the present ones."""
 
 
+Role = Literal["process noise", "bias noise", "measurement noise"]
+"""Role of a noise level: of the motion's driving noise, of slowly varying errors such as biases, or of a sensor."""
+
+Axis = Literal["horizontal", "vertical", "all"]
+"""Axes of space along which a noise acts; none for a noise that is no vector of space, as of phases or ranges."""
+
+
 class AbstractTunable(eqx.Module):
     """A tunable number or array: `raw` is unconstrained, `value` physical."""
 
@@ -51,12 +58,17 @@ class AbstractTunable(eqx.Module):
 
 
 class Scale(AbstractTunable):
-    """A positive number such as a standard deviation; tuned on a logarithmic scale."""
+    """A positive number such as a standard deviation; tuned on a logarithmic scale.
+
+    `role`, `axis`: of a noise level; first guesses and coarse grids go by them, never by names.
+    """
 
     raw: Any
     unit: str = eqx.field(static=True)
+    role: Role | None = eqx.field(static=True)
+    axis: Axis | None = eqx.field(static=True)
 
-    def __init__(self, value: Any, unit: str = "1"):
+    def __init__(self, value: Any, unit: str = "1", role: Role | None = None, axis: Axis | None = None):
         value = np.asarray(value, float)
         if not (np.all(np.isfinite(value)) and np.all(value > 0)):
             raise ValueError(
@@ -64,13 +76,14 @@ class Scale(AbstractTunable):
             )
         self.raw = np.log(value)
         self.unit = unit
+        self.role, self.axis = _checked(role, axis)
 
     @property
     def value(self) -> Any:
         return jnp.exp(self.raw)
 
     def with_value(self, value: Any) -> Scale:
-        return Scale(value, self.unit)
+        return Scale(value, self.unit, self.role, self.axis)
 
 
 class Fraction(AbstractTunable):
@@ -118,12 +131,17 @@ class Real(AbstractTunable):
 
 
 class Covariance(AbstractTunable):
-    """A symmetric positive definite matrix, tuned through its Cholesky factor with the logarithm of its diagonal."""
+    """A symmetric positive definite matrix, tuned through its Cholesky factor with the logarithm of its diagonal.
+
+    `role`, `axis`: as of a `Scale`.
+    """
 
     raw: Any
     unit: str = eqx.field(static=True)
+    role: Role | None = eqx.field(static=True)
+    axis: Axis | None = eqx.field(static=True)
 
-    def __init__(self, value: Any, unit: str = "1"):
+    def __init__(self, value: Any, unit: str = "1", role: Role | None = None, axis: Axis | None = None):
         value = np.asarray(value, float)
         square = value.ndim == 2 and value.shape[0] == value.shape[1] and bool(np.all(np.isfinite(value)))
         try:
@@ -136,6 +154,7 @@ class Covariance(AbstractTunable):
         factor[diagonal] = np.log(factor[diagonal])
         self.raw = factor
         self.unit = unit
+        self.role, self.axis = _checked(role, axis)
 
     @property
     def value(self) -> Any:
@@ -145,13 +164,55 @@ class Covariance(AbstractTunable):
         return jnp.stack([jnp.stack(row) for row in entries])
 
     def with_value(self, value: Any) -> Covariance:
-        return Covariance(value, self.unit)
+        return Covariance(value, self.unit, self.role, self.axis)
+
+
+class Threshold(AbstractTunable):
+    """A positive limit that a comparison is made with; np.inf disables it.
+
+    Set by name and swept as other tunables. Nothing has a derivative with respect to it, so no fit changes it.
+    """
+
+    raw: Any
+    unit: str = eqx.field(static=True)
+
+    def __init__(self, value: Any, unit: str = "1"):
+        value = np.asarray(value, float)
+        if not np.all(value > 0):
+            raise ValueError(f"a Threshold is positive, np.inf to disable it, found {value}")
+        self.raw = value
+        self.unit = unit
+
+    @property
+    def value(self) -> Any:
+        return self.raw
+
+    def with_value(self, value: Any) -> Threshold:
+        return Threshold(value, self.unit)
 
 
 class Constant(eqx.Module):
     """The value of a tunable, frozen for a run so that it is not recomputed at each step."""
 
     value: Any
+
+
+def role_of(node: AbstractTunable) -> Role | None:
+    """The role of a noise level; None for any other tunable."""
+    return node.role if isinstance(node, (Scale, Covariance)) else None
+
+
+def with_role(node: Scale, role: Role | None, axis: Axis | None) -> Scale:
+    """The positive number with this role and axis, unless it has a role of its own."""
+    return node if node.role is not None else eqx.tree_at(lambda n: n.raw, Scale(1.0, node.unit, role, axis), node.raw)
+
+
+def _checked(role: Role | None, axis: Axis | None) -> tuple[Role | None, Axis | None]:
+    for found, expected in ((role, Role), (axis, Axis)):
+        if found is not None and found not in get_args(expected):
+            choices = ", ".join(f"'{x}'" for x in get_args(expected))
+            raise ValueError(f"the role of a noise level: found '{found}'; expected one of {choices}, or None")
+    return role, axis
 
 
 def is_tunable(node: Any) -> bool:

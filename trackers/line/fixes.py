@@ -23,7 +23,7 @@ class FloorFixes(AbstractSensor):
     sigma_p: Noise
 
     def __init__(self, sigma_p: float | Noise):
-        self.sigma_p = as_scale(sigma_p, "m")
+        self.sigma_p = as_scale(sigma_p, "m", "measurement noise", "horizontal")
 
     @property
     def channels(self) -> tuple[Channel, ...]:

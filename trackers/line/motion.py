@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax.scipy.special import ndtri
 
 from trackers.core.algebra import Scalar, Vector
-from trackers.core.motion import AbstractMotion, Kinematic, Noise, as_scale, draw_log_density
+from trackers.core.motion import AbstractMotion, Kinematic, Noise, draw_log_density, process_noise
 from trackers.core.particle.filter import AbstractOutputMap, second_moments, weighted_mean
 from trackers.core.polyline import Polyline
 from trackers.core.tunable import Fraction, Scale
@@ -43,7 +43,7 @@ class LineMotion(AbstractMotion):
 
     def __init__(self, line: Polyline, sigma_a: float | Noise):
         self.line = line
-        self.sigma_a = as_scale(sigma_a, "m/s/sqrt(s)")
+        self.sigma_a = process_noise(sigma_a, "m/s/sqrt(s)")
 
     @property
     def noise_dimension(self) -> int:
@@ -78,10 +78,10 @@ class HaltingMotion(AbstractMotion):
         self, line: Polyline, sigma_a: float, halting: float = 0.5, rest: float = 5.0, sigma_departure: float = 0.5
     ):
         self.line = line
-        self.sigma_a = Scale(sigma_a, "m/s/sqrt(s)")
+        self.sigma_a = Scale(sigma_a, "m/s/sqrt(s)", "process noise")
         self.halting = Fraction(halting)
         self.rest = Scale(rest, "s")
-        self.sigma_departure = Scale(sigma_departure, "m/s")
+        self.sigma_departure = Scale(sigma_departure, "m/s", "process noise")
 
     @property
     def noise_dimension(self) -> int:

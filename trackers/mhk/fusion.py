@@ -53,7 +53,7 @@ class AccelerationFilter(AbstractFilter[MhkBelief]):
 
     def __init__(self, sphere: AccelerationSphere, sigma_displacement: float, rate: float | None):
         self.sphere, self.filter = sphere, ExtendedKalman()
-        self.sigma_displacement = Scale(sigma_displacement, "m")
+        self.sigma_displacement = Scale(sigma_displacement, "m", "measurement noise")
         self.rate = None if rate is None else Scale(rate, "1/s")
 
     def init(self, belief: Gaussian, key: Any) -> MhkBelief:

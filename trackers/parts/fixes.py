@@ -127,7 +127,8 @@ class FixSensor(AbstractFixSensor):
     latency: Noise
 
     def __init__(self, sigma_horizontal: float, sigma_vertical: float, dof: float | None = None, latency: float = 0.0):
-        self.sigma_horizontal, self.sigma_vertical = Scale(sigma_horizontal, "m"), Scale(sigma_vertical, "m")
+        self.sigma_horizontal = Scale(sigma_horizontal, "m", "measurement noise", "horizontal")
+        self.sigma_vertical = Scale(sigma_vertical, "m", "measurement noise", "vertical")
         self.reported_std_scale, self.dof, self.latency = Scale(1.0), *_dof_and_latency(dof, latency)
 
     def noise(self) -> list[list[Scalar]]:
@@ -144,7 +145,7 @@ class CorrelatedFixSensor(AbstractFixSensor):
     latency: Noise
 
     def __init__(self, covariance: Any, dof: float | None = None, latency: float = 0.0):
-        self.covariance = Covariance(covariance, "m^2")
+        self.covariance = Covariance(covariance, "m^2", "measurement noise", "all")
         self.reported_std_scale, self.dof, self.latency = Scale(1.0), *_dof_and_latency(dof, latency)
 
     def noise(self) -> list[list[Scalar]]:

@@ -51,7 +51,7 @@ class RangeSensor(AbstractSensor):
     def __init__(self, slots: int, anchors: int, sigma_r: float, positive_skew: float, dof: float, bias: float = 0.0):
         """`slots`: ranges per row; `anchors`: number of biases; `bias`: their initial value, m."""
         self.slots = slots
-        self.sigma_r = Scale(sigma_r, "m")
+        self.sigma_r = Scale(sigma_r, "m", "measurement noise")
         self.positive_skew = Scale(positive_skew)
         self.dof = Scale(dof)
         self.bias = Real(np.full(anchors, bias), "m", typical=0.1)

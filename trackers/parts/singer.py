@@ -23,7 +23,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar, Vector
-from trackers.core.motion import AbstractMotion, Accelerated, Noise, as_scale
+from trackers.core.motion import AbstractMotion, Accelerated, Noise, as_scale, process_noise
 
 
 class SingerTerms(NamedTuple):
@@ -49,7 +49,7 @@ class Singer(AbstractMotion):
     dimensions: int = eqx.field(static=True)
 
     def __init__(self, sigma_a: float | Noise, tau: float | Noise, dimensions: int):
-        self.sigma_a = as_scale(sigma_a, "m/s^2")
+        self.sigma_a = process_noise(sigma_a, "m/s^2", "all")
         self.tau = as_scale(tau, "s")
         self.dimensions = dimensions
 

@@ -39,10 +39,10 @@ class RangeMotion(AbstractMotion):
         self, biases: int, sigma_a: float, sigma_z: float, memory: float, sigma_bias: float, time_constant: float
     ):
         self.biases = biases
-        self.sigma_a = Scale(sigma_a, "m/s^2/sqrt(Hz)")
-        self.sigma_z = Scale(sigma_z, "m/s^2/sqrt(Hz)")
+        self.sigma_a = Scale(sigma_a, "m/s^2/sqrt(Hz)", "process noise", "horizontal")
+        self.sigma_z = Scale(sigma_z, "m/s^2/sqrt(Hz)", "process noise", "vertical")
         self.memory = Scale(memory, "s")
-        self.sigma_bias = Scale(sigma_bias, "m")
+        self.sigma_bias = Scale(sigma_bias, "m", "bias noise")
         self.time_constant = Scale(time_constant, "s")
 
     @property

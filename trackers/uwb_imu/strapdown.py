@@ -19,7 +19,7 @@ from jax.lax import stop_gradient
 
 from trackers.core.algebra import Scalar, Vector
 from trackers.core.inputs import Input, Need
-from trackers.core.motion import AbstractMotion, Noise, as_scale
+from trackers.core.motion import AbstractMotion, Noise, as_scale, process_noise
 from trackers.core.state import Heading, Rotation
 from trackers.core.tunable import Real
 
@@ -86,13 +86,13 @@ class ImuNoise(eqx.Module):
         sigma_turn: float | Noise = 0.5,
         sigma_range_walk: float | Noise = 0.005,
     ):
-        self.sigma_accel = as_scale(sigma_accel, "m/s^2/sqrt(Hz)")
-        self.sigma_gyro = as_scale(sigma_gyro, "rad/s/sqrt(Hz)")
-        self.sigma_accel_walk = as_scale(sigma_accel_walk, "m/s^2/sqrt(s)")
-        self.sigma_gyro_walk = as_scale(sigma_gyro_walk, "rad/s/sqrt(s)")
-        self.sigma_a = as_scale(sigma_a, "m/s^2/sqrt(Hz)")
-        self.sigma_turn = as_scale(sigma_turn, "rad/sqrt(s)")
-        self.sigma_range_walk = as_scale(sigma_range_walk, "m/sqrt(s)")
+        self.sigma_accel = process_noise(sigma_accel, "m/s^2/sqrt(Hz)")
+        self.sigma_gyro = process_noise(sigma_gyro, "rad/s/sqrt(Hz)")
+        self.sigma_accel_walk = as_scale(sigma_accel_walk, "m/s^2/sqrt(s)", "bias noise")
+        self.sigma_gyro_walk = as_scale(sigma_gyro_walk, "rad/s/sqrt(s)", "bias noise")
+        self.sigma_a = process_noise(sigma_a, "m/s^2/sqrt(Hz)")
+        self.sigma_turn = process_noise(sigma_turn, "rad/sqrt(s)")
+        self.sigma_range_walk = as_scale(sigma_range_walk, "m/sqrt(s)", "bias noise")
 
     def range_bias_sigma(self, dt: Scalar) -> Scalar:
         """Standard deviation of the change of a range bias over `dt`, m."""

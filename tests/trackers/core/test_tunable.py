@@ -6,19 +6,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trackers.core.motion import ConstantVelocity
+from trackers.core.motion import ConstantVelocity, as_scale
 from trackers.core.sensor import AbstractSensor
+from trackers.core.track_loss import TrackLossPolicy
 from trackers.core.tunable import (
     Constant,
     Covariance,
     Fraction,
     Real,
     Scale,
+    Threshold,
     freeze,
     is_tunable,
     matching,
     replaced,
     tunables,
+    with_values,
 )
 
 
@@ -46,6 +49,30 @@ def test_a_value_comes_back_from_its_unconstrained_form(positive, fraction, real
     assert float(Scale(positive).value) == pytest.approx(positive, rel=1e-13)
     assert float(Fraction(fraction).value) == pytest.approx(fraction, rel=1e-9)
     assert float(Real(real, typical=typical).value) == pytest.approx(real, rel=1e-13, abs=1e-300)
+
+
+def test_a_threshold_is_set_by_name_and_disabled_without_another_tree():
+    tree = {"policy": TrackLossPolicy(), "sigma": Scale(0.1)}
+    assert set(tunables(tree)) == {"policy.nis_limit", "policy.nis_window", "policy.max_gap", "sigma"}
+    disabled = with_values(tree, {"policy.max_gap": np.inf})
+    assert np.isinf(disabled["policy"].max_gap.value)
+    structures = [jax.tree_util.tree_structure(t) for t in (tree, disabled, tree | {"policy": TrackLossPolicy(np.inf)})]
+    assert structures[0] == structures[1] == structures[2]
+    for wrong in (0.0, -1.0, np.nan):
+        with pytest.raises(ValueError, match="a Threshold is positive, np.inf to disable it, found"):
+            Threshold(wrong)
+
+
+def test_a_noise_level_keeps_its_role_and_takes_one_only_where_it_has_none():
+    level = Scale(0.1, "m", "measurement noise", "vertical")
+    changed = level.with_value(0.2)
+    assert (changed.role, changed.axis) == ("measurement noise", "vertical")
+    assert as_scale(level, "m", "process noise", "all") is level
+    given = as_scale(Scale(0.1, "m"), "m", "process noise", "all")
+    assert (given.role, given.axis, given.raw) == ("process noise", "all", level.raw)
+    assert Covariance(np.eye(2), "m^2", "measurement noise").with_value(2 * np.eye(2)).role == "measurement noise"
+    with pytest.raises(ValueError, match="found 'sensor noise'; expected one of 'process noise', 'bias noise', "):
+        Scale(0.1, "m", "sensor noise")  # type: ignore[arg-type]
 
 
 def test_a_covariance_comes_back_from_its_factor():
