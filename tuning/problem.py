@@ -29,8 +29,9 @@ class Evaluation(NamedTuple):
     """An objective of k sums at S vectors of p numbers over n trajectories.
 
     `used` (S, n): the trajectories that count at each vector. `values` (S,), `gradients` (S, p): the objective over
-    these and its derivatives; `sums` (S, k). `terms` (S, k, n), `term_gradients` (S, k, p, n): each trajectory's part of the sums and
-    its derivatives, not finite where a filter diverged. `filter_runs`: trajectories filtered, once per vector.
+    these and its derivatives; `sums` (S, k). `terms` (S, k, n), `term_gradients` (S, k, p, n): each trajectory's part
+    of the sums and its derivatives, not finite where a filter diverged. `filter_runs`: trajectories filtered, once per
+    vector.
     """
 
     values: np.ndarray

@@ -62,7 +62,18 @@ class Numbers:
             terms=terms,
             term_gradients=term_gradients,
             used=np.ones((len(vectors), n), bool),
+            finite=np.ones(len(vectors), bool),
         )
+
+    @property
+    def valid(self):
+        """All trajectories."""
+        return np.ones(len(self.y), bool)
+
+    def values_over(self, count, vectors, terms):
+        """The objective from terms over the trajectories in `count`."""
+        sums = np.einsum("sn,skn->sk", count, terms)
+        return sums[:, 0] / sums[:, 1]
 
 
 def _sigma_and_mu(y):
