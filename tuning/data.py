@@ -77,8 +77,8 @@ def fit_data(
         if wanted and not part:
             if not floor and any(t.recording.truth["position"][1].any() for t in _over_the_floor(whole)):
                 raise UnusableInput(
-                    f"--objective {objective} needs truth with z_m, since the height is estimated, and {where} have x_m "
-                    "and y_m alone; give height_m of the tags in rig.toml, or use --objective nll"
+                    f"--objective {objective} needs truth with z_m, since the height is estimated, and {where} have "
+                    "x_m and y_m alone; give height_m of the tags in rig.toml, or use --objective nll"
                 )
             raise UnusableInput(f"--objective {objective} needs truth, and {where} have none; use --objective nll")
     return FitData(batch.tracker, goal, batch.planar, *parts)

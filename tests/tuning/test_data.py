@@ -57,14 +57,16 @@ def test_a_fit_over_the_floor_judges_truth_without_heights_as_evaluate_does(heig
 @pytest.mark.parametrize("height", [1.2, None], ids=["over the floor", "in space"])
 def test_a_study_judges_truth_without_heights_as_evaluate_does(height):
     folder = _folder(height, NONE)
-    study = Study("floor", "", {"hall": World(lambda ids, seed: folder)}, {"kf": TrackerConfig("fix-kf")}, runs=1)
-    runs = tracked_runs(study, "hall", np.array(["1"]))["kf"]
+    study = Study(
+        "floor", "", {"hall": World(lambda ids, seed: folder)}, {"mean": TrackerConfig("moving-average")}, runs=1
+    )
+    runs = tracked_runs(study, "hall", np.array(["1"]))["mean"]
     totals = ChunkTotals(1)
     totals.add(0, scored(runs))
-    results = Results(study, {(0, "kf"): totals.totals()}, {0: 1})
-    evaluation = tw.evaluate(tw.build("fix-kf", folder).run(folder), folder)
+    results = Results(study, {(0, "mean"): totals.totals()}, {0: 1})
+    evaluation = tw.evaluate(tw.build("moving-average", folder).run(folder), folder)
     assert int(runs.known.sum()) == evaluation["n"] == ROWS
-    assert results.at("rmse_m", study.conditions[0], "kf").value == pytest.approx(evaluation["rmse_m"], rel=1e-9)
+    assert results.at("rmse_m", study.conditions[0], "mean").value == pytest.approx(evaluation["rmse_m"], rel=1e-9)
 
 
 @pytest.mark.parametrize("objective", ["rmse", "nll+0.1*state-nll"])
