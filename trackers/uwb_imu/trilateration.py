@@ -118,7 +118,9 @@ class Trilateration(AbstractEpochwiseTracker):
         zero = jnp.zeros_like(position[0])
         status = jnp.where(seen, Status.OK, jnp.where(jnp.asarray(batch.valid), Status.WAITING, Status.PADDING))
         cov = tuple(zero + jnp.nan for _ in triangle(2))
-        return Output(Placed(position), cov, zero, zero, zero, zero, status.astype(jnp.int8))
+        # Zeros on rows without three ranges: nothing of a masked reading is left in an estimate.
+        mean = Placed(Vector.of(jnp.where(seen, x, 0.0) for x in position))
+        return Output(mean, cov, zero, zero, zero, zero, status.astype(jnp.int8))
 
 
 def trilateration_tracker(compensated: bool = True, sigma_r: float = 0.1) -> Trilateration:

@@ -1,0 +1,402 @@
+"""Every motion, sensor, filter and start, and every ready tracker, once, in small recordings of one installation.
+
+`CASES`: trackers with recordings of `TAGS` tags and at most `ROWS` rows, to which the identities of
+`test_identities.py` apply. `MOTIONS` and `SENSORS`: parts at one state, to which their contracts apply
+(`test_contracts.py`). `test_catalogue.py` fails for a class that is missing here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from sim.stations import facing
+from tests.known_start import KnownStart
+from trackers.aoa.beam import Beam, BeamMotion, InPlaneBeam, InPlaneBeamMotion
+from trackers.aoa.cascade import cascade_tracker
+from trackers.aoa.fusion import BearingSensor, bearing_inputs
+from trackers.aoa.phases import InPlanePhases, PlanePhases, SphericalPhases
+from trackers.baselines.fixes import fix_tracker
+from trackers.baselines.switching import MirrorSensor
+from trackers.catalogue import TRACKERS
+from trackers.core.algebra import Vector
+from trackers.core.checks import Still
+from trackers.core.ekf import ExtendedKalman
+from trackers.core.imm import SwitchingMotion
+from trackers.core.motion import (
+    AbstractMotion,
+    Accelerated,
+    ConstantPosition,
+    ConstantVelocity,
+    GroundMotion,
+    Kinematic,
+    Placed,
+)
+from trackers.core.particle.filter import ParticleFilter
+from trackers.core.polyline import Polyline
+from trackers.core.recording import Recording
+from trackers.core.rig import Rig, Station, Tag
+from trackers.core.sensor import AbstractSensor
+from trackers.core.smoother import Smoothed
+from trackers.core.state import Heading, Rotation
+from trackers.core.tracker import AbstractTracker, Tracker
+from trackers.core.tunable import Scale
+from trackers.line.fixes import FloorFixes
+from trackers.line.motion import HaltingMotion, HaltingState, LineMotion, PathState
+from trackers.line.tracker import line_grid_tracker, line_tracker
+from trackers.mhk.tracker import STILL, mhk_tracker
+from trackers.parts.fixes import FIXES, CorrelatedFixSensor, FixSensor, FixStart
+from trackers.parts.ranges import RANGES, RangeSensor
+from trackers.parts.singer import Singer
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.trajectories import Trajectory, cut
+from trackers.uwb_imu.inertial import inertial_tracker
+from trackers.uwb_imu.range_motion import RangeMotion, RangeState
+from trackers.uwb_imu.strapdown import ImuNoise, Inertial, PlanarInertial, PlanarStrapdown, Strapdown
+
+TAGS, ROWS = 8, 64
+
+ANTENNAS = np.array([[-0.022, 0.006], [-0.019, -0.017], [0.030, -0.018], [0.012, 0.020]])
+WAVELENGTH = 0.0125
+KNOTS = np.array([[1.0, 1.0], [2.0, 1.0], [2.0, 4.0]])
+FLOOR = np.array([[-9.0, -9.0], [9.0, -9.0], [9.0, 9.0], [-9.0, 9.0]])
+CORNERS = {"A1": (0.0, 0.0, 2.4), "A2": (6.0, 0.0, 2.6), "A3": (6.0, 5.0, 2.4), "A4": (0.0, 5.0, 2.5)}
+CENTRE = np.array([2.0, 2.0, 1.0])
+"""Tags walk along `KNOTS` below four nearly coplanar anchors and between two stations of four antennas each."""
+
+
+def _station(x: float, y: float, z: float) -> Station:
+    position = np.array([x, y, z])
+    return Station(position, facing(position, CENTRE, (0.0, 0.0, 1.0)), ANTENNAS, WAVELENGTH)
+
+
+RIG = Rig(
+    "catalogue",
+    anchors={name: np.array(position) for name, position in CORNERS.items()},
+    stations={"S1": _station(-1.0, 2.5, 2.5), "S2": _station(2.5, 7.0, 2.0)},
+    tags={f"{k}": Tag(height=1.0 + 0.05 * k) for k in range(TAGS)},
+    path_knots=KNOTS,
+    outline=FLOOR,
+)
+FLAT = {"S1": Station(np.array([-1.0, 2.5, 1.2]), np.array([1.0, 0.0, 0.0, 0.0]), ANTENNAS, WAVELENGTH)}
+"""A flat array at the tags' height, for directions in its plane."""
+
+
+@cache
+def folder() -> RecordingFolder:
+    """All tables of one recording, by NumPy alone: irregular times, missing values, a silence, a gap of the IMU.
+
+    Fixes and ranges carry standard deviations. Tag 3 is silent for longer than any tracker waits, tag 5 ends early.
+    """
+    rng = np.random.default_rng(0)
+    rows: dict[str, list[dict]] = {name: [] for name in ("fixes", "ranges", "bearings", "phases", "imu", "truth")}
+    joins = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(KNOTS, axis=0), axis=1))])
+    for k in range(TAGS):
+        times = 100.0 * k + np.cumsum(rng.uniform(0.02, 0.1, ROWS))
+        times[20] = times[19]
+        if k == 3:
+            times[30:] += 15.0
+        if k == 5:
+            times = times[:40]
+        # One second at rest, another at the join, and on.
+        seconds = np.arange(len(times)) * 0.06
+        along = np.interp(seconds, [0.0, 0.6, 1.6, 2.4, 4.0], [0.2, 0.2, 1.0, 1.0, 1.0 + 1.2])
+        x, y = (np.interp(along, joins, KNOTS[:, axis]) for axis in (0, 1))
+        height = 1.0 + 0.05 * k
+        for number, (t, position) in enumerate(
+            zip(times, np.column_stack([x, y, np.full(len(x), height)]), strict=True)
+        ):
+            head = {"t_s": float(t), "tag": f"{k}"}
+            axes = dict(zip(("x_m", "y_m", "z_m"), position, strict=True))
+            rows["truth"].append(head | axes)
+            missing = rng.random(3) < 0.1
+            fix = {
+                a: None if gone else v + rng.normal(0, 0.1) for (a, v), gone in zip(axes.items(), missing, strict=True)
+            }
+            rows["fixes"].append(head | fix | {f"{a}_std_m": 0.05 for a in "xyz"})
+            anchor = sorted(CORNERS)[number % 4]
+            distance = float(np.linalg.norm(position - CORNERS[anchor])) + rng.normal(0, 0.05)
+            heard = -1.0 if rng.random() < 0.1 else distance
+            rows["ranges"].append(head | {"anchor": anchor, "range_m": heard, "range_std_m": 0.03})
+            for name, station in RIG.stations.items():
+                angles = station.angles(position) + rng.normal(0, 0.02, 2)
+                names = ("azimuth_rad", "elevation_rad")
+                if (number + (name == "S2")) % 2:
+                    rows["bearings"].append(head | {"station": name} | dict(zip(names, angles, strict=True)))
+                exact = -2 * np.pi / WAVELENGTH * np.linalg.norm(position - station.antenna_positions(), axis=1)
+                phases = np.angle(np.exp(1j * (exact + rng.uniform(0, 6) + rng.normal(0, 0.1, len(ANTENNAS)))))
+                values = [None if rng.random() < 0.05 else float(p) for p in phases]
+                columns = {f"phase_{n + 1}_rad": value for n, value in enumerate(values)}
+                rows["phases"].append(head | {"station": name} | columns)
+            if not 30 <= number < 45:
+                accel, gyro = rng.normal((0, 0, 9.81), 0.05), rng.normal(0, 0.01, 3)
+                sample = {f"accel_{a}_mps2": v for a, v in zip("xyz", accel, strict=True)}
+                rows["imu"].append(head | sample | {f"gyro_{a}_radps": v for a, v in zip("xyz", gyro, strict=True)})
+    return RecordingFolder("catalogue", None, RIG, {name: pl.DataFrame(table) for name, table in rows.items()})
+
+
+@cache
+def _of_one_flat_array() -> RecordingFolder:
+    """The folder with one station, a flat array at the tags' height."""
+    phases = folder().tables["phases"].filter(pl.col("station") == "S1")
+    return replace(folder(), rig=replace(RIG, stations=FLAT), tables=folder().tables | {"phases": phases})
+
+
+@cache
+def _of_fixes() -> RecordingFolder:
+    """The folder without ranges, which trackers on a path prefer to fixes."""
+    return replace(folder(), tables={"fixes": folder().tables["fixes"], "truth": folder().tables["truth"]})
+
+
+@cache
+def trajectories(name: str, free_height: bool, source: Callable[[], RecordingFolder]) -> tuple[Trajectory, ...]:
+    """The trajectories of all tags, as the ready tracker of this name reads them from `source()`.
+
+    Beam trackers have one for each station, of which the first station's suffice.
+    """
+    found = [t for t in TRACKERS[name].trajectories(source(), free_height) if t.station in ("", "S1")]
+    return tuple(replace(t, recording=cut(t.recording, 0, min(ROWS, len(t.recording)))) for t in found)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A tracker and the recordings that it reads: those of the ready tracker `reads` in the folder `source`.
+
+    `spec`: the entry of `trackers.catalogue` that builds the tracker; None where it is put together here. `add`: what
+    is done to the recordings. `causal`: estimates do not depend on later rows. `draws`: the tracker uses random
+    numbers. `idle`: patterns of tunables that change neither likelihood nor error. `quick`: compiled within three
+    seconds or the only case of its kind, hence in the default suite.
+    """
+
+    name: str
+    reads: str
+    build: Callable[[], AbstractTracker] | None = None
+    free_height: bool = False
+    source: Callable[[], RecordingFolder] = folder
+    add: Callable[[Recording], Recording] = lambda recording: recording
+    causal: bool = True
+    draws: bool = False
+    idle: tuple[str, ...] = ()
+    quick: bool = False
+
+    def tracker(self) -> AbstractTracker:
+        """The tracker; a ready one as the command line builds it."""
+        if self.build is not None:
+            return self.build()
+        first, entry = trajectories(self.reads, self.free_height, self.source)[0], TRACKERS[self.reads]
+        return entry.build(first, entry.planar(first, self.free_height))
+
+    def recordings(self) -> list[Recording]:
+        """One recording per tag, of at most `ROWS` rows."""
+        return [self.add(t.recording) for t in trajectories(self.reads, self.free_height, self.source)]
+
+
+_MHK_IDLE = ("*.reported_std_scale",)
+"""Fixes that become medians lose the variances that the device reported."""
+
+
+def _ready_cases() -> Iterator[Case]:
+    """Every tracker of `trackers.catalogue`: at the tags' known heights, and in space where that is another tracker."""
+
+    def ready(name: str, **facts: Any) -> Case:
+        return Case(name, name, **facts)
+
+    def both(name: str, **facts: Any) -> Iterator[Case]:
+        yield ready(name, **facts)
+        yield replace(ready(name), name=f"{name} in space", free_height=True)
+
+    def flat(name: str, **facts: Any) -> Case:
+        return Case(f"{name} in the plane of the array", name, source=_of_one_flat_array, **facts)
+
+    yield from both("fix-kf", quick=True)
+    yield from both("fix-singer")
+    yield from both("imm", quick=True)
+    yield ready("fix-mirror", idle=("*.floor", "*.give"))
+    yield ready("moving-average", quick=True)
+    yield ready("median", quick=True)
+    yield ready("mhk", idle=_MHK_IDLE)
+    yield ready("mhk-stamped", idle=_MHK_IDLE)
+    yield ready("floor-pf", draws=True)
+    yield ready("line-grid", idle=("start.sigma_speed", "filter.output_map.sigma_line"))
+    yield ready("line-pf", draws=True)
+    yield from both("uwb")
+    yield from both("uwb-imu")
+    yield from both("multilateration", quick=True)
+    yield ready("trilateration", quick=True)
+    yield ready("trilateration-compensated")
+    yield from both("bearings")
+    yield ready("beam")
+    yield flat("beam", quick=True)
+    yield ready("das", quick=True)
+    yield flat("das", quick=True)
+    yield from both("direct", quick=True)
+    yield replace(ready("cascade"), quick=True)
+
+
+def _made_cases() -> Iterator[Case]:
+    """Trackers of parts that no ready tracker has together."""
+
+    def made(name: str, reads: str, build: Callable[[], AbstractTracker], **facts: Any) -> Case:
+        return Case(name, reads, build, **facts)
+
+    in_space, start = {"free_height": True}, FixStart(Scale(1.0, "m"), Scale(1.0, "m/s"), False, 3)
+    moving = {"motion": ConstantVelocity(1.0, 3), "start": start}
+    yield made("normal errors", "fix-kf", lambda: replace(fix_tracker(dof=None), **moving), **in_space)
+    correlated = {FIXES: CorrelatedFixSensor(STILL)}
+    yield made("correlated errors", "fix-kf", lambda: replace(fix_tracker(), sensors=correlated), **in_space)
+    few = ParticleFilter(100)
+    yield made("particles", "fix-kf", lambda: replace(fix_tracker(planar=True), filter=few), draws=True, quick=True)
+    yield made("mhk with memory", "mhk", lambda: mhk_tracker(rate=1.0), idle=_MHK_IDLE, quick=True)
+    paper = partial(cascade_tracker, RIG.stations, paper_form=True)
+    yield made("cascade by the paper's form", "cascade", paper)
+    free, halting = partial(LineMotion, sigma_a=0.1), partial(HaltingMotion, sigma_a=0.1)
+    on_line, fixes = partial(line_tracker, n_particles=100), {"source": _of_fixes}
+    yield made("line-pf without halts", "line-pf", _on_line(on_line, free), draws=True, **fixes)
+    yield made("line-grid without halts", "line-grid", _on_line(line_grid_tracker, free), quick=True, **fixes)
+    yield made("line-grid, closed", "line-grid", _on_line(line_grid_tracker, halting, closed=True), **fixes)
+    walk = Tracker(ConstantPosition(0.5, 2), {FIXES: FloorFixes(0.3)}, KnownStart(_place), few)
+    yield made("random walk", "line-pf", lambda: walk, add=_from_the_first_knot, draws=True, **fixes)
+    two = {FIXES: FixSensor(0.1, 0.3), RANGES: RangeSensor(1, len(CORNERS), 0.1, 2.0, 4.0)}
+    both = partial(replace, fix_tracker(), sensors=two)
+    yield made("fixes and ranges", "uwb", both, add=_with_a_fix, **in_space)
+    single = partial(replace, inertial_tracker(planar=True), filter=ExtendedKalman())
+    yield made("inertial with a known yaw", "uwb-imu", single, quick=True)
+
+
+def _on_line(make: Any, motion: Any, closed: bool = False) -> Callable[[], AbstractTracker]:
+    knots = np.vstack([KNOTS, KNOTS[:1]]) if closed else KNOTS
+    return lambda: make(motion(Polyline(knots)), {FIXES: FloorFixes(0.3)})
+
+
+def _place(x: Any) -> Placed:
+    return Placed(Vector(x[0], x[1]))
+
+
+def _from_the_first_knot(recording: Recording) -> Recording:
+    """The recording with the belief at its first row, for a `KnownStart`."""
+    known = {"start_mean": KNOTS[0], "start_cov": np.array([1.0, 0.0, 1.0])}
+    tiled = {name: np.tile(x, (len(recording), 1)) for name, x in known.items()}
+    return replace(recording, inputs={**recording.inputs, **tiled})
+
+
+def _with_a_fix(recording: Recording) -> Recording:
+    """The rows of ranges of a tag, with the tag's fix at the same time as a second sensor."""
+    other = {r.name: r for r in CASES["fix-kf in space"].recordings()}[recording.name]
+    return replace(recording, readings={**recording.readings, **other.readings})
+
+
+def _smoothed_cases(cases: Iterable[Case]) -> Iterator[Case]:
+    """Every tracker that can be smoothed, over the whole recording, and one with a fixed lag."""
+    for case in cases:
+        tracker = case.tracker()
+        try:
+            Smoothed(tracker)
+        except TypeError:
+            continue
+        whole, lagged = partial(Smoothed, tracker), partial(Smoothed, tracker, 0.3)
+        yield replace(case, name=f"{case.name}, smoothed", build=whole, causal=False, quick=case.name == "fix-kf")
+        if case.name == "fix-kf":
+            yield replace(case, name=f"{case.name}, smoothed with a lag", build=lagged, causal=False, quick=False)
+
+
+_FORWARD = (*_ready_cases(), *_made_cases())
+CASES = {case.name: case for case in (*_FORWARD, *_smoothed_cases(_FORWARD))}
+
+
+@dataclass(frozen=True)
+class MotionCase:
+    """A motion at one state, with the inputs of a row."""
+
+    motion: AbstractMotion
+    state: Any
+    inputs: Any = None
+    dt: float = 0.1
+
+
+@dataclass(frozen=True)
+class SensorCase:
+    """A sensor at one view of a state, with the inputs of a row and the noise that the device reported with it."""
+
+    sensor: AbstractSensor
+    view: Any
+    inputs: Any = None
+    reported: tuple[float, ...] = ()
+
+
+MOVING = Kinematic(Vector(0.1, 0.2, 0.3), Vector(1.0, -1.0, 0.5))
+FLAT_BEAM, BEAM = InPlaneBeam(Heading(0.1), 0.4), Beam(0.1, 0.2, 0.3, 0.4)
+LINE = Polyline([[0.0, 0.0], [4.0, 0.0], [4.0, 3.0]])
+_IMU = {"accel": np.array([0.8, -1.1, 9.5]), "gyro": np.array([0.3, -0.5, 1.2]), "arm": np.array([0.3, -0.2, 0.1])}
+_ATTITUDE = np.array([0.9, 0.2, -0.3, 0.1]) / np.linalg.norm([0.9, 0.2, -0.3, 0.1])
+_LEVEL = PlanarInertial(Vector(1.0, 2.0), Vector(0.7, -0.4), Vector(0.1, -0.2), Heading(0.6), 0.05, Vector(0.1))
+_SPACE = Inertial(
+    Vector(1.0, 2.0, 3.0),
+    Vector(0.7, -0.4, 0.2),
+    Rotation(*_ATTITUDE),
+    Vector(0.1, -0.2, 0.3),
+    Vector(0.05, 0.02, -0.1),
+    Vector(0.1),
+)
+_IMU_NOISE = ImuNoise(0.05, 0.01, 0.005, 0.001, 1.0, 0.5)
+
+
+def _inertial_motions() -> Iterator[tuple[str, MotionCase]]:
+    """With both sensors of the IMU, without its accelerometer, and without either."""
+    for label, available in {"": (1.0, 1.0), ", no accelerometer": (0.0, 1.0), ", no IMU": (0.0, 0.0)}.items():
+        inputs = {**_IMU, "imu": np.array(available)}
+        yield f"planar strapdown{label}", MotionCase(PlanarStrapdown(_IMU_NOISE, biases=1), _LEVEL, inputs, 0.02)
+        yield f"strapdown{label}", MotionCase(Strapdown(_IMU_NOISE, biases=1), _SPACE, inputs, 0.02)
+    inputs = {**_IMU, "imu": np.ones(2)}
+    yield "planar strapdown, transport", MotionCase(PlanarStrapdown(_IMU_NOISE, True, 1), _LEVEL, inputs, 0.02)
+
+
+_FLOOR_STATE = Kinematic(Vector(0.1, 0.2), Vector(1.0, -1.0))
+MOTIONS = {
+    "still": MotionCase(Still(), MOVING),
+    "constant velocity": MotionCase(ConstantVelocity(1.0, 3), MOVING),
+    "constant position": MotionCase(ConstantPosition(1.0, 2), Placed(Vector(0.1, 0.2))),
+    "ground": MotionCase(GroundMotion(1.0, 0.1), Kinematic(Vector(0.1, 0.2, 0.3), Vector(1.0, -1.0))),
+    "ground at a known height": MotionCase(GroundMotion(1.0, 0.1), _FLOOR_STATE),
+    "switching": MotionCase(SwitchingMotion((GroundMotion(1.0, 0.1), GroundMotion(3.0, 0.1))), _FLOOR_STATE),
+    "Singer": MotionCase(Singer(1.0, 2.0, 1), Accelerated(Vector(0.1), Vector(-1.0), Vector(2.0))),
+    "damped velocity on the floor": MotionCase(
+        RangeMotion(2, 0.3, 0.2, 5.0, 0.05, 20.0),
+        RangeState(Vector(0.1, 0.1), Vector(0.2, 0.2), Vector(0.01, -0.02)),
+    ),
+    "damped velocity": MotionCase(
+        RangeMotion(2, 0.3, 0.2, 5.0, 0.05, 20.0),
+        RangeState(Vector(0.1, 0.1, 0.1), Vector(0.2, 0.2, 0.2), Vector(0.01, -0.02)),
+    ),
+    "beam": MotionCase(BeamMotion(Scale(1.0)), BEAM),
+    "beam in the plane": MotionCase(InPlaneBeamMotion(Scale(1.0)), FLAT_BEAM),
+    "line": MotionCase(LineMotion(LINE, 0.1), PathState(3.99, 0.5)),
+    "halting, on the way": MotionCase(HaltingMotion(LINE, 0.1), HaltingState(3.99, 0.5, 0.0)),
+    "halting, at rest": MotionCase(HaltingMotion(LINE, 0.1), HaltingState(4.0, 0.0, 1.0)),
+    **dict(_inertial_motions()),
+}
+
+_S1 = RIG.stations["S1"]
+_GEOMETRY = {"origin": bearing_inputs(_S1)[:3], "axes": bearing_inputs(_S1)[3:]}
+_TWO_ANCHORS = {"anchors": np.array([5.0, 0.0, 2.0, 0.0, 6.0, 1.0]), "anchor": np.array([0.0, 1.0])}
+_ROOM = Kinematic(Vector(1.0, -2.0, 0.5), Vector(0.3, -0.4))
+_MIRROR = MirrorSensor(0.1, 0.3, 0.5, 0.5, 4.0)
+SENSORS = {
+    "fixes": SensorCase(FixSensor(0.1, 0.3), _ROOM, {}, (0.01, 0.02, 0.03)),
+    "fixes with outliers and latency": SensorCase(FixSensor(0.1, 0.3, 4.0, 0.2), _ROOM, {}, (0.01, 0.02, 0.03)),
+    "fixes with correlated errors": SensorCase(CorrelatedFixSensor(STILL), _ROOM, {}),
+    "fixes below the anchors' plane": SensorCase(_MIRROR.in_mode(0), _ROOM, {"plane": np.array(1.5)}),
+    "fixes above the anchors' plane": SensorCase(_MIRROR.in_mode(1), _ROOM, {"plane": np.array(1.5)}),
+    "fixes on the floor": SensorCase(FloorFixes(0.3), _ROOM, None, (0.01, 0.02)),
+    "ranges": SensorCase(RangeSensor(2, 2, 0.1, 2.0, 4.0), _ROOM, _TWO_ANCHORS),
+    "ranges with variances": SensorCase(RangeSensor(2, 2, 0.1, 2.0, 4.0), _ROOM, _TWO_ANCHORS, (0.02, 0.01)),
+    "bearings": SensorCase(BearingSensor(0.1, 0.2, 4.0), MOVING, _GEOMETRY),
+    "bearings with variances": SensorCase(BearingSensor(0.1, 0.2, 4.0), MOVING, _GEOMETRY, (0.01, 0.005, 0.02)),
+    "plane waves": SensorCase(PlanePhases(_S1, 0.3), BEAM),
+    "plane waves in the plane of the array": SensorCase(InPlanePhases(_S1, 0.3), FLAT_BEAM),
+    "spherical waves": SensorCase(SphericalPhases(_S1, 0.3), MOVING),
+}
