@@ -136,7 +136,9 @@ def test_garbage_in_one_trajectory_changes_no_bit_of_the_others(ran, garbage):
             _assert_same_bits(estimates[k], ran.estimates[k])
     different = [
         not np.array_equal(a, b, equal_nan=True)
-        for a, b in zip(_leaves(estimates[SPOILT], slice(None)), _leaves(ran.estimates[SPOILT], slice(None)), strict=True)
+        for a, b in zip(
+            _leaves(estimates[SPOILT], slice(None)), _leaves(ran.estimates[SPOILT], slice(None)), strict=True
+        )
     ]
     assert any(different)
 

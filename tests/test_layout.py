@@ -110,6 +110,30 @@ def test_the_library_prints_nothing_and_opens_files_in_few_places_only():
     assert not calls
 
 
+def test_a_class_of_modules_is_abstract_or_final():
+    """No class inherits a concrete `eqx.Module`: whoever reads a method need not ask who overrides it."""
+    classes = [
+        node
+        for path in SOURCES
+        for node in ast.walk(ast.parse(path.read_text("utf-8")))
+        if isinstance(node, ast.ClassDef)
+    ]
+    bases = {
+        node.name: [ast.unparse(base).partition("[")[0].rpartition(".")[2] for base in node.bases] for node in classes
+    }
+
+    def is_module(name):
+        return name == "Module" or any(is_module(base) for base in bases.get(name, []))
+
+    heirs = [
+        f"{name}({base})"
+        for name, mine in bases.items()
+        for base in mine
+        if base in bases and is_module(base) and not base.startswith("Abstract")
+    ]
+    assert heirs == []
+
+
 def test_no_module_is_a_drawer_for_odds_and_ends():
     drawers = [path for path in [*SOURCES, *TESTS] if path.stem in ("utils", "misc", "helpers", "common")]
     assert not drawers

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.core.chunks import as_dtype
-from trackers.core.particle.filter import ParticleFilter, Particles, particle_residuals
+from trackers.core.particle.filter import AbstractParticleFilter, Particles, particle_residuals
 from trackers.core.particle.resampling import LOG_ZERO
 from trackers.core.particle.score import normal_log_density
 from trackers.core.particle.transition import check_transition_density, transition_log_density
@@ -52,13 +52,13 @@ def marginal_scores(tracker: Tracker, batch: Batch, tune: str | Sequence[str]) -
     A track starts once and is never lost. Raises ValueError for a tracker without particles, for a motion whose noise
     does not reach every component of its state (system B: position follows from speed), and for non-finite results.
     """
-    if not isinstance(tracker.filter, ParticleFilter):
+    if not isinstance(tracker.filter, AbstractParticleFilter):
         raise ValueError(f"a marginal score needs a particle filter, found {type(tracker.filter).__name__}")
     parameters = select_parameters(tracker, tune)
     model = as_dtype(tracker, batch.dt.dtype)
     vector = jnp.asarray(flatten(parameters), batch.dt.dtype)
 
-    n_workers = max(1, PAIRS // tracker.filter.n_particles**2)
+    n_workers = max(1, PAIRS // tracker.filter.bootstrap.n_particles**2)
 
     def one(trajectory: Batch) -> tuple[Any, Any]:
         return _of_trajectory(lambda v: freeze(with_parameters(model, parameters, v)), vector, trajectory)
@@ -144,8 +144,8 @@ def _row(model: Any, vector: Any, carried: Carry, row: Row) -> Carry:
 def _pairs(tracker: Tracker, before: Any, after: Any, row: Row) -> Any:
     """log p (N, N) of every state after (rows) given every state before; for dt = 0 a state stays the same."""
     particle_filter, motion = tracker.filter, tracker.motion
-    assert isinstance(particle_filter, ParticleFilter)
-    potential = particle_filter.potential
+    assert isinstance(particle_filter, AbstractParticleFilter)
+    potential = particle_filter.bootstrap.potential
 
     def density(old: Any, new: Any) -> Any:
         moved = transition_log_density(motion, old, new, row.inputs, jnp.where(row.dt > 0, row.dt, 1.0))

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.core.chunks import CHUNK, as_dtype, chunks, run_chunks
-from trackers.core.particle.filter import ParticleFilter
+from trackers.core.particle.filter import AbstractParticleFilter
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker, Tracker
 from tuning.objectives import AbstractObjective
@@ -195,7 +195,7 @@ class Problem:
 
 def is_stochastic(tracker: AbstractTracker) -> bool:
     """Whether the tracker uses random numbers."""
-    return isinstance(getattr(tracker, "filter", None), ParticleFilter)
+    return isinstance(getattr(tracker, "filter", None), AbstractParticleFilter)
 
 
 def has_particles(tracker: AbstractTracker) -> bool:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from trackers.core.particle.filter import AbstractParticleFilter
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker, Tracker
 from tuning.marginal_score import marginal_scores
@@ -33,7 +34,8 @@ def gradients(tracker: AbstractTracker, batch: Batch, patterns: str | Sequence[s
     The time excludes compiling.
     """
     parameters = select_parameters(tracker, patterns)
-    n_particles = getattr(getattr(tracker, "filter", None), "n_particles", 2000)
+    particles = tracker.filter if isinstance(tracker, Tracker) else None
+    n_particles = particles.bootstrap.n_particles if isinstance(particles, AbstractParticleFilter) else 2000
     problem = Problem(tracker, [batch], NegativeLogLikelihood(), parameters, max(1, MAX_BATCH * 2000 // n_particles))
     vector = flatten(parameters)[None, :]
     problem.evaluate(vector, subset=[0])

@@ -15,13 +15,12 @@ from experiments.verify.gradients import Gradients, gradients, marginal_gradient
 from experiments.verify.worlds import (
     CORRIDOR_TUNABLES,
     HALT_TUNABLES,
-    CorridorNaive,
-    CorridorParticles,
-    CorridorReparameterised,
+    Estimator,
     corridor_batch,
     corridor_tracker,
     halt_batch,
     halt_tracker,
+    score_form,
 )
 from experiments.verify.wrong_estimators import Naive, Reparameterised
 from trackers.core.particle.filter import ParticleFilter
@@ -44,7 +43,7 @@ CORRIDOR, CORRIDOR_ROWS = "corridor 25", 25
 def corridor_checks(rows: int) -> list[CheckResult]:
     """The score form between walls, over `rows` fixes."""
     world, fixes = f"corridor {rows}", corridor_fixes(rows)
-    found = _in_corridor(rows, CorridorParticles, PARTICLES, KEYS)
+    found = _in_corridor(rows, score_form, PARTICLES, KEYS)
     return [
         _likelihood(world, oracles.corridor_log_likelihood(fixes), found),
         *_gradients(world, "score form", oracles.corridor_gradient(fixes), found),
@@ -76,8 +75,8 @@ def corridor_marginal_checks() -> list[CheckResult]:
 def corridor_wrong_checks() -> list[CheckResult]:
     """Two common derivatives, both biased by the walls."""
     exact = oracles.corridor_gradient(corridor_fixes(CORRIDOR_ROWS))[:1]
-    naive = _in_corridor(CORRIDOR_ROWS, CorridorNaive, PARTICLES, KEYS)
-    pathwise = _in_corridor(CORRIDOR_ROWS, CorridorReparameterised, PARTICLES, KEYS)
+    naive = _in_corridor(CORRIDOR_ROWS, Naive, PARTICLES, KEYS)
+    pathwise = _in_corridor(CORRIDOR_ROWS, Reparameterised, PARTICLES, KEYS)
     return [
         *_gradients(CORRIDOR, "naive", exact, naive, biased=True),
         *_gradients(CORRIDOR, "reparameterised", exact, pathwise, biased=True),
@@ -86,7 +85,7 @@ def corridor_wrong_checks() -> list[CheckResult]:
 
 def halt_checks() -> list[CheckResult]:
     """The score form at a halt: speed, fixes and prior."""
-    found = _at_halt(ParticleFilter, PARTICLES, KEYS)
+    found = _at_halt(score_form, PARTICLES, KEYS)
     return [
         _likelihood("halt", oracles.halt_log_likelihood(), found),
         *_gradients("halt", "score form", oracles.halt_gradient(), found),
@@ -106,12 +105,12 @@ def corridor_order_checks() -> list[CheckResult]:
     """Decay of bias and spread with the number of particles, between walls."""
     fixes = corridor_fixes(CORRIDOR_ROWS)
     exact, value = oracles.corridor_gradient(fixes), oracles.corridor_log_likelihood(fixes)
-    return _orders(CORRIDOR, exact, value, partial(_in_corridor, CORRIDOR_ROWS, CorridorParticles))
+    return _orders(CORRIDOR, exact, value, partial(_in_corridor, CORRIDOR_ROWS, score_form))
 
 
 def halt_order_checks() -> list[CheckResult]:
     """The same at a halt."""
-    return _orders("halt", oracles.halt_gradient(), oracles.halt_log_likelihood(), partial(_at_halt, ParticleFilter))
+    return _orders("halt", oracles.halt_gradient(), oracles.halt_log_likelihood(), partial(_at_halt, score_form))
 
 
 def _orders(
@@ -169,12 +168,12 @@ def _line(x: np.ndarray, y: np.ndarray, errors: np.ndarray) -> tuple[tuple[float
     return (float(intercept), float(slope)), (float(first), float(second))
 
 
-def _in_corridor(rows: int, kind: type[ParticleFilter], n: int, keys: int) -> Gradients:
-    return gradients(corridor_tracker(n, kind), corridor_batch(rows, keys), CORRIDOR_TUNABLES)
+def _in_corridor(rows: int, estimator: Estimator, n: int, keys: int) -> Gradients:
+    return gradients(corridor_tracker(n, estimator), corridor_batch(rows, keys), CORRIDOR_TUNABLES)
 
 
-def _at_halt(kind: type[ParticleFilter], n: int, keys: int) -> Gradients:
-    return gradients(halt_tracker(kind(n)), halt_batch(keys), HALT_TUNABLES)
+def _at_halt(estimator: Estimator, n: int, keys: int) -> Gradients:
+    return gradients(halt_tracker(estimator(ParticleFilter(n))), halt_batch(keys), HALT_TUNABLES)
 
 
 def _likelihood(world: str, exact: float, found: Gradients) -> CheckResult:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax.numpy as jnp
@@ -10,15 +10,15 @@ import numpy as np
 from jax.scipy.special import ndtr
 
 from experiments.verify.corridor import CORRIDOR, SIGMA_FIX, SIGMA_MOVE, START, corridor_fixes, rectangle
-from experiments.verify.wrong_estimators import Naive, Reparameterised
 from trackers.core.algebra import Scalar, Vector, diagonal
-from trackers.core.filter import Gaussian
-from trackers.core.motion import ConstantPosition, Noise, Placed
-from trackers.core.particle.filter import ParticleFilter, Particles
+from trackers.core.filter import Gaussian, Innovation
+from trackers.core.motion import AbstractMotion, ConstantPosition, Noise, Placed
+from trackers.core.particle.filter import AbstractParticleFilter, ParticleFilter, Particles
 from trackers.core.polyline import Polyline
 from trackers.core.recording import Batch, Readings, Recording, Row, stack
-from trackers.core.sensor import AbstractSensor
+from trackers.core.sensor import AbstractSensor, Reading
 from trackers.core.start import AbstractStart
+from trackers.core.state import State
 from trackers.core.track_loss import TrackLossPolicy
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import Scale
@@ -66,24 +66,42 @@ def uniform(belief: Particles) -> Particles:
     return belief._replace(states=Placed(Vector.of(positions)))
 
 
-class CorridorParticles(ParticleFilter):
-    """The particle filter with initial particles uniform over the start rectangle."""
+class UniformParticles(AbstractParticleFilter):
+    """The particle filter `particles` with initial particles uniform over the start rectangle."""
+
+    particles: AbstractParticleFilter
+
+    @property
+    def bootstrap(self) -> ParticleFilter:
+        return self.particles.bootstrap
 
     def init(self, belief: Gaussian, key: Any) -> Particles:
-        return uniform(super().init(belief, key))
+        return uniform(self.particles.init(belief, key))
+
+    def predict(self, belief: Particles, motion: AbstractMotion, inputs: Any, dt: Scalar) -> Particles:
+        return self.particles.predict(belief, motion, inputs, dt)
+
+    def update(
+        self, belief: Particles, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Any
+    ) -> tuple[Particles, Innovation]:
+        return self.particles.update(belief, motion, sensor, reading, inputs)
+
+    def moments(self, belief: Particles) -> tuple[State, tuple[Scalar, ...]]:
+        return self.particles.moments(belief)
 
 
-class CorridorNaive(CorridorParticles, Naive):
-    """The same with the naive gradient."""
+Estimator = Callable[[ParticleFilter], AbstractParticleFilter]
+"""A particle filter with another derivative, as `Naive`; `score_form` for its own."""
 
 
-class CorridorReparameterised(CorridorParticles, Reparameterised):
-    """The same with the reparameterised gradient."""
+def score_form(particles: ParticleFilter) -> ParticleFilter:
+    """The particle filter itself, whose derivative is in score form."""
+    return particles
 
 
-def corridor_tracker(n_particles: int, kind: type[ParticleFilter] = CorridorParticles) -> Tracker:
+def corridor_tracker(n_particles: int, estimator: Estimator = score_form) -> Tracker:
     """The tracker whose model is the corridor's world; its particles die at the walls."""
-    particles = kind(n_particles, potential=Walls(rectangle(CORRIDOR)))
+    particles = UniformParticles(estimator(ParticleFilter(n_particles, potential=Walls(rectangle(CORRIDOR)))))
     sensors = {FIXES: FloorFixes(SIGMA_FIX)}
     return Tracker(ConstantPosition(SIGMA_MOVE, 2), sensors, CorridorStart(), particles, NEVER_LOST)
 

@@ -7,6 +7,7 @@ differ only where a difference wraps: see `centred`, `pairwise` and docs/papers.
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -92,12 +93,26 @@ class AbstractPhaseSensor(AbstractSensor):
         return form(reading, predicted, self.sigma_p.value)
 
 
-class PlanePhases(AbstractPhaseSensor):
-    """Phases of a plane wave from azimuth and elevation in the array frame: equation (9) for each antenna.
+class AbstractPlanePhases(AbstractPhaseSensor):
+    """Phases of a plane wave: equation (9) for each antenna.
 
     `sigma_p`: phase noise, rad. `offsets`: (n,) rad, residual calibration errors. `wavenumbers`: (n, 2), 2π/λ times the
     antennas' x, y.
     """
+
+    wavenumbers: eqx.AbstractVar[Any]
+
+    @abstractmethod
+    def direction_cosines(self, view: Any) -> tuple[Scalar, Scalar]:
+        """The components along the array's x and y axes of the unit vector from the station to the tag."""
+
+    def measure(self, view: Any, inputs: Any) -> list[Scalar]:
+        x, y = self.direction_cosines(view)
+        return [k[0] * x + k[1] * y + offset for k, offset in zip(self.wavenumbers, self.offsets.value, strict=True)]
+
+
+class PlanePhases(AbstractPlanePhases):
+    """Phases of a plane wave from azimuth and elevation in the array frame; attributes as in `AbstractPlanePhases`."""
 
     view_fields: ClassVar[tuple[str, ...]] = ("azimuth", "elevation")
 
@@ -107,21 +122,14 @@ class PlanePhases(AbstractPhaseSensor):
     paper_form: bool = eqx.field(static=True)
 
     def __init__(self, station: Station, sigma_p: float | Noise = 0.3, paper_form: bool = False):
-        antennas, wavelength = _array(station)
-        self.sigma_p = as_scale(sigma_p, "rad", "measurement noise")
-        self.offsets = Real(np.zeros(len(antennas)), "rad", typical=0.1)
-        self.wavenumbers = 2 * np.pi / wavelength * antennas
-        self.paper_form = paper_form
+        self.sigma_p, self.paper_form = as_scale(sigma_p, "rad", "measurement noise"), paper_form
+        self.wavenumbers, self.offsets = _wavenumbers_and_offsets(station)
 
-    def measure(self, view: Any, inputs: Any) -> list[Scalar]:
-        x, y = compute_once((jnp.sin(view.azimuth) * jnp.cos(view.elevation), jnp.sin(view.elevation)))
-        return self._plane_wave(x, y)
-
-    def _plane_wave(self, x: Scalar, y: Scalar) -> list[Scalar]:
-        return [k[0] * x + k[1] * y + offset for k, offset in zip(self.wavenumbers, self.offsets.value, strict=True)]
+    def direction_cosines(self, view: Any) -> tuple[Scalar, Scalar]:
+        return compute_once((jnp.sin(view.azimuth) * jnp.cos(view.elevation), jnp.sin(view.elevation)))
 
 
-class InPlanePhases(PlanePhases):
+class InPlanePhases(AbstractPlanePhases):
     """Phases of a plane wave in the plane of the array, from the angle `view.heading` about its z axis.
 
     For flat arrays with beacons at their own height, where azimuth and elevation about the boresight are singular.
@@ -129,17 +137,23 @@ class InPlanePhases(PlanePhases):
 
     view_fields: ClassVar[tuple[str, ...]] = ("heading",)
 
-    def __init__(self, station: Station, sigma_p: float | Noise = 0.5, paper_form: bool = False):
-        super().__init__(station, sigma_p, paper_form)
+    sigma_p: Noise
+    offsets: Noise
+    wavenumbers: Any
+    paper_form: bool = eqx.field(static=True)
 
-    def measure(self, view: Any, inputs: Any) -> list[Scalar]:
-        return self._plane_wave(jnp.cos(view.heading.angle), jnp.sin(view.heading.angle))
+    def __init__(self, station: Station, sigma_p: float | Noise = 0.5, paper_form: bool = False):
+        self.sigma_p, self.paper_form = as_scale(sigma_p, "rad", "measurement noise"), paper_form
+        self.wavenumbers, self.offsets = _wavenumbers_and_offsets(station)
+
+    def direction_cosines(self, view: Any) -> tuple[Scalar, Scalar]:
+        return jnp.cos(view.heading.angle), jnp.sin(view.heading.angle)
 
 
 class SphericalPhases(AbstractPhaseSensor):
     """Phases of a spherical wave from `view.position`: −2π/λ times the true distance, no plane-wave approximation.
 
-    `sigma_p`, `offsets` as in `PlanePhases`. `antennas`: (n, 3) m from `origin` (3,) m, world axes.
+    `sigma_p`, `offsets` as in `AbstractPlanePhases`. `antennas`: (n, 3) m from `origin` (3,) m, world axes.
     """
 
     view_fields: ClassVar[tuple[str, ...]] = ("position",)
@@ -176,6 +190,12 @@ class SphericalPhases(AbstractPhaseSensor):
             shorter = (2.0 * to_tag.dot(a) - a.dot(a)) / (distance + (to_tag - a).norm())
             phases.append(self.wavenumber * shorter + offset)
         return phases
+
+
+def _wavenumbers_and_offsets(station: Station) -> tuple[np.ndarray, Real]:
+    """2π/λ times the antennas' x, y (n, 2), and offsets of zero."""
+    antennas, wavelength = _array(station)
+    return 2 * np.pi / wavelength * antennas, Real(np.zeros(len(antennas)), "rad", typical=0.1)
 
 
 def _array(station: Station) -> tuple[np.ndarray, float]:

@@ -20,14 +20,16 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.algebra import Scalar
+from trackers.core.algebra import Scalar, Vector, diagonal
 from trackers.core.ekf import ExtendedKalman
+from trackers.core.filter import Gaussian
 from trackers.core.imm import AbstractInteractingModels, AbstractSwitching, InteractingModels, Mixture, SwitchingMotion
 from trackers.core.inputs import HEIGHT, Input
 from trackers.core.linearise import covariance_of
-from trackers.core.motion import GroundMotion, Noise
+from trackers.core.motion import GroundMotion, Kinematic, Noise
 from trackers.core.recording import Row
 from trackers.core.sensor import AbstractSensor, Channel
+from trackers.core.start import AbstractStart
 from trackers.core.tunable import Real, Scale
 from trackers.parts.fixes import FIXES, PATIENT, AbstractFixSensor, FixSensor, FixStart, FixTracker
 
@@ -127,19 +129,37 @@ class MirrorModels(AbstractInteractingModels):
         return rates
 
 
-class MirrorStart(FixStart):
-    """A start at the first fix with x and y, at its z, whose side of the plane is thereby favoured.
+class MirrorStart(AbstractStart):
+    """A start at the first fix with x and y, at its z, whose side of the plane is thereby favoured; at rest.
 
-    Input: `fix_z`, m, the z of the row's fix, or the plane's height where z is missing.
+    `sigma_position` m, `sigma_velocity` m/s: standard deviations. Input: `fix_z`, m, the z of the row's fix, or the
+    plane's height where z is missing.
     """
+
+    sigma_position: Noise
+    sigma_velocity: Noise
 
     @property
     def inputs(self) -> tuple[Input, ...]:
         return (FIX_Z,)
 
+    @property
+    def readings(self) -> Mapping[str, int]:
+        return {FIXES: 2}
+
+    def can_start(self, row: Row) -> Scalar:
+        seen = row.readings[FIXES].seen
+        return seen[0] & seen[1]
+
     def candidate(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
-        values, z = row.readings[FIXES].values, row.inputs["fix_z"]
-        return jnp.stack([values[0], values[1], z, jnp.ones_like(z)])
+        values = row.readings[FIXES].values
+        return jnp.stack([values[0], values[1], row.inputs["fix_z"]])
+
+    def belief(self, candidate: Any, row: Row) -> Gaussian:
+        zero = jnp.zeros_like(candidate[0])
+        state = Kinematic(Vector(*(candidate[k] for k in range(3))), Vector(zero, zero))
+        position, velocity = self.sigma_position.value**2, self.sigma_velocity.value**2
+        return Gaussian(state, diagonal([position] * 3 + [velocity] * 2, zero))
 
 
 def switching_tracker(
@@ -179,7 +199,7 @@ def mirror_tracker(
     corners of a room. `rate`, 1/s: mode switches in the plane.
     """
     sensor = MirrorSensor(sigma_horizontal, sigma_vertical, offset, shrink, dof)
-    start = MirrorStart(Scale(1.0, "m"), Scale(1.0, "m/s"), False, 2)
+    start = MirrorStart(Scale(1.0, "m"), Scale(1.0, "m/s"))
     return FixTracker(
         GroundMotion(sigma_a, sigma_z), {FIXES: sensor}, start, MirrorModels(rate, [1.0, 1.0], 0.1), PATIENT
     )

@@ -18,14 +18,13 @@ from experiments.verify.particle_checks import corridor_order_checks, halt_check
 from experiments.verify.worlds import (
     CORRIDOR_TUNABLES,
     HALT_TUNABLES,
-    CorridorNaive,
-    CorridorParticles,
-    CorridorReparameterised,
     corridor_batch,
     corridor_tracker,
     halt_batch,
     halt_tracker,
+    score_form,
 )
+from experiments.verify.wrong_estimators import Naive, Reparameterised
 from tests.in_process import trackwright
 from trackers.core.particle.filter import ParticleFilter
 from trackers.core.recording import Readings, Recording, stack
@@ -56,8 +55,8 @@ def test_the_kalman_filter_and_the_chain_agree_with_their_oracles():
     assert all(r.passed for r in results), table(results)
 
 
-def _score(kind):
-    return gradients(corridor_tracker(PARTICLES, kind), corridor_batch(25, KEYS), CORRIDOR_TUNABLES).gradient[0]
+def _score(estimator):
+    return gradients(corridor_tracker(PARTICLES, estimator), corridor_batch(25, KEYS), CORRIDOR_TUNABLES).gradient[0]
 
 
 def _deviation(scores):
@@ -67,7 +66,7 @@ def _deviation(scores):
 
 @pytest.fixture(scope="module")
 def scores():
-    return _score(CorridorParticles)
+    return _score(score_form)
 
 
 def test_the_score_form_is_unbiased_by_walls(scores):
@@ -76,9 +75,9 @@ def test_the_score_form_is_unbiased_by_walls(scores):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", [CorridorNaive, CorridorReparameterised])
-def test_pathwise_estimators_are_biased_by_walls(kind):
-    assert _deviation(_score(kind)) > 12
+@pytest.mark.parametrize("estimator", [Naive, Reparameterised])
+def test_pathwise_estimators_are_biased_by_walls(estimator):
+    assert _deviation(_score(estimator)) > 12
 
 
 def _recording(rows, key):

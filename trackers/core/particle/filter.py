@@ -67,7 +67,18 @@ class AbstractOutputMap(eqx.Module):
         """
 
 
-class ParticleFilter(AbstractFilter[Particles]):
+class AbstractParticleFilter(AbstractFilter[Particles]):
+    """A filter whose belief is `Particles`, so that its likelihood is random."""
+
+    has_particle_axis: ClassVar[bool] = True
+
+    @property
+    @abstractmethod
+    def bootstrap(self) -> ParticleFilter:
+        """The bootstrap filter with its number of particles and its potential: itself, or the one that it modifies."""
+
+
+class ParticleFilter(AbstractParticleFilter):
     """Bootstrap particle filter with systematic resampling where the effective sample size is below `fraction`·N.
 
     Equations (1.22)–(1.30) of the assembly-line thesis, with E for the mean in (1.29); see `docs/papers.md`. Its random
@@ -84,7 +95,9 @@ class ParticleFilter(AbstractFilter[Particles]):
     discount: float = eqx.field(static=True, default=1.0)
     potential: AbstractPotential | None = None
 
-    has_particle_axis: ClassVar[bool] = True
+    @property
+    def bootstrap(self) -> ParticleFilter:
+        return self
 
     @property
     def view_fields(self) -> tuple[str, ...]:
