@@ -5,10 +5,7 @@ import numpy as np
 import pytest
 
 from trackers.core.algebra import Vector
-from trackers.core.checks import check_motion, check_sensor
-from trackers.core.motion import Kinematic
 from trackers.core.polyline import Polyline
-from trackers.line.fixes import FloorFixes
 from trackers.line.motion import HaltingMotion, HaltingState, LineMotion, PathState
 from trackers.line.tracker import line_motion
 
@@ -71,14 +68,6 @@ def test_the_nearest_point_of_places_on_the_path_is_where_they_are():
 def test_a_path_that_is_none_is_refused(knots, message):
     with pytest.raises(ValueError, match=message):
         Polyline(knots)
-
-
-def test_motions_and_fixes_keep_their_contracts():
-    line = Polyline(KNOTS)
-    check_motion(LineMotion(line, 0.1), PathState(4.0, 0.5))
-    check_motion(HaltingMotion(line, 0.1), HaltingState(4.0, 0.5, 0.0))
-    check_motion(HaltingMotion(line, 0.1), HaltingState(4.05, 0.0, 1.0))
-    check_sensor(FloorFixes(0.3), Kinematic(Vector(1.0, 2.0), Vector(0.0, 0.0)), reported=(0.01, 0.02))
 
 
 def test_a_step_is_the_printed_one():

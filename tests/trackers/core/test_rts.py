@@ -133,15 +133,6 @@ def test_nothing_reaches_back_over_a_new_start(world):
         np.testing.assert_array_equal(flat(filtered[trajectory].mean)[row], flat(smoothed[trajectory].mean)[row])
 
 
-@pytest.mark.slow
-def test_a_padded_recording_is_smoothed_as_the_unpadded_one_to_the_bit(world):
-    short = stack([recording(t, {"z": (z, s)}, world.mean, world.cov) for t, z, s in world.trajectories[:1]])
-    padded = stack([recording(t, {"z": (z, s)}, world.mean, world.cov) for t, z, s in world.trajectories[:1]], rows=20)
-    one, other = (Smoothed(world.tracker).run(batch)[0] for batch in (short, padded))
-    np.testing.assert_array_equal(flat(one.mean), flat(other.mean)[:ROWS])
-    np.testing.assert_array_equal(one.covariance, other.covariance[:ROWS])
-
-
 def _still_tags(variance):
     """Smoothed in single and in double precision: 2 s of readings of 1 mm at 100 Hz after a start this uncertain, m²."""
     rng, shape = np.random.default_rng(2), (200, 2)

@@ -66,15 +66,6 @@ def test_a_range_of_kilometres_has_no_influence(locate):
     np.testing.assert_allclose(call(ranges).position, POSITION[:n], atol=1e-3)
 
 
-def test_masked_ranges_have_no_influence(locate):
-    call, _ = locate
-    counts = np.ones(len(ANCHORS), bool)
-    counts[3] = False
-    ranges = _exact()
-    other = np.where(counts, ranges, 77.0)
-    np.testing.assert_array_equal(call(ranges, counts=counts).position, call(other, counts=counts).position)
-
-
 def test_too_few_ranges_determine_nothing_and_give_no_nan(locate):
     call, n = locate
     for count in range(len(ANCHORS) + 1):

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from trackers.core.algebra import Vector
-from trackers.core.checks import check_motion
 from trackers.core.ekf import ExtendedKalman
 from trackers.core.filter import Gaussian
 from trackers.core.linearise import linearise
@@ -41,12 +40,6 @@ def _error_jacobian(motion, state, inputs, dt):
     point, rebuild = coordinates(state)
     _, rows = linearise(lambda *x: local(moved, motion.step(rebuild(x), inputs, dt, zeros)), point)
     return np.array([[float(row.get(j, 0.0)) for j in range(len(point))] for row in rows])
-
-
-@pytest.mark.parametrize(("motion", "state"), MOTIONS)
-@pytest.mark.parametrize("imu", [(1, 1), (0, 1), (0, 0)])
-def test_the_mechanisation_keeps_the_contract_of_motions_with_and_without_an_imu(motion, state, imu):
-    check_motion(motion, state, _with_imu(*imu), dt=0.02)
 
 
 @pytest.mark.parametrize(("motion", "state"), MOTIONS)
