@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
 from typing import Annotated, Any, Literal
@@ -32,6 +32,7 @@ from sim.tables import Simulated
 from trackers import catalogue
 from trackers.core.recording import Recording
 from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.trajectories import Trajectory, known_height
 
 __all__ = ["WORLDS", "SimulatedWorld", "agv", "line", "ranges", "station", "tool"]
 
@@ -61,7 +62,7 @@ class SimulatedWorld:
         folder = self.folder()
         name = tracker or catalogue.fitting(folder)
         batches = catalogue.spec_of(name).batches([folder], name, free_height)
-        return [trajectory.recording for batch in batches for trajectory in batch.trajectories]
+        return [_in_arrays(trajectory) for batch in batches for trajectory in batch.trajectories]
 
     def __repr__(self) -> str:
         return f"<SimulatedWorld '{self.name}': {len(self.arrays.ids)} trajectories, {type(self.arrays).__name__}>"
@@ -239,6 +240,14 @@ def agv(
         errors["wild"] = corruptions.outliers(wild, 2.0)
     world = simulate_agv(_ids(n, ids).tolist(), seed, speed=speed, rows=rows, errors=errors)
     return SimulatedWorld(f"simulated-agv-{seed}", world)
+
+
+def _in_arrays(trajectory: Trajectory) -> Recording:
+    """The rows of a trajectory, with the input `height` only where the rig gives the tag one."""
+    recording = trajectory.recording
+    if known_height(trajectory.folder, trajectory.tag) is not None:
+        return recording
+    return replace(recording, inputs={name: x for name, x in recording.inputs.items() if name != "height"})
 
 
 def _ids(n: int, ids: Ids) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Recordings from NumPy arrays that a user holds: fixes, ranges, bearings and phases, for trackers that run on arrays.
 
 Everywhere: `times` (T,) s in ascending order; NaN marks a missing value; `height` m is the tag's constant height where
-it is known; `truth` (T, 3) m, or (T, 2) over the floor, is the true position, NaN where it is unknown. All raise
+it is known, which trackers over the floor (`planar=True`) need; `truth` (T, 3) m, or (T, 2) over the floor, is the true position, NaN where it is unknown. All raise
 ValueError for arrays that do not fit each other.
 """
 
@@ -40,6 +40,9 @@ def fix_recording(
         raise ValueError(f"positions have {values.shape[1]} columns; expected x, y or x, y, z")
     if height is not None:
         seen[:, 2] = False
+    elif not seen[:, 2].any():
+        # A tracker over the floor predicts z from the height; without any z the prediction is compared with nothing.
+        height = 0.0
     variances = np.zeros(values.shape) if std is None else np.nan_to_num(_like("std", std, values)) ** 2
     return Recording(
         times, {FIXES: Readings(values, seen, variances)}, _height(times, height), _truth(truth, len(times)), name
@@ -168,7 +171,7 @@ def _rows_of(truth: np.ndarray, row: np.ndarray, rows: int) -> np.ndarray:
 
 
 def _height(times: np.ndarray, height: float | None) -> dict[str, np.ndarray]:
-    return {"height": np.full(len(times), 0.0 if height is None else height)}
+    return {} if height is None else {"height": np.full(len(times), float(height))}
 
 
 def _truth(truth: np.ndarray | None, rows: int) -> dict[str, tuple[np.ndarray, np.ndarray]]:
