@@ -1,11 +1,11 @@
-# Targets: env demo test test-slow lint papers bench bench-peers clean. Each makes the environment it needs.
+# Targets: env demo test test-slow mutate lint papers bench bench-peers clean. Each makes the environment it needs.
 
 PYTHON ?= python3
 BIN := .venv/bin
 PEERS := .venv-peers/bin
 OLD_PYTHON := trackwright needs Python 3.11 or newer; name one with `make PYTHON=/path/to/python3.11 ...`
 
-.PHONY: env demo test test-slow lint papers bench bench-peers clean
+.PHONY: env demo test test-slow mutate lint papers bench bench-peers clean
 
 env: .venv/installed
 
@@ -29,6 +29,10 @@ test: env
 
 test-slow: env
 	$(BIN)/python -m pytest -m slow
+
+# Of changed lines alone: make mutate MUTATE='--since origin/main'
+mutate: env
+	$(BIN)/python -m tests.mutation $(MUTATE)
 
 lint: env
 	$(BIN)/ruff check .

@@ -1,5 +1,7 @@
 """MH-K row by row against the equations in NumPy: a tag that accelerates, irregular rows, fixes missing."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -42,7 +44,7 @@ def _states():
             solid_angles.append(area.sum() / (4 * np.pi))
     directions, solid_angles = np.array(directions), np.array(solid_angles)
     accelerations, probabilities = [], []
-    for inner, outer in zip(radii[:-1], radii[1:], strict=True):
+    for inner, outer in pairwise(radii):
         k = 0.5 * (outer + inner) + 0.5 * (outer - inner) * nodes
         accelerations.append(directions * (weights @ k**3) / (weights @ k**2))
         probabilities.append(solid_angles * (1 - p_still) * (1 - p_full) / 10)
@@ -57,7 +59,7 @@ def _oracle(recording, rate):
     accelerations, stationary = _states()
     eye, zero = np.eye(3), np.zeros((3, 3))
     means, covs = np.full((len(values), 6), np.nan), np.full((len(values), 6, 6), np.nan)
-    window, started = [], False
+    window, started, a, remaining = [], False, np.zeros(3), 0.0
     for row, dt in enumerate(np.diff(recording.times, prepend=recording.times[0])):
         window = [*window, values[row]][-WINDOW:] if seen[row] else window
         median = np.median(window, axis=0) if seen[row] and len(window) == WINDOW else None
@@ -74,7 +76,7 @@ def _oracle(recording, rate):
                 kept = np.exp(-rate * dt)
                 weights = kept * weights + (1 - kept) * stationary
         if median is not None and not started:
-            started, p, v, a, remaining, elapsed = True, median, np.zeros(3), np.zeros(3), 0.0, 0.0
+            started, p, v, elapsed = True, median, np.zeros(3), 0.0
             P, weights, last, last_v = np.diag([0.25] * 3 + [1.0] * 3), stationary, median, v
         elif median is not None:
             K = P[:, :3] @ np.linalg.inv(P[:3, :3] + STILL)

@@ -1,0 +1,201 @@
+"""`python -m tests.mutation`: mutate single lines of the library and see whether a test fails.
+
+Each mutation is made in a copy of the working tree and tested by the tests that mirror its module, then by those of its
+folder and its importers, then by all others of the default suite, until the first failure. The table is printed, and
+written to `tests/mutation/results.json` with the command and the commit.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from tests.mutation.operators import Mutation
+from tests.mutation.selection import ROOT, declared_equivalent, drawn, reason_of, stages
+
+RESULTS = Path(__file__).parent / "results.json"
+TIMED_OUT = "timed out"
+DEFAULT_RECORDINGS = ROOT.parent / "shared" / "recordings"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """`result`: "killed", "survived", "equivalent" or "timed out"; `by`: the test that failed, or the reason."""
+
+    number: int
+    file: str
+    line: int
+    kind: str
+    before: str
+    after: str
+    result: str
+    by: str
+    seconds: float
+
+
+class Scratch:
+    """A copy of the working tree in which one file at a time is mutated."""
+
+    def __init__(self, folder: Path):
+        self.folder, self.passing, self.failing = folder, set[str](), set[str]()
+        self.writes = int(time.time())
+        listed = subprocess.run(
+            ["git", "ls-files", "-co", "--exclude-standard"], cwd=ROOT, check=True, capture_output=True, text=True
+        )
+        for name in listed.stdout.splitlines():
+            if (ROOT / name).is_file():
+                (folder / name).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(ROOT / name, folder / name)
+        cache = os.environ.get("JAX_COMPILATION_CACHE_DIR", f"{tempfile.gettempdir()}/trackwright-mutation-cache")
+        self.environment = {
+            **os.environ,
+            # Programs that a mutation leaves as they are need no new compilation.
+            "JAX_COMPILATION_CACHE_DIR": cache,
+            "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+            "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "0",
+        }
+        if DEFAULT_RECORDINGS.is_dir():
+            self.environment.setdefault("TRACKWRIGHT_RECORDINGS", str(DEFAULT_RECORDINGS))
+
+    def outcome(self, number: int, mutation: Mutation, limit: float) -> Outcome:
+        """The mutation's outcome within `limit` s."""
+        begin = time.monotonic()
+        original = (self.folder / mutation.file).read_text("utf-8")
+        result, by = "survived", ""
+        waiting = stages(self.folder, mutation.file)
+        while waiting and result == "survived":
+            self.write(mutation.file, mutation.applied(original))
+            try:
+                failed = self.first_failure(waiting[0], begin + limit - time.monotonic())
+            finally:
+                self.write(mutation.file, original)
+            if failed == TIMED_OUT:
+                result = failed
+            elif failed is None:
+                waiting.pop(0)
+            else:
+                result, by = "killed", failed
+        shown = mutation.before.strip(), mutation.after.strip()
+        seconds = round(time.monotonic() - begin, 1)
+        return Outcome(number, mutation.file, mutation.line, mutation.kind, *shown, result, by, seconds)
+
+    def write(self, file: str, text: str) -> None:
+        """The file with this text, at a time of its own: Python recognises stale bytecode by the second and the size."""
+        self.writes += 1
+        (self.folder / file).write_text(text, "utf-8")
+        os.utime(self.folder / file, (self.writes, self.writes))
+
+    def first_failure(self, tests: list[str], limit: float) -> str | None:
+        """The first test that fails, None if all pass, `TIMED_OUT` beyond the limit."""
+        if limit <= 0:
+            return TIMED_OUT
+        options = ["-q", "-x", "-n0", "--tb=no", "-rfE", "-p", "no:cacheprovider"]
+        options += [f"--deselect={test}" for test in self.failing]
+        command = [sys.executable, "-m", "pytest", *options, *tests]
+        process = subprocess.Popen(
+            command, cwd=self.folder, env=self.environment, text=True, start_new_session=True,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+        )  # fmt: skip
+        try:
+            output, _ = process.communicate(timeout=limit)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.communicate()
+            return TIMED_OUT
+        if process.returncode in (0, 5):  # 5: every test of these files is a slow one
+            return None
+        failed = re.search(r"^(?:FAILED|ERROR) (\S+?\.py(?:::.*?)?)(?: - .*)?$", output, re.M)
+        if failed is None:
+            raise RuntimeError(f"pytest ended with {process.returncode} without a failing test:\n{output[-2000:]}")
+        return failed[1]
+
+    def failing_anyway(self, tests: set[str]) -> set[str]:
+        """Those of the tests that fail without a mutation; from now on they are left out."""
+        unknown, found = tests - self.passing, set[str]()
+        while unknown and (failed := self.first_failure(sorted(unknown), 3600.0)) is not None:
+            if failed == TIMED_OUT:
+                raise RuntimeError(f"{len(unknown)} tests take more than an hour without a mutation")
+            unknown.discard(failed)
+            found.add(failed)
+            self.failing.add(failed)
+        self.passing |= unknown
+        return found
+
+
+def table(outcomes: list[Outcome]) -> str:
+    """The outcomes as lines of text, and their counts."""
+    lines = []
+    for o in outcomes:
+        lines.append(f"{o.number:3d} {o.result:10s} {o.file}:{o.line} ({o.kind})")
+        lines += [f"      - {o.before}", f"      + {o.after}"] + ([f"      {o.by}"] if o.by else [])
+    results = [o.result for o in outcomes]
+    counts = {kind: results.count(kind) for kind in ("killed", "survived", TIMED_OUT, "equivalent")}
+    lines.append(", ".join(f"{number} {kind}" for kind, number in counts.items()) + f" of {len(outcomes)}")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Draw, test and write."""
+    parser = argparse.ArgumentParser(prog="python -m tests.mutation", description=__doc__)
+    parser.add_argument("--count", type=int, default=60, help="number of mutations")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the draw")
+    parser.add_argument("--since", help="only lines changed since this commit")
+    parser.add_argument("--limit", type=float, default=900.0, help="seconds for one mutation")
+    parser.add_argument(
+        "--only", type=int, nargs="+", help="numbers of the draw to test again, others kept as they were"
+    )
+    parser.add_argument("--out", type=Path, default=RESULTS, help="file of the results")
+    options = parser.parse_args()
+    mutations = dict(enumerate(drawn(ROOT, options.count, options.seed, options.since), 1))
+    earlier = json.loads(options.out.read_text("utf-8"))["mutations"] if options.only and options.out.exists() else []
+    outcomes = {o["number"]: Outcome(**o) for o in earlier}
+    declared = declared_equivalent()
+    with tempfile.TemporaryDirectory(prefix="mutation-") as folder:
+        scratch = Scratch(Path(folder))
+        waiting = list(options.only or mutations)
+        while waiting:
+            number = waiting.pop(0)
+            mutation, reason = mutations[number], reason_of(mutations[number], declared)
+            if reason is None:
+                outcomes[number] = scratch.outcome(number, mutation, options.limit)
+            else:
+                shown = mutation.before.strip(), mutation.after.strip()
+                outcomes[number] = Outcome(
+                    number, mutation.file, mutation.line, mutation.kind, *shown, "equivalent", reason, 0.0
+                )
+            print(table([outcomes[number]]).rpartition("\n")[0], flush=True)
+            _write(options.out, options, [outcomes[k] for k in sorted(outcomes)])
+            if not waiting:
+                # A test that fails in any case has killed nothing.
+                found = scratch.failing_anyway({o.by for o in outcomes.values() if o.result == "killed"})
+                waiting = [k for k, o in sorted(outcomes.items()) if o.by in found]
+    print(table([outcomes[k] for k in sorted(outcomes)]).rpartition("\n")[2])
+
+
+def _write(path: Path, options: argparse.Namespace, outcomes: list[Outcome]) -> None:
+    commit = subprocess.run(["git", "rev-parse", "HEAD"], cwd=ROOT, check=True, capture_output=True, text=True)
+    command = ["python", "-m", "tests.mutation", "--seed", str(options.seed), "--count", str(options.count)]
+    document = {
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "command": command + (["--since", options.since] if options.since else []),
+        "commit": commit.stdout.strip(),
+        "machine": {"platform": platform.platform(), "python": platform.python_version()},
+        "mutations": [asdict(o) for o in outcomes],
+    }
+    path.write_text(json.dumps(document, indent=1, ensure_ascii=False) + "\n", "utf-8")
+
+
+if __name__ == "__main__":
+    main()

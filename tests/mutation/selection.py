@@ -1,0 +1,118 @@
+"""The modules that are mutated, the lines changed since a commit, and the tests that concern a module."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import tomllib
+from functools import cache
+from pathlib import Path
+from random import Random
+
+from tests.mutation.operators import Mutation, mutations
+
+ROOT = Path(__file__).parents[2]
+PACKAGES = ("trackers", "tuning", "sim")
+NOT_NUMERIC = (
+    "trackers/core/checks.py",
+    "trackers/recordings/checks",
+    "trackers/recordings/rig_file.py",
+    "trackers/recordings/table_file.py",
+    "tuning/checkpoint.py",
+    "tuning/tuned_file.py",
+)
+"""Files and messages: no figure depends on them."""
+
+
+def numeric_modules(root: Path) -> list[str]:
+    """The files of the library that import numpy or jax, relative to the root."""
+    files = (path for package in PACKAGES for path in sorted((root / package).rglob("*.py")))
+    names = [(path.relative_to(root).as_posix(), path.read_text("utf-8")) for path in files]
+    numeric = re.compile(r"^import (numpy|jax)\b", re.M)
+    return [name for name, text in names if numeric.search(text) and not name.startswith(NOT_NUMERIC)]
+
+
+def drawn(root: Path, count: int, seed: int, since: str | None = None) -> list[Mutation]:
+    """`count` mutations on as many lines, each line as likely as any other; with `since` on lines changed since then."""
+    changed = None if since is None else changed_lines(root, since)
+    lines: dict[tuple[str, int], list[Mutation]] = {}
+    for file in numeric_modules(root):
+        for mutation in mutations(file, (root / file).read_text("utf-8")):
+            if changed is None or mutation.line in changed.get(file, ()):
+                lines.setdefault((file, mutation.line), []).append(mutation)
+    random = Random(seed)
+    chosen = random.sample(sorted(lines), min(count, len(lines)))
+    return [random.choice(lines[place]) for place in chosen]
+
+
+def changed_lines(root: Path, since: str) -> dict[str, set[int]]:
+    """The numbers of the lines that differ from those of a commit, by file."""
+    command = ["git", "diff", "--unified=0", since, "--", *PACKAGES]
+    diff = subprocess.run(command, cwd=root, check=True, capture_output=True, text=True).stdout
+    changed: dict[str, set[int]] = {}
+    file = ""
+    for line in diff.splitlines():
+        if line.startswith("+++ "):
+            file = line.removeprefix("+++ b/")
+        elif match := re.match(r"@@ -\S+ \+(\d+)(?:,(\d+))? @@", line):
+            first, number = int(match[1]), int(match[2] or 1)
+            changed.setdefault(file, set()).update(range(first, first + number))
+    return changed
+
+
+def declared_equivalent() -> dict[tuple[str, str, str], str]:
+    """The reasons why mutations change nothing that can be observed, by file and stripped lines before and after."""
+    table = tomllib.loads((Path(__file__).parent / "equivalent.toml").read_text("utf-8"))
+    return {(m["file"], m["before"], m["after"]): m["reason"] for m in table.get("mutation", [])}
+
+
+def reason_of(mutation: Mutation, declared: dict[tuple[str, str, str], str]) -> str | None:
+    """The reason why a mutation is equivalent; None for one that is not declared so."""
+    return declared.get((mutation.file, mutation.before.strip(), mutation.after.strip()))
+
+
+def stages(root: Path, file: str) -> list[list[str]]:
+    """The test files for a module, in three stages: its own, those of its folder and its importers, all others.
+
+    Within a stage those come first whose imports lead to the module by the fewest steps.
+    """
+    path = Path(file)
+    own = (Path("tests") / path.with_name(f"test_{path.name}")).as_posix()
+    steps = _steps_to(root, file)
+    every = [name for name in steps if Path(name).name.startswith("test_")]
+    every = [name for name in every if not name.startswith(("tests/mutation", "tests/test_"))]
+    # Without a file of its own a module is tested by its importers, wherever they stand.
+    folder = {name for name in every if own in every and Path(name).parent == Path(own).parent}
+    near = [name for name in every if name != own and (steps[name] == 1 or name in folder)]
+    rest = [name for name in every if name != own and name not in near]
+    return [stage for stage in ([own] if own in every else [], near, rest) if stage]
+
+
+def _steps_to(root: Path, file: str) -> dict[str, int]:
+    """The number of imports from each file under tests to a file, fewest first; those without a way to it last."""
+    imports = _imports(root)
+    steps, level = {file: 0}, [file]
+    while level:
+        level = [name for name, imported in imports.items() if name not in steps and imported & set(level)]
+        steps |= dict.fromkeys(level, max(steps.values()) + 1)
+    far = max(steps.values()) + 1
+    tests = sorted(name for name in imports if name.startswith("tests/"))
+    return dict(sorted(((name, steps.get(name, far)) for name in tests), key=lambda item: item[1]))
+
+
+@cache
+def _imports(root: Path) -> dict[str, set[str]]:
+    """The files that each file imports; a package's list of public names is no step on the way."""
+    files = [
+        p.relative_to(root) for folder in (*PACKAGES, "experiments", "tests") for p in (root / folder).rglob("*.py")
+    ]
+    modules = {".".join(p.with_suffix("").parts): p.as_posix() for p in files if p.name != "__init__.py"}
+    return {p.as_posix(): {modules[m] for m in _imported(root / p) if m in modules} for p in files}
+
+
+def _imported(path: Path) -> set[str]:
+    tree = ast.parse(path.read_text("utf-8"))
+    found = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
+    sources = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    return found | {node.module or "" for node in sources} | {f"{n.module}.{a.name}" for n in sources for a in n.names}
