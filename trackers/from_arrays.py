@@ -1,8 +1,8 @@
 """Recordings from NumPy arrays that a user holds: fixes, ranges, bearings and phases, for trackers that run on arrays.
 
-Everywhere: `times` (T,) s in ascending order; NaN marks a missing value; `height` m is the tag's constant height where
-it is known, which trackers over the floor (`planar=True`) need; `truth` (T, 3) m, or (T, 2) over the floor, is the true position, NaN where it is unknown. All raise
-ValueError for arrays that do not fit each other.
+Everywhere: `times` (T,) s in ascending order; NaN marks a missing value; `height` m is the tag's constant height, which
+trackers over the floor (`planar=True`) need; `truth` (T, 3) m, or (T, 2) over the floor, is the true position, NaN
+where it is unknown. All raise ValueError for arrays that do not fit each other.
 """
 
 from __future__ import annotations

@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
+import numpy as np
 
 from trackers.core.errors import UnusableInput
 from trackers.core.recording import Batch, Recording, stack
+from trackers.core.requirements import check_input
 from trackers.core.tracker import AbstractTracker
 from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.named_tracker import NamedTracker
+from trackers.recordings.named_tracker import NamedTracker, folder_list
 from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.tracks import batches
 from trackers.recordings.trajectories import Trajectory, segments, with_floor_truth
@@ -65,8 +67,8 @@ def fit_data(
     goal = _objective(objective, batch.tracker, quantity, 2 if floor else 3)
     if goal.needs_truth and batch.planar and trajectories[0].station:
         raise UnusableInput(
-            f"--objective {objective}: azimuth and elevation of a tag in a flat array's own plane are singular; "
-            "expected a tag above or below it; use --objective nll"
+            f"objective {objective}: azimuth and elevation of a tag in a flat array's own plane are singular; "
+            "expected a tag above or below it; use the objective nll"
         )
     apart = {folder.name for folder in held_out}
     parts: tuple[list[Trajectory], list[Trajectory]] = ([], [])
@@ -77,10 +79,10 @@ def fit_data(
         if wanted and not part:
             if not floor and any(t.recording.truth["position"][1].any() for t in _over_the_floor(whole)):
                 raise UnusableInput(
-                    f"--objective {objective} needs truth with z_m, since the height is estimated, and {where} have "
-                    "x_m and y_m alone; give height_m of the tags in rig.toml, or use --objective nll"
+                    f"objective {objective} needs truth with z_m, since the height is estimated, and {where} have x_m "
+                    "and y_m alone; give height_m of the tags in rig.toml, or use the objective nll"
                 )
-            raise UnusableInput(f"--objective {objective} needs truth, and {where} have none; use --objective nll")
+            raise UnusableInput(f"objective {objective} needs truth, and {where} have none; use the objective nll")
     return FitData(batch.tracker, goal, batch.planar, *parts)
 
 
@@ -103,48 +105,66 @@ class FitArrays(NamedTuple):
 def fit_arrays(
     tracker: AbstractTracker | NamedTracker, recordings: Any, objective: str | AbstractObjective, held_out: Any
 ) -> FitArrays:
-    """Tracker, batches and objective of a fit, from what `tuning.fit` takes; raises ValueError and UnusableInput."""
+    """Tracker, batches and objective of a fit, from what `tuning.fit` takes; raises UnusableInput, a ValueError."""
     if isinstance(tracker, NamedTracker):
         if tracker.smoothed:
             raise UnusableInput(
                 "a smoother has the filter's numbers: fit the filter, then use result.tracker.smoothing()"
             )
-        training, apart = (
-            [folders] if isinstance(folders, RecordingFolder) else list(folders) for folders in (recordings, held_out)
-        )
+        training = folder_list(recordings)
+        apart = folder_list(held_out) if held_out != () else []
         data = fit_data(tracker.only_batch([*training, *apart]), objective, apart)
         return FitArrays(data.tracker, data.rows(), data.rows(held_out=True), data.objective)
-    batches = _batches(recordings)
-    return FitArrays(tracker, batches, _batches(held_out), _array_objective(objective, tracker, batches))
-
-
-def _batches(recordings: Arrays) -> list[Batch]:
-    """Recordings in arrays as batches; raises ValueError for anything else."""
-    if isinstance(recordings, Recording):
-        return [stack([recordings])]
-    listed: list[Any] = [recordings] if isinstance(recordings, (Batch, RecordingFolder)) else list(recordings)
-    if all(isinstance(x, Batch) for x in listed):
-        return [x for x in listed if isinstance(x, Batch)]
-    found = [x for x in listed if isinstance(x, Recording)]
-    if len(found) != len(listed):
-        kinds = ", ".join(sorted({type(x).__name__ for x in listed}))
-        raise ValueError(
-            f"fit: found {kinds}; expected Recordings or Batches; recording folders need a tracker by name, as "
-            "`build` and `tracker_for` return it"
+    if not isinstance(tracker, AbstractTracker):
+        raise UnusableInput(
+            f"fit: found {type(tracker).__name__} for the tracker; expected a tracker of arrays or by name; usual fix: "
+            "fit(tracker, recordings, objective), with a tracker as `range_tracker(4)` or `tw.tracker_for(folder)`"
         )
-    return [stack(found)] if found else []
+    batches = _batches(tracker, recordings)
+    apart_batches = [] if isinstance(held_out, (tuple, list)) and not held_out else _batches(tracker, held_out)
+    goal = _array_objective(objective, tracker, batches)
+    if goal.needs_truth:
+        _check_truth(objective, batches, "the recordings")
+        _check_truth(objective, apart_batches, "the held-out recordings")
+    return FitArrays(tracker, batches, apart_batches, goal)
+
+
+def _batches(tracker: AbstractTracker, recordings: Arrays) -> list[Batch]:
+    """Recordings in arrays as batches; raises UnusableInput for anything else, and where the tracker lacks an input."""
+    if isinstance(recordings, (tuple, list)) and not isinstance(recordings, Batch):
+        batches = [x for x in recordings if isinstance(x, Batch)]
+        if batches and len(batches) == len(recordings):
+            for batch in batches:
+                check_input(tracker, batch, "fit")
+            return batches
+    checked = check_input(tracker, recordings, "fit")
+    if isinstance(checked, Batch):
+        return [checked]
+    return [stack([checked] if isinstance(checked, Recording) else checked)]
+
+
+def _check_truth(objective: str | AbstractObjective, batches: Sequence[Batch], where: str) -> None:
+    """Raises UnusableInput for batches without any row whose truth is known."""
+    if batches and not any(np.any(known) for batch in batches for _, known in batch.truth.values()):
+        name = objective if isinstance(objective, str) else type(objective).__name__
+        raise UnusableInput(
+            f"fit: {where} have no known truth; expected some, which the objective {name} needs; usual fix: `truth=` "
+            "where the recordings are made, or the objective nll"
+        )
 
 
 def _array_objective(
     objective: str | AbstractObjective, tracker: AbstractTracker, rows: Sequence[Batch]
 ) -> AbstractObjective:
-    """The objective by name for recordings in arrays: of the quantity of their truth, in the state's dimensions."""
+    """The objective by name for recordings in arrays: of the quantity of their truth, in its and the state's axes."""
     if not isinstance(objective, str):
         return objective
-    quantity = next(iter(rows[0].truth), "position")
+    quantity, truth = next(iter(rows[0].truth.items()), ("position", None))
     first = rows[0].rows(slice(0, 2)).columns(0, 1)
     mean = jax.eval_shape(lambda: tracker.scan(first)).mean
     dimensions = len(jax.tree_util.tree_leaves(getattr(mean, quantity, ()))) or 2
+    if truth is not None:
+        dimensions = min(dimensions, np.shape(truth[0])[1])
     return _objective(objective, tracker, quantity, dimensions)
 
 
@@ -157,5 +177,5 @@ def _objective(
         goal = parse_objective(objective, quantity, dimensions)
         goal.for_tracker(tracker)
     except ValueError as error:
-        raise UnusableInput(f"--objective {objective}: {error}") from error
+        raise UnusableInput(f"objective {objective}: {error}") from error
     return goal

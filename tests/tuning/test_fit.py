@@ -9,6 +9,7 @@ from tests.tuning.worlds import STATION, beams, line_tracker, walks
 from trackers.aoa.beam import beam_tracker
 from trackers.aoa.fusion import BEARINGS, bearing_inputs, bearing_tracker
 from trackers.core.chunks import jitted
+from trackers.core.errors import UnusableInput
 from trackers.core.recording import Readings, Recording, stack
 from trackers.core.tunable import tunables
 from tuning import NegativeLogLikelihood, RootMeanSquareError
@@ -268,12 +269,18 @@ def test_a_recording_with_a_non_finite_objective_is_excluded_and_counted():
     np.testing.assert_allclose(found.gradients, expected.gradients, rtol=1e-12)
 
 
-@pytest.mark.parametrize("objective", [NLL, RootMeanSquareError(dimensions=1)])
-def test_recordings_without_a_scored_row_are_refused(objective):
+@pytest.mark.parametrize(
+    ("objective", "error", "words"),
+    [
+        (NLL, FloatingPointError, "not finite at the start"),
+        (RootMeanSquareError(dimensions=1), UnusableInput, "no known truth"),
+    ],
+)
+def test_recordings_without_a_scored_row_are_refused(objective, error, words):
     silent = walks([40] * 8, 5, missing=1.0)
     nowhere = {"position": (np.zeros((40, 1)), np.zeros(40, bool))}
     blind = [Recording(r.times, r.readings, r.inputs, nowhere) for r in silent]
-    with pytest.raises(FloatingPointError, match="not finite at the start"):
+    with pytest.raises(error, match=words):
         fit(line_tracker(), stack(blind), objective, LEVELS, steps=2)
 
 

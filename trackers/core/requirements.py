@@ -24,7 +24,7 @@ from trackers.core.sensor import AbstractSensor, Reading
 from trackers.core.start import AbstractStart
 
 KINDS = {
-    "RecordingFolder": "a tracker by name for folders, `tw.tracker_for(folder).run(folder)`",
+    "RecordingFolder": "a tracker by name, `tw.tracker_for(folder)`",
     "SimulatedWorld": "its `recordings()`, or its `folder()` for a tracker by name",
     "Trajectory": "its `recording`",
     "Estimates": "the recording itself; estimates become measurements by `fix_recording`",
@@ -32,8 +32,8 @@ KINDS = {
     "DataFrame": "a recording of its columns, by `fix_recording` or `range_recording`",
     "ndarray": "a recording of arrays, by `fix_recording` or `range_recording`",
     "dict": "`Recording(times, readings, inputs)`, or the values as a list",
-    "str": "`tw.read(path)`, and a tracker by name for folders, `tw.tracker_for(folder).run(folder)`",
-    "PosixPath": "`tw.read(path)`, and a tracker by name for folders, `tw.tracker_for(folder).run(folder)`",
+    "str": "`folder = tw.read(path)` and a tracker by name, `tw.tracker_for(folder)`",
+    "PosixPath": "`folder = tw.read(path)` and a tracker by name, `tw.tracker_for(folder)`",
     "Batch": "each batch by itself, or `stack` of all recordings",
 }
 """The usual fix by the type of what was given in place of a recording."""

@@ -250,7 +250,7 @@ def test_the_least_error_cannot_be_found_without_truth(tmp_path, simulated):
     for name in ("rig.toml", "phases.parquet"):
         (blind / name).write_bytes((simulated / name).read_bytes())
     said = trackwright("tune", blind, "--tracker", "beam", "--objective", "rmse", "--out", tmp_path / "out")
-    assert_refused(said, "--objective rmse needs truth", "nll")
+    assert_refused(said, "objective rmse needs truth", "nll")
     assert not (tmp_path / "out").exists()
 
 

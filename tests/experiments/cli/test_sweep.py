@@ -140,7 +140,7 @@ def test_a_recording_without_truth_has_no_rmse(fixes):
     for name in ("rig.toml", "fixes.parquet"):
         (bare / name).write_bytes((fixes / name).read_bytes())
     said = trackwright("sweep", bare, *KALMAN, "--over", f"{SIGMA_P}=0.1:1:3", "--out", fixes.parent / "refused")
-    assert_refused(said, "--objective rmse needs truth", "use --objective nll")
+    assert_refused(said, "objective rmse needs truth", "use the objective nll")
 
 
 def test_a_trace_of_other_numbers_is_refused(fixes):

@@ -79,7 +79,7 @@ def test_a_fit_by_name_returns_the_tracker_by_name_with_other_values(tracker, fo
     assert found == pytest.approx(float(result.values["sensors.fixes.sigma_horizontal"]))
     with pytest.raises(tw.UnusableInput, match="foo"):
         tw.fit(tracker, folders, "foo")
-    with pytest.raises(ValueError, match="expected Recordings or Batches"):
+    with pytest.raises(ValueError, match="fit: found RecordingFolder; expected a Recording, several, or a Batch"):
         tw.fit(tw.fix_tracker(), folders[0], "nll")
 
 
