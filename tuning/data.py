@@ -156,15 +156,13 @@ def _check_truth(objective: str | AbstractObjective, batches: Sequence[Batch], w
 def _array_objective(
     objective: str | AbstractObjective, tracker: AbstractTracker, rows: Sequence[Batch]
 ) -> AbstractObjective:
-    """The objective by name for recordings in arrays: of the quantity of their truth, in its and the state's axes."""
+    """The objective by name for recordings in arrays: of the quantity of their truth, in the state's dimensions."""
     if not isinstance(objective, str):
         return objective
-    quantity, truth = next(iter(rows[0].truth.items()), ("position", None))
+    quantity = next(iter(rows[0].truth), "position")
     first = rows[0].rows(slice(0, 2)).columns(0, 1)
     mean = jax.eval_shape(lambda: tracker.scan(first)).mean
     dimensions = len(jax.tree_util.tree_leaves(getattr(mean, quantity, ()))) or 2
-    if truth is not None:
-        dimensions = min(dimensions, np.shape(truth[0])[1])
     return _objective(objective, tracker, quantity, dimensions)
 
 

@@ -84,7 +84,7 @@ def test_the_error_of_an_estimated_height_needs_truth_with_heights(objective):
 def test_a_recording_without_truth_has_none_to_fit_to():
     folder = _folder(1.2, ALL)
     blind = dataclasses.replace(folder, tables={"fixes": folder.tables["fixes"]})
-    with pytest.raises(UnusableInput, match="--objective rmse needs truth, and these recordings have none"):
+    with pytest.raises(UnusableInput, match="objective rmse needs truth, and these recordings have none"):
         fit_data(tw.build("fix-kf", blind).only_batch(blind), "rmse")
 
 
