@@ -49,8 +49,9 @@ def test_one_channel_of_students_t_has_its_distribution(dof):
     np.testing.assert_allclose(found, 2 * stats.t.cdf(t, dof) - 1, atol=2e-5)
 
 
-@pytest.mark.parametrize(("dof", "channels", "off"), [(4.0, 2, 0.02), (4.0, 3, 0.02), (30.0, 2, 0.006)])
-def test_several_channels_have_it_nearly(dof, channels, off):
+@pytest.mark.parametrize("channels", [2, 3])
+@pytest.mark.parametrize(("dof", "off"), [(1.0, 0.036), (3.0, 0.020), (4.0, 0.019), (30.0, 0.005)])
+def test_several_channels_have_it_nearly(channels, dof, off):
     squares = np.random.default_rng(0).standard_t(dof, (100_000, channels)) ** 2
     q = np.sort(((dof + 1) * squares / (dof + squares)).sum(axis=1))
     found = student_t_nis_cdf(jnp.asarray(q), np.full(q.shape, float(channels)), dof)

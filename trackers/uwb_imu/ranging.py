@@ -1,8 +1,8 @@
 """Two-way ranging: distances from the time stamps of two clocks, on the host in double precision.
 
 The clock drift δ is the rate of the responder's clock relative to the initiator's, less one; crystals keep it within
-2e-5. With the reply delay t_r the error of single-sided ranging is c·δ·t_r/2, 1.5 m at 1e-5 and 1 ms; that of
-double-sided ranging is δ times the distance.
+2e-5. With the reply delay t_r the error of single-sided ranging is c·δ·t_r/2, 1.5 m at 1e-5 and 1 ms. That of
+double-sided ranging is the distance times the mean error of both clocks' rates, 0.6 mm at 30 m and 2e-5.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ def single_sided(total: Any, reply: Any, drift: Any = 0.0) -> np.ndarray:
 def double_sided(total: Any, reply: Any, second_total: Any, second_reply: Any) -> np.ndarray:
     """Distance, m, by double-sided two-way ranging: two round-trip times and two reply delays, all s.
 
-    `total` and `second_reply` by the initiator's clock, `reply` and `second_total` by the responder's. The drift
-    cancels for any delays (Neirynck, Luk, McLaughlin 2016, equation 12).
+    `total` and `second_reply` by the initiator's clock, `reply` and `second_total` by the responder's. The error
+    does not depend on the delays (Neirynck, Luk, McLaughlin 2016, equation 12).
     """
     first, second, delay, second_delay = (np.asarray(x, float) for x in (total, second_total, reply, second_reply))
     flight = (first * second - delay * second_delay) / (first + second + delay + second_delay)

@@ -10,15 +10,18 @@ FLIGHT = DISTANCE / SPEED_OF_LIGHT
 REPLY, SECOND_REPLY = 0.8e-3, 1.7e-3
 
 
-def _stamps(drift):
-    """Time stamps by both clocks of two turns from 3 s on; the responder's clock is 5 s ahead and `drift` faster."""
+def _stamps(drift, own=0.0):
+    """Time stamps by both clocks of two turns from 3 s on; the responder's clock is 5 s ahead and `drift` fast.
+
+    `own`: the same of the initiator's clock.
+    """
     asked = 3.0
     arrived = asked + FLIGHT
     answered = arrived + REPLY
     back = answered + FLIGHT
     again = back + SECOND_REPLY
     end = again + FLIGHT
-    asking = [x + 0.0 * FLIGHT for x in (asked, back, again)]
+    asking = [(1.0 + own) * x + 0.0 * FLIGHT for x in (asked, back, again)]
     answering = [5.0 + (1.0 + drift) * x for x in (arrived, answered, end)]
     return asking, answering
 
@@ -40,12 +43,13 @@ def test_the_error_of_single_sided_ranging_is_half_the_drift_times_the_reply_del
     np.testing.assert_allclose(error, -SPEED_OF_LIGHT * 1e-5 * REPLY / 2, atol=MICROMETRES)
 
 
-@pytest.mark.parametrize("drift", [0.0, 2e-5, -2e-5])
-def test_double_sided_ranging_needs_no_drift_and_no_equal_delays(drift):
-    (asked, back, again), (arrived, answered, end) = _stamps(drift)
+@pytest.mark.parametrize(("own", "drift"), [(0.0, 0.0), (0.0, 2e-5), (0.0, -2e-5), (2e-5, 2e-5), (1e-5, -1e-5)])
+def test_the_error_of_double_sided_ranging_is_the_mean_error_of_both_clocks_times_the_distance(own, drift):
+    (asked, back, again), (arrived, answered, end) = _stamps(drift, own)
     turns = elapsed(asked, back), elapsed(arrived, answered), elapsed(answered, end), elapsed(back, again)
-    # What is left is half the drift times the distance: 2 mm at 180 m.
-    np.testing.assert_allclose(double_sided(*turns), DISTANCE, atol=MICROMETRES + abs(drift) * DISTANCE.max())
+    error = double_sided(*turns) - DISTANCE
+    # Equal clocks, both fast: 3.6 mm at 180 m; opposite ones: nothing.
+    np.testing.assert_allclose(error, 0.5 * (own + drift) * DISTANCE, atol=MICROMETRES)
 
 
 def test_a_counter_that_wraps_between_two_stamps_gives_the_same_interval():
