@@ -47,14 +47,14 @@ def bounds_of(folder: RecordingFolder, batches: Sequence[TrackerBatch]) -> tuple
         and np.array_equal(trajectory.recording.truth["position"][1], known)
     ]
     batch = stack(same).rows(rows)
-    if not _is_kinematic(tracker, batch):
+    velocities = _velocities(tracker, batch)
+    if velocities is None:
         return None
     positions = np.stack([r.truth["position"][0][rows] for r in same], axis=-1)
     times = first.times[rows]
     dimensions = 2 if mine[0][0].planar else 3
     step = np.maximum(np.gradient(times), 1e-3)[:, None, None]
     speeds = np.gradient(positions, axis=0) / step
-    velocities = getattr(tracker.start, "velocities", dimensions)
     state = Kinematic(
         Vector.of(np.asarray(positions[:, k], batch.dt.dtype) for k in range(dimensions)),
         Vector.of(np.asarray(speeds[:, k], batch.dt.dtype) for k in range(velocities)),
@@ -63,12 +63,13 @@ def bounds_of(folder: RecordingFolder, batches: Sequence[TrackerBatch]) -> tuple
     return times, np.pad(bound, ((0, 0), (0, 3 - dimensions)), constant_values=np.nan)
 
 
-def _is_kinematic(tracker: Tracker, batch: Batch) -> bool:
-    """Whether the state of the tracker is position and velocity alone."""
+def _velocities(tracker: Tracker, batch: Batch) -> int | None:
+    """The number of velocities in a state of position and velocity alone; None for another state."""
     row = Row(batch.dt, batch.valid, batch.readings, batch.inputs, None, None)
     first = jax.tree_util.tree_map(lambda x: x[0, ..., 0], row)
 
     def initial_mean(first: Row) -> Any:
         return tracker.start.belief(tracker.start.candidate(tracker.sensors, first), first).mean
 
-    return isinstance(jax.eval_shape(initial_mean, first), Kinematic)
+    mean = jax.eval_shape(initial_mean, first)
+    return len(mean.velocity) if isinstance(mean, Kinematic) else None

@@ -17,42 +17,106 @@ from trackers.core.state import coordinates, local
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import freeze
 
+ROUNDING = 100.0
+"""Relative difference of two equal Jacobians by rounding, in units of the resolution of the floating-point type."""
+
 
 def posterior_bound(tracker: Tracker, batch: Batch, states: Any) -> np.ndarray:
     """Lower bounds (T, n) on the standard deviations of the filtered state's components, averaged over the batch.
 
     `states`: the true states, leaves (T, B). The recursion starts at the first row with the covariance of the tracker's
-    start. Jacobians and information of later rows are means over the valid trajectories; masked channels carry no
-    information.
+    start; transitions are those at the state of the row before. The information of later rows is the mean over the
+    valid trajectories; masked channels carry none. Where transitions differ between trajectories, as those of a
+    nonlinear motion do,
+
+        J⁺ = D₂₂ − D₁₂ᵀ (J + D₁₁)⁻¹ D₁₂,    D₁₁ = E FᵀQ⁻¹F,    D₁₂ = −E FᵀQ⁻¹,    D₂₂ = E Q⁻¹ + E HᵀR⁻¹H
+
+    Raises ValueError for a motion whose noise is not additive, which has another density, and where transitions differ
+    while their noise does not reach every component of the state.
     """
-    prior, F, Q, information = (np.asarray(x, float) for x in _terms(as_dtype(tracker, batch.dt.dtype), batch, states))
+    tracker = as_dtype(tracker, batch.dt.dtype)
+    prior, *of_rows = (np.asarray(x, float) for x in _terms(tracker, batch, states))
+    F, Q, information, spread, change = of_rows
+    limit = ROUNDING * float(jnp.finfo(batch.dt.dtype).eps)
+    if np.any(change[1:] > limit):
+        row = 1 + int(np.argmax(change[1:] > limit))
+        raise ValueError(
+            f"posterior_bound: row {row}: the noise of {type(tracker.motion).__name__} is not additive: its Jacobians "
+            "depend on the noise draw; expected a motion f(state) + G·w with G the same in all states"
+        )
     P, result = prior, [np.sqrt(np.diag(prior))]
     for k in range(1, len(F)):
-        P = F[k] @ P @ F[k].T + Q[k]
+        if spread[k] > limit:
+            valid = np.asarray(batch.valid[k])
+            each, noise = _transitions(tracker, _row(_rows(batch), k), _row(states, k - 1))
+            P = _predicted(P, np.asarray(each, float)[valid], np.asarray(noise, float)[valid], k)
+        else:
+            P = F[k] @ P @ F[k].T + Q[k]
         P = P @ np.linalg.inv(np.eye(len(P)) + information[k] @ P)
         P = (P + P.T) / 2
         result.append(np.sqrt(np.maximum(np.diag(P), 0)))
     return np.array(result)
 
 
+def _predicted(P: np.ndarray, F: np.ndarray, G: np.ndarray, row: int) -> np.ndarray:
+    """The predicted bound from transitions F (B, n, n) and noise G (B, n, q) that differ between trajectories."""
+    Q = G @ np.swapaxes(G, 1, 2)
+    if np.any(np.linalg.matrix_rank(Q, hermitian=True) < len(P)):
+        raise ValueError(
+            f"posterior_bound: row {row}: transitions differ between trajectories, and their noise does not reach all "
+            "components of the state; expected noise in each of them, or the same transition in all trajectories"
+        )
+    precision = np.linalg.inv(Q)
+    cross = np.swapaxes(F, 1, 2) @ precision
+    D11, D12, D22 = (np.mean(x, axis=0) for x in (cross @ F, -cross, precision))
+    inverse: np.ndarray = np.linalg.inv(D22 - D12.T @ np.linalg.inv(np.linalg.inv(P) + D11) @ D12)
+    return inverse
+
+
+@eqx.filter_jit
+def _transitions(tracker: Tracker, row: Row, state: Any) -> tuple[Any, Any]:
+    """F (B, n, n) and G (B, n, q) of one row."""
+    return jax.vmap(lambda r, s: _jacobians(freeze(tracker), r, s, 0.0), in_axes=-1)(row, state)
+
+
+def _row(tree: Any, row: int) -> Any:
+    return jax.tree_util.tree_map(lambda x: x[row], tree)
+
+
+def _rows(batch: Batch) -> Row:
+    return Row(batch.dt, batch.valid, batch.readings, batch.inputs, None, None)
+
+
+def _jacobians(tracker: Tracker, row: Row, state: Any, draw: float) -> tuple[Any, Any]:
+    """F (n, n) and G (n, q) of one step of one trajectory, at a noise draw of `draw` in every component."""
+    motion, (point, rebuild) = tracker.motion, coordinates(state)
+    n, zero = len(point), jnp.zeros_like(point[0])
+    w = [zero + draw] * motion.noise_dimension
+    predicted = motion.step(state, row.inputs, row.dt, Vector.of(w))
+
+    def step(*values: Scalar) -> list[Scalar]:
+        return local(predicted, motion.step(rebuild(values[:n]), row.inputs, row.dt, Vector.of(values[n:])))
+
+    jacobian = densify(linearise(step, [*point, *w])[1], n + len(w), zero)
+    return jacobian[:, :n], jacobian[:, n:]
+
+
 @eqx.filter_jit
 def _terms(tracker: Tracker, batch: Batch, states: Any) -> tuple[Any, ...]:
-    """The start's covariance (n, n), and per row the batch means of F, Q and the information (T, n, n)."""
+    """The start's covariance (n, n); per row the batch means of F, Q and information (T, n, n), and two checks (T,).
+
+    The checks: the range of F and Q over the batch and their change by a noise draw of 1, relative to their size.
+    """
     tracker = freeze(tracker)
-    rows = Row(batch.dt, batch.valid, batch.readings, batch.inputs, None, None)
+    rows = _rows(batch)
 
-    def trajectory(row: Row, state: Any) -> tuple[Any, Any, Any]:
+    def trajectory(row: Row, before: Any, state: Any) -> tuple[Any, ...]:
         point, rebuild = coordinates(state)
-        n = len(point)
+        n, motion = len(point), tracker.motion
         zero = jnp.zeros_like(point[0])
-        motion, q = tracker.motion, tracker.motion.noise_dimension
-        predicted = motion.step(state, row.inputs, row.dt, Vector.of([zero] * q))
-
-        def step(*values: Scalar) -> list[Scalar]:
-            return local(predicted, motion.step(rebuild(values[:n]), row.inputs, row.dt, Vector.of(values[n:])))
-
-        jacobian = densify(linearise(step, [*point, *[zero] * q])[1], n + q, zero)
-        F, G = jacobian[:, :n], jacobian[:, n:]
+        F, G = _jacobians(tracker, row, before, 0.0)
+        drawn = _jacobians(tracker, row, before, 1.0)
+        change = jnp.maximum(_relative(jnp.abs(drawn[0] - F), F), _relative(jnp.abs(drawn[1] - G), G))
         information = jnp.zeros((n, n), zero.dtype)
         for name, sensor in tracker.sensors.items():
             exact = row.readings[name]._replace(values=sensor.measure(motion.view(state), row.inputs))
@@ -66,16 +130,27 @@ def _terms(tracker: Tracker, batch: Batch, states: Any) -> tuple[Any, ...]:
             (*_, weight), jacobian_rows = linearise(residual_of, point)
             H = densify(jacobian_rows[:-1], n, zero)
             information = information + weight * (H.T @ H)
-        return F, G @ G.T, jnp.where(row.valid, information, 0.0)
+        return F, G @ G.T, jnp.where(row.valid, information, 0.0), change
 
-    def one_row(row: Row, state: Any) -> tuple[Any, ...]:
-        F, Q, information = jax.vmap(trajectory, in_axes=-1)(row, state)
+    def one_row(row: Row, before: Any, state: Any) -> tuple[Any, ...]:
+        *each, change = jax.vmap(trajectory, in_axes=-1)(row, before, state)
         weight = jnp.where(row.valid, jnp.ones_like(row.dt), 0.0)
         weight = weight / jnp.maximum(jnp.sum(weight), 1.0)
-        return tuple(jnp.tensordot(weight, x, 1) for x in (F, Q, information))
+        F, Q, information = (jnp.tensordot(weight, x, 1) for x in each)
+        valid = row.valid[:, None, None]
+        low, high = ([jnp.max(jnp.where(valid, sign * x, -jnp.inf), axis=0) for x in each[:2]] for sign in (-1.0, 1.0))
+        spread = jnp.maximum(*(_relative(a + b, x) for a, b, x in zip(low, high, (F, Q), strict=True)))
+        return F, Q, information, spread, jnp.max(jnp.where(row.valid, change, 0.0))
 
     first = jax.tree_util.tree_map(lambda x: jnp.asarray(x)[0, ..., 0], rows)
     candidate = tracker.start.candidate(tracker.sensors, first)
     belief = tracker.start.belief(candidate, first)
     n = len(coordinates(belief.mean)[0])
-    return dense(list(belief.cov), n), *jax.lax.map(lambda x: one_row(*x), (rows, states))
+    before = jax.tree_util.tree_map(lambda x: jnp.concatenate([x[:1], x[:-1]]), states)
+    return dense(list(belief.cov), n), *jax.lax.map(lambda x: one_row(*x), (rows, before, states))
+
+
+def _relative(difference: Any, size: Any) -> Any:
+    """The largest difference relative to the largest entry; 0 for a matrix of zeros."""
+    largest = jnp.max(jnp.abs(size))
+    return jnp.where(largest > 0, jnp.max(difference) / jnp.where(largest > 0, largest, 1.0), jnp.max(difference))
