@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from trackers.core.algebra import Vector
-from trackers.core.crlb import posterior_bound
+from trackers.core.crlb import NoBoundError, posterior_bound
 from trackers.core.ekf import ExtendedKalman
 from trackers.core.motion import Kinematic
 from trackers.core.recording import Batch, Row, stack
@@ -59,7 +59,10 @@ def bounds_of(folder: RecordingFolder, batches: Sequence[TrackerBatch]) -> tuple
         Vector.of(np.asarray(positions[:, k], batch.dt.dtype) for k in range(dimensions)),
         Vector.of(np.asarray(speeds[:, k], batch.dt.dtype) for k in range(velocities)),
     )
-    bound = posterior_bound(tracker, batch, state)[:, :dimensions]
+    try:
+        bound = posterior_bound(tracker, batch, state)[:, :dimensions]
+    except NoBoundError:
+        return None
     return times, np.pad(bound, ((0, 0), (0, 3 - dimensions)), constant_values=np.nan)
 
 

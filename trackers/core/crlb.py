@@ -17,6 +17,11 @@ from trackers.core.state import coordinates, local
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import freeze
 
+
+class NoBoundError(ValueError):
+    """A motion for which the recursion gives no bound."""
+
+
 ROUNDING = 100.0
 """Relative difference of two equal Jacobians by rounding, in units of the resolution of the floating-point type."""
 
@@ -31,7 +36,7 @@ def posterior_bound(tracker: Tracker, batch: Batch, states: Any) -> np.ndarray:
 
         J⁺ = D₂₂ − D₁₂ᵀ (J + D₁₁)⁻¹ D₁₂,    D₁₁ = E FᵀQ⁻¹F,    D₁₂ = −E FᵀQ⁻¹,    D₂₂ = E Q⁻¹ + E HᵀR⁻¹H
 
-    Raises ValueError for a motion whose noise is not additive, which has another density, and where transitions differ
+    Raises NoBoundError for a motion whose noise is not additive, which has another density, and where transitions differ
     while their noise does not reach every component of the state.
     """
     tracker = as_dtype(tracker, batch.dt.dtype)
@@ -40,7 +45,7 @@ def posterior_bound(tracker: Tracker, batch: Batch, states: Any) -> np.ndarray:
     limit = ROUNDING * float(jnp.finfo(batch.dt.dtype).eps)
     if np.any(change[1:] > limit):
         row = 1 + int(np.argmax(change[1:] > limit))
-        raise ValueError(
+        raise NoBoundError(
             f"posterior_bound: row {row}: the noise of {type(tracker.motion).__name__} is not additive: its Jacobians "
             "depend on the noise draw; expected a motion f(state) + G·w with G the same in all states"
         )
@@ -62,7 +67,7 @@ def _predicted(P: np.ndarray, F: np.ndarray, G: np.ndarray, row: int) -> np.ndar
     """The predicted bound from transitions F (B, n, n) and noise G (B, n, q) that differ between trajectories."""
     Q = G @ np.swapaxes(G, 1, 2)
     if np.any(np.linalg.matrix_rank(Q, hermitian=True) < len(P)):
-        raise ValueError(
+        raise NoBoundError(
             f"posterior_bound: row {row}: transitions differ between trajectories, and their noise does not reach all "
             "components of the state; expected noise in each of them, or the same transition in all trajectories"
         )

@@ -15,7 +15,7 @@ from tests.oracles import beam_jacobian, beam_transition, cramer_rao, van_loan
 from trackers.aoa.beam import Beam, BeamMotion
 from trackers.aoa.phases import PlanePhases
 from trackers.core.algebra import Vector
-from trackers.core.crlb import posterior_bound
+from trackers.core.crlb import NoBoundError, posterior_bound
 from trackers.core.motion import AbstractMotion, ConstantPosition, ConstantVelocity, Kinematic, Placed
 from trackers.core.recording import stack
 from trackers.core.sensor import AbstractSensor, Channel, Residual
@@ -181,7 +181,7 @@ def test_of_a_nonlinear_motion_it_is_the_inverse_of_the_mean_information_of_all_
 
 
 def test_noise_that_depends_on_the_state_has_no_bound():
-    with pytest.raises(ValueError, match="row 1: the noise of Pendulum is not additive: .* expected a motion f"):
+    with pytest.raises(NoBoundError, match="row 1: the noise of Pendulum is not additive: .* expected a motion f"):
         _pendulum(3, 4, Pendulum(0.1))
 
 
