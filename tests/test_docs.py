@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+import inspect
 import re
 from pathlib import Path
 
@@ -145,3 +147,19 @@ def test_every_link_of_the_readme_leads_to_a_file():
     links = re.findall(r"\]\(([^)#:]+)\)", (ROOT / "README.md").read_text(encoding="utf-8"))
     assert links
     assert all((ROOT / link).is_file() for link in links)
+
+
+@pytest.mark.parametrize("package", ["trackers.core", "trackers.recordings"])
+def test_every_field_that_the_docstring_of_a_record_explains_exists(package):
+    folder, missing = ROOT / package.replace(".", "/"), []
+    for path in sorted(folder.rglob("*.py")):
+        module = importlib.import_module(".".join(path.relative_to(ROOT).with_suffix("").parts))
+        for name, kind in inspect.getmembers(module, inspect.isclass):
+            fields = getattr(kind, "_fields", None) or list(getattr(kind, "__dataclass_fields__", ()))
+            if kind.__module__ != module.__name__ or not fields:
+                continue
+            known = {*fields, *dir(kind), *inspect.signature(kind).parameters}
+            explained = re.findall(r"((?:`\w+`(?:, | and )?)+):", inspect.getdoc(kind) or "")
+            named = {word for words in explained for word in re.findall(r"`(\w+)`", words)}
+            missing += [f"{module.__name__}.{name}: {word}" for word in named - known]
+    assert not missing

@@ -15,7 +15,7 @@ import numpy as np
 import polars as pl
 
 from trackers.core import metrics
-from trackers.core.errors import UnusableInput, listed
+from trackers.core.errors import UnusableInput, listed, one_or_more
 from trackers.core.estimates import Estimates
 from trackers.core.recording import Recording
 from trackers.core.rig import Station
@@ -92,15 +92,8 @@ def associate(estimates: Tracks | Estimates | pl.DataFrame, recordings: OneOrMor
 
 
 def _several(recordings: OneOrMore) -> list[RecordingFolder | Recording]:
-    listed = (
-        [recordings] if isinstance(recordings, (RecordingFolder, Recording, Tracks, Estimates)) else list(recordings)
-    )
-    wrong = next((x for x in listed if not isinstance(x, (RecordingFolder, Recording))), None)
-    if wrong is not None:
-        raise UnusableInput(
-            f"evaluate: found {type(wrong).__name__} for the recordings; expected evaluate(estimates, recordings)"
-        )
-    return [x for x in listed if isinstance(x, (RecordingFolder, Recording))]
+    kinds: tuple[type[RecordingFolder | Recording], ...] = (RecordingFolder, Recording)
+    return one_or_more(recordings, kinds, "recordings as the second argument, evaluate(estimates, recordings)")
 
 
 def _truths(recordings: OneOrMore) -> dict[str, pl.DataFrame]:

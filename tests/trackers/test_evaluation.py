@@ -9,6 +9,7 @@ import numpy as np
 import polars as pl
 import pytest
 
+import trackwright as tw
 from experiments.cli.fail_if import violation
 from experiments.reports.evaluation_text import to_json, to_text
 from trackers.core.errors import UnusableInput
@@ -426,3 +427,11 @@ def test_the_makers_fixes_have_the_errors_their_readme_prints(name, n, flat, sol
     # Half a unit of the last printed digit.
     assert [overall[f"{f}_m"] for f in ("rmse", "median", "p95")] == pytest.approx(flat, abs=5.1e-4)
     assert [overall[f"{f}_3d_m"] for f in ("rmse", "median", "p95")] == pytest.approx(solid, abs=5.1e-4)
+
+
+def test_recordings_given_as_the_first_argument_are_refused_with_the_order_of_both():
+    recording = tw.fix_recording(np.arange(3.0), np.zeros((3, 3)), truth=np.zeros((3, 3)))
+    estimates = tw.fix_tracker().run(recording)
+    for wrong, found in ((estimates, "Estimates"), ([], "nothing"), (3, "int"), ([recording, "a"], "str")):
+        with pytest.raises(UnusableInput, match=rf"found {found}; expected recordings .*evaluate\(estimates, rec"):
+            evaluate(recording, wrong)

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any, TypeVar
+
+T = TypeVar("T")
 
 
 class UnusableInput(ValueError):  # noqa: N818 - a fault of the input, not of the program
@@ -17,3 +20,12 @@ def listed(names: Iterable[object], most: int = 5) -> str:
     """Names separated by commas, at most so many of them."""
     shown = [str(name) for name in names]
     return ", ".join(shown[:most]) + (f" and {len(shown) - most} more" if len(shown) > most else "")
+
+
+def one_or_more(found: Any, kinds: tuple[type[T], ...], expected: str) -> list[T]:
+    """One object of these kinds, or an iterable of some, as a list; raises UnusableInput for anything else."""
+    items = list(found) if isinstance(found, Iterable) and not isinstance(found, kinds) else [found]
+    wrong = next((x for x in items if not isinstance(x, kinds)), None)
+    if not items or wrong is not None:
+        raise UnusableInput(f"found {type(wrong).__name__ if items else 'nothing'}; expected {expected}")
+    return items

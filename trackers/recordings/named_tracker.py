@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from trackers.core.errors import UnusableInput
+from trackers.core.errors import UnusableInput, one_or_more
 from trackers.core.smoother import Smoothed
 from trackers.core.tracker import AbstractTracker
 from trackers.core.tunable import AbstractTunable, tunables, with_values
@@ -114,16 +114,9 @@ class NamedTracker:
 
 def folder_list(recordings: Recordings) -> list[RecordingFolder]:
     """One recording folder or several as a list; raises UnusableInput for anything else."""
-    folders: list[Any]
-    try:
-        folders = [recordings] if isinstance(recordings, RecordingFolder) else list(recordings)
-    except TypeError:
-        folders = [recordings]
-    wrong = next((x for x in folders if not isinstance(x, RecordingFolder)), None)
-    if not folders or wrong is not None:
-        raise UnusableInput(
-            f"found {'nothing' if wrong is None else type(wrong).__name__}; expected one or more recording folders, as "
-            "`read`, `read_all` and `world.folder()` return them; recordings in arrays are run by a tracker of arrays, "
-            "as `range_tracker(4).run`"
-        )
-    return folders
+    return one_or_more(
+        recordings,
+        (RecordingFolder,),
+        "one or more recording folders, as `read`, `read_all` and `world.folder()` return them; recordings in arrays "
+        "are run by a tracker of arrays, as `range_tracker(4).run`",
+    )
