@@ -32,8 +32,9 @@ from trackers.core.crlb import posterior_bound
 from trackers.core.ekf import ExtendedKalman
 from trackers.core.errors import UnusableInput
 from trackers.core.estimates import Estimates, Status
-from trackers.core.filter import Gaussian
+from trackers.core.filter import AbstractFilter, AbstractSmoothableFilter, Gaussian, Innovation
 from trackers.core.imm import InteractingModels, SwitchingMotion
+from trackers.core.initial import TrackerState
 from trackers.core.metrics import bias, consistency, coverage, error_metrics, nees, rmse, time_lost
 from trackers.core.motion import (
     AbstractMotion,
@@ -54,7 +55,7 @@ from trackers.core.smoother import Smoothed
 from trackers.core.start import AbstractStart
 from trackers.core.state import Heading, Rotation, wrap
 from trackers.core.track_loss import TrackLossPolicy
-from trackers.core.tracker import AbstractTracker, Tracker
+from trackers.core.tracker import AbstractTracker, Tracker, filter_batch
 from trackers.core.tunable import Covariance, Fraction, Real, Scale, tunables
 from trackers.evaluation import Evaluation, evaluate
 from trackers.events import events_of
@@ -151,7 +152,12 @@ __all__ = [
     # parts of a tracker: filters, starts, track loss
     "AbstractTracker",
     "Tracker",
+    "TrackerState",
+    "filter_batch",
     "Row",
+    "AbstractFilter",
+    "AbstractSmoothableFilter",
+    "Innovation",
     "ExtendedKalman",
     "Gaussian",
     "ParticleFilter",

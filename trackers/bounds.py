@@ -13,7 +13,7 @@ from trackers.core.crlb import NoBoundError, posterior_bound
 from trackers.core.ekf import ExtendedKalman
 from trackers.core.motion import Kinematic
 from trackers.core.recording import Batch, Row, stack
-from trackers.core.tracker import AbstractTracker, Tracker
+from trackers.core.tracker import Tracker
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerBatch
 
@@ -32,8 +32,7 @@ def bounds_of(folder: RecordingFolder, batches: Sequence[TrackerBatch]) -> tuple
     if not mine or not isinstance(mine[0][0].tracker, Tracker) or mine[0][1].station:
         return None
     tracker, first = mine[0][0].tracker, mine[0][1].recording
-    at_row_times = type(tracker).at_valid_time is AbstractTracker.at_valid_time
-    if not (isinstance(tracker.filter, ExtendedKalman) and at_row_times):
+    if not isinstance(tracker.filter, ExtendedKalman) or tracker.latency is not None:
         return None
     known = first.truth["position"][1]
     if known.sum() < 3:

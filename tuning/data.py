@@ -161,7 +161,7 @@ def _array_objective(
         return objective
     quantity = next(iter(rows[0].truth), "position")
     first = rows[0].rows(slice(0, 2)).columns(0, 1)
-    mean = jax.eval_shape(lambda: tracker.scan(first)).mean
+    mean = jax.eval_shape(lambda: tracker.scan(first)[0]).mean
     dimensions = len(jax.tree_util.tree_leaves(getattr(mean, quantity, ()))) or 2
     return _objective(objective, tracker, quantity, dimensions)
 

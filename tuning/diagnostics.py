@@ -60,14 +60,14 @@ def absolute_errors(
     """
     rows = recording.times
     true, known = recording.truth[quantity]
-    times, valid = tracker.at_valid_time(rows, run)
-    if not (hasattr(valid.mean, quantity) and known.any()):
+    times = run.valid_times(rows)
+    if not (hasattr(run.mean, quantity) and known.any()):
         return times, np.full(len(times), np.nan)
     has_truth = (np.interp(times, rows, known) > 1 - 1e-9) & (times >= rows[0])
-    mean = np.stack([np.asarray(x) for x in getattr(valid.mean, quantity)], axis=1)[:, :2]
+    mean = np.stack([np.asarray(x) for x in getattr(run.mean, quantity)], axis=1)[:, :2]
     truth = np.stack([np.interp(times, rows[known], true[known, k]) for k in range(2)], axis=1)
     length = np.sqrt(((mean - truth) ** 2).sum(axis=1))
-    return times, np.where(has_truth & valid.usable, length, np.nan)
+    return times, np.where(has_truth & run.usable, length, np.nan)
 
 
 def nis_probabilities(innovations: Innovations) -> np.ndarray:

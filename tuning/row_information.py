@@ -53,7 +53,7 @@ def _over_vectors(model: _BlockPoint, batch: Batch) -> RowInformation:
 
 def _at(model: _BlockPoint, vector: jax.Array, batch: Batch) -> tuple[jax.Array, jax.Array, jax.Array]:
     def rows(v: jax.Array) -> tuple[jax.Array, jax.Array]:
-        log_likelihoods = model.point.tracker_at(v).scan(batch).log_likelihood
+        log_likelihoods = model.point.tracker_at(v).scan(batch)[0].log_likelihood
         return log_likelihoods, log_likelihoods
 
     scores, log_likelihoods = jax.jacfwd(rows, has_aux=True)(vector)

@@ -91,7 +91,7 @@ def _ours(fifteen: bool) -> dict[str, Any]:
     from trackers.core.start import AbstractStart
     from trackers.core.state import Heading, Rotation
     from trackers.core.track_loss import TrackLossPolicy
-    from trackers.core.tracker import Tracker, scan_chunk
+    from trackers.core.tracker import Tracker, filter_batch
     from trackers.parts.ranges import RangeSensor
     from trackers.uwb_imu.strapdown import ImuNoise, Inertial, PlanarInertial, PlanarStrapdown, Strapdown
     from tuning.objectives import NegativeLogLikelihood
@@ -141,7 +141,7 @@ def _ours(fifteen: bool) -> dict[str, Any]:
         world = _world(*size)
         batch, one = batch_of(world), tracker(planar)
         model = as_dtype(one, batch.dt.dtype)
-        result, forward = _timed(lambda: run_chunks(scan_chunk, [(model, part) for part in chunks(batch, CHUNK)]))
+        result, forward = _timed(lambda: run_chunks(filter_batch, [(model, part) for part in chunks(batch, CHUNK)]))
         parameters = select_parameters(one, TUNED)
         problem, vector = Problem(one, [batch], NegativeLogLikelihood(), parameters, CHUNK), flatten(parameters)
         _, gradient = _timed(lambda: problem.evaluate(vector)[:2])

@@ -24,7 +24,7 @@ from trackers.core.recording import Batch
 from trackers.core.rig import Station
 from trackers.core.sensor import Reading
 from trackers.core.start import AbstractStart
-from trackers.core.tracker import AbstractTracker, scan_chunk
+from trackers.core.tracker import AbstractTracker, filter_batch
 from tuning.objectives import NegativeLogLikelihood
 from tuning.parameters import flatten, select_parameters
 from tuning.problem import Problem, term_sums
@@ -133,7 +133,7 @@ def versions(world: World, peer: str | None) -> list[Version]:
 
     def ours(tracker: AbstractTracker) -> Any:
         model = as_dtype(tracker, world.batch.dt.dtype)
-        return lambda: run_chunks(scan_chunk, [(model, part) for part in chunks(world.batch, CHUNK)])
+        return lambda: run_chunks(filter_batch, [(model, part) for part in chunks(world.batch, CHUNK)])
 
     def last(parts: Any) -> np.ndarray:
         return np.concatenate([np.asarray(part.mean.azimuth[-1]) for part in parts])

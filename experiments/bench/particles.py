@@ -70,7 +70,7 @@ def ours(fixes: np.ndarray, times: np.ndarray) -> Callable[[], np.ndarray]:
     from trackers.core.chunks import as_dtype, chunks, run_chunks
     from trackers.core.polyline import Polyline
     from trackers.core.recording import Readings, Recording, stack
-    from trackers.core.tracker import scan_chunk
+    from trackers.core.tracker import filter_batch
     from trackers.line.fixes import FIXES, FloorFixes
     from trackers.line.motion import LineMotion
     from trackers.line.tracker import line_tracker
@@ -81,7 +81,7 @@ def ours(fixes: np.ndarray, times: np.ndarray) -> Callable[[], np.ndarray]:
     model = as_dtype(tracker, batch.dt.dtype)
 
     def run() -> np.ndarray:
-        parts = run_chunks(scan_chunk, [(model, part) for part in chunks(batch, CHUNK)])
+        parts = run_chunks(filter_batch, [(model, part) for part in chunks(batch, CHUNK)])
         return np.concatenate([np.stack([np.asarray(x).T for x in p.mean.position], axis=-1) for p in parts])
 
     return run

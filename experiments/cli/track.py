@@ -35,6 +35,7 @@ def track(  # noqa: D103
     free_height: bool = False,
     smooth: bool = False,
     lag: float | None = None,
+    seed: int = 0,
 ) -> int:
     started = datetime.now(UTC)
     folders = read_with_notices(recordings)
@@ -53,7 +54,7 @@ def track(  # noqa: D103
         notice(f"height: known from rig.toml for {heights} tag(s) and used; estimate it with --free-height")
     output_folder(out)
     with progress("tracking", sum(len(batch.trajectories) for batch in batches)) as advance:
-        tracks = run(batches, advance)
+        tracks = run(batches, advance, seed)
     table, summaries = tracks.table, tracks.summaries
     atomic_write(out / TRACKS, table.write_parquet)
     happened = events_of(table, named.spec, batches)
@@ -78,6 +79,7 @@ def track(  # noqa: D103
         "free_height": free_height,
         "smooth": smooth,
         "lag": lag,
+        "seed": seed,
     }
     write_manifest(
         out,
@@ -108,4 +110,5 @@ Args:
     free_height: estimate the height of tags whose height the rig gives.
     smooth: use the rows after each row too, all of them: for recordings, where nothing has to be known at once.
     lag: smooth with the rows of the next so many seconds only.
+    seed: of the random numbers of particle filters; another one gives other estimates of the same distribution.
 """

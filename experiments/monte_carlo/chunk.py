@@ -36,14 +36,14 @@ def run_chunk(study: Study, condition: Condition, ids: np.ndarray, first: bool) 
     results = []
     for name, config in study.trackers.items():
         batches = prepared[name]
-        tracked, seconds = _track(batches, ids, study.chunk, config)
+        tracked, seconds = _track(batches, ids, study, config)
         arrays = scored(tracked)
         for measure, function in study.measures.items():
             arrays[f"measure {measure}"] = _measured(study, measure, function(tracked), len(ids))
         if first:
             if "us_per_row" in study.metrics:
                 # A second run: the first one also compiled.
-                seconds = _track(batches, ids, study.chunk, config)[1]
+                seconds = _track(batches, ids, study, config)[1]
                 arrays["us_per_row"] = np.array(1e6 * seconds / max(int((tracked.status != Status.PADDING).sum()), 1))
             if any(metric.startswith("bound") for metric in study.metrics):
                 arrays["bounds"] = _bounds(folder, batches)
@@ -55,7 +55,7 @@ def tracked_runs(study: Study, world: str, ids: np.ndarray, **point: float) -> d
     """The estimates of every tracker of a study for the trajectories with these ids, at a point of the grid."""
     (condition,) = [c for c in study.conditions if c.world == world and point.items() <= c.point.items()]
     prepared = _prepared(study, condition, ids)[1]
-    return {name: _track(prepared[name], ids, study.chunk, c)[0] for name, c in study.trackers.items()}
+    return {name: _track(prepared[name], ids, study, c)[0] for name, c in study.trackers.items()}
 
 
 def require_fitting_parts(study: Study) -> None:
@@ -123,7 +123,7 @@ def _require_grid_is_used(study: Study, condition: Condition, untuned: Mapping[s
 
 
 def _track(
-    batches: list[TrackerBatch], ids: np.ndarray, chunk: int, config: TrackerConfig
+    batches: list[TrackerBatch], ids: np.ndarray, study: Study, config: TrackerConfig
 ) -> tuple[TrackedRuns, float]:
     """The estimates of all trajectories beside their truth, and the computing time of the trackers, s."""
     trajectories = [trajectory for batch in batches for trajectory in batch.trajectories]
@@ -143,16 +143,17 @@ def _track(
     seconds, paths = 0.0, truth_by_tag(trajectories[0].folder)
     for batch in batches:
         padded = rounded(max(len(trajectory.recording) for trajectory in batch.trajectories))
-        stacked = stack([trajectory.recording for trajectory in batch.trajectories], rows=padded)
+        stacked = stack([trajectory.recording for trajectory in batch.trajectories], rows=padded, seed=study.seed)
         # Padded to whole chunks, so that the bits depend neither on the number of trajectories nor of devices.
-        whole = stacked.columns(0, chunk * -(-stacked.size // chunk))
+        whole = stacked.columns(0, study.chunk * -(-stacked.size // study.chunk))
         began = time.perf_counter()
-        found = batch.tracker.run(whole, chunk)
+        found = batch.tracker.run(whole, study.chunk)
         seconds += time.perf_counter() - began
         for k, trajectory in enumerate(batch.trajectories):
             one, size = found[k], len(trajectory.recording)
             at = number[trajectory.tag], slice(0, size), stations.index(trajectory.station)
-            at_valid_time, own = batch.tracker.at_valid_time(trajectory.recording.times, one[:size])
+            own = one.rows(slice(0, size))
+            at_valid_time = own.valid_times(trajectory.recording.times)
             position, P = _moments(trajectory, own)
             times[at[0], :size] = at_valid_time
             estimates[at], status[at], nis[at], dof[at] = position, own.status, own.nis, own.nis_dof

@@ -12,11 +12,10 @@ from trackers.aoa.beam import Beam
 from trackers.aoa.direct import direct_tracker
 from trackers.aoa.fusion import bearing_tracker
 from trackers.core.algebra import Vector
-from trackers.core.estimates import Estimates, Status
+from trackers.core.estimates import Status
 from trackers.core.motion import Kinematic
 from trackers.core.recording import Recording, stack
 from trackers.core.scan import Output
-from trackers.parts.fixes import shifted_back, shifted_covariance
 from tuning.named_objectives import all_metrics, parse_objective
 from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError, StateLogLikelihood, Weighted
 from tuning.pit_uniformity import PITUniformity, chi_square_cdf, legendre, student_t_dof_of, student_t_nis_cdf
@@ -203,16 +202,3 @@ def test_a_sum_of_objectives_is_the_sum_of_their_figures(figures):
 def test_what_is_no_objective_is_refused(text):
     with pytest.raises(ValueError):
         parse_objective(text)
-
-
-def test_an_objective_sees_a_late_fix_with_the_covariance_that_is_reported_of_it():
-    rng = np.random.default_rng(8)
-    mean = Kinematic(Vector(*rng.normal(size=(3, LANES))), Vector(*rng.normal(size=(2, LANES))))
-    output, _, _ = _output(rng, mean, 5)
-    estimates = Estimates(mean, np.stack(output.cov), *(np.asarray(x) for x in output[2:]))
-    np.testing.assert_allclose(
-        np.stack(shifted_covariance(mean, output.cov, 0.7)),
-        shifted_back(estimates, 0.7).cov_upper,
-        rtol=1e-12,
-        atol=1e-12,
-    )

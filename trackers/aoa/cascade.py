@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,19 +13,27 @@ from trackers.aoa.beam import beam_tracker
 from trackers.aoa.fusion import AXES, BEARINGS, ORIGIN, BearingSensor, bearing_inputs, region_centre
 from trackers.aoa.rays import nearest_to_rays, unit_vector
 from trackers.core.estimates import Status
+from trackers.core.filter import Gaussian
 from trackers.core.layout import Layout
 from trackers.core.linearise import covariance_of
 from trackers.core.motion import ConstantVelocity
 from trackers.core.recording import Batch
 from trackers.core.rig import Station
-from trackers.core.scan import Output, Score
+from trackers.core.scan import Output, ScanState
 from trackers.core.sensor import Reading
-from trackers.core.tracker import AbstractTracker, Tracker
+from trackers.core.tracker import AbstractEpochwiseTracker, Tracker
 from trackers.core.tunable import Scale
 from trackers.parts.start_nearby import NEARBY, NearbyStart
 
 
-class Cascade(AbstractTracker):
+class CascadeState(NamedTuple):
+    """The states of the beam trackers by station, None before their first rows, and of the fusion."""
+
+    beams: dict[str, ScanState] | None
+    fusion: ScanState | None
+
+
+class Cascade(AbstractEpochwiseTracker):
     """A beam tracker per station, `beams` by the stations' names in a recording, and the `fusion` of their angles.
 
     As in the paper, the estimates of a beam tracker are fused as readings with independent errors;
@@ -45,15 +53,22 @@ class Cascade(AbstractTracker):
         made = {one.name: one.row_shape(2) for one in (ORIGIN, AXES, NEARBY)}
         self.fusion.check_layout(layout._replace(readings={BEARINGS: (2, 3)}, inputs={**layout.inputs, **made}))
 
-    def scan(self, batch: Batch) -> Output:
-        return self._per_row(self.fusion.scan(self._bearings(batch)))
+    def scan(self, batch: Batch, initial: CascadeState | None = None) -> tuple[Output, CascadeState]:
+        before = CascadeState(None, None) if initial is None else initial
+        readings, states = [], {}
+        for name, beam in self.beams.items():
+            of_station = batch._replace(readings={name: batch.readings[name]})
+            output, states[name] = beam.scan(of_station, None if before.beams is None else before.beams[name])
+            readings.append(_bearing_reading(output))
+        output, fusion = self.fusion.scan(self._bearings(batch, readings), before.fusion)
+        return self._per_row(output), CascadeState(states, fusion)
 
-    def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
-        return self.fusion.accumulate(self._bearings(batch), score)
+    def begin(self, prior: Gaussian, batch: Batch) -> CascadeState:
+        """The fusion begins with `prior`; the beam trackers start by their own measurements."""
+        return CascadeState(None, self.fusion.begin(prior, batch))
 
-    def _bearings(self, batch: Batch) -> Batch:
+    def _bearings(self, batch: Batch, readings: list[Reading]) -> Batch:
         """The batch for the fusion: one row per station and row, the stations' angles in order with dt = 0 between."""
-        readings = [self._reading(name, batch) for name in self.beams]
         count = len(readings)
 
         def interleaved(parts: list[Any]) -> Any:
@@ -96,15 +111,6 @@ class Cascade(AbstractTracker):
 
         return jax.vmap(jax.vmap(nearest, in_axes=-1, out_axes=-1))(*readings)
 
-    def _reading(self, name: str, batch: Batch) -> Reading:
-        """One station's beam estimates as readings with covariances, masked on rows without its phases."""
-        output = self.beams[name].scan(batch._replace(readings={name: batch.readings[name]}))
-        mean, cov = output.mean, output.cov
-        updated = (output.status == Status.RESTARTED) | ((output.status == Status.OK) & (output.nis_dof > 0))
-        angles = jnp.stack([mean.azimuth, mean.elevation], axis=1)
-        angular = jax.vmap(jax.vmap(_angular_covariance, in_axes=-1, out_axes=-1))(mean, cov)
-        return Reading(angles, jnp.stack([updated, updated], axis=1), angular)
-
     def _per_row(self, output: Output) -> Output:
         """The fusion's output per row of the recording: the last belief, and the sums of the diagnostics."""
         stations = len(self.beams)
@@ -126,6 +132,15 @@ def _angular_covariance(mean: Any, cov: Any) -> Any:
     """The variance of the azimuth, the covariance of both angles and the variance of the elevation, (3,) rad²."""
     angular = covariance_of(mean, cov, lambda beam: (beam.azimuth, beam.elevation))
     return jnp.stack([angular[0, 0], angular[0, 1], angular[1, 1]])
+
+
+def _bearing_reading(output: Output) -> Reading:
+    """One station's beam estimates as readings with covariances, masked on rows without its phases."""
+    mean, cov = output.mean, output.cov
+    updated = (output.status == Status.RESTARTED) | ((output.status == Status.OK) & (output.nis_dof > 0))
+    angles = jnp.stack([mean.azimuth, mean.elevation], axis=1)
+    angular = jax.vmap(jax.vmap(_angular_covariance, in_axes=-1, out_axes=-1))(mean, cov)
+    return Reading(angles, jnp.stack([updated, updated], axis=1), angular)
 
 
 def cascade_tracker(

@@ -36,7 +36,7 @@ class DelayAndSum(AbstractEpochwiseTracker):
         antennas = range(1, len(self.grid.cosine) + 1)
         layout.check_readings("DelayAndSum", self.name, [Channel(f"phase_{k}", "rad", True) for k in antennas])
 
-    def scan(self, batch: Batch) -> Output:
+    def scan(self, batch: Batch, initial: Any = None) -> tuple[Output, Any]:
         reading = batch.readings[self.name]
 
         def one(values: Any, seen: Any) -> Any:
@@ -52,4 +52,4 @@ class DelayAndSum(AbstractEpochwiseTracker):
         enough = jnp.sum(reading.seen, axis=1) >= 3
         status = jnp.where(enough, Status.OK, Status.WAITING)
         status = jnp.where(jnp.asarray(batch.valid), status, Status.PADDING).astype(jnp.int8)
-        return Output(mean, cov, zero, zero, zero, zero, status)
+        return Output(mean, cov, zero, zero, zero, zero, status), ()

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from trackers.core.motion import ConstantVelocity, GroundMotion
 from trackers.core.particle.filter import ParticleFilter
+from trackers.core.tracker import Tracker
 from trackers.core.tunable import Scale
-from trackers.parts.fixes import FIXES, PATIENT, FixSensor, FixStart, FixTracker
+from trackers.parts.fixes import FIXES, PATIENT, FixSensor, FixStart
 from trackers.parts.singer import Singer
 from trackers.parts.walls import Walls
 
@@ -17,7 +18,7 @@ def fix_tracker(
     sigma_vertical: float = 0.3,
     dof: float | None = 4.0,
     planar: bool = False,
-) -> FixTracker:
+) -> Tracker:
     """Constant velocity in x and y, from fixes; the height is a random walk, or known and not estimated if `planar`.
 
     `sigma_a` m/s² per √Hz, `sigma_z` m per √s; the sensor's sigmas m. `dof`: degrees of freedom of Student's t, None
@@ -25,7 +26,7 @@ def fix_tracker(
     """
     sensor = FixSensor(sigma_horizontal, sigma_vertical, dof)
     start = FixStart(Scale(1.0, "m"), Scale(1.0, "m/s"), planar, 2)
-    return FixTracker(GroundMotion(sigma_a, sigma_z), {FIXES: sensor}, start, track_loss=PATIENT)
+    return Tracker(GroundMotion(sigma_a, sigma_z), {FIXES: sensor}, start, track_loss=PATIENT, latency_of=FIXES)
 
 
 def singer_tracker(
@@ -35,7 +36,7 @@ def singer_tracker(
     sigma_vertical: float = 0.3,
     dof: float | None = 4.0,
     planar: bool = False,
-) -> FixTracker:
+) -> Tracker:
     """Singer's motion (1970) from fixes, in three dimensions or, if `planar`, in x and y.
 
     `sigma_a` m/s² and `tau` s: standard deviation and time constant of the acceleration; the sensor's sigmas m.
@@ -43,7 +44,7 @@ def singer_tracker(
     n = 2 if planar else 3
     sensor = FixSensor(sigma_horizontal, sigma_vertical, dof)
     start = FixStart(Scale(1.0, "m"), Scale(1.0, "m/s"), planar, n, n)
-    return FixTracker(Singer(sigma_a, tau, n), {FIXES: sensor}, start, track_loss=PATIENT)
+    return Tracker(Singer(sigma_a, tau, n), {FIXES: sensor}, start, track_loss=PATIENT, latency_of=FIXES)
 
 
 def floor_tracker(
@@ -52,7 +53,7 @@ def floor_tracker(
     sigma_horizontal: float = 0.1,
     dof: float | None = 4.0,
     n_particles: int = 1000,
-) -> FixTracker:
+) -> Tracker:
     """Planar constant velocity from fixes by particles; those that cross a wall have weight zero.
 
     The model of a planar `fix_tracker` with a floor plan (reference [25] of the thesis). `sigma_a` m/s² per √Hz,
@@ -62,4 +63,4 @@ def floor_tracker(
     sensor = FixSensor(sigma_horizontal, sigma_horizontal, dof)
     start = FixStart(Scale(1.0, "m"), Scale(1.0, "m/s"), True, 2)
     particles = ParticleFilter(n_particles, potential=walls)
-    return FixTracker(ConstantVelocity(sigma_a, 2), {FIXES: sensor}, start, particles, PATIENT)
+    return Tracker(ConstantVelocity(sigma_a, 2), {FIXES: sensor}, start, particles, PATIENT, FIXES)

@@ -30,8 +30,9 @@ from trackers.core.motion import GroundMotion, Kinematic, Noise
 from trackers.core.recording import Row
 from trackers.core.sensor import AbstractSensor, Channel
 from trackers.core.start import AbstractStart
+from trackers.core.tracker import Tracker
 from trackers.core.tunable import Real, Scale
-from trackers.parts.fixes import FIXES, PATIENT, AbstractFixSensor, FixSensor, FixStart, FixTracker
+from trackers.parts.fixes import FIXES, PATIENT, AbstractFixSensor, FixSensor, FixStart
 
 BELOW, ABOVE = 0, 1
 
@@ -170,7 +171,7 @@ def switching_tracker(
     rate: float = 1.0,
     dof: float | None = 4.0,
     planar: bool = False,
-) -> FixTracker:
+) -> Tracker:
     """IMM filter of constant-velocity models with accelerations `sigmas_a`, m/s² per √Hz, from fixes.
 
     `rate`: draws of a new mode, 1/s. `sigma_z` m per √s, the sensor's sigmas m; `dof`: degrees of freedom of Student's
@@ -180,7 +181,7 @@ def switching_tracker(
     sensor = FixSensor(sigma_horizontal, sigma_vertical, dof)
     start = FixStart(Scale(1.0, "m"), Scale(1.0, "m/s"), planar, 2)
     modes = InteractingModels(rate, [1.0] * len(sigmas_a))
-    return FixTracker(motion, {FIXES: sensor}, start, modes, PATIENT)
+    return Tracker(motion, {FIXES: sensor}, start, modes, PATIENT, FIXES)
 
 
 def mirror_tracker(
@@ -192,7 +193,7 @@ def mirror_tracker(
     shrink: float = 0.45,
     rate: float = 1.0,
     dof: float | None = 4.0,
-) -> FixTracker:
+) -> Tracker:
     """Constant velocity in x and y and a random-walk height on either side of the anchors' plane, from fixes.
 
     `offset` m and `shrink`: as in the module's docstring; the defaults are typical of four DWM1001 anchors in the
@@ -200,6 +201,6 @@ def mirror_tracker(
     """
     sensor = MirrorSensor(sigma_horizontal, sigma_vertical, offset, shrink, dof)
     start = MirrorStart(Scale(1.0, "m"), Scale(1.0, "m/s"))
-    return FixTracker(
-        GroundMotion(sigma_a, sigma_z), {FIXES: sensor}, start, MirrorModels(rate, [1.0, 1.0], 0.1), PATIENT
+    return Tracker(
+        GroundMotion(sigma_a, sigma_z), {FIXES: sensor}, start, MirrorModels(rate, [1.0, 1.0], 0.1), PATIENT, FIXES
     )

@@ -37,22 +37,24 @@ class MovingWindow(AbstractEpochwiseTracker):
     def check_layout(self, layout: Layout) -> None:
         layout.check_readings("MovingWindow", FIXES, 2 if self.planar else 3)
 
-    def scan(self, batch: Batch) -> Output:
+    def scan(self, batch: Batch, initial: Any = None) -> tuple[Output, Any]:
         reading = batch.readings[FIXES]
         axes = 2 if self.planar else 3
         values, seen = jnp.asarray(reading.values)[:, :axes], jnp.asarray(reading.seen)[:, :axes]
         seen = seen & jnp.asarray(batch.valid)[:, None]
         empty = jnp.full((self.window, *values.shape[1:]), jnp.nan, values.dtype)
+        before = empty if initial is None else jnp.moveaxis(jnp.asarray(initial), 0, -1)
 
         def step(window: Any, row: Any) -> tuple[Any, Any]:
             value, value_seen = row
             window = jnp.where(value_seen, jnp.concatenate([window[1:], value[None]]), window)
             return window, nan_median(window) if self.median else jnp.nanmean(window, axis=0)
 
-        position = jax.lax.scan(step, empty, (values, seen))[1]
+        after, position = jax.lax.scan(step, before, (values, seen))
         known = jnp.isfinite(position).all(axis=1)
         zero = jnp.zeros_like(position[:, 0])
         mean = Placed(Vector(*(jnp.where(known, position[:, k], 0.0) for k in range(axes))))
         cov = tuple(zero + jnp.nan for _ in triangle(axes))
         status = jnp.where(jnp.asarray(batch.valid), jnp.where(known, Status.OK, Status.WAITING), Status.PADDING)
-        return Output(mean, cov, zero, zero, zero, zero, status.astype(jnp.int8))
+        output = Output(mean, cov, zero, zero, zero, zero, status.astype(jnp.int8))
+        return output, jnp.moveaxis(after, -1, 0)

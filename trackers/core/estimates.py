@@ -50,8 +50,10 @@ class Estimates:
 
     `mean`: the state, one array per named component. `cov_upper`: (n(n+1)/2, …, T), the covariance of the small step
     about the mean, upper triangle row by row. `log_likelihood`, `nis`, `nis_dof` (its degrees of freedom), `wrapped`
-    (number of ambiguous angle wraps): per row, summed over sensors. `status`: `Status` codes. `times`: (T,) or (B, T)
-    s, NaN in padding, None after a run of a `Batch`. `names`: of the recordings.
+    (number of ambiguous angle wraps): per row, summed over sensors. `status`: `Status` codes. `age`: s from the time
+    for which an estimate is valid to that of its row, None where they are the same. `times`: (T,) or (B, T) s, for
+    which the estimates are valid, NaN in padding. `names`: of the recordings. `final`: the state after their last rows,
+    `initial` of a run that continues. After a run of a `Batch` the last three are empty.
     """
 
     mean: Any
@@ -61,8 +63,10 @@ class Estimates:
     nis_dof: np.ndarray
     wrapped: np.ndarray
     status: np.ndarray
+    age: np.ndarray | None = None
     times: np.ndarray | None = None
     names: tuple[str, ...] = ()
+    final: Any = None
 
     @property
     def dimension(self) -> int:
@@ -89,22 +93,41 @@ class Estimates:
         """Rows with an estimate: neither padding, waiting nor non-finite."""
         return ~np.isin(self.status, (Status.PADDING, Status.WAITING, Status.NON_FINITE))
 
+    def valid_times(self, times: np.ndarray) -> np.ndarray:
+        """The times for which the estimates of rows at `times`, s, are valid."""
+        return times if self.age is None else times - self.age
+
     def __getitem__(self, trajectory: Any) -> Estimates:
         """One trajectory of a batch, or a slice of them."""
+        one = isinstance(trajectory, (int, np.integer))
+        several = slice(trajectory, trajectory + 1 or None) if one else trajectory
+        return replace(
+            self._part((trajectory,)),
+            names=tuple(np.array(self.names)[several].tolist()) if self.names else (),
+            final=jax.tree_util.tree_map(lambda x: x[several], self.final),
+        )
+
+    def rows(self, part: slice) -> Estimates:
+        """A slice of the rows of every trajectory."""
+        return self._part((..., part))
+
+    def _part(self, index: tuple[Any, ...]) -> Estimates:
+        """The same part of every array over trajectories and rows."""
 
         def part(rows: Any) -> Any:
-            return rows[trajectory]
+            return rows[index]
 
-        return Estimates(
+        return replace(
+            self,
             mean=jax.tree_util.tree_map(part, self.mean),
-            cov_upper=self.cov_upper[:, trajectory],
+            cov_upper=self.cov_upper[(slice(None), *index)],
             log_likelihood=part(self.log_likelihood),
             nis=part(self.nis),
             nis_dof=part(self.nis_dof),
             wrapped=part(self.wrapped),
             status=part(self.status),
+            age=None if self.age is None else part(self.age),
             times=None if self.times is None else part(self.times),
-            names=tuple(np.ravel(part(np.array(self.names))).tolist()) if self.names else (),
         )
 
     def __repr__(self) -> str:

@@ -6,7 +6,6 @@ Batches are batch-last, so that inside a filter step each number is one contiguo
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -16,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.core.algebra import Scalar
+from trackers.core.keys import trajectory_key_data
 from trackers.core.sensor import Reading
 
 
@@ -48,8 +48,9 @@ class Recording:
 
     `times`: (T,) seconds, float64, not decreasing. `readings`: by sensor name. `inputs`: by name, (T, …), known
     quantities that motion and sensors may use. `truth`: by quantity name, values (T, d) with the rows where it is
-    known. Its arrays are read-only views. Raises ValueError where times are unsorted, shapes differ or a number isn't
-    finite.
+    known. Its arrays are read-only views. `id`: from it and the seed of a run come the random numbers of filters that
+    draw any; None for the recording's place among those that run together. Raises ValueError where times are unsorted,
+    shapes differ or a number isn't finite.
     """
 
     times: np.ndarray
@@ -57,6 +58,7 @@ class Recording:
     inputs: Mapping[str, np.ndarray] = field(default_factory=dict)
     truth: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
     name: str = "recording"
+    id: int | None = None
 
     def __post_init__(self) -> None:
         times = np.asarray(self.times, np.float64)
@@ -127,7 +129,7 @@ class Recording:
 class Batch(NamedTuple):
     """Recordings stacked batch-last: `dt` (T, B) s, `valid` (T, B), readings (T, m, B), inputs and truth likewise.
 
-    `key` (2, B): random key of each trajectory, from its name, independent of its column. Rows beyond a recording's end
+    `key` (2, B): random key of each trajectory, from its id and a seed. Rows beyond a recording's end
     are not valid (padding): the belief passes them bit-identical.
     """
 
@@ -172,8 +174,10 @@ class Row(NamedTuple):
     number: Any
 
 
-def stack(recordings: Sequence[Recording], rows: int | None = None, dtype: Any = None) -> Batch:
+def stack(recordings: Sequence[Recording], rows: int | None = None, dtype: Any = None, seed: int = 0) -> Batch:
     """The recordings as one batch, padded to `rows` (default: the longest), floats in `dtype` (default: jax's).
+
+    `seed`: with the ids of the recordings it gives the random keys, for filters that draw random numbers.
 
     All recordings name the same sensors, inputs and truths; `dt` is computed here, in float64.
     """
@@ -216,5 +220,5 @@ def stack(recordings: Sequence[Recording], rows: int | None = None, dtype: Any =
             k: (pile([r.truth[k][0] for r in recordings], dtype), pile([r.truth[k][1] for r in recordings], bool))
             for k in first.truth
         },
-        key=np.array([[0] * len(recordings), [zlib.crc32(r.name.encode()) for r in recordings]], np.uint32),
+        key=trajectory_key_data(seed, [k if r.id is None else r.id for k, r in enumerate(recordings)]),
     )

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar, mark_dependent
 from trackers.core.estimates import Status
-from trackers.core.filter import AbstractFilter
+from trackers.core.filter import AbstractFilter, Gaussian
 from trackers.core.recording import Batch, Row
 from trackers.core.select import select
 from trackers.core.sensor import AbstractSensor
@@ -45,8 +45,21 @@ class Carry(NamedTuple):
     time_since_measurement: Scalar
 
 
+class ScanState(NamedTuple):
+    """The state of a recursive tracker after some rows, trajectories first in every array: `scan` continues from it.
+
+    `n_rows` (B,): rows so far, which number the starts of a trajectory.
+    """
+
+    carry: Carry
+    n_rows: Any
+
+
 class Output(NamedTuple):
-    """The result of one time step: mean of the state, upper triangle of its covariance, and `StepInfo`."""
+    """The result of one time step: mean of the state, upper triangle of its covariance, and `StepInfo`.
+
+    `age`: s between the time for which the estimate is valid and that of its row; None where they are the same.
+    """
 
     mean: Any
     cov: tuple[Scalar, ...]
@@ -55,6 +68,7 @@ class Output(NamedTuple):
     nis_dof: Scalar
     wrapped: Scalar
     status: Scalar
+    age: Any = None
 
 
 Score = Callable[[Output, dict[str, tuple[Any, Any]]], tuple[Any, ...]]
@@ -71,27 +85,31 @@ class RecursiveTracker(Protocol):
     @property
     def filter(self) -> AbstractFilter[Any]: ...
     def step(self, carry: Carry, row: Row) -> tuple[Carry, StepInfo]: ...
+    def moments(self, belief: Any) -> tuple[Any, tuple[Scalar, ...]]: ...
 
 
 def scan_rows(
     tracker: RecursiveTracker,
     batch: Batch,
+    initial: ScanState | None = None,
     score: Score | None = None,
     moments: Callable[[Any], tuple[Any, tuple[Scalar, ...]]] | None = None,
-) -> tuple[tuple[Any, ...], Output | None]:
+) -> tuple[tuple[Any, ...], Output | None, ScanState]:
     """All time steps of one chunk, batch-last: the outputs of every step, or with a `score` its sums over time.
 
-    `moments`: mean and covariance of an output from the belief of one trajectory, by default the filter's. Returns
-    (sums, None) with a score, ((), outputs) without.
+    `initial`: the state before the first row, by default no track. `moments`: mean and covariance of an output from the
+    belief of one trajectory, by default the tracker's. Returns (sums, None, state) with a score, ((), outputs, state)
+    without.
     """
     size, trajectory_keys = batch.size, jnp.asarray(batch.key)
     rows = Row(batch.dt, batch.valid, batch.readings, batch.inputs, None, jnp.arange(len(batch.dt), dtype=jnp.uint32))
+    n_rows = jnp.zeros(size, jnp.uint32) if initial is None else jnp.asarray(initial.n_rows)
     axes = carry_axes(tracker)
     step = jax.vmap(tracker.step, in_axes=(axes, -1), out_axes=(axes, -1))
-    every_moments = jax.vmap(moments or tracker.filter.moments, in_axes=axes.belief, out_axes=-1)
+    every_moments = jax.vmap(moments or tracker.moments, in_axes=axes.belief, out_axes=-1)
 
     def one_row(carry: Carry, row: Row) -> tuple[Carry, Output]:
-        row = row._replace(key=trajectory_keys, number=jnp.broadcast_to(row.number, (size,)))
+        row = row._replace(key=trajectory_keys, number=n_rows + row.number)
         carry, info = step(carry, row)
         carry, info = reinitialise(tracker, carry, row, info)
         mean, cov = every_moments(carry.belief)
@@ -106,20 +124,25 @@ def scan_rows(
         return (carry, tuple(a + b for a, b in zip(sums, score(output, truth), strict=True))), None
 
     first_row, first_truth = jax.tree_util.tree_map(lambda x: jnp.asarray(x[0]), (rows, batch.truth))
-    first_row = first_row._replace(key=trajectory_keys, number=jnp.zeros(size, jnp.uint32))
-    empty = jax.vmap(lambda row: empty_carry(tracker, row), in_axes=-1, out_axes=axes)(first_row)
+    if initial is None:
+        first_row = first_row._replace(key=trajectory_keys, number=jnp.zeros(size, jnp.uint32))
+        before = jax.vmap(lambda row: empty_carry(tracker, row), in_axes=-1, out_axes=axes)(first_row)
+    else:
+        before = jax.vmap(lambda carry: carry, out_axes=axes)(jax.tree_util.tree_map(jnp.asarray, initial.carry))
     sums: tuple[Any, ...] = ()
     if score is not None:
-        # The shapes of the score come from an empty output: tracing one more step takes seconds for large states.
+        # The shapes of the score come from the state before the first row: tracing one more step takes seconds for
+        # large states.
         zero = jnp.zeros_like(first_row.dt)
         info = StepInfo(zero, zero, zero, zero, zero.astype(jnp.int8))
-        mean, cov = every_moments(empty.belief)
+        mean, cov = every_moments(before.belief)
         shapes = jax.eval_shape(lambda: score(Output(mean, cov, *info), first_truth))
         sums = tuple(jnp.zeros(s.shape, s.dtype) for s in shapes)
     # Particles have no derivative, so that nothing is marked as dependent.
-    initial = (empty, sums) if tracker.filter.has_particle_axis else mark_dependent((empty, sums), tracker)
-    (_, sums), outputs = jax.lax.scan(body, initial, (rows, batch.truth))
-    return sums, outputs
+    start = (before, sums) if tracker.filter.has_particle_axis else mark_dependent((before, sums), tracker)
+    (carry, sums), outputs = jax.lax.scan(body, start, (rows, batch.truth))
+    n_rows = n_rows + jnp.sum(jnp.asarray(batch.valid), axis=0, dtype=jnp.uint32)
+    return sums, outputs, ScanState(jax.vmap(lambda carry: carry, in_axes=(axes,))(carry), n_rows)
 
 
 def carry_axes(tracker: RecursiveTracker) -> Carry:
@@ -129,10 +152,15 @@ def carry_axes(tracker: RecursiveTracker) -> Carry:
 
 def initial_carry(tracker: RecursiveTracker, candidate: Any, row: Row) -> Carry:
     """The carry after a row that starts a track."""
-    one = jnp.ones_like(row.dt)
+    return carry_of(tracker, tracker.start.belief(candidate, row), row.key, row.number)
+
+
+def carry_of(tracker: RecursiveTracker, prior: Gaussian, key: Any, number: Any) -> Carry:
+    """The carry of a track that begins with this prior at row `number` of a trajectory with this random key."""
+    one = jnp.ones_like(prior.cov[0])
     # A new key for every start of a trajectory; XLA drops it where the filter draws no random numbers.
-    key = jax.random.key_data(jax.random.fold_in(jax.random.wrap_key_data(row.key), row.number))
-    return Carry(tracker.filter.init(tracker.start.belief(candidate, row), key), one > 0, one > 0, one, one * 0)
+    key = jax.random.key_data(jax.random.fold_in(jax.random.wrap_key_data(key), number))
+    return Carry(tracker.filter.init(prior, key), one > 0, one > 0, one, one * 0)
 
 
 def empty_carry(tracker: RecursiveTracker, row: Row) -> Carry:

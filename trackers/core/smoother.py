@@ -6,11 +6,10 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from trackers.core.algebra import Scalar
-from trackers.core.estimates import Estimates, Status
-from trackers.core.filter import AbstractSmoothableFilter
+from trackers.core.estimates import Status
+from trackers.core.filter import AbstractSmoothableFilter, Gaussian
 from trackers.core.layout import Layout
 from trackers.core.recording import Batch
 from trackers.core.rts import fixed_interval, fixed_lag
@@ -23,8 +22,8 @@ class Smoothed(AbstractEpochwiseTracker):
     """A tracker with an RTS smoother; log-likelihood, NIS and status remain those of the filter.
 
     `lag`: fixed-lag smoothing with measurements up to `lag` s later; None for fixed-interval smoothing. The recursion
-    does not cross a restart of the track. Raises TypeError unless the filter is an
-    `AbstractSmoothableFilter`.
+    does not cross a restart of the track, nor the end of a run that another continues. Raises TypeError unless the
+    filter is an `AbstractSmoothableFilter`.
     """
 
     tracker: Tracker
@@ -37,15 +36,11 @@ class Smoothed(AbstractEpochwiseTracker):
     def check_layout(self, layout: Layout) -> None:
         self.tracker.check_layout(layout)
 
-    def at_valid_time(self, times: np.ndarray, estimates: Estimates) -> tuple[np.ndarray, Estimates]:
-        """As for the tracker without smoothing: its latency is the same."""
-        return self.tracker.at_valid_time(times, estimates)
-
-    def scan(self, batch: Batch) -> Output:
+    def scan(self, batch: Batch, initial: Any = None) -> tuple[Output, Any]:
         tracker = freeze(self.tracker)
         filter_ = tracker.filter
         assert isinstance(filter_, AbstractSmoothableFilter)
-        output = scan_rows(tracker, batch, moments=lambda belief: (belief, ()))[1]
+        _, output, state = scan_rows(tracker, batch, initial, moments=lambda belief: (belief, ()))
         assert output is not None
         filtered = output.mean
         but_last = jax.tree_util.tree_map(lambda x: x[:-1], filtered)
@@ -64,5 +59,8 @@ class Smoothed(AbstractEpochwiseTracker):
         else:
             smoothed = fixed_lag(gain_of, rts_step, filtered, steps, dt, jnp.asarray(self.lag, batch.dt.dtype))
         beliefs = jax.tree_util.tree_map(lambda a, b: jnp.concatenate([a, b]), smoothed, last)
-        mean, cov = jax.vmap(jax.vmap(filter_.moments, in_axes=-1, out_axes=-1))(beliefs)
-        return output._replace(mean=mean, cov=cov)
+        mean, cov = jax.vmap(jax.vmap(tracker.moments, in_axes=-1, out_axes=-1))(beliefs)
+        return tracker.with_age(output._replace(mean=mean, cov=cov)), state
+
+    def begin(self, prior: Gaussian, batch: Batch) -> Any:
+        return self.tracker.begin(prior, batch)

@@ -16,16 +16,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.algebra import compute_once, total
+from trackers.core.algebra import Scalar, compute_once, total
 from trackers.core.chunks import CHUNK, as_dtype, chunks, run_chunks
 from trackers.core.ekf import ExtendedKalman
+from trackers.core.errors import UnusableInput
 from trackers.core.estimates import Estimates, Status
-from trackers.core.filter import AbstractFilter
+from trackers.core.filter import AbstractFilter, Gaussian
+from trackers.core.initial import TrackerState, continued, stacked_priors, trajectories_of
+from trackers.core.latency import AbstractDelayedSensor, shifted_back, truth_at
 from trackers.core.layout import Layout
 from trackers.core.motion import AbstractMotion
 from trackers.core.recording import Batch, Recording, Row, stack
 from trackers.core.requirements import Parts, check_input, check_parts
-from trackers.core.scan import Carry, Output, Score, StepInfo, scan_rows
+from trackers.core.scan import Carry, Output, ScanState, Score, StepInfo, carry_of, scan_rows
 from trackers.core.select import select, where_mostly
 from trackers.core.sensor import AbstractSensor
 from trackers.core.start import AbstractStart
@@ -37,11 +40,11 @@ class AbstractTracker(eqx.Module):
     """Anything that turns recordings into estimates."""
 
     @abstractmethod
-    def scan(self, batch: Batch) -> Output:
-        """The outputs of all time steps of one chunk, batch-last: (T, B), mean fields (T, …, B).
+    def scan(self, batch: Batch, initial: Any = None) -> tuple[Output, Any]:
+        """The outputs of all time steps of one chunk, batch-last, (T, B), mean fields (T, …, B), and the state after.
 
-        Pure and traceable, so that it can be jitted and differentiated with respect to the tracker's tunables. Raises
-        KeyError while it is traced, for a sensor or an input that the batch lacks.
+        `initial`: the state before the first row, as `scan` and `begin` return it. Pure and traceable, to be jitted
+        and differentiated with respect to the tracker's tunables.
         """
 
     @abstractmethod
@@ -52,59 +55,120 @@ class AbstractTracker(eqx.Module):
     def check_layout(self, layout: Layout) -> None:
         """Raises UnusableInput unless recordings of this layout have what the tracker reads."""
 
-    def run(self, recordings: Recording | Sequence[Recording] | Batch, chunk: int = CHUNK) -> Estimates:
-        """The estimates for one recording, several, or a batch of them, in chunks of `chunk` trajectories.
+    def begin(self, prior: Gaussian, batch: Batch) -> Any:
+        """The state before the first row of tracks that begin there with `prior`, trajectories first in its arrays.
 
-        Raises UnusableInput, a ValueError, before anything is traced: for no recording at all, for one that lacks what
-        the tracker reads, and where the recordings differ in their sensors, inputs or truth.
+        Raises UnusableInput for a tracker without a belief to begin with.
         """
-        recordings = check_input(self, recordings, "run")
-        if isinstance(recordings, Recording):
-            one = self._run(stack([recordings]), 1)[0]
-            return dataclasses.replace(one, times=recordings.times, names=(recordings.name,))
-        if isinstance(recordings, Batch):
-            return self._run(recordings, chunk)
-        batch = stack(recordings)
-        times = np.full((len(recordings), len(batch.dt)), np.nan)
-        for row, recording in zip(times, recordings, strict=True):
-            row[: len(recording)] = recording.times
-        return dataclasses.replace(self._run(batch, chunk), times=times, names=tuple(r.name for r in recordings))
+        raise UnusableInput(
+            f"run: found a Gaussian as `initial` of a {type(self).__name__}, whose estimates depend on no belief; "
+            "expected the `final` of an earlier run; leave `initial` out"
+        )
 
-    def _run(self, batch: Batch, chunk: int) -> Estimates:
+    def run(
+        self,
+        recordings: Recording | Sequence[Recording] | Batch,
+        chunk: int = CHUNK,
+        *,
+        seed: int = 0,
+        initial: Gaussian | Sequence[Gaussian] | TrackerState | None = None,
+    ) -> Estimates:
+        """The estimates for one recording, several, or a batch, in chunks of `chunk` trajectories.
+
+        `seed`: of the random numbers of a filter that draws any; a batch has its keys from `stack`. `initial`: the
+        belief at the first row, one for all recordings or one for each, or the `final` of the estimates for the
+        recordings that these continue; by default the first row that suffices starts a track. Raises UnusableInput, a
+        ValueError, before anything is traced: for no recording at all, for one that lacks what the tracker reads, and
+        where the recordings differ in their sensors, inputs or truth; TypeError where the tracker or a batch is traced.
+        """
+        if any(isinstance(x, jax.core.Tracer) for x in jax.tree_util.tree_leaves((self, recordings))):
+            raise TypeError(
+                "run: found traced values, as inside jax.grad, jax.vmap or jax.jit; expected numbers, since run works "
+                "in NumPy; use trackwright.filter_batch(tracker, batch), a pure function"
+            )
+        recordings = check_input(self, recordings, "run")
+        if isinstance(recordings, Batch):
+            if seed or initial is not None:
+                raise UnusableInput(
+                    "run: found a Batch with a seed or an initial belief; expected recordings for these; give the seed "
+                    "to `stack`, the initial state to `tracker.scan`"
+                )
+            return self._run(recordings, chunk, _outputs, None)
+        single = isinstance(recordings, Recording)
+        listed = [recordings] if isinstance(recordings, Recording) else recordings
+        longest = max(len(r) for r in listed)
+        # XLA unrolls a loop of one row, with other last bits.
+        batch = stack(listed, rows=max(longest, 2), seed=seed)
+        state = None
+        if isinstance(initial, TrackerState):
+            batch, state = continued(batch, listed, initial), initial.state
+        elif initial is not None:
+            state = self.begin(stacked_priors(initial, len(listed), batch.dt.dtype), batch)
+        found = self._run(batch, 1 if single else chunk, _outputs_and_state, state)
+        times = np.full((len(listed), longest), np.nan)
+        for row, recording in zip(times, listed, strict=True):
+            row[: len(recording)] = recording.times
+        final = TrackerState(found.final, np.array([r.times[-1] for r in listed]))
+        found = dataclasses.replace(found.rows(slice(0, longest)), final=final)
+        found = dataclasses.replace(found, times=found.valid_times(times), names=tuple(r.name for r in listed))
+        return found[0] if single else found
+
+    def _run(self, batch: Batch, chunk: int, function: Any, state: Any) -> Estimates:
         model = as_dtype(self, batch.dt.dtype)
-        parts = run_chunks(scan_chunk, [(model, part) for part in chunks(batch, chunk)])
+        pairs = []
+        for k, part in enumerate(chunks(batch, chunk)):
+            size = part.dt.shape[1]
+            own = trajectories_of(state, k * size, (k + 1) * size)
+            pairs.append(((model, jax.device_put(own, part.dt.device)), part))
+        parts = run_chunks(function, pairs)
 
         def join(*arrays: np.ndarray) -> np.ndarray:
             return np.moveaxis(np.concatenate(arrays, axis=-1)[..., : batch.size], -1, 0)
 
-        joined = jax.tree_util.tree_map(join, *parts)
-        return Estimates(joined.mean, np.stack(joined.cov), *joined[2:])
+        def join_first(*arrays: np.ndarray) -> np.ndarray:
+            return np.concatenate(arrays)[: batch.size]
 
-    def at_valid_time(self, times: np.ndarray, estimates: Estimates) -> tuple[np.ndarray, Estimates]:
-        """The times (T,), s, for which the estimates of rows at `times` are valid, and the estimates at these times.
-
-        `times` themselves, unless the tracker models a latency of its measurements.
-        """
-        return times, estimates
+        joined = jax.tree_util.tree_map(join, *[output for output, _ in parts])
+        final = jax.tree_util.tree_map(join_first, *[after for _, after in parts])
+        diagnostics = joined.log_likelihood, joined.nis, joined.nis_dof, joined.wrapped, joined.status
+        return Estimates(joined.mean, np.stack(joined.cov), *diagnostics, age=joined.age, final=final)
 
 
 class AbstractEpochwiseTracker(AbstractTracker):
     """A tracker whose `accumulate` scores the output of `scan`, held in memory for all rows."""
 
     def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
-        truth = jax.tree_util.tree_map(jnp.asarray, batch.truth)
-        return tuple(jnp.sum(x, axis=0) for x in jax.vmap(score)(self.scan(batch), truth))
+        output = self.scan(batch)[0]
+        truth = batch.truth if output.age is None else truth_at(batch, output.age)
+        truth = jax.tree_util.tree_map(jnp.asarray, truth)
+        return tuple(jnp.sum(x, axis=0) for x in jax.vmap(score)(output, truth))
 
 
-def scan_chunk(tracker: AbstractTracker, batch: Batch) -> Output:
-    """`tracker.scan(batch)`, a function of both for `run_chunks`."""
-    return tracker.scan(batch)
+def filter_batch(tracker: AbstractTracker, batch: Batch) -> Output:
+    """The estimates of a tracker for a batch, a pure function of both for jax.grad, jax.vmap and jax.jit.
+
+    Arrays are batch-last: fields of the mean (T, …, B), entries of the covariance's upper triangle (T, B). Every number
+    of the tracker and of the batch may be traced; the truth is unused. `tracker.scan` also returns the state after the
+    last row.
+    """
+    return as_dtype(tracker, jnp.asarray(batch.dt).dtype).scan(batch)[0]
+
+
+def _outputs(model: tuple[AbstractTracker, Any], batch: Batch) -> tuple[Output, Any]:
+    """The outputs of a tracker, without the state after them, for `run_chunks`."""
+    return model[0].scan(batch, model[1])[0], None
+
+
+def _outputs_and_state(model: tuple[AbstractTracker, Any], batch: Batch) -> tuple[Output, Any]:
+    """The outputs of a tracker and the state after them, for `run_chunks`."""
+    return model[0].scan(batch, model[1])
 
 
 class Tracker(AbstractTracker):
     """A recursive Bayesian tracker: predict, update with each sensor in turn, detect track loss, start again.
 
-    `sensors`: by the names of their readings in a recording.
+    `sensors`: by the names of their readings in a recording. `latency_of`: the sensor at whose time of measurement
+    estimates are valid, an `AbstractDelayedSensor`; by default they are valid at the time of their row.
     """
 
     motion: AbstractMotion
@@ -112,17 +176,46 @@ class Tracker(AbstractTracker):
     start: AbstractStart
     filter: AbstractFilter[Any] = ExtendedKalman()
     track_loss: TrackLossPolicy = TrackLossPolicy()
+    latency_of: str | None = eqx.field(static=True, default=None)
 
     def check_layout(self, layout: Layout) -> None:
         check_parts(layout, Parts(self.motion, self.sensors, self.start, self.filter))
 
-    def scan(self, batch: Batch) -> Output:
-        output = scan_rows(freeze(self), batch)[1]
+    def scan(self, batch: Batch, initial: ScanState | None = None) -> tuple[Output, ScanState]:
+        _, output, state = scan_rows(freeze(self), batch, initial)
         assert output is not None
-        return output
+        return self.with_age(output), state
 
     def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
-        return scan_rows(freeze(self), batch, score)[0]
+        latency = self.latency
+        truth = batch.truth if latency is None else truth_at(batch, latency)
+        return scan_rows(freeze(self), batch._replace(truth=truth), score=score)[0]
+
+    def begin(self, prior: Gaussian, batch: Batch) -> ScanState:
+        def one(prior: Gaussian, key: Any) -> Carry:
+            return carry_of(freeze(self), prior, key, np.uint32(0))
+
+        carry = jax.vmap(one, in_axes=(0, 1))(prior, jnp.asarray(batch.key))
+        return ScanState(carry, jnp.zeros(batch.size, jnp.uint32))
+
+    @property
+    def latency(self) -> Scalar | None:
+        """The time from the measurement for which an estimate is valid to its row, s; None for no time at all."""
+        if self.latency_of is None:
+            return None
+        sensor = self.sensors[self.latency_of]
+        assert isinstance(sensor, AbstractDelayedSensor)
+        return sensor.latency.value
+
+    def moments(self, belief: Any) -> tuple[Any, tuple[Scalar, ...]]:
+        """The mean and covariance of an estimate, at the time for which it is valid."""
+        mean, cov = self.filter.moments(belief)
+        return (mean, cov) if self.latency is None else shifted_back(mean, cov, self.latency)
+
+    def with_age(self, output: Output) -> Output:
+        """The output with its `age`."""
+        latency = self.latency
+        return output if latency is None else output._replace(age=jnp.broadcast_to(latency, output.nis.shape))
 
     def step(self, carry: Carry, row: Row) -> tuple[Carry, StepInfo]:
         """One time step of one trajectory: predict, update, track status; `scan.reinitialise` then starts tracks."""

@@ -13,15 +13,21 @@ from trackers.core.motion import Noise
 from trackers.core.recording import Batch
 from trackers.core.sensor import Reading
 from trackers.core.tunable import Scale
+from trackers.parts.fixes import FIXES
 from trackers.parts.median import nan_median
 
 
 class MedianState(NamedTuple):
-    """The last values of each axis (window, 3), m, the last output (3,), m, and the time since it, s."""
+    """The last values of each axis (window, 3), m, the last output (3,), m, and the time since it, s.
+
+    `ages` (window,): the times since the last fixes, s. `age`: that of the middle one when the last output was taken.
+    """
 
     window: Any
     position: Any
     elapsed: Any
+    ages: Any
+    age: Any
 
 
 class LimitedMedian(eqx.Module):
@@ -39,26 +45,42 @@ class LimitedMedian(eqx.Module):
             raise ValueError(f"a window holds at least one fix, found {window}")
         self.window, self.speed_limit = window, Scale(speed_limit, "m/s")
 
-    def medians(self, batch: Batch, reading: Reading) -> Reading:
-        """The medians of all rows of a chunk, batch-last; seen on rows with a fix once the window is full."""
+    def medians(self, batch: Batch, initial: MedianState | None = None) -> tuple[Reading, Any, MedianState]:
+        """The medians of all rows of a chunk, batch-last, seen on rows with a fix once the window is full.
+
+        Also the ages (T, B), s: the time from the middle fix of the window to its last, and the state after,
+        trajectories first in every array, which is the `initial` of later rows.
+        """
+        reading = batch.readings[FIXES]
         values, seen = jnp.asarray(reading.values), jnp.asarray(reading.seen)
         seen = seen & jnp.asarray(batch.valid)[:, None]
         empty = jnp.full((self.window, *values.shape[1:]), jnp.nan, values.dtype)
-        initial = MedianState(empty, empty[0], jnp.zeros_like(values[0, 0]))
+        if initial is None:
+            zero = jnp.zeros_like(values[0, 0])
+            before = MedianState(empty, empty[0], zero, jnp.zeros_like(empty[:, 0]), zero)
+        else:
+            before = jax.tree_util.tree_map(lambda x: jnp.moveaxis(jnp.asarray(x), 0, -1), initial)
 
-        def step(state: MedianState, value: Any, value_seen: Any, dt: Any) -> tuple[MedianState, tuple[Any, Any]]:
+        def step(state: MedianState, value: Any, value_seen: Any, dt: Any) -> tuple[MedianState, tuple[Any, ...]]:
             window = jnp.where(value_seen[None], jnp.concatenate([state.window[1:], value[None]]), state.window)
             elapsed = state.elapsed + dt
             full = jnp.isfinite(window[0]).all() & value_seen.any()
+            ages = state.ages + dt
+            ages = jnp.where(value_seen.any(), jnp.append(ages[1:], 0.0 * dt), ages)
+            # Between two outputs the filter predicts, from a position of this age.
+            age = jnp.where(full, ages[self.window - 1 - self.window // 2], state.age)
             position = speed_limited(state.position, nan_median(window), self.speed_limit.value * elapsed)
-            after = MedianState(window, jnp.where(full, position, state.position), jnp.where(full, 0.0, elapsed))
-            return after, (jnp.where(full, position, 0.0), jnp.broadcast_to(full, position.shape))
+            position, elapsed = jnp.where(full, position, state.position), jnp.where(full, 0.0, elapsed)
+            after = MedianState(window, position, elapsed, ages, age)
+            return after, (jnp.where(full, position, 0.0), jnp.broadcast_to(full, position.shape), age)
 
         trajectories = jax.vmap(step, in_axes=-1, out_axes=-1)
         rows = values, seen, jnp.asarray(batch.dt)
-        positions, median_seen = jax.lax.scan(lambda state, row: trajectories(state, *row), initial, rows)[1]
+        after, found = jax.lax.scan(lambda state, row: trajectories(state, *row), before, rows)
+        positions, median_seen, ages = found
         # No reported variances: those of a single fix are not the variance of a median.
-        return Reading(positions, median_seen, jnp.zeros((len(values), 0, values.shape[-1]), values.dtype))
+        medians = Reading(positions, median_seen, jnp.zeros((len(values), 0, values.shape[-1]), values.dtype))
+        return medians, ages, jax.tree_util.tree_map(lambda x: jnp.moveaxis(x, -1, 0), after)
 
 
 def speed_limited(last: Any, median: Any, limit: Any) -> Any:

@@ -2,68 +2,74 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.estimates import Estimates
+from trackers.core.filter import Gaussian
+from trackers.core.latency import truth_at
 from trackers.core.layout import Layout
 from trackers.core.motion import ConstantVelocity
 from trackers.core.recording import Batch
-from trackers.core.scan import Output, Score
-from trackers.core.tracker import AbstractTracker
-from trackers.core.tunable import Scale
+from trackers.core.scan import Output, ScanState, Score, scan_rows
+from trackers.core.tracker import AbstractTracker, Tracker
+from trackers.core.tunable import Scale, freeze
 from trackers.mhk.accelerations import AccelerationSphere
 from trackers.mhk.fusion import AccelerationFilter
-from trackers.mhk.median import LimitedMedian
-from trackers.parts.fixes import FIXES, PATIENT, CorrelatedFixSensor, FixStart, FixTracker
+from trackers.mhk.median import LimitedMedian, MedianState
+from trackers.parts.fixes import FIXES, PATIENT, CorrelatedFixSensor, FixStart
 
 STILL = np.array([[8.409964, 3.509666, -1.23004], [3.509666, 10.34468, -0.7689], [-1.23004, -0.7689, 0.583671]]) * 1e-4
 """Covariance of 2,000 fixes of a tag at rest, m² (Huang et al. 2018, section 4)."""
 
 
+class MhkState(NamedTuple):
+    """The states of the median, None before its first row, and of the fusion."""
+
+    median: MedianState | None
+    fusion: ScanState | None
+
+
 class MedianMarkovKalman(AbstractTracker):
     """MH-K (Huang et al. 2018, Figure 5): a sliding `median`, whose output `fusion` reads as `fixes`.
 
-    The median of 2n + 1 fixes of a moving tag lags by n fixes. With `stamped` each estimate has the time of the middle
-    row of its window; otherwise, as in the paper, that of its last fix.
+    The median of 2n + 1 fixes of a moving tag lags by n fixes. With `stamped` each estimate is valid at the time of the
+    middle fix of its window; otherwise, as in the paper, at that of its last fix.
     """
 
     median: LimitedMedian
-    fusion: FixTracker
+    fusion: Tracker
     stamped: bool = eqx.field(static=True, default=False)
 
     def check_layout(self, layout: Layout) -> None:
         layout.check_readings("the median of MH-K", FIXES, 3)
         self.fusion.check_layout(layout)
 
-    def scan(self, batch: Batch) -> Output:
-        return self.fusion.scan(self._with_medians(batch))
+    def scan(self, batch: Batch, initial: MhkState | None = None) -> tuple[Output, MhkState]:
+        before = MhkState(None, None) if initial is None else initial
+        medians, ages, median = self.median.medians(batch, before.median)
+        output, fusion = self.fusion.scan(batch._replace(readings={FIXES: medians}), before.fusion)
+        return output._replace(age=self._age(ages)), MhkState(median, fusion)
 
     def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
-        batch = self._with_medians(batch)
-        if self.stamped:
-            half = min(self.median.window // 2, len(batch.dt))
-            truth = {name: tuple(_delayed(x, half) for x in pair) for name, pair in batch.truth.items()}
-            batch = batch._replace(truth=truth)
-        return self.fusion.accumulate(batch, score)
+        medians, ages, _ = self.median.medians(batch)
+        age = self._age(ages)
+        truth = batch.truth if age is None else truth_at(batch, age)
+        batch = batch._replace(readings={FIXES: medians}, truth=truth)
+        return scan_rows(freeze(self.fusion), batch, score=score)[0]
 
-    def _with_medians(self, batch: Batch) -> Batch:
-        return batch._replace(readings={FIXES: self.median.medians(batch, batch.readings[FIXES])})
+    def _age(self, ages: Any) -> Any:
+        """The time from that for which an estimate is valid to its row, s; `ages` (T, B): of the middle fixes."""
+        latency = self.fusion.latency
+        if not self.stamped:
+            return None if latency is None else jnp.broadcast_to(latency, ages.shape)
+        return ages if latency is None else ages + latency
 
-    def at_valid_time(self, times: np.ndarray, estimates: Estimates) -> tuple[np.ndarray, Estimates]:
-        """Times less the latency of the fixes, those of the windows' middle rows if `stamped`; the estimates then."""
-        if self.stamped:
-            times = np.asarray(_delayed(times, min(self.median.window // 2, len(times))))
-        return self.fusion.at_valid_time(times, estimates)
-
-
-def _delayed(rows: Any, count: int) -> Any:
-    """The array delayed by `count` rows; the first row fills the gap."""
-    kind = np if isinstance(rows, np.ndarray) else jnp
-    return kind.concatenate([kind.repeat(rows[:1], count, axis=0), rows[: len(rows) - count]])
+    def begin(self, prior: Gaussian, batch: Batch) -> MhkState:
+        """The fusion begins with `prior`; the median waits until its window is full."""
+        return MhkState(None, self.fusion.begin(prior, batch))
 
 
 def mhk_tracker(
@@ -80,11 +86,12 @@ def mhk_tracker(
     `covariance`: R, m². `sigma_a`: of Q, m/s² per √Hz. `sigma_displacement` m and `rate` 1/s: of the chain; `rate` None
     for a chain without memory, as printed. `speed_limit`: m/s, by default twice the greatest speed of the paper.
     """
-    fusion = FixTracker(
+    fusion = Tracker(
         ConstantVelocity(sigma_a, 3),
         {FIXES: CorrelatedFixSensor(covariance)},
         FixStart(Scale(0.5, "m"), Scale(1.0, "m/s"), False, 3),
         AccelerationFilter(AccelerationSphere(), sigma_displacement, rate),
         PATIENT,
+        FIXES,
     )
     return MedianMarkovKalman(LimitedMedian(window, speed_limit), fusion, stamped)

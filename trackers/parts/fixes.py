@@ -1,8 +1,6 @@
-"""Position fixes of a locating system: sensor models with outliers and latency, start and tracker.
+"""Position fixes of a locating system: sensor models with outliers and latency, and a start.
 
-A fix with latency measures an earlier position, z(t) = p(t) − v(t)·latency for straight motion. The filter's state is
-that of the time at which the fix arrives; `FixTracker.at_valid_time` shifts estimates back to the time at which the
-position was measured, where their error is smallest.
+A fix with latency measures an earlier position, z(t) = p(t) − v(t)·latency for straight motion.
 """
 
 from __future__ import annotations
@@ -12,17 +10,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
-import numpy as np
 
-from trackers.core.algebra import Scalar, SparseRow, Vector, congruence, diagonal, total, triangle
-from trackers.core.estimates import Estimates
+from trackers.core.algebra import Scalar, Vector, diagonal, total
 from trackers.core.filter import Gaussian
 from trackers.core.inputs import HEIGHT, Input
+from trackers.core.latency import AbstractDelayedSensor
 from trackers.core.motion import Accelerated, Kinematic, Noise
-from trackers.core.recording import Batch, Row
-from trackers.core.scan import Output, Score
+from trackers.core.recording import Row
 from trackers.core.sensor import (
     LOG_2PI,
     AbstractSensor,
@@ -34,7 +29,6 @@ from trackers.core.sensor import (
 )
 from trackers.core.start import AbstractStart
 from trackers.core.track_loss import TrackLossPolicy
-from trackers.core.tracker import Tracker
 from trackers.core.tunable import Covariance, Real, Scale
 
 FIXES = "fixes"
@@ -43,7 +37,7 @@ PATIENT = TrackLossPolicy(nis_limit=1e3, max_gap=10.0)
 """Errors of real fixes are correlated over seconds, so a large NIS average is no evidence of track loss."""
 
 
-class AbstractFixSensor(AbstractSensor):
+class AbstractFixSensor(AbstractDelayedSensor):
     """x, y, z of a tag, m, measured `latency` s before the row's time.
 
     The covariance `noise` adds to the reported variances (three, m²), whose square roots are scaled by
@@ -53,7 +47,6 @@ class AbstractFixSensor(AbstractSensor):
 
     reported_std_scale: eqx.AbstractVar[Noise]
     dof: eqx.AbstractVar[Noise | None]
-    latency: eqx.AbstractVar[Noise]
 
     view_fields: ClassVar[tuple[str, ...]] = ("position", "velocity")
 
@@ -195,67 +188,3 @@ class FixStart(AbstractStart):
         if self.accelerations:
             return Gaussian(Accelerated(position, velocity, Vector(*[zero] * self.accelerations)), cov)
         return Gaussian(Kinematic(position, velocity), cov)
-
-
-class FixTracker(Tracker):
-    """A tracker of fixes whose estimates are evaluated at the time of measurement, earlier by the sensor's latency."""
-
-    def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
-        latency = self.sensors[FIXES].latency.value  # type: ignore[attr-defined]
-
-        def at_valid_time(output: Output, truth: dict[str, tuple[Any, Any]]) -> tuple[Any, ...]:
-            mean = output.mean._replace(position=shifted_position(output.mean, latency))
-            return score(output._replace(mean=mean, cov=shifted_covariance(output.mean, output.cov, latency)), truth)
-
-        return Tracker.accumulate(self, batch._replace(truth=shifted_truth(batch, latency)), at_valid_time)
-
-    def at_valid_time(self, times: np.ndarray, estimates: Estimates) -> tuple[np.ndarray, Estimates]:
-        """Times less the latency, and the estimates then: position p − v·latency with its covariance."""
-        latency = float(self.sensors[FIXES].latency.value)  # type: ignore[attr-defined]
-        return (times, estimates) if latency == 0 else (times - latency, shifted_back(estimates, latency))
-
-
-def shifted_position(mean: Any, seconds: Scalar) -> Vector:
-    """The position `seconds` earlier, for straight motion; axes without a velocity are unchanged."""
-    moving = list(zip(mean.position, mean.velocity, strict=False))
-    return Vector(*(p - v * seconds for p, v in moving), *list(mean.position)[len(moving) :])
-
-
-def shifted_covariance(mean: Any, upper: Sequence[Scalar], seconds: Scalar) -> tuple[Scalar, ...]:
-    """The covariance of a state with `shifted_position`, from the state's own; both as upper triangles."""
-    first = len(mean.position)
-    rows: list[SparseRow] = [{k: 1.0} for k in range(int((8 * len(upper) + 1) ** 0.5) // 2)]
-    for k in range(min(first, len(mean.velocity))):
-        rows[k][first + k] = -seconds
-    return congruence(rows, upper, [{} for _ in rows])
-
-
-def shifted_truth(batch: Batch, seconds: Scalar) -> dict[str, tuple[Any, Any]]:
-    """The truth `seconds` before each row of a batch, linear between rows and differentiable in `seconds`."""
-    # Padding rows count a second each, so that no other row shares the time of the last valid one.
-    times = jnp.cumsum(jnp.where(batch.valid, batch.dt, jnp.ones_like(batch.dt)), axis=0)
-
-    def trajectory(times: Any, values: Any, known: Any) -> tuple[Any, Any]:
-        earlier = times - seconds
-        columns = [jnp.interp(earlier, times, values[:, k]) for k in range(values.shape[1])]
-        between_known = jnp.interp(earlier, times, known.astype(times.dtype)) > 1 - 1e-6
-        return jnp.stack(columns, axis=1), between_known & (earlier >= times[0]) & (earlier <= times[-1])
-
-    trajectories = jax.vmap(trajectory, in_axes=-1, out_axes=-1)
-    return {name: trajectories(times, *(jnp.asarray(x) for x in pair)) for name, pair in batch.truth.items()}
-
-
-def shifted_back(estimates: Estimates, seconds: float) -> Estimates:
-    """The estimates with positions `seconds` earlier, for straight motion, and their covariance; same velocities."""
-    mean = estimates.mean
-    n, first = estimates.dimension, len(mean.position)
-    jacobian = np.eye(n)
-    for k in range(min(first, len(mean.velocity))):
-        jacobian[k, first + k] = -seconds
-    cov = jacobian @ estimates.covariance @ jacobian.T
-    upper = np.stack([cov[..., i, j] for i, j in triangle(n)]).astype(estimates.cov_upper.dtype)
-    return Estimates(
-        mean._replace(position=shifted_position(mean, seconds)),
-        upper,
-        *(getattr(estimates, k) for k in ("log_likelihood", "nis", "nis_dof", "wrapped", "status")),
-    )

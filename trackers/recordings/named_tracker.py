@@ -48,12 +48,15 @@ class NamedTracker:
             raise UnusableInput(f"tracker '{name}': no trajectory in the recordings; expected one tag at least")
         return cls(name, spec, groups[0].tracker, free_height, made_for=(folders, groups))
 
-    def run(self, recordings: Recordings, advance: Callable[[int], None] = lambda done: None) -> Tracks:
+    def run(
+        self, recordings: Recordings, advance: Callable[[int], None] = lambda done: None, *, seed: int = 0
+    ) -> Tracks:
         """The estimates of every tag of one recording or several; `advance` gets the number of trajectories done.
 
-        Raises UnusableInput for a recording that lacks what the tracker reads, and for values that do not fit it.
+        `seed`: of the random numbers of filters that draw any. Raises UnusableInput for a recording that lacks what the
+        tracker reads, and for values that do not fit it.
         """
-        return track(self.batches(recordings), advance)
+        return track(self.batches(recordings), advance, seed)
 
     def batches(self, recordings: Recordings) -> list[TrackerBatch]:
         """The trajectories of the recordings and the trackers that run them, with this tracker's numbers."""

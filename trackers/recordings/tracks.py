@@ -44,11 +44,16 @@ class Tracks:
         return f"<Tracks: {len(self.table)} estimates of {count} {noun}: {ended}>"
 
 
-def batches(trajectories: Sequence[Trajectory]) -> list[tuple[list[Trajectory], Batch]]:
-    """The trajectories in batches of at most `MAX_BATCH`, those of similar length together, padded to few lengths."""
+def batches(trajectories: Sequence[Trajectory], seed: int = 0) -> list[tuple[list[Trajectory], Batch]]:
+    """The trajectories in batches of at most `MAX_BATCH`, those of similar length together, padded to few lengths.
+
+    `seed`: of the random numbers of filters that draw any.
+    """
     ordered = sorted(trajectories, key=lambda trajectory: len(trajectory.recording))
     parts = [ordered[k : k + MAX_BATCH] for k in range(0, len(ordered), MAX_BATCH)]
-    return [(part, stack([x.recording for x in part], rows=rounded(len(part[-1].recording)))) for part in parts]
+    return [
+        (part, stack([x.recording for x in part], rows=rounded(len(part[-1].recording)), seed=seed)) for part in parts
+    ]
 
 
 def rounded(rows: int) -> int:
@@ -57,16 +62,20 @@ def rounded(rows: int) -> int:
     return -(-rows // step) * step
 
 
-def track(groups: Sequence[TrackerBatch], advance: Callable[[int], None] = lambda done: None) -> Tracks:
-    """The estimates of all batches of trajectories; `advance` is called with the number of trajectories done."""
+def track(groups: Sequence[TrackerBatch], advance: Callable[[int], None] = lambda done: None, seed: int = 0) -> Tracks:
+    """The estimates of all batches of trajectories; `advance` is called with the number of trajectories done.
+
+    `seed`: of the random numbers of filters that draw any.
+    """
     tables: list[pl.DataFrame] = []
     summaries: dict[str, int] = {}
     for group in groups:
-        for trajectories, batch in batches(group.trajectories):
+        for trajectories, batch in batches(group.trajectories, seed):
             estimates = group.tracker.run(batch)
             for k, trajectory in enumerate(trajectories):
                 recording = trajectory.recording
-                times, one = group.tracker.at_valid_time(recording.times, estimates[k][: len(recording)])
+                one = estimates[k].rows(slice(0, len(recording)))
+                times = one.valid_times(recording.times)
                 last, merged = one.per_time(recording.times)
                 summary = re.split(r":| \d+ times| at row \d+", merged.summary())[0]
                 summaries[summary] = summaries.get(summary, 0) + 1

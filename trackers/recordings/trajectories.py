@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from hashlib import blake2b
 from itertools import pairwise
 
 import numpy as np
@@ -39,7 +40,9 @@ def cut(recording: Recording, start: int, stop: int) -> Recording:
     }
     inputs = {name: x[part] for name, x in recording.inputs.items()}
     truth = {name: (values[part], known[part]) for name, (values, known) in recording.truth.items()}
-    return Recording(recording.times[part], readings, inputs, truth, recording.name)
+    # Segments of one trajectory draw different random numbers.
+    own = None if recording.id is None else (recording.id + start) % 2**64
+    return Recording(recording.times[part], readings, inputs, truth, recording.name, own)
 
 
 def trajectory_of(
@@ -58,7 +61,16 @@ def trajectory_of(
     height = known_height(folder, tag)
     inputs = {**inputs, "height": np.full(len(times), 0.0 if height is None else height)}
     truth = _truth(folder, tag, station, times, paths)
-    return Trajectory(folder, tag, station, Recording(times, readings, inputs, truth, f"{folder.name}, tag {tag}"))
+    recording = Recording(
+        times, readings, inputs, truth, f"{folder.name}, tag {tag}", trajectory_id(folder.name, tag, station)
+    )
+    return Trajectory(folder, tag, station, recording)
+
+
+def trajectory_id(folder: str, tag: str, station: str) -> int:
+    """The id of a trajectory of a recording folder: random numbers do not depend on the others that run with it."""
+    text = "\0".join((folder, tag, station))
+    return int.from_bytes(blake2b(text.encode(), digest_size=8).digest(), "little")
 
 
 def with_floor_truth(trajectory: Trajectory, paths: dict[str, TruthPath]) -> Trajectory:

@@ -42,7 +42,7 @@ class Multilateration(AbstractEpochwiseTracker):
         needs = (Need.ALWAYS, Need.PLANAR) if self.planar else (Need.ALWAYS,)
         layout.check_inputs("Multilateration", self.inputs, layout.readings[self.name][0], needs)
 
-    def scan(self, batch: Batch) -> Output:
+    def scan(self, batch: Batch, initial: Any = None) -> tuple[Output, Any]:
         sigma = freeze(self).sigma_r.value
         reading, inputs = batch.readings[self.name], batch.inputs
 
@@ -58,7 +58,7 @@ class Multilateration(AbstractEpochwiseTracker):
         cov = tuple(sigma**2 * fit.covariance[:, i, j] for i, j in triangle(n))
         valid = jnp.asarray(batch.valid)
         status = jnp.where(valid, jnp.where(fit.determined, Status.OK, Status.WAITING), Status.PADDING)
-        return Output(mean, cov, zero, zero, zero, zero, status.astype(jnp.int8))
+        return Output(mean, cov, zero, zero, zero, zero, status.astype(jnp.int8)), ()
 
 
 def multilateration_tracker(planar: bool = False, sigma_r: float = 0.1) -> Multilateration:

@@ -103,7 +103,7 @@ class Trilateration(AbstractEpochwiseTracker):
         layout.check_readings("Trilateration", self.name, [Channel(f"range_{k}", "m") for k in (1, 2, 3)])
         layout.check_inputs("Trilateration", self.inputs, layout.readings[self.name][0], (Need.ALWAYS, Need.PLANAR))
 
-    def scan(self, batch: Batch) -> Output:
+    def scan(self, batch: Batch, initial: Any = None) -> tuple[Output, Any]:
         model = freeze(self)
         reading, inputs = batch.readings[self.name], batch.inputs
         seen = jnp.all(jnp.asarray(reading.seen), axis=1) & jnp.asarray(batch.valid)
@@ -120,7 +120,7 @@ class Trilateration(AbstractEpochwiseTracker):
         cov = tuple(zero + jnp.nan for _ in triangle(2))
         # Zeros on rows without three ranges: nothing of a masked reading is left in an estimate.
         mean = Placed(Vector.of(jnp.where(seen, x, 0.0) for x in position))
-        return Output(mean, cov, zero, zero, zero, zero, status.astype(jnp.int8))
+        return Output(mean, cov, zero, zero, zero, zero, status.astype(jnp.int8)), ()
 
 
 def trilateration_tracker(compensated: bool = True, sigma_r: float = 0.1) -> Trilateration:

@@ -1,5 +1,7 @@
 """Fixes: the filter against a textbook one, the latency of fixes, and the times of the estimates."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -13,7 +15,8 @@ from trackers.core.algebra import Vector
 from trackers.core.chunks import as_dtype
 from trackers.core.motion import GroundMotion, Kinematic
 from trackers.core.recording import Readings, Recording, stack
-from trackers.parts.fixes import FIXES, CorrelatedFixSensor, FixSensor, FixTracker
+from trackers.core.tracker import Tracker
+from trackers.parts.fixes import FIXES, CorrelatedFixSensor, FixSensor
 from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
 
 LATENCY, SIGMA_A, SIGMA_Z = 0.35, 0.8, 0.2
@@ -36,7 +39,7 @@ def _world(seed=0, rows=14):
 def test_the_filter_is_the_textbooks_with_correlated_noise_missing_channels_and_latency(reported):
     times, values, seen, mean, cov = _world()
     extra = np.full((len(times), 3), 0.01) if reported else np.zeros((len(times), 3))
-    tracker = FixTracker(
+    tracker = Tracker(
         GroundMotion(SIGMA_A, SIGMA_Z),
         {FIXES: CorrelatedFixSensor(R, latency=LATENCY)},
         KnownStart(_state),
@@ -115,37 +118,32 @@ def test_a_second_sensor_without_latency_identifies_the_latency_without_truth(ci
     assert latencies[np.argmin(metrics)] == pytest.approx(0.4, abs=0.026)
 
 
-def test_estimates_at_their_valid_time_are_near_the_true_positions_then(circling):
+def test_estimates_are_valid_at_the_time_of_measurement_and_near_the_true_positions_then(circling):
     recording, position = circling
     tracker = _with_latency(0.4)
-    estimates = tracker.run(recording)
-    times, at_valid_time = tracker.at_valid_time(recording.times, estimates)
-    np.testing.assert_allclose(times, recording.times - 0.4)
-    errors = np.stack(list(at_valid_time.mean.position), axis=1)[50:, :2] - position(times)[50:, :2]
-    now = np.stack(list(estimates.mean.position), axis=1)[50:, :2] - position(recording.times)[50:, :2]
+    estimates, at_rows = tracker.run(recording), dataclasses.replace(tracker, latency_of=None).run(recording)
+    np.testing.assert_allclose(estimates.times, recording.times - 0.4)
+    np.testing.assert_array_equal(at_rows.times, recording.times)
+    errors = flat(estimates.mean)[50:, :2] - position(estimates.times)[50:, :2]
+    now = flat(at_rows.mean)[50:, :2] - position(recording.times)[50:, :2]
     # Straight motion for 0.4 s at 0.19 m/s² is 1.5 cm off, the fixes 3 cm per axis.
     assert np.sqrt(np.mean(np.sum(errors**2, axis=1))) < 0.04
     assert np.mean(errors**2) < np.mean(now**2)
 
 
-def test_a_shifted_position_has_the_covariance_of_the_linear_combination(circling):
+def test_an_earlier_position_has_the_mean_and_covariance_of_the_linear_combination(circling):
     recording, _ = circling
     tracker = _with_latency(0.4)
-    estimates = tracker.run(recording)
+    earlier, at_rows = tracker.run(recording), dataclasses.replace(tracker, latency_of=None).run(recording)
     J = np.eye(5)
     J[0, 3] = J[1, 4] = -0.4
-    np.testing.assert_allclose(
-        tracker.at_valid_time(recording.times, estimates)[1].covariance, J @ estimates.covariance @ J.T, atol=1e-12
-    )
+    np.testing.assert_allclose(flat(earlier.mean), flat(at_rows.mean) @ J.T, atol=1e-12)
+    np.testing.assert_allclose(earlier.covariance, J @ at_rows.covariance @ J.T, atol=1e-12)
 
 
 def test_without_latency_estimates_have_the_times_of_their_rows(circling):
     recording, _ = circling
-    tracker = fix_tracker()
-    estimates = tracker.run(recording)
-    times, same = tracker.at_valid_time(recording.times, estimates)
-    assert times is recording.times
-    assert same is estimates
+    np.testing.assert_array_equal(fix_tracker().run(recording).times, recording.times)
 
 
 @pytest.mark.slow

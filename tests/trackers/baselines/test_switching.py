@@ -16,9 +16,10 @@ from trackers.core.algebra import Vector
 from trackers.core.imm import InteractingModels
 from trackers.core.motion import GroundMotion, Kinematic
 from trackers.core.recording import Readings, Recording, stack
+from trackers.core.tracker import Tracker
 from trackers.core.tunable import Real
 from trackers.mhk.tracker import STILL
-from trackers.parts.fixes import FIXES, FixTracker
+from trackers.parts.fixes import FIXES
 
 PLANE, OFFSET, SHRINK, SIGMA, SIGMA_A, SIGMA_Z = 1.5, 0.3, 0.8, 0.15, 0.5, 0.4
 MEAN, COV = np.array([0.1, 0.2, 1.2, 0.0, 0.0]), np.diag([1.0, 1.0, 0.6, 0.3, 0.3])
@@ -41,7 +42,7 @@ def _estimates(rate, rows):
     # With the floor far below, the model is linear and enumeration is exact.
     sensor = eqx.tree_at(lambda s: s.floor, sensor, Real(-1000.0, "m"))
     times, values = _readings(rows)
-    tracker = FixTracker(
+    tracker = Tracker(
         GroundMotion(SIGMA_A, SIGMA_Z),
         {FIXES: sensor},
         KnownStart(_state),

@@ -14,7 +14,7 @@ from trackers.core.filter import Gaussian
 from trackers.core.particle.filter import ParticleFilter
 from trackers.core.polyline import Polyline
 from trackers.core.recording import stack
-from trackers.core.tracker import Tracker, scan_chunk
+from trackers.core.tracker import Tracker, filter_batch
 from trackers.core.tunable import Scale
 from trackers.line.fixes import FIXES, FloorFixes
 from trackers.line.grid import GridFilter
@@ -139,7 +139,7 @@ def test_the_gradient_of_the_grids_likelihood_is_the_central_difference():
         tracker = Tracker(motion, {FIXES: FloorFixes(1.0)}, KnownStart(STARTS["halting"][1]), GRID, NEVER_LOST)
         model = as_dtype(tracker, batch.dt.dtype)
         model = _with(model, jnp.log(sigma_a), jnp.log(sigma_p))
-        return scan_chunk(model, jax.tree_util.tree_map(jnp.asarray, batch)).log_likelihood.sum()
+        return filter_batch(model, jax.tree_util.tree_map(jnp.asarray, batch)).log_likelihood.sum()
 
     at, step = (0.3, 0.25), 1e-4
     value = jax.jit(log_likelihood)

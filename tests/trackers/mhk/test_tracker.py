@@ -1,5 +1,7 @@
 """MH-K: the plain Kalman filter without accelerations, independence of the batch, times of stamped estimates."""
 
+import dataclasses
+
 import equinox as eqx
 import numpy as np
 import pytest
@@ -64,11 +66,23 @@ def test_without_accelerations_it_is_the_plain_filter_on_medians():
     np.testing.assert_allclose(chain.log_likelihood, plain.log_likelihood, atol=1e-7)
 
 
-def test_stamped_estimates_have_the_time_of_their_windows_middle():
+@pytest.mark.parametrize("empty", [0.0, 0.2, 0.5])
+def test_stamped_estimates_have_the_time_of_the_middle_fix_however_many_rows_are_empty(empty):
     recording = _recording()
-    times, _ = mhk_tracker(stamped=True).at_valid_time(recording.times, None)
-    np.testing.assert_allclose(times[8:], recording.times[8:] - 0.4)
-    assert mhk_tracker().at_valid_time(recording.times, None)[0] is recording.times
+    there = np.random.default_rng(5).random(len(recording)) >= empty
+    fixes = recording.readings[FIXES]
+    seen = fixes.seen & there[:, None]
+    recording = dataclasses.replace(recording, readings={FIXES: Readings(fixes.values, seen, fixes.reported)})
+    estimates = mhk_tracker(stamped=True).run(recording)
+    fix_times = recording.times[there]
+    for row in np.flatnonzero(there)[8:]:
+        newest = np.searchsorted(fix_times, recording.times[row])
+        assert estimates.times[row] == pytest.approx(fix_times[newest - 4], abs=1e-9)
+    # Without a fix the filter predicts: the lag is that of the last fix.
+    lags = recording.times - estimates.times
+    without = np.flatnonzero(~there & (recording.times > fix_times[8]))
+    np.testing.assert_allclose(lags[without], lags[without - 1], atol=1e-12)
+    np.testing.assert_array_equal(mhk_tracker().run(recording).times, recording.times)
 
 
 def test_every_number_that_the_paper_does_not_print_is_tunable():

@@ -14,9 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.core.algebra import Scalar
-
-ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
-PARITY = np.uint32(0x1BD11BDA)
+from trackers.core.keys import threefry
 
 
 def draws(key: Any, rows: int, count: int, dtype: Any) -> tuple[Any, Scalar, list[Any]]:
@@ -52,16 +50,3 @@ def _quantiles() -> np.ndarray:
     upper = np.array([inverse_cdf((k + 0.5) / 65536) for k in range(32768, 65536)])
     quantiles = np.concatenate([-upper[::-1], upper])
     return quantiles / np.sqrt(np.mean(quantiles**2))
-
-
-def threefry(key: Any, x: Any, y: Any) -> tuple[Any, Any]:
-    """The two random words for each pair of counters `x`, `y`, (n,) uint32, under a raw key (2,) uint32."""
-    keys = key[0], key[1], key[0] ^ key[1] ^ PARITY
-    x, y = x + keys[0], y + keys[1]
-    for group in range(5):
-        for turn in ROTATIONS[group % 2]:
-            x = x + y
-            y = (y << np.uint32(turn)) | (y >> np.uint32(32 - turn))
-            y = y ^ x
-        x, y = x + keys[(group + 1) % 3], y + keys[(group + 2) % 3] + np.uint32(group + 1)
-    return x, y

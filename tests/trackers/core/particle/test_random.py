@@ -5,7 +5,8 @@ import jax.extend
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.particle.random import draws, threefry
+from trackers.core.keys import threefry
+from trackers.core.particle.random import draws
 
 
 def test_the_generator_is_the_one_of_jax():
