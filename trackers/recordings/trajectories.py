@@ -41,7 +41,7 @@ def cut(recording: Recording, start: int, stop: int) -> Recording:
     inputs = {name: x[part] for name, x in recording.inputs.items()}
     truth = {name: (values[part], known[part]) for name, (values, known) in recording.truth.items()}
     # Segments of one trajectory draw different random numbers.
-    own = None if recording.id is None else (recording.id + start) % 2**64
+    own = None if recording.id is None else (recording.id + int(start)) % 2**64
     return Recording(recording.times[part], readings, inputs, truth, recording.name, own)
 
 
