@@ -63,9 +63,9 @@ class Estimates:
     nis_dof: np.ndarray
     wrapped: np.ndarray
     status: np.ndarray
-    age: np.ndarray | None = None
     times: np.ndarray | None = None
     names: tuple[str, ...] = ()
+    age: np.ndarray | None = None
     final: Any = None
 
     @property
@@ -185,6 +185,7 @@ class Estimates:
             wrapped=summed(self.wrapped),
             status=np.where(occurs(Status.NON_FINITE), Status.NON_FINITE, status).astype(np.int8),
             times=None if self.times is None else self.times[last],
+            age=None if self.age is None else self.age[last],
         )
         return last, merged
 
@@ -192,9 +193,9 @@ class Estimates:
         """A table with one row per time: recording, `t_s`, the state, its standard deviations, NIS and status.
 
         Rows that share a time are merged as by `per_time`. A position becomes `x_m`, `y_m`, `z_m` with `std_…_m` and
-        `cov_…_m2`, a velocity `vx_mps`, …; other components keep their names. `t_s` is the row's own time. Empty where
-        there is no estimate. `.to_pandas()` of the table gives a pandas frame. Raises ValueError where the run was of a
-        bare `Batch`, which has no times.
+        `cov_…_m2`, a velocity `vx_mps`, …; other components keep their names. `t_s` is the time for which the
+        estimate is valid. Empty where there is no estimate. `.to_pandas()` of the table gives a pandas frame. Raises
+        ValueError where the run was of a bare `Batch`, which has no times.
         """
         last, merged = self.per_time()
         assert merged.times is not None

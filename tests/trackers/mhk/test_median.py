@@ -12,7 +12,7 @@ def _medians(values, seen=None, dt=0.1, limit=1e6, window=9):
     seen = np.ones(values.shape, bool) if seen is None else seen
     recording = Recording(np.arange(len(values)) * dt, {FIXES: Readings(np.where(seen, values, 0.0), seen)})
     batch = stack([recording])
-    out = LimitedMedian(window, limit).medians(batch, batch.readings[FIXES])
+    out, _, _ = LimitedMedian(window, limit).medians(batch)
     return np.asarray(out.values)[..., 0], np.asarray(out.seen)[..., 0]
 
 
