@@ -122,10 +122,7 @@ def fit_arrays(
         )
     batches = _batches(tracker, recordings)
     apart_batches = [] if isinstance(held_out, (tuple, list)) and not held_out else _batches(tracker, held_out)
-    goal = _array_objective(objective, tracker, batches)
-    if goal.needs_truth:
-        _check_truth(objective, batches, "the recordings")
-        _check_truth(objective, apart_batches, "the held-out recordings")
+    goal = _array_objective(objective, tracker, batches, apart_batches)
     return FitArrays(tracker, batches, apart_batches, goal)
 
 
@@ -154,12 +151,19 @@ def _check_truth(objective: str | AbstractObjective, batches: Sequence[Batch], w
 
 
 def _array_objective(
-    objective: str | AbstractObjective, tracker: AbstractTracker, rows: Sequence[Batch]
+    objective: str | AbstractObjective, tracker: AbstractTracker, rows: Sequence[Batch], apart: Sequence[Batch]
 ) -> AbstractObjective:
-    """The objective by name for recordings in arrays: of the quantity of their truth, in the state's dimensions."""
-    if not isinstance(objective, str):
-        return objective
+    """The objective for recordings in arrays: by name of the quantity of their truth, in the state's dimensions.
+
+    Raises UnusableInput for an unknown name, and where truth is needed and there is none in `rows` or `apart`.
+    """
     quantity = next(iter(rows[0].truth), "position")
+    goal = _objective(objective, tracker, quantity, 2)
+    if goal.needs_truth:
+        _check_truth(objective, rows, "the recordings")
+        _check_truth(objective, apart, "the held-out recordings")
+    if not (goal.needs_truth and isinstance(objective, str)):
+        return goal
     first = rows[0].rows(slice(0, 2)).columns(0, 1)
     mean = jax.eval_shape(lambda: tracker.scan(first)[0]).mean
     dimensions = len(jax.tree_util.tree_leaves(getattr(mean, quantity, ()))) or 2

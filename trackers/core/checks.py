@@ -17,8 +17,10 @@ from trackers.core.algebra import Scalar, Vector, densify
 from trackers.core.density_integral import integral
 from trackers.core.ekf import ExtendedKalman
 from trackers.core.filter import Gaussian
+from trackers.core.inputs import Input, Need
 from trackers.core.linearise import linearise
 from trackers.core.motion import AbstractMotion
+from trackers.core.requirements import GivenInputs, MissingInputError
 from trackers.core.sensor import AbstractSensor, Reading, Residual
 from trackers.core.state import State, component_names, coordinates, local
 from trackers.core.tunable import freeze
@@ -51,7 +53,8 @@ def check_motion(motion: AbstractMotion, state: State, inputs: Any = None, dt: f
     deterministic, and has finite values and derivatives with respect to state and noise.
     """
     name = type(motion).__name__
-    motion, state, inputs = freeze(_arrays(motion)), _arrays(state), _arrays(inputs)
+    motion, state = freeze(_arrays(motion)), _arrays(state)
+    inputs = _given(f"{name}.step", motion.inputs, 0, state, inputs)
     point, rebuild = coordinates(state)
     components = [*component_names(state), *(f"w.{k}" for k in range(motion.noise_dimension))]
     noise = np.random.default_rng(seed).normal(size=(3, motion.noise_dimension))
@@ -105,7 +108,14 @@ def check_sensor(
     """
     name, m = type(sensor).__name__, len(sensor.channels)
     names = [channel.name for channel in sensor.channels]
-    sensor, view, inputs = freeze(_arrays(sensor)), _arrays(view), _arrays(inputs)
+    sensor, view = freeze(_arrays(sensor)), _arrays(view)
+    for field in sensor.view_fields:
+        if not hasattr(view, field):
+            raise BrokenContract(
+                f"{name}.measure reads '{field}' of the view; expected a view with it, found {type(view).__name__}; "
+                "usual fix: the `view` of a motion whose state has it"
+            )
+    inputs = _given(f"{name}.measure", sensor.inputs, m, view, inputs)
     noise: Any = jnp.asarray(reported, float)
     point, rebuild = coordinates(view)
     rng = np.random.default_rng(seed)
@@ -187,6 +197,25 @@ def check_sensor(
             )
 
 
+def _given(what: str, declared: Sequence[Input], channels: int, view: Any, inputs: Any) -> GivenInputs:
+    """The inputs as arrays; raises `BrokenContract` for a declared one that is missing or of another shape."""
+    given = GivenInputs(_arrays(dict(inputs or {})), what)
+    planar = len(getattr(view, "position", ())) == 2
+    for one in declared:
+        expected = f"expected {one.name}, shape {one.row_shape(channels)}, {one.unit or '1'}: {one.about}"
+        if one.name not in given and (one.need is Need.ALWAYS or (one.need is Need.PLANAR and planar)):
+            raise BrokenContract(
+                f"{what} reads the input '{one.name}', found {', '.join(given) or 'no input'}; {expected}; usual fix: "
+                f"inputs={{'{one.name}': …}} in the call of this check"
+            )
+        if one.name in given and np.shape(given[one.name]) != one.row_shape(channels):
+            raise BrokenContract(
+                f"{what} reads the input '{one.name}', found shape {np.shape(given[one.name])}; {expected}; usual fix: "
+                "the input of one row"
+            )
+    return given
+
+
 def _check_mask(name: str, residual: Callable[..., Any], offset: np.ndarray, seen: np.ndarray) -> None:
     """Raises unless a masked channel has no influence: its whitened residual is 0, and its value changes nothing."""
     whitened, log_scale, nis_dof = residual(offset, seen)
@@ -226,9 +255,14 @@ def _arrays(tree: Tree) -> Tree:
 
 
 def _call(what: str, function: Callable[..., Any], *arguments: Any) -> Any:
-    """The result of a jitted function; raises `BrokenContract` if jax cannot trace it."""
+    """The result of a jitted function; raises `BrokenContract` if jax cannot trace it, or for a missing input."""
     try:
         return function(*arguments)
+    except MissingInputError as missing:
+        raise BrokenContract(
+            f"{missing.reader} reads the input '{missing.name}', which is neither declared nor given; expected it in "
+            "the property `inputs`, and in the argument `inputs` of this check; usual fix: add it to both"
+        ) from None
     except (jax.errors.JAXTypeError, jax.errors.JAXIndexError) as error:
         reason = str(error).splitlines()[0]
         raise BrokenContract(

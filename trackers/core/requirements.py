@@ -185,7 +185,11 @@ def _view_of(tree: Any, fixed: tuple[Any, ...], numbers: list[Any], row: Row) ->
     state = start.belief(start.candidate(sensors, given), given).mean
     inputs = GivenInputs(row.inputs, f"the motion ({type(motion).__name__})")
     motion.step(state, inputs, row.dt, Vector(*[row.dt] * motion.noise_dimension))
-    return motion.view(state)
+    view = motion.view(state)
+    for name, sensor in sensors.items():
+        if all(hasattr(view, field) for field in sensor.view_fields):
+            sensor.measure(view, GivenInputs(row.inputs, _sensor(name, sensor)))
+    return view
 
 
 def _shape(x: Any, kind: Any) -> jax.ShapeDtypeStruct:
