@@ -30,7 +30,7 @@ from experiments.monte_carlo import (
 )
 from experiments.monte_carlo.chunk import tracked_runs
 from experiments.papers.fitting import fitted
-from experiments.papers.kwon_2021.fixes_from_ranges import fixes_from_ranges
+from experiments.papers.kwon_2021._fixes_from_ranges import fixes_from_ranges
 from experiments.papers.moving_windows import RAW, window
 from experiments.plots.style import BLACK, BLUE, GREEN, GREY, HEIGHT, VERMILION, plain, write_svg
 from sim.corruptions import gauss_markov

@@ -14,4 +14,4 @@ def test_a_first_displacement_of_3_cm_moves_the_prediction_by_a_tenth_of_a_milli
     weights = stationary if start == "stationary" else jnp.full_like(stationary, 1.0 / len(stationary))
     displacement, dt = Vector(*(jnp.asarray(x) for x in (0.03, 0.0, 0.0))), jnp.asarray(0.1)
     _, acceleration = chain.posterior(weights, displacement, dt)
-    assert 1000 * 0.5 * float(list(acceleration)[0]) * 0.1**2 == pytest.approx(moved_mm, abs=0.001)
+    assert 1000 * 0.5 * float(next(iter(acceleration))) * 0.1**2 == pytest.approx(moved_mm, abs=0.001)
