@@ -1,8 +1,8 @@
 """Figures 6 and 7 of paper A: azimuth and elevation over the helix, by the EKF and by the delay-and-sum beamformer.
 
 The EKF's errors on this helix are those of the full array in Table 1, which were fitted, so that its advantage over the
-beamformer rests on fitted numbers in part. The curves of the figures are lost. The paper's recording has outliers, whose number and
-size are not printed; a second world has some of chosen number and size, to show their effect on both.
+beamformer rests on fitted numbers in part. The curves of the figures are lost. The paper's recording has outliers,
+whose number and size are not printed; a second world has some of chosen number and size, to show their effect on both.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ from experiments.monte_carlo import Conclusion, ExpectedResult
 from experiments.monte_carlo.runner import run_study
 from experiments.monte_carlo.sources import available_studies, load_study
 from experiments.papers.fitting import fitted, fitted_file
-from experiments.papers.will_2020 import fit_figure_8, fit_table_1
+from experiments.papers.will_2020 import computing_cost, fit_figure_8, fit_table_1
 from experiments.papers.will_2020._work_stand import ALL, SETS, antennas_of, covered, in_use, recorded, stand
 from sim.stations import work_station
 from trackers.aoa.layout import DEFAULT_WAVELENGTH
@@ -76,6 +76,17 @@ def test_the_fit_judges_tracks_as_the_study_does(table_1):
         # Same worlds, same tracker, other code: single precision and a table of decimal phases between.
         assert np.rad2deg(table_1.value("rmse_azimuth_rad", name, "EKF").value) == pytest.approx(azimuth, rel=1e-3)
         assert np.rad2deg(table_1.value("rmse_elevation_rad", name, "EKF").value) == pytest.approx(elevation, rel=1e-3)
+
+
+def test_operations_are_those_counted_by_hand_and_do_not_depend_on_the_machine():
+    station = next(iter(stand(fitted("will_2020/table_1")).stations.values()))
+    # Of a hypothesis: four scalar products of eight, two sums, two squares and their sum; the search for the largest
+    # takes up to ten more.
+    for resolution, hypotheses in ((1.2, 51**2), (0.6, 101**2), (0.3, 201**2)):
+        each = computing_cost.search_operations(station, resolution) / hypotheses
+        assert 4 * 2 * 8 + 5 <= each <= 4 * 2 * 8 + 15
+    # The paper's filter would invert a matrix of 28 × 28 in every row.
+    assert 500 < computing_cost.filter_operations(station) < 28**3 / 3
 
 
 def test_antennas_are_covered_after_the_start_alone():
