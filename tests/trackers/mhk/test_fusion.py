@@ -2,11 +2,12 @@
 
 from itertools import pairwise
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from tests.known_start import flat
-from trackers.core.recording import Readings, Recording
+from trackers.core.recording import Readings, Recording, stack
 from trackers.mhk.tracker import STILL, mhk_tracker
 from trackers.parts.fixes import FIXES
 
@@ -25,7 +26,8 @@ def recording():
     rows = rng.random(40) > 0.3
     fixes = _path(times) + 0.005 * rng.normal(size=(40, 3))
     seen = np.tile(rows[:, None], (1, 3))
-    return Recording(times, {FIXES: Readings(np.where(seen, fixes, 0.0), seen)})
+    truth = {"position": (_path(times), np.ones(40, bool))}
+    return Recording(times, {FIXES: Readings(np.where(seen, fixes, 0.0), seen)}, truth=truth)
 
 
 def _states():
@@ -93,13 +95,15 @@ def _oracle(recording, rate):
     return means, covs
 
 
+def _tracker(**options):
+    levels = {"sigma_a": SIGMA_A, "sigma_displacement": SIGMA_DISPLACEMENT}
+    return mhk_tracker(window=WINDOW, speed_limit=1e3, **levels, **options)
+
+
 @pytest.mark.parametrize("rate", [None, 1.5], ids=["as printed", "sticky"])
 def test_every_row_of_an_accelerating_tag_is_that_of_the_equations(recording, rate):
     means, covs = _oracle(recording, rate)
-    tracker = mhk_tracker(
-        sigma_a=SIGMA_A, sigma_displacement=SIGMA_DISPLACEMENT, rate=rate, window=WINDOW, speed_limit=1e3
-    )
-    estimates = tracker.run(recording)
+    estimates = _tracker(rate=rate).run(recording)
     rows = np.isfinite(means[:, 0])
     assert rows.sum() > 30
     # Centroids by closed form and by quadrature agree to 1e-12.
@@ -116,3 +120,20 @@ def test_the_estimated_acceleration_shortens_the_lag_of_an_accelerating_tag(reco
         tracker = mhk_tracker(sigma_a=0.1, sigma_displacement=sigma, window=1, speed_limit=1e3)
         errors.append(np.linalg.norm(flat(tracker.run(exact).mean)[10:, :3] - _path(times)[10:], axis=1).mean())
     assert errors[0] < 0.8 * errors[1]
+
+
+def test_a_stamped_estimate_is_judged_at_the_middle_fix_of_its_window(recording):
+    tracker = _tracker(stamped=True)
+
+    def score(output, truth):
+        true, known = truth["position"]
+        scored = known & (output.nis_dof > 0)
+        return (jnp.where(scored, sum((m - t) ** 2 for m, t in zip(output.mean.position, true, strict=True)), 0.0),)
+
+    (total,) = tracker.accumulate(stack([recording]), score)
+    means, _ = _oracle(recording, None)
+    fixes = np.flatnonzero(recording.readings[FIXES].seen[:, 0])
+    # The first full window starts the track and is not an update.
+    squares = [np.sum((means[after, :3] - _path(recording.times)[middle]) ** 2) for middle, after in
+               zip(fixes[2:-1], fixes[3:], strict=True)]  # fmt: skip
+    np.testing.assert_allclose(np.asarray(total)[0], sum(squares), rtol=1e-7)
