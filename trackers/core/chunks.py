@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from threading import Lock
@@ -57,11 +58,12 @@ def n_workers() -> int:
 def run_chunks(function: Callable[[Any, Batch], Tree], pairs: Sequence[tuple[Any, Batch]]) -> list[Tree]:
     """`function(model, part)` for each pair, `part` from `chunks`; results as NumPy arrays, in order."""
     double = bool(jax.config.jax_enable_x64)  # type: ignore[attr-defined]
+    programs = Programs()
 
     def run(pair: tuple[Any, Batch]) -> Tree:
         # The x64 setting is local to a thread.
         with jax.enable_x64(double):
-            return jax.tree_util.tree_map(np.asarray, _dispatched(function, *pair))
+            return jax.tree_util.tree_map(np.asarray, programs.dispatch(function, *pair))
 
     if len(pairs) == 1:
         return [run(pairs[0])]
@@ -79,19 +81,21 @@ def jitted(function: Callable[[Any, Batch], Tree], model: Any, part: Batch) -> T
     return function(model, part)
 
 
-_compiling: dict[Hashable, Lock] = {}
-_compiled: set[Hashable] = set()
-"""Programs by their compilation key: locks of those being compiled, and those that are compiled."""
+class Programs:
+    """The programs of one call of `run_chunks`: if several threads need a new one, one of them compiles it."""
 
+    def __init__(self) -> None:
+        self.compiling: defaultdict[Hashable, Lock] = defaultdict(Lock)
+        self.compiled: set[Hashable] = set()
 
-def _dispatched(function: Callable[[Any, Batch], Tree], model: Any, part: Batch) -> Tree:
-    """The result of `jitted`, dispatched; if several threads need a new program, one of them compiles it."""
-    leaves, kind = jax.tree_util.tree_flatten((model, part))
-    shapes = tuple((np.shape(x), x.dtype) if eqx.is_array(x) else x for x in leaves)
-    program = function, kind, shapes, part.dt.device
-    if program in _compiled:
-        return jitted(function, model, part)
-    with _compiling.setdefault(program, Lock()):
-        result = jitted(function, model, part)
-        _compiled.add(program)
-    return result
+    def dispatch(self, function: Callable[[Any, Batch], Tree], model: Any, part: Batch) -> Tree:
+        """The result of `jitted`, whose computation may still run."""
+        leaves, kind = jax.tree_util.tree_flatten((model, part))
+        shapes = tuple((np.shape(x), x.dtype) if eqx.is_array(x) else x for x in leaves)
+        program = kind, shapes, part.dt.device
+        if program in self.compiled:
+            return jitted(function, model, part)
+        with self.compiling[program]:
+            result = jitted(function, model, part)
+            self.compiled.add(program)
+        return result

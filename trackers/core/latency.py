@@ -52,28 +52,48 @@ def shifted_back(mean: State, upper: Sequence[Scalar], seconds: Scalar) -> tuple
 def truth_at(batch: Batch, age: Any) -> dict[str, tuple[Any, Any]]:
     """The truth `age` s, (T, B) or (B,), before each row of a batch, differentiable in `age`.
 
-    Linear between the rows of an uninterrupted stretch of known truth, and continued linearly beyond its ends: the rows
-    that are scored are those with truth, whatever the age, so that an objective has no jump where `age` is zero.
+    Cubic between the rows of an uninterrupted stretch of known truth, so that an objective has a slope where the age is
+    zero and all rows are on knots, and linear beyond its ends: the rows that are scored are those with truth, whatever
+    the age.
     """
     times = jnp.cumsum(jnp.where(batch.valid, batch.dt, jnp.ones_like(batch.dt)), axis=0)
+    each = jax.vmap(_earlier_truth, in_axes=-1, out_axes=-1)
     ages = jnp.broadcast_to(age, times.shape)
-    rows = jnp.arange(len(times), dtype=jnp.int32)
-
-    def trajectory(times: Any, age: Any, values: Any, known: Any) -> Any:
-        begins = known & ~jnp.concatenate([jnp.zeros_like(known[:1]), known[:-1]])
-        ends = known & ~jnp.concatenate([known[1:], jnp.zeros_like(known[:1])])
-        first = jax.lax.cummax(jnp.where(begins, rows, 0))
-        last = jax.lax.cummin(jnp.where(ends, rows, len(times) - 1), reverse=True)
-        earlier = times - age
-        left = jnp.searchsorted(times, earlier, side="right").astype(jnp.int32) - 1
-        left = jnp.maximum(jnp.minimum(jnp.maximum(left, first), last - 1), first)
-        right = jnp.minimum(left + 1, last)
-        span = times[right] - times[left]
-        fraction = jnp.where(span > 0, (earlier - times[left]) / jnp.where(span > 0, span, 1.0), 0.0)
-        return values[left] + fraction[:, None] * (values[right] - values[left])
-
-    every = jax.vmap(trajectory, in_axes=-1, out_axes=-1)
     return {
-        name: (every(times, ages, jnp.asarray(values), jnp.asarray(known)), known)
+        name: (each(times, ages, jnp.asarray(values), jnp.asarray(known)), known)
         for name, (values, known) in batch.truth.items()
     }
+
+
+def _earlier_truth(times: Any, age: Any, values: Any, known: Any) -> Any:
+    """The truth (T, d) of one trajectory `age` (T,) s before its rows, by cubic Hermite splines."""
+    rows, end = jnp.arange(len(times), dtype=jnp.int32), len(times) - 1
+    no = jnp.zeros_like(known[:1])
+    joined = known[1:] & known[:-1]
+    first = jax.lax.cummax(jnp.where(known & ~jnp.concatenate([no, joined]), rows, 0))
+    last = jax.lax.cummin(jnp.where(known & ~jnp.concatenate([joined, no]), rows, end), reverse=True)
+    slopes = _slopes(times, values, joined)
+    earlier = times - age
+    left = jnp.searchsorted(times, earlier, side="right").astype(jnp.int32) - 1
+    left = jnp.maximum(jnp.minimum(jnp.maximum(left, first), last - 1), first)
+    right = jnp.minimum(left + 1, last)
+    since, span = (earlier - times[left])[:, None], (times[right] - times[left])[:, None]
+    u = jnp.where(span > 0, since / jnp.where(span > 0, span, 1.0), 0.0)
+    step, begin, end_slope = values[right] - values[left], slopes[left], slopes[right]
+    curve = u * (1.0 - u) * ((1.0 - u) * (begin * span - step) - u * (end_slope * span - step))
+    # Tangents, not a clipped u: both have the same slope at the knot, where clipping has half of it.
+    after = step + (since - span) * end_slope
+    inner = jnp.where(u > 1, after, u * step + curve)
+    return values[left] + jnp.where(since < 0, since * begin, inner)
+
+
+def _slopes(times: Any, values: Any, joined: Any) -> Any:
+    """The slopes (T, d) of the parabolas through three neighbours, or through those that are `joined` (T - 1,)."""
+    spans = jnp.where(joined, times[1:] - times[:-1], 0.0)
+    chords = jnp.where(spans > 0, 1.0 / jnp.where(spans > 0, spans, 1.0), 0.0)[:, None] * (values[1:] - values[:-1])
+    none, flat = jnp.zeros_like(spans[:1]), jnp.zeros_like(chords[:1])
+    # Each neighbour's chord has the other's span as its weight; a single neighbour has the whole weight.
+    before, after = jnp.concatenate([none, spans]), jnp.concatenate([spans, none])
+    total_span = jnp.where(before + after > 0, before + after, 1.0)
+    weight = jnp.where(before > 0, jnp.where(after > 0, after / total_span, 1.0), 0.0)[:, None]
+    return weight * jnp.concatenate([flat, chords]) + (1.0 - weight) * jnp.concatenate([chords, flat])

@@ -170,8 +170,12 @@ def empty_carry(tracker: RecursiveTracker, row: Row) -> Carry:
 
 
 def reinitialise(tracker: RecursiveTracker, carry: Carry, row: Row, info: StepInfo) -> tuple[Carry, StepInfo]:
-    """Start a track in every trajectory of the chunk that has none and whose row suffices; the others are unchanged."""
-    need = row.valid & ~carry.running & jax.vmap(tracker.start.can_start, in_axes=-1)(row)
+    """Start a track in every trajectory of the chunk that has none and whose row suffices; the others are unchanged.
+
+    After a numerical failure the next row that suffices starts a track, so that the failure stays visible in its row.
+    """
+    sufficient = jax.vmap(tracker.start.can_start, in_axes=-1)(row)
+    need = row.valid & ~carry.running & sufficient & (info.status != Status.NON_FINITE)
     candidates = search(tracker, row, need)
     axes = carry_axes(tracker)
 

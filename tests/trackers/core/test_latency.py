@@ -1,0 +1,116 @@
+"""Latency: the truth at earlier times, the shifted estimate by another order of fields, and objectives without a jump."""
+
+import dataclasses
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.interpolate import CubicHermiteSpline
+
+from trackers.baselines.fixes import fix_tracker
+from trackers.core.algebra import Vector, dense
+from trackers.core.chunks import as_dtype
+from trackers.core.latency import shifted_back, truth_at
+from trackers.core.recording import Readings, Recording, stack
+from trackers.core.smoother import Smoothed
+from trackers.core.tracker import Tracker
+from trackers.parts.fixes import FIXES
+from tuning.objectives import RootMeanSquareError
+
+
+def _recording(rows=40, unknown=()):
+    rng = np.random.default_rng(3)
+    times = np.cumsum(rng.uniform(0.05, 0.3, rows))
+    path = np.stack([np.cos(times), np.sin(times), 1 + 0 * times], axis=1)
+    known = ~np.isin(np.arange(rows), unknown)
+    fixes = path + 0.03 * rng.normal(size=path.shape)
+    readings = {FIXES: Readings(fixes, np.ones(path.shape, bool))}
+    truth = np.where(known[:, None], path, 0.0)
+    return Recording(times, readings, {"height": np.ones(rows)}, {"position": (truth, known)})
+
+
+def test_the_truth_at_earlier_times_is_scipys_spline_within_a_stretch_and_its_tangent_beyond():
+    recording = _recording(unknown=[15, 16, 17, 30])
+    truth, known = recording.truth["position"]
+    values, scored = truth_at(stack([recording, recording]), np.array([0.21, 0.0]))["position"]
+    np.testing.assert_array_equal(scored[:, 0], known)
+    for first, end in ((0, 15), (18, 30), (31, 40)):
+        t, z = recording.times[first:end], truth[first:end]
+        slopes = np.gradient(z, t, axis=0)
+        at = t - 0.21
+        inside = CubicHermiteSpline(t, z, slopes)(np.maximum(at, t[0]))
+        expected = inside + np.minimum(at - t[0], 0.0)[:, None] * slopes[0]
+        np.testing.assert_allclose(values[first:end, :, 0], expected, atol=1e-12)
+        np.testing.assert_allclose(values[first:end, :, 1], z, atol=1e-12)
+
+
+class Reordered(NamedTuple):
+    velocity: Vector
+    clock: float
+    position: Vector
+
+
+def test_an_estimate_is_shifted_by_the_names_of_its_fields():
+    rng = np.random.default_rng(0)
+    A = rng.normal(size=(6, 6))
+    P = A @ A.T
+    upper = [jnp.asarray(P[i, j]) for i in range(6) for j in range(i, 6)]
+    mean = Reordered(Vector(1.0, 2.0), 5.0, Vector(3.0, 4.0, 7.0))
+    shifted, cov = shifted_back(jax.tree_util.tree_map(jnp.asarray, mean), upper, 0.5)
+    J = np.eye(6)
+    J[3, 0] = J[4, 1] = -0.5
+    np.testing.assert_allclose([*shifted.velocity, shifted.clock, *shifted.position], [1, 2, 5, 2.5, 3, 7])
+    np.testing.assert_allclose(dense(list(cov), 6), J @ P @ J.T, rtol=1e-12)
+
+
+@pytest.fixture(scope="module")
+def rmse_of_latency():
+    batch, tracker = stack([_recording()]), fix_tracker()
+
+    @jax.jit
+    def rmse(latency):
+        at = eqx.tree_at(lambda t: t.sensors[FIXES].latency.raw, as_dtype(tracker, batch.dt.dtype), latency / 0.5)
+        sums = at.accumulate(batch, RootMeanSquareError().terms)
+        return jnp.sqrt(sums[0][0] / sums[1][0]), sums[1][0]
+
+    return rmse
+
+
+def test_an_error_has_no_jump_where_the_latency_is_zero(rmse_of_latency):
+    at = [rmse_of_latency(x) for x in (-1e-6, 0.0, 1e-6)]
+    # The same rows are scored, and the error changes by its slope, 0.1 m/s at most, times 1e-6 s.
+    assert len({int(count) for _, count in at}) == 1
+    assert np.ptp([float(x) for x, _ in at]) < 1e-6
+
+
+def test_the_gradient_by_the_latency_is_that_of_finite_differences(rmse_of_latency):
+    for latency in (0.0, 0.17):
+        slope = jax.grad(lambda x: rmse_of_latency(x)[0])(latency)
+        up, down = (float(rmse_of_latency(latency + x)[0]) for x in (1e-5, -1e-5))
+        assert slope == pytest.approx((up - down) / 2e-5, rel=1e-4, abs=1e-5)
+
+
+def test_a_smoother_is_scored_at_the_times_of_the_filter():
+    recording = _recording(80)
+    tracker = fix_tracker()
+    tracker = eqx.tree_at(lambda t: t.sensors[FIXES].latency, tracker, tracker.sensors[FIXES].latency.with_value(0.3))
+    batch = stack([recording])
+    for one in (tracker, Smoothed(tracker)):
+        estimates = one.run(recording)
+        np.testing.assert_allclose(estimates.times, recording.times - 0.3)
+        sums = as_dtype(one, batch.dt.dtype).accumulate(batch, RootMeanSquareError().terms)
+        path = np.stack([np.cos(estimates.times), np.sin(estimates.times)], axis=1)
+        errors = np.stack(list(estimates.mean.position), axis=1)[:, :2] - path
+        later = estimates.times > recording.times[0]
+        # Splines through rows at up to 0.3 s are off by less than a millimetre, the line before the first row by 5 cm.
+        expected = np.sqrt(np.mean(np.sum(errors[later] ** 2, axis=1)))
+        assert float(jnp.sqrt(sums[0][0] / sums[1][0])) == pytest.approx(expected, rel=0.05)
+
+
+def test_estimates_at_the_rows_times_have_no_age():
+    tracker = dataclasses.replace(fix_tracker(), latency_of=None)
+    assert isinstance(tracker, Tracker)
+    assert tracker.run(_recording()).age is None
