@@ -134,6 +134,8 @@ def test_a_stamped_estimate_is_judged_at_the_middle_fix_of_its_window(recording)
     means, _ = _oracle(recording, None)
     fixes = np.flatnonzero(recording.readings[FIXES].seen[:, 0])
     # The first full window starts the track and is not an update.
-    squares = [np.sum((means[after, :3] - _path(recording.times)[middle]) ** 2) for middle, after in
-               zip(fixes[2:-1], fixes[3:], strict=True)]  # fmt: skip
+    squares = [
+        np.sum((means[last, :3] - _path(recording.times)[middle]) ** 2)
+        for middle, last in pairwise(fixes[WINDOW - 1 :])
+    ]
     np.testing.assert_allclose(np.asarray(total)[0], sum(squares), rtol=1e-7)
