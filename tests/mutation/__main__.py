@@ -26,13 +26,16 @@ from tests.mutation.operators import Mutation
 from tests.mutation.selection import ROOT, declared_equivalent, drawn, reason_of, stages
 
 RESULTS = Path(__file__).parent / "results.json"
-TIMED_OUT = "timed out"
+TIMED_OUT = ("timed out", "")
 DEFAULT_RECORDINGS = ROOT.parent / "shared" / "recordings"
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """`result`: "killed", "survived", "equivalent" or "timed out"; `by`: the test that failed, or the reason."""
+    """`result`: "killed", "survived", "equivalent" or "timed out"; `by`: the test that failed, or the reason.
+
+    `error`: the exception that the test ended with, an AssertionError where a figure was wrong.
+    """
 
     number: int
     file: str
@@ -42,6 +45,7 @@ class Outcome:
     after: str
     result: str
     by: str
+    error: str
     seconds: float
 
 
@@ -73,7 +77,7 @@ class Scratch:
         """The mutation's outcome within `limit` s."""
         begin = time.monotonic()
         original = (self.folder / mutation.file).read_text("utf-8")
-        result, by = "survived", ""
+        result, by, error = "survived", "", ""
         waiting = stages(self.folder, mutation.file)
         while waiting and result == "survived":
             self.write(mutation.file, mutation.applied(original))
@@ -82,14 +86,14 @@ class Scratch:
             finally:
                 self.write(mutation.file, original)
             if failed == TIMED_OUT:
-                result = failed
+                result = failed[0]
             elif failed is None:
                 waiting.pop(0)
             else:
-                result, by = "killed", failed
+                result, (by, error) = "killed", failed
         shown = mutation.before.strip(), mutation.after.strip()
         seconds = round(time.monotonic() - begin, 1)
-        return Outcome(number, mutation.file, mutation.line, mutation.kind, *shown, result, by, seconds)
+        return Outcome(number, mutation.file, mutation.line, mutation.kind, *shown, result, by, error, seconds)
 
     def write(self, file: str, text: str) -> None:
         """The file with this text, at a time of its own: Python recognises stale bytecode by the second and the size."""
@@ -97,8 +101,8 @@ class Scratch:
         (self.folder / file).write_text(text, "utf-8")
         os.utime(self.folder / file, (self.writes, self.writes))
 
-    def first_failure(self, tests: list[str], limit: float) -> str | None:
-        """The first test that fails, None if all pass, `TIMED_OUT` beyond the limit."""
+    def first_failure(self, tests: list[str], limit: float) -> tuple[str, str] | None:
+        """The first test that fails and its exception, None if all pass, `TIMED_OUT` beyond the limit."""
         if limit <= 0:
             return TIMED_OUT
         options = ["-q", "-x", "-n0", "--tb=no", "-rfE", "-p", "no:cacheprovider"]
@@ -116,10 +120,10 @@ class Scratch:
             return TIMED_OUT
         if process.returncode in (0, 5):  # 5: every test of these files is a slow one
             return None
-        failed = re.search(r"^(?:FAILED|ERROR) (\S+?\.py(?:::.*?)?)(?: - .*)?$", output, re.M)
+        failed = re.search(r"^(?:FAILED|ERROR) (\S+?\.py(?:::.*?)?)(?: - (\w*)[^\n]*)?$", output, re.M)
         if failed is None:
             raise RuntimeError(f"pytest ended with {process.returncode} without a failing test:\n{output[-2000:]}")
-        return failed[1]
+        return failed[1], failed[2] or ""
 
     def failing_anyway(self, tests: set[str]) -> set[str]:
         """Those of the tests that fail without a mutation; from now on they are left out."""
@@ -127,9 +131,9 @@ class Scratch:
         while unknown and (failed := self.first_failure(sorted(unknown), 3600.0)) is not None:
             if failed == TIMED_OUT:
                 raise RuntimeError(f"{len(unknown)} tests take more than an hour without a mutation")
-            unknown.discard(failed)
-            found.add(failed)
-            self.failing.add(failed)
+            unknown.discard(failed[0])
+            found.add(failed[0])
+            self.failing.add(failed[0])
         self.passing |= unknown
         return found
 
@@ -139,9 +143,9 @@ def table(outcomes: list[Outcome]) -> str:
     lines = []
     for o in outcomes:
         lines.append(f"{o.number:3d} {o.result:10s} {o.file}:{o.line} ({o.kind})")
-        lines += [f"      - {o.before}", f"      + {o.after}"] + ([f"      {o.by}"] if o.by else [])
+        lines += [f"      - {o.before}", f"      + {o.after}"] + ([f"      {o.by} {o.error}".rstrip()] if o.by else [])
     results = [o.result for o in outcomes]
-    counts = {kind: results.count(kind) for kind in ("killed", "survived", TIMED_OUT, "equivalent")}
+    counts = {kind: results.count(kind) for kind in ("killed", "survived", TIMED_OUT[0], "equivalent")}
     lines.append(", ".join(f"{number} {kind}" for kind, number in counts.items()) + f" of {len(outcomes)}")
     return "\n".join(lines)
 
@@ -173,7 +177,7 @@ def main() -> None:
             else:
                 shown = mutation.before.strip(), mutation.after.strip()
                 outcomes[number] = Outcome(
-                    number, mutation.file, mutation.line, mutation.kind, *shown, "equivalent", reason, 0.0
+                    number, mutation.file, mutation.line, mutation.kind, *shown, "equivalent", reason, "", 0.0
                 )
             print(table([outcomes[number]]).rpartition("\n")[0], flush=True)
             _write(options.out, options, [outcomes[k] for k in sorted(outcomes)])
