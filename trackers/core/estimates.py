@@ -147,7 +147,9 @@ class Estimates:
             raise KeyError(
                 f"the state has no '{field}'; it has {', '.join(dict.fromkeys(n.split('.')[0] for n in names))}"
             )
-        return self.covariance[..., index, :][..., index]
+        entry = {pair: k for k, pair in enumerate(triangle(self.dimension))}
+        rows = [[self.cov_upper[entry[min(i, j), max(i, j)]] for j in index] for i in index]
+        return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
     def per_time(self, times: np.ndarray | None = None) -> tuple[np.ndarray, Estimates]:
         """The mask (…, T) of the last row of each time, and one estimate (N,) per time; rows of padding are left out.
