@@ -115,12 +115,15 @@ class Scratch:
         try:
             output, _ = process.communicate(timeout=limit)
         except subprocess.TimeoutExpired:
-            os.killpg(process.pid, signal.SIGKILL)
-            process.communicate()
             return TIMED_OUT
+        finally:
+            # A session of its own: neither a time limit nor an interrupt may leave processes of a test behind.
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)
+                process.communicate()
         if process.returncode in (0, 5):  # 5: every test of these files is a slow one
             return None
-        failed = re.search(r"^(?:FAILED|ERROR) (\S+?\.py(?:::.*?)?)(?: - (\w*)[^\n]*)?$", output, re.M)
+        failed = re.search(r"^(?:FAILED|ERROR) (\S+?\.py(?:::.*?)?)(?: - ([\w.]*)[^\n]*)?$", output, re.M)
         if failed is None:
             raise RuntimeError(f"pytest ended with {process.returncode} without a failing test:\n{output[-2000:]}")
         return failed[1], failed[2] or ""

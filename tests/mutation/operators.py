@@ -218,7 +218,7 @@ def _call(node: ast.Call, lines: list[str]) -> Iterator[Edit]:
 
 def _index(node: ast.Subscript) -> Iterator[Edit]:
     wanted = _indices(node)
-    for part in ast.walk(node.slice):
+    for part in (p for p in ast.walk(node.slice) if isinstance(p, ast.expr)):
         value = _integer(part) if id(part) in wanted else None
         if value is not None:
             new = value + 1 if value >= 0 else value - 1
