@@ -71,12 +71,12 @@ def search_operations(station: Station, resolution: float) -> int:
     def row(phases: Any, seen: Any) -> Any:
         return strongest(grid, delay_and_sum(grid, phases, seen))
 
-    return operations(row, jnp.zeros(antennas, jnp.float32), jnp.ones(antennas, bool))
+    return operations(row, jnp.zeros(antennas), jnp.ones(antennas, bool))
 
 
 def filter_operations(station: Station) -> int:
     """Those of a row of the EKF: prediction and update."""
-    tracker, zero = beam_tracker(station, PHASES), jnp.zeros((), jnp.float32)
+    tracker, zero = beam_tracker(station, PHASES), jnp.zeros(())
     belief = Gaussian(Beam(zero, zero, zero, zero), diagonal([zero + 1.0] * 4, zero))
     antennas = 0 if station.antennas is None else len(station.antennas)
 
