@@ -35,6 +35,7 @@ from trackers.core.estimates import Estimates, Status
 from trackers.core.filter import AbstractFilter, AbstractSmoothableFilter, Gaussian, Innovation
 from trackers.core.imm import InteractingModels, SwitchingMotion
 from trackers.core.initial import TrackerState
+from trackers.core.inputs import Input, Need
 from trackers.core.metrics import bias, consistency, coverage, error_metrics, nees, rmse, time_lost
 from trackers.core.motion import (
     AbstractMotion,
@@ -199,6 +200,8 @@ __all__ = [
     # sensors and beamformers
     "AbstractSensor",
     "Channel",
+    "Input",
+    "Need",
     "Reading",
     "Residual",
     "independent",
