@@ -6,7 +6,6 @@ All arrays have the starts along the first axis; no start influences another.
 from __future__ import annotations
 
 from abc import abstractmethod
-from functools import lru_cache
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -43,21 +42,17 @@ class Adam(AbstractOptimiser):
     rate: float = 0.15
     monotone: ClassVar[bool] = False
 
+    @property
+    def transformation(self) -> optax.GradientTransformation:
+        # A filter about to lose a track has enormous derivatives; one such step must not dominate all others.
+        rate = optax.cosine_decay_schedule(self.rate, self.steps, 0.01)
+        return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(rate))
+
     def init(self, vectors: np.ndarray) -> Any:
-        return jax.vmap(_adam(self.steps, self.rate).init)(jnp.asarray(vectors))
+        return jax.vmap(self.transformation.init)(jnp.asarray(vectors))
 
     def propose(self, state: Any, vectors: np.ndarray, gradients: np.ndarray) -> tuple[np.ndarray, Any]:
-        return _updated(_adam(self.steps, self.rate), gradients, state, vectors)
-
-
-@lru_cache
-def _adam(steps: int, rate: float) -> Any:
-    """Adam of optax, cached because a new object would be compiled again."""
-    # A filter about to lose a track has enormous derivatives; one such step must not dominate all others.
-    return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(optax.cosine_decay_schedule(rate, steps, 0.01)))
-
-
-_lbfgs = optax.scale_by_lbfgs()
+        return _updated(self, gradients, state, vectors)
 
 
 class LBFGS(AbstractOptimiser):
@@ -65,12 +60,16 @@ class LBFGS(AbstractOptimiser):
 
     monotone: ClassVar[bool] = True
 
+    @property
+    def transformation(self) -> optax.GradientTransformation:
+        return optax.scale_by_lbfgs()
+
     def init(self, vectors: np.ndarray) -> Any:
-        return jax.vmap(_lbfgs.init)(jnp.asarray(vectors))
+        return jax.vmap(self.transformation.init)(jnp.asarray(vectors))
 
     def propose(self, state: Any, vectors: np.ndarray, gradients: np.ndarray) -> tuple[np.ndarray, Any]:
         first = np.asarray(state.count) == 0
-        steps, state = _updated(_lbfgs, gradients, state, vectors)
+        steps, state = _updated(self, gradients, state, vectors)
         # Later steps take their scale from the first, which backtracking can only shorten. Length 1, a factor of e in
         # a noise level, is long enough.
         length = np.linalg.norm(gradients, axis=1, keepdims=True)
@@ -84,8 +83,8 @@ def _limited(steps: np.ndarray) -> np.ndarray:
     return steps / np.maximum(1.0, np.linalg.norm(steps, axis=1, keepdims=True) / MAX_STEP)
 
 
-def _updated(transformation: Any, gradients: np.ndarray, state: Any, vectors: np.ndarray) -> tuple[np.ndarray, Any]:
-    """The updates (S, p) of an optax transformation and its next state, one start after another.
+def _updated(optimiser: Adam | LBFGS, gradients: np.ndarray, state: Any, vectors: np.ndarray) -> tuple[np.ndarray, Any]:
+    """The updates (S, p) of an optimiser's transformation and its next state, one start after another.
 
     Not under `vmap`: XLA (jaxlib 0.10, multi-output fusion) aborts on the scatters of L-BFGS there.
     """
@@ -94,11 +93,12 @@ def _updated(transformation: Any, gradients: np.ndarray, state: Any, vectors: np
         own = jax.tree_util.tree_map(lambda leaf: jnp.asarray(leaf[k]), state)  # noqa: B023
         # Adam raises a float to the power of an integer count, which strict promotion would refuse.
         with jax.numpy_dtype_promotion("standard"):
-            updates.append(_update(transformation, jnp.asarray(gradient), own, jnp.asarray(vector)))
+            updates.append(_update(optimiser, jnp.asarray(gradient), own, jnp.asarray(vector)))
     steps, states = zip(*updates, strict=True)
     return np.stack(steps).astype(float), jax.tree_util.tree_map(lambda *x: np.stack(x), *states)
 
 
 @eqx.filter_jit
-def _update(transformation: Any, gradient: jax.Array, state: Any, vector: jax.Array) -> tuple[jax.Array, Any]:
-    return transformation.update(gradient, state, vector)  # type: ignore[no-any-return]
+def _update(optimiser: Adam | LBFGS, gradient: jax.Array, state: Any, vector: jax.Array) -> tuple[jax.Array, Any]:
+    # Built while this is traced: a transformation as the argument would be compiled anew for every new object.
+    return optimiser.transformation.update(gradient, state, vector)  # type: ignore[return-value]

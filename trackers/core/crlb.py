@@ -36,8 +36,8 @@ def posterior_bound(tracker: Tracker, batch: Batch, states: Any) -> np.ndarray:
 
         J⁺ = D₂₂ − D₁₂ᵀ (J + D₁₁)⁻¹ D₁₂,    D₁₁ = E FᵀQ⁻¹F,    D₁₂ = −E FᵀQ⁻¹,    D₂₂ = E Q⁻¹ + E HᵀR⁻¹H
 
-    Raises NoBoundError for a motion whose noise is not additive, which has another density, and where transitions differ
-    while their noise does not reach every component of the state.
+    Raises NoBoundError for a motion whose noise is not additive, which has another density, and where transitions
+    differ while their noise does not reach every component of the state.
     """
     tracker = as_dtype(tracker, batch.dt.dtype)
     prior, *of_rows = (np.asarray(x, float) for x in _terms(tracker, batch, states))

@@ -5,16 +5,19 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-from statistics import NormalDist
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.special import ndtri
 
 from trackers.core.algebra import Scalar
 from trackers.core.keys import threefry
+
+_UPPER = ndtri((np.arange(32768, 65536) + 0.5) / 65536)
+QUANTILES = np.concatenate([-_UPPER[::-1], _UPPER]) / np.sqrt(np.mean(_UPPER**2))
+"""The normal quantiles at the midpoints of 65,536 equal probability intervals, scaled to variance 1."""
 
 
 def draws(key: Any, rows: int, count: int, dtype: Any) -> tuple[Any, Scalar, list[Any]]:
@@ -24,7 +27,7 @@ def draws(key: Any, rows: int, count: int, dtype: Any) -> tuple[Any, Scalar, lis
     so that none exceeds 4.3.
     """
     spare = words(key, 0, 2)
-    table = jnp.asarray(_quantiles(), dtype)
+    table = jnp.asarray(QUANTILES, dtype)
     normals = []
     for row in range(rows):
         both = words(key, row + 1, -(-count // 4)).reshape(-1)
@@ -41,12 +44,3 @@ def words(key: Any, stream: int, count: int) -> Any:
     shape = (2, count)
     x, y = threefry(key, jax.lax.broadcasted_iota(jnp.uint32, shape, 1), jnp.full(shape, stream, jnp.uint32))
     return jnp.where(jax.lax.broadcasted_iota(jnp.uint32, shape, 0) == 0, x, y)
-
-
-@lru_cache(maxsize=1)
-def _quantiles() -> np.ndarray:
-    """The normal quantiles at the midpoints of 65,536 equal probability intervals, scaled to variance 1."""
-    inverse_cdf = NormalDist().inv_cdf
-    upper = np.array([inverse_cdf((k + 0.5) / 65536) for k in range(32768, 65536)])
-    quantiles = np.concatenate([-upper[::-1], upper])
-    return quantiles / np.sqrt(np.mean(quantiles**2))
