@@ -35,7 +35,7 @@ def cautions(tracker: AbstractTracker, parameters: Sequence[Parameter], objectiv
         if not all(np.array_equal(value, values[0]) for value in values):
             listed = ", ".join(f"{float(value):.4g}" for value in values if value.ndim == 0)
             yield f"{parameter.label}: tied numbers all start at the first value{f' of {listed}' if listed else ''}"
-        only_sensor = len(getattr(tracker, "sensors", ())) == 1
+        only_sensor = len(tracker.nis_sensors) == 1
         if parameter.label.endswith(".latency") and only_sensor and not objective.needs_truth:
             yield (
                 f"{parameter.label}: fixes alone do not determine their latency, since a delayed track fits them as "

@@ -19,6 +19,7 @@ from trackers.core.estimates import Status
 from trackers.core.linearise import covariance_of
 from trackers.core.scan import Output
 from trackers.core.sensor import LOG_2PI
+from trackers.core.tracker import AbstractTracker
 
 Truth = dict[str, tuple[Any, Any]]
 """The truth of a row by quantity: its components, each (B,), and whether it is known (B,)."""
@@ -58,7 +59,7 @@ class AbstractObjective(eqx.Module):
         """Whether the objective is a negative log-likelihood in some unit."""
         return math.isfinite(self.nats_per_unit([1.0] * self.size))
 
-    def for_tracker(self, tracker: Any) -> AbstractObjective:
+    def for_tracker(self, tracker: AbstractTracker) -> AbstractObjective:
         """The objective with the properties of the tracker that it depends on; most depend on none."""
         return self
 
@@ -149,7 +150,7 @@ class Weighted(AbstractObjective):
             return float("nan")
         return self.parts[0].nats_per_unit(sums) / self.weights[0]
 
-    def for_tracker(self, tracker: Any) -> Weighted:
+    def for_tracker(self, tracker: AbstractTracker) -> Weighted:
         return Weighted(tuple(part.for_tracker(tracker) for part in self.parts), self.weights)
 
     def split(self, sums: Any) -> list[Any]:

@@ -46,8 +46,9 @@ class FitState(NamedTuple):
 
     def select(self, which: np.ndarray) -> FitState:
         """The state of some of the starts."""
-        past = {name: getattr(self, name)[:, which] for name in self._fields if name.startswith("past_")}
-        others = {name: getattr(self, name) for name in self._fields if name not in {"number", "filter_runs", *past}}
+        fields = self._asdict()
+        past = {name: x[:, which] for name, x in fields.items() if name.startswith("past_")}
+        others = {name: x for name, x in fields.items() if name not in {"number", "filter_runs", *past}}
         return self._replace(**past, **jax.tree_util.tree_map(lambda leaf: leaf[which], others))
 
 

@@ -23,8 +23,8 @@ from jax.scipy.special import erf, gammaln
 
 from trackers.core.algebra import Scalar, total
 from trackers.core.scan import Output
-from trackers.core.sensor import AbstractSensor
-from trackers.core.tracker import Tracker
+from trackers.core.sensor import AbstractSensor, Reading
+from trackers.core.tracker import AbstractTracker
 from tuning.objectives import AbstractObjective, Truth, normalised_error
 
 ORDERS = 4
@@ -54,7 +54,7 @@ class PITUniformity(AbstractObjective):
     def needs_truth(self) -> bool:
         return self.kind == "nees"
 
-    def for_tracker(self, tracker: Any) -> PITUniformity:
+    def for_tracker(self, tracker: AbstractTracker) -> PITUniformity:
         """With the degrees of freedom of the tracker's noise; raises ValueError where its sensors differ in them.
 
         A fit that tunes them keeps those of its start here.
@@ -79,21 +79,24 @@ class PITUniformity(AbstractObjective):
         return total((sums[k] / sums[ORDERS]) ** 2 for k in range(ORDERS))
 
 
-def student_t_dof_of(tracker: Any) -> Scalar | None:
+def student_t_dof_of(tracker: AbstractTracker) -> Scalar | None:
     """The degrees of freedom of the noise behind the tracker's NIS; None for normal noise, or without NIS.
 
     Raises ValueError for several sensors with Student's t among them: their sum has no known distribution.
     """
-    while not isinstance(tracker, Tracker):
-        if not hasattr(tracker, "fusion"):
-            return None
-        tracker = tracker.fusion
-    sensors: list[AbstractSensor] = list(tracker.sensors.values())
-    dofs = [dof for dof in (getattr(sensor, "dof", None) for sensor in sensors) if dof is not None]
-    if dofs and len(sensors) > 1:
-        found = f"{len(sensors)} sensors, {len(dofs)} of them with Student's t"
+    every = [_student_t_dof(sensor) for sensor in tracker.nis_sensors]
+    dofs = [dof for dof in every if dof is not None]
+    if dofs and len(every) > 1:
+        found = f"{len(every)} sensors, {len(dofs)} of them with Student's t"
         raise ValueError(f"the NIS of {found}, has no known distribution; expected one sensor, or normal noise")
-    return dofs[0].value if dofs else None
+    return dofs[0] if dofs else None
+
+
+def _student_t_dof(sensor: AbstractSensor) -> Scalar | None:
+    """The degrees of freedom that the sensor's residuals have, from one of zeros."""
+    zeros, ones = ([jnp.asarray(x, float)] * len(sensor.channels) for x in (0.0, 1.0))
+    reading = Reading(zeros, [x > 0 for x in ones], [jnp.asarray(0.0)] * len(sensor.reported))
+    return sensor.residual(reading, zeros).dof
 
 
 def legendre(u: Scalar) -> list[Scalar]:

@@ -1,5 +1,8 @@
 """Objectives that judge covariances: against SciPy's distributions, random numbers and worlds made by the model."""
 
+from typing import Any
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,15 +10,21 @@ import pytest
 from scipy import stats
 
 from sim.stations import work_station
-from tests.tuning.worlds import line_tracker, walks
+from tests.tuning.worlds import Gauge, line_tracker, walks
 from trackers.aoa.beam import Beam
 from trackers.aoa.direct import direct_tracker
 from trackers.aoa.fusion import bearing_tracker
+from trackers.baselines.fixes import fix_tracker
+from trackers.baselines.windows import MovingWindow
 from trackers.core.algebra import Vector
 from trackers.core.estimates import Status
 from trackers.core.motion import Kinematic
 from trackers.core.recording import Recording, stack
 from trackers.core.scan import Output
+from trackers.core.smoother import Smoothed
+from trackers.core.tracker import Tracker
+from trackers.core.tunable import Scale
+from trackers.mhk.tracker import mhk_tracker
 from tuning.named_objectives import all_metrics, parse_objective
 from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError, StateLogLikelihood, Weighted
 from tuning.pit_uniformity import PITUniformity, chi_square_cdf, legendre, student_t_dof_of, student_t_nis_cdf
@@ -176,6 +185,34 @@ def test_a_quantity_that_no_state_shows_has_no_figures(figures):
 def test_what_makes_the_nis_says_its_tail():
     assert float(student_t_dof_of(bearing_tracker(dof=5.0))) == pytest.approx(5.0)
     assert student_t_dof_of(line_tracker()) is None
+    assert float(student_t_dof_of(fix_tracker(dof=7.0))) == pytest.approx(7.0)
+    # the NIS of a smoothed tracker is its filter's, and that of MH-K is its fusion's
+    assert float(student_t_dof_of(Smoothed(fix_tracker(dof=7.0)))) == pytest.approx(7.0)
+    assert student_t_dof_of(mhk_tracker()) is None
+    assert student_t_dof_of(MovingWindow(5, False)) is None
+
+
+class Heavy(Gauge):
+    """A gauge whose noise is of Student's t, by a number of another name."""
+
+    tail_weight: Any = eqx.field(default_factory=lambda: Scale(6.0))
+
+    def residual(self, reading, predicted):
+        return super().residual(reading, predicted)._replace(dof=self.tail_weight.value)
+
+
+def test_the_degrees_of_freedom_are_those_of_the_residuals_whatever_the_field_is_called():
+    whole = line_tracker()
+    gauge = whole.sensors["gauge"]
+    heavy = Heavy(gauge.sigma, gauge.offset, gauge.bias)
+    own = Tracker(whole.motion, {"gauge": heavy}, whole.start, track_loss=whole.track_loss)
+    assert float(student_t_dof_of(own)) == pytest.approx(6.0)
+    both = Tracker(whole.motion, {"gauge": heavy, "other": gauge}, whole.start, track_loss=whole.track_loss)
+    with pytest.raises(ValueError, match="2 sensors, 1 of them with Student's t"):
+        student_t_dof_of(both)
+
+
+def test_the_shape_of_the_nis_needs_the_tracker():
     assert student_t_dof_of(direct_tracker(work_station().stations)) is None
     with pytest.raises(ValueError, match="for_tracker"):
         PITUniformity("nis").terms(_output(np.random.default_rng(0), Beam(*np.zeros((4, LANES))), 4)[0], {})

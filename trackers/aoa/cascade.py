@@ -20,7 +20,7 @@ from trackers.core.motion import ConstantVelocity
 from trackers.core.recording import Batch
 from trackers.core.rig import Station
 from trackers.core.scan import Output, ScanState
-from trackers.core.sensor import Reading
+from trackers.core.sensor import AbstractSensor, Reading
 from trackers.core.tracker import AbstractEpochwiseTracker, Tracker
 from trackers.core.tunable import Scale
 from trackers.parts.start_nearby import NEARBY, NearbyStart
@@ -52,6 +52,10 @@ class Cascade(AbstractEpochwiseTracker):
             beam.check_layout(layout)
         made = {one.name: one.row_shape(2) for one in (ORIGIN, AXES, NEARBY)}
         self.fusion.check_layout(layout._replace(readings={BEARINGS: (2, 3)}, inputs={**layout.inputs, **made}))
+
+    @property
+    def nis_sensors(self) -> tuple[AbstractSensor, ...]:
+        return self.fusion.nis_sensors
 
     def scan(self, batch: Batch, initial: CascadeState | None = None) -> tuple[Output, CascadeState]:
         before = CascadeState(None, None) if initial is None else initial

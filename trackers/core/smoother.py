@@ -14,6 +14,7 @@ from trackers.core.layout import Layout
 from trackers.core.recording import Batch
 from trackers.core.rts import fixed_interval, fixed_lag
 from trackers.core.scan import Output, scan_rows
+from trackers.core.sensor import AbstractSensor
 from trackers.core.tracker import AbstractEpochwiseTracker, Tracker
 from trackers.core.tunable import freeze
 
@@ -35,6 +36,10 @@ class Smoothed(AbstractEpochwiseTracker):
 
     def check_layout(self, layout: Layout) -> None:
         self.tracker.check_layout(layout)
+
+    @property
+    def nis_sensors(self) -> tuple[AbstractSensor, ...]:
+        return self.tracker.nis_sensors
 
     def scan(self, batch: Batch, initial: Any = None) -> tuple[Output, Any]:
         tracker = freeze(self.tracker)

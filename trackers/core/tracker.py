@@ -55,6 +55,11 @@ class AbstractTracker(eqx.Module):
     def check_layout(self, layout: Layout) -> None:
         """Raises UnusableInput unless recordings of this layout have what the tracker reads."""
 
+    @property
+    def nis_sensors(self) -> tuple[AbstractSensor, ...]:
+        """The sensors whose innovations make up the NIS of the estimates; none for a tracker without NIS."""
+        return ()
+
     def begin(self, prior: Gaussian, batch: Batch) -> Any:
         """The state before the first row of tracks that begin there with `prior`, trajectories first in its arrays.
 
@@ -180,6 +185,10 @@ class Tracker(AbstractTracker):
 
     def check_layout(self, layout: Layout) -> None:
         check_parts(layout, Parts(self.motion, self.sensors, self.start, self.filter))
+
+    @property
+    def nis_sensors(self) -> tuple[AbstractSensor, ...]:
+        return tuple(self.sensors.values())
 
     def scan(self, batch: Batch, initial: ScanState | None = None) -> tuple[Output, ScanState]:
         _, output, state = scan_rows(freeze(self), batch, initial)

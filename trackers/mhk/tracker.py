@@ -14,6 +14,7 @@ from trackers.core.layout import Layout
 from trackers.core.motion import ConstantVelocity
 from trackers.core.recording import Batch
 from trackers.core.scan import Output, ScanState, Score, scan_rows
+from trackers.core.sensor import AbstractSensor
 from trackers.core.tracker import AbstractTracker, Tracker
 from trackers.core.tunable import Scale, freeze
 from trackers.mhk.accelerations import AccelerationSphere
@@ -46,6 +47,10 @@ class MedianMarkovKalman(AbstractTracker):
     def check_layout(self, layout: Layout) -> None:
         layout.check_readings("the median of MH-K", FIXES, 3)
         self.fusion.check_layout(layout)
+
+    @property
+    def nis_sensors(self) -> tuple[AbstractSensor, ...]:
+        return self.fusion.nis_sensors
 
     def scan(self, batch: Batch, initial: MhkState | None = None) -> tuple[Output, MhkState]:
         before = MhkState(None, None) if initial is None else initial
