@@ -82,6 +82,11 @@ def test_right_wrong_and_missed_add_up_to_all_rows_at_a_point():
     assert w.visits_right.n == 4000
 
 
+def test_the_default_tolerance_is_half_the_least_distance_between_two_points():
+    # a and b are 10 cm apart, a and c 13 cm.
+    assert HOLES.tolerance() == pytest.approx(0.05)
+
+
 def test_a_tip_is_at_the_nearest_point_within_the_tolerance_and_visits_are_rows_in_a_row():
     truth = np.array([[0.0, 0.0, 1.0], [0.02, 0.0, 1.0], [0.06, 0.0, 1.0], [0.5, 0.0, 1.0], [0.0, 0.0, 1.0]])
     at = nearest_point(truth, HOLES, 0.05)
