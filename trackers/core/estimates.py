@@ -157,14 +157,17 @@ class Estimates:
         State and covariance are those of the last row; log-likelihood, NIS, its degrees of freedom and wraps are sums
         over the rows of the time, in double precision (a row whose NIS is not finite is in neither of these two). The
         status is `NON_FINITE` if any of the rows is, `RESTARTED` if a track restarted in any of them and runs after
-        the last, else that of the last row. `times` (…, T): of the rows, by default the estimates' own.
+        the last, else that of the last row. `times` (…, T): of the rows, not of validity; by default the estimates'
+        own.
         """
-        times = self.times if times is None else times
         if times is None:
-            raise ValueError("these estimates have no times: a Batch was run; run the recordings themselves")
+            if self.times is None:
+                raise ValueError("these estimates have no times: a Batch was run; run the recordings themselves")
+            times = self.times if self.age is None else self.times + self.age
         rows = self.status != Status.PADDING
         ends = np.ones_like(rows)
-        ends[..., :-1] = (np.diff(times) != 0) | ~rows[..., 1:]
+        # (t − age) + age is t up to rounding.
+        ends[..., :-1] = (np.diff(times) > 2 * np.spacing(np.abs(times[..., 1:]))) | ~rows[..., 1:]
         last = rows & ends
         first = np.flatnonzero(np.append(True, last[rows])[:-1])
         counted = np.isfinite(self.nis)

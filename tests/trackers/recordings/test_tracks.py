@@ -159,6 +159,18 @@ def test_the_summary_counts_the_restarted_lines_of_the_table():
     assert estimates.to_polars()["status"].to_list() == ["ok", "restarted", "ok"]
 
 
+def test_rows_are_merged_by_their_own_time_not_by_that_for_which_they_are_valid():
+    rows, age = 1.7e9 + np.array([0.1, 0.1, 0.3, 0.4, 0.4, 0.4]), np.array([0.1, 0.07, 0.1, 0.2, 1 / 3, 0.2])
+    zero, one, status = np.zeros(6), np.ones(6), np.full(6, OK, np.int8)
+    estimates = Estimates(Placed(Vector(zero)), zero[None], zero, one, one, zero, status, rows - age, ("a",), age)
+    # The third and the fourth row are valid for one time.
+    assert rows[2] - age[2] == pytest.approx(rows[3] - age[3], abs=1e-6)
+    last, merged = estimates.per_time()
+    assert np.flatnonzero(last).tolist() == [1, 2, 5]
+    assert merged.nis.tolist() == estimates.to_polars()["nis"].to_list() == [2.0, 1.0, 3.0]
+    np.testing.assert_array_equal(estimates.per_time(rows)[0], last)
+
+
 def test_a_row_whose_nis_overflows_is_left_out_of_nis_and_degrees_of_freedom_alike():
     nis, dof, times = np.array([1.0, np.inf, 2.0]), np.full(3, 2.0), np.zeros(3)
     zero, status = np.zeros(3), np.full(3, OK, np.int8)
