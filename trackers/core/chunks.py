@@ -26,9 +26,7 @@ def as_dtype(tree: Tree, dtype: Any) -> Tree:
     """The tree with its floats as arrays of `dtype`, so that other values reuse the compiled program."""
 
     def cast(x: Any) -> Any:
-        floating = isinstance(x, (float, np.floating)) or (
-            eqx.is_array_like(x) and np.issubdtype(np.asarray(x).dtype, np.floating)
-        )
+        floating = eqx.is_array_like(x) and jnp.issubdtype(jnp.result_type(x), jnp.floating)
         return jnp.asarray(x, dtype) if floating else x
 
     return jax.tree_util.tree_map(cast, tree)
