@@ -69,13 +69,13 @@ def spec_of(name: str) -> TrackerSpec:
     file, _, attribute = name.rpartition(":") if ":" in name else (name, "", "")
     if file.endswith(".py"):
         return _from_file(Path(file), attribute)
-    raise UnusableInput(f"--tracker {name}: unknown; expected FILE.py:NAME or one of {', '.join(TRACKERS)}")
+    raise UnusableInput(f"tracker {name}: unknown; expected FILE.py:NAME or one of {', '.join(TRACKERS)}")
 
 
 def _from_file(file: Path, attribute: str) -> TrackerSpec:
     """The `TrackerSpec` of this name in a user's Python file, which is run."""
     if not file.is_file():
-        raise UnusableInput(f"--tracker {file}:{attribute}: there is no file {file}; expected FILE.py:NAME")
+        raise UnusableInput(f"tracker {file}:{attribute}: there is no file {file}; expected FILE.py:NAME")
     try:
         module = run_file(file, f"trackwright_tracker_{file.stem}")
     except Exception as error:

@@ -84,7 +84,7 @@ def associate(estimates: Tracks | Estimates | pl.DataFrame, recordings: OneOrMor
     truths = _truths(recordings)
     if not truths:
         names = ", ".join(str(getattr(r, "path", None) or r.name) for r in _several(recordings))
-        raise UnusableInput(f"{names}: no truth table, expected one to evaluate against; give it with --truth")
+        raise UnusableInput(f"{names}: no truth table, expected one to evaluate against; give recordings that have one")
     if isinstance(estimates, Estimates):
         # an array recording has one trajectory, so its name identifies it
         return associate_truth(estimates.to_polars().with_columns(tag=pl.lit("")), truths)
@@ -217,7 +217,7 @@ def _refuse_without_overlap(association: Association, truths: Mapping[str, pl.Da
     if not common:
         raise UnusableInput(
             f"the tracks are of recording {_names(rows['recording'])}, the truth is of {_names(truths)}; {expected}; "
-            "give the recordings that were tracked as --truth"
+            "give the recordings that were tracked"
         )
     truth = truths[common[0]]
     raise UnusableInput(

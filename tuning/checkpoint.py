@@ -53,10 +53,10 @@ def load(folder: Path, belongs_to: str) -> list[np.ndarray] | None:
             owner = str(file["belongs_to"])
             arrays = [file[f"array_{k}"] for k in range(len(file.files) - 1)]
     except (OSError, ValueError, KeyError, zipfile.BadZipFile, EOFError) as error:
-        raise UnusableInput(f"{path}: is no checkpoint of `tune`; remove it, or omit --resume") from error
+        raise UnusableInput(f"{path}: is no checkpoint of `tune`; remove it, or begin anew") from error
     if owner != belongs_to:
         raise UnusableInput(
             f"{path}: belongs to a fit with other options, recordings, starting values or version; expected the "
-            "command that wrote it (see its manifest); omit --resume to begin anew"
+            "command that wrote it (see its manifest), or a fit that begins anew"
         )
     return arrays

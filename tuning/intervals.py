@@ -30,18 +30,20 @@ def intervals_of(result: FitResult, kind: str = "curvature") -> dict[str, Interv
         if kind == "profile":
             return _profile_intervals(result, uncertainty)
     except ValueError as error:
-        raise UnusableInput(f"--intervals {kind}: {error}") from error
+        raise UnusableInput(f"intervals by {kind}: {error}") from error
     return dict(uncertainty.intervals())
 
 
 def require_possible(kind: str, objective: AbstractObjective, trajectories: int) -> None:
     """Raise UnusableInput, before any work, for a kind of interval that does not apply to so many trajectories."""
     if kind == "profile" and not objective.is_likelihood:
-        raise UnusableInput("--intervals profile: a profile is of a likelihood; use --objective nll, or bootstrap")
+        raise UnusableInput(
+            "intervals by profile: a profile is of a likelihood; use the objective nll, or the bootstrap"
+        )
     if kind == "bootstrap" and trajectories < MIN_TRAJECTORIES:
         raise UnusableInput(
-            f"--intervals bootstrap: found {trajectories} segments of recordings, expected at least {MIN_TRAJECTORIES} "
-            "to draw from; make --piece-rows smaller, or give more recordings"
+            f"intervals by bootstrap: found {trajectories} segments of recordings, expected {MIN_TRAJECTORIES} or more "
+            "to draw from; cut the recordings into shorter segments, or give more of them"
         )
 
 

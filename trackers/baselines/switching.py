@@ -36,7 +36,13 @@ from trackers.parts.fixes import FIXES, PATIENT, AbstractFixSensor, FixSensor, F
 
 BELOW, ABOVE = 0, 1
 
-PLANE = Input("plane", (), "m", "the height of the anchors' plane", "the tracker `fix-mirror` on a recording folder")
+PLANE = Input(
+    "plane",
+    (),
+    "m",
+    "the height of the anchors' plane",
+    "`tw.build('fix-mirror', folder)`, from the anchors of a recording folder",
+)
 """The input with the height h of the plane."""
 
 FIX_Z = Input(
@@ -44,7 +50,7 @@ FIX_Z = Input(
     (),
     "m",
     "z of the fix, or the height of the anchors' plane where z is missing",
-    "the tracker `fix-mirror` on a recording folder",
+    "`tw.build('fix-mirror', folder)`, from the anchors of a recording folder",
 )
 """The input with the height of a start."""
 

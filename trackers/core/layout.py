@@ -93,7 +93,8 @@ class Layout(NamedTuple):
         if name not in self.readings:
             raise UnusableInput(
                 f"{self.where}: found readings of {listed(self.readings) or 'no sensor'}; expected '{name}', which "
-                f"{reader} reads; usual fix: give the readings and the sensor the same name"
+                f"{reader} reads; usual fix: give the readings the name of the sensor, or run a tracker of these "
+                "readings"
             )
         found = self.readings[name][0]
         if isinstance(channels, int):
@@ -121,22 +122,23 @@ class Layout(NamedTuple):
         for declared in inputs:
             if declared.need not in needs:
                 continue
-            shape, unit = declared.row_shape(channels), f" {declared.unit}" if declared.unit else ""
-            expected = f"expected rows of shape {shape}{unit}, {declared.about}, which {reader} reads"
+            shape = declared.row_shape(channels)
+            expected = f"expected {_rows(shape)}{f' {declared.unit}' if declared.unit else ''}, {declared.about}"
+            reads = f"which {reader} reads"
             if declared.need is not Need.ALWAYS:
-                expected += f" {declared.need.value}"
+                reads += f" {declared.need.value}"
             source = f"make it by {declared.source}" if declared.source else "add it to the recording's `inputs`"
             if declared.name not in self.inputs:
                 if declared.need is not Need.IF_GIVEN:
                     raise UnusableInput(
                         f"{self.where}: no input '{declared.name}', found {listed(self.inputs, 8) or 'none'}; "
-                        f"{expected}; usual fix: {source}"
+                        f"{expected}, {reads}; usual fix: {source}"
                     )
                 continue
             found = self.inputs[declared.name]
             if found != shape:
                 raise UnusableInput(
-                    f"{self.where}: inputs['{declared.name}'] has rows of shape {found}; {expected}; usual fix: "
+                    f"{self.where}: inputs['{declared.name}'] has {_rows(found)}; {expected}, {reads}; usual fix: "
                     f"{source}"
                 )
             if declared.below is not None:
@@ -146,10 +148,10 @@ class Layout(NamedTuple):
         for arrays in self.arrays:
             low, high = _extremes(arrays[declared.name])
             if low < 0 or high >= below:
+                found, fix = (low, "count from 0") if low < 0 else (high, f"build the tracker for {high + 1:g}")
                 raise UnusableInput(
-                    f"{self.where}: inputs['{declared.name}'], {declared.about}, is {high if high >= below else low:g} "
-                    f"in a row; expected at most {below - 1} and at least 0, since {reader} is built for {below}; "
-                    f"usual fix: build the tracker for {max(high + 1, below):g}"
+                    f"{self.where}: inputs['{declared.name}'], {declared.about}, is {found:g} in a row; expected 0 to "
+                    f"{below - 1}, since {reader} is built for {below}; usual fix: {fix}"
                 )
 
 
@@ -163,6 +165,10 @@ def _extremes(array: Any) -> tuple[float, float]:
 
 def _count(number: int, noun: str) -> str:
     return f"{number} {noun}" + ("" if number == 1 else "s")
+
+
+def _rows(shape: tuple[int, ...]) -> str:
+    return f"rows of shape {shape}" if shape else "one number per row,"
 
 
 def _span(channels: Sequence[Channel]) -> str:

@@ -85,7 +85,7 @@ def true_bearings(association: Association, stations: Mapping[str, Mapping[str, 
         if len(part) and ident not in known:
             raise UnusableInput(
                 f"the tracks of recording '{recording}': station '{ident}' is not in its rig; found "
-                f"{', '.join(known) or 'no stations'}; give the recording that was tracked as --truth"
+                f"{', '.join(known) or 'no stations'}; give the recording that was tracked"
             )
         if len(part):
             angles[part] = known[ident].angles(association.truth[part])

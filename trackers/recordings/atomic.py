@@ -31,7 +31,7 @@ def atomic_write(path: Path | str, writer: Callable[[Path], object]) -> Path:
     except (OSError, pl.exceptions.PolarsError) as error:
         reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
         raise UnusableInput(
-            f"cannot write {path}: {reason}; expected a folder with space that may be written to; choose another --out"
+            f"cannot write {path}: {reason}; expected a folder with space that may be written to; choose another folder"
         ) from error
     finally:
         _discard(temporary)

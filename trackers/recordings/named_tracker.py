@@ -76,7 +76,7 @@ class NamedTracker:
         if len(groups) != 1:
             raise UnusableInput(
                 f"the recordings need {len(groups)} different '{self.name}' trackers (other geometry, or heights known "
-                "for some tags only); expected one; take them apart, or give --free-height"
+                "for some tags only); expected one; take them apart, or estimate all heights (free_height)"
             )
         return groups[0]
 
@@ -96,7 +96,7 @@ class NamedTracker:
         Raises UnusableInput for a lag that is no positive number, and for trackers without a smoother.
         """
         if lag is not None and not 0 < lag < 1e6:
-            raise UnusableInput(f"--lag {lag}: expected seconds above zero; leave it out to use the whole recording")
+            raise UnusableInput(f"lag {lag}: expected seconds above zero; leave it out to use the whole recording")
         self._smoother(self.tracker, lag)
         return dataclasses.replace(self, smoothed=True, lag=lag)
 
@@ -108,7 +108,9 @@ class NamedTracker:
         try:
             return Smoothed(tracker, lag)  # type: ignore[arg-type]
         except TypeError as error:
-            raise UnusableInput(f"--smooth with tracker '{self.name}': {error}; leave --smooth out") from error
+            raise UnusableInput(
+                f"tracker '{self.name}' cannot be smoothed: {error}; run it without smoothing"
+            ) from error
 
     def __repr__(self) -> str:
         smoothed = f", smoothed over {self.lag:g} s" if self.lag else ", smoothed" if self.smoothed else ""

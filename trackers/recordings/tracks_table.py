@@ -20,7 +20,7 @@ def read_tracks(folder: Path | str) -> pl.DataFrame:
     path = Path(folder) / TRACKS
     if not path.is_file():
         raise UnusableInput(
-            f"{path}: no such file; expected a folder with {TRACKS}; give the --out folder of `trackwright track`"
+            f"{path}: no such file; expected a folder with {TRACKS}; give the folder that `trackwright track` wrote"
         )
     try:
         tracks = pl.read_parquet(path)

@@ -55,7 +55,7 @@ class FasteningPoints:
         if len(self.names) < 2:
             raise UnusableInput(
                 f"one fastening point, '{self.names[0]}': the default tolerance, half the distance between two points, "
-                "is undefined; expected a tolerance in metres; give --tolerance"
+                "is undefined; expected a tolerance in metres; give one"
             )
         return self.spacing() / 2
 

@@ -85,9 +85,9 @@ def workstep_report(
     """
     points = read_points(path)
     if tolerance is not None and not (np.isfinite(tolerance) and tolerance > 0):
-        raise UnusableInput(f"--tolerance {tolerance}: expected a number of metres above 0")
+        raise UnusableInput(f"tolerance {tolerance}: expected a number of metres above 0")
     if is_bearing(tracks):
-        raise UnusableInput("--worksteps: the tracks are bearings; expected positions; use another --tracker")
+        raise UnusableInput("work steps: the tracks are bearings; expected positions; use a tracker of positions")
     association = associate_truth(tracks, truths)
     d = points.dimensions
     means = np.stack([float_column(association.rows, f"{axis}_m") for axis in "xyz"[:d]], axis=1)
@@ -135,7 +135,7 @@ def _require_a_visit(
     raise UnusableInput(
         f"{path}: the true path never comes within {within:g} m of any of the {len(points.names)} points, its "
         f"smallest distance is {nearest:.4g} m; expected points in metres in the frame of the truth; check units and "
-        "origin, or --tolerance"
+        "origin, or the tolerance"
     )
 
 

@@ -157,7 +157,7 @@ def test_a_disk_that_is_full_when_a_file_gets_its_name_spoils_no_older_file(trac
     before = _contents(tracked_before)
     monkeypatch.setattr(atomic.os, "replace", _full)
     said = trackwright("track", simulated, "--tracker", "das", "--out", tracked_before)
-    assert_refused(said, "cannot write", "tracks.parquet: No space left on device", "choose another --out")
+    assert_refused(said, "cannot write", "tracks.parquet: No space left on device", "choose another folder")
     assert _contents(tracked_before) == before
 
 

@@ -246,7 +246,9 @@ def test_without_truth_tracks_are_written_but_not_evaluated(runs, there, world):
     assert _pictures(there / "blind-run") == {"floor-plan"}
     seen, unseen = (pl.read_parquet(there / name / "tracks.parquet") for name in ("direct", "blind-run"))
     assert seen.equals(unseen)
-    assert_refused(trackwright("evaluate", there / "blind-run"), str(blind), "no truth table", "--truth")
+    assert_refused(
+        trackwright("evaluate", there / "blind-run"), str(blind), "no truth table", "give recordings that have one"
+    )
     assert _overall(there / "blind-run", "--truth", world) == _overall(there / "direct")
 
 

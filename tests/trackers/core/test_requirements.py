@@ -144,7 +144,7 @@ MISTAKES = [
     (
         "tw.beam_tracker(station, '1').run(tw.phase_recording(times, {'phases': phases}))",
         "recording 'recording': found readings of phases; expected '1', which sensor '1' (PlanePhases) reads",
-        "usual fix: give the readings and the sensor the same name",
+        "usual fix: give the readings the name of the sensor, or run a tracker",
     ),
     (
         "tw.beam_tracker(station, '1').run(tw.phase_recording(times, {'1': phases[:, :7]}))",
@@ -177,12 +177,12 @@ MISTAKES = [
     # inputs
     (
         "tw.range_tracker(4, planar=True).run(ranges)",
-        "recording 'lab': no input 'height', found anchors, anchor, nearby; expected rows of shape () m, the known height",
+        "recording 'lab': no input 'height', found anchors, anchor, nearby; expected one number per row, m, the known height",
         "which sensor 'ranges' (RangeSensor) reads for a planar state; usual fix: make it by `height=` of `fix_recording`",
     ),
     (
         "tw.fix_tracker(planar=True).run(fixes)",
-        "recording 'hall': no input 'height', found none; expected rows of shape () m, the known height of the tag",
+        "recording 'hall': no input 'height', found none; expected one number per row, m, the known height of the tag",
         "which sensor 'fixes' (FixSensor) reads for a planar state",
     ),
     (
@@ -192,12 +192,16 @@ MISTAKES = [
     ),
     (
         "tw.range_tracker(2).run(ranges)",
-        "inputs['anchor'], the number of the anchor of each slot, from 0, is 3 in a row; expected at most 1 and at least "
-        "0, since sensor 'ranges' (RangeSensor) is built for 2",
+        "inputs['anchor'], the number of the anchor of each slot, from 0, is 3 in a row; expected 0 to 1, since "
+        "sensor 'ranges' (RangeSensor) is built for 2",
         "usual fix: build the tracker for 4",
     ),
     ("tw.range_tracker(2).run(tw.stack([ranges]))", "the batch: inputs['anchor']", "is 3 in a row", "tracker for 4"),
-    ("tw.range_tracker(4).run(changed(anchor=np.full((120, 1), -1.0)))", "is -1 in a row; expected at most 3 and at"),
+    (
+        "tw.range_tracker(4).run(changed(anchor=np.full((120, 1), -1.0)))",
+        "is -1 in a row; expected 0 to 3, since",
+        "usual fix: count from 0",
+    ),
     (
         "tw.range_tracker(4).run(changed(nearby=None))",
         "no input 'nearby', found anchors, anchor; expected rows of shape (4,) m, a position from recent measurements",
@@ -215,7 +219,7 @@ MISTAKES = [
     ),
     (
         "tw.mirror_tracker().run(recording({'fixes': tw.Readings(path[:, [0, 1, 2, 2]], path[:, [0, 1, 2, 2]] > 0)}))",
-        "no input 'plane', found none; expected rows of shape () m, the height of the anchors' plane",
+        "no input 'plane', found none; expected one number per row, m, the height of the anchors' plane",
     ),
     (
         "odometer.run(recording({'wheel': turns}))",
@@ -223,7 +227,7 @@ MISTAKES = [
     ),
     (
         "declared.run(recording({'wheel': turns}))",
-        "no input 'wheel', found none; expected rows of shape () m, the radius of the wheel, which sensor 'wheel'",
+        "no input 'wheel', found none; expected one number per row, m, the radius of the wheel, which sensor 'wheel'",
         "usual fix: add it to the recording's `inputs`",
     ),
     # the view of the motion
@@ -242,7 +246,7 @@ MISTAKES = [
         "tw.Smoothed(tw.fix_tracker()).run(ranges)",
         "recording 'lab': found readings of ranges; expected 'fixes', which sensor 'fixes' (FixSensor) reads",
     ),
-    ("tw.fit(tw.range_tracker(2), ranges, 'nll')", "is 3 in a row; expected at most 1", "build the tracker for 4"),
+    ("tw.fit(tw.range_tracker(2), ranges, 'nll')", "is 3 in a row; expected 0 to 1", "build the tracker for 4"),
     ("tw.fit(tw.fix_tracker(), [], 'nll')", "fit: found nothing; expected a Recording, several, or a Batch"),
     ("tw.fit(tw.fix_tracker(), folder, 'nll')", "fit: found RecordingFolder; expected", "`tw.tracker_for(folder)`"),
     ("tw.fit(tw.tracker_for(folder), fixes, 'nll')", "found Recording; expected one or more recording folders"),

@@ -55,9 +55,9 @@ def test_values_reach_the_tracker_of_every_recording(tracker, folders):
 def test_smoothing_lowers_the_error_and_a_lag_is_positive(tracker, folders):
     filtered, smoothed = (tw.evaluate(t.run(folders), folders)["rmse_m"] for t in (tracker, tracker.smoothing()))
     assert smoothed < filtered
-    with pytest.raises(tw.UnusableInput, match="--lag -1"):
+    with pytest.raises(tw.UnusableInput, match="lag -1: expected seconds above zero"):
         tracker.smoothing(-1)
-    with pytest.raises(tw.UnusableInput, match="--smooth"):
+    with pytest.raises(tw.UnusableInput, match="cannot be smoothed"):
         tw.build("moving-average", folders).smoothing()
 
 

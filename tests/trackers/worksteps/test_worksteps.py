@@ -201,7 +201,7 @@ BAD_POINTS = {
     "text": ("name,x_m,y_m\na,3,two\nb,4,2\n", "'two', expected a finite number"),
     "no rows": ("name,x_m,y_m\n", "no rows"),
     "nothing near": ("name,x_m,y_m\na,3000,2000\nb,4000,2000\n", "check units and origin"),
-    "one point": ("name,x_m,y_m\na,3,2\n", "give --tolerance"),
+    "one point": ("name,x_m,y_m\na,3,2\n", "expected a tolerance in metres; give one"),
 }
 
 
