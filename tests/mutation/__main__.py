@@ -69,6 +69,8 @@ class Scratch:
             "JAX_COMPILATION_CACHE_DIR": cache,
             "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
             "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "0",
+            # The summary of a failure ends where the terminal does.
+            "COLUMNS": "1000",
         }
         if DEFAULT_RECORDINGS.is_dir():
             self.environment.setdefault("TRACKWRIGHT_RECORDINGS", str(DEFAULT_RECORDINGS))

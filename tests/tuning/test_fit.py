@@ -204,6 +204,20 @@ def test_a_fit_is_never_worse_than_its_start_and_keeps_its_best_point(line_world
     assert all(np.isnan(error) for error in result.standard_errors.values())
 
 
+@pytest.mark.parametrize("options", [{}, {"minibatch": 4}, {"starts": 3}], ids=["whole", "minibatch", "starts"])
+def test_the_filter_runs_of_a_result_are_those_that_were_made(line_world, monkeypatch, options):
+    run, made = Problem._run, []
+
+    def counted(self, function, vectors, subset, realisation):
+        made.append(len(np.atleast_2d(vectors)) * 4 * (2 if subset is None else len(subset)))
+        return run(self, function, vectors, subset, realisation)
+
+    monkeypatch.setattr(Problem, "_run", counted)
+    # Eight trajectories in two chunks of four.
+    result = fit(line_tracker(sigma=0.3), line_world, NLL, LEVELS, steps=3, chunk=4, **options)
+    assert result.filter_runs == sum(made)
+
+
 def test_every_step_is_reported_and_nothing_else_is_touched(line_world):
     seen = []
     start = line_tracker()
