@@ -72,14 +72,15 @@ class Layout(NamedTuple):
 
     @classmethod
     def of_recordings(cls, recordings: Sequence[Recording]) -> Layout:
-        """The layout of several recordings; raises UnusableInput where they differ."""
+        """The layout of several recordings; raises UnusableInput where they differ in more than the names of inputs."""
         first = cls.of_recording(recordings[0])
         for number, recording in enumerate(recordings[1:], 1):
             other = cls.of_recording(recording)
             for what in ("readings", "inputs", "truth"):
                 one, two = getattr(first, what), getattr(other, what)
-                if one != two:
-                    name = next(k for k in [*one, *two] if one.get(k) != two.get(k))
+                names = one.keys() & two.keys() if what == "inputs" else [*one, *two]
+                name = next((k for k in names if one.get(k) != two.get(k)), None)
+                if name is not None:
                     raise UnusableInput(
                         f"the recordings differ: {what}['{name}'] is {_described(what, one.get(name))} in recording 0 "
                         f"('{recordings[0].name}') and {_described(what, two.get(name))} in recording {number} "

@@ -6,6 +6,7 @@ Only names and shapes are compared, and the range of inputs that number somethin
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple, Protocol
 
@@ -48,7 +49,8 @@ class ChecksLayout(Protocol):
 def check_input(tracker: ChecksLayout, recordings: Any, caller: str) -> Recording | list[Recording] | Batch:
     """The recording, the recordings as a list, or the batch, once they have what the tracker reads.
 
-    Raises UnusableInput, in the name of the `caller`, for anything else and for recordings that lack something. The
+    Of several recordings only the inputs that all of them have are kept, since a batch has one array of each. Raises
+    UnusableInput, in the name of the `caller`, for anything else and for recordings that lack something. The
     check compares names and shapes: its time does not grow with rows, but for inputs that number anchors.
     """
     if isinstance(recordings, Recording):
@@ -66,7 +68,13 @@ def check_input(tracker: ChecksLayout, recordings: Any, caller: str) -> Recordin
         raise UnusableInput(
             f"{caller}: found {kind}{among}; expected a Recording, several, or a Batch; usual fix: {fix}"
         )
-    tracker.check_layout(Layout.of_recordings(several))
+    shared = set.intersection(*(set(r.inputs) for r in several))
+    layout = Layout.of_recordings(several)
+    if any(len(r.inputs) > len(shared) for r in several):
+        # An input that a tracker does not read, as the height of a state in space, need not be in every recording.
+        several = [replace(r, inputs={name: x for name, x in r.inputs.items() if name in shared}) for r in several]
+        layout = Layout.of_recordings(several)._replace(where="the recordings together")
+    tracker.check_layout(layout)
     return several
 
 

@@ -169,10 +169,18 @@ MISTAKES = [
         "usual fix: the square of each standard deviation, or leave `reported` out",
     ),
     (
-        "tw.fix_tracker().run([fixes, tw.fix_recording(times, path, height=1.0, name='yard')])",
-        "the recordings differ: inputs['height'] is missing in recording 0 ('hall') and of shape () per row in recording "
-        "1 ('yard'); expected the same names and shapes",
+        "tw.fix_tracker(planar=True).run([tw.fix_recording(times, path, height=1.0, name='yard'), fixes])",
+        "the recordings together: no input 'height', found none; expected one number per row, m, the known height",
+    ),
+    (
+        "tw.fix_tracker().run([fixes, ranges])",
+        "the recordings differ: readings['fixes'] is of 3 channels with 3 reported columns in recording 0 ('hall') and "
+        "missing in recording 1 ('lab'); expected the same names and shapes in all of them",
         "usual fix: make all by the same helper with the same arguments",
+    ),
+    (
+        "tw.fix_tracker().run([fixes, tw.fix_recording(times, path, truth=path, name='yard')])",
+        "the recordings differ: truth['position'] is missing in recording 0 ('hall') and of 3 columns in recording 1",
     ),
     # inputs
     (
@@ -292,6 +300,11 @@ def test_one_recording_several_and_a_batch_are_fitted_alike():
     alike = [recording, [recording], (r for r in [recording]), stack([recording]), [stack([recording])]]
     values = [tw.fit(tracker, given, "nll", **numbers).value for given in alike]
     assert values == [values[0]] * len(alike)
+
+
+def test_an_input_that_is_not_read_need_not_be_in_every_recording():
+    both = [tw.fix_recording(TIMES, PATH), tw.fix_recording(TIMES, PATH, height=1.0)]
+    assert [list(r.inputs) for r in check_input(tw.fix_tracker(), both, "run")] == [[], []]
 
 
 def test_fixes_without_z_need_no_height():
