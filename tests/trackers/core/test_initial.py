@@ -207,3 +207,14 @@ def test_the_gradient_of_an_error_by_an_anchors_position_is_that_of_finite_diffe
         by = np.zeros((4, 3))
         by[index] = 1e-5
         assert slope[index] == pytest.approx(float(rmse(anchors + by) - rmse(anchors - by)) / 2e-5, rel=1e-3, abs=1e-6)
+
+
+def test_a_numerical_failure_is_shown_in_its_row_and_the_next_row_starts_a_track():
+    recording = _recording(8)
+    fixes = recording.readings[FIXES]
+    values = fixes.values.copy()
+    # Whitened it overflows.
+    values[4, 0] = 1.7e308
+    failing = dataclasses.replace(recording, readings={FIXES: tw.Readings(values, fixes.seen, fixes.reported)})
+    status = _tracker().run(failing).status
+    assert status.tolist() == [tw.Status.OK] * 4 + [tw.Status.NON_FINITE, tw.Status.RESTARTED] + [tw.Status.OK] * 2
