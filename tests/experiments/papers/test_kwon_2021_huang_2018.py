@@ -11,9 +11,10 @@ from experiments.monte_carlo.runner import run_study
 from experiments.monte_carlo.sources import available_studies, load_study
 from experiments.papers import fitting
 from experiments.papers.fitting import Fitted, fitted, means, solved, write_fitted
-from experiments.papers.huang_2018 import workshop
+from experiments.papers.huang_2018 import mhk_against, workshop
 from experiments.papers.kwon_2021 import chamber, line_of_sight, robot, table_4, trilateration
 from tests.oracles import distances_to_path
+from trackers.mhk.tracker import STILL
 
 MINE = (
     "chamber",
@@ -84,6 +85,13 @@ def test_the_workshop_has_nine_printed_figures_of_which_four_are_predicted(tmp_p
     assert len(claims) == 9
     # Four vehicles: their largest errors spread by 15 %, so that the mean of four is off by 25 % in 1 of 1,000 cases.
     assert all(abs(c.ours.value / c.printed - 1) < 0.25 for c in claims)
+
+
+def test_successive_medians_of_a_tag_at_rest_differ_by_the_smaller_noise_of_a_displacement():
+    noise = np.random.default_rng(0).normal(size=20_000) * np.sqrt(STILL[0, 0])
+    medians = np.median(np.lib.stride_tricks.sliding_window_view(noise, 9), axis=1)
+    # 20,000 correlated differences know a standard deviation to 1 %.
+    assert np.diff(medians).std() == pytest.approx(mhk_against.CLOSER_M, rel=0.06)
 
 
 @pytest.mark.slow
