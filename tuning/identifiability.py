@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -111,7 +110,7 @@ def _none_determined(names: list[str], sigma: float) -> str:
     return f"{', '.join(names[:-1])} and {names[-1]} are {_degree(sigma)}, neither one by one nor {together}"
 
 
-def _sentence(names: list[str], kinds: Sequence[Any], direction: np.ndarray, sigma: float) -> str:
+def _sentence(names: list[str], kinds: Sequence[type], direction: np.ndarray, sigma: float) -> str:
     degree = _degree(sigma)
     if len(names) == 1:
         if math.isinf(sigma):
@@ -147,5 +146,5 @@ def _invariant(names: list[str], direction: np.ndarray) -> str:
     return f"{names[first]} {'×' if power > 0 else '/'} {other}"
 
 
-def _change(kind: Any, size: float) -> str:
+def _change(kind: type, size: float) -> str:
     return f"{100 * (math.exp(0.1 * size) - 1):+.0f} %" if kind is Scale else f"{0.1 * size:+.2g} units"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import fnmatch
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TypeVar
 
 import equinox as eqx
 import jax
@@ -16,6 +16,11 @@ from trackers.core.tracker import AbstractTracker
 from trackers.core.tunable import AbstractTunable, Threshold, matching, replaced, tunables
 
 TIED = "tied:"
+
+Unconstrained = np.ndarray | jax.Array
+"""Unconstrained numbers, on the host or traced."""
+
+AnyTree = TypeVar("AnyTree")
 
 
 @dataclass(frozen=True)
@@ -159,12 +164,12 @@ def require_start_within(parameters: Sequence[Parameter], bounds: Mapping[str, t
         )
 
 
-def with_raw(node: AbstractTunable, raw: Any) -> AbstractTunable:
+def with_raw(node: AbstractTunable, raw: Unconstrained) -> AbstractTunable:
     """The tunable with another unconstrained value."""
     return eqx.tree_at(lambda n: n.raw, node, raw)
 
 
-def split(parameters: Sequence[Parameter], vector: Any) -> Iterator[tuple[Parameter, Any]]:
+def split(parameters: Sequence[Parameter], vector: Unconstrained) -> Iterator[tuple[Parameter, Unconstrained]]:
     """Each parameter with its part of an unconstrained vector, in its shape."""
     start = 0
     for parameter in parameters:
@@ -172,19 +177,19 @@ def split(parameters: Sequence[Parameter], vector: Any) -> Iterator[tuple[Parame
         start += parameter.size
 
 
-def with_parameters(tracker: Any, parameters: Sequence[Parameter], vector: Any) -> Any:
+def with_parameters(tracker: AnyTree, parameters: Sequence[Parameter], vector: Unconstrained) -> AnyTree:
     """The tracker with the parameters of an unconstrained vector; differentiable with respect to it."""
     own = tunables(tracker)
     new = {name: with_raw(own[name], raw) for parameter, raw in split(parameters, vector) for name in parameter.names}
     return replaced(tracker, new)
 
 
-def physical(parameters: Sequence[Parameter], vector: Any) -> list[Any]:
+def physical(parameters: Sequence[Parameter], vector: Unconstrained) -> list[jax.Array]:
     """The physical value of each parameter."""
     return [with_raw(parameter.example, jnp.asarray(raw)).value for parameter, raw in split(parameters, vector)]
 
 
-def physical_vector(parameters: Sequence[Parameter], vector: Any) -> np.ndarray:
+def physical_vector(parameters: Sequence[Parameter], vector: Unconstrained) -> np.ndarray:
     """The physical values of all parameters in one vector, in the order of the unconstrained one."""
     return np.concatenate([np.ravel(np.asarray(x, float)) for x in physical(parameters, vector)])
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -166,7 +166,11 @@ class Problem:
         return Point(self.tracker, self.objective, self.parameters, jnp.asarray(np.atleast_2d(vectors), self.dtype))
 
     def _run(
-        self, function: Any, vectors: np.ndarray, subset: Sequence[int] | None, realisation: int
+        self,
+        function: Callable[[Point, Batch], Any],
+        vectors: np.ndarray,
+        subset: Sequence[int] | None,
+        realisation: int,
     ) -> list[tuple[np.ndarray, ...]]:
         """The arrays of `function` for every chunk at all vectors, float64 on the host."""
         vectors = np.atleast_2d(np.asarray(vectors, float))
@@ -245,20 +249,23 @@ class Point(eqx.Module):
     vectors: jax.Array
 
     def __init__(
-        self, tracker: AbstractTracker, objective: AbstractObjective, parameters: Sequence[Parameter], vectors: Any
+        self,
+        tracker: AbstractTracker,
+        objective: AbstractObjective,
+        parameters: Sequence[Parameter],
+        vectors: jax.Array,
     ):
         self.tracker, self.objective, self.vectors = tracker, objective, vectors
         self.names = tuple(p.names for p in parameters)
         self.labels = tuple(p.label for p in parameters)
         self.examples = tuple(p.example for p in parameters)
 
-    def tracker_at(self, vector: Any) -> AbstractTracker:
+    def tracker_at(self, vector: jax.Array) -> AbstractTracker:
         """The tracker with the parameters of one vector."""
         parts = zip(self.names, self.examples, self.labels, strict=True)
-        tracker: AbstractTracker = with_parameters(self.tracker, [Parameter(*part) for part in parts], vector)
-        return tracker
+        return with_parameters(self.tracker, [Parameter(*part) for part in parts], vector)
 
-    def map_vectors(self, function: Any) -> Any:
+    def map_vectors(self, function: Callable[[jax.Array], Any]) -> Any:
         """`function` of every vector, results stacked along a new first axis."""
         if len(self.vectors) == 1:
             return jax.tree_util.tree_map(lambda x: x[None], function(self.vectors[0]))

@@ -8,7 +8,7 @@ Hall, Hall and Hausman 1974): positive semidefinite, and without second derivati
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -35,7 +35,7 @@ class _BlockPoint(eqx.Module):
     block: int = eqx.field(static=True)
 
 
-def row_information(problem: Problem, vectors: Any, block: int = 1) -> RowInformation:
+def row_information(problem: Problem, vectors: np.ndarray, block: int = 1) -> RowInformation:
     """The summed scores of the rows and the sums of their squares at `vectors` (S, p); one compiled call per chunk.
 
     Scores of `block` consecutive rows are added before they are squared, which makes the information valid for errors

@@ -129,9 +129,11 @@ class Uncertainty:
         errors = self.standard_errors(by)
         intervals = {}
         for p, middle, a, b in zip(self.parameters, values, low, high, strict=True):
+            ends = np.asarray(a, float), np.asarray(b, float)
             if isinstance(p.example, Covariance):
-                a, b = (np.asarray(middle) + sign * z * errors[p.label] for sign in (-1.0, 1.0))
-            intervals[p.label] = (np.asarray(a, float), np.asarray(b, float))
+                half = z * errors[p.label]
+                ends = np.asarray(middle) - half, np.asarray(middle) + half
+            intervals[p.label] = ends
         return intervals
 
     def _by_parameter(self, flags: np.ndarray) -> list[np.ndarray]:
