@@ -9,6 +9,7 @@ from scipy import stats
 
 from sim.agv import simulate_agv
 from sim.stations import simulate_phases, work_station
+from sim.worlds import ranges as ranges_world
 from trackers import build
 from trackers.core.smoother import Smoothed
 from trackers.evaluation import associate
@@ -22,6 +23,11 @@ LATENCY = {"sensors.fixes.latency": 0.3}
 def _folder(name):
     if name in ("beam", "cascade", "direct"):
         return simulate_phases(work_station(), n=2, n_points=60).folder("phases")
+    if name == "uwb":
+        folder = ranges_world(n=2, rows=200, seed=1).folder()
+        ranges = folder.tables["ranges"].with_columns(t_s=(pl.col("t_s") / 0.2).floor() * 0.2)
+        # Rows that share a time: the ranges of 0.2 s.
+        return replace(folder, tables=folder.tables | {"ranges": ranges.sort("tag", "t_s", maintain_order=True)})
     folder = simulate_agv(2, rows=300).folder("agv")
     if name != "mhk-stamped":
         return folder
@@ -57,13 +63,22 @@ def _shown(tracker, folder):
     [
         ("beam", {}, False, 1e-9),
         ("cascade", {}, False, 1e-9),
+        ("uwb", {}, False, 1e-9),
         ("mhk", {}, False, 1e-9),
         ("mhk-stamped", {}, False, 1e-9),
         # Six of 600 estimates are valid before the truth begins: the objective continues it there, `evaluate` does not.
         ("fix-kf", LATENCY, False, 0.02),
         ("fix-kf", LATENCY, True, 0.02),
     ],
-    ids=["beam", "cascade", "mhk", "mhk-stamped with empty rows", "fixes with latency", "smoothed fixes with latency"],
+    ids=[
+        "beam",
+        "cascade",
+        "ranges at one time",
+        "mhk",
+        "mhk-stamped with empty rows",
+        "fixes with latency",
+        "smoothed fixes with latency",
+    ],
 )
 def test_the_objective_is_the_figure_of_the_estimates_shown(name, values, smooth, rtol):
     folder = _folder(name)

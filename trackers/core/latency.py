@@ -49,20 +49,23 @@ def shifted_back(mean: State, upper: Sequence[Scalar], seconds: Scalar) -> tuple
     return shifted, congruence(rows, upper, [{} for _ in rows])
 
 
-def truth_at(batch: Batch, age: Any) -> dict[str, tuple[Any, Any]]:
-    """The truth `age` s, (T, B) or (B,), before each row of a batch, differentiable in `age`.
+def scored_truth(batch: Batch, age: Any = None) -> dict[str, tuple[Any, Any]]:
+    """The truth of a batch for which estimates are scored: `age` s before each row, on the last row of each time.
 
-    Cubic between the rows of an uninterrupted stretch of known truth, so that an objective has a slope where the age is
-    zero and all rows are on knots, and linear beyond its ends: the rows that are scored are those with truth, whatever
-    the age.
+    `age` (T, B) or (B,), None for the times of the rows. The truth is differentiable in it: cubic between the rows of
+    an uninterrupted stretch of known truth, so that an objective has a slope where the age is zero and all rows are on
+    knots, and linear beyond its ends. Which rows are scored does not depend on the age.
     """
     times = jnp.cumsum(jnp.where(batch.valid, batch.dt, jnp.ones_like(batch.dt)), axis=0)
+    no = jnp.zeros_like(times[:1], bool)
+    followed = jnp.concatenate([jnp.asarray(batch.valid)[1:] & (jnp.asarray(batch.dt)[1:] == 0), no])
     each = jax.vmap(_earlier_truth, in_axes=-1, out_axes=-1)
-    ages = jnp.broadcast_to(age, times.shape)
-    return {
-        name: (each(times, ages, jnp.asarray(values), jnp.asarray(known)), known)
-        for name, (values, known) in batch.truth.items()
-    }
+    found = {}
+    for name, (values, known) in batch.truth.items():
+        values, known = jnp.asarray(values), jnp.asarray(known)
+        earlier = values if age is None else each(times, jnp.broadcast_to(age, times.shape), values, known)
+        found[name] = earlier, known & ~followed
+    return found
 
 
 def _earlier_truth(times: Any, age: Any, values: Any, known: Any) -> Any:

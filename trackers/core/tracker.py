@@ -23,7 +23,7 @@ from trackers.core.errors import UnusableInput
 from trackers.core.estimates import Estimates, Status
 from trackers.core.filter import AbstractFilter, Gaussian
 from trackers.core.initial import TrackerState, continued, stacked_priors, trajectories_of
-from trackers.core.latency import AbstractDelayedSensor, shifted_back, truth_at
+from trackers.core.latency import AbstractDelayedSensor, scored_truth, shifted_back
 from trackers.core.layout import Layout
 from trackers.core.motion import AbstractMotion
 from trackers.core.recording import Batch, Recording, Row, stack
@@ -144,9 +144,7 @@ class AbstractEpochwiseTracker(AbstractTracker):
 
     def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
         output = self.scan(batch)[0]
-        truth = batch.truth if output.age is None else truth_at(batch, output.age)
-        truth = jax.tree_util.tree_map(jnp.asarray, truth)
-        return tuple(jnp.sum(x, axis=0) for x in jax.vmap(score)(output, truth))
+        return tuple(jnp.sum(x, axis=0) for x in jax.vmap(score)(output, scored_truth(batch, output.age)))
 
 
 def filter_batch(tracker: AbstractTracker, batch: Batch) -> Output:
@@ -196,8 +194,7 @@ class Tracker(AbstractTracker):
         return self.with_age(output), state
 
     def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
-        latency = self.latency
-        truth = batch.truth if latency is None else truth_at(batch, latency)
+        truth = scored_truth(batch, self.latency)
         return scan_rows(freeze(self), batch._replace(truth=truth), score=score)[0]
 
     def begin(self, prior: Gaussian, batch: Batch) -> ScanState:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.core.filter import Gaussian
-from trackers.core.latency import truth_at
+from trackers.core.latency import scored_truth
 from trackers.core.layout import Layout
 from trackers.core.motion import ConstantVelocity
 from trackers.core.recording import Batch
@@ -60,9 +60,7 @@ class MedianMarkovKalman(AbstractTracker):
 
     def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
         medians, ages, _ = self.median.medians(batch)
-        age = self._age(ages)
-        truth = batch.truth if age is None else truth_at(batch, age)
-        batch = batch._replace(readings={FIXES: medians}, truth=truth)
+        batch = batch._replace(readings={FIXES: medians}, truth=scored_truth(batch, self._age(ages)))
         return scan_rows(freeze(self.fusion), batch, score=score)[0]
 
     def _age(self, ages: Any) -> Any:

@@ -13,7 +13,7 @@ from scipy.interpolate import CubicHermiteSpline
 from trackers.baselines.fixes import fix_tracker
 from trackers.core.algebra import Vector, dense
 from trackers.core.chunks import as_dtype
-from trackers.core.latency import shifted_back, truth_at
+from trackers.core.latency import scored_truth, shifted_back
 from trackers.core.recording import Readings, Recording, stack
 from trackers.core.smoother import Smoothed
 from trackers.core.tracker import Tracker
@@ -32,10 +32,10 @@ def _recording(rows=40, unknown=()):
     return Recording(times, readings, {"height": np.ones(rows)}, {"position": (truth, known)})
 
 
-def test_the_truth_at_earlier_times_is_scipys_spline_within_a_stretch_and_its_tangent_beyond():
+def test_the_scored_truth_earlier_times_is_scipys_spline_within_a_stretch_and_its_tangent_beyond():
     recording = _recording(unknown=[15, 16, 17, 30])
     truth, known = recording.truth["position"]
-    values, scored = truth_at(stack([recording, recording]), np.array([0.21, 0.0]))["position"]
+    values, scored = scored_truth(stack([recording, recording]), np.array([0.21, 0.0]))["position"]
     np.testing.assert_array_equal(scored[:, 0], known)
     for first, end in ((0, 15), (18, 30), (31, 40)):
         t, z = recording.times[first:end], truth[first:end]
@@ -114,3 +114,11 @@ def test_estimates_at_the_rows_times_have_no_age():
     tracker = dataclasses.replace(fix_tracker(), latency_of=None)
     assert isinstance(tracker, Tracker)
     assert tracker.run(_recording()).age is None
+
+
+def test_of_rows_that_share_a_time_the_last_is_scored():
+    recording = _recording(6)
+    times = np.array([0.0, 0.0, 1.0, 2.0, 2.0, 2.0])
+    batch = stack([dataclasses.replace(recording, times=times)], rows=8)
+    known = scored_truth(batch)["position"][1]
+    np.testing.assert_array_equal(known[:, 0], [False, True, True, False, False, True, False, False])
