@@ -167,10 +167,10 @@ def trajectories(name: str, free_height: bool, source: Callable[[], RecordingFol
 class Case:
     """A tracker and the recordings that it reads: those of the ready tracker `reads` in the folder `source`.
 
-    `spec`: the entry of `trackers.catalogue` that builds the tracker; None where it is put together here. `add`: what
-    is done to the recordings. `causal`: estimates do not depend on later rows. `draws`: the tracker uses random
-    numbers. `idle`: patterns of tunables that change neither likelihood nor error. `quick`: compiled within three
-    seconds or the only case of its kind, hence in the default suite.
+    `build`: None for the ready tracker itself. `add`: what is done to the recordings. `causal`: estimates do not depend
+    on later rows. `smoothable`: they can be smoothed. `draws`: the tracker uses random numbers. `idle`: patterns of
+    tunables that change neither likelihood nor error. `quick`: it compiles within three seconds or is the only case of
+    its kind, hence it is in the default suite.
     """
 
     name: str
@@ -180,6 +180,7 @@ class Case:
     source: Callable[[], RecordingFolder] = folder
     add: Callable[[Recording], Recording] = lambda recording: recording
     causal: bool = True
+    smoothable: bool = True
     draws: bool = False
     idle: tuple[str, ...] = ()
     quick: bool = False
@@ -208,7 +209,7 @@ def _ready_cases() -> Iterator[Case]:
 
     def both(name: str, **facts: Any) -> Iterator[Case]:
         yield ready(name, **facts)
-        yield replace(ready(name), name=f"{name} in space", free_height=True)
+        yield replace(ready(name, **facts), name=f"{name} in space", free_height=True, quick=False)
 
     def flat(name: str, **facts: Any) -> Case:
         return Case(f"{name} in the plane of the array", name, source=_of_one_flat_array, **facts)
@@ -217,25 +218,27 @@ def _ready_cases() -> Iterator[Case]:
     yield from both("fix-singer")
     yield from both("imm", quick=True)
     yield ready("fix-mirror", idle=("*.floor", "*.give"))
-    yield ready("moving-average", quick=True)
-    yield ready("median", quick=True)
-    yield ready("mhk", idle=_MHK_IDLE)
-    yield ready("mhk-stamped", idle=_MHK_IDLE)
-    yield ready("floor-pf", draws=True)
-    yield ready("line-grid", idle=("start.sigma_speed", "filter.output_map.sigma_line"))
-    yield ready("line-pf", draws=True)
+    yield ready("moving-average", smoothable=False, quick=True)
+    yield ready("median", smoothable=False, quick=True)
+    yield ready("mhk", smoothable=False, idle=_MHK_IDLE)
+    yield ready("mhk-stamped", smoothable=False, idle=_MHK_IDLE)
+    yield ready("floor-pf", smoothable=False, draws=True)
+    yield ready(
+        "line-grid", smoothable=False, source=_of_fixes, idle=("start.sigma_speed", "filter.output_map.sigma_line")
+    )
+    yield ready("line-pf", smoothable=False, draws=True)
     yield from both("uwb")
     yield from both("uwb-imu")
-    yield from both("multilateration", quick=True)
-    yield ready("trilateration", quick=True)
-    yield ready("trilateration-compensated")
+    yield from both("multilateration", smoothable=False, quick=True)
+    yield ready("trilateration", smoothable=False, quick=True)
+    yield ready("trilateration-compensated", smoothable=False)
     yield from both("bearings")
     yield ready("beam")
     yield flat("beam", quick=True)
-    yield ready("das", quick=True)
-    yield flat("das", quick=True)
+    yield ready("das", smoothable=False, quick=True)
+    yield flat("das", smoothable=False, quick=True)
     yield from both("direct", quick=True)
-    yield replace(ready("cascade"), quick=True)
+    yield replace(ready("cascade", smoothable=False), quick=True)
 
 
 def _made_cases() -> Iterator[Case]:
@@ -250,17 +253,28 @@ def _made_cases() -> Iterator[Case]:
     correlated = {FIXES: CorrelatedFixSensor(STILL)}
     yield made("correlated errors", "fix-kf", lambda: replace(fix_tracker(), sensors=correlated), **in_space)
     few = ParticleFilter(100)
-    yield made("particles", "fix-kf", lambda: replace(fix_tracker(planar=True), filter=few), draws=True, quick=True)
-    yield made("mhk with memory", "mhk", lambda: mhk_tracker(rate=1.0), idle=_MHK_IDLE, quick=True)
+    yield made(
+        "particles",
+        "fix-kf",
+        lambda: replace(fix_tracker(planar=True), filter=few),
+        draws=True,
+        quick=True,
+        smoothable=False,
+    )
+    yield made("mhk with memory", "mhk", lambda: mhk_tracker(rate=1.0), idle=_MHK_IDLE, quick=True, smoothable=False)
     paper = partial(cascade_tracker, RIG.stations, paper_form=True)
-    yield made("cascade by the paper's form", "cascade", paper)
+    yield made("cascade by the paper's form", "cascade", paper, smoothable=False)
     free, halting = partial(LineMotion, sigma_a=0.1), partial(HaltingMotion, sigma_a=0.1)
     on_line, fixes = partial(line_tracker, n_particles=100), {"source": _of_fixes}
-    yield made("line-pf without halts", "line-pf", _on_line(on_line, free), draws=True, **fixes)
-    yield made("line-grid without halts", "line-grid", _on_line(line_grid_tracker, free), quick=True, **fixes)
-    yield made("line-grid, closed", "line-grid", _on_line(line_grid_tracker, halting, closed=True), **fixes)
+    yield made("line-pf without halts", "line-pf", _on_line(on_line, free), draws=True, **fixes, smoothable=False)
+    yield made(
+        "line-grid without halts", "line-grid", _on_line(line_grid_tracker, free), quick=True, **fixes, smoothable=False
+    )
+    yield made(
+        "line-grid, closed", "line-grid", _on_line(line_grid_tracker, halting, closed=True), **fixes, smoothable=False
+    )
     walk = Tracker(ConstantPosition(0.5, 2), {FIXES: FloorFixes(0.3)}, KnownStart(_place), few)
-    yield made("random walk", "line-pf", lambda: walk, add=_from_the_first_knot, draws=True, **fixes)
+    yield made("random walk", "line-pf", lambda: walk, add=_from_the_first_knot, draws=True, **fixes, smoothable=False)
     two = {FIXES: FixSensor(0.1, 0.3), RANGES: RangeSensor(1, len(CORNERS), 0.1, 2.0, 4.0)}
     both = partial(replace, fix_tracker(), sensors=two)
     yield made("fixes and ranges", "uwb", both, add=_with_a_fix, **in_space)
@@ -292,16 +306,17 @@ def _with_a_fix(recording: Recording) -> Recording:
 
 def _smoothed_cases(cases: Iterable[Case]) -> Iterator[Case]:
     """Every tracker that can be smoothed, over the whole recording, and one with a fixed lag."""
+
+    def smoothed(case: Case, lag: float | None = None) -> AbstractTracker:
+        return Smoothed(case.tracker(), lag)
+
     for case in cases:
-        tracker = case.tracker()
-        try:
-            Smoothed(tracker)
-        except TypeError:
-            continue
-        whole, lagged = partial(Smoothed, tracker), partial(Smoothed, tracker, 0.3)
-        yield replace(case, name=f"{case.name}, smoothed", build=whole, causal=False, quick=case.name == "fix-kf")
-        if case.name == "fix-kf":
-            yield replace(case, name=f"{case.name}, smoothed with a lag", build=lagged, causal=False, quick=False)
+        if case.smoothable:
+            later = {"causal": False, "smoothable": False}
+            whole, lagged = partial(smoothed, case), partial(smoothed, case, 0.3)
+            yield replace(case, name=f"{case.name}, smoothed", build=whole, quick=case.name == "fix-kf", **later)
+            if case.name == "fix-kf":
+                yield replace(case, name=f"{case.name}, smoothed with a lag", build=lagged, quick=False, **later)
 
 
 _FORWARD = (*_ready_cases(), *_made_cases())

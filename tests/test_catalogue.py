@@ -1,5 +1,6 @@
 """The catalogue of the tests is complete: a class of the library without a case fails here by its name."""
 
+import contextlib
 import dataclasses
 import importlib
 import inspect
@@ -17,6 +18,7 @@ from trackers.core.filter import AbstractFilter
 from trackers.core.motion import AbstractMotion
 from trackers.core.particle.filter import AbstractOutputMap, AbstractPotential
 from trackers.core.sensor import AbstractSensor
+from trackers.core.smoother import Smoothed
 from trackers.core.start import AbstractStart
 from trackers.core.tracker import AbstractTracker
 
@@ -84,5 +86,7 @@ def test_every_ready_tracker_has_a_case():
     assert set(TRACKERS) == {case.reads for case in CASES.values() if case.build is None}
 
 
-def test_every_default_and_slow_case_reads_the_recordings_of_all_tags():
-    assert {len(case.recordings()) for case in CASES.values()} == {8}
+@pytest.mark.parametrize("case", [case for case in CASES.values() if case.causal], ids=lambda case: case.name)
+def test_a_case_can_be_smoothed_where_it_says_so(case):
+    with contextlib.nullcontext() if case.smoothable else pytest.raises(TypeError, match="Kalman filters"):
+        Smoothed(case.tracker())
