@@ -124,7 +124,8 @@ def folder() -> RecordingFolder:
             heard = -1.0 if rng.random() < 0.1 else distance
             rows["ranges"].append(head | {"anchor": anchor, "range_m": heard, "range_std_m": 0.03})
             for name, station in RIG.stations.items():
-                angles = station.angles(position) + rng.normal(0, 0.02, 2)
+                exact = station.angles(position) + rng.normal(0, 0.02, 2)
+                angles = [None if rng.random() < 0.05 else float(a) for a in exact]
                 names = ("azimuth_rad", "elevation_rad")
                 if (number + (name == "S2")) % 2:
                     rows["bearings"].append(head | {"station": name} | dict(zip(names, angles, strict=True)))
@@ -160,7 +161,8 @@ def trajectories(name: str, free_height: bool, source: Callable[[], RecordingFol
     Beam trackers have one for each station, of which the first station's suffice.
     """
     found = [t for t in TRACKERS[name].trajectories(source(), free_height) if t.station in ("", "S1")]
-    return tuple(replace(t, recording=cut(t.recording, 0, min(ROWS, len(t.recording)))) for t in found)
+    cuts = [cut(t.recording, 0, min(ROWS, len(t.recording))) for t in found]
+    return tuple(replace(t, recording=replace(c, id=k)) for k, (t, c) in enumerate(zip(found, cuts, strict=True)))
 
 
 @dataclass(frozen=True)

@@ -172,11 +172,10 @@ class FixStart(AbstractStart):
         return seen[0] & seen[1]
 
     def candidate(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
-        # x, y, z and whether z was seen, in one array.
+        # x, y, z and whether z was seen, in one array; 0 for a z that was not.
         reading = row.readings[FIXES]
-        return jnp.stack(
-            [*(reading.values[k] for k in range(3)), jnp.where(reading.seen[2], 1.0, 0.0).astype(row.dt.dtype)]
-        )
+        (x, y, z), z_seen = (reading.values[k] for k in range(3)), reading.seen[2]
+        return jnp.stack([x, y, jnp.where(z_seen, z, 0.0), jnp.where(z_seen, jnp.ones_like(z), 0.0)])
 
     def belief(self, candidate: Any, row: Row) -> Gaussian:
         n = 2 if self.planar else 3
