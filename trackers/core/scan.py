@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, Protocol
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.experimental.layout import Layout, with_layout_constraint
 
 from trackers.core.algebra import Scalar, mark_dependent
 from trackers.core.estimates import Status
@@ -129,6 +130,9 @@ def scan_rows(
         before = jax.vmap(lambda row: empty_carry(tracker, row), in_axes=-1, out_axes=axes)(first_row)
     else:
         before = jax.vmap(lambda carry: carry, out_axes=axes)(jax.tree_util.tree_map(jnp.asarray, initial.carry))
+    # XLA chooses the layout of a carry whose first value it knows, and by it the order of sums in the loop: with one
+    # layout, a run that continues another has the bits of the one run.
+    before = jax.tree_util.tree_map(lambda x: with_layout_constraint(x, Layout(tuple(range(x.ndim)))), before)
     sums: tuple[Any, ...] = ()
     if score is not None:
         # The shapes of the score come from the state before the first row: tracing one more step takes seconds for
