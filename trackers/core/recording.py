@@ -188,10 +188,13 @@ def stack(recordings: Sequence[Recording], rows: int | None = None, dtype: Any =
         raise ValueError(f"rows = {rows} is less than the longest recording's {longest}")
     first = recordings[0]
     for other in recordings:
-        if set(other.readings) != set(first.readings):
-            raise ValueError(
-                f"'{other.name}' has sensors {sorted(other.readings)}, '{first.name}' {sorted(first.readings)}"
-            )
+        for what in ("readings", "inputs", "truth"):
+            mine, theirs = getattr(first, what), getattr(other, what)
+            if set(mine) != set(theirs):
+                raise ValueError(
+                    f"stack: '{other.name}' has {what} {sorted(theirs)}, '{first.name}' {sorted(mine)}; expected the "
+                    "same names in all; leave the others out, or stack these recordings apart"
+                )
 
     def pile(arrays: Sequence[Any], kind: Any) -> np.ndarray:
         shape = np.shape(arrays[0])[1:]

@@ -70,7 +70,7 @@ def test_equal_times_are_in_order():
 
 
 def test_recordings_of_other_sensors_do_not_stack():
-    with pytest.raises(ValueError, match=r"'b' has sensors \['south'\], 'a' \['north'\]"):
+    with pytest.raises(ValueError, match=r"'b' has readings \['south'\], 'a' \['north'\]"):
         stack([_recording(name="a"), _recording(name="b", sensor="south")])
 
 
@@ -117,3 +117,9 @@ def test_the_arrays_of_a_recording_are_read_only_views():
         # The caller's own array stays writable, and an array made from the view is a new one.
         given[0] = 0
         array.copy()[0] = 1
+
+
+def test_recordings_of_other_inputs_do_not_stack():
+    one, other = (Recording(np.arange(3.0), {}, {name: np.zeros(3)}, name=name) for name in ("height", "wheel"))
+    with pytest.raises(ValueError, match=r"'wheel' has inputs \['wheel'\], 'height' \['height'\]; expected the same"):
+        stack([one, other])
