@@ -231,7 +231,7 @@ def _ready_cases() -> Iterator[Case]:
     yield ready("line-pf", smoothable=False, draws=True)
     yield from both("uwb")
     yield from both("uwb-imu")
-    yield from both("multilateration", smoothable=False, quick=True)
+    yield from both("multilateration", smoothable=False)
     yield ready("trilateration", smoothable=False, quick=True)
     yield ready("trilateration-compensated", smoothable=False)
     yield from both("bearings")
@@ -239,7 +239,7 @@ def _ready_cases() -> Iterator[Case]:
     yield flat("beam", quick=True)
     yield ready("das", smoothable=False, quick=True)
     yield flat("das", smoothable=False, quick=True)
-    yield from both("direct", quick=True)
+    yield from both("direct")
     yield replace(ready("cascade", smoothable=False), quick=True)
 
 
@@ -281,7 +281,7 @@ def _made_cases() -> Iterator[Case]:
     both = partial(replace, fix_tracker(), sensors=two)
     yield made("fixes and ranges", "uwb", both, add=_with_a_fix, **in_space)
     single = partial(replace, inertial_tracker(planar=True), filter=ExtendedKalman())
-    yield made("inertial with a known yaw", "uwb-imu", single, quick=True)
+    yield made("inertial with a known yaw", "uwb-imu", single)
 
 
 def _on_line(make: Any, motion: Any, closed: bool = False) -> Callable[[], AbstractTracker]:
