@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from sim.corruptions import Corruption, corrupted, gauss_markov, outliers
 from sim.fixes import correlated_noise
@@ -49,7 +50,7 @@ class Route:
         """The length of one round, m."""
         return float(self._ends()[-1])
 
-    def at(self, arclength: np.ndarray) -> np.ndarray:
+    def at(self, arclength: Float[np.ndarray, "*rows"]) -> Float[np.ndarray, "*rows 2"]:
         """Positions (..., 2), m, at these arc lengths, m, from the middle of the lower side."""
         ends = self._ends()
         s = np.asarray(arclength, float) % ends[-1]
@@ -68,18 +69,18 @@ class Route:
         back = np.where(straight, side - along, 0.0)
         return corner[quarter] + self.radius * outward - back[..., None] * direction
 
-    def distance(self, points: np.ndarray) -> np.ndarray:
+    def distance(self, points: Float[np.ndarray, "*rows 2"]) -> Float[np.ndarray, "*rows"]:
         """The distance of points (..., 2), m, from the route, inside or outside: an error without regard to time."""
         half = np.array([self.width, self.depth]) / 2 - self.radius
         beyond = np.abs(np.asarray(points, float)) - half
         outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1)
         return np.abs(outside + np.minimum(beyond.max(axis=-1), 0.0) - self.radius)
 
-    def knots(self, spacing: float = 0.05) -> np.ndarray:
+    def knots(self, spacing: float = 0.05) -> Float[np.ndarray, "k 2"]:
         """The route as a closed polyline: corners (k, 2), m, at most `spacing` m apart along it."""
         return self.at(np.linspace(0, self.length, int(np.ceil(self.length / spacing)) + 1))
 
-    def _ends(self) -> np.ndarray:
+    def _ends(self) -> Float[np.ndarray, " 9"]:
         """Arc lengths, m, at the ends of the parts of the route: half a side, corner, side, corner, …, half a side."""
         a, b, c = self.width - 2 * self.radius, self.depth - 2 * self.radius, self.radius * np.pi / 2
         return np.cumsum([a / 2, c, b, c, a, c, b, c, a / 2])
@@ -93,13 +94,13 @@ class SimulatedFixes:
     `anchors` by id, m; `ids` (n,): the trajectory ids.
     """
 
-    times: np.ndarray
-    positions: np.ndarray
-    fixes: np.ndarray
-    seen: np.ndarray
-    route: np.ndarray
-    anchors: dict[str, np.ndarray]
-    ids: np.ndarray
+    times: Float[np.ndarray, " T"]
+    positions: Float[np.ndarray, "n T 3"]
+    fixes: Float[np.ndarray, "n T 3"]
+    seen: Bool[np.ndarray, "n T 3"]
+    route: Float[np.ndarray, "k 2"]
+    anchors: dict[str, Float[np.ndarray, " 3"]]
+    ids: Int[np.ndarray, " n"]
 
     def folder(self, name: str) -> RecordingFolder:
         """The recording folder: fixes and truth in space, the designed route as the rig's path."""

@@ -12,16 +12,21 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 import numpy as np
+from jaxtyping import Bool, Float, Real
 
 from sim.keys import Keys, normals, stream, uniforms
 
-Corruption = Callable[[Keys, np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+Times = Float[np.ndarray, " T"]
+Values = Float[np.ndarray, "n T *channels"]
+Seen = Bool[np.ndarray, "n T *channels"]
+
+Corruption = Callable[[Keys, Times, Values, Seen], tuple[Values, Seen]]
 """(keys, times, values, seen) -> (values, seen), new arrays; the arguments are not modified."""
 
 
 def corrupted(
-    corruptions: Mapping[str, Corruption], keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+    corruptions: Mapping[str, Corruption], keys: Keys, times: Times, values: Values, seen: Seen
+) -> tuple[Values, Seen]:
     """`values` and `seen` after all corruptions in order, each with the random stream of its name."""
     for name, corruption in corruptions.items():
         values, seen = corruption(stream(keys, name), times, values, seen)
@@ -32,7 +37,7 @@ def white_noise(sigma: float) -> Corruption:
     """Independent Gaussian noise of standard deviation `sigma` on every value."""
     _positive("the standard deviation of white noise", sigma)
 
-    def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
         return values + np.float32(sigma) * normals(keys, values.shape[1:]), seen
 
     return corrupt
@@ -46,7 +51,7 @@ def gauss_markov(sigma: float, tau: float) -> Corruption:
     _positive("the standard deviation of Gauss-Markov noise", sigma)
     _positive("the time constant of Gauss-Markov noise", tau)
 
-    def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
         error = normals(keys, values.shape[1:]).astype(values.dtype) * values.dtype.type(sigma)
         dt = np.diff(times)
         kept = np.exp(-dt / tau).astype(values.dtype)
@@ -63,7 +68,7 @@ def outliers(probability: float, size: float) -> Corruption:
     _fraction("the probability of an outlier", probability)
     _positive("the size of an outlier", size)
 
-    def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
         hit = uniforms(stream(keys, "hit"), values.shape[1:]) < probability
         error = np.float32(size) * normals(stream(keys, "error"), values.shape[1:])
         return values + np.where(hit, error, np.float32(0)), seen
@@ -80,14 +85,16 @@ def drop_outs(probability: float, mean_length_s: float = 0.0) -> Corruption:
     if not mean_length_s >= 0:
         raise ValueError(f"the mean length of a drop-out is {mean_length_s} s: expected 0 or more")
 
-    def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
         lost = in_bursts(keys, times, values.shape[2], probability, mean_length_s)
         return values, seen & ~lost.reshape(lost.shape + (1,) * (values.ndim - 3))
 
     return corrupt
 
 
-def in_bursts(keys: Keys, times: np.ndarray, channels: int, share: float, mean_length_s: float) -> np.ndarray:
+def in_bursts(
+    keys: Keys, times: Times, channels: int, share: float, mean_length_s: float
+) -> Bool[np.ndarray, "n T {channels}"]:
     """Bursts (n, T, channels): true for a `share` of the time, for `mean_length_s` at a stretch on average.
 
     A two-state Markov process in continuous time for each channel, stationary from the first row.
@@ -104,10 +111,10 @@ def in_bursts(keys: Keys, times: np.ndarray, channels: int, share: float, mean_l
     return lasts
 
 
-def constant_offsets(offsets: np.ndarray) -> Corruption:
+def constant_offsets(offsets: Real[np.ndarray, "*stations antennas"]) -> Corruption:
     """Constant offsets (antennas,) or (stations, antennas), as of an uncalibrated array."""
 
-    def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
         return values + np.asarray(offsets, values.dtype), seen
 
     return corrupt
@@ -116,7 +123,7 @@ def constant_offsets(offsets: np.ndarray) -> Corruption:
 def mask_antenna(station: int, antenna: int) -> Corruption:
     """An antenna without measurements. `station` and `antenna` count from 0 in the rig's order."""
 
-    def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
         _index("station", station, values.shape[2])
         _index("antenna", antenna, values.shape[3])
         seen = seen.copy()
@@ -129,7 +136,7 @@ def mask_antenna(station: int, antenna: int) -> Corruption:
 def lose_station(station: int, from_s: float = -np.inf, to_s: float = np.inf) -> Corruption:
     """A station without measurements from `from_s` until before `to_s`. `station` counts from 0 in the rig's order."""
 
-    def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
         _index("station", station, values.shape[2])
         seen = seen.copy()
         seen[:, (times >= from_s) & (times < to_s), station] = False

@@ -6,12 +6,13 @@ Those that act on the true path (`delayed`, `first_order_lag`, `mirrored_heights
 from __future__ import annotations
 
 import numpy as np
+from jaxtyping import Float
 
-from sim.corruptions import Corruption
+from sim.corruptions import Corruption, Seen, Times, Values
 from sim.keys import Keys, normals, stream, uniforms
 
 
-def correlated_noise(covariance: np.ndarray) -> Corruption:
+def correlated_noise(covariance: Float[np.ndarray, "i j"]) -> Corruption:
     """White Gaussian noise with correlated axes: `covariance` (3, 3), m².
 
     Raises ValueError for a matrix that isn't symmetric positive definite.
@@ -21,7 +22,7 @@ def correlated_noise(covariance: np.ndarray) -> Corruption:
         raise ValueError(f"covariance of fixes {matrix.tolist()}: expected 3 × 3, symmetric and positive definite")
     factor = np.linalg.cholesky(matrix)
 
-    def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
         return values + normals(keys, values.shape[1:]).astype(values.dtype) @ factor.T, seen
 
     return corrupt
@@ -31,7 +32,7 @@ def delayed(seconds: float) -> Corruption:
     """A pure delay of the fixes by `seconds`; before its first time the tag is taken to be at rest."""
     _not_negative("the latency of fixes", seconds)
 
-    def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
         then = times - seconds
         return np.stack([np.stack([np.interp(then, times, a) for a in one.T], axis=1) for one in values]), seen
 
@@ -45,7 +46,7 @@ def first_order_lag(tau: float) -> Corruption:
     """
     _not_negative("the time constant of a lag", tau)
 
-    def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
         if tau == 0:
             return values, seen
         shown = values.copy()
@@ -69,7 +70,7 @@ def mirrored_heights(plane: float, share: float, mean_length_s: float) -> Corrup
     if not (0 <= share < 1 and mean_length_s > 0):
         raise ValueError(f"share = {share}, mean length {mean_length_s} s: expected 0 to below 1 and a positive length")
 
-    def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
         draws = uniforms(stream(keys, "mirror"), values.shape[1:2])
         flipped = draws < share
         kept = np.exp(-np.diff(times) / (mean_length_s * (1 - share)))

@@ -9,14 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import polars as pl
+from jaxtyping import Bool, Float, Int
 
-from sim.corruptions import Corruption, corrupted
+from sim.corruptions import Corruption, Seen, Times, Values, corrupted
 from sim.keys import Keys, normals, stream, trajectory_keys, uniforms
 from sim.paths import PathFunction
 from sim.ranging import WALK, Protocol, SimulatedRanges, round_robin, simulate_ranges
@@ -31,10 +31,11 @@ GRAVITY = 9.81
 
 _WAVES = 8
 
+Samples = Float[np.ndarray, "n T 3"]
+Attitudes = Float[np.ndarray, "n T 4"]
 
-def swinging(
-    keys: Keys, times: np.ndarray, *, tilt: float = 0.15, turn: float = 1.5, period_s: float = 6.0
-) -> np.ndarray:
+
+def swinging(keys: Keys, times: Times, *, tilt: float = 0.15, turn: float = 1.5, period_s: float = 6.0) -> Attitudes:
     """Attitudes (n, T, 4), w x y z, body to room, of a hand-held body: smooth random yaw, pitch and roll.
 
     `tilt`: standard deviation of pitch and roll, rad. `turn`: standard deviation of the yaw about its random mean, rad.
@@ -58,14 +59,14 @@ def swinging(
     return np.stack(quaternion, axis=-1)
 
 
-def level(keys: Keys, times: np.ndarray) -> np.ndarray:
+def level(keys: Keys, times: Times) -> Attitudes:
     """Attitudes (n, T, 4) of a level body with a random, constant yaw."""
     half = np.pi * uniforms(stream(keys, "yaw"), (1,)).astype(float) + 0.0 * np.asarray(times, float)
     nothing = np.zeros_like(half)
     return np.stack([np.cos(half), nothing, nothing, np.sin(half)], axis=-1)
 
 
-def ideal_readings(times: np.ndarray, positions: np.ndarray, attitudes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def ideal_readings(times: Times, positions: Samples, attitudes: Attitudes) -> tuple[Samples, Samples]:
     """Specific force (n, T, 3), m/s², and angular rate (n, T, 3), rad/s, in body axes, from path and attitudes.
 
     Each sample is the mean over the interval before its time, as of an IMU's own filter; the first repeats the second.
@@ -82,7 +83,9 @@ def ideal_readings(times: np.ndarray, positions: np.ndarray, attitudes: np.ndarr
     return np.concatenate([force[:, :1], force], axis=1), np.concatenate([rate[:, :1], rate], axis=1)
 
 
-def _in_body(force: np.ndarray, attitudes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _in_body(
+    force: Float[np.ndarray, "n intervals 3"], attitudes: Attitudes
+) -> tuple[Float[np.ndarray, "n intervals 3"], Float[np.ndarray, "n intervals 3"]]:
     """Forces (n, T − 1, 3) rotated from room to body axes half-way between two attitudes, and the rotation vectors."""
     with jax.enable_x64(True):
         result = _in_body_each(
@@ -94,7 +97,9 @@ def _in_body(force: np.ndarray, attitudes: np.ndarray) -> tuple[np.ndarray, np.n
 @jax.jit
 @jax.vmap
 @jax.vmap
-def _in_body_each(force: Any, before: Any, after: Any) -> tuple[Any, Any]:
+def _in_body_each(
+    force: Float[jax.Array, " 3"], before: Float[jax.Array, " 4"], after: Float[jax.Array, " 4"]
+) -> tuple[Float[jax.Array, " 3"], Float[jax.Array, " 3"]]:
     first, second = Rotation(*before), Rotation(*after)
     turn = first.local(second)
     middle = first.retract([0.5 * x for x in turn])
@@ -105,7 +110,7 @@ def constant_bias(sigma: float) -> Corruption:
     """A constant bias of every axis, normal with standard deviation `sigma` in the unit of the values."""
     _not_negative("a bias", sigma)
 
-    def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
         return values + sigma * normals(keys, (1, values.shape[2])).astype(float), seen
 
     return corrupt
@@ -115,7 +120,7 @@ def random_walk(sigma: float) -> Corruption:
     """A random-walk bias of every axis, zero at first; `sigma`: its standard deviation after 1 s."""
     _not_negative("a random walk", sigma)
 
-    def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
         steps = np.sqrt(np.diff(times, prepend=times[:1]))[:, None]
         return values + sigma * np.cumsum(steps * normals(keys, values.shape[1:]).astype(float), axis=1), seen
 
@@ -126,7 +131,7 @@ def white_density(sigma: float) -> Corruption:
     """White noise of density `sigma` (unit per √Hz), independent of the sampling rate."""
     _not_negative("a noise density", sigma)
 
-    def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
         dt = np.diff(times)
         roots = np.sqrt(np.concatenate([dt[:1], dt]))[:, None]
         return values + sigma * normals(keys, values.shape[1:]).astype(float) / roots, seen
@@ -159,15 +164,15 @@ class SimulatedUwbImu:
     """
 
     ranges: SimulatedRanges
-    times: np.ndarray
-    accel: np.ndarray
-    gyro: np.ndarray
-    seen: np.ndarray
-    positions: np.ndarray
-    attitudes: np.ndarray
+    times: Float[np.ndarray, " S"]
+    accel: Float[np.ndarray, "n S 3"]
+    gyro: Float[np.ndarray, "n S 3"]
+    seen: Bool[np.ndarray, "n S"]
+    positions: Float[np.ndarray, "n S 3"]
+    attitudes: Float[np.ndarray, "n S 4"]
 
     @property
-    def ids(self) -> np.ndarray:
+    def ids(self) -> Int[np.ndarray, " n"]:
         """The trajectory ids (n,)."""
         return self.ranges.ids
 
@@ -200,7 +205,7 @@ def simulate_uwb_imu(
     accel: Mapping[str, Corruption] = MEMS_ACCEL,
     gyro: Mapping[str, Corruption] = MEMS_GYRO,
     gap_s: tuple[float, float] | None = None,
-    attitude: Callable[[Keys, np.ndarray], np.ndarray] = swinging,
+    attitude: Callable[[Keys, Times], Attitudes] = swinging,
     ids: Sequence[int] | np.ndarray | None = None,
 ) -> SimulatedUwbImu:
     """`n` tags, each with an IMU, on smooth paths; by default one anchor's range at a time.

@@ -11,14 +11,14 @@ import math
 import zlib
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float32, Key, UInt32
 
-Keys = Any
-"""A JAX array (n,) of typed keys, one per trajectory."""
+Keys = Key[jax.Array, " n"]
+"""Typed keys of JAX, one per trajectory."""
 
 LARGEST_ID = 2**32 - 1
 
@@ -41,31 +41,31 @@ def stream(keys: Keys, name: str) -> Keys:
     return _fold_name(keys, np.uint32(zlib.crc32(name.encode())))
 
 
-def normals(keys: Keys, shape: tuple[int, ...]) -> np.ndarray:
+def normals(keys: Keys, shape: tuple[int, ...]) -> Float32[np.ndarray, "n *shape"]:
     """Standard normal float32 numbers (n, *shape); row i depends on key i alone."""
     return np.asarray(_normals(keys, math.prod(shape))).reshape(-1, *shape)
 
 
-def uniforms(keys: Keys, shape: tuple[int, ...]) -> np.ndarray:
+def uniforms(keys: Keys, shape: tuple[int, ...]) -> Float32[np.ndarray, "n *shape"]:
     """Uniform float32 numbers in [0, 1), (n, *shape); row i depends on key i alone."""
     return np.asarray(_uniforms(keys, math.prod(shape))).reshape(-1, *shape)
 
 
 @jax.jit
-def _fold_each(key: Any, numbers: jax.Array) -> Keys:
+def _fold_each(key: Key[jax.Array, ""], numbers: UInt32[jax.Array, " n"]) -> Keys:
     return jax.vmap(jax.random.fold_in, in_axes=(None, 0))(key, numbers)
 
 
 @jax.jit
-def _fold_name(keys: Keys, number: Any) -> Keys:
+def _fold_name(keys: Keys, number: np.uint32) -> Keys:
     return jax.vmap(jax.random.fold_in, in_axes=(0, None))(keys, number)
 
 
 @partial(jax.jit, static_argnums=1)
-def _normals(keys: Keys, size: int) -> jax.Array:
+def _normals(keys: Keys, size: int) -> Float32[jax.Array, "n size"]:
     return jax.vmap(lambda key: jax.random.normal(key, (size,), jnp.float32))(keys)
 
 
 @partial(jax.jit, static_argnums=1)
-def _uniforms(keys: Keys, size: int) -> jax.Array:
+def _uniforms(keys: Keys, size: int) -> Float32[jax.Array, "n size"]:
     return jax.vmap(lambda key: jax.random.uniform(key, (size,), jnp.float32))(keys)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from sim.corruptions import Corruption, corrupted, gauss_markov, white_noise
 from sim.keys import Keys, stream, trajectory_keys, uniforms
@@ -24,24 +25,27 @@ TAG_HEIGHT = 0.78
 FIX_ERRORS: Mapping[str, Corruption] = MappingProxyType({"white": white_noise(0.22), "slow": gauss_markov(0.22, 1.5)})
 """A mean error of 0.39 m, as in Table 3.1, whose ratios white noise alone does not reproduce."""
 
-Situation = Callable[[Keys, np.ndarray, float], tuple[np.ndarray, np.ndarray]]
+Lengths = Float[np.ndarray, " k"]
+Durations = Float[np.ndarray, "n k"]
+
+Situation = Callable[[Keys, Lengths, float], tuple[Durations, Durations]]
 """(keys, lengths of the segments, mean speed) -> travel time on each segment and rest after it, both (n, k), s."""
 
 
-def constant_speed(keys: Keys, lengths: np.ndarray, speed: float) -> tuple[np.ndarray, np.ndarray]:
+def constant_speed(keys: Keys, lengths: Lengths, speed: float) -> tuple[Durations, Durations]:
     """Situation 1: the same speed on all segments, no halts."""
     travel = np.tile(lengths / speed, (len(keys), 1))
     return travel, np.zeros_like(travel)
 
 
-def halts(keys: Keys, lengths: np.ndarray, speed: float, halt_s: float = 5.0) -> tuple[np.ndarray, np.ndarray]:
+def halts(keys: Keys, lengths: Lengths, speed: float, halt_s: float = 5.0) -> tuple[Durations, Durations]:
     """Situation 2: the same speed on all segments, and a halt of `halt_s` s where two segments meet."""
     travel, rest = constant_speed(keys, lengths, speed)
     rest[:, :-1] = halt_s
     return travel, rest
 
 
-def speed_changes(keys: Keys, lengths: np.ndarray, speed: float) -> tuple[np.ndarray, np.ndarray]:
+def speed_changes(keys: Keys, lengths: Lengths, speed: float) -> tuple[Durations, Durations]:
     """Situation 3: a random speed on every segment, with a ratio of at most 4 between fastest and slowest, no halts.
 
     The duration of the whole path is that of `speed`.
@@ -66,13 +70,13 @@ class SimulatedLine:
     `ids` (n,): the trajectory ids.
     """
 
-    times: np.ndarray
-    arclength: np.ndarray
-    positions: np.ndarray
-    fixes: np.ndarray
-    seen: np.ndarray
-    knots: np.ndarray
-    ids: np.ndarray
+    times: Float[np.ndarray, " T"]
+    arclength: Float[np.ndarray, "n T"]
+    positions: Float[np.ndarray, "n T 2"]
+    fixes: Float[np.ndarray, "n T 2"]
+    seen: Bool[np.ndarray, "n T 2"]
+    knots: Float[np.ndarray, "k 2"]
+    ids: Int[np.ndarray, " n"]
 
     def folder(self, name: str) -> RecordingFolder:
         """The recording folder: fixes without height, truth at the tags' known height, the rig's path."""
@@ -91,7 +95,7 @@ def simulate_line(
     n: int | Sequence[int] = 1,
     seed: int = 0,
     *,
-    knots: np.ndarray = THESIS_KNOTS,
+    knots: Float[np.ndarray, "k 2"] = THESIS_KNOTS,
     speed: float = 0.3,
     rest_s: float = 10.0,
     rate_hz: float = 5.0,
@@ -129,7 +133,7 @@ def simulate_line(
     return SimulatedLine(times, arclength, positions, fixes, seen, np.asarray(knots, float), ids)
 
 
-def along(knots: np.ndarray, arclength: np.ndarray) -> np.ndarray:
+def along(knots: Float[np.ndarray, "k 2"], arclength: Float[np.ndarray, "*rows"]) -> Float[np.ndarray, "*rows 2"]:
     """Positions (..., 2), m, at the arc lengths, m, along the path through `knots` (k, 2), m."""
     knots = np.asarray(knots, float)
     marks = np.concatenate([[0.0], np.cumsum(np.sqrt((np.diff(knots, axis=0) ** 2).sum(axis=1)))])

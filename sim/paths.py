@@ -12,10 +12,15 @@ from functools import partial
 from types import MappingProxyType
 
 import numpy as np
+from jaxtyping import Float
 
 from sim.keys import Keys, normals, stream, uniforms
 
-PathFunction = Callable[[Keys, np.ndarray], np.ndarray]
+Times = Float[np.ndarray, " T"]
+Positions = Float[np.ndarray, "n T 3"]
+Volume = Float[np.ndarray, "2 3"]
+
+PathFunction = Callable[[Keys, Times], Positions]
 """(keys, times) -> positions (n, T, 3), m."""
 
 WORK_VOLUME = np.array([[-0.5, -0.5, 0.0], [0.5, 0.5, 0.3]])
@@ -28,13 +33,13 @@ _SQUASH = 0.8
 
 def helix(
     keys: Keys,
-    times: np.ndarray,
-    volume: np.ndarray = WORK_VOLUME,
+    times: Times,
+    volume: Volume = WORK_VOLUME,
     *,
     turns: float = 3.0,
     radius: float = 0.4,
     varied: bool = False,
-) -> np.ndarray:
+) -> Positions:
     """A helix (n, T, 3) about the volume's centre, from its floor at the first time to its lid at the last.
 
     All trajectories are the same unless `varied`: then start angle, sense of rotation and centre are random. `radius`
@@ -60,7 +65,7 @@ def helix(
     return np.clip(path, lower, upper)
 
 
-def hand_motion(keys: Keys, times: np.ndarray, volume: np.ndarray = WORK_VOLUME, *, speed: float = 0.3) -> np.ndarray:
+def hand_motion(keys: Keys, times: Times, volume: Volume = WORK_VOLUME, *, speed: float = 0.3) -> Positions:
     """Smooth random hand motion (n, T, 3): band-limited Gaussian noise per axis, squashed into the volume by tanh.
 
     `speed`: the root mean square of the three-dimensional speed over the ensemble, m/s. With H the root sum of squares
@@ -85,8 +90,8 @@ def hand_motion(keys: Keys, times: np.ndarray, volume: np.ndarray = WORK_VOLUME,
 
 
 def straight_lines_with_halts(
-    keys: Keys, times: np.ndarray, volume: np.ndarray = WORK_VOLUME, *, speed: float = 0.3, halt_s: float = 1.0
-) -> np.ndarray:
+    keys: Keys, times: Times, volume: Volume = WORK_VOLUME, *, speed: float = 0.3, halt_s: float = 1.0
+) -> Positions:
     """Straight lines (n, T, 3) at constant speed between random positions in the volume, with a halt at each.
 
     `speed` in m/s; each path begins with a halt of `halt_s` seconds. Raises ValueError unless both are positive.
@@ -100,8 +105,8 @@ def straight_lines_with_halts(
 
 
 def point_to_point(
-    keys: Keys, times: np.ndarray, points: np.ndarray, *, speed: float = 0.3, rest_s: float = 1.0
-) -> np.ndarray:
+    keys: Keys, times: Times, points: Float[np.ndarray, "K 3"], *, speed: float = 0.3, rest_s: float = 1.0
+) -> Positions:
     """Point-to-point hand motion (n, T, 3): random visits of `points` (K, 3), m, K at least 2, at rest on each.
 
     Each path begins with a rest of `rest_s` seconds; no point follows itself. Motions between points are straight and
@@ -138,23 +143,23 @@ def _both_positive(speed: float, rest: str, seconds: float) -> None:
         raise ValueError(f"speed = {speed} m/s, {rest} = {seconds} s: expected positive numbers")
 
 
-def _enough(times: np.ndarray, rest_s: float) -> int:
+def _enough(times: Times, rest_s: float) -> int:
     """The number of rests of `rest_s` seconds that together exceed the duration, whatever lies between them."""
     return int(np.ceil((times[-1] - times[0]) / rest_s)) + 1
 
 
-def _lengths(stops: np.ndarray) -> np.ndarray:
+def _lengths(stops: Float[np.ndarray, "n stops 3"]) -> Float[np.ndarray, "n motions"]:
     """Distances (n, k), m, between successive stops (n, k + 1, 3)."""
     return np.sqrt((np.diff(stops, axis=1) ** 2).sum(axis=-1))
 
 
 def _with_stops(
-    times: np.ndarray,
-    stops: np.ndarray,
-    durations: np.ndarray,
+    times: Times,
+    stops: Float[np.ndarray, "n stops 3"],
+    durations: Float[np.ndarray, "n motions"],
     rest_s: float,
     profile: Callable[[np.ndarray], np.ndarray],
-) -> np.ndarray:
+) -> Positions:
     """Paths (n, T, 3) through stops (n, k + 1, 3), each with a rest; `durations` (n, k) s of the motions between them.
 
     `profile`: the share of the distance covered as a function of the share of the duration, both 0 to 1.
@@ -169,7 +174,7 @@ def _with_stops(
     return path
 
 
-def _progress(times: np.ndarray) -> np.ndarray:
+def _progress(times: Times) -> Times:
     """The elapsed share of the duration (T,), 0 to 1; 0 for a single time."""
     t = np.asarray(times, float) - times[0]
     return t / t[-1] if t[-1] > 0 else t

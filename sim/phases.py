@@ -9,18 +9,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Float, Float64
 
 from trackers.core.rig import Station
 
 
-def wrapped(angle: np.ndarray) -> np.ndarray:
+def wrapped(angle: Float[np.ndarray, "*shape"]) -> Float64[np.ndarray, "*shape"]:
     """The angles wrapped into (-pi, pi], rad, float64."""
     turn = 2 * np.pi
     angle = np.asarray(angle, float)
     return angle - turn * np.ceil(angle / turn - 0.5)
 
 
-def spherical_phases(stations: Sequence[Station], positions: np.ndarray) -> np.ndarray:
+def spherical_phases(
+    stations: Sequence[Station], positions: Float[np.ndarray, "*rows 3"]
+) -> Float[np.ndarray, "*rows stations antennas"]:
     """Phases (..., stations, antennas), rad in (-pi, pi], of spherical waves from beacons at positions (..., 3), m.
 
     The phase of antenna i is -2 pi / lambda times its distance from the beacon. Raises ValueError for stations without
@@ -32,7 +35,9 @@ def spherical_phases(stations: Sequence[Station], positions: np.ndarray) -> np.n
     return wrapped(distances * (-2 * np.pi / wavelengths[:, None]))
 
 
-def plane_phases(stations: Sequence[Station], positions: np.ndarray) -> np.ndarray:
+def plane_phases(
+    stations: Sequence[Station], positions: Float[np.ndarray, "*rows 3"]
+) -> Float[np.ndarray, "*rows stations antennas"]:
     """Phases (..., stations, antennas) of plane waves, equation (9): 2 pi / lambda * p_i . u.
 
     An approximation for distant beacons; for worlds in which a tracker's model is exact. Shapes, units and errors as in
@@ -48,7 +53,9 @@ def plane_phases(stations: Sequence[Station], positions: np.ndarray) -> np.ndarr
     return wrapped(np.stack(columns, axis=-2))
 
 
-def antenna_arrays(stations: Sequence[Station]) -> tuple[np.ndarray, np.ndarray]:
+def antenna_arrays(
+    stations: Sequence[Station],
+) -> tuple[Float[np.ndarray, "stations antennas 3"], Float[np.ndarray, " stations"]]:
     """Antenna positions (stations, antennas, 3), m, world frame, and wavelengths (stations,), m.
 
     Raises ValueError for no station, for stations without an array or wavelength, and for arrays of unequal size.

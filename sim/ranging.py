@@ -12,14 +12,17 @@ from types import MappingProxyType
 
 import numpy as np
 import polars as pl
+from jaxtyping import Bool, Float, Int
 
-from sim.corruptions import Corruption, corrupted, in_bursts
+from sim.corruptions import Corruption, Seen, Times, Values, corrupted, in_bursts
 from sim.keys import Keys, normals, stream, trajectory_keys, uniforms
 from sim.paths import PathFunction, hand_motion
 from sim.tables import axes_m, folder_of, named, table_of
 from trackers.core.rig import Rig, Tag
 from trackers.recordings.folder import RecordingFolder
 from trackers.uwb_imu.ranging import SPEED_OF_LIGHT, double_sided, single_sided
+
+Ranges = Float[np.ndarray, "n T anchors"]
 
 CHAMBER = np.array([[0.0, 0.0, 0.3], [5.0, 0.0, 2.5], [5.0, 5.0, 0.3], [0.0, 5.0, 2.5]])
 """Four anchors 5 m apart, m, as in the paper's chamber (section 4.1); heights, not printed, alternate low and high."""
@@ -53,7 +56,7 @@ class Protocol:
             )
 
 
-def two_way_ranges(keys: Keys, distances: np.ndarray, protocol: Protocol) -> np.ndarray:
+def two_way_ranges(keys: Keys, distances: Ranges, protocol: Protocol) -> Ranges:
     """Ranges (n, T, anchors), m, measured by the protocol at these distances; the drift of a node is constant."""
     rows, anchors = distances.shape[1:]
     flight = distances / SPEED_OF_LIGHT
@@ -75,7 +78,7 @@ def two_way_ranges(keys: Keys, distances: np.ndarray, protocol: Protocol) -> np.
 def antenna_biases(sigma: float, mean: float = 0.0) -> Corruption:
     """A constant bias of each anchor's ranges, m, normal about `mean`: uncalibrated antenna delays."""
 
-    def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
         biases = mean + sigma * normals(keys, (values.shape[2],))
         return values + biases[:, None, :].astype(values.dtype), seen
 
@@ -93,7 +96,7 @@ def obstruction(share: float, mean_length_s: float, bias: float, tail: float) ->
             "below 1, the others 0 or more"
         )
 
-    def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
         hidden = in_bursts(stream(keys, "hidden"), times, values.shape[2], share, mean_length_s)
         draws = uniforms(stream(keys, "detour"), values.shape[1:]).astype(float)
         detour = bias - tail * np.log1p(-draws)
@@ -106,7 +109,7 @@ def on_anchors(anchors: Sequence[int], corruption: Corruption) -> Corruption:
     """The corruption restricted to the ranges of some anchors, which count from 0 in the rig's order."""
     chosen = list(anchors)
 
-    def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
         values, seen = values.copy(), seen.copy()
         values[..., chosen], seen[..., chosen] = corruption(keys, times, values[..., chosen], seen[..., chosen])
         return values, seen
@@ -117,7 +120,7 @@ def on_anchors(anchors: Sequence[int], corruption: Corruption) -> Corruption:
 def round_robin() -> Corruption:
     """Polling of the anchors in turn: one range per row instead of one to every anchor."""
 
-    def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def corrupt(keys: Keys, times: Times, values: Values, seen: Seen) -> tuple[Values, Seen]:
         turn = np.arange(values.shape[1])[:, None] % values.shape[2] == np.arange(values.shape[2])
         return values, seen & turn
 
@@ -132,12 +135,12 @@ class SimulatedRanges:
     where not `seen`; `ids` (n,): the trajectory ids.
     """
 
-    times: np.ndarray
-    positions: np.ndarray
-    ranges: np.ndarray
-    seen: np.ndarray
+    times: Times
+    positions: Float[np.ndarray, "n T 3"]
+    ranges: Ranges
+    seen: Bool[np.ndarray, "n T anchors"]
     rig: Rig
-    ids: np.ndarray
+    ids: Int[np.ndarray, " n"]
 
     def folder(self, name: str) -> RecordingFolder:
         """The recording folder: a row per range, truth in space; constant heights are in the rig."""
@@ -156,7 +159,7 @@ class SimulatedRanges:
         return folder_of(name, tables, tags, anchors=self.rig.anchors)
 
 
-def chamber(anchors: np.ndarray = CHAMBER) -> Rig:
+def chamber(anchors: Float[np.ndarray, "A 3"] = CHAMBER) -> Rig:
     """The rig of a room with anchors (A, 3), m, by default those of the paper's chamber."""
     return Rig("chamber", anchors={f"A{k + 1}": np.asarray(a, float) for k, a in enumerate(anchors)})
 

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 
 from sim.keys import Keys, normals, stream, uniforms
 from sim.phases import antenna_arrays, wrapped
@@ -56,11 +57,11 @@ class Reflector:
     phase differences comes from the direction of the image: a copy with equal extra path at all antennas causes none.
     """
 
-    point: np.ndarray
-    normal: np.ndarray
+    point: Float[np.ndarray, " 3"]
+    normal: Float[np.ndarray, " 3"]
     gain: float
 
-    def image(self, positions: np.ndarray) -> np.ndarray:
+    def image(self, positions: Float[np.ndarray, "*rows 3"]) -> Float[np.ndarray, "*rows 3"]:
         """The mirror images (..., 3), m, of positions (..., 3), m."""
         normal = np.asarray(self.normal, float) / np.linalg.norm(self.normal)
         height = ((positions - self.point) * normal).sum(axis=-1, keepdims=True)
@@ -81,12 +82,12 @@ def phase_sigma(snr: float, n_samples: int) -> float:
 def signal_phases(
     keys: Keys,
     stations: Sequence[Station],
-    positions: np.ndarray,
+    positions: Float[np.ndarray, "n T 3"],
     radar: Radar,
     *,
     reflectors: Sequence[Reflector] = (),
-    offsets: np.ndarray | None = None,
-) -> np.ndarray:
+    offsets: Float[np.ndarray, "*stations antennas"] | None = None,
+) -> Float[np.ndarray, "n T n_stations antennas"]:
     """Phases (n, T, stations, antennas), rad in (-pi, pi], from sampled signals of beacons at positions (n, T, 3), m.
 
     `offsets`: constant uncalibrated phase offsets, (antennas,) or (stations, antennas), rad. Holds all n × T × stations
@@ -125,7 +126,7 @@ def signal_phases(
     return wrapped(-_peak_phase(baseband))
 
 
-def _peak_phase(baseband: np.ndarray) -> np.ndarray:
+def _peak_phase(baseband: Float[np.ndarray, "*rows antennas N"]) -> Float[np.ndarray, "*rows antennas"]:
     """Phase (..., antennas) in the bin with the largest sum of magnitude spectra of samples (..., antennas, N).
 
     By equation (2) it grows with distance; by equation (9) and in the recordings it falls: callers take the conjugate.

@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 import polars as pl
+from jaxtyping import Bool, Float, Float32, Float64, Int
 
 from sim.corruptions import Corruption, corrupted, white_noise
 from sim.keys import stream, trajectory_keys, uniforms
@@ -33,12 +34,12 @@ class SimulatedPhases:
     zero where not `seen`; stations in the order of `rig.stations`; `ids` (n,): the trajectory ids.
     """
 
-    times: np.ndarray
-    positions: np.ndarray
-    phases: np.ndarray
-    seen: np.ndarray
+    times: Float[np.ndarray, " T"]
+    positions: Float64[np.ndarray, "n T 3"]
+    phases: Float32[np.ndarray, "n T stations antennas"]
+    seen: Bool[np.ndarray, "n T stations antennas"]
     rig: Rig
-    ids: np.ndarray
+    ids: Int[np.ndarray, " n"]
 
     def folder(self, name: str) -> RecordingFolder:
         """The recording folder: a row of phases per tag, time and station with at least one, and truth in space."""
@@ -59,7 +60,7 @@ class SimulatedPhases:
         return folder_of(name, tables, self.ids, stations=self.rig.stations)
 
 
-def work_station(antennas: np.ndarray | None = None, radius: float = 0.4) -> Rig:
+def work_station(antennas: Float[np.ndarray, "n 2"] | None = None, radius: float = 0.4) -> Rig:
     """The paper's work stand: three stations 1 m above the work volume, at `radius` m from its vertical axis.
 
     Each faces the centre of the volume, all of which lies within 29 degrees of its boresight (at 0.4 m); the x axis of
@@ -77,7 +78,9 @@ def work_station(antennas: np.ndarray | None = None, radius: float = 0.4) -> Rig
     return Rig(name="work-station", stations=stations)
 
 
-def facing(position: np.ndarray, target: np.ndarray, up: Sequence[float] = (0.0, 1.0, 0.0)) -> np.ndarray:
+def facing(
+    position: Float[np.ndarray, " 3"], target: Float[np.ndarray, " 3"], up: Sequence[float] = (0.0, 1.0, 0.0)
+) -> Float[np.ndarray, " 4"]:
     """The quaternion w, x, y, z (4,), array frame -> world frame, of a station whose boresight points at `target`.
 
     The array's y axis is as close as possible to `up`, a direction in the world. Raises ValueError where `up` is the

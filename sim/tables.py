@@ -3,39 +3,43 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import polars as pl
+from jaxtyping import Float, Int
 
 from trackers.core.rig import Rig, Tag
 from trackers.recordings.folder import RecordingFolder
 
 
+@runtime_checkable
 class Simulated(Protocol):
     """Trajectories simulated as arrays, with truth; `ids` (n,): the trajectory ids, which name the tags."""
 
     @property
-    def ids(self) -> np.ndarray: ...
+    def ids(self) -> Int[np.ndarray, " n"]: ...
 
     def folder(self, name: str) -> RecordingFolder:
         """The recording folder `name` with these measurements, their truth and their rig."""
         ...
 
 
-def named(index: np.ndarray, names: Iterable[Any]) -> pl.Series:
+def named(index: Int[np.ndarray, " n"], names: Iterable[object]) -> pl.Series:
     """The names, as text, that each number of `index` (n,) refers to."""
     texts = [str(name) for name in names]
     return pl.Series(index).replace_strict(range(len(texts)), texts, return_dtype=pl.String)
 
 
-def table_of(times: np.ndarray, ids: np.ndarray, columns: Mapping[str, np.ndarray]) -> pl.DataFrame:
+def table_of(
+    times: Float[np.ndarray, " T"], ids: Int[np.ndarray, " n"], columns: Mapping[str, Float[np.ndarray, "n T"]]
+) -> pl.DataFrame:
     """A row per tag and time: `t_s`, `tag`, and the columns, each (n, T); NaN becomes an empty cell."""
     rows = {"t_s": np.tile(times, len(ids)), "tag": named(np.repeat(np.arange(len(ids)), len(times)), ids)}
     return pl.DataFrame(rows | {name: pl.Series(values.ravel(), nan_to_null=True) for name, values in columns.items()})
 
 
-def axes_m(positions: np.ndarray) -> dict[str, np.ndarray]:
+def axes_m(positions: Float[np.ndarray, "n T axes"]) -> dict[str, Float[np.ndarray, "n T"]]:
     """The columns `x_m`, `y_m` and, of three coordinates, `z_m` of positions (n, T, 2 or 3), m."""
     return {f"{axis}_m": values for axis, values in zip("xyz", np.moveaxis(positions, -1, 0), strict=False)}
 

@@ -18,6 +18,7 @@ from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
 import numpy as np
+from jaxtyping import Int
 
 import sim.corruptions as corruptions
 from sim.agv import ANCHOR_HEIGHT, FIX_ERRORS, simulate_agv
@@ -250,11 +251,13 @@ def _in_arrays(trajectory: Trajectory) -> Recording:
     return replace(recording, inputs={name: x for name, x in recording.inputs.items() if name != "height"})
 
 
-def _ids(n: int, ids: Ids) -> np.ndarray:
+def _ids(n: int, ids: Ids) -> Int[np.ndarray, " n"]:
     return np.arange(n) if ids is None else np.asarray(ids)
 
 
-def _folder(world: Callable[..., SimulatedWorld], ids: np.ndarray, seed: int, **numbers: Any) -> RecordingFolder:
+def _folder(
+    world: Callable[..., SimulatedWorld], ids: Int[np.ndarray, " n"], seed: int, **numbers: Any
+) -> RecordingFolder:
     """A world as studies call it; raises TypeError for an unknown parameter, ParameterError for an invalid value."""
     refuse_unknown(numbers, (name for name in inspect.signature(world).parameters if name not in ("n", "seed", "ids")))
     return world(seed=seed, ids=ids, **numbers).folder()

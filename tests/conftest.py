@@ -1,5 +1,8 @@
 """Settings of the whole suite (double precision, no silent promotion, quick compilation), and fixtures that folders share."""
 
+import tests.checked_shapes  # noqa: F401
+
+# isort: split
 import os
 from pathlib import Path
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float, Int
 from scipy.special import betainc, gammainc, ndtri
 
 from trackers.core.estimates import Estimates
@@ -30,9 +31,9 @@ class Innovations:
     `student_t_dof`: degrees of freedom of Student's t noise, with which NIS is not χ²; None for normal noise.
     """
 
-    nis: np.ndarray
-    dof: np.ndarray
-    trajectory: np.ndarray
+    nis: Float[np.ndarray, " n"]
+    dof: Float[np.ndarray, " n"]
+    trajectory: Int[np.ndarray, " n"]
     student_t_dof: float | None = None
 
 
@@ -53,7 +54,7 @@ def innovations_of(tracker: AbstractTracker, runs: Sequence[Estimates]) -> Innov
 
 def absolute_errors(
     tracker: AbstractTracker, recording: Recording, run: Estimates, quantity: str
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[Float[np.ndarray, " t"], Float[np.ndarray, " t"]]:
     """Times (t,) and lengths (t,) of the errors in `quantity`: horizontal, m, or of a direction's two angles, rad.
 
     At the times of validity of the estimates, with the truth interpolated between rows; NaN where either is missing.
@@ -70,7 +71,7 @@ def absolute_errors(
     return times, np.where(has_truth & run.usable, length, np.nan)
 
 
-def nis_probabilities(innovations: Innovations) -> np.ndarray:
+def nis_probabilities(innovations: Innovations) -> Float[np.ndarray, " n"]:
     """The probability integral transform of the NIS (n,): uniform over (0, 1) for a consistent filter (Dawid 1984)."""
     nis, dof = np.asarray(innovations.nis, float), np.asarray(innovations.dof, float)
     if innovations.student_t_dof is None:
@@ -79,12 +80,12 @@ def nis_probabilities(innovations: Innovations) -> np.ndarray:
     return np.asarray(betainc(a, b, np.clip(nis / scale, 0.0, 1.0)))
 
 
-def normal_scores(innovations: Innovations) -> np.ndarray:
+def normal_scores(innovations: Innovations) -> Float[np.ndarray, " n"]:
     """The NIS transformed to standard normal values (n,), within ±7."""
     return np.asarray(ndtri(np.clip(nis_probabilities(innovations), 1e-12, 1 - 1e-12)))
 
 
-def autocorrelation(innovations: Innovations, lags: int) -> tuple[np.ndarray, int]:
+def autocorrelation(innovations: Innovations, lags: int) -> tuple[Float[np.ndarray, " {lags}"], int]:
     """The autocorrelation of the normal scores at 1 … `lags` rows (lags,), and the number of pairs at lag 1.
 
     Pairs are within one trajectory; NaN without any. Near zero for a true model.
@@ -102,7 +103,7 @@ def autocorrelation(innovations: Innovations, lags: int) -> tuple[np.ndarray, in
     return correlations, pairs
 
 
-def expected_density(x: np.ndarray, innovations: Innovations) -> np.ndarray:
+def expected_density(x: Float[np.ndarray, " n"], innovations: Innovations) -> Float[np.ndarray, " n"]:
     """The density of a consistent filter's NIS at positive `x`, over the rows' degrees of freedom.
 
     A mixture of χ², or for Student's t of the beta distributions of `tuning.pit_uniformity`.

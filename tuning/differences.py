@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from trackers.core.recording import Batch
 from trackers.core.tunable import Covariance, Scale
@@ -78,7 +79,7 @@ def noise_levels_of_fixes(batch: Batch) -> FixNoiseLevels | None:
 
 
 def _noise_and_motion(
-    times: np.ndarray, values: np.ndarray, seen: np.ndarray, second: bool
+    times: Float[np.ndarray, "T B"], values: Float[np.ndarray, "T B"], seen: Bool[np.ndarray, "T B"], second: bool
 ) -> tuple[float, float] | None:
     """R and q of an axis (T, B) from second differences, or R and r from first ones; None for too few."""
     noise, motion, mean_squares = [], [], []
@@ -97,8 +98,12 @@ def _noise_and_motion(
 
 
 def _differences(
-    times: np.ndarray, values: np.ndarray, seen: np.ndarray, lag: int, second: bool
-) -> tuple[np.ndarray, np.ndarray]:
+    times: Float[np.ndarray, " T"],
+    values: Float[np.ndarray, " T"],
+    seen: Bool[np.ndarray, " T"],
+    lag: int,
+    second: bool,
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """The lags, s, and values of all differences over `lag` fixes with equal time steps."""
     t, z = times[seen], values[seen]
     if len(t) <= 2 * lag:
@@ -111,7 +116,7 @@ def _differences(
     return before[even], (z[2 * lag :] - 2 * z[lag:-lag] + z[: -2 * lag])[even]
 
 
-def _not_negative(rows: np.ndarray) -> tuple[float, float]:
+def _not_negative(rows: Float[np.ndarray, "n 2"]) -> tuple[float, float]:
     """The non-negative least-squares solution (2,) of rows (n, 2) · x = 1."""
     solution = np.linalg.lstsq(rows, np.ones(len(rows)), rcond=None)[0]
     if np.all(solution >= 0):

@@ -9,6 +9,7 @@ from typing import Any, Generic, TypeVar
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from trackers.core.chunks import CHUNK
 from trackers.core.tracker import AbstractTracker
@@ -38,7 +39,7 @@ class Step:
 
     value: float
     gradient_norm: float
-    values: dict[str, Any]
+    values: dict[str, np.ndarray]
 
 
 @dataclass(frozen=True, repr=False)
@@ -53,12 +54,12 @@ class FitResult(Generic[AnyTracker]):
 
     tracker: AnyTracker
     parameters: list[Parameter]
-    values: dict[str, Any]
+    values: dict[str, np.ndarray]
     value: float
     start_value: float
     n_excluded: int
     problem: Problem
-    vector: np.ndarray
+    vector: Float[np.ndarray, " p"]
     filter_runs: int
     uncertainty: Uncertainty | None
     before: AbstractTracker
@@ -75,7 +76,7 @@ class FitResult(Generic[AnyTracker]):
         return "\n".join(lines) + ">"
 
     @property
-    def standard_errors(self) -> dict[str, Any]:
+    def standard_errors(self) -> dict[str, Float[np.ndarray, "..."]]:
         """Standard errors of the physical values by label; NaN where the fit was interrupted."""
         if self.uncertainty is None:
             return {p.label: np.full(np.shape(p.example.raw), np.nan) for p in self.parameters}
@@ -151,7 +152,7 @@ def fit(
     return result
 
 
-def initial_state(driver: MultiStart, vectors: np.ndarray, starts: int) -> FitState:
+def initial_state(driver: MultiStart, vectors: Float[np.ndarray, "V p"], starts: int) -> FitState:
     """The state at `starts` starts: the first of the vectors, and the best of the others and of a coarse grid."""
     if starts > 1:
         vectors = np.concatenate([vectors, coarse_grid(driver.problem.parameters, vectors[0])[1:]])
@@ -164,7 +165,7 @@ def initial_state(driver: MultiStart, vectors: np.ndarray, starts: int) -> FitSt
     return state.select(np.concatenate([[0], others])[:starts])
 
 
-def coarse_grid(parameters: Sequence[Parameter], vector: np.ndarray) -> np.ndarray:
+def coarse_grid(parameters: Sequence[Parameter], vector: Float[np.ndarray, " p"]) -> Float[np.ndarray, "S p"]:
     """Starts (S, p): the vector itself first, then with process noise and all other scales a tenth or tenfold.
 
     Scales are noise levels, times and rates; offsets and fractions stay. Nine starts where both groups are tuned, three
@@ -226,7 +227,7 @@ def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, inter
     )
 
 
-def _best_vector(problem: Problem, state: FitState, winner: int) -> tuple[np.ndarray, int]:
+def _best_vector(problem: Problem, state: FitState, winner: int) -> tuple[Float[np.ndarray, " p"], int]:
     """The winner's best point, with the tracker's own values for parameters that have no effect on these recordings.
 
     Other recordings may depend on them. Second: the number of vectors evaluated.
@@ -244,7 +245,7 @@ def _best_vector(problem: Problem, state: FitState, winner: int) -> tuple[np.nda
     return restored if as_good else vector, 2
 
 
-def by_label(parameters: Sequence[Parameter], vector: np.ndarray) -> dict[str, Any]:
+def by_label(parameters: Sequence[Parameter], vector: Float[np.ndarray, " p"]) -> dict[str, Float[np.ndarray, "..."]]:
     """The physical values by the parameters' labels."""
     values = physical(parameters, vector)
     return {p.label: np.asarray(v, float) for p, v in zip(parameters, values, strict=True)}
@@ -266,7 +267,7 @@ def _trace(parameters: Sequence[Parameter], state: FitState, start: int) -> list
     ]
 
 
-def _newton(driver: MultiStart, vector: np.ndarray) -> tuple[Optimum, int]:
+def _newton(driver: MultiStart, vector: Float[np.ndarray, " p"]) -> tuple[Optimum, int]:
     """The optimum at a vector (p,) or after a few Newton steps from there, while they help.
 
     For smooth likelihoods only, and not where held-out recordings select the point. Second: the number of vectors

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from trackers.core.tracker import AbstractTracker
 from trackers.core.tunable import Scale, tunables
@@ -42,7 +43,9 @@ def cautions(tracker: AbstractTracker, parameters: Sequence[Parameter], objectiv
             )
 
 
-def identifiability_issues(uncertainty: Uncertainty, term_gradients: np.ndarray) -> list[IdentifiabilityIssue]:
+def identifiability_issues(
+    uncertainty: Uncertainty, term_gradients: Float[np.ndarray, "*many p n"]
+) -> list[IdentifiabilityIssue]:
     """The parameters that the recordings don't determine, worst first; empty for a good fit.
 
     `term_gradients` (…, p, n): as in `Evaluation`; a number whose derivatives are all zero has no effect.
@@ -71,7 +74,9 @@ def identifiability_issues(uncertainty: Uncertainty, term_gradients: np.ndarray)
     return issues
 
 
-def _groups(uncertainty: Uncertainty, free: np.ndarray) -> dict[tuple[int, ...], list[tuple[np.ndarray, float]]]:
+def _groups(
+    uncertainty: Uncertainty, free: Int[np.ndarray, " free"]
+) -> dict[tuple[int, ...], list[tuple[Float[np.ndarray, " _"], float]]]:
     """The poorly determined directions by the numbers that take part, each with its standard deviation."""
     missing, _, _ = determined(uncertainty.optimum.hessian[np.ix_(free, free)])
     cov = uncertainty.observed if np.all(np.isfinite(uncertainty.observed)) else uncertainty.sandwich
@@ -110,7 +115,7 @@ def _none_determined(names: list[str], sigma: float) -> str:
     return f"{', '.join(names[:-1])} and {names[-1]} are {_degree(sigma)}, neither one by one nor {together}"
 
 
-def _sentence(names: list[str], kinds: Sequence[type], direction: np.ndarray, sigma: float) -> str:
+def _sentence(names: list[str], kinds: Sequence[type], direction: Float[np.ndarray, " part"], sigma: float) -> str:
     degree = _degree(sigma)
     if len(names) == 1:
         if math.isinf(sigma):
@@ -137,7 +142,7 @@ def _no_effect(names: list[str]) -> str:
     return f"{', '.join(shown)} and {rest} have no effect"
 
 
-def _invariant(names: list[str], direction: np.ndarray) -> str:
+def _invariant(names: list[str], direction: Float[np.ndarray, " 2"]) -> str:
     """The product that is constant along the direction: one name times a power of the other, at most 1."""
     first = int(np.argmin(np.abs(direction)))
     power = -float(direction[first] / direction[1 - first])

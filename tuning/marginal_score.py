@@ -8,13 +8,15 @@ with the number of rows, not with its square; the cost is N² densities per row.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Bool, Float
 
+from trackers.core.algebra import Scalar
 from trackers.core.chunks import as_dtype
 from trackers.core.particle.filter import AbstractParticleFilter, Particles, particle_residuals
 from trackers.core.particle.resampling import LOG_ZERO
@@ -22,6 +24,8 @@ from trackers.core.particle.score import normal_log_density
 from trackers.core.particle.transition import check_transition_density, transition_log_density
 from trackers.core.recording import Batch, Row
 from trackers.core.scan import initial_carry
+from trackers.core.sensor import Reading
+from trackers.core.state import State
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import freeze
 from tuning.parameters import flatten, select_parameters, with_parameters
@@ -30,20 +34,24 @@ PAIRS = 2**18
 """Pairs of particles in all trajectories that run together; more would fill the memory of a small computer."""
 
 
+Model = Callable[[Float[Array, " p"]], Tracker]
+"""The tracker with the parameters of an unconstrained vector."""
+
+
 class MarginalScores(NamedTuple):
     """log L of n trajectories (n,) and its derivatives (n, p) with respect to the unconstrained parameters."""
 
-    values: np.ndarray
-    scores: np.ndarray
+    values: Float[np.ndarray, " n"]
+    scores: Float[np.ndarray, "n p"]
 
 
 class Carry(NamedTuple):
     """Carry of the scan: the belief, T of every particle (p, N), whether the track has started, and log L."""
 
     belief: Particles
-    scores: Any
-    started: Any
-    value: Any
+    scores: Float[Array, "p N"]
+    started: Scalar
+    value: Scalar
 
 
 def marginal_scores(tracker: Tracker, batch: Batch, tune: str | Sequence[str]) -> MarginalScores:
@@ -60,7 +68,7 @@ def marginal_scores(tracker: Tracker, batch: Batch, tune: str | Sequence[str]) -
 
     n_workers = max(1, PAIRS // tracker.filter.bootstrap.n_particles**2)
 
-    def one(trajectory: Batch) -> tuple[Any, Any]:
+    def one(trajectory: Batch) -> tuple[Float[Array, ""], Float[Array, " p"]]:
         return _of_trajectory(lambda v: freeze(with_parameters(model, parameters, v)), vector, trajectory)
 
     trajectories = jax.tree_util.tree_map(lambda x: jnp.moveaxis(jnp.asarray(x), -1, 0), batch)
@@ -73,8 +81,10 @@ def marginal_scores(tracker: Tracker, batch: Batch, tune: str | Sequence[str]) -
     return MarginalScores(np.asarray(values), np.asarray(scores))
 
 
-def _of_trajectory(model: Any, vector: Any, trajectory: Batch) -> tuple[Any, Any]:
-    tracker: Tracker = model(vector)
+def _of_trajectory(
+    model: Model, vector: Float[Array, " p"], trajectory: Batch
+) -> tuple[Float[Array, ""], Float[Array, " p"]]:
+    tracker = model(vector)
     rows = Row(
         trajectory.dt,
         trajectory.valid,
@@ -88,7 +98,7 @@ def _of_trajectory(model: Any, vector: Any, trajectory: Batch) -> tuple[Any, Any
         candidate = jax.lax.stop_gradient(tracker.start.candidate(tracker.sensors, row))
         belief = initial_carry(tracker, candidate, row).belief
 
-        def density(v: Any) -> Any:
+        def density(v: Float[Array, " p"]) -> Float[Array, " N"]:
             return normal_log_density(model(v).start.belief(candidate, row), belief.states)
 
         return Carry(belief, jax.jacfwd(density)(vector).T, row.valid & tracker.start.can_start(row), 0.0 * row.dt)
@@ -111,13 +121,13 @@ def _of_trajectory(model: Any, vector: Any, trajectory: Batch) -> tuple[Any, Any
     return jnp.where(last.started, last.value, jnp.nan), score
 
 
-def _row(model: Any, vector: Any, carried: Carry, row: Row) -> Carry:
+def _row(model: Model, vector: Float[Array, " p"], carried: Carry, row: Row) -> Carry:
     """One row of a track that has started."""
-    tracker: Tracker = model(vector)
+    tracker = model(vector)
     before = carried.belief
     moved = belief = tracker.filter.predict(before, tracker.motion, row.inputs, row.dt)
 
-    def moves(v: Any) -> Any:
+    def moves(v: Float[Array, " p"]) -> Float[Array, "N N"]:
         return _pairs(model(v), before.states, moved.states, row)
 
     logits = before.log_weights[None, :] + moves(vector)
@@ -129,8 +139,8 @@ def _row(model: Any, vector: Any, carried: Carry, row: Row) -> Carry:
     for name in tracker.sensors:
         reading = row.readings[name]
 
-        def densities(v: Any, name: str = name, reading: Any = reading) -> Any:
-            placed: Tracker = model(v)
+        def densities(v: Float[Array, " p"], name: str = name, reading: Reading = reading) -> Float[Array, " N"]:
+            placed = model(v)
             return particle_residuals(
                 moved.states, placed.motion, placed.sensors[name], reading, row.inputs
             ).log_density
@@ -141,13 +151,13 @@ def _row(model: Any, vector: Any, carried: Carry, row: Row) -> Carry:
     return Carry(belief, scores, carried.started, value)
 
 
-def _pairs(tracker: Tracker, before: Any, after: Any, row: Row) -> Any:
+def _pairs(tracker: Tracker, before: State, after: State, row: Row) -> Float[Array, "N N"]:
     """log p (N, N) of every state after (rows) given every state before; for dt = 0 a state stays the same."""
     particle_filter, motion = tracker.filter, tracker.motion
     assert isinstance(particle_filter, AbstractParticleFilter)
     potential = particle_filter.bootstrap.potential
 
-    def density(old: Any, new: Any) -> Any:
+    def density(old: State, new: State) -> Float[Array, ""]:
         moved = transition_log_density(motion, old, new, row.inputs, jnp.where(row.dt > 0, row.dt, 1.0))
         if potential is not None:
             moved = moved + potential.log_weight(motion.view(old), motion.view(new))
@@ -158,5 +168,6 @@ def _pairs(tracker: Tracker, before: Any, after: Any, row: Row) -> Any:
     return jax.vmap(lambda new: jax.vmap(lambda old: density(old, new), in_axes=-1)(before), in_axes=-1)(after)
 
 
-def _select(condition: Any, yes: Any, no: Any) -> Any:
-    return jax.tree_util.tree_map(lambda a, b: jnp.where(condition, a, b), yes, no)
+def _select(condition: Bool[Array, ""], yes: Carry, no: Carry) -> Carry:
+    chosen: Carry = jax.tree_util.tree_map(lambda a, b: jnp.where(condition, a, b), yes, no)
+    return chosen

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from tuning.optimisers import AbstractOptimiser
 from tuning.problem import Evaluation, Problem, weighted_sum
@@ -28,23 +29,23 @@ class FitState(NamedTuple):
     (steps, S), `past_vectors` (steps, S, p): the optimiser trace.
     """
 
-    number: np.ndarray
-    vectors: np.ndarray
-    values: np.ndarray
-    gradients: np.ndarray
-    terms: np.ndarray
-    used: np.ndarray
+    number: Int[np.ndarray, ""]
+    vectors: Float[np.ndarray, "S p"]
+    values: Float[np.ndarray, " S"]
+    gradients: Float[np.ndarray, "S p"]
+    terms: Float[np.ndarray, "S k n"]
+    used: Bool[np.ndarray, "S n"]
     optimiser_state: Any
-    best_scores: np.ndarray
-    best_vectors: np.ndarray
-    stale: np.ndarray
-    active: np.ndarray
-    past_values: np.ndarray
-    past_norms: np.ndarray
-    past_vectors: np.ndarray
-    filter_runs: np.ndarray
+    best_scores: Float[np.ndarray, " S"]
+    best_vectors: Float[np.ndarray, "S p"]
+    stale: Int[np.ndarray, " S"]
+    active: Bool[np.ndarray, " S"]
+    past_values: Float[np.ndarray, "steps S"]
+    past_norms: Float[np.ndarray, "steps S"]
+    past_vectors: Float[np.ndarray, "steps S p"]
+    filter_runs: Int[np.ndarray, ""]
 
-    def select(self, which: np.ndarray) -> FitState:
+    def select(self, which: Int[np.ndarray, " some"]) -> FitState:
         """The state of some of the starts."""
         fields = self._asdict()
         past = {name: x[:, which] for name, x in fields.items() if name.startswith("past_")}
@@ -63,14 +64,14 @@ class MultiStart:
     problem: Problem
     optimiser: AbstractOptimiser
     max_steps: int
-    low: np.ndarray
-    high: np.ndarray
+    low: Float[np.ndarray, " p"]
+    high: Float[np.ndarray, " p"]
     held_out: Problem | None = None
     max_stale: int = 8
     minibatch: int | None = None
     seed: int = 0
 
-    def init(self, vectors: np.ndarray) -> FitState:
+    def init(self, vectors: Float[np.ndarray, "*S p"]) -> FitState:
         """The state at the starts (S, p); starts with a non-finite objective are inactive."""
         vectors = np.clip(np.atleast_2d(vectors), self.low, self.high)
         evaluation = self._evaluate(vectors, 0)
@@ -155,11 +156,11 @@ class MultiStart:
         """Whether no start continues."""
         return bool(state.number >= self.max_steps or not state.active.any())
 
-    def at_bound(self, vector: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+    def at_bound(self, vector: Float[np.ndarray, " p"], gradient: Float[np.ndarray, " p"]) -> Bool[np.ndarray, " p"]:
         """Whether each number (p,) is at a bound, with the objective falling beyond it."""
         return ((vector <= self.low) & (gradient > 0)) | ((vector >= self.high) & (gradient < 0))
 
-    def _evaluate(self, vectors: np.ndarray, number: int) -> Evaluation:
+    def _evaluate(self, vectors: Float[np.ndarray, "S p"], number: int) -> Evaluation:
         return self.problem.evaluate(vectors, subset=self._subset(number), realisation=number)
 
     def _subset(self, number: int) -> list[int] | None:
@@ -169,19 +170,21 @@ class MultiStart:
         draw = np.random.default_rng((self.seed, number))
         return sorted(draw.permutation(len(self.problem.chunks))[: self.minibatch].tolist())
 
-    def _scores(self, vectors: np.ndarray, terms: np.ndarray) -> np.ndarray:
+    def _scores(self, vectors: Float[np.ndarray, "S p"], terms: Float[np.ndarray, "S k n"]) -> Float[np.ndarray, " S"]:
         """The scores (S,) that select the best point: `Problem.values` of the held-out or of all trajectories."""
         if self.held_out is not None:
             return self.held_out.values(vectors)
         return self.problem.values(vectors) if self._noisy else self.problem.finite_values(vectors, terms)
 
-    def _score_runs(self, vectors: np.ndarray) -> int:
+    def _score_runs(self, vectors: Float[np.ndarray, "S p"]) -> int:
         """The trajectories that scores at these vectors filter."""
         if self.held_out is not None:
             return len(vectors) * self.held_out.n_trajectories()
         return len(vectors) * self.problem.n_trajectories() if self._noisy else 0
 
-    def _min_gains(self, values: np.ndarray, terms: np.ndarray, used: np.ndarray) -> np.ndarray:
+    def _min_gains(
+        self, values: Float[np.ndarray, " S"], terms: Float[np.ndarray, "S k n"], used: Bool[np.ndarray, "S n"]
+    ) -> Float[np.ndarray, " S"]:
         """The least gain (S,) that is worth another step."""
         nats = [self.problem.objective.nats_per_unit(s) for s in weighted_sum(terms, used)]
         return np.array([min_gain(v, n) for v, n in zip(values, nats, strict=True)])

@@ -13,6 +13,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+from jaxtyping import Float
+
+Vectors = Float[np.ndarray, "S p"]
 
 MAX_STEP = 2.0
 """Longest step in unconstrained coordinates: a noise level changes by a factor of seven at most."""
@@ -24,11 +27,11 @@ class AbstractOptimiser(eqx.Module):
     monotone: eqx.AbstractClassVar[bool]
 
     @abstractmethod
-    def init(self, vectors: np.ndarray) -> Any:
+    def init(self, vectors: Vectors) -> Any:
         """The optimiser's state for starts at vectors (S, p): a tree of arrays (S, …)."""
 
     @abstractmethod
-    def propose(self, state: Any, vectors: np.ndarray, gradients: np.ndarray) -> tuple[np.ndarray, Any]:
+    def propose(self, state: Any, vectors: Vectors, gradients: Vectors) -> tuple[Vectors, Any]:
         """The steps (S, p) from vectors (S, p) with gradients (S, p), and the optimiser's next state."""
 
 
@@ -48,10 +51,10 @@ class Adam(AbstractOptimiser):
         rate = optax.cosine_decay_schedule(self.rate, self.steps, 0.01)
         return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(rate))
 
-    def init(self, vectors: np.ndarray) -> Any:
+    def init(self, vectors: Vectors) -> Any:
         return jax.vmap(self.transformation.init)(jnp.asarray(vectors))
 
-    def propose(self, state: Any, vectors: np.ndarray, gradients: np.ndarray) -> tuple[np.ndarray, Any]:
+    def propose(self, state: Any, vectors: Vectors, gradients: Vectors) -> tuple[Vectors, Any]:
         return _updated(self, gradients, state, vectors)
 
 
@@ -64,10 +67,10 @@ class LBFGS(AbstractOptimiser):
     def transformation(self) -> optax.GradientTransformation:
         return optax.scale_by_lbfgs()
 
-    def init(self, vectors: np.ndarray) -> Any:
+    def init(self, vectors: Vectors) -> Any:
         return jax.vmap(self.transformation.init)(jnp.asarray(vectors))
 
-    def propose(self, state: Any, vectors: np.ndarray, gradients: np.ndarray) -> tuple[np.ndarray, Any]:
+    def propose(self, state: Any, vectors: Vectors, gradients: Vectors) -> tuple[Vectors, Any]:
         first = np.asarray(state.count) == 0
         steps, state = _updated(self, gradients, state, vectors)
         # Later steps take their scale from the first, which backtracking can only shorten. Length 1, a factor of e in
@@ -78,12 +81,12 @@ class LBFGS(AbstractOptimiser):
         return _limited(np.where((first | uphill)[:, None], steepest, -steps)), state
 
 
-def _limited(steps: np.ndarray) -> np.ndarray:
+def _limited(steps: Vectors) -> Vectors:
     """The steps (S, p), shortened to `MAX_STEP`."""
     return steps / np.maximum(1.0, np.linalg.norm(steps, axis=1, keepdims=True) / MAX_STEP)
 
 
-def _updated(optimiser: Adam | LBFGS, gradients: np.ndarray, state: Any, vectors: np.ndarray) -> tuple[np.ndarray, Any]:
+def _updated(optimiser: Adam | LBFGS, gradients: Vectors, state: Any, vectors: Vectors) -> tuple[Vectors, Any]:
     """The updates (S, p) of an optimiser's transformation and its next state, one start after another.
 
     Not under `vmap`: XLA (jaxlib 0.10, multi-output fusion) aborts on the scatters of L-BFGS there.

@@ -11,16 +11,17 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from trackers.core.tracker import AbstractTracker
 from trackers.core.tunable import AbstractTunable, Threshold, matching, replaced, tunables
 
-TIED = "tied:"
+Tree = TypeVar("Tree")
 
-Unconstrained = np.ndarray | jax.Array
+Vector = Float[Array | np.ndarray, " p"]
 """Unconstrained numbers, on the host or traced."""
 
-AnyTree = TypeVar("AnyTree")
+TIED = "tied:"
 
 
 @dataclass(frozen=True)
@@ -106,7 +107,7 @@ def component_kinds(parameters: Sequence[Parameter]) -> list[type]:
     return [type(p.example) for p in parameters for _ in range(p.size)]
 
 
-def flatten(parameters: Sequence[Parameter]) -> np.ndarray:
+def flatten(parameters: Sequence[Parameter]) -> Float[np.ndarray, " p"]:
     """The unconstrained vector of the parameters' present values."""
     return np.concatenate([np.ravel(np.asarray(p.example.raw, float)) for p in parameters])
 
@@ -126,7 +127,9 @@ def parse_bounds(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
     return bounds
 
 
-def limits(parameters: Sequence[Parameter], bounds: Mapping[str, tuple[float, float]]) -> tuple[np.ndarray, np.ndarray]:
+def limits(
+    parameters: Sequence[Parameter], bounds: Mapping[str, tuple[float, float]]
+) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, " p"]]:
     """The lowest and highest unconstrained vector (p,) for physical bounds by pattern, infinite elsewhere.
 
     Raises ValueError for a pattern without match, for empty bounds, and for values outside the parameter's constraint.
@@ -164,12 +167,14 @@ def require_start_within(parameters: Sequence[Parameter], bounds: Mapping[str, t
         )
 
 
-def with_raw(node: AbstractTunable, raw: Unconstrained) -> AbstractTunable:
+def with_raw(node: AbstractTunable, raw: Float[Array | np.ndarray, "..."]) -> AbstractTunable:
     """The tunable with another unconstrained value."""
     return eqx.tree_at(lambda n: n.raw, node, raw)
 
 
-def split(parameters: Sequence[Parameter], vector: Unconstrained) -> Iterator[tuple[Parameter, Unconstrained]]:
+def split(
+    parameters: Sequence[Parameter], vector: Vector
+) -> Iterator[tuple[Parameter, Float[Array | np.ndarray, "..."]]]:
     """Each parameter with its part of an unconstrained vector, in its shape."""
     start = 0
     for parameter in parameters:
@@ -177,24 +182,26 @@ def split(parameters: Sequence[Parameter], vector: Unconstrained) -> Iterator[tu
         start += parameter.size
 
 
-def with_parameters(tracker: AnyTree, parameters: Sequence[Parameter], vector: Unconstrained) -> AnyTree:
+def with_parameters(tracker: Tree, parameters: Sequence[Parameter], vector: Vector) -> Tree:
     """The tracker with the parameters of an unconstrained vector; differentiable with respect to it."""
     own = tunables(tracker)
     new = {name: with_raw(own[name], raw) for parameter, raw in split(parameters, vector) for name in parameter.names}
     return replaced(tracker, new)
 
 
-def physical(parameters: Sequence[Parameter], vector: Unconstrained) -> list[jax.Array]:
+def physical(parameters: Sequence[Parameter], vector: Vector) -> list[Array]:
     """The physical value of each parameter."""
     return [with_raw(parameter.example, jnp.asarray(raw)).value for parameter, raw in split(parameters, vector)]
 
 
-def physical_vector(parameters: Sequence[Parameter], vector: Unconstrained) -> np.ndarray:
+def physical_vector(parameters: Sequence[Parameter], vector: Vector) -> Float[np.ndarray, " p"]:
     """The physical values of all parameters in one vector, in the order of the unconstrained one."""
     return np.concatenate([np.ravel(np.asarray(x, float)) for x in physical(parameters, vector)])
 
 
-def physical_errors(parameters: Sequence[Parameter], vector: np.ndarray, cov: np.ndarray) -> list[np.ndarray]:
+def physical_errors(
+    parameters: Sequence[Parameter], vector: Float[np.ndarray, " p"], cov: Float[np.ndarray, "p p"]
+) -> list[Float[np.ndarray, "..."]]:
     """Standard errors of the physical values, by the delta method from the covariance of the unconstrained vector."""
     jacobians = jax.jacfwd(lambda v: physical(parameters, v))(jnp.asarray(vector))
     return [np.sqrt(np.maximum(np.einsum("...i,ij,...j->...", j, cov, j), 0)) for j in map(np.asarray, jacobians)]

@@ -46,7 +46,7 @@ class PITUniformity(AbstractObjective):
     kind: Literal["nis", "nees"] = eqx.field(static=True)
     quantity: str = eqx.field(static=True, default="position")
     dimensions: int = eqx.field(static=True, default=2)
-    student_t_dof: Any = None
+    student_t_dof: Scalar | None = None
     has_tracker: bool = eqx.field(static=True, default=False)
     size: ClassVar[int] = ORDERS + 1
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from trackers.core.tunable import Fraction, Real, Scale
 from tuning.parameters import Parameter
@@ -21,8 +22,8 @@ FORM = re.compile(rf"(?P<pattern>[^=\s]+)\s*=\s*{NUMBER}\s*(?P<kind>x|\+-)\s*{NU
 class Penalty(NamedTuple):
     """Negative log density without its constant, nats, at S vectors: (S,), and its gradients (S, p)."""
 
-    values: np.ndarray
-    gradients: np.ndarray
+    values: Float[np.ndarray, " S"]
+    gradients: Float[np.ndarray, "S p"]
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ class Prior:
         raise ValueError(f"{parameter.label} is a {kind}, whose prior has {wanted}")
 
 
-def penalty(priors: Sequence[Prior], parameters: Sequence[Parameter], vectors: np.ndarray) -> Penalty:
+def penalty(priors: Sequence[Prior], parameters: Sequence[Parameter], vectors: Float[np.ndarray, "*S p"]) -> Penalty:
     """The penalty of the priors at vectors (S, p); several priors of one parameter add up.
 
     Raises ValueError for a prior without a matching parameter, or of another kind than its parameter.

@@ -9,11 +9,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Bool, Float, Num, Shaped, UInt32
 
 from trackers.core.chunks import CHUNK, as_dtype, chunks, run_chunks
 from trackers.core.particle.filter import AbstractParticleFilter
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker, Tracker
+from trackers.core.tunable import AbstractTunable
 from tuning.objectives import AbstractObjective
 from tuning.parameters import Parameter, with_parameters
 from tuning.priors import Penalty, Prior, penalty
@@ -34,18 +36,18 @@ class Evaluation(NamedTuple):
     vector.
     """
 
-    values: np.ndarray
-    gradients: np.ndarray
-    sums: np.ndarray
-    terms: np.ndarray
-    term_gradients: np.ndarray
-    used: np.ndarray
+    values: Float[np.ndarray, " S"]
+    gradients: Float[np.ndarray, "S p"]
+    sums: Float[np.ndarray, "S k"]
+    terms: Float[np.ndarray, "S k n"]
+    term_gradients: Float[np.ndarray, "S k p n"]
+    used: Bool[np.ndarray, "S n"]
     filter_runs: int
 
     @property
-    def finite(self) -> np.ndarray:
+    def finite(self) -> Bool[np.ndarray, " S"]:
         """Whether value and gradient of each vector (S,) are finite."""
-        finite: np.ndarray = np.isfinite(self.values) & np.isfinite(self.gradients).all(axis=1)
+        finite: Bool[np.ndarray, " S"] = np.isfinite(self.values) & np.isfinite(self.gradients).all(axis=1)
         return finite
 
 
@@ -84,8 +86,8 @@ class Problem:
 
     def evaluate(
         self,
-        vectors: np.ndarray,
-        weights: np.ndarray | None = None,
+        vectors: Float[np.ndarray, "*S p"],
+        weights: Num[np.ndarray, "*many n"] | None = None,
         subset: Sequence[int] | None = None,
         realisation: int = 0,
     ) -> Evaluation:
@@ -108,8 +110,12 @@ class Problem:
         return Evaluation(values + prior.values, gradients + prior.gradients, sums, terms, term_gradients, used, runs)
 
     def values_over(
-        self, count: np.ndarray, vectors: np.ndarray, terms: np.ndarray, subset: Sequence[int] | None = None
-    ) -> np.ndarray:
+        self,
+        count: Shaped[np.ndarray, "S n"],
+        vectors: Float[np.ndarray, "S p"],
+        terms: Float[np.ndarray, "S k n"],
+        subset: Sequence[int] | None = None,
+    ) -> Float[np.ndarray, " S"]:
         """The objective (S,) at vectors (S, p) from its `terms` (S, k, n) there, over chosen trajectories.
 
         `count` (S, n): multiplicity of each trajectory, 0 to leave it out. `subset`: the chunks of the terms.
@@ -121,14 +127,19 @@ class Problem:
         """The number of trajectories left out of an evaluation over all chunks, at the vector with the fewest."""
         return int(self.valid.sum() - evaluation.used.sum(axis=1).max())
 
-    def values(self, vectors: np.ndarray, realisation: int = 0) -> np.ndarray:
+    def values(self, vectors: Float[np.ndarray, "S p"], realisation: int = 0) -> Float[np.ndarray, " S"]:
         """The objective (S,) at vectors (S, p) over all trajectories that are finite there, at a third of the cost.
 
         `evaluate` leaves out more, those without usable derivatives; elsewhere the two are one function.
         """
         return self.finite_values(vectors, self.terms(vectors, realisation))
 
-    def finite_values(self, vectors: np.ndarray, terms: np.ndarray, subset: Sequence[int] | None = None) -> np.ndarray:
+    def finite_values(
+        self,
+        vectors: Float[np.ndarray, "*S p"],
+        terms: Float[np.ndarray, "many k n"],
+        subset: Sequence[int] | None = None,
+    ) -> Float[np.ndarray, " many"]:
         """`values` (S,) from the terms (S, k, n) of a subset of the chunks, default all, at vectors (S, p)."""
         return self.values_over(np.isfinite(terms).all(axis=1), vectors, terms, subset)
 
@@ -136,15 +147,17 @@ class Problem:
         """The number of trajectories that one vector filters, in a subset of the chunks or in all."""
         return int(self._valid(subset).sum())
 
-    def terms(self, vectors: np.ndarray, realisation: int = 0) -> np.ndarray:
+    def terms(self, vectors: Float[np.ndarray, "S p"], realisation: int = 0) -> Float[np.ndarray, "S k n"]:
         """Each trajectory's part of the sums (S, k, n), without derivatives."""
         return np.concatenate([t for (t,) in self._run(plain_sums, vectors, None, realisation)], axis=-1)
 
-    def values_of(self, sums: np.ndarray) -> np.ndarray:
+    def values_of(self, sums: Float[np.ndarray, "S k"]) -> Float[np.ndarray, " S"]:
         """The objective (S,) of sums (S, k), without priors."""
         return np.asarray(value_and_gradient(self.objective, jnp.asarray(sums))[0], float)
 
-    def prior_penalty(self, vectors: np.ndarray, sums: np.ndarray, share: float = 1.0) -> Penalty:
+    def prior_penalty(
+        self, vectors: Float[np.ndarray, "*S p"], sums: Float[np.ndarray, "many k"], share: float = 1.0
+    ) -> Penalty:
         """The priors' part of the objective (S,) and its derivatives at vectors (S, p), in the objective's unit.
 
         `sums` (S, k): those of the likelihood there. `share`: of the trajectories evaluated.
@@ -161,17 +174,17 @@ class Problem:
         """Whether the tracker uses random numbers."""
         return is_stochastic(self.tracker)
 
-    def point(self, vectors: np.ndarray) -> Point:
+    def point(self, vectors: Float[np.ndarray, "*S p"]) -> Point:
         """The argument of `term_sums` at vectors (S, p)."""
         return Point(self.tracker, self.objective, self.parameters, jnp.asarray(np.atleast_2d(vectors), self.dtype))
 
     def _run(
         self,
-        function: Callable[[Point, Batch], Any],
-        vectors: np.ndarray,
+        function: Callable[[Point, Batch], tuple[jax.Array, ...]],
+        vectors: Float[np.ndarray, "*S p"],
         subset: Sequence[int] | None,
         realisation: int,
-    ) -> list[tuple[np.ndarray, ...]]:
+    ) -> list[tuple[Float[np.ndarray, "..."], ...]]:
         """The arrays of `function` for every chunk at all vectors, float64 on the host."""
         vectors = np.atleast_2d(np.asarray(vectors, float))
         size, width = len(vectors), self.vectors_per_call
@@ -190,7 +203,7 @@ class Problem:
         """Part of the trajectories in a subset of the chunks: the priors weigh in proportion."""
         return self.n_trajectories(subset) / self.n_trajectories()
 
-    def _valid(self, subset: Sequence[int] | None) -> np.ndarray:
+    def _valid(self, subset: Sequence[int] | None) -> Bool[np.ndarray, " n"]:
         if subset is None:
             return self.valid
         starts = np.cumsum([0, *(part.size for part in self.chunks)])
@@ -213,19 +226,21 @@ def fresh_keys(part: Batch, realisation: int) -> Batch:
 
 
 @jax.jit
-def _folded(keys: jax.Array, realisation: int) -> jax.Array:
+def _folded(keys: UInt32[Array, "2 B"], realisation: int) -> UInt32[Array, "2 B"]:
     """Raw keys (2, B) with a number folded in."""
     fold = jax.vmap(lambda k: jax.random.key_data(jax.random.fold_in(jax.random.wrap_key_data(k), realisation)), -1, -1)
     return fold(keys)
 
 
-def weighted_sum(x: np.ndarray, weights: np.ndarray) -> np.ndarray:
+def weighted_sum(
+    x: Float[np.ndarray, "S *terms n"], weights: Shaped[np.ndarray, "S n"]
+) -> Float[np.ndarray, "S *terms"]:
     """The sums over trajectories of (S, …, n) with weights (S, n); values of weight zero may be NaN."""
     weights = weights.reshape(len(weights), *[1] * (x.ndim - 2), -1)
     return np.sum(np.where(weights > 0, x, 0.0) * weights, axis=-1)
 
 
-def _usable(term_gradients: np.ndarray) -> np.ndarray:
+def _usable(term_gradients: Float[np.ndarray, "k p B"]) -> Bool[np.ndarray, " B"]:
     """Which trajectories (B,) have usable derivatives (k, p, B): finite, and at most 1000 times the median size."""
     size = np.sqrt(np.sum(np.where(np.isfinite(term_gradients), term_gradients, np.inf) ** 2, axis=(0, 1)))
     moving = size[np.isfinite(size) & (size > 0)]
@@ -233,7 +248,9 @@ def _usable(term_gradients: np.ndarray) -> np.ndarray:
 
 
 @eqx.filter_jit
-def value_and_gradient(objective: AbstractObjective, sums: jax.Array) -> tuple[jax.Array, jax.Array]:
+def value_and_gradient(
+    objective: AbstractObjective, sums: Float[Array, "S k"]
+) -> tuple[Float[Array, " S"], Float[Array, "S k"]]:
     """The objective (S,) of sums (S, k), and its derivatives (S, k) with respect to the sums."""
     return jax.vmap(jax.value_and_grad(objective.value))(sums)
 
@@ -245,45 +262,45 @@ class Point(eqx.Module):
     objective: AbstractObjective
     names: tuple[tuple[str, ...], ...] = eqx.field(static=True)
     labels: tuple[str, ...] = eqx.field(static=True)
-    examples: tuple[Any, ...]
-    vectors: jax.Array
+    examples: tuple[AbstractTunable, ...]
+    vectors: Float[Array, "S p"]
 
     def __init__(
         self,
         tracker: AbstractTracker,
         objective: AbstractObjective,
         parameters: Sequence[Parameter],
-        vectors: jax.Array,
+        vectors: Float[Array, "S p"],
     ):
         self.tracker, self.objective, self.vectors = tracker, objective, vectors
         self.names = tuple(p.names for p in parameters)
         self.labels = tuple(p.label for p in parameters)
         self.examples = tuple(p.example for p in parameters)
 
-    def tracker_at(self, vector: jax.Array) -> AbstractTracker:
+    def tracker_at(self, vector: Float[Array, " p"]) -> AbstractTracker:
         """The tracker with the parameters of one vector."""
         parts = zip(self.names, self.examples, self.labels, strict=True)
         return with_parameters(self.tracker, [Parameter(*part) for part in parts], vector)
 
-    def map_vectors(self, function: Callable[[jax.Array], Any]) -> Any:
+    def map_vectors(self, function: Callable[[Float[Array, " p"]], Any]) -> Any:
         """`function` of every vector, results stacked along a new first axis."""
         if len(self.vectors) == 1:
             return jax.tree_util.tree_map(lambda x: x[None], function(self.vectors[0]))
         return jax.vmap(function)(self.vectors)
 
 
-def plain_sums(point: Point, batch: Batch) -> tuple[jax.Array]:
+def plain_sums(point: Point, batch: Batch) -> tuple[Float[Array, "S k B"]]:
     """The sums per vector, term and trajectory (S, k, B)."""
     return (point.map_vectors(lambda v: jnp.stack(point.tracker_at(v).accumulate(batch, point.objective.terms))),)
 
 
-def term_sums(point: Point, batch: Batch) -> tuple[jax.Array, jax.Array]:
+def term_sums(point: Point, batch: Batch) -> tuple[Float[Array, "S k B"], Float[Array, "S k p B"]]:
     """The sums per vector, term and trajectory (S, k, B), and their derivatives (S, k, p, B), all tangents at once."""
 
-    def sums(vectors: jax.Array) -> jax.Array:
+    def sums(vectors: Float[Array, "S p"]) -> Float[Array, "S k B"]:
         return plain_sums(eqx.tree_at(lambda p: p.vectors, point, vectors), batch)[0]
 
-    def along(direction: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def along(direction: Float[Array, " p"]) -> tuple[Float[Array, "S k B"], Float[Array, "S k B"]]:
         """The sums, and their derivatives along one direction, the same for every vector."""
         return jax.jvp(sums, (point.vectors,), (jnp.broadcast_to(direction, point.vectors.shape),))
 

@@ -7,6 +7,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 from scipy.special import chdtri
 
 from tuning.parameters import Parameter, physical, physical_vector
@@ -35,9 +36,9 @@ class Profile:
     (Wilks 1938); infinite (or the end of the possible range) where the profile doesn't rise so far.
     """
 
-    raw: np.ndarray
-    values: np.ndarray
-    rise: np.ndarray
+    raw: Float[np.ndarray, " G"]
+    values: Float[np.ndarray, " G"]
+    rise: Float[np.ndarray, " G"]
     low: float
     high: float
 
@@ -48,7 +49,7 @@ def profile(
     component: int,
     level: float = 0.95,
     points: int = 15,
-    at_bound: np.ndarray | None = None,
+    at_bound: Bool[np.ndarray, " p"] | None = None,
 ) -> Profile:
     """The profile likelihood of the unconstrained number `component`, all points at once.
 
@@ -81,16 +82,16 @@ def profile(
 class Refitted(NamedTuple):
     """Vectors (S, p), and the objective (S,) there, over the same trajectories; NaN where one is not finite."""
 
-    vectors: np.ndarray
-    values: np.ndarray
+    vectors: Float[np.ndarray, "S p"]
+    values: Float[np.ndarray, " S"]
 
 
 def refit(
     problem: Problem,
-    vectors: np.ndarray,
-    hessian: np.ndarray,
-    free: np.ndarray | None = None,
-    weights: np.ndarray | None = None,
+    vectors: Float[np.ndarray, "S p"],
+    hessian: Float[np.ndarray, "p p"],
+    free: Bool[np.ndarray, " p"] | None = None,
+    weights: Float[np.ndarray, "*S n"] | None = None,
     rounds: int = 3,
 ) -> Refitted:
     """Vectors (S, p) improved by quasi-Newton steps (BFGS on the inverse Hessian), all at once.
@@ -132,8 +133,8 @@ def bootstrap(
     replicates: int = 100,
     rounds: int = 3,
     seed: int = 0,
-    at_bound: np.ndarray | None = None,
-) -> np.ndarray:
+    at_bound: Bool[np.ndarray, " p"] | None = None,
+) -> Float[np.ndarray, "{replicates} p"]:
     """Vectors (replicates, p) fitted to trajectories resampled with replacement (Efron 1979), for any objective.
 
     All by a few steps from the optimum, with the numbers `at_bound` (p,) fixed. Raises ValueError for fewer than five
@@ -151,8 +152,8 @@ def bootstrap(
 
 
 def percentile_intervals(
-    parameters: list[Parameter], vectors: np.ndarray, level: float = 0.95
-) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    parameters: list[Parameter], vectors: Float[np.ndarray, "S p"], level: float = 0.95
+) -> dict[str, tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]]:
     """Lowest and highest physical value of the central `level` of replicates (S, p), by label."""
     physical_values = [physical(parameters, v) for v in vectors]
     tails = 50 * (1 - level), 50 * (1 + level)
@@ -163,7 +164,9 @@ def percentile_intervals(
     return found
 
 
-def _updated(inverses: np.ndarray, steps: np.ndarray, changes: np.ndarray) -> np.ndarray:
+def _updated(
+    inverses: Float[np.ndarray, "S p p"], steps: Float[np.ndarray, "S p"], changes: Float[np.ndarray, "S p"]
+) -> Float[np.ndarray, "S p p"]:
     """The BFGS update of inverses (S, p, p) by steps and gradient changes (S, p), of positive curvature."""
     along = np.einsum("sp,sp->s", steps, changes)
     size = np.linalg.norm(steps, axis=1) * np.linalg.norm(np.nan_to_num(changes), axis=1)
@@ -174,7 +177,7 @@ def _updated(inverses: np.ndarray, steps: np.ndarray, changes: np.ndarray) -> np
     return np.where(sound[:, None, None], new, inverses)
 
 
-def _crossings(offsets: np.ndarray, rise: np.ndarray, height: float) -> tuple[float, float]:
+def _crossings(offsets: Float[np.ndarray, " G"], rise: Float[np.ndarray, " G"], height: float) -> tuple[float, float]:
     """The offsets at which a profile first rises to `height` on either side of its minimum; infinite without any.
 
     Interpolated linearly in the root of the rise, which is exact for a quadratic.
@@ -182,7 +185,7 @@ def _crossings(offsets: np.ndarray, rise: np.ndarray, height: float) -> tuple[fl
     root = np.sqrt(np.maximum(np.where(np.isfinite(rise), rise, np.inf), 0.0))
     least, wanted = int(np.argmin(root)), np.sqrt(height)
 
-    def side(order: np.ndarray, sign: float) -> float:
+    def side(order: Int[np.ndarray, " side"], sign: float) -> float:
         for a, b in pairwise(order):
             if root[b] >= wanted:
                 if not np.isfinite(root[b]):
@@ -194,7 +197,7 @@ def _crossings(offsets: np.ndarray, rise: np.ndarray, height: float) -> tuple[fl
     return side(indices[: least + 1][::-1], -1.0), side(indices[least:], 1.0)
 
 
-def _physical(parameters: list[Parameter], vector: np.ndarray, component: int, offset: float) -> float:
+def _physical(parameters: list[Parameter], vector: Float[np.ndarray, " p"], component: int, offset: float) -> float:
     """The physical value of one number at an `offset` from a vector in unconstrained coordinates."""
     moved = np.array(vector, float)
     moved[component] += offset

@@ -14,6 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from trackers.core.chunks import run_chunks
 from trackers.core.recording import Batch
@@ -23,9 +24,9 @@ from tuning.problem import Point, Problem
 class RowInformation(NamedTuple):
     """Per vector and trajectory: log-likelihoods (S, n), scores (S, p, n) and information (S, p, p, n), in nats."""
 
-    log_likelihoods: np.ndarray
-    scores: np.ndarray
-    information: np.ndarray
+    log_likelihoods: Float[Array | np.ndarray, "S n"]
+    scores: Float[Array | np.ndarray, "S p n"]
+    information: Float[Array | np.ndarray, "S p p n"]
 
 
 class _BlockPoint(eqx.Module):
@@ -35,7 +36,7 @@ class _BlockPoint(eqx.Module):
     block: int = eqx.field(static=True)
 
 
-def row_information(problem: Problem, vectors: np.ndarray, block: int = 1) -> RowInformation:
+def row_information(problem: Problem, vectors: Float[np.ndarray, "S p"], block: int = 1) -> RowInformation:
     """The summed scores of the rows and the sums of their squares at `vectors` (S, p); one compiled call per chunk.
 
     Scores of `block` consecutive rows are added before they are squared, which makes the information valid for errors
@@ -51,8 +52,10 @@ def _over_vectors(model: _BlockPoint, batch: Batch) -> RowInformation:
     return RowInformation(*jax.lax.map(lambda vector: _at(model, vector, batch), model.point.vectors))
 
 
-def _at(model: _BlockPoint, vector: jax.Array, batch: Batch) -> tuple[jax.Array, jax.Array, jax.Array]:
-    def rows(v: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _at(
+    model: _BlockPoint, vector: Float[Array, " p"], batch: Batch
+) -> tuple[Float[Array, " n"], Float[Array, "p n"], Float[Array, "p p n"]]:
+    def rows(v: Float[Array, " p"]) -> tuple[Float[Array, "T n"], Float[Array, "T n"]]:
         log_likelihoods = model.point.tracker_at(v).scan(batch)[0].log_likelihood
         return log_likelihoods, log_likelihoods
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from trackers.core.tunable import Covariance
 from tuning.fit import FitResult
@@ -33,8 +34,8 @@ class Surface:
     """
 
     axes: tuple[int, ...]
-    grids: tuple[np.ndarray, ...]
-    values: np.ndarray
+    grids: tuple[Float[np.ndarray, " _"], ...]
+    values: Float[np.ndarray, "n *m"]
 
 
 def surface_of(result: FitResult, uncertainty: Uncertainty | None) -> Surface | None:
@@ -79,14 +80,14 @@ def _scalar_components(parameters: Sequence[Parameter]) -> list[int]:
     return [k for k, kind in enumerate(component_kinds(parameters)) if not issubclass(kind, Covariance)]
 
 
-def _sigmas(uncertainty: Uncertainty | None) -> np.ndarray | None:
+def _sigmas(uncertainty: Uncertainty | None) -> Float[np.ndarray, " p"] | None:
     """Standard errors of the unconstrained numbers, infinite where undetermined."""
     if uncertainty is None:
         return None
     return np.where(uncertainty.undetermined, np.inf, uncertainty.sigmas)
 
 
-def _trace_vectors(result: FitResult) -> np.ndarray:
+def _trace_vectors(result: FitResult) -> Float[np.ndarray, "i p"]:
     """The unconstrained vectors (i, p) of the best start's trace."""
     vectors = [
         np.concatenate([np.ravel(p.example.with_value(step.values[p.label]).raw) for p in result.parameters])
@@ -102,7 +103,7 @@ def _half_width(result: FitResult, uncertainty: Uncertainty | None, k: int) -> f
     return float(np.clip(max(wide, moved), *HALF_WIDTHS))
 
 
-def _physical(result: FitResult, k: int, steps: np.ndarray) -> np.ndarray:
+def _physical(result: FitResult, k: int, steps: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     """The physical values of the number `k` at `steps` from the optimum."""
     vectors = np.repeat(result.vector[None], len(steps), axis=0)
     vectors[:, k] += steps
@@ -110,7 +111,7 @@ def _physical(result: FitResult, k: int, steps: np.ndarray) -> np.ndarray:
     return np.asarray(flat, float)[:, k]
 
 
-def _finer(values: np.ndarray) -> np.ndarray:
+def _finer(values: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "fine fine"]:
     """The values (n, n) interpolated cubically to (FINE, FINE), with the same end points (Keys 1981)."""
     scale = (FINE - 1) / (len(values) - 1)
     shift = np.full(2, 0.5 - 0.5 * scale)

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 
 from trackers.core.chunks import CHUNK
 from trackers.core.recording import Batch
@@ -30,17 +31,17 @@ class Sweep:
     """
 
     parameters: list[Parameter]
-    grids: list[np.ndarray]
-    values: np.ndarray
+    grids: list[Float[np.ndarray, " _"]]
+    values: Float[np.ndarray, "repeats n *m"]
     filter_runs: int
 
     @property
-    def mean(self) -> np.ndarray:
+    def mean(self) -> Float[np.ndarray, "n *m"]:
         """The mean over repeats, on the grid."""
         return self.values.mean(axis=0)
 
     @property
-    def spread(self) -> np.ndarray:
+    def spread(self) -> Float[np.ndarray, "n *m"]:
         """The standard deviation over repeats, on the grid; zero for a single repeat."""
         return self.values.std(axis=0, ddof=1) if len(self.values) > 1 else np.zeros(self.values.shape[1:])
 
@@ -66,7 +67,9 @@ def swept_parameters(tracker: AbstractTracker, patterns: Sequence[str]) -> list[
     return parameters
 
 
-def grid_vectors(parameters: Sequence[Parameter], grids: Sequence[np.ndarray]) -> np.ndarray:
+def grid_vectors(
+    parameters: Sequence[Parameter], grids: Sequence[Float[np.ndarray, " _"]]
+) -> Float[np.ndarray, "points p"]:
     """The unconstrained vectors (points, p) of all grid points, with the last parameter varying fastest.
 
     All numbers of a parameter get the same value. Raises ValueError for a value outside the parameter's constraint.
@@ -111,8 +114,11 @@ def sweep(
 
 
 def comparable_values(
-    problem: Problem, points: np.ndarray, realisation: int = 0, report: Callable[[int], None] = lambda points: None
-) -> np.ndarray:
+    problem: Problem,
+    points: Float[np.ndarray, "S p"],
+    realisation: int = 0,
+    report: Callable[[int], None] = lambda points: None,
+) -> Float[np.ndarray, " S"]:
     """The objective (S,) at unconstrained vectors (S, p), without derivatives, for one realisation of random numbers.
 
     Trajectories that are finite at none of the vectors are excluded; the objective is NaN where another one is not

@@ -19,6 +19,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Bool, Float
 from scipy.special import ndtri, stdtrit
 
 from trackers.core.tunable import Covariance
@@ -58,13 +59,13 @@ class Optimum(NamedTuple):
     `used`: which of all trajectories are the n that count.
     """
 
-    vector: np.ndarray
+    vector: Float[np.ndarray, " p"]
     value: float
-    gradient: np.ndarray
-    hessian: np.ndarray
-    influence: np.ndarray
+    gradient: Float[np.ndarray, " p"]
+    hessian: Float[np.ndarray, "p p"]
+    influence: Float[np.ndarray, "n p"]
     nats_per_unit: float
-    used: np.ndarray
+    used: Bool[np.ndarray, " all"]
 
 
 @dataclass(frozen=True)
@@ -80,15 +81,15 @@ class Uncertainty:
 
     parameters: list[Parameter]
     optimum: Optimum
-    observed: np.ndarray
-    sandwich: np.ndarray
-    undetermined: np.ndarray
-    at_bound: np.ndarray
+    observed: Float[np.ndarray, "p p"]
+    sandwich: Float[np.ndarray, "p p"]
+    undetermined: Bool[np.ndarray, " p"]
+    at_bound: Bool[np.ndarray, " p"]
     clusters: int
     distance_to_optimum: float
 
     @property
-    def sigmas(self) -> np.ndarray:
+    def sigmas(self) -> Float[np.ndarray, " p"]:
         """Standard deviations (p,) of the unconstrained vector, the larger of the two kinds."""
         return _larger_sigmas(self.observed, self.sandwich)
 
@@ -97,7 +98,7 @@ class Uncertainty:
         """Whether the point is near enough to the optimum for intervals."""
         return self.distance_to_optimum <= MAX_DISTANCE
 
-    def standard_errors(self, by: By = "either") -> dict[str, np.ndarray]:
+    def standard_errors(self, by: By = "either") -> dict[str, Float[np.ndarray, "..."]]:
         """Standard errors of the physical values, by label; NaN for undetermined parameters and those at a bound."""
         if by == "either":
             one, other = self.standard_errors("curvature"), self.standard_errors("scatter")
@@ -108,7 +109,9 @@ class Uncertainty:
         parts = zip(self.parameters, errors, self._by_parameter(missing), strict=True)
         return {p.label: np.where(m, np.nan, e) for p, e, m in parts}
 
-    def intervals(self, level: float = 0.95, by: By = "either") -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    def intervals(
+        self, level: float = 0.95, by: By = "either"
+    ) -> dict[str, tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]]:
         """Lowest and highest physical value by label; symmetric in the logarithm of a Scale, the odds of a Fraction.
 
         Unbounded for undetermined parameters; NaN for those at a bound, and where the point is not the optimum. Entries
@@ -136,7 +139,7 @@ class Uncertainty:
             intervals[p.label] = ends
         return intervals
 
-    def _by_parameter(self, flags: np.ndarray) -> list[np.ndarray]:
+    def _by_parameter(self, flags: Bool[np.ndarray, " p"]) -> list[Bool[np.ndarray, "..."]]:
         parts, start = [], 0
         for p in self.parameters:
             shape = np.shape(p.example.raw)
@@ -145,12 +148,12 @@ class Uncertainty:
         return parts
 
 
-def uncertainty(problem: Problem, vector: np.ndarray) -> Uncertainty:
+def uncertainty(problem: Problem, vector: Float[np.ndarray, " p"]) -> Uncertainty:
     """The uncertainty of the optimum at `vector` (p,), in 2p + 1 evaluations."""
     return uncertainty_at(problem, optimum(problem, vector))
 
 
-def uncertainty_at(problem: Problem, found: Optimum, at_bound: np.ndarray | None = None) -> Uncertainty:
+def uncertainty_at(problem: Problem, found: Optimum, at_bound: Bool[np.ndarray, " p"] | None = None) -> Uncertainty:
     """The uncertainty of an optimum with the parameters `at_bound` (p,) fixed.
 
     The likelihood of a particle filter is not smooth: J takes the place of its Hessian.
@@ -172,18 +175,18 @@ def uncertainty_at(problem: Problem, found: Optimum, at_bound: np.ndarray | None
     return Uncertainty(problem.parameters, found, observed, sandwich, undetermined, at_bound, clusters, distance)
 
 
-def _larger_sigmas(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+def _larger_sigmas(one: Float[np.ndarray, "p p"], other: Float[np.ndarray, "p p"]) -> Float[np.ndarray, " p"]:
     """The larger standard deviations (p,) of two covariances, one of which may be NaN."""
     return np.sqrt(np.maximum(np.fmax(np.diagonal(one), np.diagonal(other)), 0.0))
 
 
-def _distance(step: np.ndarray, sigma: np.ndarray) -> float:
+def _distance(step: Float[np.ndarray, " p"], sigma: Float[np.ndarray, " p"]) -> float:
     """The largest component of a step (p,) in standard deviations (p,); 0 where there are none."""
     known = sigma > 0
     return float(np.max(np.abs(step[known]) / sigma[known], initial=0.0))
 
 
-def _scatter(problem: Problem, found: Optimum) -> tuple[np.ndarray, int]:
+def _scatter(problem: Problem, found: Optimum) -> tuple[Float[np.ndarray, "p p"], int]:
     """J and its number of clusters: trajectories, or for a likelihood of few of them blocks of rows."""
     clusters = len(found.influence)
     if clusters >= MIN_TRAJECTORIES:
@@ -198,7 +201,7 @@ def _scatter(problem: Problem, found: Optimum) -> tuple[np.ndarray, int]:
     return information / found.nats_per_unit**2, int(np.sum(-(-rows[found.used] // block)))
 
 
-def optimum(problem: Problem, vector: np.ndarray) -> Optimum:
+def optimum(problem: Problem, vector: Float[np.ndarray, " p"]) -> Optimum:
     """The quadratic model of the objective at a vector (p,), by central differences of gradients.
 
     Only trajectories usable at all of the vectors count, so that all differences are of the same function.
@@ -222,7 +225,9 @@ def optimum(problem: Problem, vector: np.ndarray) -> Optimum:
     return Optimum(vector, float(values[0]), gradients[0], 0.5 * (rows + rows.T), psi, nats, used)
 
 
-def influence(objective: AbstractObjective, terms: np.ndarray, term_gradients: np.ndarray) -> np.ndarray:
+def influence(
+    objective: AbstractObjective, terms: Float[np.ndarray, "k n"], term_gradients: Float[np.ndarray, "k p n"]
+) -> Float[np.ndarray, "n p"]:
     """The derivative of the gradient with respect to each trajectory's weight (n, p).
 
     From terms (k, n) and their derivatives (k, p, n); exact, since the objective is a function of weighted sums.
@@ -233,7 +238,7 @@ def influence(objective: AbstractObjective, terms: np.ndarray, term_gradients: n
     )
 
 
-def unused(parameters: Sequence[Parameter]) -> np.ndarray:
+def unused(parameters: Sequence[Parameter]) -> Bool[np.ndarray, " p"]:
     """Which unconstrained numbers (p,) are unused: those above the diagonal of a covariance's factor."""
     parts = []
     for p in parameters:
@@ -242,7 +247,7 @@ def unused(parameters: Sequence[Parameter]) -> np.ndarray:
     return np.concatenate([np.ravel(x) for x in parts])
 
 
-def unidentifiable(term_gradients: np.ndarray) -> np.ndarray:
+def unidentifiable(term_gradients: Float[np.ndarray, "*many p n"]) -> Bool[np.ndarray, " p"]:
     """Which of p numbers have no effect: derivatives (…, p, n) with some finite entries, all of them zero."""
     each = np.moveaxis(term_gradients, -2, 0).reshape(term_gradients.shape[-2], -1)
     finite = np.isfinite(each)
@@ -250,12 +255,16 @@ def unidentifiable(term_gradients: np.ndarray) -> np.ndarray:
 
 
 @eqx.filter_jit
-def _derivatives(objective: AbstractObjective, sums: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _derivatives(
+    objective: AbstractObjective, sums: Float[jax.Array, " k"]
+) -> tuple[Float[jax.Array, " k"], Float[jax.Array, "k k"]]:
     """First and second derivatives of the objective with respect to the sums."""
     return jax.grad(objective.value)(sums), jax.hessian(objective.value)(sums)
 
 
-def determined(hessian: np.ndarray, free: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def determined(
+    hessian: Float[np.ndarray, "p p"], free: Bool[np.ndarray, " p"] | None = None
+) -> tuple[Float[np.ndarray, "p m"], Float[np.ndarray, "p p"], Bool[np.ndarray, " p"]]:
     """The undetermined directions (p, m), the inverse Hessian along all others, and the parameters (p,) in the former.
 
     Undetermined: without positive curvature, up to rounding; all directions where the Hessian isn't finite. Only the

@@ -31,7 +31,7 @@ def test_an_antenna_nearer_to_the_beacon_is_ahead_by_its_shorter_path():
     first, second = spherical_phases([station], beacon)[0]
     path = np.hypot(0.5, 1.0) - np.hypot(0.499, 1.0)
     assert path > 0
-    assert wrapped(second - first) == pytest.approx(2 * np.pi / 0.0125 * path, abs=1e-9)
+    assert wrapped((second - first)[None]) == pytest.approx(2 * np.pi / 0.0125 * path, abs=1e-9)
 
 
 def test_a_beacon_far_away_sends_a_plane_wave():

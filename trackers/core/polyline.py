@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float, Int
+from numpy.typing import ArrayLike
 
 from trackers.core.algebra import Scalar, Vector, total
 from trackers.core.state import wrap
@@ -27,14 +27,14 @@ class Polyline(eqx.Module):
     is not finite or repeats the previous one.
     """
 
-    knots: Any
-    directions: Any
-    starts: Any
-    lengths: Any
-    length: Any
+    knots: Float[Array | np.ndarray, "k 2"]
+    directions: Float[Array | np.ndarray, "k-1 2"]
+    starts: Float[Array | np.ndarray, " k-1"]
+    lengths: Float[Array | np.ndarray, " k-1"]
+    length: Scalar
     closed: bool = eqx.field(static=True)
 
-    def __init__(self, knots: Any):
+    def __init__(self, knots: ArrayLike):
         knots = np.asarray(knots, float)
         if knots.ndim != 2 or knots.shape[1:] != (2,) or len(knots) < 2:
             raise ValueError(f"a path has at least two knots [x, y], found an array of shape {knots.shape}")
@@ -53,11 +53,11 @@ class Polyline(eqx.Module):
         self.closed = bool(np.array_equal(knots[0], knots[-1]))
 
     @property
-    def joins(self) -> Any:
+    def joins(self) -> Float[Array | np.ndarray, " joins"]:
         """The arclengths at which two segments meet, m, in order, including the end of a closed path."""
         return jnp.append(self.starts[1:], self.length) if self.closed else self.starts[1:]
 
-    def next_join(self, arclength: Any) -> Any:
+    def next_join(self, arclength: Float[Array, "*rows"]) -> Float[Array, "*rows"]:
         """The first join beyond these arclengths, m; infinite where there is none."""
         joins = self.joins
         if len(joins) > FEW:
@@ -75,7 +75,7 @@ class Polyline(eqx.Module):
         """The arclength modulo the length of a closed path; unchanged for an open one."""
         return arclength - self.length * jnp.floor(arclength / self.length) if self.closed else arclength
 
-    def gathered(self, arclength: Any, weights: Any) -> Any:
+    def gathered(self, arclength: Float[Array, " N"], weights: Float[Array, " N"]) -> Float[Array, " N"]:
         """Arclengths (N,) that can be averaged: unwrapped about their circular mean if the path is closed."""
         if not self.closed:
             return arclength
@@ -112,10 +112,12 @@ class Polyline(eqx.Module):
             self.directions[0][a] + total(t[a] * h for t, h in zip(turns, here, strict=True)) for a in (0, 1)
         )
 
-    def _segment(self, along: Any) -> Any:
+    def _segment(self, along: Float[Array, "*rows"]) -> Int[Array, "*rows"]:
         return jnp.searchsorted(self.starts[1:], along, side="right", method=LOOK_UP)
 
-    def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def nearest(
+        self, points: Float[np.ndarray, "*rows 2"]
+    ) -> tuple[Float[np.ndarray, "*rows"], Float[np.ndarray, "*rows"]]:
         """The arclengths of the projections of `points` (..., 2) onto the path, and their distances, m; NumPy."""
         knots, directions = np.asarray(self.knots, float), np.asarray(self.directions, float)
         starts, lengths = np.asarray(self.starts, float), np.asarray(self.lengths, float)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -40,6 +40,7 @@ KINDS = {
 """The usual fix by the type of what was given in place of a recording."""
 
 
+@runtime_checkable
 class ChecksLayout(Protocol):
     """A tracker, as the check sees it."""
 

@@ -7,7 +7,7 @@ over trajectories. The exception is a belief with an axis of particles or cells:
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -76,6 +76,7 @@ Score = Callable[[Output, dict[str, tuple[Any, Any]]], tuple[Any, ...]]
 """Numbers per trajectory, (B,) each, of one time step: a function of its output and its truth."""
 
 
+@runtime_checkable
 class RecursiveTracker(Protocol):
     """The attributes of a `Tracker` that the scan uses."""
 

@@ -13,21 +13,25 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
 
-from trackers.core.algebra import Vector
+from trackers.core.algebra import Scalar, Vector
 from trackers.core.motion import Kinematic
 from trackers.core.sensor import AbstractSensor, Reading
+
+Points = Float[Array | np.ndarray, "k d"]
 
 
 class SensorAtEpoch(NamedTuple):
     """A sensor with its number of `channels`, and the inputs of its row."""
 
     sensor: AbstractSensor
-    inputs: Mapping[str, Any]
+    inputs: Mapping[str, Array]
     channels: int
 
 
-def information(sensors: Sequence[SensorAtEpoch], position: Any) -> Any:
+def information(sensors: Sequence[SensorAtEpoch], position: Float[Array, " d"]) -> Float[Array, "d d"]:
     """Fisher's information (d, d), 1/m², of one epoch about `position` (d,), m, with all channels seen.
 
     d is 2 where the inputs hold the `height`.
@@ -35,7 +39,7 @@ def information(sensors: Sequence[SensorAtEpoch], position: Any) -> Any:
     total = jnp.zeros((len(position), len(position)), position.dtype)
     for channels, alike in _by_kind(sensors):
 
-        def one(look: Any, channels: int = channels) -> Any:
+        def one(look: tuple[AbstractSensor, Mapping[str, Array]], channels: int = channels) -> Float[Array, "d d"]:
             return _of_one(SensorAtEpoch(look[0], look[1], channels), position)
 
         total = total + jnp.sum(jax.vmap(one)(alike), axis=0)
@@ -52,16 +56,16 @@ def _by_kind(sensors: Sequence[SensorAtEpoch]) -> Iterator[tuple[int, Any]]:
         yield channels, jax.tree_util.tree_unflatten(tree, [jnp.stack(parts) for parts in zip(*members, strict=True)])
 
 
-def _of_one(look: SensorAtEpoch, position: Any) -> Any:
+def _of_one(look: SensorAtEpoch, position: Float[Array, " d"]) -> Float[Array, "d d"]:
     sensor, inputs, channels = look
 
-    def predicted(p: Any) -> Sequence[Any]:
+    def predicted(p: Float[Array, " d"]) -> list[Scalar]:
         return list(sensor.measure(Kinematic(Vector(*p), Vector(*(jnp.zeros_like(x) for x in p))), inputs))
 
     # The noise-free reading is a constant: it does not depend on the assumed position.
     exact = Reading(jax.lax.stop_gradient(predicted(position)), [jnp.asarray(True)] * channels)
 
-    def residual_at(p: Any) -> tuple[Any, Any]:
+    def residual_at(p: Float[Array, " d"]) -> tuple[Float[Array, " m"], Scalar | None]:
         residual = sensor.residual(exact, predicted(p))
         return jnp.stack(residual.whitened), residual.dof
 
@@ -70,7 +74,7 @@ def _of_one(look: SensorAtEpoch, position: Any) -> Any:
     return (1.0 if dof is None else (dof + 1.0) / (dof + 3.0)) * (H.T @ H)
 
 
-def variance(J: Any) -> Any:
+def variance(J: Float[Array, "d d"]) -> Float[Array, ""]:
     """tr J⁻¹ of an information (2, 2) or (3, 3), by Cramer's rule: batched LAPACK calls can deadlock on few cores."""
     if len(J) == 2:
         return (J[0, 0] + J[1, 1]) / (J[0, 0] * J[1, 1] - J[0, 1] * J[1, 0])
@@ -79,13 +83,13 @@ def variance(J: Any) -> Any:
     return (by_a[0] + by_b[1] + by_c[2]) / (a @ by_a)
 
 
-def bounds(sensors: Sequence[SensorAtEpoch], points: Any) -> Any:
+def bounds(sensors: Sequence[SensorAtEpoch], points: Points) -> Float[Array, " k"]:
     """The bound (k,), m, of the root mean square position error at each of the points (k, d)."""
     variances = jax.vmap(lambda p: variance(information(sensors, p)))(points)
     # Rounding can make the variance negative where a direction is undetermined; the bound is unlimited there.
     return jnp.sqrt(jnp.where(variances > 0, variances, 1e12))
 
 
-def mean_bound(sensors: Sequence[SensorAtEpoch], points: Any) -> Any:
+def mean_bound(sensors: Sequence[SensorAtEpoch], points: Points) -> Float[Array, ""]:
     """The root mean square of the bounds over the points, m: for tags anywhere in the volume."""
     return jnp.sqrt(jnp.mean(bounds(sensors, points) ** 2))

@@ -8,18 +8,22 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from trackers.aoa.phases import SphericalPhases
+from trackers.core.algebra import Scalar
 from trackers.core.rig import Station
 from trackers.parts.ranges import RangeSensor
-from tuning.design.bound import SensorAtEpoch, mean_bound
+from tuning.design.bound import Points, SensorAtEpoch, mean_bound
 
-Bound = Callable[[Sequence[SensorAtEpoch], Any], Any]
+Theta = Float[Array | np.ndarray, "elements coordinates"]
+"""Numbers from 0 to 1, one row per element."""
+
+Bound = Callable[[Sequence[SensorAtEpoch], Points], Scalar]
 
 WEIGHT = 300.0
 """Weight of violations against the logarithm of the bound: a violation costs more than any bound gains."""
@@ -34,25 +38,25 @@ class AbstractLayout(eqx.Module):
         """The shape of theta: elements, coordinates of each."""
 
     @abstractmethod
-    def positions(self, theta: Any) -> Any:
+    def positions(self, theta: Theta) -> Float[Array, "elements axes"]:
         """The positions of the elements, m."""
 
     @abstractmethod
-    def sensors(self, theta: Any) -> list[SensorAtEpoch]:
+    def sensors(self, theta: Theta) -> list[SensorAtEpoch]:
         """The sensors of one epoch."""
 
     @abstractmethod
-    def project(self, theta: Any) -> Any:
+    def project(self, theta: Theta) -> Theta:
         """The nearest theta within its range."""
 
     @abstractmethod
-    def violation(self, theta: Any) -> Any:
+    def violation(self, theta: Theta) -> Float[Array, ""]:
         """The squared violation of constraints other than the range; 0 where they hold."""
 
-    def objective(self, points: Any, bound: Bound = mean_bound) -> Callable[..., Any]:
+    def objective(self, points: Points, bound: Bound = mean_bound) -> Callable[..., Scalar]:
         """The cost as a function of theta and the weight of violations: log of the bound plus weighted violations."""
 
-        def cost(theta: Any, weight: Any = WEIGHT) -> Any:
+        def cost(theta: Theta, weight: Scalar = WEIGHT) -> Scalar:
             return jnp.log(bound(self.sensors(theta), points)) + weight * self.violation(theta)
 
         return cost
@@ -66,8 +70,8 @@ class WallAnchors(AbstractLayout):
     known height. Bands keep the anchors out of one plane: the bound covers small errors only, not mirrored positions.
     """
 
-    corners: Any
-    bands: Any
+    corners: Float[np.ndarray, "c 2"]
+    bands: Float[np.ndarray, "elements 2"]
     spacing: float
     sensor: RangeSensor
     height: float | None = eqx.field(static=True, default=None)
@@ -76,7 +80,7 @@ class WallAnchors(AbstractLayout):
     def shape(self) -> tuple[int, int]:
         return len(self.bands), 2
 
-    def positions(self, theta: Any) -> Any:
+    def positions(self, theta: Theta) -> Float[Array, "elements axes"]:
         """(anchors, 3)."""
         closed = np.vstack([self.corners, self.corners[:1]])
         length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
@@ -85,7 +89,7 @@ class WallAnchors(AbstractLayout):
         low, high = self.bands[:, 0], self.bands[:, 1]
         return jnp.stack([x, y, low + theta[:, 1] * (high - low)], axis=1)
 
-    def theta(self, places: np.ndarray) -> np.ndarray:
+    def theta(self, places: Float[np.ndarray, "elements 3"]) -> Float[np.ndarray, "elements 2"]:
         """The theta of anchors (anchors, 3), m, on the walls; raises ValueError for an anchor off the walls."""
         closed = np.vstack([self.corners, self.corners[:1]])
         walls = np.diff(closed, axis=0)
@@ -102,18 +106,18 @@ class WallAnchors(AbstractLayout):
         low, high = self.bands[:, 0], self.bands[:, 1]
         return np.stack([along, (np.asarray(places)[:, 2] - low) / (high - low)], axis=1)
 
-    def sensors(self, theta: Any) -> list[SensorAtEpoch]:
+    def sensors(self, theta: Theta) -> list[SensorAtEpoch]:
         known = {} if self.height is None else {"height": jnp.asarray(self.height)}
         return [
             SensorAtEpoch(self.sensor, {"anchors": place, "anchor": jnp.full(1, float(k)), **known}, 1)
             for k, place in enumerate(self.positions(theta))
         ]
 
-    def project(self, theta: Any) -> Any:
+    def project(self, theta: Theta) -> Theta:
         """The perimeter wraps around, the height is clipped to the band."""
         return jnp.stack([theta[:, 0] % 1.0, jnp.clip(theta[:, 1], 0.0, 1.0)], axis=1)
 
-    def violation(self, theta: Any) -> Any:
+    def violation(self, theta: Theta) -> Float[Array, ""]:
         return spacing_violation(self.positions(theta), self.spacing)
 
 
@@ -126,7 +130,7 @@ class PlanarArray(AbstractLayout):
     """
 
     stations: Mapping[str, Station]
-    half_box: Any
+    half_box: Float[np.ndarray, " 2"]
     spacing: float
     side_lobe: float
     sigma_p: float
@@ -136,15 +140,15 @@ class PlanarArray(AbstractLayout):
     def shape(self) -> tuple[int, int]:
         return self.count, 2
 
-    def positions(self, theta: Any) -> Any:
+    def positions(self, theta: Theta) -> Float[Array, "elements axes"]:
         """(antennas, 2)."""
-        return (2 * theta - 1) * jnp.asarray(self.half_box)[None, :]
+        return (2 * jnp.asarray(theta) - 1) * jnp.asarray(self.half_box)[None, :]
 
-    def theta(self, places: np.ndarray) -> np.ndarray:
+    def theta(self, places: Float[np.ndarray, "elements 2"]) -> Float[np.ndarray, "elements 2"]:
         """The theta of antennas (n, 2), m."""
         return (np.asarray(places) / self.half_box + 1) / 2
 
-    def sensors(self, theta: Any) -> list[SensorAtEpoch]:
+    def sensors(self, theta: Theta) -> list[SensorAtEpoch]:
         flat = self.positions(theta)
         made = []
         for station in self.stations.values():
@@ -154,14 +158,14 @@ class PlanarArray(AbstractLayout):
             made.append(SensorAtEpoch(eqx.tree_at(lambda s: s.antennas, template, in_world), {}, self.count))
         return made
 
-    def project(self, theta: Any) -> Any:
+    def project(self, theta: Theta) -> Theta:
         return jnp.clip(theta, 0.0, 1.0)
 
-    def violation(self, theta: Any) -> Any:
+    def violation(self, theta: Theta) -> Float[Array, ""]:
         beyond = jnp.maximum(self.side_lobes(theta) - self.side_lobe, 0.0)
         return spacing_violation(self.positions(theta), self.spacing) + jnp.max(beyond) ** 2 + jnp.mean(beyond**2)
 
-    def side_lobes(self, theta: Any) -> Any:
+    def side_lobes(self, theta: Theta) -> Float[Array, " directions"]:
         """The array factor, 1 in the beam, at differences of direction cosines outside the main beam."""
         wavelength = next(s.wavelength for s in self.stations.values() if s.wavelength is not None)
         du, dv = np.meshgrid(np.linspace(0, 1, 21), np.linspace(-1, 1, 41), indexing="ij")
@@ -171,7 +175,7 @@ class PlanarArray(AbstractLayout):
         return jnp.sqrt(jnp.mean(jnp.cos(phases), axis=0) ** 2 + jnp.mean(jnp.sin(phases), axis=0) ** 2 + 1e-12)
 
 
-def spacing_violation(places: Any, spacing: float) -> Any:
+def spacing_violation(places: Float[Array, "elements axes"], spacing: float) -> Float[Array, ""]:
     """The sum over pairs of the squared shortfall of the spacing, relative to it."""
     n = places.shape[0]
     one, other = np.triu_indices(n, 1)

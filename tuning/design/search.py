@@ -10,10 +10,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+from jaxtyping import Float
 
-from tuning.design.layouts import WEIGHT
+from trackers.core.algebra import Scalar
+from tuning.design.layouts import WEIGHT, Theta
 
-Objective = Callable[..., Any]
+Objective = Callable[..., Scalar]
 """Cost as a function of theta, and optionally of the weight of the violations."""
 
 WEIGHT_INCREASE = 1000.0
@@ -25,13 +27,17 @@ _BATCH = 1024
 class SearchResult(NamedTuple):
     """The best `theta`, its `value`, and the number of `evaluations` of the cost or its gradient."""
 
-    theta: np.ndarray
+    theta: Float[np.ndarray, "elements coordinates"]
     value: float
     evaluations: int
 
 
 def descend(
-    objective: Objective, project: Callable[[Any], Any], starts: np.ndarray, steps: int = 150, rate: float = 0.05
+    objective: Objective,
+    project: Callable[[Theta], Theta],
+    starts: Float[np.ndarray, "s elements coordinates"],
+    steps: int = 150,
+    rate: float = 0.05,
 ) -> SearchResult:
     """The best result of Adam (Kingma & Ba 2015) with projected steps from all `starts` (s, …), in one call.
 
@@ -41,7 +47,7 @@ def descend(
     """
     optimiser = optax.scale_by_adam()
 
-    def one(theta: Any) -> tuple[Any, Any]:
+    def one(theta: Theta) -> tuple[Theta, Scalar]:
         def step(carry: Any, done: Any) -> tuple[Any, None]:
             theta, state = carry
             gradient = jax.grad(objective)(theta, WEIGHT * WEIGHT_INCREASE ** (done - 1.0))
@@ -58,7 +64,9 @@ def descend(
     return _best(np.asarray(ends), np.asarray(values), len(starts) * (steps + 1))
 
 
-def exhaust(objective: Objective, choices: np.ndarray, ways: Iterable[tuple[int, ...]]) -> SearchResult:
+def exhaust(
+    objective: Objective, choices: Float[np.ndarray, "c coordinates"], ways: Iterable[tuple[int, ...]]
+) -> SearchResult:
     """The best of all `ways` to place elements on a grid of `choices` (c, d); a way is the indices of its choices."""
     evaluate = jax.jit(jax.vmap(lambda theta: objective(theta)))
     every, best, number = iter(ways), None, 0

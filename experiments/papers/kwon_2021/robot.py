@@ -35,7 +35,7 @@ from experiments.papers.kwon_2021.chamber import anchors, deviations, under
 from experiments.plots.style import BLACK, BLUE, GREY, HEIGHT, VERMILION, plain, write_svg
 from experiments.reports.wording import fixed_interval, listed
 from sim.imu import level, simulate_uwb_imu
-from sim.keys import Keys
+from sim.keys import Keys, trajectory_keys
 from sim.ranging import Protocol, antenna_biases, chamber
 from trackers.recordings.folder import RecordingFolder
 
@@ -147,7 +147,7 @@ def figure_9(results: Results, folder: Path) -> list[str]:
             for axes, values in zip(panels, (x, y, under(z, run.folder)), strict=True):
                 axes.plot(run.times[0, last], values, color=colour, label=name)
         times = np.arange(0, 3 * AXIS_S, 0.05)
-        for axes, true, letter in zip(panels, strokes(np.zeros(1), times)[0].T, "xyz", strict=True):
+        for axes, true, letter in zip(panels, strokes(trajectory_keys(0, [0]), times)[0].T, "xyz", strict=True):
             axes.plot(times, true, color=BLACK, linewidth=0.8, linestyle="--", label="robot")
             axes.set_title(f"{letter}, m")
             plain(axes)

@@ -1,0 +1,33 @@
+"""The shapes in annotations are checked while tests run: an array of another shape or type is an error in each package."""
+
+import numpy as np
+import pytest
+from jaxtyping import TypeCheckError
+
+from sim.corruptions import white_noise
+from sim.keys import trajectory_keys
+from trackers.core.polyline import Polyline
+from tuning.optimisers import LBFGS
+
+
+def test_core():
+    path = Polyline([[0.0, 0.0], [1.0, 0.0]])
+    assert path.nearest(np.zeros((3, 2)))[0].shape == (3,)
+    with pytest.raises(TypeCheckError, match="points"):
+        path.nearest(np.zeros((3, 3)))
+
+
+def test_tuning():
+    optimiser, vectors = LBFGS(), np.zeros((2, 3))
+    state = optimiser.init(vectors)
+    with pytest.raises(TypeCheckError, match="gradients"):
+        optimiser.propose(state, vectors, np.zeros((2, 4)))
+
+
+def test_sim():
+    corrupt, keys = white_noise(0.1), trajectory_keys(0, [0, 1])
+    values, seen = np.zeros((2, 5, 3)), np.ones((2, 5, 3), bool)
+    corrupt(keys, np.arange(5.0), values, seen)
+    for times, mask in ((np.arange(4.0), seen), (np.arange(5.0), np.ones((2, 5, 3)))):
+        with pytest.raises(TypeCheckError, match=r"sim\.corruptions"):
+            corrupt(keys, times, values, mask)
