@@ -76,7 +76,7 @@ class FitResult(Generic[AnyTracker]):
         return "\n".join(lines) + ">"
 
     @property
-    def standard_errors(self) -> dict[str, Float[np.ndarray, "..."]]:
+    def standard_errors(self) -> dict[str, np.ndarray]:
         """Standard errors of the physical values by label; NaN where the fit was interrupted."""
         if self.uncertainty is None:
             return {p.label: np.full(np.shape(p.example.raw), np.nan) for p in self.parameters}
@@ -245,7 +245,7 @@ def _best_vector(problem: Problem, state: FitState, winner: int) -> tuple[Float[
     return restored if as_good else vector, 2
 
 
-def by_label(parameters: Sequence[Parameter], vector: Float[np.ndarray, " p"]) -> dict[str, Float[np.ndarray, "..."]]:
+def by_label(parameters: Sequence[Parameter], vector: Float[np.ndarray, " p"]) -> dict[str, np.ndarray]:
     """The physical values by the parameters' labels."""
     values = physical(parameters, vector)
     return {p.label: np.asarray(v, float) for p, v in zip(parameters, values, strict=True)}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
 
 from trackers.core.errors import UnusableInput
 from tuning.fit import FitResult
@@ -11,7 +10,7 @@ from tuning.objectives import AbstractObjective
 from tuning.profiles import MIN_TRAJECTORIES, bootstrap, percentile_intervals, profile
 from tuning.uncertainty import Uncertainty
 
-Interval = tuple[Float[np.ndarray, "*shape"], Float[np.ndarray, "*shape"]]
+Interval = tuple[np.ndarray, np.ndarray]
 """Lowest and highest value."""
 
 

@@ -167,14 +167,12 @@ def require_start_within(parameters: Sequence[Parameter], bounds: Mapping[str, t
         )
 
 
-def with_raw(node: AbstractTunable, raw: Float[Array | np.ndarray, "..."]) -> AbstractTunable:
+def with_raw(node: AbstractTunable, raw: Array | np.ndarray) -> AbstractTunable:
     """The tunable with another unconstrained value."""
     return eqx.tree_at(lambda n: n.raw, node, raw)
 
 
-def split(
-    parameters: Sequence[Parameter], vector: Vector
-) -> Iterator[tuple[Parameter, Float[Array | np.ndarray, "..."]]]:
+def split(parameters: Sequence[Parameter], vector: Vector) -> Iterator[tuple[Parameter, Array | np.ndarray]]:
     """Each parameter with its part of an unconstrained vector, in its shape."""
     start = 0
     for parameter in parameters:
@@ -201,7 +199,7 @@ def physical_vector(parameters: Sequence[Parameter], vector: Vector) -> Float[np
 
 def physical_errors(
     parameters: Sequence[Parameter], vector: Float[np.ndarray, " p"], cov: Float[np.ndarray, "p p"]
-) -> list[Float[np.ndarray, "..."]]:
+) -> list[np.ndarray]:
     """Standard errors of the physical values, by the delta method from the covariance of the unconstrained vector."""
     jacobians = jax.jacfwd(lambda v: physical(parameters, v))(jnp.asarray(vector))
     return [np.sqrt(np.maximum(np.einsum("...i,ij,...j->...", j, cov, j), 0)) for j in map(np.asarray, jacobians)]

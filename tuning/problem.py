@@ -20,6 +20,9 @@ from tuning.objectives import AbstractObjective
 from tuning.parameters import Parameter, with_parameters
 from tuning.priors import Penalty, Prior, penalty
 
+Vectors = Float[np.ndarray, "*S p"]
+"""Unconstrained vectors of p numbers: S of them, or one."""
+
 MAX_VECTORS = 8
 """Most vectors in one compiled call: with few recordings, eight cost little more than one."""
 
@@ -86,7 +89,7 @@ class Problem:
 
     def evaluate(
         self,
-        vectors: Float[np.ndarray, "*S p"],
+        vectors: Vectors,
         weights: Num[np.ndarray, "*many n"] | None = None,
         subset: Sequence[int] | None = None,
         realisation: int = 0,
@@ -111,11 +114,11 @@ class Problem:
 
     def values_over(
         self,
-        count: Shaped[np.ndarray, "S n"],
-        vectors: Float[np.ndarray, "S p"],
-        terms: Float[np.ndarray, "S k n"],
+        count: Shaped[np.ndarray, "many n"],
+        vectors: Vectors,
+        terms: Float[np.ndarray, "many k n"],
         subset: Sequence[int] | None = None,
-    ) -> Float[np.ndarray, " S"]:
+    ) -> Float[np.ndarray, " many"]:
         """The objective (S,) at vectors (S, p) from its `terms` (S, k, n) there, over chosen trajectories.
 
         `count` (S, n): multiplicity of each trajectory, 0 to leave it out. `subset`: the chunks of the terms.
@@ -127,7 +130,7 @@ class Problem:
         """The number of trajectories left out of an evaluation over all chunks, at the vector with the fewest."""
         return int(self.valid.sum() - evaluation.used.sum(axis=1).max())
 
-    def values(self, vectors: Float[np.ndarray, "S p"], realisation: int = 0) -> Float[np.ndarray, " S"]:
+    def values(self, vectors: Vectors, realisation: int = 0) -> Float[np.ndarray, " many"]:
         """The objective (S,) at vectors (S, p) over all trajectories that are finite there, at a third of the cost.
 
         `evaluate` leaves out more, those without usable derivatives; elsewhere the two are one function.
@@ -136,7 +139,7 @@ class Problem:
 
     def finite_values(
         self,
-        vectors: Float[np.ndarray, "*S p"],
+        vectors: Vectors,
         terms: Float[np.ndarray, "many k n"],
         subset: Sequence[int] | None = None,
     ) -> Float[np.ndarray, " many"]:
@@ -147,7 +150,7 @@ class Problem:
         """The number of trajectories that one vector filters, in a subset of the chunks or in all."""
         return int(self._valid(subset).sum())
 
-    def terms(self, vectors: Float[np.ndarray, "S p"], realisation: int = 0) -> Float[np.ndarray, "S k n"]:
+    def terms(self, vectors: Vectors, realisation: int = 0) -> Float[np.ndarray, "many k n"]:
         """Each trajectory's part of the sums (S, k, n), without derivatives."""
         return np.concatenate([t for (t,) in self._run(plain_sums, vectors, None, realisation)], axis=-1)
 
@@ -155,9 +158,7 @@ class Problem:
         """The objective (S,) of sums (S, k), without priors."""
         return np.asarray(value_and_gradient(self.objective, jnp.asarray(sums))[0], float)
 
-    def prior_penalty(
-        self, vectors: Float[np.ndarray, "*S p"], sums: Float[np.ndarray, "many k"], share: float = 1.0
-    ) -> Penalty:
+    def prior_penalty(self, vectors: Vectors, sums: Float[np.ndarray, "many k"], share: float = 1.0) -> Penalty:
         """The priors' part of the objective (S,) and its derivatives at vectors (S, p), in the objective's unit.
 
         `sums` (S, k): those of the likelihood there. `share`: of the trajectories evaluated.
@@ -174,17 +175,17 @@ class Problem:
         """Whether the tracker uses random numbers."""
         return is_stochastic(self.tracker)
 
-    def point(self, vectors: Float[np.ndarray, "*S p"]) -> Point:
+    def point(self, vectors: Vectors) -> Point:
         """The argument of `term_sums` at vectors (S, p)."""
         return Point(self.tracker, self.objective, self.parameters, jnp.asarray(np.atleast_2d(vectors), self.dtype))
 
     def _run(
         self,
         function: Callable[[Point, Batch], tuple[jax.Array, ...]],
-        vectors: Float[np.ndarray, "*S p"],
+        vectors: Vectors,
         subset: Sequence[int] | None,
         realisation: int,
-    ) -> list[tuple[Float[np.ndarray, "..."], ...]]:
+    ) -> list[tuple[np.ndarray, ...]]:
         """The arrays of `function` for every chunk at all vectors, float64 on the host."""
         vectors = np.atleast_2d(np.asarray(vectors, float))
         size, width = len(vectors), self.vectors_per_call

@@ -153,7 +153,7 @@ def bootstrap(
 
 def percentile_intervals(
     parameters: list[Parameter], vectors: Float[np.ndarray, "S p"], level: float = 0.95
-) -> dict[str, tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]]:
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Lowest and highest physical value of the central `level` of replicates (S, p), by label."""
     physical_values = [physical(parameters, v) for v in vectors]
     tails = 50 * (1 - level), 50 * (1 + level)

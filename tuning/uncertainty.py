@@ -98,7 +98,7 @@ class Uncertainty:
         """Whether the point is near enough to the optimum for intervals."""
         return self.distance_to_optimum <= MAX_DISTANCE
 
-    def standard_errors(self, by: By = "either") -> dict[str, Float[np.ndarray, "..."]]:
+    def standard_errors(self, by: By = "either") -> dict[str, np.ndarray]:
         """Standard errors of the physical values, by label; NaN for undetermined parameters and those at a bound."""
         if by == "either":
             one, other = self.standard_errors("curvature"), self.standard_errors("scatter")
@@ -109,9 +109,7 @@ class Uncertainty:
         parts = zip(self.parameters, errors, self._by_parameter(missing), strict=True)
         return {p.label: np.where(m, np.nan, e) for p, e, m in parts}
 
-    def intervals(
-        self, level: float = 0.95, by: By = "either"
-    ) -> dict[str, tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]]:
+    def intervals(self, level: float = 0.95, by: By = "either") -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Lowest and highest physical value by label; symmetric in the logarithm of a Scale, the odds of a Fraction.
 
         Unbounded for undetermined parameters; NaN for those at a bound, and where the point is not the optimum. Entries

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from trackers.core.algebra import Scalar, Vector, dense, densify
 from trackers.core.chunks import as_dtype
 from trackers.core.linearise import linearise
 from trackers.core.recording import Batch, Row
-from trackers.core.state import coordinates, local
+from trackers.core.sensor import AbstractSensor, Reading
+from trackers.core.state import State, coordinates, local
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import freeze
+
+Tree = TypeVar("Tree")
 
 
 class NoBoundError(ValueError):
@@ -26,7 +30,7 @@ ROUNDING = 100.0
 """Relative difference of two equal Jacobians by rounding, in units of the resolution of the floating-point type."""
 
 
-def posterior_bound(tracker: Tracker, batch: Batch, states: Any) -> np.ndarray:
+def posterior_bound(tracker: Tracker, batch: Batch, states: State) -> Float[np.ndarray, "T n"]:
     """Lower bounds (T, n) on the standard deviations of the filtered state's components, averaged over the batch.
 
     `states`: the true states, leaves (T, B). The recursion starts at the first row with the covariance of the tracker's
@@ -63,7 +67,9 @@ def posterior_bound(tracker: Tracker, batch: Batch, states: Any) -> np.ndarray:
     return np.array(result)
 
 
-def _predicted(P: np.ndarray, F: np.ndarray, G: np.ndarray, row: int) -> np.ndarray:
+def _predicted(
+    P: Float[np.ndarray, "n n"], F: Float[np.ndarray, "B n n"], G: Float[np.ndarray, "B n q"], row: int
+) -> Float[np.ndarray, "n n"]:
     """The predicted bound from transitions F (B, n, n) and noise G (B, n, q) that differ between trajectories."""
     Q = G @ np.swapaxes(G, 1, 2)
     if np.any(np.linalg.matrix_rank(Q, hermitian=True) < len(P)):
@@ -74,17 +80,17 @@ def _predicted(P: np.ndarray, F: np.ndarray, G: np.ndarray, row: int) -> np.ndar
     precision = np.linalg.inv(Q)
     cross = np.swapaxes(F, 1, 2) @ precision
     D11, D12, D22 = (np.mean(x, axis=0) for x in (cross @ F, -cross, precision))
-    inverse: np.ndarray = np.linalg.inv(D22 - D12.T @ np.linalg.inv(np.linalg.inv(P) + D11) @ D12)
+    inverse: Float[np.ndarray, "n n"] = np.linalg.inv(D22 - D12.T @ np.linalg.inv(np.linalg.inv(P) + D11) @ D12)
     return inverse
 
 
 @eqx.filter_jit
-def _transitions(tracker: Tracker, row: Row, state: Any) -> tuple[Any, Any]:
+def _transitions(tracker: Tracker, row: Row, state: State) -> tuple[Float[Array, "B n n"], Float[Array, "B n q"]]:
     """F (B, n, n) and G (B, n, q) of one row."""
     return jax.vmap(lambda r, s: _jacobians(freeze(tracker), r, s, 0.0), in_axes=-1)(row, state)
 
 
-def _row(tree: Any, row: int) -> Any:
+def _row(tree: Tree, row: int) -> Tree:
     return jax.tree_util.tree_map(lambda x: x[row], tree)
 
 
@@ -92,7 +98,9 @@ def _rows(batch: Batch) -> Row:
     return Row(batch.dt, batch.valid, batch.readings, batch.inputs, None, None)
 
 
-def _jacobians(tracker: Tracker, row: Row, state: Any, draw: float) -> tuple[Any, Any]:
+def _jacobians(
+    tracker: Tracker, row: Row, state: State, draw: float
+) -> tuple[Float[Array, "n n"], Float[Array, "n q"]]:
     """F (n, n) and G (n, q) of one step of one trajectory, at a noise draw of `draw` in every component."""
     motion, (point, rebuild) = tracker.motion, coordinates(state)
     n, zero = len(point), jnp.zeros_like(point[0])
@@ -107,7 +115,7 @@ def _jacobians(tracker: Tracker, row: Row, state: Any, draw: float) -> tuple[Any
 
 
 @eqx.filter_jit
-def _terms(tracker: Tracker, batch: Batch, states: Any) -> tuple[Any, ...]:
+def _terms(tracker: Tracker, batch: Batch, states: State) -> tuple[Array, ...]:
     """The start's covariance (n, n); per row the batch means of F, Q and information (T, n, n), and two checks (T,).
 
     The checks: the range of F and Q over the batch and their change by a noise draw of 1, relative to their size.
@@ -115,7 +123,7 @@ def _terms(tracker: Tracker, batch: Batch, states: Any) -> tuple[Any, ...]:
     tracker = freeze(tracker)
     rows = _rows(batch)
 
-    def trajectory(row: Row, before: Any, state: Any) -> tuple[Any, ...]:
+    def trajectory(row: Row, before: State, state: State) -> tuple[Array, ...]:
         point, rebuild = coordinates(state)
         n, motion = len(point), tracker.motion
         zero = jnp.zeros_like(point[0])
@@ -126,7 +134,7 @@ def _terms(tracker: Tracker, batch: Batch, states: Any) -> tuple[Any, ...]:
         for name, sensor in tracker.sensors.items():
             exact = row.readings[name]._replace(values=sensor.measure(motion.view(state), row.inputs))
 
-            def residual_of(*values: Scalar, sensor: Any = sensor, exact: Any = exact) -> list[Scalar]:
+            def residual_of(*values: Scalar, sensor: AbstractSensor = sensor, exact: Reading = exact) -> list[Scalar]:
                 result = sensor.residual(exact, list(sensor.measure(motion.view(rebuild(values)), row.inputs)))
                 # The Fisher information of Student's t is (ν + 1)/(ν + 3) times that of the normal.
                 weight = 1.0 if result.dof is None else (result.dof + 1.0) / (result.dof + 3.0)
@@ -137,7 +145,7 @@ def _terms(tracker: Tracker, batch: Batch, states: Any) -> tuple[Any, ...]:
             information = information + weight * (H.T @ H)
         return F, G @ G.T, jnp.where(row.valid, information, 0.0), change
 
-    def one_row(row: Row, before: Any, state: Any) -> tuple[Any, ...]:
+    def one_row(row: Row, before: State, state: State) -> tuple[Array, ...]:
         *each, change = jax.vmap(trajectory, in_axes=-1)(row, before, state)
         weight = jnp.where(row.valid, jnp.ones_like(row.dt), 0.0)
         weight = weight / jnp.maximum(jnp.sum(weight), 1.0)
@@ -155,7 +163,7 @@ def _terms(tracker: Tracker, batch: Batch, states: Any) -> tuple[Any, ...]:
     return dense(list(belief.cov), n), *jax.lax.map(lambda x: one_row(*x), (rows, before, states))
 
 
-def _relative(difference: Any, size: Any) -> Any:
+def _relative(difference: Float[Array, "..."], size: Float[Array, "..."]) -> Float[Array, ""]:
     """The largest difference relative to the largest entry; 0 for a matrix of zeros."""
     largest = jnp.max(jnp.abs(size))
     return jnp.where(largest > 0, jnp.max(difference) / jnp.where(largest > 0, largest, 1.0), jnp.max(difference))

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
+from jaxtyping import Array, Bool, Float, Int
 from scipy.special import betainc
 
 POINTS = 4096
@@ -14,11 +14,11 @@ POINTS = 4096
 
 
 def integral(
-    log_density: Callable[[np.ndarray], Any],
-    predicted: np.ndarray,
-    free: np.ndarray,
-    jacobian: np.ndarray,
-    wraps: np.ndarray,
+    log_density: Callable[[np.ndarray], Array],
+    predicted: Float[np.ndarray, " m"],
+    free: Int[np.ndarray, " free"],
+    jacobian: Float[np.ndarray, "channels free"],
+    wraps: Bool[np.ndarray, " m"],
     dof: float | None,
 ) -> tuple[float, float]:
     """∫ density over the free channels, the others fixed at the prediction, and the probability lost by wrapping.

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
+from jaxtyping import Array, UInt32
+
+RawKey = UInt32[Array | np.ndarray, " 2"]
+"""A raw random key."""
+
+Words = UInt32[Array | np.ndarray, "..."]
+"""Random words, counters, or both halves of a key."""
 
 ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
 PARITY = np.uint32(0x1BD11BDA)
 
 
-def threefry(key: Any, x: Any, y: Any) -> tuple[Any, Any]:
+def threefry(key: Words, x: Words, y: Words) -> tuple[Words, Words]:
     """The two random words for each pair of counters `x`, `y`, (n,) uint32, under a raw key (2,) uint32; 20 rounds."""
     keys = key[0], key[1], key[0] ^ key[1] ^ PARITY
     x, y = x + keys[0], y + keys[1]
@@ -24,7 +30,7 @@ def threefry(key: Any, x: Any, y: Any) -> tuple[Any, Any]:
     return x, y
 
 
-def trajectory_key_data(seed: int, ids: Sequence[int]) -> np.ndarray:
+def trajectory_key_data(seed: int, ids: Sequence[int]) -> UInt32[np.ndarray, "2 n"]:
     """The raw random keys (2, n), uint32, of trajectories: each a function of the seed and its own id alone.
 
     Different ids have different keys. Raises ValueError for seeds and ids that are no whole numbers from 0 to 2^64 - 1.
@@ -39,6 +45,6 @@ def trajectory_key_data(seed: int, ids: Sequence[int]) -> np.ndarray:
         return np.stack(threefry(key, words[:, 0], words[:, 1]))
 
 
-def _words(numbers: Sequence[int]) -> np.ndarray:
+def _words(numbers: Sequence[int]) -> UInt32[np.ndarray, "n 2"]:
     """The high and low 32 bits of each number, (n, 2)."""
     return np.array([[int(x) >> 32, int(x) & 0xFFFFFFFF] for x in numbers], np.uint32).reshape(-1, 2)

@@ -6,6 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from jaxtyping import Float
+
+Point = Float[np.ndarray, " 3"]
+"""A position in space, m."""
 
 
 @dataclass(frozen=True)
@@ -16,12 +20,12 @@ class Station:
     `antennas`: (n, 2) m in the array's x–y plane, with `wavelength` in m; both None where the station gives angles.
     """
 
-    position: np.ndarray
-    rotation: np.ndarray
-    antennas: np.ndarray | None = None
+    position: Point
+    rotation: Float[np.ndarray, " 4"]
+    antennas: Float[np.ndarray, "n 2"] | None = None
     wavelength: float | None = None
 
-    def world_from_array(self) -> np.ndarray:
+    def world_from_array(self) -> Float[np.ndarray, "3 3"]:
         """The 3 × 3 matrix that takes array-frame vectors to world-frame vectors; its columns are the array's axes."""
         w, x, y, z = np.asarray(self.rotation, float) / np.linalg.norm(self.rotation)
         return np.array(
@@ -32,16 +36,16 @@ class Station:
             ]
         )
 
-    def position_in_array(self, world: np.ndarray) -> np.ndarray:
+    def position_in_array(self, world: Float[np.ndarray, "*rows 3"]) -> Float[np.ndarray, "*rows 3"]:
         """World points (..., 3), m, in this station's array frame."""
         return (np.asarray(world) - self.position) @ self.world_from_array()
 
-    def angles(self, world: np.ndarray) -> np.ndarray:
+    def angles(self, world: Float[np.ndarray, "*rows 3"]) -> Float[np.ndarray, "*rows 2"]:
         """Azimuth and elevation (..., 2), rad, of world points (..., 3): u = (sin az cos el, sin el, cos az cos el)."""
         x, y, z = np.moveaxis(self.position_in_array(world), -1, 0)
         return np.stack([np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))], axis=-1)
 
-    def antenna_positions(self) -> np.ndarray:
+    def antenna_positions(self) -> Float[np.ndarray, "n 3"]:
         """The antenna positions (n, 3), m, world frame; raises ValueError for a station without an array."""
         if self.antennas is None:
             raise ValueError("this station has no antennas_m: it reports angles, not phases")
@@ -54,7 +58,7 @@ class Tag:
     """A tag: its constant `height`, m, if known, and its position on the body (`offset`, (3,) m, body axes)."""
 
     height: float | None = None
-    offset: np.ndarray | None = None
+    offset: Point | None = None
 
 
 @dataclass(frozen=True)
@@ -66,17 +70,17 @@ class Rig:
     """
 
     name: str
-    anchors: Mapping[str, np.ndarray] = field(default_factory=dict)
+    anchors: Mapping[str, Point] = field(default_factory=dict)
     stations: Mapping[str, Station] = field(default_factory=dict)
     tags: Mapping[str, Tag] = field(default_factory=dict)
-    path_knots: np.ndarray | None = None
-    walls: np.ndarray | None = None
-    outline: np.ndarray | None = None
+    path_knots: Float[np.ndarray, "k 2"] | None = None
+    walls: Float[np.ndarray, "n 4"] | None = None
+    outline: Float[np.ndarray, "m 2"] | None = None
     about: str = ""
     licence: str = ""
     source: str = ""
 
-    def all_walls(self) -> np.ndarray:
+    def all_walls(self) -> Float[np.ndarray, "n 4"]:
         """The walls and the edges of the outline, (n, 4), m."""
         walls = np.zeros((0, 4)) if self.walls is None else self.walls
         corners = np.zeros((0, 2)) if self.outline is None else self.outline

@@ -17,10 +17,14 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Shaped
 
 from trackers.core.algebra import Scalar, SparseRow, compute_once, dense, densify, total, triangle
+from trackers.core.filter import Gaussian
 from trackers.core.select import select
 from trackers.core.state import State, local, retract
+
+Matrix = Float[Array, "n n"]
 
 
 class RtsGain(NamedTuple):
@@ -29,16 +33,16 @@ class RtsGain(NamedTuple):
     `connected`: the next step continues this track. `simultaneous`: it is at the same time.
     """
 
-    filtered: Any
+    filtered: Gaussian
     predicted: State
-    gain: Any
-    base: Any
+    gain: Matrix
+    base: Matrix
     connected: Scalar
     simultaneous: Scalar
 
 
 def rts_gain(
-    belief: Any,
+    belief: Gaussian,
     predicted: State,
     jacobians: Sequence[tuple[Sequence[SparseRow], Sequence[SparseRow]]],
     connected: Scalar,
@@ -63,7 +67,7 @@ def rts_gain(
     return RtsGain(belief, predicted, C, compute_once(base), connected, simultaneous)
 
 
-def rts_step(rts_gain: RtsGain, after: Any) -> Any:
+def rts_step(rts_gain: RtsGain, after: Gaussian) -> Gaussian:
     """The smoothed belief of a time step, from the smoothed belief `after` of the next one."""
     n = rts_gain.gain.shape[0]
     step = total(rts_gain.gain[:, j] * d for j, d in enumerate(local(rts_gain.predicted, after.mean)))
@@ -72,10 +76,13 @@ def rts_step(rts_gain: RtsGain, after: Any) -> Any:
     mean = retract(rts_gain.filtered.mean, [step[i] for i in range(n)])
     smoothed = rts_gain.filtered._replace(mean=mean, cov=tuple(cov[i, j] for i, j in triangle(n)))
     # Two steps at one time have one state; the filtered covariance may be singular there, without an inverse.
-    return select(rts_gain.connected, select(rts_gain.simultaneous, after, smoothed), rts_gain.filtered)
+    chosen: Gaussian = select(rts_gain.connected, select(rts_gain.simultaneous, after, smoothed), rts_gain.filtered)
+    return chosen
 
 
-def fixed_interval(gain_of: Callable[..., Any], rts_step: Any, last: Any, steps: tuple[Any, ...]) -> Any:
+def fixed_interval(
+    gain_of: Callable[..., Any], rts_step: Callable[[Any, Any], Any], last: Any, steps: tuple[Any, ...]
+) -> Any:
     """The smoothed beliefs of all time steps but the last, batch-last, by one scan backwards from the last.
 
     `gain_of(*step)`: the gain of a step of one trajectory. `last`: the filtered belief of the last step.
@@ -90,7 +97,12 @@ def fixed_interval(gain_of: Callable[..., Any], rts_step: Any, last: Any, steps:
 
 
 def fixed_lag(
-    gain_of: Callable[..., Any], rts_step: Any, filtered: Any, steps: tuple[Any, ...], dt: Any, lag: Scalar
+    gain_of: Callable[..., Any],
+    rts_step: Callable[[Any, Any], Any],
+    filtered: Any,
+    steps: tuple[Any, ...],
+    dt: Float[Array, "steps B"],
+    lag: Scalar,
 ) -> Any:
     """The smoothed beliefs of all time steps but the last, batch-last, each from measurements at most `lag` s later.
 
@@ -119,7 +131,7 @@ def fixed_lag(
     return jax.vmap(trajectory, in_axes=-1, out_axes=-1)(gains, filtered, dt)
 
 
-def _like(condition: Any, array: Any) -> Any:
+def _like(condition: Bool[Array, " T"], array: Shaped[Array, "T ..."]) -> Bool[Array, "T ..."]:
     """The condition with as many axes as the array."""
     return condition.reshape(condition.shape + (1,) * (array.ndim - 1))
 
@@ -128,13 +140,13 @@ def _width(rows: Sequence[SparseRow]) -> int:
     return 1 + max((j for row in rows for j in row), default=0)
 
 
-def _product(A: Any, B: Any) -> Any:
+def _product(A: Float[Array, "i j"], B: Float[Array, "j k"]) -> Float[Array, "i k"]:
     """AB as a sum of outer products: XLA vectorises these over trajectories, unlike products of small matrices."""
     terms = [jnp.outer(A[:, k], B[k]) for k in range(A.shape[1])]
     return total(terms) if terms else jnp.zeros((A.shape[0], B.shape[1]), A.dtype)
 
 
-def _times_inverse(rows: Any, cov: Any) -> Any:
+def _times_inverse(rows: Float[Array, "m n"], cov: Float[Array, "n n"]) -> Float[Array, "m n"]:
     """Rows times the pseudo-inverse of a covariance, by its Cholesky factor; directions without variance drop out."""
     n, tolerance = cov.shape[0], 16 * float(jnp.finfo(cov.dtype).eps)
     columns, inverses, remainder = [], [], cov

@@ -13,12 +13,14 @@ from typing import Any, ClassVar, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from trackers.core.algebra import Scalar, Vector, cholesky, solve_lower, total, triangle
 from trackers.core.filter import AbstractFilter, Gaussian, Innovation
+from trackers.core.keys import RawKey
 from trackers.core.motion import AbstractMotion
 from trackers.core.particle.random import draws
-from trackers.core.particle.resampling import LOG_ZERO, cached_exp, effective_sample_size
+from trackers.core.particle.resampling import LOG_ZERO, Weights, cached_exp, effective_sample_size
 from trackers.core.particle.score import normal_log_density, resample_with_score, with_score
 from trackers.core.sensor import AbstractSensor, Reading, Residual
 from trackers.core.state import State, dimension, local, retract
@@ -31,11 +33,11 @@ class Particles(NamedTuple):
     """
 
     states: State
-    log_weights: Any
-    key: Any
-    weights: Any = None
+    log_weights: Weights
+    key: RawKey
+    weights: Weights | None = None
 
-    def linear(self) -> Any:
+    def linear(self) -> Weights:
         """The weights (N,), with the derivative of exp(log_weights)."""
         return jnp.exp(self.log_weights) if self.weights is None else cached_exp(self.log_weights, self.weights)
 
@@ -60,7 +62,7 @@ class AbstractOutputMap(eqx.Module):
     """A map from states to the quantity that is estimated, as from arclength on a path to a position on the floor."""
 
     @abstractmethod
-    def moments(self, states: State, weights: Any) -> tuple[State, tuple[Scalar, ...]]:
+    def moments(self, states: State, weights: Weights) -> tuple[State, tuple[Scalar, ...]]:
         """The mapped quantity of the mean state, and its covariance about that as an upper triangle.
 
         `states`: leaves end with an axis of N. `weights`: (N,), with sum 1.
@@ -103,7 +105,7 @@ class ParticleFilter(AbstractParticleFilter):
     def view_fields(self) -> tuple[str, ...]:
         return () if self.potential is None else self.potential.view_fields
 
-    def init(self, belief: Gaussian, key: Any) -> Particles:
+    def init(self, belief: Gaussian, key: RawKey) -> Particles:
         """N particles drawn from a Gaussian belief, of weight 1/N (1.22); `key` (2,): raw random key."""
         n, dtype = dimension(belief.mean), belief.cov[0].dtype
         key, _, w = draws(key, n, self.n_particles, dtype)
@@ -127,17 +129,17 @@ class ParticleFilter(AbstractParticleFilter):
             needed, offset, belief.states, belief.log_weights, weights, discount=self.discount
         )
 
-        def step(state: State, w: list[Any]) -> State:
+        def step(state: State, w: list[Scalar]) -> State:
             return motion.step(state, inputs, dt, Vector.of(w))
 
         predicted = jax.vmap(step, in_axes=-1, out_axes=-1)(states, w)
         log_weights = with_score(log_weights, motion, states, inputs, dt, w, log_density=noise_log_density)
         predicted = jax.lax.stop_gradient(predicted)
-        if self.potential is not None:
-            views = jax.vmap(motion.view, in_axes=-1, out_axes=-1)
-            potentials = jax.vmap(self.potential.log_weight, in_axes=-1, out_axes=-1)(views(states), views(predicted))
-            log_weights, weights = jnp.maximum(log_weights + potentials, LOG_ZERO), None
-        return Particles(predicted, log_weights, key, weights)
+        if self.potential is None:
+            return Particles(predicted, log_weights, key, weights)
+        views = jax.vmap(motion.view, in_axes=-1, out_axes=-1)
+        potentials = jax.vmap(self.potential.log_weight, in_axes=-1, out_axes=-1)(views(states), views(predicted))
+        return Particles(predicted, jnp.maximum(log_weights + potentials, LOG_ZERO), key)
 
     def update(
         self, belief: Particles, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Any
@@ -172,10 +174,12 @@ class ParticleFilter(AbstractParticleFilter):
         return weighted_moments(belief.states, belief.linear(), self.output_map)
 
 
-def noise_log_density(motion: AbstractMotion, states: State, inputs: Any, dt: Scalar, w: list[Any]) -> Any:
+def noise_log_density(
+    motion: AbstractMotion, states: State, inputs: Any, dt: Scalar, w: list[Float[Array, " N"]]
+) -> Float[Array, " N"]:
     """The log densities (N,) of the noise draws `w` of N steps; 0 for dt = 0."""
 
-    def density(state: State, w: list[Any]) -> Scalar:
+    def density(state: State, w: list[Scalar]) -> Scalar:
         return jnp.where(dt > 0, motion.log_density(state, inputs, dt, Vector.of(w)), 0.0)
 
     return jax.vmap(density, in_axes=-1, out_axes=-1)(states, w)
@@ -187,9 +191,9 @@ class ParticleResiduals(NamedTuple):
     `wrapped`: (N,) or None. `nis_dof`: rank of the residual. `dof`: of Student's t, None for normal noise.
     """
 
-    whitened: list[Any]
-    log_density: Any
-    wrapped: Any
+    whitened: list[Float[Array, " N"]]
+    log_density: Float[Array, " N"]
+    wrapped: Float[Array, " N"] | None
     nis_dof: Scalar
     dof: Scalar | None
 
@@ -215,7 +219,7 @@ def particle_residuals(
 
 
 def weighted_moments(
-    states: State, weights: Any, output_map: AbstractOutputMap | None = None
+    states: State, weights: Weights, output_map: AbstractOutputMap | None = None
 ) -> tuple[State, tuple[Scalar, ...]]:
     """Mean and covariance (upper triangle) of N states with weights (N,) of sum 1, or of the mapped quantity."""
     if output_map is not None:
@@ -225,14 +229,14 @@ def weighted_moments(
     return mean, second_moments(deviations, weights)
 
 
-def weighted_mean(states: State, weights: Any) -> State:
+def weighted_mean(states: State, weights: Weights) -> State:
     """The mean of N states with weights (N,) of sum 1, by the small steps from the first one."""
     first = jax.tree_util.tree_map(lambda x: x[..., 0], states)
     steps = jax.vmap(lambda s: local(first, s), in_axes=-1, out_axes=-1)(states)
     return retract(first, [jnp.sum(weights * step) for step in steps])
 
 
-def second_moments(values: list[Any], weights: Any) -> tuple[Scalar, ...]:
+def second_moments(values: list[Float[Array, " N"]], weights: Weights) -> tuple[Scalar, ...]:
     """Σ weight·a·b for each pair of the values, (N,) each, in the order of an upper triangle."""
     return tuple(jnp.sum(weights * values[i] * values[j]) for i, j in triangle(len(values)))
 
@@ -245,7 +249,7 @@ def log_density(result: Residual) -> Scalar:
     return result.log_scale - 0.5 * (dof + 1.0) * total(jnp.log1p(r * r / dof) for r in result.whitened)
 
 
-def weighted_nis(whitened: list[Any], weights: Any, dof: Scalar | None) -> Scalar:
+def weighted_nis(whitened: list[Float[Array, " N"]], weights: Weights, dof: Scalar | None) -> Scalar:
     """NIS r̄ᵀ(I + C)⁻¹r̄, with r̄ and C the particles' mean and covariance of the whitened residual.
 
     For Student's t each decorrelated component is weighted by (ν + 1)/(ν + its square).

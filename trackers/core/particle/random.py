@@ -5,22 +5,22 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, DTypeLike, Float, UInt32
 from scipy.special import ndtri
 
-from trackers.core.algebra import Scalar
-from trackers.core.keys import threefry
+from trackers.core.keys import RawKey, threefry
 
 _UPPER = ndtri((np.arange(32768, 65536) + 0.5) / 65536)
 QUANTILES = np.concatenate([-_UPPER[::-1], _UPPER]) / np.sqrt(np.mean(_UPPER**2))
 """The normal quantiles at the midpoints of 65,536 equal probability intervals, scaled to variance 1."""
 
 
-def draws(key: Any, rows: int, count: int, dtype: Any) -> tuple[Any, Scalar, list[Any]]:
+def draws(
+    key: RawKey, rows: int, count: int, dtype: DTypeLike
+) -> tuple[RawKey, Float[Array, ""], list[Float[Array, " {count}"]]]:
     """The next key (2,), a uniform number in [0, 1), and `rows` arrays of `count` standard normal numbers.
 
     `key`: raw, (2,) uint32. A normal number has 16 random bits: the median of one of 65,536 equally likely intervals,
@@ -36,7 +36,7 @@ def draws(key: Any, rows: int, count: int, dtype: Any) -> tuple[Any, Scalar, lis
     return spare[:, 0], (spare[0, 1] >> np.uint32(9)).astype(dtype) * 2.0**-23, normals
 
 
-def words(key: Any, stream: int, count: int) -> Any:
+def words(key: RawKey, stream: int, count: int) -> UInt32[Array, "2 {count}"]:
     """Random words (2, count), uint32: both words of the first `count` counters of a stream under a raw key.
 
     Each entry computes both words and selects one: with two results XLA makes a pass over memory of every round.

@@ -7,14 +7,20 @@ search per offspring cost more than the rest of the filter, and floating-point c
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.custom_batching import custom_vmap
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
-from trackers.core.algebra import Scalar
+from trackers.core.state import State
+
+Tree = TypeVar("Tree")
+
+Weights = Float[Array, " N"]
+"""Weights of N particles, or their logarithms."""
 
 LOG_ZERO = -1e30
 """The log-weight of a particle of weight zero; finite, so that sums over particles stay finite."""
@@ -24,7 +30,7 @@ RESAMPLED_AT_ONCE = 8
 
 
 @jax.custom_jvp
-def cached_exp(log_weights: Any, weights: Any) -> Any:
+def cached_exp(log_weights: Weights, weights: Weights) -> Weights:
     """`weights`, the known value of exp(log_weights), with the derivative of exp(log_weights)."""
     return weights
 
@@ -35,7 +41,9 @@ def _exponential_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
     return weights, weights * tangents[0]
 
 
-def resample(needed: Scalar, offset: Scalar, states: Any, log_weights: Any, weights: Any) -> tuple[Any, Any, Any]:
+def resample(
+    needed: Bool[Array, ""], offset: Float[Array, ""], states: State, log_weights: Weights, weights: Weights
+) -> tuple[State, Weights, Weights]:
     """States, log-weights and weights, resampled with `offset` in [0, 1) where `needed`, else unchanged.
 
     `weights`: (N,), with sum 1. All offspring have weight 1/N.
@@ -46,10 +54,10 @@ def resample(needed: Scalar, offset: Scalar, states: Any, log_weights: Any, weig
 
 
 @custom_vmap
-def resample_states(needed: Scalar, offset: Scalar, states: Any, weights: Any) -> Any:
+def resample_states(needed: Bool[Array, ""], offset: Float[Array, ""], states: State, weights: Weights) -> State:
     """The states of the offspring where `needed`, else the states."""
 
-    def chosen() -> Any:
+    def chosen() -> State:
         ancestors = systematic(weights, offset)
         return jax.tree_util.tree_map(lambda x: jnp.take(x, ancestors, axis=-1, mode="clip"), states)
 
@@ -60,7 +68,7 @@ def resample_states(needed: Scalar, offset: Scalar, states: Any, weights: Any) -
 def _in_trajectories(size: int, batched: Any, needed: Any, offset: Any, states: Any, weights: Any) -> tuple[Any, Any]:
     """Resampling under `vmap`: only the trajectories that need it, a few at a time; it is the most expensive part."""
 
-    def spread(x: Any, has: bool) -> Any:
+    def spread(x: Array, has: bool) -> Array:
         return x if has else jnp.broadcast_to(x[None], (size, *x.shape))
 
     needed, offset, states, weights = jax.tree_util.tree_map(spread, (needed, offset, states, weights), tuple(batched))
@@ -78,7 +86,9 @@ def _in_trajectories(size: int, batched: Any, needed: Any, offset: Any, states: 
     return states, jax.tree_util.tree_map(lambda _: True, states)
 
 
-def gather(x: Any, trajectories: Any, ancestors: Any) -> Any:
+def gather(
+    x: Shaped[Array, "B *rows N"], trajectories: Int[Array, " k"], ancestors: Int[Array, "k N"]
+) -> Shaped[Array, "k *rows N"]:
     """x[trajectory, ..., ancestors] for trajectories (k,) with ancestors (k, N), of an array x (B, ..., N)."""
     inner, n = math.prod(x.shape[1:-1]), x.shape[-1]
     # From a flat array: a two-dimensional index would first be assembled in memory.
@@ -87,23 +97,24 @@ def gather(x: Any, trajectories: Any, ancestors: Any) -> Any:
     return x.reshape(-1).at[index].get(mode="promise_in_bounds").reshape(len(trajectories), *x.shape[1:])
 
 
-def scatter(belief: Any, fresh: Any, index: Any) -> Any:
+def scatter(belief: Tree, fresh: Tree, index: Int[Array, " k"]) -> Tree:
     """The belief with the trajectories `index` replaced; an index beyond the last trajectory is ignored."""
     leaves, structure = jax.tree_util.tree_flatten(belief)
-    replaced: list[Any] = []
+    replaced: list[Array] = []
     for old, new in zip(leaves, jax.tree_util.tree_leaves(fresh), strict=True):
         # In sequence: XLA (jaxlib 0.10, multi-output fusion) aborts where it fuses several of these scatters.
         (old, index), _ = jax.lax.optimization_barrier(((old, index), replaced))
         replaced.append(old.at[index].set(new, mode="drop"))
-    return jax.tree_util.tree_unflatten(structure, replaced)
+    scattered: Tree = jax.tree_util.tree_unflatten(structure, replaced)
+    return scattered
 
 
-def effective_sample_size(weights: Any) -> Scalar:
+def effective_sample_size(weights: Weights) -> Float[Array, ""]:
     """The effective sample size N/(1 + CV²) = 1/Σw² (1.29), (1.30), with CV² = var(w)/E(w)²; the weights have sum 1."""
     return 1.0 / jnp.sum(weights * weights)
 
 
-def systematic(weights: Any, u: Any) -> Any:
+def systematic(weights: Float[Array, "*B N"], u: Float[Array, "*B"]) -> Int[Array, "*B N"]:
     """The ancestors (..., N), ascending, at the points (k + u)/N of the cumulative weights (Kitagawa 1996).
 
     `weights` (..., N), `u` (...). Weights are first rounded to whole numbers with a sum below 2^mantissa, so that
@@ -129,7 +140,7 @@ def systematic(weights: Any, u: Any) -> Any:
     return running_sum(ending.reshape(trajectories, n + 1)[:, :n]).astype(jnp.int32).reshape(weights.shape)
 
 
-def running_sum(x: Any) -> Any:
+def running_sum(x: Float[Array, "*B N"]) -> Float[Array, "*B N"]:
     """The cumulative sums of (..., N) numbers by products with triangular matrices of about √N rows."""
     n = x.shape[-1]
     root = max(1, math.isqrt(n - 1) + 1)

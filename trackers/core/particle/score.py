@@ -14,15 +14,16 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
 
-from trackers.core.algebra import Scalar, cholesky, solve_lower, total, triangle
+from trackers.core.algebra import cholesky, solve_lower, total, triangle
 from trackers.core.filter import Gaussian
-from trackers.core.particle.resampling import resample
+from trackers.core.particle.resampling import Weights, resample
 from trackers.core.state import State, dimension, local
 
 
 @eqx.filter_custom_jvp
-def with_score(log_weights: Any, *numbers: Any, log_density: Callable[..., Any]) -> Any:
+def with_score(log_weights: Weights, *numbers: Any, log_density: Callable[..., Weights]) -> Weights:
     """The log-weights (N,), unchanged, with the derivative of `log_density(*numbers)`, (N,), added to theirs.
 
     `log_density` is called only where some of the numbers are differentiated.
@@ -31,7 +32,7 @@ def with_score(log_weights: Any, *numbers: Any, log_density: Callable[..., Any])
 
 
 @with_score.def_jvp
-def _with_score(primals: Any, tangents: Any, *, log_density: Callable[..., Any]) -> tuple[Any, Any]:
+def _with_score(primals: Any, tangents: Any, *, log_density: Callable[..., Weights]) -> tuple[Weights, Weights | None]:
     value = with_score(*primals, log_density=log_density)
     own, others = tangents[0], jax.tree_util.tree_leaves(tangents[1:], is_leaf=lambda x: x is None)
     leaves, structure = jax.tree_util.tree_flatten(primals[1:])
@@ -39,7 +40,7 @@ def _with_score(primals: Any, tangents: Any, *, log_density: Callable[..., Any])
     if not differentiated:
         return value, own
 
-    def density(*numbers: Any) -> Any:
+    def density(*numbers: Any) -> Weights:
         every = list(leaves)
         for k, x in zip(differentiated, numbers, strict=True):
             every[k] = x
@@ -51,8 +52,14 @@ def _with_score(primals: Any, tangents: Any, *, log_density: Callable[..., Any])
 
 @eqx.filter_custom_jvp
 def resample_with_score(
-    needed: Scalar, offset: Scalar, states: Any, log_weights: Any, weights: Any, *, discount: float
-) -> tuple[Any, Any, Any]:
+    needed: Bool[Array, ""],
+    offset: Float[Array, ""],
+    states: State,
+    log_weights: Weights,
+    weights: Weights,
+    *,
+    discount: float,
+) -> tuple[State, Weights, Weights]:
     """`resample`, with `discount` times the ancestor's score for each offspring."""
     return resample(needed, offset, states, log_weights, weights)
 
@@ -70,7 +77,7 @@ def _resample_with_score(primals: Any, tangents: Any, *, discount: float) -> tup
     return (states, log_weights, weights), (fixed, score, None)
 
 
-def normal_log_density(belief: Gaussian, states: State) -> Any:
+def normal_log_density(belief: Gaussian, states: State) -> Weights:
     """The log densities (N,), up to a constant, of states (leaves end with an axis of N) under a Gaussian belief.
 
     A direction without variance contributes nothing; the mean must not depend on a tunable along it.
@@ -80,7 +87,7 @@ def normal_log_density(belief: Gaussian, states: State) -> Any:
     L = cholesky(pairs, range(n), 16 * float(jnp.finfo(belief.cov[0].dtype).eps))
     scale = total(-jnp.log(jnp.where(L[i, i] > 0, L[i, i], 1.0)) for i in range(n))
 
-    def density(state: State) -> Scalar:
+    def density(state: State) -> Float[Array, ""]:
         return scale - 0.5 * total(x * x for x in solve_lower(L, local(belief.mean, state)))
 
     return jax.vmap(density, in_axes=-1, out_axes=-1)(states)
