@@ -21,7 +21,9 @@ from tuning.parameters import Parameter, with_parameters
 from tuning.priors import Penalty, Prior, penalty
 
 Vectors = Float[np.ndarray, "*S p"]
-"""Unconstrained vectors of p numbers: S of them, or one."""
+Terms = Float[np.ndarray, "many k n"]
+Values = Float[np.ndarray, " many"]
+"""Unconstrained vectors of p numbers, S of them or one; the terms of a number of them, and their values."""
 
 MAX_VECTORS = 8
 """Most vectors in one compiled call: with few recordings, eight cost little more than one."""
@@ -113,12 +115,8 @@ class Problem:
         return Evaluation(values + prior.values, gradients + prior.gradients, sums, terms, term_gradients, used, runs)
 
     def values_over(
-        self,
-        count: Shaped[np.ndarray, "many n"],
-        vectors: Vectors,
-        terms: Float[np.ndarray, "many k n"],
-        subset: Sequence[int] | None = None,
-    ) -> Float[np.ndarray, " many"]:
+        self, count: Shaped[np.ndarray, "many n"], vectors: Vectors, terms: Terms, subset: Sequence[int] | None = None
+    ) -> Values:
         """The objective (S,) at vectors (S, p) from its `terms` (S, k, n) there, over chosen trajectories.
 
         `count` (S, n): multiplicity of each trajectory, 0 to leave it out. `subset`: the chunks of the terms.
@@ -130,19 +128,14 @@ class Problem:
         """The number of trajectories left out of an evaluation over all chunks, at the vector with the fewest."""
         return int(self.valid.sum() - evaluation.used.sum(axis=1).max())
 
-    def values(self, vectors: Vectors, realisation: int = 0) -> Float[np.ndarray, " many"]:
+    def values(self, vectors: Vectors, realisation: int = 0) -> Values:
         """The objective (S,) at vectors (S, p) over all trajectories that are finite there, at a third of the cost.
 
         `evaluate` leaves out more, those without usable derivatives; elsewhere the two are one function.
         """
         return self.finite_values(vectors, self.terms(vectors, realisation))
 
-    def finite_values(
-        self,
-        vectors: Vectors,
-        terms: Float[np.ndarray, "many k n"],
-        subset: Sequence[int] | None = None,
-    ) -> Float[np.ndarray, " many"]:
+    def finite_values(self, vectors: Vectors, terms: Terms, subset: Sequence[int] | None = None) -> Values:
         """`values` (S,) from the terms (S, k, n) of a subset of the chunks, default all, at vectors (S, p)."""
         return self.values_over(np.isfinite(terms).all(axis=1), vectors, terms, subset)
 
@@ -150,7 +143,7 @@ class Problem:
         """The number of trajectories that one vector filters, in a subset of the chunks or in all."""
         return int(self._valid(subset).sum())
 
-    def terms(self, vectors: Vectors, realisation: int = 0) -> Float[np.ndarray, "many k n"]:
+    def terms(self, vectors: Vectors, realisation: int = 0) -> Terms:
         """Each trajectory's part of the sums (S, k, n), without derivatives."""
         return np.concatenate([t for (t,) in self._run(plain_sums, vectors, None, realisation)], axis=-1)
 
@@ -180,11 +173,7 @@ class Problem:
         return Point(self.tracker, self.objective, self.parameters, jnp.asarray(np.atleast_2d(vectors), self.dtype))
 
     def _run(
-        self,
-        function: Callable[[Point, Batch], tuple[jax.Array, ...]],
-        vectors: Vectors,
-        subset: Sequence[int] | None,
-        realisation: int,
+        self, function: Callable[..., Any], vectors: Vectors, subset: Sequence[int] | None, realisation: int
     ) -> list[tuple[np.ndarray, ...]]:
         """The arrays of `function` for every chunk at all vectors, float64 on the host."""
         vectors = np.atleast_2d(np.asarray(vectors, float))
