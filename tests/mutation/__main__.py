@@ -21,9 +21,10 @@ import time
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from tests.mutation.operators import Mutation
-from tests.mutation.selection import ROOT, declared_equivalent, drawn, reason_of, stages
+from tests.mutation.selection import ROOT, declared_equivalent, drawn, found_again, reason_of, stages
 
 RESULTS = Path(__file__).parent / "results.json"
 TIMED_OUT = ("timed out", "")
@@ -34,7 +35,8 @@ DEFAULT_RECORDINGS = ROOT.parent / "shared" / "recordings"
 class Outcome:
     """`result`: "killed", "survived", "equivalent" or "timed out"; `by`: the test that failed, or the reason.
 
-    `error`: the exception that the test ended with, an AssertionError where a figure was wrong.
+    `error`: the exception that the test ended with, an AssertionError where a figure was wrong. `commit`: of the tree
+    that was tested, with the changes that were not yet committed.
     """
 
     number: int
@@ -47,6 +49,14 @@ class Outcome:
     by: str
     error: str
     seconds: float
+    commit: str
+
+    @classmethod
+    def of(cls, number: int, mutation: Mutation, result: str, by: str, error: str, seconds: float) -> Outcome:
+        """The outcome of a mutation of the present commit."""
+        m = mutation
+        shown = m.before.strip(), m.after.strip()
+        return cls(number, m.file, m.line, m.kind, *shown, result, by, error, round(seconds, 1), _commit())
 
 
 class Scratch:
@@ -93,9 +103,7 @@ class Scratch:
                 waiting.pop(0)
             else:
                 result, (by, error) = "killed", failed
-        shown = mutation.before.strip(), mutation.after.strip()
-        seconds = round(time.monotonic() - begin, 1)
-        return Outcome(number, mutation.file, mutation.line, mutation.kind, *shown, result, by, error, seconds)
+        return Outcome.of(number, mutation, result, by, error, time.monotonic() - begin)
 
     def write(self, file: str, text: str) -> None:
         """The file with this text, at a time of its own: Python recognises stale bytecode by the second and the size."""
@@ -162,30 +170,31 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="seed of the draw")
     parser.add_argument("--since", help="only lines changed since this commit")
     parser.add_argument("--limit", type=float, default=900.0, help="seconds for one mutation")
-    parser.add_argument(
-        "--only", type=int, nargs="+", help="numbers of the draw to test again, others kept as they were"
-    )
+    again = "test again what the file of results has as not killed, or these numbers of it"
+    parser.add_argument("--again", type=int, nargs="*", metavar="NUMBER", help=again)
     parser.add_argument("--out", type=Path, default=RESULTS, help="file of the results")
     options = parser.parse_args()
-    mutations = dict(enumerate(drawn(ROOT, options.count, options.seed, options.since), 1))
-    earlier = json.loads(options.out.read_text("utf-8"))["mutations"] if options.only and options.out.exists() else []
-    outcomes = {o["number"]: Outcome(**o) for o in earlier}
+    if options.again is None:
+        command = ["python", "-m", "tests.mutation", "--seed", str(options.seed), "--count", str(options.count)]
+        document = {"command": command + (["--since", options.since] if options.since else []), "commit": _commit()}
+        mutations = dict(enumerate(drawn(ROOT, options.count, options.seed, options.since), 1))
+        outcomes: dict[int, Outcome] = {}
+        waiting = list(mutations)
+    else:
+        document = json.loads(options.out.read_text("utf-8"))
+        outcomes = {o["number"]: Outcome(**o) for o in document["mutations"]}
+        mutations = {k: found_again(ROOT, o.file, o.line, o.before, o.after) for k, o in outcomes.items()}
+        waiting = options.again or [k for k, o in outcomes.items() if o.result not in ("killed", "equivalent")]
     declared = declared_equivalent()
     with tempfile.TemporaryDirectory(prefix="mutation-") as folder:
         scratch = Scratch(Path(folder))
-        waiting = list(options.only or mutations)
         while waiting:
             number = waiting.pop(0)
             mutation, reason = mutations[number], reason_of(mutations[number], declared)
-            if reason is None:
-                outcomes[number] = scratch.outcome(number, mutation, options.limit)
-            else:
-                shown = mutation.before.strip(), mutation.after.strip()
-                outcomes[number] = Outcome(
-                    number, mutation.file, mutation.line, mutation.kind, *shown, "equivalent", reason, "", 0.0
-                )
+            outcome = scratch.outcome(number, mutation, options.limit) if reason is None else None
+            outcomes[number] = outcome or Outcome.of(number, mutation, "equivalent", str(reason), "", 0.0)
             print(table([outcomes[number]]).rpartition("\n")[0], flush=True)
-            _write(options.out, options, [outcomes[k] for k in sorted(outcomes)])
+            _write(options.out, document, outcomes)
             if not waiting:
                 # A test that fails in any case has killed nothing.
                 found = scratch.failing_anyway({o.by for o in outcomes.values() if o.result == "killed"})
@@ -193,17 +202,17 @@ def main() -> None:
     print(table([outcomes[k] for k in sorted(outcomes)]).rpartition("\n")[2])
 
 
-def _write(path: Path, options: argparse.Namespace, outcomes: list[Outcome]) -> None:
-    commit = subprocess.run(["git", "rev-parse", "HEAD"], cwd=ROOT, check=True, capture_output=True, text=True)
-    command = ["python", "-m", "tests.mutation", "--seed", str(options.seed), "--count", str(options.count)]
-    document = {
-        "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "command": command + (["--since", options.since] if options.since else []),
-        "commit": commit.stdout.strip(),
-        "machine": {"platform": platform.platform(), "python": platform.python_version()},
-        "mutations": [asdict(o) for o in outcomes],
-    }
-    path.write_text(json.dumps(document, indent=1, ensure_ascii=False) + "\n", "utf-8")
+def _write(path: Path, document: dict[str, Any], outcomes: dict[int, Outcome]) -> None:
+    """The file of results: the command and the commit of the draw, and each outcome with the commit it was tested at."""
+    heading = {name: document[name] for name in ("command", "commit")}
+    about = {"date": datetime.now(UTC).isoformat(timespec="seconds"), **heading, "python": platform.python_version()}
+    content = {**about, "mutations": [asdict(outcomes[k]) for k in sorted(outcomes)]}
+    path.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", "utf-8")
+
+
+def _commit() -> str:
+    command = ["git", "rev-parse", "HEAD"]
+    return subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True).stdout.strip()
 
 
 if __name__ == "__main__":

@@ -46,6 +46,15 @@ def drawn(root: Path, count: int, seed: int, since: str | None = None) -> list[M
     return [random.choice(lines[place]) for place in chosen]
 
 
+def found_again(root: Path, file: str, line: int, before: str, after: str) -> Mutation:
+    """A mutation by its stripped lines, the nearest to a line; raises ValueError where the line is no longer there."""
+    every = mutations(file, (root / file).read_text("utf-8"))
+    same = [m for m in every if (m.before.strip(), m.after.strip()) == (before, after)]
+    if not same:
+        raise ValueError(f"{file}: the line '{before}' is no longer there; draw again")
+    return min(same, key=lambda m: abs(m.line - line))
+
+
 def changed_lines(root: Path, since: str) -> dict[str, set[int]]:
     """The numbers of the lines that differ from those of a commit, by file."""
     command = ["git", "diff", "--unified=0", since, "--", *PACKAGES]

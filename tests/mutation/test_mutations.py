@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.mutation.operators import mutations
-from tests.mutation.selection import ROOT, declared_equivalent, drawn, numeric_modules, stages
+from tests.mutation.selection import ROOT, declared_equivalent, drawn, found_again, numeric_modules, stages
 
 
 def _of(line, rest=""):
@@ -72,6 +72,15 @@ def test_a_draw_depends_on_the_seed_alone_and_takes_each_line_once():
     assert len({(m.file, m.line) for m in first}) == 40
     packages = {m.file.split("/")[0] for m in first}
     assert packages == {"trackers", "tuning", "sim"}
+
+
+def test_a_mutation_is_found_again_where_its_line_has_moved():
+    mutation = drawn(ROOT, 1, 3)[0]
+    lines = mutation.before.strip(), mutation.after.strip()
+    assert found_again(ROOT, mutation.file, mutation.line, *lines) == mutation
+    assert found_again(ROOT, mutation.file, mutation.line + 20, *lines).before.strip() == lines[0]
+    with pytest.raises(ValueError, match="no longer there"):
+        found_again(ROOT, mutation.file, mutation.line, "x = 1 + 1", "x = 1 - 1")
 
 
 def test_every_mutation_of_the_library_is_python_and_changes_its_line_alone():
