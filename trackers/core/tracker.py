@@ -119,7 +119,7 @@ class AbstractTracker(eqx.Module):
         return found[0] if single else found
 
     def _run(self, batch: Batch, chunk: int, function: Any, state: Any) -> Estimates:
-        model = as_dtype(self, batch.dt.dtype)
+        model = as_dtype(_without_zero_latency(self), batch.dt.dtype)
         pairs = []
         for k, part in enumerate(chunks(batch, chunk)):
             size = part.dt.shape[1]
@@ -137,6 +137,18 @@ class AbstractTracker(eqx.Module):
         final = jax.tree_util.tree_map(join_first, *[after for _, after in parts])
         diagnostics = joined.log_likelihood, joined.nis, joined.nis_dof, joined.wrapped, joined.status
         return Estimates(joined.mean, np.stack(joined.cov), *diagnostics, age=joined.age, final=final)
+
+
+def _without_zero_latency(tracker: AbstractTracker) -> AbstractTracker:
+    """The tracker whose estimates are not shifted where its latency is zero, the default: a third of the run time."""
+
+    def unshifted(part: Any) -> Any:
+        if isinstance(part, Tracker) and part.latency is not None and float(part.latency) == 0.0:
+            return dataclasses.replace(part, latency_of=None)
+        return part
+
+    found: AbstractTracker = jax.tree_util.tree_map(unshifted, tracker, is_leaf=lambda part: isinstance(part, Tracker))
+    return found
 
 
 class AbstractEpochwiseTracker(AbstractTracker):
