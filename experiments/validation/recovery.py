@@ -115,7 +115,7 @@ class System:
         for row in range(self.rows):
             if row:
                 w = rng.normal(size=(motion.noise_dimension, n))
-                state = motion.step(state, None, jnp.asarray(self.dt), Vector(*jnp.asarray(w)))
+                state = motion.step(state, {}, jnp.asarray(self.dt), Vector(*jnp.asarray(w)))
             values.append(self.read(motion.view(state), rng))
         readings, times = np.stack(values, axis=1), self.dt * np.arange(self.rows)
         name = next(iter(self.tracker.sensors))

@@ -12,6 +12,7 @@ from jax.scipy.special import ndtr
 from experiments.verify.corridor import CORRIDOR, SIGMA_FIX, SIGMA_MOVE, START, corridor_fixes, rectangle
 from trackers.core.algebra import Scalar, Vector, diagonal
 from trackers.core.filter import Gaussian, Innovation
+from trackers.core.inputs import Inputs
 from trackers.core.motion import AbstractMotion, ConstantPosition, Noise, Placed
 from trackers.core.particle.filter import AbstractParticleFilter, ParticleFilter, Particles
 from trackers.core.polyline import Polyline
@@ -78,11 +79,11 @@ class UniformParticles(AbstractParticleFilter):
     def init(self, belief: Gaussian, key: Any) -> Particles:
         return uniform(self.particles.init(belief, key))
 
-    def predict(self, belief: Particles, motion: AbstractMotion, inputs: Any, dt: Scalar) -> Particles:
+    def predict(self, belief: Particles, motion: AbstractMotion, inputs: Inputs, dt: Scalar) -> Particles:
         return self.particles.predict(belief, motion, inputs, dt)
 
     def update(
-        self, belief: Particles, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Any
+        self, belief: Particles, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Inputs
     ) -> tuple[Particles, Innovation]:
         return self.particles.update(belief, motion, sensor, reading, inputs)
 

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar, Vector, cholesky, total, triangle
 from trackers.core.filter import Gaussian, Innovation
+from trackers.core.inputs import Inputs
 from trackers.core.motion import AbstractMotion
 from trackers.core.particle.filter import AbstractParticleFilter, ParticleFilter, Particles
 from trackers.core.particle.random import draws
@@ -33,7 +34,7 @@ class AbstractPathwise(AbstractParticleFilter):
     def bootstrap(self) -> ParticleFilter:
         return self.particles
 
-    def predict(self, belief: Particles, motion: AbstractMotion, inputs: Any, dt: Scalar) -> Particles:
+    def predict(self, belief: Particles, motion: AbstractMotion, inputs: Inputs, dt: Scalar) -> Particles:
         n, potential = self.particles.n_particles, self.particles.potential
         key, offset, w = draws(belief.key, motion.noise_dimension, n, belief.log_weights.dtype)
         # Resampling by a search in the cumulative weights shares no code with the filter's own.
@@ -66,7 +67,7 @@ class AbstractPathwise(AbstractParticleFilter):
         return drawn._replace(states=states, log_weights=jax.lax.stop_gradient(drawn.log_weights))
 
     def update(
-        self, belief: Particles, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Any
+        self, belief: Particles, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Inputs
     ) -> tuple[Particles, Innovation]:
         return self.particles.update(belief, motion, sensor, reading, inputs)
 

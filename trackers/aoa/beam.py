@@ -13,6 +13,7 @@ from trackers.aoa.beamformer import Grid, delay_and_sum, strongest
 from trackers.aoa.phases import InPlanePhases, PlanePhases
 from trackers.core.algebra import Scalar, Vector, diagonal
 from trackers.core.filter import Gaussian
+from trackers.core.inputs import Inputs
 from trackers.core.motion import AbstractMotion, Noise, process_noise
 from trackers.core.recording import Row
 from trackers.core.rig import Station
@@ -56,7 +57,7 @@ class BeamMotion(AbstractMotion):
     def noise_dimension(self) -> int:
         return 2
 
-    def step(self, state: Beam, inputs: Any, dt: Scalar, w: Vector) -> Beam:
+    def step(self, state: Beam, inputs: Inputs, dt: Scalar, w: Vector) -> Beam:
         azimuth, elevation = w * self.sigma_a.value
         half = 0.5 * dt * dt
         return Beam(
@@ -76,7 +77,7 @@ class InPlaneBeamMotion(AbstractMotion):
     def noise_dimension(self) -> int:
         return 2
 
-    def step(self, state: InPlaneBeam, inputs: Any, dt: Scalar, w: Vector) -> InPlaneBeam:
+    def step(self, state: InPlaneBeam, inputs: Inputs, dt: Scalar, w: Vector) -> InPlaneBeam:
         kick = self.sigma_a.value * jnp.sqrt(dt)
         turn = state.rate * dt + kick * dt * (0.5 * w[0] + w[1] / 12**0.5)
         return InPlaneBeam(state.heading.retract([turn]), state.rate + kick * w[0])

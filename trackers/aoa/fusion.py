@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.core.algebra import Scalar, Vector, total
-from trackers.core.inputs import HEIGHT, Input
+from trackers.core.inputs import HEIGHT, Input, Inputs
 from trackers.core.motion import GroundMotion, Noise
 from trackers.core.rig import Station
 from trackers.core.sensor import AbstractSensor, Channel, Reading, Residual, position_in_space, student_t_log_peak
@@ -83,7 +83,7 @@ class BearingSensor(AbstractSensor):
         names = ("variance_azimuth", "covariance", "variance_elevation")
         return tuple(Channel(name, "rad^2") for name in names)
 
-    def measure(self, view: Any, inputs: Any) -> list[Scalar]:
+    def measure(self, view: Any, inputs: Inputs) -> list[Scalar]:
         axes = [inputs["axes"][k] for k in range(9)]
         ray = Vector.of(p - inputs["origin"][k] for k, p in enumerate(position_in_space(view.position, inputs)))
         x, y, z = (ray.dot(axes[3 * k : 3 * k + 3]) for k in range(3))

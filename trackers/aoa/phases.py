@@ -18,7 +18,7 @@ import numpy as np
 
 from trackers.aoa.circular import circular_mean
 from trackers.core.algebra import Scalar, Vector, compute_once, total
-from trackers.core.inputs import HEIGHT, Input
+from trackers.core.inputs import HEIGHT, Input, Inputs
 from trackers.core.motion import Noise, as_scale
 from trackers.core.rig import Station
 from trackers.core.sensor import LOG_2PI, AbstractSensor, Channel, Reading, Residual, position_in_space
@@ -106,7 +106,7 @@ class AbstractPlanePhases(AbstractPhaseSensor):
     def direction_cosines(self, view: Any) -> tuple[Scalar, Scalar]:
         """The components along the array's x and y axes of the unit vector from the station to the tag."""
 
-    def measure(self, view: Any, inputs: Any) -> list[Scalar]:
+    def measure(self, view: Any, inputs: Inputs) -> list[Scalar]:
         x, y = self.direction_cosines(view)
         return [k[0] * x + k[1] * y + offset for k, offset in zip(self.wavenumbers, self.offsets.value, strict=True)]
 
@@ -180,7 +180,7 @@ class SphericalPhases(AbstractPhaseSensor):
     def inputs(self) -> tuple[Input, ...]:
         return (HEIGHT,)
 
-    def measure(self, view: Any, inputs: Any) -> list[Scalar]:
+    def measure(self, view: Any, inputs: Inputs) -> list[Scalar]:
         to_tag = Vector.of(p - o for p, o in zip(position_in_space(view.position, inputs), self.origin, strict=True))
         distance = to_tag.norm()
         phases = []

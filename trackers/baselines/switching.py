@@ -24,7 +24,7 @@ from trackers.core.algebra import Scalar, Vector, diagonal
 from trackers.core.ekf import ExtendedKalman
 from trackers.core.filter import Gaussian
 from trackers.core.imm import AbstractInteractingModels, AbstractSwitching, InteractingModels, Mixture, SwitchingMotion
-from trackers.core.inputs import HEIGHT, Input
+from trackers.core.inputs import HEIGHT, Input, Inputs
 from trackers.core.linearise import covariance_of
 from trackers.core.motion import GroundMotion, Kinematic, Noise
 from trackers.core.recording import Row
@@ -95,7 +95,7 @@ class MirrorSensor(AbstractFixSensor, AbstractSwitching):
         """x, y, distance from the plane, depth below the floor, m."""
         return *super().channels[:2], Channel("off_plane", "m"), Channel("under_floor", "m")
 
-    def measure(self, view: Any, inputs: Any) -> list[Scalar]:
+    def measure(self, view: Any, inputs: Inputs) -> list[Scalar]:
         x, y, z = super().measure(view, inputs)
         off_plane = self.offset.value + self.shrink.value * self.side * (z - inputs["plane"])
         return [x, y, off_plane, jnp.minimum(z - self.floor.value, 0.0)]
@@ -126,7 +126,7 @@ class MirrorModels(AbstractInteractingModels):
     def inputs(self) -> tuple[Input, ...]:
         return (PLANE,)
 
-    def switching_rates(self, belief: Mixture, inputs: Any) -> list[Scalar]:
+    def switching_rates(self, belief: Mixture, inputs: Inputs) -> list[Scalar]:
         rates = []
         for mean, cov in belief.components:
             variance = covariance_of(mean, cov, lambda state: state.position)[2, 2] + self.reach.value**2

@@ -17,7 +17,7 @@ from trackers.core.algebra import Scalar, Vector, densify
 from trackers.core.density_integral import integral
 from trackers.core.ekf import ExtendedKalman
 from trackers.core.filter import Gaussian
-from trackers.core.inputs import Input, Need
+from trackers.core.inputs import Input, Inputs, Need
 from trackers.core.linearise import linearise
 from trackers.core.motion import AbstractMotion
 from trackers.core.requirements import GivenInputs, MissingInputError
@@ -42,11 +42,13 @@ class Still(AbstractMotion):
     def noise_dimension(self) -> int:
         return 0
 
-    def step(self, state: State, inputs: Any, dt: Scalar, w: Vector) -> State:
+    def step(self, state: State, inputs: Inputs, dt: Scalar, w: Vector) -> State:
         return state
 
 
-def check_motion(motion: AbstractMotion, state: State, inputs: Any = None, dt: float = 0.1, seed: int = 0) -> None:
+def check_motion(
+    motion: AbstractMotion, state: State, inputs: Inputs | None = None, dt: float = 0.1, seed: int = 0
+) -> None:
     """Raises `BrokenContract` unless `motion` fulfils its contract at `state`, for dt = 0 and for `dt` s.
 
     Contract: `step` returns a state of the same structure, equals the state for dt = 0 whatever the noise, is
@@ -97,7 +99,7 @@ def check_motion(motion: AbstractMotion, state: State, inputs: Any = None, dt: f
 
 
 def check_sensor(
-    sensor: AbstractSensor, view: Any, inputs: Any = None, reported: Sequence[float] = (), seed: int = 0
+    sensor: AbstractSensor, view: Any, inputs: Inputs | None = None, reported: Sequence[float] = (), seed: int = 0
 ) -> None:
     """Raises `BrokenContract` unless `sensor` fulfils its contract at `view`, a `motion.view` of a state.
 
@@ -197,7 +199,7 @@ def check_sensor(
             )
 
 
-def _given(what: str, declared: Sequence[Input], channels: int, view: Any, inputs: Any) -> GivenInputs:
+def _given(what: str, declared: Sequence[Input], channels: int, view: Any, inputs: Inputs | None) -> GivenInputs:
     """The inputs as arrays; raises `BrokenContract` for a declared one that is missing or of another shape."""
     given = GivenInputs(_arrays(dict(inputs or {})), what)
     planar = len(getattr(view, "position", ())) == 2

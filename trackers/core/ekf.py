@@ -33,6 +33,7 @@ from trackers.core.algebra import (
     triangle,
 )
 from trackers.core.filter import AbstractSmoothableFilter, Gaussian, Innovation
+from trackers.core.inputs import Inputs
 from trackers.core.linearise import linearise
 from trackers.core.motion import AbstractMotion
 from trackers.core.rts import RtsGain, rts_gain, rts_step
@@ -51,7 +52,7 @@ class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
         """The mean state and the covariance's upper triangle."""
         return belief.mean, belief.cov
 
-    def predict(self, belief: Gaussian, motion: AbstractMotion, inputs: Any, dt: Scalar) -> Gaussian:
+    def predict(self, belief: Gaussian, motion: AbstractMotion, inputs: Inputs, dt: Scalar) -> Gaussian:
         """The belief `dt` s later: mean through the motion, covariance FPFᵀ + GGᵀ, stage by stage."""
         mean, cov = belief
         for stage in motion.stages:
@@ -61,7 +62,7 @@ class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
         return Gaussian(compute_once(mean), cov)
 
     def jacobians(
-        self, state: State, motion: AbstractMotion, stage: Any, inputs: Any, dt: Scalar
+        self, state: State, motion: AbstractMotion, stage: Any, inputs: Inputs, dt: Scalar
     ) -> tuple[State, list[SparseRow], list[SparseRow]]:
         """The state after one stage without noise, and the sparse Jacobians F (state) and G (noise)."""
         point, rebuild = coordinates(state)
@@ -79,7 +80,7 @@ class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
         return predicted, compute_once(F), compute_once(G)
 
     def update(
-        self, belief: Gaussian, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Any
+        self, belief: Gaussian, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Inputs
     ) -> tuple[Gaussian, Innovation]:
         """The belief after one reading, and the reading's `Innovation`."""
         point, rebuild = coordinates(belief.mean)
@@ -104,7 +105,9 @@ class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
         innovation = Innovation(log_scale + log_density - 0.5 * rest, nis + rest, nis_dof, wrapped)
         return Gaussian(retract(belief.mean, step), cov), innovation
 
-    def rts_gain(self, belief: Gaussian, motion: AbstractMotion, connected: Scalar, dt: Scalar, inputs: Any) -> RtsGain:
+    def rts_gain(
+        self, belief: Gaussian, motion: AbstractMotion, connected: Scalar, dt: Scalar, inputs: Inputs
+    ) -> RtsGain:
         """The RTS gain to the next time step, `dt` s later; `connected`: that step continues the track."""
         predicted, jacobians = belief.mean, []
         for stage in motion.stages:

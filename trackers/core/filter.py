@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 import equinox as eqx
 
 from trackers.core.algebra import Scalar
-from trackers.core.inputs import Input
+from trackers.core.inputs import Input, Inputs
 from trackers.core.motion import AbstractMotion
 from trackers.core.sensor import AbstractSensor, Reading
 from trackers.core.state import State
@@ -62,12 +62,12 @@ class AbstractFilter(eqx.Module, Generic[Belief]):
         """The belief of a new track, from its prior; `key` (2,): raw random key."""
 
     @abstractmethod
-    def predict(self, belief: Belief, motion: AbstractMotion, inputs: Any, dt: Scalar) -> Belief:
+    def predict(self, belief: Belief, motion: AbstractMotion, inputs: Inputs, dt: Scalar) -> Belief:
         """The belief `dt` s later."""
 
     @abstractmethod
     def update(
-        self, belief: Belief, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Any
+        self, belief: Belief, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Inputs
     ) -> tuple[Belief, Innovation]:
         """The belief after one reading, and the reading's `Innovation`; masked channels change nothing."""
 
@@ -80,7 +80,7 @@ class AbstractSmoothableFilter(AbstractFilter[Belief]):
     """A filter whose beliefs can be smoothed by a recursion backwards in time, as `Smoothed` does."""
 
     @abstractmethod
-    def rts_gain(self, belief: Belief, motion: AbstractMotion, connected: Scalar, dt: Scalar, inputs: Any) -> Any:
+    def rts_gain(self, belief: Belief, motion: AbstractMotion, connected: Scalar, dt: Scalar, inputs: Inputs) -> Any:
         """The terms of the backward step from the next time step, `dt` s later; `connected`: it continues the track."""
 
     @abstractmethod

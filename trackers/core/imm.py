@@ -27,7 +27,7 @@ import numpy as np
 from trackers.core.algebra import Scalar, Vector, compute_once, total, triangle
 from trackers.core.ekf import ExtendedKalman
 from trackers.core.filter import AbstractSmoothableFilter, Gaussian, Innovation
-from trackers.core.inputs import Input
+from trackers.core.inputs import Input, Inputs
 from trackers.core.motion import AbstractMotion, Noise
 from trackers.core.rts import RtsGain
 from trackers.core.sensor import AbstractSensor, Reading
@@ -81,7 +81,7 @@ class SwitchingMotion(AbstractMotion, AbstractSwitching):
     def noise_dimension(self) -> int:
         return self.modes[0].noise_dimension
 
-    def step(self, state: State, inputs: Any, dt: Scalar, w: Vector) -> State:
+    def step(self, state: State, inputs: Inputs, dt: Scalar, w: Vector) -> State:
         return self.modes[0].step(state, inputs, dt, w)
 
     def view(self, state: State) -> Any:
@@ -108,7 +108,7 @@ class AbstractInteractingModels(AbstractSmoothableFilter[Mixture]):
     filter: eqx.AbstractVar[ExtendedKalman]
 
     @abstractmethod
-    def switching_rates(self, belief: Mixture, inputs: Any) -> list[Scalar]:
+    def switching_rates(self, belief: Mixture, inputs: Inputs) -> list[Scalar]:
         """The switching rate of each mode, 1/s."""
 
     def prior(self) -> list[Scalar]:
@@ -127,7 +127,7 @@ class AbstractInteractingModels(AbstractSmoothableFilter[Mixture]):
         """The mean and covariance of the mixture."""
         return collapsed(belief.components, [jnp.exp(w) for w in belief.log_weights])
 
-    def transition(self, belief: Mixture, inputs: Any, dt: Scalar) -> ModeTransition:
+    def transition(self, belief: Mixture, inputs: Inputs, dt: Scalar) -> ModeTransition:
         """The mode transition over `dt` s."""
         # The square of this number still has an inverse, which the derivative of a quotient needs.
         tiny = float(jnp.finfo(dt.dtype).tiny) ** 0.5
@@ -139,7 +139,7 @@ class AbstractInteractingModels(AbstractSmoothableFilter[Mixture]):
         predicted = [jnp.maximum(k + total_switched * p, tiny) for k, p in zip(stayed, self.prior(), strict=True)]
         return ModeTransition(predicted, stayed, switched, total_switched)
 
-    def predict(self, belief: Mixture, motion: AbstractMotion, inputs: Any, dt: Scalar) -> Mixture:
+    def predict(self, belief: Mixture, motion: AbstractMotion, inputs: Inputs, dt: Scalar) -> Mixture:
         """The belief `dt` s later: mixing of the modes, then each mode's prediction."""
         transition = self.transition(belief, inputs, dt)
         weights = [x / transition.total_switched for x in transition.switched]
@@ -152,7 +152,7 @@ class AbstractInteractingModels(AbstractSmoothableFilter[Mixture]):
         return Mixture(tuple(components), tuple(jnp.log(x) for x in transition.predicted))
 
     def update(
-        self, belief: Mixture, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Any
+        self, belief: Mixture, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Inputs
     ) -> tuple[Mixture, Innovation]:
         """The belief after one reading, and the reading's `Innovation`."""
         updated = [
@@ -171,7 +171,7 @@ class AbstractInteractingModels(AbstractSmoothableFilter[Mixture]):
         return Mixture(tuple(g for g, _ in updated), log_weights), innovation
 
     def rts_gain(
-        self, belief: Mixture, motion: AbstractMotion, connected: Scalar, dt: Scalar, inputs: Any
+        self, belief: Mixture, motion: AbstractMotion, connected: Scalar, dt: Scalar, inputs: Inputs
     ) -> ModeGains:
         """The RTS gains to the next time step, from every mode to every mode."""
         transition, prior = self.transition(belief, inputs, dt), self.prior()
@@ -225,7 +225,7 @@ class InteractingModels(AbstractInteractingModels):
         self.filter = ExtendedKalman()
         self.switching_rate, self.mode_prior = Scale(switching_rate, "1/s"), Scale(np.asarray(mode_prior, float))
 
-    def switching_rates(self, belief: Mixture, inputs: Any) -> list[Scalar]:
+    def switching_rates(self, belief: Mixture, inputs: Inputs) -> list[Scalar]:
         return [self.switching_rate.value] * len(belief.components)
 
 

@@ -5,8 +5,14 @@ A part declares its inputs, so that a recording without one is refused before a 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import Enum
 from typing import NamedTuple
+
+from jaxtyping import Array
+
+Inputs = Mapping[str, Array]
+"""The known inputs of one row by name: numbers, or arrays of them."""
 
 
 class Need(Enum):

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar, Vector, total
-from trackers.core.inputs import Input
+from trackers.core.inputs import Input, Inputs
 from trackers.core.state import State
 from trackers.core.tunable import AbstractTunable, Axis, Constant, Role, Scale, with_role
 
@@ -46,7 +46,7 @@ class AbstractMotion(eqx.Module):
         """The number of independent standard normal numbers per step."""
 
     @abstractmethod
-    def step(self, state: State, inputs: Any, dt: Scalar, w: Vector) -> State:
+    def step(self, state: State, inputs: Inputs, dt: Scalar, w: Vector) -> State:
         """The state `dt` s later, given the known inputs and the noise draw `w`."""
 
     @property
@@ -59,7 +59,7 @@ class AbstractMotion(eqx.Module):
         """`step` as a composition of functions with sparse Jacobians; covariances are predicted stage by stage."""
         return (self.step,)
 
-    def log_density(self, state: State, inputs: Any, dt: Scalar, w: Vector) -> Scalar:
+    def log_density(self, state: State, inputs: Inputs, dt: Scalar, w: Vector) -> Scalar:
         """The log density of the noise draw of one step, in physical units, up to terms without tunables.
 
         It is differentiated for the score of a particle filter with the draw held fixed, not the next state, which has
@@ -126,14 +126,14 @@ class ConstantVelocity(AbstractMotion):
     def noise_dimension(self) -> int:
         return 2 * self.dimensions
 
-    def step(self, state: Kinematic, inputs: Any, dt: Scalar, w: Vector) -> Kinematic:
+    def step(self, state: Kinematic, inputs: Inputs, dt: Scalar, w: Vector) -> Kinematic:
         n = self.dimensions
         kick = self.sigma_a.value * jnp.sqrt(dt)
         along, across = Vector(*w.parts[:n]), Vector(*w.parts[n:])
         position = state.position + state.velocity * dt + along * (0.5 * kick * dt) + across * (kick * dt / 12**0.5)
         return Kinematic(position, state.velocity + along * kick)
 
-    def log_density(self, state: Kinematic, inputs: Any, dt: Scalar, w: Vector) -> Scalar:
+    def log_density(self, state: Kinematic, inputs: Inputs, dt: Scalar, w: Vector) -> Scalar:
         return total(draw_log_density(x, self.sigma_a.value) for x in w)
 
 
@@ -151,10 +151,10 @@ class ConstantPosition(AbstractMotion):
     def noise_dimension(self) -> int:
         return self.dimensions
 
-    def step(self, state: Placed, inputs: Any, dt: Scalar, w: Vector) -> Placed:
+    def step(self, state: Placed, inputs: Inputs, dt: Scalar, w: Vector) -> Placed:
         return Placed(state.position + w * (self.sigma_v.value * jnp.sqrt(dt)))
 
-    def log_density(self, state: Placed, inputs: Any, dt: Scalar, w: Vector) -> Scalar:
+    def log_density(self, state: Placed, inputs: Inputs, dt: Scalar, w: Vector) -> Scalar:
         return total(draw_log_density(x, self.sigma_v.value) for x in w)
 
 
@@ -176,13 +176,13 @@ class GroundMotion(AbstractMotion):
     def noise_dimension(self) -> int:
         return 5
 
-    def step(self, state: Kinematic, inputs: Any, dt: Scalar, w: Vector) -> Kinematic:
+    def step(self, state: Kinematic, inputs: Inputs, dt: Scalar, w: Vector) -> Kinematic:
         floor = Kinematic(Vector(*state.position.parts[:2]), state.velocity)
         moved = ConstantVelocity(self.sigma_a, 2).step(floor, inputs, dt, Vector(*w.parts[:4]))
         drift = w[4] * (self.sigma_z.value * jnp.sqrt(dt))
         heights = [z + drift for z in state.position.parts[2:]]
         return Kinematic(Vector(*moved.position, *heights), moved.velocity)
 
-    def log_density(self, state: Kinematic, inputs: Any, dt: Scalar, w: Vector) -> Scalar:
+    def log_density(self, state: Kinematic, inputs: Inputs, dt: Scalar, w: Vector) -> Scalar:
         across = total(draw_log_density(x, self.sigma_a.value) for x in w.parts[:4])
         return across + draw_log_density(w[4], self.sigma_z.value) if len(state.position) == 3 else across

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jax.scipy.special import gammaln
 
 from trackers.core.algebra import Scalar, Vector, total
-from trackers.core.inputs import Input
+from trackers.core.inputs import Input, Inputs
 
 LOG_2PI = 1.8378770664093453
 
@@ -81,7 +81,7 @@ class AbstractSensor(eqx.Module):
         return ()
 
     @abstractmethod
-    def measure(self, view: Any, inputs: Any) -> Sequence[Scalar]:
+    def measure(self, view: Any, inputs: Inputs) -> Sequence[Scalar]:
         """The noise-free reading, one scalar per channel, of a `motion.view` of a state."""
 
     @abstractmethod
@@ -89,7 +89,7 @@ class AbstractSensor(eqx.Module):
         """The whitened residual of a reading from a prediction, with the log of its density's scale."""
 
 
-def position_in_space(position: Vector, inputs: Any) -> Vector:
+def position_in_space(position: Vector, inputs: Inputs) -> Vector:
     """The position in three dimensions; a planar one is completed by the known height `inputs["height"]`, m."""
     return position if len(position) == 3 else Vector(*position, inputs["height"])
 

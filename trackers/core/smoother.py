@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from trackers.core.algebra import Scalar
 from trackers.core.estimates import Status
 from trackers.core.filter import AbstractSmoothableFilter, Gaussian
+from trackers.core.inputs import Inputs
 from trackers.core.layout import Layout
 from trackers.core.recording import Batch
 from trackers.core.rts import fixed_interval, fixed_lag
@@ -55,7 +56,7 @@ class Smoothed(AbstractEpochwiseTracker):
         steps = (but_last, connected, dt, inputs)
         last = jax.tree_util.tree_map(lambda x: x[-1:], filtered)
 
-        def gain_of(belief: Any, connected: Scalar, dt: Scalar, inputs: Any) -> Any:
+        def gain_of(belief: Any, connected: Scalar, dt: Scalar, inputs: Inputs) -> Any:
             return filter_.rts_gain(belief, tracker.motion, connected, dt, inputs)
 
         rts_step = filter_.rts_step

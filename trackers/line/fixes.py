@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any, ClassVar
 
 from trackers.core.algebra import Scalar
+from trackers.core.inputs import Inputs
 from trackers.core.motion import Noise, as_scale
 from trackers.core.sensor import AbstractSensor, Channel, Reading, Residual, independent
 
@@ -34,7 +35,7 @@ class FloorFixes(AbstractSensor):
         """The variances of x and y, m²."""
         return Channel("variance_x", "m^2"), Channel("variance_y", "m^2")
 
-    def measure(self, view: Any, inputs: Any) -> list[Scalar]:
+    def measure(self, view: Any, inputs: Inputs) -> list[Scalar]:
         return list(view.position)[:2]
 
     def residual(self, reading: Reading, predicted: Sequence[Scalar]) -> Residual:

@@ -15,6 +15,7 @@ from jax.scipy.special import ndtr
 
 from trackers.core.algebra import Scalar, compute_once, total
 from trackers.core.filter import AbstractFilter, Gaussian, Innovation
+from trackers.core.inputs import Inputs
 from trackers.core.linearise import covariance_of
 from trackers.core.motion import AbstractMotion
 from trackers.core.particle.filter import particle_residuals, weighted_moments, weighted_nis
@@ -67,7 +68,7 @@ class GridFilter(AbstractFilter[GridBelief]):
         resting = belief.mean.resting if hasattr(belief.mean, "resting") else 0.0
         return GridBelief(along[:, None] * fast[None, :] * (1.0 - resting), along * resting)
 
-    def predict(self, belief: GridBelief, motion: AbstractMotion, inputs: Any, dt: Scalar) -> GridBelief:
+    def predict(self, belief: GridBelief, motion: AbstractMotion, inputs: Inputs, dt: Scalar) -> GridBelief:
         """The belief `dt` seconds later."""
         if not isinstance(motion, (LineMotion, HaltingMotion)):
             raise TypeError(f"GridFilter supports LineMotion and HaltingMotion, found {type(motion).__name__}")
@@ -87,7 +88,7 @@ class GridFilter(AbstractFilter[GridBelief]):
         return compute_once(GridBelief(travelling, resting))
 
     def update(
-        self, belief: GridBelief, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Any
+        self, belief: GridBelief, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Inputs
     ) -> tuple[GridBelief, Innovation]:
         """The belief given one reading, and its innovation."""
         along, _ = self._axes(belief.resting.dtype)

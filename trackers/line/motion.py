@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jax.scipy.special import ndtri
 
 from trackers.core.algebra import Scalar, Vector
+from trackers.core.inputs import Inputs
 from trackers.core.motion import AbstractMotion, Kinematic, Noise, draw_log_density, process_noise
 from trackers.core.particle.filter import AbstractOutputMap, second_moments, weighted_mean
 from trackers.core.polyline import Polyline
@@ -49,12 +50,12 @@ class LineMotion(AbstractMotion):
     def noise_dimension(self) -> int:
         return 1
 
-    def step(self, state: PathState, inputs: Any, dt: Scalar, w: Vector) -> PathState:
+    def step(self, state: PathState, inputs: Inputs, dt: Scalar, w: Vector) -> PathState:
         arclength, speed = possible(self.line, state.arclength, state.speed)
         change = w[0] * (self.sigma_a.value * jnp.sqrt(dt))
         return PathState(self.line.on_path(arclength + speed * dt), jnp.maximum(speed + change, 0.0))
 
-    def log_density(self, state: PathState, inputs: Any, dt: Scalar, w: Vector) -> Scalar:
+    def log_density(self, state: PathState, inputs: Inputs, dt: Scalar, w: Vector) -> Scalar:
         return draw_log_density(w[0], self.sigma_a.value)
 
     def view(self, state: Any) -> Kinematic:
@@ -87,7 +88,7 @@ class HaltingMotion(AbstractMotion):
     def noise_dimension(self) -> int:
         return 2
 
-    def step(self, state: HaltingState, inputs: Any, dt: Scalar, w: Vector) -> HaltingState:
+    def step(self, state: HaltingState, inputs: Inputs, dt: Scalar, w: Vector) -> HaltingState:
         travelled, ahead = self._travelled(state, inputs, dt, w)
         resting, halts, leaves = self._choices(state, ahead, dt, w)
         there = self.line.on_path(jnp.where(halts, ahead, travelled.arclength))
@@ -98,7 +99,7 @@ class HaltingMotion(AbstractMotion):
         still = jnp.where((resting & ~leaves) | halts, jnp.ones_like(speed), 0.0)
         return HaltingState(arclength, jnp.where(dt > 0, speed, state.speed), jnp.where(dt > 0, still, state.resting))
 
-    def log_density(self, state: HaltingState, inputs: Any, dt: Scalar, w: Vector) -> Scalar:
+    def log_density(self, state: HaltingState, inputs: Inputs, dt: Scalar, w: Vector) -> Scalar:
         _, ahead = self._travelled(state, inputs, dt, w)
         resting, halts, leaves = self._choices(state, ahead, dt, w)
         travels = draw_log_density(w[0], self.sigma_a.value)
@@ -109,7 +110,7 @@ class HaltingMotion(AbstractMotion):
         rests = jnp.where(leaves, departs, -dt * rate)
         return jnp.where(resting, rests, jnp.where(halts, jnp.log(halting), passes))
 
-    def _travelled(self, state: HaltingState, inputs: Any, dt: Scalar, w: Vector) -> tuple[PathState, Scalar]:
+    def _travelled(self, state: HaltingState, inputs: Inputs, dt: Scalar, w: Vector) -> tuple[PathState, Scalar]:
         """The state after travel without halts, and the arclength of the first join reached; infinite for none."""
         travelled = LineMotion(self.line, self.sigma_a).step(PathState(state.arclength, state.speed), inputs, dt, w)
         arclength, speed = possible(self.line, state.arclength, state.speed)

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from trackers.core.algebra import Scalar, Vector
 from trackers.core.ekf import ExtendedKalman
 from trackers.core.filter import AbstractFilter, Gaussian, Innovation
+from trackers.core.inputs import Inputs
 from trackers.core.motion import AbstractMotion, Kinematic, Noise
 from trackers.core.sensor import AbstractSensor, Reading
 from trackers.core.tunable import Scale
@@ -68,7 +69,7 @@ class AccelerationFilter(AbstractFilter[MhkBelief]):
         """Mean and covariance of position and velocity."""
         return self.filter.moments(belief.kalman)
 
-    def predict(self, belief: MhkBelief, motion: AbstractMotion, inputs: Any, dt: Scalar) -> MhkBelief:
+    def predict(self, belief: MhkBelief, motion: AbstractMotion, inputs: Inputs, dt: Scalar) -> MhkBelief:
         """Equations (8)–(13): constant velocity, plus the acceleration for as long as it is in force."""
         after = self.filter.predict(belief.kalman, motion, inputs, dt)
         accelerated = jnp.minimum(dt, belief.remaining)
@@ -86,7 +87,7 @@ class AccelerationFilter(AbstractFilter[MhkBelief]):
         )
 
     def update(
-        self, belief: MhkBelief, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Any
+        self, belief: MhkBelief, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Inputs
     ) -> tuple[MhkBelief, Innovation]:
         """Equations (14)–(20), and the posterior mean of the acceleration for the next prediction."""
         kalman, innovation = self.filter.update(belief.kalman, motion, sensor, reading, inputs)

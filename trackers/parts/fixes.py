@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar, Vector, diagonal, total
 from trackers.core.filter import Gaussian
-from trackers.core.inputs import HEIGHT, Input
+from trackers.core.inputs import HEIGHT, Input, Inputs
 from trackers.core.latency import AbstractDelayedSensor
 from trackers.core.motion import Accelerated, Kinematic, Noise
 from trackers.core.recording import Row
@@ -68,7 +68,7 @@ class AbstractFixSensor(AbstractDelayedSensor):
         """x, y and z."""
         return Channel("x", "m"), Channel("y", "m"), Channel("z", "m")
 
-    def measure(self, view: Any, inputs: Any) -> list[Scalar]:
+    def measure(self, view: Any, inputs: Inputs) -> list[Scalar]:
         lag = [-v * self.latency.value for v in view.velocity]
         # A planar motion has no vertical velocity: its height is taken as constant over the latency.
         position = list(position_in_space(view.position, inputs))

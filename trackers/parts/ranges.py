@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.core.algebra import Scalar, Vector, total
-from trackers.core.inputs import HEIGHT, Input, Need
+from trackers.core.inputs import HEIGHT, Input, Inputs, Need
 from trackers.core.motion import Noise
 from trackers.core.sensor import AbstractSensor, Channel, Reading, Residual, position_in_space, student_t_log_peak
 from trackers.core.state import Heading
@@ -89,7 +89,7 @@ class RangeSensor(AbstractSensor):
         """The variance of the range of each slot, m²."""
         return tuple(Channel(f"variance_{k + 1}", "m^2") for k in range(self.slots))
 
-    def measure(self, view: Any, inputs: Any) -> list[Scalar]:
+    def measure(self, view: Any, inputs: Inputs) -> list[Scalar]:
         position = position_in_space(view.position, inputs)
         ranges = []
         for slot in range(self.slots):

@@ -17,12 +17,13 @@ with T, A, B, D smooth at h = 0; tests/trackers/parts/test_singer.py compares it
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar, Vector
+from trackers.core.inputs import Inputs
 from trackers.core.motion import AbstractMotion, Accelerated, Noise, as_scale, process_noise
 
 
@@ -57,7 +58,7 @@ class Singer(AbstractMotion):
     def noise_dimension(self) -> int:
         return 3 * self.dimensions
 
-    def step(self, state: Accelerated, inputs: Any, dt: Scalar, w: Vector) -> Accelerated:
+    def step(self, state: Accelerated, inputs: Inputs, dt: Scalar, w: Vector) -> Accelerated:
         n = self.dimensions
         first, second, third = (Vector(*w.parts[k * n : (k + 1) * n]) for k in range(3))
         h = 0.5 * dt / self.tau.value

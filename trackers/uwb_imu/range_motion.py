@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar, Vector
+from trackers.core.inputs import Inputs
 from trackers.core.motion import AbstractMotion, Noise
 from trackers.core.tunable import Scale
 
@@ -49,7 +50,7 @@ class RangeMotion(AbstractMotion):
     def noise_dimension(self) -> int:
         return 6 + self.biases
 
-    def step(self, state: RangeState, inputs: Any, dt: Scalar, w: Vector) -> RangeState:
+    def step(self, state: RangeState, inputs: Inputs, dt: Scalar, w: Vector) -> RangeState:
         n = len(state.position)
         sigmas = [self.sigma_a.value, self.sigma_a.value, self.sigma_z.value][:n]
         decay, gain, velocity_noise, shared, own = damped_velocity(dt, self.memory.value)

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 
 from trackers.core.algebra import Scalar, Vector
-from trackers.core.inputs import Input, Need
+from trackers.core.inputs import Input, Inputs, Need
 from trackers.core.motion import AbstractMotion, Noise, as_scale, process_noise
 from trackers.core.state import Heading, Rotation
 from trackers.core.tunable import Real
@@ -98,7 +98,7 @@ class ImuNoise(eqx.Module):
         """Standard deviation of the change of a range bias over `dt`, m."""
         return self.sigma_range_walk.value * jnp.sqrt(dt)
 
-    def sigmas(self, inputs: Any, dt: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+    def sigmas(self, inputs: Inputs, dt: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar]:
         """Standard deviations over `dt` of velocity m/s, attitude rad, accelerometer bias m/s² and gyro bias rad/s."""
         root = jnp.sqrt(dt)
         accel, gyro = imu_available(inputs)
@@ -130,14 +130,14 @@ class PlanarStrapdown(AbstractMotion):
     def noise_dimension(self) -> int:
         return 8 + self.biases
 
-    def step(self, state: PlanarInertial, inputs: Any, dt: Scalar, w: Vector) -> PlanarInertial:
+    def step(self, state: PlanarInertial, inputs: Inputs, dt: Scalar, w: Vector) -> PlanarInertial:
         return by_stages(self, state, inputs, dt, w)
 
     @property
     def stages(self) -> Any:
         return half_coast, self.drive, half_coast
 
-    def drive(self, state: PlanarInertial, inputs: Any, dt: Scalar, w: Vector) -> PlanarInertial:
+    def drive(self, state: PlanarInertial, inputs: Inputs, dt: Scalar, w: Vector) -> PlanarInertial:
         """The stage with the IMU's sample and the process noise."""
         has_accel, has_gyro = imu_available(inputs)
         sigma_velocity, sigma_attitude, accel_walk, gyro_walk = self.noise.sigmas(inputs, dt)
@@ -193,14 +193,14 @@ class Strapdown(AbstractMotion):
     def noise_dimension(self) -> int:
         return 15 + self.biases
 
-    def step(self, state: Inertial, inputs: Any, dt: Scalar, w: Vector) -> Inertial:
+    def step(self, state: Inertial, inputs: Inputs, dt: Scalar, w: Vector) -> Inertial:
         return by_stages(self, state, inputs, dt, w)
 
     @property
     def stages(self) -> Any:
         return half_coast, self.drive, half_coast
 
-    def drive(self, state: Inertial, inputs: Any, dt: Scalar, w: Vector) -> Inertial:
+    def drive(self, state: Inertial, inputs: Inputs, dt: Scalar, w: Vector) -> Inertial:
         """The stage with the IMU's sample and the process noise."""
         has_accel, has_gyro = imu_available(inputs)
         sigma_velocity, sigma_attitude, accel_walk, gyro_walk = self.noise.sigmas(inputs, dt)
@@ -224,19 +224,19 @@ class Strapdown(AbstractMotion):
         )
 
 
-def imu_available(inputs: Any) -> tuple[Scalar, Scalar]:
+def imu_available(inputs: Inputs) -> tuple[Scalar, Scalar]:
     """Whether the row's accelerometer and its gyro are available."""
     return inputs["imu"][0] > 0.5, inputs["imu"][1] > 0.5
 
 
-def by_stages(motion: AbstractMotion, state: Any, inputs: Any, dt: Scalar, w: Vector) -> Any:
+def by_stages(motion: AbstractMotion, state: Any, inputs: Inputs, dt: Scalar, w: Vector) -> Any:
     """A step as the composition of its stages."""
     for stage in motion.stages:
         state = stage(state, inputs, dt, w)
     return state
 
 
-def half_coast(state: Any, inputs: Any, dt: Scalar, w: Vector) -> Any:
+def half_coast(state: Any, inputs: Inputs, dt: Scalar, w: Vector) -> Any:
     """The state after half a step at constant velocity."""
     return state._replace(position=state.position + state.velocity * (0.5 * dt))
 

@@ -12,6 +12,7 @@ import numpy as np
 from trackers.core.algebra import Scalar, full, total, triangle
 from trackers.core.ekf import ExtendedKalman
 from trackers.core.filter import AbstractSmoothableFilter, Gaussian, Innovation
+from trackers.core.inputs import Inputs
 from trackers.core.motion import AbstractMotion
 from trackers.core.sensor import AbstractSensor, Reading
 from trackers.core.state import Heading, Rotation, State, local, retract
@@ -50,13 +51,13 @@ class YawMixtureFilter(AbstractSmoothableFilter[YawMixture]):
         stacked = jax.tree_util.tree_map(lambda *x: jnp.stack(x), *beliefs)
         return YawMixture(stacked, jnp.stack([one * -np.log(self.count)] * self.count))
 
-    def predict(self, belief: YawMixture, motion: AbstractMotion, inputs: Any, dt: Scalar) -> YawMixture:
+    def predict(self, belief: YawMixture, motion: AbstractMotion, inputs: Inputs, dt: Scalar) -> YawMixture:
         """Every component's belief `dt` seconds later."""
         each = jax.vmap(lambda b: self.kalman.predict(b, motion, inputs, dt))
         return belief._replace(beliefs=each(belief.beliefs))
 
     def update(
-        self, belief: YawMixture, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Any
+        self, belief: YawMixture, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Inputs
     ) -> tuple[YawMixture, Innovation]:
         """Every component updated and re-weighted by its likelihood; NIS and wrap flag of the likeliest component."""
         each = jax.vmap(lambda b: self.kalman.update(b, motion, sensor, reading, inputs))
@@ -90,7 +91,7 @@ class YawMixtureFilter(AbstractSmoothableFilter[YawMixture]):
         return retract(centre, mean), cov
 
     def rts_gain(
-        self, belief: YawMixture, motion: AbstractMotion, connected: Scalar, dt: Scalar, inputs: Any
+        self, belief: YawMixture, motion: AbstractMotion, connected: Scalar, dt: Scalar, inputs: Inputs
     ) -> YawRtsGains:
         """The RTS gains to the next row, component by component."""
         each = jax.vmap(lambda b: self.kalman.rts_gain(b, motion, connected, dt, inputs))

@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 
 from trackers.core.algebra import Scalar, Vector, cholesky, solve_lower, total, triangle
 from trackers.core.filter import AbstractFilter, Gaussian, Innovation
+from trackers.core.inputs import Inputs
 from trackers.core.keys import RawKey
 from trackers.core.motion import AbstractMotion
 from trackers.core.particle.random import draws
@@ -119,7 +120,7 @@ class ParticleFilter(AbstractParticleFilter):
         log_weights = with_score(uniform, belief, states, log_density=normal_log_density)
         return Particles(states, log_weights, key, jax.lax.stop_gradient(jnp.exp(uniform)))
 
-    def predict(self, belief: Particles, motion: AbstractMotion, inputs: Any, dt: Scalar) -> Particles:
+    def predict(self, belief: Particles, motion: AbstractMotion, inputs: Inputs, dt: Scalar) -> Particles:
         """The belief `dt` s later (1.23), resampled before where the effective sample size is too small."""
         dtype = belief.log_weights.dtype
         key, offset, w = draws(belief.key, motion.noise_dimension, self.n_particles, dtype)
@@ -142,7 +143,7 @@ class ParticleFilter(AbstractParticleFilter):
         return Particles(predicted, jnp.maximum(log_weights + potentials, LOG_ZERO), key)
 
     def update(
-        self, belief: Particles, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Any
+        self, belief: Particles, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Inputs
     ) -> tuple[Particles, Innovation]:
         """The belief after one reading (1.24)–(1.27), and the reading's `Innovation`.
 
@@ -175,7 +176,7 @@ class ParticleFilter(AbstractParticleFilter):
 
 
 def noise_log_density(
-    motion: AbstractMotion, states: State, inputs: Any, dt: Scalar, w: list[Float[Array, " N"]]
+    motion: AbstractMotion, states: State, inputs: Inputs, dt: Scalar, w: list[Float[Array, " N"]]
 ) -> Float[Array, " N"]:
     """The log densities (N,) of the noise draws `w` of N steps; 0 for dt = 0."""
 
@@ -199,7 +200,7 @@ class ParticleResiduals(NamedTuple):
 
 
 def particle_residuals(
-    states: State, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Any
+    states: State, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Inputs
 ) -> ParticleResiduals:
     """The residuals of the reading at N states, whose leaves end with an axis of N."""
 

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 from jax.interpreters import partial_eval
 
 from trackers.core.algebra import Scalar, Vector, cholesky, solve_lower, total, triangle
+from trackers.core.inputs import Inputs
 from trackers.core.linearise import linearise
 from trackers.core.motion import AbstractMotion
 from trackers.core.sensor import LOG_2PI
 from trackers.core.state import State, component_names, dimension, local
 
 
-def check_transition_density(motion: AbstractMotion, state: State, inputs: Any) -> None:
+def check_transition_density(motion: AbstractMotion, state: State, inputs: Inputs) -> None:
     """Raises ValueError, with the reason, unless the motion has a normal transition density.
 
     Needed: a step that is affine in the noise, and noise of full rank in the state.
@@ -43,7 +42,7 @@ def check_transition_density(motion: AbstractMotion, state: State, inputs: Any) 
         )
 
 
-def transition_log_density(motion: AbstractMotion, before: State, after: State, inputs: Any, dt: Scalar) -> Scalar:
+def transition_log_density(motion: AbstractMotion, before: State, after: State, inputs: Inputs, dt: Scalar) -> Scalar:
     """log p(after | before) of a motion that passes `check_transition_density`: N(after; step without noise, GGᵀ)."""
     zeros = [jnp.zeros_like(dt)] * motion.noise_dimension
     predicted = motion.step(before, inputs, dt, Vector.of(zeros))
