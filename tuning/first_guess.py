@@ -14,9 +14,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Shaped
 
 from trackers.core.algebra import Scalar
 from trackers.core.estimates import Status
+from trackers.core.inputs import AnyArray
 from trackers.core.recording import Batch
 from trackers.core.scan import Output
 from trackers.core.track_loss import TrackLossPolicy
@@ -126,12 +128,12 @@ def sample_segments(batches: Sequence[Batch], count: int) -> Batch:
     picked = [every[k] for k in np.unique(np.linspace(0, len(every) - 1, min(count, len(every))).astype(int))]
 
     def cut(b: int, trajectory: int, start: int) -> Batch:
-        def part(x: Any) -> np.ndarray:
+        def part(x: Shaped[AnyArray, "T *shape B"]) -> Shaped[np.ndarray, "rows *shape"]:
             rows_of_x = np.asarray(x)[start : start + rows, ..., trajectory]
             return np.pad(rows_of_x, [(0, rows - len(rows_of_x))] + [(0, 0)] * (rows_of_x.ndim - 1))
 
         key = np.asarray(batches[b].key)[:, trajectory]
-        return jax.tree_util.tree_map(part, batches[b]._replace(key=None))._replace(key=key)
+        return jax.tree_util.tree_map(part, batches[b]._replace(key=batches[b].dt))._replace(key=key)
 
     return jax.tree_util.tree_map(lambda *x: np.stack(x, axis=-1), *(cut(*one) for one in picked))
 

@@ -13,6 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import DTypeLike
 
 from trackers.core.recording import Batch
 
@@ -22,7 +23,7 @@ CHUNK = 512
 """Trajectories per chunk: enough to amortise the overhead of a step, few enough for the cache."""
 
 
-def as_dtype(tree: Tree, dtype: Any) -> Tree:
+def as_dtype(tree: Tree, dtype: DTypeLike) -> Tree:
     """The tree with its floats as arrays of `dtype`, so that other values reuse the compiled program."""
 
     def cast(x: Any) -> Any:

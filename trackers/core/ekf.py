@@ -34,6 +34,7 @@ from trackers.core.algebra import (
 )
 from trackers.core.filter import AbstractSmoothableFilter, Gaussian, Innovation
 from trackers.core.inputs import Inputs
+from trackers.core.keys import RawKey
 from trackers.core.linearise import linearise
 from trackers.core.motion import AbstractMotion
 from trackers.core.rts import RtsGain, rts_gain, rts_step
@@ -44,7 +45,7 @@ from trackers.core.state import State, coordinates, local_after, retract
 class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
     """The extended Kalman filter: motion and sensors are linearised at the current mean."""
 
-    def init(self, belief: Gaussian, key: Any) -> Gaussian:
+    def init(self, belief: Gaussian, key: RawKey) -> Gaussian:
         """The filter's belief, given the prior; `key` is unused."""
         return belief
 

@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 import polars as pl
+from jaxtyping import Bool, Float, Int, Num
 
 from trackers.core.algebra import dense, triangle
 from trackers.core.state import component_names, path_name
@@ -57,15 +58,15 @@ class Estimates:
     """
 
     mean: Any
-    cov_upper: np.ndarray
-    log_likelihood: np.ndarray
-    nis: np.ndarray
-    nis_dof: np.ndarray
-    wrapped: np.ndarray
-    status: np.ndarray
-    times: np.ndarray | None = None
+    cov_upper: Float[np.ndarray, "entries *rows"]
+    log_likelihood: Float[np.ndarray, "*rows"]
+    nis: Float[np.ndarray, "*rows"]
+    nis_dof: Float[np.ndarray, "*rows"]
+    wrapped: Num[np.ndarray, "*rows"]
+    status: Int[np.ndarray, "*rows"]
+    times: Float[np.ndarray, "*rows"] | None = None
     names: tuple[str, ...] = ()
-    age: np.ndarray | None = None
+    age: Float[np.ndarray, "*rows"] | None = None
     final: Any = None
 
     @property
@@ -74,12 +75,12 @@ class Estimates:
         return int((np.sqrt(8 * len(self.cov_upper) + 1) - 1) / 2)
 
     @property
-    def covariance(self) -> np.ndarray:
+    def covariance(self) -> Float[np.ndarray, "*rows n n"]:
         """The covariances as (…, T, n, n)."""
         return dense(list(self.cov_upper), self.dimension, np.stack)
 
     @property
-    def sigmas(self) -> dict[str, np.ndarray]:
+    def sigmas(self) -> dict[str, Float[np.ndarray, "*rows"]]:
         """The standard deviation of each component of the state, by name."""
         position = {pair: k for k, pair in enumerate(triangle(self.dimension))}
         scalar_state = jax.tree_util.tree_map(lambda x: np.zeros(np.shape(x)[self.status.ndim :]), self.mean)
@@ -89,11 +90,11 @@ class Estimates:
         }
 
     @property
-    def usable(self) -> np.ndarray:
+    def usable(self) -> Bool[np.ndarray, "*rows"]:
         """Rows with an estimate: neither padding, waiting nor non-finite."""
         return ~np.isin(self.status, (Status.PADDING, Status.WAITING, Status.NON_FINITE))
 
-    def valid_times(self, times: np.ndarray) -> np.ndarray:
+    def valid_times(self, times: Float[np.ndarray, "*rows"]) -> Float[np.ndarray, "*rows"]:
         """The times for which the estimates of rows at `times`, s, are valid."""
         return times if self.age is None else times - self.age
 
@@ -136,7 +137,7 @@ class Estimates:
         )
         return f"<Estimates: {shape}; state {', '.join(self.sigmas)}>"
 
-    def marginal(self, field: str) -> np.ndarray:
+    def marginal(self, field: str) -> Float[np.ndarray, "*rows k k"]:
         """The covariances (…, T, k, k) of one field of the state, as `position`, in the order of its components.
 
         Raises KeyError, naming the fields, where the state has no such field.
@@ -233,7 +234,7 @@ class Estimates:
         return "ok"
 
 
-def state_columns(estimates: Estimates) -> dict[str, np.ndarray]:
+def state_columns(estimates: Estimates) -> dict[str, Num[np.ndarray, "*rows"]]:
     """The columns (…, T) of a table of states: positions and velocities by axis with units, the rest by its names."""
     mean, sigmas = estimates.mean, estimates.sigmas
     columns: dict[str, Any] = {}

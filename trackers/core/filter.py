@@ -15,6 +15,7 @@ import equinox as eqx
 
 from trackers.core.algebra import Scalar
 from trackers.core.inputs import Input, Inputs
+from trackers.core.keys import RawKey
 from trackers.core.motion import AbstractMotion
 from trackers.core.sensor import AbstractSensor, Reading
 from trackers.core.state import State
@@ -58,7 +59,7 @@ class AbstractFilter(eqx.Module, Generic[Belief]):
         return ()
 
     @abstractmethod
-    def init(self, belief: Gaussian, key: Any) -> Belief:
+    def init(self, belief: Gaussian, key: RawKey) -> Belief:
         """The belief of a new track, from its prior; `key` (2,): raw random key."""
 
     @abstractmethod

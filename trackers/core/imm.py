@@ -28,6 +28,7 @@ from trackers.core.algebra import Scalar, Vector, compute_once, total, triangle
 from trackers.core.ekf import ExtendedKalman
 from trackers.core.filter import AbstractSmoothableFilter, Gaussian, Innovation
 from trackers.core.inputs import Input, Inputs
+from trackers.core.keys import RawKey
 from trackers.core.motion import AbstractMotion, Noise
 from trackers.core.rts import RtsGain
 from trackers.core.sensor import AbstractSensor, Reading
@@ -117,7 +118,7 @@ class AbstractInteractingModels(AbstractSmoothableFilter[Mixture]):
         norm = total(factors)
         return [x / norm for x in factors]
 
-    def init(self, belief: Gaussian, key: Any) -> Mixture:
+    def init(self, belief: Gaussian, key: RawKey) -> Mixture:
         """All modes at the same Gaussian, with their prior probabilities; `key` is unused."""
         prior = self.prior()
         zero = jnp.zeros_like(belief.cov[0])

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, DTypeLike, Float, Shaped
 
 from trackers.core.errors import UnusableInput
 from trackers.core.filter import Gaussian
@@ -21,13 +22,13 @@ class TrackerState(NamedTuple):
     """
 
     state: Any
-    times: np.ndarray
+    times: Float[np.ndarray, " B"]
 
 
 def trajectories_of(state: Any, start: int, stop: int) -> Any:
     """The trajectories start … stop − 1 of a state, padded with zeros beyond its end."""
 
-    def cut(x: Any) -> Any:
+    def cut(x: Shaped[Array | np.ndarray, "B *shape"]) -> Shaped[np.ndarray, "part *shape"]:
         part = np.asarray(x)[start:stop]
         return np.pad(part, [(0, stop - start - len(part)), *[(0, 0)] * (part.ndim - 1)])
 
@@ -53,7 +54,7 @@ def continued(batch: Batch, recordings: Sequence[Recording], initial: TrackerSta
     return batch._replace(dt=dt)
 
 
-def stacked_priors(prior: Gaussian | Sequence[Gaussian], count: int, dtype: Any) -> Gaussian:
+def stacked_priors(prior: Gaussian | Sequence[Gaussian], count: int, dtype: DTypeLike) -> Gaussian:
     """One prior for each of `count` trajectories, (B,) first in every array."""
     each = [prior] * count if isinstance(prior, Gaussian) else list(prior)
     if len(each) != count or not all(isinstance(g, Gaussian) for g in each):

@@ -9,9 +9,13 @@ from collections.abc import Mapping
 from enum import Enum
 from typing import NamedTuple
 
+import numpy as np
 from jaxtyping import Array
 
-Inputs = Mapping[str, Array]
+AnyArray = Array | np.ndarray
+"""An array of JAX, which may be traced, or one on the host."""
+
+Inputs = Mapping[str, AnyArray]
 """The known inputs of one row by name: numbers, or arrays of them."""
 
 

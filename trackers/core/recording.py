@@ -13,8 +13,11 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Bool, DTypeLike, Float, Shaped, UInt32
+from numpy.typing import ArrayLike
 
 from trackers.core.algebra import Scalar
+from trackers.core.inputs import AnyArray, Inputs
 from trackers.core.keys import trajectory_key_data
 from trackers.core.sensor import Reading
 
@@ -35,7 +38,7 @@ class Readings:
             object.__setattr__(self, name, _read_only(getattr(self, name)))
 
 
-def _read_only(array: Any) -> np.ndarray:
+def _read_only(array: ArrayLike) -> np.ndarray:
     """A view of the array that refuses assignment."""
     view = np.asarray(array).view()
     view.flags.writeable = False
@@ -133,12 +136,12 @@ class Batch(NamedTuple):
     are not valid (padding): the belief passes them bit-identical.
     """
 
-    dt: Any
-    valid: Any
+    dt: Float[AnyArray, "T B"]
+    valid: Bool[AnyArray, "T B"]
     readings: dict[str, Reading]
-    inputs: dict[str, Any]
-    truth: dict[str, tuple[Any, Any]]
-    key: Any
+    inputs: Mapping[str, Float[AnyArray, "T *shape B"]]
+    truth: Mapping[str, tuple[Float[AnyArray, "T d B"], Bool[AnyArray, "T B"]]]
+    key: UInt32[AnyArray, "2 B"]
 
     @property
     def size(self) -> int:
@@ -152,7 +155,7 @@ class Batch(NamedTuple):
     def columns(self, start: int, stop: int) -> Batch:
         """The trajectories start … stop − 1, padded with invalid ones beyond the end of the batch."""
 
-        def cut(x: Any) -> Any:
+        def cut(x: Shaped[AnyArray, "*shape all"]) -> Shaped[np.ndarray, "*shape part"]:
             part = np.asarray(x[..., start:stop])
             missing = stop - start - part.shape[-1]
             return np.pad(part, [(0, 0)] * (part.ndim - 1) + [(0, missing)]) if missing else part
@@ -169,12 +172,14 @@ class Row(NamedTuple):
     dt: Scalar
     valid: Scalar
     readings: dict[str, Reading]
-    inputs: dict[str, Any]
+    inputs: Inputs
     key: Any
-    number: Any
+    number: Scalar
 
 
-def stack(recordings: Sequence[Recording], rows: int | None = None, dtype: Any = None, seed: int = 0) -> Batch:
+def stack(
+    recordings: Sequence[Recording], rows: int | None = None, dtype: DTypeLike | None = None, seed: int = 0
+) -> Batch:
     """The recordings as one batch, padded to `rows` (default: the longest), floats in `dtype` (default: jax's).
 
     `seed`: with the ids of the recordings it gives the random keys, for filters that draw random numbers.
@@ -196,7 +201,7 @@ def stack(recordings: Sequence[Recording], rows: int | None = None, dtype: Any =
                     "same names in all; leave the others out, or stack these recordings apart"
                 )
 
-    def pile(arrays: Sequence[Any], kind: Any) -> np.ndarray:
+    def pile(arrays: Sequence[np.ndarray], kind: DTypeLike) -> Shaped[np.ndarray, "rows *shape B"]:
         shape = np.shape(arrays[0])[1:]
         for other, array in zip(recordings, arrays, strict=True):
             if np.shape(array)[1:] != shape:

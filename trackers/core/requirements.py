@@ -156,7 +156,7 @@ def initial_view(layout: Layout, parts: Parts) -> Any:
     def array(*shape: int) -> jax.ShapeDtypeStruct:
         return jax.ShapeDtypeStruct(shape, kind)
 
-    inputs = {name: array(*shape) for name, shape in layout.inputs.items()}
+    inputs: dict[str, Any] = {name: array(*shape) for name, shape in layout.inputs.items()}
     for _, declared, channels in parts.readers():
         for one in declared:
             if one.need is not Need.IF_GIVEN and one.name not in inputs:

@@ -12,11 +12,14 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.experimental.layout import Layout, with_layout_constraint
+from jaxtyping import Array, Bool, UInt32
 
 from trackers.core.algebra import Scalar, mark_dependent
 from trackers.core.estimates import Status
 from trackers.core.filter import AbstractFilter, Gaussian
+from trackers.core.keys import RawKey
 from trackers.core.recording import Batch, Row
 from trackers.core.select import select
 from trackers.core.sensor import AbstractSensor
@@ -53,7 +56,7 @@ class ScanState(NamedTuple):
     """
 
     carry: Carry
-    n_rows: Any
+    n_rows: UInt32[Array | np.ndarray, " B"]
 
 
 class Output(NamedTuple):
@@ -69,7 +72,7 @@ class Output(NamedTuple):
     nis_dof: Scalar
     wrapped: Scalar
     status: Scalar
-    age: Any = None
+    age: Scalar | None = None
 
 
 Score = Callable[[Output, dict[str, tuple[Any, Any]]], tuple[Any, ...]]
@@ -160,11 +163,11 @@ def initial_carry(tracker: RecursiveTracker, candidate: Any, row: Row) -> Carry:
     return carry_of(tracker, tracker.start.belief(candidate, row), row.key, row.number)
 
 
-def carry_of(tracker: RecursiveTracker, prior: Gaussian, key: Any, number: Any) -> Carry:
+def carry_of(tracker: RecursiveTracker, prior: Gaussian, key: RawKey, number: Scalar) -> Carry:
     """The carry of a track that begins with this prior at row `number` of a trajectory with this random key."""
     one = jnp.ones_like(prior.cov[0])
     # A new key for every start of a trajectory; XLA drops it where the filter draws no random numbers.
-    key = jax.random.key_data(jax.random.fold_in(jax.random.wrap_key_data(key), number))
+    key = jax.random.key_data(jax.random.fold_in(jax.random.wrap_key_data(jnp.asarray(key)), number))
     return Carry(tracker.filter.init(prior, key), one > 0, one > 0, one, one * 0)
 
 
@@ -198,7 +201,7 @@ def reinitialise(tracker: RecursiveTracker, carry: Carry, row: Row, info: StepIn
     return after, info._replace(status=status)
 
 
-def search(tracker: RecursiveTracker, row: Row, need: Any) -> Any:
+def search(tracker: RecursiveTracker, row: Row, need: Bool[Array, " B"]) -> Any:
     """`start.candidate` of the trajectories where `need` (B,) is true, `STARTS_AT_ONCE` at a time; zeros elsewhere."""
     numbers, rest = eqx.partition((tracker.start, tracker.sensors), eqx.is_array)
     start, sensors = eqx.combine(numbers if tracker.start.smooth else jax.lax.stop_gradient(numbers), rest)

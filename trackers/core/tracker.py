@@ -23,6 +23,7 @@ from trackers.core.errors import UnusableInput
 from trackers.core.estimates import Estimates, Status
 from trackers.core.filter import AbstractFilter, Gaussian
 from trackers.core.initial import TrackerState, continued, stacked_priors, trajectories_of
+from trackers.core.keys import RawKey
 from trackers.core.latency import AbstractDelayedSensor, scored_truth, shifted_back
 from trackers.core.layout import Layout
 from trackers.core.motion import AbstractMotion
@@ -210,7 +211,7 @@ class Tracker(AbstractTracker):
         return scan_rows(freeze(self), batch._replace(truth=truth), score=score)[0]
 
     def begin(self, prior: Gaussian, batch: Batch) -> ScanState:
-        def one(prior: Gaussian, key: Any) -> Carry:
+        def one(prior: Gaussian, key: RawKey) -> Carry:
             return carry_of(freeze(self), prior, key, np.uint32(0))
 
         carry = jax.vmap(one, in_axes=(0, 1))(prior, jnp.asarray(batch.key))

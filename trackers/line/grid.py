@@ -16,6 +16,7 @@ from jax.scipy.special import ndtr
 from trackers.core.algebra import Scalar, compute_once, total
 from trackers.core.filter import AbstractFilter, Gaussian, Innovation
 from trackers.core.inputs import Inputs
+from trackers.core.keys import RawKey
 from trackers.core.linearise import covariance_of
 from trackers.core.motion import AbstractMotion
 from trackers.core.particle.filter import particle_residuals, weighted_moments, weighted_nis
@@ -56,7 +57,7 @@ class GridFilter(AbstractFilter[GridBelief]):
         """The path."""
         return self.output_map.line
 
-    def init(self, belief: Gaussian, key: Any) -> GridBelief:
+    def init(self, belief: Gaussian, key: RawKey) -> GridBelief:
         """The cells' probabilities of a normal prior with independent components; the tails go to the edges."""
         arclength, speed = belief.mean.arclength, belief.mean.speed
         cov = covariance_of(belief.mean, belief.cov, lambda state: (state.arclength, state.speed))

@@ -17,6 +17,7 @@ from trackers.core.algebra import Scalar, Vector
 from trackers.core.ekf import ExtendedKalman
 from trackers.core.filter import AbstractFilter, Gaussian, Innovation
 from trackers.core.inputs import Inputs
+from trackers.core.keys import RawKey
 from trackers.core.motion import AbstractMotion, Kinematic, Noise
 from trackers.core.sensor import AbstractSensor, Reading
 from trackers.core.tunable import Scale
@@ -57,7 +58,7 @@ class AccelerationFilter(AbstractFilter[MhkBelief]):
         self.sigma_displacement = Scale(sigma_displacement, "m", "measurement noise")
         self.rate = None if rate is None else Scale(rate, "1/s")
 
-    def init(self, belief: Gaussian, key: Any) -> MhkBelief:
+    def init(self, belief: Gaussian, key: RawKey) -> MhkBelief:
         """The given belief, no acceleration, and the chain at its stationary distribution."""
         zero = jnp.zeros_like(belief.cov[0])
         stationary = self.sphere.blocks().probabilities.astype(zero.dtype)

@@ -13,6 +13,7 @@ from trackers.core.algebra import Scalar, full, total, triangle
 from trackers.core.ekf import ExtendedKalman
 from trackers.core.filter import AbstractSmoothableFilter, Gaussian, Innovation
 from trackers.core.inputs import Inputs
+from trackers.core.keys import RawKey
 from trackers.core.motion import AbstractMotion
 from trackers.core.sensor import AbstractSensor, Reading
 from trackers.core.state import Heading, Rotation, State, local, retract
@@ -43,7 +44,7 @@ class YawMixtureFilter(AbstractSmoothableFilter[YawMixture]):
     kalman: ExtendedKalman = ExtendedKalman()
     count: int = eqx.field(static=True, default=3)
 
-    def init(self, belief: Gaussian, key: Any) -> YawMixture:
+    def init(self, belief: Gaussian, key: RawKey) -> YawMixture:
         """The belief at each of the yaws, with equal weights."""
         angles = np.arange(self.count) * (2 * np.pi / self.count)
         one = jnp.ones_like(belief.cov[0])
