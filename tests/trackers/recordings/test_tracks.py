@@ -20,7 +20,7 @@ from trackers.events import events_of
 from trackers.recordings.folder import RecordingFolder
 
 ANCHORS = {
-    str(k): np.array(p)
+    str(k): np.array(p, float)
     for k, p in enumerate(
         [(0, 0, 3), (8, 0, 2.5), (8, 6, 3), (0, 6, 2.5), (4, 0, 0.3), (8, 3, 0.5), (4, 6, 0.4), (0, 3, 0.2)]
     )
