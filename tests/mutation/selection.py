@@ -14,6 +14,10 @@ from tests.mutation.operators import Mutation, mutations
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("trackers", "tuning", "sim")
+PUBLIC = {"trackwright", *PACKAGES}
+OF_TEXT = ("tests/mutation", "tests/test_docs.py", "tests/test_layout.py")
+"""Tests of pages and source text, which no figure depends on."""
+
 NOT_NUMERIC = (
     "trackers/core/checks.py",
     "trackers/recordings/checks",
@@ -90,7 +94,7 @@ def stages(root: Path, file: str) -> list[list[str]]:
     own = (Path("tests") / path.with_name(f"test_{path.name}")).as_posix()
     steps = _steps_to(root, file)
     every = [name for name in steps if Path(name).name.startswith("test_")]
-    every = [name for name in every if not name.startswith(("tests/mutation", "tests/test_"))]
+    every = [name for name in every if not name.startswith(OF_TEXT)]
     # Without a file of its own a module is tested by its importers, wherever they stand.
     folder = {name for name in every if own in every and Path(name).parent == Path(own).parent}
     near = [name for name in every if name != own and (steps[name] == 1 or name in folder)]
@@ -107,16 +111,19 @@ def _steps_to(root: Path, file: str) -> dict[str, int]:
         steps |= dict.fromkeys(level, max(steps.values()) + 1)
     far = max(steps.values()) + 1
     tests = sorted(name for name in imports if name.startswith("tests/"))
+    # By a package's list of public names a test may reach any module.
+    steps |= {name: min(2, steps.get(name, far)) for name in tests if PUBLIC & imports[name]}
     return dict(sorted(((name, steps.get(name, far)) for name in tests), key=lambda item: item[1]))
 
 
 @cache
 def _imports(root: Path) -> dict[str, set[str]]:
-    """The files that each file imports; a package's list of public names is no step on the way."""
+    """The files that each file imports, and `PUBLIC` packages, whose lists of names are no step on the way."""
     files = [
         p.relative_to(root) for folder in (*PACKAGES, "experiments", "tests") for p in (root / folder).rglob("*.py")
     ]
     modules = {".".join(p.with_suffix("").parts): p.as_posix() for p in files if p.name != "__init__.py"}
+    modules |= {package: package for package in PUBLIC}
     return {p.as_posix(): {modules[m] for m in _imported(root / p) if m in modules} for p in files}
 
 
