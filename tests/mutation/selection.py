@@ -7,6 +7,7 @@ import re
 import subprocess
 import tomllib
 from functools import cache
+from os.path import commonpath
 from pathlib import Path
 from random import Random
 
@@ -88,13 +89,20 @@ def reason_of(mutation: Mutation, declared: dict[tuple[str, str, str], str]) -> 
 def stages(root: Path, file: str) -> list[list[str]]:
     """The test files for a module, in three stages: its own, those of its folder and its importers, all others.
 
-    Within a stage those come first whose imports lead to the module by the fewest steps.
+    Within a stage those come first whose imports lead to the module by the fewest steps, then those in folders near it.
     """
     path = Path(file)
     own = (Path("tests") / path.with_name(f"test_{path.name}")).as_posix()
     steps = _steps_to(root, file)
     every = [name for name in steps if Path(name).name.startswith("test_")]
     every = [name for name in every if not name.startswith(OF_TEXT)]
+
+    def distance(name: str) -> tuple[bool, int, int]:
+        shared = commonpath([Path(name).parent, Path(own).parent])
+        # The command line is slow, and reaches every module.
+        return name.startswith("tests/experiments"), steps[name], -len(Path(shared).parts)
+
+    every.sort(key=distance)
     # Without a file of its own a module is tested by its importers, wherever they stand.
     folder = {name for name in every if own in every and Path(name).parent == Path(own).parent}
     near = [name for name in every if name != own and (steps[name] == 1 or name in folder)]
