@@ -116,8 +116,9 @@ def expected(results: Results) -> list[ExpectedResult | Conclusion]:
             if number is not None:
                 ours = results.value(printed.measure, "workshop", tracker).times(printed.factor)
                 origin = FITTED if tracker == "raw" or metric in FITTED_OF_MHK else PREDICTED
-                name = f"Figure 7, {metric}, {tracker}"
-                found.append(ExpectedResult(name, number, ours, printed.unit, origin, share=printed.unit == "%"))
+                name, share = f"Figure 7, {metric}, {tracker}", printed.unit == "%"
+                note = f"the rest is {100 - ours.value:.2f} %, printed {100 - number:.1f} %" if share else ""
+                found.append(ExpectedResult(name, number, ours, printed.unit, origin, note=note, share=share))
     return [*found, *_conclusions(results)]
 
 
