@@ -103,8 +103,7 @@ def stages(root: Path, file: str) -> list[list[str]]:
         return name.startswith("tests/experiments"), steps[name], -len(Path(shared).parts)
 
     every.sort(key=distance)
-    # Without a file of its own a module is tested by its importers, wherever they stand.
-    folder = {name for name in every if own in every and Path(name).parent == Path(own).parent}
+    folder = {name for name in every if Path(name).parent == Path(own).parent}
     near = [name for name in every if name != own and (steps[name] == 1 or name in folder)]
     rest = [name for name in every if name != own and name not in near]
     return [stage for stage in ([own] if own in every else [], near, rest) if stage]

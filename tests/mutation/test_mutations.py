@@ -101,8 +101,8 @@ def test_the_nearest_tests_come_first_and_every_other_one_later():
     assert "tests/trackers/core/test_kalman_linear.py" in near
     assert "tests/trackers/uwb_imu/test_smoothed_yaws.py" in rest
     assert rest.index("tests/trackers/uwb_imu/test_range_tracker.py") < rest.index("tests/sim/test_keys.py")
-    # Without a test file of its own the nearest importers begin.
-    assert stages(ROOT, "trackers/parts/start_nearby.py")[0][0] == "tests/trackers/aoa/test_bearings.py"
+    # Without a test file of its own those of its folder begin.
+    assert "tests/trackers/worksteps/test_worksteps.py" in stages(ROOT, "trackers/worksteps/tracks.py")[0]
 
 
 def test_what_is_declared_equivalent_is_a_mutation_of_today_with_a_reason():
