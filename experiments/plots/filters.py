@@ -62,7 +62,7 @@ def consistency(
             dofs = np.broadcast_to(nis_dof, nis.shape)[known]
             panels[-1].set(xlabel="NIS", ylabel="density")
             if known.any():
-                _nis_histogram(panels[-1], Innovations(nis[known], dofs, np.zeros(len(dofs))))
+                _nis_histogram(panels[-1], Innovations(nis[known], dofs, np.zeros(len(dofs), int)))
     return Path(path)
 
 

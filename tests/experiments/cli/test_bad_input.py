@@ -325,7 +325,7 @@ def test_a_checkpoint_of_something_else_is_refused_and_kept(tmp_path, simulated,
         (out / "checkpoint.npz").write_bytes(broken)
     before = (out / "checkpoint.npz").read_bytes()
     said = trackwright("tune", simulated, "--tracker", "beam", "--resume", "--out", out)
-    assert_refused(said, "checkpoint.npz", "--resume")
+    assert_refused(said, "checkpoint.npz", "anew")
     assert (out / "checkpoint.npz").read_bytes() == before
 
 

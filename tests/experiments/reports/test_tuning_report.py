@@ -199,15 +199,16 @@ def test_probabilities_and_scores_are_those_of_scipy():
 def test_the_density_is_the_mixture_of_the_rows_degrees_of_freedom():
     x = np.linspace(0.1, 9, 5)
     wanted = 0.75 * stats.chi2.pdf(x, 2) + 0.25 * stats.chi2.pdf(x, 5)
-    seen = Innovations(np.ones(4), np.array([2.0, 5.0, 2.0, 2.0]), np.zeros(4))
+    seen = Innovations(np.ones(4), np.array([2.0, 5.0, 2.0, 2.0]), np.zeros(4, int))
     np.testing.assert_allclose(expected_density(x, seen), wanted, rtol=1e-12)
 
 
 def test_the_density_and_probability_of_noise_with_a_tail_belong_together():
     edges = np.linspace(0.01, 12, 4001)
-    seen = Innovations(edges, np.full(len(edges), 2.0), np.zeros(len(edges)), student_t_dof=4.0)
+    seen = Innovations(edges, np.full(len(edges), 2.0), np.zeros(len(edges), int), student_t_dof=4.0)
     middle = 0.5 * (edges[1:] + edges[:-1])
-    density = expected_density(middle, Innovations(middle, np.full(len(middle), 2.0), middle, student_t_dof=4.0))
+    same = np.zeros(len(middle), int)
+    density = expected_density(middle, Innovations(middle, np.full(len(middle), 2.0), same, student_t_dof=4.0))
     # the middle rule's own error over 4,000 steps
     np.testing.assert_allclose(
         np.cumsum(density) * (edges[1] - edges[0]), nis_probabilities(seen)[1:] - nis_probabilities(seen)[0], atol=1e-4

@@ -207,7 +207,7 @@ def test_anchors_in_millimetres_are_found(good: RecordingFolder):
 
 
 def _with_anchors(rig: Rig, positions: list[list[float]]) -> Rig:
-    return replace(rig, anchors={key: np.array(p) for key, p in zip(rig.anchors, positions, strict=True)})
+    return replace(rig, anchors={key: np.array(p, float) for key, p in zip(rig.anchors, positions, strict=True)})
 
 
 @pytest.mark.parametrize(
