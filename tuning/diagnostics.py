@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Num
 from scipy.special import betainc, gammainc, ndtri
 
 from trackers.core.estimates import Estimates
@@ -32,7 +32,7 @@ class Innovations:
     """
 
     nis: Float[np.ndarray, " n"]
-    dof: Float[np.ndarray, " n"]
+    dof: Num[np.ndarray, " n"]
     trajectory: Int[np.ndarray, " n"]
     student_t_dof: float | None = None
 
