@@ -52,7 +52,7 @@ def test_the_last_row_has_nothing_to_come(runs):
     assert runs("smoothed")["x_m"][-1] == runs("filtered")["x_m"][-1]
 
 
-@pytest.mark.parametrize(("extra", "word"), [(("--lag", -1), "--lag"), (("--smooth",), "Kalman filters")])
+@pytest.mark.parametrize(("extra", "word"), [(("--lag", -1), "lag -1"), (("--smooth",), "Kalman filters")])
 def test_what_can_not_be_smoothed_is_refused(tmp_path, simulated, extra, word):
     said = trackwright("track", simulated, "--tracker", "cascade", *extra, "--out", tmp_path / "out")
     assert_refused(said, word)

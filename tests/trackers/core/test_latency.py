@@ -32,7 +32,7 @@ def _recording(rows=40, unknown=()):
     return Recording(times, readings, {"height": np.ones(rows)}, {"position": (truth, known)})
 
 
-def test_the_scored_truth_earlier_times_is_scipys_spline_within_a_stretch_and_its_tangent_beyond():
+def test_the_truth_at_earlier_times_is_scipys_spline_within_a_stretch_and_its_tangent_beyond():
     recording = _recording(unknown=[15, 16, 17, 30])
     truth, known = recording.truth["position"]
     values, scored = scored_truth(stack([recording, recording]), np.array([0.21, 0.0]))["position"]
