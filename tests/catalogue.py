@@ -218,7 +218,7 @@ def _ready_cases() -> Iterator[Case]:
 
     yield from both("fix-kf", quick=True)
     yield from both("fix-singer")
-    yield from both("imm", quick=True)
+    yield from both("imm")
     yield ready("fix-mirror", idle=("*.floor", "*.give"))
     yield ready("moving-average", smoothable=False, quick=True)
     yield ready("median", smoothable=False, quick=True)
@@ -238,9 +238,9 @@ def _ready_cases() -> Iterator[Case]:
     yield ready("beam")
     yield flat("beam", quick=True)
     yield ready("das", smoothable=False, quick=True)
-    yield flat("das", smoothable=False, quick=True)
+    yield flat("das", smoothable=False)
     yield from both("direct")
-    yield replace(ready("cascade", smoothable=False), quick=True)
+    yield ready("cascade", smoothable=False)
 
 
 def _made_cases() -> Iterator[Case]:
@@ -269,9 +269,7 @@ def _made_cases() -> Iterator[Case]:
     free, halting = partial(LineMotion, sigma_a=0.1), partial(HaltingMotion, sigma_a=0.1)
     on_line, fixes = partial(line_tracker, n_particles=100), {"source": _of_fixes}
     yield made("line-pf without halts", "line-pf", _on_line(on_line, free), draws=True, **fixes, smoothable=False)
-    yield made(
-        "line-grid without halts", "line-grid", _on_line(line_grid_tracker, free), quick=True, **fixes, smoothable=False
-    )
+    yield made("line-grid without halts", "line-grid", _on_line(line_grid_tracker, free), **fixes, smoothable=False)
     yield made(
         "line-grid, closed", "line-grid", _on_line(line_grid_tracker, halting, closed=True), **fixes, smoothable=False
     )
@@ -316,7 +314,7 @@ def _smoothed_cases(cases: Iterable[Case]) -> Iterator[Case]:
         if case.smoothable:
             later = {"causal": False, "smoothable": False}
             whole, lagged = partial(smoothed, case), partial(smoothed, case, 0.3)
-            yield replace(case, name=f"{case.name}, smoothed", build=whole, quick=case.name == "fix-kf", **later)
+            yield replace(case, name=f"{case.name}, smoothed", build=whole, quick=False, **later)
             if case.name == "fix-kf":
                 yield replace(case, name=f"{case.name}, smoothed with a lag", build=lagged, quick=False, **later)
 

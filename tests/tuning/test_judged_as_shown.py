@@ -61,13 +61,13 @@ def _shown(tracker, folder):
 @pytest.mark.parametrize(
     ("name", "values", "smooth", "rtol"),
     [
-        ("beam", {}, False, 1e-9),
+        pytest.param("beam", {}, False, 1e-9, marks=pytest.mark.slow),
         ("cascade", {}, False, 1e-9),
         ("uwb", {}, False, 1e-9),
-        ("mhk", {}, False, 1e-9),
+        pytest.param("mhk", {}, False, 1e-9, marks=pytest.mark.slow),
         ("mhk-stamped", {}, False, 1e-9),
         # Six of 600 estimates are valid before the truth begins: the objective continues it there, `evaluate` does not.
-        ("fix-kf", LATENCY, False, 0.02),
+        pytest.param("fix-kf", LATENCY, False, 0.02, marks=pytest.mark.slow),
         ("fix-kf", LATENCY, True, 0.02),
     ],
     ids=[
