@@ -47,6 +47,7 @@ bench: env
 	$(BIN)/python -m experiments.bench.particles
 	$(BIN)/python -m experiments.bench.chain
 	$(BIN)/python -m experiments.bench.tuning
+	$(BIN)/python -m experiments.bench.waiting
 
 bench-peers: .venv-peers/installed
 	$(PEERS)/python -m experiments.bench --peers
