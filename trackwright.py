@@ -10,18 +10,23 @@ recording into estimates. Tuning returns the same tracker with better noise leve
     estimates = tracker.run(recording)
     print(tw.evaluate(estimates, recording))
 
-All public names of the packages `trackers`, `sim` and `tuning` are here; docs/concepts.md shows how they fit.
+All public names of the packages `trackers`, `sim` and `tuning` are here, each imported when it is first used;
+docs/concepts.md shows how they fit.
 """
 
+from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING, Any
 
 import sim
 import trackers
 import tuning
-from sim import *  # noqa: F403
-from sim import worlds as simulate
-from trackers import *  # noqa: F403
-from tuning import *  # noqa: F403
+
+if TYPE_CHECKING:
+    from sim import *  # noqa: F403
+    from sim import worlds as simulate
+    from trackers import *  # noqa: F403
+    from tuning import *  # noqa: F403
 
 try:
     __version__ = version("trackwright")
@@ -29,3 +34,19 @@ except PackageNotFoundError:
     __version__ = "unknown: not installed"
 
 __all__ = ["simulate", *trackers.__all__, *sim.__all__, *tuning.__all__]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "simulate":
+        found = import_module("sim.worlds")
+    else:
+        package = next((package for package in (trackers, sim, tuning) if name in package.__all__), None)
+        if package is None:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        found = getattr(package, name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

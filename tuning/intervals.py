@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from trackers.core.errors import UnusableInput
-from tuning.fit import FitResult
+from tuning.fitting import FitResult
 from tuning.objectives import AbstractObjective
 from tuning.profiles import MIN_TRAJECTORIES, bootstrap, percentile_intervals, profile
 from tuning.uncertainty import Uncertainty

@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Float
 
 from trackers.core.tunable import Covariance
-from tuning.fit import FitResult
+from tuning.fitting import FitResult
 from tuning.parameters import Parameter, component_kinds, physical
-from tuning.sweep import comparable_values
+from tuning.sweeping import comparable_values
 from tuning.uncertainty import Uncertainty
 
 POINTS, FEW = 9, 6

@@ -12,7 +12,7 @@ import tomli_w
 
 from trackers.core.errors import UnusableInput
 from trackers.recordings.atomic import atomic_write
-from tuning.fit import FitResult
+from tuning.fitting import FitResult
 from tuning.intervals import Interval
 
 COMMENT = "# Written by `trackwright tune`; read by `trackwright track --noise`.\n"

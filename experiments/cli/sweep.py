@@ -21,8 +21,8 @@ from trackers.core.errors import UnusableInput
 from trackers.recordings.atomic import atomic_write
 from tuning.data import fit_data
 from tuning.problem import is_stochastic
-from tuning.sweep import Sweep, grid_vectors, swept_parameters
-from tuning.sweep import sweep as run
+from tuning.sweeping import Sweep, grid_vectors, swept_parameters
+from tuning.sweeping import sweep as run
 
 FORM = "PATTERN=START:STOP:COUNT, as 'motion.sigma_a=0.01:1:100'"
 

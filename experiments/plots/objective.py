@@ -30,7 +30,7 @@ from experiments.plots.style import (
 from experiments.reports.tuning_data import OptimiserTrace, TuningReportData
 from experiments.reports.wording import number
 from tuning.surface import Surface
-from tuning.sweep import Sweep
+from tuning.sweeping import Sweep
 
 PALE = "#c3ccd6"
 

@@ -18,7 +18,7 @@ from trackers.recordings.tracks import batches
 from trackers.recordings.trajectories import Trajectory
 from tuning import FitResult
 from tuning.diagnostics import absolute_errors, innovations_of
-from tuning.fit import Step
+from tuning.fitting import Step
 from tuning.identifiability import IdentifiabilityIssue
 from tuning.intervals import Interval
 from tuning.named_objectives import all_metrics

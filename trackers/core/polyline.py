@@ -9,6 +9,7 @@ from jaxtyping import Array, Float, Int
 from numpy.typing import ArrayLike
 
 from trackers.core.algebra import Scalar, Vector, total
+from trackers.core.rig import checked_knots
 from trackers.core.state import wrap
 
 FEW = 16
@@ -35,16 +36,9 @@ class Polyline(eqx.Module):
     closed: bool = eqx.field(static=True)
 
     def __init__(self, knots: ArrayLike):
-        knots = np.asarray(knots, float)
-        if knots.ndim != 2 or knots.shape[1:] != (2,) or len(knots) < 2:
-            raise ValueError(f"a path has at least two knots [x, y], found an array of shape {knots.shape}")
-        if not np.all(np.isfinite(knots)):
-            raise ValueError(f"knot {int(np.argmin(np.isfinite(knots).all(axis=1)))} of the path is not finite")
+        knots = checked_knots(knots)
         steps = np.diff(knots, axis=0)
         lengths = np.sqrt((steps**2).sum(axis=1))
-        if not np.all(lengths > 0):
-            k = int(np.argmin(lengths)) + 1
-            raise ValueError(f"knot {k} of the path repeats the one before, {knots[k].tolist()}; leave one of them out")
         self.knots = knots
         self.directions = steps / lengths[:, None]
         self.starts = np.concatenate([[0.0], np.cumsum(lengths)[:-1]])

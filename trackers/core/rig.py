@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 Point = Float[np.ndarray, " 3"]
 """A position in space, m."""
@@ -85,3 +86,17 @@ class Rig:
         walls = np.zeros((0, 4)) if self.walls is None else self.walls
         corners = np.zeros((0, 2)) if self.outline is None else self.outline
         return np.vstack([walls, np.hstack([corners, np.roll(corners, -1, axis=0)])])
+
+
+def checked_knots(knots: ArrayLike) -> Float[np.ndarray, "k 2"]:
+    """The knots of a path as an array, m; raises ValueError for one that is not finite or repeats the one before."""
+    knots = np.asarray(knots, float)
+    if knots.ndim != 2 or knots.shape[1:] != (2,) or len(knots) < 2:
+        raise ValueError(f"a path has at least two knots [x, y], found an array of shape {knots.shape}")
+    if not np.all(np.isfinite(knots)):
+        raise ValueError(f"knot {int(np.argmin(np.isfinite(knots).all(axis=1)))} of the path is not finite")
+    lengths = np.sqrt((np.diff(knots, axis=0) ** 2).sum(axis=1))
+    if not np.all(lengths > 0):
+        k = int(np.argmin(lengths)) + 1
+        raise ValueError(f"knot {k} of the path repeats the one before, {knots[k].tolist()}; leave one of them out")
+    return knots

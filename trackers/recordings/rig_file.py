@@ -13,8 +13,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from trackers.core.errors import UnusableInput
-from trackers.core.polyline import Polyline
-from trackers.core.rig import Rig, Station, Tag
+from trackers.core.rig import Rig, Station, Tag, checked_knots
 
 FORMAT = 1
 RIG_FILE = "rig.toml"
@@ -127,10 +126,9 @@ class _Reader:
     def knots(self, value: Any) -> np.ndarray:
         knots = self.points("path.knots_m", value)
         try:
-            Polyline(knots)
+            return checked_knots(knots)
         except ValueError as problem:
             raise UnusableInput(f"{self.path}: path.knots_m: {problem}") from problem
-        return knots
 
     def table(self, content: dict[str, Any], key: str) -> dict[str, Any]:
         value = content.get(key, {})

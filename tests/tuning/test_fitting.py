@@ -13,7 +13,7 @@ from trackers.core.errors import UnusableInput
 from trackers.core.recording import Readings, Recording, stack
 from trackers.core.tunable import tunables
 from tuning import NegativeLogLikelihood, RootMeanSquareError
-from tuning.fit import fit
+from tuning.fitting import fit
 from tuning.optimisation import to_arrays
 from tuning.optimisers import LBFGS, Adam
 from tuning.parameters import flatten, select_parameters, with_parameters

@@ -14,7 +14,7 @@ from trackers.line.tracker import line_tracker as particle_tracker
 from tuning import NegativeLogLikelihood, RootMeanSquareError
 from tuning.parameters import Parameter, select_parameters
 from tuning.problem import Problem
-from tuning.sweep import grid_vectors, sweep
+from tuning.sweeping import grid_vectors, sweep
 
 NLL = NegativeLogLikelihood()
 SIGMA_V, SIGMA = "motion.sigma_v", "sensors.gauge.sigma"
