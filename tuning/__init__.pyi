@@ -1,6 +1,6 @@
 from tuning.diagnostics import innovations_of as innovations_of
 from tuning.diagnostics import violated_assumptions as violated_assumptions
-from tuning.first_guess import first_guess as first_guess
+from tuning.guessing import first_guess as first_guess
 from tuning.fitting import FitResult as FitResult
 from tuning.fitting import fit as fit
 from tuning.identifiability import identifiability_issues as identifiability_issues

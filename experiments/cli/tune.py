@@ -17,7 +17,7 @@ from experiments.cli.tuning_options import checked_options, tracker_and_folders
 from trackers.core.errors import UnusableInput
 from tuning import FitResult, checkpoint, fit
 from tuning.data import FitData, fit_data
-from tuning.first_guess import first_guess
+from tuning.guessing import first_guess
 from tuning.identifiability import cautions
 from tuning.intervals import require_possible
 from tuning.optimisation import FitState, to_arrays

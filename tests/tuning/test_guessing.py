@@ -31,7 +31,7 @@ from trackers.parts.fixes import FIXES
 from trackers.recordings.tracks import batches as in_batches
 from trackers.uwb_imu.fusion import range_tracker
 from tuning.differences import FixNoiseLevels, noise_levels_of_fixes
-from tuning.first_guess import TOLERANCE, _Search, first_guess, noise_levels, sample_segments, tolerant
+from tuning.guessing import TOLERANCE, _Search, first_guess, noise_levels, sample_segments, tolerant
 from tuning.fitting import coarse_grid
 from tuning.parameters import select_parameters
 
