@@ -66,10 +66,16 @@ def spec_of(name: str) -> TrackerSpec:
         raise UnusableInput(f'tracker: found {type(name).__name__}; expected a name, as in build("uwb", recording)')
     if name in TRACKERS:
         return TRACKERS[name]
-    file, _, attribute = name.rpartition(":") if ":" in name else (name, "", "")
-    if file.endswith(".py"):
+    file, attribute = split_name(name)
+    if file:
         return _from_file(Path(file), attribute)
     raise UnusableInput(f"tracker {name}: unknown; expected FILE.py:NAME or one of {', '.join(TRACKERS)}")
+
+
+def split_name(name: str) -> tuple[str, str]:
+    """File and name of a user's own tracker, given as `FILE.py:NAME`; an empty file for any other text."""
+    file, _, attribute = name.rpartition(":") if ":" in name else (name, "", "")
+    return (file, attribute) if file.endswith(".py") and name not in TRACKERS else ("", "")
 
 
 def _from_file(file: Path, attribute: str) -> TrackerSpec:

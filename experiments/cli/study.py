@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import re
 import sys
+from contextlib import nullcontext
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
@@ -13,6 +14,7 @@ import tyro
 
 from experiments.cli.console import notice, output_folder, progress
 from experiments.cli.manifest import write_manifest
+from experiments.executors import cluster_executor
 from experiments.monte_carlo.chunk_store import CHUNKS, merge_shards
 from experiments.monte_carlo.declaration import checked
 from experiments.monte_carlo.runner import StopRule, run_study
@@ -34,6 +36,7 @@ def study(
     seed: int | None = None,
     until: str | None = None,
     shard: str = "1/1",
+    cluster: str | None = None,
     list: bool = False,
 ) -> int:
     """How accurate would this be? Run a study (worlds × trackers × grid × runs) and write report.html.
@@ -47,7 +50,8 @@ def study(
         runs: trajectories per condition (a world at a grid point); default: the study's own number.
         seed: seed of the random numbers; default: the study's own.
         until: stop a condition when the 95 % interval of a metric is this narrow, e.g. "rmse_m±1%", or after `runs`.
-        shard: run only part i of n of the chunks, e.g. 2/8, for the jobs of a cluster.
+        shard: run only part i of n of the chunks, e.g. 2/8, for an array of jobs.
+        cluster: run the chunks on a Dask cluster, tcp://HOST:8786, or in processes here, local:4 (docs/cluster.md).
         list: list the studies that come with the package.
     """
     if list:
@@ -71,13 +75,14 @@ def study(
     folder = out or Path("out") / f"study-{declared.name}"
     started = datetime.now(UTC)
     total = len(declared.conditions) * declared.chunks
-    notice(
-        f"{declared.name}: {declared.about} {len(declared.conditions)} conditions × {declared.runs} runs × "
-        f"{len(declared.trackers)} trackers in {total} chunks of {declared.chunk}, "
-        f"{n_workers()} in parallel"
-    )
-    with progress(declared.name, total // part[1] if part[1] > 1 else total) as advance:
-        results = run_study(declared, folder, part, stop, advance)
+    with cluster_executor(cluster) if cluster else nullcontext() as executor:
+        notice(
+            f"{declared.name}: {declared.about} {len(declared.conditions)} conditions × {declared.runs} runs × "
+            f"{len(declared.trackers)} trackers in {total} chunks of {declared.chunk}, "
+            + (f"on {cluster}" if cluster else f"{n_workers()} in parallel")
+        )
+        with progress(declared.name, total // part[1] if part[1] > 1 else total) as advance:
+            results = run_study(declared, folder, part, stop, advance, executor)
     if results is None:
         finished = len([*(folder / CHUNKS).glob("*.npz")])
         print(f"{folder}: {finished} of {total} chunks; merge the shards with `trackwright study merge`")

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
+import shutil
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -39,6 +41,12 @@ def identity(study: Study) -> dict[str, Any]:
     }
 
 
+def plain_identity(study: Study) -> dict[str, Any]:
+    """The identity as study.json holds it: numbers, texts, lists and tables alone."""
+    plain: dict[str, Any] = json.loads(json_text(identity(study)))
+    return plain
+
+
 def _sha256(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -65,7 +73,7 @@ class ChunkStore:
 
     def open(self) -> ChunkStore:
         """Create the folder if need be; raises UnusableInput where it holds another study or cannot be written."""
-        path, own = self.folder / IDENTITY, json_text(identity(self.study))
+        path, own = self.folder / IDENTITY, plain_identity(self.study)
         try:
             (self.folder / CHUNKS).mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -73,14 +81,14 @@ class ChunkStore:
                 f"--out {self.folder}: cannot be created ({error.strerror}); choose another folder"
             ) from error
         if path.exists():
-            difference = first_difference(path, own)
+            difference = first_difference(_stored(path), own)
             if difference:
                 raise UnusableInput(
                     f"{path}: the folder holds another study ({difference}); expected the same study; choose another "
                     "--out, or remove the folder"
                 )
         else:
-            atomic_write(path, lambda temporary: temporary.write_text(own, "utf-8"))
+            atomic_write(path, lambda temporary: temporary.write_text(json_text(own), "utf-8"))
         return self
 
     def path(self, index: int, chunk: int) -> Path:
@@ -123,17 +131,23 @@ class ChunkStore:
             raise UnusableInput(f"{path}: not a chunk of a study; remove it and run the study again") from error
 
 
-def first_difference(path: Path, own: str) -> str:
-    """The first key in which the identity in the file differs from this one, and both values; empty for none."""
-    try:
-        other = json.loads(path.read_text("utf-8"))
-        mine = json.loads(own)
-    except (OSError, ValueError):
-        return "its study.json cannot be read"
+def first_difference(other: Mapping[str, Any], mine: Mapping[str, Any]) -> str:
+    """The first key in which two identities differ, and both values; empty for none."""
     for key in mine:
         if other.get(key) != mine[key]:
             return f"{key}: {_short(other.get(key))}, not {_short(mine[key])}"
     return ""
+
+
+def _stored(path: Path) -> dict[str, Any]:
+    """The identity in a study.json; raises UnusableInput where there is none."""
+    try:
+        found = json.loads(path.read_text("utf-8"))
+    except (OSError, ValueError) as error:
+        raise UnusableInput(f"{path}: cannot be read; expected the identity of a study, as its --out holds") from error
+    if not isinstance(found, dict):
+        raise UnusableInput(f"{path}: holds no table; expected the identity of a study, as its --out holds")
+    return found
 
 
 def _short(value: Any) -> str:
@@ -145,14 +159,9 @@ def merge_shards(parts: Sequence[Path], out: Path) -> int:
     """Copy the chunks of a study's shards into a folder; their number. Raises UnusableInput for different studies."""
     if not parts:
         raise UnusableInput("study merge: no folder given; expected the folders of its shards")
-    texts = []
-    for part in parts:
-        path = part / IDENTITY
-        try:
-            texts.append(path.read_text("utf-8"))
-        except (OSError, UnicodeDecodeError) as error:
-            raise UnusableInput(f"{path}: cannot be read; expected the folder of a shard, its --out") from error
-        difference = first_difference(parts[0] / IDENTITY, texts[-1])
+    identities = [_stored(part / IDENTITY) for part in parts]
+    for part, own in zip(parts, identities, strict=True):
+        difference = first_difference(identities[0], own)
         if difference:
             raise UnusableInput(
                 f"{part}: holds another study than {parts[0]} ({difference}); expected shards of one study; remove it"
@@ -164,6 +173,6 @@ def merge_shards(parts: Sequence[Path], out: Path) -> int:
         raise UnusableInput(f"--out {out}: cannot be created ({error.strerror}); choose another folder") from error
     for name, path in files.items():
         if path.parent != out / CHUNKS:
-            atomic_write(out / CHUNKS / name, lambda temporary, path=path: temporary.write_bytes(path.read_bytes()))  # type: ignore[misc]
-    atomic_write(out / IDENTITY, lambda temporary: temporary.write_text(texts[0], "utf-8"))
+            atomic_write(out / CHUNKS / name, functools.partial(shutil.copyfile, path))
+    atomic_write(out / IDENTITY, lambda temporary: temporary.write_text(json_text(identities[0]), "utf-8"))
     return len(files)

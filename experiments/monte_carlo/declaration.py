@@ -88,6 +88,7 @@ class Study:
     `measures`: the study's own metrics, functions that return one number per trajectory (n,), NaN for none. `metrics`:
     those in the report's tables. `expected(results)`: printed numbers beside ours, and conclusions. `draw(results,
     folder)`: writes plots of its own and returns their file names. `source`: text of the file that declares the study.
+    `declared_in`: the name or file by which it was loaded.
     """
 
     name: str
@@ -103,6 +104,7 @@ class Study:
     expected: Callable[..., list[ExpectedResult | Conclusion]] | None = None
     draw: Callable[..., list[str]] | None = None
     source: str = ""
+    declared_in: str = ""
 
     @property
     def conditions(self) -> list[Condition]:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-import time
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
@@ -14,9 +14,11 @@ from typing import Any
 import jax
 import numpy as np
 
-from experiments.monte_carlo.chunk import require_fitting_parts, run_chunk
+from experiments.executors import AT_ONCE, finished
+from experiments.monte_carlo.chunk import require_fitting_parts
 from experiments.monte_carlo.chunk_store import IDENTITY, ChunkStore
 from experiments.monte_carlo.declaration import Condition, Study
+from experiments.monte_carlo.portable import PortableStudy, portable_chunk, timed_chunk
 from experiments.monte_carlo.results import NAMES, Results
 from trackers.core.chunks import n_workers
 from trackers.core.errors import UnusableInput
@@ -65,11 +67,13 @@ def run_study(
     shard: tuple[int, int] = (1, 1),
     until: StopRule | None = None,
     advance: Advance = _no_progress,
+    executor: Executor | None = None,
 ) -> Results | None:
     """Run the missing chunks of a shard (i, n); the results, or None while chunks of other shards are missing.
 
-    `until` is tested after 1, 2, 4, 8 … chunks of a condition, whatever the number of devices. Raises UnusableInput
-    for a folder of another study, and for `until` with more than one shard.
+    `until` is tested after 1, 2, 4, 8 … chunks of a condition, whatever the number of devices. `executor`: runs chunks
+    in other processes, of a study loaded by name or from a file; default: threads. Raises UnusableInput for a folder of
+    another study, and for `until` with more than one shard.
     """
     if until is not None and shard != (1, 1):
         raise UnusableInput(
@@ -80,20 +84,22 @@ def run_study(
     store = ChunkStore(folder, study).open()
     if until is None:
         chunks = [(condition, k) for condition in study.conditions for k in range(study.chunks)]
-        run_missing(store, chunks[shard[0] - 1 :: shard[1]], advance)
+        run_missing(store, chunks[shard[0] - 1 :: shard[1]], advance, executor)
         runs = {condition.index: study.runs for condition in study.conditions}
     else:
-        runs = {condition.index: _run_until(store, condition, until, advance) for condition in study.conditions}
+        runs = {c.index: _run_until(store, c, until, advance, executor) for c in study.conditions}
     whole = all(store.has(index, k) for index, n in runs.items() for k in range(-(-n // study.chunk)))
     return store.results(runs) if whole else None
 
 
-def _run_until(store: ChunkStore, condition: Condition, until: StopRule, advance: Advance) -> int:
+def _run_until(
+    store: ChunkStore, condition: Condition, until: StopRule, advance: Advance, executor: Executor | None
+) -> int:
     """Run chunks of the condition until the rule holds or none is left; the number of runs."""
     study, enough, done = store.study, 1, 0
     while True:
         wanted = min(enough, study.chunks)
-        run_missing(store, [(condition, k) for k in range(done, wanted)], advance)
+        run_missing(store, [(condition, k) for k in range(done, wanted)], advance, executor)
         runs, done = min(enough * study.chunk, study.runs), wanted
         if runs == study.runs or until.reached(store.results({condition.index: runs}), condition):
             advance(study.chunks - wanted)
@@ -101,33 +107,43 @@ def _run_until(store: ChunkStore, condition: Condition, until: StopRule, advance
         enough *= 2
 
 
-def run_missing(store: ChunkStore, chunks: Sequence[tuple[Condition, int]], advance: Advance) -> None:
-    """Run those of the chunks that are not in the store, as many in parallel as the host allows."""
+def run_missing(
+    store: ChunkStore, chunks: Sequence[tuple[Condition, int]], advance: Advance, executor: Executor | None = None
+) -> None:
+    """Run those of the chunks that are not in the store, on the executor or as many in parallel as the host allows."""
     missing = [(condition, k) for condition, k in chunks if not store.has(condition.index, k)]
     advance(len(chunks) - len(missing))
+    if not missing:
+        return
+    with _submitting(store.study, len(missing), executor) as (submit, at_once):
+        for (condition, chunk), arrays in finished(submit, missing, at_once):
+            store.write(condition.index, chunk, arrays)
+            advance(1, condition.label)
+
+
+Submit = Callable[[tuple[Condition, int]], Future[Any]]
+
+
+@contextmanager
+def _submitting(study: Study, count: int, executor: Executor | None) -> Iterator[tuple[Submit, int]]:
+    """How `count` chunks are submitted, and how many at once: to the executor, or to threads of this process."""
+    if executor is not None:
+        portable = PortableStudy.of(study)
+        yield lambda item: executor.submit(portable_chunk, portable, item[0].index, item[1]), AT_ONCE
+        return
     devices: SimpleQueue[Any] = SimpleQueue()
-    used = jax.local_devices()[: max(1, len(missing) // CHUNKS_PER_DEVICE)]
+    used = jax.local_devices()[: max(1, count // CHUNKS_PER_DEVICE)]
     workers = n_workers() * len(used) // jax.local_device_count()
     for k in range(workers):
         devices.put(used[k % len(used)])
-    size = store.study.chunk
 
-    def run(condition: Condition, chunk: int) -> None:
+    def run(condition: Condition, chunk: int) -> list[dict[str, np.ndarray]]:
         device = devices.get()
         try:
             with jax.default_device(device):
-                start, ids = time.perf_counter(), np.arange(chunk * size, (chunk + 1) * size)
-                arrays = run_chunk(store.study, condition, ids, first=chunk == 0)
-                arrays[0]["seconds"] = np.array(time.perf_counter() - start)
-                store.write(condition.index, chunk, arrays)
+                return timed_chunk(study, condition, chunk)
         finally:
             devices.put(device)
-        advance(1, condition.label)
 
-    with ThreadPoolExecutor(workers) as pool:
-        waiting = [pool.submit(run, *key) for key in missing]
-        try:
-            for future in as_completed(waiting):
-                future.result()
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
+    with ThreadPoolExecutor(workers) as threads:
+        yield lambda item: threads.submit(run, *item), 2 * workers

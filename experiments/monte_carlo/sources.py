@@ -15,7 +15,7 @@ from typing import Any
 from experiments import papers, questions
 from experiments.monte_carlo.declaration import Study, TrackerConfig, World, checked
 from sim.worlds import WORLDS
-from trackers.catalogue import run_file
+from trackers.catalogue import run_file, split_name
 from trackers.core.errors import UnusableInput
 
 KINDS = {str: "text", int: "a whole number", float: "a number", list: "a list", dict: "a table", bool: "true or false"}
@@ -43,13 +43,31 @@ def _modules() -> dict[str, str]:
     return modules
 
 
-def load_study(what: str) -> Study:
-    """The study of a name or file; raises UnusableInput where there is none, and for one that cannot be run."""
+def load_study(what: str, tracker_files: Mapping[str, str] | None = None) -> Study:
+    """The study of a name or file; raises UnusableInput where there is none, and for one that cannot be run.
+
+    `tracker_files`: the places of users' files of trackers, by their paths in the declaration; default: these paths.
+    """
+    study = dataclasses.replace(_declared(what), declared_in=what)
+    return checked(_with_trackers_from(tracker_files, study) if tracker_files else study)
+
+
+def _with_trackers_from(files: Mapping[str, str], study: Study) -> Study:
+    """The study with the users' files of trackers in other places."""
+    trackers = dict(study.trackers)
+    for name, config in study.trackers.items():
+        file, attribute = split_name(config.tracker) if isinstance(config.tracker, str) else ("", "")
+        if file in files:
+            trackers[name] = dataclasses.replace(config, tracker=f"{files[file]}:{attribute}")
+    return dataclasses.replace(study, trackers=trackers)
+
+
+def _declared(what: str) -> Study:
     path = Path(what)
     if path.suffix == ".toml":
-        return checked(_from_toml(path))
+        return _from_toml(path)
     if path.suffix == ".py":
-        return checked(_from_python(path))
+        return _from_python(path)
     modules = _modules()
     if what not in modules:
         near = difflib.get_close_matches(what, sorted(modules), 1)
@@ -58,7 +76,7 @@ def load_study(what: str) -> Study:
             f"study '{what}': unknown{hint}; expected a .toml or .py file or one of {', '.join(sorted(modules))}"
         )
     module = importlib.import_module(modules[what])
-    return checked(_with_source(module, Path(str(module.__file__))))
+    return _with_source(module, Path(str(module.__file__)))
 
 
 def _with_source(module: Any, path: Path) -> Study:

@@ -1,0 +1,217 @@
+"""Where independent parts of a command run: threads of this process, or the workers of a Dask cluster.
+
+Both are `concurrent.futures.Executor`s. A part is a function and its arguments; what a part returns does not depend on
+where it runs: a worker computes only with the caller's versions, XLA flags and number format.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import logging
+import os
+import pickle
+import platform
+import re
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
+from contextlib import contextmanager
+from importlib.metadata import PackageNotFoundError, version
+from itertools import islice
+from pathlib import Path
+from typing import Any, TypeVar
+
+# jax and the packages that import it are imported in functions: in a worker after the XLA flags are set.
+
+PACKAGES = ("jax", "jaxlib", "numpy")
+SOURCES = ("trackers", "sim", "tuning", "experiments")
+AT_ONCE = 256
+"""Parts given to a cluster at once, at least: finished ones are held in memory until the caller has stored them."""
+
+LEAVE_SIGINT = "import signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\n"
+"""Run by local workers, which the caller ends: Ctrl-C on a terminal reaches them, too."""
+
+CONNECT_S = 10
+"""Seconds to wait for a scheduler."""
+
+Item = TypeVar("Item")
+
+
+@contextmanager
+def cluster_executor(cluster: str) -> Iterator[Executor]:
+    """The workers of `local:N`, N processes on this machine, or of the Dask scheduler at `tcp://HOST:PORT`.
+
+    A scheduler without workers is waited for. Raises UnusableInput for another text, where no scheduler answers, for
+    workers with other versions, and where the cluster is lost.
+    """
+    from trackers.core.errors import UnusableInput
+
+    local = re.fullmatch(r"local:([1-9]\d{0,3})", cluster)
+    if not local and not re.fullmatch(r"[a-z]+://\S+", cluster):
+        raise UnusableInput(f"--cluster {cluster}: expected local:N, as local:4, or an address, as tcp://HOST:8786")
+    distributed = _distributed()
+    expected = environment()
+    try:
+        with _client(distributed, cluster, int(local[1]) if local else None) as client:
+            client.wait_for_workers(1)
+            for address, found in client.run(_prepared, expected["XLA flags"], on_error="return").items():
+                _require_same(expected, found, f"worker {address}")
+            yield WorkerExecutor(client.get_executor(pure=False), expected)
+    except (CancelledError, distributed.CancelledError, distributed.comm.CommClosedError) as error:
+        raise UnusableInput(f"--cluster {cluster}: the scheduler was lost; start it again, then the command") from error
+    except distributed.KilledWorker as error:
+        raise UnusableInput(
+            f"--cluster {cluster}: {error.allowed_failures + 1} workers ended while they computed the same part; "
+            "expected enough memory for one part a worker; see the workers' logs"
+        ) from error
+
+
+def _distributed() -> Any:
+    from trackers.core.errors import UnusableInput
+
+    try:
+        import distributed
+    except ImportError as error:
+        raise UnusableInput(
+            "--cluster: the package 'distributed' is not installed; install the extra: pip install trackwright[cluster]"
+        ) from error
+    # The deaths and reconnections that Dask reports are handled: their parts run elsewhere.
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    return distributed
+
+
+@contextmanager
+def _client(distributed: Any, cluster: str, processes: int | None) -> Iterator[Any]:
+    """A client of a scheduler, or of worker processes of its own."""
+    from trackers.core.errors import UnusableInput
+
+    if processes is None:
+        try:
+            client = distributed.Client(cluster, timeout=CONNECT_S, set_as_default=False)
+        except (OSError, ValueError, TimeoutError) as error:
+            raise UnusableInput(
+                f"--cluster {cluster}: no scheduler answers within {CONNECT_S} s; expected one at this address; start "
+                "one with `dask scheduler`"
+            ) from error
+        with client:
+            yield client
+        return
+    # One thread a process computes one part at a time; memory is limited by the system alone, as it is for threads.
+    workers = {"n_workers": processes, "threads_per_worker": 1, "memory_limit": 0, "preload": LEAVE_SIGINT}
+    with (
+        distributed.LocalCluster(**workers, dashboard_address=None, silence_logs=logging.CRITICAL) as started,
+        distributed.Client(started, set_as_default=False) as client,
+    ):
+        yield client
+
+
+class WorkerExecutor(Executor):
+    """An executor of other processes that computes only where the environment is `expected`."""
+
+    def __init__(self, executor: Executor, expected: Mapping[str, Any]) -> None:
+        self.executor, self.expected = executor, dict(expected)
+
+    def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        # As bytes, so that the worker unpickles nothing that imports jax before the flags are set.
+        return self.executor.submit(_computed, self.expected, pickle.dumps((function, args, kwargs)))
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        self.executor.shutdown(wait=wait, cancel_futures=cancel_futures)
+
+
+def _computed(expected: Mapping[str, Any], call: bytes) -> Any:
+    """In a worker: the result of a pickled call; raises UnusableInput where the environment differs."""
+    _require_same(expected, _prepared(expected["XLA flags"]), f"worker on {platform.node()}")
+    import jax
+
+    with jax.enable_x64(expected["x64"]):
+        function, args, kwargs = pickle.loads(call)
+        return function(*args, **kwargs)
+
+
+def _prepared(flags: str) -> dict[str, Any]:
+    """In a worker: its environment, with these XLA flags where jax is not imported yet."""
+    if "jax" not in sys.modules:
+        os.environ["XLA_FLAGS"] = flags
+    return environment()
+
+
+def environment() -> dict[str, Any]:
+    """What the bits of a result depend on beside its arguments: versions, flags, number format, kind of device."""
+    import jax
+
+    return {
+        "trackwright": f"{_version('trackwright')}, sources {_sources()}",
+        **{name: _version(name) for name in PACKAGES},
+        "XLA flags": os.environ.get("XLA_FLAGS", ""),
+        "x64": bool(jax.config.jax_enable_x64),  # type: ignore[attr-defined]
+        "device": jax.devices()[0].device_kind,
+        "vector instructions": _vector_instructions(),
+    }
+
+
+def _require_same(expected: Mapping[str, Any], found: Any, worker: str) -> None:
+    """Refuse a worker whose environment differs from the caller's; its x64 setting is set for each part."""
+    from trackers.core.errors import UnusableInput
+
+    if isinstance(found, BaseException):
+        raise UnusableInput(
+            f"{worker}: cannot import trackwright ({type(found).__name__}: {found}); expected the caller's packages; "
+            "install them there"
+        )
+    for key in expected:
+        if key != "x64" and found.get(key) != expected[key]:
+            raise UnusableInput(
+                f"{worker}: {key}: {found.get(key) or 'none'}; expected as here: {expected[key] or 'none'}; the bits "
+                "would differ; give the worker the caller's environment, and start it anew"
+            )
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+@functools.cache
+def _sources() -> str:
+    """A digest of the package's source files: two checkouts of one version may differ."""
+    root, digest = Path(__file__).parents[1], hashlib.sha256()
+    for path in sorted(path for package in SOURCES for path in (root / package).rglob("*.py")):
+        digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+@functools.cache
+def _vector_instructions() -> str:
+    """The processor's widest vector instructions: XLA compiles other code for others, with other last bits."""
+    try:
+        flags = set(re.findall(r"\w+", Path("/proc/cpuinfo").read_text("utf-8")))
+    except OSError:
+        flags = set()
+    widest = next((name for name in ("avx512f", "avx2", "avx") if name in flags), "")
+    return f"{platform.machine()} {widest}".strip()
+
+
+def finished(
+    submit: Callable[[Item], Future[Any]], items: Iterable[Item], at_once: int = AT_ONCE
+) -> Iterator[tuple[Item, Any]]:
+    """Each item with the result of its submitted part, as parts finish; at most `at_once` are submitted at a time.
+
+    Parts that have not begun are cancelled where one fails, and where the caller stops.
+    """
+    waiting: dict[Future[Any], Item] = {}
+    remaining = iter(items)
+    try:
+        while True:
+            for item in islice(remaining, at_once - len(waiting)):
+                waiting[submit(item)] = item
+            if not waiting:
+                return
+            for future in wait(waiting, return_when=FIRST_COMPLETED).done:
+                yield waiting.pop(future), future.result()
+    finally:
+        for future in waiting:
+            future.cancel()

@@ -1,0 +1,117 @@
+"""Studies in other processes: the same declaration, the same bits, and a store that stays with the caller."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from experiments.executors import WorkerExecutor, cluster_executor, environment
+from experiments.monte_carlo.chunk_store import plain_identity
+from experiments.monte_carlo.portable import PortableStudy
+from experiments.monte_carlo.runner import StopRule, run_study
+from experiments.monte_carlo.sources import load_study
+from experiments.reports.study_text import to_json
+from tests.experiments.monte_carlo.small_study import SMALL, TOML
+from trackers.core.errors import UnusableInput
+
+MINE = "from trackers.catalogue import spec_of\n\nMINE = spec_of('fix-kf')\n"
+PYTHON = """
+import numpy as np
+from experiments.monte_carlo import Study, TrackerConfig, World
+from sim.worlds import WORLDS
+
+STUDY = Study(
+    name="mine", about="", worlds={"line": World(lambda ids, seed, **n: WORLDS["line"](ids, seed, rate_hz=1.0, **n))},
+    trackers={"mine": TrackerConfig("mine.py:MINE"), "fix-kf": TrackerConfig("fix-kf")}, runs=12,
+    measures={"last_m": lambda run: np.linalg.norm((run.estimates - run.truth)[:, -1, :2], axis=-1)},
+    metrics=("rmse_m", "bound_m", "last_m"),
+)
+"""
+
+
+def _sha(results):
+    return json.loads(to_json(results, []))["sha256"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A study in Python with a world, a measure and a tracker of its own, and one in TOML; in a folder of their own."""
+    folder = tmp_path_factory.mktemp("declared")
+    (folder / "mine.py").write_text(MINE)
+    (folder / "study.py").write_text(PYTHON)
+    (folder / "small.toml").write_text(TOML + "[grid]\n'world.speed' = [0.2, 0.3]\n")
+    return folder
+
+
+@pytest.fixture
+def studies(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    return [load_study("study.py"), load_study("small.toml")]
+
+
+@pytest.fixture(scope="module")
+def workers():
+    pytest.importorskip("distributed")
+    with cluster_executor("local:2") as executor:
+        yield executor
+
+
+def test_a_study_is_built_again_from_text_and_numbers_far_from_its_files(studies, monkeypatch, tmp_path):
+    portable = PortableStudy.of(dataclasses.replace(studies[0], runs=7, seed=3))
+    monkeypatch.chdir(tmp_path)
+    again = portable.study()
+    assert (again.name, again.runs, again.seed, again.source) == ("mine", 7, 3, PYTHON)
+    assert again.trackers["mine"].spec.table == "fixes"
+
+
+def test_a_study_by_name_travels_as_its_name():
+    portable = PortableStudy.of(load_study("table-3-1"))
+    assert (portable.what, portable.text, portable.trackers) == ("table-3-1", "", ())
+    assert plain_identity(portable.study()) == plain_identity(load_study("table-3-1"))
+
+
+def test_a_study_without_a_declaration_or_changed_in_memory_is_refused(studies):
+    with pytest.raises(UnusableInput, match="built in memory"):
+        PortableStudy.of(SMALL)
+    changed = dataclasses.replace(studies[1], grid={"world.speed": [0.4]})
+    with pytest.raises(UnusableInput, match="differs from its declaration small.toml .grid"):
+        PortableStudy.of(changed)
+
+
+def test_worker_processes_give_the_bits_of_threads(studies, workers, tmp_path):
+    for k, study in enumerate(studies):
+        own = _sha(run_study(study, tmp_path / f"threads-{k}"))
+        assert _sha(run_study(study, tmp_path / f"workers-{k}", executor=workers)) == own
+
+
+def test_a_condition_ends_early_on_workers_as_on_threads(studies, workers, tmp_path):
+    study = studies[1]
+    stop = StopRule.parse("rmse_m±90%", study)
+    here, there = (run_study(study, tmp_path / f"{x is None}", until=stop, executor=x) for x in (None, workers))
+    assert there.runs == here.runs
+    assert min(there.runs.values()) < study.runs
+    assert _sha(there) == _sha(here)
+
+
+@pytest.mark.parametrize("where", ["threads", "elsewhere"])
+def test_a_study_interrupted_by_ctrl_c_continues_from_its_store(studies, tmp_path, where):
+    study, seen = studies[1], []
+
+    def interrupted(done, now=""):
+        seen.append(done)
+        if sum(seen) >= 2:
+            raise KeyboardInterrupt
+
+    with ThreadPoolExecutor(1) as threads:
+        executor = None if where == "threads" else WorkerExecutor(threads, environment())
+        with pytest.raises(KeyboardInterrupt):
+            run_study(study, tmp_path / "out", advance=interrupted, executor=executor)
+        stored = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "out" / "chunks").glob("*.npz")}
+        assert 2 <= len(stored) < len(study.conditions) * study.chunks
+        whole = run_study(study, tmp_path / "out", executor=executor)
+    for name, made in stored.items():
+        assert (tmp_path / "out" / "chunks" / name).stat().st_mtime_ns == made
+    assert _sha(whole) == _sha(run_study(study, tmp_path / "whole"))
