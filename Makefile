@@ -54,6 +54,7 @@ bench-peers: .venv-peers/installed
 	$(PEERS)/python -m experiments.bench.imu
 	$(PEERS)/python -m experiments.bench.particle_peers
 	$(PEERS)/python -m experiments.bench.tuning --peers
+	$(PEERS)/python -m experiments.bench.recordings
 
 clean:
 	rm -rf .venv .venv-peers out *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis
