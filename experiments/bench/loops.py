@@ -78,9 +78,9 @@ def filtered(model: Model, state: Any, P: np.ndarray, dts: np.ndarray, first: in
         for difference, gradient, sigma in model.channels(state, row):
             h, r = gradient / sigma, difference / sigma
             Ph = P @ h
-            a = h @ Ph
-            innovation = r - h @ step
-            noise = np.float64(1.0)
+            a = float(h @ Ph)
+            innovation = float(r - h @ step)
+            noise = 1.0
             if model.dof:
                 noise = (model.dof + innovation**2 / (1.0 + a)) / (model.dof + 1.0)
             k = Ph / (noise + a)
