@@ -7,9 +7,10 @@ metric without data (no heights, no reported covariance) is None.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import polars as pl
@@ -20,13 +21,14 @@ from trackers.core.estimates import Estimates
 from trackers.core.recording import Recording
 from trackers.core.rig import Station
 from trackers.recordings.association import Association, associate_truth
-from trackers.recordings.columns import float_column
+from trackers.recordings.columns import float_column, require_columns
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracks import Tracks
 from trackers.recordings.tracks_table import is_bearing, track_keys
 from trackers.recordings.truth import TruthStatus
 from trackers.scoring import Scored, score
 
+T = TypeVar("T")
 OneOrMore = RecordingFolder | Recording | Sequence[RecordingFolder] | Sequence[Recording]
 
 Metrics = dict[str, Any]
@@ -63,17 +65,47 @@ def evaluate(
     estimates: Tracks | Estimates | pl.DataFrame | Association,
     recordings: OneOrMore,
     every: float | None = None,
+    executor: Executor | None = None,
 ) -> Evaluation:
     """The error metrics of estimates against the truth of their recordings, interpolated at the times of the estimates.
 
     `estimates`: `Tracks`, a table with the columns of tracks.parquet, the `Estimates` of `Recording`s whose truth is a
     `position`, or the `Association` of any of these. `every`: s, score only the last estimate in each interval of that
-    length. Raises UnusableInput if no recording has a truth, or no estimate lies inside that of its recording and tag.
+    length. `executor`: associates and scores each recording of a table there, to the same bits. Raises UnusableInput if
+    no recording has a truth, or no estimate lies inside that of its recording and tag.
     """
+    stations = {f.name: f.rig.stations for f in _several(recordings) if isinstance(f, RecordingFolder)}
+    if executor is not None and isinstance(estimates, pl.DataFrame):
+        truths = _required_truths(recordings)
+        require_columns(estimates, ["recording"], "the tracks")
+        by_name = estimates.with_columns(pl.col("recording").cast(pl.String)).partition_by("recording", as_dict=True)
+        parts = [
+            executor.submit(_scored_recording, by_name[name,], _of(name, truths), _of(name, stations), every)
+            for name in sorted(str(name) for (name,) in by_name)
+        ]
+        done = [part.result() for part in parts]
+        association, scored = Association.joined([x for x, _ in done]), Scored.joined([x for _, x in done])
+        _refuse_without_overlap(association, truths)
+        return _evaluation(association, scored)
     association = estimates if isinstance(estimates, Association) else associate(estimates, recordings)
     _refuse_without_overlap(association, _truths(recordings))
-    stations = {f.name: f.rig.stations for f in _several(recordings) if isinstance(f, RecordingFolder)}
     return evaluate_association(association, stations, every)
+
+
+def _of(name: str, values: Mapping[str, T]) -> dict[str, T]:
+    """The entry of this name alone, if there is one."""
+    return {name: values[name]} if name in values else {}
+
+
+def _scored_recording(
+    rows: pl.DataFrame,
+    truths: Mapping[str, pl.DataFrame],
+    stations: Mapping[str, Mapping[str, Station]],
+    every: float | None,
+) -> tuple[Association, Scored]:
+    """The estimates of one recording with their truth, and their scores."""
+    association = associate_truth(rows, truths)
+    return association, score(association, stations, every)
 
 
 def associate(estimates: Tracks | Estimates | pl.DataFrame, recordings: OneOrMore) -> Association:
@@ -81,14 +113,19 @@ def associate(estimates: Tracks | Estimates | pl.DataFrame, recordings: OneOrMor
 
     Arguments as of `evaluate`. Raises UnusableInput if no recording has a truth.
     """
-    truths = _truths(recordings)
-    if not truths:
-        names = ", ".join(str(getattr(r, "path", None) or r.name) for r in _several(recordings))
-        raise UnusableInput(f"{names}: no truth table, expected one to evaluate against; give recordings that have one")
+    truths = _required_truths(recordings)
     if isinstance(estimates, Estimates):
         # an array recording has one trajectory, so its name identifies it
         return associate_truth(estimates.to_polars().with_columns(tag=pl.lit("")), truths)
     return associate_truth(estimates.to_polars() if isinstance(estimates, Tracks) else estimates, truths)
+
+
+def _required_truths(recordings: OneOrMore) -> dict[str, pl.DataFrame]:
+    truths = _truths(recordings)
+    if not truths:
+        names = ", ".join(str(getattr(r, "path", None) or r.name) for r in _several(recordings))
+        raise UnusableInput(f"{names}: no truth table, expected one to evaluate against; give recordings that have one")
+    return truths
 
 
 def _several(recordings: OneOrMore) -> list[RecordingFolder | Recording]:
@@ -139,7 +176,11 @@ def evaluate_association(
     every: float | None = None,
 ) -> Evaluation:
     """As `evaluate_table`, of estimates already associated with truth; metrics are None if no row is scored."""
-    scored = score(association, stations, every)
+    return _evaluation(association, score(association, stations, every))
+
+
+def _evaluation(association: Association, scored: Scored) -> Evaluation:
+    """The metrics by track, by recording and overall."""
     keys = association.rows.select(track_keys(association.rows))[association.starts[:-1]].to_dicts()
     last = len(keys)
     first = [k for k in range(last) if k == 0 or keys[k]["recording"] != keys[k - 1]["recording"]]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -34,6 +34,25 @@ class Scored:
     nis: np.ndarray
     dof: np.ndarray
     lost: np.ndarray
+
+    @classmethod
+    def joined(cls, parts: Sequence[Scored]) -> Scored:
+        """The scores of all recordings from those of each, in the order of the rows of the joined association."""
+        before = np.cumsum([0, *(len(part.nis) for part in parts)])
+
+        def all_of(name: str) -> np.ndarray:
+            return np.concatenate([getattr(part, name) for part in parts])
+
+        return cls(
+            index=np.concatenate([part.index + n for part, n in zip(parts, before, strict=False)]),
+            errors=all_of("errors"),
+            angle=None if parts[0].angle is None else all_of("angle"),
+            nees=all_of("nees"),
+            nees_3d=None if parts[0].nees_3d is None else all_of("nees_3d"),
+            nis=all_of("nis"),
+            dof=all_of("dof"),
+            lost=all_of("lost"),
+        )
 
 
 def score(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated
 
@@ -11,6 +12,7 @@ import tyro
 
 from experiments.cli.console import notice, read_with_notices
 from experiments.cli.fail_if import violation
+from experiments.executors import cluster_executor
 from experiments.reports.evaluation_text import to_json, to_text
 from experiments.reports.worksteps_text import to_text as work_text
 from trackers.core.errors import UnusableInput
@@ -31,6 +33,7 @@ def evaluate_tracks(
     every_s: float | None = None,
     worksteps: Path | None = None,
     tolerance: float | None = None,
+    cluster: str | None = None,
 ) -> int:
     """Error metrics of estimates against truth, by track, by recording and overall. Exit code 1 with --fail-if.
 
@@ -44,6 +47,7 @@ def evaluate_tracks(
             unlocked at the right one.
         tolerance: distance to a fastening point, m, up to which the tool is at it; default: half the smallest distance
             between two points.
+        cluster: score each recording on a Dask cluster, tcp://HOST:8786, or in processes here, local:4.
     """
     if every_s is not None and not (math.isfinite(every_s) and every_s > 0):
         raise UnusableInput(f"--every-s {every_s}: expected a number of seconds above 0")
@@ -51,7 +55,8 @@ def evaluate_tracks(
         raise UnusableInput(f"--tolerance {tolerance:g}: applies to fastening points; expected --worksteps POINTS too")
     tracks = read_tracks(folder)
     folders = read_with_notices(truth or sources(folder))
-    evaluation, work = evaluate(tracks, folders, every_s), None
+    with cluster_executor(cluster) if cluster else nullcontext() as executor:
+        evaluation, work = evaluate(tracks, folders, every_s, executor), None
     if worksteps is not None:
         truths = {f.name: f.tables["truth"] for f in folders if "truth" in f.tables}
         work = workstep_report(tracks, truths, worksteps, tolerance, every_s)

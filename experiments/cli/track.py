@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import nullcontext
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
@@ -12,7 +13,9 @@ import tyro
 from experiments.cli.console import notice, output_folder, progress, read_with_notices
 from experiments.cli.evaluate import SOURCES
 from experiments.cli.manifest import write_manifest
+from experiments.executors import cluster_executor
 from experiments.plots.track_folder import plot_tracks
+from experiments.portable_tracker import run_on
 from experiments.reports.evaluation_text import to_text
 from trackers.catalogue import TRACKERS, build, fitting
 from trackers.core.chunks import CHUNK
@@ -36,6 +39,7 @@ def track(  # noqa: D103
     smooth: bool = False,
     lag: float | None = None,
     seed: int = 0,
+    cluster: str | None = None,
 ) -> int:
     started = datetime.now(UTC)
     folders = read_with_notices(recordings)
@@ -53,8 +57,11 @@ def track(  # noqa: D103
     if heights and not named.spec.bearing_only:
         notice(f"height: known from rig.toml for {heights} tag(s) and used; estimate it with --free-height")
     output_folder(out)
-    with progress("tracking", sum(len(batch.trajectories) for batch in batches)) as advance:
-        tracks = run(batches, advance, seed)
+    with (
+        cluster_executor(cluster) if cluster else nullcontext() as executor,
+        progress("tracking", sum(len(batch.trajectories) for batch in batches)) as advance,
+    ):
+        tracks = run(batches, advance, seed) if executor is None else run_on(executor, named, folders, advance, seed)
     table, summaries = tracks.table, tracks.summaries
     atomic_write(out / TRACKS, table.write_parquet)
     happened = events_of(table, named.spec, batches)
@@ -111,4 +118,5 @@ Args:
     smooth: use the rows after each row too, all of them: for recordings, where nothing has to be known at once.
     lag: smooth with the rows of the next so many seconds only.
     seed: of the random numbers of particle filters; another one gives other estimates of the same distribution.
+    cluster: track each recording by itself on a Dask cluster, tcp://HOST:8786, or in processes here, local:4.
 """
