@@ -10,10 +10,8 @@ from experiments.cli.runtime import FUSION
 
 # Before jax is imported: it halves the time that XLA takes to compile, which is what most of the suite waits for.
 os.environ.setdefault("XLA_FLAGS", FUSION)
-# Tests, workers and subprocesses share compiled programs: many of them compile the same tracker.
-os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / ".pytest_cache" / "jax"))
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "0")
+# Tests, workers and commands in subprocesses share compiled programs: many of them compile the same tracker.
+os.environ.setdefault("TRACKWRIGHT_CACHE", str(Path(__file__).parents[1] / ".pytest_cache" / "programs"))
 
 import jax
 import polars as pl
@@ -21,6 +19,9 @@ import pytest
 
 from tests.faulty import good_tables, write_good
 from tests.in_process import trackwright
+from trackers.core.program_cache import cache_programs
+
+cache_programs()
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")

@@ -42,6 +42,7 @@ from trackers.core.motion import (
 )
 from trackers.core.particle.filter import ParticleFilter
 from trackers.core.polyline import Polyline
+from trackers.core.program_cache import cache_programs
 from trackers.core.recording import Batch, Readings, Recording, Row, stack
 from trackers.core.rig import Rig, Station, Tag
 from trackers.core.sensor import AbstractSensor, Channel, Reading, Residual, independent
@@ -102,6 +103,7 @@ __all__ = [
     "Batch",
     "stack",
     "UnusableInput",
+    "cache_programs",
     # trackers by name, their estimates, and how good these are
     "tracker_for",
     "build",

@@ -1,8 +1,8 @@
 from tuning.diagnostics import innovations_of as innovations_of
 from tuning.diagnostics import violated_assumptions as violated_assumptions
-from tuning.guessing import first_guess as first_guess
 from tuning.fitting import FitResult as FitResult
 from tuning.fitting import fit as fit
+from tuning.guessing import first_guess as first_guess
 from tuning.identifiability import identifiability_issues as identifiability_issues
 from tuning.intervals import intervals_of as intervals_of
 from tuning.marginal_score import marginal_scores as marginal_scores

@@ -6,20 +6,18 @@ import dataclasses
 import math
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from experiments.cli.console import notice, read_with_notices
-from experiments.cli.fail_if import violation
-from experiments.executors import cluster_executor
-from experiments.reports.evaluation_text import to_json, to_text
-from experiments.reports.worksteps_text import to_text as work_text
 from trackers.core.errors import UnusableInput
-from trackers.evaluation import Evaluation, evaluate
 from trackers.recordings.atomic import atomic_write
 from trackers.recordings.tracks_table import read_tracks
-from trackers.worksteps.tracks import WorkstepReport, workstep_report
+
+if TYPE_CHECKING:
+    from trackers.evaluation import Evaluation
+    from trackers.worksteps.tracks import WorkstepReport
 
 SOURCES = "recordings.txt"
 """File in the output folder of `track`: paths of the tracked recordings, one per line."""
@@ -55,6 +53,14 @@ def evaluate_tracks(
         raise UnusableInput(f"--tolerance {tolerance:g}: applies to fastening points; expected --worksteps POINTS too")
     tracks = read_tracks(folder)
     folders = read_with_notices(truth or sources(folder))
+    # jax takes a second to import, which the help and a refused folder need not wait for.
+    from experiments.cli.fail_if import violation
+    from experiments.executors import cluster_executor
+    from experiments.reports.evaluation_text import to_json, to_text
+    from experiments.reports.worksteps_text import to_text as work_text
+    from trackers.evaluation import evaluate
+    from trackers.worksteps.tracks import workstep_report
+
     with cluster_executor(cluster) if cluster else nullcontext() as executor:
         evaluation, work = evaluate(tracks, folders, every_s, executor), None
     if worksteps is not None:

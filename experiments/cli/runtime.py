@@ -1,9 +1,12 @@
-"""Process settings for speed: XLA flags, which must be set before jax is imported, and garbage collection."""
+"""Process settings for speed: XLA flags, set before jax is imported, garbage collection, compiled programs kept."""
 
 from __future__ import annotations
 
 import gc
 import os
+import warnings
+
+from trackers.core.errors import UnusableInput
 
 FUSION = "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion"
 """Makes the CPU compiler of XLA compute terms shared within a filter step once, not once per use."""
@@ -19,3 +22,16 @@ def set_flags() -> None:
     present = os.environ.get("XLA_FLAGS", "")
     if FUSION.split("=")[0] not in present:
         os.environ["XLA_FLAGS"] = f"{present} {FUSION}".strip()
+
+
+def keep_programs() -> None:
+    """Keep compiled programs for later commands, as `cache_programs`; a notice where that is impossible."""
+    from experiments.cli.console import notice
+    from trackers.core.program_cache import cache_programs
+
+    # A program that jax cannot load is compiled and replaced.
+    warnings.filterwarnings("ignore", message="Error reading persistent compilation cache entry")
+    try:
+        cache_programs(report=lambda text: notice(f"notice: {text}"))
+    except UnusableInput as problem:
+        notice(f"notice: {problem}")

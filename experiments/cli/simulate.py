@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import inspect
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, get_type_hints
 
 from experiments.cli.manifest import write_manifest
@@ -60,12 +59,6 @@ def _refusal(error: ParameterError) -> str:
     return f"--{error.name.replace('_', '-')} {' '.join(map(str, words))}: expected {error.expected}"
 
 
-COMMANDS: Mapping[str, Callable[..., int]] = MappingProxyType(
-    {
-        "simulate": command(worlds.station),
-        "simulate-line": command(worlds.line),
-        "simulate-ranges": command(worlds.ranges),
-        "simulate-imu": command(worlds.tool),
-        "simulate-agv": command(worlds.agv),
-    }
+station, line, ranges, tool, agv = (
+    command(world) for world in (worlds.station, worlds.line, worlds.ranges, worlds.tool, worlds.agv)
 )

@@ -14,6 +14,7 @@ import tyro
 
 from experiments.cli.console import notice, output_folder, progress
 from experiments.cli.manifest import write_manifest
+from experiments.cli.runtime import keep_programs
 from experiments.executors import cluster_executor
 from experiments.monte_carlo.chunk_store import CHUNKS, merge_shards
 from experiments.monte_carlo.declaration import checked
@@ -57,6 +58,7 @@ def study(
     if list:
         print(study_names([load_study(name) for name in available_studies()]))
         return 0
+    keep_programs()
     if not what:
         raise UnusableInput("no study given; expected a name or a file; `trackwright study --list` lists the names")
     if what[0] == MERGE:

@@ -1,33 +1,16 @@
-"""`trackwright track`."""
+"""`trackwright track`: its options; `tracking.py` does the work."""
 
 from __future__ import annotations
 
-import sys
-from contextlib import nullcontext
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from experiments.cli.console import notice, output_folder, progress, read_with_notices
-from experiments.cli.evaluate import SOURCES
-from experiments.cli.manifest import write_manifest
-from experiments.executors import cluster_executor
-from experiments.plots.track_folder import plot_tracks
-from experiments.portable_tracker import run_on
-from experiments.reports.evaluation_text import to_text
-from trackers.catalogue import TRACKERS, build, fitting
-from trackers.core.chunks import CHUNK
-from trackers.core.errors import UnusableInput
-from trackers.evaluation import evaluate
-from trackers.events import EVENTS, events_of
-from trackers.recordings.association import associate_truth
-from trackers.recordings.atomic import atomic_write
-from trackers.recordings.tracks import track as run
-from trackers.recordings.tracks_table import TRACKS
-from trackers.recordings.trajectories import known_height
-from tuning.tuned_file import read_tuned
+from experiments.cli.console import read_with_notices
+from experiments.cli.runtime import keep_programs
+from experiments.cli.summaries import COMMANDS, TRACKERS
 
 
 def track(  # noqa: D103
@@ -43,68 +26,16 @@ def track(  # noqa: D103
 ) -> int:
     started = datetime.now(UTC)
     folders = read_with_notices(recordings)
-    name = tracker or fitting(folders[0])
-    named = build(name, folders, free_height)
-    if tracker is None:
-        notice(f"tracker: {name} ({named.spec.about}); choose another with --tracker")
-    if noise is not None:
-        named = named.with_values(read_tuned(noise), noise)
-    if smooth or lag is not None:
-        named = named.smoothing(lag)
-    batches = named.batches(folders)
-    flat = [trajectory for batch in batches if batch.planar for trajectory in batch.trajectories]
-    heights = sum(known_height(trajectory.folder, trajectory.tag) is not None for trajectory in flat)
-    if heights and not named.spec.bearing_only:
-        notice(f"height: known from rig.toml for {heights} tag(s) and used; estimate it with --free-height")
-    output_folder(out)
-    with (
-        cluster_executor(cluster) if cluster else nullcontext() as executor,
-        progress("tracking", sum(len(batch.trajectories) for batch in batches)) as advance,
-    ):
-        tracks = run(batches, advance, seed) if executor is None else run_on(executor, named, folders, advance, seed)
-    table, summaries = tracks.table, tracks.summaries
-    atomic_write(out / TRACKS, table.write_parquet)
-    happened = events_of(table, named.spec, batches)
-    atomic_write(out / EVENTS, happened.write_parquet)
-    paths = "\n".join(str(p.resolve()) for p in recordings)
-    atomic_write(out / SOURCES, lambda path: path.write_text(paths + "\n", encoding="utf-8"))
-    print(
-        f"{sum(summaries.values())} tracks: "
-        + "; ".join(f"{n} {v}" for v, n in sorted(summaries.items(), key=lambda x: -x[1]))
-    )
-    truths = {f.name: f.tables["truth"] for f in folders if "truth" in f.tables}
-    association = associate_truth(table, truths)
-    if truths:
-        try:
-            print(to_text(evaluate(association, folders)), end="")
-        except UnusableInput as problem:
-            notice(f"notice: not evaluated: {problem}")
-    drawn = plot_tracks(out, association, folders, batches)
-    config = {
-        "tracker": name,
-        "noise": None if noise is None else str(noise),
-        "free_height": free_height,
-        "smooth": smooth,
-        "lag": lag,
-        "seed": seed,
-    }
-    write_manifest(
-        out,
-        sys.argv,
-        config,
-        started,
-        chunk=CHUNK,
-        extra={"recordings": [str(p) for p in recordings], "verdicts": summaries},
-    )
-    for event, count in happened.group_by("event", maintain_order=True).len().iter_rows():
-        print(f"event: {event} ({count} times)")
-    written = f"{out / TRACKS} ({len(table)} estimates), {EVENTS}, manifest.json"
-    print(f"wrote {written} and {len(drawn)} figures: {', '.join(drawn)}")
-    return 0
+    keep_programs()
+    # jax takes a second to import, which the help and a refused recording need not wait for.
+    from experiments.cli.tracking import Options, track_folders
+
+    options = Options(recordings, out, tracker, noise, free_height, smooth, lag, seed, cluster)
+    return track_folders(folders, options, started)
 
 
-_LIST = "\n".join(f"    {name}: {entry.about} ({entry.table})" for name, entry in TRACKERS.items())
-track.__doc__ = f"""Track recordings: writes tracks.parquet, events.parquet, figures and manifest.json.
+_LIST = "\n".join(f"    {name}: {about}" for name, about in TRACKERS.items())
+track.__doc__ = f"""{COMMANDS["track"]}
 
 Trackers (and the table they read):
 {_LIST}

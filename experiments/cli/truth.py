@@ -5,18 +5,19 @@ from __future__ import annotations
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import polars as pl
 import tyro
 
 from experiments.cli.console import notice, read_with_notices
-from experiments.cli.manifest import write_manifest
-from trackers.line.rows import fit_path_truth
-from trackers.line.truth import KnotTimes
+from experiments.cli.runtime import keep_programs
 from trackers.recordings.folder import RecordingFolder, write_recording
 from trackers.recordings.truth import interpolate_truth, truth_paths
+
+if TYPE_CHECKING:
+    from trackers.line.truth import KnotTimes
 
 
 def truth(recording: Annotated[Path, tyro.conf.Positional], out: Path) -> int:
@@ -31,6 +32,11 @@ def truth(recording: Annotated[Path, tyro.conf.Positional], out: Path) -> int:
     """
     started = datetime.now(UTC)
     (folder,) = read_with_notices((recording,))
+    keep_programs()
+    # jax takes a second to import, which the help and a refused recording need not wait for.
+    from experiments.cli.manifest import write_manifest
+    from trackers.line.rows import fit_path_truth
+
     fitted, knot_times = fit_path_truth(folder)
     table = fitted.tables["truth"]
     _compare(folder, table)

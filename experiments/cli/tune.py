@@ -1,38 +1,19 @@
-"""`trackwright tune`."""
+"""`trackwright tune`: its options; `tuning_job.py` does the work."""
 
 from __future__ import annotations
 
-import sys
 import time
-from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import tyro
 
-from experiments.cli.console import Advance, notice, output_folder, progress
-from experiments.cli.tuning_folder import Run, write_run
-from experiments.cli.tuning_options import checked_options, tracker_and_folders
+from experiments.cli.console import read_with_notices
+from experiments.cli.runtime import keep_programs
 from trackers.core.errors import UnusableInput
-from tuning import FitResult, checkpoint, fit
-from tuning.data import FitData, fit_data
-from tuning.guessing import first_guess
-from tuning.identifiability import cautions
-from tuning.intervals import require_possible
-from tuning.optimisation import FitState, to_arrays
-from tuning.optimisers import LBFGS, AbstractOptimiser, Adam
-from tuning.parameters import flatten, select_parameters
 
 EVERYTHING = "*.sigma_*"
-INTERRUPTED = 130
-"""The exit code of a command that Ctrl-C ended, as shells have it."""
-
-OPTIMISERS: dict[str, Callable[[int], AbstractOptimiser | None]] = {
-    "auto": lambda steps: None,
-    "lbfgs": lambda steps: LBFGS(),
-    "adam": Adam,
-}
 
 
 def tune(
@@ -85,15 +66,9 @@ def tune(
             f"--steps {steps} --piece-rows {piece_rows} --starts {starts} --minibatch {minibatch}: expected at least "
             "1, 10, 1 and 1"
         )
-    named, folders = tracker_and_folders((*recordings, *held_out), tracker, start, free_height)
-    data = fit_data(named.only_batch(folders), objective, folders[len(recordings) :], piece_rows)
-    bounds, priors = checked_options(data, tune, freeze, bound, prior)
-    require_possible(intervals, data.objective, len(data.training))
-    for text in cautions(data.tracker, select_parameters(data.tracker, tune, freeze), data.objective):
-        notice(f"notice: {text}")
-    output_folder(out)
+    folders = read_with_notices((*recordings, *held_out))
     options = {
-        "tracker": named.name,
+        "tracker": tracker,
         "objective": objective,
         "tune": tune,
         "freeze": freeze,
@@ -109,65 +84,8 @@ def tune(
         "free_height": free_height,
         "piece_rows": piece_rows,
     }
-    result = _fitted(data, out, options, bounds, priors, resume)
-    run = Run(named.name, options, recordings, time.perf_counter() - clock, started, sys.argv)
-    for line in write_run(out, data, result, run):
-        print(line)
-    if result.uncertainty is None:
-        notice("stopped: tuned.toml holds the best values so far; continue with the same command and --resume")
-        return INTERRUPTED
-    return 0
+    keep_programs()
+    # jax takes a second to import, which the help and a refused recording need not wait for.
+    from experiments.cli.tuning_job import tune_folders
 
-
-def _fitted(data: FitData, out: Path, options: dict[str, Any], bounds: Any, priors: Any, resume: bool) -> FitResult:
-    """The fit, with a checkpoint after every step; raises UnusableInput where the objective is never finite."""
-    training, held_out = data.rows(), data.rows(held_out=True)
-    # Intervals are computed from the result and don't change the fit.
-    config = {name: value for name, value in options.items() if name != "intervals"}
-    fingerprint = checkpoint.fingerprint(
-        config, [*training, *held_out], flatten(select_parameters(data.tracker, "*", thresholds=True))
-    )
-    saved = checkpoint.load(out, fingerprint) if resume else None
-    if resume and saved is None:
-        notice(f"notice: {out}: no checkpoint found; the fit starts from the beginning")
-    steps, starts, freeze = options["steps"], options["starts"], options["freeze"]
-    with progress("tuning", steps) as advance:
-        advance(0, "(evaluating starts)")
-        try:
-            result = fit(
-                data.tracker,
-                training,
-                data.objective,
-                options["tune"],
-                frozen=freeze,
-                bounds=bounds,
-                optimiser=OPTIMISERS[options["optimiser"]](steps),
-                steps=steps,
-                starts=starts,
-                held_out=held_out,
-                minibatch=options["minibatch"],
-                priors=priors,
-                guesses=[first_guess(data.tracker, training, freeze)] if starts > 1 and saved is None else [],
-                resume=saved,
-                report=lambda state: _after_step(out, fingerprint, state, advance),
-            )
-        except FloatingPointError as error:
-            raise UnusableInput(f"{error}; run `trackwright check` on the recordings") from error
-    if result.n_excluded == len(data.training):
-        raise UnusableInput(
-            f"at the best point ({options['objective']} {result.value:.4g}) no segment of the recordings has finite "
-            "gradients: repeated identical readings drive the noise to zero; give --bound or --prior"
-        )
-    if result.n_excluded:
-        notice(
-            f"notice: {result.n_excluded} of {len(data.training)} segments were excluded: non-finite likelihood, or "
-            "gradients over 1000 x the median"
-        )
-    return result
-
-
-def _after_step(out: Path, fingerprint: str, state: FitState, advance: Advance) -> None:
-    checkpoint.save(out, to_arrays(state), fingerprint)
-    best = int(state.best_scores.argmin())
-    now = f"(objective {state.best_scores[best]:.5g}, gradient {state.past_norms[-1, best]:.2g})"
-    advance(min(1, int(state.number)), now)
+    return tune_folders(folders, recordings, out, options, resume, started, clock)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from experiments.cli.console import notice, read_with_notices
+from experiments.cli.console import notice
 from trackers.catalogue import build, fitting
 from trackers.core.errors import UnusableInput
 from trackers.recordings.folder import RecordingFolder
@@ -16,16 +16,15 @@ from tuning.priors import Prior, parse_prior, require_fitting
 from tuning.tuned_file import read_tuned
 
 
-def tracker_and_folders(
-    recordings: Sequence[Path], tracker: str | None, noise: Path | None, free_height: bool
-) -> tuple[NamedTracker, list[RecordingFolder]]:
-    """The tracker, named or chosen by the tables, with the values of a tuned.toml; and the recordings."""
-    folders = read_with_notices(recordings)
+def tracker_for_folders(
+    folders: Sequence[RecordingFolder], tracker: str | None, noise: Path | None, free_height: bool
+) -> NamedTracker:
+    """The tracker, named or chosen by the tables, with the values of a tuned.toml."""
     name = tracker or fitting(folders[0])
     if tracker is None:
         notice(f"tracker: {name}; choose another with --tracker")
     named = build(name, folders, free_height)
-    return (named if noise is None else named.with_values(read_tuned(noise), noise)), folders
+    return named if noise is None else named.with_values(read_tuned(noise), noise)
 
 
 def checked_options(

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from functools import partial
 
 from experiments.cli.console import progress
+from experiments.cli.runtime import keep_programs
 from experiments.verify import deterministic_checks, particle_checks
 from experiments.verify.check_result import CheckResult, table
 
@@ -33,6 +34,7 @@ def verify() -> int:
     particles and at a halt on a line. Random estimates use 400 keys, and their mean may be 4 standard errors off.
     Two estimators that are known to be biased must fail.
     """
+    keep_programs()
     results: list[CheckResult] = []
     with progress("verifying", len(CHECKS)) as advance:
         for check in CHECKS:

@@ -31,8 +31,8 @@ from trackers.parts.fixes import FIXES
 from trackers.recordings.tracks import batches as in_batches
 from trackers.uwb_imu.fusion import range_tracker
 from tuning.differences import FixNoiseLevels, noise_levels_of_fixes
-from tuning.guessing import TOLERANCE, _Search, first_guess, noise_levels, sample_segments, tolerant
 from tuning.fitting import coarse_grid
+from tuning.guessing import TOLERANCE, _Search, first_guess, noise_levels, sample_segments, tolerant
 from tuning.parameters import select_parameters
 
 FAR = [(10.0, 10.0), (0.1, 0.1), (10.0, 0.1), (0.1, 10.0)]

@@ -10,8 +10,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.cli import track as track_command
-from experiments.cli import tune as tune_command
+from experiments.cli import tracking as track_command
+from experiments.cli import tuning_job as tune_command
 from tests.broken import ANOMALOUS, BROKEN
 from tests.faulty import good_tables, write_good
 from tests.in_process import assert_refused, trackwright

@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.cli import track as track_command
+from experiments.cli import tracking as track_command
 from tests.faulty import then, with_table
 from tests.in_process import assert_refused, trackwright
 

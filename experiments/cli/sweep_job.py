@@ -1,0 +1,123 @@
+"""What `trackwright sweep` does with recordings that were read: the objective on the grid, its file and its figure."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from experiments.cli.console import output_folder, progress
+from experiments.cli.manifest import write_manifest
+from experiments.cli.tuning_options import tracker_for_folders
+from experiments.plots.objective import sweep_plot
+from trackers.core.errors import UnusableInput
+from trackers.recordings.atomic import atomic_write
+from trackers.recordings.folder import RecordingFolder
+from tuning.data import fit_data
+from tuning.problem import is_stochastic
+from tuning.sweeping import Sweep, grid_vectors, sweep, swept_parameters
+
+
+def sweep_folders(
+    folders: Sequence[RecordingFolder],
+    recordings: Sequence[Path],
+    out: Path,
+    grids: Mapping[str, np.ndarray],
+    options: Mapping[str, Any],
+    started: datetime,
+    clock: float,
+) -> int:
+    """Evaluates the objective on the grid, writes all files and prints the best point; returns the exit code.
+
+    `started`, `clock`: when the command began.
+    """
+    objective, repeats, path = options["objective"], options["repeats"], options["path"]
+    named = tracker_for_folders(folders, options["tracker"], options["noise"], options["free_height"])
+    group = named.only_batch(folders)
+    model = group.tracker
+    data = fit_data(group, objective, (), options["piece_rows"])
+    try:
+        parameters = swept_parameters(model, list(grids))
+        points = grid_vectors(parameters, list(grids.values()))
+    except ValueError as error:
+        raise UnusableInput(f"--over {' --over '.join(options['over'])}: {_with_hint(str(error))}") from error
+    traces = [] if path is None else _traces(path, [p.label for p in parameters])
+    output_folder(out)
+    runs = repeats if is_stochastic(model) else 1
+    with progress("sweeping", len(points) * runs) as advance:
+        swept = sweep(model, data.rows(), data.objective, grids, repeats, report=advance)
+    seconds = time.perf_counter() - clock
+    if not np.isfinite(swept.mean).any():
+        raise UnusableInput("the objective is not finite at any grid point; run `trackwright check` on the recordings")
+    _write(out / "sweep.csv", swept, objective)
+    unit = "rad" if group.trajectories[0].station else "m"
+    sweep_plot(out / "sweep.png", swept, f"RMSE ({unit})" if objective == "rmse" else objective, traces)
+    config = {**options} | {"tracker": named.name}
+    extra = {
+        "recordings": [str(p) for p in recordings],
+        "best": swept.best,
+        "least": float(swept.mean[swept.best_index]),
+        "filter_runs": swept.filter_runs,
+        "seconds": seconds,
+    }
+    write_manifest(out, sys.argv, config, started, extra=extra)
+    print(_summary(swept, objective, unit if objective == "rmse" else "", seconds))
+    print(f"wrote {out / 'sweep.csv'}, sweep.png and manifest.json")
+    return 0
+
+
+def _with_hint(problem: str) -> str:
+    return f"{problem}; start the grid at a small positive value" if "is positive" in problem else problem
+
+
+def _write(path: Path, swept: Sweep, objective: str) -> None:
+    """One row per grid point: swept values, mean objective, its standard deviation, and all repeats if several."""
+    mesh = np.meshgrid(*swept.grids, indexing="ij")
+    columns = {p.label: m.ravel() for p, m in zip(swept.parameters, mesh, strict=True)}
+    columns[objective] = swept.mean.ravel()
+    if len(swept.values) > 1:
+        columns["spread"] = swept.spread.ravel()
+        columns |= {f"repeat_{k + 1}": values.ravel() for k, values in enumerate(swept.values)}
+    atomic_write(path, pl.DataFrame(columns).fill_nan(None).write_csv)
+
+
+def _traces(path: Path, labels: list[str]) -> list[np.ndarray]:
+    """The optimiser traces of a fit in the swept parameters, one per start, the best first; raises UnusableInput."""
+    file = path / "trace.csv" if path.is_dir() else path
+    try:
+        table = pl.read_csv(file)
+    except (OSError, pl.exceptions.PolarsError) as error:
+        raise UnusableInput(
+            f"--path {path}: cannot be read; expected an output folder of `tune`, or its trace.csv"
+        ) from error
+    lacking = [label for label in labels if label not in table.columns]
+    if lacking:
+        raise UnusableInput(
+            f"--path {file}: has no column {', '.join(lacking)}; its columns: {', '.join(table.columns)}; sweep "
+            "the tuned parameters by the same names"
+        )
+    parts = table.partition_by("start", maintain_order=True) if "start" in table.columns else [table]
+    return [part.select(pl.col(labels).cast(pl.Float64)).to_numpy() for part in parts]
+
+
+def _summary(swept: Sweep, objective: str, unit: str, seconds: float) -> str:
+    at, repeats = swept.best_index, len(swept.values)
+    lines = []
+    for parameter, grid, k in zip(swept.parameters, swept.grids, at, strict=True):
+        edge = len(grid) > 2 and k in (0, len(grid) - 1)
+        end = "; at the end of the grid: widen it" if edge else ""
+        shown = "" if parameter.example.unit == "1" else f" {parameter.example.unit}"
+        lines.append(f"best {parameter.label} = {grid[k]:.6g}{shown}{end}")
+    spread = f" ± {swept.spread[at]:.2g} over {repeats} repeats" if repeats > 1 else ""
+    lines.append(f"{objective} = {swept.mean[at]:.6g}{' ' if unit else ''}{unit}{spread}")
+    undefined = int(np.sum(~np.isfinite(swept.mean)))
+    if undefined:
+        lines.append(f"undefined: {undefined} of {swept.mean.size} grid points, where a trajectory is not finite")
+    lines.append(f"{swept.filter_runs} trajectories filtered in {seconds:.1f} s")
+    return "\n".join(lines)

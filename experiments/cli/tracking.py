@@ -1,0 +1,111 @@
+"""What `trackwright track` does with recordings that were read: estimates, events, error metrics, figures, manifest."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from experiments.cli.console import notice, output_folder, progress
+from experiments.cli.evaluate import SOURCES
+from experiments.cli.manifest import write_manifest
+from experiments.executors import cluster_executor
+from experiments.plots.track_folder import plot_tracks
+from experiments.portable_tracker import run_on
+from experiments.reports.evaluation_text import to_text
+from trackers.catalogue import build, fitting
+from trackers.core.chunks import CHUNK
+from trackers.core.errors import UnusableInput
+from trackers.evaluation import evaluate
+from trackers.events import EVENTS, events_of
+from trackers.recordings.association import associate_truth
+from trackers.recordings.atomic import atomic_write
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.tracks import track
+from trackers.recordings.tracks_table import TRACKS
+from trackers.recordings.trajectories import known_height
+from tuning.tuned_file import read_tuned
+
+
+@dataclass(frozen=True)
+class Options:
+    """The options of the command."""
+
+    recordings: Sequence[Path]
+    out: Path
+    tracker: str | None
+    noise: Path | None
+    free_height: bool
+    smooth: bool
+    lag: float | None
+    seed: int
+    cluster: str | None
+
+
+def track_folders(folders: Sequence[RecordingFolder], options: Options, started: datetime) -> int:
+    """Tracks the recordings, writes all files and prints the metrics; returns the exit code."""
+    out = options.out
+    name = options.tracker or fitting(folders[0])
+    named = build(name, folders, options.free_height)
+    if options.tracker is None:
+        notice(f"tracker: {name} ({named.spec.about}); choose another with --tracker")
+    if options.noise is not None:
+        named = named.with_values(read_tuned(options.noise), options.noise)
+    if options.smooth or options.lag is not None:
+        named = named.smoothing(options.lag)
+    batches = named.batches(folders)
+    flat = [trajectory for batch in batches if batch.planar for trajectory in batch.trajectories]
+    heights = sum(known_height(trajectory.folder, trajectory.tag) is not None for trajectory in flat)
+    if heights and not named.spec.bearing_only:
+        notice(f"height: known from rig.toml for {heights} tag(s) and used; estimate it with --free-height")
+    output_folder(out)
+    with (
+        cluster_executor(options.cluster) if options.cluster else nullcontext() as executor,
+        progress("tracking", sum(len(batch.trajectories) for batch in batches)) as advance,
+    ):
+        if executor is None:
+            tracks = track(batches, advance, options.seed)
+        else:
+            tracks = run_on(executor, named, folders, advance, options.seed)
+    table, summaries = tracks.table, tracks.summaries
+    atomic_write(out / TRACKS, table.write_parquet)
+    happened = events_of(table, named.spec, batches)
+    atomic_write(out / EVENTS, happened.write_parquet)
+    paths = "\n".join(str(p.resolve()) for p in options.recordings)
+    atomic_write(out / SOURCES, lambda path: path.write_text(paths + "\n", encoding="utf-8"))
+    print(
+        f"{sum(summaries.values())} tracks: "
+        + "; ".join(f"{n} {v}" for v, n in sorted(summaries.items(), key=lambda x: -x[1]))
+    )
+    truths = {f.name: f.tables["truth"] for f in folders if "truth" in f.tables}
+    association = associate_truth(table, truths)
+    if truths:
+        try:
+            print(to_text(evaluate(association, folders)), end="")
+        except UnusableInput as problem:
+            notice(f"notice: not evaluated: {problem}")
+    drawn = plot_tracks(out, association, folders, batches)
+    config = {
+        "tracker": name,
+        "noise": None if options.noise is None else str(options.noise),
+        "free_height": options.free_height,
+        "smooth": options.smooth,
+        "lag": options.lag,
+        "seed": options.seed,
+    }
+    write_manifest(
+        out,
+        sys.argv,
+        config,
+        started,
+        chunk=CHUNK,
+        extra={"recordings": [str(p) for p in options.recordings], "verdicts": summaries},
+    )
+    for event, count in happened.group_by("event", maintain_order=True).len().iter_rows():
+        print(f"event: {event} ({count} times)")
+    written = f"{out / TRACKS} ({len(table)} estimates), {EVENTS}, manifest.json"
+    print(f"wrote {written} and {len(drawn)} figures: {', '.join(drawn)}")
+    return 0

@@ -1,0 +1,187 @@
+"""Compiled programs kept in a directory of the user's, so that a later process need not compile them again.
+
+jax looks a program up by its text, the compiler's version and options; the directory adds the processor, whose
+instructions the programs contain, so that machines may share a home. jax's own files are not used: they are written
+in place, a damaged one is never replaced, and they are bounded in size only with a package that locks them. Whoever can
+write to the directory can run code as its user.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import platform
+import stat
+import sys
+import uuid
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import jax
+from jax._src import compilation_cache as jax_cache
+from jax._src.compilation_cache_interface import CacheInterface
+
+from trackers.core.errors import UnusableInput
+
+VARIABLE = "TRACKWRIGHT_CACHE"
+"""The environment variable that names the directory, or is `off`."""
+
+LIMIT_BYTES = 512 * 2**20
+"""The most bytes of all programs; the least recently used are removed first."""
+
+CHECKED_EVERY = 16
+"""Programs written between two looks at the size of the directory."""
+
+DIGEST_BYTES = 16
+PREFIX = "jaxlib-"
+
+
+def cache_programs(directory: str | Path | None = None, report: Callable[[str], object] = warnings.warn) -> Path | None:
+    """Keep compiled programs in a directory and use those of earlier processes; returns the directory in use.
+
+    `directory`: by default the value of TRACKWRIGHT_CACHE, else `trackwright` in the user's cache directory; created
+    with mode 0700. `report` gets one line if a program cannot be written, after which none is. Returns None, and
+    changes nothing, where TRACKWRIGHT_CACHE is `off` or jax has a cache already. Numbers are the same with and without.
+    Raises UnusableInput for a directory that cannot be created, is another user's, or that others can write to.
+    """
+    if directory is None and os.environ.get(VARIABLE) == "off":
+        return None
+    present = jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
+    ours = jax_cache.get_file_cache
+    if present is not None and not (isinstance(ours, _Ours) and str(ours.store._path) == present):
+        return None
+    root = Path(directory or os.environ.get(VARIABLE) or default_directory()).expanduser().absolute()
+    folder = root / f"{PREFIX}{jax.lib.__version__}-{processor()}"
+    for path in (root, folder):
+        _require_private(path)
+    if present != str(folder):
+        jax_cache.reset_cache()
+        jax_cache.get_file_cache = _Ours(ProgramStore(folder, report))  # type: ignore[assignment]
+        jax.config.update("jax_compilation_cache_dir", str(folder))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    return folder
+
+
+def default_directory() -> Path:
+    """The directory for what `trackwright` may lose, by the platform's convention."""
+    if sys.platform == "darwin":
+        return Path("~/Library/Caches/trackwright")
+    base = os.environ.get("LOCALAPPDATA" if os.name == "nt" else "XDG_CACHE_HOME", "")
+    return (Path(base) if os.path.isabs(base) else Path("~/.cache")) / "trackwright"
+
+
+def processor() -> str:
+    """A short digest of the processor's model and instructions."""
+    text = f"{platform.machine()} {platform.processor()}"
+    with contextlib.suppress(OSError):
+        lines = Path("/proc/cpuinfo").read_text("utf-8", "replace").split("\n\n", 1)[0].splitlines()
+        text += "".join(line for line in lines if line.startswith(("model name", "flags", "Features")))
+    return hashlib.blake2b(text.encode(), digest_size=6).hexdigest()
+
+
+def _require_private(path: Path) -> None:
+    """Creates the directory if missing; raises UnusableInput unless it is the user's and closed to other writers."""
+    try:
+        path.mkdir(mode=0o700, parents=True, exist_ok=True)
+        found = path.stat()
+    except (OSError, RuntimeError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise UnusableInput(
+            f"{path}: compiled programs cannot be kept there ({reason}); expected a directory of your own; "
+            f"set {VARIABLE}"
+        ) from error
+    if os.name != "posix":
+        return
+    if found.st_uid != os.geteuid():
+        raise UnusableInput(
+            f"{path}: compiled programs are not kept there: it belongs to user {found.st_uid}, and they run as code; "
+            f"expected a directory of your own; set {VARIABLE}"
+        )
+    if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        raise UnusableInput(
+            f"{path}: compiled programs are not kept there: others can write to it (mode "
+            f"{stat.S_IMODE(found.st_mode):04o}), and they run as code; expected mode 0700; run chmod 700"
+        )
+
+
+class ProgramStore(CacheInterface):
+    """The programs in one folder, a file each: a digest of the rest, then what jax gave.
+
+    A file appears whole or not at all, and one whose digest is wrong is removed, so that any number of processes may
+    share the folder.
+    """
+
+    def __init__(self, folder: Path, report: Callable[[str], object]) -> None:
+        self._path = folder
+        self.report = report
+        self.writable = True
+        self.written = 0
+
+    def get(self, key: str) -> bytes | None:
+        """The program, None where it is missing or damaged."""
+        path = self._path / key
+        try:
+            content = path.read_bytes()
+        except OSError:
+            return None
+        digest, program = content[:DIGEST_BYTES], content[DIGEST_BYTES:]
+        damaged = digest != _digest(program)
+        with contextlib.suppress(OSError):
+            # The time of modification is that of the last use.
+            path.unlink() if damaged else os.utime(path)
+        return None if damaged else program
+
+    def put(self, key: str, value: bytes) -> None:
+        """Keeps a program; reports the first failure and keeps none after it."""
+        if not self.writable:
+            return
+        temporary = self._path / f".{uuid.uuid4().hex[:16]}"
+        try:
+            temporary.write_bytes(_digest(value) + value)
+            temporary.replace(self._path / key)
+            if self.written % CHECKED_EVERY == 0:
+                remove_oldest(self._path.parent)
+            self.written += 1
+        except OSError as error:
+            self.writable = False
+            with contextlib.suppress(OSError):
+                temporary.unlink()
+            self.report(
+                f"{self._path}: compiled programs are not kept ({error.strerror}); the next run compiles them again; "
+                f"check space and permissions, or set {VARIABLE}"
+            )
+
+
+class _Ours:
+    """What jax calls for its cache of a directory: always the store."""
+
+    def __init__(self, store: ProgramStore) -> None:
+        self.store = store
+
+    def __call__(self, path: str) -> tuple[ProgramStore, str]:
+        return self.store, path
+
+
+def remove_oldest(root: Path, limit: int = LIMIT_BYTES) -> None:
+    """Removes the least recently used programs, of other versions too, until nine tenths of the limit are left."""
+    files = []
+    for path in root.glob(f"{PREFIX}*/*"):
+        with contextlib.suppress(OSError):
+            found = path.lstat()
+            if stat.S_ISREG(found.st_mode):
+                files.append((found.st_mtime, found.st_size, path))
+    total = sum(size for _, size, _ in files)
+    if total <= limit:
+        return
+    for _, size, path in sorted(files):
+        with contextlib.suppress(OSError):
+            path.unlink()
+            total -= size
+        if total <= 0.9 * limit:
+            return
+
+
+def _digest(program: bytes) -> bytes:
+    return hashlib.blake2b(program, digest_size=DIGEST_BYTES).digest()
