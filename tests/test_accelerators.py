@@ -1,0 +1,50 @@
+"""The programs of trackers lower for CUDA without a GPU: nothing in them calls the host or exists for CPUs alone."""
+
+from __future__ import annotations
+
+import re
+
+import equinox as eqx
+import jax
+import pytest
+
+from tests.catalogue import CASES
+from trackers.core.recording import stack
+from trackers.core.tracker import filter_batch
+from tuning.objectives import NegativeLogLikelihood
+from tuning.parameters import flatten, select_parameters
+from tuning.problem import Problem, term_sums
+
+DEFAULT = ("beam", "das", "fix-kf, smoothed", "line-grid", "mhk", "multilateration", "particles", "uwb", "uwb-imu")
+"""One tracker of each kind; the others are slow together."""
+
+DEVICE_CALLS = {"LayoutConstraint", "cu_threefry2x32_ffi"}
+"""Custom calls that XLA compiles for a GPU: the order of axes in memory, and jax's random bits."""
+
+PARAMETERS = [pytest.param(name, marks=[] if name in DEFAULT else [pytest.mark.slow]) for name in CASES]
+
+
+def _custom_calls(function, *arguments):
+    """Targets of the custom calls in the program of `function` for CUDA."""
+    dynamic, static = eqx.partition(arguments, eqx.is_array_like)
+    program = jax.jit(lambda dynamic: function(*eqx.combine(dynamic, static)))
+    # jax does not promise that later versions of XLA read a LayoutConstraint; this program is not stored.
+    allowed = [jax.export.DisabledSafetyCheck.custom_call("LayoutConstraint")]
+    exported = jax.export.export(program, platforms=["cuda"], disabled_checks=allowed)(dynamic)
+    return set(re.findall(r"custom_call @(\w+)", exported.mlir_module()))
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_a_tracker_lowers_for_cuda_without_calls_of_the_host(name):
+    case = CASES[name]
+    assert _custom_calls(filter_batch, case.tracker(), stack(case.recordings())) <= DEVICE_CALLS
+
+
+@pytest.mark.parametrize("name", ["beam", "particles"])
+def test_an_objective_and_its_gradient_lower_for_cuda(name):
+    case = CASES[name]
+    tracker, batch = case.tracker(), stack(case.recordings())
+    parameters = select_parameters(tracker, ("sensors.*.sigma*",))
+    problem = Problem(tracker, [batch], NegativeLogLikelihood(), parameters)
+    calls = _custom_calls(term_sums, problem.point(flatten(parameters)), problem.chunks[0])
+    assert calls <= DEVICE_CALLS
