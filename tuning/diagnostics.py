@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int, Num
-from scipy.special import betainc, gammainc, ndtri
+from scipy.special import betainc, betaln, gammainc, gammaln, ndtri, xlog1py, xlogy
 
 from trackers.core.estimates import Estimates
 from trackers.core.recording import Recording
@@ -108,15 +108,14 @@ def expected_density(x: Float[np.ndarray, " n"], innovations: Innovations) -> Fl
 
     A mixture of χ², or for Student's t of the beta distributions of `tuning.pit_uniformity`.
     """
-    from scipy.stats import beta, chi2  # slow to import, and only plots need densities
-
     density = np.zeros(len(x))
     for dof, count in zip(*np.unique(innovations.dof, return_counts=True), strict=True):
         if innovations.student_t_dof is None:
-            one = chi2.pdf(x, dof)
+            one = np.exp(xlogy(0.5 * dof - 1, x) - 0.5 * x - 0.5 * dof * np.log(2) - gammaln(0.5 * dof))
         else:
             a, b, scale = student_t_nis_beta(dof, innovations.student_t_dof)
-            one = beta.pdf(x, a, b, scale=scale)
+            u = np.clip(x / scale, 0, 1)
+            one = np.exp(xlogy(a - 1, u) + xlog1py(b - 1, -u) - betaln(a, b)) / scale
         density += count / len(innovations.dof) * one
     return density
 

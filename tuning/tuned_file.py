@@ -5,15 +5,17 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import tomli_w
 
 from trackers.core.errors import UnusableInput
 from trackers.recordings.atomic import atomic_write
-from tuning.fitting import FitResult
-from tuning.intervals import Interval
+
+if TYPE_CHECKING:
+    from tuning.fitting import FitResult
+    from tuning.intervals import Interval
 
 COMMENT = "# Written by `trackwright tune`; read by `trackwright track --noise`.\n"
 

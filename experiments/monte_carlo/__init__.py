@@ -1,36 +1,5 @@
 """Monte Carlo studies: worlds × trackers × a parameter grid × runs, and metrics with bootstrap intervals."""
 
-from experiments.monte_carlo.declaration import Condition, Study, TrackerConfig, World
-from experiments.monte_carlo.errors import TrackedRuns
-from experiments.monte_carlo.expectations import (
-    DERIVED,
-    FITTED,
-    PREDICTED,
-    Conclusion,
-    ExpectedResult,
-    Origin,
-    Value,
-    inherited,
-)
-from experiments.monte_carlo.results import Results
-from experiments.monte_carlo.runner import run_study
-from experiments.monte_carlo.sources import load_study
+from trackers.core.on_demand import names_on_demand
 
-__all__ = [
-    "DERIVED",
-    "FITTED",
-    "PREDICTED",
-    "Conclusion",
-    "Condition",
-    "ExpectedResult",
-    "Origin",
-    "Results",
-    "Study",
-    "TrackedRuns",
-    "TrackerConfig",
-    "Value",
-    "World",
-    "inherited",
-    "load_study",
-    "run_study",
-]
+__getattr__, __dir__, __all__ = names_on_demand(__name__, __file__)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tuning.diagnostics import Innovations
-from tuning.surface import Surface
+if TYPE_CHECKING:
+    from tuning.diagnostics import Innovations
+    from tuning.surface import Surface
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,34 @@
+from experiments.monte_carlo.declaration import Condition, Study, TrackerConfig, World
+from experiments.monte_carlo.errors import TrackedRuns
+from experiments.monte_carlo.expectations import (
+    DERIVED,
+    FITTED,
+    PREDICTED,
+    Conclusion,
+    ExpectedResult,
+    Origin,
+    Value,
+    inherited,
+)
+from experiments.monte_carlo.results import Results
+from experiments.monte_carlo.runner import run_study
+from experiments.monte_carlo.sources import load_study
+
+__all__ = [
+    "DERIVED",
+    "FITTED",
+    "PREDICTED",
+    "Conclusion",
+    "Condition",
+    "ExpectedResult",
+    "Origin",
+    "Results",
+    "Study",
+    "TrackedRuns",
+    "TrackerConfig",
+    "Value",
+    "World",
+    "inherited",
+    "load_study",
+    "run_study",
+]
