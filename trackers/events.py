@@ -16,7 +16,7 @@ from trackers.parts.ranges import RANGES
 from trackers.recordings.columns import float_column
 from trackers.recordings.tracker_spec import TrackerBatch, TrackerSpec
 from trackers.recordings.tracks_table import track_keys
-from trackers.recordings.trajectories import Trajectory
+from trackers.recordings.trajectories import Trajectories, Trajectory
 
 EVENTS = "events.parquet"
 """File in the output folder of `trackwright track`."""
@@ -51,10 +51,12 @@ def events_of(tracks: pl.DataFrame, spec: TrackerSpec, batches: Sequence[Tracker
         trajectories = {
             (trajectory.folder.name, trajectory.tag): trajectory
             for batch in batches
+            if spec.on_path or any(f.rig.path_knots is not None for f in Trajectories.of(batch.trajectories).folders)
             for trajectory in batch.trajectories
         }
+        by_track = tracks.partition_by(["recording", "tag"], as_dict=True) if trajectories else {}
         for (recording, tag), trajectory in trajectories.items():
-            rows = tracks.filter((pl.col("recording") == recording) & (pl.col("tag") == tag))
+            rows = by_track[recording, tag]
             table = pl.DataFrame(departures(trajectory, rows), schema=_COLUMNS, orient="row")
             events.append(table.select(pl.lit(recording).alias("recording"), pl.lit(tag).alias("tag"), *_COLUMNS))
     return pl.concat(events, how="diagonal").sort([*keys, "t_s"], maintain_order=True)

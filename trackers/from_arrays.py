@@ -89,9 +89,10 @@ def range_recording(
     values, seen = _masked("ranges", table[:, None], len(times))
     seen &= values > 0.0
     variances = np.zeros(values.shape) if std is None else np.nan_to_num(_like("std", std, table))[:, None] ** 2
-    inputs = range_inputs(np.asarray(times, float), values[:, 0], seen[:, 0], number, anchors, height)
-    readings = {RANGES: Readings(values, seen, variances)}
-    return Recording(times, readings, inputs | _height(times, height), _truth(truth, len(times)), name)
+    readings = Readings(values, seen, variances)
+    ends, heights = np.array([0, len(values)]), np.array([np.nan if height is None else height], float)
+    inputs = range_inputs(ends, np.asarray(times, float), readings, number, anchors, heights)
+    return Recording(times, {RANGES: readings}, inputs | _height(times, height), _truth(truth, len(times)), name)
 
 
 def bearing_recording(

@@ -69,20 +69,23 @@ def score(
 
 def last_of_every(association: Association, every: float) -> np.ndarray:
     """Indices of the scored rows that are the last of their track in an interval of `every` seconds."""
-    kept, times = association.scored, float_column(association.rows, "t_s")
-    for a, b in pairwise(association.starts):
-        kept[a:b] = last_of_intervals(times[a:b], kept[a:b], every)
-    return np.flatnonzero(kept)
+    times, starts = float_column(association.rows, "t_s"), association.starts
+    track = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
+    return np.flatnonzero(last_of_intervals(times, association.scored, every, track))
 
 
-def last_of_intervals(times: np.ndarray, scored: np.ndarray, every: float | None) -> np.ndarray:
-    """The mask (n,) of the scored rows that are the last in an interval of `every` seconds; all of them without one."""
+def last_of_intervals(times: np.ndarray, scored: np.ndarray, every: float | None, track: np.ndarray) -> np.ndarray:
+    """The mask (n,) of the scored rows that are the last of their `track` (n,) in an interval of `every` seconds.
+
+    All of them without `every`.
+    """
     if every is None:
         return scored
     rows, kept = np.flatnonzero(scored), np.zeros_like(scored)
     # 0.3 s belongs to the interval that starts there although 0.3 / 0.1 is 2.9999999999999996.
     interval = np.floor(times[rows] / every + 1e-6)
-    kept[rows[np.append(np.diff(interval) != 0, True)[: len(rows)]]] = True
+    new = (np.diff(interval) != 0) | (np.diff(track[rows]) != 0)
+    kept[rows[np.append(new, True)[: len(rows)]]] = True
     return kept
 
 

@@ -18,7 +18,6 @@ from trackers.recordings.named_tracker import NamedTracker, folder_list
 from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.tracks import batches
 from trackers.recordings.trajectories import Trajectory, segments, with_floor_truth
-from trackers.recordings.truth import truth_by_tag
 from tuning.named_objectives import parse_objective
 from tuning.objectives import AbstractObjective
 
@@ -58,7 +57,7 @@ def fit_data(
 
     Raises UnusableInput for an objective that is not known, or that needs truth where there is none.
     """
-    whole = batch.trajectories
+    whole: Sequence[Trajectory] = batch.trajectories
     quantity = next(iter(whole[0].recording.truth))
     floor = quantity == "direction" or batch.planar
     if quantity == "position" and floor:
@@ -88,9 +87,7 @@ def fit_data(
 
 def _over_the_floor(trajectories: Sequence[Trajectory]) -> list[Trajectory]:
     """The trajectories with true positions over the floor, as `evaluate` judges them, with or without heights."""
-    folders = {id(trajectory.folder): trajectory.folder for trajectory in trajectories}
-    paths = {key: truth_by_tag(folder) for key, folder in folders.items()}
-    return [with_floor_truth(trajectory, paths[id(trajectory.folder)]) for trajectory in trajectories]
+    return [with_floor_truth(trajectory) for trajectory in trajectories]
 
 
 class FitArrays(NamedTuple):

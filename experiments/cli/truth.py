@@ -14,7 +14,7 @@ import tyro
 from experiments.cli.console import notice, read_with_notices
 from experiments.cli.runtime import keep_programs
 from trackers.recordings.folder import RecordingFolder, write_recording
-from trackers.recordings.truth import interpolate_truth, truth_paths
+from trackers.recordings.truth import TruePaths
 
 if TYPE_CHECKING:
     from trackers.line.truth import KnotTimes
@@ -61,10 +61,10 @@ def _compare(folder: RecordingFolder, table: pl.DataFrame) -> None:
     """Notice of the deviation from the recording's own truth, if it has one."""
     if "truth" not in folder.tables:
         return
-    given, fitted = truth_paths(folder.tables["truth"], folder.name), truth_paths(table, folder.name)
-    for tag in sorted(given.keys() & fitted.keys()):
-        times, positions = fitted[tag]
-        known, _ = interpolate_truth(times, *given[tag])
+    fitted = TruePaths.of_table(table, folder.name)
+    for tag in sorted(folder.paths.number.keys() & fitted.number.keys()):
+        times, positions = fitted.of_tag(tag)
+        known, _ = folder.paths.at([tag], np.array([0, len(times)]), times)
         deviation = np.sqrt(((positions - known)[:, :2] ** 2).sum(axis=1))
         if np.isfinite(deviation).any():
             rms = np.sqrt(np.nanmean(deviation**2))

@@ -37,8 +37,10 @@ def bins(errors: np.ndarray) -> np.ndarray:
 
 def histograms(errors: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A sparse (n, BINS) histogram of the errors (n, T) selected by `counts`: flat indices and their counts."""
-    trajectory = np.broadcast_to(np.arange(len(errors))[:, None], errors.shape)
-    return np.unique(trajectory[counts] * BINS + bins(errors[counts]), return_counts=True)
+    first = np.broadcast_to(BINS * np.arange(len(errors))[:, None], errors.shape)
+    cells = np.bincount(first[counts] + bins(errors[counts]), minlength=0)
+    filled = np.flatnonzero(cells)
+    return filled, cells[filled]
 
 
 def quantile(histogram: np.ndarray, share: float) -> np.ndarray:

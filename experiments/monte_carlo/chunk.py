@@ -13,16 +13,15 @@ from experiments.monte_carlo.declaration import WORLD, Condition, Study, Tracker
 from experiments.monte_carlo.errors import TrackedRuns, scored
 from trackers.bounds import bounds_of
 from trackers.core.errors import UnusableInput
-from trackers.core.estimates import Estimates, Status
-from trackers.core.recording import stack
+from trackers.core.estimates import Estimates, Status, is_usable
 from trackers.core.smoother import Smoothed
 from trackers.core.tracker import AbstractTracker, Tracker
 from trackers.core.tunable import tunables, with_values
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.tracks import angles, rounded
-from trackers.recordings.trajectories import Trajectory, known_heights
-from trackers.recordings.truth import TruthPath, TruthStatus, interpolate_truth, truth_by_tag
+from trackers.recordings.trajectories import Trajectories
+from trackers.recordings.truth import TruthStatus
 from trackers.scoring import last_of_intervals
 
 
@@ -126,13 +125,12 @@ def _track(
     batches: list[TrackerBatch], ids: np.ndarray, study: Study, config: TrackerConfig
 ) -> tuple[TrackedRuns, float]:
     """The estimates of all trajectories beside their truth, and the computing time of the trackers, s."""
-    trajectories = [trajectory for batch in batches for trajectory in batch.trajectories]
-    if not trajectories:
+    groups = [Trajectories.of(batch.trajectories) for batch in batches]
+    if not groups:
         raise UnusableInput("the world has no tag to track; expected one for each id")
-    stations = sorted({trajectory.station for trajectory in trajectories})
+    folder, stations = groups[0].folders[0], sorted({station for own in groups for station in own.stations})
     number = {str(k): at for at, k in enumerate(ids)}
-    rows = max(len(trajectory.recording) for trajectory in trajectories)
-    shape = (len(ids), rows, len(stations))
+    shape = (len(ids), max(int(np.diff(own.columns.starts).max()) for own in groups), len(stations))
     width = 2 if stations[0] else 3
     axes = 2 if stations[0] else max(2 if batch.planar else 3 for batch in batches)
     times = np.full(shape[:2], np.nan)
@@ -140,58 +138,70 @@ def _track(
     covariance = np.full((*shape, axes, axes), np.nan)
     known, status = np.zeros(shape, bool), np.full(shape, int(Status.PADDING))
     nis, dof = np.zeros(shape), np.zeros(shape)
-    seconds, paths = 0.0, truth_by_tag(trajectories[0].folder)
-    for batch in batches:
-        padded = rounded(max(len(trajectory.recording) for trajectory in batch.trajectories))
-        stacked = stack([trajectory.recording for trajectory in batch.trajectories], rows=padded, seed=study.seed)
+    seconds = 0.0
+    for batch, own in zip(batches, groups, strict=True):
+        columns = own.columns
+        rows = columns.padded(columns.times)
+        stacked = columns.batch(rounded(rows.shape[1]), seed=study.seed)
         # Padded to whole chunks, so that the bits depend neither on the number of trajectories nor of devices.
         whole = stacked.columns(0, study.chunk * -(-stacked.size // study.chunk))
         began = time.perf_counter()
         found = batch.tracker.run(whole, study.chunk)
         seconds += time.perf_counter() - began
-        for k, trajectory in enumerate(batch.trajectories):
-            one, size = found[k], len(trajectory.recording)
-            at = number[trajectory.tag], slice(0, size), stations.index(trajectory.station)
-            own = one.rows(slice(0, size))
-            at_valid_time = own.valid_times(trajectory.recording.times)
-            position, P = _moments(trajectory, own)
-            times[at[0], :size] = at_valid_time
-            estimates[at], status[at], nis[at], dof[at] = position, own.status, own.nis, own.nis_dof
-            covariance[at][..., : P.shape[-1], : P.shape[-1]] = P
-            truth[at], counts = _truth(trajectory, at_valid_time, paths)
-            last, merged = own.per_time(trajectory.recording.times)
-            scored_rows = counts & np.isfinite(position[:, :2]).all(axis=1)
-            scored_rows[last] &= merged.usable
-            known[at] = last_of_intervals(at_valid_time, scored_rows & last, config.every)
+        found = found[: len(own)].rows(slice(0, rows.shape[1]))
+        tag, station = [number[tag] for tag in own.tags], [stations.index(station) for station in own.stations]
+        at = tag, slice(0, rows.shape[1]), station
+        times[tag, : rows.shape[1]] = found.valid_times(rows)
+        position, P = _moments(own, found)
+        estimates[at], covariance[at + (slice(0, P.shape[-1]),) * 2] = position, P
+        status[at], nis[at], dof[at] = found.status, found.nis, found.nis_dof
+        truth[at], has_truth = _truth(own, found.valid_times(rows))
+        known[at] = _scored_rows(found, rows, has_truth & np.isfinite(position[..., :2]).all(axis=-1), config.every)
     values = (estimates, covariance, truth, known, status, nis, dof)
     if not stations[0]:
         values = tuple(x[:, :, 0] for x in values)  # type: ignore[assignment]
-    return TrackedRuns(times, *values, batches[0].trajectories[0].folder), seconds
+    return TrackedRuns(times, *values, folder), seconds
 
 
-def _moments(trajectory: Trajectory, own: Estimates) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (T, 3) m or angles (T, 2) rad, with the covariance of the estimated axes; NaN where unusable."""
-    usable = own.usable
-    if trajectory.station:
-        found = angles(own)
-        position = np.stack([found["azimuth_rad"], found["elevation_rad"]], axis=-1)
-        deviations = np.stack([found["std_azimuth_rad"], found["std_elevation_rad"]], axis=-1)
-        P = deviations[:, :, None] ** 2 * np.eye(2)
+def _moments(own: Trajectories, found: Estimates) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (n, T, 3) m or angles (n, T, 2) rad, with the covariance of the estimated axes; NaN where unusable."""
+    usable = found.usable
+    if own.stations[0]:
+        angle = angles(found)
+        position = np.stack([angle["azimuth_rad"], angle["elevation_rad"]], axis=-1)
+        deviations = np.stack([angle["std_azimuth_rad"], angle["std_elevation_rad"]], axis=-1)
+        P = deviations[..., None] ** 2 * np.eye(2)
     else:
-        axes = [np.asarray(x, float) for x in own.mean.position]
-        d = len(axes)
-        position = np.stack(axes if d == 3 else [*axes, known_heights(trajectory)], axis=-1)
-        P = own.marginal("position")
-    return np.where(usable[:, None], position, np.nan), np.where(usable[:, None, None], P, np.nan)
+        axes = [np.asarray(x, float) for x in found.mean.position]
+        heights = np.broadcast_to(own.heights[:, None], usable.shape)
+        position = np.stack(axes if len(axes) == 3 else [*axes, heights], axis=-1)
+        P = found.marginal("position")
+    return np.where(usable[..., None], position, np.nan), np.where(usable[..., None, None], P, np.nan)
 
 
-def _truth(trajectory: Trajectory, times: np.ndarray, paths: Mapping[str, TruthPath]) -> tuple[np.ndarray, np.ndarray]:
-    """The truth at `times`, (T, 3) m or (T, 2) rad, and the rows that have one; heights may be missing (NaN)."""
-    if trajectory.station or trajectory.tag not in paths:
-        values, known = next(iter(trajectory.recording.truth.values()))
-        return values, known.copy()
-    position, status = interpolate_truth(times, *paths[trajectory.tag])
-    return position, status == TruthStatus.SCORED
+def _truth(own: Trajectories, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The truth at `times` (n, T), (n, T, 3) m or (n, T, 2) rad, and the rows that have one; heights may be NaN."""
+    columns = own.columns
+    if own.stations[0]:
+        values, known = columns.truth["direction"]
+    else:
+        rows = np.arange(times.shape[1]) < np.diff(columns.starts)[:, None]
+        values, status = own.folders[0].paths.at(own.tags, columns.starts, times[rows])
+        known = status == TruthStatus.SCORED
+    return columns.padded(values), columns.padded(known)
+
+
+def _scored_rows(found: Estimates, rows: np.ndarray, known: np.ndarray, every: float | None) -> np.ndarray:
+    """The rows (n, T) that are scored, of the `known` ones: the last of each time `rows` (n, T) and of `every` seconds.
+
+    A time counts where it has an estimate: see `Estimates.status_per_time`.
+    """
+    last = found.last_rows(rows)
+    usable = np.zeros(last.shape, bool)
+    usable[last] = is_usable(found.status_per_time(last))
+    track = np.broadcast_to(np.arange(len(last))[:, None], last.shape)
+    times = found.valid_times(rows)
+    return last_of_intervals(times.ravel(), (known & usable).ravel(), every, track.ravel()).reshape(last.shape)
 
 
 def _measured(study: Study, name: str, found: Any, n: int) -> np.ndarray:

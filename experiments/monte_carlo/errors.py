@@ -8,7 +8,7 @@ import numpy as np
 
 from experiments.monte_carlo.accumulators import BEARING, COLUMN, KINDS, POSITION, SUMS, histograms
 from trackers.core.estimates import Status
-from trackers.core.metrics import chi_square_quantile, nees
+from trackers.core.metrics import chi_square_quantile, nees_of_leading
 from trackers.recordings.folder import RecordingFolder
 
 
@@ -56,9 +56,7 @@ def scored(tracked: TrackedRuns) -> dict[str, np.ndarray]:
         arrays[f"cells {kind}"], arrays[f"counts {kind}"] = histograms(size, valid)
     d = tracked.covariance.shape[-1]
     covariance = tracked.covariance.reshape(n, counts.shape[1], d, d)
-    _add_nees(sums, error, covariance, counts, 2, "")
-    if d == 3:
-        _add_nees(sums, error, covariance, counts, 3, "_3d")
+    _add_nees(sums, error[..., :d], covariance, counts)
     status = tracked.status.reshape(n, -1)
     rows = status != Status.PADDING
     nis, dof = tracked.nis.reshape(n, -1).astype(float), tracked.dof.reshape(n, -1).astype(float)
@@ -100,14 +98,14 @@ def _direction(angles: np.ndarray) -> np.ndarray:
     return np.stack([np.sin(azimuth) * flat, np.sin(elevation), np.cos(azimuth) * flat], axis=-1)
 
 
-def _add_nees(
-    sums: np.ndarray, error: np.ndarray, covariance: np.ndarray, counts: np.ndarray, d: int, suffix: str
-) -> None:
-    """Add the NEES of the first d axes to `sums`; for d = 2 also the number of errors inside the 95 % ellipse."""
-    values = np.full(counts.shape, np.nan)
-    values[counts] = nees(error[counts][:, :d], covariance[counts][:, :d, :d])
-    finite = np.isfinite(values)
-    sums[:, COLUMN[f"nees{suffix}"]] = np.where(finite, values, 0.0).sum(axis=1)
-    sums[:, COLUMN[f"nees{suffix} n"]] = finite.sum(axis=1)
-    if d == 2:
-        sums[:, COLUMN["inside"]] = (finite & (values <= chi_square_quantile(0.95, d))).sum(axis=1)
+def _add_nees(sums: np.ndarray, error: np.ndarray, covariance: np.ndarray, counts: np.ndarray) -> None:
+    """Add the NEES of two axes, and of three, to `sums`; of two also the number of errors inside the 95 % ellipse."""
+    of_leading = nees_of_leading(error[counts], covariance[counts])
+    for axes, suffix in enumerate(("", "_3d")[: len(of_leading) - 1], start=2):
+        values = np.full(counts.shape, np.nan)
+        values[counts] = of_leading[axes - 1]
+        finite = np.isfinite(values)
+        sums[:, COLUMN[f"nees{suffix}"]] = np.where(finite, values, 0.0).sum(axis=1)
+        sums[:, COLUMN[f"nees{suffix} n"]] = finite.sum(axis=1)
+        if axes == 2:
+            sums[:, COLUMN["inside"]] = (finite & (values <= chi_square_quantile(0.95, axes))).sum(axis=1)

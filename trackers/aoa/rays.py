@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.core.algebra import Scalar
+from trackers.core.sorted_parts import first_not_before
 
 MIN_INFORMATION = 0.02
 """Smallest eigenvalue of the information matrix, per ray (0 … ⅔), with which a point is determined."""
@@ -51,29 +52,67 @@ def recent_points(
     `times` (T,) s, sorted; `origins` (T, 3) m and `axes` (T, 9): of each row's station; `angles` (T, 2) rad and
     `seen` (T,). With a known `height`, m, one ray can be enough; without, two directions are needed.
     """
+    heights = np.array([np.nan if height is None else height], float)
+    return recent_points_of_each(np.array([0, len(times)]), times, origins, axes, angles, seen, heights, window)
+
+
+def recent_points_of_each(
+    starts: np.ndarray,
+    times: np.ndarray,
+    origins: np.ndarray,
+    axes: np.ndarray,
+    angles: np.ndarray,
+    seen: np.ndarray,
+    heights: np.ndarray,
+    window: float = 1.0,
+) -> np.ndarray:
+    """As `recent_points`, for the rows of n tags one after another: those of tag k are `starts[k]` … `starts[k + 1]` − 1.
+
+    `heights` (n,) m: NaN where unknown.
+    """
     azimuth, elevation = angles.T
     u = np.stack([np.sin(azimuth) * np.cos(elevation), np.sin(elevation), np.cos(azimuth) * np.cos(elevation)], axis=1)
     direction = np.einsum("tk,tki->ti", u, axes.reshape(-1, 3, 3))
     projection = np.where(seen[:, None, None], np.eye(3) - direction[:, :, None] * direction[:, None, :], 0.0)
-    # Sums over a sliding window are differences of cumulative sums.
-    first = np.searchsorted(times, times - window)
+    lengths = np.diff(starts)
+    begin = np.repeat(starts[:-1], lengths)
+    first = first_not_before(times, begin, np.arange(len(times)), times - window)
     information, sums, counts = (
-        _windowed(x, first) for x in (projection, np.einsum("tij,tj->ti", projection, origins), seen.astype(float))
+        _windowed(x, starts, first)
+        for x in (projection, np.einsum("tij,tj->ti", projection, origins), seen.astype(float))
     )
-    n = 3 if height is None else 2
+    found, own_heights = np.zeros((len(times), 4)), np.repeat(heights, lengths)
+    for known in (True, False):
+        rows = np.flatnonzero(np.isfinite(own_heights) == known)
+        if len(rows):
+            parts = (information[rows], sums[rows], counts[rows])
+            found[rows] = _nearest_points(*parts, own_heights[rows] if known else None)
+    return found
+
+
+def _nearest_points(
+    information: np.ndarray, sums: np.ndarray, counts: np.ndarray, height: np.ndarray | None
+) -> np.ndarray:
+    """Points (n, 3), m, and whether they are determined, from sums of projections over rays; `height` (n,) m."""
+    size = 3 if height is None else 2
     if height is not None:
-        sums = sums[:, :2] - information[:, :2, 2] * height
-    information = information[:, :n, :n]
+        sums = sums[:, :2] - information[:, :2, 2] * height[:, None]
+    information = information[:, :size, :size]
     smallest = np.linalg.eigvalsh(information)[:, 0] / np.maximum(counts, 1.0)
     determined = smallest > MIN_INFORMATION
-    safe = np.where(determined[:, None, None], information, np.eye(n))
-    points = np.linalg.solve(safe, sums[:, :n, None])[:, :, 0]
+    safe = np.where(determined[:, None, None], information, np.eye(size))
+    points = np.linalg.solve(safe, sums[:, :size, None])[:, :, 0]
     if height is not None:
-        points = np.concatenate([points, np.full((len(points), 1), height)], axis=1)
+        points = np.concatenate([points, height[:, None]], axis=1)
     return np.concatenate([np.where(determined[:, None], points, 0.0), determined[:, None]], axis=1)
 
 
-def _windowed(values: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """The sum of the rows first[t] … t."""
-    total = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
-    return total[1:] - total[first]
+def _windowed(values: np.ndarray, starts: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """The sum of the rows first[t] … t of the same tag, as a difference of cumulative sums over the tag's rows."""
+    lengths = np.diff(starts)
+    tag = np.repeat(np.arange(len(lengths)), lengths)
+    row = np.arange(len(values)) - starts[:-1][tag]
+    total = np.zeros((len(lengths), int(lengths.max()) + 1, *values.shape[1:]))
+    total[tag, row + 1] = values
+    np.cumsum(total, axis=1, out=total)
+    return total[tag, row + 1] - total[tag, first - starts[:-1][tag]]

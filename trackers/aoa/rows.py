@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterable
 from functools import partial
 
 import numpy as np
@@ -12,15 +12,14 @@ from trackers.aoa.cascade import cascade_tracker
 from trackers.aoa.das import DelayAndSum
 from trackers.aoa.direct import direct_tracker
 from trackers.aoa.fusion import BEARINGS, bearing_inputs, bearing_tracker
-from trackers.aoa.rays import recent_points
+from trackers.aoa.rays import recent_points_of_each
 from trackers.core.recording import Readings
 from trackers.core.rig import Station
 from trackers.core.tracker import AbstractTracker
-from trackers.recordings.columns import by_tag, float_column, values_of
+from trackers.recordings.columns import TagRows
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerSpec, on_request
-from trackers.recordings.trajectories import Trajectory, known_height, trajectory_of
-from trackers.recordings.truth import truth_by_tag
+from trackers.recordings.trajectories import Trajectories, Trajectory, known_height, known_heights, trajectories_of
 
 PHASES = "phases"
 
@@ -28,49 +27,75 @@ IN_PLANE = 0.5
 """Largest difference of height, m, between a flat array and a tag that counts as in the array's plane."""
 
 
-def bearing_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
+def bearing_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:
     """Each tag's bearings, one row per table row; inputs `origin`, `axes` of the row's station, and `nearby`."""
-    stations = folder.rig.stations
-    geometry = {name: bearing_inputs(s) for name, s in stations.items()}
-    paths = truth_by_tag(folder)
-    for tag, table in by_tag(folder.tables["bearings"]):
-        values, seen = values_of(table, ["azimuth_rad", "elevation_rad"])
-        # Zeros where no standard deviations are reported, so that trajectories with and without them share a batch.
-        std = np.nan_to_num(np.stack([float_column(table, f"{a}_std_rad") for a in ("azimuth", "elevation")], axis=1))
-        reported = np.stack([std[:, 0] ** 2, np.zeros(len(std)), std[:, 1] ** 2], axis=1)
-        geometries = np.stack([geometry[s] for s in table["station"].to_list()])
-        times, height = table["t_s"].to_numpy(), None if free_height else known_height(folder, tag)
-        origin, axes = geometries[:, :3], geometries[:, 3:]
-        nearby = recent_points(times, origin, axes, values, np.asarray(seen.all(axis=1)), height)
-        inputs = {"origin": origin, "axes": axes, "nearby": nearby}
-        readings = {BEARINGS: Readings(values, seen, reported)}
-        yield trajectory_of(folder, tag, "", times, readings, inputs, paths)
+    rows, stations = folder.rows("bearings"), folder.rig.stations
+    values, seen = rows.values(["azimuth_rad", "elevation_rad"])
+    # Zeros where no standard deviations are reported, so that trajectories with and without them share a batch.
+    variances = rows.variances(["azimuth_std_rad", "elevation_std_rad"])
+    reported = np.stack([variances[:, 0], np.zeros(len(values)), variances[:, 1]], axis=1)
+    geometries = np.stack([bearing_inputs(s) for s in stations.values()])[rows.codes("station", list(stations))]
+    heights = np.full(len(rows.tags), np.nan) if free_height else known_heights(folder, rows.tags)
+    origin, axes = geometries[:, :3], geometries[:, 3:]
+    nearby = recent_points_of_each(rows.starts, rows.times, origin, axes, values, seen.all(axis=1), heights)
+    inputs = {"origin": origin, "axes": axes, "nearby": nearby}
+    readings = {BEARINGS: Readings(values, seen, reported)}
+    return trajectories_of(folder, rows.tags, rows.starts, rows.times, readings, inputs)
 
 
-def phase_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
+def phase_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:
     """Each tag's phases at all stations, readings by the stations' ids; one row per time."""
-    stations = {name: s for name, s in folder.rig.stations.items() if s.antennas is not None}
-    paths = truth_by_tag(folder)
-    for tag, table in by_tag(folder.tables["phases"]):
-        times, row = _rows(table["t_s"].to_numpy(), table["station"].to_numpy())
-        readings = {}
-        for name, station in stations.items():
-            here = (table["station"] == name).to_numpy()
-            values, seen = values_of(table.filter(here), _phase_columns(station))
-            all_values, mask = np.zeros((len(times), values.shape[1])), np.zeros((len(times), values.shape[1]), bool)
-            all_values[row[here]], mask[row[here]] = values, seen
-            readings[name] = Readings(all_values, mask)
-        yield trajectory_of(folder, tag, "", times, readings, {}, paths)
+    rows = folder.rows("phases")
+    names = list(folder.rig.stations)
+    station = rows.codes("station", names)
+    row, starts, times = _shared_rows(rows, station)
+    found, mask = rows.values(_phase_columns(max(folder.rig.stations.values(), key=_antennas)))
+    readings = {}
+    for name, own in folder.rig.stations.items():
+        if own.antennas is None:
+            continue
+        here, shape = np.flatnonzero(station == names.index(name)), (len(times), len(own.antennas))
+        values, seen = np.zeros(shape), np.zeros(shape, bool)
+        values[row[here]], seen[row[here]] = found[here, : shape[1]], mask[here, : shape[1]]
+        readings[name] = Readings(values, seen)
+    return trajectories_of(folder, rows.tags, starts, times, readings, {})
 
 
-def beam_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
+def beam_trajectories(folder: RecordingFolder, free_height: bool) -> Iterable[Trajectory]:
     """Each pair of a tag and a station: the tag's phases there, readings `phases`, one row per table row."""
-    paths = truth_by_tag(folder)
-    for tag, table in by_tag(folder.tables["phases"]):
-        for (name,), part in table.group_by(["station"], maintain_order=True):
-            values, seen = values_of(part, _phase_columns(folder.rig.stations[str(name)]))
-            readings = {PHASES: Readings(values, seen)}
-            yield trajectory_of(folder, tag, str(name), part["t_s"].to_numpy(), readings, {}, paths)
+    rows = folder.rows("phases")
+    names = list(folder.rig.stations)
+    pair = rows.of_each(np.arange(len(rows.tags))) * len(names) + rows.codes("station", names)
+    # Pairs by tag, and of a tag in the order in which its stations first appear.
+    pairs, first, which = np.unique(pair, return_index=True, return_inverse=True)
+    by_appearance = np.argsort(first)
+    rank = np.empty(len(pairs), int)
+    rank[by_appearance] = np.arange(len(pairs))
+    order = np.argsort(rank[which], kind="stable")
+    starts = np.concatenate([[0], np.cumsum(np.bincount(rank[which], minlength=len(pairs)))])
+    tag, station = np.divmod(pairs[by_appearance], len(names))
+    values, seen = rows.values(_phase_columns(max(folder.rig.stations.values(), key=_antennas)))
+    readings = {PHASES: Readings(values[order], seen[order])}
+    tags, stations = [rows.tags[k] for k in tag], [names[k] for k in station]
+    every = trajectories_of(folder, tags, starts, rows.times[order], readings, {}, stations)
+    sizes = np.array([_antennas(s) for s in folder.rig.stations.values()])[station]
+    return every if len(set(sizes.tolist())) <= 1 else _of_several_sizes(every, sizes)
+
+
+def _of_several_sizes(trajectories: Trajectories, sizes: np.ndarray) -> list[Trajectory]:
+    """The trajectories with as many channels as their stations have antennas, `sizes` (n,)."""
+    found: dict[int, Trajectory] = {}
+    for size in set(sizes.tolist()):
+        numbers = np.flatnonzero(sizes == size)
+        part = trajectories.chosen(numbers)
+        phases = part.columns.readings[PHASES]
+        cut = part.replaced({PHASES: Readings(phases.values[:, :size], phases.seen[:, :size])})
+        found |= dict(zip(numbers.tolist(), cut, strict=True))
+    return [found[number] for number in range(len(sizes))]
+
+
+def _antennas(station: Station) -> int:
+    return 0 if station.antennas is None else len(station.antennas)
 
 
 def _phase_columns(station: Station) -> list[str]:
@@ -78,15 +103,27 @@ def _phase_columns(station: Station) -> list[str]:
     return [f"phase_{k + 1}_rad" for k in range(len(station.antennas))]
 
 
-def _rows(times: np.ndarray, stations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """One row per time, and one more for each repeat of a station at that time: times, and the row of each entry."""
-    order = np.lexsort((np.arange(len(times)), stations, times))
-    repeat = np.zeros(len(times), int)
-    same = (np.diff(times[order]) == 0) & (stations[order][1:] == stations[order][:-1])
-    for k in np.flatnonzero(same):
-        repeat[order[k + 1]] = repeat[order[k]] + 1
-    keys, row = np.unique(np.stack([times, repeat], axis=1), axis=0, return_inverse=True)
-    return keys[:, 0], row.ravel()
+def _shared_rows(rows: TagRows, station: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """One row per tag and time, and one more for each repeat of a station (N,) there: the row of each entry (N,).
+
+    Also the first row of each tag, then their number, and the times of the rows.
+    """
+    new = np.append(True, np.diff(rows.times) != 0)
+    new[rows.starts[:-1]] = True
+    group = np.cumsum(new) - 1
+    repeat = np.zeros(len(group), int)
+    if not (np.diff(station)[~new[1:]] > 0).all():
+        order = np.lexsort((station, group))
+        same = np.append(False, (np.diff(group[order]) == 0) & (np.diff(station[order]) == 0))
+        run = np.arange(len(order))
+        repeat[order] = run - np.maximum.accumulate(np.where(same, 0, run))
+    most = int(repeat.max(initial=0)) + 1
+    if most == 1:
+        keys, first, row = np.arange(group[-1] + 1), np.flatnonzero(new), group
+    else:
+        keys, first, row = np.unique(group * most + repeat, return_index=True, return_inverse=True)
+    starts = np.append(np.searchsorted(keys, group[rows.starts[:-1]] * most), len(keys))
+    return row, starts, rows.times[first]
 
 
 def stations_of(table: str, least: int) -> Callable[[RecordingFolder], str | None]:
@@ -95,7 +132,7 @@ def stations_of(table: str, least: int) -> Callable[[RecordingFolder], str | Non
     def lacks(folder: RecordingFolder) -> str | None:
         if table not in folder.tables:
             return f"a {table} table with at least {least} station(s), found no such table"
-        found = folder.tables[table]["station"].n_unique()
+        found = len(np.unique(folder.rows(table).codes("station", list(folder.rig.stations))))
         return None if found >= least else f"a {table} table with at least {least} station(s), found {found} station(s)"
 
     return lacks

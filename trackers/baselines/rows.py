@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator
-from dataclasses import replace
+from collections.abc import Hashable
 from functools import partial
 
 import numpy as np
@@ -18,7 +17,7 @@ from trackers.parts.fixes import FIXES
 from trackers.parts.walls import Walls
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerSpec, on_request
-from trackers.recordings.trajectories import Trajectory
+from trackers.recordings.trajectories import Trajectories, Trajectory
 
 COPLANAR = 0.5
 """Largest difference between the heights of anchors that count as coplanar, m."""
@@ -27,21 +26,18 @@ WINDOW = 9
 """Rows of the moving windows, as in the paper's median (Huang et al. 2018, section 4)."""
 
 
-def mirror_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
+def mirror_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:
     """Each tag's fixes for `MirrorSensor`: x, y, the distance of z from the anchors' plane, and 0 for the floor.
 
     Inputs: `plane`, its height, m, and `fix_z`, the z of the row's fix, m.
     """
     plane = float(np.mean([p[2] for p in folder.rig.anchors.values()]))
-    for trajectory in fix_trajectories(folder, free_height=True):
-        recording = trajectory.recording
-        fixes = recording.readings[FIXES]
-        assert fixes.reported is not None
-        values = np.column_stack([fixes.values[:, :2], np.abs(fixes.values[:, 2] - plane), np.zeros(len(recording))])
-        readings = {FIXES: Readings(values, fixes.seen[:, [0, 1, 2, 2]], fixes.reported)}
-        fix_z = np.where(fixes.seen[:, 2], fixes.values[:, 2], plane)
-        inputs = {**recording.inputs, "plane": np.full(len(recording), plane), "fix_z": fix_z}
-        yield replace(trajectory, recording=replace(recording, readings=readings, inputs=inputs))
+    trajectories = fix_trajectories(folder, free_height=True)
+    fixes = trajectories.columns.readings[FIXES]
+    values = np.column_stack([fixes.values[:, :2], np.abs(fixes.values[:, 2] - plane), np.zeros(len(fixes.values))])
+    readings = {FIXES: Readings(values, fixes.seen[:, [0, 1, 2, 2]], fixes.reported)}
+    fix_z = np.where(fixes.seen[:, 2], fixes.values[:, 2], plane)
+    return trajectories.replaced(readings, {"plane": np.full(len(fix_z), plane), "fix_z": fix_z})
 
 
 def lacks_coplanar_anchors(folder: RecordingFolder) -> str | None:
@@ -53,14 +49,12 @@ def lacks_coplanar_anchors(folder: RecordingFolder) -> str | None:
     return lacks_fixes(folder)
 
 
-def floor_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
+def floor_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:
     """Each tag's fixes with z masked, one row per table row; raises UnusableInput without a valid floor plan."""
     walls_of(folder)
-    for trajectory in fix_trajectories(folder, free_height):
-        recording = trajectory.recording
-        fixes = recording.readings[FIXES]
-        readings = {FIXES: Readings(fixes.values, fixes.seen & [True, True, False], fixes.reported)}
-        yield replace(trajectory, recording=replace(recording, readings=readings))
+    trajectories = fix_trajectories(folder, free_height)
+    fixes = trajectories.columns.readings[FIXES]
+    return trajectories.replaced({FIXES: Readings(fixes.values, fixes.seen & [True, True, False], fixes.reported)})
 
 
 def walls_of(folder: RecordingFolder) -> Walls:

@@ -45,6 +45,11 @@ STEP_COLUMNS = ("nis", "nis_dof", "log_likelihood")
 """Columns of tables of estimates: attributes of `Estimates`, summed over the rows of a time."""
 
 
+def is_usable(status: Int[np.ndarray, "*rows"]) -> Bool[np.ndarray, "*rows"]:
+    """Which `Status` codes are those of rows with an estimate: neither padding, waiting nor non-finite."""
+    return (status == Status.OK) | (status == Status.RESTARTED) | (status == Status.LOST)
+
+
 @dataclass(frozen=True, repr=False)
 class Estimates:
     """The estimates of one recording (arrays start with T) or of several (with B, T).
@@ -92,7 +97,7 @@ class Estimates:
     @property
     def usable(self) -> Bool[np.ndarray, "*rows"]:
         """Rows with an estimate: neither padding, waiting nor non-finite."""
-        return ~np.isin(self.status, (Status.PADDING, Status.WAITING, Status.NON_FINITE))
+        return is_usable(self.status)
 
     def valid_times(self, times: Float[np.ndarray, "*rows"]) -> Float[np.ndarray, "*rows"]:
         """The times for which the estimates of rows at `times`, s, are valid."""
@@ -161,26 +166,14 @@ class Estimates:
         the last, else that of the last row. `times` (…, T): of the rows, not of validity; by default the estimates'
         own.
         """
-        if times is None:
-            if self.times is None:
-                raise ValueError("these estimates have no times: a Batch was run; run the recordings themselves")
-            times = self.times if self.age is None else self.times + self.age
+        last = self.last_rows(times)
         rows = self.status != Status.PADDING
-        ends = np.ones_like(rows)
-        # (t − age) + age is t up to rounding.
-        ends[..., :-1] = (np.diff(times) > 2 * np.spacing(np.abs(times[..., 1:]))) | ~rows[..., 1:]
-        last = rows & ends
         first = np.flatnonzero(np.append(True, last[rows])[:-1])
         counted = np.isfinite(self.nis)
 
         def summed(values: np.ndarray) -> np.ndarray:
             return np.add.reduceat(values[rows].astype(float), first)
 
-        def occurs(status: Status) -> np.ndarray:
-            return np.logical_or.reduceat(self.status[rows] == status, first)
-
-        status = self.status[last]
-        status = np.where((status == Status.OK) & occurs(Status.RESTARTED), Status.RESTARTED, status)
         merged = replace(
             self,
             mean=jax.tree_util.tree_map(lambda x: np.asarray(x)[last], self.mean),
@@ -189,11 +182,36 @@ class Estimates:
             nis=summed(np.where(counted, self.nis, 0.0)),
             nis_dof=summed(np.where(counted, self.nis_dof, 0.0)),
             wrapped=summed(self.wrapped),
-            status=np.where(occurs(Status.NON_FINITE), Status.NON_FINITE, status).astype(np.int8),
+            status=self.status_per_time(last),
             times=None if self.times is None else self.times[last],
             age=None if self.age is None else self.age[last],
         )
         return last, merged
+
+    def last_rows(self, times: np.ndarray | None = None) -> Bool[np.ndarray, "*rows"]:
+        """The mask (…, T) of the last row of each time; `times` as of `per_time`."""
+        if times is None:
+            if self.times is None:
+                raise ValueError("these estimates have no times: a Batch was run; run the recordings themselves")
+            times = self.times if self.age is None else self.times + self.age
+        rows = self.status != Status.PADDING
+        ends = np.ones_like(rows)
+        # (t − age) + age is t up to rounding.
+        ends[..., :-1] = (np.diff(times) > 2 * np.spacing(np.abs(times[..., 1:]))) | ~rows[..., 1:]
+        return rows & ends
+
+    def status_per_time(self, last: Bool[np.ndarray, "*rows"]) -> Int[np.ndarray, " N"]:
+        """The status (N,) of each time, whose `last` row (…, T) `last_rows` gives; see `per_time`."""
+        rows, status = self.status != Status.PADDING, self.status[last]
+        if np.array_equal(rows, last):
+            return status
+        first = np.flatnonzero(np.append(True, last[rows])[:-1])
+
+        def occurs(status: Status) -> np.ndarray:
+            return np.logical_or.reduceat(self.status[rows] == status, first)
+
+        status = np.where((status == Status.OK) & occurs(Status.RESTARTED), Status.RESTARTED, status)
+        return np.where(occurs(Status.NON_FINITE), Status.NON_FINITE, status).astype(np.int8)
 
     def to_polars(self) -> pl.DataFrame:
         """A table with one row per time: recording, `t_s`, the state, its standard deviations, NIS and status.

@@ -72,20 +72,25 @@ def percentiles(errors: Errors, percents: tuple[float, ...]) -> list[float]:
 
 
 def nees(errors: Errors, covs: Covariances) -> Float[np.ndarray, " N"]:
-    """NEES eᵀP⁻¹e of each row; NaN where P is not positive definite.
+    """NEES eᵀP⁻¹e of each row; NaN where P is not positive definite."""
+    return nees_of_leading(errors, covs)[-1]
+
+
+def nees_of_leading(errors: Errors, covs: Covariances) -> Float[np.ndarray, "d N"]:
+    """NEES of the first axis, of the first two, … and of all d; NaN where their part of P is not positive definite.
 
     By elimination over the d columns for all rows at once, so that a singular P affects its own row alone.
     """
     # Rows last in memory: each step below runs along one long vector.
     remainder, P = np.array(errors.T, float, order="C"), np.array(np.moveaxis(covs, 0, -1), float, order="C")
-    value = np.zeros(remainder.shape[1])
+    values = np.zeros(remainder.shape)
     for j in range(len(remainder)):
         pivot = np.where(P[j, j] > 0, P[j, j], math.nan)
-        value += remainder[j] ** 2 / pivot
+        values[j:] += remainder[j] ** 2 / pivot
         gain = P[j + 1 :, j] / pivot
         remainder[j + 1 :] -= gain * remainder[j]
         P[j + 1 :, j + 1 :] -= gain[:, None] * P[j, j + 1 :]
-    return value
+    return values
 
 
 def consistency(

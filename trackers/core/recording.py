@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 from trackers.core.algebra import Scalar
 from trackers.core.inputs import AnyArray, Inputs
 from trackers.core.keys import trajectory_key_data
+from trackers.core.row_checks import check_rows
 from trackers.core.sensor import Reading
 
 
@@ -36,6 +37,11 @@ class Readings:
     def __post_init__(self) -> None:
         for name in ("values", "seen") if self.reported is None else ("values", "seen", "reported"):
             object.__setattr__(self, name, _read_only(getattr(self, name)))
+
+
+def _reported(readings: Readings) -> np.ndarray:
+    """The reported noise columns (T, k), k = 0 for none."""
+    return np.zeros((len(readings.values), 0)) if readings.reported is None else readings.reported
 
 
 def _read_only(array: ArrayLike) -> np.ndarray:
@@ -65,58 +71,11 @@ class Recording:
 
     def __post_init__(self) -> None:
         times = np.asarray(self.times, np.float64)
-        if times.ndim != 1 or len(times) == 0:
-            raise ValueError(f"{self.name}: times have shape {times.shape}, expected (T,) with at least one row")
-        if not np.all(np.isfinite(times)):
-            raise ValueError(f"{self.name}: times[{int(np.argmin(np.isfinite(times)))}] is not finite")
-        if np.any(np.diff(times) < 0):
-            row = int(np.argmax(np.diff(times) < 0)) + 1
-            raise ValueError(
-                f"{self.name}: times[{row}] = {times[row]} s comes before the row above; sort the rows first"
-            )
-        for name, readings in self.readings.items():
-            self._check(name, readings)
-        for name, values in self.inputs.items():
-            self._check_rows(f"inputs['{name}']", values)
-        for name, (values, known) in self.truth.items():
-            self._check_rows(f"truth['{name}']", values)
-            self._check_rows(f"truth['{name}'], where it is known,", known)
+        check_rows(self.name, times, self.readings, self.inputs, self.truth)
         object.__setattr__(self, "times", _read_only(times))
         object.__setattr__(self, "inputs", {name: _read_only(x) for name, x in self.inputs.items()})
         truth = {name: (_read_only(values), _read_only(known)) for name, (values, known) in self.truth.items()}
         object.__setattr__(self, "truth", truth)
-
-    def _check_rows(self, what: str, array: np.ndarray) -> None:
-        array = np.asarray(array)
-        rows = len(array) if array.ndim else 0
-        if rows != len(self.times):
-            raise ValueError(f"{self.name}: {what} has {rows} rows, expected {len(self.times)}, one for each time")
-        bad = ~np.isfinite(array)
-        if bad.any():
-            row = np.argwhere(bad)[0][0]
-            raise ValueError(f"{self.name}: {what} row {row} is not finite; mark what is missing by a mask")
-
-    def _check(self, name: str, readings: Readings) -> None:
-        values, seen = np.asarray(readings.values), np.asarray(readings.seen)
-        rows = len(self.times)
-        if values.ndim != 2 or len(values) != rows or seen.shape != values.shape:
-            raise ValueError(
-                f"{self.name}: readings['{name}'] has values {values.shape} and seen {seen.shape}, "
-                f"expected ({rows}, channels) both"
-            )
-        extra = () if readings.reported is None else (readings.reported,)
-        if readings.reported is not None and len(readings.reported) != rows:
-            raise ValueError(
-                f"{self.name}: readings['{name}'].reported has {len(readings.reported)} rows, expected {rows}"
-            )
-        for array in (values, *extra):
-            bad = ~np.isfinite(array)
-            if bad.any():
-                row, channel = np.argwhere(bad)[0]
-                raise ValueError(
-                    f"{self.name}: readings['{name}'] row {row}, channel {channel} is not finite; "
-                    "for a missing value store 0 and set seen to False"
-                )
 
     def __len__(self) -> int:
         return len(self.times)
@@ -177,6 +136,153 @@ class Row(NamedTuple):
     number: Scalar
 
 
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """The rows of n recordings of the same sensors, inputs and truths as columns, one recording after another.
+
+    `starts` (n + 1,): the first of the N rows of each recording, then N. `times` (N,) s, `readings`, `inputs` and
+    `truth`: those of a `Recording`, with N rows. `names` and `ids` (n,). Raises ValueError as `Recording` does.
+    """
+
+    starts: np.ndarray
+    times: np.ndarray
+    readings: Mapping[str, Readings]
+    inputs: Mapping[str, np.ndarray]
+    truth: Mapping[str, tuple[np.ndarray, np.ndarray]]
+    names: Sequence[str]
+    ids: Sequence[int | None]
+
+    def __post_init__(self) -> None:
+        numbers = [self.times, *self.inputs.values(), *(x for pair in self.truth.values() for x in pair)]
+        numbers += [x for r in self.readings.values() for x in (r.values, r.reported) if x is not None]
+        sorted_times = np.diff(self.times) >= 0
+        sorted_times[self.starts[1:-1] - 1] = True
+        if not (sorted_times.all() and all(np.isfinite(x).all() for x in numbers) and np.diff(self.starts).all()):
+            for k in range(len(self)):
+                # The first unsuitable recording is refused with its name and row.
+                self.recording(k)
+
+    @classmethod
+    def of(cls, recordings: Sequence[Recording]) -> Columns:
+        """The rows of recordings; raises ValueError where these differ in the names or shapes of their arrays."""
+        starts = np.cumsum([0, *(len(r) for r in recordings)])
+        return cls(
+            starts,
+            *_joined_rows(recordings, [r.name for r in recordings]),
+            [r.name for r in recordings],
+            [r.id for r in recordings],
+        )
+
+    @classmethod
+    def joined(cls, parts: Sequence[Columns]) -> Columns:
+        """The recordings of all parts; raises ValueError where these differ in the names or shapes of their arrays."""
+        starts = np.cumsum([0, *(n for part in parts for n in np.diff(part.starts))])
+        names, ids = [x for part in parts for x in part.names], [x for part in parts for x in part.ids]
+        return cls(starts, *_joined_rows(parts, [part.names[0] for part in parts]), names, ids)
+
+    def chosen(self, numbers: np.ndarray) -> Columns:
+        """The recordings with these numbers, in their order."""
+        first, lengths = self.starts[:-1][numbers], np.diff(self.starts)[numbers]
+        starts = np.concatenate([[0], np.cumsum(lengths)])
+        rows = np.arange(starts[-1]) + np.repeat(first - starts[:-1], lengths)
+        readings = {k: Readings(r.values[rows], r.seen[rows], _reported(r)[rows]) for k, r in self.readings.items()}
+        truth = {name: (values[rows], known[rows]) for name, (values, known) in self.truth.items()}
+        inputs = {name: x[rows] for name, x in self.inputs.items()}
+        names, ids = [self.names[k] for k in numbers], [self.ids[k] for k in numbers]
+        return Columns(starts, self.times[rows], readings, inputs, truth, names, ids)
+
+    def __len__(self) -> int:
+        return len(self.starts) - 1
+
+    def of_each(self, values: np.ndarray) -> np.ndarray:
+        """A number of every recording (n, …), repeated in each of its rows (N, …)."""
+        return np.repeat(values, np.diff(self.starts), axis=0)
+
+    def padded(self, rows: np.ndarray, width: int | None = None) -> np.ndarray:
+        """The values of all rows (N, …) by recording (n, width, …), NaN or zero beyond its end; by default the longest."""
+        lengths = np.diff(self.starts)
+        width = width or int(lengths.max())
+        if (lengths == width).all():
+            return rows.reshape(len(self), width, *rows.shape[1:])
+        found = np.full((len(self), width, *rows.shape[1:]), np.nan if rows.dtype.kind == "f" else 0, rows.dtype)
+        found[np.arange(width) < lengths[:, None]] = rows
+        return found
+
+    def recording(self, number: int) -> Recording:
+        """One of the recordings; its arrays are views of the columns."""
+        part = slice(self.starts[number], self.starts[number + 1])
+        readings = {k: Readings(r.values[part], r.seen[part], _reported(r)[part]) for k, r in self.readings.items()}
+        inputs = {name: x[part] for name, x in self.inputs.items()}
+        truth = {name: (values[part], known[part]) for name, (values, known) in self.truth.items()}
+        return Recording(self.times[part], readings, inputs, truth, self.names[number], self.ids[number])
+
+    def batch(self, rows: int | None = None, dtype: DTypeLike | None = None, seed: int = 0) -> Batch:
+        """The recordings as one batch; arguments as of `stack`."""
+        dtype, lengths, size = dtype or jnp.zeros(0).dtype, np.diff(self.starts), len(self)
+        longest = int(lengths.max())
+        rows = rows or longest
+        if rows < longest:
+            raise ValueError(f"rows = {rows} is less than the longest recording's {longest}")
+        first, equally_long = self.starts[:-1], bool(lengths.min() == longest)
+        place = (
+            None if equally_long else np.arange(len(self.times)) + np.repeat(np.arange(size) * longest - first, lengths)
+        )
+
+        def pile(array: np.ndarray, kind: DTypeLike) -> Shaped[np.ndarray, "rows *shape B"]:
+            shape = np.shape(array)[1:]
+            if not equally_long:
+                padded = np.zeros((size * longest, *shape), kind)
+                padded[place] = array
+                array = padded
+            out = np.zeros((rows, *shape, size), kind)
+            out[:longest] = np.moveaxis(np.reshape(array, (size, longest, *shape)), 0, -1)
+            return out
+
+        dt = np.diff(self.times, prepend=self.times[:1])
+        dt[first] = 0.0
+        return Batch(
+            dt=pile(dt, dtype),
+            valid=np.arange(rows)[:, None] < lengths,
+            readings={
+                name: Reading(pile(r.values, dtype), pile(r.seen, bool), pile(_reported(r), dtype))
+                for name, r in self.readings.items()
+            },
+            inputs={name: pile(x, dtype) for name, x in self.inputs.items()},
+            truth={name: (pile(values, dtype), pile(known, bool)) for name, (values, known) in self.truth.items()},
+            key=trajectory_key_data(seed, [k if own is None else own for k, own in enumerate(self.ids)]),
+        )
+
+
+def _joined_rows(parts: Sequence[Recording] | Sequence[Columns], names: Sequence[str]) -> tuple[Any, Any, Any, Any]:
+    """Times, readings, inputs and truth of all parts; raises ValueError, by the parts' names, where they differ."""
+    first = parts[0]
+    for other, label in zip(parts, names, strict=True):
+        for what in ("readings", "inputs", "truth"):
+            mine, theirs = getattr(first, what), getattr(other, what)
+            if set(mine) != set(theirs):
+                raise ValueError(
+                    f"stack: '{label}' has {what} {sorted(theirs)}, '{names[0]}' {sorted(mine)}; expected the same "
+                    "names in all; leave the others out, or stack these recordings apart"
+                )
+
+    def joined(arrays: Sequence[np.ndarray]) -> np.ndarray:
+        shape = np.shape(arrays[0])[1:]
+        for label, array in zip(names, arrays, strict=True):
+            if np.shape(array)[1:] != shape:
+                raise ValueError(f"'{label}' has rows of shape {np.shape(array)[1:]}, '{names[0]}' of {shape}")
+        return np.concatenate(arrays) if len(arrays) > 1 else np.asarray(arrays[0])
+
+    readings = {}
+    for name in first.readings:
+        each = [part.readings[name] for part in parts]
+        arrays = ([r.values for r in each], [r.seen for r in each], [_reported(r) for r in each])
+        readings[name] = Readings(*map(joined, arrays))
+    truths = {name: [part.truth[name] for part in parts] for name in first.truth}
+    truth = {name: (joined([x for x, _ in t]), joined([known for _, known in t])) for name, t in truths.items()}
+    inputs = {name: joined([part.inputs[name] for part in parts]) for name in first.inputs}
+    return joined([part.times for part in parts]), readings, inputs, truth
+
+
 def stack(
     recordings: Sequence[Recording], rows: int | None = None, dtype: DTypeLike | None = None, seed: int = 0
 ) -> Batch:
@@ -186,47 +292,4 @@ def stack(
 
     All recordings name the same sensors, inputs and truths; `dt` is computed here, in float64.
     """
-    dtype = dtype or jnp.zeros(0).dtype
-    longest = max(len(r) for r in recordings)
-    rows = rows or longest
-    if rows < longest:
-        raise ValueError(f"rows = {rows} is less than the longest recording's {longest}")
-    first = recordings[0]
-    for other in recordings:
-        for what in ("readings", "inputs", "truth"):
-            mine, theirs = getattr(first, what), getattr(other, what)
-            if set(mine) != set(theirs):
-                raise ValueError(
-                    f"stack: '{other.name}' has {what} {sorted(theirs)}, '{first.name}' {sorted(mine)}; expected the "
-                    "same names in all; leave the others out, or stack these recordings apart"
-                )
-
-    def pile(arrays: Sequence[np.ndarray], kind: DTypeLike) -> Shaped[np.ndarray, "rows *shape B"]:
-        shape = np.shape(arrays[0])[1:]
-        for other, array in zip(recordings, arrays, strict=True):
-            if np.shape(array)[1:] != shape:
-                raise ValueError(f"'{other.name}' has rows of shape {np.shape(array)[1:]}, '{first.name}' of {shape}")
-        out = np.zeros((rows, *shape, len(arrays)), kind)
-        for trajectory, array in enumerate(arrays):
-            out[: len(array), ..., trajectory] = array
-        return out
-
-    readings = {}
-    for name in first.readings:
-        every = [r.readings[name] for r in recordings]
-        readings[name] = Reading(
-            pile([e.values for e in every], dtype),
-            pile([e.seen for e in every], bool),
-            pile([np.zeros((len(e.values), 0)) if e.reported is None else e.reported for e in every], dtype),
-        )
-    return Batch(
-        dt=pile([np.diff(r.times, prepend=r.times[:1]) for r in recordings], dtype),
-        valid=pile([np.ones(len(r), bool) for r in recordings], bool),
-        readings=readings,
-        inputs={k: pile([r.inputs[k] for r in recordings], dtype) for k in first.inputs},
-        truth={
-            k: (pile([r.truth[k][0] for r in recordings], dtype), pile([r.truth[k][1] for r in recordings], bool))
-            for k in first.truth
-        },
-        key=trajectory_key_data(seed, [k if r.id is None else r.id for k, r in enumerate(recordings)]),
-    )
+    return Columns.of(recordings).batch(rows, dtype, seed)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable
 from functools import partial
 
 import numpy as np
@@ -17,13 +17,12 @@ from trackers.line.fixes import FIXES, FloorFixes
 from trackers.line.motion import HaltingMotion, LineMotion
 from trackers.line.tracker import line_grid_tracker, line_motion, line_tracker
 from trackers.line.truth import KnotTimes, knot_times
+from trackers.parts.fix_rows import AXES_M, AXES_STD_M
 from trackers.parts.range_rows import range_trajectories
 from trackers.parts.ranges import RANGES, RangeSensor
-from trackers.recordings.columns import by_tag, float_column, values_of
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerSpec, on_request
-from trackers.recordings.trajectories import Trajectory, known_height, trajectory_of
-from trackers.recordings.truth import truth_by_tag
+from trackers.recordings.trajectories import Trajectories, Trajectory, known_height, known_heights, trajectories_of
 
 SIGMA_FIX = 0.3
 """Standard deviation of a fix per axis, m; the raw error in the thesis is 0.39 m over both axes."""
@@ -36,17 +35,15 @@ CLOSING_GAP = 0.05
 """Largest gap between the ends of a closed path, as a fraction of its longest segment."""
 
 
-def planar_fix_trajectories(folder: RecordingFolder) -> Iterator[Trajectory]:
+def planar_fix_trajectories(folder: RecordingFolder) -> Trajectories:
     """Each tag's fixes in x and y, one row per table row."""
-    paths = truth_by_tag(folder)
-    for tag, table in by_tag(folder.tables["fixes"]):
-        values, seen = values_of(table, ["x_m", "y_m"])
-        reported = np.nan_to_num(np.stack([float_column(table, f"{a}_std_m") for a in "xy"], axis=1)) ** 2
-        readings = {FIXES: Readings(values, seen, reported)}
-        yield trajectory_of(folder, tag, "", table["t_s"].to_numpy(), readings, {}, paths)
+    rows = folder.rows("fixes")
+    values, seen = rows.values(AXES_M[:2])
+    readings = {FIXES: Readings(values, seen, rows.variances(AXES_STD_M[:2]))}
+    return trajectories_of(folder, rows.tags, rows.starts, rows.times, readings, {})
 
 
-def line_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
+def line_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:
     """Each tag's ranges if the rig has all heights, else its fixes; raises UnusableInput without a path."""
     path_of(folder)
     return range_trajectories(folder, False) if _reads_ranges(folder) else planar_fix_trajectories(folder)
@@ -102,13 +99,11 @@ def fit_path_truth(folder: RecordingFolder) -> tuple[RecordingFolder, dict[str, 
             pl.DataFrame({"t_s": at, "tag": [trajectory.tag] * len(at), "x_m": x, "y_m": y}).with_columns(z_m=height)
         )
     truth = pl.concat(tables).sort("t_s", maintain_order=True)
-    return RecordingFolder(folder.name, None, folder.rig, folder.tables | {"truth": truth}), fitted
+    return RecordingFolder(folder.name, None, folder.rig, {**folder.tables, "truth": truth}), fitted
 
 
 def _reads_ranges(folder: RecordingFolder) -> bool:
-    return "ranges" in folder.tables and all(
-        known_height(folder, str(tag)) is not None for tag in folder.tables["ranges"]["tag"].unique()
-    )
+    return "ranges" in folder.tables and bool(np.isfinite(known_heights(folder, folder.rows("ranges").tags)).all())
 
 
 def _lacks(folder: RecordingFolder) -> str | None:
@@ -126,8 +121,9 @@ def _no_height_to_estimate(folder: RecordingFolder) -> bool:
     """Whether all heights are known or not measured, so that a planar estimate loses nothing."""
     if _reads_ranges(folder):
         return True
-    tags = folder.tables["fixes"].filter(pl.col("z_m").is_not_null())["tag"].unique()
-    return all(known_height(folder, str(tag)) is not None for tag in tags)
+    rows = folder.rows("fixes")
+    no_height = rows.of_each(np.isnan(known_heights(folder, rows.tags)))
+    return not (no_height & np.isfinite(rows.floats(["z_m"])[:, 0])).any()
 
 
 def _geometry(trajectory: Trajectory) -> Hashable:

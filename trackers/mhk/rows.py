@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -14,21 +12,20 @@ from trackers.parts.fix_rows import fix_trajectories, lacks_fixes
 from trackers.parts.fixes import FIXES
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerSpec, on_request
-from trackers.recordings.trajectories import Trajectory, known_height
+from trackers.recordings.trajectories import Trajectories
 
 
-def spatial_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
+def spatial_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:
     """Each tag's fixes in three dimensions, one row per table row; a known height replaces z where x and y are seen."""
-    for trajectory in fix_trajectories(folder, free_height=True):
-        height = None if free_height else known_height(folder, trajectory.tag)
-        if height is None:
-            yield trajectory
-            continue
-        fixes = trajectory.recording.readings[FIXES]
-        values, seen = fixes.values.copy(), fixes.seen.copy()
-        values[:, 2], seen[:, 2] = height, seen[:, 0] & seen[:, 1]
-        readings = {FIXES: Readings(values, np.asarray(seen), fixes.reported)}
-        yield replace(trajectory, recording=replace(trajectory.recording, readings=readings))
+    trajectories = fix_trajectories(folder, free_height=True)
+    if free_height or np.isnan(trajectories.heights).all():
+        return trajectories
+    fixes, heights = trajectories.columns.readings[FIXES], trajectories.columns.of_each(trajectories.heights)
+    known = np.isfinite(heights)
+    values, seen = fixes.values.copy(), fixes.seen.copy()
+    values[:, 2] = np.where(known, heights, values[:, 2])
+    seen[:, 2] = np.where(known, seen[:, 0] & seen[:, 1], seen[:, 2])
+    return trajectories.replaced({FIXES: Readings(values, seen, fixes.reported)})
 
 
 _mhk = partial(

@@ -2,58 +2,51 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
-import polars as pl
 
 from trackers.core.recording import Readings
 from trackers.parts.ranges import RANGES
 from trackers.parts.recent_positions import recent_positions
-from trackers.recordings.columns import by_tag, float_column, values_of
+from trackers.recordings.columns import TagRows
 from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.trajectories import Trajectory, known_height, trajectory_of
-from trackers.recordings.truth import truth_by_tag
+from trackers.recordings.trajectories import Trajectories, known_heights, trajectories_of
 
 
-def range_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
-    """Each tag's ranges, one row per table row, with the inputs of `range_rows`."""
-    paths = truth_by_tag(folder)
-    for tag, table in by_tag(folder.tables["ranges"]):
-        readings, inputs = range_rows(folder, tag, table, free_height)
-        yield trajectory_of(folder, tag, "", table["t_s"].to_numpy(), {RANGES: readings}, inputs, paths)
+def range_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:
+    """Each tag's ranges, one row per table row, with the inputs of `range_inputs`."""
+    rows = folder.rows("ranges")
+    readings, number = range_rows(folder, rows)
+    heights = np.full(len(rows.tags), np.nan) if free_height else known_heights(folder, rows.tags)
+    anchors = anchor_positions(folder)
+    inputs = range_inputs(rows.starts, rows.times, readings, number, anchors, heights)
+    return trajectories_of(folder, rows.tags, rows.starts, rows.times, {RANGES: readings}, inputs)
 
 
-def range_rows(
-    folder: RecordingFolder, tag: str, table: pl.DataFrame, free_height: bool
-) -> tuple[Readings, dict[str, np.ndarray]]:
-    """The readings of a tag's ranges, one row per row of `table`, and their inputs `anchors`, `anchor` and `nearby`.
+def range_rows(folder: RecordingFolder, rows: TagRows) -> tuple[Readings, np.ndarray]:
+    """The readings of ranges, one row per row of the table, and the number of each range's anchor (N,).
 
     Anchors are numbered in the order of their ids. Ranges that are not positive are masked.
     """
-    order, positions = sorted(folder.rig.anchors), anchor_positions(folder)
-    number = np.array([order.index(a) for a in table["anchor"].to_list()])
-    values, seen = values_of(table, ["range_m"])
+    values, seen = rows.values(["range_m"])
     seen &= values > 0.0
-    variances = np.nan_to_num(float_column(table, "range_std_m"))[:, None] ** 2
-    height = None if free_height else known_height(folder, tag)
-    inputs = range_inputs(table["t_s"].to_numpy(), values[:, 0], seen[:, 0], number, positions, height)
-    return Readings(values, seen, variances), inputs
+    number = rows.codes("anchor", sorted(folder.rig.anchors))
+    return Readings(values, seen, rows.variances(["range_std_m"])), number
 
 
 def range_inputs(
+    starts: np.ndarray,
     times: np.ndarray,
-    ranges: np.ndarray,
-    seen: np.ndarray,
+    readings: Readings,
     number: np.ndarray,
     anchors: np.ndarray,
-    height: float | None,
+    heights: np.ndarray,
 ) -> dict[str, np.ndarray]:
-    """The inputs of rows with one range each: `anchors` (T, 3) m, `anchor` (T, 1), its number, and `nearby` (T, 4).
+    """The inputs of rows with one range each: `anchors` (N, 3) m, `anchor` (N, 1), its number, and `nearby` (N, 4).
 
-    `number` (T,): of each range's anchor in `anchors` (A, 3); `height` m: the tag's, where it is known.
+    `starts` (n + 1,): the first row of each of n tags, then N. `number` (N,): of each range's anchor in `anchors`
+    (A, 3). `heights` (n,) m: of the tags, NaN where unknown.
     """
-    nearby = recent_positions(times, anchors, number, ranges, seen, height)
+    nearby = recent_positions(starts, times, anchors, number, readings.values[:, 0], readings.seen[:, 0], heights)
     return {"anchors": anchors[number], "anchor": number[:, None].astype(float), "nearby": nearby}
 
 

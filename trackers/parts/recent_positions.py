@@ -21,55 +21,83 @@ MAX_BATCH = 256, 4096
 
 
 def recent_positions(
+    starts: np.ndarray,
     times: np.ndarray,
     anchors: np.ndarray,
     numbers: np.ndarray,
     ranges: np.ndarray,
     seen: np.ndarray,
-    height: float | None,
+    heights: np.ndarray,
     windows: tuple[float, ...] = (1.0, 5.0),
 ) -> np.ndarray:
-    """For every row (T, 4): the position from the ranges of the last seconds, m, and 1 where they determine it.
+    """For every row (N, 4): the position from the ranges of the last seconds, m, and 1 where they determine it.
 
-    `times` (T,) s, sorted; `anchors` (A, 3) m; `numbers` (T,): the anchor of each row; `ranges` (T,) m and `seen` (T,).
-    With a known `height`, m, three anchors are needed; without, four. The second of the `windows`, s, is used where the
-    ranges of the first do not determine the position.
+    `starts` (n + 1,): the first row of each of n tags, then N. `times` (N,) s, sorted by tag; `anchors` (A, 3) m;
+    `numbers` (N,): the anchor of each row; `ranges` (N,) m and `seen` (N,). With a known height, `heights` (n,) m, three
+    anchors are needed; without, NaN, four. The second of the `windows`, s, is used where the ranges of the first do not
+    determine the position.
     """
     result = np.zeros((len(times), 4))
+    tag = np.repeat(np.arange(len(heights)), np.diff(starts))
+    own_heights = heights[tag]
+    latest = latest_rows(starts, numbers, seen, len(anchors))
     for window in windows:
-        open_rows = np.flatnonzero(result[:, 3] == 0)
-        if len(open_rows) == 0:
+        rows = np.flatnonzero(result[:, 3] == 0)
+        if len(rows) == 0:
             break
-        medians, recent = _medians(times, len(anchors), numbers, ranges, seen, window)
-        result[open_rows] = _positions(anchors, medians[open_rows], recent[open_rows], height)
+        medians = _medians(starts, times, numbers, ranges, seen, window)
+        recent = (latest[rows] >= 0) & (times[rows, None] - times[latest[rows]] <= window)
+        # The rows of short recordings together, and those of long ones: the two programs differ in last bits.
+        short = (np.bincount(tag[rows]) <= 4 * MAX_BATCH[0])[tag[rows]]
+        for height in np.unique(heights):
+            at_height = np.isnan(own_heights[rows]) if np.isnan(height) else own_heights[rows] == height
+            known = None if np.isnan(height) else float(height)
+            for batch, of_size in zip(MAX_BATCH, (short, ~short), strict=True):
+                part = np.flatnonzero(at_height & of_size)
+                result[rows[part]] = _positions(anchors, medians[latest[rows[part]]], recent[part], known, batch)
     return result
 
 
+def latest_rows(starts: np.ndarray, numbers: np.ndarray, seen: np.ndarray, count: int) -> np.ndarray:
+    """The latest row, up to and including each (N, A), of the same tag with a range to each of A anchors; −1 if none.
+
+    `starts` (n + 1,): the first row of each tag, then N. `numbers` (N,): the anchor of each row. Later rows at the same
+    time do not count.
+    """
+    rows = np.arange(len(numbers))
+    first = np.repeat(starts[:-1], np.diff(starts))
+    found = np.empty((len(numbers), count), int)
+    for anchor in range(count):
+        latest = np.maximum.accumulate(np.where(seen & (numbers == anchor), rows, -1))
+        found[:, anchor] = np.where(latest >= first, latest, -1)
+    return found
+
+
 def _medians(
-    times: np.ndarray, count: int, numbers: np.ndarray, ranges: np.ndarray, seen: np.ndarray, window: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Per row and anchor (T, A): the median of its latest ranges in the window, m, and whether there is one."""
-    medians, fresh = np.zeros((len(times), count)), np.zeros((len(times), count), bool)
-    for k in range(count):
-        mine = np.flatnonzero((numbers == k) & seen)
-        if len(mine) == 0:
-            continue
-        own_times, own = times[mine], ranges[mine]
-        back = np.arange(len(mine))[:, None] - np.arange(MEDIAN_RANGES)
-        recent = (back >= 0) & (own_times[:, None] - own_times[np.maximum(back, 0)] <= window)
-        running = np.nanmedian(np.where(recent, own[np.maximum(back, 0)], np.nan), axis=1)
-        # Up to and including this row; later rows at the same time do not count.
-        last = np.searchsorted(mine, np.arange(len(times)), side="right") - 1
-        fresh[:, k] = (last >= 0) & (times - own_times[np.maximum(last, 0)] <= window)
-        medians[:, k] = running[np.maximum(last, 0)]
-    return medians, fresh
+    starts: np.ndarray, times: np.ndarray, numbers: np.ndarray, ranges: np.ndarray, seen: np.ndarray, window: float
+) -> np.ndarray:
+    """Per row with a range (N,): the median of its anchor's latest ranges to the tag in the window, m."""
+    tag = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
+    kept = np.flatnonzero(seen)
+    order = kept[np.lexsort((numbers[kept], tag[kept]))]
+    same = tag[order] * (int(numbers.max(initial=0)) + 1) + numbers[order]
+    back = np.arange(len(order))[:, None] - np.arange(MEDIAN_RANGES)
+    before = np.maximum(back, 0)
+    recent = (back >= 0) & (same[before] == same[:, None]) & (times[order][:, None] - times[order][before] <= window)
+    ordered = np.sort(np.where(recent, ranges[order][before], np.inf), axis=1)
+    count = recent.sum(axis=1)
+    row = np.arange(len(order))
+    medians = np.zeros(len(times))
+    medians[order] = (ordered[row, (count - 1) // 2] + ordered[row, count // 2]) / 2.0
+    return medians
 
 
-def _positions(anchors: np.ndarray, ranges: np.ndarray, counts: np.ndarray, height: float | None) -> np.ndarray:
-    """`recent_positions` (T, 4) of ranges (T, A) where `counts` (T, A) is true."""
+def _positions(
+    anchors: np.ndarray, ranges: np.ndarray, counts: np.ndarray, height: float | None, batch: int
+) -> np.ndarray:
+    """`recent_positions` (T, 4) of ranges (T, A) where `counts` (T, A) is true, `batch` rows at once."""
     result = np.zeros((len(ranges), 4))
     known_height = None if height is None else jnp.asarray(height, float)
-    batch = MAX_BATCH[0] if len(ranges) <= 4 * MAX_BATCH[0] else MAX_BATCH[1]
     for first in range(0, len(ranges), batch):
         rows = len(ranges[first : first + batch])
         own, own_counts = (np.pad(x[first : first + rows], ((0, batch - rows), (0, 0))) for x in (ranges, counts))

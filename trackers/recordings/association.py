@@ -13,7 +13,7 @@ from trackers.core.errors import UnusableInput
 from trackers.core.rig import Station
 from trackers.recordings.columns import float_column, require_columns, run_starts
 from trackers.recordings.tracks_table import NO_ESTIMATE, is_bearing, track_keys
-from trackers.recordings.truth import TruthStatus, interpolate_truth, truth_paths
+from trackers.recordings.truth import TruePaths, TruthStatus
 
 
 class Association(NamedTuple):
@@ -72,15 +72,19 @@ def associate_truth(tracks: pl.DataFrame, truths: Mapping[str, pl.DataFrame]) ->
     if "status" in rows.columns:
         usable &= ~rows["status"].is_in(NO_ESTIMATE).fill_null(False).to_numpy()
 
-    paths = {name: truth_paths(frame, name) for name, frame in truths.items()}
+    paths = {name: TruePaths.of_table(frame, name) for name, frame in truths.items()}
     truth = np.full((len(rows), 3), np.nan)
     status = np.where(usable, TruthStatus.NO_TRUTH, TruthStatus.NO_ESTIMATE).astype(np.uint8)
     starts = run_starts(rows, keys)
-    for (a, b), recording, tag in _tracks(rows, starts, "tag"):
-        path = paths.get(recording, {}).get(tag)
+    recordings, tags = (rows[name].gather(starts[:-1]).to_list() for name in ("recording", "tag"))
+    first = [k for k, name in enumerate(recordings) if k == 0 or name != recordings[k - 1]]
+    for k, end in pairwise([*first, len(recordings)]):
+        path = paths.get(recordings[k])
         if path is not None:
-            part = a + np.flatnonzero(usable[a:b])
-            truth[part], status[part] = interpolate_truth(times[part], *path)
+            part = starts[k] + np.flatnonzero(usable[starts[k] : starts[end]])
+            # Estimates alone, since other rows may have no time.
+            kept = np.searchsorted(part, starts[k : end + 1])
+            truth[part], status[part] = path.at(tags[k:end], kept, times[part])
     return Association(rows, truth, status, starts)
 
 

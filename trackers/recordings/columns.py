@@ -1,8 +1,9 @@
-"""Columns of tables as arrays: numbers, values with their mask, rows by tag, runs of equal keys, required columns."""
+"""Columns of tables as arrays: numbers, rows by tag with values and their mask, runs of equal keys, required columns."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 
 import numpy as np
 import polars as pl
@@ -20,17 +21,64 @@ def float_column(frame: pl.DataFrame, name: str) -> np.ndarray:
     return frame[name].cast(pl.Float64).fill_null(np.nan).to_numpy()
 
 
-def values_of(table: pl.DataFrame, columns: list[str]) -> tuple[np.ndarray, np.ndarray]:
-    """The columns as values (n, m), zero where one is missing, and the mask (n, m) of the values present."""
-    values = table.select(pl.col(columns).cast(pl.Float64).fill_null(np.nan)).to_numpy()
-    seen = np.isfinite(values)
-    return np.where(seen, values, 0.0), seen
+class TagRows(ABC):
+    """The rows of a table as columns, those of a tag one after another, each tag's in the order of the table.
+
+    `tags`: in order of first appearance. `starts` (tags + 1,): the first of the N rows of each tag, then N. `times`
+    (N,): s.
+    """
+
+    tags: list[str]
+    starts: np.ndarray
+    times: np.ndarray
+
+    @abstractmethod
+    def __contains__(self, name: str) -> bool:
+        """Whether the table has a column of this name."""
+
+    @abstractmethod
+    def floats(self, names: Sequence[str]) -> np.ndarray:
+        """The columns (N, m) as float64, NaN where a value is missing; all NaN for a column that the table lacks."""
+
+    @abstractmethod
+    def codes(self, name: str, ids: Sequence[str]) -> np.ndarray:
+        """The numbers in `ids` of the ids in a column (N,)."""
+
+    def values(self, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+        """The columns as values (N, m), zero where one is missing, and the mask (N, m) of the values present."""
+        values = self.floats(names)
+        seen = np.isfinite(values)
+        return np.where(seen, values, 0.0), seen
+
+    def variances(self, names: Sequence[str]) -> np.ndarray:
+        """The squares of standard deviations (N, m), zero where none is reported."""
+        return np.nan_to_num(self.floats(names)) ** 2
+
+    def of_each(self, per_tag: np.ndarray) -> np.ndarray:
+        """A number of every tag (tags, …), repeated in each of its rows (N, …)."""
+        return np.repeat(per_tag, np.diff(self.starts), axis=0)
 
 
-def by_tag(table: pl.DataFrame) -> Iterator[tuple[str, pl.DataFrame]]:
-    """Each tag with its rows, in order of first appearance."""
-    for (tag,), part in table.group_by(["tag"], maintain_order=True):
-        yield str(tag), part
+class TableRows(TagRows):
+    """The rows of a data frame by tag."""
+
+    def __init__(self, table: pl.DataFrame) -> None:
+        rows = table.select("tag", row=pl.int_range(pl.len()))
+        by_tag = rows.group_by("tag", maintain_order=True).agg("row")
+        order = by_tag["row"].explode().to_numpy()
+        self.tags = [str(tag) for tag in by_tag["tag"]]
+        self.starts = np.concatenate([[0], np.cumsum(by_tag["row"].list.len().to_numpy())]).astype(int)
+        self._table = table if len(self.tags) == 1 else table[order]
+        self.times = float_column(self._table, "t_s")
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._table.columns
+
+    def floats(self, names: Sequence[str]) -> np.ndarray:
+        return np.stack([float_column(self._table, name) for name in names], axis=1)
+
+    def codes(self, name: str, ids: Sequence[str]) -> np.ndarray:
+        return self._table[name].cast(pl.Enum(list(ids))).to_physical().to_numpy().astype(int)
 
 
 def run_starts(rows: pl.DataFrame, keys: list[str]) -> np.ndarray:

@@ -9,7 +9,7 @@ import difflib
 import gzip
 import shutil
 import uuid
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Literal, cast, get_args
@@ -19,9 +19,12 @@ import polars as pl
 from trackers.core.errors import UnusableInput, listed
 from trackers.core.rig import Rig
 from trackers.recordings.checks.anomalies import anomalies
+from trackers.recordings.columns import TagRows
 from trackers.recordings.rig_file import RIG_FILE, read_rig, rig_text
 from trackers.recordings.table_file import SUFFIXES
 from trackers.recordings.tables import MEASUREMENTS, TABLES, read_table
+from trackers.recordings.tables_by_tag import Tables
+from trackers.recordings.truth import TruePaths
 
 Kind = Literal["parquet", "csv.gz", "csv"]
 
@@ -42,8 +45,23 @@ class RecordingFolder:
     name: str
     path: Path | None
     rig: Rig
-    tables: dict[str, pl.DataFrame]
+    tables: Mapping[str, pl.DataFrame]
     notices: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.tables, Tables):
+            object.__setattr__(self, "tables", Tables(self.tables))
+
+    def rows(self, table: str) -> TagRows:
+        """The rows of a table by tag, as columns; made once."""
+        assert isinstance(self.tables, Tables)
+        return self.tables.rows(table)
+
+    @property
+    def paths(self) -> TruePaths:
+        """The true paths of the tags, none without a truth table; made once."""
+        assert isinstance(self.tables, Tables)
+        return self.tables.paths(self.name)
 
     def __repr__(self) -> str:
         tables = ", ".join(f"{name} {table.height:,} rows" for name, table in self.tables.items())

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from trackers.core.errors import UnusableInput
 from trackers.core.tracker import AbstractTracker
 from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.trajectories import Trajectory, known_height
+from trackers.recordings.trajectories import Trajectories, Trajectory, known_height
 
 
 @dataclass(frozen=True)
@@ -20,7 +22,7 @@ class TrackerBatch:
     """
 
     tracker: AbstractTracker
-    trajectories: list[Trajectory]
+    trajectories: Sequence[Trajectory]
     planar: bool
 
 
@@ -42,7 +44,8 @@ class TrackerSpec:
     every tag (or of every tag and station) of a recording folder. `build(trajectory, planar)`: the tracker for a
     trajectory. `lacks(folder)`: what a folder lacks for it, in words, or None where it fits; by default the table.
     `geometry(trajectory)`: the part of the installation that is built into the tracker; trajectories that agree in
-    it and in `planar` run as one batch. `planar(trajectory, free_height)`: whether the state lies in a plane.
+    it and in `planar` run as one batch. `planar(trajectory, free_height)`: whether the state lies in a plane. Both are
+    asked once for all tags of a folder that share station and known height, where the rows are `Trajectories`.
     `automatic(folder)`: whether the tracker may be chosen for a folder that it fits when none is named.
     `bearing_only`: it estimates directions, not positions. `on_path`: its estimates lie on the rig's known path, so
     that leaving the path is an event.
@@ -50,7 +53,7 @@ class TrackerSpec:
 
     about: str
     table: str
-    trajectories: Callable[[RecordingFolder, bool], Iterator[Trajectory]]
+    trajectories: Callable[[RecordingFolder, bool], Iterable[Trajectory]]
     build: Callable[[Trajectory, bool], AbstractTracker]
     lacks: Callable[[RecordingFolder], str | None] | None = None
     geometry: Callable[[Trajectory], Hashable] = lambda trajectory: ()
@@ -70,7 +73,7 @@ class TrackerSpec:
 
         Raises UnusableInput for a folder that does not fit; `name` is the tracker's in the message.
         """
-        found: dict[tuple[bool, Hashable], list[Trajectory]] = defaultdict(list)
+        found: dict[tuple[bool, Hashable], list[Trajectories]] = defaultdict(list)
         for folder in folders:
             missing = self.missing(folder)
             if missing is not None:
@@ -78,6 +81,28 @@ class TrackerSpec:
                     f"{folder.path or folder.name}: tracker '{name}' needs {missing}; its tables: "
                     f"{', '.join(folder.tables)}"
                 )
-            for trajectory in self.trajectories(folder, free_height):
-                found[self.planar(trajectory, free_height), self.geometry(trajectory)].append(trajectory)
-        return [TrackerBatch(self.build(mine[0], planar), mine, planar) for (planar, _), mine in found.items()]
+            trajectories = self.trajectories(folder, free_height)
+            if isinstance(trajectories, Trajectories):
+                for key, own in self._parts(trajectories, free_height):
+                    found[key].append(own)
+            else:
+                for one in trajectories:
+                    key = self.planar(one, free_height), self.geometry(one)
+                    found[key].append(Trajectories.of([one]))
+        joined = {key: Trajectories.joined(parts) for key, parts in found.items()}
+        return [TrackerBatch(self.build(mine[0], planar), mine, planar) for (planar, _), mine in joined.items()]
+
+    def _parts(
+        self, trajectories: Trajectories, free_height: bool
+    ) -> Iterator[tuple[tuple[bool, Hashable], Trajectories]]:
+        """The trajectories by `planar` and `geometry`, which are those of the first of each station and height."""
+        kinds: dict[tuple[str, float], tuple[bool, Hashable]] = {}
+        parts: dict[tuple[bool, Hashable], list[int]] = defaultdict(list)
+        heights = np.nan_to_num(trajectories.heights, nan=np.inf).tolist()
+        for number, kind in enumerate(zip(trajectories.stations, heights, strict=True)):
+            if kind not in kinds:
+                first = trajectories[number]
+                kinds[kind] = self.planar(first, free_height), self.geometry(first)
+            parts[kinds[kind]].append(number)
+        for key, numbers in parts.items():
+            yield key, trajectories.chosen(np.array(numbers))

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import polars as pl
 
 from trackers.core.chunks import CHUNK
 from trackers.core.estimates import AXES, STATUS_WORDS, STEP_COLUMNS, Estimates, Status
-from trackers.core.recording import Batch, stack
+from trackers.core.recording import Batch
 from trackers.recordings.tracker_spec import TrackerBatch
-from trackers.recordings.trajectories import Trajectory, known_heights
+from trackers.recordings.trajectories import Trajectories, Trajectory
 
 MAX_BATCH = 8 * CHUNK
 """Trajectories in memory at once: as many on every machine, since a batch's last chunk has a shape of its own."""
@@ -44,16 +42,17 @@ class Tracks:
         return f"<Tracks: {len(self.table)} estimates of {count} {noun}: {ended}>"
 
 
-def batches(trajectories: Sequence[Trajectory], seed: int = 0) -> list[tuple[list[Trajectory], Batch]]:
+def batches(trajectories: Iterable[Trajectory], seed: int = 0) -> list[tuple[Trajectories, Batch]]:
     """The trajectories in batches of at most `MAX_BATCH`, those of similar length together, padded to few lengths.
 
     `seed`: of the random numbers of filters that draw any.
     """
-    ordered = sorted(trajectories, key=lambda trajectory: len(trajectory.recording))
+    every = Trajectories.of(trajectories)
+    lengths = np.diff(every.columns.starts)
+    ordered = np.argsort(lengths, kind="stable")
     parts = [ordered[k : k + MAX_BATCH] for k in range(0, len(ordered), MAX_BATCH)]
-    return [
-        (part, stack([x.recording for x in part], rows=rounded(len(part[-1].recording)), seed=seed)) for part in parts
-    ]
+    chosen = [every.chosen(part) for part in parts]
+    return [(own, own.columns.batch(rounded(int(np.diff(own.columns.starts).max())), seed=seed)) for own in chosen]
 
 
 def rounded(rows: int) -> int:
@@ -72,32 +71,50 @@ def track(groups: Sequence[TrackerBatch], advance: Callable[[int], None] = lambd
     for group in groups:
         for trajectories, batch in batches(group.trajectories, seed):
             estimates = group.tracker.run(batch)
-            for k, trajectory in enumerate(trajectories):
-                recording = trajectory.recording
-                one = estimates[k].rows(slice(0, len(recording)))
-                times = one.valid_times(recording.times)
-                last, merged = one.per_time(recording.times)
-                summary = re.split(r":| \d+ times| at row \d+", merged.summary())[0]
-                summaries[summary] = summaries.get(summary, 0) + 1
-                tables.append(_table(trajectory, times, last, merged))
+            rows = trajectories.columns.padded(trajectories.columns.times, estimates.status.shape[1])
+            last, merged = estimates.per_time(rows)
+            number = np.nonzero(last)[0]
+            for words, count in _summaries(number, merged.status, len(trajectories)).items():
+                summaries[words] = summaries.get(words, 0) + count
+            tables.append(_table(trajectories, number, estimates.valid_times(rows)[last], merged))
             advance(len(trajectories))
     table = pl.concat(tables, how="diagonal").sort(["recording", "tag", "t_s"], maintain_order=True)
     return Tracks(table, summaries, list(groups))
 
 
-def _table(trajectory: Trajectory, times: np.ndarray, last: np.ndarray, estimates: Estimates) -> pl.DataFrame:
-    """One trajectory's estimates, one per time; `times` (T,), s: validity of its rows, of which `last` are kept."""
-    columns = angles(estimates) if trajectory.station else _positions(estimates, known_heights(trajectory)[last])
-    ids: dict[str, Any] = {"recording": trajectory.folder.name, "tag": trajectory.tag}
-    if trajectory.station:
-        ids["station"] = trajectory.station
+def _summaries(number: np.ndarray, status: np.ndarray, count: int) -> dict[str, int]:
+    """How many of `count` trajectories ended how, in the words of `Estimates.summary`; `number` (N,): of each estimate."""
+    has = {s: np.bincount(number[status == s], minlength=count) for s in Status}
+    rows = np.bincount(number, minlength=count)
+    endings = {
+        "too little data": has[Status.WAITING] == rows,
+        "non-finite": has[Status.NON_FINITE] > 0,
+        "lost and re-started": has[Status.RESTARTED] > 0,
+        "lost and never re-started": has[Status.LOST] > 0,
+        "ok": np.ones(count, bool),
+    }
+    found, left = {}, np.ones(count, bool)
+    for words, ended in endings.items():
+        found[words] = int((left & ended).sum())
+        left &= ~ended
+    return {words: n for words, n in found.items() if n}
+
+
+def _table(trajectories: Trajectories, number: np.ndarray, times: np.ndarray, estimates: Estimates) -> pl.DataFrame:
+    """The estimates (N,), one per time; `number`: of the trajectory of each; `times`: for which they are valid, s."""
+    bearing = bool(trajectories.stations[0])
+    columns = angles(estimates) if bearing else _positions(estimates, trajectories.heights[number])
+    ids: dict[str, Sequence[str]] = {"recording": [f.name for f in trajectories.folders], "tag": trajectories.tags}
+    if bearing:
+        ids["station"] = trajectories.stations
     known = {name: np.where(estimates.usable, np.asarray(x, float), np.nan) for name, x in columns.items()}
+    words = pl.Series([STATUS_WORDS.get(s) for s in Status])
     return pl.DataFrame(
-        {name: pl.repeat(text, int(last.sum()), eager=True) for name, text in ids.items()}
-        | {"t_s": times[last]}
+        {name: pl.Series(texts).gather(number) for name, texts in ids.items()}
+        | {"t_s": times}
         | {name: pl.Series(x, nan_to_null=True) for name, x in known.items()}
         | {name: getattr(estimates, name) for name in STEP_COLUMNS}
-        | {"wrapped": estimates.wrapped > 0, "status": [STATUS_WORDS[Status(s)] for s in estimates.status]}
+        | {"wrapped": estimates.wrapped > 0, "status": words.gather(estimates.status)}
     )
 
 

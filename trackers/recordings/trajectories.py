@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from hashlib import blake2b
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
-from trackers.core.recording import Readings, Recording
+from trackers.core.recording import Columns, Readings, Recording
 from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.truth import TruthPath, TruthStatus, interpolate_truth
+from trackers.recordings.truth import TruthStatus
 
 
 @dataclass(frozen=True)
@@ -21,6 +24,102 @@ class Trajectory:
     tag: str
     station: str
     recording: Recording
+
+
+class Trajectories(Sequence[Trajectory]):
+    """Trajectories whose rows are columns, of which each trajectory is a view.
+
+    `folders`, `tags` and `stations`: of the trajectories. `columns`: their rows.
+    """
+
+    def __init__(
+        self, folders: Sequence[RecordingFolder], tags: Sequence[str], stations: Sequence[str], columns: Columns
+    ) -> None:
+        self.folders, self.tags, self.stations, self.columns = folders, tags, stations, columns
+        self._views: dict[int, Trajectory] = {}
+
+    @classmethod
+    def of(cls, trajectories: Iterable[Trajectory]) -> Trajectories:
+        """These trajectories; raises ValueError where they differ in the names or shapes of their arrays."""
+        if isinstance(trajectories, Trajectories):
+            return trajectories
+        every = list(trajectories)
+        columns = Columns.of([trajectory.recording for trajectory in every])
+        return cls([t.folder for t in every], [t.tag for t in every], [t.station for t in every], columns)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Trajectories]) -> Trajectories:
+        """The trajectories of all parts; raises ValueError where they differ in the names or shapes of their arrays."""
+        if len(parts) == 1:
+            return parts[0]
+        folders, tags, stations = (
+            [x for part in parts for x in of] for of in zip(*((p.folders, p.tags, p.stations) for p in parts))
+        )
+        return cls(folders, tags, stations, Columns.joined([part.columns for part in parts]))
+
+    def __len__(self) -> int:
+        return len(self.tags)
+
+    def __getitem__(self, which: Any) -> Any:
+        if isinstance(which, slice):
+            return self.chosen(np.arange(len(self))[which])
+        number = range(len(self))[which]
+        if number not in self._views:
+            own = self.columns.recording(number)
+            self._views[number] = Trajectory(self.folders[number], self.tags[number], self.stations[number], own)
+        return self._views[number]
+
+    def chosen(self, index: np.ndarray) -> Trajectories:
+        """The trajectories with these numbers, in their order."""
+        if np.array_equal(index, np.arange(len(self))):
+            return self
+        numbers = index.tolist()
+        folders, tags, stations = ([x[k] for k in numbers] for x in (self.folders, self.tags, self.stations))
+        return Trajectories(folders, tags, stations, self.columns.chosen(index))
+
+    def replaced(
+        self, readings: Mapping[str, Readings], inputs: Mapping[str, np.ndarray] | None = None
+    ) -> Trajectories:
+        """The trajectories with other readings, and with further inputs."""
+        columns = replace(self.columns, readings=readings, inputs={**self.columns.inputs, **(inputs or {})})
+        return Trajectories(self.folders, self.tags, self.stations, columns)
+
+    @cached_property
+    def heights(self) -> np.ndarray:
+        """The known heights of the tags (n,), m; NaN where the rig gives none."""
+        if len({id(folder) for folder in self.folders}) == 1:
+            return known_heights(self.folders[0], self.tags)
+        heights = (known_heights(folder, [tag]) for folder, tag in zip(self.folders, self.tags, strict=True))
+        return np.concatenate([np.zeros(0), *heights])
+
+
+def trajectories_of(
+    folder: RecordingFolder,
+    tags: Sequence[str],
+    starts: np.ndarray,
+    times: np.ndarray,
+    readings: Mapping[str, Readings],
+    inputs: Mapping[str, np.ndarray],
+    stations: Sequence[str] | None = None,
+) -> Trajectories:
+    """The trajectories of these tags, and of `stations` for bearings, with their rows as columns: see `Columns`.
+
+    Adds the truth, position or direction from the station, and the input `height` (N,), m, zero where the rig gives
+    none for the tag.
+    """
+    position, status = folder.paths.at(tags, starts, times)
+    known = (status == TruthStatus.SCORED) & np.isfinite(position).all(axis=1)
+    position = np.where(known[:, None], position, 0.0)
+    truth = {"position": (position, known)} if stations is None else {"direction": (np.zeros((len(times), 2)), known)}
+    own = [""] * len(tags) if stations is None else stations
+    for station in dict.fromkeys(stations or ()):
+        rows = np.repeat([name == station for name in own], np.diff(starts))
+        truth["direction"][0][rows] = folder.rig.stations[station].angles(position[rows])
+    heights = np.repeat(np.nan_to_num(known_heights(folder, tags)), np.diff(starts))
+    names = [f"{folder.name}, tag {tag}" for tag in tags]
+    ids = [trajectory_id(folder.name, tag, station) for tag, station in zip(tags, own, strict=True)]
+    columns = Columns(starts, times, readings, {**inputs, "height": heights}, truth, names, ids)
+    return Trajectories([folder] * len(tags), tags, own, columns)
 
 
 def segments(trajectory: Trajectory, rows: int) -> list[Trajectory]:
@@ -45,45 +144,19 @@ def cut(recording: Recording, start: int, stop: int) -> Recording:
     return Recording(recording.times[part], readings, inputs, truth, recording.name, own)
 
 
-def trajectory_of(
-    folder: RecordingFolder,
-    tag: str,
-    station: str,
-    times: np.ndarray,
-    readings: dict[str, Readings],
-    inputs: dict[str, np.ndarray],
-    paths: dict[str, TruthPath],
-) -> Trajectory:
-    """A trajectory of these rows, with the truth at their times and the input `height` (T,), m.
-
-    The height is zero if the rig gives none for the tag. `paths`: from `truth_by_tag`.
-    """
-    height = known_height(folder, tag)
-    inputs = {**inputs, "height": np.full(len(times), 0.0 if height is None else height)}
-    truth = _truth(folder, tag, station, times, paths)
-    recording = Recording(
-        times, readings, inputs, truth, f"{folder.name}, tag {tag}", trajectory_id(folder.name, tag, station)
-    )
-    return Trajectory(folder, tag, station, recording)
-
-
 def trajectory_id(folder: str, tag: str, station: str) -> int:
     """The id of a trajectory of a recording folder: random numbers do not depend on the others that run with it."""
     text = "\0".join((folder, tag, station))
     return int.from_bytes(blake2b(text.encode(), digest_size=8).digest(), "little")
 
 
-def with_floor_truth(trajectory: Trajectory, paths: dict[str, TruthPath]) -> Trajectory:
-    """The trajectory with true positions over the floor, (T, 2) m, known also where the truth has no height.
-
-    `paths`: from `truth_by_tag`.
-    """
+def with_floor_truth(trajectory: Trajectory) -> Trajectory:
+    """The trajectory with true positions over the floor, (T, 2) m, known also where the truth has no height."""
     recording = trajectory.recording
-    position, known = np.zeros((len(recording), 2)), np.zeros(len(recording), bool)
-    if trajectory.tag in paths:
-        found, status = interpolate_truth(recording.times, *paths[trajectory.tag])
-        known = status == TruthStatus.SCORED
-        position = np.where(known[:, None], found[:, :2], 0.0)
+    ends = np.array([0, len(recording)])
+    found, status = trajectory.folder.paths.at([trajectory.tag], ends, recording.times)
+    known = status == TruthStatus.SCORED
+    position = np.where(known[:, None], found[:, :2], 0.0)
     return replace(trajectory, recording=replace(recording, truth={"position": (position, known)}))
 
 
@@ -93,21 +166,7 @@ def known_height(folder: RecordingFolder, tag: str) -> float | None:
     return None if known is None else known.height
 
 
-def known_heights(trajectory: Trajectory) -> np.ndarray:
-    """The known height of the tag at each row (T,), m; NaN if the rig gives none."""
-    height = known_height(trajectory.folder, trajectory.tag)
-    return np.full(len(trajectory.recording), np.nan if height is None else height)
-
-
-def _truth(
-    folder: RecordingFolder, tag: str, station: str, times: np.ndarray, paths: dict[str, TruthPath]
-) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """True positions (T, 3), or true directions (T, 2) from the station, with their mask; unknown without truth."""
-    position, known = np.zeros((len(times), 3)), np.zeros(len(times), bool)
-    if tag in paths:
-        position, status = interpolate_truth(times, *paths[tag])
-        known = (status == TruthStatus.SCORED) & np.isfinite(position).all(axis=1)
-        position = np.where(known[:, None], position, 0.0)
-    if station:
-        return {"direction": (folder.rig.stations[station].angles(position), known)}
-    return {"position": (position, known)}
+def known_heights(folder: RecordingFolder, tags: Sequence[str]) -> np.ndarray:
+    """The constant heights of tags in the rig, m; NaN for those without one."""
+    heights = (known_height(folder, tag) for tag in tags)
+    return np.array([np.nan if height is None else height for height in heights], float)

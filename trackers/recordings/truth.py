@@ -1,19 +1,16 @@
-"""Ground truth of a recording: true positions by tag, and their interpolation at the times of estimates."""
+"""Ground truth of a recording: true paths by tag, and their interpolation at the times of estimates."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import IntEnum
-from itertools import pairwise
 
 import numpy as np
 import polars as pl
 
+from trackers.core.sorted_parts import first_not_before
 from trackers.recordings.columns import float_column, require_columns, run_starts
-from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tables import HOLE_M, HOLE_S
-
-TruthPath = tuple[np.ndarray, np.ndarray]
-"""Times (n,), s, and positions (n, 3), m, of one tag."""
 
 
 class TruthStatus(IntEnum):
@@ -25,42 +22,103 @@ class TruthStatus(IntEnum):
     HOLE = 3
 
 
-def truth_by_tag(folder: RecordingFolder) -> dict[str, TruthPath]:
-    """The true path of each tag of a recording; empty without a truth table."""
-    return truth_paths(folder.tables["truth"], folder.name) if "truth" in folder.tables else {}
+class TruePaths:
+    """The true paths of tags: positions at sorted times, no two of them equal, between which they are interpolated.
 
-
-def truth_paths(truth: pl.DataFrame, recording: str) -> dict[str, TruthPath]:
-    """The true path of each tag, sorted by time, one row per time; rows without x or y are dropped.
-
-    `truth`: columns t_s, tag, x_m, y_m and optionally z_m. `recording`: its name, for messages. Raises UnusableInput.
+    `tags`: of the paths. `starts` (paths + 1,): the first row of each path, then their number n. `times` (n,) s and
+    `positions` (n, 3) m: z is NaN where there is no height.
     """
-    require_columns(truth, ["t_s", "tag", "x_m", "y_m"], f"the truth of recording '{recording}'")
-    ordered = (
-        truth.with_columns(pl.col("tag").cast(pl.String))
-        .filter(pl.all_horizontal(pl.col("t_s", "x_m", "y_m").is_finite()))
-        .unique(["tag", "t_s"], keep="first", maintain_order=True)
-        .sort(["tag", "t_s"])
-    )
-    times = float_column(ordered, "t_s")
-    positions = np.stack([float_column(ordered, axis) for axis in ("x_m", "y_m", "z_m")], axis=1)
-    starts = run_starts(ordered, ["tag"])
-    tags = ordered["tag"].gather(starts[:-1]).to_list()
-    return {tag: (times[a:b], positions[a:b]) for tag, (a, b) in zip(tags, pairwise(starts), strict=True)}
 
+    def __init__(self, tags: Sequence[str], starts: np.ndarray, times: np.ndarray, positions: np.ndarray) -> None:
+        self.number = {tag: k for k, tag in enumerate(tags)}
+        self.starts, self.times, self.positions = starts, times, positions
+        self._latest: list[tuple[Sequence[str], np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
 
-def interpolate_truth(at: np.ndarray, times: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """True positions (n, 3), m, linearly interpolated at the times `at` (n,), and their `TruthStatus` (n,).
+    @classmethod
+    def none(cls) -> TruePaths:
+        """No path at all."""
+        return cls([], np.zeros(1, int), np.zeros(0), np.zeros((0, 3)))
 
-    `times` (t,) and `positions` (t, 3): a path of at least one row. NaN outside its span and in its holes.
-    """
-    status = np.full(len(at), TruthStatus.SCORED, np.uint8)
-    position = np.stack([np.interp(at, times, axis) for axis in positions.T], axis=1)
-    if len(times) > 1:
-        moved = np.sqrt(np.nansum(np.diff(positions, axis=0) ** 2, axis=1))
-        hole = (np.diff(times) > HOLE_S) & (moved > HOLE_M)
-        after = np.clip(np.searchsorted(times, at), 1, len(times) - 1)
-        status[hole[after - 1] & (times[after - 1] < at) & (at < times[after])] = TruthStatus.HOLE
-    status[(at < times[0]) | (at > times[-1])] = TruthStatus.NO_TRUTH
-    position[status != TruthStatus.SCORED] = np.nan
-    return position, status
+    @classmethod
+    def of_table(cls, truth: pl.DataFrame, recording: str) -> TruePaths:
+        """The paths of a table with columns t_s, tag, x_m, y_m and optionally z_m; rows without x or y are left out.
+
+        `recording`: its name, for messages. Raises UnusableInput.
+        """
+        require_columns(truth, ["t_s", "tag", "x_m", "y_m"], f"the truth of recording '{recording}'")
+        ordered = (
+            truth.with_columns(pl.col("tag").cast(pl.String))
+            .filter(pl.all_horizontal(pl.col("t_s", "x_m", "y_m").is_finite()))
+            .unique(["tag", "t_s"], keep="first", maintain_order=True)
+            .sort(["tag", "t_s"])
+        )
+        positions = np.stack([float_column(ordered, axis) for axis in ("x_m", "y_m", "z_m")], axis=1)
+        starts = run_starts(ordered, ["tag"])
+        return cls(ordered["tag"].gather(starts[:-1]).to_list(), starts, float_column(ordered, "t_s"), positions)
+
+    def of_tag(self, tag: str) -> tuple[np.ndarray, np.ndarray]:
+        """Times (n,) s and positions (n, 3) m of one path."""
+        number = self.number[tag]
+        part = slice(self.starts[number], self.starts[number + 1])
+        return self.times[part], self.positions[part]
+
+    def at(self, tags: Sequence[str], starts: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """True positions (N, 3), m, linearly interpolated at `times` (N,), s, and their `TruthStatus` (N,).
+
+        The rows `starts[k]` … `starts[k + 1] − 1` are of tag `tags[k]`. NaN without a path, outside its span, in its
+        holes, and at a time that is NaN. The results for the latest few sets of times are kept.
+        """
+        for known_tags, known_starts, known_times, positions, status in self._latest:
+            if (
+                np.array_equal(known_times, times, equal_nan=True)
+                and np.array_equal(known_starts, starts)
+                and list(known_tags) == list(tags)
+            ):
+                return positions, status
+        positions, status = self._interpolated(tags, starts, times)
+        self._latest = [*self._latest[-3:], (tags, starts, times, positions, status)]
+        return positions, status
+
+    def _interpolated(
+        self, tags: Sequence[str], starts: np.ndarray, times: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        if (
+            np.array_equal(times, self.times)
+            and np.array_equal(starts, self.starts)
+            and list(tags) == list(self.number)
+        ):
+            return self.positions, np.full(len(times), TruthStatus.SCORED, np.uint8)
+        path = np.repeat([self.number.get(tag, -1) for tag in tags], np.diff(starts))
+        status = np.full(len(times), TruthStatus.NO_TRUTH, np.uint8)
+        position = np.full((len(times), 3), np.nan)
+        if not len(self.times):
+            return position, status
+        first, last = self.starts[:-1][path], self.starts[1:][path] - 1
+        inside = (path >= 0) & (times >= self.times[first]) & (times <= self.times[last])
+        if not inside.all():
+            path, times = path[inside], times[inside]
+        after = self._first_not_before(path, times)
+        before = np.maximum(after - 1, 0)
+        exact = self.times[after] == times
+        span = np.where(exact, 1.0, self.times[after] - self.times[before])
+        here, there = self.positions[before], self.positions[after]
+        # In the order of np.interp; at the time of a row of the path its position alone.
+        found = (there - here) / span[:, None] * (times - self.times[before])[:, None] + here
+        found = np.where(exact[:, None], there, found)
+        own = np.zeros(len(times), np.uint8)
+        long = ~exact & (span > HOLE_S)
+        moved = np.sqrt(np.nansum((there[long] - here[long]) ** 2, axis=1))
+        own[np.flatnonzero(long)[moved > HOLE_M]] = TruthStatus.HOLE
+        found[own == TruthStatus.HOLE] = np.nan
+        position[inside], status[inside] = found, own
+        return position, status
+
+    def _first_not_before(self, path: np.ndarray, times: np.ndarray) -> np.ndarray:
+        """The first row of each path that is not before `times`, which lie within its span."""
+        first = self.starts[:-1]
+        lengths = np.diff(self.starts)
+        if (lengths == lengths[0]).all():
+            table = self.times.reshape(len(first), -1)
+            if (table == table[0]).all():
+                return first[path] + np.searchsorted(table[0], times)
+        return first_not_before(self.times, first[path], self.starts[1:][path] - 1, times)

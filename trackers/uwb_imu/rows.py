@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 import polars as pl
 
 from trackers.core.recording import Readings
-from trackers.parts.range_rows import anchor_positions, range_rows, range_trajectories
+from trackers.parts.range_rows import anchor_positions, range_inputs, range_rows, range_trajectories
 from trackers.parts.ranges import RANGES
-from trackers.recordings.columns import by_tag, float_column
+from trackers.parts.recent_positions import latest_rows
+from trackers.recordings.columns import TableRows, TagRows
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tables import QUATERNION
 from trackers.recordings.tracker_spec import TrackerSpec, on_request
-from trackers.recordings.trajectories import Trajectory, known_height, trajectory_of
-from trackers.recordings.truth import truth_by_tag
+from trackers.recordings.trajectories import Trajectories, Trajectory, known_height, known_heights, trajectories_of
 from trackers.uwb_imu.fusion import range_tracker
 from trackers.uwb_imu.imu_inputs import imu_inputs, to_level_axes
 from trackers.uwb_imu.inertial import inertial_tracker
@@ -40,34 +41,69 @@ MAX_RANGE_RATIO = 20.0
 """Largest plausible median range, as a multiple of the anchors' extent."""
 
 
-def inertial_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
+def inertial_trajectories(folder: RecordingFolder, free_height: bool) -> Iterable[Trajectory]:
     """Each tag's ranges, one per row, and further rows at the times of the IMU's samples.
 
     Tags with an `offset_m` are on one body, with the IMU at the body's origin: the trajectory of each has the ranges of
     all of them, with their lever arms from its own tag.
     """
-    paths = truth_by_tag(folder)
-    tables = folder.tables
-    for tag in tables["ranges"]["tag"].unique(maintain_order=True).sort().to_list():
-        tags = _tags_on_body(folder, tag, free_height)
-        table = tables["ranges"].filter(pl.col("tag").is_in(tags))
-        imu_times, accel, gyro = _imu_samples(tables["imu"], tags)
-        range_times = table["t_s"].to_numpy()
-        between = imu_times[~np.isin(imu_times, range_times)]
-        times = np.concatenate([range_times, between])
+    rows = folder.rows("ranges")
+    bodies = {tag: _tags_on_body(folder, tag, free_height) for tag in sorted(rows.tags)}
+    shared = {tag: body for tag, body in bodies.items() if len(body) > 1}
+    single = [tag for tag in bodies if tag not in shared]
+    alone = _with_imu(folder, rows, {tag: [tag] for tag in single}, free_height) if single else []
+    if not shared:
+        return alone
+    table = folder.tables["ranges"]
+    of_bodies = [
+        table.filter(pl.col("tag").is_in(body)).with_columns(carrier="tag", tag=pl.lit(tag))
+        for tag, body in shared.items()
+    ]
+    together = _with_imu(folder, TableRows(pl.concat(of_bodies)), shared, free_height)
+    return sorted([*alone, *together], key=lambda trajectory: trajectory.tag) if alone else together
+
+
+def _with_imu(
+    folder: RecordingFolder, rows: TagRows, bodies: Mapping[str, Sequence[str]], free_height: bool
+) -> Trajectories:
+    """The trajectories of the tags in `bodies`, which holds the tags on the body of each; `rows`: ranges by body."""
+    readings, number = range_rows(folder, rows)
+    heights = np.full(len(rows.tags), np.nan) if free_height else known_heights(folder, rows.tags)
+    inputs = range_inputs(rows.starts, rows.times, readings, number, anchor_positions(folder), heights)
+    tags = list(bodies)
+    if len(bodies[tags[0]]) > 1:
+        carriers = bodies[tags[0]]
+        offsets = np.stack([_offset(folder, carrier) for carrier in carriers])
+        own = np.stack([_offset(folder, tag) for tag in rows.tags])
+        inputs["levers"] = offsets[rows.codes("carrier", carriers)] - rows.of_each(own)
+    samples = folder.rows("imu")
+    accel, gyro = _imu_samples(samples)
+    at = {tag: slice(*samples.starts[k : k + 2]) for k, tag in enumerate(samples.tags)}
+    ranged = {tag: np.arange(*rows.starts[k : k + 2]) for k, tag in enumerate(rows.tags)}
+    merged_times, merged_rows, merged_imu = [], [], []
+    for tag in tags:
+        part = next((at[other] for other in bodies[tag] if other in at), slice(0))
+        imu_times = samples.times[part]
+        between = imu_times[~np.isin(imu_times, rows.times[ranged[tag]])]
+        times = np.concatenate([rows.times[ranged[tag]], between])
         order = np.argsort(times, kind="stable")
-        readings, inputs = range_rows(folder, tag, table, free_height)
-        if len(tags) > 1:
-            levers = {other: _offset(folder, other) - _offset(folder, tag) for other in tags}
-            inputs["levers"] = np.stack([levers[other] for other in table["tag"].to_list()])
-        merged = {name: _zero_padded(values, len(between))[order] for name, values in inputs.items()}
-        merged |= imu_inputs(times[order], imu_times, accel, gyro)
-        merged["arm"] = np.tile(_offset(folder, tag), (len(times), 1))
-        assert readings.reported is not None
-        seen = _zero_padded(readings.seen, len(between))[order]
-        reported = _zero_padded(readings.reported, len(between))[order]
-        rows = Readings(_zero_padded(readings.values, len(between))[order], seen, reported)
-        yield trajectory_of(folder, tag, "", times[order], {RANGES: rows}, merged, paths)
+        merged_times.append(times[order])
+        # Rows between ranges hold zeros, as the row after the last.
+        merged_rows.append(np.concatenate([ranged[tag], np.full(len(between), len(rows.times))])[order])
+        merged_imu.append(imu_inputs(times[order], imu_times, accel[part], gyro[part]))
+    starts = np.cumsum([0, *(len(times) for times in merged_times)])
+    index = np.concatenate(merged_rows)
+    merged = {name: _with_zeros(values)[index] for name, values in inputs.items()}
+    merged |= {name: np.concatenate([one[name] for one in merged_imu]) for name in merged_imu[0]}
+    merged["arm"] = np.repeat(np.stack([_offset(folder, tag) for tag in tags]), np.diff(starts), axis=0)
+    assert readings.reported is not None
+    of_all = Readings(*(_with_zeros(x)[index] for x in (readings.values, readings.seen, readings.reported)))
+    return trajectories_of(folder, tags, starts, np.concatenate(merged_times), {RANGES: of_all}, merged)
+
+
+def _with_zeros(values: np.ndarray) -> np.ndarray:
+    """The rows followed by a row of zeros."""
+    return np.concatenate([values, np.zeros((1, *values.shape[1:]), values.dtype)])
 
 
 def _tags_on_body(folder: RecordingFolder, tag: str, free_height: bool) -> list[str]:
@@ -83,71 +119,77 @@ def _offset(folder: RecordingFolder, tag: str) -> np.ndarray:
     return np.zeros(3) if known is None or known.offset is None else np.asarray(known.offset, float)
 
 
-def _zero_padded(values: np.ndarray, count: int) -> np.ndarray:
-    """The rows followed by `count` rows of zeros."""
-    return np.concatenate([values, np.zeros((count, *values.shape[1:]), values.dtype)])
-
-
-def _imu_samples(table: pl.DataFrame, tags: list[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times (n,) s, accelerations m/s² and turning rates rad/s (n, 3) of the first tag that has IMU samples."""
-    own = next((part for part in (table.filter(pl.col("tag") == t) for t in tags) if len(part)), table.head(0))
+def _imu_samples(rows: TagRows) -> tuple[np.ndarray, np.ndarray]:
+    """Accelerations, m/s², and turning rates, rad/s (N, 3), NaN where missing."""
     accel, gyro = (
-        np.stack([float_column(own, f"{kind}_{axis}_{unit}") for axis in "xyz"], axis=1)
+        rows.floats([f"{kind}_{axis}_{unit}" for axis in "xyz"])
         for kind, unit in (("accel", "mps2"), ("gyro", "radps"))
     )
-    if QUATERNION[0] in own.columns:
-        attitude = np.stack([float_column(own, name) for name in QUATERNION], axis=1)
-        accel, gyro = to_level_axes(accel, attitude, GRAVITY)
-    return own["t_s"].to_numpy(), accel, gyro
+    if QUATERNION[0] not in rows:
+        return accel, gyro
+    return to_level_axes(accel, rows.floats(QUATERNION), GRAVITY)
 
 
-def snapshot_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
+class Snapshots(NamedTuple):
+    """The times of all tags, and at each every anchor's latest range.
+
+    `starts` (n + 1,): the first of the N times of each tag, then N. `times` (N,) s. `latest` (N, A): ranges, m, zero
+    unless `fresh` (N, A), recent enough.
+    """
+
+    rows: TagRows
+    starts: np.ndarray
+    times: np.ndarray
+    latest: np.ndarray
+    fresh: np.ndarray
+
+
+def snapshot_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:
     """Each tag's ranges, one row per time, with the latest range of every anchor in a slot of its own."""
-    for tag, times, latest, fresh, inputs in _snapshots(folder, free_height):
-        yield trajectory_of(folder, tag, "", times, {RANGES: Readings(latest, fresh)}, inputs, truth_by_tag(folder))
+    found = _snapshots(folder, free_height)
+    inputs = {"anchors": np.tile(anchor_positions(folder).ravel(), (len(found.times), 1))}
+    readings = {RANGES: Readings(found.latest, found.fresh)}
+    return trajectories_of(folder, found.rows.tags, found.starts, found.times, readings, inputs)
 
 
-def triple_trajectories(folder: RecordingFolder, free_height: bool) -> Iterator[Trajectory]:
+def triple_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:
     """As `snapshot_trajectories`, with the three anchors of each row that span the largest triangle."""
-    anchors = anchor_positions(folder)
+    anchors, found = anchor_positions(folder), _snapshots(folder, free_height)
     triples = np.array(list(combinations(range(len(anchors)), 3)))
     legs = anchors[triples][:, 1:, :2] - anchors[triples][:, :1, :2]
     areas = np.abs(legs[:, 0, 0] * legs[:, 1, 1] - legs[:, 0, 1] * legs[:, 1, 0])
-    for tag, times, latest, fresh, inputs in _snapshots(folder, free_height):
-        patterns, which = np.unique(fresh, axis=0, return_inverse=True)
-        complete = patterns[:, triples].all(axis=2)
-        best = triples[np.argmax(np.where(complete, areas, -1.0), axis=1)][which.ravel()]
-        values, seen = (np.take_along_axis(x, best, axis=1) for x in (latest, fresh))
-        inputs = {**inputs, "anchors": anchors[best].reshape(len(times), 9)}
-        yield trajectory_of(folder, tag, "", times, {RANGES: Readings(values, seen)}, inputs, truth_by_tag(folder))
+    patterns, which = np.unique(found.fresh, axis=0, return_inverse=True)
+    complete = patterns[:, triples].all(axis=2)
+    best = triples[np.argmax(np.where(complete, areas, -1.0), axis=1)][which.ravel()]
+    values, seen = (np.take_along_axis(x, best, axis=1) for x in (found.latest, found.fresh))
+    inputs = {"anchors": anchors[best].reshape(len(found.times), 9)}
+    return trajectories_of(folder, found.rows.tags, found.starts, found.times, {RANGES: Readings(values, seen)}, inputs)
 
 
-def _snapshots(
-    folder: RecordingFolder, free_height: bool
-) -> Iterator[tuple[str, np.ndarray, np.ndarray, np.ndarray, dict[str, np.ndarray]]]:
-    """Per tag: its times (t,), each anchor's latest range (t, A) m, whether it is recent enough, and the inputs."""
-    anchors = anchor_positions(folder)
-    for tag, table in by_tag(folder.tables["ranges"]):
-        known = not free_height and known_height(folder, tag) is not None
-        readings, inputs = range_rows(folder, tag, table, free_height)
-        rows, number = table["t_s"].to_numpy(), inputs["anchor"][:, 0]
-        times = np.unique(rows)
-        latest, age = np.zeros((len(times), len(anchors))), np.full((len(times), len(anchors)), np.inf)
-        for k in range(len(anchors)):
-            mine = np.flatnonzero((number == k) & readings.seen[:, 0])
-            if len(mine):
-                last = np.searchsorted(rows[mine], times, side="right") - 1
-                row = mine[np.maximum(last, 0)]
-                latest[:, k] = readings.values[row, 0]
-                age[:, k] = np.where(last >= 0, times - rows[row], np.inf)
-        fresh = age <= _snapshot_window(age, 3 if known else 4)
-        yield tag, times, np.where(fresh, latest, 0.0), fresh, {"anchors": np.tile(anchors.ravel(), (len(times), 1))}
+def _snapshots(folder: RecordingFolder, free_height: bool) -> Snapshots:
+    """The latest ranges of all tags at each of their times."""
+    rows = folder.rows("ranges")
+    readings, number = range_rows(folder, rows)
+    latest = latest_rows(rows.starts, number, readings.seen[:, 0], len(folder.rig.anchors))
+    # The last row of each time of a tag.
+    last = np.append(np.diff(rows.times) != 0, True)
+    last[rows.starts[1:] - 1] = True
+    times, latest = rows.times[last], latest[last]
+    starts = np.concatenate([[0], np.cumsum(last)[rows.starts[1:] - 1]])
+    age = np.where(latest >= 0, times[:, None] - rows.times[latest], np.inf)
+    heights = np.full(len(rows.tags), np.nan) if free_height else known_heights(folder, rows.tags)
+    windows = _snapshot_windows(starts, age, np.where(np.isnan(heights), 4, 3))
+    fresh = age <= np.repeat(windows, np.diff(starts))[:, None]
+    return Snapshots(rows, starts, times, np.where(fresh, readings.values[latest, 0], 0.0), fresh)
 
 
-def _snapshot_window(age: np.ndarray, least: int) -> float:
-    """The shortest of the `WINDOWS`, s, in which at least half of the times have `least` anchors."""
-    enough = [w for w in WINDOWS if np.mean(np.sum(age <= w, axis=1) >= least) >= 0.5]
-    return enough[0] if enough else WINDOWS[-1]
+def _snapshot_windows(starts: np.ndarray, age: np.ndarray, least: np.ndarray) -> np.ndarray:
+    """Of each tag (n,): the shortest of the `WINDOWS`, s, in which half of its times have at least `least` anchors."""
+    found = np.full(len(least), WINDOWS[-1])
+    for window in reversed(WINDOWS):
+        enough = (age <= window).sum(axis=1) >= np.repeat(least, np.diff(starts))
+        found[np.add.reduceat(enough, starts[:-1], dtype=float) / np.diff(starts) >= 0.5] = window
+    return found
 
 
 def lacks_ranges_or_imu(folder: RecordingFolder) -> str | None:
@@ -155,7 +197,7 @@ def lacks_ranges_or_imu(folder: RecordingFolder) -> str | None:
     for name in ("ranges", "imu"):
         if name not in folder.tables:
             return f"a {name} table, found no such table"
-    found = folder.tables["ranges"]["anchor"].n_unique()
+    found = len(np.unique(folder.rows("ranges").codes("anchor", sorted(folder.rig.anchors))))
     return None if found >= MIN_ANCHORS else f"ranges to at least {MIN_ANCHORS} anchors, found {found}"
 
 
@@ -163,20 +205,22 @@ def lacks_ranges(folder: RecordingFolder) -> str | None:
     """What a folder lacks for a tracker of ranges, in words: enough anchors, not collinear, and ranges in metres."""
     if "ranges" not in folder.tables:
         return "a ranges table with at least 3 anchors, found no such table"
-    table = folder.tables["ranges"].filter(pl.col("range_m") > 0)
-    anchors_of = {tag: part["anchor"].unique().to_list() for tag, part in by_tag(table)}
-    needed = {tag: 4 if known_height(folder, tag) is None else 3 for tag in anchors_of}
-    if not any(len(anchors_of[tag]) >= needed[tag] for tag in anchors_of):
-        most = max(map(len, anchors_of.values()), default=0)
+    rows, ids = folder.rows("ranges"), sorted(folder.rig.anchors)
+    ranges = rows.floats(["range_m"])[:, 0]
+    positive = ranges > 0
+    heard = np.zeros((len(rows.tags), len(ids)), bool)
+    heard[rows.of_each(np.arange(len(rows.tags)))[positive], rows.codes("anchor", ids)[positive]] = True
+    counts, needed = heard.sum(axis=1), np.where(np.isnan(known_heights(folder, rows.tags)), 4, 3)
+    if not (counts >= needed).any():
         return (
-            f"positive ranges from a tag to at least 3 anchors, or 4 where rig.toml gives it no height_m, found {most} "
-            "at most"
+            "positive ranges from a tag to at least 3 anchors, or 4 where rig.toml gives it no height_m, found "
+            f"{counts.max(initial=0)} at most"
         )
-    positions = np.stack([np.asarray(folder.rig.anchors[a], float) for a in sorted(set().union(*anchors_of.values()))])
+    positions = anchor_positions(folder)[heard.any(axis=0)]
     sizes = np.linalg.svd(positions[:, :2] - positions[:, :2].mean(axis=0), compute_uv=False)
     if sizes[1] < COLLINEAR * sizes[0]:
         return f"anchors that span a plane, found all {len(positions)} that are heard on one line seen from above"
-    median, extent = float(table["range_m"].median()), float(np.ptp(positions, axis=0).max())  # type: ignore[arg-type]
+    median, extent = float(np.median(ranges[positive])), float(np.ptp(positions, axis=0).max())
     if median > MAX_RANGE_RATIO * extent:
         return (
             f"ranges in metres, found a median of {median:.4g} among anchors {extent:.4g} m apart; "
@@ -190,7 +234,7 @@ def _lacks_known_height(folder: RecordingFolder) -> str | None:
     lacking = lacks_ranges(folder)
     if lacking is not None:
         return lacking
-    free = sorted(tag for tag in folder.tables["ranges"]["tag"].unique() if known_height(folder, tag) is None)
+    free = sorted(tag for tag in folder.rows("ranges").tags if known_height(folder, tag) is None)
     return f"height_m in rig.toml for every tag, found none for {', '.join(free)}" if free else None
 
 

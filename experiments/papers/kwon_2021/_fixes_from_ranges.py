@@ -10,7 +10,6 @@ import polars as pl
 from trackers.catalogue import spec_of
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracks import batches
-from trackers.recordings.trajectories import known_heights
 
 
 def fixes_from_ranges(folder: RecordingFolder, tracker: str, free_height: bool = False) -> RecordingFolder:
@@ -18,13 +17,13 @@ def fixes_from_ranges(folder: RecordingFolder, tracker: str, free_height: bool =
     tables = []
     for group in spec_of(tracker).batches([folder], tracker, free_height):
         for trajectories, batch in batches(group.trajectories):
-            estimates = group.tracker.run(batch)
-            for k, trajectory in enumerate(trajectories):
-                one, rows = estimates[k], len(trajectory.recording)
-                position = [np.asarray(x, float)[:rows] for x in one.mean.position]
-                axes = position if len(position) == 3 else [*position, known_heights(trajectory)]
-                columns = {f"{a}_m": x for a, x in zip("xyz", axes, strict=True)}
-                tag = pl.repeat(trajectory.tag, rows, eager=True)
-                fixes = pl.DataFrame({"t_s": trajectory.recording.times, "tag": tag} | columns)
-                tables.append(fixes.filter(pl.Series(one.usable[:rows])))
-    return replace(folder, tables=folder.tables | {"fixes": pl.concat(tables).sort("t_s", maintain_order=True)})
+            estimates, columns = group.tracker.run(batch), trajectories.columns
+            rows = np.arange(estimates.status.shape[1]) < np.diff(columns.starts)[:, None]
+            position = [np.asarray(x, float)[rows] for x in estimates.mean.position]
+            axes = position if len(position) == 3 else [*position, columns.of_each(trajectories.heights)]
+            tag = pl.Series(trajectories.tags).gather(columns.of_each(np.arange(len(columns))))
+            fixes = pl.DataFrame(
+                {"t_s": columns.times, "tag": tag} | {f"{a}_m": x for a, x in zip("xyz", axes, strict=True)}
+            )
+            tables.append(fixes.filter(pl.Series(estimates.usable[rows])))
+    return replace(folder, tables={**folder.tables, "fixes": pl.concat(tables).sort("t_s", maintain_order=True)})

@@ -58,13 +58,13 @@ def test_a_fix_is_a_row_with_masks_and_reported_variances(world):
 
 def test_a_known_height_hides_z_from_planar_trackers_and_stands_for_it_in_mhk(world):
     known = _known_height(world)
-    assert not next(fix_trajectories(known, free_height=False)).recording.readings[FIXES].seen[:, 2].any()
-    assert next(fix_trajectories(known, free_height=True)).recording.readings[FIXES].seen[:, 2].all()
-    np.testing.assert_array_equal(next(spatial_trajectories(known, False)).recording.readings[FIXES].values[:, 2], 1.2)
+    assert not fix_trajectories(known, free_height=False)[0].recording.readings[FIXES].seen[:, 2].any()
+    assert fix_trajectories(known, free_height=True)[0].recording.readings[FIXES].seen[:, 2].all()
+    np.testing.assert_array_equal(spatial_trajectories(known, False)[0].recording.readings[FIXES].values[:, 2], 1.2)
 
 
 def test_trackers_of_mirrored_heights_read_the_distance_from_the_anchors_plane(world):
-    trajectory, plain = next(mirror_trajectories(world, False)), next(fix_trajectories(world, True))
+    trajectory, plain = mirror_trajectories(world, False)[0], fix_trajectories(world, True)[0]
     values = trajectory.recording.readings[FIXES].values
     z = plain.recording.readings[FIXES].values[:, 2]
     np.testing.assert_allclose(values[:, 2], np.abs(z - ANCHOR_HEIGHT))

@@ -44,7 +44,7 @@ def test_a_missing_angle_is_masked_and_reported_standard_deviations_become_varia
         azimuth_std_rad=pl.lit(0.1),
         elevation_std_rad=pl.when(pl.col("t_s") == 2.0).then(None).otherwise(0.2),
     )
-    trajectory = next(bearing_trajectories(_with(good, bearings=table), free_height=False))
+    trajectory = bearing_trajectories(_with(good, bearings=table), free_height=False)[0]
     readings, times = trajectory.recording.readings[BEARINGS], trajectory.recording.times
     np.testing.assert_array_equal(readings.seen[:, 0], times != 1.0)
     assert readings.seen[:, 1].all()
@@ -56,9 +56,8 @@ def test_phases_of_all_stations_at_one_time_share_a_row_and_duplicates_get_anoth
     table = good.tables["phases"]
     again = table.filter((pl.col("t_s") == 1.0) & (pl.col("tag") == "T1") & (pl.col("station") == "S2"))
     again = again.with_columns(phase_1_rad=pl.lit(0.25))
-    trajectory = next(
-        phase_trajectories(_with(good, phases=pl.concat([table, again]).sort("t_s", maintain_order=True)), False)
-    )
+    both = pl.concat([table, again]).sort("t_s", maintain_order=True)
+    trajectory = phase_trajectories(_with(good, phases=both), False)[0]
     assert len(trajectory.recording) == 51
     (repeated,) = np.flatnonzero(np.diff(trajectory.recording.times) == 0)
     one, two = (trajectory.recording.readings[name] for name in ("S1", "S2"))
@@ -83,7 +82,7 @@ def test_beams_are_a_trajectory_for_each_tag_and_station_with_true_directions(go
 
 
 def test_segments_hold_all_rows_in_order_and_about_the_requested_number_each(good):
-    trajectory = next(bearing_trajectories(good, False))
+    trajectory = bearing_trajectories(good, False)[0]
     for rows, count in ((100, 1), (1000, 1), (30, 3), (14, 7), (10, 10)):
         parts = segments(trajectory, rows)
         assert len(parts) == count
@@ -97,7 +96,7 @@ def test_segments_hold_all_rows_in_order_and_about_the_requested_number_each(goo
 
 
 def test_a_segment_has_the_rows_of_readings_inputs_and_truth(good):
-    whole = next(bearing_trajectories(good, False)).recording
+    whole = bearing_trajectories(good, False)[0].recording
     part = cut(whole, 20, 45)
     assert len(part) == 25
     for name, values in whole.inputs.items():

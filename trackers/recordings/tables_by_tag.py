@@ -1,0 +1,43 @@
+"""The tables of a recording, as data frames and as columns by tag."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import polars as pl
+
+from trackers.recordings.columns import TableRows, TagRows
+from trackers.recordings.truth import TruePaths
+
+
+class Tables(Mapping[str, pl.DataFrame]):
+    """The tables of a recording by name; their rows by tag and the true paths are made once."""
+
+    def __init__(self, frames: Mapping[str, pl.DataFrame]) -> None:
+        self._frames = dict(frames)
+        self._rows: dict[str, TagRows] = {}
+        self._paths: TruePaths | None = None
+
+    def __getitem__(self, name: str) -> pl.DataFrame:
+        return self._frames[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._frames)
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def __or__(self, other: Mapping[str, pl.DataFrame]) -> dict[str, pl.DataFrame]:
+        return {**self, **other}
+
+    def rows(self, name: str) -> TagRows:
+        """The rows of the table by tag."""
+        if name not in self._rows:
+            self._rows[name] = TableRows(self[name])
+        return self._rows[name]
+
+    def paths(self, recording: str) -> TruePaths:
+        """The true paths of the tags, none without a truth table; `recording`: the name for messages."""
+        if self._paths is None:
+            self._paths = TruePaths.of_table(self["truth"], recording) if "truth" in self else TruePaths.none()
+        return self._paths
