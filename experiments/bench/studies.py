@@ -1,8 +1,8 @@
 """The rate of a study's chunk over that of the tracker alone, for every world: `python -m experiments.bench.studies`.
 
-A chunk is simulated, prepared (rows of the tracker, stacked), run and scored as in a study with one tracker. The tracker
-alone is `tracker.run` on the same stacked rows. Processor seconds of warm programs, medians over rounds in which whole
-chunk and parts have one turn each.
+A chunk is simulated, prepared (rows of the tracker, stacked), run and scored as in a study with one tracker. The
+tracker alone is `tracker.run` on the same stacked rows. Processor seconds of warm programs, medians over rounds in
+which the whole chunk and its parts have one turn each.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import platform
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -111,7 +112,7 @@ def measured(world: str, tracker: str) -> dict[str, Any]:
             return [(own.tracker, batch) for own in groups for _, batch in row_batches(own.trajectories)]
 
         batches, prepare = _clocked(prepared)
-        _, run = _clocked(lambda batches=batches: [own.run(batch, chunk) for own, batch in batches])
+        _, run = _clocked(partial(_run, batches, chunk))
         _, whole = _clocked(lambda: run_chunk(study, condition, ids, False))
         if attempt:
             for part, value in zip(
@@ -122,6 +123,11 @@ def measured(world: str, tracker: str) -> dict[str, Any]:
     medians = {f"{part}_us_per_row": 1e6 * float(np.median(seconds[part])) / rows for part in PARTS}
     share = float(np.median(np.array(seconds["run"]) / np.array(seconds["whole"])))
     return {"world": world, "tracker": tracker, "trajectories": count, "rows": rows, **medians, "share": share}
+
+
+def _run(batches: list[Any], chunk: int) -> None:
+    for tracker, batch in batches:
+        tracker.run(batch, chunk)
 
 
 def _clocked(run: Callable[[], Any]) -> tuple[Any, float]:

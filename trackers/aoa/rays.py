@@ -66,9 +66,9 @@ def recent_points_of_each(
     heights: np.ndarray,
     window: float = 1.0,
 ) -> np.ndarray:
-    """As `recent_points`, for the rows of n tags one after another: those of tag k are `starts[k]` … `starts[k + 1]` − 1.
+    """As `recent_points`, for the rows of n tags one after another.
 
-    `heights` (n,) m: NaN where unknown.
+    `starts` (n + 1,): the first row of each tag, then their number. `heights` (n,) m: NaN where unknown.
     """
     azimuth, elevation = angles.T
     u = np.stack([np.sin(azimuth) * np.cos(elevation), np.sin(elevation), np.cos(azimuth) * np.cos(elevation)], axis=1)

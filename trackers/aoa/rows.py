@@ -37,7 +37,7 @@ def bearing_trajectories(folder: RecordingFolder, free_height: bool) -> Trajecto
     geometries = np.stack([bearing_inputs(s) for s in stations.values()])[rows.codes("station", list(stations))]
     heights = np.full(len(rows.tags), np.nan) if free_height else known_heights(folder, rows.tags)
     origin, axes = geometries[:, :3], geometries[:, 3:]
-    nearby = recent_points_of_each(rows.starts, rows.times, origin, axes, values, seen.all(axis=1), heights)
+    nearby = recent_points_of_each(rows.starts, rows.times, origin, axes, values, np.all(seen, axis=1), heights)
     inputs = {"origin": origin, "axes": axes, "nearby": nearby}
     readings = {BEARINGS: Readings(values, seen, reported)}
     return trajectories_of(folder, rows.tags, rows.starts, rows.times, readings, inputs)

@@ -199,7 +199,10 @@ class Columns:
         return np.repeat(values, np.diff(self.starts), axis=0)
 
     def padded(self, rows: np.ndarray, width: int | None = None) -> np.ndarray:
-        """The values of all rows (N, …) by recording (n, width, …), NaN or zero beyond its end; by default the longest."""
+        """The values of all rows (N, …) by recording (n, width, …), NaN or zero beyond its end.
+
+        `width`: by default the rows of the longest.
+        """
         lengths = np.diff(self.starts)
         width = width or int(lengths.max())
         if (lengths == width).all():

@@ -33,9 +33,9 @@ def recent_positions(
     """For every row (N, 4): the position from the ranges of the last seconds, m, and 1 where they determine it.
 
     `starts` (n + 1,): the first row of each of n tags, then N. `times` (N,) s, sorted by tag; `anchors` (A, 3) m;
-    `numbers` (N,): the anchor of each row; `ranges` (N,) m and `seen` (N,). With a known height, `heights` (n,) m, three
-    anchors are needed; without, NaN, four. The second of the `windows`, s, is used where the ranges of the first do not
-    determine the position.
+    `numbers` (N,): the anchor of each row; `ranges` (N,) m and `seen` (N,). `heights` (n,) m: of the tags; with a known
+    one three anchors are needed, without, NaN, four. The second of the `windows`, s, is used where the ranges of the
+    first do not determine the position.
     """
     result = np.zeros((len(times), 4))
     tag = np.repeat(np.arange(len(heights)), np.diff(starts))

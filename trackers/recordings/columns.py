@@ -1,4 +1,4 @@
-"""Columns of tables as arrays: numbers, rows by tag with values and their mask, runs of equal keys, required columns."""
+"""Columns of tables as arrays: numbers, rows by tag with their masks, runs of equal keys, required columns."""
 
 from __future__ import annotations
 

@@ -83,7 +83,10 @@ def track(groups: Sequence[TrackerBatch], advance: Callable[[int], None] = lambd
 
 
 def _summaries(number: np.ndarray, status: np.ndarray, count: int) -> dict[str, int]:
-    """How many of `count` trajectories ended how, in the words of `Estimates.summary`; `number` (N,): of each estimate."""
+    """How many of `count` trajectories ended how, in the words of `Estimates.summary`.
+
+    `number` (N,): of the trajectory of each estimate, whose `status` (N,) this is.
+    """
     has = {s: np.bincount(number[status == s], minlength=count) for s in Status}
     rows = np.bincount(number, minlength=count)
     endings = {

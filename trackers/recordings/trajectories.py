@@ -52,9 +52,8 @@ class Trajectories(Sequence[Trajectory]):
         """The trajectories of all parts; raises ValueError where they differ in the names or shapes of their arrays."""
         if len(parts) == 1:
             return parts[0]
-        folders, tags, stations = (
-            [x for part in parts for x in of] for of in zip(*((p.folders, p.tags, p.stations) for p in parts))
-        )
+        folders = [folder for part in parts for folder in part.folders]
+        tags, stations = [tag for part in parts for tag in part.tags], [s for part in parts for s in part.stations]
         return cls(folders, tags, stations, Columns.joined([part.columns for part in parts]))
 
     def __len__(self) -> int:

@@ -70,10 +70,16 @@ def _rows(rng, count=600, outlier=0.0, sigma=0.02, biases=None, still=False):
     return times, numbers, np.where(struck, ranges + rng.exponential(5.0, count), ranges), positions
 
 
+def _recent(times, anchors, numbers, ranges, seen, height):
+    """The positions at all rows of one tag."""
+    heights = np.array([np.nan if height is None else height])
+    return recent_positions(np.array([0, len(times)]), times, anchors, numbers, ranges, seen, heights)
+
+
 @pytest.mark.parametrize("height", [HEIGHT, None])
 def test_recent_positions_are_the_tags_with_ranges_to_three_or_four_anchors(height):
     times, numbers, ranges, positions = _rows(np.random.default_rng(0), sigma=0.0, still=True)
-    found = recent_positions(times, ANCHORS, numbers, ranges, np.ones(len(times), bool), height)
+    found = _recent(times, ANCHORS, numbers, ranges, np.ones(len(times), bool), height)
     least = 3 if height is not None else 4
     assert not found[: least - 1, 3].any()
     assert found[least - 1 :, 3].all()
@@ -84,7 +90,7 @@ def test_recent_positions_are_the_tags_with_ranges_to_three_or_four_anchors(heig
 def test_an_outlier_of_kilometres_does_not_change_recent_positions():
     times, numbers, ranges, positions = _rows(np.random.default_rng(1), still=True)
     ranges[200], ranges[203] = 9000.0, 0.01
-    found = recent_positions(times, ANCHORS, numbers, ranges, np.ones(len(times), bool), None)
+    found = _recent(times, ANCHORS, numbers, ranges, np.ones(len(times), bool), None)
     # 2 cm of noise, five anchors round the tag; the median of an anchor's latest five ignores the outlier.
     assert np.abs(found[195:230, :2] - positions[195:230, :2]).max() < 0.08
 
@@ -93,11 +99,11 @@ def test_collinear_anchors_determine_no_position():
     line = np.array([[0.0, 0.0, 2.0], [1.0, 0.0, 2.0], [2.0, 0.0, 2.0], [4.0, 0.0, 2.0]])
     times, numbers = np.arange(40) * 0.02, np.arange(40) % 4
     ranges = np.linalg.norm(np.array([1.5, 0.02, HEIGHT]) - line[numbers], axis=1)
-    assert not recent_positions(times, line, numbers, ranges, np.ones(40, bool), HEIGHT)[:, 3].any()
+    assert not _recent(times, line, numbers, ranges, np.ones(40, bool), HEIGHT)[:, 3].any()
 
 
 def _recording(times, numbers, ranges, height):
-    nearby = recent_positions(times, ANCHORS, numbers, ranges, np.ones(len(times), bool), height)
+    nearby = _recent(times, ANCHORS, numbers, ranges, np.ones(len(times), bool), height)
     inputs = {
         "anchors": ANCHORS[numbers],
         "anchor": numbers[:, None].astype(float),
