@@ -25,13 +25,11 @@ from trackers.core.algebra import (
     Vector,
     cholesky,
     compute_once,
-    congruence,
-    full,
     gram,
     inverse_or_zero,
     total,
-    triangle,
 )
+from trackers.core.covariance import Upper, composed, congruence, joseph, product, zeros
 from trackers.core.filter import AbstractSmoothableFilter, Gaussian, Innovation
 from trackers.core.inputs import Inputs
 from trackers.core.keys import RawKey
@@ -49,17 +47,19 @@ class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
         """The filter's belief, given the prior; `key` is unused."""
         return belief
 
-    def moments(self, belief: Gaussian) -> tuple[State, tuple[Scalar, ...]]:
+    def moments(self, belief: Gaussian) -> tuple[State, Upper]:
         """The mean state and the covariance's upper triangle."""
         return belief.mean, belief.cov
 
     def predict(self, belief: Gaussian, motion: AbstractMotion, inputs: Inputs, dt: Scalar) -> Gaussian:
         """The belief `dt` s later: mean through the motion, covariance FPFᵀ + GGᵀ, stage by stage."""
         mean, cov = belief
+        stages = []
         for stage in motion.stages:
             mean, F, G = self.jacobians(mean, motion, stage, inputs, dt)
-            # Entries that a stage leaves unchanged need no barrier again.
-            cov = tuple(a if a is b else compute_once(a) for a, b in zip(congruence(F, cov, G), cov, strict=True))
+            stages.append((F, G))
+        for F, G in stages if isinstance(cov, tuple) else [composed(stages)]:
+            cov = congruence(F, cov, G)
         return Gaussian(compute_once(mean), cov)
 
     def jacobians(
@@ -102,7 +102,7 @@ class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
         student_t = has_student_t[0]
         channels = compute_once((whitened, jacobian))
         residual, H, rest = (*channels, jnp.zeros_like(nis_dof)) if student_t else compute_once(compressed(*channels))
-        step, cov, nis, log_density = joseph(belief.cov, residual, H, len(point), dof if student_t else None)
+        step, cov, nis, log_density = sequential_updates(belief.cov, residual, H, len(point), dof if student_t else None)
         innovation = Innovation(log_scale + log_density - 0.5 * rest, nis + rest, nis_dof, wrapped)
         return Gaussian(retract(belief.mean, step), cov), innovation
 
@@ -147,21 +147,19 @@ def compressed(
     return [equivalent[j] for j in columns], rows, total(x * x for x in remainder)
 
 
-def joseph(
-    cov: Sequence[Scalar], residual: Sequence[Scalar], H: Sequence[SparseRow], n: int, dof: Scalar | None = None
-) -> tuple[list[Scalar], tuple[Scalar, ...], Scalar, Scalar]:
-    """Sequential scalar updates, one per channel: the small step, the covariance, the NIS and the log density.
+def sequential_updates(
+    cov: Upper, residual: Sequence[Scalar], H: Sequence[SparseRow], n: int, dof: Scalar | None = None
+) -> tuple[Any, Upper, Scalar, Scalar]:
+    """Scalar updates in Joseph form, one per channel: the small step, the covariance, the NIS and the log density.
 
     P⁺ = (I − khᵀ) P (I − khᵀ)ᵀ + kkᵀ with k = Ph/s and s = hᵀPh + 1. With Student's t of `dof` ν the noise variance is
     divided by the weight (ν + 1)/(ν + innovation²/s). The log density is without `Residual.log_scale`.
     """
-    step: list[Scalar] = [jnp.zeros_like(cov[0])] * n
-    upper = tuple(cov)
+    step = zeros(cov, n)
     nis = log_density = jnp.zeros_like(cov[0])
     coarse = 256 * float(jnp.finfo(nis.dtype).eps)
     for r, h in zip(residual, H, strict=True):
-        P = full(upper, n)
-        Ph = compute_once([total(P[i][j] * v for j, v in h.items()) for i in range(n)])
+        Ph = product(cov, h, n)
         a = jnp.maximum(total(Ph[j] * v for j, v in h.items()), 0.0)
         innovation = r - total(v * step[j] for j, v in h.items())
         square = innovation * innovation / (1.0 + a)
@@ -175,12 +173,8 @@ def joseph(
             noise = jnp.maximum(1.0 / weight, coarse * a)
             log_density = log_density - 0.5 * ((dof + 1.0) * jnp.log1p(square / dof) + jnp.log(1.0 + a))
             square = square * weight
-        k = [g / (noise + a) for g in Ph]
-        step = [x + g * innovation for x, g in zip(step, k, strict=True)]
-        # B = (I − khᵀ)P, then B(I − khᵀ)ᵀ + kkᵀ as a rank-one update of B: n² products per channel, with the same
-        # correction of rounding errors in B as the product of three matrices.
-        B = {(i, j): P[i][j] - k[i] * Ph[j] for i in range(n) for j in range(n) if j >= i or j in h}
-        Bh_noise = compute_once([total(B[i, j] * v for j, v in h.items()) - noise * k[i] for i in range(n)])
-        upper = tuple(B[i, j] - Bh_noise[i] * k[j] for i, j in triangle(n))
+        k = Ph / (noise + a)
+        step = step + k * innovation
+        cov = joseph(cov, Ph, k, h, noise)
         nis = nis + square
-    return step, upper, nis, log_density
+    return step, cov, nis, log_density

@@ -24,7 +24,8 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.algebra import Scalar, Vector, compute_once, total, triangle
+from trackers.core.algebra import Scalar, Vector, compute_once, total
+from trackers.core.covariance import Upper, matched
 from trackers.core.ekf import ExtendedKalman
 from trackers.core.filter import AbstractSmoothableFilter, Gaussian, Innovation
 from trackers.core.inputs import Input, Inputs
@@ -124,7 +125,7 @@ class AbstractInteractingModels(AbstractSmoothableFilter[Mixture]):
         zero = jnp.zeros_like(belief.cov[0])
         return Mixture((belief,) * len(prior), tuple(jnp.log(p) + zero for p in prior))
 
-    def moments(self, belief: Mixture) -> tuple[State, tuple[Scalar, ...]]:
+    def moments(self, belief: Mixture) -> tuple[State, Upper]:
         """The mean and covariance of the mixture."""
         return collapsed(belief.components, [jnp.exp(w) for w in belief.log_weights])
 
@@ -237,10 +238,7 @@ def collapsed(components: Sequence[Gaussian], weights: Sequence[Scalar]) -> Gaus
     mean_step = [total(w * s for w, s in zip(weights[1:], column, strict=True)) for column in zip(*steps, strict=True)]
     mean = retract(origin, mean_step) if mean_step else origin
     deviations = [local(mean, g.mean) for g in components]
-    cov = []
-    for k, (i, j) in enumerate(triangle(len(deviations[0]))):
-        cov.append(total(w * (g.cov[k] + d[i] * d[j]) for w, g, d in zip(weights, components, deviations, strict=True)))
-    return Gaussian(mean, tuple(cov))
+    return Gaussian(mean, matched(weights, [g.cov for g in components], deviations))
 
 
 def _in_mode(part: Any, mode: int) -> Any:

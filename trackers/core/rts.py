@@ -19,12 +19,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Shaped
 
-from trackers.core.algebra import Scalar, SparseRow, compute_once, dense, densify, total, triangle
+from trackers.core.algebra import Scalar, SparseRow, compute_once, densify, total
+from trackers.core.covariance import OneArray, Upper, matrix, upper_of
 from trackers.core.filter import Gaussian
 from trackers.core.select import select
 from trackers.core.state import State, local, retract
 
 Matrix = Float[Array, "n n"]
+
+BLOCK = 64
+"""Time steps whose gains are computed side by side, for few trajectories."""
 
 
 class RtsGain(NamedTuple):
@@ -52,48 +56,69 @@ def rts_gain(
 
     `jacobians`: F and G of each stage of the motion, in order.
     """
-    zero = jnp.zeros_like(belief.cov[0])
+    zero, multiply = jnp.zeros_like(belief.cov[0]), _product(belief.cov)
     n = len(jacobians[0][0])
-    P, F, G = dense(belief.cov, n), jnp.eye(n, dtype=zero.dtype), jnp.zeros((n, 0), zero.dtype)
+    P, F, G = matrix(belief.cov, n), jnp.eye(n, dtype=zero.dtype), jnp.zeros((n, 0), zero.dtype)
     for F_sparse, G_sparse in jacobians:
         F_stage = compute_once(densify(F_sparse, n, zero))
-        F = compute_once(_product(F_stage, F))
-        G = jnp.concatenate([_product(F_stage, G), densify(G_sparse, _width(G_sparse), zero)], axis=1)
+        F = compute_once(multiply(F_stage, F))
+        G = jnp.concatenate([multiply(F_stage, G), densify(G_sparse, _width(G_sparse), zero)], axis=1)
     P, F, G = compute_once((P, F, G))
-    FP = compute_once(_product(F, P))
-    C = compute_once(_times_inverse(FP.T, compute_once(_product(FP, F.T) + _product(G, G.T))))
-    I_CF, CG = compute_once((jnp.eye(n, dtype=P.dtype) - _product(C, F), _product(C, G)))
-    base = _product(compute_once(_product(I_CF, P)), I_CF.T) + _product(CG, CG.T)
+    FP = compute_once(multiply(F, P))
+    C = compute_once(_times_inverse(FP.T, compute_once(multiply(FP, F.T) + multiply(G, G.T))))
+    I_CF, CG = compute_once((jnp.eye(n, dtype=P.dtype) - multiply(C, F), multiply(C, G)))
+    base = multiply(compute_once(multiply(I_CF, P)), I_CF.T) + multiply(CG, CG.T)
     return RtsGain(belief, predicted, C, compute_once(base), connected, simultaneous)
 
 
 def rts_step(rts_gain: RtsGain, after: Gaussian) -> Gaussian:
     """The smoothed belief of a time step, from the smoothed belief `after` of the next one."""
-    n = rts_gain.gain.shape[0]
+    n, multiply = rts_gain.gain.shape[0], _product(after.cov)
     step = total(rts_gain.gain[:, j] * d for j, d in enumerate(local(rts_gain.predicted, after.mean)))
-    CP = compute_once(_product(rts_gain.gain, dense(after.cov, n)))
-    cov = rts_gain.base + _product(CP, rts_gain.gain.T)
+    CP = compute_once(multiply(rts_gain.gain, matrix(after.cov, n)))
+    cov = rts_gain.base + multiply(CP, rts_gain.gain.T)
     mean = retract(rts_gain.filtered.mean, [step[i] for i in range(n)])
-    smoothed = rts_gain.filtered._replace(mean=mean, cov=tuple(cov[i, j] for i, j in triangle(n)))
+    smoothed = rts_gain.filtered._replace(mean=mean, cov=upper_of(cov, after.cov))
     # Two steps at one time have one state; the filtered covariance may be singular there, without an inverse.
     chosen: Gaussian = select(rts_gain.connected, select(rts_gain.simultaneous, after, smoothed), rts_gain.filtered)
     return chosen
 
 
 def fixed_interval(
-    gain_of: Callable[..., Any], rts_step: Callable[[Any, Any], Any], last: Any, steps: tuple[Any, ...]
+    gain_of: Callable[..., Any], rts_step: Callable[[Any, Any], Any], last: Any, steps: tuple[Any, ...], few: bool
 ) -> Any:
     """The smoothed beliefs of all time steps but the last, batch-last, by one scan backwards from the last.
 
-    `gain_of(*step)`: the gain of a step of one trajectory. `last`: the filtered belief of the last step.
+    `gain_of(*step)`: the gain of a step of one trajectory. `last`: the filtered belief of the last step. `few`: of few
+    trajectories; then the gains of `BLOCK` time steps are computed side by side.
     """
-    backward = jax.vmap(lambda after, *step: rts_step(gain_of(*step), after), in_axes=-1, out_axes=-1)
+    step = jax.vmap(rts_step, in_axes=-1, out_axes=-1)
+    gains_of = jax.vmap(gain_of, in_axes=-1, out_axes=-1)
+    if not few:
 
-    def body(after: Any, step: tuple[Any, ...]) -> tuple[Any, Any]:
-        before = backward(after, *step)
-        return before, before
+        def body(after: Any, one: tuple[Any, ...]) -> tuple[Any, Any]:
+            before = step(gains_of(*one), after)
+            return before, before
 
-    return jax.lax.scan(body, last, steps, reverse=True)[1]
+        return jax.lax.scan(body, last, steps, reverse=True)[1]
+    rows = jax.tree_util.tree_leaves(steps)[0].shape[0]
+    missing = -rows % BLOCK
+    beliefs_of = OneArray()
+
+    def blocks(x: Array) -> Array:
+        # The recursion ends in the padding.
+        padded = jnp.concatenate([jnp.zeros((missing, *x.shape[1:]), x.dtype), x])
+        return padded.reshape(-1, BLOCK, *x.shape[1:])
+
+    def row(after: Any, gain: Any) -> tuple[Any, Array]:
+        before = step(gain, after)
+        return before, beliefs_of.packed(before)
+
+    def block(after: Any, steps: tuple[Any, ...]) -> tuple[Any, Array]:
+        return jax.lax.scan(row, after, jax.vmap(gains_of)(*steps), reverse=True)
+
+    found = jax.lax.scan(block, last, jax.tree_util.tree_map(blocks, steps), reverse=True)[1]
+    return beliefs_of.unpacked(found.reshape(-1, *found.shape[2:])[missing:])
 
 
 def fixed_lag(
@@ -140,7 +165,12 @@ def _width(rows: Sequence[SparseRow]) -> int:
     return 1 + max((j for row in rows for j in row), default=0)
 
 
-def _product(A: Float[Array, "i j"], B: Float[Array, "j k"]) -> Float[Array, "i k"]:
+def _product(upper: Upper) -> Callable[[Matrix, Matrix], Matrix]:
+    """The product of two matrices, in the form of the covariances."""
+    return _outer_products if isinstance(upper, tuple) else jnp.matmul
+
+
+def _outer_products(A: Float[Array, "i j"], B: Float[Array, "j k"]) -> Float[Array, "i k"]:
     """AB as a sum of outer products: XLA vectorises these over trajectories, unlike products of small matrices."""
     terms = [jnp.outer(A[:, k], B[k]) for k in range(A.shape[1])]
     return total(terms) if terms else jnp.zeros((A.shape[0], B.shape[1]), A.dtype)

@@ -17,8 +17,9 @@ from jax.experimental.layout import Layout, with_layout_constraint
 from jaxtyping import Array, Bool, UInt32
 
 from trackers.core.algebra import Scalar, mark_dependent
+from trackers.core.covariance import FEW, OneArray, Upper, as_array, as_scalars, by_entry
 from trackers.core.estimates import Status
-from trackers.core.filter import AbstractFilter, Gaussian
+from trackers.core.filter import AbstractFilter, Gaussian, Innovation
 from trackers.core.keys import RawKey
 from trackers.core.recording import Batch, Row
 from trackers.core.select import select
@@ -89,8 +90,10 @@ class RecursiveTracker(Protocol):
     def start(self) -> AbstractStart: ...
     @property
     def filter(self) -> AbstractFilter[Any]: ...
-    def step(self, carry: Carry, row: Row) -> tuple[Carry, StepInfo]: ...
-    def moments(self, belief: Any) -> tuple[Any, tuple[Scalar, ...]]: ...
+    def predict(self, belief: Any, row: Row) -> Any: ...
+    def update(self, belief: Any, row: Row) -> tuple[Any, Innovation]: ...
+    def advance(self, carry: Carry, row: Row, belief: Any, innovation: Innovation) -> tuple[Carry, StepInfo]: ...
+    def moments(self, belief: Any) -> tuple[Any, Upper]: ...
 
 
 def scan_rows(
@@ -110,13 +113,13 @@ def scan_rows(
     rows = Row(batch.dt, batch.valid, batch.readings, batch.inputs, None, jnp.arange(len(batch.dt), dtype=jnp.uint32))
     n_rows = jnp.zeros(size, jnp.uint32) if initial is None else jnp.asarray(initial.n_rows)
     axes = carry_axes(tracker)
-    step = jax.vmap(tracker.step, in_axes=(axes, -1), out_axes=(axes, -1))
+    few = size <= FEW and not tracker.filter.has_particle_axis
     every_moments = jax.vmap(moments or tracker.moments, in_axes=axes.belief, out_axes=-1)
 
     def one_row(carry: Carry, row: Row) -> tuple[Carry, Output]:
         row = row._replace(key=trajectory_keys, number=n_rows + row.number)
-        carry, info = step(carry, row)
-        carry, info = reinitialise(tracker, carry, row, info)
+        carry, info = step(tracker, carry, row, few)
+        carry, info = reinitialise(tracker, carry, row, info, few)
         mean, cov = every_moments(carry.belief)
         return carry, Output(mean, cov, *info)
 
@@ -125,15 +128,17 @@ def scan_rows(
         row, truth = inputs
         carry, output = one_row(carry, row)
         if score is None:
-            return (carry, sums), output
-        return (carry, tuple(a + b for a, b in zip(sums, score(output, truth), strict=True))), None
+            return (carry, sums), outputs_of.packed(output) if few else output
+        return (carry, tuple(a + b for a, b in zip(sums, score(output._replace(cov=tuple(output.cov)), truth), strict=True))), None
 
+    outputs_of = OneArray()
     first_row, first_truth = jax.tree_util.tree_map(lambda x: jnp.asarray(x[0]), (rows, batch.truth))
     if initial is None:
         first_row = first_row._replace(key=trajectory_keys, number=jnp.zeros(size, jnp.uint32))
-        before = jax.vmap(lambda row: empty_carry(tracker, row), in_axes=-1, out_axes=axes)(first_row)
+        before = jax.vmap(lambda row: empty_carry(tracker, row, few), in_axes=-1, out_axes=axes)(first_row)
     else:
-        before = jax.vmap(lambda carry: carry, out_axes=axes)(jax.tree_util.tree_map(jnp.asarray, initial.carry))
+        given = jax.tree_util.tree_map(jnp.asarray, initial.carry)
+        before = jax.vmap(lambda carry: in_form(carry, few), out_axes=axes)(given)
     # XLA chooses the layout of a carry whose first value it knows, and by it the order of sums in the loop: with one
     # layout, a run that continues another has the bits of the one run.
     before = jax.tree_util.tree_map(lambda x: with_layout_constraint(x, Layout(tuple(range(x.ndim)))), before)
@@ -144,13 +149,42 @@ def scan_rows(
         zero = jnp.zeros_like(first_row.dt)
         info = StepInfo(zero, zero, zero, zero, zero.astype(jnp.int8))
         mean, cov = every_moments(before.belief)
-        shapes = jax.eval_shape(lambda: score(Output(mean, cov, *info), first_truth))
+        shapes = jax.eval_shape(lambda: score(Output(mean, tuple(cov), *info), first_truth))
         sums = tuple(jnp.zeros(s.shape, s.dtype) for s in shapes)
     # Particles have no derivative, so that nothing is marked as dependent.
     start = (before, sums) if tracker.filter.has_particle_axis else mark_dependent((before, sums), tracker)
     (carry, sums), outputs = jax.lax.scan(body, start, (rows, batch.truth))
+    if outputs is not None and few:
+        outputs = outputs_of.unpacked(outputs)
+        outputs = outputs._replace(cov=by_entry(outputs.cov))
     n_rows = n_rows + jnp.sum(jnp.asarray(batch.valid), axis=0, dtype=jnp.uint32)
-    return sums, outputs, ScanState(jax.vmap(lambda carry: carry, in_axes=(axes,))(carry), n_rows)
+    return sums, outputs, ScanState(jax.vmap(lambda carry: in_form(carry, False), in_axes=(axes,))(carry), n_rows)
+
+
+def step(tracker: RecursiveTracker, carry: Carry, row: Row, few: bool) -> tuple[Carry, StepInfo]:
+    """Prediction and update of all trajectories of a chunk, and the status of their tracks.
+
+    With few trajectories a row at the time of the row before predicts nothing, and one without readings updates
+    nothing: ranges of one epoch, samples of an IMU between two ranges.
+    """
+    axes = carry_axes(tracker)
+    predict = jax.vmap(tracker.predict, in_axes=(axes.belief, -1), out_axes=axes.belief)
+    update = jax.vmap(tracker.update, in_axes=(axes.belief, -1), out_axes=(axes.belief, -1))
+    advance = jax.vmap(tracker.advance, in_axes=(axes, -1, axes.belief, -1), out_axes=(axes, -1))
+    if not few:
+        return advance(carry, row, *update(predict(carry.belief, row), row))
+
+    def measured(belief: Any) -> tuple[Any, Innovation]:
+        belief, innovation = update(belief, row)
+        return belief, Innovation(*(jnp.asarray(x, row.dt.dtype) for x in innovation))
+
+    def unmeasured(belief: Any) -> tuple[Any, Innovation]:
+        return belief, Innovation(*[jnp.zeros_like(row.dt)] * 4)
+
+    belief = jax.lax.cond(jnp.any(row.dt > 0), lambda b: predict(b, row), lambda b: b, carry.belief)
+    seen = [jnp.any(reading.seen) for reading in row.readings.values()]
+    belief, innovation = jax.lax.cond(jnp.any(jnp.stack(seen)), measured, unmeasured, belief)
+    return advance(carry, row, belief, innovation)
 
 
 def carry_axes(tracker: RecursiveTracker) -> Carry:
@@ -171,13 +205,31 @@ def carry_of(tracker: RecursiveTracker, prior: Gaussian, key: RawKey, number: Sc
     return Carry(tracker.filter.init(prior, key), one > 0, one > 0, one, one * 0)
 
 
-def empty_carry(tracker: RecursiveTracker, row: Row) -> Carry:
+def in_form(carry: Carry, few: bool) -> Carry:
+    """The carry of one trajectory with its covariances in the form for few trajectories, or for many."""
+
+    def one(part: Any) -> Any:
+        if not isinstance(part, Gaussian):
+            return part
+        return part._replace(cov=as_array(part.cov) if few else as_scalars(part.cov))
+
+    belief = jax.tree_util.tree_map(one, carry.belief, is_leaf=lambda part: isinstance(part, Gaussian))
+    return carry._replace(belief=belief)
+
+
+def empty_carry(tracker: RecursiveTracker, row: Row, few: bool) -> Carry:
     """The carry before the first row: zeros, no track running."""
-    shape = jax.eval_shape(lambda r: initial_carry(tracker, tracker.start.candidate(tracker.sensors, r), r), row)
+
+    def started(row: Row) -> Carry:
+        return in_form(initial_carry(tracker, tracker.start.candidate(tracker.sensors, row), row), few)
+
+    shape = jax.eval_shape(started, row)
     return jax.tree_util.tree_map(lambda s: jnp.zeros(s.shape, s.dtype), shape)
 
 
-def reinitialise(tracker: RecursiveTracker, carry: Carry, row: Row, info: StepInfo) -> tuple[Carry, StepInfo]:
+def reinitialise(
+    tracker: RecursiveTracker, carry: Carry, row: Row, info: StepInfo, few: bool
+) -> tuple[Carry, StepInfo]:
     """Start a track in every trajectory of the chunk that has none and whose row suffices; the others are unchanged.
 
     After a numerical failure the next row that suffices starts a track, so that the failure stays visible in its row.
@@ -188,7 +240,8 @@ def reinitialise(tracker: RecursiveTracker, carry: Carry, row: Row, info: StepIn
     axes = carry_axes(tracker)
 
     def with_new_tracks() -> Carry:
-        fresh = jax.vmap(lambda c, r: initial_carry(tracker, c, r), in_axes=-1, out_axes=axes)(candidates, row)
+        started = jax.vmap(lambda c, r: in_form(initial_carry(tracker, c, r), few), in_axes=-1, out_axes=axes)
+        fresh = started(candidates, row)
         return jax.vmap(select, in_axes=(-1, axes, axes), out_axes=axes)(need, fresh, carry)
 
     # Making a Gaussian belief costs less than the condition; making a thousand particles costs more.
@@ -208,17 +261,22 @@ def search(tracker: RecursiveTracker, row: Row, need: Bool[Array, " B"]) -> Any:
     row = jax.lax.stop_gradient(row)
     candidate = jax.vmap(lambda r: start.candidate(sensors, r), in_axes=-1, out_axes=-1)
     size = need.shape[0]
-    n_at_once = min(STARTS_AT_ONCE, size)
     shapes = jax.eval_shape(candidate, row)
     nothing = jax.tree_util.tree_map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
 
+    def all_at_once(state: tuple[Any, Any]) -> tuple[Any, Any]:
+        need, _ = state
+        return jnp.zeros_like(need), jax.tree_util.tree_map(lambda x: jnp.where(need, x, 0.0), candidate(row))
+
     def some(state: tuple[Any, Any]) -> tuple[Any, Any]:
         need, candidates = state
-        index = jnp.nonzero(need, size=n_at_once, fill_value=size)[0]
+        index = jnp.nonzero(need, size=STARTS_AT_ONCE, fill_value=size)[0]
         rows = jax.tree_util.tree_map(lambda x: jnp.take(x, index, axis=-1, mode="clip"), row)
         candidates = jax.tree_util.tree_map(
             lambda a, b: a.at[..., index].set(b, mode="drop"), candidates, candidate(rows)
         )
         return need.at[index].set(False, mode="drop"), candidates
 
-    return jax.lax.while_loop(lambda state: jnp.any(state[0]), some, (need, nothing))[1]
+    # Without a scatter, which a loop in one kernel excludes.
+    found = all_at_once if size <= STARTS_AT_ONCE else some
+    return jax.lax.while_loop(lambda state: jnp.any(state[0]), found, (need, nothing))[1]

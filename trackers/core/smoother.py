@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar
+from trackers.core.covariance import FEW, by_entry
 from trackers.core.estimates import Status
 from trackers.core.filter import AbstractSmoothableFilter, Gaussian
 from trackers.core.inputs import Inputs
@@ -61,12 +62,12 @@ class Smoothed(AbstractEpochwiseTracker):
 
         rts_step = filter_.rts_step
         if self.lag is None:
-            smoothed = fixed_interval(gain_of, rts_step, jax.tree_util.tree_map(lambda x: x[0], last), steps)
+            smoothed = fixed_interval(gain_of, rts_step, jax.tree_util.tree_map(lambda x: x[0], last), steps, batch.size <= FEW)
         else:
             smoothed = fixed_lag(gain_of, rts_step, filtered, steps, dt, jnp.asarray(self.lag, batch.dt.dtype))
         beliefs = jax.tree_util.tree_map(lambda a, b: jnp.concatenate([a, b]), smoothed, last)
         mean, cov = jax.vmap(jax.vmap(tracker.moments, in_axes=-1, out_axes=-1))(beliefs)
-        return tracker.with_age(output._replace(mean=mean, cov=cov)), state
+        return tracker.with_age(output._replace(mean=mean, cov=by_entry(cov))), state
 
     def begin(self, prior: Gaussian, batch: Batch) -> Any:
         return self.tracker.begin(prior, batch)

@@ -1,6 +1,6 @@
 """Trackers: what turns recordings into estimates, and the recursive tracker of a motion, sensors, a filter and a start.
 
-`Tracker.step` is written for one trajectory and one time step; `scan` maps it over trajectories and scans it over time.
+`Tracker.predict`, `update` and `advance` are written for one trajectory and one time step; `scan` maps it over trajectories and scans it over time.
 A batch runs in chunks of one fixed size, so that the numbers of a trajectory do not depend on the others in its batch.
 """
 
@@ -18,10 +18,11 @@ import numpy as np
 
 from trackers.core.algebra import Scalar, compute_once, total
 from trackers.core.chunks import CHUNK, as_dtype, chunks, run_chunks
+from trackers.core.covariance import Upper
 from trackers.core.ekf import ExtendedKalman
 from trackers.core.errors import UnusableInput
 from trackers.core.estimates import Estimates, Status
-from trackers.core.filter import AbstractFilter, Gaussian
+from trackers.core.filter import AbstractFilter, Gaussian, Innovation
 from trackers.core.initial import TrackerState, continued, stacked_priors, trajectories_of
 from trackers.core.keys import RawKey
 from trackers.core.latency import AbstractDelayedSensor, scored_truth, shifted_back
@@ -226,7 +227,7 @@ class Tracker(AbstractTracker):
         assert isinstance(sensor, AbstractDelayedSensor)
         return sensor.latency.value
 
-    def moments(self, belief: Any) -> tuple[Any, tuple[Scalar, ...]]:
+    def moments(self, belief: Any) -> tuple[Any, Upper]:
         """The mean and covariance of an estimate, at the time for which it is valid."""
         mean, cov = self.filter.moments(belief)
         return (mean, cov) if self.latency is None else shifted_back(mean, cov, self.latency)
@@ -236,14 +237,24 @@ class Tracker(AbstractTracker):
         latency = self.latency
         return output if latency is None else output._replace(age=jnp.broadcast_to(latency, output.nis.shape))
 
-    def step(self, carry: Carry, row: Row) -> tuple[Carry, StepInfo]:
-        """One time step of one trajectory: predict, update, track status; `scan.reinitialise` then starts tracks."""
-        belief = self.filter.predict(carry.belief, self.motion, row.inputs, row.dt)
+    def predict(self, belief: Any, row: Row) -> Any:
+        """The belief of one trajectory at the time of a row."""
+        return self.filter.predict(belief, self.motion, row.inputs, row.dt)
+
+    def update(self, belief: Any, row: Row) -> tuple[Any, Innovation]:
+        """The belief of one trajectory after the readings of a row, and their `Innovation`."""
         innovations = []
         for name, sensor in self.sensors.items():
             belief, innovation = self.filter.update(belief, self.motion, sensor, row.readings[name], row.inputs)
             innovations.append(innovation)
-        log_likelihood, nis, nis_dof, wrapped = (total(x) for x in zip(*innovations, strict=True))
+        return belief, Innovation(*(total(x) for x in zip(*innovations, strict=True)))
+
+    def advance(self, carry: Carry, row: Row, belief: Any, innovation: Innovation) -> tuple[Carry, StepInfo]:
+        """The carry of one trajectory after a row, from its updated belief: track status and diagnostics.
+
+        `scan.reinitialise` then starts tracks.
+        """
+        log_likelihood, nis, nis_dof, wrapped = innovation
         if self.filter.has_particle_axis:
             # A non-finite belief gives a non-finite likelihood; summing the whole belief would be a pass over memory.
             log_likelihood, nis = compute_once((log_likelihood, nis))

@@ -9,7 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.algebra import Scalar, full, total, triangle
+from trackers.core.algebra import Scalar, total
+from trackers.core.covariance import Upper, matched
 from trackers.core.ekf import ExtendedKalman
 from trackers.core.filter import AbstractSmoothableFilter, Gaussian, Innovation
 from trackers.core.inputs import Inputs
@@ -72,7 +73,7 @@ class YawMixtureFilter(AbstractSmoothableFilter[YawMixture]):
         )
         return YawMixture(beliefs, joint - log_likelihood), Innovation(log_likelihood, nis, nis_dof, wrapped)
 
-    def moments(self, belief: YawMixture) -> tuple[State, tuple[Scalar, ...]]:
+    def moments(self, belief: YawMixture) -> tuple[State, Upper]:
         """Mean and covariance of the mixture, in the tangent space at the mean of the likeliest component."""
         weights = [jnp.exp(belief.log_weights[k]) for k in range(self.count)]
         best = _one_hot_maximum(belief.log_weights)
@@ -81,14 +82,8 @@ class YawMixtureFilter(AbstractSmoothableFilter[YawMixture]):
         steps = [local(centre, part.mean) for part in components]
         n = len(steps[0])
         mean = [total(w * step[i] for w, step in zip(weights, steps, strict=True)) for i in range(n)]
-        covs = [full(part.cov, n) for part in components]
-        cov = tuple(
-            total(
-                w * (P[i][j] + (step[i] - mean[i]) * (step[j] - mean[j]))
-                for w, P, step in zip(weights, covs, steps, strict=True)
-            )
-            for i, j in triangle(n)
-        )
+        deviations = [[s - m for s, m in zip(step, mean, strict=True)] for step in steps]
+        cov = matched(weights, [part.cov for part in components], deviations)
         return retract(centre, mean), cov
 
     def rts_gain(
