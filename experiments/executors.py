@@ -46,6 +46,7 @@ def cluster_executor(cluster: str) -> Iterator[Executor]:
     A scheduler without workers is waited for. Raises UnusableInput for another text, where no scheduler answers, for
     workers with other versions, and where the cluster is lost.
     """
+    from experiments.cli.console import notice
     from trackers.core.errors import UnusableInput
 
     local = re.fullmatch(r"local:([1-9]\d{0,3})", cluster)
@@ -55,6 +56,8 @@ def cluster_executor(cluster: str) -> Iterator[Executor]:
     expected = environment()
     try:
         with _client(distributed, cluster, int(local[1]) if local else None) as client:
+            if not client.nthreads():
+                notice(f"{cluster}: no worker yet; waiting for the first one")
             client.wait_for_workers(1)
             for address, found in client.run(_prepared, expected["XLA flags"], on_error="return").items():
                 _require_same(expected, found, f"worker {address}")
@@ -78,7 +81,8 @@ def _distributed() -> Any:
             "--cluster: the package 'distributed' is not installed; install the extra: pip install trackwright[cluster]"
         ) from error
     # The deaths and reconnections that Dask reports are handled: their parts run elsewhere.
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    for name in ("distributed", "distributed.client", "tornado.application"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     return distributed
 
 
