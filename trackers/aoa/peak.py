@@ -84,7 +84,9 @@ def _strongest(cosine: Any, sine: Any, blocks: Blocks, phases: Any, seen: Any) -
 def _in_rows(size: int, batched: Any, cosine: Any, sine: Any, blocks: Any, phases: Any, seen: Any) -> tuple[Any, Any]:
     if any(jax.tree_util.tree_leaves(batched[:3])):
         raise ValueError("the grid of a beamformer is mapped over; expected one grid for all trajectories")
-    rows = (x if has else jnp.broadcast_to(x, (size, *x.shape)) for x, has in zip((phases, seen), batched[3:]))
+    rows = (
+        x if has else jnp.broadcast_to(x, (size, *x.shape)) for x, has in zip((phases, seen), batched[3:], strict=True)
+    )
     return _rows(cosine, sine, blocks, *rows), True
 
 
