@@ -207,7 +207,7 @@ def _sources() -> str:
 
 @functools.cache
 def _vector_instructions() -> str:
-    """The processor's widest vector instructions: XLA compiles other code for others, with other last bits."""
+    """The processor's widest vector instructions: NumPy has other sines and logarithms for others, with other bits."""
     try:
         flags = set(re.findall(r"\w+", Path("/proc/cpuinfo").read_text("utf-8")))
     except OSError:
