@@ -22,7 +22,7 @@ class Tables(Mapping[str, pl.DataFrame]):
         return self._frames[name]
 
     def __contains__(self, name: object) -> bool:
-        return name in iter(self)
+        return name in list(self)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._frames)
