@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import sys
 import tempfile
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -52,26 +53,32 @@ def measured(tracker: str) -> dict[str, Any]:
     """Processor seconds of the parts, and of reading, tracking and writing as a multiple of the run."""
     from sim.worlds import station
     from trackers.catalogue import build
-    from trackers.recordings.folder import read_recording, write_recording
-    from trackers.recordings.tracks import batches
+    from trackers.core.recording import Batch
+    from trackers.core.tracker import AbstractTracker
+    from trackers.recordings.folder import RecordingFolder, read_recording, write_recording
+    from trackers.recordings.tracks import Tracks, batches
+
+    def tracked(recording: RecordingFolder) -> Tracks:
+        return build(tracker, recording).run(recording)
+
+    def stacked_rows(recording: RecordingFolder) -> list[tuple[AbstractTracker, Batch]]:
+        groups = build(tracker, recording).batches(recording)
+        return [(group.tracker, batch) for group in groups for _, batch in batches(group.trajectories)]
+
+    def alone(stacked: list[tuple[AbstractTracker, Batch]]) -> None:
+        for own, batch in stacked:
+            own.run(batch)
 
     with tempfile.TemporaryDirectory() as folder:
         path, table = Path(folder) / "world", Path(folder) / "tracks.parquet"
         write_recording(station(TAGS, path="hand", sigma_p=SIGMA_P).folder(), path)
         seconds = []
         for _ in range(ROUNDS + 1):
-            (_, read), recording = clocked(lambda: read_recording(path))
-            (_, whole), tracks = clocked(lambda recording=recording: build(tracker, recording).run(recording))
-            recording = read_recording(path)
-            (_, rows), stacked = clocked(
-                lambda recording=recording: [
-                    (group.tracker, batch)
-                    for group in build(tracker, recording).batches(recording)
-                    for _, batch in batches(group.trajectories)
-                ]
-            )
-            (_, run), _ = clocked(lambda stacked=stacked: [own.run(batch) for own, batch in stacked])
-            (_, write), _ = clocked(lambda tracks=tracks: tracks.table.write_parquet(table))
+            (_, read), recording = clocked(partial(read_recording, path))
+            (_, whole), tracks = clocked(partial(tracked, recording))
+            (_, rows), stacked = clocked(partial(stacked_rows, read_recording(path)))
+            (_, run), _ = clocked(partial(alone, stacked))
+            (_, write), _ = clocked(partial(tracks.table.write_parquet, table))
             seconds.append((read, rows, run, whole, write))
     warm = np.array(seconds[1:])
     medians = {f"{part}_s": float(value) for part, value in zip(PARTS, np.median(warm, axis=0), strict=True)}
