@@ -45,7 +45,7 @@ def multilaterate(ranges: Any, anchors: Any, counts: Any, height: Scalar | None,
     number = jnp.maximum(jnp.sum(counts), 1.0)
     centroid = Vector.of(jnp.sum(counts * anchors[:, k]) / number for k in range(3))
     if height is not None:
-        return _gauss_newton(ranges, anchors, counts, Vector(*centroid[:2]), height, scale)
+        return _gauss_newton(ranges, anchors, counts, Vector(centroid[0], centroid[1]), height, scale)
     spread = (anchors[:, 0] - centroid[0]) ** 2 + (anchors[:, 1] - centroid[1]) ** 2
     up = Vector(0.0, 0.0, jnp.sqrt(jnp.sum(counts * spread) / number))
     below, above = (_gauss_newton(ranges, anchors, counts, x, None, scale) for x in (centroid - up, centroid + up))
