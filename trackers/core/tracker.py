@@ -120,7 +120,7 @@ class AbstractTracker(eqx.Module):
         return found[0] if single else found
 
     def _run(self, batch: Batch, chunk: int, function: Any, state: Any) -> Estimates:
-        model = as_dtype(_without_zero_latency(self), batch.dt.dtype)
+        model = as_dtype(self, batch.dt.dtype)
         pairs = []
         # No truth: it would be copied for nothing.
         for k, part in enumerate(chunks(batch._replace(truth={}), chunk)):
@@ -154,18 +154,6 @@ def _joined(arrays: Sequence[np.ndarray], whole: np.ndarray) -> np.ndarray:
         part[...] = array[..., : part.shape[-1]]
         start += array.shape[-1]
     return whole
-
-
-def _without_zero_latency(tracker: AbstractTracker) -> AbstractTracker:
-    """The tracker whose estimates are not shifted where its latency is zero, the default: a third of the run time."""
-
-    def unshifted(part: Any) -> Any:
-        if isinstance(part, Tracker) and part.latency is not None and float(part.latency) == 0.0:
-            return dataclasses.replace(part, latency_of=None)
-        return part
-
-    found: AbstractTracker = jax.tree_util.tree_map(unshifted, tracker, is_leaf=lambda part: isinstance(part, Tracker))
-    return found
 
 
 class AbstractEpochwiseTracker(AbstractTracker):
