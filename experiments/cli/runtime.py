@@ -30,7 +30,8 @@ def set_flags() -> None:
 def keep_programs() -> None:
     """Keep compiled programs for later commands, as `cache_programs`; a notice where that is impossible."""
     from experiments.cli.console import notice
-    from trackers.core.program_cache import cache_programs
+    from trackers.core import traced_programs
+    from trackers.core.program_cache import cache_programs, store_in_use
 
     # A program that jax cannot load is compiled and replaced.
     warnings.filterwarnings("ignore", message="Error reading persistent compilation cache entry")
@@ -38,3 +39,6 @@ def keep_programs() -> None:
         cache_programs(report=lambda text: notice(f"notice: {text}"))
     except UnusableInput as problem:
         notice(f"notice: {problem}")
+    store = store_in_use()
+    if store is not None:
+        traced_programs.use(store)
