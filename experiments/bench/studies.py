@@ -25,10 +25,10 @@ from experiments.cli.runtime import set_flags
 TRAJECTORIES = 256
 """Trajectories of a chunk."""
 
-FEWER = {"das": 8, "line-pf": 64, "line-grid": 64, "fix-mirror": 64}
+FEWER = {"das": 8, "line-pf": 16, "line-grid": 8, "fix-mirror": 32, "mhk": 64, "uwb-imu": 64}
 """Trajectories of a chunk of the slowest trackers."""
 
-ROUNDS = 5
+ROUNDS = 3
 LEAST_SHARE = 1 / 3
 """Least rate of a whole chunk, as a share of the rate of the tracker alone."""
 
