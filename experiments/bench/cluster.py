@@ -48,6 +48,8 @@ def main(runs: int = 20_000, out: Path = Path("out/bench-cluster.json")) -> int:
     set_flags()
     from experiments.bench.__main__ import machine
     from experiments.bench.measure import packages
+    from experiments.bench.waiting import commit
+    from experiments.cli.subprocesses import REPOSITORY
 
     began, host = datetime.now(UTC), machine()
     with tempfile.TemporaryDirectory() as folder:
@@ -57,6 +59,7 @@ def main(runs: int = 20_000, out: Path = Path("out/bench-cluster.json")) -> int:
         {
             "date": began.isoformat(timespec="seconds"),
             "command": ["python", "-m", "experiments.bench.cluster", *sys.argv[1:]],
+            "commit": commit(REPOSITORY),
             "machine": host,
             "packages": packages("distributed"),
             "runs": runs,

@@ -21,6 +21,8 @@ from experiments.bench import particles
 from experiments.bench.__main__ import machine
 from experiments.bench.measure import TUNED, packages, simulate, trackers
 from experiments.bench.timing import turns, write_json
+from experiments.bench.waiting import commit
+from experiments.cli.subprocesses import REPOSITORY
 from tuning.objectives import NegativeLogLikelihood
 from tuning.parameters import flatten, select_parameters
 from tuning.problem import Problem
@@ -60,6 +62,7 @@ def main(out: Path = Path("out/bench-gpu.json")) -> int:
     results = {
         "date": began.isoformat(timespec="seconds"),
         "command": ["python", "-m", "experiments.bench.gpu"],
+        "commit": commit(REPOSITORY),
         "machine": host,
         "device": devices[0].device_kind,
         "packages": packages(None),
