@@ -44,7 +44,7 @@ SERIES = {
     ),
     "anchors": Series(
         "planar ranges to all anchors in every row, 4 states, 64 trajectories of 200 rows",
-        (3, 10, 30, 100, 300),
+        (3, 6, 12, 25, 50),
         {"ours": ALL},
     ),
     "particles": Series(
