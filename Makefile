@@ -1,11 +1,12 @@
-# Targets: env demo test test-slow mutate lint papers bench bench-peers clean. Each makes the environment it needs.
+# Targets: env demo test test-slow mutate lint papers bench bench-peers bench-gpu clean. Each makes the environment it needs.
 
 PYTHON ?= python3
 BIN := .venv/bin
 PEERS := .venv-peers/bin
+GPU := .venv-gpu/bin
 OLD_PYTHON := trackwright needs Python 3.11 or newer; name one with `make PYTHON=/path/to/python3.11 ...`
 
-.PHONY: env demo test test-slow mutate lint papers bench bench-peers clean
+.PHONY: env demo test test-slow mutate lint papers bench bench-peers bench-gpu clean
 
 env: .venv/installed
 
@@ -19,6 +20,12 @@ env: .venv/installed
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo '$(OLD_PYTHON)' >&2; exit 1; }
 	$(PYTHON) -m venv .venv-peers
 	$(PEERS)/python -m pip install --quiet --disable-pip-version-check -e '.[peers]' -c constraints.txt -c constraints-peers.txt
+	@touch $@
+
+.venv-gpu/installed: pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo '$(OLD_PYTHON)' >&2; exit 1; }
+	$(PYTHON) -m venv .venv-gpu
+	$(GPU)/python -m pip install --quiet --disable-pip-version-check -e '.[cuda]' -c constraints.txt
 	@touch $@
 
 demo: env
@@ -48,6 +55,7 @@ bench: env
 	$(BIN)/python -m experiments.bench.chain
 	$(BIN)/python -m experiments.bench.tuning
 	$(BIN)/python -m experiments.bench.waiting
+	$(BIN)/python -m experiments.bench.cluster
 
 bench-peers: .venv-peers/installed
 	$(PEERS)/python -m experiments.bench --peers
@@ -55,7 +63,12 @@ bench-peers: .venv-peers/installed
 	$(PEERS)/python -m experiments.bench.particle_peers
 	$(PEERS)/python -m experiments.bench.tuning --peers
 	$(PEERS)/python -m experiments.bench.recordings
+	$(PEERS)/python -m experiments.bench.growth --page docs/performance.md
+
+# On a host with CUDA GPUs; the result file is out/bench-gpu.json.
+bench-gpu: .venv-gpu/installed
+	$(GPU)/python -m experiments.bench.gpu
 
 clean:
-	rm -rf .venv .venv-peers out *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis
+	rm -rf .venv .venv-peers .venv-gpu out *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -16,7 +16,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.metadata import PackageNotFoundError, version
 from itertools import islice
 from pathlib import Path
@@ -26,6 +26,7 @@ from typing import Any, TypeVar
 
 PACKAGES = ("jax", "jaxlib", "numpy")
 SOURCES = ("trackers", "sim", "tuning", "experiments")
+SET = ("x64", "programs kept")
 AT_ONCE = 256
 """Parts given to a cluster at once, at least: finished ones are held in memory until the caller has stored them."""
 
@@ -45,6 +46,7 @@ def cluster_executor(cluster: str) -> Iterator[Executor]:
     A scheduler without workers is waited for. Raises UnusableInput for another text, where no scheduler answers, for
     workers with other versions, and where the cluster is lost.
     """
+    from experiments.cli.console import notice
     from trackers.core.errors import UnusableInput
 
     local = re.fullmatch(r"local:([1-9]\d{0,3})", cluster)
@@ -54,6 +56,8 @@ def cluster_executor(cluster: str) -> Iterator[Executor]:
     expected = environment()
     try:
         with _client(distributed, cluster, int(local[1]) if local else None) as client:
+            if not client.nthreads():
+                notice(f"{cluster}: no worker yet; waiting for the first one")
             client.wait_for_workers(1)
             for address, found in client.run(_prepared, expected["XLA flags"], on_error="return").items():
                 _require_same(expected, found, f"worker {address}")
@@ -77,7 +81,8 @@ def _distributed() -> Any:
             "--cluster: the package 'distributed' is not installed; install the extra: pip install trackwright[cluster]"
         ) from error
     # The deaths and reconnections that Dask reports are handled: their parts run elsewhere.
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    for name in ("distributed", "distributed.client", "tornado.application"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     return distributed
 
 
@@ -125,6 +130,8 @@ def _computed(expected: Mapping[str, Any], call: bytes) -> Any:
     _require_same(expected, _prepared(expected["XLA flags"]), f"worker on {platform.node()}")
     import jax
 
+    if expected["programs kept"]:
+        _keep_programs()
     with jax.enable_x64(expected["x64"]):
         function, args, kwargs = pickle.loads(call)
         return function(*args, **kwargs)
@@ -137,22 +144,36 @@ def _prepared(flags: str) -> dict[str, Any]:
     return environment()
 
 
+@functools.cache
+def _keep_programs() -> None:
+    """Keep compiled programs in the worker's cache directory, where it has one of its own."""
+    from trackers.core.errors import UnusableInput
+    from trackers.core.program_cache import cache_programs
+
+    with suppress(UnusableInput):
+        cache_programs(report=lambda line: None)
+
+
 def environment() -> dict[str, Any]:
-    """What the bits of a result depend on beside its arguments: versions, flags, number format, kind of device."""
+    """What the bits of a result depend on beside its arguments: versions, flags, number format, kind of device.
+
+    The `SET` ones are set in a worker for each part: the number format, and whether compiled programs are kept.
+    """
     import jax
 
     return {
         "trackwright": f"{_version('trackwright')}, sources {_sources()}",
         **{name: _version(name) for name in PACKAGES},
         "XLA flags": os.environ.get("XLA_FLAGS", ""),
-        "x64": bool(jax.config.jax_enable_x64),  # type: ignore[attr-defined]
         "device": jax.devices()[0].device_kind,
         "vector instructions": _vector_instructions(),
+        "x64": bool(jax.config.jax_enable_x64),  # type: ignore[attr-defined]
+        "programs kept": jax.config.jax_compilation_cache_dir is not None,  # type: ignore[attr-defined]
     }
 
 
 def _require_same(expected: Mapping[str, Any], found: Any, worker: str) -> None:
-    """Refuse a worker whose environment differs from the caller's; its x64 setting is set for each part."""
+    """Refuse a worker whose environment differs from the caller's."""
     from trackers.core.errors import UnusableInput
 
     if isinstance(found, BaseException):
@@ -161,7 +182,7 @@ def _require_same(expected: Mapping[str, Any], found: Any, worker: str) -> None:
             "install them there"
         )
     for key in expected:
-        if key != "x64" and found.get(key) != expected[key]:
+        if key not in SET and found.get(key) != expected[key]:
             raise UnusableInput(
                 f"{worker}: {key}: {found.get(key) or 'none'}; expected as here: {expected[key] or 'none'}; the bits "
                 "would differ; give the worker the caller's environment, and start it anew"
@@ -186,7 +207,7 @@ def _sources() -> str:
 
 @functools.cache
 def _vector_instructions() -> str:
-    """The processor's widest vector instructions: XLA compiles other code for others, with other last bits."""
+    """The processor's widest vector instructions: NumPy has other sines and logarithms for others, with other bits."""
     try:
         flags = set(re.findall(r"\w+", Path("/proc/cpuinfo").read_text("utf-8")))
     except OSError:

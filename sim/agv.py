@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 from sim.corruptions import Corruption, corrupted, gauss_markov, outliers
 from sim.fixes import correlated_noise
 from sim.keys import stream, trajectory_keys, uniforms
-from sim.tables import axes_m, folder_of, table_of
+from sim.tables import AXES, ArrayRows, folder_of
 from trackers.mhk.tracker import STILL
 from trackers.recordings.folder import RecordingFolder
 
@@ -106,8 +106,8 @@ class SimulatedFixes:
         """The recording folder: fixes and truth in space, the designed route as the rig's path."""
         fixes = np.where(self.seen, self.fixes, np.nan)
         tables = {
-            "fixes": table_of(self.times, self.ids, axes_m(fixes)),
-            "truth": table_of(self.times, self.ids, axes_m(self.positions)),
+            name: ArrayRows.regular(self.times, self.ids, {AXES: values})
+            for name, values in (("fixes", fixes), ("truth", self.positions))
         }
         return folder_of(name, tables, self.ids, anchors=self.anchors, path_knots=self.route)
 

@@ -13,14 +13,13 @@ from types import MappingProxyType
 import jax
 import jax.numpy as jnp
 import numpy as np
-import polars as pl
 from jaxtyping import Bool, Float, Int
 
 from sim.corruptions import Corruption, Seen, Times, Values, corrupted
 from sim.keys import Keys, normals, stream, trajectory_keys, uniforms
 from sim.paths import PathFunction
 from sim.ranging import WALK, Protocol, SimulatedRanges, round_robin, simulate_ranges
-from sim.tables import axes_m, folder_of, named, table_of
+from sim.tables import AXES, ArrayRows, folder_of
 from trackers.core.algebra import Vector
 from trackers.core.rig import Rig
 from trackers.core.state import Rotation
@@ -180,15 +179,18 @@ class SimulatedUwbImu:
         """The recording folder of the ranges, with IMU samples, and truth with attitudes at the samples' times."""
         ranges = self.ranges.folder(name)
         tag, row = np.nonzero(self.seen)
-        columns = [*(f"accel_{axis}_mps2" for axis in "xyz"), *(f"gyro_{axis}_radps" for axis in "xyz")]
-        samples = np.concatenate([self.accel, self.gyro], axis=2)[tag, row]
-        imu = pl.DataFrame(
-            {"t_s": self.times[row], "tag": named(tag, self.ids)} | dict(zip(columns, samples.T, strict=True))
+        columns = tuple(
+            f"{what}_{axis}_{unit}" for what, unit in (("accel", "mps2"), ("gyro", "radps")) for axis in "xyz"
         )
-        attitudes = dict(zip(QUATERNION, np.moveaxis(self.attitudes, -1, 0), strict=True))
-        truth = table_of(self.times, self.ids, axes_m(self.positions) | attitudes)
-        rig = ranges.rig
-        return folder_of(name, {**ranges.tables, "imu": imu, "truth": truth}, rig.tags, anchors=rig.anchors)
+        samples = np.concatenate([self.accel, self.gyro], axis=2)[self.seen]
+        tables = {
+            "ranges": self.ranges.rows(),
+            "truth": ArrayRows.regular(self.times, self.ids, {AXES: self.positions, QUATERNION: self.attitudes}),
+            "imu": ArrayRows.of_entries(
+                tag, self.ids, self.times[row], {columns[:3]: samples[:, :3], columns[3:]: samples[:, 3:]}
+            ),
+        }
+        return folder_of(name, tables, ranges.rig.tags, anchors=ranges.rig.anchors)
 
 
 def simulate_uwb_imu(

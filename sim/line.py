@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 
 from sim.corruptions import Corruption, corrupted, gauss_markov, white_noise
 from sim.keys import Keys, stream, trajectory_keys, uniforms
-from sim.tables import axes_m, folder_of, table_of
+from sim.tables import AXES, ArrayRows, folder_of
 from trackers.core.polyline import Polyline
 from trackers.core.rig import Tag
 from trackers.recordings.folder import RecordingFolder
@@ -81,11 +81,10 @@ class SimulatedLine:
     def folder(self, name: str) -> RecordingFolder:
         """The recording folder: fixes without height, truth at the tags' known height, the rig's path."""
         fixes = np.where(self.seen, self.fixes, np.nan)
-        shape = self.arclength.shape
-        tables = {
-            "fixes": table_of(self.times, self.ids, {**axes_m(fixes), "z_m": np.full(shape, np.nan)}),
-            "truth": table_of(self.times, self.ids, {**axes_m(self.positions), "z_m": np.full(shape, TAG_HEIGHT)}),
-        }
+        tables = {}
+        for table, floor, height in (("fixes", fixes, np.nan), ("truth", self.positions, TAG_HEIGHT)):
+            values = np.concatenate([floor, np.full((*floor.shape[:2], 1), height)], axis=2)
+            tables[table] = ArrayRows.regular(self.times, self.ids, {AXES: values})
         tags = {str(i): Tag(height=TAG_HEIGHT) for i in self.ids}
         return folder_of(name, tables, tags, path_knots=self.knots)
 

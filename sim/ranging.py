@@ -11,13 +11,12 @@ from functools import partial
 from types import MappingProxyType
 
 import numpy as np
-import polars as pl
 from jaxtyping import Bool, Float, Int
 
 from sim.corruptions import Corruption, Seen, Times, Values, corrupted, in_bursts
 from sim.keys import Keys, normals, stream, trajectory_keys, uniforms
 from sim.paths import PathFunction, hand_motion
-from sim.tables import axes_m, folder_of, named, table_of
+from sim.tables import AXES, ArrayRows, folder_of
 from trackers.core.rig import Rig, Tag
 from trackers.recordings.folder import RecordingFolder
 from trackers.uwb_imu.ranging import SPEED_OF_LIGHT, double_sided, single_sided
@@ -142,20 +141,22 @@ class SimulatedRanges:
     rig: Rig
     ids: Int[np.ndarray, " n"]
 
+    def rows(self) -> ArrayRows:
+        """A row per range."""
+        tag, row, anchor = np.nonzero(self.seen)
+        return ArrayRows.of_entries(
+            tag,
+            self.ids,
+            self.times[row],
+            {("range_m",): self.ranges[self.seen].astype(float)[:, None]},
+            {"anchor": (anchor, list(self.rig.anchors))},
+        )
+
     def folder(self, name: str) -> RecordingFolder:
         """The recording folder: a row per range, truth in space; constant heights are in the rig."""
-        tag, row, anchor = np.nonzero(self.seen)
-        ranges = pl.DataFrame(
-            {
-                "t_s": self.times[row],
-                "tag": named(tag, self.ids),
-                "anchor": named(anchor, list(self.rig.anchors)),
-                "range_m": self.ranges[tag, row, anchor].astype(float),
-            }
-        )
         heights = [float(z[0]) if np.ptp(z) == 0 else None for z in self.positions[..., 2]]
         tags = {str(i): Tag(height=height) for i, height in zip(self.ids, heights, strict=True)}
-        tables = {"ranges": ranges, "truth": table_of(self.times, self.ids, axes_m(self.positions))}
+        tables = {"ranges": self.rows(), "truth": ArrayRows.regular(self.times, self.ids, {AXES: self.positions})}
         return folder_of(name, tables, tags, anchors=self.rig.anchors)
 
 

@@ -8,7 +8,6 @@ from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
-import polars as pl
 from jaxtyping import Bool, Float, Float32, Float64, Int
 
 from sim.corruptions import Corruption, corrupted, white_noise
@@ -16,7 +15,7 @@ from sim.keys import stream, trajectory_keys, uniforms
 from sim.paths import PATHS, WORK_VOLUME, PathFunction
 from sim.phases import antenna_arrays, plane_phases, spherical_phases, wrapped
 from sim.signal import Radar, Reflector, signal_phases
-from sim.tables import axes_m, folder_of, named, table_of
+from sim.tables import AXES, ArrayRows, folder_of
 from trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH
 from trackers.core.rig import Rig, Station
 from trackers.recordings.folder import RecordingFolder
@@ -43,20 +42,17 @@ class SimulatedPhases:
 
     def folder(self, name: str) -> RecordingFolder:
         """The recording folder: a row of phases per tag, time and station with at least one, and truth in space."""
-        count, rows, stations, antennas = self.phases.shape
-        values = np.where(self.seen, self.phases, np.nan).reshape(-1, antennas)
-        phases = pl.DataFrame(
-            {
-                "t_s": np.tile(np.repeat(self.times, stations), count),
-                "tag": named(np.repeat(np.arange(count), rows * stations), self.ids),
-                "station": named(np.tile(np.arange(stations), count * rows), list(self.rig.stations)),
-            }
-            | {
-                f"phase_{k + 1}_rad": pl.Series(values[:, k].astype(np.float64), nan_to_null=True)
-                for k in range(antennas)
-            }
-        ).filter(pl.Series(np.isfinite(values).any(axis=1)))
-        tables = {"phases": phases, "truth": table_of(self.times, self.ids, axes_m(self.positions))}
+        heard = self.seen.any(axis=-1)
+        tag, row, station = np.nonzero(heard)
+        values = np.where(self.seen[heard], self.phases[heard], np.nan).astype(np.float64)
+        phases = ArrayRows.of_entries(
+            tag,
+            self.ids,
+            self.times[row],
+            {tuple(f"phase_{k + 1}_rad" for k in range(values.shape[1])): values},
+            {"station": (station, list(self.rig.stations))},
+        )
+        tables = {"phases": phases, "truth": ArrayRows.regular(self.times, self.ids, {AXES: self.positions})}
         return folder_of(name, tables, self.ids, stations=self.rig.stations)
 
 

@@ -1,8 +1,9 @@
-"""The tables of simulated worlds: recording folders in memory, one tag per trajectory, named by its id."""
+"""The tables of simulated worlds: recording folders of arrays in memory, one tag per trajectory, named by its id."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -10,7 +11,10 @@ import polars as pl
 from jaxtyping import Float, Int
 
 from trackers.core.rig import Rig, Tag
+from trackers.recordings.columns import TagRows
 from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.tables_by_tag import Tables
+from trackers.recordings.truth import TruePaths
 
 
 @runtime_checkable
@@ -25,32 +29,114 @@ class Simulated(Protocol):
         ...
 
 
-def named(index: Int[np.ndarray, " n"], names: Iterable[object]) -> pl.Series:
-    """The names, as text, that each number of `index` (n,) refers to."""
-    texts = [str(name) for name in names]
-    return pl.Series(index).replace_strict(range(len(texts)), texts, return_dtype=pl.String)
+class ArrayRows(TagRows):
+    """The rows of a simulated table, from arrays: `columns` (N, m) by their names, NaN where a value is missing.
+
+    `ids`: by name, the number of each row's id (N,) and the ids.
+    """
+
+    def __init__(
+        self,
+        tags: Sequence[str],
+        starts: Int[np.ndarray, " ends"],
+        times: Float[np.ndarray, " N"],
+        columns: Mapping[tuple[str, ...], Float[np.ndarray, "N m"]],
+        ids: Mapping[str, tuple[Int[np.ndarray, " N"], Sequence[str]]] = MappingProxyType({}),
+    ) -> None:
+        self.tags, self.starts, self.times = list(tags), starts, times
+        self._columns, self._ids = columns, ids
+
+    @classmethod
+    def regular(
+        cls,
+        times: Float[np.ndarray, " T"],
+        ids: Int[np.ndarray, " n"],
+        columns: Mapping[tuple[str, ...], Float[np.ndarray, "n T m"]],
+    ) -> ArrayRows:
+        """A row per tag and time: `times` (T,) s, and columns (n, T, m)."""
+        starts = len(times) * np.arange(len(ids) + 1)
+        flat = {names: values.reshape(-1, values.shape[-1]) for names, values in columns.items()}
+        return cls([str(i) for i in ids], starts, np.tile(times, len(ids)), flat)
+
+    @classmethod
+    def of_entries(
+        cls,
+        tag: Int[np.ndarray, " N"],
+        ids: Int[np.ndarray, " n"],
+        times: Float[np.ndarray, " N"],
+        columns: Mapping[tuple[str, ...], Float[np.ndarray, "N m"]],
+        names: Mapping[str, tuple[Int[np.ndarray, " N"], Sequence[str]]] = MappingProxyType({}),
+    ) -> ArrayRows:
+        """Rows in the order of their tags' numbers `tag`; tags without a row are left out."""
+        counts = np.bincount(tag, minlength=len(ids))
+        starts = np.concatenate([[0], np.cumsum(counts[counts > 0])])
+        return cls([str(i) for i in ids[counts > 0]], starts, times, columns, names)
+
+    def __contains__(self, name: str) -> bool:
+        return name in ("t_s", "tag", *self._ids) or any(name in names for names in self._columns)
+
+    def floats(self, names: Sequence[str]) -> Float[np.ndarray, "N m"]:
+        if tuple(names) in self._columns:
+            return self._columns[tuple(names)]
+        every = {name: values[:, k] for own, values in self._columns.items() for k, name in enumerate(own)}
+        missing = np.full(len(self.times), np.nan)
+        return np.stack([every.get(name, missing) for name in names], axis=1)
+
+    def codes(self, name: str, ids: Sequence[str]) -> Int[np.ndarray, " N"]:
+        numbers, own = self._ids[name]
+        return np.array([list(ids).index(x) for x in own])[numbers]
+
+    def frame(self) -> pl.DataFrame:
+        """The table, sorted by time."""
+        columns: dict[str, Any] = {
+            "t_s": self.times,
+            "tag": pl.Series(self.tags).gather(self.of_each(np.arange(len(self.tags)))),
+        }
+        columns |= {name: pl.Series(list(own)).gather(numbers) for name, (numbers, own) in self._ids.items()}
+        for names, values in self._columns.items():
+            columns |= {name: pl.Series(values[:, k], nan_to_null=True) for k, name in enumerate(names)}
+        return pl.DataFrame(columns).sort("t_s", maintain_order=True)
 
 
-def table_of(
-    times: Float[np.ndarray, " T"], ids: Int[np.ndarray, " n"], columns: Mapping[str, Float[np.ndarray, "n T"]]
-) -> pl.DataFrame:
-    """A row per tag and time: `t_s`, `tag`, and the columns, each (n, T); NaN becomes an empty cell."""
-    rows = {"t_s": np.tile(times, len(ids)), "tag": named(np.repeat(np.arange(len(ids)), len(times)), ids)}
-    return pl.DataFrame(rows | {name: pl.Series(values.ravel(), nan_to_null=True) for name, values in columns.items()})
+class SimulatedTables(Tables):
+    """Tables whose rows are arrays; a data frame is made of them when it is first read."""
+
+    def __init__(self, rows: Mapping[str, ArrayRows]) -> None:
+        super().__init__({})
+        self._arrays = rows
+
+    def __getitem__(self, name: str) -> pl.DataFrame:
+        if name not in self._frames:
+            self._frames[name] = self._arrays[name].frame()
+        return self._frames[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._arrays)
+
+    def __len__(self) -> int:
+        return len(self._arrays)
+
+    def rows(self, name: str) -> TagRows:
+        return self._arrays[name]
+
+    def paths(self, recording: str) -> TruePaths:
+        if self._paths is None:
+            truth = self._arrays["truth"]
+            self._paths = TruePaths(truth.tags, truth.starts, truth.times, truth.floats(AXES))
+        return self._paths
 
 
-def axes_m(positions: Float[np.ndarray, "n T axes"]) -> dict[str, Float[np.ndarray, "n T"]]:
-    """The columns `x_m`, `y_m` and, of three coordinates, `z_m` of positions (n, T, 2 or 3), m."""
-    return {f"{axis}_m": values for axis, values in zip("xyz", np.moveaxis(positions, -1, 0), strict=False)}
+AXES = ("x_m", "y_m", "z_m")
+"""Columns of a position."""
 
 
 def folder_of(
-    name: str, tables: Mapping[str, pl.DataFrame], tags: Mapping[str, Tag] | np.ndarray, **geometry: Any
+    name: str, tables: Mapping[str, ArrayRows], tags: Mapping[str, Tag] | np.ndarray, **geometry: Any
 ) -> RecordingFolder:
-    """The recording folder of the tables, sorted by time.
+    """The recording folder of the tables.
 
     `tags`: by name, or the ids of tags without a known height or offset. `geometry`: further fields of the rig.
     """
     known = tags if isinstance(tags, Mapping) else {str(i): Tag() for i in tags}
     rig = Rig(name, tags=known, about="Simulated, see manifest.json.", **geometry)
-    return RecordingFolder(name, None, rig, {k: t.sort("t_s", maintain_order=True) for k, t in tables.items()})
+    return RecordingFolder(name, None, rig, SimulatedTables(tables))

@@ -14,6 +14,7 @@ import jax
 
 from experiments.cli.main import main
 from experiments.plots import style
+from trackers.core import traced_programs
 
 
 class CommandResult(NamedTuple):
@@ -32,6 +33,8 @@ def trackwright(*arguments: str | Path | float) -> CommandResult:
         mock.patch.object(sys, "argv", ["trackwright", *map(str, arguments)]),
         mock.patch.dict(os.environ),
         mock.patch.dict(style.STYLE, {"savefig.dpi": 40}),
+        # Tests replace functions of ours, of which a program that is not traced knows nothing.
+        mock.patch.object(traced_programs, "use"),
         contextlib.redirect_stdout(out),
         contextlib.redirect_stderr(err),
     ):

@@ -51,11 +51,11 @@ def main() -> int:
     return int(faster < FLOOR)
 
 
-def task() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def task(trajectories: int = TRAJECTORIES) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Fixes (n, T, 2), m, times (T,), s, and true positions (n, T, 2), m, of carts on the thesis's line."""
     from sim.line import simulate_line
 
-    world = simulate_line("constant", TRAJECTORIES, seed=20, rest_s=3.0, rate_hz=2.0 * ROWS / 120.0)
+    world = simulate_line("constant", trajectories, seed=20, rest_s=3.0, rate_hz=2.0 * ROWS / 120.0)
     return world.fixes[:, :ROWS], world.times[:ROWS], world.positions[:, :ROWS]
 
 
@@ -64,7 +64,7 @@ def rmse(estimated: np.ndarray, truth: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.sum((estimated - truth)[:, 1:] ** 2, axis=-1))))
 
 
-def ours(fixes: np.ndarray, times: np.ndarray) -> Callable[[], np.ndarray]:
+def ours(fixes: np.ndarray, times: np.ndarray, chunk: int = CHUNK) -> Callable[[], np.ndarray]:
     """A run of the tracker `line-pf` without halts; returns positions (n, T, 2), m."""
     from sim.line import THESIS_KNOTS
     from trackers.core.chunks import as_dtype, chunks, run_chunks
@@ -81,7 +81,7 @@ def ours(fixes: np.ndarray, times: np.ndarray) -> Callable[[], np.ndarray]:
     model = as_dtype(tracker, batch.dt.dtype)
 
     def run() -> np.ndarray:
-        parts = run_chunks(filter_batch, [(model, part) for part in chunks(batch, CHUNK)])
+        parts = run_chunks(filter_batch, [(model, part) for part in chunks(batch, chunk)])
         return np.concatenate([np.stack([np.asarray(x).T for x in p.mean.position], axis=-1) for p in parts])
 
     return run

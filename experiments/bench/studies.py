@@ -7,8 +7,6 @@ which the whole chunk and its parts have one turn each.
 
 from __future__ import annotations
 
-import os
-import platform
 import sys
 import time
 from collections.abc import Callable
@@ -20,16 +18,17 @@ from typing import Any
 import numpy as np
 import tyro
 
+from experiments.bench.__main__ import machine
 from experiments.bench.timing import write_json
 from experiments.cli.runtime import set_flags
 
 TRAJECTORIES = 256
 """Trajectories of a chunk."""
 
-FEWER = {"das": 8, "line-pf": 64, "line-grid": 64, "fix-mirror": 64}
+FEWER = {"das": 8, "line-pf": 16, "line-grid": 8, "fix-mirror": 32, "mhk": 64, "uwb-imu": 64}
 """Trajectories of a chunk of the slowest trackers."""
 
-ROUNDS = 5
+ROUNDS = 3
 LEAST_SHARE = 1 / 3
 """Least rate of a whole chunk, as a share of the rate of the tracker alone."""
 
@@ -64,17 +63,16 @@ def main(world: tuple[str, ...] = (), tracker: tuple[str, ...] = (), out: Path =
             rows.append(found)
             each = "".join(f"{found[f'{part}_us_per_row']:9.3f}" for part in PARTS)
             print(f"{name:9s}{one:17s}{found['rows']:8d}         {each}{found['share']:15.2f}", flush=True)
-    machine = {
-        "cpu": platform.processor() or platform.machine(),
-        "cores": os.cpu_count(),
-        "platform": platform.platform(),
-        "python": platform.python_version(),
-        "jax": version("jax"),
-        "numpy": np.__version__,
-        "load_average": os.getloadavg(),
-    }
     command = ["python", "-m", "experiments.bench.studies", *sys.argv[1:]]
-    write_json(out, {"command": command, "machine": machine, "studies": rows})
+    write_json(
+        out,
+        {
+            "command": command,
+            "machine": machine(),
+            "packages": {"jax": version("jax"), "numpy": np.__version__},
+            "studies": rows,
+        },
+    )
     print(f"Written: {out}")
     return int(any(found["share"] < LEAST_SHARE for found in rows))
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.monte_carlo.accumulators import BEARING, COLUMN, KINDS, POSITION, SUMS, histograms
+from experiments.monte_carlo.accumulators import BEARING, BINS, COLUMN, KINDS, POSITION, SUMS, histograms
 from trackers.core.estimates import Status
 from trackers.core.metrics import chi_square_quantile, nees_of_leading
 from trackers.recordings.folder import RecordingFolder
@@ -37,8 +37,25 @@ class TrackedRuns(NamedTuple):
         return np.where(self.known[..., None], self.estimates - self.truth, np.nan)
 
 
+ROWS_AT_ONCE = 32_768
+"""Rows that are scored together: their numbers fit the processor's cache."""
+
+
 def scored(tracked: TrackedRuns) -> dict[str, np.ndarray]:
     """Arrays of n trajectories: `sums` (n, columns), `largest` (n, kinds), and a histogram for each kind of error."""
+    n, size = len(tracked.known), max(1, ROWS_AT_ONCE // max(tracked.known[0].size, 1))
+    firsts = range(0, n, size)
+    rows = {name: x for name, x in tracked._asdict().items() if name != "folder"}
+    parts = [_scored(tracked._replace(**{name: x[k : k + size] for name, x in rows.items()})) for k in firsts]
+    for first, part in zip(firsts, parts, strict=True):
+        for name in part:
+            if name.startswith("cells "):
+                part[name] += first * BINS
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def _scored(tracked: TrackedRuns) -> dict[str, np.ndarray]:
+    """As `scored`, of all trajectories at once."""
     n = len(tracked.estimates)
     sums, largest = np.zeros((n, len(SUMS))), np.full((n, len(KINDS)), np.nan)
     arrays: dict[str, np.ndarray] = {"sums": sums, "largest": largest}
@@ -100,7 +117,9 @@ def _direction(angles: np.ndarray) -> np.ndarray:
 
 def _add_nees(sums: np.ndarray, error: np.ndarray, covariance: np.ndarray, counts: np.ndarray) -> None:
     """Add the NEES of two axes, and of three, to `sums`; of two also the number of errors inside the 95 % ellipse."""
-    of_leading = nees_of_leading(error[counts], covariance[counts])
+    whole = counts.all()
+    counted = (error.reshape(-1, error.shape[-1]), covariance.reshape(-1, *covariance.shape[2:]))
+    of_leading = nees_of_leading(*(counted if whole else (x[counts.ravel()] for x in counted)))
     for axes, suffix in enumerate(("", "_3d")[: len(of_leading) - 1], start=2):
         values = np.full(counts.shape, np.nan)
         values[counts] = of_leading[axes - 1]

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, NullLocator
 
 from experiments.plots.style import (
     BEFORE,
@@ -170,6 +170,8 @@ def _ratio_panel(axes: Axes, times: np.ndarray, values: np.ndarray, dof: float |
     axes.margins(x=0.01)
     if len(ratio) and (ratio.max() > 5 or ratio.min() < 0.1):
         axes.set_yscale("log")
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_locator(NullLocator())
     if len(ratio):
         inside = f"{100 * np.mean((low <= ratio) & (ratio <= high)):.0f} % inside"
         axes.text(0.995, 1.02, inside, transform=axes.transAxes, ha="right", fontsize=8, color=GREY)

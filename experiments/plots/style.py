@@ -17,6 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from trackers.recordings.atomic import atomic_write
 
@@ -91,23 +92,24 @@ def _styled() -> Iterator[None]:
 def png(path: Path | str, width: float, height: float, title: str) -> Iterator[Figure]:
     """A figure of the given size in inches, written as a PNG at the end of the block, whole or not at all."""
     with _styled():
-        figure = Figure(figsize=(width, height), layout="constrained")
-        FigureCanvasAgg(figure)
+        layout = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.06)
+        figure = Figure(figsize=(width, height), dpi=STYLE["savefig.dpi"], facecolor="white", layout=layout)
+        canvas = FigureCanvasAgg(figure)
         if title:
-            figure.suptitle(literal(title), x=0.01, ha="left", fontsize=11, fontweight="bold")
+            figure.suptitle(literal(title), x=0.12 / width, ha="left", fontsize=11, fontweight="bold")
         yield figure
-        options: dict[str, Any] = {"bbox_inches": "tight", "pad_inches": 0.12, "facecolor": "white"}
-        atomic_write(path, lambda temporary: figure.savefig(temporary, format="png", **options))
+        # `savefig` draws twice, the first time to lay the figure out, which drawing does anyway.
+        atomic_write(path, canvas.print_png)
 
 
 def svg(draw: Callable[[Figure], object], width: float = WIDTH, height: float = HEIGHT) -> str:
     """The SVG text that `draw` makes of an empty figure of that size in inches; its text stays text."""
     with _styled():
-        figure = Figure(figsize=(width, height), layout="constrained")
-        FigureCanvasSVG(figure)
+        figure = Figure(figsize=(width, height), dpi=72, facecolor="none", layout="constrained")
+        canvas = FigureCanvasSVG(figure)
         draw(figure)
         page, nothing = io.BytesIO(), dict.fromkeys(("Date", "Creator", "Format", "Type"))
-        figure.savefig(page, format="svg", metadata=nothing, facecolor="none")
+        canvas.print_svg(page, metadata=nothing)
     text = page.getvalue().decode()
     text = re.sub(r"<\?xml.*?\?>\s*|<!DOCTYPE.*?>\s*|<metadata>.*?</metadata>\s*", "", text, flags=re.DOTALL)
     return re.sub(r"font-family: [^;\"]*", f"font-family: {FONTS}", text)

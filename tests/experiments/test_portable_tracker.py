@@ -75,6 +75,7 @@ def test_bearings_of_recordings_scored_one_by_one_have_the_same_metrics(elsewher
     assert evaluate(table, folders, None, elsewhere) == evaluate(table, folders)
 
 
+@pytest.mark.slow
 def test_the_commands_track_and_evaluate_on_a_scheduler_s_workers(paths, tmp_path):
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as started:

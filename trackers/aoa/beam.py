@@ -9,7 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.aoa.beamformer import Grid, delay_and_sum, strongest
+from trackers.aoa.beamformer import Grid, direction
 from trackers.aoa.phases import InPlanePhases, PlanePhases
 from trackers.core.algebra import Scalar, Vector, diagonal
 from trackers.core.filter import Gaussian
@@ -107,7 +107,7 @@ class BeamStart(AbstractStart):
     def candidate(self, sensors: Any, row: Row) -> Any:
         reading = row.readings[self.station]
         calibrated = reading.values - sensors[self.station].offsets.value
-        return strongest(self.grid, delay_and_sum(self.grid, calibrated, reading.seen))
+        return direction(self.grid, calibrated, reading.seen)
 
     def belief(self, candidate: Any, row: Row) -> Gaussian:
         angle, rate = self.sigma_angle.value**2, self.sigma_rate.value**2

@@ -13,15 +13,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from trackers.aoa.peak import Blocks, power, strongest_index
 from trackers.core.rig import Station
 
 
 class Grid(eqx.Module):
-    """Directions and the array's response to each: `angles` (G, 2) azimuth and elevation, `cosine`, `sine` (n, G)."""
+    """Directions and the array's response to each: `angles` (G, 2) azimuth and elevation, `cosine`, `sine` (n, G).
+
+    `blocks`: of neighbouring directions, None for a grid that is searched in full.
+    """
 
     angles: Any
     cosine: Any
     sine: Any
+    blocks: Blocks | None
 
     @classmethod
     def of(cls, station: Station, span: float = np.deg2rad(30.0), resolution: float = np.deg2rad(0.6)) -> Grid:
@@ -29,7 +34,8 @@ class Grid(eqx.Module):
         axis = np.linspace(-span, span, 2 * round(span / resolution) + 1)
         azimuth, elevation = (a.ravel() for a in np.meshgrid(axis, axis, indexing="ij"))
         x, y = np.sin(azimuth) * np.cos(elevation), np.sin(elevation)
-        return cls._respond(station, np.stack([azimuth, elevation], axis=1), x, y)
+        grid = cls._respond(station, np.stack([azimuth, elevation], axis=1), x, y)
+        return cls(grid.angles, grid.cosine, grid.sine, Blocks.of(grid.cosine, grid.sine))
 
     @classmethod
     def in_plane(cls, station: Station, resolution: float = np.deg2rad(1.0)) -> Grid:
@@ -43,16 +49,23 @@ class Grid(eqx.Module):
             raise ValueError("a beamformer needs a station with antennas and a wavelength")
         antennas = np.asarray(station.antennas, float)
         phase = 2 * np.pi / station.wavelength * (antennas[:, :1] * x + antennas[:, 1:] * y)
-        return cls(angles, np.cos(phase), np.sin(phase))
+        return cls(angles, np.cos(phase), np.sin(phase), None)
 
 
 def delay_and_sum(grid: Grid, phases: Any, seen: Any) -> jax.Array:
     """The power |Σ exp(i(φ − steering))|² of each direction, (…, G), for phases and masks (…, n)."""
     weight = jnp.where(seen, 1.0, 0.0).astype(phases.dtype)
-    c, s = weight * jnp.cos(phases), weight * jnp.sin(phases)
-    real = c @ grid.cosine + s @ grid.sine
-    imaginary = s @ grid.cosine - c @ grid.sine
-    return real * real + imaginary * imaginary
+    return power(weight * jnp.cos(phases), weight * jnp.sin(phases), grid.cosine, grid.sine)
+
+
+def direction(grid: Grid, phases: Any, seen: Any) -> Any:
+    """The angles (2,) or (1,), rad, at which the delay-and-sum spectrum of one row, phases and masks (n,), is largest.
+
+    The same as `strongest` of `delay_and_sum` up to rounding, for a tenth of the computing time.
+    """
+    if grid.blocks is None:
+        return strongest(grid, delay_and_sum(grid, phases, seen))
+    return jnp.asarray(grid.angles)[strongest_index(grid.cosine, grid.sine, grid.blocks, phases, seen)]
 
 
 def snapshots(phases: Any, seen: Any) -> jax.Array:

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from trackers.aoa.beam import Beam, InPlaneBeam
-from trackers.aoa.beamformer import Grid, delay_and_sum, strongest
+from trackers.aoa.beamformer import Grid, direction
 from trackers.core.algebra import triangle
 from trackers.core.estimates import Status
 from trackers.core.layout import Layout
@@ -40,7 +40,7 @@ class DelayAndSum(AbstractEpochwiseTracker):
         reading = batch.readings[self.name]
 
         def one(values: Any, seen: Any) -> Any:
-            return strongest(self.grid, delay_and_sum(self.grid, values, seen))
+            return direction(self.grid, values, seen)
 
         # One row at a time: the spectra of a whole chunk would take gigabytes.
         row = jax.vmap(one, in_axes=-1, out_axes=-1)

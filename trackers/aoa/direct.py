@@ -9,7 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.aoa.beamformer import Grid, delay_and_sum, strongest
+from trackers.aoa.beamformer import Grid, direction
 from trackers.aoa.fusion import region_centre
 from trackers.aoa.phases import SphericalPhases
 from trackers.aoa.rays import nearest_to_rays, unit_vector
@@ -56,8 +56,8 @@ class PhaseStart(AbstractStart):
         for name, grid in self.grids.items():
             sensor, reading = sensors[name], row.readings[name]
             calibrated = reading.values - sensor.offsets.value
-            direction = unit_vector(*strongest(grid, delay_and_sum(grid, calibrated, reading.seen)))
-            rays.append((sensor.origin, sensor.array_from_world.T @ direction, jnp.sum(reading.seen) >= 3))
+            beam = unit_vector(*direction(grid, calibrated, reading.seen))
+            rays.append((sensor.origin, sensor.array_from_world.T @ beam, jnp.sum(reading.seen) >= 3))
         return nearest_to_rays(rays, jnp.asarray(self.centre), row.inputs["height"] if self.planar else None)
 
     def belief(self, candidate: Any, row: Row) -> Gaussian:

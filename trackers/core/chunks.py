@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import DTypeLike
 
 from trackers.core.recording import Batch
+from trackers.core.traced_programs import found_program
 
 Tree = TypeVar("Tree")
 
@@ -93,8 +94,14 @@ class Programs:
         shapes = tuple((np.shape(x), x.dtype) if eqx.is_array(x) else x for x in leaves)
         program = kind, shapes, part.dt.device
         if program in self.compiled:
-            return jitted(function, model, part)
+            return _called(function, model, part)
         with self.compiling[program]:
-            result = jitted(function, model, part)
+            result = _called(function, model, part)
             self.compiled.add(program)
         return result
+
+
+def _called(function: Callable[[Any, Batch], Tree], model: Any, part: Batch) -> Tree:
+    program = found_program(function, model, part)
+    result: Tree = jitted(function, model, part) if program is None else program(model, part)
+    return result

@@ -81,16 +81,21 @@ def nees_of_leading(errors: Errors, covs: Covariances) -> Float[np.ndarray, "d N
 
     By elimination over the d columns for all rows at once, so that a singular P affects its own row alone.
     """
-    # Rows last in memory: each step below runs along one long vector.
-    remainder, P = np.array(errors.T, float, order="C"), np.array(np.moveaxis(covs, 0, -1), float, order="C")
-    values = np.zeros(remainder.shape)
-    for j in range(len(remainder)):
+    # Each entry is a vector over the rows.
+    remainder = [np.array(x, float) for x in errors.T]
+    upper = {(i, j): np.array(covs[:, i, j], float) for i in range(len(remainder)) for j in range(i, len(remainder))}
+    P = {(i, j): upper[min(i, j), max(i, j)] for i in range(len(remainder)) for j in range(len(remainder))}
+    values: list[np.ndarray] = []
+    for j, own in enumerate(remainder):
         pivot = np.where(P[j, j] > 0, P[j, j], math.nan)
-        values[j:] += remainder[j] ** 2 / pivot
-        gain = P[j + 1 :, j] / pivot
-        remainder[j + 1 :] -= gain * remainder[j]
-        P[j + 1 :, j + 1 :] -= gain[:, None] * P[j, j + 1 :]
-    return values
+        value = own**2 / pivot
+        values.append(values[-1] + value if values else value)
+        for a in range(j + 1, len(remainder)):
+            gain = P[a, j] / pivot
+            remainder[a] = remainder[a] - gain * own
+            for b in range(j + 1, len(remainder)):
+                P[a, b] = P[a, b] - gain * P[j, b]
+    return np.stack(values) if values else np.zeros((0, len(errors)))
 
 
 def consistency(

@@ -49,8 +49,7 @@ def cache_programs(directory: str | Path | None = None, report: Callable[[str], 
     if directory is None and os.environ.get(VARIABLE) == "off":
         return None
     present = jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
-    ours = jax_cache.get_file_cache
-    if present is not None and not (isinstance(ours, _Ours) and str(ours.store._path) == present):
+    if present is not None and store_in_use() is None:
         return None
     root = Path(directory or os.environ.get(VARIABLE) or default_directory()).expanduser().absolute()
     folder = root / f"{PREFIX}{jax.lib.__version__}-{processor()}"
@@ -152,6 +151,12 @@ class ProgramStore(CacheInterface):
                 f"{self._path}: compiled programs are not kept ({error.strerror}); the next run compiles them again; "
                 f"check space and permissions, or set {VARIABLE}"
             )
+
+
+def store_in_use() -> ProgramStore | None:
+    """The store of `cache_programs`, None where jax has another cache or none."""
+    ours, present = jax_cache.get_file_cache, jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
+    return ours.store if isinstance(ours, _Ours) and str(ours.store._path) == present else None
 
 
 class _Ours:

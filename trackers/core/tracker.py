@@ -121,36 +121,40 @@ class AbstractTracker(eqx.Module):
         return found[0] if single else found
 
     def _run(self, batch: Batch, chunk: int, function: Any, state: Any) -> Estimates:
-        model = as_dtype(_without_zero_latency(self), batch.dt.dtype)
+        model = as_dtype(self, batch.dt.dtype)
         pairs = []
-        for k, part in enumerate(chunks(batch, chunk)):
+        # No truth: it would be copied for nothing.
+        for k, part in enumerate(chunks(batch._replace(truth={}), chunk)):
             size = part.dt.shape[1]
             own = trajectories_of(state, k * size, (k + 1) * size)
             pairs.append(((model, jax.device_put(own, part.dt.device)), part))
         parts = run_chunks(function, pairs)
 
         def join(*arrays: np.ndarray) -> np.ndarray:
-            return np.moveaxis(np.concatenate(arrays, axis=-1)[..., : batch.size], -1, 0)
+            return np.moveaxis(_joined(arrays, np.empty((*arrays[0].shape[:-1], batch.size), arrays[0].dtype)), -1, 0)
 
         def join_first(*arrays: np.ndarray) -> np.ndarray:
             return np.concatenate(arrays)[: batch.size]
 
-        joined = jax.tree_util.tree_map(join, *[output for output, _ in parts])
+        outputs = [output for output, _ in parts]
+        # All entries in one array, with the trajectories last as the parts have them: another order is a slow copy.
+        cov = np.empty((len(outputs[0].cov), len(batch.dt), batch.size), batch.dt.dtype)
+        for entry, arrays in zip(cov, zip(*(output.cov for output in outputs), strict=True), strict=True):
+            _joined(arrays, entry)
+        joined = jax.tree_util.tree_map(join, *(output._replace(cov=()) for output in outputs))
         final = jax.tree_util.tree_map(join_first, *[after for _, after in parts])
         diagnostics = joined.log_likelihood, joined.nis, joined.nis_dof, joined.wrapped, joined.status
-        return Estimates(joined.mean, np.stack(joined.cov), *diagnostics, age=joined.age, final=final)
+        return Estimates(joined.mean, np.moveaxis(cov, -1, 1), *diagnostics, age=joined.age, final=final)
 
 
-def _without_zero_latency(tracker: AbstractTracker) -> AbstractTracker:
-    """The tracker whose estimates are not shifted where its latency is zero, the default: a third of the run time."""
-
-    def unshifted(part: Any) -> Any:
-        if isinstance(part, Tracker) and part.latency is not None and float(part.latency) == 0.0:
-            return dataclasses.replace(part, latency_of=None)
-        return part
-
-    found: AbstractTracker = jax.tree_util.tree_map(unshifted, tracker, is_leaf=lambda part: isinstance(part, Tracker))
-    return found
+def _joined(arrays: Sequence[np.ndarray], whole: np.ndarray) -> np.ndarray:
+    """`whole`, filled with the arrays of the chunks along the last axis; columns beyond its end are left out."""
+    start = 0
+    for array in arrays:
+        part = whole[..., start : start + array.shape[-1]]
+        part[...] = array[..., : part.shape[-1]]
+        start += array.shape[-1]
+    return whole
 
 
 class AbstractEpochwiseTracker(AbstractTracker):

@@ -28,6 +28,19 @@ class Blocks(NamedTuple):
     probabilities: Any
 
 
+class Rings(NamedTuple):
+    """The states in rings of one layer and elevation above the horizon, each with its mirror image below.
+
+    `level`, `up` (R,), m/s²: the accelerations' horizontal and vertical magnitude. `probabilities` (R,): of one state.
+    `still`: that of no acceleration.
+    """
+
+    level: Any
+    up: Any
+    probabilities: Any
+    still: Any
+
+
 class AccelerationSphere(eqx.Module):
     """The distribution of accelerations, equations (5)–(7).
 
@@ -46,24 +59,39 @@ class AccelerationSphere(eqx.Module):
 
     def blocks(self) -> Blocks:
         """All N states: the layers from the inside out, the shell at a_max, "no acceleration" last."""
-        inner, outer = self.a_still.value, self.a_still.value + self.a_full.value
+        magnitudes, shares = self._magnitudes()
         means, solid = directions()
-        centres, angles = jnp.asarray(means, inner.dtype), jnp.asarray(solid / (4 * np.pi), inner.dtype)
+        centres, angles = (jnp.asarray(x, magnitudes.dtype) for x in (means, solid / (4 * np.pi)))
+        accelerations = (magnitudes[:, None, None] * centres[None]).reshape(-1, 3)
+        probabilities = (shares[:, None] * angles[None]).reshape(-1)
+        return Blocks(
+            jnp.concatenate([accelerations, jnp.zeros((1, 3), magnitudes.dtype)]),
+            jnp.concatenate([probabilities, self.p_still.value.reshape(1)]),
+        )
+
+    def rings(self) -> Rings:
+        """The same states in rings."""
+        magnitudes, shares = self._magnitudes()
+        means, solid = directions()
+        first = slice(ELEVATIONS // 2 * AZIMUTHS, None, AZIMUTHS)
+        level, up, angle = np.hypot(*means[first, :2].T), means[first, 2], solid[first] / (4 * np.pi)
+
+        def each(values: Any, by: Any) -> Any:
+            return (values[:, None] * jnp.asarray(by, values.dtype)[None]).reshape(-1)
+
+        return Rings(each(magnitudes, level), each(magnitudes, up), each(shares, angle), self.p_still.value)
+
+    def _magnitudes(self) -> tuple[Any, Any]:
+        """The magnitudes of the layers and of the shell (LAYERS + 1,), m/s², and their probabilities."""
+        inner, outer = self.a_still.value, self.a_still.value + self.a_full.value
         k = layers(inner, outer)
         # The centroid of a block is its mean magnitude times its mean direction; their total mean is zero.
-        magnitude = 0.75 * (k[1:] ** 4 - k[:-1] ** 4) / (k[1:] ** 3 - k[:-1] ** 3)
-        between = (magnitude[:, None, None] * centres[None]).reshape(-1, 3)
-        shell = outer * centres
-        accelerations = jnp.concatenate([between, shell, jnp.zeros((1, 3), inner.dtype)])
+        magnitudes = 0.75 * (k[1:] ** 4 - k[:-1] ** 4) / (k[1:] ** 3 - k[:-1] ** 3)
         moving = 1.0 - self.p_still.value
         full = moving * self.p_full.value
         volumes = (k[1:] ** 3 - k[:-1] ** 3) / (outer**3 - inner**3)
-        probabilities = [
-            ((moving - full) * volumes[:, None] * angles[None]).reshape(-1),
-            full * angles,
-            self.p_still.value.reshape(1),
-        ]
-        return Blocks(accelerations, jnp.concatenate(probabilities))
+        shares = [(moving - full) * volumes, full.reshape(1)]
+        return jnp.concatenate([magnitudes, outer.reshape(1)]), jnp.concatenate(shares)
 
 
 def layers(inner: Any, outer: Any) -> Any:

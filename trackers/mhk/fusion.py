@@ -22,6 +22,7 @@ from trackers.core.motion import AbstractMotion, Kinematic, Noise
 from trackers.core.sensor import AbstractSensor, Reading
 from trackers.core.tunable import Scale
 from trackers.mhk.accelerations import AccelerationSphere
+from trackers.mhk.azimuths import mean_acceleration
 from trackers.mhk.chain import predicted, updated
 
 
@@ -119,15 +120,16 @@ class AccelerationFilter(AbstractFilter[MhkBelief]):
 
         `displacement`: less that of constant velocity.
         """
-        blocks = self.sphere.blocks()
         half_square = 0.5 * elapsed * elapsed
         precision = 1.0 / self.sigma_displacement.value**2
+        if self.rate is None:
+            return weights, mean_acceleration(self.sphere.rings(), displacement, half_square, precision)
+        blocks = self.sphere.blocks()
         # −½ |o − ½Δt²·a|² / σ² without the term that is common to all states.
         accelerations = blocks.accelerations
         along = accelerations @ displacement.array()
         squares = jnp.sum(accelerations * accelerations, axis=1)
         log_likelihoods = precision * half_square * (along - 0.5 * half_square * squares)
-        prior = blocks.probabilities if self.rate is None else weights
-        after, _ = updated(prior, log_likelihoods)
+        after, _ = updated(weights, log_likelihoods)
         mean = after @ accelerations
-        return (weights if self.rate is None else after), Vector(mean[0], mean[1], mean[2])
+        return after, Vector(mean[0], mean[1], mean[2])

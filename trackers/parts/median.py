@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import jax.numpy as jnp
+
+NETWORK = 16
+"""Most values sorted by a network of comparators, fused into its surroundings; more are sorted by XLA."""
 
 
 def nan_median(values: Any) -> Any:
@@ -13,8 +17,34 @@ def nan_median(values: Any) -> Any:
     Equation (1) of Huang et al. 2018: of 2n + 1 values the (n + 1)-th in order, where the paper's text has the n-th; of
     an even number the mean of the two in the middle.
     """
-    ordered = jnp.sort(values, axis=0)  # NaN comes last
-    count = jnp.sum(jnp.isfinite(values), axis=0)
-    pick = [jnp.clip(k, 0, values.shape[0] - 1) for k in ((count - 1) // 2, count // 2)]
-    low, high = (jnp.take_along_axis(ordered, k[None], axis=0)[0] for k in pick)
+    seen = jnp.isfinite(values)
+    count = jnp.sum(seen, axis=0)
+    ordered = in_order(jnp.where(seen, values, jnp.inf))
+    low, high = jnp.full_like(values[0], jnp.nan), jnp.full_like(values[0], jnp.nan)
+    for k, value in enumerate(ordered):
+        low, high = jnp.where((count - 1) // 2 == k, value, low), jnp.where(count // 2 == k, value, high)
     return jnp.where(count > 0, 0.5 * (low + high), jnp.nan)
+
+
+def in_order(values: Any) -> list[Any]:
+    """The values, none of them NaN, in ascending order along the first axis."""
+    if len(values) > NETWORK:
+        return list(jnp.sort(values, axis=0))
+    ordered = list(values)
+    for i, j in comparators(len(ordered)):
+        ordered[i], ordered[j] = jnp.minimum(ordered[i], ordered[j]), jnp.maximum(ordered[i], ordered[j])
+    return ordered
+
+
+def comparators(n: int) -> Iterator[tuple[int, int]]:
+    """The pairs of Batcher's odd-even merge sort of n values (Knuth 1998, algorithm 5.2.2M)."""
+    p = 1 << max((n - 1).bit_length() - 1, 0)
+    top = p
+    while p > 0:
+        q, r, d = top, 0, p
+        while True:
+            yield from ((i, i + d) for i in range(n - d) if i & p == r)
+            if q == p:
+                break
+            d, q, r = q - p, q // 2, p
+        p //= 2

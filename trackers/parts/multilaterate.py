@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from trackers.core.algebra import Scalar
+from trackers.core.algebra import Scalar, Vector, total
 
 ITERATIONS = 20
 """Gauss–Newton steps; with weights that change at every step, convergence is linear."""
@@ -43,66 +43,76 @@ def multilaterate(ranges: Any, anchors: Any, counts: Any, height: Scalar | None,
     """
     counts = jnp.where(counts, jnp.ones_like(ranges), 0.0)
     number = jnp.maximum(jnp.sum(counts), 1.0)
-    centroid = jnp.sum(counts[:, None] * anchors, axis=0) / number
+    centroid = Vector.of(jnp.sum(counts * anchors[:, k]) / number for k in range(3))
     if height is not None:
-        return _gauss_newton(ranges, anchors, counts, centroid[:2], height, scale)
-    width = jnp.sqrt(jnp.sum(counts[:, None] * (anchors - centroid[None, :])[:, :2] ** 2) / number)
-    up = jnp.stack([width * 0.0, width * 0.0, width])
-    below, above = (_gauss_newton(ranges, anchors, counts, centroid + s * up, None, scale) for s in (-1.0, 1.0))
+        return _gauss_newton(ranges, anchors, counts, Vector(centroid[0], centroid[1]), height, scale)
+    spread = (anchors[:, 0] - centroid[0]) ** 2 + (anchors[:, 1] - centroid[1]) ** 2
+    up = Vector(0.0, 0.0, jnp.sqrt(jnp.sum(counts * spread) / number))
+    below, above = (_gauss_newton(ranges, anchors, counts, x, None, scale) for x in (centroid - up, centroid + up))
     return jax.tree_util.tree_map(lambda a, b: jnp.where(below.cost <= above.cost, a, b), below, above)
 
 
 def _gauss_newton(
-    ranges: Any, anchors: Any, counts: Any, start: Any, height: Scalar | None, scale: Scalar
+    ranges: Any, anchors: Any, counts: Any, start: Vector, height: Scalar | None, scale: Scalar
 ) -> PositionFit:
-    n = start.shape[0]
-    number = jnp.sum(counts)
-    ridge = RIDGE * jnp.eye(n, dtype=start.dtype)
+    # Arrays have the axis of ranges alone: over many rows (`vmap`, rows last) each operation runs along long vectors.
+    n, number = len(start), jnp.sum(counts)
 
-    def linearised(position: Any) -> tuple[Any, Any, Any]:
-        """Residuals (S,), Jacobian (S, n) and predicted ranges (S,)."""
-        offset = (position if height is None else jnp.append(position, height))[None, :] - anchors
-        distance = jnp.sqrt(jnp.maximum(jnp.sum(offset * offset, axis=1), 1e-12))
-        return counts * (ranges - distance), offset[:, :n] / distance[:, None], distance
+    def linearised(position: Vector) -> tuple[Any, list[Any], Any]:
+        """Residuals (S,), columns of the Jacobian (S,) and predicted ranges (S,)."""
+        place = [*position] if height is None else [*position, height]
+        offset = [x - anchors[:, k] for k, x in enumerate(place)]
+        distance = jnp.sqrt(jnp.maximum(total(x * x for x in offset), 1e-12))
+        return counts * (ranges - distance), [x / distance for x in offset[:n]], distance
 
-    def information(weight: Any, jacobian: Any) -> Any:
-        return jnp.sum(weight[:, None, None] * jacobian[:, :, None] * jacobian[:, None, :], axis=0)
-
-    def step(position: Any, _: None) -> tuple[Any, None]:
+    def step(position: Vector, _: None) -> tuple[Vector, None]:
         residual, jacobian, distance = linearised(position)
         weight = counts / (1.0 + (residual / jnp.maximum(1.5 * lower_median(jnp.abs(residual), counts), scale)) ** 2)
-        gradient = jnp.sum((weight * residual)[:, None] * jacobian, axis=0)
-        move = jnp.sum(inverse(information(weight, jacobian) + ridge) * gradient[None, :], axis=1)
+        gradient = [jnp.sum(weight * residual * column) for column in jacobian]
+        inverted = inverse(information(weight, jacobian))
+        move = Vector.of(total(a * b for a, b in zip(row, gradient, strict=True)) for row in inverted)
         # No step is longer than the mean distance to the anchors: beyond it the linearisation does not hold.
         longest = jnp.maximum(jnp.sum(counts * distance) / jnp.maximum(number, 1.0), 1e-6)
-        return position + move / jnp.maximum(jnp.sqrt(jnp.sum(move * move)) / longest, 1.0), None
+        return position + move / jnp.maximum(jnp.sqrt(move.dot(move)) / longest, 1.0), None
 
     position = jax.lax.scan(step, start, None, length=ITERATIONS)[0]
     residual, jacobian, _ = linearised(position)
     weight = counts / (1.0 + (residual / scale) ** 2)
-    (a, b), (_, c) = information(counts, jacobian[:, :2])
+    (a, b), (_, c) = information(counts, jacobian[:2], ridge=0.0)
     smallest = 0.5 * (a + c - jnp.sqrt((a - c) ** 2 + 4.0 * b * b)) / jnp.maximum(number, 1.0)
-    determined = (number > n) & (smallest > MIN_INFORMATION) & jnp.all(jnp.isfinite(position))
+    determined = (number > n) & (smallest > MIN_INFORMATION) & jnp.all(jnp.isfinite(position.array()))
     return PositionFit(
-        position,
+        position.array(),
         jnp.sum(jnp.log1p((residual / scale) ** 2)),
-        inverse(information(weight, jacobian) + ridge),
+        jnp.stack([jnp.stack(row) for row in inverse(information(weight, jacobian))]),
         determined,
     )
 
 
+def information(weight: Any, jacobian: list[Any], ridge: float = RIDGE) -> list[list[Scalar]]:
+    """The information matrix of ranges with these weights (S,) and columns of the Jacobian (S,)."""
+    rows = [[jnp.sum(weight * a * b) for b in jacobian] for a in jacobian]
+    return [[x + ridge if i == j else x for j, x in enumerate(row)] for i, row in enumerate(rows)]
+
+
 def lower_median(values: Any, counts: Any) -> Scalar:
     """The median of the values (S,) where `counts` (S,) > 0, the lower one of an even number; 0 for none."""
-    ordered = jnp.sort(jnp.where(counts > 0, values, jnp.inf))
+    # By ranks: sorting each row by itself took most of the time.
+    kept = jnp.where(counts > 0, values, jnp.inf)
     index = (jnp.sum(counts > 0) - 1) // 2
-    return jnp.sum(jnp.where(jnp.arange(ordered.shape[0]) == index, ordered, 0.0))
+    smaller, not_larger = (
+        jnp.sum(compare(kept[None, :], kept[:, None]), axis=1) for compare in (jnp.less, jnp.less_equal)
+    )
+    return jnp.max(jnp.where((smaller <= index) & (index < not_larger) & (counts > 0), kept, 0.0))
 
 
-def inverse(matrix: Any) -> Any:
+def inverse(matrix: list[list[Scalar]]) -> list[list[Scalar]]:
     """The inverse of a symmetric 2 × 2 or 3 × 3 matrix by Cramer's rule: batched LAPACK calls can deadlock."""
-    if matrix.shape[0] == 2:
+    if len(matrix) == 2:
         (a, b), (_, c) = matrix
-        return jnp.stack([jnp.stack([c, -b]), jnp.stack([-b, a])]) / (a * c - b * b)
-    a, b, c = matrix
-    rows = [jnp.cross(b, c), jnp.cross(c, a), jnp.cross(a, b)]
-    return jnp.stack(rows, axis=1) / jnp.sum(a * rows[0])
+        determinant = a * c - b * b
+        return [[c / determinant, -b / determinant], [-b / determinant, a / determinant]]
+    x, y, z = (Vector(*row) for row in matrix)
+    rows = [y.cross(z), z.cross(x), x.cross(y)]
+    determinant = x.dot(rows[0])
+    return [[row[k] / determinant for row in rows] for k in range(3)]

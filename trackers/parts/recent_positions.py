@@ -112,5 +112,5 @@ def _positions(
 @jax.jit
 def _solved(anchors: Any, ranges: Any, counts: Any, height: Any) -> tuple[Any, Any]:
     scale = jnp.asarray(CAUCHY_SCALE, ranges.dtype)
-    fit = jax.vmap(lambda r, c: multilaterate(r, anchors, c, height, scale))(ranges, counts)
-    return fit.position, fit.determined
+    fit = jax.vmap(lambda r, c: multilaterate(r, anchors, c, height, scale), -1, -1)(ranges.T, counts.T)
+    return fit.position.T, fit.determined

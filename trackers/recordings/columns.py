@@ -44,6 +44,10 @@ class TagRows(ABC):
     def codes(self, name: str, ids: Sequence[str]) -> np.ndarray:
         """The numbers in `ids` of the ids in a column (N,)."""
 
+    def count(self, name: str, ids: Sequence[str]) -> int:
+        """How many of `ids` occur in a column."""
+        return int(np.count_nonzero(np.bincount(self.codes(name, ids))))
+
     def values(self, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
         """The columns as values (N, m), zero where one is missing, and the mask (N, m) of the values present."""
         values = self.floats(names)
@@ -70,6 +74,7 @@ class TableRows(TagRows):
         self.starts = np.concatenate([[0], np.cumsum(by_tag["row"].list.len().to_numpy())]).astype(int)
         self._table = table if len(self.tags) == 1 else table[order]
         self.times = float_column(self._table, "t_s")
+        self._codes: dict[tuple[str, tuple[str, ...]], np.ndarray] = {}
 
     def __contains__(self, name: str) -> bool:
         return name in self._table.columns
@@ -78,7 +83,10 @@ class TableRows(TagRows):
         return np.stack([float_column(self._table, name) for name in names], axis=1)
 
     def codes(self, name: str, ids: Sequence[str]) -> np.ndarray:
-        return self._table[name].cast(pl.Enum(list(ids))).to_physical().to_numpy().astype(int)
+        key = name, tuple(ids)
+        if key not in self._codes:
+            self._codes[key] = self._table[name].cast(pl.Enum(key[1])).to_physical().to_numpy().astype(int)
+        return self._codes[key]
 
 
 def run_starts(rows: pl.DataFrame, keys: list[str]) -> np.ndarray:

@@ -167,5 +167,7 @@ def known_height(folder: RecordingFolder, tag: str) -> float | None:
 
 def known_heights(folder: RecordingFolder, tags: Sequence[str]) -> np.ndarray:
     """The constant heights of tags in the rig, m; NaN for those without one."""
-    heights = (known_height(folder, tag) for tag in tags)
-    return np.array([np.nan if height is None else height for height in heights], float)
+    known = folder.rig.tags
+    if all(tag.height is None for tag in known.values()):
+        return np.full(len(tags), np.nan)
+    return np.array([np.nan if (own := known.get(tag)) is None or own.height is None else own.height for tag in tags])

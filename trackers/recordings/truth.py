@@ -98,20 +98,26 @@ class TruePaths:
         if not inside.all():
             path, times = path[inside], times[inside]
         after = self._first_not_before(path, times)
-        before = np.maximum(after - 1, 0)
-        exact = self.times[after] == times
-        span = np.where(exact, 1.0, self.times[after] - self.times[before])
-        here, there = self.positions[before], self.positions[after]
-        # In the order of np.interp; at the time of a row of the path its position alone.
-        found = (there - here) / span[:, None] * (times - self.times[before])[:, None] + here
-        found = np.where(exact[:, None], there, found)
-        own = np.zeros(len(times), np.uint8)
-        long = ~exact & (span > HOLE_S)
-        moved = np.sqrt(np.nansum((there[long] - here[long]) ** 2, axis=1))
-        own[np.flatnonzero(long)[moved > HOLE_M]] = TruthStatus.HOLE
-        found[own == TruthStatus.HOLE] = np.nan
+        found, own = self.positions[after], np.zeros(len(times), np.uint8)
+        between = np.flatnonzero(self.times[after] != times)
+        if len(between):
+            found[between], own[between] = self._between(after[between], times[between])
         position[inside], status[inside] = found, own
         return position, status
+
+    def _between(self, after: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Positions and status at `times` between the rows before and at `after`."""
+        before = after - 1
+        span = self.times[after] - self.times[before]
+        here, there = self.positions[before], self.positions[after]
+        # In the order of np.interp.
+        found = (there - here) / span[:, None] * (times - self.times[before])[:, None] + here
+        long = np.flatnonzero(span > HOLE_S)
+        moved = np.sqrt(np.nansum((there[long] - here[long]) ** 2, axis=1))
+        status = np.full(len(times), TruthStatus.SCORED, np.uint8)
+        status[long[moved > HOLE_M]] = TruthStatus.HOLE
+        found[status == TruthStatus.HOLE] = np.nan
+        return found, status
 
     def _first_not_before(self, path: np.ndarray, times: np.ndarray) -> np.ndarray:
         """The first row of each path that is not before `times`, which lie within its span."""

@@ -53,10 +53,19 @@ def studies(folder, monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def workers():
-    pytest.importorskip("distributed")
-    with cluster_executor("local:2") as executor:
-        yield executor
+def shas(folder, tmp_path_factory):
+    """Digests of both studies' results on threads."""
+    out = tmp_path_factory.mktemp("threads")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        return [_sha(run_study(load_study(name), out / name)) for name in ("study.py", "small.toml")]
+
+
+@pytest.fixture
+def elsewhere():
+    """An executor that pickles calls and checks its environment as workers do, in a thread of this process."""
+    with ThreadPoolExecutor(1) as threads:
+        yield WorkerExecutor(threads, environment())
 
 
 def test_a_study_is_built_again_from_text_and_numbers_far_from_its_files(studies, monkeypatch, tmp_path):
@@ -81,37 +90,35 @@ def test_a_study_without_a_declaration_or_changed_in_memory_is_refused(studies):
         PortableStudy.of(changed)
 
 
-def test_worker_processes_give_the_bits_of_threads(studies, workers, tmp_path):
-    for k, study in enumerate(studies):
-        own = _sha(run_study(study, tmp_path / f"threads-{k}"))
-        assert _sha(run_study(study, tmp_path / f"workers-{k}", executor=workers)) == own
+def test_worker_processes_give_the_bits_of_threads(studies, shas, tmp_path):
+    pytest.importorskip("distributed")
+    with cluster_executor("local:2") as workers:
+        found = [_sha(run_study(study, tmp_path / study.name, executor=workers)) for study in studies]
+    assert found == shas
 
 
-def test_a_condition_ends_early_on_workers_as_on_threads(studies, workers, tmp_path):
+def test_a_condition_ends_early_elsewhere_as_on_threads(studies, elsewhere, tmp_path):
     study = studies[1]
     stop = StopRule.parse("rmse_m±90%", study)
-    here, there = (run_study(study, tmp_path / f"{x is None}", until=stop, executor=x) for x in (None, workers))
+    here, there = (run_study(study, tmp_path / f"{x is None}", until=stop, executor=x) for x in (None, elsewhere))
     assert there.runs == here.runs
     assert min(there.runs.values()) < study.runs
     assert _sha(there) == _sha(here)
 
 
 @pytest.mark.parametrize("where", ["threads", "elsewhere"])
-def test_a_study_interrupted_by_ctrl_c_continues_from_its_store(studies, tmp_path, where):
+def test_a_study_interrupted_by_ctrl_c_continues_from_its_store(studies, shas, elsewhere, tmp_path, where):
     study, seen = studies[1], []
+    executor = None if where == "threads" else elsewhere
 
     def interrupted(done, now=""):
         seen.append(done)
         if sum(seen) >= 2:
             raise KeyboardInterrupt
 
-    with ThreadPoolExecutor(1) as threads:
-        executor = None if where == "threads" else WorkerExecutor(threads, environment())
-        with pytest.raises(KeyboardInterrupt):
-            run_study(study, tmp_path / "out", advance=interrupted, executor=executor)
-        stored = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "out" / "chunks").glob("*.npz")}
-        assert 2 <= len(stored) < len(study.conditions) * study.chunks
-        whole = run_study(study, tmp_path / "out", executor=executor)
-    for name, made in stored.items():
-        assert (tmp_path / "out" / "chunks" / name).stat().st_mtime_ns == made
-    assert _sha(whole) == _sha(run_study(study, tmp_path / "whole"))
+    with pytest.raises(KeyboardInterrupt):
+        run_study(study, tmp_path, advance=interrupted, executor=executor)
+    stored = {path: path.stat().st_mtime_ns for path in (tmp_path / "chunks").glob("*.npz")}
+    assert 2 <= len(stored) < len(study.conditions) * study.chunks
+    assert _sha(run_study(study, tmp_path, executor=executor)) == shas[1]
+    assert {path: path.stat().st_mtime_ns for path in stored} == stored

@@ -4,6 +4,7 @@ import json
 import numpy as np
 import pytest
 
+from experiments.monte_carlo import errors
 from experiments.monte_carlo.accumulators import COLUMN, KINDS, SUMS, histograms
 from experiments.monte_carlo.chunk_store import ChunkStore, merge_shards
 from experiments.monte_carlo.errors import TrackedRuns, scored
@@ -69,6 +70,16 @@ def test_metrics_of_accumulators_equal_those_of_all_rows():
     assert value["nis_ratio"] == pytest.approx(tracked.nis.sum() / tracked.dof.sum(), rel=1e-12)
     assert value["lost_fraction"] == np.mean(tracked.status == Status.LOST)
     assert value["diverged"] == np.mean((tracked.status == Status.LOST).any(axis=1))
+
+
+def test_scores_do_not_depend_on_the_rows_that_are_scored_together(monkeypatch):
+    tracked, _ = _normal_tracked(5)
+    whole = scored(tracked)
+    monkeypatch.setattr(errors, "ROWS_AT_ONCE", 100)
+    parts = scored(tracked)
+    assert parts.keys() == whole.keys()
+    for name, array in whole.items():
+        np.testing.assert_array_equal(parts[name], array)
 
 
 def _accumulated(sizes, histogram):

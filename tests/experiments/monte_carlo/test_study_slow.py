@@ -55,3 +55,44 @@ def test_a_full_disk_is_one_line_and_costs_nothing_that_was_written(study, tmp_p
             np.load(path).close()
     finally:
         subprocess.run(["umount", str(disk)], check=True)
+
+
+def test_a_killed_worker_costs_a_chunk_and_no_bit(study, tmp_path):
+    pytest.importorskip("distributed")
+    psutil = pytest.importorskip("psutil")
+    assert study_command(study, "--out", tmp_path / "threads").returncode == 0
+    words = [sys.executable, "-m", "experiments", "study", str(study), "--out", str(tmp_path / "workers")]
+    running = subprocess.Popen([*words, "--cluster", "local:2"], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    _wait_for_chunks(running, tmp_path / "workers", 4)
+    workers = [p for p in psutil.Process(running.pid).children(recursive=True) if "spawn_main" in " ".join(p.cmdline())]
+    assert len(workers) == 2
+    workers[0].kill()
+    errors = running.communicate(timeout=300)[1].decode()
+    assert running.returncode == 0, errors
+    assert "Traceback" not in errors
+    assert _sha(tmp_path / "workers") == _sha(tmp_path / "threads")
+
+
+def test_ctrl_c_on_a_terminal_ends_workers_and_leaves_a_study_that_continues(study, tmp_path):
+    pytest.importorskip("distributed")
+    psutil = pytest.importorskip("psutil")
+    words = [sys.executable, "-m", "experiments", "study", str(study), "--out", str(tmp_path / "out")]
+    running = subprocess.Popen(
+        [*words, "--cluster", "local:2"], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True
+    )
+    _wait_for_chunks(running, tmp_path / "out", 4)
+    children = psutil.Process(running.pid).children(recursive=True)
+    os.killpg(running.pid, signal.SIGINT)
+    errors = running.communicate(timeout=60)[1].decode()
+    assert running.returncode == 130
+    assert errors.splitlines()[1:] == ["trackwright: interrupted; files already written are complete"]
+    assert not psutil.wait_procs(children, timeout=10)[1]
+    assert study_command(study, "--out", tmp_path / "out").returncode == 0
+    assert study_command(study, "--out", tmp_path / "whole").returncode == 0
+    assert _sha(tmp_path / "out") == _sha(tmp_path / "whole")
+
+
+def _wait_for_chunks(running, folder, count):
+    while len([*folder.glob("chunks/*.npz")]) < count:
+        assert running.poll() is None
+        time.sleep(0.05)

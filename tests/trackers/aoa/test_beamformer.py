@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sim.stations import work_station
-from trackers.aoa.beamformer import Grid, capon, delay_and_sum, music, snapshots, strongest
+from trackers.aoa.beamformer import Grid, capon, delay_and_sum, direction, music, snapshots, strongest
 from trackers.core.rig import Station
 
 STATION = work_station().stations["1"]
@@ -128,3 +128,19 @@ def test_a_flat_array_finds_directions_all_round_in_its_own_plane():
 def test_a_station_without_antennas_is_refused():
     with pytest.raises(ValueError, match="needs a station with antennas and a wavelength"):
         Grid.of(Station(np.zeros(3), np.array([1.0, 0, 0, 0])))
+
+
+@pytest.mark.parametrize("missing", [0.0, 0.3])
+@pytest.mark.parametrize("sigma", [0.3, 9.0])
+def test_the_direction_of_a_row_is_that_of_the_largest_power_on_the_whole_grid(sigma, missing):
+    rng = np.random.default_rng(1)
+    phases = _phases(rng.uniform(-0.5, 0.5, (300, 2)), rng, sigma)
+    seen = rng.uniform(size=phases.shape) >= missing
+    seen[:2] = False
+    found = np.asarray(jax.jit(jax.vmap(direction, in_axes=(None, 0, 0)))(GRID, phases, seen))
+    spectrum = np.asarray(delay_and_sum(GRID, jnp.asarray(phases), seen))
+    of_angles = {tuple(angles): k for k, angles in enumerate(np.asarray(GRID.angles))}
+    powers = spectrum[np.arange(300), [of_angles[tuple(angles)] for angles in found]]
+    # With few antennas several directions have the same power up to rounding.
+    np.testing.assert_allclose(powers, spectrum.max(axis=1), rtol=1e-12)
+    np.testing.assert_array_equal(found[:2], GRID.angles[[0, 0]])

@@ -10,6 +10,7 @@ import pytest
 from trackers.core.algebra import Vector
 from trackers.core.tunable import freeze
 from trackers.mhk.accelerations import AccelerationSphere
+from trackers.mhk.azimuths import mean_acceleration
 from trackers.mhk.chain import predicted, updated
 from trackers.mhk.fusion import AccelerationFilter
 
@@ -54,12 +55,35 @@ def _posterior(rate, weights, displacement, elapsed, sigma=0.01):
     return np.asarray(weights), np.array([float(m) for m in mean])
 
 
-def test_the_posterior_mean_is_bayes_rule_over_all_states():
+# At the smallest noise Bessel functions no longer give the sums over azimuths.
+@pytest.mark.parametrize("sigma", [0.3, 0.03, 0.002])
+def test_the_posterior_mean_is_bayes_rule_over_all_states(sigma):
     accelerations, probabilities = (np.asarray(x) for x in AccelerationSphere().blocks())
-    displacement, elapsed, sigma = np.array([0.08, -0.02, 0.01]), 0.4, 0.03
-    density = np.exp(-0.5 * np.sum((displacement - 0.5 * elapsed**2 * accelerations) ** 2, axis=1) / sigma**2)
+    displacement, elapsed = np.array([0.08, -0.02, 0.01]), 0.4
+    squares = np.sum((displacement - 0.5 * elapsed**2 * accelerations) ** 2, axis=1) / sigma**2
+    density = np.exp(-0.5 * (squares - squares.min()))
     expected = (probabilities * density) @ accelerations / (probabilities @ density)
-    np.testing.assert_allclose(_posterior(None, [], displacement, elapsed, sigma)[1], expected, rtol=1e-10)
+    np.testing.assert_allclose(_posterior(None, [], displacement, elapsed, sigma)[1], expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("sigma", [0.3, 0.03, 0.002])
+def test_many_trajectories_have_the_posterior_means_and_derivatives_of_each(sigma):
+    rings, precision = AccelerationSphere().rings(), 1.0 / sigma**2
+    displacements = 0.1 * np.random.default_rng(0).normal(size=(5, 3))
+    displacements[0] = 0.0
+
+    def mean(displacement, precision):
+        return mean_acceleration(rings, Vector(*displacement), jnp.asarray(0.08), precision).array()
+
+    each = [jax.jit(mean)(d, precision) for d in displacements]
+    every = jax.jit(jax.vmap(mean, in_axes=(0, None)))
+    np.testing.assert_allclose(every(displacements, precision), each, rtol=1e-9, atol=1e-12)
+    derivative = jax.jit(jax.jacfwd(every, argnums=1))(displacements, precision)
+    reverse = jax.jit(jax.jacrev(every, argnums=1))(displacements, precision)
+    step = 1e-5 * precision
+    numerical = (every(displacements, precision + step) - every(displacements, precision - step)) / (2 * step)
+    np.testing.assert_allclose(derivative, numerical, rtol=1e-5, atol=1e-9 / precision)
+    np.testing.assert_allclose(reverse, derivative, rtol=1e-5, atol=1e-9 / precision)
 
 
 def test_at_the_papers_rate_and_noise_a_displacement_carries_little_information():

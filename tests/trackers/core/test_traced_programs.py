@@ -1,0 +1,115 @@
+"""Programs that are found without tracing: the bits of those that are traced, and none where a key could be wrong."""
+
+from __future__ import annotations
+
+import sys
+from types import ModuleType
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+import pytest
+
+from sim import worlds
+from trackers.catalogue import TRACKERS, build
+from trackers.core.chunks import as_dtype, chunks, jitted
+from trackers.core.program_cache import ProgramStore
+from trackers.core.traced_programs import PREFIX, TracedPrograms
+from trackers.core.tracker import _outputs, _outputs_and_state
+from trackers.recordings.tracks import batches
+
+WORLDS = {"phases": worlds.station, "ranges": worlds.ranges, "imu": worlds.tool, "fixes": worlds.agv}
+SLOW = ("direct", "cascade", "das", "uwb-imu", "imm", "mhk", "floor-pf", "line-pf", "line-grid")
+
+
+def _case(name):
+    """The arguments of a small run of a tracker of the catalogue on the first world that has what it reads."""
+    for world in (*WORLDS.values(), worlds.line):
+        folder = world(n=2, rows=16, seed=3).folder()
+        if TRACKERS[name].missing(folder) is None:
+            group = build(name, folder).batches(folder)[0]
+            batch = batches(group.trajectories)[0][1]
+            return (as_dtype(group.tracker, batch.dt.dtype), None), next(chunks(batch, 2))
+    pytest.skip("no world has what it reads")
+
+
+@pytest.fixture(scope="module")
+def fixes():
+    return _case("fix-kf")
+
+
+@pytest.fixture
+def store(tmp_path):
+    return ProgramStore(tmp_path, pytest.fail)
+
+
+@pytest.fixture
+def compiled(monkeypatch):
+    """The number of programs that are traced and compiled."""
+    count, compile_one = [], jax.stages.Lowered.compile
+
+    def spy(self, *arguments, **options):
+        count.append(1)
+        return compile_one(self, *arguments, **options)
+
+    monkeypatch.setattr(jax.stages.Lowered, "compile", spy)
+    return count
+
+
+def _bits(tree):
+    return [np.asarray(x).tobytes() for x in jax.tree_util.tree_leaves(tree)]
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in ("fix-kf", "uwb", *SLOW)]
+)
+def test_a_program_of_an_earlier_process_gives_the_bits_of_a_traced_one(name, store, compiled):
+    model, part = _case(name)
+    traced = jitted(_outputs, model, part)
+    first = TracedPrograms(store).program(_outputs, model, part)(model, part)
+    before = len(compiled)
+    later = TracedPrograms(store).program(_outputs, model, part)(model, part)
+    assert len(compiled) == before
+    assert _bits(traced) == _bits(first) == _bits(later)
+    assert jax.tree_util.tree_structure(traced) == jax.tree_util.tree_structure(later)
+
+
+def test_other_numbers_use_the_program_and_other_shapes_functions_and_settings_do_not(fixes, store):
+    model, part = fixes
+    programs = TracedPrograms(store)
+    first = programs.program(_outputs, model, part)
+    louder = jax.tree_util.tree_map(lambda x: x + 0.5 if eqx.is_inexact_array(x) else x, model)
+    assert programs.program(_outputs, louder, part) is first
+    assert _bits(first(louder, part)) == _bits(jitted(_outputs, louder, part))
+    longer = jax.tree_util.tree_map(lambda x: np.concatenate([x, x]) if np.shape(x)[:1] == (16,) else x, part)
+    others = [programs.program(_outputs, model, longer), programs.program(_outputs_and_state, model, part)]
+    with jax.default_matmul_precision("highest"):
+        others.append(programs.program(_outputs, model, part))
+    assert len({first, *others}) == 4
+
+
+def test_a_damaged_program_is_traced_again(fixes, store):
+    model, part = fixes
+    right = _bits(TracedPrograms(store).program(_outputs, model, part)(model, part))
+    (path,) = store._path.glob(f"{PREFIX}*")
+    store.put(path.name, b"not a program")
+    assert _bits(TracedPrograms(store).program(_outputs, model, part)(model, part)) == right
+    path.write_bytes(b"junk")
+    assert _bits(TracedPrograms(store).program(_outputs, model, part)(model, part)) == right
+
+
+class _Mine(eqx.Module):
+    """A model of code that no key has the text of."""
+
+    x: Any
+
+
+def test_code_of_others_is_traced(fixes, store, monkeypatch):
+    model, part = fixes
+    programs = TracedPrograms(store)
+    assert programs.program(lambda model, part: model, model, part) is None
+    assert programs.program(_case, model, part) is None
+    assert programs.program(_outputs, (_Mine(model[0]), None), part) is None
+    monkeypatch.setitem(sys.modules, "trackwright_tracker_own", ModuleType("trackwright_tracker_own"))
+    assert programs.program(_outputs, model, part) is None

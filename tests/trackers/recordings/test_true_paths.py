@@ -1,0 +1,50 @@
+"""Truth of many tags at once, against NumPy's interpolation of each path by itself."""
+
+import numpy as np
+import pytest
+
+from trackers.recordings.tables import HOLE_M, HOLE_S
+from trackers.recordings.truth import TruePaths, TruthStatus
+
+
+def _alone(at, times, positions):
+    """Positions and status of one path by np.interp."""
+    status = np.full(len(at), TruthStatus.SCORED)
+    found = np.stack([np.interp(at, times, axis) for axis in positions.T], axis=1)
+    if len(times) > 1:
+        moved = np.sqrt(np.nansum(np.diff(positions, axis=0) ** 2, axis=1))
+        hole = (np.diff(times) > HOLE_S) & (moved > HOLE_M)
+        after = np.clip(np.searchsorted(times, at), 1, len(times) - 1)
+        status[hole[after - 1] & (times[after - 1] < at) & (at < times[after])] = TruthStatus.HOLE
+    status[(at < times[0]) | (at > times[-1])] = TruthStatus.NO_TRUTH
+    found[status != TruthStatus.SCORED] = np.nan
+    return found, status
+
+
+def _path(rng):
+    times = np.unique(np.round(rng.uniform(0, 20, rng.integers(1, 30)), 2))
+    positions = rng.normal(size=(len(times), 3)) * rng.choice([0.001, 1.0])
+    positions[rng.uniform(size=len(times)) < 0.2, 2] = np.nan
+    return times, positions
+
+
+@pytest.mark.parametrize("same", [False, True], ids=["paths of their own times", "paths of the same times"])
+def test_truth_of_many_tags_is_that_of_each_to_the_bit(same):
+    rng = np.random.default_rng(7)
+    for _ in range(40):
+        paths = [_path(rng) for _ in range(4)]
+        if same:
+            paths = [(paths[0][0], rng.normal(size=paths[0][1].shape)) for _ in paths]
+        wanted = [np.sort(np.append(rng.uniform(-1, 21, rng.integers(0, 40)), rng.choice(t, 3))) for t, _ in paths]
+        tags, starts = [str(k) for k in range(4)], np.cumsum([0, *(len(t) for t, _ in paths)])
+        together = TruePaths(tags, starts, *(np.concatenate(x) for x in zip(*paths, strict=True)))
+        found = together.at(tags, np.cumsum([0, *map(len, wanted)]), np.concatenate(wanted))
+        alone = [_alone(at, *path) for at, path in zip(wanted, paths, strict=True)]
+        for array, each in zip(found, zip(*alone, strict=True), strict=True):
+            np.testing.assert_array_equal(array, np.concatenate(each))
+
+
+def test_a_tag_without_a_path_has_no_truth():
+    position, status = TruePaths.none().at(["a"], np.array([0, 2]), np.zeros(2))
+    assert np.isnan(position).all()
+    assert (status == TruthStatus.NO_TRUTH).all()
