@@ -9,22 +9,32 @@ import warnings
 
 from trackers.core.errors import UnusableInput
 
-FUSION = "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion"
-"""Makes the CPU compiler of XLA compute terms shared within a filter step once, not once per use."""
+FLAGS = {
+    "--xla_backend_extra_options": ("xla_cpu_use_multi_output_fusion,xla_cpu_small_while_loop_byte_threshold=1000000"),
+    "--xla_cpu_experimental_ynn_fusion_type": "",
+}
+"""Flags of XLA's CPU compiler, by name.
 
+Multi-output fusion computes terms shared within a filter step once, not once per use. A loop whose step moves few bytes,
+as that of one trajectory, becomes one kernel, without the overhead of hundreds of calls per step; products of small
+matrices by a library would prevent that.
+"""
 
 COLLECT_AFTER = 200_000
 """Allocations between garbage collections: tracing makes many lasting objects, and collections took 1/6 of its time."""
 
 
 def set_flags() -> None:
-    """Add multi-output fusion to XLA_FLAGS unless the user has set it there; collect garbage less often."""
+    """Add `FLAGS` to XLA_FLAGS unless the user has set them there; collect garbage less often."""
     gc.set_threshold(COLLECT_AFTER, *gc.get_threshold()[1:])
     # What lives to the end needs no last collection, which took 0.6 s after jax was used.
     atexit.register(gc.freeze)
-    present = os.environ.get("XLA_FLAGS", "")
-    if FUSION.split("=")[0] not in present:
-        os.environ["XLA_FLAGS"] = f"{present} {FUSION}".strip()
+    os.environ["XLA_FLAGS"] = with_flags(os.environ.get("XLA_FLAGS", ""))
+
+
+def with_flags(present: str) -> str:
+    """These XLA flags, and each of `FLAGS` that is not among them."""
+    return " ".join([present, *(f"{name}={value}" for name, value in FLAGS.items() if name not in present)]).strip()
 
 
 def keep_programs() -> None:

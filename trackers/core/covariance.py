@@ -20,10 +20,18 @@ from trackers.core import algebra
 from trackers.core.algebra import Scalar, SparseRow, Vector, compute_once, dense, full, times, total, triangle
 
 FEW = 4
-"""Largest number of trajectories with covariances as arrays; `python -m experiments.bench.lanes` measures both forms."""
+"""Largest number of trajectories whose covariances are arrays; both forms: `python -m experiments.bench.lanes`."""
 
 Upper = tuple[Scalar, ...] | jax.Array
 """The upper triangle of a covariance, in either form."""
+
+Jacobians = tuple[Sequence[SparseRow], Sequence[SparseRow]]
+"""F and G of one stage of a motion."""
+
+
+def few(trajectories: int) -> bool:
+    """Whether the covariances of so many trajectories are arrays."""
+    return trajectories <= FEW
 
 
 def as_array(upper: Upper) -> jax.Array:
@@ -80,7 +88,7 @@ def congruence(F: Sequence[SparseRow], upper: Upper, G: Sequence[SparseRow]) -> 
         new[changed] = n + np.arange(len(changed))
         P = jnp.concatenate([P, block @ P[needed]])[new]
         P = jnp.concatenate([P, P[:, needed] @ block.T], axis=1)[:, new]
-    noise = [_inner(G[i], G[j]) for i, j in zip(rows, columns, strict=True)]
+    noise = [_inner(G[i], G[j]) for i, j in triangle(n)]
     return P[rows, columns] + (_array(noise, upper, len(noise)) if any(q is not None for q in noise) else 0.0)
 
 
@@ -104,7 +112,9 @@ def matched(weights: Sequence[Scalar], covs: Sequence[Upper], deviations: Sequen
         )
     rows, columns = np.triu_indices(len(deviations[0]))
     each = [jnp.stack(list(d)) for d in deviations]
-    return total(w * (P + d[rows] * d[columns]) for w, P, d in zip(weights, covs, each, strict=True))
+    parts = zip(weights, [as_array(P) for P in covs], each, strict=True)
+    found: jax.Array = total(w * (P + d[rows] * d[columns]) for w, P, d in parts)
+    return found
 
 
 def zeros(upper: Upper, n: int) -> Any:
@@ -113,13 +123,20 @@ def zeros(upper: Upper, n: int) -> Any:
     return Vector.of([zero] * n) if isinstance(upper, tuple) else jnp.zeros((n,), upper.dtype)
 
 
-def composed(stages: Sequence[tuple[Sequence[SparseRow], Sequence[SparseRow]]]) -> tuple[list[SparseRow], list[SparseRow]]:
-    """F and G of several stages in a row."""
+def predicted(stages: Sequence[Jacobians], upper: Upper) -> Upper:
+    """The covariance after the stages of a motion with these F and G, one by one or, as an array, all at once."""
+    for F, G in stages if isinstance(upper, tuple) else [_composed(stages)]:
+        upper = congruence(F, upper, G)
+    return upper
+
+
+def _composed(stages: Sequence[Jacobians]) -> Jacobians:
+    """F and G of all stages together."""
     F, G = stages[0]
     for F_next, G_next in stages[1:]:
         F = [_row_product(row, F) for row in F_next]
         G = [_sum(_row_product(row, G), own) for row, own in zip(F_next, G_next, strict=True)]
-    return list(F), list(G)
+    return F, G
 
 
 def _row_product(row: SparseRow, rows: Sequence[SparseRow]) -> SparseRow:

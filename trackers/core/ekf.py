@@ -29,7 +29,7 @@ from trackers.core.algebra import (
     inverse_or_zero,
     total,
 )
-from trackers.core.covariance import Upper, composed, congruence, joseph, product, zeros
+from trackers.core.covariance import Upper, joseph, predicted, product, zeros
 from trackers.core.filter import AbstractSmoothableFilter, Gaussian, Innovation
 from trackers.core.inputs import Inputs
 from trackers.core.keys import RawKey
@@ -58,9 +58,7 @@ class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
         for stage in motion.stages:
             mean, F, G = self.jacobians(mean, motion, stage, inputs, dt)
             stages.append((F, G))
-        for F, G in stages if isinstance(cov, tuple) else [composed(stages)]:
-            cov = congruence(F, cov, G)
-        return Gaussian(compute_once(mean), cov)
+        return Gaussian(compute_once(mean), predicted(stages, cov))
 
     def jacobians(
         self, state: State, motion: AbstractMotion, stage: Any, inputs: Inputs, dt: Scalar
@@ -102,7 +100,9 @@ class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
         student_t = has_student_t[0]
         channels = compute_once((whitened, jacobian))
         residual, H, rest = (*channels, jnp.zeros_like(nis_dof)) if student_t else compute_once(compressed(*channels))
-        step, cov, nis, log_density = sequential_updates(belief.cov, residual, H, len(point), dof if student_t else None)
+        step, cov, nis, log_density = sequential_updates(
+            belief.cov, residual, H, len(point), dof if student_t else None
+        )
         innovation = Innovation(log_scale + log_density - 0.5 * rest, nis + rest, nis_dof, wrapped)
         return Gaussian(retract(belief.mean, step), cov), innovation
 

@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 import equinox as eqx
 
 from trackers.core.algebra import Scalar
+from trackers.core.covariance import Upper
 from trackers.core.inputs import Input, Inputs
 from trackers.core.keys import RawKey
 from trackers.core.motion import AbstractMotion
@@ -27,7 +28,7 @@ class Gaussian(NamedTuple):
     """A Gaussian belief: the mean state and the covariance of the small step about it, upper triangle row by row."""
 
     mean: State
-    cov: tuple[Scalar, ...]
+    cov: Upper
 
 
 class Innovation(NamedTuple):
@@ -64,7 +65,7 @@ class AbstractFilter(eqx.Module, Generic[Belief]):
 
     @abstractmethod
     def predict(self, belief: Belief, motion: AbstractMotion, inputs: Inputs, dt: Scalar) -> Belief:
-        """The belief `dt` s later."""
+        """The belief `dt` s later, unchanged for `dt` = 0."""
 
     @abstractmethod
     def update(
@@ -73,7 +74,7 @@ class AbstractFilter(eqx.Module, Generic[Belief]):
         """The belief after one reading, and the reading's `Innovation`; masked channels change nothing."""
 
     @abstractmethod
-    def moments(self, belief: Belief) -> tuple[State, tuple[Scalar, ...]]:
+    def moments(self, belief: Belief) -> tuple[State, Upper]:
         """The mean state and the upper triangle of its covariance."""
 
 

@@ -6,7 +6,6 @@ time t; shifted back for straight motion, p(t − latency) = p(t) − v(t)·late
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -14,6 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar, Vector, congruence
+from trackers.core.covariance import Upper, as_scalars
 from trackers.core.linearise import linearise
 from trackers.core.motion import Noise
 from trackers.core.recording import Batch
@@ -27,7 +27,7 @@ class AbstractDelayedSensor(AbstractSensor):
     latency: eqx.AbstractVar[Noise]
 
 
-def shifted_back(mean: State, upper: Sequence[Scalar], seconds: Scalar) -> tuple[State, tuple[Scalar, ...]]:
+def shifted_back(mean: State, upper: Upper, seconds: Scalar) -> tuple[State, tuple[Scalar, ...]]:
     """Mean and covariance of the state with its position `seconds` earlier, for straight motion, one trajectory.
 
     Axes without a velocity are unchanged.
@@ -46,7 +46,7 @@ def shifted_back(mean: State, upper: Sequence[Scalar], seconds: Scalar) -> tuple
         return local_after(shifted, before, values, earlier(before))
 
     _, rows = linearise(step, point)
-    return shifted, congruence(rows, upper, [{} for _ in rows])
+    return shifted, congruence(rows, as_scalars(upper), [{} for _ in rows])
 
 
 def scored_truth(batch: Batch, age: Any = None) -> dict[str, tuple[Any, Any]]:

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jax.extend.core import Literal
 
 from trackers.core.algebra import Scalar, SparseRow, full, times, total, triangle
+from trackers.core.covariance import Upper, as_scalars
 from trackers.core.state import State, coordinates
 
 
@@ -35,7 +36,7 @@ def linearise(
 
 
 def covariance_of(
-    mean: State, upper: Sequence[Scalar], quantity: Callable[[State], Iterable[Scalar]]
+    mean: State, upper: Upper, quantity: Callable[[State], Iterable[Scalar]]
 ) -> dict[tuple[int, int], Scalar]:
     """The covariance of a quantity of one trajectory's state, linearised at the mean: its upper triangle by index.
 
@@ -44,7 +45,7 @@ def covariance_of(
     """
     point, rebuild = coordinates(mean)
     _, rows = linearise(lambda *x: list(quantity(rebuild(x))), point)
-    P = full(upper, len(point))
+    P = full(as_scalars(upper), len(point))
     return {
         (i, j): total(times(times(a, P[m][n]), b) for m, a in rows[i].items() for n, b in rows[j].items())
         for i, j in triangle(len(rows))

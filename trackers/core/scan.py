@@ -16,8 +16,9 @@ import numpy as np
 from jax.experimental.layout import Layout, with_layout_constraint
 from jaxtyping import Array, Bool, UInt32
 
+from trackers.core import covariance
 from trackers.core.algebra import Scalar, mark_dependent
-from trackers.core.covariance import FEW, OneArray, Upper, as_array, as_scalars, by_entry
+from trackers.core.covariance import OneArray, Upper, as_array, as_scalars, by_entry
 from trackers.core.estimates import Status
 from trackers.core.filter import AbstractFilter, Gaussian, Innovation
 from trackers.core.keys import RawKey
@@ -61,13 +62,13 @@ class ScanState(NamedTuple):
 
 
 class Output(NamedTuple):
-    """The result of one time step: mean of the state, upper triangle of its covariance, and `StepInfo`.
+    """The result of one time step: mean of the state, upper triangle of its covariance entry by entry, and `StepInfo`.
 
     `age`: s between the time for which the estimate is valid and that of its row; None where they are the same.
     """
 
     mean: Any
-    cov: tuple[Scalar, ...]
+    cov: Any
     log_likelihood: Scalar
     nis: Scalar
     nis_dof: Scalar
@@ -113,7 +114,7 @@ def scan_rows(
     rows = Row(batch.dt, batch.valid, batch.readings, batch.inputs, None, jnp.arange(len(batch.dt), dtype=jnp.uint32))
     n_rows = jnp.zeros(size, jnp.uint32) if initial is None else jnp.asarray(initial.n_rows)
     axes = carry_axes(tracker)
-    few = size <= FEW and not tracker.filter.has_particle_axis
+    few = covariance.few(size) and not tracker.filter.has_particle_axis
     every_moments = jax.vmap(moments or tracker.moments, in_axes=axes.belief, out_axes=-1)
 
     def one_row(carry: Carry, row: Row) -> tuple[Carry, Output]:
@@ -123,13 +124,14 @@ def scan_rows(
         mean, cov = every_moments(carry.belief)
         return carry, Output(mean, cov, *info)
 
-    def body(state: tuple[Carry, tuple[Any, ...]], inputs: tuple[Row, Any]) -> tuple[Any, Output | None]:
+    def body(state: tuple[Carry, tuple[Any, ...]], inputs: tuple[Row, Any]) -> tuple[Any, Any]:
         carry, sums = state
         row, truth = inputs
         carry, output = one_row(carry, row)
         if score is None:
             return (carry, sums), outputs_of.packed(output) if few else output
-        return (carry, tuple(a + b for a, b in zip(sums, score(output._replace(cov=tuple(output.cov)), truth), strict=True))), None
+        scores = score(output._replace(cov=tuple(output.cov)), truth)
+        return (carry, tuple(a + b for a, b in zip(sums, scores, strict=True))), None
 
     outputs_of = OneArray()
     first_row, first_truth = jax.tree_util.tree_map(lambda x: jnp.asarray(x[0]), (rows, batch.truth))

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar
-from trackers.core.covariance import FEW, by_entry
+from trackers.core.covariance import by_entry, few
 from trackers.core.estimates import Status
 from trackers.core.filter import AbstractSmoothableFilter, Gaussian
 from trackers.core.inputs import Inputs
@@ -62,7 +62,9 @@ class Smoothed(AbstractEpochwiseTracker):
 
         rts_step = filter_.rts_step
         if self.lag is None:
-            smoothed = fixed_interval(gain_of, rts_step, jax.tree_util.tree_map(lambda x: x[0], last), steps, batch.size <= FEW)
+            smoothed = fixed_interval(
+                gain_of, rts_step, jax.tree_util.tree_map(lambda x: x[0], last), steps, few(batch.size)
+            )
         else:
             smoothed = fixed_lag(gain_of, rts_step, filtered, steps, dt, jnp.asarray(self.lag, batch.dt.dtype))
         beliefs = jax.tree_util.tree_map(lambda a, b: jnp.concatenate([a, b]), smoothed, last)

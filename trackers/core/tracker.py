@@ -1,7 +1,8 @@
 """Trackers: what turns recordings into estimates, and the recursive tracker of a motion, sensors, a filter and a start.
 
-`Tracker.predict`, `update` and `advance` are written for one trajectory and one time step; `scan` maps it over trajectories and scans it over time.
-A batch runs in chunks of one fixed size, so that the numbers of a trajectory do not depend on the others in its batch.
+`Tracker.predict`, `update` and `advance` are written for one trajectory and one time step; `scan` maps them over
+trajectories and scans them over time. A batch runs in chunks of one fixed size, so that the numbers of a trajectory do
+not depend on the others in its batch.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from trackers.aoa.beam import Beam, BeamMotion
 from trackers.aoa.fusion import BearingSensor, bearing_inputs
 from trackers.aoa.phases import PlanePhases, SphericalPhases
 from trackers.core.algebra import Vector
-from trackers.core.ekf import ExtendedKalman, compressed, joseph
+from trackers.core.ekf import ExtendedKalman, compressed, sequential_updates
 from trackers.core.filter import Gaussian
 from trackers.core.motion import ConstantVelocity, Kinematic
 from trackers.core.sensor import Reading
@@ -56,7 +56,7 @@ def _assert_is_joint(cov, residual, H, result):
 def test_channels_one_after_another_are_the_joint_update(seed):
     cov, residual, H = _problem(seed, 3, [0, 1, 2, 3])
     upper = tuple(jnp.asarray(cov[np.triu_indices(STATES)]))
-    _assert_is_joint(cov, residual, H, joseph(upper, list(residual), _rows(H, range(STATES)), STATES))
+    _assert_is_joint(cov, residual, H, sequential_updates(upper, list(residual), _rows(H, range(STATES)), STATES))
 
 
 @pytest.mark.parametrize("columns", [[1, 3], [2], [0, 1, 2, 3]])
@@ -69,7 +69,7 @@ def test_compressed_channels_are_the_joint_update_of_all(columns, deficient):
     equivalent, rows, rest = compressed(list(map(jnp.asarray, residual)), _rows(H, columns))
     assert len(equivalent) == len(columns)
     upper = tuple(jnp.asarray(cov[np.triu_indices(STATES)]))
-    step, upper, nis, log_density = joseph(upper, equivalent, rows, STATES)
+    step, upper, nis, log_density = sequential_updates(upper, equivalent, rows, STATES)
     _assert_is_joint(cov, residual, H, (step, upper, nis + rest, log_density - 0.5 * rest))
 
 
@@ -134,8 +134,8 @@ def test_an_empty_reading_moves_nothing_and_has_zero_gradients_without_nan(name)
 def test_students_t_with_many_degrees_of_freedom_is_the_normal_update():
     cov, residual, H = _problem(7, 3, [0, 1, 2, 3])
     upper = tuple(jnp.asarray(cov[np.triu_indices(STATES)]))
-    normal = joseph(upper, list(residual), _rows(H, range(STATES)), STATES)
-    student = joseph(upper, list(residual), _rows(H, range(STATES)), STATES, jnp.asarray(1e9))
+    normal = sequential_updates(upper, list(residual), _rows(H, range(STATES)), STATES)
+    student = sequential_updates(upper, list(residual), _rows(H, range(STATES)), STATES, jnp.asarray(1e9))
     for a, b in zip(jax.tree_util.tree_leaves(student), jax.tree_util.tree_leaves(normal), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-6)
 
@@ -143,7 +143,7 @@ def test_students_t_with_many_degrees_of_freedom_is_the_normal_update():
 def test_students_t_moves_less_the_farther_off_a_reading_is():
     one = (jnp.asarray(1.0),)
     moves = [
-        float(joseph(one, [jnp.asarray(r)], [{0: jnp.asarray(1.0)}], 1, jnp.asarray(4.0))[0][0]) / r
+        float(sequential_updates(one, [jnp.asarray(r)], [{0: jnp.asarray(1.0)}], 1, jnp.asarray(4.0))[0][0]) / r
         for r in (0.1, 1.0, 10.0, 100.0)
     ]
     assert moves == sorted(moves, reverse=True)
