@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from experiments.cli.console import read_with_notices
+from experiments.cli.console import progress, read_with_notices
 from experiments.cli.runtime import keep_programs
 from trackers.core.errors import UnusableInput
 
@@ -66,7 +66,6 @@ def tune(
             f"--steps {steps} --piece-rows {piece_rows} --starts {starts} --minibatch {minibatch}: expected at least "
             "1, 10, 1 and 1"
         )
-    folders = read_with_notices((*recordings, *held_out))
     options = {
         "tracker": tracker,
         "objective": objective,
@@ -84,8 +83,13 @@ def tune(
         "free_height": free_height,
         "piece_rows": piece_rows,
     }
-    keep_programs()
-    # jax takes a second to import, which the help and a refused recording need not wait for.
-    from experiments.cli.tuning_job import tune_folders
+    with progress("tuning", steps) as advance:
+        advance(0, "(reading)")
+        folders = read_with_notices((*recordings, *held_out))
+        advance(0, "(preparing)")
+        keep_programs()
+        # jax takes a second to import, which the help and a refused recording need not wait for.
+        from experiments.cli.tuning_job import finish, fit_folders
 
-    return tune_folders(folders, recordings, out, options, resume, started, clock)
+        fitted = fit_folders(folders, len(recordings), out, options, resume, advance)
+    return finish(fitted, recordings, out, started, clock)

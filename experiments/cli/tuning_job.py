@@ -5,11 +5,12 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from experiments.cli.console import Advance, notice, output_folder, progress
+from experiments.cli.console import Advance, notice, output_folder
 from experiments.cli.tuning_folder import Run, write_run
 from experiments.cli.tuning_options import checked_options, tracker_for_folders
 from trackers.core.errors import UnusableInput
@@ -33,31 +34,36 @@ OPTIMISERS: dict[str, Callable[[int], AbstractOptimiser | None]] = {
 }
 
 
-def tune_folders(
-    folders: Sequence[RecordingFolder],
-    recordings: Sequence[Path],
-    out: Path,
-    options: dict[str, Any],
-    resume: bool,
-    started: datetime,
-    clock: float,
-) -> int:
-    """Fits the tracker, writes all files and prints the table; returns the exit code.
+@dataclass(frozen=True)
+class Fitted:
+    """A finished fit: the options with the tracker's name, what was fitted to, and the result."""
 
-    `folders`: of `recordings`, then those held out. `started`, `clock`: when the command began.
-    """
+    options: dict[str, Any]
+    data: FitData
+    result: FitResult
+
+
+def fit_folders(
+    folders: Sequence[RecordingFolder], count: int, out: Path, options: dict[str, Any], resume: bool, advance: Advance
+) -> Fitted:
+    """Fits the tracker to the first `count` recordings, the others held out; `advance` gets each step."""
     tune, freeze = options["tune"], options["freeze"]
     named = tracker_for_folders(folders, options["tracker"], options["start"], options["free_height"])
     options = options | {"tracker": named.name}
-    data = fit_data(named.only_batch(folders), options["objective"], folders[len(recordings) :], options["piece_rows"])
+    data = fit_data(named.only_batch(folders), options["objective"], folders[count:], options["piece_rows"])
     bounds, priors = checked_options(data, tune, freeze, options["bound"], options["prior"])
     require_possible(options["intervals"], data.objective, len(data.training))
     for text in cautions(data.tracker, select_parameters(data.tracker, tune, freeze), data.objective):
         notice(f"notice: {text}")
     output_folder(out)
-    result = _fitted(data, out, options, bounds, priors, resume)
-    run = Run(named.name, options, recordings, time.perf_counter() - clock, started, sys.argv)
-    for line in write_run(out, data, result, run):
+    return Fitted(options, data, _fitted(data, out, options, bounds, priors, resume, advance))
+
+
+def finish(fitted: Fitted, recordings: Sequence[Path], out: Path, started: datetime, clock: float) -> int:
+    """Writes all files and prints the table; returns the exit code. `started`, `clock`: when the command began."""
+    result, name = fitted.result, fitted.options["tracker"]
+    run = Run(name, fitted.options, recordings, time.perf_counter() - clock, started, sys.argv)
+    for line in write_run(out, fitted.data, result, run):
         print(line)
     if result.uncertainty is None:
         notice("stopped: tuned.toml holds the best values so far; continue with the same command and --resume")
@@ -65,7 +71,9 @@ def tune_folders(
     return 0
 
 
-def _fitted(data: FitData, out: Path, options: dict[str, Any], bounds: Any, priors: Any, resume: bool) -> FitResult:
+def _fitted(
+    data: FitData, out: Path, options: dict[str, Any], bounds: Any, priors: Any, resume: bool, advance: Advance
+) -> FitResult:
     """The fit, with a checkpoint after every step; raises UnusableInput where the objective is never finite."""
     training, held_out = data.rows(), data.rows(held_out=True)
     # Intervals are computed from the result and don't change the fit.
@@ -77,28 +85,27 @@ def _fitted(data: FitData, out: Path, options: dict[str, Any], bounds: Any, prio
     if resume and saved is None:
         notice(f"notice: {out}: no checkpoint found; the fit starts from the beginning")
     steps, starts, freeze = options["steps"], options["starts"], options["freeze"]
-    with progress("tuning", steps) as advance:
-        advance(0, "(evaluating starts)")
-        try:
-            result = fit(
-                data.tracker,
-                training,
-                data.objective,
-                options["tune"],
-                frozen=freeze,
-                bounds=bounds,
-                optimiser=OPTIMISERS[options["optimiser"]](steps),
-                steps=steps,
-                starts=starts,
-                held_out=held_out,
-                minibatch=options["minibatch"],
-                priors=priors,
-                guesses=[first_guess(data.tracker, training, freeze)] if starts > 1 and saved is None else [],
-                resume=saved,
-                report=lambda state: _after_step(out, fingerprint, state, advance),
-            )
-        except FloatingPointError as error:
-            raise UnusableInput(f"{error}; run `trackwright check` on the recordings") from error
+    advance(0, "(evaluating starts)")
+    try:
+        result = fit(
+            data.tracker,
+            training,
+            data.objective,
+            options["tune"],
+            frozen=freeze,
+            bounds=bounds,
+            optimiser=OPTIMISERS[options["optimiser"]](steps),
+            steps=steps,
+            starts=starts,
+            held_out=held_out,
+            minibatch=options["minibatch"],
+            priors=priors,
+            guesses=[first_guess(data.tracker, training, freeze)] if starts > 1 and saved is None else [],
+            resume=saved,
+            report=lambda state: _after_step(out, fingerprint, state, advance),
+        )
+    except FloatingPointError as error:
+        raise UnusableInput(f"{error}; run `trackwright check` on the recordings") from error
     if result.n_excluded == len(data.training):
         raise UnusableInput(
             f"at the best point ({options['objective']} {result.value:.4g}) no segment of the recordings has finite "
