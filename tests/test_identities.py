@@ -57,6 +57,12 @@ def _assert_same_bits_of_recordings(ran, estimates):
         _assert_same_bits(estimates[k], ran.estimates[k], slice(len(recording)))
 
 
+def test_few_trajectories_have_the_numbers_of_many(ran):
+    one = ran.tracker.run(ran.batch.columns(0, 1))
+    for mine, other in zip(_leaves(one, slice(None)), _leaves(ran.estimates, slice(None)), strict=True):
+        np.testing.assert_allclose(mine[..., :1, :], other[..., :1, :], rtol=1e-7, atol=1e-9)
+
+
 def test_a_case_has_all_that_an_identity_needs(ran):
     """Masked channels, padding, and rows with estimates; else the identities would hold of nothing."""
     seen = np.concatenate(

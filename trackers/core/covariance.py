@@ -155,7 +155,7 @@ def product(upper: Upper, h: SparseRow, n: int) -> Any:
     if isinstance(upper, tuple):
         P = full(upper, n)
         return Vector.of(compute_once([total(P[i][j] * v for j, v in h.items()) for i in range(n)]))
-    return jnp.sum(upper[_positions(n)[:, list(h)]] * _array(list(h.values()), upper, len(h)), axis=1)
+    return jnp.sum(upper[_positions(n)[:, list(h)]] * _array(list(h.values()), upper, len(h))[None], axis=1)
 
 
 def joseph(upper: Upper, Ph: Any, k: Any, h: SparseRow, noise: Scalar) -> Upper:
