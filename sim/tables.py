@@ -44,7 +44,7 @@ class ArrayRows(TagRows):
         ids: Mapping[str, tuple[Int[np.ndarray, " N"], Sequence[str]]] = MappingProxyType({}),
     ) -> None:
         self.tags, self.starts, self.times = list(tags), starts, times
-        self._columns, self._ids = columns, ids
+        self._columns, self._ids = dict(columns), dict(ids)
 
     @classmethod
     def regular(
