@@ -19,7 +19,7 @@ import numpy as np
 from trackers.core import algebra
 from trackers.core.algebra import Scalar, SparseRow, Vector, compute_once, dense, full, times, total, triangle
 
-FEW = 4
+FEW = 8
 """Largest number of trajectories whose covariances are arrays; both forms: `python -m experiments.bench.lanes`."""
 
 Upper = tuple[Scalar, ...] | jax.Array

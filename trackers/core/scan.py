@@ -238,7 +238,7 @@ def reinitialise(
     """
     sufficient = jax.vmap(tracker.start.can_start, in_axes=-1)(row)
     need = row.valid & ~carry.running & sufficient & (info.status != Status.NON_FINITE)
-    candidates = search(tracker, row, need)
+    candidates = search(tracker, row, need, few)
     axes = carry_axes(tracker)
 
     def with_new_tracks() -> Carry:
@@ -256,7 +256,7 @@ def reinitialise(
     return after, info._replace(status=status)
 
 
-def search(tracker: RecursiveTracker, row: Row, need: Bool[Array, " B"]) -> Any:
+def search(tracker: RecursiveTracker, row: Row, need: Bool[Array, " B"], few: bool) -> Any:
     """`start.candidate` of the trajectories where `need` (B,) is true, `STARTS_AT_ONCE` at a time; zeros elsewhere."""
     numbers, rest = eqx.partition((tracker.start, tracker.sensors), eqx.is_array)
     start, sensors = eqx.combine(numbers if tracker.start.smooth else jax.lax.stop_gradient(numbers), rest)
@@ -272,13 +272,13 @@ def search(tracker: RecursiveTracker, row: Row, need: Bool[Array, " B"]) -> Any:
 
     def some(state: tuple[Any, Any]) -> tuple[Any, Any]:
         need, candidates = state
-        index = jnp.nonzero(need, size=STARTS_AT_ONCE, fill_value=size)[0]
+        index = jnp.nonzero(need, size=min(STARTS_AT_ONCE, size), fill_value=size)[0]
         rows = jax.tree_util.tree_map(lambda x: jnp.take(x, index, axis=-1, mode="clip"), row)
         candidates = jax.tree_util.tree_map(
             lambda a, b: a.at[..., index].set(b, mode="drop"), candidates, candidate(rows)
         )
         return need.at[index].set(False, mode="drop"), candidates
 
-    # Without a scatter, which a loop in one kernel excludes.
-    found = all_at_once if size <= STARTS_AT_ONCE else some
+    # XLA makes one kernel of a small loop without a scatter: right for few trajectories alone.
+    found = all_at_once if few else some
     return jax.lax.while_loop(lambda state: jnp.any(state[0]), found, (need, nothing))[1]
