@@ -6,10 +6,10 @@ import tests.checked_shapes  # noqa: F401
 import os
 from pathlib import Path
 
-from experiments.cli.runtime import with_flags
+from experiments.cli.runtime import FLAGS
 
 # Before jax is imported: it halves the time that XLA takes to compile, which is what most of the suite waits for.
-os.environ["XLA_FLAGS"] = with_flags(os.environ.get("XLA_FLAGS", ""))
+os.environ.setdefault("XLA_FLAGS", FLAGS)
 # Tests, workers and commands in subprocesses share compiled programs: many of them compile the same tracker.
 os.environ.setdefault("TRACKWRIGHT_CACHE", str(Path(__file__).parents[1] / ".pytest_cache" / "programs"))
 

@@ -9,15 +9,13 @@ import warnings
 
 from trackers.core.errors import UnusableInput
 
-FLAGS = {
-    "--xla_backend_extra_options": ("xla_cpu_use_multi_output_fusion,xla_cpu_small_while_loop_byte_threshold=1000000"),
-    "--xla_cpu_experimental_ynn_fusion_type": "",
-}
-"""Flags of XLA's CPU compiler, by name.
+EXTRA_OPTIONS = "--xla_backend_extra_options"
 
-Multi-output fusion computes terms shared within a filter step once, not once per use. A loop whose step moves few bytes,
-as that of one trajectory, becomes one kernel, without the overhead of hundreds of calls per step; products of small
-matrices by a library would prevent that.
+FLAGS = f"{EXTRA_OPTIONS}=xla_cpu_use_multi_output_fusion,xla_cpu_small_while_loop_byte_threshold=1000000"
+"""Flags of XLA's CPU compiler.
+
+Multi-output fusion computes terms shared within a filter step once, not once per use. A loop whose step moves few
+bytes, as that of one trajectory, becomes one kernel, without hundreds of calls in each step.
 """
 
 COLLECT_AFTER = 200_000
@@ -29,12 +27,9 @@ def set_flags() -> None:
     gc.set_threshold(COLLECT_AFTER, *gc.get_threshold()[1:])
     # What lives to the end needs no last collection, which took 0.6 s after jax was used.
     atexit.register(gc.freeze)
-    os.environ["XLA_FLAGS"] = with_flags(os.environ.get("XLA_FLAGS", ""))
-
-
-def with_flags(present: str) -> str:
-    """These XLA flags, and each of `FLAGS` that is not among them."""
-    return " ".join([present, *(f"{name}={value}" for name, value in FLAGS.items() if name not in present)]).strip()
+    present = os.environ.get("XLA_FLAGS", "")
+    if EXTRA_OPTIONS not in present:
+        os.environ["XLA_FLAGS"] = f"{present} {FLAGS}".strip()
 
 
 def keep_programs() -> None:

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import DTypeLike
 
+from trackers.core.covariance import compiler_options
 from trackers.core.recording import Batch
 from trackers.core.traced_programs import found_program
 
@@ -75,10 +76,13 @@ def run_chunks(function: Callable[[Any, Batch], Tree], pairs: Sequence[tuple[Any
             pool.shutdown(cancel_futures=True)
 
 
-@eqx.filter_jit
-def jitted(function: Callable[[Any, Batch], Tree], model: Any, part: Batch) -> Tree:
+def _applied(function: Callable[[Any, Batch], Tree], model: Any, part: Batch) -> Tree:
     """`function(model, part)`, compiled once per function, tree structure, shapes and device."""
     return function(model, part)
+
+
+jitted = eqx.filter_jit(_applied)
+jitted_for_few = eqx.filter_jit(_applied, compiler_options=compiler_options(1))  # type: ignore[call-overload]
 
 
 class Programs:
@@ -102,6 +106,10 @@ class Programs:
 
 
 def _called(function: Callable[[Any, Batch], Tree], model: Any, part: Batch) -> Tree:
-    program = found_program(function, model, part)
-    result: Tree = jitted(function, model, part) if program is None else program(model, part)
-    return result
+    options = compiler_options(part.size)
+    program = found_program(function, model, part, options)
+    if program is None:
+        result: Tree = (jitted if options is None else jitted_for_few)(function, model, part)
+        return result
+    found: Tree = program(model, part)
+    return found

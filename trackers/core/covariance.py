@@ -34,6 +34,14 @@ def few(trajectories: int) -> bool:
     return trajectories <= FEW
 
 
+def compiler_options(trajectories: int) -> dict[str, str] | None:
+    """Options of XLA's compiler for a program of so many trajectories.
+
+    With arrays products of matrices are compiled, not calls of a library: a loop becomes one kernel only without calls.
+    """
+    return {"xla_cpu_experimental_ynn_fusion_type": ""} if few(trajectories) else None
+
+
 def as_array(upper: Upper) -> jax.Array:
     """The upper triangle as one array, entries last."""
     return jnp.stack(upper, axis=-1) if isinstance(upper, tuple) else upper

@@ -48,8 +48,13 @@ class TracedPrograms:
         self.loaded: dict[bytes, Program] = {}
         self.base = _base()
 
-    def program(self, function: Callable[[Any, Any], Any], model: Any, part: Any) -> Program | None:
-        """The compiled `function(model, part)` for arguments of this kind; None where it cannot be told by a key."""
+    def program(
+        self, function: Callable[[Any, Any], Any], model: Any, part: Any, options: dict[str, str] | None = None
+    ) -> Program | None:
+        """The compiled `function(model, part)` for arguments of this kind; None where it cannot be told by a key.
+
+        `options`: of the compiler, which follow from the arguments.
+        """
         leaves, structure = jax.tree_util.tree_flatten((model, part))
         key = self._key(function, leaves, structure)
         if key is None:
@@ -58,7 +63,7 @@ class TracedPrograms:
             name = PREFIX + hashlib.blake2b(key, digest_size=24).hexdigest()
             found = self._read(name, leaves)
             if found is None:
-                found = _compiled(function, leaves, structure)
+                found = _compiled(function, leaves, structure, options)
                 self._write(name, found)
             self.loaded[key] = _called(found)
         return self.loaded[key]
@@ -101,7 +106,9 @@ class TracedPrograms:
         self.store.put(name, content)
 
 
-def _compiled(function: Callable[[Any, Any], Any], leaves: list[Any], structure: Any) -> tuple[Any, Any]:
+def _compiled(
+    function: Callable[[Any, Any], Any], leaves: list[Any], structure: Any, options: dict[str, str] | None
+) -> tuple[Any, Any]:
     """The compiled program of the arrays among the leaves, as a list, and the structure of its result."""
     structures = []
 
@@ -112,7 +119,7 @@ def _compiled(function: Callable[[Any, Any], Any], leaves: list[Any], structure:
         structures.append(outputs)
         return result
 
-    compiled = jax.jit(flat).lower(*(x for x in leaves if eqx.is_array(x))).compile()
+    compiled = jax.jit(flat).lower(*(x for x in leaves if eqx.is_array(x))).compile(options)
     return compiled, structures[-1]
 
 
@@ -163,6 +170,8 @@ def use(store: ProgramStore) -> None:
     _in_use = TracedPrograms(store)
 
 
-def found_program(function: Callable[[Any, Any], Any], model: Any, part: Any) -> Program | None:
+def found_program(
+    function: Callable[[Any, Any], Any], model: Any, part: Any, options: dict[str, str] | None
+) -> Program | None:
     """The program of `function(model, part)` that need not be traced; None where there is none, or none is wanted."""
-    return None if _in_use is None else _in_use.program(function, model, part)
+    return None if _in_use is None else _in_use.program(function, model, part, options)
