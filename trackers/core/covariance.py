@@ -34,7 +34,7 @@ def few(trajectories: int) -> bool:
     return trajectories <= FEW
 
 
-def compiler_options(trajectories: int) -> dict[str, str] | None:
+def compiler_options(trajectories: int) -> dict[str, str | bool] | None:
     """Options of XLA's compiler for a program of so many trajectories.
 
     With arrays products of matrices are compiled, not calls of a library: a loop becomes one kernel only without calls.

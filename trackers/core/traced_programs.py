@@ -49,7 +49,7 @@ class TracedPrograms:
         self.base = _base()
 
     def program(
-        self, function: Callable[[Any, Any], Any], model: Any, part: Any, options: dict[str, str] | None = None
+        self, function: Callable[[Any, Any], Any], model: Any, part: Any, options: dict[str, str | bool] | None = None
     ) -> Program | None:
         """The compiled `function(model, part)` for arguments of this kind; None where it cannot be told by a key.
 
@@ -107,7 +107,7 @@ class TracedPrograms:
 
 
 def _compiled(
-    function: Callable[[Any, Any], Any], leaves: list[Any], structure: Any, options: dict[str, str] | None
+    function: Callable[[Any, Any], Any], leaves: list[Any], structure: Any, options: dict[str, str | bool] | None
 ) -> tuple[Any, Any]:
     """The compiled program of the arrays among the leaves, as a list, and the structure of its result."""
     structures = []
@@ -171,7 +171,7 @@ def use(store: ProgramStore) -> None:
 
 
 def found_program(
-    function: Callable[[Any, Any], Any], model: Any, part: Any, options: dict[str, str] | None
+    function: Callable[[Any, Any], Any], model: Any, part: Any, options: dict[str, str | bool] | None
 ) -> Program | None:
     """The program of `function(model, part)` that need not be traced; None where there is none, or none is wanted."""
     return None if _in_use is None else _in_use.program(function, model, part, options)
