@@ -14,9 +14,10 @@ import os
 import platform
 import stat
 import sys
+import threading
 import uuid
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import jax
@@ -117,9 +118,21 @@ class ProgramStore(CacheInterface):
         self.report = report
         self.writable = True
         self.written = 0
+        self.unused = threading.local()
+
+    @contextlib.contextmanager
+    def compiling_anew(self) -> Iterator[None]:
+        """The store holds nothing and keeps nothing for this thread."""
+        self.unused.now = True
+        try:
+            yield
+        finally:
+            self.unused.now = False
 
     def get(self, key: str) -> bytes | None:
         """The program, None where it is missing or damaged."""
+        if getattr(self.unused, "now", False):
+            return None
         path = self._path / key
         try:
             content = path.read_bytes()
@@ -134,7 +147,7 @@ class ProgramStore(CacheInterface):
 
     def put(self, key: str, value: bytes) -> None:
         """Keeps a program; reports the first failure and keeps none after it."""
-        if not self.writable:
+        if not self.writable or getattr(self.unused, "now", False):
             return
         temporary = self._path / f".{uuid.uuid4().hex[:16]}"
         try:

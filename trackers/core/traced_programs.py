@@ -63,7 +63,9 @@ class TracedPrograms:
             name = PREFIX + hashlib.blake2b(key, digest_size=24).hexdigest()
             found = self._read(name, leaves)
             if found is None:
-                found = _compiled(function, leaves, structure, options)
+                # XLA loses functions of a program that it loads and serialises again.
+                with self.store.compiling_anew():
+                    found = _compiled(function, leaves, structure, options)
                 self._write(name, found)
             self.loaded[key] = _called(found)
         return self.loaded[key]

@@ -62,3 +62,16 @@ def test_a_directory_full_of_junk_or_refused_costs_a_line_at_most(world, tmp_pat
     assert process.returncode == 0
     assert len([line for line in err.splitlines() if "programs" in line]) == 1
     assert (tmp_path / "2" / "tracks.parquet").read_bytes() == right
+
+
+@pytest.mark.slow
+def test_a_program_traced_again_is_compiled_again_for_later_commands(tmp_path):
+    world, cache = tmp_path / "world", tmp_path / "cache"
+    _started("simulate", "--n", 1, "--rows", 60, "--out", world, cache="off").communicate()
+    _tracks(_started("track", world, "--tracker", "beam", "--out", tmp_path / "0", cache=cache), tmp_path / "0")
+    # As after a change of the package: the trace is new, the program of jax the same.
+    for entry in cache.glob("*/traced-*"):
+        entry.unlink()
+    runs = [tmp_path / str(k) for k in (1, 2)]
+    one, two = (_tracks(_started("track", world, "--tracker", "beam", "--out", out, cache=cache), out) for out in runs)
+    assert one == two
