@@ -105,7 +105,7 @@ def _client(distributed: Any, cluster: str, processes: int | None) -> Iterator[A
     # One thread a process computes one part at a time; memory is limited by the system alone, as it is for threads.
     workers = {"n_workers": processes, "threads_per_worker": 1, "memory_limit": 0, "preload": LEAVE_SIGINT}
     with (
-        distributed.LocalCluster(**workers, dashboard_address=None, silence_logs=logging.CRITICAL) as started,
+        distributed.LocalCluster(**workers, dashboard_address=":0", silence_logs=logging.CRITICAL) as started,
         distributed.Client(started, set_as_default=False) as client,
     ):
         yield client

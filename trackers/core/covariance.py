@@ -71,7 +71,7 @@ class OneArray:
 
 def as_scalars(upper: Upper) -> tuple[Scalar, ...]:
     """The upper triangle as a tuple of scalars."""
-    return upper if isinstance(upper, tuple) else tuple(upper[..., k] for k in range(upper.shape[-1]))
+    return tuple(upper[..., k] for k in range(upper.shape[-1])) if isinstance(upper, jax.Array) else upper
 
 
 def by_entry(uppers: Any) -> tuple[jax.Array, ...]:

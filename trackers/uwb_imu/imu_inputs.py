@@ -31,7 +31,7 @@ def imu_inputs(
         fresh = last >= 0
         fresh[fresh] = times[fresh] - own[last[fresh]] <= hold
         inputs["imu"][:, k] = fresh
-        inputs[name] = np.where(fresh[:, None], samples[np.maximum(last, 0)] if len(own) else 0.0, 0.0)
+        inputs[name] = np.where(fresh[:, None], samples[np.maximum(last, 0)] if len(own) else np.zeros((1, 3)), 0.0)
     both = np.isfinite(accel).all(axis=1)
     own, pairs = imu_times[both], np.concatenate([accel, np.nan_to_num(gyro)], axis=1)[both]
     inputs["rest"] = _rests(times, own, pairs) if len(own) else np.zeros((len(times), 7))

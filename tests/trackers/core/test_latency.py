@@ -57,7 +57,7 @@ def test_an_estimate_is_shifted_by_the_names_of_its_fields():
     rng = np.random.default_rng(0)
     A = rng.normal(size=(6, 6))
     P = A @ A.T
-    upper = [jnp.asarray(P[i, j]) for i in range(6) for j in range(i, 6)]
+    upper = tuple(jnp.asarray(P[i, j]) for i in range(6) for j in range(i, 6))
     mean = Reordered(Vector(1.0, 2.0), 5.0, Vector(3.0, 4.0, 7.0))
     shifted, cov = shifted_back(jax.tree_util.tree_map(jnp.asarray, mean), upper, 0.5)
     J = np.eye(6)

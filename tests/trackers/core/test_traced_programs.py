@@ -15,7 +15,7 @@ from sim import worlds
 from trackers.catalogue import TRACKERS, build
 from trackers.core.chunks import as_dtype, chunks, jitted
 from trackers.core.program_cache import ProgramStore
-from trackers.core.traced_programs import PREFIX, TracedPrograms
+from trackers.core.traced_programs import PREFIX, USERS_FILE, TracedPrograms
 from trackers.core.tracker import _outputs, _outputs_and_state
 from trackers.recordings.tracks import batches
 
@@ -40,7 +40,10 @@ def fixes():
 
 
 @pytest.fixture
-def store(tmp_path):
+def store(tmp_path, monkeypatch):
+    # Files of users that other tests imported in this process keep all programs from being found.
+    for name in [name for name in sys.modules if name.startswith(USERS_FILE)]:
+        monkeypatch.delitem(sys.modules, name)
     return ProgramStore(tmp_path, pytest.fail)
 
 
