@@ -106,6 +106,19 @@ def _require_private(path: Path) -> None:
         )
 
 
+_bypassed = threading.local()
+
+
+@contextlib.contextmanager
+def compiling_anew() -> Iterator[None]:
+    """In this thread stores hold nothing and keep nothing."""
+    _bypassed.now = True
+    try:
+        yield
+    finally:
+        _bypassed.now = False
+
+
 class ProgramStore(CacheInterface):
     """The programs in one folder, a file each: a digest of the rest, then what jax gave.
 
@@ -118,20 +131,10 @@ class ProgramStore(CacheInterface):
         self.report = report
         self.writable = True
         self.written = 0
-        self.unused = threading.local()
-
-    @contextlib.contextmanager
-    def compiling_anew(self) -> Iterator[None]:
-        """The store holds nothing and keeps nothing for this thread."""
-        self.unused.now = True
-        try:
-            yield
-        finally:
-            self.unused.now = False
 
     def get(self, key: str) -> bytes | None:
         """The program, None where it is missing or damaged."""
-        if getattr(self.unused, "now", False):
+        if getattr(_bypassed, "now", False):
             return None
         path = self._path / key
         try:
@@ -147,7 +150,7 @@ class ProgramStore(CacheInterface):
 
     def put(self, key: str, value: bytes) -> None:
         """Keeps a program; reports the first failure and keeps none after it."""
-        if not self.writable or getattr(self.unused, "now", False):
+        if not self.writable or getattr(_bypassed, "now", False):
             return
         temporary = self._path / f".{uuid.uuid4().hex[:16]}"
         try:

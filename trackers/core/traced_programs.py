@@ -26,7 +26,7 @@ import jax
 from jax._src.config import trace_context
 from jax.experimental import serialize_executable
 
-from trackers.core.program_cache import ProgramStore, processor
+from trackers.core.program_cache import ProgramStore, compiling_anew, processor
 
 OURS = ("trackers", "tuning")
 KNOWN = {*OURS, "builtins", "collections", "copyreg", "equinox", "functools", "jax", "jaxlib", "numpy"}
@@ -64,7 +64,7 @@ class TracedPrograms:
             found = self._read(name, leaves)
             if found is None:
                 # XLA loses functions of a program that it loads and serialises again.
-                with self.store.compiling_anew():
+                with compiling_anew():
                     found = _compiled(function, leaves, structure, options)
                 self._write(name, found)
             self.loaded[key] = _called(found)
