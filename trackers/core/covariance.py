@@ -87,7 +87,7 @@ def congruence(F: Sequence[SparseRow], upper: Upper, G: Sequence[SparseRow]) -> 
         return tuple(a if a is b else compute_once(a) for a, b in zip(grown, upper, strict=True))
     n = len(F)
     rows, columns = np.triu_indices(n)
-    P = upper[_positions(n)]
+    P = matrix(upper, n)
     changed = [i for i, row in enumerate(F) if not _is_unit(row, i)]
     if changed:
         needed = np.array(sorted({j for i in changed for j in F[i]}))
@@ -169,20 +169,17 @@ def product(upper: Upper, h: SparseRow, n: int) -> Any:
 def joseph(upper: Upper, Ph: Any, k: Any, h: SparseRow, noise: Scalar) -> Upper:
     """(I − khᵀ) P (I − khᵀ)ᵀ + `noise` kkᵀ, given Ph."""
     n = len(Ph)
-    # B = (I − khᵀ)P, then B(I − khᵀ)ᵀ + noise kkᵀ as a rank-one update of B: n² products, with the same correction of
-    # rounding errors in B as the product of three matrices.
+    # B = (I − khᵀ)P, then B(I − khᵀ)ᵀ + noise kkᵀ as a rank-one update of B, n² products.
     if isinstance(upper, tuple):
+        # Bh from the rounded B corrects its rounding errors as the product of three matrices does.
         P = full(upper, n)
         B = {(i, j): P[i][j] - k[i] * Ph[j] for i in range(n) for j in range(n) if j >= i or j in h}
         Bh_noise = compute_once([total(B[i, j] * v for j, v in h.items()) - noise * k[i] for i in range(n)])
         return tuple(B[i, j] - Bh_noise[i] * k[j] for i, j in triangle(n))
+    # Bh = Ph − k hᵀPh: from the rounded B one recording takes twice as long.
     rows, columns = np.triu_indices(n)
     Bh = product(upper, h, n) - k * total(Ph[j] * v for j, v in h.items())
     return upper - k[rows] * Ph[columns] - (Bh - noise * k)[rows] * k[columns]
-
-
-def _product(A: jax.Array, B: jax.Array) -> jax.Array:
-    return jnp.sum(A[:, :, None] * B[None], axis=1)
 
 
 def _inner(a: SparseRow, b: SparseRow) -> Scalar | None:
