@@ -76,7 +76,7 @@ def run_chunks(function: Callable[[Any, Batch], Tree], pairs: Sequence[tuple[Any
             pool.shutdown(cancel_futures=True)
 
 
-def _applied(function: Callable[[Any, Batch], Tree], model: Any, part: Batch) -> Tree:
+def _applied(function: Callable[[Any, Any], Tree], model: Any, part: Any) -> Tree:
     """`function(model, part)`, compiled once per function, tree structure, shapes and device."""
     return function(model, part)
 
@@ -98,15 +98,20 @@ class Programs:
         shapes = tuple((np.shape(x), x.dtype) if eqx.is_array(x) else x for x in leaves)
         program = kind, shapes, part.dt.device
         if program in self.compiled:
-            return _called(function, model, part)
+            return called(function, model, part, compiler_options(part.size))
         with self.compiling[program]:
-            result = _called(function, model, part)
+            result = called(function, model, part, compiler_options(part.size))
             self.compiled.add(program)
         return result
 
 
-def _called(function: Callable[[Any, Batch], Tree], model: Any, part: Batch) -> Tree:
-    options = compiler_options(part.size)
+def called(
+    function: Callable[[Any, Any], Tree], model: Any, part: Any, options: dict[str, str | bool] | None = None
+) -> Tree:
+    """`function(model, part)` by a compiled program, which is found without tracing where that is possible.
+
+    `options`: those of `compiler_options`.
+    """
     program = found_program(function, model, part, options)
     if program is None:
         result: Tree = (jitted if options is None else jitted_for_few)(function, model, part)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from trackers.core.algebra import Scalar, Vector, dense, densify
-from trackers.core.chunks import as_dtype
+from trackers.core.chunks import as_dtype, called
 from trackers.core.linearise import linearise
 from trackers.core.recording import Batch, Row
 from trackers.core.sensor import AbstractSensor, Reading
@@ -25,6 +25,9 @@ Tree = TypeVar("Tree")
 class NoBoundError(ValueError):
     """A motion for which the recursion gives no bound."""
 
+
+LANES = 4096
+"""Rows times trajectories whose Jacobians are computed at once."""
 
 ROUNDING = 100.0
 """Relative difference of two equal Jacobians by rounding, in units of the resolution of the floating-point type."""
@@ -44,8 +47,7 @@ def posterior_bound(tracker: Tracker, batch: Batch, states: State) -> Float[np.n
     differ while their noise does not reach every component of the state.
     """
     tracker = as_dtype(tracker, batch.dt.dtype)
-    prior, *of_rows = (np.asarray(x, float) for x in _terms(tracker, batch, states))
-    F, Q, information, spread, change = of_rows
+    prior, F, Q, information, spread, change = _terms_of_rows(tracker, batch, states)
     limit = ROUNDING * float(jnp.finfo(batch.dt.dtype).eps)
     if np.any(change[1:] > limit):
         row = 1 + int(np.argmax(change[1:] > limit))
@@ -53,7 +55,8 @@ def posterior_bound(tracker: Tracker, batch: Batch, states: State) -> Float[np.n
             f"posterior_bound: row {row}: the noise of {type(tracker.motion).__name__} is not additive: its Jacobians "
             "depend on the noise draw; expected a motion f(state) + G·w with G the same in all states"
         )
-    P, result = prior, [np.sqrt(np.diag(prior))]
+    found, unit = np.empty(F.shape), np.eye(len(prior))
+    P = found[0] = prior
     for k in range(1, len(F)):
         if spread[k] > limit:
             valid = np.asarray(batch.valid[k])
@@ -61,10 +64,24 @@ def posterior_bound(tracker: Tracker, batch: Batch, states: State) -> Float[np.n
             P = _predicted(P, np.asarray(each, float)[valid], np.asarray(noise, float)[valid], k)
         else:
             P = F[k] @ P @ F[k].T + Q[k]
-        P = P @ np.linalg.inv(np.eye(len(P)) + information[k] @ P)
-        P = (P + P.T) / 2
-        result.append(np.sqrt(np.maximum(np.diag(P), 0)))
-    return np.array(result)
+        P = P @ np.linalg.inv(unit + information[k] @ P)
+        P = found[k] = (P + P.T) / 2
+    return np.sqrt(np.maximum(np.diagonal(found, axis1=1, axis2=2), 0))
+
+
+def _terms_of_rows(tracker: Tracker, batch: Batch, states: State) -> tuple[Float[np.ndarray, "..."], ...]:
+    """`_terms` of all rows in double precision, a block of rows at a time: one program, whatever the number of rows."""
+    before = jax.tree_util.tree_map(lambda x: np.concatenate([x[:1], x[:-1]]), states)
+    rows = (_rows(batch), before, states)
+    block = min(len(batch.dt), max(LANES // batch.size, 1))
+    blocks = []
+    for first in range(0, len(batch.dt), block):
+        part = jax.tree_util.tree_map(lambda x, first=first: np.asarray(x[first : first + block]), rows)
+        missing = block - len(part[0].dt)
+        part = jax.tree_util.tree_map(lambda x, n=missing: np.pad(x, [(0, n)] + [(0, 0)] * (x.ndim - 1), "edge"), part)
+        blocks.append([np.asarray(x, float) for x in called(_terms, tracker, jax.device_put(part))])
+    priors, *of_rows = zip(*blocks, strict=True)
+    return priors[0], *(np.concatenate(x)[: len(batch.dt)] for x in of_rows)
 
 
 def _predicted(
@@ -114,14 +131,14 @@ def _jacobians(
     return jacobian[:, :n], jacobian[:, n:]
 
 
-@eqx.filter_jit
-def _terms(tracker: Tracker, batch: Batch, states: State) -> tuple[Array, ...]:
+def _terms(tracker: Tracker, part: tuple[Row, State, State]) -> tuple[Array, ...]:
     """The start's covariance (n, n); per row the batch means of F, Q and information (T, n, n), and two checks (T,).
 
-    The checks: the range of F and Q over the batch and their change by a noise draw of 1, relative to their size.
+    `part`: rows, the states at the rows before, and their own. The covariance is that of a start at the first row. The
+    checks: the range of F and Q over the batch and their change by a noise draw of 1, relative to their size.
     """
     tracker = freeze(tracker)
-    rows = _rows(batch)
+    rows, before, states = part
 
     def trajectory(row: Row, before: State, state: State) -> tuple[Array, ...]:
         point, rebuild = coordinates(state)
@@ -155,12 +172,11 @@ def _terms(tracker: Tracker, batch: Batch, states: State) -> tuple[Array, ...]:
         spread = jnp.maximum(*(_relative(a + b, x) for a, b, x in zip(low, high, (F, Q), strict=True)))
         return F, Q, information, spread, jnp.max(jnp.where(row.valid, change, 0.0))
 
-    first = jax.tree_util.tree_map(lambda x: jnp.asarray(x)[0, ..., 0], rows)
+    first = jax.tree_util.tree_map(lambda x: x[0, ..., 0], rows)
     candidate = tracker.start.candidate(tracker.sensors, first)
     belief = tracker.start.belief(candidate, first)
     n = len(coordinates(belief.mean)[0])
-    before = jax.tree_util.tree_map(lambda x: jnp.concatenate([x[:1], x[:-1]]), states)
-    return dense(list(belief.cov), n), *jax.lax.map(lambda x: one_row(*x), (rows, before, states))
+    return dense(list(belief.cov), n), *jax.vmap(one_row)(rows, before, states)
 
 
 def _relative(difference: Float[Array, "..."], size: Float[Array, "..."]) -> Float[Array, ""]:

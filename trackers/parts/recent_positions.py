@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from trackers.core.chunks import called
 from trackers.parts.multilaterate import multilaterate
 
 MEDIAN_RANGES = 5
@@ -97,11 +98,11 @@ def _positions(
 ) -> np.ndarray:
     """`recent_positions` (T, 4) of ranges (T, A) where `counts` (T, A) is true, `batch` rows at once."""
     result = np.zeros((len(ranges), 4))
-    known_height = None if height is None else jnp.asarray(height, float)
+    known = jnp.asarray(anchors, float), None if height is None else jnp.asarray(height, float)
     for first in range(0, len(ranges), batch):
         rows = len(ranges[first : first + batch])
         own, own_counts = (np.pad(x[first : first + rows], ((0, batch - rows), (0, 0))) for x in (ranges, counts))
-        solved = _solved(jnp.asarray(anchors, float), jnp.asarray(own, float), own_counts, known_height)
+        solved = called(_solved, known, (jnp.asarray(own, float), jnp.asarray(own_counts)))
         position, determined = (np.asarray(x)[:rows] for x in solved)
         if height is not None:
             position = np.column_stack([position, np.full(rows, height)])
@@ -109,8 +110,9 @@ def _positions(
     return result
 
 
-@jax.jit
-def _solved(anchors: Any, ranges: Any, counts: Any, height: Any) -> tuple[Any, Any]:
+def _solved(known: tuple[Any, Any], measured: tuple[Any, Any]) -> tuple[Any, Any]:
+    """Positions and whether they are determined; `known`: anchors and height; `measured`: ranges and which count."""
+    (anchors, height), (ranges, counts) = known, measured
     scale = jnp.asarray(CAUCHY_SCALE, ranges.dtype)
     fit = jax.vmap(lambda r, c: multilaterate(r, anchors, c, height, scale), -1, -1)(ranges.T, counts.T)
     return fit.position.T, fit.determined
