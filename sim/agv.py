@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 
 from sim.corruptions import Corruption, corrupted, gauss_markov, outliers
 from sim.fixes import correlated_noise
-from sim.keys import stream, trajectory_keys, uniforms
+from sim.keys import Keys, in_blocks, stream, trajectory_keys, uniforms
 from sim.tables import AXES, ArrayRows, folder_of
 from trackers.mhk.tracker import STILL
 from trackers.recordings.folder import RecordingFolder
@@ -53,21 +53,28 @@ class Route:
     def at(self, arclength: Float[np.ndarray, "*rows"]) -> Float[np.ndarray, "*rows 2"]:
         """Positions (..., 2), m, at these arc lengths, m, from the middle of the lower side."""
         ends = self._ends()
-        s = np.asarray(arclength, float) % ends[-1]
+        s = np.asarray(np.fmod(np.asarray(arclength, float), ends[-1]))
+        s[s < 0] += ends[-1]
         part = np.minimum(np.searchsorted(ends, s, side="right"), len(ends) - 1)
-        along = s - np.concatenate([[0.0], ends])[part]
-        quarter = part // 2 % 4
+        along = s - np.concatenate([[0.0], ends]).take(part)
+        # Of each part: each side starts at the end of the corner before it; the first side starts at its middle.
+        every = np.arange(len(ends))
+        quarter, turns = every // 2 % 4, every % 2 == 1
         heading = quarter * (np.pi / 2)
-        straight = part % 2 == 0
-        turned = np.where(straight, 0.0, along / self.radius)
-        # Each side starts at the end of the corner before it; the first side starts at its middle.
         corner = np.array([[1, -1], [1, 1], [-1, 1], [-1, -1]]) * (np.array([self.width, self.depth]) / 2 - self.radius)
-        direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-        outward = np.stack([np.sin(heading + turned), -np.cos(heading + turned)], axis=-1)
+        corner, direction = corner[quarter], np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+        begin = corner + self.radius * np.stack([np.sin(heading), -np.cos(heading)], axis=-1)
         side = np.array([self.width, self.depth, self.width, self.depth])[quarter] - 2 * self.radius
-        side = np.where(part == 0, side / 2, side)
-        back = np.where(straight, side - along, 0.0)
-        return corner[quarter] + self.radius * outward - back[..., None] * direction
+        side[0] /= 2
+        back = side.take(part) - along
+        found = np.stack(
+            [x.take(part) - back * d.take(part) for x, d in zip(begin.T, direction.T, strict=True)], axis=-1
+        )
+        turning = turns.take(part)
+        at = part[turning]
+        angle = heading[at] + along[turning] / self.radius
+        found[turning] = corner[at] + self.radius * np.stack([np.sin(angle), -np.cos(angle)], axis=-1)
+        return found
 
     def distance(self, points: Float[np.ndarray, "*rows 2"]) -> Float[np.ndarray, "*rows"]:
         """The distance of points (..., 2), m, from the route, inside or outside: an error without regard to time."""
@@ -137,12 +144,16 @@ def simulate_agv(
     ids = np.arange(n) if isinstance(n, int) else np.asarray(n)
     keys = trajectory_keys(seed, ids)
     times = np.arange(rows) / rate_hz
-    start = uniforms(stream(keys, "start"), (1,)).astype(float) * route.length
     # ½ t² until t = `speed`, when 1 m/s² has led to `speed`; constant speed from there.
     covered = np.where(times < speed, 0.5 * times**2, speed * times - 0.5 * speed**2)
-    floor = route.at(start + covered)
-    positions = np.concatenate([floor, np.full((*floor.shape[:-1], 1), height)], axis=-1)
-    fixes, seen = corrupted(errors, keys, times, positions, np.ones(positions.shape, bool))
+
+    def driven(keys: Keys) -> tuple[np.ndarray, ...]:
+        start = uniforms(stream(keys, "start"), (1,)).astype(float) * route.length
+        floor = route.at(start + covered)
+        positions = np.concatenate([floor, np.full((*floor.shape[:-1], 1), height)], axis=-1)
+        return positions, *corrupted(errors, keys, times, positions, np.ones(positions.shape, bool))
+
+    positions, fixes, seen = in_blocks(driven, keys)
     half = np.array([route.width, route.depth]) / 2 + 1.0
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
     anchors = {str(k + 1): np.array([*c, ANCHOR_HEIGHT]) for k, c in enumerate(corners)}

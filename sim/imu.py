@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from types import MappingProxyType
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,10 +18,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from sim.corruptions import Corruption, Seen, Times, Values, corrupted
-from sim.keys import Keys, normals, stream, trajectory_keys, uniforms
+from sim.keys import Keys, in_blocks, normals, stream, trajectory_keys, uniforms
 from sim.paths import PathFunction
 from sim.ranging import WALK, Protocol, SimulatedRanges, round_robin, simulate_ranges
-from sim.tables import AXES, ArrayRows, folder_of
+from sim.tables import AXES, ArrayRows, OnDemand, folder_of
 from trackers.core.algebra import Vector
 from trackers.core.rig import Rig
 from trackers.core.state import Rotation
@@ -30,7 +32,7 @@ GRAVITY = 9.81
 
 _WAVES = 8
 
-Samples = Float[np.ndarray, "n T 3"]
+Vectors = Float[np.ndarray, "n T 3"]
 Attitudes = Float[np.ndarray, "n T 4"]
 
 
@@ -65,7 +67,7 @@ def level(keys: Keys, times: Times) -> Attitudes:
     return np.stack([np.cos(half), nothing, nothing, np.sin(half)], axis=-1)
 
 
-def ideal_readings(times: Times, positions: Samples, attitudes: Attitudes) -> tuple[Samples, Samples]:
+def ideal_readings(times: Times, positions: Vectors, attitudes: Attitudes) -> tuple[Vectors, Vectors]:
     """Specific force (n, T, 3), m/s², and angular rate (n, T, 3), rad/s, in body axes, from path and attitudes.
 
     Each sample is the mean over the interval before its time, as of an IMU's own filter; the first repeats the second.
@@ -154,43 +156,71 @@ MEMS_GYRO: Mapping[str, Corruption] = MappingProxyType(
 """Errors of a low-cost gyroscope, rad/s."""
 
 
+class Samples(NamedTuple):
+    """Samples of n IMUs at S times: `accel`, `gyro` (n, S, 3) m/s² and rad/s, and the true `attitudes` (n, S, 4)."""
+
+    accel: Float[np.ndarray, "n S 3"]
+    gyro: Float[np.ndarray, "n S 3"]
+    attitudes: Float[np.ndarray, "n S 4"]
+
+
 @dataclass(frozen=True)
 class SimulatedUwbImu:
     """Ranges and IMU samples of n bodies with their truth.
 
-    `ranges`: the ranges and their times. `times` (S,) s, of the IMU samples; `accel`, `gyro` (n, S, 3) m/s² and rad/s,
-    zero where not `seen` (n, S); `positions` (n, S, 3) m and `attitudes` (n, S, 4): the truth at these times.
+    `ranges`: the ranges and their times. `times` (S,) s, of the IMU samples; `positions` (n, S, 3) m, the truth at
+    these times; `seen` (n, S): the samples that are not missing. `sample`: makes the samples, when they are first read.
     """
 
     ranges: SimulatedRanges
     times: Float[np.ndarray, " S"]
-    accel: Float[np.ndarray, "n S 3"]
-    gyro: Float[np.ndarray, "n S 3"]
-    seen: Bool[np.ndarray, "n S"]
     positions: Float[np.ndarray, "n S 3"]
-    attitudes: Float[np.ndarray, "n S 4"]
+    seen: Bool[np.ndarray, "n S"]
+    sample: Callable[[], Samples]
 
     @property
     def ids(self) -> Int[np.ndarray, " n"]:
         """The trajectory ids (n,)."""
         return self.ranges.ids
 
+    @cached_property
+    def samples(self) -> Samples:
+        """The samples of the IMUs, zero where not `seen`, and the true attitudes at their times."""
+        return self.sample()
+
+    @property
+    def accel(self) -> Float[np.ndarray, "n S 3"]:
+        """Specific forces, m/s², zero where not `seen`."""
+        return self.samples.accel
+
+    @property
+    def gyro(self) -> Float[np.ndarray, "n S 3"]:
+        """Angular rates, rad/s, zero where not `seen`."""
+        return self.samples.gyro
+
+    @property
+    def attitudes(self) -> Float[np.ndarray, "n S 4"]:
+        """The true attitudes."""
+        return self.samples.attitudes
+
     def folder(self, name: str) -> RecordingFolder:
         """The recording folder of the ranges, with IMU samples, and truth with attitudes at the samples' times."""
         ranges = self.ranges.folder(name)
-        tag, row = np.nonzero(self.seen)
-        columns = tuple(
-            f"{what}_{axis}_{unit}" for what, unit in (("accel", "mps2"), ("gyro", "radps")) for axis in "xyz"
-        )
-        samples = np.concatenate([self.accel, self.gyro], axis=2)[self.seen]
-        tables = {
-            "ranges": self.ranges.rows(),
-            "truth": ArrayRows.regular(self.times, self.ids, {AXES: self.positions, QUATERNION: self.attitudes}),
-            "imu": ArrayRows.of_entries(
-                tag, self.ids, self.times[row], {columns[:3]: samples[:, :3], columns[3:]: samples[:, 3:]}
-            ),
+        true = OnDemand({AXES: lambda: self.positions, QUATERNION: lambda: self.attitudes})
+        tables: dict[str, Callable[[], ArrayRows]] = {
+            "ranges": self.ranges.rows,
+            "truth": lambda: ArrayRows.regular(self.times, self.ids, true),
+            "imu": self._imu_rows,
         }
-        return folder_of(name, tables, ranges.rig.tags, anchors=ranges.rig.anchors)
+        return folder_of(name, OnDemand(tables), ranges.rig.tags, anchors=ranges.rig.anchors)
+
+    def _imu_rows(self) -> ArrayRows:
+        tag, row = np.nonzero(self.seen)
+        accel, gyro = (
+            tuple(f"{what}_{axis}_{unit}" for axis in "xyz") for what, unit in (("accel", "mps2"), ("gyro", "radps"))
+        )
+        columns = {accel: self.accel[self.seen], gyro: self.gyro[self.seen]}
+        return ArrayRows.of_entries(tag, self.ids, self.times[row], columns)
 
 
 def simulate_uwb_imu(
@@ -221,14 +251,21 @@ def simulate_uwb_imu(
     )
     keys = trajectory_keys(seed, ranges.ids)
     times = np.arange((n_points - 1) * samples + 1) / (rate_hz * samples)
-    positions = path(stream(keys, "path"), times)
-    attitudes = attitude(stream(keys, "attitude"), times)
-    force, rate = ideal_readings(times, positions, attitudes)
+    (positions,) = in_blocks(lambda keys: (path(stream(keys, "path"), times),), keys, size=32)
     seen = np.ones((n, len(times)), bool)
     if gap_s is not None:
         seen &= ~((times >= gap_s[0]) & (times < gap_s[1]))
-    every = np.ones(force.shape, bool)
-    force, _ = corrupted(accel, stream(keys, "accelerometer"), times, force, every)
-    rate, _ = corrupted(gyro, stream(keys, "gyro"), times, rate, every)
-    force, rate = (np.where(seen[..., None], x, 0.0) for x in (force, rate))
-    return SimulatedUwbImu(ranges, times, force, rate, seen, positions, attitudes)
+
+    def sampled(keys: Keys, positions: Vectors, seen: Bool[np.ndarray, "n T"]) -> Samples:
+        attitudes = attitude(stream(keys, "attitude"), times)
+        force, rate = ideal_readings(times, positions, attitudes)
+        every = np.ones(force.shape, bool)
+        force, _ = corrupted(accel, stream(keys, "accelerometer"), times, force, every)
+        rate, _ = corrupted(gyro, stream(keys, "gyro"), times, rate, every)
+        force, rate = (np.where(seen[..., None], x, 0.0) for x in (force, rate))
+        return Samples(force, rate, attitudes)
+
+    def sample() -> Samples:
+        return Samples(*in_blocks(sampled, keys, positions, seen, size=32))
+
+    return SimulatedUwbImu(ranges, times, positions, seen, sample)

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from sim.corruptions import Corruption, corrupted, gauss_markov, white_noise
-from sim.keys import Keys, stream, trajectory_keys, uniforms
+from sim.keys import Keys, in_blocks, stream, trajectory_keys, uniforms
 from sim.tables import AXES, ArrayRows, folder_of
 from trackers.core.polyline import Polyline
 from trackers.core.rig import Tag
@@ -122,13 +122,17 @@ def simulate_line(
     # In every situation all tags have the same duration, so that one tag does not depend on the others.
     times = np.arange(int(np.floor((ends[0, -1] + rest_s) * rate_hz)) + 1) / rate_hz
     marks = np.concatenate([[0.0], np.repeat(np.cumsum(lengths), 2)])
-    arclength = np.stack([np.interp(times, row, marks) for row in ends])
-    positions = along(knots, arclength)
-    if carried_off is not None:
-        start, stop, offset = carried_off
-        away = (times >= start) & (times < stop)
-        positions = positions + np.where(away[:, None], np.asarray(offset, float), 0.0)
-    fixes, seen = corrupted(errors, keys, times, positions, np.ones(positions.shape, bool))
+
+    def travelled(keys: Keys, ends: np.ndarray) -> tuple[np.ndarray, ...]:
+        arclength = np.stack([np.interp(times, row, marks) for row in ends])
+        positions = along(knots, arclength)
+        if carried_off is not None:
+            start, stop, offset = carried_off
+            away = (times >= start) & (times < stop)
+            positions = positions + np.where(away[:, None], np.asarray(offset, float), 0.0)
+        return arclength, positions, *corrupted(errors, keys, times, positions, np.ones(positions.shape, bool))
+
+    arclength, positions, fixes, seen = in_blocks(travelled, keys, ends)
     return SimulatedLine(times, arclength, positions, fixes, seen, np.asarray(knots, float), ids)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from sim.corruptions import Corruption, Seen, Times, Values, corrupted, in_bursts
-from sim.keys import Keys, normals, stream, trajectory_keys, uniforms
+from sim.keys import Keys, in_blocks, normals, stream, trajectory_keys, uniforms
 from sim.paths import PathFunction, hand_motion
 from sim.tables import AXES, ArrayRows, folder_of
 from trackers.core.rig import Rig, Tag
@@ -190,8 +190,15 @@ def simulate_ranges(
         raise ValueError(f"expected as many ids as trajectories, n = {n}: found {len(every)}")
     keys = trajectory_keys(seed, every)
     times = np.arange(n_points) / rate_hz
-    positions = path(stream(keys, "path"), times)
-    distances = np.linalg.norm(positions[:, :, None, :] - np.stack(list(rig.anchors.values())), axis=-1)
-    ranges = two_way_ranges(stream(keys, "two-way ranging"), distances, protocol or Protocol())
-    ranges, seen = corrupted(corruptions, stream(keys, "corruptions"), times, ranges, np.ones(ranges.shape, bool))
-    return SimulatedRanges(times, positions, np.where(seen, ranges, 0.0), seen, rig, every)
+    anchors = np.stack(list(rig.anchors.values()))
+
+    def ranged(keys: Keys) -> tuple[np.ndarray, ...]:
+        positions = path(stream(keys, "path"), times)
+        distances = np.linalg.norm(positions[:, :, None, :] - anchors, axis=-1)
+        ranges = two_way_ranges(stream(keys, "two-way ranging"), distances, protocol or Protocol())
+        own, every = stream(keys, "corruptions"), np.ones(ranges.shape, bool)
+        ranges, seen = corrupted(corruptions, own, times, ranges, every)
+        return positions, np.where(seen, ranges, 0.0), seen
+
+    positions, ranges, seen = in_blocks(ranged, keys, size=32)
+    return SimulatedRanges(times, positions, ranges, seen, rig, every)

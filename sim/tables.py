@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from types import MappingProxyType
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 import polars as pl
@@ -29,6 +30,28 @@ class Simulated(Protocol):
         ...
 
 
+K = TypeVar("K")
+V = TypeVar("V")
+
+
+class OnDemand(Mapping[K, V]):
+    """Values by key, each made by its function when it is first read."""
+
+    def __init__(self, makers: Mapping[K, Callable[[], V]]) -> None:
+        self._makers, self._made = makers, dict[K, V]()
+
+    def __getitem__(self, key: K) -> V:
+        if key not in self._made:
+            self._made[key] = self._makers[key]()
+        return self._made[key]
+
+    def __iter__(self) -> Iterator[K]:
+        return iter(self._makers)
+
+    def __len__(self) -> int:
+        return len(self._makers)
+
+
 class ArrayRows(TagRows):
     """The rows of a simulated table, from arrays: `columns` (N, m) by their names, NaN where a value is missing.
 
@@ -44,7 +67,7 @@ class ArrayRows(TagRows):
         ids: Mapping[str, tuple[Int[np.ndarray, " N"], Sequence[str]]] = MappingProxyType({}),
     ) -> None:
         self.tags, self.starts, self.times = list(tags), starts, times
-        self._columns, self._ids = dict(columns), dict(ids)
+        self._columns, self._ids = columns, dict(ids)
 
     @classmethod
     def regular(
@@ -55,7 +78,7 @@ class ArrayRows(TagRows):
     ) -> ArrayRows:
         """A row per tag and time: `times` (T,) s, and columns (n, T, m)."""
         starts = len(times) * np.arange(len(ids) + 1)
-        flat = {names: values.reshape(-1, values.shape[-1]) for names, values in columns.items()}
+        flat = OnDemand({names: partial(_rows_of, columns, names) for names in columns})
         return cls([str(i) for i in ids], starts, np.tile(times, len(ids)), flat)
 
     @classmethod
@@ -78,7 +101,8 @@ class ArrayRows(TagRows):
     def floats(self, names: Sequence[str]) -> Float[np.ndarray, "N m"]:
         if tuple(names) in self._columns:
             return self._columns[tuple(names)]
-        every = {name: values[:, k] for own, values in self._columns.items() for k, name in enumerate(own)}
+        places = {name: (own, k) for own in self._columns for k, name in enumerate(own) if name in names}
+        every = {name: self._columns[own][:, k] for name, (own, k) in places.items()}
         missing = np.full(len(self.times), np.nan)
         return np.stack([every.get(name, missing) for name in names], axis=1)
 
@@ -96,6 +120,12 @@ class ArrayRows(TagRows):
         for names, values in self._columns.items():
             columns |= {name: pl.Series(values[:, k], nan_to_null=True) for k, name in enumerate(names)}
         return pl.DataFrame(columns).sort("t_s", maintain_order=True)
+
+
+def _rows_of(columns: Mapping[tuple[str, ...], np.ndarray], names: tuple[str, ...]) -> np.ndarray:
+    """The columns (N, m) of all trajectories, one after another."""
+    values = columns[names]
+    return values.reshape(-1, values.shape[-1])
 
 
 class SimulatedTables(Tables):

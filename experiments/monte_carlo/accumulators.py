@@ -37,8 +37,13 @@ def bins(errors: np.ndarray) -> np.ndarray:
 
 def histograms(errors: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A sparse (n, BINS) histogram of the errors (n, T) selected by `counts`: flat indices and their counts."""
-    first = np.broadcast_to(BINS * np.arange(len(errors))[:, None], errors.shape)
-    cells = np.bincount(first[counts] + bins(errors[counts]), minlength=0)
+    first = BINS * np.arange(len(errors))[:, None]
+    at = (
+        (first + bins(errors)).ravel()
+        if counts.all()
+        else np.broadcast_to(first, errors.shape)[counts] + bins(errors[counts])
+    )
+    cells = np.bincount(at, minlength=0)
     filled = np.flatnonzero(cells)
     return filled, cells[filled]
 

@@ -10,19 +10,17 @@ from typing import Any
 import numpy as np
 
 from experiments.monte_carlo.declaration import WORLD, Condition, Study, TrackerConfig
-from experiments.monte_carlo.errors import TrackedRuns, scored
+from experiments.monte_carlo.errors import TrackedRuns
+from experiments.monte_carlo.tracked import TrackedChunk
 from trackers.bounds import bounds_of
 from trackers.core.errors import UnusableInput
-from trackers.core.estimates import Estimates, Status, is_usable
 from trackers.core.smoother import Smoothed
 from trackers.core.tracker import AbstractTracker, Tracker
 from trackers.core.tunable import tunables, with_values
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerBatch
-from trackers.recordings.tracks import angles, rounded
+from trackers.recordings.tracks import rounded
 from trackers.recordings.trajectories import Trajectories
-from trackers.recordings.truth import TruthStatus
-from trackers.scoring import last_of_intervals
 
 
 def run_chunk(study: Study, condition: Condition, ids: np.ndarray, first: bool) -> list[dict[str, np.ndarray]]:
@@ -36,14 +34,16 @@ def run_chunk(study: Study, condition: Condition, ids: np.ndarray, first: bool) 
     for name, config in study.trackers.items():
         batches = prepared[name]
         tracked, seconds = _track(batches, ids, study, config)
-        arrays = scored(tracked)
-        for measure, function in study.measures.items():
-            arrays[f"measure {measure}"] = _measured(study, measure, function(tracked), len(ids))
+        arrays = tracked.scored()
+        if study.measures:
+            runs = tracked.runs(0, len(ids))
+            for measure, function in study.measures.items():
+                arrays[f"measure {measure}"] = _measured(study, measure, function(runs), len(ids))
         if first:
             if "us_per_row" in study.metrics:
                 # A second run: the first one also compiled.
                 seconds = _track(batches, ids, study, config)[1]
-                arrays["us_per_row"] = np.array(1e6 * seconds / max(int((tracked.status != Status.PADDING).sum()), 1))
+                arrays["us_per_row"] = np.array(1e6 * seconds / max(tracked.count, 1))
             if any(metric.startswith("bound") for metric in study.metrics):
                 arrays["bounds"] = _bounds(folder, batches)
         results.append(arrays)
@@ -54,7 +54,7 @@ def tracked_runs(study: Study, world: str, ids: np.ndarray, **point: float) -> d
     """The estimates of every tracker of a study for the trajectories with these ids, at a point of the grid."""
     (condition,) = [c for c in study.conditions if c.world == world and point.items() <= c.point.items()]
     prepared = _prepared(study, condition, ids)[1]
-    return {name: _track(prepared[name], ids, study, c)[0] for name, c in study.trackers.items()}
+    return {name: _track(prepared[name], ids, study, c)[0].runs(0, len(ids)) for name, c in study.trackers.items()}
 
 
 def require_fitting_parts(study: Study) -> None:
@@ -123,88 +123,19 @@ def _require_grid_is_used(study: Study, condition: Condition, untuned: Mapping[s
 
 def _track(
     batches: list[TrackerBatch], ids: np.ndarray, study: Study, config: TrackerConfig
-) -> tuple[TrackedRuns, float]:
-    """The estimates of all trajectories beside their truth, and the computing time of the trackers, s."""
-    groups = [Trajectories.of(batch.trajectories) for batch in batches]
-    if not groups:
-        raise UnusableInput("the world has no tag to track; expected one for each id")
-    folder, stations = groups[0].folders[0], sorted({station for own in groups for station in own.stations})
-    number = {str(k): at for at, k in enumerate(ids)}
-    shape = (len(ids), max(int(np.diff(own.columns.starts).max()) for own in groups), len(stations))
-    width = 2 if stations[0] else 3
-    axes = 2 if stations[0] else max(2 if batch.planar else 3 for batch in batches)
-    times = np.full(shape[:2], np.nan)
-    estimates, truth = np.full((*shape, width), np.nan), np.full((*shape, width), np.nan)
-    covariance = np.full((*shape, axes, axes), np.nan)
-    known, status = np.zeros(shape, bool), np.full(shape, int(Status.PADDING))
-    nis, dof = np.zeros(shape), np.zeros(shape)
-    seconds = 0.0
-    for batch, own in zip(batches, groups, strict=True):
-        columns = own.columns
-        rows = columns.padded(columns.times)
-        stacked = columns.batch(rounded(rows.shape[1]), seed=study.seed)
+) -> tuple[TrackedChunk, float]:
+    """The estimates of all trajectories, and the computing time of the trackers, s."""
+    found, seconds = [], 0.0
+    for batch in batches:
+        own = Trajectories.of(batch.trajectories)
+        longest = int(np.diff(own.columns.starts).max())
+        stacked = own.columns.batch(rounded(longest), seed=study.seed, truth=False)
         # Padded to whole chunks, so that the bits depend neither on the number of trajectories nor of devices.
         whole = stacked.columns(0, study.chunk * -(-stacked.size // study.chunk))
         began = time.perf_counter()
-        found = batch.tracker.run(whole, study.chunk)
+        found.append((own, batch.tracker.run(whole, study.chunk)))
         seconds += time.perf_counter() - began
-        found = found[: len(own)].rows(slice(0, rows.shape[1]))
-        tag, station = [number[tag] for tag in own.tags], [stations.index(station) for station in own.stations]
-        every = tag == list(range(len(ids))) and len(stations) == 1
-        # Slices where they do: an index for each trajectory takes five times as long.
-        at: Any = (slice(None) if every else tag, slice(0, rows.shape[1]), 0 if every else station)
-        times[tag, : rows.shape[1]] = found.valid_times(rows)
-        position, P = _moments(own, found)
-        estimates[at], covariance[at + (slice(0, P.shape[-1]),) * 2] = position, P
-        status[at], nis[at], dof[at] = found.status, found.nis, found.nis_dof
-        truth[at], has_truth = _truth(own, found.valid_times(rows))
-        known[at] = _scored_rows(found, rows, has_truth & np.isfinite(position[..., :2]).all(axis=-1), config.every)
-    values = (estimates, covariance, truth, known, status, nis, dof)
-    if not stations[0]:
-        values = tuple(x[:, :, 0] for x in values)  # type: ignore[assignment]
-    return TrackedRuns(times, *values, folder), seconds
-
-
-def _moments(own: Trajectories, found: Estimates) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (n, T, 3) m or angles (n, T, 2) rad, with the covariance of the estimated axes; NaN where unusable."""
-    usable = found.usable
-    if own.stations[0]:
-        angle = angles(found)
-        position = np.stack([angle["azimuth_rad"], angle["elevation_rad"]], axis=-1)
-        deviations = np.stack([angle["std_azimuth_rad"], angle["std_elevation_rad"]], axis=-1)
-        P = deviations[..., None] ** 2 * np.eye(2)
-    else:
-        axes = [np.asarray(x, float) for x in found.mean.position]
-        heights = np.broadcast_to(own.heights[:, None], usable.shape)
-        position = np.stack(axes if len(axes) == 3 else [*axes, heights], axis=-1)
-        P = found.marginal("position")
-    position[~usable], P[~usable] = np.nan, np.nan
-    return position, P
-
-
-def _truth(own: Trajectories, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The truth at `times` (n, T), (n, T, 3) m or (n, T, 2) rad, and the rows that have one; heights may be NaN."""
-    columns = own.columns
-    if own.stations[0]:
-        values, known = columns.truth["direction"]
-    else:
-        rows = np.arange(times.shape[1]) < np.diff(columns.starts)[:, None]
-        values, status = own.folders[0].paths.at(own.tags, columns.starts, times[rows])
-        known = status == TruthStatus.SCORED
-    return columns.padded(values), columns.padded(known)
-
-
-def _scored_rows(found: Estimates, rows: np.ndarray, known: np.ndarray, every: float | None) -> np.ndarray:
-    """The rows (n, T) that are scored, of the `known` ones: the last of each time `rows` (n, T) and of `every` seconds.
-
-    A time counts where it has an estimate: see `Estimates.status_per_time`.
-    """
-    last = found.last_rows(rows)
-    usable = np.zeros(last.shape, bool)
-    usable[last] = is_usable(found.status_per_time(last))
-    track = np.broadcast_to(np.arange(len(last))[:, None], last.shape)
-    times = found.valid_times(rows)
-    return last_of_intervals(times.ravel(), (known & usable).ravel(), every, track.ravel()).reshape(last.shape)
+    return TrackedChunk(ids, found, all(batch.planar for batch in batches), config.every), seconds
 
 
 def _measured(study: Study, name: str, found: Any, n: int) -> np.ndarray:

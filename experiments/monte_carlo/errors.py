@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -31,31 +32,30 @@ class TrackedRuns(NamedTuple):
     dof: np.ndarray
     folder: RecordingFolder
 
+    def at_station(self, number: int) -> TrackedRuns:
+        """The rows of one of the stations."""
+        one = {name: x[:, :, number] for name, x in self._asdict().items() if name not in ("times", "folder")}
+        return self._replace(**one)
+
     @property
     def error(self) -> np.ndarray:
         """Estimates less truth, m or rad; NaN for rows that are not scored."""
         return np.where(self.known[..., None], self.estimates - self.truth, np.nan)
 
 
-ROWS_AT_ONCE = 32_768
-"""Rows that are scored together: their numbers fit the processor's cache."""
+def joined(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """The arrays of `scored` of all trajectories, from those of some after others."""
+    first = 0
+    for part in parts:
+        for name in part:
+            if name.startswith("cells "):
+                part[name] = part[name] + first * BINS
+        first += len(part["sums"])
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def scored(tracked: TrackedRuns) -> dict[str, np.ndarray]:
     """Arrays of n trajectories: `sums` (n, columns), `largest` (n, kinds), and a histogram for each kind of error."""
-    n, size = len(tracked.known), max(1, ROWS_AT_ONCE // max(tracked.known[0].size, 1))
-    firsts = range(0, n, size)
-    rows = {name: x for name, x in tracked._asdict().items() if name != "folder"}
-    parts = [_scored(tracked._replace(**{name: x[k : k + size] for name, x in rows.items()})) for k in firsts]
-    for first, part in zip(firsts, parts, strict=True):
-        for name in part:
-            if name.startswith("cells "):
-                part[name] += first * BINS
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-
-
-def _scored(tracked: TrackedRuns) -> dict[str, np.ndarray]:
-    """As `scored`, of all trajectories at once."""
     n = len(tracked.estimates)
     sums, largest = np.zeros((n, len(SUMS))), np.full((n, len(KINDS)), np.nan)
     arrays: dict[str, np.ndarray] = {"sums": sums, "largest": largest}
@@ -64,12 +64,11 @@ def _scored(tracked: TrackedRuns) -> dict[str, np.ndarray]:
     counts = tracked.known.reshape(n, -1)
     error = (tracked.estimates - tracked.truth).reshape(n, counts.shape[1], -1)
     for kind, size, valid in _bearing_errors(tracked, error, counts) if bearing else _position_errors(error, counts):
-        columns = {"n": valid.sum(axis=1), "sum": np.where(valid, size, 0.0).sum(axis=1)}
-        columns["squares"] = np.where(valid, size * size, 0.0).sum(axis=1)
+        columns = {"n": valid.sum(axis=1), "sum": _sum(size, valid), "squares": _sum(size * size, valid)}
         for name, values in columns.items():
             sums[:, COLUMN[f"{name} {kind}"]] = values
-        any_valid = valid.any(axis=1)
-        largest[any_valid, KINDS.index(kind)] = np.where(valid, size, -1.0).max(axis=1)[any_valid]
+        any_valid = columns["n"] > 0
+        largest[any_valid, KINDS.index(kind)] = _masked(size, valid, -1.0).max(axis=1)[any_valid]
         arrays[f"cells {kind}"], arrays[f"counts {kind}"] = histograms(size, valid)
     d = tracked.covariance.shape[-1]
     covariance = tracked.covariance.reshape(n, counts.shape[1], d, d)
@@ -79,8 +78,8 @@ def _scored(tracked: TrackedRuns) -> dict[str, np.ndarray]:
     nis, dof = tracked.nis.reshape(n, -1).astype(float), tracked.dof.reshape(n, -1).astype(float)
     has_nis = np.isfinite(nis) & (dof > 0) & rows
     columns = {
-        "nis": np.where(has_nis, nis, 0.0).sum(axis=1),
-        "dof": np.where(has_nis, dof, 0.0).sum(axis=1),
+        "nis": _sum(nis, has_nis),
+        "dof": _sum(dof, has_nis),
         "lost rows": (status == Status.LOST).sum(axis=1),
         "rows": rows.sum(axis=1),
         "diverged": np.isin(status, (Status.LOST, Status.RESTARTED, Status.NON_FINITE)).any(axis=1),
@@ -89,6 +88,17 @@ def _scored(tracked: TrackedRuns) -> dict[str, np.ndarray]:
     for name, values in columns.items():
         sums[:, COLUMN[name]] = values
     return arrays
+
+
+def _masked(values: np.ndarray, valid: np.ndarray, other: float = 0.0) -> np.ndarray:
+    """The values (n, T), `other` where they are not valid."""
+    return values if valid.all() else np.where(valid, values, other)
+
+
+def _sum(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """The sums (n,) of the valid ones of the values (n, T)."""
+    found: np.ndarray = _masked(values, valid).sum(axis=1)
+    return found
 
 
 def _position_errors(error: np.ndarray, counts: np.ndarray) -> list[tuple[str, np.ndarray, np.ndarray]]:
@@ -118,13 +128,16 @@ def _direction(angles: np.ndarray) -> np.ndarray:
 def _add_nees(sums: np.ndarray, error: np.ndarray, covariance: np.ndarray, counts: np.ndarray) -> None:
     """Add the NEES of two axes, and of three, to `sums`; of two also the number of errors inside the 95 % ellipse."""
     whole = counts.all()
-    counted = (error.reshape(-1, error.shape[-1]), covariance.reshape(-1, *covariance.shape[2:]))
-    of_leading = nees_of_leading(*(counted if whole else (x[counts.ravel()] for x in counted)))
+    rows = error.reshape(-1, error.shape[-1]), covariance.reshape(-1, *covariance.shape[2:])
+    of_leading = nees_of_leading(*(rows if whole else (x[counts.ravel()] for x in rows)))
     for axes, suffix in enumerate(("", "_3d")[: len(of_leading) - 1], start=2):
-        values = np.full(counts.shape, np.nan)
-        values[counts] = of_leading[axes - 1]
+        if whole:
+            values = of_leading[axes - 1].reshape(counts.shape)
+        else:
+            values = np.full(counts.shape, np.nan)
+            values[counts] = of_leading[axes - 1]
         finite = np.isfinite(values)
-        sums[:, COLUMN[f"nees{suffix}"]] = np.where(finite, values, 0.0).sum(axis=1)
+        sums[:, COLUMN[f"nees{suffix}"]] = _sum(values, finite)
         sums[:, COLUMN[f"nees{suffix} n"]] = finite.sum(axis=1)
         if axes == 2:
             sums[:, COLUMN["inside"]] = (finite & (values <= chi_square_quantile(0.95, axes))).sum(axis=1)

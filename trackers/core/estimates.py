@@ -88,11 +88,15 @@ class Estimates:
     def sigmas(self) -> dict[str, Float[np.ndarray, "*rows"]]:
         """The standard deviation of each component of the state, by name."""
         position = {pair: k for k, pair in enumerate(triangle(self.dimension))}
-        scalar_state = jax.tree_util.tree_map(lambda x: np.zeros(np.shape(x)[self.status.ndim :]), self.mean)
         return {
             name: np.sqrt(np.maximum(self.cov_upper[position[i, i]], 0))
-            for i, name in enumerate(component_names(scalar_state))
+            for i, name in enumerate(component_names(self._scalar_state))
         }
+
+    @property
+    def _scalar_state(self) -> Any:
+        """A state of one row, for the names of its components."""
+        return jax.tree_util.tree_map(lambda x: np.zeros(np.shape(x)[self.status.ndim :]), self.mean)
 
     @property
     def usable(self) -> Bool[np.ndarray, "*rows"]:
@@ -147,15 +151,18 @@ class Estimates:
 
         Raises KeyError, naming the fields, where the state has no such field.
         """
-        names = list(self.sigmas)
+        return np.stack([np.stack(row, axis=-1) for row in self.entries(field)], axis=-2)
+
+    def entries(self, field: str) -> list[list[Float[np.ndarray, "*rows"]]]:
+        """The entries of `marginal`, each an array over trajectories and rows."""
+        names = list(component_names(self._scalar_state))
         index = [k for k, name in enumerate(names) if name.split(".")[0] == field]
         if not index:
             raise KeyError(
                 f"the state has no '{field}'; it has {', '.join(dict.fromkeys(n.split('.')[0] for n in names))}"
             )
         entry = {pair: k for k, pair in enumerate(triangle(self.dimension))}
-        rows = [[self.cov_upper[entry[min(i, j), max(i, j)]] for j in index] for i in index]
-        return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+        return [[self.cov_upper[entry[min(i, j), max(i, j)]] for j in index] for i in index]
 
     def per_time(self, times: np.ndarray | None = None) -> tuple[np.ndarray, Estimates]:
         """The mask (…, T) of the last row of each time, and one estimate (N,) per time; rows of padding are left out.
@@ -197,7 +204,10 @@ class Estimates:
         rows = self.status != Status.PADDING
         ends = np.ones_like(rows)
         # (t − age) + age is t up to rounding.
-        ends[..., :-1] = (np.diff(times) > 2 * np.spacing(np.abs(times[..., 1:]))) | ~rows[..., 1:]
+        steps, later = np.diff(times), ~rows[..., 1:]
+        # The spacing of the largest number first: that of each takes longer than all else here.
+        if times.size and not ((steps > 2 * np.spacing(np.nanmax(np.abs(times)))) | later).all():
+            ends[..., :-1] = (steps > 2 * np.spacing(np.abs(times[..., 1:]))) | later
         return rows & ends
 
     def status_per_time(self, last: Bool[np.ndarray, "*rows"]) -> Int[np.ndarray, " N"]:

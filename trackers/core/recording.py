@@ -219,8 +219,10 @@ class Columns:
         truth = {name: (values[part], known[part]) for name, (values, known) in self.truth.items()}
         return Recording(self.times[part], readings, inputs, truth, self.names[number], self.ids[number])
 
-    def batch(self, rows: int | None = None, dtype: DTypeLike | None = None, seed: int = 0) -> Batch:
-        """The recordings as one batch; arguments as of `stack`."""
+    def batch(
+        self, rows: int | None = None, dtype: DTypeLike | None = None, seed: int = 0, truth: bool = True
+    ) -> Batch:
+        """The recordings as one batch; arguments as of `stack`. `truth`: whether with their truth, unused by runs."""
         dtype, lengths, size = dtype or jnp.zeros(0).dtype, np.diff(self.starts), len(self)
         longest = int(lengths.max())
         rows = rows or longest
@@ -251,7 +253,7 @@ class Columns:
                 for name, r in self.readings.items()
             },
             inputs={name: pile(x, dtype) for name, x in self.inputs.items()},
-            truth={name: (pile(values, dtype), pile(known, bool)) for name, (values, known) in self.truth.items()},
+            truth={k: (pile(x, dtype), pile(known, bool)) for k, (x, known) in self.truth.items() if truth},
             key=trajectory_key_data(seed, [k if own is None else own for k, own in enumerate(self.ids)]),
         )
 

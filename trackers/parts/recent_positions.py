@@ -17,8 +17,8 @@ MEDIAN_RANGES = 5
 CAUCHY_SCALE = 0.3
 """Cauchy scale, m: residuals beyond it are down-weighted."""
 
-MAX_BATCH = 256, 4096
-"""Rows solved at once, in a short and in a long recording: two compiled programs in all."""
+BLOCK, BLOCKS = 256, 16
+"""Rows solved at once, which the processor's cache holds, and as many blocks of them in one call."""
 
 
 def recent_positions(
@@ -48,14 +48,11 @@ def recent_positions(
             break
         medians = _medians(starts, times, numbers, ranges, seen, window)
         recent = (latest[rows] >= 0) & (times[rows, None] - times[latest[rows]] <= window)
-        # The rows of short recordings together, and those of long ones: the two programs differ in last bits.
-        short = (np.bincount(tag[rows]) <= 4 * MAX_BATCH[0])[tag[rows]]
         for height in np.unique(heights):
             at_height = np.isnan(own_heights[rows]) if np.isnan(height) else own_heights[rows] == height
             known = None if np.isnan(height) else float(height)
-            for batch, of_size in zip(MAX_BATCH, (short, ~short), strict=True):
-                part = np.flatnonzero(at_height & of_size)
-                result[rows[part]] = _positions(anchors, medians[latest[rows[part]]], recent[part], known, batch)
+            part = np.flatnonzero(at_height)
+            result[rows[part]] = _positions(anchors, medians[latest[rows[part]]], recent[part], known)
     return result
 
 
@@ -93,26 +90,43 @@ def _medians(
     return medians
 
 
-def _positions(
-    anchors: np.ndarray, ranges: np.ndarray, counts: np.ndarray, height: float | None, batch: int
-) -> np.ndarray:
-    """`recent_positions` (T, 4) of ranges (T, A) where `counts` (T, A) is true, `batch` rows at once."""
+def _positions(anchors: np.ndarray, ranges: np.ndarray, counts: np.ndarray, height: float | None) -> np.ndarray:
+    """`recent_positions` (T, 4) of ranges (T, A) where `counts` (T, A) is true."""
     result = np.zeros((len(ranges), 4))
     known = jnp.asarray(anchors, float), None if height is None else jnp.asarray(height, float)
-    for first in range(0, len(ranges), batch):
-        rows = len(ranges[first : first + batch])
-        own, own_counts = (np.pad(x[first : first + rows], ((0, batch - rows), (0, 0))) for x in (ranges, counts))
-        solved = called(_solved, known, (jnp.asarray(own, float), jnp.asarray(own_counts)))
-        position, determined = (np.asarray(x)[:rows] for x in solved)
+    for first in range(0, len(ranges), BLOCK * BLOCKS):
+        part = slice(first, first + BLOCK * BLOCKS)
+        rows = len(ranges[part])
+        own, own_counts = (np.zeros((BLOCKS * BLOCK, len(anchors)), kind) for kind in (known[0].dtype, bool))
+        own[:rows], own_counts[:rows] = ranges[part], counts[part]
+        blocks = jnp.int32(-(-rows // BLOCK))
+        solved = called(_solved, known, (_in_blocks(own), _in_blocks(own_counts), blocks))
+        position, determined = (np.moveaxis(np.asarray(x), -1, 1).reshape(BLOCKS * BLOCK, -1)[:rows] for x in solved)
+        found = result[part]
+        found[:, : position.shape[1]] = np.where(determined, position, 0.0)
         if height is not None:
-            position = np.column_stack([position, np.full(rows, height)])
-        result[first : first + rows] = np.column_stack([np.where(determined[:, None], position, 0.0), determined])
+            found[:, 2] = np.where(determined[:, 0], height, 0.0)
+        found[:, 3] = determined[:, 0]
     return result
 
 
-def _solved(known: tuple[Any, Any], measured: tuple[Any, Any]) -> tuple[Any, Any]:
-    """Positions and whether they are determined; `known`: anchors and height; `measured`: ranges and which count."""
-    (anchors, height), (ranges, counts) = known, measured
+def _in_blocks(rows: np.ndarray) -> jax.Array:
+    """The rows (BLOCKS · BLOCK, A) with those of a block last (BLOCKS, A, BLOCK)."""
+    return jnp.asarray(np.moveaxis(rows.reshape(BLOCKS, BLOCK, -1), 1, -1))
+
+
+def _solved(known: tuple[Any, Any], measured: tuple[Any, Any, Any]) -> tuple[Any, Any]:
+    """Positions (BLOCKS, n, BLOCK) of the first blocks, and whether they are determined (BLOCKS, 1, BLOCK).
+
+    `known`: anchors and height. `measured`: ranges, which of them count, and the number of blocks.
+    """
+    (anchors, height), (ranges, counts, blocks) = known, measured
     scale = jnp.asarray(CAUCHY_SCALE, ranges.dtype)
-    fit = jax.vmap(lambda r, c: multilaterate(r, anchors, c, height, scale), -1, -1)(ranges.T, counts.T)
-    return fit.position.T, fit.determined
+
+    def solve(block: Any, found: tuple[Any, Any]) -> tuple[Any, Any]:
+        fit = jax.vmap(lambda r, c: multilaterate(r, anchors, c, height, scale), -1, -1)(ranges[block], counts[block])
+        return found[0].at[block].set(fit.position), found[1].at[block, 0].set(fit.determined)
+
+    axes = 3 if height is None else 2
+    nothing = jnp.zeros((BLOCKS, axes, BLOCK), ranges.dtype), jnp.zeros((BLOCKS, 1, BLOCK), bool)
+    return jax.lax.fori_loop(0, blocks, solve, nothing)

@@ -72,11 +72,13 @@ def test_metrics_of_accumulators_equal_those_of_all_rows():
     assert value["diverged"] == np.mean((tracked.status == Status.LOST).any(axis=1))
 
 
-def test_scores_do_not_depend_on_the_rows_that_are_scored_together(monkeypatch):
+def test_scores_do_not_depend_on_the_trajectories_that_are_scored_together():
     tracked, _ = _normal_tracked(5)
-    whole = scored(tracked)
-    monkeypatch.setattr(errors, "ROWS_AT_ONCE", 100)
-    parts = scored(tracked)
+    whole, rows = scored(tracked), tracked._asdict() | {"folder": None}
+    parts = [
+        scored(TrackedRuns(**{k: None if x is None else x[a : a + 2] for k, x in rows.items()})) for a in (0, 2, 4, 6)
+    ]
+    parts = errors.joined(parts)
     assert parts.keys() == whole.keys()
     for name, array in whole.items():
         np.testing.assert_array_equal(parts[name], array)

@@ -1,0 +1,174 @@
+"""The estimates of a chunk beside their truth, for any part of its trajectories: the arrays that are scored."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from experiments.monte_carlo.errors import TrackedRuns, joined, scored
+from trackers.core.errors import UnusableInput
+from trackers.core.estimates import Estimates, Status, is_usable
+from trackers.recordings.tracks import angles
+from trackers.recordings.trajectories import Trajectories
+from trackers.recordings.truth import TruthStatus
+from trackers.scoring import last_of_intervals
+
+ROWS_AT_ONCE = 32_768
+"""Rows that are scored together: their numbers fit the processor's cache."""
+
+
+class Group(NamedTuple):
+    """Estimates of trajectories that one tracker ran, beside their rows.
+
+    `number`, `station` (n,): of each trajectory, the place of its id in the chunk and of its station among the chunk's.
+    `rows` (n, T) s: the times of the rows; `truth` (n, T, 3) m or (n, T, 2) rad and `known` (n, T), whether there is
+    one, at the times for which the estimates are valid.
+    """
+
+    own: Trajectories
+    estimates: Estimates
+    number: np.ndarray
+    station: np.ndarray
+    rows: np.ndarray
+    truth: np.ndarray
+    known: np.ndarray
+
+
+class TrackedChunk:
+    """The estimates of all trajectories of a chunk.
+
+    `planar`: whether all positions are. `every`: the interval, s, in which only a trajectory's last row is scored.
+    """
+
+    def __init__(self, ids: np.ndarray, found: Sequence[tuple[Trajectories, Estimates]], planar: bool, every: Any):
+        if not found:
+            raise UnusableInput("the world has no tag to track; expected one for each id")
+        stations = sorted({station for own, _ in found for station in own.stations})
+        number = {str(k): at for at, k in enumerate(ids)}
+        self.groups = []
+        for own, estimates in found:
+            rows = own.columns.padded(own.columns.times)
+            estimates = estimates[: len(own)].rows(slice(0, rows.shape[1]))
+            at = np.array([number[tag] for tag in own.tags]), np.array([stations.index(s) for s in own.stations])
+            self.groups.append(Group(own, estimates, *at, rows, *_truth(own, estimates, rows)))
+        self.folder, self.every = self.groups[0].own.folders[0], every
+        self.bearing, self.size, self.stations = bool(stations[0]), len(ids), len(stations)
+        self.axes = 2 if self.bearing or planar else 3
+        self.rows = max(group.rows.shape[1] for group in self.groups)
+
+    @property
+    def count(self) -> int:
+        """The number of rows."""
+        return sum(int((group.estimates.status != Status.PADDING).sum()) for group in self.groups)
+
+    def scored(self) -> dict[str, np.ndarray]:
+        """The arrays of `errors.scored`, of as many trajectories at a time as fit the processor's cache."""
+        step = max(1, ROWS_AT_ONCE // (self.rows * self.stations))
+        firsts = range(0, self.size, step)
+        return joined([scored(self.runs(first, min(first + step, self.size))) for first in firsts])
+
+    def runs(self, first: int, stop: int) -> TrackedRuns:
+        """The trajectories `first` … `stop` − 1 of the chunk."""
+        shape, width = (stop - first, self.rows, self.stations), 2 if self.bearing else 3
+        times = np.full(shape[:2], np.nan)
+        # Each component is contiguous.
+        estimates, truth = (np.moveaxis(np.full((width, *shape), np.nan), 0, -1) for _ in range(2))
+        covariance = np.moveaxis(np.full((self.axes, self.axes, *shape), np.nan), (0, 1), (-2, -1))
+        known, status = np.zeros(shape, bool), np.full(shape, Status.PADDING, np.int8)
+        nis, dof = np.zeros(shape), np.zeros(shape)
+        for group in self.groups:
+            which = np.flatnonzero((group.number >= first) & (group.number < stop))
+            if not len(which):
+                continue
+            tag, station = group.number[which] - first, group.station[which]
+            which = _slice_of(which)
+            found, rows = group.estimates[which], group.rows[which]
+            found = replace(found, status=np.ascontiguousarray(found.status))
+            one = (station == station[0]).all()
+            # Slices where they do: an index for each trajectory takes five times as long.
+            at: Any = (
+                (_slice_of(tag), slice(0, rows.shape[1]), station[0])
+                if one
+                else (tag, slice(0, rows.shape[1]), station)
+            )
+            times[at[:2]] = found.valid_times(rows)
+            status[at], nis[at], dof[at] = found.status, found.nis, found.nis_dof
+            usable = found.usable
+            position = _position(group.own, found, which)
+            for k, values in enumerate(position):
+                estimates[(*at, k)] = _where(usable, values)
+            for i, entries in enumerate(_covariance(self.bearing, found)):
+                for j, values in enumerate(entries):
+                    covariance[(*at, i, j)] = _where(usable, values)
+            truth[at] = group.truth[which]
+            has_both = group.known[which] & usable & np.isfinite(position[0]) & np.isfinite(position[1])
+            known[at] = _scored_rows(found, rows, has_both, self.every)
+        runs = TrackedRuns(times, estimates, covariance, truth, known, status, nis, dof, self.folder)
+        return runs if self.bearing else runs.at_station(0)
+
+
+def _slice_of(numbers: np.ndarray) -> Any:
+    """The numbers, as a slice where they are consecutive."""
+    consecutive = np.array_equal(numbers, np.arange(numbers[0], numbers[0] + len(numbers)))
+    return slice(int(numbers[0]), int(numbers[0]) + len(numbers)) if consecutive else numbers
+
+
+def _where(usable: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """The values (n, T), NaN where not usable."""
+    return values if usable.all() else np.where(usable, np.ascontiguousarray(values), np.nan)
+
+
+def _position(own: Trajectories, found: Estimates, which: Any) -> list[np.ndarray]:
+    """Positions x, y, z, m, or azimuth and elevation, rad, (n, T) each."""
+    if own.stations[0]:
+        angle = angles(found)
+        return [angle["azimuth_rad"], angle["elevation_rad"]]
+    axes = [np.asarray(x) for x in found.mean.position]
+    return axes if len(axes) == 3 else [*axes, np.broadcast_to(own.heights[which, None], found.status.shape)]
+
+
+def _covariance(bearing: bool, found: Estimates) -> list[list[np.ndarray]]:
+    """The covariance of the estimated axes: rows of entries (n, T)."""
+    if not bearing:
+        return found.entries("position")
+    angle = angles(found)
+    squares = [angle["std_azimuth_rad"] ** 2, angle["std_elevation_rad"] ** 2]
+    return [[square * float(i == j) for j in range(2)] for i, square in enumerate(squares)]
+
+
+def _truth(own: Trajectories, found: Estimates, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The truth where the estimates of `rows` (n, T) are valid, (n, T, 3) m or (n, T, 2) rad, and where there is one.
+
+    Heights may be NaN.
+    """
+    columns = own.columns
+    if own.stations[0]:
+        values, known = columns.truth["direction"]
+    else:
+        times = columns.times
+        if found.age is not None:
+            times = found.valid_times(rows)[np.arange(rows.shape[1]) < np.diff(columns.starts)[:, None]]
+        values, status = own.folders[0].paths.at(own.tags, columns.starts, times)
+        known = status == TruthStatus.SCORED
+    return columns.padded(values), columns.padded(known)
+
+
+def _scored_rows(found: Estimates, rows: np.ndarray, known: np.ndarray, every: float | None) -> np.ndarray:
+    """The rows (n, T) that are scored, of the `known` ones: the last of each time `rows` (n, T) and of `every` seconds.
+
+    A time counts where it has an estimate: see `Estimates.status_per_time`.
+    """
+    last = found.last_rows(rows)
+    usable = np.zeros(last.shape, bool)
+    if np.array_equal(last, found.status != Status.PADDING):
+        usable = found.usable
+    else:
+        usable[last] = is_usable(found.status_per_time(last))
+    known = known & usable
+    if every is None:
+        return known
+    track = np.broadcast_to(np.arange(len(last))[:, None], last.shape)
+    return last_of_intervals(found.valid_times(rows).ravel(), known.ravel(), every, track.ravel()).reshape(last.shape)
