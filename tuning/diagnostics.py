@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from jaxtyping import Float, Int, Num
-from scipy.special import betainc, betaln, gammainc, gammaln, ndtri, xlog1py, xlogy
 
 from trackers.core.estimates import Estimates
 from trackers.core.recording import Recording
@@ -75,14 +76,14 @@ def nis_probabilities(innovations: Innovations) -> Float[np.ndarray, " n"]:
     """The probability integral transform of the NIS (n,): uniform over (0, 1) for a consistent filter (Dawid 1984)."""
     nis, dof = np.asarray(innovations.nis, float), np.asarray(innovations.dof, float)
     if innovations.student_t_dof is None:
-        return np.asarray(gammainc(dof / 2, nis / 2))
+        return np.asarray(scipy.special.gammainc(dof / 2, nis / 2))
     a, b, scale = student_t_nis_beta(dof, innovations.student_t_dof)
-    return np.asarray(betainc(a, b, np.clip(nis / scale, 0.0, 1.0)))
+    return np.asarray(scipy.special.betainc(a, b, np.clip(nis / scale, 0.0, 1.0)))
 
 
 def normal_scores(innovations: Innovations) -> Float[np.ndarray, " n"]:
     """The NIS transformed to standard normal values (n,), within ±7."""
-    return np.asarray(ndtri(np.clip(nis_probabilities(innovations), 1e-12, 1 - 1e-12)))
+    return np.asarray(scipy.special.ndtri(np.clip(nis_probabilities(innovations), 1e-12, 1 - 1e-12)))
 
 
 def autocorrelation(innovations: Innovations, lags: int) -> tuple[Float[np.ndarray, " {lags}"], int]:
@@ -111,11 +112,12 @@ def expected_density(x: Float[np.ndarray, " n"], innovations: Innovations) -> Fl
     density = np.zeros(len(x))
     for dof, count in zip(*np.unique(innovations.dof, return_counts=True), strict=True):
         if innovations.student_t_dof is None:
-            one = np.exp(xlogy(0.5 * dof - 1, x) - 0.5 * x - 0.5 * dof * np.log(2) - gammaln(0.5 * dof))
+            one = np.exp((0.5 * dof - 1) * np.log(x) - 0.5 * x - 0.5 * dof * np.log(2) - math.lgamma(0.5 * dof))
         else:
             a, b, scale = student_t_nis_beta(dof, innovations.student_t_dof)
             u = np.clip(x / scale, 0, 1)
-            one = np.exp(xlogy(a - 1, u) + xlog1py(b - 1, -u) - betaln(a, b)) / scale
+            log_u = scipy.special.xlogy(a - 1, u) + scipy.special.xlog1py(b - 1, -u)
+            one = np.exp(log_u - scipy.special.betaln(a, b)) / scale
         density += count / len(innovations.dof) * one
     return density
 

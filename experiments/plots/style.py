@@ -8,6 +8,7 @@ import re
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,9 @@ WIDTH, HEIGHT = 5.0, 3.1
 
 NARROW = 3.6
 """Inches of a plot of which three stand abreast."""
+
+COMPRESSION = 2
+"""Level of a PNG's compression: a tenth more bytes than at the usual 6 in two thirds of the time."""
 
 FONTS = "'Helvetica Neue', Arial, 'Liberation Sans', sans-serif"
 
@@ -99,7 +103,7 @@ def png(path: Path | str, width: float, height: float, title: str) -> Iterator[F
             figure.suptitle(literal(title), x=0.12 / width, ha="left", fontsize=11, fontweight="bold")
         yield figure
         # `savefig` draws twice, the first time to lay the figure out, which drawing does anyway.
-        atomic_write(path, canvas.print_png)
+        atomic_write(path, partial(canvas.print_png, pil_kwargs={"compress_level": COMPRESSION}))
 
 
 def svg(draw: Callable[[Figure], object], width: float = WIDTH, height: float = HEIGHT) -> str:

@@ -6,8 +6,8 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+import scipy
 from jaxtyping import Array, Bool, Float, Int
-from scipy.special import betainc
 
 POINTS = 4096
 """Readings per call of the density: 4096 for one channel, 64 × 64 for two, an eighth of 32 × 32 × 32 for three."""
@@ -48,4 +48,6 @@ def integral(
 
 def beyond(x: float, dof: float | None) -> float:
     """The probability beyond ± x of the standard normal, or of Student's t with `dof` degrees of freedom."""
-    return math.erfc(x / math.sqrt(2)) if dof is None else float(betainc(dof / 2, 0.5, dof / (dof + x * x)))
+    return (
+        math.erfc(x / math.sqrt(2)) if dof is None else float(scipy.special.betainc(dof / 2, 0.5, dof / (dof + x * x)))
+    )

@@ -5,17 +5,22 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Array, DTypeLike, Float, UInt32
-from scipy.special import ndtri
 
 from trackers.core.keys import RawKey, threefry
 
-_UPPER = ndtri((np.arange(32768, 65536) + 0.5) / 65536)
-QUANTILES = np.concatenate([-_UPPER[::-1], _UPPER]) / np.sqrt(np.mean(_UPPER**2))
-"""The normal quantiles at the midpoints of 65,536 equal probability intervals, scaled to variance 1."""
+
+@cache
+def quantiles() -> np.ndarray:
+    """The normal quantiles at the midpoints of 65,536 equal probability intervals, scaled to variance 1."""
+    upper = scipy.special.ndtri((np.arange(32768, 65536) + 0.5) / 65536)
+    return np.concatenate([-upper[::-1], upper]) / np.sqrt(np.mean(upper**2))
 
 
 def draws(
@@ -27,7 +32,7 @@ def draws(
     so that none exceeds 4.3.
     """
     spare = words(key, 0, 2)
-    table = jnp.asarray(QUANTILES, dtype)
+    table = jnp.asarray(quantiles(), dtype)
     normals = []
     for row in range(rows):
         both = words(key, row + 1, -(-count // 4)).reshape(-1)
