@@ -4,28 +4,46 @@ from __future__ import annotations
 
 import importlib.util
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
-from trackers.aoa import rows as aoa
-from trackers.baselines import rows as baselines
 from trackers.core.errors import UnusableInput
-from trackers.line import rows as line
-from trackers.mhk import rows as mhk
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.named_tracker import NamedTracker, folder_list
 from trackers.recordings.tracker_spec import TrackerSpec
-from trackers.uwb_imu import rows as uwb_imu
 
-TRACKERS: dict[str, TrackerSpec] = {
-    **aoa.TRACKERS,
-    **line.TRACKERS,
-    **uwb_imu.TRACKERS,
-    **baselines.TRACKERS,
-    **mhk.TRACKERS,
-}
-"""In the order in which they are tried where none is named."""
+SYSTEMS = ("aoa", "line", "uwb_imu", "baselines", "mhk")
+"""The packages whose `rows` have catalogue entries, in the order in which these are tried where none is named."""
+
+
+class _Catalogue(Mapping[str, TrackerSpec]):
+    """The entries of all systems. A system is imported when the entries before its own do not suffice."""
+
+    def __getitem__(self, name: str) -> TrackerSpec:
+        for entries in _entries():
+            if name in entries:
+                return entries[name]
+        raise KeyError(name)
+
+    def __iter__(self) -> Iterator[str]:
+        for entries in _entries():
+            yield from entries
+
+    def __len__(self) -> int:
+        return sum(len(entries) for entries in _entries())
+
+    def __repr__(self) -> str:
+        return f"<TRACKERS: {', '.join(self)}>"
+
+
+def _entries() -> Iterator[dict[str, TrackerSpec]]:
+    for system in SYSTEMS:
+        yield import_module(f"trackers.{system}.rows").TRACKERS
+
+
+TRACKERS: Mapping[str, TrackerSpec] = _Catalogue()
 
 
 def build(

@@ -18,8 +18,8 @@ Multi-output fusion computes terms shared within a filter step once, not once pe
 bytes, as that of one trajectory, becomes one kernel, without hundreds of calls in each step.
 """
 
-COLLECT_AFTER = 200_000
-"""Allocations between garbage collections: tracing makes many lasting objects, and collections took 1/6 of its time."""
+COLLECT_AFTER = 500_000
+"""Allocations between garbage collections: imports and tracing make many lasting objects, 300,000 before a track."""
 
 
 def set_flags() -> None:

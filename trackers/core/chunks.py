@@ -30,7 +30,10 @@ def as_dtype(tree: Tree, dtype: DTypeLike) -> Tree:
 
     def cast(x: Any) -> Any:
         floating = eqx.is_array_like(x) and jnp.issubdtype(jnp.result_type(x), jnp.floating)
-        return jnp.asarray(x, dtype) if floating else x
+        if not floating:
+            return x
+        # Converted by NumPy, without a program for each type and shape.
+        return jnp.asarray(x, dtype) if isinstance(x, jax.Array) else jax.device_put(np.asarray(x, dtype))
 
     return jax.tree_util.tree_map(cast, tree)
 

@@ -168,7 +168,7 @@ def _rough_gamma_quantile(a: float, p: float) -> float:
 
 
 def _gamma_excess(a: float, x: float, p: float) -> tuple[float, float]:
-    """The probability P(a, x) of at most `x` minus `p`, and the density at `x`, for the gamma distribution of shape `a`.
+    """The probability P(a, x) minus `p`, and the density at `x`, for the gamma distribution of shape `a`.
 
     By the series below the mean and the continued fraction above it (Press et al. 2007, section 6.2).
     """

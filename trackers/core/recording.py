@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, DTypeLike, Float, Shaped, UInt32
 from numpy.typing import ArrayLike
@@ -223,7 +222,7 @@ class Columns:
         self, rows: int | None = None, dtype: DTypeLike | None = None, seed: int = 0, truth: bool = True
     ) -> Batch:
         """The recordings as one batch; arguments as of `stack`. `truth`: whether with their truth, unused by runs."""
-        dtype, lengths, size = dtype or jnp.zeros(0).dtype, np.diff(self.starts), len(self)
+        dtype, lengths, size = dtype or jax.dtypes.canonicalize_dtype(float), np.diff(self.starts), len(self)
         longest = int(lengths.max())
         rows = rows or longest
         if rows < longest:

@@ -11,7 +11,6 @@ from functools import partial
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from trackers.core.algebra import Vector
@@ -151,7 +150,7 @@ def initial_view(layout: Layout, parts: Parts) -> Any:
 
     Raises UnusableInput for an input that is read without being declared, where the recordings lack it.
     """
-    kind = jnp.zeros(0).dtype
+    kind = jax.dtypes.canonicalize_dtype(float)
 
     def array(*shape: int) -> jax.ShapeDtypeStruct:
         return jax.ShapeDtypeStruct(shape, kind)

@@ -93,14 +93,17 @@ def _medians(
 def _positions(anchors: np.ndarray, ranges: np.ndarray, counts: np.ndarray, height: float | None) -> np.ndarray:
     """`recent_positions` (T, 4) of ranges (T, A) where `counts` (T, A) is true."""
     result = np.zeros((len(ranges), 4))
-    known = jnp.asarray(anchors, float), None if height is None else jnp.asarray(height, float)
+    # Numbers that NumPy converts need no program of jax.
+    floating = jax.dtypes.canonicalize_dtype(float)
+    known = jax.device_put((np.asarray(anchors, floating), None if height is None else np.asarray(height, floating)))
     for first in range(0, len(ranges), BLOCK * BLOCKS):
         part = slice(first, first + BLOCK * BLOCKS)
         rows = len(ranges[part])
-        own, own_counts = (np.zeros((BLOCKS * BLOCK, len(anchors)), kind) for kind in (known[0].dtype, bool))
+        own, own_counts = (np.zeros((BLOCKS * BLOCK, len(anchors)), kind) for kind in (floating, bool))
         own[:rows], own_counts[:rows] = ranges[part], counts[part]
-        blocks = jnp.int32(-(-rows // BLOCK))
-        solved = called(_solved, known, (_in_blocks(own), _in_blocks(own_counts), blocks))
+        solved = called(
+            _solved, known, jax.device_put((_in_blocks(own), _in_blocks(own_counts), np.int32(-(-rows // BLOCK))))
+        )
         position, determined = (np.moveaxis(np.asarray(x), -1, 1).reshape(BLOCKS * BLOCK, -1)[:rows] for x in solved)
         found = result[part]
         found[:, : position.shape[1]] = np.where(determined, position, 0.0)
@@ -110,9 +113,9 @@ def _positions(anchors: np.ndarray, ranges: np.ndarray, counts: np.ndarray, heig
     return result
 
 
-def _in_blocks(rows: np.ndarray) -> jax.Array:
+def _in_blocks(rows: np.ndarray) -> np.ndarray:
     """The rows (BLOCKS · BLOCK, A) with those of a block last (BLOCKS, A, BLOCK)."""
-    return jnp.asarray(np.moveaxis(rows.reshape(BLOCKS, BLOCK, -1), 1, -1))
+    return np.ascontiguousarray(np.moveaxis(rows.reshape(BLOCKS, BLOCK, -1), 1, -1))
 
 
 def _solved(known: tuple[Any, Any], measured: tuple[Any, Any, Any]) -> tuple[Any, Any]:
