@@ -57,6 +57,7 @@ def measured(tracker: str) -> dict[str, Any]:
     from trackers.core.tracker import AbstractTracker
     from trackers.recordings.folder import RecordingFolder, read_recording, write_recording
     from trackers.recordings.tracks import Tracks, batches
+    from trackers.recordings.tracks_table import write_tracks
 
     def tracked(recording: RecordingFolder) -> Tracks:
         return build(tracker, recording).run(recording)
@@ -78,7 +79,7 @@ def measured(tracker: str) -> dict[str, Any]:
             (_, whole), tracks = clocked(partial(tracked, recording))
             (_, rows), stacked = clocked(partial(stacked_rows, read_recording(path)))
             (_, run), _ = clocked(partial(alone, stacked))
-            (_, write), _ = clocked(partial(tracks.table.write_parquet, table))
+            (_, write), _ = clocked(partial(write_tracks, tracks.table, table))
             seconds.append((read, rows, run, whole, write))
     warm = np.array(seconds[1:])
     medians = {f"{part}_s": float(value) for part, value in zip(PARTS, np.median(warm, axis=0), strict=True)}

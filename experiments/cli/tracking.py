@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 
 from experiments.cli.console import notice, output_folder, progress
@@ -25,7 +26,7 @@ from trackers.recordings.association import associate_truth
 from trackers.recordings.atomic import atomic_write
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracks import track
-from trackers.recordings.tracks_table import TRACKS
+from trackers.recordings.tracks_table import TRACKS, write_tracks
 from trackers.recordings.trajectories import known_height
 from tuning.tuned_file import read_tuned
 
@@ -71,7 +72,7 @@ def track_folders(folders: Sequence[RecordingFolder], options: Options, started:
         else:
             tracks = run_on(executor, named, folders, advance, options.seed)
     table, summaries = tracks.table, tracks.summaries
-    atomic_write(out / TRACKS, table.write_parquet)
+    atomic_write(out / TRACKS, partial(write_tracks, table))
     happened = events_of(table, named.spec, batches)
     atomic_write(out / EVENTS, happened.write_parquet)
     paths = "\n".join(str(p.resolve()) for p in options.recordings)

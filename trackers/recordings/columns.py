@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -52,7 +53,7 @@ class TagRows(ABC):
         """The columns as values (N, m), zero where one is missing, and the mask (N, m) of the values present."""
         values = self.floats(names)
         seen = np.isfinite(values)
-        return np.where(seen, values, 0.0), seen
+        return values if seen.all() else np.where(seen, values, 0.0), seen
 
     def variances(self, names: Sequence[str]) -> np.ndarray:
         """The squares of standard deviations (N, m), zero where none is reported."""
@@ -64,29 +65,37 @@ class TagRows(ABC):
 
 
 class TableRows(TagRows):
-    """The rows of a data frame by tag."""
+    """The rows of a data frame by tag; a column is brought into their order when it is first read."""
 
     def __init__(self, table: pl.DataFrame) -> None:
-        rows = table.select("tag", row=pl.int_range(pl.len()))
-        by_tag = rows.group_by("tag", maintain_order=True).agg("row")
-        order = by_tag["row"].explode().to_numpy()
-        self.tags = [str(tag) for tag in by_tag["tag"]]
-        self.starts = np.concatenate([[0], np.cumsum(by_tag["row"].list.len().to_numpy())]).astype(int)
-        self._table = table if len(self.tags) == 1 else table[order]
-        self.times = float_column(self._table, "t_s")
-        self._codes: dict[tuple[str, tuple[str, ...]], np.ndarray] = {}
+        tags = table["tag"].cast(pl.String)
+        self.tags = tags.unique(maintain_order=True).to_list()
+        number = _codes(tags, self.tags)
+        self.starts = np.concatenate([[0], np.cumsum(np.bincount(number, minlength=len(self.tags)))]).astype(int)
+        # Numbers of two bytes are sorted without comparisons.
+        by_tag = np.argsort(number.astype(np.uint16 if len(self.tags) < 2**16 else np.uint32), kind="stable")
+        self._order: Any = slice(None) if len(self.tags) == 1 else by_tag
+        self._table = table
+        self.times = float_column(table, "t_s")[self._order]
+        self._by_ids: dict[tuple[str, tuple[str, ...]], np.ndarray] = {}
 
     def __contains__(self, name: str) -> bool:
         return name in self._table.columns
 
     def floats(self, names: Sequence[str]) -> np.ndarray:
-        return np.stack([float_column(self._table, name) for name in names], axis=1)
+        # Each column is contiguous.
+        return np.stack([float_column(self._table, name)[self._order] for name in names]).T
 
     def codes(self, name: str, ids: Sequence[str]) -> np.ndarray:
         key = name, tuple(ids)
-        if key not in self._codes:
-            self._codes[key] = self._table[name].cast(pl.Enum(key[1])).to_physical().to_numpy().astype(int)
-        return self._codes[key]
+        if key not in self._by_ids:
+            self._by_ids[key] = _codes(self._table[name], key[1])[self._order].astype(int)
+        return self._by_ids[key]
+
+
+def _codes(column: pl.Series, ids: Sequence[str]) -> np.ndarray:
+    """The numbers in `ids` of the ids in a column (N,)."""
+    return column.cast(pl.Enum(ids)).to_physical().to_numpy()
 
 
 def run_starts(rows: pl.DataFrame, keys: list[str]) -> np.ndarray:

@@ -119,7 +119,12 @@ def _ids(file: TableFile, column: str) -> pl.Series:
     found = file.frame[column]
     if not (found.dtype.is_integer() or found.dtype in (pl.String, pl.Categorical, pl.Enum, pl.Null)):
         raise UnusableInput(f"{file.path}: column {column} has type {found.dtype}, expected text; ids are text")
-    ids = found.cast(pl.String).str.strip_chars()
+    ids = found.cast(pl.String)
+    # The few different ids first.
+    different = ids.unique()
+    if not (different.has_nulls() or (different == "").any() or (different.str.strip_chars() != different).any()):
+        return ids
+    ids = ids.str.strip_chars()
     missing = ids.is_null() | (ids == "")
     if missing.any():
         raise UnusableInput(
@@ -206,8 +211,8 @@ def _check_antennas(file: TableFile, frame: pl.DataFrame, arrays: dict) -> None:
             )
     largest = max(len(antennas) for antennas in arrays.values())
     for station, antennas in arrays.items():
-        beyond = frame.filter(pl.col("station") == station).select(phases[len(antennas) :])
-        if len(phases) != largest or any(column.count() for column in beyond):
+        beyond = [frame[name].is_not_null() for name in phases[len(antennas) :]]
+        if len(phases) != largest or any((filled & (frame["station"] == station)).any() for filled in beyond):
             raise UnusableInput(
                 f"{file.path}: {len(phases)} phase columns, but station {station!r} has {len(antennas)} antennas in "
                 "rig.toml, expected as many; leave the cell of an antenna without a phase empty"

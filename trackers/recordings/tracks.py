@@ -67,6 +67,7 @@ def track(groups: Sequence[TrackerBatch], advance: Callable[[int], None] = lambd
     `seed`: of the random numbers of filters that draw any.
     """
     tables: list[pl.DataFrame] = []
+    keys: list[tuple[list[tuple[str, str]], np.ndarray]] = []
     summaries: dict[str, int] = {}
     for group in groups:
         for trajectories, batch in batches(group.trajectories, seed):
@@ -76,10 +77,15 @@ def track(groups: Sequence[TrackerBatch], advance: Callable[[int], None] = lambd
             number = np.nonzero(last)[0]
             for words, count in _summaries(number, merged.status, len(trajectories)).items():
                 summaries[words] = summaries.get(words, 0) + count
+            names = [(folder.name, tag) for folder, tag in zip(trajectories.folders, trajectories.tags, strict=True)]
+            keys.append((names, number))
             tables.append(_table(trajectories, number, estimates.valid_times(rows)[last], merged))
             advance(len(trajectories))
-    table = pl.concat(tables, how="diagonal").sort(["recording", "tag", "t_s"], maintain_order=True)
-    return Tracks(table, summaries, list(groups))
+    table = pl.concat(tables, how="diagonal")
+    place = {key: k for k, key in enumerate(sorted({key for names, _ in keys for key in names}))}
+    of_rows = np.concatenate([np.array([place[key] for key in names])[number] for names, number in keys])
+    # By numbers: sorting by both names takes as long as the run.
+    return Tracks(table[np.lexsort((table["t_s"].to_numpy(), of_rows))], summaries, list(groups))
 
 
 def _summaries(number: np.ndarray, status: np.ndarray, count: int) -> dict[str, int]:
@@ -123,14 +129,14 @@ def _table(trajectories: Trajectories, number: np.ndarray, times: np.ndarray, es
 
 def _positions(estimates: Estimates, height: np.ndarray) -> dict[str, np.ndarray]:
     """Positions with their standard deviations and covariances, m and m², and velocities, m/s, if the state has any."""
-    mean = [np.asarray(x) for x in estimates.mean.position]
-    sigmas = [estimates.sigmas[f"position.{k}"] for k in range(len(mean))]
-    cov, n = estimates.marginal("position"), len(mean)
+    mean, every_sigma = [np.asarray(x) for x in estimates.mean.position], estimates.sigmas
+    sigmas = [every_sigma[f"position.{k}"] for k in range(len(mean))]
+    cov, n = estimates.entries("position"), len(mean)
     if n == 2:
         mean, sigmas = [*mean, height], [*sigmas, 0.0 * height]
     columns = {f"{a}_m": x for a, x in zip(AXES, mean, strict=True)}
     columns |= {f"std_{a}_m": s for a, s in zip(AXES, sigmas, strict=True)}
-    columns |= {f"cov_{AXES[i]}{AXES[j]}_m2": cov[:, i, j] for i in range(n) for j in range(i + 1, n)}
+    columns |= {f"cov_{AXES[i]}{AXES[j]}_m2": cov[i][j] for i in range(n) for j in range(i + 1, n)}
     # A moving window has no velocity.
     velocity = [np.asarray(x) for x in getattr(estimates.mean, "velocity", ())]
     return columns | {f"v{a}_mps": v for a, v in zip(AXES, velocity, strict=False)}

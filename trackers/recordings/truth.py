@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 
 from trackers.core.sorted_parts import first_not_before
-from trackers.recordings.columns import float_column, require_columns, run_starts
+from trackers.recordings.columns import TableRows, require_columns
 from trackers.recordings.tables import HOLE_M, HOLE_S
 
 
@@ -46,15 +46,16 @@ class TruePaths:
         `recording`: its name, for messages. Raises UnusableInput.
         """
         require_columns(truth, ["t_s", "tag", "x_m", "y_m"], f"the truth of recording '{recording}'")
-        ordered = (
-            truth.with_columns(pl.col("tag").cast(pl.String))
-            .filter(pl.all_horizontal(pl.col("t_s", "x_m", "y_m").is_finite()))
-            .unique(["tag", "t_s"], keep="first", maintain_order=True)
-            .sort(["tag", "t_s"])
+        present = truth.with_columns(pl.col("tag").cast(pl.String)).filter(
+            pl.all_horizontal(pl.col("t_s", "x_m", "y_m").is_finite())
         )
-        positions = np.stack([float_column(ordered, axis) for axis in ("x_m", "y_m", "z_m")], axis=1)
-        starts = run_starts(ordered, ["tag"])
-        return cls(ordered["tag"].gather(starts[:-1]).to_list(), starts, float_column(ordered, "t_s"), positions)
+        rows = TableRows(present)
+        later = np.diff(rows.times) > 0
+        later[rows.starts[1:-1] - 1] = True
+        if not later.all():
+            distinct = present.unique(["tag", "t_s"], keep="first", maintain_order=True)
+            rows = TableRows(distinct.sort("t_s", maintain_order=True))
+        return cls(rows.tags, rows.starts, rows.times, rows.floats(["x_m", "y_m", "z_m"]))
 
     def of_tag(self, tag: str) -> tuple[np.ndarray, np.ndarray]:
         """Times (n,) s and positions (n, 3) m of one path."""
