@@ -6,6 +6,7 @@ its start (Will et al. 2020, section 4).
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import equinox as eqx
@@ -31,25 +32,39 @@ class Grid(eqx.Module):
     @classmethod
     def of(cls, station: Station, span: float = np.deg2rad(30.0), resolution: float = np.deg2rad(0.6)) -> Grid:
         """All directions within ± `span` in both angles (paper: ±30° at 0.6°, 101 × 101 hypotheses), rad."""
-        axis = np.linspace(-span, span, 2 * round(span / resolution) + 1)
-        azimuth, elevation = (a.ravel() for a in np.meshgrid(axis, axis, indexing="ij"))
-        x, y = np.sin(azimuth) * np.cos(elevation), np.sin(elevation)
-        grid = cls._respond(station, np.stack([azimuth, elevation], axis=1), x, y)
-        return cls(grid.angles, grid.cosine, grid.sine, Blocks.of(grid.cosine, grid.sine))
+        return _square(*_array(station), span, resolution)
 
     @classmethod
     def in_plane(cls, station: Station, resolution: float = np.deg2rad(1.0)) -> Grid:
         """All directions in the array's own plane; `angles` (G, 1): about its z axis from its x axis, rad."""
         heading = np.arange(-np.pi, np.pi - 1e-9, resolution)
-        return cls._respond(station, heading[:, None], np.cos(heading), np.sin(heading))
+        return _responses(*_array(station), heading[:, None], np.cos(heading), np.sin(heading))
 
-    @classmethod
-    def _respond(cls, station: Station, angles: np.ndarray, x: np.ndarray, y: np.ndarray) -> Grid:
-        if station.antennas is None or station.wavelength is None:
-            raise ValueError("a beamformer needs a station with antennas and a wavelength")
-        antennas = np.asarray(station.antennas, float)
-        phase = 2 * np.pi / station.wavelength * (antennas[:, :1] * x + antennas[:, 1:] * y)
-        return cls(angles, np.cos(phase), np.sin(phase), None)
+
+@lru_cache(maxsize=8)
+def _square(array: tuple[tuple[float, float], ...], wavelength: float, span: float, resolution: float) -> Grid:
+    """`Grid.of` for antennas at these places; stations often have equal arrays."""
+    axis = np.linspace(-span, span, 2 * round(span / resolution) + 1)
+    azimuth, elevation = (a.ravel() for a in np.meshgrid(axis, axis, indexing="ij"))
+    x, y = np.sin(azimuth) * np.cos(elevation), np.sin(elevation)
+    grid = _responses(array, wavelength, np.stack([azimuth, elevation], axis=1), x, y)
+    return Grid(grid.angles, grid.cosine, grid.sine, Blocks.of(grid.cosine, grid.sine))
+
+
+def _array(station: Station) -> tuple[tuple[tuple[float, float], ...], float]:
+    """The antennas' places and the wavelength, m."""
+    if station.antennas is None or station.wavelength is None:
+        raise ValueError("a beamformer needs a station with antennas and a wavelength")
+    return tuple((float(x), float(y)) for x, y in np.asarray(station.antennas, float)), float(station.wavelength)
+
+
+def _responses(
+    array: tuple[tuple[float, float], ...], wavelength: float, angles: np.ndarray, x: np.ndarray, y: np.ndarray
+) -> Grid:
+    """The grid of directions `angles` (G, d) with the components `x`, `y` (G,) in the plane of the array."""
+    antennas = np.array(array)
+    phase = 2 * np.pi / wavelength * (antennas[:, :1] * x + antennas[:, 1:] * y)
+    return Grid(angles, np.cos(phase), np.sin(phase), None)
 
 
 def delay_and_sum(grid: Grid, phases: Any, seen: Any) -> jax.Array:

@@ -175,16 +175,23 @@ class Estimates:
         """
         last = self.last_rows(times)
         rows = self.status != Status.PADDING
+        one = np.array_equal(rows, last)
         first = np.flatnonzero(np.append(True, last[rows])[:-1])
         counted = np.isfinite(self.nis)
 
+        def chosen(values: Any, mask: np.ndarray = last) -> np.ndarray:
+            # A mask takes several times as long as a copy.
+            whole = np.asarray(values)
+            return whole.reshape(-1, *whole.shape[mask.ndim :]) if mask.all() else whole[mask]
+
         def summed(values: np.ndarray) -> np.ndarray:
-            return np.add.reduceat(values[rows].astype(float), first)
+            each = chosen(values, rows).astype(float)
+            return each if one else np.add.reduceat(each, first)
 
         merged = replace(
             self,
-            mean=jax.tree_util.tree_map(lambda x: np.asarray(x)[last], self.mean),
-            cov_upper=self.cov_upper[:, last],
+            mean=jax.tree_util.tree_map(chosen, self.mean),
+            cov_upper=np.stack([chosen(entry) for entry in self.cov_upper]),
             log_likelihood=summed(self.log_likelihood),
             nis=summed(np.where(counted, self.nis, 0.0)),
             nis_dof=summed(np.where(counted, self.nis_dof, 0.0)),

@@ -228,9 +228,7 @@ class Columns:
         if rows < longest:
             raise ValueError(f"rows = {rows} is less than the longest recording's {longest}")
         first, equally_long = self.starts[:-1], bool(lengths.min() == longest)
-        place = (
-            None if equally_long else np.arange(len(self.times)) + np.repeat(np.arange(size) * longest - first, lengths)
-        )
+        place = None if equally_long else np.flatnonzero(np.arange(longest) < lengths[:, None])
 
         def pile(array: np.ndarray, kind: DTypeLike) -> Shaped[np.ndarray, "rows *shape B"]:
             shape = np.shape(array)[1:]
@@ -239,7 +237,9 @@ class Columns:
                 padded[place] = array
                 array = padded
             out = np.zeros((rows, *shape, size), kind)
-            out[:longest] = np.moveaxis(np.reshape(array, (size, longest, *shape)), 0, -1)
+            rows_last = np.moveaxis(np.reshape(array, (size, longest, *shape)), 0, -1)
+            for k in range(0, size, 32):  # as many as the cache holds rows of
+                out[:longest, ..., k : k + 32] = rows_last[..., k : k + 32]
             return out
 
         dt = np.diff(self.times, prepend=self.times[:1])

@@ -166,8 +166,11 @@ def _table_files(path: Path, entries: list[str]) -> tuple[dict[str, Path], list[
 
 
 def _check_common_tag(path: Path, tables: dict[str, pl.DataFrame]) -> None:
+    firsts = [tables[name]["tag"][0] for name in MEASUREMENTS if name in tables]
+    if "truth" not in tables or tables["truth"]["tag"].is_in(firsts).any():
+        return
     measured = {tag for name in MEASUREMENTS if name in tables for tag in tables[name]["tag"].unique()}
-    if measured and "truth" in tables:
+    if measured:
         true = set(tables["truth"]["tag"].unique())
         if not measured & true:
             raise UnusableInput(

@@ -42,17 +42,18 @@ class Tracks:
         return f"<Tracks: {len(self.table)} estimates of {count} {noun}: {ended}>"
 
 
-def batches(trajectories: Iterable[Trajectory], seed: int = 0) -> list[tuple[Trajectories, Batch]]:
+def batches(trajectories: Iterable[Trajectory], seed: int = 0, truth: bool = True) -> list[tuple[Trajectories, Batch]]:
     """The trajectories in batches of at most `MAX_BATCH`, those of similar length together, padded to few lengths.
 
-    `seed`: of the random numbers of filters that draw any.
+    `seed`: of the random numbers of filters that draw any. `truth`: whether the batches have it.
     """
     every = Trajectories.of(trajectories)
     lengths = np.diff(every.columns.starts)
     ordered = np.argsort(lengths, kind="stable")
     parts = [ordered[k : k + MAX_BATCH] for k in range(0, len(ordered), MAX_BATCH)]
     chosen = [every.chosen(part) for part in parts]
-    return [(own, own.columns.batch(rounded(int(np.diff(own.columns.starts).max())), seed=seed)) for own in chosen]
+    longest = [rounded(int(np.diff(own.columns.starts).max())) for own in chosen]
+    return [(own, own.columns.batch(rows, None, seed, truth)) for own, rows in zip(chosen, longest, strict=True)]
 
 
 def rounded(rows: int) -> int:
@@ -70,7 +71,7 @@ def track(groups: Sequence[TrackerBatch], advance: Callable[[int], None] = lambd
     keys: list[tuple[list[tuple[str, str]], np.ndarray]] = []
     summaries: dict[str, int] = {}
     for group in groups:
-        for trajectories, batch in batches(group.trajectories, seed):
+        for trajectories, batch in batches(group.trajectories, seed, truth=False):
             estimates = group.tracker.run(batch)
             rows = trajectories.columns.padded(trajectories.columns.times, estimates.status.shape[1])
             last, merged = estimates.per_time(rows)
@@ -84,8 +85,15 @@ def track(groups: Sequence[TrackerBatch], advance: Callable[[int], None] = lambd
     table = pl.concat(tables, how="diagonal")
     place = {key: k for k, key in enumerate(sorted({key for names, _ in keys for key in names}))}
     of_rows = np.concatenate([np.array([place[key] for key in names])[number] for names, number in keys])
-    # By numbers: sorting by both names takes as long as the run.
-    return Tracks(table[np.lexsort((table["t_s"].to_numpy(), of_rows))], summaries, list(groups))
+    return Tracks(table[_order(of_rows, table["t_s"].to_numpy())], summaries, list(groups))
+
+
+def _order(track: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """The order (N,) of rows by the number of their track, then time; rows of equal times keep theirs."""
+    # Numbers of two bytes are sorted without comparisons.
+    order = np.argsort(track.astype(np.uint16) if track.max(initial=0) < 2**16 else track, kind="stable")
+    sorted_times = (np.diff(times[order]) >= 0) | (np.diff(track[order]) > 0)
+    return order if sorted_times.all() else np.lexsort((times, track))
 
 
 def _summaries(number: np.ndarray, status: np.ndarray, count: int) -> dict[str, int]:

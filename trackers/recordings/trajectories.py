@@ -116,7 +116,7 @@ def trajectories_of(
         truth["direction"][0][rows] = folder.rig.stations[station].angles(position[rows])
     heights = np.repeat(np.nan_to_num(known_heights(folder, tags)), np.diff(starts))
     names = [f"{folder.name}, tag {tag}" for tag in tags]
-    ids = [trajectory_id(folder.name, tag, station) for tag, station in zip(tags, own, strict=True)]
+    ids = trajectory_ids(folder.name, tags, own)
     columns = Columns(starts, times, readings, {**inputs, "height": heights}, truth, names, ids)
     return Trajectories([folder] * len(tags), tags, own, columns)
 
@@ -143,10 +143,14 @@ def cut(recording: Recording, start: int, stop: int) -> Recording:
     return Recording(recording.times[part], readings, inputs, truth, recording.name, own)
 
 
-def trajectory_id(folder: str, tag: str, station: str) -> int:
-    """The id of a trajectory of a recording folder: random numbers do not depend on the others that run with it."""
-    text = "\0".join((folder, tag, station))
-    return int.from_bytes(blake2b(text.encode(), digest_size=8).digest(), "little")
+def trajectory_ids(folder: str, tags: Sequence[str], stations: Sequence[str]) -> list[int]:
+    """The ids of trajectories of a recording folder: random numbers do not depend on the others that run with it."""
+    begun, ids = blake2b(f"{folder}\0".encode(), digest_size=8), []
+    for tag, station in zip(tags, stations, strict=True):
+        own = begun.copy()
+        own.update(f"{tag}\0{station}".encode())
+        ids.append(int.from_bytes(own.digest(), "little"))
+    return ids
 
 
 def with_floor_truth(trajectory: Trajectory) -> Trajectory:

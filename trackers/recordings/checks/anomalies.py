@@ -23,48 +23,52 @@ _LEAST_JUMP = {"m": 1.0, "mps2": 20.0, "radps": 5.0}  # within reach of a person
 
 def anomalies(tables: Mapping[str, pl.DataFrame], rig: Rig) -> list[str]:
     """One line for each kind of anomaly in each table; empty for a clean recording."""
-    lines: list[str] = _never_observed(tables, rig)
+    layouts = {name: layout(name, table.columns) for name, table in tables.items()}
+    present = {
+        name: table.filter(pl.any_horizontal(pl.col(layouts[name].values).is_not_null())).with_row_index("row")
+        for name, table in tables.items()
+    }
+    tags = {name: table["tag"].unique(maintain_order=True) for name, table in present.items()}
+    lines: list[str] = _never_observed(tags, rig)
     for name, table in tables.items():
-        expected = layout(name, table.columns)
+        expected, whole = layouts[name], present[name]
         if rig.tags:
-            unknown = [tag for tag in table["tag"].unique(maintain_order=True) if tag not in rig.tags]
+            of_all = tags[name] if len(whole) == len(table) else table["tag"].unique(maintain_order=True)
+            unknown = [tag for tag in of_all if tag not in rig.tags]
             if unknown:
                 lines.append(f"{name}: tags that are not in rig.toml: {len(unknown)} ({listed(map(repr, unknown))})")
         lines += _impossible(name, table, expected.values)
-        present = table.filter(pl.any_horizontal(pl.col(expected.values).is_not_null())).with_row_index("row")
         compared = [column for column in expected.values if _least_jump(column) is not None]
         # Ordering ids and the phases of many antennas takes as long as reading them.
-        ordered = streams(present, expected.ids, ["row", "t_s", *compared])
+        ordered = streams(whole, expected.ids, ["row", "t_s", *compared], tags[name])
         if (ordered["dt"] == 0).any():
-            lines += _duplicates(name, streams(present, expected.ids), expected.values)
+            lines += _duplicates(name, streams(whole, expected.ids), expected.values)
         if name != "truth":
-            lines += _gaps(name, ordered, present.select(expected.ids))
+            lines += _gaps(name, ordered, whole.select(expected.ids))
             lines += _outliers(name, ordered, expected.values)
     return lines
 
 
-def _never_observed(tables: Mapping[str, pl.DataFrame], rig: Rig) -> list[str]:
-    """Tags of the rig without a value in any table of measurements."""
-    observed: set[str] = set()
-    for name, table in tables.items():
-        if name != "truth":
-            present = table.filter(pl.any_horizontal(pl.col(layout(name, table.columns).values).is_not_null()))
-            observed.update(present["tag"].unique())
+def _never_observed(tags: Mapping[str, pl.Series], rig: Rig) -> list[str]:
+    """Tags of the rig without a value in any table of measurements; `tags`: those with a value, by table."""
+    observed = {tag for name, own in tags.items() if name != "truth" for tag in own}
     unobserved = [tag for tag in rig.tags if tag not in observed]
     if not unobserved or not observed:
         return []
     return [f"rig.toml: tags never observed: {len(unobserved)} of {len(rig.tags)} ({listed(map(repr, unobserved))})"]
 
 
-def streams(table: pl.DataFrame, ids: tuple[str, ...], columns: Sequence[str] | None = None) -> pl.DataFrame:
+def streams(
+    table: pl.DataFrame, ids: tuple[str, ...], columns: Sequence[str] | None = None, tags: pl.Series | None = None
+) -> pl.DataFrame:
     """The table sorted by stream, then time, with `stream` (its number) and `dt`, s, null in its first row.
 
-    `columns`: those that are kept; by default all.
+    `columns`: those that are kept; by default all. `tags`: all of the table, where they are known.
     """
     table = table if table["t_s"].is_sorted() else table.sort("t_s", maintain_order=True)
     code, count = np.zeros(len(table), np.int64), 1
     for column in ids:
-        kinds = table[column].unique(maintain_order=True)
+        kinds = table[column].unique(maintain_order=True) if tags is None or column != "tag" else tags
         own = table[column].cast(pl.Enum(kinds)).to_physical().to_numpy()
         code, count = code * len(kinds) + own, count * len(kinds)
     # Numbers of two bytes are sorted without comparisons.
