@@ -27,6 +27,8 @@ def set_flags() -> None:
     gc.set_threshold(COLLECT_AFTER, *gc.get_threshold()[1:])
     # What lives to the end needs no last collection, which took 0.6 s after jax was used.
     atexit.register(gc.freeze)
+    # The allocator of polars, which is to give memory back while jax is imported.
+    os.environ.setdefault("_RJEM_MALLOC_CONF", "dirty_decay_ms:100,muzzy_decay_ms:0")
     present = os.environ.get("XLA_FLAGS", "")
     if EXTRA_OPTIONS not in present:
         os.environ["XLA_FLAGS"] = f"{present} {FLAGS}".strip()

@@ -20,6 +20,7 @@ from experiments.reports.evaluation_text import to_text
 from trackers.catalogue import build, fitting
 from trackers.core.chunks import CHUNK
 from trackers.core.errors import UnusableInput
+from trackers.core.freed_memory import give_back
 from trackers.evaluation import evaluate
 from trackers.events import EVENTS, events_of
 from trackers.recordings.association import associate_truth
@@ -63,6 +64,7 @@ def track_folders(folders: Sequence[RecordingFolder], options: Options, started:
     if heights and not named.spec.bearing_only:
         notice(f"height: known from rig.toml for {heights} tag(s) and used; estimate it with --free-height")
     output_folder(out)
+    give_back()
     with (
         cluster_executor(options.cluster) if options.cluster else nullcontext() as executor,
         progress("tracking", sum(len(batch.trajectories) for batch in batches)) as advance,
@@ -71,6 +73,7 @@ def track_folders(folders: Sequence[RecordingFolder], options: Options, started:
             tracks = track(batches, advance, options.seed)
         else:
             tracks = run_on(executor, named, folders, advance, options.seed)
+    give_back()
     table, summaries = tracks.table, tracks.summaries
     atomic_write(out / TRACKS, partial(write_tracks, table))
     happened = events_of(table, named.spec, batches)

@@ -79,6 +79,12 @@ def by_entry(uppers: Any) -> tuple[jax.Array, ...]:
     return uppers if isinstance(uppers, tuple) else tuple(uppers[:, k] for k in range(uppers.shape[1]))
 
 
+def leading(upper: Upper, n: int, size: int) -> Upper:
+    """The upper triangle of the leading block of `size` components, of the covariance of n."""
+    kept = [k for k, (_, j) in enumerate(triangle(n)) if j < size]
+    return tuple(upper[k] for k in kept) if isinstance(upper, tuple) else upper[..., np.array(kept)]
+
+
 def congruence(F: Sequence[SparseRow], upper: Upper, G: Sequence[SparseRow]) -> Upper:
     """F P Fᵀ + G Gᵀ, without the structural zeros of F and G."""
     if isinstance(upper, tuple):

@@ -55,11 +55,12 @@ class Estimates:
     """The estimates of one recording (arrays start with T) or of several (with B, T).
 
     `mean`: the state, one array per named component. `cov_upper`: (n(n+1)/2, …, T), the covariance of the small step
-    about the mean, upper triangle row by row. `log_likelihood`, `nis`, `nis_dof` (its degrees of freedom), `wrapped`
-    (number of ambiguous angle wraps): per row, summed over sensors. `status`: `Status` codes. `age`: s from the time
-    for which an estimate is valid to that of its row, None where they are the same. `times`: (T,) or (B, T) s, for
-    which the estimates are valid, NaN in padding. `names`: of the recordings. `final`: the state after their last rows,
-    `initial` of a run that continues. After a run of a `Batch` the last three are empty.
+    about the mean, upper triangle row by row; with n less than the state's size, of its n leading components.
+    `log_likelihood`, `nis`, `nis_dof` (its degrees of freedom), `wrapped` (number of ambiguous angle wraps): per row,
+    summed over sensors. `status`: `Status` codes. `age`: s from the time for which an estimate is valid to that of its
+    row, None where they are the same. `times`: (T,) or (B, T) s, for which the estimates are valid, NaN in padding.
+    `names`: of the recordings. `final`: the state after their last rows, `initial` of a run that continues. After a run
+    of a `Batch` the last three are empty.
     """
 
     mean: Any
@@ -86,11 +87,11 @@ class Estimates:
 
     @property
     def sigmas(self) -> dict[str, Float[np.ndarray, "*rows"]]:
-        """The standard deviation of each component of the state, by name."""
+        """The standard deviation of each component of the state that has one, by name."""
         position = {pair: k for k, pair in enumerate(triangle(self.dimension))}
         return {
             name: np.sqrt(np.maximum(self.cov_upper[position[i, i]], 0))
-            for i, name in enumerate(component_names(self._scalar_state))
+            for i, name in enumerate(component_names(self._scalar_state)[: self.dimension])
         }
 
     @property

@@ -26,6 +26,7 @@ import jax
 from jax._src.config import trace_context
 from jax.experimental import serialize_executable
 
+from trackers.core.freed_memory import give_back
 from trackers.core.program_cache import ProgramStore, compiling_anew, processor
 
 OURS = ("trackers", "tuning")
@@ -93,9 +94,12 @@ class TracedPrograms:
             payload, result = pickle.loads(zlib.decompress(content))
             indices, outputs = jax.tree_util.tree_flatten(result)
             flat = jax.tree_util.tree_structure(list(indices))
-            return serialize_executable.deserialize_and_load(payload, arguments, flat), outputs
+            loaded = serialize_executable.deserialize_and_load(payload, arguments, flat)
         except Exception:  # whatever a compiler makes of a program that it cannot load: it is compiled again
             return None
+        # Loading frees 60 MB and more of a large program.
+        give_back()
+        return loaded, outputs
 
     def _write(self, name: str, found: tuple[Any, Any]) -> None:
         compiled, outputs = found

@@ -19,7 +19,7 @@ import numpy as np
 
 from trackers.core.algebra import Scalar, compute_once, total
 from trackers.core.chunks import CHUNK, as_dtype, chunks, run_chunks
-from trackers.core.covariance import Upper
+from trackers.core.covariance import Upper, leading
 from trackers.core.ekf import ExtendedKalman
 from trackers.core.errors import UnusableInput
 from trackers.core.estimates import Estimates, Status
@@ -35,6 +35,7 @@ from trackers.core.scan import Carry, Output, ScanState, Score, StepInfo, carry_
 from trackers.core.select import select, where_mostly
 from trackers.core.sensor import AbstractSensor
 from trackers.core.start import AbstractStart
+from trackers.core.state import component_names
 from trackers.core.track_loss import TrackLossPolicy
 from trackers.core.tunable import freeze
 
@@ -191,6 +192,7 @@ class Tracker(AbstractTracker):
 
     `sensors`: by the names of their readings in a recording. `latency_of`: the sensor at whose time of measurement
     estimates are valid, an `AbstractDelayedSensor`; by default they are valid at the time of their row.
+    `position_alone`: estimates have the covariance of the position alone where the state begins with it.
     """
 
     motion: AbstractMotion
@@ -199,6 +201,7 @@ class Tracker(AbstractTracker):
     filter: AbstractFilter[Any] = ExtendedKalman()
     track_loss: TrackLossPolicy = TrackLossPolicy()
     latency_of: str | None = eqx.field(static=True, default=None)
+    position_alone: bool = eqx.field(static=True, default=False)
 
     def check_layout(self, layout: Layout) -> None:
         check_parts(layout, Parts(self.motion, self.sensors, self.start, self.filter))
@@ -235,7 +238,12 @@ class Tracker(AbstractTracker):
     def moments(self, belief: Any) -> tuple[Any, Upper]:
         """The mean and covariance of an estimate, at the time for which it is valid."""
         mean, cov = self.filter.moments(belief)
-        return (mean, cov) if self.latency is None else shifted_back(mean, cov, self.latency)
+        if self.latency is not None:
+            mean, cov = shifted_back(mean, cov, self.latency)
+        if not self.position_alone:
+            return mean, cov
+        fields = [name.partition(".")[0] for name in component_names(mean)]
+        return mean, leading(cov, len(fields), fields.count("position")) if fields[0] == "position" else cov
 
     def with_age(self, output: Output) -> Output:
         """The output with its `age`."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import polars as pl
@@ -11,6 +11,7 @@ import polars as pl
 from trackers.core.chunks import CHUNK
 from trackers.core.estimates import AXES, STATUS_WORDS, STEP_COLUMNS, Estimates, Status
 from trackers.core.recording import Batch
+from trackers.core.tracker import Tracker
 from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.trajectories import Trajectories, Trajectory
 
@@ -71,8 +72,12 @@ def track(groups: Sequence[TrackerBatch], advance: Callable[[int], None] = lambd
     keys: list[tuple[list[tuple[str, str]], np.ndarray]] = []
     summaries: dict[str, int] = {}
     for group in groups:
+        tracker = group.tracker
+        if isinstance(tracker, Tracker):
+            # Large states have hundreds of covariances, of which the table has no others.
+            tracker = replace(tracker, position_alone=True)
         for trajectories, batch in batches(group.trajectories, seed, truth=False):
-            estimates = group.tracker.run(batch)
+            estimates = tracker.run(batch)
             rows = trajectories.columns.padded(trajectories.columns.times, estimates.status.shape[1])
             last, merged = estimates.per_time(rows)
             number = np.nonzero(last)[0]

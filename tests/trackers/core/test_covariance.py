@@ -63,3 +63,12 @@ def test_mixture_has_the_moments_of_its_components(problem):
         d = [[jnp.asarray(x) for x in row] for row in deviations]
         found = covariance.matched([jnp.asarray(w) for w in weights], [upper, upper], d)
         np.testing.assert_allclose(covariance.matrix(found, N), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("form", ["array", "scalars"])
+def test_the_leading_block_is_that_of_the_matrix(form):
+    rows, columns = np.triu_indices(4)
+    matrix = np.arange(16.0).reshape(4, 4)
+    upper = jnp.asarray(matrix[rows, columns])
+    found = covariance.leading(upper if form == "array" else tuple(upper), 4, 2)
+    np.testing.assert_array_equal(np.asarray(found), [0.0, 1.0, 5.0])

@@ -1,8 +1,11 @@
 """A trajectory has the same numbers alone, in chunks, and with two readings in a row; to the bit: `test_identities.py`."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import numpy as np
+import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, recording
 from trackers.core.algebra import Vector
@@ -93,3 +96,16 @@ def test_two_readings_in_a_row_are_two_rows_at_one_time_for_linear_sensors():
         np.testing.assert_allclose(a[..., :ROWS], b[..., 1 : 2 * ROWS : 2], rtol=1e-12, atol=1e-13)
     pairs = two.log_likelihood[: 2 * ROWS].reshape(ROWS, 2).sum(axis=1)
     np.testing.assert_allclose(one.log_likelihood[:ROWS], pairs, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("size", [1, 9], ids=["few trajectories", "many"])
+def test_with_the_position_alone_estimates_have_its_covariance_and_nothing_else_differs(size):
+    batch = stack((_recordings() * 2)[:size])
+    whole, part = _flat().run(batch), dataclasses.replace(_flat(), position_alone=True).run(batch)
+    assert [*part.sigmas] == ["position.0"]
+    assert part.dimension == 1
+    np.testing.assert_array_equal(part.cov_upper, whole.cov_upper[:1])
+    np.testing.assert_array_equal(part.marginal("position"), whole.marginal("position"))
+    rest = [dataclasses.replace(e, cov_upper=e.cov_upper[:1]) for e in (part, whole)]
+    for a, b in zip(*(jax.tree_util.tree_leaves(_as_tree(e)) for e in rest), strict=True):
+        np.testing.assert_array_equal(a, b)
