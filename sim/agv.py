@@ -111,7 +111,7 @@ class SimulatedFixes:
 
     def folder(self, name: str) -> RecordingFolder:
         """The recording folder: fixes and truth in space, the designed route as the rig's path."""
-        fixes = np.where(self.seen, self.fixes, np.nan)
+        fixes = self.fixes if self.seen.all() else np.where(self.seen, self.fixes, np.nan)
         tables = {
             name: ArrayRows.regular(self.times, self.ids, {AXES: values})
             for name, values in (("fixes", fixes), ("truth", self.positions))
@@ -150,7 +150,8 @@ def simulate_agv(
     def driven(keys: Keys) -> tuple[np.ndarray, ...]:
         start = uniforms(stream(keys, "start"), (1,)).astype(float) * route.length
         floor = route.at(start + covered)
-        positions = np.concatenate([floor, np.full((*floor.shape[:-1], 1), height)], axis=-1)
+        positions = np.empty((*floor.shape[:-1], 3))
+        positions[..., :2], positions[..., 2] = floor, height
         return positions, *corrupted(errors, keys, times, positions, np.ones(positions.shape, bool))
 
     positions, fixes, seen = in_blocks(driven, keys)

@@ -55,7 +55,7 @@ def uniforms(keys: Keys, shape: tuple[int, ...]) -> Float32[np.ndarray, "n *shap
 
 
 def in_blocks(
-    draw: Callable[..., tuple[np.ndarray, ...]], keys: Keys, *arrays: Shaped[np.ndarray, "n ..."], size: int = 128
+    draw: Callable[..., tuple[np.ndarray, ...]], keys: Keys, *arrays: Shaped[np.ndarray, "n ..."], size: int = 256
 ) -> tuple[Shaped[np.ndarray, "n ..."], ...]:
     """The arrays (n, …) of `draw(keys, *arrays)`, drawn for `size` trajectories at a time.
 

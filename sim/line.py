@@ -80,10 +80,11 @@ class SimulatedLine:
 
     def folder(self, name: str) -> RecordingFolder:
         """The recording folder: fixes without height, truth at the tags' known height, the rig's path."""
-        fixes = np.where(self.seen, self.fixes, np.nan)
+        fixes = self.fixes if self.seen.all() else np.where(self.seen, self.fixes, np.nan)
         tables = {}
         for table, floor, height in (("fixes", fixes, np.nan), ("truth", self.positions, TAG_HEIGHT)):
-            values = np.concatenate([floor, np.full((*floor.shape[:2], 1), height)], axis=2)
+            values = np.empty((*floor.shape[:2], 3))
+            values[..., :2], values[..., 2] = floor, height
             tables[table] = ArrayRows.regular(self.times, self.ids, {AXES: values})
         tags = {str(i): Tag(height=TAG_HEIGHT) for i in self.ids}
         return folder_of(name, tables, tags, path_knots=self.knots)

@@ -8,7 +8,7 @@ or a function of your own, is a path for `simulate_phases`, `simulate_ranges` an
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import partial
+from functools import cache, partial
 from types import MappingProxyType
 
 import numpy as np
@@ -180,6 +180,7 @@ def _progress(times: Times) -> Times:
     return t / t[-1] if t[-1] > 0 else t
 
 
+@cache
 def _rms_slope() -> float:
     """Root mean square derivative of tanh(_SQUASH x) for a standard normal x, by Gauss-Hermite quadrature."""
     nodes, weights = np.polynomial.hermite_e.hermegauss(60)

@@ -194,7 +194,8 @@ def simulate_ranges(
 
     def ranged(keys: Keys) -> tuple[np.ndarray, ...]:
         positions = path(stream(keys, "path"), times)
-        distances = np.linalg.norm(positions[:, :, None, :] - anchors, axis=-1)
+        x, y, z = (positions[..., None, axis] - anchors[:, axis] for axis in range(3))
+        distances = np.sqrt(x * x + y * y + z * z)
         ranges = two_way_ranges(stream(keys, "two-way ranging"), distances, protocol or Protocol())
         own, every = stream(keys, "corruptions"), np.ones(ranges.shape, bool)
         ranges, seen = corrupted(corruptions, own, times, ranges, every)

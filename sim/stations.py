@@ -44,7 +44,10 @@ class SimulatedPhases:
         """The recording folder: a row of phases per tag, time and station with at least one, and truth in space."""
         heard = self.seen.any(axis=-1)
         tag, row, station = np.nonzero(heard)
-        values = np.where(self.seen[heard], self.phases[heard], np.nan).astype(np.float64)
+        values = self.phases.astype(np.float64).reshape(-1, self.phases.shape[-1])
+        if not self.seen.all():
+            values[~self.seen.reshape(values.shape)] = np.nan
+            values = values[heard.ravel()]
         phases = ArrayRows.of_entries(
             tag,
             self.ids,

@@ -113,16 +113,19 @@ def _bearing_errors(
 ) -> list[tuple[str, np.ndarray, np.ndarray]]:
     """The same of the angle between the two directions, of azimuth and of elevation; wraps azimuth in `error`."""
     error[..., 0] = np.pi - (np.pi - error[..., 0]) % (2 * np.pi)
-    u, v = (_direction(x).reshape(*counts.shape, 3) for x in (tracked.estimates, tracked.truth))
-    angle = np.arctan2(np.linalg.norm(np.cross(u, v), axis=-1), np.einsum("ntd,ntd->nt", u, v))
+    (x, y, z), (p, q, r) = (_direction(angles) for angles in (tracked.estimates, tracked.truth))
+    cross = np.sqrt((y * r - z * q) ** 2 + (z * p - x * r) ** 2 + (x * q - y * p) ** 2)
+    # In the order of a sum of pairs, as einsum has it.
+    angle = np.arctan2(cross, x * p + z * r + y * q).reshape(counts.shape)
     sizes = (angle, np.abs(error[..., 0]), np.abs(error[..., 1]))
     return [(kind, size, counts) for kind, size in zip(BEARING, sizes, strict=True)]
 
 
-def _direction(angles: np.ndarray) -> np.ndarray:
+def _direction(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The components of the unit vectors of angles (…, 2)."""
     azimuth, elevation = angles[..., 0], angles[..., 1]
     flat = np.cos(elevation)
-    return np.stack([np.sin(azimuth) * flat, np.sin(elevation), np.cos(azimuth) * flat], axis=-1)
+    return np.sin(azimuth) * flat, np.sin(elevation), np.cos(azimuth) * flat
 
 
 def _add_nees(sums: np.ndarray, error: np.ndarray, covariance: np.ndarray, counts: np.ndarray) -> None:

@@ -16,7 +16,7 @@ from trackers.recordings.trajectories import Trajectories
 from trackers.recordings.truth import TruthStatus
 from trackers.scoring import last_of_intervals
 
-ROWS_AT_ONCE = 32_768
+ROWS_AT_ONCE = 65_536
 """Rows that are scored together: their numbers fit the processor's cache."""
 
 
@@ -100,9 +100,11 @@ class TrackedChunk:
             position = _position(group.own, found, which)
             for k, values in enumerate(position):
                 estimates[(*at, k)] = _where(usable, values)
-            for i, entries in enumerate(_covariance(self.bearing, found)):
-                for j, values in enumerate(entries):
-                    covariance[(*at, i, j)] = _where(usable, values)
+            entries = _covariance(self.bearing, found)
+            for i, j in np.ndindex(len(entries), len(entries)):
+                # Copies of an entry above the diagonal are contiguous.
+                symmetric = i > j and not self.bearing
+                covariance[(*at, i, j)] = covariance[(*at, j, i)] if symmetric else _where(usable, entries[i][j])
             truth[at] = group.truth[which]
             has_both = group.known[which] & usable & np.isfinite(position[0]) & np.isfinite(position[1])
             known[at] = _scored_rows(found, rows, has_both, self.every)

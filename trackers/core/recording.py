@@ -238,7 +238,7 @@ class Columns:
                 array = padded
             out = np.zeros((rows, *shape, size), kind)
             rows_last = np.moveaxis(np.reshape(array, (size, longest, *shape)), 0, -1)
-            for k in range(0, size, 32):  # as many as the cache holds rows of
+            for k in range(0, size if np.any(array) else 0, 32):  # as many as the cache holds rows of
                 out[:longest, ..., k : k + 32] = rows_last[..., k : k + 32]
             return out
 

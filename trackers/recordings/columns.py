@@ -57,6 +57,8 @@ class TagRows(ABC):
 
     def variances(self, names: Sequence[str]) -> np.ndarray:
         """The squares of standard deviations (N, m), zero where none is reported."""
+        if not any(name in self for name in names):
+            return np.zeros((len(self.times), len(names)))
         return np.nan_to_num(self.floats(names)) ** 2
 
     def of_each(self, per_tag: np.ndarray) -> np.ndarray:

@@ -108,7 +108,7 @@ def trajectories_of(
     """
     position, status = folder.paths.at(tags, starts, times)
     known = (status == TruthStatus.SCORED) & np.isfinite(position).all(axis=1)
-    position = np.where(known[:, None], position, 0.0)
+    position = position if known.all() else np.where(known[:, None], position, 0.0)
     truth = {"position": (position, known)} if stations is None else {"direction": (np.zeros((len(times), 2)), known)}
     own = [""] * len(tags) if stations is None else stations
     for station in dict.fromkeys(stations or ()):

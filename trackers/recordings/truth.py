@@ -83,13 +83,12 @@ class TruePaths:
     def _interpolated(
         self, tags: Sequence[str], starts: np.ndarray, times: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        if (
-            np.array_equal(times, self.times)
-            and np.array_equal(starts, self.starts)
-            and list(tags) == list(self.number)
-        ):
-            return self.positions, np.full(len(times), TruthStatus.SCORED, np.uint8)
-        path = np.repeat([self.number.get(tag, -1) for tag in tags], np.diff(starts))
+        number, lengths = np.array([self.number.get(tag, -1) for tag in tags], int), np.diff(starts)
+        if len(self.times) and (number >= 0).all() and np.array_equal(lengths, np.diff(self.starts)[number]):
+            own = np.arange(len(times)) + np.repeat(self.starts[number] - starts[:-1], lengths)
+            if np.array_equal(self.times[own], times):
+                return self.positions[own], np.full(len(times), TruthStatus.SCORED, np.uint8)
+        path = np.repeat(number, lengths)
         status = np.full(len(times), TruthStatus.NO_TRUTH, np.uint8)
         position = np.full((len(times), 3), np.nan)
         if not len(self.times):
