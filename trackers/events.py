@@ -7,10 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import polars as pl
 
-from trackers.baselines.fixes import fix_tracker
 from trackers.core.recording import Readings, Recording
 from trackers.line.leaving import excursions
-from trackers.line.rows import path_of, raw_positions
 from trackers.parts.fixes import FIXES
 from trackers.parts.ranges import RANGES
 from trackers.recordings.columns import float_column
@@ -71,6 +69,9 @@ def off_the_path(trajectory: Trajectory, tracks: pl.DataFrame) -> list[tuple[flo
     known = tracks.filter(pl.all_horizontal(pl.col("x_m", "y_m").is_finite()))
     if trajectory.folder.rig.path_knots is None or known.is_empty():
         return []
+    # Trackers on lines are imported for tags with a path alone.
+    from trackers.line.rows import path_of
+
     path = path_of(trajectory.folder)
     times, positions = float_column(known, "t_s"), np.stack([float_column(known, f"{a}_m") for a in "xy"], axis=1)
     sigma = np.nan_to_num(np.hypot(float_column(known, "std_x_m"), float_column(known, "std_y_m")))
@@ -108,6 +109,9 @@ def left_the_line(trajectory: Trajectory, tracks: pl.DataFrame) -> list[tuple[fl
 
 def _free_positions(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     """Times (T,), s, and positions (T, 2), m, estimated without the path; NaN where there is none."""
+    from trackers.baselines.fixes import fix_tracker
+    from trackers.line.rows import raw_positions
+
     whole = trajectory.recording
     if RANGES in whole.readings:
         times, positions = raw_positions(trajectory)
