@@ -17,6 +17,7 @@ import re
 import sys
 import zlib
 from collections.abc import Callable
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -48,6 +49,7 @@ class TracedPrograms:
         self.store = store
         self.loaded: dict[bytes, Program] = {}
         self.base = _base()
+        self.modules: tuple[tuple[int, str], bool] = ((0, ""), False)
 
     def program(
         self, function: Callable[[Any, Any], Any], model: Any, part: Any, options: dict[str, str | bool] | None = None
@@ -74,7 +76,7 @@ class TracedPrograms:
     def _key(self, function: Any, leaves: list[Any], structure: Any) -> bytes | None:
         if jax.local_device_count() > 1 or jax.default_backend() != "cpu":
             return None
-        if any(name.startswith(USERS_FILE) for name in sys.modules):
+        if self._users_files():
             return None
         kinds = [(x.shape, str(x.dtype), getattr(x, "weak_type", False)) if eqx.is_array(x) else x for x in leaves]
         try:
@@ -82,8 +84,15 @@ class TracedPrograms:
             made_of = _pickled((function, jax.tree_util.tree_unflatten(structure, kinds)))
         except (pickle.PicklingError, TypeError, AttributeError):
             return None
-        settings = re.sub(r" at 0x[0-9a-f]+", "", repr(trace_context()))
-        return b"".join((self.base, settings.encode(), made_of))
+        return b"".join((self.base, _text(trace_context()).encode(), made_of))
+
+    def _users_files(self) -> bool:
+        """Whether files of users were imported."""
+        # Modules are many: looked through again only once there are others.
+        modules = len(sys.modules), next(reversed(sys.modules))
+        if modules != self.modules[0]:
+            self.modules = modules, any(name.startswith(USERS_FILE) for name in [*sys.modules])
+        return self.modules[1]
 
     def _read(self, name: str, leaves: list[Any]) -> tuple[Any, Any] | None:
         content = self.store.get(name)
@@ -147,6 +156,12 @@ class _KeyPickler(pickle.Pickler):
         if module.partition(".")[0] not in KNOWN:
             raise pickle.PicklingError(f"{obj!r}: of {module}")
         return NotImplemented
+
+
+@cache
+def _text(settings: Any) -> str:
+    """The settings of jax as text, without addresses."""
+    return re.sub(r" at 0x[0-9a-f]+", "", repr(settings))
 
 
 def _pickled(tree: Any) -> bytes:
