@@ -1,8 +1,8 @@
 """The rate of a study's chunk over that of the tracker alone, for every world: `python -m experiments.bench.studies`.
 
 A chunk is simulated, prepared (rows of the tracker, stacked), run and scored as in a study with one tracker. The
-tracker alone is `tracker.run` on the same stacked rows. Processor seconds of warm programs, medians over rounds in
-which the whole chunk and its parts have one turn each.
+tracker alone is `tracker.run` on the same stacked rows, beside its compiled program on arrays that are in place.
+Processor seconds of warm programs, medians over rounds in which the whole chunk and its parts have one turn each.
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
+import jax
 import numpy as np
 import tyro
 
@@ -53,7 +55,8 @@ def main(world: tuple[str, ...] = (), tracker: tuple[str, ...] = (), out: Path =
     set_flags()
     rows = []
     print(
-        f"{'world':9s}{'tracker':17s}{'rows':>8s}  µs/row: simulate  prepare      run    score    whole   share of run"
+        f"{'world':9s}{'tracker':17s}{'rows':>8s}  µs/row: simulate  prepare  program      run    score    whole"
+        "   share of run   run/program"
     )
     for name, trackers in WORLDS.items():
         for one in trackers:
@@ -62,7 +65,8 @@ def main(world: tuple[str, ...] = (), tracker: tuple[str, ...] = (), out: Path =
             found = measured(name, one)
             rows.append(found)
             each = "".join(f"{found[f'{part}_us_per_row']:9.3f}" for part in PARTS)
-            print(f"{name:9s}{one:17s}{found['rows']:8d}         {each}{found['share']:15.2f}", flush=True)
+            shares = f"{found['share']:15.2f}{found['run_over_program']:14.2f}"
+            print(f"{name:9s}{one:17s}{found['rows']:8d}         {each}{shares}", flush=True)
     command = ["python", "-m", "experiments.bench.studies", *sys.argv[1:]]
     write_json(
         out,
@@ -77,7 +81,7 @@ def main(world: tuple[str, ...] = (), tracker: tuple[str, ...] = (), out: Path =
     return int(any(found["share"] < LEAST_SHARE for found in rows))
 
 
-PARTS = ("simulate", "prepare", "run", "score", "whole")
+PARTS = ("simulate", "prepare", "program", "run", "score", "whole")
 
 
 def measured(world: str, tracker: str) -> dict[str, Any]:
@@ -85,8 +89,9 @@ def measured(world: str, tracker: str) -> dict[str, Any]:
     from experiments.monte_carlo.chunk import run_chunk
     from experiments.monte_carlo.declaration import Study, TrackerConfig, World
     from sim.worlds import WORLDS as MAKE
+    from trackers.core.chunks import as_dtype, chunks
     from trackers.core.recording import Batch
-    from trackers.core.tracker import AbstractTracker
+    from trackers.core.tracker import AbstractTracker, filter_batch
     from trackers.recordings.folder import RecordingFolder
     from trackers.recordings.tracks import batches as row_batches
 
@@ -101,26 +106,35 @@ def measured(world: str, tracker: str) -> dict[str, Any]:
     (condition,), config, ids = study.conditions, study.trackers[tracker], np.arange(count)
     chunk = study.chunk
     assert chunk == count
+    program = eqx.filter_jit(filter_batch)
     seconds: dict[str, list[float]] = {part: [] for part in PARTS}
     for attempt in range(ROUNDS + 1):
         folder, simulate = _clocked(lambda: study.worlds[world].make(ids, study.seed))
 
         def prepared(folder: RecordingFolder = folder) -> list[tuple[AbstractTracker, Batch]]:
             groups = config.spec.batches([folder], tracker)
-            return [(own.tracker, batch) for own in groups for _, batch in row_batches(own.trajectories)]
+            return [(own.tracker, batch) for own in groups for _, batch in row_batches(own.trajectories, truth=False)]
 
         batches, prepare = _clocked(prepared)
+        placed = [(as_dtype(own, batch.dt.dtype), part) for own, batch in batches for part in chunks(batch, chunk)]
+        _, bare = _clocked(partial(_compiled, program, placed))
         _, run = _clocked(partial(_run, batches, chunk))
         _, whole = _clocked(lambda: run_chunk(study, condition, ids, False))
         if attempt:
             for part, value in zip(
-                PARTS, (simulate, prepare, run, whole - simulate - prepare - run, whole), strict=True
+                PARTS, (simulate, prepare, bare, run, whole - simulate - prepare - run, whole), strict=True
             ):
                 seconds[part].append(value)
     rows = int(sum(np.asarray(batch.valid).sum() for _, batch in batches))
     medians = {f"{part}_us_per_row": 1e6 * float(np.median(seconds[part])) / rows for part in PARTS}
     share = float(np.median(np.array(seconds["run"]) / np.array(seconds["whole"])))
-    return {"world": world, "tracker": tracker, "trajectories": count, "rows": rows, **medians, "share": share}
+    over = float(np.median(np.array(seconds["run"]) / np.array(seconds["program"])))
+    found = {"world": world, "tracker": tracker, "trajectories": count, "rows": rows, **medians}
+    return {**found, "share": share, "run_over_program": over}
+
+
+def _compiled(program: Callable[..., Any], placed: list[tuple[Any, Any]]) -> None:
+    jax.block_until_ready([program(own, part) for own, part in placed])
 
 
 def _run(batches: list[Any], chunk: int) -> None:
