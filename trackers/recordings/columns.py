@@ -19,7 +19,9 @@ def float_column(frame: pl.DataFrame, name: str) -> np.ndarray:
     """The column as float64 (n,), NaN where a value is missing; all NaN if the table has no such column."""
     if name not in frame.columns:
         return np.full(len(frame), np.nan)
-    return frame[name].cast(pl.Float64).fill_null(np.nan).to_numpy()
+    column = frame[name].cast(pl.Float64)
+    # polars plans a query for each `fill_null`.
+    return (column.fill_null(np.nan) if column.null_count() else column).to_numpy()
 
 
 class TagRows(ABC):
