@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Num, Shaped, UInt32
 
 from trackers.core.chunks import CHUNK, as_dtype, chunks, run_chunks
+from trackers.core.covariance import few
 from trackers.core.particle.filter import AbstractParticleFilter
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker, Tracker
@@ -26,7 +27,7 @@ Values = Float[np.ndarray, " many"]
 """Unconstrained vectors of p numbers, S of them or one; the terms of a number of them, and their values."""
 
 MAX_VECTORS = 8
-"""Most vectors in one compiled call: with few recordings, eight cost little more than one."""
+"""Most vectors in one compiled call: with a dozen recordings, eight cost little more than one."""
 
 MAX_GRADIENT_RATIO = 1e3
 """Gradient size of a trajectory, relative to the median, above which the trajectory is excluded."""
@@ -84,10 +85,12 @@ class Problem:
         self.chunks = [part for batch in batches for part in chunks(batch, chunk)]
         self.valid = np.concatenate([np.asarray(part.valid).any(axis=0) for part in self.chunks])
         trajectories = max(part.size for part in self.chunks)
-        # As many vectors as keep a compiled call about as large as a full chunk. A filter with a particle axis gains
-        # nothing by more than one, and would compute both sides of its conditions at every row.
+        # As many vectors as keep a compiled call about as large as a full chunk. Few trajectories gain nothing by more
+        # than one, nor does a filter with a particle axis, which would compute both sides of its conditions at every
+        # row.
         fitting = CHUNK // (1 << (trajectories - 1).bit_length())
-        self.vectors_per_call = 1 if has_particles(self.tracker) else max(1, min(MAX_VECTORS, fitting))
+        alone = few(trajectories) or has_particles(self.tracker)
+        self.vectors_per_call = 1 if alone else max(1, min(MAX_VECTORS, fitting))
 
     def evaluate(
         self,

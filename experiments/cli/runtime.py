@@ -11,7 +11,7 @@ from trackers.core.errors import UnusableInput
 
 EXTRA_OPTIONS = "--xla_backend_extra_options"
 
-FLAGS = f"{EXTRA_OPTIONS}=xla_cpu_use_multi_output_fusion,xla_cpu_small_while_loop_byte_threshold=1000000"
+FLAGS = f"{EXTRA_OPTIONS}=xla_cpu_use_multi_output_fusion,xla_cpu_small_while_loop_byte_threshold=3000000"
 """Flags of XLA's CPU compiler.
 
 Multi-output fusion computes terms shared within a filter step once, not once per use. A loop whose step moves few

@@ -8,10 +8,11 @@ absent entries and structural ones the Python float 1.0: both cost nothing in th
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
@@ -22,6 +23,16 @@ Scalar = Any
 
 SparseRow = dict[int, Scalar]
 """One row of a matrix, column index -> entry; an absent column is a structural zero."""
+
+ZERO, ONE, VARIABLE = range(3)
+"""Kinds of an entry of a Jacobian: a structural zero, a structural one, any other number."""
+
+
+class Jacobian(NamedTuple):
+    """A Jacobian as one array (outputs, inputs), and the kind of each entry."""
+
+    array: jax.Array
+    structure: np.ndarray
 
 
 @jax.tree_util.register_pytree_node_class

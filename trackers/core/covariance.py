@@ -1,15 +1,15 @@
-"""Covariances in two forms: a scalar for each entry for many trajectories, one array of all entries for few.
+"""Covariances in two forms: a scalar for each entry for many trajectories, one matrix for few.
 
-A covariance is its upper triangle, row by row. As a tuple of scalars each entry is one vector over trajectories, and
-structural zeros cost nothing: the form for hundreds of trajectories. With few of them an operation costs the same
-whether it works on one entry or on a matrix, and thousands of operations compile for minutes: there it is one array,
-entries last. The functions here take either form and return the same; both agree to rounding.
+For hundreds of trajectories a covariance is its upper triangle, row by row, as a tuple of scalars: each entry is one
+vector over trajectories, and structural zeros cost nothing. With few trajectories an operation costs the same whether
+it works on one entry or on a matrix, and thousands of operations compile for minutes: there it is an array (n, n). The
+functions here take either form and return the same; both agree to rounding.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache
+from math import isqrt
 from typing import Any
 
 import jax
@@ -17,34 +17,26 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.core import algebra
-from trackers.core.algebra import Scalar, SparseRow, Vector, compute_once, dense, full, times, total, triangle
+from trackers.core.algebra import Jacobian, Scalar, SparseRow, Vector, compute_once, dense, full, total, triangle
 
 FEW = 8
-"""Largest number of trajectories whose covariances are arrays; both forms: `python -m experiments.bench.lanes`."""
+"""Largest number of trajectories whose covariances are matrices; both forms: `python -m experiments.bench.lanes`."""
 
 Upper = tuple[Scalar, ...] | jax.Array
-"""The upper triangle of a covariance, in either form."""
-
-Jacobians = tuple[Sequence[SparseRow], Sequence[SparseRow]]
-"""F and G of one stage of a motion."""
+"""A covariance: its upper triangle, entry by entry, or its matrix (n, n)."""
 
 
 def few(trajectories: int) -> bool:
-    """Whether the covariances of so many trajectories are arrays."""
+    """Whether the covariances of so many trajectories are matrices."""
     return trajectories <= FEW
 
 
 def compiler_options(trajectories: int) -> dict[str, str | bool] | None:
     """Options of XLA's compiler for a program of so many trajectories.
 
-    With arrays products of matrices are compiled, not calls of a library: a loop becomes one kernel only without calls.
+    Products of matrices are compiled, not calls of a library: a loop becomes one kernel only without calls.
     """
     return {"xla_cpu_experimental_ynn_fusion_type": ""} if few(trajectories) else None
-
-
-def as_array(upper: Upper) -> jax.Array:
-    """The upper triangle as one array, entries last."""
-    return jnp.stack(upper, axis=-1) if isinstance(upper, tuple) else upper
 
 
 class OneArray:
@@ -71,50 +63,33 @@ class OneArray:
 
 def as_scalars(upper: Upper) -> tuple[Scalar, ...]:
     """The upper triangle as a tuple of scalars."""
-    return tuple(upper[..., k] for k in range(upper.shape[-1])) if isinstance(upper, jax.Array) else upper
+    return upper if isinstance(upper, tuple) else tuple(upper[..., i, j] for i, j in triangle(upper.shape[-1]))
+
+
+def entries(upper: Upper) -> Upper:
+    """The upper triangle: a tuple of scalars, or one array (entries,) of a matrix."""
+    return upper if isinstance(upper, tuple) else upper[np.triu_indices(len(upper))]
 
 
 def by_entry(uppers: Any) -> tuple[jax.Array, ...]:
-    """The upper triangles of all time steps and trajectories, (T, entries, B) in the array's form, entry by entry."""
+    """The `entries` of all time steps and trajectories, a tuple or (T, entries, B), entry by entry."""
     return uppers if isinstance(uppers, tuple) else tuple(uppers[:, k] for k in range(uppers.shape[1]))
 
 
 def leading(upper: Upper, n: int, size: int) -> Upper:
-    """The upper triangle of the leading block of `size` components, of the covariance of n."""
+    """The leading block of `size` components of the covariance of n."""
     kept = [k for k, (_, j) in enumerate(triangle(n)) if j < size]
-    return tuple(upper[k] for k in kept) if isinstance(upper, tuple) else upper[..., np.array(kept)]
+    return tuple(upper[k] for k in kept) if isinstance(upper, tuple) else upper[:size, :size]
 
 
-def congruence(F: Sequence[SparseRow], upper: Upper, G: Sequence[SparseRow]) -> Upper:
-    """F P Fᵀ + G Gᵀ, without the structural zeros of F and G."""
-    if isinstance(upper, tuple):
-        # Entries that are unchanged need no barrier again.
-        grown = algebra.congruence(F, upper, G)
-        return tuple(a if a is b else compute_once(a) for a, b in zip(grown, upper, strict=True))
-    n = len(F)
-    rows, columns = np.triu_indices(n)
-    P = matrix(upper, n)
-    changed = [i for i, row in enumerate(F) if not _is_unit(row, i)]
-    if changed:
-        needed = np.array(sorted({j for i in changed for j in F[i]}))
-        block = _array([F[i].get(int(j)) for i in changed for j in needed], upper, len(changed), len(needed))
-        new = np.arange(n)
-        new[changed] = n + np.arange(len(changed))
-        P = jnp.concatenate([P, block @ P[needed]])[new]
-        P = jnp.concatenate([P, P[:, needed] @ block.T], axis=1)[:, new]
-    noise = [_inner(G[i], G[j]) for i, j in triangle(n)]
-    return P[rows, columns] + (_array(noise, upper, len(noise)) if any(q is not None for q in noise) else 0.0)
+def matrix(upper: Upper) -> jax.Array:
+    """The symmetric matrix (…, n, n)."""
+    return dense(upper, (isqrt(8 * len(upper) + 1) - 1) // 2) if isinstance(upper, tuple) else upper
 
 
-def matrix(upper: Upper, n: int) -> jax.Array:
-    """The symmetric matrix (n, n) of one trajectory."""
-    return dense(upper, n) if isinstance(upper, tuple) else upper[_positions(n)]
-
-
-def upper_of(matrix: jax.Array, like: Upper) -> Upper:
-    """The upper triangle of a matrix (n, n) in the form of another."""
-    n = len(matrix)
-    return tuple(matrix[i, j] for i, j in triangle(n)) if isinstance(like, tuple) else matrix[np.triu_indices(n)]
+def in_form_of(like: Upper, matrix: jax.Array) -> Upper:
+    """A matrix (n, n) in the form of another covariance."""
+    return tuple(matrix[i, j] for i, j in triangle(len(matrix))) if isinstance(like, tuple) else matrix
 
 
 def matched(weights: Sequence[Scalar], covs: Sequence[Upper], deviations: Sequence[Sequence[Scalar]]) -> Upper:
@@ -124,96 +99,92 @@ def matched(weights: Sequence[Scalar], covs: Sequence[Upper], deviations: Sequen
             total(w * (P[k] + d[i] * d[j]) for w, P, d in zip(weights, covs, deviations, strict=True))
             for k, (i, j) in enumerate(triangle(len(deviations[0])))
         )
-    rows, columns = np.triu_indices(len(deviations[0]))
     each = [jnp.stack(list(d)) for d in deviations]
-    parts = zip(weights, [as_array(P) for P in covs], each, strict=True)
-    found: jax.Array = total(w * (P + d[rows] * d[columns]) for w, P, d in parts)
+    found: jax.Array = total(w * (P + jnp.outer(d, d)) for w, P, d in zip(weights, covs, each, strict=True))
     return found
+
+
+def propagated(upper: jax.Array, jacobian: Jacobian) -> jax.Array:
+    """F P Fᵀ + G Gᵀ of a covariance as a matrix, with the Jacobian (F G); of tuples: `algebra.congruence`.
+
+    Rows of F without effect are left out, as far as they are not between others.
+    """
+    n, P = len(upper), upper
+    F, G = jacobian.structure[:, :n], jacobian.structure[:, n:]
+    changed = _span((F != np.eye(n)).any(axis=1))
+    if changed.stop:
+        needed = _span((F[changed] != 0).any(axis=0))
+        block = jacobian.array[changed, needed]
+        FP = product_of(block, P[needed])
+        square = product_of(FP[:, needed], block.T)
+        # Both triangles of a matrix are computed, and must not drift apart.
+        square = 0.5 * (square + square.T)
+        rows = jnp.concatenate([FP[:, : changed.start], square, FP[:, changed.stop :]], axis=1)
+        P = jnp.concatenate([P[:, : changed.start], rows.T, P[:, changed.stop :]], axis=1)
+        P = jnp.concatenate([P[: changed.start], rows, P[changed.stop :]])
+    shared = (G != 0).astype(int) @ (G != 0).astype(int).T
+    coupled = _span(shared.sum(axis=1) > np.diag(shared))
+    G_array = jacobian.array[:, n:]
+    Q = product_of(G_array[coupled], G_array[coupled].T)
+    alone = np.ones(n)
+    alone[coupled] = 0.0
+    variances = jnp.sum(jnp.square(G_array), axis=1) * jnp.asarray(alone, P.dtype)
+    outside = coupled.start, n - coupled.stop
+    return P + jnp.pad(Q, (outside, outside)) + jnp.eye(n, dtype=P.dtype) * variances[None]
+
+
+def product_of(A: jax.Array, B: jax.Array) -> jax.Array:
+    """AB as sums: no call of a library, and contiguous in the columns of B."""
+    return jnp.sum(A[:, :, None] * B[None], axis=1)
+
+
+def _span(which: np.ndarray) -> slice:
+    """The range from the first to the last true entry; slices are cheaper than a selection."""
+    at = np.flatnonzero(which)
+    return slice(int(at[0]), int(at[-1]) + 1) if len(at) else slice(0, 0)
+
+
+def zero_of(upper: Upper) -> Scalar:
+    """A zero of the type of the entries."""
+    return jnp.zeros_like(upper[0]) if isinstance(upper, tuple) else jnp.zeros((), upper.dtype)
 
 
 def zeros(upper: Upper, n: int) -> Any:
     """A zero vector of n components, a `Vector` or an array."""
-    zero = jnp.zeros_like(upper[0])
-    return Vector.of([zero] * n) if isinstance(upper, tuple) else jnp.zeros((n,), upper.dtype)
+    return Vector.of([zero_of(upper)] * n) if isinstance(upper, tuple) else jnp.zeros((n,), upper.dtype)
 
 
-def predicted(stages: Sequence[Jacobians], upper: Upper) -> Upper:
-    """The covariance after the stages of a motion with these F and G, one by one or, as an array, all at once."""
-    for F, G in stages if isinstance(upper, tuple) else [_composed(stages)]:
-        upper = congruence(F, upper, G)
-    return upper
+def row_for(upper: Upper, h: SparseRow, n: int) -> SparseRow | jax.Array:
+    """A sparse row as the products with this covariance take it: itself, or an array (n,) with a matrix."""
+    return h if isinstance(upper, tuple) else jnp.stack([jnp.asarray(h.get(j, 0.0), upper.dtype) for j in range(n)])
 
 
-def _composed(stages: Sequence[Jacobians]) -> Jacobians:
-    """F and G of all stages together."""
-    F, G = stages[0]
-    for F_next, G_next in stages[1:]:
-        F = [_row_product(row, F) for row in F_next]
-        G = [_sum(_row_product(row, G), own) for row, own in zip(F_next, G_next, strict=True)]
-    return F, G
+def dot(h: SparseRow | jax.Array, x: Any) -> Scalar:
+    """hᵀx of a row of a Jacobian and a vector."""
+    return total(x[j] * v for j, v in h.items()) if isinstance(h, dict) else jnp.sum(h * x)
 
 
-def _row_product(row: SparseRow, rows: Sequence[SparseRow]) -> SparseRow:
-    found: SparseRow = {}
-    for j, f in row.items():
-        found = _sum(found, {q: times(f, g) for q, g in rows[j].items()})
-    return found
-
-
-def _sum(a: SparseRow, b: SparseRow) -> SparseRow:
-    return {q: a[q] + b[q] if q in a and q in b else a.get(q, b.get(q)) for q in sorted({*a, *b})}
-
-
-def product(upper: Upper, h: SparseRow, n: int) -> Any:
+def product(upper: Upper, h: SparseRow | jax.Array, n: int) -> Any:
     """P h, a `Vector` or an array (n,)."""
-    if isinstance(upper, tuple):
+    if isinstance(h, dict):
         P = full(upper, n)
         return Vector.of(compute_once([total(P[i][j] * v for j, v in h.items()) for i in range(n)]))
-    return jnp.sum(upper[_positions(n)[:, list(h)]] * _array(list(h.values()), upper, len(h))[None], axis=1)
+    return jnp.sum(upper * h[:, None], axis=0)
 
 
-def joseph(upper: Upper, Ph: Any, k: Any, h: SparseRow, noise: Scalar) -> Upper:
-    """(I − khᵀ) P (I − khᵀ)ᵀ + `noise` kkᵀ, given Ph."""
-    n = len(Ph)
-    # B = (I − khᵀ)P, then B(I − khᵀ)ᵀ + noise kkᵀ as a rank-one update of B, n² products.
-    if isinstance(upper, tuple):
-        # Bh from the rounded B corrects its rounding errors as the product of three matrices does.
-        P = full(upper, n)
-        B = {(i, j): P[i][j] - k[i] * Ph[j] for i in range(n) for j in range(n) if j >= i or j in h}
-        Bh_noise = compute_once([total(B[i, j] * v for j, v in h.items()) - noise * k[i] for i in range(n)])
-        return tuple(B[i, j] - Bh_noise[i] * k[j] for i, j in triangle(n))
-    # Bh = Ph − k hᵀPh: from the rounded B one recording takes twice as long.
-    rows, columns = np.triu_indices(n)
-    Bh = product(upper, h, n) - k * total(Ph[j] * v for j, v in h.items())
-    return upper - k[rows] * Ph[columns] - (Bh - noise * k)[rows] * k[columns]
+def updated(upper: Upper, Ph: Any, h: SparseRow | jax.Array, a: Scalar, noise: Scalar) -> tuple[Any, Upper]:
+    """The gain k = Ph/(a + `noise`) of a scalar reading with a = hᵀPh, and the covariance after it.
 
-
-def _inner(a: SparseRow, b: SparseRow) -> Scalar | None:
-    """The inner product of two sparse rows; None for a structural zero."""
-    shared = [times(x, b[q]) for q, x in a.items() if q in b]
-    return total(shared) if shared else None
-
-
-def _is_unit(row: SparseRow, i: int) -> bool:
-    """Whether the row leaves component `i` unchanged."""
-    return list(row) == [i] and isinstance(row[i], float) and row[i] == 1.0
-
-
-def _array(entries: Sequence[Scalar | None], like: jax.Array, *shape: int) -> jax.Array:
-    """Scalars, None for a structural zero, as one array of this shape."""
-    zero = jnp.zeros_like(like[0])
-    distinct, index = [zero], np.zeros(len(entries), np.int32)
-    for at, value in enumerate(entries):
-        if value is not None:
-            index[at] = len(distinct)
-            distinct.append(jnp.broadcast_to(value, zero.shape).astype(zero.dtype))
-    return jnp.stack(distinct)[index.reshape(shape)]
-
-
-@cache
-def _positions(n: int) -> np.ndarray:
-    """The position in the upper triangle of each entry of a symmetric matrix, (n, n)."""
-    found = np.zeros((n, n), np.int32)
-    rows, columns = np.triu_indices(n)
-    found[rows, columns] = found[columns, rows] = np.arange(len(rows))
-    return found
+    For scalars in Joseph's form, (I − khᵀ) P (I − khᵀ)ᵀ + `noise` kkᵀ. For a matrix that is P − (a + `noise`) kkᵀ, the
+    same to rounding and symmetric to the bit; Joseph's form takes twice as long.
+    """
+    k = Ph / (noise + a)
+    if not isinstance(h, dict):
+        root = Ph / jnp.sqrt(noise + a)
+        return k, upper - root[:, None] * root[None]
+    # B = (I − khᵀ)P, then B(I − khᵀ)ᵀ + noise kkᵀ as a rank-one update of B, n² products. Bh from the rounded B
+    # corrects its rounding errors as the product of three matrices does.
+    n, P = len(Ph), full(upper, len(Ph))
+    B = {(i, j): P[i][j] - k[i] * Ph[j] for i in range(n) for j in range(n) if j >= i or j in h}
+    Bh_noise = compute_once([total(B[i, j] * v for j, v in h.items()) - noise * k[i] for i in range(n)])
+    return k, tuple(B[i, j] - Bh_noise[i] * k[j] for i, j in triangle(n))

@@ -20,20 +20,22 @@ from typing import Any
 import jax.numpy as jnp
 
 from trackers.core.algebra import (
+    Jacobian,
     Scalar,
     SparseRow,
     Vector,
     cholesky,
     compute_once,
+    congruence,
     gram,
     inverse_or_zero,
     total,
 )
-from trackers.core.covariance import Upper, joseph, predicted, product, zeros
+from trackers.core.covariance import Upper, dot, product, propagated, row_for, updated, zero_of, zeros
 from trackers.core.filter import AbstractSmoothableFilter, Gaussian, Innovation
 from trackers.core.inputs import Inputs
 from trackers.core.keys import RawKey
-from trackers.core.linearise import linearise
+from trackers.core.linearise import jacobian, linearise
 from trackers.core.motion import AbstractMotion
 from trackers.core.rts import RtsGain, rts_gain, rts_step
 from trackers.core.sensor import AbstractSensor, Reading
@@ -52,31 +54,17 @@ class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
         return belief.mean, belief.cov
 
     def predict(self, belief: Gaussian, motion: AbstractMotion, inputs: Inputs, dt: Scalar) -> Gaussian:
-        """The belief `dt` s later: mean through the motion, covariance FPFᵀ + GGᵀ, stage by stage."""
+        """The belief `dt` s later: mean through the motion, covariance FPFᵀ + GGᵀ."""
         mean, cov = belief
-        stages = []
+        if not isinstance(cov, tuple):
+            mean, F_and_G = jacobian_of(motion, mean, inputs, dt)
+            return Gaussian(mean, propagated(cov, F_and_G))
         for stage in motion.stages:
-            mean, F, G = self.jacobians(mean, motion, stage, inputs, dt)
-            stages.append((F, G))
-        return Gaussian(compute_once(mean), predicted(stages, cov))
-
-    def jacobians(
-        self, state: State, motion: AbstractMotion, stage: Any, inputs: Inputs, dt: Scalar
-    ) -> tuple[State, list[SparseRow], list[SparseRow]]:
-        """The state after one stage without noise, and the sparse Jacobians F (state) and G (noise)."""
-        point, rebuild = coordinates(state)
-        zero = jnp.zeros_like(point[0])
-        n = len(point)
-        predicted = stage(state, inputs, dt, Vector.of([zero] * motion.noise_dimension))
-
-        def step(*values: Scalar) -> list[Scalar]:
-            before = rebuild(values[:n])
-            return local_after(predicted, before, values[:n], stage(before, inputs, dt, Vector.of(values[n:])))
-
-        _, rows = linearise(step, [*point, *[zero] * motion.noise_dimension])
-        F = [{j: v for j, v in row.items() if j < n} for row in rows]
-        G = [{j - n: v for j, v in row.items() if j >= n} for row in rows]
-        return predicted, compute_once(F), compute_once(G)
+            mean, F, G = sparse_jacobians(motion, stage, mean, inputs, dt)
+            grown = congruence(F, cov, G)
+            # Entries that are unchanged need no barrier again.
+            cov = tuple(a if a is b else compute_once(a) for a, b in zip(grown, cov, strict=True))
+        return Gaussian(compute_once(mean), cov)
 
     def update(
         self, belief: Gaussian, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Inputs
@@ -93,13 +81,13 @@ class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
             dof = 0.0 if result.dof is None else result.dof
             return [*result.whitened, result.log_scale, result.nis_dof, wrapped, dof]
 
-        values, rows = linearise(residual_of, point)
-        *whitened, log_scale, nis_dof, wrapped, dof = values
+        (*whitened, log_scale, nis_dof, wrapped, dof), rows = linearise(residual_of, point)
         jacobian = [{j: -v for j, v in row.items()} for row in rows[: len(whitened)]]
         # Student's t weights each channel by itself; compression would spread an outlier over all of them.
         student_t = has_student_t[0]
         channels = compute_once((whitened, jacobian))
         residual, H, rest = (*channels, jnp.zeros_like(nis_dof)) if student_t else compute_once(compressed(*channels))
+        H = [row_for(belief.cov, h, len(point)) for h in H]
         step, cov, nis, log_density = sequential_updates(
             belief.cov, residual, H, len(point), dof if student_t else None
         )
@@ -110,15 +98,42 @@ class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
         self, belief: Gaussian, motion: AbstractMotion, connected: Scalar, dt: Scalar, inputs: Inputs
     ) -> RtsGain:
         """The RTS gain to the next time step, `dt` s later; `connected`: that step continues the track."""
-        predicted, jacobians = belief.mean, []
-        for stage in motion.stages:
-            predicted, F, G = self.jacobians(predicted, motion, stage, inputs, dt)
-            jacobians.append((F, G))
-        return rts_gain(belief, predicted, jacobians, connected, dt == 0)
+        return rts_gain(belief, *jacobian_of(motion, belief.mean, inputs, dt), connected, dt == 0)
 
     def rts_step(self, rts_gain: RtsGain, after: Gaussian) -> Gaussian:
         """The smoothed belief of a time step, given that of the next one."""
         return rts_step(rts_gain, after)
+
+
+def sparse_jacobians(
+    motion: AbstractMotion, stage: Any, state: State, inputs: Inputs, dt: Scalar
+) -> tuple[State, list[SparseRow], list[SparseRow]]:
+    """The state after one stage of a motion without noise, and the sparse Jacobians F (state) and G (noise)."""
+    point, rebuild = coordinates(state)
+    zero = jnp.zeros_like(point[0])
+    n = len(point)
+    predicted = stage(state, inputs, dt, Vector.of([zero] * motion.noise_dimension))
+
+    def step(*values: Scalar) -> list[Scalar]:
+        before = rebuild(values[:n])
+        return local_after(predicted, before, values[:n], stage(before, inputs, dt, Vector.of(values[n:])))
+
+    _, rows = linearise(step, [*point, *[zero] * motion.noise_dimension])
+    F = [{j: v for j, v in row.items() if j < n} for row in rows]
+    G = [{j - n: v for j, v in row.items() if j >= n} for row in rows]
+    return predicted, compute_once(F), compute_once(G)
+
+
+def jacobian_of(motion: AbstractMotion, state: State, inputs: Inputs, dt: Scalar) -> tuple[State, Jacobian]:
+    """The state `dt` s later without noise, and the Jacobian (F G) with respect to state and noise as one array."""
+    point, rebuild = coordinates(state)
+    zero = jnp.zeros_like(point[0])
+    n = len(point)
+
+    def step(*values: Scalar) -> State:
+        return motion.step(rebuild(values[:n]), inputs, dt, Vector.of(values[n:]))
+
+    return jacobian(step, [*point, *[zero] * motion.noise_dimension])
 
 
 def compressed(
@@ -156,12 +171,12 @@ def sequential_updates(
     divided by the weight (ν + 1)/(ν + innovation²/s). The log density is without `Residual.log_scale`.
     """
     step = zeros(cov, n)
-    nis = log_density = jnp.zeros_like(cov[0])
+    nis = log_density = zero_of(cov)
     coarse = 256 * float(jnp.finfo(nis.dtype).eps)
     for r, h in zip(residual, H, strict=True):
         Ph = product(cov, h, n)
-        a = jnp.maximum(total(Ph[j] * v for j, v in h.items()), 0.0)
-        innovation = r - total(v * step[j] for j, v in h.items())
+        a = jnp.maximum(dot(h, Ph), 0.0)
+        innovation = r - dot(h, step)
         square = innovation * innovation / (1.0 + a)
         # A covariance in single precision cannot hold 10 km beside 1 mm: one reading reduces a variance as far as the
         # number format allows, later ones further. This never happens in double precision.
@@ -173,8 +188,7 @@ def sequential_updates(
             noise = jnp.maximum(1.0 / weight, coarse * a)
             log_density = log_density - 0.5 * ((dof + 1.0) * jnp.log1p(square / dof) + jnp.log(1.0 + a))
             square = square * weight
-        k = Ph / (noise + a)
+        k, cov = updated(cov, Ph, h, a, noise)
         step = step + k * innovation
-        cov = joseph(cov, Ph, k, h, noise)
         nis = nis + square
     return step, cov, nis, log_density

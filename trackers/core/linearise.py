@@ -1,4 +1,4 @@
-"""Jacobians of small functions as sparse rows of scalars, by forward mode, and the covariances they propagate."""
+"""Jacobians of small functions by forward mode, as sparse rows of scalars or one array, and covariances through them."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.extend.core import Literal
 
-from trackers.core.algebra import Scalar, SparseRow, full, times, total, triangle
+from trackers.core.algebra import ONE, VARIABLE, ZERO, Jacobian, Scalar, SparseRow, full, times, total, triangle
 from trackers.core.covariance import Upper, as_scalars
-from trackers.core.state import State, coordinates
+from trackers.core.state import State, coordinates, steps_of
 
 
 def linearise(
@@ -33,6 +34,44 @@ def linearise(
             if tangent is not None:
                 row[column] = tangent
     return value, rows
+
+
+def jacobian(function: Callable[..., State], point: Sequence[Scalar]) -> tuple[State, Jacobian]:
+    """The state `function(*point)`, and the Jacobian of its small steps as one array.
+
+    Few operations, each on all columns at once: the form for few trajectories.
+    """
+    point = [jnp.asarray(x) for x in point]
+    state, tangent_map = jax.linearize(function, *point)
+
+    def column(*unit: Scalar) -> list[Scalar]:
+        return steps_of(state, tangent_map(*unit))
+
+    n = len(point)
+    found = _structure(jax.make_jaxpr(column)(*point).jaxpr, [{k: ONE} for k in range(n)])
+    structure = np.array([[kinds.get(j, ZERO) for j in range(n)] for kinds in found]).reshape(-1, n)
+    array = jax.vmap(lambda *unit: jnp.stack(column(*unit)), out_axes=1)(*jnp.eye(n, dtype=point[0].dtype))
+    return state, Jacobian(array, structure)
+
+
+def _structure(jaxpr: Any, inputs: Sequence[dict[int, int]]) -> list[dict[int, int]]:
+    """The kind of the entry of each input on which an output of a linear program depends, output by output."""
+    env: dict[Any, dict[int, int]] = dict(zip(jaxpr.invars, inputs, strict=True))
+
+    def read(atom: Any) -> dict[int, int]:
+        return {} if isinstance(atom, Literal) else env.get(atom, {})
+
+    for equation in jaxpr.eqns:
+        name, parts = equation.primitive.name, [read(atom) for atom in equation.invars]
+        if name in ("jit", "pjit", "closed_call"):
+            outputs = _structure(equation.params["jaxpr"].jaxpr, parts)
+        else:
+            inputs_once = sum(map(len, parts)) == len({j for part in parts for j in part})
+            unchanged = name in ("add", "add_any") and inputs_once
+            outputs = [{j: kind if unchanged else VARIABLE for part in parts for j, kind in part.items()}]
+            outputs *= len(equation.outvars)
+        env.update(zip(equation.outvars, outputs, strict=True))
+    return [read(atom) for atom in jaxpr.outvars]
 
 
 def covariance_of(

@@ -12,15 +12,15 @@ single entries compile for minutes with 15 states.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Shaped
 
-from trackers.core.algebra import Scalar, SparseRow, compute_once, densify, total
-from trackers.core.covariance import OneArray, Upper, matrix, upper_of
+from trackers.core.algebra import Jacobian, Scalar, compute_once, total
+from trackers.core.covariance import OneArray, Upper, in_form_of, matrix
 from trackers.core.filter import Gaussian
 from trackers.core.select import select
 from trackers.core.state import State, local, retract
@@ -46,23 +46,15 @@ class RtsGain(NamedTuple):
 
 
 def rts_gain(
-    belief: Gaussian,
-    predicted: State,
-    jacobians: Sequence[tuple[Sequence[SparseRow], Sequence[SparseRow]]],
-    connected: Scalar,
-    simultaneous: Scalar,
+    belief: Gaussian, predicted: State, jacobian: Jacobian, connected: Scalar, simultaneous: Scalar
 ) -> RtsGain:
     """The gain of one time step of one trajectory, from its filtered belief (mean, cov) and its prediction.
 
-    `jacobians`: F and G of each stage of the motion, in order.
+    `jacobian`: of the motion with respect to state and noise, (F G).
     """
-    zero, multiply = jnp.zeros_like(belief.cov[0]), _product(belief.cov)
-    n = len(jacobians[0][0])
-    P, F, G = matrix(belief.cov, n), jnp.eye(n, dtype=zero.dtype), jnp.zeros((n, 0), zero.dtype)
-    for F_sparse, G_sparse in jacobians:
-        F_stage = compute_once(densify(F_sparse, n, zero))
-        F = compute_once(multiply(F_stage, F))
-        G = jnp.concatenate([multiply(F_stage, G), densify(G_sparse, _width(G_sparse), zero)], axis=1)
+    multiply = _product(belief.cov)
+    n = len(jacobian.array)
+    P, F, G = matrix(belief.cov), jacobian.array[:, :n], jacobian.array[:, n:]
     P, F, G = compute_once((P, F, G))
     FP = compute_once(multiply(F, P))
     C = compute_once(_times_inverse(FP.T, compute_once(multiply(FP, F.T) + multiply(G, G.T))))
@@ -75,10 +67,10 @@ def rts_step(rts_gain: RtsGain, after: Gaussian) -> Gaussian:
     """The smoothed belief of a time step, from the smoothed belief `after` of the next one."""
     n, multiply = rts_gain.gain.shape[0], _product(after.cov)
     step = total(rts_gain.gain[:, j] * d for j, d in enumerate(local(rts_gain.predicted, after.mean)))
-    CP = compute_once(multiply(rts_gain.gain, matrix(after.cov, n)))
+    CP = compute_once(multiply(rts_gain.gain, matrix(after.cov)))
     cov = rts_gain.base + multiply(CP, rts_gain.gain.T)
     mean = retract(rts_gain.filtered.mean, [step[i] for i in range(n)])
-    smoothed = rts_gain.filtered._replace(mean=mean, cov=upper_of(cov, after.cov))
+    smoothed = rts_gain.filtered._replace(mean=mean, cov=in_form_of(after.cov, cov))
     # Two steps at one time have one state; the filtered covariance may be singular there, without an inverse.
     chosen: Gaussian = select(rts_gain.connected, select(rts_gain.simultaneous, after, smoothed), rts_gain.filtered)
     return chosen
@@ -159,10 +151,6 @@ def fixed_lag(
 def _like(condition: Bool[Array, " T"], array: Shaped[Array, "T ..."]) -> Bool[Array, "T ..."]:
     """The condition with as many axes as the array."""
     return condition.reshape(condition.shape + (1,) * (array.ndim - 1))
-
-
-def _width(rows: Sequence[SparseRow]) -> int:
-    return 1 + max((j for row in rows for j in row), default=0)
 
 
 def _product(upper: Upper) -> Callable[[Matrix, Matrix], Matrix]:

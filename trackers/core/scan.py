@@ -13,12 +13,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.interpreters.partial_eval import dce_jaxpr
 from jax.experimental.layout import Layout, with_layout_constraint
 from jaxtyping import Array, Bool, UInt32
 
 from trackers.core import covariance
 from trackers.core.algebra import Scalar, mark_dependent
-from trackers.core.covariance import OneArray, Upper, as_array, as_scalars, by_entry
+from trackers.core.covariance import OneArray, Upper, as_scalars, by_entry, entries, matrix
 from trackers.core.estimates import Status
 from trackers.core.filter import AbstractFilter, Gaussian, Innovation
 from trackers.core.keys import RawKey
@@ -103,11 +104,11 @@ def scan_rows(
     initial: ScanState | None = None,
     score: Score | None = None,
     moments: Callable[[Any], tuple[Any, tuple[Scalar, ...]]] | None = None,
-) -> tuple[tuple[Any, ...], Output | None, ScanState]:
+) -> tuple[tuple[Any, ...], Output | None, ScanState | None]:
     """All time steps of one chunk, batch-last: the outputs of every step, or with a `score` its sums over time.
 
     `initial`: the state before the first row, by default no track. `moments`: mean and covariance of an output from the
-    belief of one trajectory, by default the tracker's. Returns (sums, None, state) with a score, ((), outputs, state)
+    belief of one trajectory, by default the tracker's. Returns (sums, None, None) with a score, ((), outputs, state)
     without.
     """
     size, trajectory_keys = batch.size, jnp.asarray(batch.key)
@@ -115,7 +116,8 @@ def scan_rows(
     n_rows = jnp.zeros(size, jnp.uint32) if initial is None else jnp.asarray(initial.n_rows)
     axes = carry_axes(tracker)
     few = covariance.few(size) and not tracker.filter.has_particle_axis
-    every_moments = jax.vmap(moments or tracker.moments, in_axes=axes.belief, out_axes=-1)
+    moments = moments or (lambda belief: moments_by_entry(tracker, belief))
+    every_moments = jax.vmap(moments, in_axes=axes.belief, out_axes=-1)
 
     def one_row(carry: Carry, row: Row) -> tuple[Carry, Output]:
         row = row._replace(key=trajectory_keys, number=n_rows + row.number)
@@ -127,10 +129,16 @@ def scan_rows(
     def body(state: tuple[Carry, tuple[Any, ...]], inputs: tuple[Row, Any]) -> tuple[Any, Any]:
         carry, sums = state
         row, truth = inputs
-        carry, output = one_row(carry, row)
         if score is None:
+            carry, output = one_row(carry, row)
             return (carry, sums), outputs_of.packed(output) if few else output
-        scores = score(output._replace(cov=tuple(output.cov)), truth)
+
+        def scored(carry: Carry) -> tuple[Carry, tuple[Any, ...]]:
+            after, output = one_row(carry, row)
+            return after, score(output._replace(cov=tuple(output.cov)), truth)
+
+        # A likelihood needs no moments; their derivatives would be traced all the same.
+        carry, scores = without_dead_code(scored, carry)
         return (carry, tuple(a + b for a, b in zip(sums, scores, strict=True))), None
 
     outputs_of = OneArray()
@@ -159,8 +167,25 @@ def scan_rows(
     if outputs is not None and few:
         outputs = outputs_of.unpacked(outputs)
         outputs = outputs._replace(cov=by_entry(outputs.cov))
+    if score is not None:
+        return sums, None, None
     n_rows = n_rows + jnp.sum(jnp.asarray(batch.valid), axis=0, dtype=jnp.uint32)
     return sums, outputs, ScanState(jax.vmap(lambda carry: in_form(carry, False), in_axes=(axes,))(carry), n_rows)
+
+
+def without_dead_code(function: Callable[[Any], Any], argument: Any) -> Any:
+    """`function(argument)`, traced without the operations that its results do not need."""
+    program, shapes = jax.make_jaxpr(function, return_shape=True)(argument)
+    live, used = dce_jaxpr(program.jaxpr, [True] * len(program.jaxpr.outvars))
+    leaves = jax.tree_util.tree_leaves(argument)
+    found = jax.core.eval_jaxpr(live, program.consts, *[x for x, u in zip(leaves, used, strict=True) if u])
+    return jax.tree_util.tree_unflatten(jax.tree_util.tree_structure(shapes), found)
+
+
+def moments_by_entry(tracker: RecursiveTracker, belief: Any) -> tuple[Any, Upper]:
+    """The mean of an estimate and the `entries` of its covariance."""
+    mean, cov = tracker.moments(belief)
+    return mean, entries(cov)
 
 
 def step(tracker: RecursiveTracker, carry: Carry, row: Row, few: bool) -> tuple[Carry, StepInfo]:
@@ -213,7 +238,7 @@ def in_form(carry: Carry, few: bool) -> Carry:
     def one(part: Any) -> Any:
         if not isinstance(part, Gaussian):
             return part
-        return part._replace(cov=as_array(part.cov) if few else as_scalars(part.cov))
+        return part._replace(cov=matrix(part.cov) if few else as_scalars(part.cov))
 
     belief = jax.tree_util.tree_map(one, carry.belief, is_leaf=lambda part: isinstance(part, Gaussian))
     return carry._replace(belief=belief)

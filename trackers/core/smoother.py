@@ -15,7 +15,7 @@ from trackers.core.inputs import Inputs
 from trackers.core.layout import Layout
 from trackers.core.recording import Batch
 from trackers.core.rts import fixed_interval, fixed_lag
-from trackers.core.scan import Output, scan_rows
+from trackers.core.scan import Output, moments_by_entry, scan_rows
 from trackers.core.sensor import AbstractSensor
 from trackers.core.tracker import AbstractEpochwiseTracker, Tracker
 from trackers.core.tunable import freeze
@@ -68,7 +68,8 @@ class Smoothed(AbstractEpochwiseTracker):
         else:
             smoothed = fixed_lag(gain_of, rts_step, filtered, steps, dt, jnp.asarray(self.lag, batch.dt.dtype))
         beliefs = jax.tree_util.tree_map(lambda a, b: jnp.concatenate([a, b]), smoothed, last)
-        mean, cov = jax.vmap(jax.vmap(tracker.moments, in_axes=-1, out_axes=-1))(beliefs)
+        each = jax.vmap(lambda belief: moments_by_entry(tracker, belief), in_axes=-1, out_axes=-1)
+        mean, cov = jax.vmap(each)(beliefs)
         return tracker.with_age(output._replace(mean=mean, cov=by_entry(cov))), state
 
     def begin(self, prior: Gaussian, batch: Batch) -> Any:

@@ -37,6 +37,14 @@ class AbstractCurved(eqx.Module):
     def local(self, other: Any) -> tuple[Scalar, ...]:
         """The small step that leads from this element to `other`, the inverse of `retract`."""
 
+    @abstractmethod
+    def perturbed(self, step: Sequence[Scalar]) -> AbstractCurved:
+        """`retract` to first order in the step, for derivatives at zero; a zero step returns this one bit-identical."""
+
+    @abstractmethod
+    def step_of(self, change: Any) -> tuple[Scalar, ...]:
+        """The small step of an infinitesimal change of this element's numbers, the derivative of `local` at itself."""
+
 
 def wrap(angle: Scalar) -> Scalar:
     """The angle brought into (−π, π], radians."""
@@ -58,6 +66,12 @@ class Heading(AbstractCurved):
 
     def local(self, other: Heading) -> tuple[Scalar, ...]:
         return (wrap(other.angle - self.angle),)
+
+    def perturbed(self, step: Sequence[Scalar]) -> Heading:
+        return self.retract(step)
+
+    def step_of(self, change: Heading) -> tuple[Scalar, ...]:
+        return (change.angle,)
 
 
 class Rotation(AbstractCurved):
@@ -127,6 +141,17 @@ class Rotation(AbstractCurved):
 
     def local(self, other: Rotation) -> tuple[Scalar, ...]:
         return (self.inverse() @ other).log()
+
+    def perturbed(self, step: Sequence[Scalar]) -> Rotation:
+        w, x, y, z = self.w, self.x, self.y, self.z
+        a, b, c = (0.5 * s for s in step)
+        return Rotation(
+            w - (x * a + y * b + z * c), x + (w * a + y * c - z * b), y + (w * b + z * a - x * c), z + (w * c + x * b - y * a)
+        )
+
+    def step_of(self, change: Rotation) -> tuple[Scalar, ...]:
+        turned = self.inverse() @ change
+        return 2.0 * turned.x, 2.0 * turned.y, 2.0 * turned.z
 
 
 def _leaves(state: State) -> tuple[list[Any], Any]:
@@ -211,11 +236,19 @@ def local_after(origin: State, before: State, values: Sequence[Scalar], after: S
     return steps
 
 
+def steps_of(state: State, change: State) -> list[Scalar]:
+    """The small step of an infinitesimal change of the state's numbers: the change itself for flat leaves."""
+    steps: list[Scalar] = []
+    for a, b in zip(_leaves(state)[0], _leaves(change)[0], strict=True):
+        steps += a.step_of(b) if isinstance(a, AbstractCurved) else list(b) if jnp.ndim(b) else [b]
+    return steps
+
+
 def coordinates(state: State) -> tuple[list[Scalar], Any]:
     """Coordinates of the state and the function that rebuilds a state from such coordinates.
 
-    A flat leaf is its own coordinates; a curved leaf has zeros, the small step from itself. So the traced program of a
-    flat state has no sums with zero.
+    A flat leaf is its own coordinates; a curved leaf has zeros, the small step from itself, to first order: the function
+    is for derivatives. So the traced program of a flat state has no sums with zero.
     """
     leaves, structure = _leaves(state)
     point: list[Scalar] = []
@@ -228,7 +261,7 @@ def coordinates(state: State) -> tuple[list[Scalar], Any]:
 
     def rebuild(values: Sequence[Scalar]) -> State:
         rebuilt = [
-            leaf.retract(part) if isinstance(leaf, AbstractCurved) else _flat(leaf, part)
+            leaf.perturbed(part) if isinstance(leaf, AbstractCurved) else _flat(leaf, part)
             for leaf, part in _parts(leaves, values)
         ]
         return jax.tree_util.tree_unflatten(structure, rebuilt)

@@ -11,7 +11,17 @@ from hypothesis import strategies as st
 
 from tests.oracles import exponential
 from trackers.core.algebra import Vector
-from trackers.core.state import Heading, Rotation, component_names, coordinates, dimension, local, retract, wrap
+from trackers.core.state import (
+    Heading,
+    Rotation,
+    component_names,
+    coordinates,
+    dimension,
+    local,
+    retract,
+    steps_of,
+    wrap,
+)
 
 NUMBER = st.floats(-1.7, 1.7)
 VECTOR = st.tuples(NUMBER, NUMBER, NUMBER)
@@ -88,9 +98,19 @@ def test_coordinates_rebuild_the_state_around_which_they_stand():
     point, rebuild = coordinates(pose)
     assert [float(x) for x in point] == [0.0, 0.0, 0.0, 1.0, 2.0, 0.1, -0.2, 0.0, 0.5]
     np.testing.assert_array_equal(jnp.stack(local(pose, rebuild(point))), np.zeros(9))
-    step = np.linspace(-0.2, 0.3, 9)
+    step = 1e-7 * np.linspace(-0.2, 0.3, 9)
     moved = rebuild([p + s for p, s in zip(point, step, strict=True)])
     np.testing.assert_allclose(jnp.stack(local(retract(pose, list(step)), moved)), np.zeros(9), atol=1e-15)
+
+
+def test_the_step_of_a_change_is_the_derivative_of_local_at_the_state_itself():
+    pose, rng = jax.tree_util.tree_map(jnp.asarray, _pose([0.3, -0.4, 1.1])), np.random.default_rng(0)
+    change = jax.tree_util.tree_map(lambda x: jnp.asarray(rng.normal(size=jnp.shape(x))), pose)
+    # A unit quaternion changes at right angles to itself.
+    q, d = (jnp.stack(jax.tree_util.tree_leaves(x.attitude)) for x in (pose, change))
+    change = change._replace(attitude=Rotation(*(d - q * (q @ d))))
+    expected = jax.jvp(lambda other: local(pose, other), (pose,), (change,))[1]
+    np.testing.assert_allclose(steps_of(pose, change), expected, atol=1e-12)
 
 
 def test_components_are_named_in_the_order_of_the_covariance():
