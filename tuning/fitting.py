@@ -22,7 +22,7 @@ from tuning.optimisation import FitState, MultiStart, from_arrays, min_gain
 from tuning.optimisers import LBFGS, AbstractOptimiser, Adam
 from tuning.parameters import Parameter, flatten, limits, physical, select_parameters, with_parameters
 from tuning.priors import Prior
-from tuning.problem import Problem
+from tuning.problem import Evaluation, Problem
 from tuning.uncertainty import Optimum, Uncertainty, determined, optimum, uncertainty_at, unidentifiable
 
 AnyTracker = TypeVar("AnyTracker", bound="AbstractTracker | NamedTracker")
@@ -47,7 +47,7 @@ class FitResult(Generic[AnyTracker]):
     """A tuned tracker, its uncertainty and the optimiser trace.
 
     `values`: physical, by label. `value`, `start_value`: the objective. `n_excluded`: trajectories without usable
-    gradients. `problem`, `vector`: the objective as a function, and its best point. `uncertainty`: None where the fit
+    gradients. `problem`, `vector`: the objective as a function, and its best point. `evaluation`: there. `uncertainty`: None where the fit
     was interrupted. `trace`: the steps of the best start, ending at `vector`; `starts`: the traces of all starts.
     `before`: the tracker at the first start, tied numbers made equal and bounded ones clipped.
     """
@@ -60,6 +60,7 @@ class FitResult(Generic[AnyTracker]):
     n_excluded: int
     problem: Problem
     vector: Float[np.ndarray, " p"]
+    evaluation: Evaluation
     filter_runs: int
     uncertainty: Uncertainty | None
     before: AbstractTracker
@@ -153,16 +154,24 @@ def fit(
 
 
 def initial_state(driver: MultiStart, vectors: Float[np.ndarray, "V p"], starts: int) -> FitState:
-    """The state at `starts` starts: the first of the vectors, and the best of the others and of a coarse grid."""
+    """The state at `starts` starts: the first of the vectors, and the best of the others and of a coarse grid.
+
+    Of starts with the same value, which differ in numbers without effect alone, one is taken.
+    """
+    runs = 0
     if starts > 1:
         vectors = np.concatenate([vectors, coarse_grid(driver.problem.parameters, vectors[0])[1:]])
+        vectors = np.clip(vectors, driver.low, driver.high)
+        scores, runs = driver.scores(vectors)
+        best = [k for k in np.argsort(scores[1:], kind="stable") + 1 if np.isfinite(scores[k])]
+        chosen = {float(scores[k]): k for k in reversed([0, *best])}
+        vectors = vectors[[0, *(k for k in best if chosen[float(scores[k])] == k)][:starts]]
     state = driver.init(vectors)
     if not state.active[0]:
         raise FloatingPointError(
             f"the objective is not finite at the start ({state.values[0]}): no row is scored, or truth is missing"
         )
-    others = 1 + np.argsort(state.best_scores[1:], kind="stable")
-    return state.select(np.concatenate([[0], others])[:starts])
+    return state._replace(filter_runs=state.filter_runs + runs)
 
 
 def coarse_grid(parameters: Sequence[Parameter], vector: Float[np.ndarray, " p"]) -> Float[np.ndarray, "S p"]:
@@ -196,17 +205,17 @@ def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, inter
     problem, parameters = driver.problem, driver.problem.parameters
     winner, own = int(np.argmin(state.best_scores)), state.past_vectors[0, 0]
     (vector, vectors), uncertainty = _best_vector(problem, state, winner), None
-    if not interrupted:
+    if interrupted:
+        last, vectors = problem.evaluate(vector), vectors + 1
+    else:
         found, more = _newton(driver, vector)
-        vector, vectors = found.vector, vectors + more
+        vector, last, vectors = found.vector, found.evaluation, vectors + more
         uncertainty = uncertainty_at(problem, found, driver.at_bound(vector, found.gradient))
-    last = problem.evaluate(vector)
     value = float(problem.finite_values(vector, last.terms)[0])
     # A minibatch's value is over a part of the trajectories.
     start_value = state.past_values[0, 0]
     if driver.minibatch is not None:
-        start_value = problem.finite_values(own, problem.evaluate(own).terms)[0]
-    vectors += 1 if driver.minibatch is None else 2
+        start_value, vectors = problem.finite_values(own, problem.evaluate(own).terms)[0], vectors + 1
     traces = [_trace(parameters, state, k) for k in range(len(state.vectors))]
     if not np.array_equal(vector, state.best_vectors[winner]):
         traces[winner].append(Step(value, float(np.linalg.norm(last.gradients)), by_label(parameters, vector)))
@@ -219,6 +228,7 @@ def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, inter
         n_excluded=problem.n_excluded(last),
         problem=problem,
         vector=vector,
+        evaluation=last,
         filter_runs=int(state.filter_runs) + vectors * problem.n_trajectories(),
         uncertainty=uncertainty,
         before=with_parameters(tracker, parameters, own),
@@ -286,10 +296,10 @@ def _newton(driver: MultiStart, vector: Float[np.ndarray, " p"]) -> tuple[Optimu
             break
         step = step / max(1.0, float(np.linalg.norm(step)))
         vector = np.clip(found.vector + step, driver.low, driver.high)
-        both = np.stack([found.vector, vector])
-        vectors += 2
-        evaluation = problem.evaluate(both)
-        if not (evaluation.finite.all() and np.diff(problem.finite_values(both, evaluation.terms))[0] < 0):
+        trial = problem.evaluate(vector)
+        vectors += 1
+        before = problem.finite_values(found.vector, found.evaluation.terms)
+        if not (trial.finite[0] and problem.finite_values(vector, trial.terms)[0] < before[0]):
             break
         found, vectors = optimum(problem, vector), vectors + n_each
     return found, vectors

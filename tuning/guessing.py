@@ -29,7 +29,7 @@ from tuning.objectives import AbstractObjective, NegativeLogLikelihood, Truth
 from tuning.parameters import Parameter, flatten, with_parameters
 from tuning.problem import Problem, has_particles
 
-ROWS, SEGMENTS, SEGMENTS_OF_PARTICLES = 400, 16, 4
+ROWS, SEGMENTS, SEGMENTS_OF_PARTICLES = 400, 8, 4
 """Rows per segment and segments: long enough for a track to converge, few enough for seconds of work.
 
 A filter with particles or grid cells costs hundreds of times as much as another.

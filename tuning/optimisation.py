@@ -13,8 +13,17 @@ from jaxtyping import Bool, Float, Int
 from tuning.optimisers import AbstractOptimiser
 from tuning.problem import Evaluation, Problem, weighted_sum
 
-MAX_HALVINGS = 7
-"""Attempts at a step, each half as long as the one before; a start that none of them helps has converged."""
+MAX_ATTEMPTS = 7
+"""Attempts at a step, each shorter than the one before; a start that none of them helps has converged."""
+
+SHORTEST, LONGEST = 0.1, 0.5
+"""Length of an attempt relative to the one before."""
+
+ANOTHER_ATTEMPT = 10.0
+"""Expected gain of a second and later attempt, relative to the least gain of a step."""
+
+SAME_START = 0.1
+"""Distance between two starts below which the worse one ends, in unconstrained coordinates: 10 % of a noise level."""
 
 MIN_GAIN_NATS = 0.01
 """Least gain in likelihood per step for a start to continue: far below any relevant change of a parameter."""
@@ -107,12 +116,18 @@ class MultiStart:
         steps, optimiser_state = self.optimiser.propose(state.optimiser_state, state.vectors, state.gradients)
         vectors, gain = state.vectors.copy(), np.zeros(len(state.vectors))
         after = tuple(x.copy() for x in (state.values, state.gradients, state.terms, state.used))
-        pending = state.active.copy()
-        for halving in range(MAX_HALVINGS):
-            if not pending.any():
+        pending, lengths = state.active.copy(), np.ones(len(state.vectors))
+        least = self._min_gains(state.values, state.terms, state.used)
+        for attempt in range(MAX_ATTEMPTS):
+            trial = np.clip(state.vectors + lengths[:, None] * np.asarray(steps), self.low, self.high)
+            slopes = np.sum((trial - state.vectors) * state.gradients, axis=1)
+            # A gain is at most about that of the slope; near the optimum a failed step is due to rounding.
+            promised = -slopes >= least * (ANOTHER_ATTEMPT if attempt else 1.0)
+            worth = pending & promised if self.optimiser.monotone else pending
+            if not worth.any():
                 break
-            index = np.flatnonzero(pending)
-            trial = np.clip(state.vectors + np.asarray(steps / 2.0**halving), self.low, self.high)[index]
+            index = np.flatnonzero(worth)
+            trial = trial[index]
             found = self._evaluate(trial, number)
             runs += found.filter_runs
             # Which trajectories count differs from point to point; values are compared over the same ones.
@@ -127,6 +142,7 @@ class MultiStart:
             for old, new in zip(after, (found.values, found.gradients, found.terms, found.used), strict=True):
                 old[moved] = new[accepted]
             pending[moved] = False
+            lengths[index] *= _shorter(slopes[index], gains)
         moved = state.active & ~pending
         values, gradients, terms, used = after
         scores = np.where(moved, self._scores(vectors, terms), np.inf)
@@ -146,11 +162,16 @@ class MultiStart:
                 best_scores=np.where(better, scores, state.best_scores),
                 best_vectors=np.where(better[:, None], vectors, state.best_vectors),
                 stale=stale,
-                active=moved & ~converged & improving,
+                active=moved & ~converged & improving & ~self._duplicates(vectors, gradients, values),
                 filter_runs=state.filter_runs + runs + self._score_runs(vectors),
             ),
             subset,
         )
+
+    def scores(self, vectors: Float[np.ndarray, "S p"]) -> tuple[Float[np.ndarray, " S"], int]:
+        """The scores (S,) of vectors (S, p) by which starts are chosen, without derivatives, and the filter runs."""
+        problem = self.problem if self.held_out is None else self.held_out
+        return problem.values(vectors), len(vectors) * problem.n_trajectories()
 
     def done(self, state: FitState) -> bool:
         """Whether no start continues."""
@@ -182,6 +203,18 @@ class MultiStart:
             return len(vectors) * self.held_out.n_trajectories()
         return len(vectors) * self.problem.n_trajectories() if self._noisy else 0
 
+    def _duplicates(
+        self, vectors: Float[np.ndarray, "S p"], gradients: Float[np.ndarray, "S p"], values: Float[np.ndarray, " S"]
+    ) -> Bool[np.ndarray, " S"]:
+        """The starts (S,) that have come near a better one; numbers without effect do not separate them."""
+        if not self.optimiser.monotone:
+            return np.zeros(len(vectors), bool)
+        scale = np.any(gradients != 0, axis=0)
+        distances = np.linalg.norm((vectors[:, None] - vectors[None]) * scale, axis=2)
+        order = np.argsort(np.argsort(values, kind="stable"))
+        found: Bool[np.ndarray, " S"] = np.any((distances < SAME_START) & (order[None] < order[:, None]), axis=1)
+        return found
+
     def _min_gains(
         self, values: Float[np.ndarray, " S"], terms: Float[np.ndarray, "S k n"], used: Bool[np.ndarray, "S n"]
     ) -> Float[np.ndarray, " S"]:
@@ -203,6 +236,14 @@ class MultiStart:
     def _noisy(self) -> bool:
         """Whether the objective changes from step to step."""
         return self.minibatch is not None or self.problem.stochastic
+
+
+def _shorter(slopes: Float[np.ndarray, " S"], gains: Float[np.ndarray, " S"]) -> Float[np.ndarray, " S"]:
+    """The factors on the lengths of failed steps: to the minimum of the parabola through slope and value."""
+    excess = -slopes - gains
+    with np.errstate(divide="ignore", invalid="ignore"):
+        lowest = np.where(np.isfinite(excess) & (excess > 0), -slopes / (2.0 * excess), LONGEST)
+    return np.clip(lowest, SHORTEST, LONGEST)
 
 
 def min_gain(value: float, nats_per_unit: float) -> float:

@@ -15,6 +15,7 @@ from trackers.core.chunks import CHUNK, as_dtype, chunks, run_chunks
 from trackers.core.covariance import few
 from trackers.core.particle.filter import AbstractParticleFilter
 from trackers.core.recording import Batch
+from trackers.core.scan import Output
 from trackers.core.tracker import AbstractTracker, Tracker
 from trackers.core.tunable import AbstractTunable
 from tuning.objectives import AbstractObjective
@@ -49,6 +50,11 @@ class Evaluation(NamedTuple):
     term_gradients: Float[np.ndarray, "S k p n"]
     used: Bool[np.ndarray, "S n"]
     filter_runs: int
+
+    def at(self, k: int) -> Evaluation:
+        """The evaluation at vector `k` alone."""
+        arrays, runs = self[:-1], self.filter_runs // len(self.values)
+        return Evaluation(*(x[k : k + 1] for x in arrays), filter_runs=runs)
 
     @property
     def finite(self) -> Bool[np.ndarray, " S"]:
@@ -89,8 +95,8 @@ class Problem:
         # than one, nor does a filter with a particle axis, which would compute both sides of its conditions at every
         # row.
         fitting = CHUNK // (1 << (trajectories - 1).bit_length())
-        alone = few(trajectories) or has_particles(self.tracker)
-        self.vectors_per_call = 1 if alone else max(1, min(MAX_VECTORS, fitting))
+        self.few = few(trajectories)
+        self.vectors_per_call = 1 if self.few or has_particles(self.tracker) else max(1, min(MAX_VECTORS, fitting))
 
     def evaluate(
         self,
@@ -104,7 +110,7 @@ class Problem:
         `weights` (n,) or (S, n): multiplicity of each trajectory. `subset`: indices of the chunks, default all.
         `realisation`: number of the random draws, where the tracker uses any.
         """
-        found = self._run(term_sums, vectors, subset, realisation)
+        found = self._run(row_terms if self.few else term_sums, vectors, subset, realisation)
         terms, term_gradients = (np.concatenate(xs, axis=-1) for xs in zip(*found, strict=True))
         used = np.isfinite(terms).all(axis=1) & np.stack([_usable(x) for x in term_gradients])
         used &= self._valid(subset)
@@ -148,7 +154,8 @@ class Problem:
 
     def terms(self, vectors: Vectors, realisation: int = 0) -> Terms:
         """Each trajectory's part of the sums (S, k, n), without derivatives."""
-        return np.concatenate([t for (t,) in self._run(plain_sums, vectors, None, realisation)], axis=-1)
+        function = plain_rows if self.few else plain_sums
+        return np.concatenate([t for (t,) in self._run(function, vectors, None, realisation)], axis=-1)
 
     def values_of(self, sums: Float[np.ndarray, "S k"]) -> Float[np.ndarray, " S"]:
         """The objective (S,) of sums (S, k), without priors."""
@@ -187,6 +194,8 @@ class Problem:
         if self.stochastic and realisation:
             parts = [fresh_keys(part, realisation) for part in parts]
         found = run_chunks(function, [(block, part) for part in parts for block in blocks])
+        if self.few:
+            found = [tuple(np.sum(x[:, :-1], axis=-2, dtype=float) for x in xs) for xs in found]
         return [
             tuple(np.concatenate([np.asarray(x, float) for x in xs])[:size] for xs in zip(*of_part, strict=True))
             for of_part in (found[k : k + len(blocks)] for k in range(0, len(found), len(blocks)))
@@ -287,15 +296,37 @@ def plain_sums(point: Point, batch: Batch) -> tuple[Float[Array, "S k B"]]:
     return (point.map_vectors(lambda v: jnp.stack(point.tracker_at(v).accumulate(batch, point.objective.terms))),)
 
 
+def plain_rows(point: Point, batch: Batch) -> tuple[Float[Array, "S k T B"]]:
+    """The terms of every row per vector and trajectory (S, k + 1, T, B); the last is the log-likelihood.
+
+    For few trajectories. The host adds them in double precision, and derivatives of rows come with those of the sums.
+    """
+
+    def scores(output: Output, truth: Any) -> tuple[Any, ...]:
+        return *point.objective.terms(output, truth), output.log_likelihood
+
+    return (point.map_vectors(lambda v: jnp.stack(point.tracker_at(v).accumulate(batch, scores, every_row=True))),)
+
+
 def term_sums(point: Point, batch: Batch) -> tuple[Float[Array, "S k B"], Float[Array, "S k p B"]]:
     """The sums per vector, term and trajectory (S, k, B), and their derivatives (S, k, p, B), all tangents at once."""
+    return _with_derivatives(plain_sums, point, batch)
 
-    def sums(vectors: Float[Array, "S p"]) -> Float[Array, "S k B"]:
-        return plain_sums(eqx.tree_at(lambda p: p.vectors, point, vectors), batch)[0]
 
-    def along(direction: Float[Array, " p"]) -> tuple[Float[Array, "S k B"], Float[Array, "S k B"]]:
-        """The sums, and their derivatives along one direction, the same for every vector."""
-        return jax.jvp(sums, (point.vectors,), (jnp.broadcast_to(direction, point.vectors.shape),))
+def row_terms(point: Point, batch: Batch) -> tuple[Float[Array, "S k T B"], Float[Array, "S k p T B"]]:
+    """The terms of every row as in `plain_rows`, and their derivatives (S, k + 1, p, T, B)."""
+    return _with_derivatives(plain_rows, point, batch)
+
+
+def _with_derivatives(function: Callable[[Point, Batch], tuple[Array]], point: Point, batch: Batch) -> tuple[Any, Any]:
+    """What a function of a point returns, and its derivatives as the third axis."""
+
+    def at(vectors: Float[Array, "S p"]) -> Any:
+        return function(eqx.tree_at(lambda p: p.vectors, point, vectors), batch)[0]
+
+    def along(direction: Float[Array, " p"]) -> tuple[Any, Any]:
+        """The values, and their derivatives along one direction, the same for every vector."""
+        return jax.jvp(at, (point.vectors,), (jnp.broadcast_to(direction, point.vectors.shape),))
 
     # Vectors inside and directions outside: in the other order jax traces half as much again.
     return jax.vmap(along, out_axes=(None, 2))(jnp.eye(point.vectors.shape[1], dtype=point.vectors.dtype))

@@ -10,60 +10,39 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from trackers.core.chunks import run_chunks
-from trackers.core.recording import Batch
-from tuning.problem import Point, Problem
+from tuning.problem import Problem, row_terms
 
 
 class RowInformation(NamedTuple):
     """Per vector and trajectory: log-likelihoods (S, n), scores (S, p, n) and information (S, p, p, n), in nats."""
 
-    log_likelihoods: Float[Array | np.ndarray, "S n"]
-    scores: Float[Array | np.ndarray, "S p n"]
-    information: Float[Array | np.ndarray, "S p p n"]
-
-
-class _BlockPoint(eqx.Module):
-    """A point, and the number of rows whose scores are added before they are squared."""
-
-    point: Point
-    block: int = eqx.field(static=True)
+    log_likelihoods: Float[np.ndarray, "S n"]
+    scores: Float[np.ndarray, "S p n"]
+    information: Float[np.ndarray, "S p p n"]
 
 
 def row_information(problem: Problem, vectors: Float[np.ndarray, "S p"], block: int = 1) -> RowInformation:
-    """The summed scores of the rows and the sums of their squares at `vectors` (S, p); one compiled call per chunk.
+    """The summed scores of the rows and the sums of their squares at `vectors` (S, p).
 
     Scores of `block` consecutive rows are added before they are squared, which makes the information valid for errors
     correlated over that many rows. Padding trajectories contribute zeros. Memory grows with the rows.
     """
-    point = _BlockPoint(problem.point(vectors), block)
-    found = run_chunks(_over_vectors, [(point, part) for part in problem.chunks])
-    return RowInformation(*(np.concatenate([np.asarray(x, float) for x in xs], -1) for xs in zip(*found, strict=True)))
+    points = [problem.point(vector) for vector in np.atleast_2d(vectors)]
+    found = run_chunks(row_terms, [(point, part) for part in problem.chunks for point in points])
+    each = [_information(*(x[0, -1] for x in terms), block) for terms in found]
+    count = len(points)
+    parts = [[np.stack(xs) for xs in zip(*each[k : k + count], strict=True)] for k in range(0, len(each), count)]
+    return RowInformation(*(np.concatenate(xs, axis=-1) for xs in zip(*parts, strict=True)))
 
 
-def _over_vectors(model: _BlockPoint, batch: Batch) -> RowInformation:
-    """All vectors one after another, with the memory of one."""
-    return RowInformation(*jax.lax.map(lambda vector: _at(model, vector, batch), model.point.vectors))
-
-
-def _at(
-    model: _BlockPoint, vector: Float[Array, " p"], batch: Batch
-) -> tuple[Float[Array, " n"], Float[Array, "p n"], Float[Array, "p p n"]]:
-    def rows(v: Float[Array, " p"]) -> tuple[Float[Array, "T n"], Float[Array, "T n"]]:
-        log_likelihoods = model.point.tracker_at(v).scan(batch)[0].log_likelihood
-        return log_likelihoods, log_likelihoods
-
-    scores, log_likelihoods = jax.jacfwd(rows, has_aux=True)(vector)
-    count, trajectories, p = scores.shape
-    blocks = -(-count // model.block)
-    padding = jnp.zeros((blocks * model.block - count, trajectories, p), scores.dtype)
-    blocked = jnp.concatenate([scores, padding]).reshape(blocks, model.block, trajectories, p).sum(axis=1)
-    # Entry by entry: (blocks, trajectories, p, p) at once would need p times the memory of the scores.
-    information = [[jnp.sum(blocked[..., i] * blocked[..., j], axis=0) for j in range(p)] for i in range(p)]
-    return jnp.sum(log_likelihoods, axis=0), jnp.sum(scores, axis=0).T, jnp.array(information)
+def _information(
+    log_likelihoods: Float[np.ndarray, "T n"], scores: Float[np.ndarray, "p T n"], block: int
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "p n"], Float[np.ndarray, "p p n"]]:
+    starts = np.arange(0, len(log_likelihoods), block)
+    blocked = np.add.reduceat(scores.astype(float), starts, axis=1)
+    information = np.einsum("ibn,jbn->ijn", blocked, blocked)
+    return log_likelihoods.sum(axis=0, dtype=float), blocked.sum(axis=1), information

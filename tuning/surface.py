@@ -62,13 +62,13 @@ def surface_of(result: FitResult, uncertainty: Uncertainty | None) -> Surface | 
 
 
 def _axes(result: FitResult, uncertainty: Uncertainty | None) -> tuple[int, ...]:
-    """The one or two numbers of least standard error, or without any those that moved most."""
+    """The one or two determined numbers of least standard error, or without any those that moved most."""
     free = _scalar_components(result.parameters)
     if not free:
         return ()
     sigmas = _sigmas(uncertainty)
     if sigmas is not None and np.isfinite(sigmas[free]).any():
-        order = sorted(free, key=lambda k: (not np.isfinite(sigmas[k]), sigmas[k]))
+        order = sorted((k for k in free if np.isfinite(sigmas[k])), key=lambda k: sigmas[k])
     else:
         trace = _trace_vectors(result)
         order = sorted(free, key=lambda k: -abs(float(trace[-1, k] - trace[0, k])))

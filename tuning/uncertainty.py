@@ -25,7 +25,7 @@ from scipy.special import ndtri, stdtrit
 from trackers.core.tunable import Covariance
 from tuning.objectives import AbstractObjective
 from tuning.parameters import Parameter, physical, physical_errors
-from tuning.problem import Problem, value_and_gradient
+from tuning.problem import Evaluation, Problem, value_and_gradient
 from tuning.row_information import row_information
 
 STEP = 0.02
@@ -56,7 +56,7 @@ By = Literal["curvature", "scatter", "either"]
 class Optimum(NamedTuple):
     """Quadratic model of the objective: vector (p,), value, gradient (p,), H (p, p), ψ (n, p), u (NaN: no likelihood).
 
-    `used`: which of all trajectories are the n that count.
+    `used`: which of all trajectories are the n that count. `evaluation`: at the vector itself.
     """
 
     vector: Float[np.ndarray, " p"]
@@ -66,6 +66,7 @@ class Optimum(NamedTuple):
     influence: Float[np.ndarray, "n p"]
     nats_per_unit: float
     used: Bool[np.ndarray, " all"]
+    evaluation: Evaluation
 
 
 @dataclass(frozen=True)
@@ -220,7 +221,8 @@ def optimum(problem: Problem, vector: Float[np.ndarray, " p"]) -> Optimum:
     # Without a single usable trajectory there is no likelihood.
     nats = problem.objective.nats_per_unit(sums[0]) if used.any() else np.nan
     psi = influence(problem.objective, terms[0], term_gradients[0])
-    return Optimum(vector, float(values[0]), gradients[0], 0.5 * (rows + rows.T), psi, nats, used)
+    hessian = 0.5 * (rows + rows.T)
+    return Optimum(vector, float(values[0]), gradients[0], hessian, psi, nats, used, evaluation.at(0))
 
 
 def influence(

@@ -76,7 +76,7 @@ def _notes(data: FitData, result: FitResult) -> Iterator[str]:
 def _issues(result: FitResult) -> list[IdentifiabilityIssue]:
     if result.uncertainty is None:
         return []
-    return identifiability_issues(result.uncertainty, result.problem.evaluate(result.vector).term_gradients)
+    return identifiability_issues(result.uncertainty, result.evaluation.term_gradients)
 
 
 def _write_trace(out: Path, result: FitResult, objective: str, unit: str) -> None:

@@ -14,6 +14,7 @@ from experiments.cli.console import Advance, notice, output_folder
 from experiments.cli.tuning_folder import Run, write_run
 from experiments.cli.tuning_options import checked_options, tracker_for_folders
 from trackers.core.errors import UnusableInput
+from trackers.core.tunable import tunables
 from trackers.recordings.folder import RecordingFolder
 from tuning import FitResult, checkpoint, fit
 from tuning.data import FitData, fit_data
@@ -85,6 +86,8 @@ def _fitted(
     if resume and saved is None:
         notice(f"notice: {out}: no checkpoint found; the fit starts from the beginning")
     steps, starts, freeze = options["steps"], options["starts"], options["freeze"]
+    tuned = {name for p in select_parameters(data.tracker, options["tune"], freeze) for name in p.names}
+    kept = [name for name in tunables(data.tracker) if name not in tuned]
     advance(0, "(evaluating starts)")
     try:
         result = fit(
@@ -100,7 +103,7 @@ def _fitted(
             held_out=held_out,
             minibatch=options["minibatch"],
             priors=priors,
-            guesses=[first_guess(data.tracker, training, freeze)] if starts > 1 and saved is None else [],
+            guesses=[first_guess(data.tracker, training, kept)] if starts > 1 and saved is None else [],
             resume=saved,
             report=lambda state: _after_step(out, fingerprint, state, advance),
         )

@@ -104,12 +104,13 @@ def scan_rows(
     initial: ScanState | None = None,
     score: Score | None = None,
     moments: Callable[[Any], tuple[Any, tuple[Scalar, ...]]] | None = None,
+    every_row: bool = False,
 ) -> tuple[tuple[Any, ...], Output | None, ScanState | None]:
     """All time steps of one chunk, batch-last: the outputs of every step, or with a `score` its sums over time.
 
     `initial`: the state before the first row, by default no track. `moments`: mean and covariance of an output from the
-    belief of one trajectory, by default the tracker's. Returns (sums, None, None) with a score, ((), outputs, state)
-    without.
+    belief of one trajectory, by default the tracker's. `every_row`: the scores of every step instead of their sums.
+    Returns (sums, None, None) with a score, ((), outputs, state) without.
     """
     size, trajectory_keys = batch.size, jnp.asarray(batch.key)
     rows = Row(batch.dt, batch.valid, batch.readings, batch.inputs, None, jnp.arange(len(batch.dt), dtype=jnp.uint32))
@@ -139,9 +140,11 @@ def scan_rows(
 
         # A likelihood needs no moments; their derivatives would be traced all the same.
         carry, scores = without_dead_code(scored, carry)
+        if every_row:
+            return (carry, sums), scores_of.packed(tuple(x[None] for x in scores))
         return (carry, tuple(a + b for a, b in zip(sums, scores, strict=True))), None
 
-    outputs_of = OneArray()
+    outputs_of, scores_of = OneArray(), OneArray()
     first_row, first_truth = jax.tree_util.tree_map(lambda x: jnp.asarray(x[0]), (rows, batch.truth))
     if initial is None:
         first_row = first_row._replace(key=trajectory_keys, number=jnp.zeros(size, jnp.uint32))
@@ -153,7 +156,7 @@ def scan_rows(
     # layout, a run that continues another has the bits of the one run.
     before = jax.tree_util.tree_map(lambda x: with_layout_constraint(x, Layout(tuple(range(x.ndim)))), before)
     sums: tuple[Any, ...] = ()
-    if score is not None:
+    if score is not None and not every_row:
         # The shapes of the score come from the state before the first row: tracing one more step takes seconds for
         # large states.
         zero = jnp.zeros_like(first_row.dt)
@@ -164,11 +167,13 @@ def scan_rows(
     # Particles have no derivative, so that nothing is marked as dependent.
     start = (before, sums) if tracker.filter.has_particle_axis else mark_dependent((before, sums), tracker)
     (carry, sums), outputs = jax.lax.scan(body, start, (rows, batch.truth))
+    if every_row:
+        return tuple(x[:, 0] for x in scores_of.unpacked(outputs)), None, None
+    if score is not None:
+        return sums, None, None
     if outputs is not None and few:
         outputs = outputs_of.unpacked(outputs)
         outputs = outputs._replace(cov=by_entry(outputs.cov))
-    if score is not None:
-        return sums, None, None
     n_rows = n_rows + jnp.sum(jnp.asarray(batch.valid), axis=0, dtype=jnp.uint32)
     return sums, outputs, ScanState(jax.vmap(lambda carry: in_form(carry, False), in_axes=(axes,))(carry), n_rows)
 

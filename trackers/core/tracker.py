@@ -52,8 +52,11 @@ class AbstractTracker(eqx.Module):
         """
 
     @abstractmethod
-    def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
-        """The sums over time of `score` of each step's output, (B,) each; memory does not grow with the rows."""
+    def accumulate(self, batch: Batch, score: Score, every_row: bool = False) -> tuple[Any, ...]:
+        """The sums over time of `score` of each step's output, (B,) each; memory does not grow with the rows.
+
+        With `every_row` the scores of each step instead, (T, B) each.
+        """
 
     @abstractmethod
     def check_layout(self, layout: Layout) -> None:
@@ -162,9 +165,10 @@ def _joined(arrays: Sequence[np.ndarray], whole: np.ndarray) -> np.ndarray:
 class AbstractEpochwiseTracker(AbstractTracker):
     """A tracker whose `accumulate` scores the output of `scan`, held in memory for all rows."""
 
-    def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
+    def accumulate(self, batch: Batch, score: Score, every_row: bool = False) -> tuple[Any, ...]:
         output = self.scan(batch)[0]
-        return tuple(jnp.sum(x, axis=0) for x in jax.vmap(score)(output, scored_truth(batch, output.age)))
+        scores = jax.vmap(score)(output, scored_truth(batch, output.age))
+        return scores if every_row else tuple(jnp.sum(x, axis=0) for x in scores)
 
 
 def filter_batch(tracker: AbstractTracker, batch: Batch) -> Output:
@@ -215,9 +219,9 @@ class Tracker(AbstractTracker):
         assert output is not None
         return self.with_age(output), state
 
-    def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
+    def accumulate(self, batch: Batch, score: Score, every_row: bool = False) -> tuple[Any, ...]:
         truth = scored_truth(batch, self.latency)
-        return scan_rows(freeze(self), batch._replace(truth=truth), score=score)[0]
+        return scan_rows(freeze(self), batch._replace(truth=truth), score=score, every_row=every_row)[0]
 
     def begin(self, prior: Gaussian, batch: Batch) -> ScanState:
         def one(prior: Gaussian, key: RawKey) -> Carry:

@@ -58,10 +58,10 @@ class MedianMarkovKalman(AbstractTracker):
         output, fusion = self.fusion.scan(batch._replace(readings={FIXES: medians}), before.fusion)
         return output._replace(age=self._age(ages)), MhkState(median, fusion)
 
-    def accumulate(self, batch: Batch, score: Score) -> tuple[Any, ...]:
+    def accumulate(self, batch: Batch, score: Score, every_row: bool = False) -> tuple[Any, ...]:
         medians, ages, _ = self.median.medians(batch)
         batch = batch._replace(readings={FIXES: medians}, truth=scored_truth(batch, self._age(ages)))
-        return scan_rows(freeze(self.fusion), batch, score=score)[0]
+        return scan_rows(freeze(self.fusion), batch, score=score, every_row=every_row)[0]
 
     def _age(self, ages: Any) -> Any:
         """The time from that for which an estimate is valid to its row, s; `ages` (T, B): of the middle fixes."""
