@@ -29,10 +29,26 @@ ZERO, ONE, VARIABLE = range(3)
 
 
 class Jacobian(NamedTuple):
-    """A Jacobian as one array (outputs, inputs), and the kind of each entry."""
+    """A Jacobian whose columns without a common row are added: `sums` (groups, outputs), `group` (inputs,) of a column.
 
-    array: jax.Array
+    `structure` (outputs, inputs): the kind of each entry.
+    """
+
+    sums: jax.Array
+    group: np.ndarray
     structure: np.ndarray
+
+    def transposed(self, outputs: slice, inputs: slice) -> jax.Array:
+        """The entries of some outputs and inputs, (inputs, outputs)."""
+        mask = (self.structure[outputs, inputs] != ZERO).T
+        return self.sums[self.group[inputs], outputs] * jnp.asarray(mask, self.sums.dtype)
+
+    def squares(self, outputs: slice, inputs: slice) -> jax.Array:
+        """The sum of squares of each output's entries over some inputs, (outputs,)."""
+        weights = np.zeros(self.sums.shape)
+        for j in range(self.structure.shape[1])[inputs]:
+            weights[self.group[j]] += self.structure[:, j] != ZERO
+        return jnp.sum(jnp.square(self.sums) * jnp.asarray(weights, self.sums.dtype), axis=0)[outputs]
 
 
 @jax.tree_util.register_pytree_node_class

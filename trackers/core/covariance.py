@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.core import algebra
-from trackers.core.algebra import Jacobian, Scalar, SparseRow, Vector, compute_once, dense, full, total, triangle
+from trackers.core.algebra import ZERO, Jacobian, Scalar, SparseRow, Vector, compute_once, dense, full, total, triangle
 
 FEW = 8
 """Largest number of trajectories whose covariances are matrices; both forms: `python -m experiments.bench.lanes`."""
@@ -105,37 +105,70 @@ def matched(weights: Sequence[Scalar], covs: Sequence[Upper], deviations: Sequen
 
 
 def propagated(upper: jax.Array, jacobian: Jacobian) -> jax.Array:
-    """F P Fᵀ + G Gᵀ of a covariance as a matrix, with the Jacobian (F G); of tuples: `algebra.congruence`.
+    """F P Fᵀ + G Gᵀ of a covariance as a matrix, with the Jacobian (F G); of tuples: `algebra.congruence`."""
+    F = ChangedRows(jacobian)
+    return F.congruence(upper, F.times(upper)) + noise_covariance(jacobian)
 
-    Rows of F without effect are left out, as far as they are not between others.
-    """
-    n, P = len(upper), upper
-    F, G = jacobian.structure[:, :n], jacobian.structure[:, n:]
-    changed = _span((F != np.eye(n)).any(axis=1))
-    if changed.stop:
-        needed = _span((F[changed] != 0).any(axis=0))
-        block = jacobian.array[changed, needed]
-        FP = product_of(block, P[needed])
-        square = product_of(FP[:, needed], block.T)
+
+class ChangedRows:
+    """F of a Jacobian (F G), by the rows `at` that differ from those of the unit matrix: `block`ᵀ, columns `needed`."""
+
+    def __init__(self, jacobian: Jacobian):
+        n = len(jacobian.structure)
+        F = jacobian.structure[:, :n]
+        self.at = _span((F != np.eye(n)).any(axis=1))
+        self.needed = _span((F[self.at] != ZERO).any(axis=0))
+        self.block = jacobian.transposed(self.at, self.needed)
+
+    def times(self, P: jax.Array) -> jax.Array:
+        """F P."""
+        changed = transposed_product(self.block, P[self.needed])
+        return jnp.concatenate([P[: self.at.start], changed, P[self.at.stop :]])
+
+    def times_right(self, C: jax.Array) -> jax.Array:
+        """C F."""
+        n = len(C)
+        product = product_of(C[:, self.at], self.block.T)
+        zeros = jnp.zeros((n, self.at.stop - self.at.start), C.dtype)
+        unit = jnp.concatenate([C[:, : self.at.start], zeros, C[:, self.at.stop :]], axis=1)
+        return unit + jnp.pad(product, ((0, 0), (self.needed.start, n - self.needed.stop)))
+
+    def congruence(self, P: jax.Array, FP: jax.Array) -> jax.Array:
+        """F P Fᵀ, symmetric to the bit, given F P."""
+        rows = FP[self.at]
+        square = product_of(rows[:, self.needed], self.block)
         # Both triangles of a matrix are computed, and must not drift apart.
         square = 0.5 * (square + square.T)
-        rows = jnp.concatenate([FP[:, : changed.start], square, FP[:, changed.stop :]], axis=1)
-        P = jnp.concatenate([P[:, : changed.start], rows.T, P[:, changed.stop :]], axis=1)
-        P = jnp.concatenate([P[: changed.start], rows, P[changed.stop :]])
-    shared = (G != 0).astype(int) @ (G != 0).astype(int).T
+        rows = jnp.concatenate([rows[:, : self.at.start], square, rows[:, self.at.stop :]], axis=1)
+        P = jnp.concatenate([P[:, : self.at.start], rows.T, P[:, self.at.stop :]], axis=1)
+        return jnp.concatenate([P[: self.at.start], rows, P[self.at.stop :]])
+
+
+def noise_covariance(jacobian: Jacobian) -> jax.Array:
+    """G Gᵀ of a Jacobian (F G): a block of the rows that share noise, and variances."""
+    n, inputs = jacobian.structure.shape
+    present = (jacobian.structure[:, n:] != ZERO).astype(int)
+    shared = present @ present.T
     coupled = _span(shared.sum(axis=1) > np.diag(shared))
-    G_array = jacobian.array[:, n:]
-    Q = product_of(G_array[coupled], G_array[coupled].T)
+    noisy = _span(present[coupled].any(axis=0))
+    block = jacobian.transposed(coupled, slice(n + noisy.start, n + noisy.stop))
     alone = np.ones(n)
     alone[coupled] = 0.0
-    variances = jnp.sum(jnp.square(G_array), axis=1) * jnp.asarray(alone, P.dtype)
+    kind = jacobian.sums.dtype
+    variances = jacobian.squares(slice(n), slice(n, inputs)) * jnp.asarray(alone, kind)
     outside = coupled.start, n - coupled.stop
-    return P + jnp.pad(Q, (outside, outside)) + jnp.eye(n, dtype=P.dtype) * variances[None]
+    together = jnp.pad(transposed_product(block, block), (outside, outside))
+    return together + jnp.eye(n, dtype=kind) * variances[None]
 
 
 def product_of(A: jax.Array, B: jax.Array) -> jax.Array:
     """AB as sums: no call of a library, and contiguous in the columns of B."""
     return jnp.sum(A[:, :, None] * B[None], axis=1)
+
+
+def transposed_product(A: jax.Array, B: jax.Array) -> jax.Array:
+    """AᵀB as sums, contiguous in the columns of B."""
+    return jnp.sum(A[:, :, None] * B[:, None], axis=0)
 
 
 def _span(which: np.ndarray) -> slice:

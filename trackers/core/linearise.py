@@ -37,21 +37,36 @@ def linearise(
 
 
 def jacobian(function: Callable[..., State], point: Sequence[Scalar]) -> tuple[State, Jacobian]:
-    """The state `function(*point)`, and the Jacobian of its small steps as one array.
+    """The state `function(*point)`, and the Jacobian of its small steps.
 
-    Few operations, each on all columns at once: the form for few trajectories.
+    Columns without a common row are computed together (Curtis, Powell and Reid 1974), all these groups at once: few
+    operations, the form for few trajectories.
     """
     point = [jnp.asarray(x) for x in point]
     state, tangent_map = jax.linearize(function, *point)
 
-    def column(*unit: Scalar) -> list[Scalar]:
+    def small_step(*unit: Scalar) -> list[Scalar]:
         return steps_of(state, tangent_map(*unit))
 
     n = len(point)
-    found = _structure(jax.make_jaxpr(column)(*point).jaxpr, [{k: ONE} for k in range(n)])
+    found = _structure(jax.make_jaxpr(small_step)(*point).jaxpr, [{k: ONE} for k in range(n)])
     structure = np.array([[kinds.get(j, ZERO) for j in range(n)] for kinds in found]).reshape(-1, n)
-    array = jax.vmap(lambda *unit: jnp.stack(column(*unit)), out_axes=1)(*jnp.eye(n, dtype=point[0].dtype))
-    return state, Jacobian(array, structure)
+    group = _groups(structure != ZERO)
+    seeds = jnp.asarray(group[:, None] == np.arange(group.max() + 1), point[0].dtype)
+    sums = jax.vmap(lambda *unit: jnp.stack(small_step(*unit)))(*seeds)
+    return state, Jacobian(sums, group, structure)
+
+
+def _groups(present: np.ndarray) -> np.ndarray:
+    """The group of each column of a pattern (outputs, inputs); columns of a group have no row in common."""
+    group, rows = np.zeros(present.shape[1], int), []
+    for j, column in enumerate(present.T):
+        free = [g for g, taken in enumerate(rows) if not (taken & column).any()]
+        group[j] = free[0] if free else len(rows)
+        if not free:
+            rows.append(np.zeros(len(column), bool))
+        rows[group[j]] = rows[group[j]] | column
+    return group
 
 
 def _structure(jaxpr: Any, inputs: Sequence[dict[int, int]]) -> list[dict[int, int]]:

@@ -3,7 +3,7 @@
 With x, P the filtered state and covariance of a time step, F, G the motion's Jacobians to the next one, x⁻ = step(x),
 P⁻ = FPFᵀ + GGᵀ the prediction, and ₊ the next step's smoothed belief:
 
-    C = PFᵀ(P⁻)⁻¹        xˢ = x + C(xˢ₊ − x⁻)        Pˢ = (I − CF)P(I − CF)ᵀ + CGGᵀCᵀ + CPˢ₊Cᵀ
+    C = PFᵀ(P⁻)⁻¹        xˢ = x + C(xˢ₊ − x⁻)        Pˢ = (I − CF)P(I − CF)ᵀ + C(GGᵀ + Pˢ₊)Cᵀ
 
 The covariance is a sum of squares (Joseph's form, positive semi-definite whatever the rounding error of C), not
 P + C(Pˢ₊ − P⁻)Cᵀ. Matrices here are arrays, not scalars as in the filter: C has no structural zeros, and programs of
@@ -20,19 +20,16 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Shaped
 
 from trackers.core.algebra import Jacobian, Scalar, compute_once, total
-from trackers.core.covariance import OneArray, Upper, in_form_of, matrix
+from trackers.core.covariance import ChangedRows, OneArray, Upper, in_form_of, matrix, noise_covariance, product_of
 from trackers.core.filter import Gaussian
 from trackers.core.select import select
 from trackers.core.state import State, local, retract
 
 Matrix = Float[Array, "n n"]
 
-BLOCK = 64
-"""Time steps whose gains are computed side by side, for few trajectories."""
-
 
 class RtsGain(NamedTuple):
-    """The backward step of one time step: filtered belief, x⁻, C, and the terms of Pˢ without Pˢ₊ (`base`).
+    """The backward step of one time step: filtered belief, x⁻, C, GGᵀ (`noise`), and (I − CF)P(I − CF)ᵀ (`base`).
 
     `connected`: the next step continues this track. `simultaneous`: it is at the same time.
     """
@@ -40,6 +37,7 @@ class RtsGain(NamedTuple):
     filtered: Gaussian
     predicted: State
     gain: Matrix
+    noise: Matrix
     base: Matrix
     connected: Scalar
     simultaneous: Scalar
@@ -52,23 +50,29 @@ def rts_gain(
 
     `jacobian`: of the motion with respect to state and noise, (F G).
     """
-    multiply = _product(belief.cov)
-    n = len(jacobian.array)
-    P, F, G = matrix(belief.cov), jacobian.array[:, :n], jacobian.array[:, n:]
-    P, F, G = compute_once((P, F, G))
-    FP = compute_once(multiply(F, P))
-    C = compute_once(_times_inverse(FP.T, compute_once(multiply(FP, F.T) + multiply(G, G.T))))
-    I_CF, CG = compute_once((jnp.eye(n, dtype=P.dtype) - multiply(C, F), multiply(C, G)))
-    base = multiply(compute_once(multiply(I_CF, P)), I_CF.T) + multiply(CG, CG.T)
-    return RtsGain(belief, predicted, C, compute_once(base), connected, simultaneous)
+    multiply, P = _product(belief.cov), compute_once(matrix(belief.cov))
+    n, inputs = jacobian.structure.shape
+    if isinstance(belief.cov, tuple):
+        F, G = (compute_once(jacobian.transposed(slice(n), part).T) for part in (slice(n), slice(n, inputs)))
+        FP, noise = compute_once((multiply(F, P), multiply(G, G.T)))
+        C = compute_once(_solved(compute_once(multiply(FP, F.T) + noise), FP).T)
+        I_CF = jnp.eye(n, dtype=P.dtype) - multiply(C, F)
+    else:
+        F_rows, noise = ChangedRows(jacobian), compute_once(noise_covariance(jacobian))
+        FP = compute_once(F_rows.times(P))
+        C = compute_once(_solved(compute_once(F_rows.congruence(P, FP) + noise), FP).T)
+        I_CF = jnp.eye(n, dtype=P.dtype) - F_rows.times_right(C)
+    base = multiply(compute_once(multiply(compute_once(I_CF), P)), I_CF.T)
+    return RtsGain(belief, predicted, C, noise, compute_once(base), connected, simultaneous)
 
 
 def rts_step(rts_gain: RtsGain, after: Gaussian) -> Gaussian:
     """The smoothed belief of a time step, from the smoothed belief `after` of the next one."""
-    n, multiply = rts_gain.gain.shape[0], _product(after.cov)
-    step = total(rts_gain.gain[:, j] * d for j, d in enumerate(local(rts_gain.predicted, after.mean)))
-    CP = compute_once(multiply(rts_gain.gain, matrix(after.cov)))
-    cov = rts_gain.base + multiply(CP, rts_gain.gain.T)
+    C, multiply = rts_gain.gain, _product(after.cov)
+    n = len(C)
+    step = total(C[:, j] * d for j, d in enumerate(local(rts_gain.predicted, after.mean)))
+    later = compute_once(multiply(C, rts_gain.noise + matrix(after.cov)))
+    cov = rts_gain.base + multiply(later, C.T)
     mean = retract(rts_gain.filtered.mean, [step[i] for i in range(n)])
     smoothed = rts_gain.filtered._replace(mean=mean, cov=in_form_of(after.cov, cov))
     # Two steps at one time have one state; the filtered covariance may be singular there, without an inverse.
@@ -77,40 +81,29 @@ def rts_step(rts_gain: RtsGain, after: Gaussian) -> Gaussian:
 
 
 def fixed_interval(
-    gain_of: Callable[..., Any], rts_step: Callable[[Any, Any], Any], last: Any, steps: tuple[Any, ...], few: bool
+    gain_of: Callable[..., Any],
+    rts_step: Callable[[Any, Any], Any],
+    estimate_of: Callable[[Any], Any],
+    last: Any,
+    steps: tuple[Any, ...],
+    few: bool,
 ) -> Any:
-    """The smoothed beliefs of all time steps but the last, batch-last, by one scan backwards from the last.
+    """The smoothed estimates of all time steps but the last, batch-last, by one scan backwards from the last.
 
-    `gain_of(*step)`: the gain of a step of one trajectory. `last`: the filtered belief of the last step. `few`: of few
-    trajectories; then the gains of `BLOCK` time steps are computed side by side.
+    `gain_of(*step)`: the gain of a step of one trajectory. `estimate_of`: the estimates of a batch's beliefs. `last`:
+    the filtered beliefs of the last step. `few`: of few trajectories.
     """
     step = jax.vmap(rts_step, in_axes=-1, out_axes=-1)
     gains_of = jax.vmap(gain_of, in_axes=-1, out_axes=-1)
-    if not few:
+    estimates_of = OneArray()
 
-        def body(after: Any, one: tuple[Any, ...]) -> tuple[Any, Any]:
-            before = step(gains_of(*one), after)
-            return before, before
+    def body(after: Any, one: tuple[Any, ...]) -> tuple[Any, Any]:
+        before = step(gains_of(*one), after)
+        estimate = estimate_of(before)
+        return before, estimates_of.packed(estimate) if few else estimate
 
-        return jax.lax.scan(body, last, steps, reverse=True)[1]
-    rows = jax.tree_util.tree_leaves(steps)[0].shape[0]
-    missing = -rows % BLOCK
-    beliefs_of = OneArray()
-
-    def blocks(x: Array) -> Array:
-        # The recursion ends in the padding.
-        padded = jnp.concatenate([jnp.zeros((missing, *x.shape[1:]), x.dtype), x])
-        return padded.reshape(-1, BLOCK, *x.shape[1:])
-
-    def row(after: Any, gain: Any) -> tuple[Any, Array]:
-        before = step(gain, after)
-        return before, beliefs_of.packed(before)
-
-    def block(after: Any, steps: tuple[Any, ...]) -> tuple[Any, Array]:
-        return jax.lax.scan(row, after, jax.vmap(gains_of)(*steps), reverse=True)
-
-    found = jax.lax.scan(block, last, jax.tree_util.tree_map(blocks, steps), reverse=True)[1]
-    return beliefs_of.unpacked(found.reshape(-1, *found.shape[2:])[missing:])
+    found = jax.lax.scan(body, last, steps, reverse=True)[1]
+    return estimates_of.unpacked(found) if few else found
 
 
 def fixed_lag(
@@ -155,7 +148,7 @@ def _like(condition: Bool[Array, " T"], array: Shaped[Array, "T ..."]) -> Bool[A
 
 def _product(upper: Upper) -> Callable[[Matrix, Matrix], Matrix]:
     """The product of two matrices, in the form of the covariances."""
-    return _outer_products if isinstance(upper, tuple) else jnp.matmul
+    return _outer_products if isinstance(upper, tuple) else product_of
 
 
 def _outer_products(A: Float[Array, "i j"], B: Float[Array, "j k"]) -> Float[Array, "i k"]:
@@ -164,24 +157,17 @@ def _outer_products(A: Float[Array, "i j"], B: Float[Array, "j k"]) -> Float[Arr
     return total(terms) if terms else jnp.zeros((A.shape[0], B.shape[1]), A.dtype)
 
 
-def _times_inverse(rows: Float[Array, "m n"], cov: Float[Array, "n n"]) -> Float[Array, "m n"]:
-    """Rows times the pseudo-inverse of a covariance, by its Cholesky factor; directions without variance drop out."""
+def _solved(cov: Float[Array, "n n"], right: Float[Array, "n m"]) -> Float[Array, "n m"]:
+    """The pseudo-inverse of a covariance times a matrix, by elimination; directions without variance drop out."""
     n, tolerance = cov.shape[0], 16 * float(jnp.finfo(cov.dtype).eps)
-    columns, inverses, remainder = [], [], cov
+    whole = jnp.concatenate([cov, right], axis=1)
     for j in range(n):
-        positive = remainder[j, j] > tolerance * cov[j, j]
-        inverse = jnp.where(positive, 1.0 / jnp.sqrt(jnp.where(positive, remainder[j, j], 1.0)), 0.0)
-        column = jnp.where(jnp.arange(n) >= j, remainder[:, j] * inverse, 0.0)
-        remainder = compute_once(remainder - jnp.outer(column, column))
-        columns.append(column)
-        inverses.append(inverse)
-    L = jnp.stack(columns, axis=1)
-    forward, backward = [], []
-    for j in range(n):
-        forward.append(rows[:, j] * inverses[j])
-        rows = compute_once(rows - jnp.outer(forward[j], L[:, j]))
-    rows = jnp.stack(forward, axis=1)
-    for j in reversed(range(n)):
-        backward.append(rows[:, j] * inverses[j])
-        rows = compute_once(rows - jnp.outer(backward[-1], L[j]))
-    return jnp.stack(backward[::-1], axis=1)
+        # The first column is the one eliminated; those before it are gone.
+        column = whole[:, 0]
+        positive = column[j] > tolerance * cov[j, j]
+        row = whole[j, 1:] * jnp.where(positive, 1.0 / jnp.where(positive, column[j], 1.0), 0.0)
+        others = jnp.where(jnp.arange(n) == j, 0.0, column)
+        kept = jnp.where((jnp.arange(n) == j)[:, None], 0.0, whole[:, 1:])
+        at_j = jnp.where((jnp.arange(n) == j)[:, None], row[None], 0.0)
+        whole = compute_once(kept - jnp.outer(others, row) + at_j)
+    return whole

@@ -55,21 +55,18 @@ class Smoothed(AbstractEpochwiseTracker):
         connected = usable[:-1] & (output.status[1:] == Status.OK)
         dt, inputs = jax.tree_util.tree_map(lambda x: jnp.asarray(x)[1:], (batch.dt, batch.inputs))
         steps = (but_last, connected, dt, inputs)
-        last = jax.tree_util.tree_map(lambda x: x[-1:], filtered)
 
         def gain_of(belief: Any, connected: Scalar, dt: Scalar, inputs: Inputs) -> Any:
             return filter_.rts_gain(belief, tracker.motion, connected, dt, inputs)
 
-        rts_step = filter_.rts_step
-        if self.lag is None:
-            smoothed = fixed_interval(
-                gain_of, rts_step, jax.tree_util.tree_map(lambda x: x[0], last), steps, few(batch.size)
-            )
-        else:
-            smoothed = fixed_lag(gain_of, rts_step, filtered, steps, dt, jnp.asarray(self.lag, batch.dt.dtype))
-        beliefs = jax.tree_util.tree_map(lambda a, b: jnp.concatenate([a, b]), smoothed, last)
         each = jax.vmap(lambda belief: moments_by_entry(tracker, belief), in_axes=-1, out_axes=-1)
-        mean, cov = jax.vmap(each)(beliefs)
+        end = jax.tree_util.tree_map(lambda x: x[-1], filtered)
+        if self.lag is None:
+            smoothed = fixed_interval(gain_of, filter_.rts_step, each, end, steps, few(batch.size))
+        else:
+            lag = jnp.asarray(self.lag, batch.dt.dtype)
+            smoothed = jax.vmap(each)(fixed_lag(gain_of, filter_.rts_step, filtered, steps, dt, lag))
+        mean, cov = jax.tree_util.tree_map(lambda a, b: jnp.concatenate([a, b[None]]), smoothed, each(end))
         return tracker.with_age(output._replace(mean=mean, cov=by_entry(cov))), state
 
     def begin(self, prior: Gaussian, batch: Batch) -> Any:

@@ -146,7 +146,10 @@ class Rotation(AbstractCurved):
         w, x, y, z = self.w, self.x, self.y, self.z
         a, b, c = (0.5 * s for s in step)
         return Rotation(
-            w - (x * a + y * b + z * c), x + (w * a + y * c - z * b), y + (w * b + z * a - x * c), z + (w * c + x * b - y * a)
+            w - (x * a + y * b + z * c),
+            x + (w * a + y * c - z * b),
+            y + (w * b + z * a - x * c),
+            z + (w * c + x * b - y * a),
         )
 
     def step_of(self, change: Rotation) -> tuple[Scalar, ...]:

@@ -33,7 +33,8 @@ def _forms(P):
 
 
 def _jacobian(matrix):
-    return Jacobian(jnp.asarray(matrix), np.where(matrix == 0, ZERO, np.where(matrix == 1, ONE, VARIABLE)))
+    structure = np.where(matrix == 0, ZERO, np.where(matrix == 1, ONE, VARIABLE))
+    return Jacobian(jnp.asarray(matrix.T), np.arange(len(matrix.T)), structure)
 
 
 @pytest.mark.parametrize("rows", [[0, 1, 2], [1, 3], [4], []], ids=str)
