@@ -13,7 +13,8 @@ from trackers.core.recording import stack
 from trackers.core.tracker import filter_batch
 from tuning.objectives import NegativeLogLikelihood
 from tuning.parameters import flatten, select_parameters
-from tuning.problem import Problem, term_sums
+from tuning.point import term_sums
+from tuning.problem import Problem
 
 DEFAULT = ("beam", "das", "fix-kf, smoothed", "line-grid", "mhk", "multilateration", "particles", "uwb", "uwb-imu")
 """One tracker of each kind; the others are slow together."""

@@ -13,7 +13,6 @@ from jaxtyping import Float
 
 from trackers.core.chunks import CHUNK
 from trackers.core.tracker import AbstractTracker
-from trackers.core.tunable import Covariance, Scale, role_of
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.named_tracker import NamedTracker
 from tuning.data import Arrays, fit_arrays
@@ -23,14 +22,12 @@ from tuning.optimisers import LBFGS, AbstractOptimiser, Adam
 from tuning.parameters import Parameter, flatten, limits, physical, select_parameters, with_parameters
 from tuning.priors import Prior
 from tuning.problem import Evaluation, Problem
+from tuning.starts import initial_state
 from tuning.uncertainty import Optimum, Uncertainty, determined, optimum, uncertainty_at, unidentifiable
 
 AnyTracker = TypeVar("AnyTracker", bound="AbstractTracker | NamedTracker")
 
 NEWTON_STEPS = 4
-
-GRID_STEP = np.log(10.0)
-"""Distance between points of the coarse grid of starts, in unconstrained coordinates: a factor of ten."""
 
 
 @dataclass(frozen=True)
@@ -47,9 +44,10 @@ class FitResult(Generic[AnyTracker]):
     """A tuned tracker, its uncertainty and the optimiser trace.
 
     `values`: physical, by label. `value`, `start_value`: the objective. `n_excluded`: trajectories without usable
-    gradients. `problem`, `vector`: the objective as a function, and its best point. `evaluation`: there. `uncertainty`: None where the fit
-    was interrupted. `trace`: the steps of the best start, ending at `vector`; `starts`: the traces of all starts.
-    `before`: the tracker at the first start, tied numbers made equal and bounded ones clipped.
+    gradients. `problem`, `vector`, `evaluation`: the objective as a function, its best point, and its value and
+    gradient there. `uncertainty`: None where the fit was interrupted. `trace`: the steps of the best start, ending at
+    `vector`; `starts`: of all starts. `before`: the tracker at the first start, tied numbers made equal and bounded
+    ones clipped.
     """
 
     tracker: AnyTracker
@@ -151,53 +149,6 @@ def fit(
         values = {name: result.values[p.label] for p in parameters for name in p.names}
         result = dataclasses.replace(result, tracker=tracker.with_values(values, "the fit"))
     return result
-
-
-def initial_state(driver: MultiStart, vectors: Float[np.ndarray, "V p"], starts: int) -> FitState:
-    """The state at `starts` starts: the first of the vectors, and the best of the others and of a coarse grid.
-
-    Of starts with the same value, which differ in numbers without effect alone, one is taken.
-    """
-    runs = 0
-    if starts > 1:
-        vectors = np.concatenate([vectors, coarse_grid(driver.problem.parameters, vectors[0])[1:]])
-        vectors = np.clip(vectors, driver.low, driver.high)
-        scores, runs = driver.scores(vectors)
-        best = [k for k in np.argsort(scores[1:], kind="stable") + 1 if np.isfinite(scores[k])]
-        chosen = {float(scores[k]): k for k in reversed([0, *best])}
-        vectors = vectors[[0, *(k for k in best if chosen[float(scores[k])] == k)][:starts]]
-    state = driver.init(vectors)
-    if not state.active[0]:
-        raise FloatingPointError(
-            f"the objective is not finite at the start ({state.values[0]}): no row is scored, or truth is missing"
-        )
-    return state._replace(filter_runs=state.filter_runs + runs)
-
-
-def coarse_grid(parameters: Sequence[Parameter], vector: Float[np.ndarray, " p"]) -> Float[np.ndarray, "S p"]:
-    """Starts (S, p): the vector itself first, then with process noise and all other scales a tenth or tenfold.
-
-    Scales are noise levels, times and rates; offsets and fractions stay. Nine starts where both groups are tuned, three
-    for one, one for none.
-    """
-    motion, others = np.zeros_like(vector), np.zeros_like(vector)
-    at = 0
-    for parameter in parameters:
-        raised = np.zeros(parameter.shape)
-        if isinstance(parameter.example, Scale):
-            raised = raised + 1.0
-        elif isinstance(parameter.example, Covariance):
-            raised = np.eye(len(raised))  # the logarithms of a Cholesky factor's diagonal
-        part = motion if role_of(parameter.example) in ("process noise", "bias noise") else others
-        part[at : at + parameter.size] = np.ravel(raised)
-        at += parameter.size
-    steps = (0.0, -GRID_STEP, GRID_STEP)
-    grid = [
-        vector + a * motion + b * others
-        for a in (steps if motion.any() else steps[:1])
-        for b in (steps if others.any() else steps[:1])
-    ]
-    return np.stack(grid)
 
 
 def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, interrupted: bool) -> FitResult[Any]:

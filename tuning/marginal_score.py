@@ -17,13 +17,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from trackers.core.algebra import Scalar
+from trackers.core.carry import initial_carry
 from trackers.core.chunks import as_dtype
 from trackers.core.particle.filter import AbstractParticleFilter, Particles, particle_residuals
 from trackers.core.particle.resampling import LOG_ZERO
 from trackers.core.particle.score import normal_log_density
 from trackers.core.particle.transition import check_transition_density, transition_log_density
 from trackers.core.recording import Batch, Row
-from trackers.core.scan import initial_carry
 from trackers.core.sensor import Reading
 from trackers.core.state import State
 from trackers.core.tracker import Tracker

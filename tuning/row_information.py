@@ -14,7 +14,8 @@ import numpy as np
 from jaxtyping import Float
 
 from trackers.core.chunks import run_chunks
-from tuning.problem import Problem, row_terms
+from tuning.point import row_terms
+from tuning.problem import Problem
 
 
 class RowInformation(NamedTuple):
@@ -33,7 +34,7 @@ def row_information(problem: Problem, vectors: Float[np.ndarray, "S p"], block: 
     """
     points = [problem.point(vector) for vector in np.atleast_2d(vectors)]
     found = run_chunks(row_terms, [(point, part) for part in problem.chunks for point in points])
-    each = [_information(*(x[0, -1] for x in terms), block) for terms in found]
+    each = [_information(np.asarray(terms[0, -1]), np.asarray(slopes[0, -1]), block) for terms, slopes in found]
     count = len(points)
     parts = [[np.stack(xs) for xs in zip(*each[k : k + count], strict=True)] for k in range(0, len(each), count)]
     return RowInformation(*(np.concatenate(xs, axis=-1) for xs in zip(*parts, strict=True)))

@@ -27,7 +27,8 @@ from trackers.core.start import AbstractStart
 from trackers.core.tracker import AbstractTracker, filter_batch
 from tuning.objectives import NegativeLogLikelihood
 from tuning.parameters import flatten, select_parameters
-from tuning.problem import Problem, term_sums
+from tuning.point import term_sums
+from tuning.problem import Problem
 
 TRAJECTORIES, ROWS = 4096, 200
 SLICE = (256, 50)

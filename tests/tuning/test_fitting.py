@@ -17,8 +17,9 @@ from tuning.fitting import fit
 from tuning.optimisation import to_arrays
 from tuning.optimisers import LBFGS, Adam
 from tuning.parameters import flatten, select_parameters, with_parameters
+from tuning.point import term_sums
 from tuning.priors import Prior
-from tuning.problem import Problem, term_sums
+from tuning.problem import Problem
 
 SIGMA_A, SIGMA_P = 0.15, 0.2
 NOISE = ("motion.sigma_a", "sensors.*.sigma_p")

@@ -31,9 +31,9 @@ from trackers.parts.fixes import FIXES
 from trackers.recordings.tracks import batches as in_batches
 from trackers.uwb_imu.fusion import range_tracker
 from tuning.differences import FixNoiseLevels, noise_levels_of_fixes
-from tuning.fitting import coarse_grid
 from tuning.guessing import TOLERANCE, _Search, first_guess, noise_levels, sample_segments, tolerant
 from tuning.parameters import select_parameters
+from tuning.starts import coarse_grid
 
 FAR = [(10.0, 10.0), (0.1, 0.1), (10.0, 0.1), (0.1, 10.0)]
 LEVELS = {"motion.sigma_a": 0.7, "motion.sigma_z": 0.1, "sensors.fixes.sigma_horizontal": 0.15}

@@ -16,7 +16,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core import algebra
 from trackers.core.algebra import ZERO, Jacobian, Scalar, SparseRow, Vector, compute_once, dense, full, total, triangle
 
 FEW = 8
@@ -99,8 +98,8 @@ def matched(weights: Sequence[Scalar], covs: Sequence[Upper], deviations: Sequen
             total(w * (P[k] + d[i] * d[j]) for w, P, d in zip(weights, covs, deviations, strict=True))
             for k, (i, j) in enumerate(triangle(len(deviations[0])))
         )
-    each = [jnp.stack(list(d)) for d in deviations]
-    found: jax.Array = total(w * (P + jnp.outer(d, d)) for w, P, d in zip(weights, covs, each, strict=True))
+    parts = zip(weights, map(jnp.asarray, covs), [jnp.stack(list(d)) for d in deviations], strict=True)
+    found: jax.Array = total(w * (P + jnp.outer(d, d)) for w, P, d in parts)
     return found
 
 
@@ -116,7 +115,7 @@ class ChangedRows:
     def __init__(self, jacobian: Jacobian):
         n = len(jacobian.structure)
         F = jacobian.structure[:, :n]
-        self.at = _span((F != np.eye(n)).any(axis=1))
+        self.at = _span((np.eye(n) != F).any(axis=1))
         self.needed = _span((F[self.at] != ZERO).any(axis=0))
         self.block = jacobian.transposed(self.at, self.needed)
 
@@ -199,25 +198,25 @@ def dot(h: SparseRow | jax.Array, x: Any) -> Scalar:
 
 def product(upper: Upper, h: SparseRow | jax.Array, n: int) -> Any:
     """P h, a `Vector` or an array (n,)."""
-    if isinstance(h, dict):
-        P = full(upper, n)
-        return Vector.of(compute_once([total(P[i][j] * v for j, v in h.items()) for i in range(n)]))
-    return jnp.sum(upper * h[:, None], axis=0)
+    if not isinstance(upper, tuple):
+        return jnp.sum(upper * jnp.asarray(h)[:, None], axis=0)
+    P, entries = full(upper, n), dict(h)
+    return Vector.of(compute_once([total(P[i][j] * v for j, v in entries.items()) for i in range(n)]))
 
 
 def updated(upper: Upper, Ph: Any, h: SparseRow | jax.Array, a: Scalar, noise: Scalar) -> tuple[Any, Upper]:
     """The gain k = Ph/(a + `noise`) of a scalar reading with a = hᵀPh, and the covariance after it.
 
-    For scalars in Joseph's form, (I − khᵀ) P (I − khᵀ)ᵀ + `noise` kkᵀ. For a matrix that is P − (a + `noise`) kkᵀ, the
-    same to rounding and symmetric to the bit; Joseph's form takes twice as long.
+    For scalars in Joseph's form, (I − khᵀ) P (I − khᵀ)ᵀ + `noise` kkᵀ. For a matrix P − (a + `noise`) kkᵀ, the same to
+    rounding and symmetric to the bit.
     """
     k = Ph / (noise + a)
-    if not isinstance(h, dict):
+    if not isinstance(upper, tuple):
         root = Ph / jnp.sqrt(noise + a)
         return k, upper - root[:, None] * root[None]
     # B = (I − khᵀ)P, then B(I − khᵀ)ᵀ + noise kkᵀ as a rank-one update of B, n² products. Bh from the rounded B
     # corrects its rounding errors as the product of three matrices does.
-    n, P = len(Ph), full(upper, len(Ph))
-    B = {(i, j): P[i][j] - k[i] * Ph[j] for i in range(n) for j in range(n) if j >= i or j in h}
-    Bh_noise = compute_once([total(B[i, j] * v for j, v in h.items()) - noise * k[i] for i in range(n)])
+    n, P, entries = len(Ph), full(upper, len(Ph)), dict(h)
+    B = {(i, j): P[i][j] - k[i] * Ph[j] for i in range(n) for j in range(n) if j >= i or j in entries}
+    Bh_noise = compute_once([total(B[i, j] * v for j, v in entries.items()) - noise * k[i] for i in range(n)])
     return k, tuple(B[i, j] - Bh_noise[i] * k[j] for i, j in triangle(n))

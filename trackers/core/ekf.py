@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import jax.numpy as jnp
+from jax import Array
 
 from trackers.core.algebra import (
     Jacobian,
@@ -87,9 +88,9 @@ class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
         student_t = has_student_t[0]
         channels = compute_once((whitened, jacobian))
         residual, H, rest = (*channels, jnp.zeros_like(nis_dof)) if student_t else compute_once(compressed(*channels))
-        H = [row_for(belief.cov, h, len(point)) for h in H]
+        each = [row_for(belief.cov, h, len(point)) for h in H]
         step, cov, nis, log_density = sequential_updates(
-            belief.cov, residual, H, len(point), dof if student_t else None
+            belief.cov, residual, each, len(point), dof if student_t else None
         )
         innovation = Innovation(log_scale + log_density - 0.5 * rest, nis + rest, nis_dof, wrapped)
         return Gaussian(retract(belief.mean, step), cov), innovation
@@ -163,7 +164,7 @@ def compressed(
 
 
 def sequential_updates(
-    cov: Upper, residual: Sequence[Scalar], H: Sequence[SparseRow], n: int, dof: Scalar | None = None
+    cov: Upper, residual: Sequence[Scalar], H: Sequence[SparseRow | Array], n: int, dof: Scalar | None = None
 ) -> tuple[Any, Upper, Scalar, Scalar]:
     """Scalar updates in Joseph form, one per channel: the small step, the covariance, the NIS and the log density.
 

@@ -1,4 +1,4 @@
-"""Jacobians of small functions by forward mode, as sparse rows of scalars or one array, and covariances through them."""
+"""Jacobians of small functions by forward mode, as sparse rows or as an array, and covariances through them."""
 
 from __future__ import annotations
 
@@ -59,7 +59,8 @@ def jacobian(function: Callable[..., State], point: Sequence[Scalar]) -> tuple[S
 
 def _groups(present: np.ndarray) -> np.ndarray:
     """The group of each column of a pattern (outputs, inputs); columns of a group have no row in common."""
-    group, rows = np.zeros(present.shape[1], int), []
+    group = np.zeros(present.shape[1], int)
+    rows: list[np.ndarray] = []
     for j, column in enumerate(present.T):
         free = [g for g, taken in enumerate(rows) if not (taken & column).any()]
         group[j] = free[0] if free else len(rows)

@@ -6,50 +6,36 @@ over trajectories. The exception is a belief with an axis of particles or cells:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.interpreters.partial_eval import dce_jaxpr
 from jax.experimental.layout import Layout, with_layout_constraint
+from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Bool, UInt32
 
 from trackers.core import covariance
 from trackers.core.algebra import Scalar, mark_dependent
-from trackers.core.covariance import OneArray, Upper, as_scalars, by_entry, entries, matrix
+from trackers.core.carry import (
+    Carry,
+    RecursiveTracker,
+    StepInfo,
+    carry_axes,
+    empty_carry,
+    in_form,
+    initial_carry,
+)
+from trackers.core.covariance import OneArray, Upper, by_entry, entries
 from trackers.core.estimates import Status
-from trackers.core.filter import AbstractFilter, Gaussian, Innovation
-from trackers.core.keys import RawKey
+from trackers.core.filter import Innovation
 from trackers.core.recording import Batch, Row
 from trackers.core.select import select
-from trackers.core.sensor import AbstractSensor
-from trackers.core.start import AbstractStart
 
 STARTS_AT_ONCE = 16
 """Trajectories whose start is searched for together; one search costs as much as hundreds of filter steps."""
-
-
-class StepInfo(NamedTuple):
-    """Per-step diagnostics: log-likelihood, NIS and its degrees of freedom, ambiguous wraps, `Status`."""
-
-    log_likelihood: Scalar
-    nis: Scalar
-    nis_dof: Scalar
-    wrapped: Scalar
-    status: Scalar
-
-
-class Carry(NamedTuple):
-    """The carry between two time steps: belief, track status, running mean of NIS/dof, s since the last measurement."""
-
-    belief: Any
-    running: Scalar
-    started: Scalar
-    nis_average: Scalar
-    time_since_measurement: Scalar
 
 
 class ScanState(NamedTuple):
@@ -82,30 +68,14 @@ Score = Callable[[Output, dict[str, tuple[Any, Any]]], tuple[Any, ...]]
 """Numbers per trajectory, (B,) each, of one time step: a function of its output and its truth."""
 
 
-@runtime_checkable
-class RecursiveTracker(Protocol):
-    """The attributes of a `Tracker` that the scan uses."""
-
-    @property
-    def sensors(self) -> Mapping[str, AbstractSensor]: ...
-    @property
-    def start(self) -> AbstractStart: ...
-    @property
-    def filter(self) -> AbstractFilter[Any]: ...
-    def predict(self, belief: Any, row: Row) -> Any: ...
-    def update(self, belief: Any, row: Row) -> tuple[Any, Innovation]: ...
-    def advance(self, carry: Carry, row: Row, belief: Any, innovation: Innovation) -> tuple[Carry, StepInfo]: ...
-    def moments(self, belief: Any) -> tuple[Any, Upper]: ...
-
-
 def scan_rows(
     tracker: RecursiveTracker,
     batch: Batch,
     initial: ScanState | None = None,
     score: Score | None = None,
-    moments: Callable[[Any], tuple[Any, tuple[Scalar, ...]]] | None = None,
+    moments: Callable[[Any], tuple[Any, Upper]] | None = None,
     every_row: bool = False,
-) -> tuple[tuple[Any, ...], Output | None, ScanState | None]:
+) -> tuple[tuple[Any, ...], Any, Any]:
     """All time steps of one chunk, batch-last: the outputs of every step, or with a `score` its sums over time.
 
     `initial`: the state before the first row, by default no track. `moments`: mean and covariance of an output from the
@@ -117,8 +87,9 @@ def scan_rows(
     n_rows = jnp.zeros(size, jnp.uint32) if initial is None else jnp.asarray(initial.n_rows)
     axes = carry_axes(tracker)
     few = covariance.few(size) and not tracker.filter.has_particle_axis
-    moments = moments or (lambda belief: moments_by_entry(tracker, belief))
-    every_moments = jax.vmap(moments, in_axes=axes.belief, out_axes=-1)
+    every_moments = jax.vmap(
+        moments or (lambda belief: moments_by_entry(tracker, belief)), in_axes=axes.belief, out_axes=-1
+    )
 
     def one_row(carry: Carry, row: Row) -> tuple[Carry, Output]:
         row = row._replace(key=trajectory_keys, number=n_rows + row.number)
@@ -217,46 +188,6 @@ def step(tracker: RecursiveTracker, carry: Carry, row: Row, few: bool) -> tuple[
     seen = [jnp.any(reading.seen) for reading in row.readings.values()]
     belief, innovation = jax.lax.cond(jnp.any(jnp.stack(seen)), measured, unmeasured, belief)
     return advance(carry, row, belief, innovation)
-
-
-def carry_axes(tracker: RecursiveTracker) -> Carry:
-    """The axis of trajectories in each part of the carry: last, but first in a belief with a particle axis."""
-    return Carry(0 if tracker.filter.has_particle_axis else -1, -1, -1, -1, -1)
-
-
-def initial_carry(tracker: RecursiveTracker, candidate: Any, row: Row) -> Carry:
-    """The carry after a row that starts a track."""
-    return carry_of(tracker, tracker.start.belief(candidate, row), row.key, row.number)
-
-
-def carry_of(tracker: RecursiveTracker, prior: Gaussian, key: RawKey, number: Scalar) -> Carry:
-    """The carry of a track that begins with this prior at row `number` of a trajectory with this random key."""
-    one = jnp.ones_like(prior.cov[0])
-    # A new key for every start of a trajectory; XLA drops it where the filter draws no random numbers.
-    key = jax.random.key_data(jax.random.fold_in(jax.random.wrap_key_data(jnp.asarray(key)), number))
-    return Carry(tracker.filter.init(prior, key), one > 0, one > 0, one, one * 0)
-
-
-def in_form(carry: Carry, few: bool) -> Carry:
-    """The carry of one trajectory with its covariances in the form for few trajectories, or for many."""
-
-    def one(part: Any) -> Any:
-        if not isinstance(part, Gaussian):
-            return part
-        return part._replace(cov=matrix(part.cov) if few else as_scalars(part.cov))
-
-    belief = jax.tree_util.tree_map(one, carry.belief, is_leaf=lambda part: isinstance(part, Gaussian))
-    return carry._replace(belief=belief)
-
-
-def empty_carry(tracker: RecursiveTracker, row: Row, few: bool) -> Carry:
-    """The carry before the first row: zeros, no track running."""
-
-    def started(row: Row) -> Carry:
-        return in_form(initial_carry(tracker, tracker.start.candidate(tracker.sensors, row), row), few)
-
-    shape = jax.eval_shape(started, row)
-    return jax.tree_util.tree_map(lambda s: jnp.zeros(s.shape, s.dtype), shape)
 
 
 def reinitialise(

@@ -48,7 +48,6 @@ class Smoothed(AbstractEpochwiseTracker):
         filter_ = tracker.filter
         assert isinstance(filter_, AbstractSmoothableFilter)
         _, output, state = scan_rows(tracker, batch, initial, moments=lambda belief: (belief, ()))
-        assert output is not None
         filtered = output.mean
         but_last = jax.tree_util.tree_map(lambda x: x[:-1], filtered)
         usable = (output.status == Status.OK) | (output.status == Status.RESTARTED)

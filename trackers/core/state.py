@@ -250,8 +250,8 @@ def steps_of(state: State, change: State) -> list[Scalar]:
 def coordinates(state: State) -> tuple[list[Scalar], Any]:
     """Coordinates of the state and the function that rebuilds a state from such coordinates.
 
-    A flat leaf is its own coordinates; a curved leaf has zeros, the small step from itself, to first order: the function
-    is for derivatives. So the traced program of a flat state has no sums with zero.
+    A flat leaf is its own coordinates, so that the traced program of a flat state has no sums with zero; a curved leaf
+    has zeros, the small step from itself. For derivatives: curved leaves are rebuilt to first order.
     """
     leaves, structure = _leaves(state)
     point: list[Scalar] = []

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.core.algebra import Scalar, compute_once, total
+from trackers.core.carry import Carry, StepInfo, carry_of
 from trackers.core.chunks import CHUNK, as_dtype, chunks, run_chunks
 from trackers.core.covariance import Upper, leading
 from trackers.core.ekf import ExtendedKalman
@@ -31,7 +32,7 @@ from trackers.core.layout import Layout
 from trackers.core.motion import AbstractMotion
 from trackers.core.recording import Batch, Recording, Row, stack
 from trackers.core.requirements import Parts, check_input, check_parts
-from trackers.core.scan import Carry, Output, ScanState, Score, StepInfo, carry_of, scan_rows
+from trackers.core.scan import Output, ScanState, Score, scan_rows
 from trackers.core.select import select, where_mostly
 from trackers.core.sensor import AbstractSensor
 from trackers.core.start import AbstractStart
@@ -216,7 +217,6 @@ class Tracker(AbstractTracker):
 
     def scan(self, batch: Batch, initial: ScanState | None = None) -> tuple[Output, ScanState]:
         _, output, state = scan_rows(freeze(self), batch, initial)
-        assert output is not None
         return self.with_age(output), state
 
     def accumulate(self, batch: Batch, score: Score, every_row: bool = False) -> tuple[Any, ...]:
