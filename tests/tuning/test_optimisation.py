@@ -1,0 +1,83 @@
+"""The steps of many starts: which end, and how often a failing step is tried."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from tests.tuning.worlds import line_tracker, walks
+from trackers.core.recording import stack
+from tuning import NegativeLogLikelihood
+from tuning.optimisation import MultiStart
+from tuning.optimisers import LBFGS
+from tuning.parameters import flatten, select_parameters
+from tuning.problem import Problem
+from tuning.starts import initial_state
+
+LEVELS = ("motion.sigma_v", "sensors.gauge.sigma")
+ANYWHERE = np.full(2, -np.inf), np.full(2, np.inf)
+
+
+@pytest.fixture(scope="module")
+def problem():
+    tracker = line_tracker()
+    return Problem(tracker, [stack(walks([60] * 4, 2))], NegativeLogLikelihood(), select_parameters(tracker, LEVELS))
+
+
+class Overshooting(LBFGS):
+    """Steps down the slope, far too long."""
+
+    def propose(self, state, vectors, gradients):
+        return -1e3 * gradients / np.linalg.norm(gradients, axis=1, keepdims=True), state
+
+
+def _evaluated(problem, monkeypatch):
+    """The vectors of all evaluations from here on."""
+    evaluate, seen = Problem.evaluate, []
+
+    def recorded(self, vectors, *args, **kwargs):
+        seen.extend(np.atleast_2d(vectors))
+        return evaluate(self, vectors, *args, **kwargs)
+
+    monkeypatch.setattr(Problem, "evaluate", recorded)
+    return seen
+
+
+def test_of_two_starts_that_meet_the_worse_one_ends(problem):
+    driver, start = MultiStart(problem, LBFGS(), 20, *ANYWHERE), flatten(problem.parameters)
+    state = driver.init(start + np.array([[0.0, 0.0], [0.02, 0.0], [1.5, -1.5]]))
+    state = driver.step(state)
+    assert state.active.tolist() in ([True, False, True], [False, True, True])
+    better = int(np.argmin(state.values[:2]))
+    assert state.active[better]
+
+
+def test_a_failed_step_is_shortened_at_once_to_where_a_parabola_has_its_minimum(problem, monkeypatch):
+    driver, start = MultiStart(problem, Overshooting(), 5, *ANYWHERE), flatten(problem.parameters)
+    state = driver.init(start)
+    seen = _evaluated(problem, monkeypatch)
+    after = driver.step(state)
+    lengths = [np.linalg.norm(v - start) for v in seen]
+    assert lengths[0] == pytest.approx(1e3)
+    assert all(0.1 * a <= b * (1 + 1e-9) and b <= 0.5 * a * (1 + 1e-9) for a, b in pairwise(lengths))
+    assert after.values[0] <= state.values[0]
+
+
+def test_a_step_that_promises_no_gain_is_not_tried(problem, monkeypatch):
+    driver = MultiStart(problem, LBFGS(), 60, *ANYWHERE)
+    state = driver.init(flatten(problem.parameters))
+    while not driver.done(state):
+        state = driver.step(state)
+    seen = _evaluated(problem, monkeypatch)
+    flat = state._replace(active=np.array([True]), gradients=1e-9 * state.gradients)
+    after = driver.step(flat)
+    assert not seen
+    assert not after.active.any()
+
+
+def test_starts_of_equal_value_are_one_start(problem):
+    driver, own = MultiStart(problem, LBFGS(), 5, *ANYWHERE), flatten(problem.parameters)
+    state = initial_state(driver, np.stack([own, own, own]), 4)
+    assert len(state.vectors) == 4
+    assert len(np.unique(state.vectors, axis=0)) == 4
+    np.testing.assert_array_equal(state.vectors[0], own)
