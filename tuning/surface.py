@@ -16,8 +16,11 @@ from tuning.parameters import Parameter, component_kinds, physical
 from tuning.sweeping import comparable_values
 from tuning.uncertainty import Uncertainty
 
-POINTS, FEW = 9, 6
-"""Values per axis of a surface, and for slow filters; a curve over one number has twice as many."""
+POINTS, FEW = 9, 7
+"""Values per axis of a surface, and where each vector is a run of its own; a curve over one number has twice as many.
+
+Odd, so that the optimum is one of them.
+"""
 
 FINE = 61
 """Values per axis after interpolation."""
@@ -46,7 +49,8 @@ def surface_of(result: FitResult, uncertainty: Uncertainty | None) -> Surface | 
     axes = _axes(result, uncertainty)
     if not axes:
         return None
-    count = (FEW if result.problem.vectors_per_call == 1 else POINTS) * (3 - len(axes))
+    count = FEW if result.problem.vectors_per_call == 1 else POINTS
+    count = 2 * count - 1 if len(axes) == 1 else count
     steps = [_half_width(result, uncertainty, k) * np.linspace(-1, 1, count) for k in axes]
     shifts = np.stack([m.ravel() for m in np.meshgrid(*steps, indexing="ij")], axis=1)
     vectors = np.repeat(result.vector[None], len(shifts), axis=0)

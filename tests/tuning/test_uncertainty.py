@@ -14,7 +14,7 @@ from trackers.core.tunable import Covariance, Fraction, Real, Scale
 from tuning.identifiability import identifiability_issues
 from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
 from tuning.parameters import Parameter, flatten, select_parameters
-from tuning.problem import Problem
+from tuning.problem import Evaluation, Problem
 from tuning.profiles import bootstrap, percentile_intervals, profile, refit
 from tuning.uncertainty import Optimum, Uncertainty, optimum, uncertainty, uncertainty_at, unidentifiable, unused
 
@@ -55,14 +55,14 @@ class Numbers:
             (terms * w[..., None, :]).sum(-1) if np.ndim(w) > 1 else (terms @ w),
             ((gradient * w[..., None, :]).sum(-1) if np.ndim(w) > 1 else gradient @ w),
         )
-        return SimpleNamespace(
+        return Evaluation(
             values=sums[:, 0] / sums[:, 1],
             gradients=gradient_sums / sums[:, 1:],
             sums=sums,
             terms=terms,
             term_gradients=term_gradients,
             used=np.ones((len(vectors), n), bool),
-            finite=np.ones(len(vectors), bool),
+            filter_runs=n * len(vectors),
         )
 
     @property
@@ -163,7 +163,7 @@ def _found(parameters, hessian, observed, sandwich=None, at_bound=None, distance
     """How sure a fit is, made up: second derivatives, covariances, what rests on a bound, how far off it is."""
     p = len(hessian)
     point = Optimum(np.zeros(p), 0.0, np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0])[:p], hessian,
-                    np.zeros((3, p)), 1.0, np.ones(3, bool))  # fmt: skip
+                    np.zeros((3, p)), 1.0, np.ones(3, bool), None)  # fmt: skip
     nothing, none = np.full((p, p), np.nan), np.zeros(p, bool)
     at_bound = none if at_bound is None else at_bound
     return Uncertainty(
