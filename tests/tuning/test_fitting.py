@@ -101,10 +101,9 @@ def _reverse(problem, vector):
     """The gradient by reverse mode through the whole scan."""
 
     def objective(v):
-        sums = with_parameters(problem.tracker, problem.parameters, v).accumulate(
-            problem.chunks[0], problem.objective.terms
-        )
-        return problem.objective.value([jnp.sum(s) for s in sums])
+        tracker = with_parameters(problem.tracker, problem.parameters, v)
+        each = [tracker.accumulate(part, problem.objective.terms) for part in problem.chunks]
+        return problem.objective.value([sum(jnp.sum(s) for s in sums) for sums in zip(*each, strict=True)])
 
     return jax.jit(jax.grad(objective))(jnp.asarray(vector))
 
@@ -210,11 +209,11 @@ def test_the_filter_runs_of_a_result_are_those_that_were_made(line_world, monkey
     run, made = Problem._run, []
 
     def counted(self, function, vectors, subset, realisation):
-        made.append(len(np.atleast_2d(vectors)) * 4 * (2 if subset is None else len(subset)))
+        parts = self.chunks if subset is None else [self.chunks[k] for k in subset]
+        made.append(len(np.atleast_2d(vectors)) * sum(part.size for part in parts))
         return run(self, function, vectors, subset, realisation)
 
     monkeypatch.setattr(Problem, "_run", counted)
-    # Eight trajectories in two chunks of four.
     result = fit(line_tracker(sigma=0.3), line_world, NLL, LEVELS, steps=3, chunk=4, **options)
     assert result.filter_runs == sum(made)
 

@@ -5,6 +5,7 @@ import pytest
 
 from tests.oracles import kalman
 from tests.tuning.worlds import SIGMA_START, line_tracker, walks
+from trackers.core.covariance import FEW
 from trackers.core.recording import stack
 from tuning.objectives import NegativeLogLikelihood
 from tuning.parameters import flatten, select_parameters
@@ -25,9 +26,9 @@ def _rows(r, vector):
     return np.concatenate([[0.0], log_likelihoods])
 
 
-@pytest.fixture(scope="module")
-def world():
-    recordings = walks([30, 45, 12], 3)
+@pytest.fixture(scope="module", params=[1, 3], ids=["few", "many"])
+def world(request):
+    recordings = walks([30, 45, 12] * request.param, 3)
     tracker = line_tracker()
     parameters = select_parameters(tracker, LEVELS)
     return recordings, Problem(tracker, [stack(recordings)], NegativeLogLikelihood(), parameters)
@@ -38,8 +39,10 @@ def test_scores_and_information_are_those_of_the_textbook_filter(world, block):
     recordings, problem = world
     vectors = flatten(problem.parameters) + np.array([[0.0, 0.0], [0.7, -0.4]])
     found = row_information(problem, vectors, block)
-    assert found.information.shape == (2, 2, 2, 4)
-    assert not found.scores[..., 3].any(), "padding trajectories have no scores"
+    assert found.information.shape[:3] == (2, 2, 2)
+    assert not found.scores[..., len(recordings) :].any(), "padding trajectories have no scores"
+    if len(recordings) > FEW:
+        assert found.information.shape[3] > len(recordings)
     for s, vector in enumerate(vectors):
         for n, recording in enumerate(recordings):
             differences = [

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import DTypeLike
 
-from trackers.core.covariance import compiler_options
+from trackers.core.covariance import compiler_options, few
 from trackers.core.recording import Batch
 from trackers.core.traced_programs import found_program
 
@@ -50,8 +50,9 @@ def chunks(batch: Batch, chunk: int) -> Iterator[Batch]:
     """
     only = jax.config.jax_default_device  # type: ignore[attr-defined]
     devices = jax.local_devices() if only is None else [only]
-    # A small batch gets a small chunk, a power of two so that few shapes are compiled.
-    chunk = min(chunk, 1 << (batch.size - 1).bit_length())
+    # A small batch gets a small chunk, a power of two so that few shapes are compiled. Few trajectories run one by one:
+    # long recordings gain nothing side by side, and one program serves them all.
+    chunk = 1 if few(batch.size) else min(chunk, 1 << (batch.size - 1).bit_length())
     for k, start in enumerate(range(0, batch.size, chunk)):
         yield jax.device_put(batch.columns(start, start + chunk), devices[k % len(devices)])
 
