@@ -1,8 +1,8 @@
 """The two forms of covariances against the number of trajectories and states: `python -m experiments.bench.lanes`.
 
 Ranges in the plane, 4, 8, 12 and 15 states, 1 to 512 trajectories at once, of 200 rows: processor time per row of a
-compiled program with scalars and with arrays, and the processor time of its first call, which traces and compiles. The
-largest number of trajectories with arrays is `FEW` in `trackers/core/covariance.py`. Each point runs in a new process.
+compiled program with scalars for all of them and with matrices one by one, and the processor time of its first call,
+which traces and compiles. `FEW` in `trackers/core/covariance.py` chooses. Each point runs in a new process.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ def main(
 
     began = datetime.now(UTC)
     results: dict[str, Any] = {}
-    print("| states | trajectories | scalars µs/row | arrays µs/row | scalars first call s | arrays first call s |")
+    print("| states | trajectories | scalars µs/row | matrices µs/row | scalars first call s | matrices first call s |")
     print("| ---: | ---: | ---: | ---: | ---: | ---: |")
     for n in states:
         for size in lanes:
             found = {
                 form: in_new_process_or_failed("experiments.bench.lanes", "point", (form, str(n), str(size)), LIMIT_S)
-                for form in ("scalars", "arrays")
+                for form in ("scalars", "matrices")
             }
             results[f"{n} states, {size} trajectories"] = found
             columns = [found[form].get(key, np.nan) for key in ("us_per_row", "first_s") for form in found]
@@ -69,7 +69,7 @@ def point(form: str, states: str, trajectories: str) -> dict[str, float]:
     from trackers.core.recording import stack
 
     size = int(trajectories)
-    covariance.FEW = size if form == "arrays" else 0
+    covariance.FEW = size if form == "matrices" else 0
     tracker, recordings = ranging(max(int(states) - 4, 4), 1, int(states) - 4, size)
     run = filtering(tracker, stack(recordings))
     (_, first), _ = clocked(run)
