@@ -12,7 +12,7 @@ SMALLEST, BIN_WIDTH, BINS = 1e-6, 0.02, 1201
 """Bins from 1e-6 to 2.6e4 m or rad, of relative width BIN_WIDTH; smaller and larger errors fall in the end bins."""
 
 EDGES = SMALLEST * np.exp(BIN_WIDTH * np.arange(BINS))
-"""Upper edges of the bins."""
+"""AnyCovariance edges of the bins."""
 
 POSITION = ("m", "3d_m")
 BEARING = ("direction_rad", "azimuth_rad", "elevation_rad")

@@ -11,7 +11,7 @@ from jax.scipy.special import ndtr
 
 from experiments.verify.corridor import CORRIDOR, SIGMA_FIX, SIGMA_MOVE, START, corridor_fixes, rectangle
 from trackers.core.algebra import Scalar, Vector, diagonal
-from trackers.core.covariance import Upper
+from trackers.core.covariance import AnyCovariance
 from trackers.core.filter import Gaussian, Innovation
 from trackers.core.inputs import Inputs
 from trackers.core.motion import AbstractMotion, ConstantPosition, Noise, Placed
@@ -88,7 +88,7 @@ class UniformParticles(AbstractParticleFilter):
     ) -> tuple[Particles, Innovation]:
         return self.particles.update(belief, motion, sensor, reading, inputs)
 
-    def moments(self, belief: Particles) -> tuple[State, Upper]:
+    def moments(self, belief: Particles) -> tuple[State, AnyCovariance]:
         return self.particles.moments(belief)
 
 

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar
-from trackers.core.covariance import Upper, as_scalars, matrix
+from trackers.core.covariance import AnyCovariance, as_scalars, matrix
 from trackers.core.filter import AbstractFilter, Gaussian, Innovation
 from trackers.core.keys import RawKey
 from trackers.core.recording import Row
@@ -50,7 +50,7 @@ class RecursiveTracker(Protocol):
     def predict(self, belief: Any, row: Row) -> Any: ...
     def update(self, belief: Any, row: Row) -> tuple[Any, Innovation]: ...
     def advance(self, carry: Carry, row: Row, belief: Any, innovation: Innovation) -> tuple[Carry, StepInfo]: ...
-    def moments(self, belief: Any) -> tuple[Any, Upper]: ...
+    def moments(self, belief: Any) -> tuple[Any, AnyCovariance]: ...
 
 
 def carry_axes(tracker: RecursiveTracker) -> Carry:

@@ -21,7 +21,7 @@ from trackers.core.algebra import ZERO, Jacobian, Scalar, SparseRow, Vector, com
 FEW = 8
 """Most trajectories that run one by one, with matrices for covariances: `python -m experiments.bench.lanes`."""
 
-Upper = tuple[Scalar, ...] | jax.Array
+AnyCovariance = tuple[Scalar, ...] | jax.Array
 """A covariance: its upper triangle, entry by entry, or its matrix (n, n)."""
 
 
@@ -60,38 +60,40 @@ class OneArray:
         return jax.tree_util.tree_unflatten(self.structure, leaves)
 
 
-def as_scalars(upper: Upper) -> tuple[Scalar, ...]:
+def as_scalars(cov: AnyCovariance) -> tuple[Scalar, ...]:
     """The upper triangle as a tuple of scalars."""
-    return upper if isinstance(upper, tuple) else tuple(upper[..., i, j] for i, j in triangle(upper.shape[-1]))
+    return cov if isinstance(cov, tuple) else tuple(cov[..., i, j] for i, j in triangle(cov.shape[-1]))
 
 
-def entries(upper: Upper) -> Upper:
+def entries(cov: AnyCovariance) -> AnyCovariance:
     """The upper triangle: a tuple of scalars, or one array (entries,) of a matrix."""
-    return upper if isinstance(upper, tuple) else upper[np.triu_indices(len(upper))]
+    return cov if isinstance(cov, tuple) else cov[np.triu_indices(len(cov))]
 
 
-def by_entry(uppers: Any) -> tuple[jax.Array, ...]:
+def by_entry(covs: Any) -> tuple[jax.Array, ...]:
     """The `entries` of all time steps and trajectories, a tuple or (T, entries, B), entry by entry."""
-    return uppers if isinstance(uppers, tuple) else tuple(uppers[:, k] for k in range(uppers.shape[1]))
+    return covs if isinstance(covs, tuple) else tuple(covs[:, k] for k in range(covs.shape[1]))
 
 
-def leading(upper: Upper, n: int, size: int) -> Upper:
+def leading(cov: AnyCovariance, n: int, size: int) -> AnyCovariance:
     """The leading block of `size` components of the covariance of n."""
     kept = [k for k, (_, j) in enumerate(triangle(n)) if j < size]
-    return tuple(upper[k] for k in kept) if isinstance(upper, tuple) else upper[:size, :size]
+    return tuple(cov[k] for k in kept) if isinstance(cov, tuple) else cov[:size, :size]
 
 
-def matrix(upper: Upper) -> jax.Array:
+def matrix(cov: AnyCovariance) -> jax.Array:
     """The symmetric matrix (…, n, n)."""
-    return dense(upper, (isqrt(8 * len(upper) + 1) - 1) // 2) if isinstance(upper, tuple) else upper
+    return dense(cov, (isqrt(8 * len(cov) + 1) - 1) // 2) if isinstance(cov, tuple) else cov
 
 
-def in_form_of(like: Upper, matrix: jax.Array) -> Upper:
+def in_form_of(like: AnyCovariance, matrix: jax.Array) -> AnyCovariance:
     """A matrix (n, n) in the form of another covariance."""
     return tuple(matrix[i, j] for i, j in triangle(len(matrix))) if isinstance(like, tuple) else matrix
 
 
-def matched(weights: Sequence[Scalar], covs: Sequence[Upper], deviations: Sequence[Sequence[Scalar]]) -> Upper:
+def matched(
+    weights: Sequence[Scalar], covs: Sequence[AnyCovariance], deviations: Sequence[Sequence[Scalar]]
+) -> AnyCovariance:
     """The covariance Σ w (P + ddᵀ) of a mixture whose components deviate from its mean by d."""
     if isinstance(covs[0], tuple):
         return tuple(
@@ -103,10 +105,10 @@ def matched(weights: Sequence[Scalar], covs: Sequence[Upper], deviations: Sequen
     return found
 
 
-def propagated(upper: jax.Array, jacobian: Jacobian) -> jax.Array:
+def propagated(cov: jax.Array, jacobian: Jacobian) -> jax.Array:
     """F P Fᵀ + G Gᵀ of a covariance as a matrix, with the Jacobian (F G); of tuples: `algebra.congruence`."""
     F = ChangedRows(jacobian)
-    return F.congruence(upper, F.times(upper)) + noise_covariance(jacobian)
+    return F.congruence(cov, F.times(cov)) + noise_covariance(jacobian)
 
 
 class ChangedRows:
@@ -176,19 +178,19 @@ def _span(which: np.ndarray) -> slice:
     return slice(int(at[0]), int(at[-1]) + 1) if len(at) else slice(0, 0)
 
 
-def zero_of(upper: Upper) -> Scalar:
+def zero_of(cov: AnyCovariance) -> Scalar:
     """A zero of the type of the entries."""
-    return jnp.zeros_like(upper[0]) if isinstance(upper, tuple) else jnp.zeros((), upper.dtype)
+    return jnp.zeros_like(cov[0]) if isinstance(cov, tuple) else jnp.zeros((), cov.dtype)
 
 
-def zeros(upper: Upper, n: int) -> Any:
+def zeros(cov: AnyCovariance, n: int) -> Any:
     """A zero vector of n components, a `Vector` or an array."""
-    return Vector.of([zero_of(upper)] * n) if isinstance(upper, tuple) else jnp.zeros((n,), upper.dtype)
+    return Vector.of([zero_of(cov)] * n) if isinstance(cov, tuple) else jnp.zeros((n,), cov.dtype)
 
 
-def row_for(upper: Upper, h: SparseRow, n: int) -> SparseRow | jax.Array:
+def row_for(cov: AnyCovariance, h: SparseRow, n: int) -> SparseRow | jax.Array:
     """A sparse row as the products with this covariance take it: itself, or an array (n,) with a matrix."""
-    return h if isinstance(upper, tuple) else jnp.stack([jnp.asarray(h.get(j, 0.0), upper.dtype) for j in range(n)])
+    return h if isinstance(cov, tuple) else jnp.stack([jnp.asarray(h.get(j, 0.0), cov.dtype) for j in range(n)])
 
 
 def dot(h: SparseRow | jax.Array, x: Any) -> Scalar:
@@ -196,27 +198,29 @@ def dot(h: SparseRow | jax.Array, x: Any) -> Scalar:
     return total(x[j] * v for j, v in h.items()) if isinstance(h, dict) else jnp.sum(h * x)
 
 
-def product(upper: Upper, h: SparseRow | jax.Array, n: int) -> Any:
+def product(cov: AnyCovariance, h: SparseRow | jax.Array, n: int) -> Any:
     """P h, a `Vector` or an array (n,)."""
-    if not isinstance(upper, tuple):
-        return jnp.sum(upper * jnp.asarray(h)[:, None], axis=0)
-    P, entries = full(upper, n), dict(h)
+    if not isinstance(cov, tuple):
+        return jnp.sum(cov * jnp.asarray(h)[:, None], axis=0)
+    P, entries = full(cov, n), dict(h)
     return Vector.of(compute_once([total(P[i][j] * v for j, v in entries.items()) for i in range(n)]))
 
 
-def updated(upper: Upper, Ph: Any, h: SparseRow | jax.Array, a: Scalar, noise: Scalar) -> tuple[Any, Upper]:
+def updated(
+    cov: AnyCovariance, Ph: Any, h: SparseRow | jax.Array, a: Scalar, noise: Scalar
+) -> tuple[Any, AnyCovariance]:
     """The gain k = Ph/(a + `noise`) of a scalar reading with a = hᵀPh, and the covariance after it.
 
     For scalars in Joseph's form, (I − khᵀ) P (I − khᵀ)ᵀ + `noise` kkᵀ. For a matrix P − (a + `noise`) kkᵀ, the same to
     rounding and symmetric to the bit.
     """
     k = Ph / (noise + a)
-    if not isinstance(upper, tuple):
+    if not isinstance(cov, tuple):
         root = Ph / jnp.sqrt(noise + a)
-        return k, upper - root[:, None] * root[None]
+        return k, cov - root[:, None] * root[None]
     # B = (I − khᵀ)P, then B(I − khᵀ)ᵀ + noise kkᵀ as a rank-one update of B, n² products. Bh from the rounded B
     # corrects its rounding errors as the product of three matrices does.
-    n, P, entries = len(Ph), full(upper, len(Ph)), dict(h)
+    n, P, entries = len(Ph), full(cov, len(Ph)), dict(h)
     B = {(i, j): P[i][j] - k[i] * Ph[j] for i in range(n) for j in range(n) if j >= i or j in entries}
     Bh_noise = compute_once([total(B[i, j] * v for j, v in entries.items()) - noise * k[i] for i in range(n)])
     return k, tuple(B[i, j] - Bh_noise[i] * k[j] for i, j in triangle(n))

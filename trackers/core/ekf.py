@@ -32,7 +32,7 @@ from trackers.core.algebra import (
     inverse_or_zero,
     total,
 )
-from trackers.core.covariance import Upper, dot, product, propagated, row_for, updated, zero_of, zeros
+from trackers.core.covariance import AnyCovariance, dot, product, propagated, row_for, updated, zero_of, zeros
 from trackers.core.filter import AbstractSmoothableFilter, Gaussian, Innovation
 from trackers.core.inputs import Inputs
 from trackers.core.keys import RawKey
@@ -50,7 +50,7 @@ class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
         """The filter's belief, given the prior; `key` is unused."""
         return belief
 
-    def moments(self, belief: Gaussian) -> tuple[State, Upper]:
+    def moments(self, belief: Gaussian) -> tuple[State, AnyCovariance]:
         """The mean state and the covariance's upper triangle."""
         return belief.mean, belief.cov
 
@@ -164,8 +164,8 @@ def compressed(
 
 
 def sequential_updates(
-    cov: Upper, residual: Sequence[Scalar], H: Sequence[SparseRow | Array], n: int, dof: Scalar | None = None
-) -> tuple[Any, Upper, Scalar, Scalar]:
+    cov: AnyCovariance, residual: Sequence[Scalar], H: Sequence[SparseRow | Array], n: int, dof: Scalar | None = None
+) -> tuple[Any, AnyCovariance, Scalar, Scalar]:
     """Scalar updates in Joseph form, one per channel: the small step, the covariance, the NIS and the log density.
 
     P⁺ = (I − khᵀ) P (I − khᵀ)ᵀ + kkᵀ with k = Ph/s and s = hᵀPh + 1. With Student's t of `dof` ν the noise variance is

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 import equinox as eqx
 
 from trackers.core.algebra import Scalar
-from trackers.core.covariance import Upper
+from trackers.core.covariance import AnyCovariance
 from trackers.core.inputs import Input, Inputs
 from trackers.core.keys import RawKey
 from trackers.core.motion import AbstractMotion
@@ -28,7 +28,7 @@ class Gaussian(NamedTuple):
     """A Gaussian belief: the mean state and the covariance of the small step about it, upper triangle row by row."""
 
     mean: State
-    cov: Upper
+    cov: AnyCovariance
 
 
 class Innovation(NamedTuple):
@@ -74,7 +74,7 @@ class AbstractFilter(eqx.Module, Generic[Belief]):
         """The belief after one reading, and the reading's `Innovation`; masked channels change nothing."""
 
     @abstractmethod
-    def moments(self, belief: Belief) -> tuple[State, Upper]:
+    def moments(self, belief: Belief) -> tuple[State, AnyCovariance]:
         """The mean state and the upper triangle of its covariance."""
 
 

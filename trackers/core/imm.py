@@ -25,7 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.core.algebra import Scalar, Vector, compute_once, total
-from trackers.core.covariance import Upper, matched
+from trackers.core.covariance import AnyCovariance, matched
 from trackers.core.ekf import ExtendedKalman
 from trackers.core.filter import AbstractSmoothableFilter, Gaussian, Innovation
 from trackers.core.inputs import Input, Inputs
@@ -125,7 +125,7 @@ class AbstractInteractingModels(AbstractSmoothableFilter[Mixture]):
         zero = jnp.zeros_like(belief.cov[0])
         return Mixture((belief,) * len(prior), tuple(jnp.log(p) + zero for p in prior))
 
-    def moments(self, belief: Mixture) -> tuple[State, Upper]:
+    def moments(self, belief: Mixture) -> tuple[State, AnyCovariance]:
         """The mean and covariance of the mixture."""
         return collapsed(belief.components, [jnp.exp(w) for w in belief.log_weights])
 

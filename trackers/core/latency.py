@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar, Vector, congruence
-from trackers.core.covariance import Upper, as_scalars
+from trackers.core.covariance import AnyCovariance, as_scalars
 from trackers.core.linearise import linearise
 from trackers.core.motion import Noise
 from trackers.core.recording import Batch
@@ -27,7 +27,7 @@ class AbstractDelayedSensor(AbstractSensor):
     latency: eqx.AbstractVar[Noise]
 
 
-def shifted_back(mean: State, upper: Upper, seconds: Scalar) -> tuple[State, tuple[Scalar, ...]]:
+def shifted_back(mean: State, upper: AnyCovariance, seconds: Scalar) -> tuple[State, tuple[Scalar, ...]]:
     """Mean and covariance of the state with its position `seconds` earlier, for straight motion, one trajectory.
 
     Axes without a velocity are unchanged.

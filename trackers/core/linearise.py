@@ -11,7 +11,7 @@ import numpy as np
 from jax.extend.core import Literal
 
 from trackers.core.algebra import ONE, VARIABLE, ZERO, Jacobian, Scalar, SparseRow, full, times, total, triangle
-from trackers.core.covariance import Upper, as_scalars
+from trackers.core.covariance import AnyCovariance, as_scalars
 from trackers.core.state import State, coordinates, steps_of
 
 
@@ -91,7 +91,7 @@ def _structure(jaxpr: Any, inputs: Sequence[dict[int, int]]) -> list[dict[int, i
 
 
 def covariance_of(
-    mean: State, upper: Upper, quantity: Callable[[State], Iterable[Scalar]]
+    mean: State, upper: AnyCovariance, quantity: Callable[[State], Iterable[Scalar]]
 ) -> dict[tuple[int, int], Scalar]:
     """The covariance of a quantity of one trajectory's state, linearised at the mean: its upper triangle by index.
 

@@ -20,7 +20,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Shaped
 
 from trackers.core.algebra import Jacobian, Scalar, compute_once, total
-from trackers.core.covariance import ChangedRows, OneArray, Upper, in_form_of, matrix, noise_covariance, product_of
+from trackers.core.covariance import (
+    AnyCovariance,
+    ChangedRows,
+    OneArray,
+    in_form_of,
+    matrix,
+    noise_covariance,
+    product_of,
+)
 from trackers.core.filter import Gaussian
 from trackers.core.select import select
 from trackers.core.state import State, local, retract
@@ -146,7 +154,7 @@ def _like(condition: Bool[Array, " T"], array: Shaped[Array, "T ..."]) -> Bool[A
     return condition.reshape(condition.shape + (1,) * (array.ndim - 1))
 
 
-def _product(upper: Upper) -> Callable[[Matrix, Matrix], Matrix]:
+def _product(upper: AnyCovariance) -> Callable[[Matrix, Matrix], Matrix]:
     """The product of two matrices, in the form of the covariances."""
     return _outer_products if isinstance(upper, tuple) else product_of
 

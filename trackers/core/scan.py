@@ -28,7 +28,7 @@ from trackers.core.carry import (
     in_form,
     initial_carry,
 )
-from trackers.core.covariance import OneArray, Upper, by_entry, entries
+from trackers.core.covariance import AnyCovariance, OneArray, by_entry, entries
 from trackers.core.estimates import Status
 from trackers.core.filter import Innovation
 from trackers.core.recording import Batch, Row
@@ -73,7 +73,7 @@ def scan_rows(
     batch: Batch,
     initial: ScanState | None = None,
     score: Score | None = None,
-    moments: Callable[[Any], tuple[Any, Upper]] | None = None,
+    moments: Callable[[Any], tuple[Any, AnyCovariance]] | None = None,
     every_row: bool = False,
 ) -> tuple[tuple[Any, ...], Any, Any]:
     """All time steps of one chunk, batch-last: the outputs of every step, or with a `score` its sums over time.
@@ -158,7 +158,7 @@ def without_dead_code(function: Callable[[Any], Any], argument: Any) -> Any:
     return jax.tree_util.tree_unflatten(jax.tree_util.tree_structure(shapes), found)
 
 
-def moments_by_entry(tracker: RecursiveTracker, belief: Any) -> tuple[Any, Upper]:
+def moments_by_entry(tracker: RecursiveTracker, belief: Any) -> tuple[Any, AnyCovariance]:
     """The mean of an estimate and the `entries` of its covariance."""
     mean, cov = tracker.moments(belief)
     return mean, entries(cov)

@@ -20,7 +20,7 @@ import numpy as np
 from trackers.core.algebra import Scalar, compute_once, total
 from trackers.core.carry import Carry, StepInfo, carry_of
 from trackers.core.chunks import CHUNK, as_dtype, chunks, run_chunks
-from trackers.core.covariance import Upper, leading
+from trackers.core.covariance import AnyCovariance, leading
 from trackers.core.ekf import ExtendedKalman
 from trackers.core.errors import UnusableInput
 from trackers.core.estimates import Estimates, Status
@@ -239,7 +239,7 @@ class Tracker(AbstractTracker):
         assert isinstance(sensor, AbstractDelayedSensor)
         return sensor.latency.value
 
-    def moments(self, belief: Any) -> tuple[Any, Upper]:
+    def moments(self, belief: Any) -> tuple[Any, AnyCovariance]:
         """The mean and covariance of an estimate, at the time for which it is valid."""
         mean, cov = self.filter.moments(belief)
         if self.latency is not None:

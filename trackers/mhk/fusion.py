@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar, Vector
-from trackers.core.covariance import Upper
+from trackers.core.covariance import AnyCovariance
 from trackers.core.ekf import ExtendedKalman
 from trackers.core.filter import AbstractFilter, Gaussian, Innovation
 from trackers.core.inputs import Inputs
@@ -68,7 +68,7 @@ class AccelerationFilter(AbstractFilter[MhkBelief]):
         mean = belief.mean
         return MhkBelief(belief, weights, mean.position, mean.velocity, zero, Vector(zero, zero, zero), zero)
 
-    def moments(self, belief: MhkBelief) -> tuple[Kinematic, Upper]:
+    def moments(self, belief: MhkBelief) -> tuple[Kinematic, AnyCovariance]:
         """Mean and covariance of position and velocity."""
         return self.filter.moments(belief.kalman)
 

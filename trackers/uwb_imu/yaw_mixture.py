@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.core.algebra import Scalar, total
-from trackers.core.covariance import Upper, matched
+from trackers.core.covariance import AnyCovariance, matched
 from trackers.core.ekf import ExtendedKalman
 from trackers.core.filter import AbstractSmoothableFilter, Gaussian, Innovation
 from trackers.core.inputs import Inputs
@@ -73,7 +73,7 @@ class YawMixtureFilter(AbstractSmoothableFilter[YawMixture]):
         )
         return YawMixture(beliefs, joint - log_likelihood), Innovation(log_likelihood, nis, nis_dof, wrapped)
 
-    def moments(self, belief: YawMixture) -> tuple[State, Upper]:
+    def moments(self, belief: YawMixture) -> tuple[State, AnyCovariance]:
         """Mean and covariance of the mixture, in the tangent space at the mean of the likeliest component."""
         weights = [jnp.exp(belief.log_weights[k]) for k in range(self.count)]
         best = _one_hot_maximum(belief.log_weights)
