@@ -113,7 +113,7 @@ def fit(
     is called with the state after every step; `resume`: the arrays of such a state (`tuning.optimisation.to_arrays`),
     with bit-identical results.
 
-    A step to a non-finite objective, or with `LBFGS` to a higher one, is halved; a likelihood ends with a few Newton
+    A step to a non-finite objective, or with `LBFGS` to a higher one, is shortened; a likelihood ends with a few Newton
     steps. The result is the best point met, never worse than the start; an interrupt (Ctrl-C) ends the fit there.
     Raises ValueError for patterns that match nothing or can't be tied, for empty bounds and for priors without a
     likelihood; FloatingPointError where the objective is not finite at the first start.
