@@ -1,8 +1,8 @@
 """The two forms of covariances against the number of trajectories and states: `python -m experiments.bench.lanes`.
 
 Ranges in the plane, 4, 8, 12 and 15 states, 1 to 512 trajectories at once, of 200 rows: processor time per row of a
-compiled program with scalars for all of them and with matrices one by one, and the processor time of its first call,
-which traces and compiles. `FEW` in `trackers/core/covariance.py` chooses. Each point runs in a new process.
+compiled program with scalars and with matrices, and the processor time of its first call, which traces and compiles.
+`FEW` in `trackers/core/covariance.py` chooses. Each point runs in a new process.
 """
 
 from __future__ import annotations

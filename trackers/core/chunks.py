@@ -25,6 +25,10 @@ CHUNK = 512
 """Trajectories per chunk: enough to amortise the overhead of a step, few enough for the cache."""
 
 
+LONG = 1000
+"""Rows from which on few recordings run one by one: a call takes a millisecond, as long as hundreds of rows."""
+
+
 def as_dtype(tree: Tree, dtype: DTypeLike) -> Tree:
     """The tree with its floats as arrays of `dtype`, so that other values reuse the compiled program."""
 
@@ -50,9 +54,10 @@ def chunks(batch: Batch, chunk: int) -> Iterator[Batch]:
     """
     only = jax.config.jax_default_device  # type: ignore[attr-defined]
     devices = jax.local_devices() if only is None else [only]
-    # A small batch gets a small chunk, a power of two so that few shapes are compiled. Few trajectories run one by one:
-    # long recordings gain nothing side by side, and one program serves them all.
-    chunk = 1 if few(batch.size) else min(chunk, 1 << (batch.size - 1).bit_length())
+    # A small batch gets a small chunk, a power of two so that few shapes are compiled. Few long recordings run one by
+    # one: they gain nothing side by side, and one program serves them all.
+    alone = few(batch.size) and len(batch.dt) >= LONG
+    chunk = 1 if alone else min(chunk, 1 << (batch.size - 1).bit_length())
     for k, start in enumerate(range(0, batch.size, chunk)):
         yield jax.device_put(batch.columns(start, start + chunk), devices[k % len(devices)])
 
