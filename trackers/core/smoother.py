@@ -52,7 +52,9 @@ class Smoothed(AbstractEpochwiseTracker):
         but_last = jax.tree_util.tree_map(lambda x: x[:-1], filtered)
         usable = (output.status == Status.OK) | (output.status == Status.RESTARTED)
         connected = usable[:-1] & (output.status[1:] == Status.OK)
-        dt, inputs = jax.tree_util.tree_map(lambda x: jnp.asarray(x)[1:], (batch.dt, batch.inputs))
+        # Time steps of padding rows are no times: those of a lag's windows are sums of all of them.
+        elapsed = jnp.where(jnp.asarray(batch.valid), batch.dt, 0.0)
+        dt, inputs = jax.tree_util.tree_map(lambda x: jnp.asarray(x)[1:], (elapsed, batch.inputs))
         steps = (but_last, connected, dt, inputs)
 
         def gain_of(belief: Any, connected: Scalar, dt: Scalar, inputs: Inputs) -> Any:
