@@ -88,7 +88,7 @@ def matrix(cov: AnyCovariance) -> jax.Array:
 
 def in_form_of(like: AnyCovariance, matrix: jax.Array) -> AnyCovariance:
     """A matrix (n, n) in the form of another covariance."""
-    return tuple(matrix[i, j] for i, j in triangle(len(matrix))) if isinstance(like, tuple) else matrix
+    return as_scalars(matrix) if isinstance(like, tuple) else matrix
 
 
 def matched(

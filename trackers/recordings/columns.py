@@ -74,11 +74,9 @@ class TableRows(TagRows):
     def __init__(self, table: pl.DataFrame) -> None:
         tags = table["tag"].cast(pl.String)
         self.tags = tags.unique(maintain_order=True).to_list()
-        number = _codes(tags, self.tags)
+        number = codes(tags, self.tags)
         self.starts = np.concatenate([[0], np.cumsum(np.bincount(number, minlength=len(self.tags)))]).astype(int)
-        # Numbers of two bytes are sorted without comparisons.
-        by_tag = np.argsort(number.astype(np.uint16 if len(self.tags) < 2**16 else np.uint32), kind="stable")
-        self._order: Any = slice(None) if len(self.tags) == 1 else by_tag
+        self._order: Any = slice(None) if len(self.tags) == 1 else stable_order(number)
         self._table = table
         self.times = float_column(table, "t_s")[self._order]
         self._by_ids: dict[tuple[str, tuple[str, ...]], np.ndarray] = {}
@@ -96,11 +94,17 @@ class TableRows(TagRows):
     def codes(self, name: str, ids: Sequence[str]) -> np.ndarray:
         key = name, tuple(ids)
         if key not in self._by_ids:
-            self._by_ids[key] = _codes(self._table[name], key[1])[self._order].astype(int)
+            self._by_ids[key] = codes(self._table[name], key[1])[self._order].astype(int)
         return self._by_ids[key]
 
 
-def _codes(column: pl.Series, ids: Sequence[str]) -> np.ndarray:
+def stable_order(numbers: np.ndarray) -> np.ndarray:
+    """The order (N,) of numbers that are not negative; equal ones keep theirs."""
+    # Numbers of two bytes are sorted without comparisons.
+    return np.argsort(numbers.astype(np.uint16) if numbers.max(initial=0) < 2**16 else numbers, kind="stable")
+
+
+def codes(column: pl.Series, ids: Sequence[str]) -> np.ndarray:
     """The numbers in `ids` of the ids in a column (N,)."""
     return column.cast(pl.Enum(ids)).to_physical().to_numpy()
 

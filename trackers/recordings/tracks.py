@@ -12,6 +12,7 @@ from trackers.core.chunks import CHUNK
 from trackers.core.estimates import AXES, STATUS_WORDS, STEP_COLUMNS, Estimates, Status
 from trackers.core.recording import Batch
 from trackers.core.tracker import Tracker
+from trackers.recordings.columns import stable_order
 from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.trajectories import Trajectories, Trajectory
 
@@ -95,8 +96,7 @@ def track(groups: Sequence[TrackerBatch], advance: Callable[[int], None] = lambd
 
 def _order(track: np.ndarray, times: np.ndarray) -> np.ndarray:
     """The order (N,) of rows by the number of their track, then time; rows of equal times keep theirs."""
-    # Numbers of two bytes are sorted without comparisons.
-    order = np.argsort(track.astype(np.uint16) if track.max(initial=0) < 2**16 else track, kind="stable")
+    order = stable_order(track)
     sorted_times = (np.diff(times[order]) >= 0) | (np.diff(track[order]) > 0)
     return order if sorted_times.all() else np.lexsort((times, track))
 

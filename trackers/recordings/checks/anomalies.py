@@ -13,6 +13,7 @@ import polars as pl
 
 from trackers.core.errors import listed
 from trackers.core.rig import Rig
+from trackers.recordings.columns import codes, stable_order
 from trackers.recordings.tables import QUATERNION, layout
 
 GAP_FACTOR, GAP_LEAST_S = 5.0, 1.0
@@ -66,14 +67,11 @@ def streams(
     `columns`: those that are kept; by default all. `tags`: all of the table, where they are known.
     """
     table = table if table["t_s"].is_sorted() else table.sort("t_s", maintain_order=True)
-    code, count = np.zeros(len(table), np.int64), 1
+    code = np.zeros(len(table), np.int64)
     for column in ids:
         kinds = table[column].unique(maintain_order=True) if tags is None or column != "tag" else tags
-        own = table[column].cast(pl.Enum(kinds)).to_physical().to_numpy()
-        code, count = code * len(kinds) + own, count * len(kinds)
-    # Numbers of two bytes are sorted without comparisons.
-    order = np.argsort(code.astype(np.uint16) if count < 2**16 else code, kind="stable")
-    coded = (table if columns is None else table.select(columns)).with_columns(stream=code)[order]
+        code = code * len(kinds) + codes(table[column], list(kinds))
+    coded = (table if columns is None else table.select(columns)).with_columns(stream=code)[stable_order(code)]
     same = pl.col("stream") == pl.col("stream").shift()
     return coded.with_columns(dt=pl.when(same).then(pl.col("t_s").diff()))
 
