@@ -397,6 +397,7 @@ MOTIONS = {
 
 _S1 = RIG.stations["S1"]
 _GEOMETRY = {"origin": bearing_inputs(_S1)[:3], "axes": bearing_inputs(_S1)[3:]}
+CALIBRATED = np.array([0.1, 0.7, 0.1, 0.05, -0.1, 1.2, -0.1, 0.02, -1.0, 1.0, -0.5, 0.6])
 _TWO_ANCHORS = {"anchors": np.array([5.0, 0.0, 2.0, 0.0, 6.0, 1.0]), "anchor": np.array([0.0, 1.0])}
 _ROOM = Kinematic(Vector(1.0, -2.0, 0.5), Vector(0.3, -0.4))
 _MIRROR = MirrorSensor(0.1, 0.3, 0.5, 0.5, 4.0)
@@ -410,6 +411,9 @@ SENSORS = {
     "ranges": SensorCase(RangeSensor(2, 2, 0.1, 2.0, 4.0), _ROOM, _TWO_ANCHORS),
     "ranges with variances": SensorCase(RangeSensor(2, 2, 0.1, 2.0, 4.0), _ROOM, _TWO_ANCHORS, (0.02, 0.01)),
     "bearings": SensorCase(BearingSensor(0.1, 0.2, 4.0), MOVING, _GEOMETRY),
+    "bearings of a calibrated station": SensorCase(
+        BearingSensor(0.1, 0.2, 4.0), MOVING, {**_GEOMETRY, "calibration": CALIBRATED}
+    ),
     "bearings with variances": SensorCase(BearingSensor(0.1, 0.2, 4.0), MOVING, _GEOMETRY, (0.01, 0.005, 0.02)),
     "plane waves": SensorCase(PlanePhases(_S1, 0.3), BEAM),
     "plane waves in the plane of the array": SensorCase(InPlanePhases(_S1, 0.3), FLAT_BEAM),

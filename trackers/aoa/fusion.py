@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 import numpy as np
 
+from trackers.aoa.calibrated import CALIBRATION, measured_angles
 from trackers.core.algebra import Scalar, Vector, total
 from trackers.core.inputs import HEIGHT, Input, Inputs
 from trackers.core.motion import GroundMotion, Noise
@@ -44,7 +45,8 @@ AXES = Input(
 class BearingSensor(AbstractSensor):
     """Azimuth and elevation, rad, of a position in the array frame of this row's station.
 
-    Inputs: `origin` (3,) m; `axes` (9,), the array's x, y and z axes in world axes; `height` m for a planar state.
+    Inputs: `origin` (3,) m; `axes` (9,), the array's x, y and z axes in world axes; `height` m for a planar state;
+    `calibration` (12,) of the station, if given.
     `sigma_azimuth`, `sigma_elevation` rad add to the reported covariance (variance of azimuth, covariance, variance of
     elevation, rad²), whose square root is scaled by `reported_std_scale`. `dof`: degrees of freedom of Student's t.
     `offsets` (2,) rad and `compression` (2,) rad⁻²: arrays compress large angles a to a/√(1 + c·a²) + offset; both zero
@@ -75,7 +77,7 @@ class BearingSensor(AbstractSensor):
 
     @property
     def inputs(self) -> tuple[Input, ...]:
-        return ORIGIN, AXES, HEIGHT
+        return ORIGIN, AXES, HEIGHT, CALIBRATION
 
     @property
     def reported(self) -> tuple[Channel, ...]:
@@ -87,8 +89,10 @@ class BearingSensor(AbstractSensor):
         axes = [inputs["axes"][k] for k in range(9)]
         ray = Vector.of(p - inputs["origin"][k] for k, p in enumerate(position_in_space(view.position, inputs)))
         x, y, z = (ray.dot(axes[3 * k : 3 * k + 3]) for k in range(3))
-        true = jnp.arctan2(x, z), jnp.arctan2(y, jnp.sqrt(x * x + z * z))
-        pairs = zip(true, self.compression.value, self.offsets.value, strict=True)
+        angles = jnp.arctan2(x, z), jnp.arctan2(y, jnp.sqrt(x * x + z * z))
+        if CALIBRATION.name in inputs:
+            angles = measured_angles(angles, inputs[CALIBRATION.name])
+        pairs = zip(angles, self.compression.value, self.offsets.value, strict=True)
         return [a / jnp.sqrt(jnp.maximum(1.0 + c * a * a, 0.1)) + offset for a, c, offset in pairs]
 
     def residual(self, reading: Reading, predicted: Sequence[Scalar]) -> Residual:

@@ -29,17 +29,25 @@ IN_PLANE = 0.5
 
 
 def bearing_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:
-    """Each tag's bearings, one row per table row; inputs `origin`, `axes` of the row's station, and `nearby`."""
+    """Each tag's bearings, one row per table row; inputs `origin`, `axes` of the row's station, and `nearby`.
+
+    Where the folder has a calibration, the input `calibration` of the row's station, and the variance that it adds.
+    """
     rows, stations = folder.rows("bearings"), folder.rig.stations
     values, seen = rows.values(["azimuth_rad", "elevation_rad"])
     # Zeros where no standard deviations are reported, so that trajectories with and without them share a batch.
     variances = rows.variances(["azimuth_std_rad", "elevation_std_rad"])
     reported = np.stack([variances[:, 0], np.zeros(len(values)), variances[:, 1]], axis=1)
-    geometries = np.stack([bearing_inputs(s) for s in stations.values()])[rows.codes("station", list(stations))]
+    number = rows.codes("station", list(stations))
+    geometries = np.stack([bearing_inputs(s) for s in stations.values()])[number]
     heights = np.full(len(rows.tags), np.nan) if free_height else known_heights(folder, rows.tags)
     origin, axes = geometries[:, :3], geometries[:, 3:]
-    nearby = recent_points_of_each(rows.starts, rows.times, origin, axes, values, np.all(seen, axis=1), heights)
-    inputs = {"origin": origin, "axes": axes, "nearby": nearby}
+    inputs, directions = {"origin": origin, "axes": axes}, values
+    if folder.calibration is not None:
+        inputs["calibration"], directions, added = folder.calibration.of_bearings(list(stations), number, values)
+        reported[:, ::2] += added
+    nearby = recent_points_of_each(rows.starts, rows.times, origin, axes, directions, np.all(seen, axis=1), heights)
+    inputs["nearby"] = nearby
     readings = {BEARINGS: Readings(values, seen, reported)}
     return trajectories_of(folder, rows.tags, rows.starts, rows.times, readings, inputs)
 
@@ -225,5 +233,6 @@ TRACKERS = {
         trajectories=bearing_trajectories,
         build=lambda trajectory, planar: bearing_tracker(planar=planar),
         lacks=stations_of("bearings", 1),
+        geometry=lambda trajectory: "calibration" in trajectory.recording.inputs,
     ),
 }

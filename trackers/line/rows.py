@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -99,7 +100,7 @@ def fit_path_truth(folder: RecordingFolder) -> tuple[RecordingFolder, dict[str, 
             pl.DataFrame({"t_s": at, "tag": [trajectory.tag] * len(at), "x_m": x, "y_m": y}).with_columns(z_m=height)
         )
     truth = pl.concat(tables).sort("t_s", maintain_order=True)
-    return RecordingFolder(folder.name, None, folder.rig, {**folder.tables, "truth": truth}), fitted
+    return replace(folder, path=None, tables={**folder.tables, "truth": truth}, notices=()), fitted
 
 
 def _reads_ranges(folder: RecordingFolder) -> bool:

@@ -25,12 +25,19 @@ def range_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectori
 def range_rows(folder: RecordingFolder, rows: TagRows) -> tuple[Readings, np.ndarray]:
     """The readings of ranges, one row per row of the table, and the number of each range's anchor (N,).
 
-    Anchors are numbered in the order of their ids. Ranges that are not positive are masked.
+    Anchors are numbered in the order of their ids. Ranges that are not positive are masked. Where the folder has a
+    calibration, ranges are without the bias and slope of their anchor, and have the variance that these add.
     """
     values, seen = rows.values(["range_m"])
     seen &= values > 0.0
-    number = rows.codes("anchor", sorted(folder.rig.anchors))
-    return Readings(values, seen, rows.variances(["range_std_m"])), number
+    anchors = sorted(folder.rig.anchors)
+    number = rows.codes("anchor", anchors)
+    variances = rows.variances(["range_std_m"])
+    if folder.calibration is not None:
+        distances, added = folder.calibration.of_ranges(anchors, number, values[:, 0])
+        values, variances = np.where(seen, distances[:, None], 0.0), variances + added[:, None]
+        seen &= values > 0.0
+    return Readings(values, seen, variances), number
 
 
 def range_inputs(

@@ -10,7 +10,7 @@ import gzip
 import shutil
 import uuid
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Any, Literal, cast, get_args
 
@@ -18,6 +18,7 @@ import polars as pl
 
 from trackers.core.errors import UnusableInput, listed
 from trackers.core.rig import Rig
+from trackers.recordings.calibration import Calibration
 from trackers.recordings.checks.anomalies import anomalies
 from trackers.recordings.columns import TagRows
 from trackers.recordings.rig_file import RIG_FILE, read_rig, rig_text
@@ -40,6 +41,7 @@ class RecordingFolder:
 
     `path`: the folder it was read from, None for one made in memory. `tables`: by name, with t_s and values as Float64,
     ids as String, null where a value is missing. `notices`: one line for each anomaly found while reading.
+    `calibration`: the systematic errors that trackers remove from its bearings and ranges; the tables are as measured.
     """
 
     name: str
@@ -47,6 +49,7 @@ class RecordingFolder:
     rig: Rig
     tables: Mapping[str, pl.DataFrame]
     notices: tuple[str, ...] = ()
+    calibration: Calibration | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.tables, Tables):
@@ -62,6 +65,10 @@ class RecordingFolder:
         """The true paths of the tags, none without a truth table; made once."""
         assert isinstance(self.tables, Tables)
         return self.tables.paths(self.name)
+
+    def calibrated(self, calibration: Calibration | None) -> RecordingFolder:
+        """This recording with systematic errors for trackers to remove; None for none."""
+        return replace(self, calibration=calibration)
 
     def __repr__(self) -> str:
         tables = ", ".join(f"{name} {table.height:,} rows" for name, table in self.tables.items())

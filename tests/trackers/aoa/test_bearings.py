@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.catalogue import CALIBRATED
 from tests.known_start import NEVER_LOST, KnownStart, flat, recording
 from trackers.aoa.fusion import BearingSensor, bearing_inputs
 from trackers.core.algebra import Vector
@@ -17,6 +18,7 @@ from trackers.core.recording import stack
 from trackers.core.rig import Station
 from trackers.core.sensor import Reading
 from trackers.core.tracker import Tracker
+from trackers.recordings.calibration import StationCalibration
 
 TAGS, ROWS, SIGMA = 256, 36, np.deg2rad(0.05)
 TIMES = np.repeat(np.arange(ROWS / 3) * 0.1, 3)
@@ -162,6 +164,16 @@ def test_a_bearing_is_the_stations_angle_of_the_position():
     for point in points:
         measured = SENSOR.measure(Kinematic(Vector(*point), Vector(0.0, 0.0, 0.0)), GEOMETRY)
         np.testing.assert_allclose(np.array([float(m) for m in measured]), STATIONS[0].angles(point), atol=1e-12)
+
+
+def test_a_calibrated_station_measures_as_its_calibration_does():
+    station = StationCalibration(CALIBRATED[:8].reshape(2, 4), np.zeros((2, 4, 4)), CALIBRATED[8:].reshape(2, 2))
+    # Points all around the station, many beyond the span of the calibration.
+    for point in np.random.default_rng(2).normal(size=(50, 3)) * 4:
+        view = Kinematic(Vector(*point), Vector(0.0, 0.0, 0.0))
+        measured = SENSOR.measure(view, {**GEOMETRY, "calibration": CALIBRATED})
+        expected = station.measured(STATIONS[0].angles(point))
+        np.testing.assert_allclose(np.array([float(m) for m in measured]), expected, atol=1e-12)
 
 
 def test_an_azimuth_beyond_half_a_turn_is_wrapped():

@@ -1,0 +1,120 @@
+"""Calibrations: forward model, inverse, behaviour beyond the span, and their removal from bearings and ranges."""
+
+from dataclasses import replace
+
+import numpy as np
+import polars as pl
+import pytest
+
+from tests.faulty import write_good
+from trackers.aoa.fusion import BEARINGS
+from trackers.aoa.rows import bearing_trajectories
+from trackers.parts.range_rows import range_trajectories
+from trackers.parts.ranges import RANGES
+from trackers.recordings.calibration import AnchorCalibration, Calibration, StationCalibration
+from trackers.recordings.folder import read_recording
+
+SPANS = np.array([[-0.9, 1.0], [-0.6, 0.5]])
+TERMS = np.array([[0.08, 0.7, -0.06, 0.1], [-0.05, 1.1, 0.2, -0.08]])
+COVARIANCES = np.stack([np.diag([4e-4, 1e-4, 1e-4, 1e-4]), np.diag([9e-4, 1e-4, 1e-4, 4e-4])])
+STATION = StationCalibration(TERMS, COVARIANCES, SPANS)
+ANCHOR = AnchorCalibration(np.array([0.15, 0.02]), np.array([[1e-4, -1e-5], [-1e-5, 4e-6]]), np.array([0.5, 8.0]))
+
+
+@pytest.fixture
+def good(tmp_path):
+    write_good(tmp_path / "good")
+    return read_recording(tmp_path / "good")
+
+
+def _polynomial(a, b, terms):
+    offset, gain, cubic, cross = terms
+    return offset + gain * a + cubic * a**3 + cross * a * b
+
+
+def test_within_the_span_the_measured_angles_are_the_polynomials():
+    rng = np.random.default_rng(0)
+    true = rng.uniform(*SPANS.T, (200, 2))
+    a, e = true.T
+    expected = np.stack([_polynomial(a, e, TERMS[0]), _polynomial(e, a, TERMS[1])], axis=1)
+    np.testing.assert_allclose(STATION.measured(true), expected, atol=1e-14)
+
+
+@pytest.mark.parametrize(("angle", "end", "outwards"), [(0, -0.9, -1), (0, 1.0, 1), (1, -0.6, -1), (1, 0.5, 1)])
+def test_beyond_the_span_an_angle_goes_on_linearly_with_the_slope_at_its_end(angle, end, outwards):
+    other = 0.2
+    points = np.full((4, 2), other)
+    points[:, angle] = end + outwards * np.array([-1e-6, 0.0, 0.3, 0.9])
+    inner, edge, far, farther = STATION.measured(points)[:, angle]
+    slope = (edge - inner) / 1e-6
+    assert slope * outwards > 0.3
+    np.testing.assert_allclose([far - edge, farther - edge], slope * np.array([0.3, 0.9]), rtol=1e-4)
+
+
+def test_the_true_angles_are_found_from_the_measured_ones_within_and_beyond_the_span():
+    true = np.stack(np.meshgrid(np.linspace(-2.0, 2.0, 41), np.linspace(-1.2, 1.2, 25)), axis=-1)
+    np.testing.assert_allclose(STATION.true(STATION.measured(true)), true, atol=1e-9)
+
+
+def test_readings_that_no_angle_gives_are_finite_and_within_the_largest_angles():
+    found = STATION.true(np.array([[3.1, 1.5], [-3.1, -1.5], [3.1, -1.5]]))
+    assert np.all(np.abs(found) <= [np.pi, np.pi / 2])
+
+
+def test_the_added_variance_is_that_of_terms_drawn_from_the_covariance():
+    rng, true = np.random.default_rng(1), np.array([[0.4, -0.3], [1.4, 0.2]])
+    calibration = Calibration({"S": STATION})
+    _, found, variances = calibration.of_bearings(["S"], np.zeros(2, int), STATION.measured(true))
+    np.testing.assert_allclose(found, true, atol=1e-9)
+    drawn = np.stack([rng.multivariate_normal(t, c, 20000) for t, c in zip(TERMS, COVARIANCES, strict=True)], axis=1)
+    many = np.stack([StationCalibration(t, COVARIANCES, SPANS).measured(true) for t in drawn])
+    # The relative standard error of a variance of 20000 draws is 1 %.
+    np.testing.assert_allclose(variances, many.var(axis=0), rtol=0.05)
+
+
+def test_bearings_of_a_calibrated_station_have_its_terms_and_more_variance_and_others_are_as_measured(good):
+    plain = bearing_trajectories(good, False)[0].recording
+    found = bearing_trajectories(good.calibrated(Calibration({"S1": STATION})), False)[0].recording
+    assert "calibration" not in plain.inputs
+    first = (good.tables["bearings"].filter(tag="T1")["station"] == "S1").to_numpy()
+    values, reported = found.readings[BEARINGS].values, found.readings[BEARINGS].reported
+    np.testing.assert_array_equal(values, plain.readings[BEARINGS].values)
+    expected = np.concatenate([TERMS.ravel(), SPANS.ravel()])
+    np.testing.assert_array_equal(found.inputs["calibration"][first], np.tile(expected, (first.sum(), 1)))
+    assert (reported[first][:, [0, 2]] > 0.0).all()
+    assert not reported[~first].any()
+    np.testing.assert_array_equal(
+        found.inputs["calibration"][~first][:, :8], [[0, 1, 0, 0, 0, 1, 0, 0]] * (~first).sum()
+    )
+
+
+def test_a_point_of_recent_bearings_is_that_of_the_true_angles(good):
+    # Angles as two compressing stations measure them give the same point as the true ones.
+    stations = dict.fromkeys(good.rig.stations, STATION)
+    table = good.tables["bearings"]
+    angles = STATION.measured(table.select("azimuth_rad", "elevation_rad").to_numpy())
+    measured = table.with_columns(azimuth_rad=pl.Series(angles[:, 0]), elevation_rad=pl.Series(angles[:, 1]))
+    folder = replace(good, tables=good.tables | {"bearings": measured}).calibrated(Calibration(stations))
+    expected = bearing_trajectories(good, False)[0].recording.inputs["nearby"]
+    np.testing.assert_allclose(bearing_trajectories(folder, False)[0].recording.inputs["nearby"], expected, atol=1e-8)
+
+
+def test_ranges_are_without_bias_and_slope_and_have_the_variance_of_both(good):
+    number, distances = np.array([0, 1, 0]), np.array([2.0, 3.0, 7.0])
+    measured = np.where(number == 0, distances * 1.02 + 0.15, distances)
+    found, variances = Calibration(anchors={"A": ANCHOR}).of_ranges(["A", "B"], number, measured)
+    np.testing.assert_allclose(found, distances, rtol=1e-12)
+    expected = [(1e-4 - 2e-5 * d + 4e-6 * d * d) / 1.02**2 for d in (2.0, 7.0)]
+    np.testing.assert_allclose(variances, [expected[0], 0.0, expected[1]], rtol=1e-12)
+
+
+def test_ranges_of_a_folder_are_corrected_by_anchor(good):
+    anchor = sorted(good.rig.anchors)[0]
+    plain = range_trajectories(good, False)[0].recording
+    found = range_trajectories(good.calibrated(Calibration(anchors={anchor: ANCHOR})), False)[0].recording
+    own = plain.inputs["anchor"][:, 0] == 0
+    before, after = plain.readings[RANGES], found.readings[RANGES]
+    np.testing.assert_allclose(after.values[own], (before.values[own] - 0.15) / 1.02)
+    np.testing.assert_array_equal(after.values[~own], before.values[~own])
+    assert (after.reported[own] > before.reported[own]).all()
+    np.testing.assert_array_equal(after.reported[~own], before.reported[~own])

@@ -1,0 +1,145 @@
+"""Calibrations: the systematic errors of stations and anchors, with their covariances, and their removal from readings.
+
+A station measures each angle a as offset + gain·a + cubic·a³ + cross·a·b, where b is the other angle, both in its array
+frame. An anchor measures a distance d as d + bias + slope·d. The fit is in `tuning/calibrating.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+ANGLES = ("azimuth", "elevation")
+ANGLE_TERMS = ("offset", "gain", "cubic", "cross")
+RANGE_TERMS = ("bias", "slope")
+
+ANGLE_PRIOR = np.array([0.0, 1.0, 0.0, 0.0]), np.array([0.3, 0.3, 0.3, 0.3])
+"""Mean and standard deviation of the terms of an angle before any recording, in rad to the power of each term."""
+
+RANGE_PRIOR = np.zeros(2), np.array([1.0, 0.05])
+"""Mean and standard deviation of the bias, m, and of the slope of an anchor before any recording."""
+
+LARGEST = np.array([np.pi, np.pi / 2])
+"""The largest azimuth and elevation, rad."""
+
+_NEWTON_STEPS = 20
+
+
+def angle_terms(true: np.ndarray, spans: np.ndarray) -> np.ndarray:
+    """The factors (..., 2, 4) of the terms of azimuth and elevation, at true angles (..., 2), rad.
+
+    `spans` (..., 2, 2): lowest and highest of each angle, rad, beyond which the terms go on linearly.
+    """
+    inside = np.clip(true, spans[..., 0], spans[..., 1])
+    cubic = inside**2 * (3.0 * true - 2.0 * inside)
+    return np.stack([np.ones_like(true), true, cubic, true * inside[..., ::-1]], axis=-1)
+
+
+def range_terms(distances: np.ndarray) -> np.ndarray:
+    """The factors (..., 2) of bias and slope, at distances (...), m."""
+    return np.stack([np.ones_like(distances), distances], axis=-1)
+
+
+@dataclass(frozen=True)
+class StationCalibration:
+    """The terms of a station's azimuth and elevation.
+
+    `coefficients` (2, 4): offset, rad, gain, cubic, rad⁻², and cross, rad⁻¹, of each angle; `covariances` (2, 4, 4).
+    `spans` (2, 2): the lowest and the highest true angle in the recordings of the fit, rad. `rows`: their number.
+    """
+
+    coefficients: Float[np.ndarray, "2 4"]
+    covariances: Float[np.ndarray, "2 4 4"]
+    spans: Float[np.ndarray, "2 2"]
+    rows: int = 0
+
+    def measured(self, true: np.ndarray) -> np.ndarray:
+        """The angles (..., 2), rad, that the station measures at true angles (..., 2), without noise."""
+        return _measured(true, self.coefficients, self.spans)
+
+    def true(self, measured: np.ndarray) -> np.ndarray:
+        """The true angles (..., 2), rad, at which the station measures these angles (..., 2)."""
+        return _true(measured, self.coefficients, self.spans)
+
+
+UNCALIBRATED = StationCalibration(
+    np.tile(ANGLE_PRIOR[0], (2, 1)), np.zeros((2, 4, 4)), np.stack([-LARGEST, LARGEST], axis=1)
+)
+"""A station without systematic errors."""
+
+
+@dataclass(frozen=True)
+class AnchorCalibration:
+    """The terms of an anchor's ranges: `coefficients` (2,), bias, m, and slope; `covariance` (2, 2).
+
+    `span` (2,): the smallest and the largest distance in the recordings of the fit, m. `rows`: their number.
+    """
+
+    coefficients: Float[np.ndarray, " 2"]
+    covariance: Float[np.ndarray, "2 2"]
+    span: Float[np.ndarray, " 2"]
+    rows: int = 0
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The systematic errors of stations and anchors by their ids; `recordings`: the names of those of the fit."""
+
+    stations: Mapping[str, StationCalibration] = field(default_factory=dict)
+    anchors: Mapping[str, AnchorCalibration] = field(default_factory=dict)
+    recordings: tuple[str, ...] = ()
+
+    def of_bearings(
+        self, stations: Sequence[str], number: np.ndarray, measured: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The calibration of bearings (N, 2), rad, of `stations[number]` (N,).
+
+        The terms and spans of the station of each (N, 12), the true angles (N, 2), rad, and the variances of azimuth
+        and elevation that the uncertainty of the terms adds (N, 2), rad². Stations without a calibration have no
+        systematic errors.
+        """
+        own = [self.stations.get(name, UNCALIBRATED) for name in stations]
+        coefficients, spans = (
+            np.stack([x.coefficients for x in own])[number],
+            np.stack([x.spans for x in own])[number],
+        )
+        true = _true(measured, coefficients, spans)
+        factors = angle_terms(true, spans)
+        covariances = np.stack([x.covariances for x in own])[number]
+        variances = np.einsum("nai,naij,naj->na", factors, covariances, factors)
+        rows = np.concatenate([coefficients.reshape(-1, 8), spans.reshape(-1, 4)], axis=1)
+        return rows, true, variances
+
+    def of_ranges(
+        self, anchors: Sequence[str], number: np.ndarray, measured: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Distances (N,), m, at which `anchors[number]` (N,) measure these ranges (N,), and the added variances, m²."""
+        none = AnchorCalibration(np.zeros(2), np.zeros((2, 2)), np.zeros(2))
+        own = [self.anchors.get(name, none) for name in anchors]
+        bias, slope = np.stack([x.coefficients for x in own])[number].T
+        distances = (measured - bias) / (1.0 + slope)
+        factors = range_terms(distances)
+        covariances = np.stack([x.covariance for x in own])[number]
+        return distances, np.einsum("ni,nij,nj->n", factors, covariances, factors) / (1.0 + slope) ** 2
+
+
+def _measured(true: np.ndarray, coefficients: np.ndarray, spans: np.ndarray) -> np.ndarray:
+    return (angle_terms(true, spans) * coefficients).sum(axis=-1)
+
+
+def _true(measured: np.ndarray, coefficients: np.ndarray, spans: np.ndarray) -> np.ndarray:
+    """The true angles, by Newton's method within the largest angles."""
+    _, gain, cubic, cross = np.moveaxis(coefficients, -1, 0)
+    found = np.asarray(measured, float)
+    for _ in range(_NEWTON_STEPS):
+        inside = np.clip(found, spans[..., 0], spans[..., 1])
+        own = gain + 3.0 * cubic * inside**2 + cross * inside[..., ::-1]
+        other = np.where((inside == found)[..., ::-1], cross * found, 0.0)
+        miss = measured - _measured(found, coefficients, spans)
+        determinant = own[..., :1] * own[..., 1:] - other[..., :1] * other[..., 1:]
+        step = (own[..., ::-1] * miss - other * miss[..., ::-1]) / determinant
+        found = np.clip(found + step, -LARGEST, LARGEST)
+    return found
