@@ -67,6 +67,8 @@ from trackers.parts.range_rows import range_trajectories
 from trackers.parts.ranges import RangeSensor
 from trackers.parts.singer import Singer
 from trackers.parts.start_nearby import NearbyStart
+from trackers.recordings.calibration import AnchorCalibration, Calibration, StationCalibration
+from trackers.recordings.calibration_file import read_calibration, write_calibration
 from trackers.recordings.checks import CheckResult, check
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.folder import read_recording as read
@@ -102,6 +104,11 @@ __all__ = [
     "phase_recording",
     "Batch",
     "stack",
+    "Calibration",
+    "StationCalibration",
+    "AnchorCalibration",
+    "read_calibration",
+    "write_calibration",
     "UnusableInput",
     "cache_programs",
     # trackers by name, their estimates, and how good these are

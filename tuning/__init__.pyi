@@ -1,3 +1,4 @@
+from tuning.calibrating import calibrate as calibrate
 from tuning.diagnostics import innovations_of as innovations_of
 from tuning.diagnostics import violated_assumptions as violated_assumptions
 from tuning.fitting import FitResult as FitResult
@@ -35,6 +36,7 @@ __all__ = [
     "Weighted",
     "all_metrics",
     "bootstrap",
+    "calibrate",
     "first_guess",
     "fit",
     "identifiability_issues",

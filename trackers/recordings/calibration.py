@@ -16,10 +16,10 @@ ANGLES = ("azimuth", "elevation")
 ANGLE_TERMS = ("offset", "gain", "cubic", "cross")
 RANGE_TERMS = ("bias", "slope")
 
-ANGLE_PRIOR = np.array([0.0, 1.0, 0.0, 0.0]), np.array([0.3, 0.3, 0.3, 0.3])
+ANGLE_PRIOR = np.array([0.0, 1.0, 0.0, 0.0]), np.array([0.2, 0.3, 0.2, 0.2])
 """Mean and standard deviation of the terms of an angle before any recording, in rad to the power of each term."""
 
-RANGE_PRIOR = np.zeros(2), np.array([1.0, 0.05])
+RANGE_PRIOR = np.zeros(2), np.array([0.3, 0.02])
 """Mean and standard deviation of the bias, m, and of the slope of an anchor before any recording."""
 
 LARGEST = np.array([np.pi, np.pi / 2])

@@ -1,0 +1,93 @@
+"""calibration.toml: written and read back, and refused in one line where its content is not that of `calibrate`."""
+
+import re
+
+import numpy as np
+import pytest
+
+from trackers.core.errors import UnusableInput
+from trackers.recordings.calibration import AnchorCalibration, Calibration, StationCalibration
+from trackers.recordings.calibration_file import read_calibration, write_calibration
+
+_RNG = np.random.default_rng(0)
+
+
+def _covariance(size):
+    factor = _RNG.normal(size=(size, size))
+    return factor @ factor.T
+
+
+CALIBRATION = Calibration(
+    {
+        "S 1": StationCalibration(
+            _RNG.normal(size=(2, 4)), np.stack([_covariance(4)] * 2), np.array([[-1.0, 0.9], [-0.4, 0.3]]), 812
+        )
+    },
+    {"A": AnchorCalibration(np.array([0.1, 0.01]), _covariance(2), np.array([0.4, 7.0]), 93)},
+    ("walk 1", "walk 2"),
+)
+
+
+@pytest.fixture
+def path(tmp_path):
+    return write_calibration(CALIBRATION, tmp_path / "calibration.toml")
+
+
+def test_a_calibration_is_read_back_to_the_bit(path):
+    found = read_calibration(path)
+    assert found.recordings == CALIBRATION.recordings
+    for kind, names in (
+        ("stations", ("coefficients", "covariances", "spans")),
+        ("anchors", ("coefficients", "covariance", "span")),
+    ):
+        one, other = getattr(found, kind), getattr(CALIBRATION, kind)
+        assert list(one) == list(other)
+        for key in one:
+            assert one[key].rows == other[key].rows
+            for name in names:
+                np.testing.assert_array_equal(getattr(one[key], name), getattr(other[key], name))
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "words"),
+    [
+        ("format = 1", "format = 2", "format = 2, expected `format = 1`"),
+        ("format = 1\n", "", "no `format`"),
+        ("gain = ", "gains = ", "[stations.S 1.azimuth] has unknown key 'gains'"),
+        ("rows = 812\n", "", "[stations.S 1] has no rows"),
+        ("rows = 812", "rows = -1", "rows = -1, expected a count"),
+        ("rows = 93", "rows = 93\nheight = 1.0", "[anchors.A] has unknown key 'height'"),
+        ("slope = 0.01", "slope = nan", "anchors.A.slope = nan, expected a finite number"),
+        ("slope = 0.01", "slope = -1.5", "slope = -1.5, expected a number above -1"),
+        ("slope = 0.01", 'slope = "0.01"', "slope = '0.01', expected a finite number"),
+        ("lowest_m = 0.4", "lowest_m = 9.0", "lowest_m = 9 is above highest_m = 7"),
+        ('recordings = [\n', "recordings = [\n    3,\n", "expected a list of names"),
+    ],
+)  # fmt: skip
+def test_other_content_is_refused_in_one_line(path, before, after, words):
+    text = path.read_text("utf-8")
+    assert before in text
+    path.write_text(text.replace(before, after, 1), "utf-8")
+    with pytest.raises(UnusableInput, match=re.escape(words)) as refusal:
+        read_calibration(path)
+    assert str(refusal.value).startswith(str(path))
+    assert str(refusal.value).endswith("write it with `trackwright calibrate`")
+
+
+def test_a_matrix_that_is_no_covariance_is_refused(path):
+    broken = Calibration({}, {"A": AnchorCalibration(np.zeros(2), np.array([[1.0, 2.0], [2.0, 1.0]]), np.zeros(2), 30)})
+    write_calibration(broken, path)
+    with pytest.raises(UnusableInput, match=r"anchors\.A\.covariance is no covariance"):
+        read_calibration(path)
+
+
+@pytest.mark.parametrize("text", ["format = 1\nrecordings = []\n[stations]\n[anchors]\n", "format =", "\xff"])
+def test_an_empty_or_invalid_file_is_refused(path, text):
+    path.write_bytes(text.encode("latin-1"))
+    with pytest.raises(UnusableInput):
+        read_calibration(path)
+
+
+def test_a_missing_file_is_refused(tmp_path):
+    with pytest.raises(UnusableInput, match="cannot be read"):
+        read_calibration(tmp_path / "none.toml")

@@ -1,0 +1,175 @@
+"""Calibrations of simulated worlds with known systematic errors, and of recordings that lack something."""
+
+from dataclasses import replace
+
+import numpy as np
+import polars as pl
+import pytest
+
+from tests.tuning.calibration_worlds import ANCHORS, RIG, lasting, recording, standardised, walk, world
+from trackers.core.errors import UnusableInput
+from trackers.core.rig import Station
+from trackers.recordings.calibration import ANGLE_PRIOR, RANGE_PRIOR, Calibration
+from trackers.recordings.folder import RecordingFolder
+from tuning.calibrating import LEAST_SLOPE, calibrate
+
+
+@pytest.fixture(scope="module")
+def found():
+    known, folders = world(5)
+    return known, calibrate(folders)
+
+
+def test_known_terms_are_recovered_within_three_standard_errors(found):
+    known, calibration = found
+    angles, ranges = standardised(calibration, known)
+    assert np.abs(angles).max() < 3.0
+    assert np.abs(ranges).max() < 3.0
+    # The gains of azimuth are known to a tenth, five times better than before the walks.
+    assert all(np.sqrt(one.covariances[0, 1, 1]) < 0.1 for one in calibration.stations.values())
+    assert calibration.recordings == ("walk 1", "walk 2", "walk 3")
+
+
+def _coverage(worlds, **options):
+    pairs = [world(100 + seed, **options) for seed in range(worlds)]
+    errors = [standardised(calibrate(folders), known) for known, folders in pairs]
+    angles, ranges = (np.stack(x) for x in zip(*errors, strict=True))
+    return (np.abs(angles) < 1.96).mean(), (np.abs(ranges) < 1.96).mean()
+
+
+def test_intervals_hold_the_terms_although_errors_last():
+    # The standard error of a share of 12 × 24 terms, some of them correlated, is about 2 %.
+    angles, ranges = _coverage(12)
+    assert 0.88 < angles < 1.0
+    assert 0.84 < ranges < 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [{}, {"recordings": 1, "seconds": 40.0}, {"outliers": 1.5}])
+def test_intervals_hold_90_to_97_percent_of_the_terms_of_200_worlds(options):
+    angles, ranges = _coverage(200, **options)
+    assert 0.90 <= angles <= 0.97
+    if not options:
+        assert 0.90 <= ranges <= 0.97
+
+
+def test_each_recording_has_the_same_weight():
+    rng = np.random.default_rng(3)
+    first, second = world(1, 1)[0], world(2, 1)[0]
+    short, long = recording(rng, "short", first, 60.0), recording(rng, "long", second, 400.0)
+    both = calibrate([short, long]).stations
+    for name, station in both.items():
+        middle = 0.5 * (first.stations[name].coefficients + second.stations[name].coefficients)[0, 0]
+        # Half of the standard error of a walk of one minute, 0.03 rad, and the share of the other terms.
+        assert station.coefficients[0, 0] == pytest.approx(middle, abs=0.08)
+
+
+def test_ranges_that_are_sometimes_much_too_long_change_a_bias_little():
+    known, folders = world(5, outliers=1.5)
+    _, ranges = standardised(calibrate(folders), known)
+    assert np.abs(ranges).max() < 3.0
+
+
+def _standing(seconds, place):
+    """A tag that stands still, with ranges whose errors are those of the place."""
+    rng = np.random.default_rng(7)
+    times = np.arange(0.0, seconds, 0.1)
+    position = np.array([*place, 1.0])
+    rows = [
+        pl.DataFrame({"t_s": times, "tag": "1", "anchor": a, "range_m": np.linalg.norm(position - p) + 0.1 + noise})
+        for a, p in ANCHORS.items()
+        for noise in [0.05 * rng.normal() + 0.01 * rng.normal(size=len(times))]
+    ]
+    x, y, z = position
+    truth = pl.DataFrame({"t_s": times, "tag": "1"}).with_columns(x_m=pl.lit(x), y_m=pl.lit(y), z_m=pl.lit(z))
+    tables = {"ranges": pl.concat(rows).sort("t_s"), "truth": truth}
+    return RecordingFolder(f"at {place}", None, RIG, tables)
+
+
+def test_the_rows_of_a_tag_that_stands_still_count_as_one_sample_of_the_error():
+    # The mean of 2000 rows has a standard error of 0.2 mm, but 5 cm of its error are those of the place.
+    for one in calibrate(_standing(200.0, (3.0, 2.0))).anchors.values():
+        assert np.sqrt(one.covariance[0, 0]) > 0.1
+
+
+def test_terms_that_the_recordings_do_not_determine_stay_at_their_prior():
+    # Of a tag at one place, bias and slope cannot be told apart.
+    one = calibrate(_standing(100.0, (3.0, 2.0))).anchors["A"]
+    assert one.coefficients[1] == pytest.approx(RANGE_PRIOR[0][1], abs=0.5 * RANGE_PRIOR[1][1])
+    assert np.sqrt(one.covariance[1, 1]) == pytest.approx(RANGE_PRIOR[1][1], rel=0.1)
+
+
+def test_an_angle_that_was_never_measured_stays_at_its_prior():
+    _, (folder,) = world(5, 1)
+    table = folder.tables["bearings"].with_columns(elevation_rad=pl.lit(None, pl.Float64))
+    for one in calibrate(replace(folder, tables=folder.tables | {"bearings": table})).stations.values():
+        np.testing.assert_array_equal(one.coefficients[1], ANGLE_PRIOR[0])
+        np.testing.assert_allclose(one.covariances[1], np.diag(ANGLE_PRIOR[1] ** 2))
+
+
+def test_a_calibrated_angle_increases_although_the_readings_turn_back():
+    # Readings that fall again beyond 0.6 rad.
+    times, positions = walk(np.random.default_rng(1), 200.0)
+    station = RIG.stations["north"]
+    true = station.angles(positions)
+    azimuth = np.sin(2.6 * true[:, 0])
+    columns = {"azimuth_rad": azimuth, "elevation_rad": true[:, 1]}
+    x, y, z = positions.T
+    tables = {
+        "bearings": pl.DataFrame({"t_s": times, "tag": "1", "station": "north", **columns}),
+        "truth": pl.DataFrame({"t_s": times, "tag": "1", "x_m": x, "y_m": y, "z_m": z}),
+    }
+    one = calibrate(RecordingFolder("turning", None, RIG, tables)).stations["north"]
+    mesh = np.stack(np.meshgrid(np.linspace(-3.0, 3.0, 301), np.linspace(-1.5, 1.5, 13), indexing="ij"), axis=-1)
+    slopes = np.diff(one.measured(mesh)[..., 0], axis=0) / (6.0 / 300)
+    assert slopes.min() > 0.99 * LEAST_SLOPE
+
+
+def test_azimuths_beyond_half_a_turn_are_compared_the_short_way_round():
+    behind = Station(np.array([4.5, 3.0, 2.0]), RIG.stations["west"].rotation)
+    rng = np.random.default_rng(2)
+    times, positions = walk(rng, 100.0)
+    angles = behind.angles(positions)
+    azimuth = (angles[:, 0] + 0.2 + lasting(rng, times, positions, 0.02) + np.pi) % (2 * np.pi) - np.pi
+    assert (np.abs(azimuth - angles[:, 0]) > np.pi).any()
+    columns = {"azimuth_rad": azimuth, "elevation_rad": angles[:, 1]}
+    x, y, z = positions.T
+    tables = {
+        "bearings": pl.DataFrame({"t_s": times, "tag": "1", "station": "S", **columns}),
+        "truth": pl.DataFrame({"t_s": times, "tag": "1", "x_m": x, "y_m": y, "z_m": z}),
+    }
+    rig = replace(RIG, stations={"S": behind})
+    one = calibrate(RecordingFolder("round", None, rig, tables)).stations["S"]
+    assert one.coefficients[0, 0] == pytest.approx(0.2, abs=0.05)
+    assert one.coefficients[0, 1] == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("tables", "words"),
+    [
+        (("bearings", "ranges"), "no truth table; expected truth to calibrate against"),
+        (("truth",), "expected bearings or ranges to calibrate"),
+    ],
+)
+def test_recordings_that_lack_something_are_refused_in_one_line(tables, words):
+    folder = world(5, 1, seconds=10.0)[1][0]
+    kept = {name: folder.tables[name] for name in tables}
+    with pytest.raises(UnusableInput, match=words):
+        calibrate(replace(folder, tables=kept))
+
+
+def test_too_few_rows_are_refused_and_stations_with_few_are_left_out():
+    folder = world(5, 1, seconds=10.0)[1][0]
+    north = pl.col("station") == "north"
+    with pytest.raises(UnusableInput, match="fewer than 20 rows with truth for every station and anchor"):
+        calibrate(replace(folder, tables={name: table.head(40) for name, table in folder.tables.items()}))
+    few = folder.tables["bearings"].filter(~north | (pl.col("t_s") < 3.0))
+    assert set(calibrate(replace(folder, tables=folder.tables | {"bearings": few})).stations) == {"south", "west"}
+
+
+def test_a_calibration_of_recordings_that_carry_one_starts_from_the_tables():
+    known, folders = world(5, 1)
+    again = calibrate([folder.calibrated(Calibration(known.stations)) for folder in folders])
+    np.testing.assert_array_equal(
+        again.stations["north"].coefficients, calibrate(folders).stations["north"].coefficients
+    )

@@ -1,0 +1,156 @@
+"""`calibration.toml`: systematic errors of stations and anchors, written by `calibrate`, read by `--calibration`."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+import tomli_w
+
+from trackers.core.errors import UnusableInput, listed
+from trackers.recordings.atomic import atomic_write
+from trackers.recordings.calibration import ANGLES, AnchorCalibration, Calibration, StationCalibration
+
+FORMAT = 1
+COMMENT = "# Written by `trackwright calibrate`; read by `--calibration` of `track` and `tune`.\n"
+
+_TOP = ("format", "recordings", "stations", "anchors")
+_ANGLE_TERMS = ("offset_rad", "gain", "cubic_per_rad2", "cross_per_rad")
+_ANGLE = (*_ANGLE_TERMS, "lowest_rad", "highest_rad", "covariance")
+_STATION = ("rows", *ANGLES)
+_RANGE_TERMS = ("bias_m", "slope")
+_ANCHOR = ("rows", *_RANGE_TERMS, "lowest_m", "highest_m", "covariance")
+
+
+def write_calibration(calibration: Calibration, path: str | Path) -> Path:
+    """Writes the calibration to the file `path`, completely or not at all; raises UnusableInput where it cannot be."""
+    stations = {
+        name: {"rows": one.rows}
+        | {
+            angle: _entries(_ANGLE, one.coefficients[k], one.spans[k], one.covariances[k])
+            for k, angle in enumerate(ANGLES)
+        }
+        for name, one in calibration.stations.items()
+    }
+    anchors = {
+        name: {"rows": one.rows} | _entries(_ANCHOR[1:], one.coefficients, one.span, one.covariance)
+        for name, one in calibration.anchors.items()
+    }
+    content = {
+        "format": FORMAT,
+        "recordings": list(calibration.recordings),
+        "stations": stations,
+        "anchors": anchors,
+    }
+    text = COMMENT + tomli_w.dumps(content)
+    return atomic_write(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def _entries(names: Sequence[str], terms: np.ndarray, span: np.ndarray, covariance: np.ndarray) -> dict[str, Any]:
+    return dict(zip(names, [*terms.tolist(), *span.tolist(), covariance.tolist()], strict=True))
+
+
+def read_calibration(path: str | Path) -> Calibration:
+    """The calibration in a `calibration.toml`; raises UnusableInput for content that `calibrate` does not write."""
+    path = Path(path)
+    try:
+        content = tomllib.loads(path.read_text("utf-8"))
+    except OSError as error:
+        raise UnusableInput(
+            f"{path}: cannot be read ({error.strerror}); expected the calibration.toml of `trackwright calibrate`"
+        ) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UnusableInput(
+            f"{path}: is not valid TOML ({str(error).splitlines()[0]}); write it with `trackwright calibrate`"
+        ) from error
+    return _Reader(path).calibration(content)
+
+
+class _Reader:
+    """Converts parsed TOML into a `Calibration`; the path is for messages."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def calibration(self, content: dict[str, Any]) -> Calibration:
+        version = content.get("format")
+        if version != FORMAT or isinstance(version, bool):
+            found = "no `format`" if version is None else f"format = {version!r}"
+            self.refuse(f"{found}, expected `format = {FORMAT}` of the calibration.toml of `trackwright calibrate`")
+        self.exactly(content, _TOP, "the top level")
+        names = content["recordings"]
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            self.refuse(f"recordings = {names!r}, expected a list of names")
+        stations, anchors = (self.table(content[key], key) for key in ("stations", "anchors"))
+        if not stations and not anchors:
+            self.refuse("neither a station nor an anchor, expected [stations.ID] or [anchors.ID]")
+        return Calibration(
+            {name: self.station(f"stations.{name}", one) for name, one in stations.items()},
+            {name: self.anchor(f"anchors.{name}", one) for name, one in anchors.items()},
+            tuple(names),
+        )
+
+    def station(self, where: str, content: Any) -> StationCalibration:
+        self.exactly(self.table(content, where), _STATION, f"[{where}]")
+        parts = []
+        for angle in ANGLES:
+            table = self.table(content[angle], f"{where}.{angle}")
+            self.exactly(table, _ANGLE, f"[{where}.{angle}]")
+            span = "lowest_rad", "highest_rad"
+            parts.append(self.terms(f"{where}.{angle}", table, _ANGLE_TERMS, span))
+        terms, spans, covariances = (np.stack(x) for x in zip(*parts, strict=True))
+        return StationCalibration(terms, covariances, spans, self.rows(where, content["rows"]))
+
+    def anchor(self, where: str, content: Any) -> AnchorCalibration:
+        self.exactly(self.table(content, where), _ANCHOR, f"[{where}]")
+        terms, span, covariance = self.terms(where, content, _RANGE_TERMS, ("lowest_m", "highest_m"))
+        if terms[1] <= -1.0:
+            self.refuse(f"{where}.slope = {terms[1]:.6g}, expected a number above -1")
+        return AnchorCalibration(terms, covariance, span, self.rows(where, content["rows"]))
+
+    def terms(
+        self, where: str, table: dict[str, Any], names: Sequence[str], ends: tuple[str, str]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The terms, their span and their covariance."""
+        terms, span = (np.array([self.array(f"{where}.{name}", table[name], ()) for name in n]) for n in (names, ends))
+        if span[0] > span[1]:
+            self.refuse(f"{where}.{ends[0]} = {span[0]:.6g} is above {ends[1]} = {span[1]:.6g}, expected it below")
+        covariance = self.array(f"{where}.covariance", table["covariance"], (len(names), len(names)))
+        symmetric = np.allclose(covariance, covariance.T, rtol=1e-6, atol=1e-12)
+        if not symmetric or np.linalg.eigvalsh(covariance)[0] < -1e-9 * np.trace(covariance):
+            self.refuse(f"{where}.covariance is no covariance, expected a symmetric, positive semidefinite matrix")
+        return terms, span, covariance
+
+    def array(self, where: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
+        try:
+            found = np.asarray(value)
+        except ValueError:
+            found = np.array(None)
+        if found.dtype.kind not in "if" or found.shape != shape or not np.isfinite(found).all():
+            size = f"{' × '.join(map(str, shape))} finite numbers" if shape else "a finite number"
+            shown = repr(value) if len(repr(value)) <= 60 else repr(value)[:57] + "..."
+            self.refuse(f"{where} = {shown}, expected {size}")
+        return found.astype(float)
+
+    def rows(self, where: str, value: Any) -> int:
+        if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+            self.refuse(f"{where}.rows = {value!r}, expected a count")
+        return value
+
+    def table(self, value: Any, where: str) -> dict[str, Any]:
+        if not isinstance(value, dict):
+            self.refuse(f"{where} = {value!r}, expected a table [{where}]")
+        return value
+
+    def exactly(self, content: Mapping[str, Any], expected: tuple[str, ...], where: str) -> None:
+        unknown = [key for key in content if key not in expected]
+        lacking = [key for key in expected if key not in content]
+        if unknown or lacking:
+            found = f"unknown key {unknown[0]!r}" if unknown else f"no {lacking[0]}"
+            self.refuse(f"{where} has {found}, expected {listed(expected, len(expected))}")
+
+    def refuse(self, what: str) -> NoReturn:
+        raise UnusableInput(f"{self.path}: {what}; write it with `trackwright calibrate`")

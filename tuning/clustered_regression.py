@@ -1,0 +1,175 @@
+"""Robust linear regressions with a normal prior, whose errors are correlated within pieces of time and within places.
+
+Symbols: x, factors of the terms; w, weights of rows; A, information of the rows; B, covariance of their score; P, the
+prior precision; D, the design effect, by which B exceeds A. The tempered posterior has the Hessian H = A/D + P, so that
+the prior has its proper weight, and the covariance of the terms is H⁻¹ (B/D² + P) H⁻¹: that of the prior for terms
+that the rows do not determine, the clustered sandwich A⁻¹ B A⁻¹ for those that they do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import nnls
+from scipy.stats import t as student_t
+
+DOF = 4.0
+"""Degrees of freedom of Student's t of the errors."""
+
+POOLED = 10.0
+"""The number of clusters that the design effect of all regressions counts as, beside a regression's own clusters."""
+
+SMALLEST = 1e-6
+"""Least scale of the errors, rad or m, below any resolution of a reading."""
+
+_ROUNDS, _STEPS = 8, 10
+
+
+class Rows(NamedTuple):
+    """The rows of a regression: `x` (N, p), `y` (N,), and the numbers of recording, piece of time and place (N,)."""
+
+    x: np.ndarray
+    y: np.ndarray
+    recording: np.ndarray
+    piece: np.ndarray
+    place: np.ndarray
+
+
+class Regression(NamedTuple):
+    """Terms (p,) with their covariance (p, p)."""
+
+    terms: np.ndarray
+    covariance: np.ndarray
+
+
+class _Fit(NamedTuple):
+    regression: Regression
+    effect: float
+    clusters: float
+
+
+def regressions(rows: Mapping[str, Rows], mean: np.ndarray, sigmas: np.ndarray) -> dict[str, Regression]:
+    """The regressions of several sources of a kind, with the normal prior `mean`, `sigmas` (p,) of their terms.
+
+    Errors are of Student's t; each recording has the same weight, and so has each place in a piece of time. The design
+    effects of the sources are pooled where their own clusters are few.
+    """
+    own = {name: _fit(one, mean, sigmas, None) for name, one in rows.items()}
+    spare = {name: max(fit.clusters - len(mean), 0.0) for name, fit in own.items()}
+    total = sum(spare.values())
+    found = {}
+    for name, one in rows.items():
+        pooled = sum(spare[k] * own[k].effect for k in own) / total if total > 0.0 else own[name].effect
+        found[name] = _fit(one, mean, sigmas, (pooled, total)).regression
+    return found
+
+
+def _fit(rows: Rows, mean: np.ndarray, sigmas: np.ndarray, pooled: tuple[float, float] | None) -> _Fit:
+    """One regression; `pooled`: the design effect of all of them, and its degrees of freedom."""
+    both = np.unique(np.stack([rows.piece, rows.place]), axis=1, return_inverse=True)[1].ravel()
+    order = np.argsort(both, kind="stable")
+    x, y, both = rows.x[order], rows.y[order], both[order]
+    begins = np.flatnonzero(np.append(True, np.diff(both) != 0))
+    of_both = [_numbered(c[order][begins]) for c in (rows.piece, rows.place)]
+    weights = _equal_recordings(1.0 / np.bincount(both)[both], _numbered(rows.recording[order]))
+    clusters = min(_effective(c, np.add.reduceat(weights, begins)) for c in of_both)
+    precision = np.diag(1.0 / sigmas**2)
+    terms, effect = mean.copy(), 1.0
+    sigma = max(float(np.median(np.abs(y - x @ mean))), SMALLEST)
+    for _ in range(_ROUNDS):
+        for _ in range(_STEPS):
+            robust = _robust(weights, (y - x @ terms) / sigma)
+            moments = (x * robust[:, None]).T @ np.column_stack([x, y]) / (sigma**2 * effect)
+            terms = np.linalg.solve(moments[:, :-1] + precision, moments[:, -1] + precision @ mean)
+            residuals = y - x @ terms
+            sigma = max(
+                float(np.sqrt((_robust(weights, residuals / sigma) * residuals**2).sum() / weights.sum())), SMALLEST
+            )
+        robust = _robust(weights, residuals / sigma)
+        weighted = x * (robust / sigma**2)[:, None]
+        scores = np.add.reduceat(weighted * residuals[:, None], begins)
+        curved = _curvature(residuals / sigma, weights) / robust.sum()
+        parts = np.add.reduceat(curved * weighted[:, :, None] * x[:, None, :], begins)
+        A = parts.sum(axis=0)
+        H = A / effect + precision
+        B = sum(_scatter(c, scores, parts / effect, H) for c in of_both) - _scatter(
+            np.arange(len(begins)), scores, parts / effect, H
+        )
+        B = _positive(B)
+        effect = max(float(np.trace(np.linalg.solve(A + precision, B))) / len(mean), 1e-3)
+        if pooled is not None:
+            spare = max(clusters - len(mean), 0.0)
+            more = min(POOLED, max(pooled[1] - spare, 0.0))
+            B = (clusters * B + more * pooled[0] * A) / (clusters + more)
+            effect = (clusters * effect + more * pooled[0]) / (clusters + more)
+            # Few clusters widen the variance, so that ±1.96 standard deviations hold 95 %.
+            wider = float(student_t.ppf(0.975, max(spare + more, 1.0)) / student_t.ppf(0.975, np.inf)) ** 2
+            B, effect = B * wider, effect * wider
+    inverse = np.linalg.inv(A / effect + precision)
+    covariance = inverse @ (B / effect**2 + precision) @ inverse
+    return _Fit(Regression(terms, 0.5 * (covariance + covariance.T)), effect, clusters)
+
+
+def _numbered(numbers: np.ndarray) -> np.ndarray:
+    """The numbers as indices from 0 up."""
+    return np.unique(numbers, return_inverse=True)[1].ravel()
+
+
+def _equal_recordings(weights: np.ndarray, recording: np.ndarray) -> np.ndarray:
+    """The weights (N,) with the same total for each recording."""
+    totals = np.bincount(recording, weights)
+    return weights * (totals.mean() / totals)[recording]
+
+
+def _effective(clusters: np.ndarray, weights: np.ndarray) -> float:
+    """The number of clusters, as many of equal weight as have the same scatter."""
+    totals = np.bincount(clusters, weights)
+    return float(totals.sum() ** 2 / (totals**2).sum())
+
+
+def _robust(weights: np.ndarray, whitened: np.ndarray) -> np.ndarray:
+    """The weights times those of Student's t for whitened residuals."""
+    return weights * (DOF + 1.0) / (DOF + whitened**2)
+
+
+def _curvature(whitened: np.ndarray, weights: np.ndarray) -> float:
+    """The second derivative of −log of Student's t, summed; at least a tenth of a normal distribution's."""
+    squares = whitened**2
+    second = (DOF + 1.0) * (DOF - squares) / (DOF + squares) ** 2
+    return max(float((weights * second).sum()), 0.1 * float(weights.sum()))
+
+
+def _scatter(clusters: np.ndarray, scores: np.ndarray, parts: np.ndarray, hessian: np.ndarray) -> np.ndarray:
+    """The sum of squared scores (p, p) of clusters, each as if the terms had been fitted without it.
+
+    Cameron and Miller 2015, CR3. `scores` (n, p) and `parts` (n, p, p) of the Hessian: of the rows of each cluster.
+    """
+    count = clusters.max() + 1
+    sums, own = np.zeros((count, scores.shape[1])), np.zeros((count, *parts.shape[1:]))
+    np.add.at(sums, clusters, scores)
+    np.add.at(own, clusters, parts)
+    adjusted = (hessian @ np.linalg.solve(hessian - own, sums[:, :, None]))[:, :, 0]
+    return adjusted.T @ adjusted
+
+
+def _positive(matrix: np.ndarray) -> np.ndarray:
+    """The symmetric matrix without its negative eigenvalues."""
+    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
+    return (vectors * np.maximum(values, 0.0)) @ vectors.T
+
+
+def with_least_slope(found: Regression, slopes: np.ndarray, least: float) -> Regression:
+    """The nearest terms, in the metric of their covariance, with `slopes @ terms` (k,) at least `least`.
+
+    The least-distance problem of Lawson and Hanson 1974, chapter 23, by non-negative least squares.
+    """
+    lacking = least - slopes @ found.terms
+    if (lacking <= 0.0).all():
+        return found
+    factor = np.linalg.cholesky(found.covariance)
+    system = np.vstack([(slopes @ factor).T, lacking])
+    target = np.append(np.zeros(len(found.terms)), 1.0)
+    residual = system @ nnls(system, target)[0] - target
+    return found._replace(terms=found.terms - factor @ (residual[:-1] / residual[-1]))
