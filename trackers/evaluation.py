@@ -18,8 +18,10 @@ import polars as pl
 from trackers.core import metrics
 from trackers.core.errors import UnusableInput, listed, one_or_more
 from trackers.core.estimates import Estimates
+from trackers.core.rank_correlation import LAGS_S
 from trackers.core.recording import Recording
 from trackers.core.rig import Station
+from trackers.covariance_statements import covariance_statements
 from trackers.recordings.association import Association, associate_truth
 from trackers.recordings.columns import float_column, require_columns
 from trackers.recordings.folder import RecordingFolder
@@ -30,6 +32,9 @@ from trackers.scoring import Scored, score
 
 T = TypeVar("T")
 OneOrMore = RecordingFolder | Recording | Sequence[RecordingFolder] | Sequence[Recording]
+
+LEVELS = (50, 68, 90, 95, 99)
+"""Levels, %, of the ellipses whose share of the truth is a metric."""
 
 Metrics = dict[str, Any]
 """Metrics by name; in lists by recording and by track also `recording`, `tag` and `station`."""
@@ -51,6 +56,11 @@ class Evaluation:
         if metric not in self.overall:
             raise KeyError(f"no metric '{metric}'; there are {', '.join(self.overall)}")
         return self.overall[metric]
+
+    @property
+    def statements(self) -> list[str]:
+        """Sentences on whether the reported covariances hold; without truth, on what the innovations show."""
+        return covariance_statements(self.overall, self.recordings)
 
     def to_polars(self) -> pl.DataFrame:
         """A table with one row per track and one column per metric."""
@@ -209,9 +219,12 @@ def _metrics(association: Association, scored: Scored, first: int, end: int) -> 
     if scored.nees_3d is not None:
         found |= _consistency(scored.nees_3d[part], 3, "_3d")
     freedom = float(scored.dof[begin:stop].sum())
+    ranks = scored.nis_ranks.of_tracks(first, end)
     seconds, span, rows = scored.lost[first:end].sum(axis=0).tolist()
     found |= {
         "nis_ratio": float(scored.nis[begin:stop].sum()) / freedom if freedom > 0 else None,
+        **{f"nis_correlation_{name}": r for name, r in zip(LAGS_S, ranks.correlations().tolist(), strict=True)},
+        "nis_inflation_1s": ranks.inflation(),
         "lost_s": seconds,
         "lost_fraction": seconds / span if span > 0 else rows / float(stop - begin),
     }
@@ -237,10 +250,12 @@ def _errors_of(errors: np.ndarray, angle: np.ndarray | None) -> Metrics:
 
 def _consistency(nees: np.ndarray, dof: int, suffix: str) -> Metrics:
     known = nees[np.isfinite(nees)]
+    mean = float(known.mean()) if len(known) else None
     return {
-        f"nees{suffix}_mean": float(known.mean()) if len(known) else None,
-        f"coverage_68{suffix}": metrics.covered(known, dof, 0.68),
-        f"coverage_95{suffix}": metrics.covered(known, dof, 0.95),
+        f"nees{suffix}_mean": mean,
+        f"nees{suffix}_ratio": None if mean is None else mean / dof,
+        f"sigma_factor{suffix}": metrics.sigma_factor(known, dof),
+        **{f"coverage_{percent}{suffix}": metrics.covered(known, dof, percent / 100) for percent in LEVELS},
     }
 
 

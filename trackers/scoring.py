@@ -10,6 +10,7 @@ import numpy as np
 import polars as pl
 
 from trackers.core import metrics
+from trackers.core.rank_correlation import RankSums, rank_sums
 from trackers.core.rig import Station
 from trackers.recordings.association import Association, true_bearings
 from trackers.recordings.columns import float_column
@@ -23,7 +24,8 @@ class Scored:
     Of the n scored rows: `index`, their position in the association; `errors` (n, 3), m, or of bearings (n, 2), rad;
     `angle` (n, 1), rad, of bearings the angle between estimated and true direction, else None; `nees` of the horizontal
     position or of both angles; `nees_3d`, None for bearings. Of all rows: `nis` and `dof`, zero without a measurement.
-    Of the g tracks: `lost` (g, 3), seconds lost, seconds spanned, rows lost.
+    Of the g tracks: `nis_ranks`, for the autocorrelation of NIS, and `lost` (g, 3), seconds lost, seconds spanned, rows
+    lost.
     """
 
     index: np.ndarray
@@ -33,6 +35,7 @@ class Scored:
     nees_3d: np.ndarray | None
     nis: np.ndarray
     dof: np.ndarray
+    nis_ranks: RankSums
     lost: np.ndarray
 
     @classmethod
@@ -51,6 +54,7 @@ class Scored:
             nees_3d=None if parts[0].nees_3d is None else all_of("nees_3d"),
             nis=all_of("nis"),
             dof=all_of("dof"),
+            nis_ranks=RankSums(*(np.concatenate(xs) for xs in zip(*(p.nis_ranks for p in parts), strict=True))),
             lost=all_of("lost"),
         )
 
@@ -127,11 +131,12 @@ def _directions(angles: np.ndarray) -> np.ndarray:
     return np.stack([np.sin(azimuth) * flat, np.sin(elevation), np.cos(azimuth) * flat], axis=1)
 
 
-def _innovations(association: Association) -> tuple[np.ndarray, np.ndarray]:
-    """NIS and its degrees of freedom (n,) of all rows, both zero in rows without a measurement."""
+def _innovations(association: Association) -> tuple[np.ndarray, np.ndarray, RankSums]:
+    """NIS and its degrees of freedom (n,) of all rows, zero where there is no measurement, and NIS ranks."""
     nis, dof = float_column(association.rows, "nis"), float_column(association.rows, "nis_dof")
     known = np.isfinite(nis) & (dof > 0)
-    return np.where(known, nis, 0.0), np.where(known, dof, 0.0)
+    nis, dof = np.where(known, nis, 0.0), np.where(known, dof, 0.0)
+    return nis, dof, rank_sums(float_column(association.rows, "t_s"), nis, dof, association.starts)
 
 
 def _lost(association: Association) -> np.ndarray:

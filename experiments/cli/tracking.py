@@ -17,13 +17,14 @@ from experiments.executors import cluster_executor
 from experiments.plots.track_folder import plot_tracks
 from experiments.portable_tracker import run_on
 from experiments.reports.evaluation_text import to_text
+from experiments.reports.wording import uncapitalised
 from trackers.catalogue import build, fitting
 from trackers.core.chunks import CHUNK
 from trackers.core.errors import UnusableInput
 from trackers.core.freed_memory import give_back
-from trackers.evaluation import evaluate
+from trackers.evaluation import evaluate, evaluate_association
 from trackers.events import EVENTS, events_of
-from trackers.recordings.association import associate_truth
+from trackers.recordings.association import Association, associate_truth
 from trackers.recordings.atomic import atomic_write
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracks import track
@@ -86,11 +87,10 @@ def track_folders(folders: Sequence[RecordingFolder], options: Options, started:
     )
     truths = {f.name: f.tables["truth"] for f in folders if "truth" in f.tables}
     association = associate_truth(table, truths)
-    if truths:
-        try:
-            print(to_text(evaluate(association, folders)), end="")
-        except UnusableInput as problem:
-            notice(f"notice: not evaluated: {problem}")
+    if association.scored.any():
+        print(to_text(evaluate(association, folders)), end="")
+    else:
+        _without_truth(association, folders)
     drawn = plot_tracks(out, association, folders, batches)
     config = {
         "tracker": name,
@@ -113,3 +113,14 @@ def track_folders(folders: Sequence[RecordingFolder], options: Options, started:
     written = f"{out / TRACKS} ({len(table)} estimates), {EVENTS}, manifest.json"
     print(f"wrote {written} and {len(drawn)} figures: {', '.join(drawn)}")
     return 0
+
+
+def _without_truth(association: Association, folders: Sequence[RecordingFolder]) -> None:
+    """Prints why the tracks are not evaluated, if there is a truth, and the statement on their innovations."""
+    if any("truth" in f.tables for f in folders):
+        try:
+            evaluate(association, folders)
+        except UnusableInput as problem:
+            notice(f"notice: not evaluated: {problem}")
+    for sentence in evaluate_association(association).statements:
+        print(f"Without truth: {uncapitalised(sentence)}")

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from experiments.plots.coverage import coverage_curve
 from experiments.plots.errors import error_cdf, error_over_time, rmse_over_time
 from experiments.plots.filters import consistency
 from experiments.plots.tracks import bearings_over_time, floor_plan
@@ -29,18 +30,27 @@ def plot_tracks(
 
     `association`: the estimates with their truth. `batches`: the trajectories of the folders, for their bounds.
     """
-    if is_bearing(association.rows):
-        return _draw_bearings(out, association, folders)
-    drawn: list[str] = []
-    for folder in folders[:DRAWN]:
-        part = association.of_recording(folder.name)
-        suffix = "" if len(folders) == 1 else f"-{_plain(folder.name)}"
-        truth = folder.tables.get("truth")
-        rig = folder.rig
-        plan = _png(out, drawn, "floor-plan" + suffix)
-        floor_plan(plan, part.rows, truth, rig.stations, rig.anchors, folder.name, rig.all_walls())
-        if part.scored.any():
-            _draw_errors(out, drawn, suffix, part, folder, batches)
+    bearing = is_bearing(association.rows)
+    drawn = _draw_bearings(out, association, folders) if bearing else []
+    if bearing and not association.scored.any():
+        return drawn
+    scored = score(association, {folder.name: folder.rig.stations for folder in folders})
+    if not bearing:
+        errors, nees = np.full((len(association.rows), 3), np.nan), np.full(len(association.rows), np.nan)
+        errors[scored.index], nees[scored.index] = scored.errors, scored.nees
+        for folder in folders[:DRAWN]:
+            part = association.of_recording(folder.name)
+            own = (association.rows["recording"] == folder.name).to_numpy()
+            suffix = "" if len(folders) == 1 else f"-{_plain(folder.name)}"
+            truth = folder.tables.get("truth")
+            rig = folder.rig
+            plan = _png(out, drawn, "floor-plan" + suffix)
+            floor_plan(plan, part.rows, truth, rig.stations, rig.anchors, folder.name, rig.all_walls())
+            if part.scored.any():
+                _draw_errors(out, drawn, suffix, part, errors[own], nees[own], folder, batches)
+    if np.isfinite(scored.nees).any():
+        names = association.rows["recording"].gather(scored.index).to_numpy()
+        coverage_curve(_png(out, drawn, "coverage"), names, scored.nees, scored.nees_3d)
     return drawn
 
 
@@ -49,12 +59,12 @@ def _draw_errors(
     drawn: list[str],
     suffix: str,
     association: Association,
+    errors: np.ndarray,
+    nees: np.ndarray,
     folder: RecordingFolder,
     batches: Sequence[TrackerBatch],
 ) -> None:
-    scored = score(association)
-    errors, nees = np.full((len(association.rows), 3), np.nan), np.full(len(association.rows), np.nan)
-    errors[scored.index], nees[scored.index] = scored.errors, scored.nees
+    """`errors` (n, 3) and `nees` (n,) of the rows of the association, NaN where not scored."""
     sigmas = np.stack([float_column(association.rows, f"std_{a}_m") for a in "xyz"], axis=1)
     known = sigmas[:, 2] > 0
     errors[~known, 2] = np.nan

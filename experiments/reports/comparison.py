@@ -19,8 +19,9 @@ from trackers.core.errors import UnusableInput
 RESULTS, EVALUATION = "results.json", "evaluation.json"
 COUNTS = ("n", "n_rows", "n_no_estimate", "n_no_truth", "n_hole")
 SHOWN = (
-    "rmse_m", "median_m", "p95_m", "rmse_3d_m", "p95_3d_m", "rmse_direction_rad", "nees_mean", "coverage_95",
-    "nis_ratio", "lost_fraction", "diverged",
+    "rmse_m", "median_m", "p95_m", "rmse_3d_m", "p95_3d_m", "rmse_direction_rad", "nees_mean", "nees_ratio",
+    "coverage_50", "coverage_90", "coverage_95", "coverage_99", "nis_ratio", "nis_correlation_100ms",
+    "nis_correlation_1s", "nis_correlation_5s", "lost_fraction", "diverged",
 )  # fmt: skip
 HEAD = ("", "metric", "first", "second", "second / first", "differ?")
 WIDTH = 150

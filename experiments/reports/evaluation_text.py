@@ -19,57 +19,70 @@ SHOWN_TRACKS = 10
 
 
 class Column(NamedTuple):
-    """Column of a metric: heading, name, factor (None for an error, in the table's unit), digits, kept if narrow."""
+    """Column of a metric: heading, name, factor (None for an error, in the table's unit), digits, and its rank.
+
+    Columns of the highest rank are the first to be left out of a table that is too wide.
+    """
 
     title: str
     metric: str
     scale: float | None = None
     digits: int = 1
-    main: bool = True
+    rank: int = 0
 
 
 POSITION_COLUMNS = (
     Column("RMSE", "rmse_m"),
-    Column("median", "median_m", main=False),
-    Column("p90", "p90_m", main=False),
+    Column("median", "median_m", rank=2),
+    Column("p90", "p90_m", rank=3),
     Column("p95", "p95_m"),
-    Column("p99", "p99_m", main=False),
+    Column("p99", "p99_m", rank=3),
     Column("max", "max_m"),
     Column("3-D\nRMSE", "rmse_3d_m"),
-    Column("3-D\np95", "p95_3d_m", main=False),
+    Column("3-D\np95", "p95_3d_m", rank=3),
 )
 BEARING_COLUMNS = (
     Column("az\nRMSE", "rmse_azimuth_rad"),
-    Column("az\nbias", "bias_azimuth_rad", main=False),
+    Column("az\nbias", "bias_azimuth_rad", rank=3),
     Column("el\nRMSE", "rmse_elevation_rad"),
-    Column("el\nbias", "bias_elevation_rad", main=False),
-    Column("angle\nRMSE", "rmse_direction_rad", main=False),
-    Column("angle\nmedian", "median_direction_rad", main=False),
+    Column("el\nbias", "bias_elevation_rad", rank=3),
+    Column("angle\nRMSE", "rmse_direction_rad", rank=3),
+    Column("angle\nmedian", "median_direction_rad", rank=2),
     Column("angle\np95", "p95_direction_rad"),
 )
-BELIEF_COLUMNS = (
-    Column("% in 95 %\nellipse", "coverage_95", 100.0, 0),
-    Column("NEES\n/dof", "nees_mean", 0.5, 2, main=False),
-    Column("NIS\n/dof", "nis_ratio", 1.0, 2, main=False),
+CONSISTENCY_COLUMNS = (
+    Column("% in\n50 %", "coverage_50", 100.0, 0, rank=1),
+    Column("\n90 %", "coverage_90", 100.0, 0, rank=1),
+    Column("% in\n95 %", "coverage_95", 100.0, 0),
+    Column("\n99 %", "coverage_99", 100.0, 0, rank=1),
+    Column("NEES\n/dof", "nees_ratio", 1.0, 2),
+    Column("NIS\n/dof", "nis_ratio", 1.0, 2, rank=2),
+    Column("NIS r\n0.1 s", "nis_correlation_100ms", 1.0, 2, rank=1),
+    Column("NIS r\n1 s", "nis_correlation_1s", 1.0, 2),
+    Column("NIS r\n5 s", "nis_correlation_5s", 1.0, 2, rank=1),
     Column("lost\ns", "lost_s", 1.0, 1),
 )
+RANKS = (3, 2, 1, 0)
 
 
 def to_json(evaluation: Evaluation, work: Mapping[str, Any] | None = None) -> str:
-    """All metrics as JSON, missing ones as null; `work`: those of fastening points, if any."""
+    """All metrics and statements as JSON, missing metrics as null; `work`: those of fastening points, if any."""
     kind = "bearing" if evaluation.bearing else "position"
     parts = {"overall": evaluation.overall, "recordings": evaluation.recordings, "tracks": evaluation.tracks}
-    return json_text({"kind": kind, **parts} | ({} if work is None else {"worksteps": work}))
+    return json_text(
+        {"kind": kind, "statements": evaluation.statements, **parts} | ({} if work is None else {"worksteps": work})
+    )
 
 
 def to_text(evaluation: Evaluation, width: int = 120) -> str:
-    """The metrics as a table, and the excluded rows; only the main metrics where `width` characters hold no more."""
-    columns = (BEARING_COLUMNS if evaluation.bearing else POSITION_COLUMNS) + BELIEF_COLUMNS
-    table = _table(evaluation, columns)
-    if width_of(table) > width:
-        columns = tuple(column for column in columns if column.main)
+    """The metrics as a table, what they mean, and the excluded rows; the main metrics where `width` holds no more."""
+    every = (BEARING_COLUMNS if evaluation.bearing else POSITION_COLUMNS) + CONSISTENCY_COLUMNS
+    for rank in RANKS:
+        columns = [column for column in every if column.rank <= rank]
         table = _table(evaluation, columns)
-    return rendered(width, table, *_notes(evaluation, columns))
+        if width_of(table) <= width:
+            break
+    return rendered(width, table, *evaluation.statements, *_notes(evaluation, columns))
 
 
 def _table(evaluation: Evaluation, columns: Sequence[Column]) -> Table:
@@ -124,8 +137,11 @@ def _notes(evaluation: Evaluation, columns: Sequence[Column]) -> list[str]:
     overall, notes = evaluation.overall, []
     if max(Counter(track["recording"] for track in evaluation.tracks).values()) > SHOWN_TRACKS:
         notes.append(f"At most {SHOWN_TRACKS} tracks per recording are listed, those with the largest p95.")
-    if any(overall[c.metric] is not None for c in columns if c.metric in ("nees_mean", "nis_ratio")):
-        notes.append("NEES/dof and NIS/dof are 1 for correct covariances, above 1 for covariances that are too small.")
+    if any(overall[c.metric] is not None for c in columns if c.metric in ("nees_ratio", "nis_ratio")):
+        notes.append(
+            "% in 95 %: of the truth inside the 95 % ellipse. NEES/dof and NIS/dof are 1 for correct covariances, "
+            "above 1 for covariances that are too small. NIS r: autocorrelation of NIS, 0 for independent errors."
+        )
     if evaluation.bearing:
         notes.append("angle: between the estimated and the true direction.")
     reasons = {

@@ -16,13 +16,23 @@ WORDS = {
     "p95": "95th percentile", "p99": "99th percentile", "max": "largest error", "bound": "Cramér–Rao bound",
     "variance_m2": "variance of the error",
     "nees_mean": "NEES, 2 expected", "nees_3d_mean": "NEES in 3-D, 3 expected",
-    "coverage_95": "inside the 95 % ellipse", "nis_ratio": "NIS per degree of freedom, 1 expected",
+    "nees_ratio": "NEES per degree of freedom, 1 expected",
+    "nees_3d_ratio": "NEES per degree of freedom in 3-D, 1 expected",
+    "sigma_factor": "reported standard deviations too small by a factor of",
+    "sigma_factor_3d": "reported standard deviations too small in 3-D by a factor of",
+    **{f"coverage_{p}": f"inside the {p} % ellipse" for p in (50, 68, 90, 95, 99)},
+    **{f"coverage_{p}_3d": f"inside the {p} % ellipsoid" for p in (50, 68, 90, 95, 99)},
+    "nis_ratio": "NIS per degree of freedom, 1 expected",
+    "nis_correlation_100ms": "autocorrelation of NIS over 0.1 s",
+    "nis_correlation_1s": "autocorrelation of NIS over 1 s",
+    "nis_correlation_5s": "autocorrelation of NIS over 5 s",
+    "nis_inflation_1s": "rows of 1 s with the information of one",
     "lost_fraction": "rows lost", "diverged": "trajectories lost at least once",
     "failed": "trajectories without a usable estimate", "us_per_row": "computing time per row",
 }  # fmt: skip
 SUFFIXES = {"3d_m": "in 3-D", "direction_rad": "of direction", "azimuth_rad": "of azimuth",
             "elevation_rad": "of elevation", "m": "", "rad": "", "m2": "", "s": ""}  # fmt: skip
-PERCENT = ("coverage_95", "lost_fraction", "diverged", "failed")
+PERCENT = ("lost_fraction", "diverged", "failed")
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -46,7 +56,7 @@ def length_unit(size: float) -> Unit:
 def unit_of(metric: str, values: Iterable[float]) -> Unit:
     """The customary unit of a metric of this name and these sizes."""
     known = [abs(v) for v in values if math.isfinite(v)]
-    if metric in PERCENT or metric.endswith("_share"):
+    if metric in PERCENT or metric.startswith("coverage_") or metric.endswith("_share"):
         return Unit("%", 100.0)
     if metric.endswith("_rad"):
         return Unit("°", float(np.rad2deg(1.0)))

@@ -136,7 +136,11 @@ def test_every_level_pools_the_rows_of_its_tracks(noisy):
         assert metrics["nis_ratio"] == pytest.approx(sum(rows["nis"]) / sum(rows["nis_dof"]), rel=1e-12)
         nees = [(e[0] / 0.3) ** 2 + (e[1] / 0.1) ** 2 for e in errors]
         assert metrics["nees_mean"] == pytest.approx(sum(nees) / len(nees), rel=1e-12)
-        assert metrics["coverage_95"] == sum(value < -2 * math.log(0.05) for value in nees) / len(nees)
+        assert metrics["nees_ratio"] == pytest.approx(sum(nees) / len(nees) / 2, rel=1e-12)
+        for percent in (50, 68, 90, 95, 99):
+            # The chi-square quantile of two degrees of freedom is −2 log(1 − p).
+            inside = sum(value < -2 * math.log(1 - percent / 100) for value in nees)
+            assert metrics[f"coverage_{percent}"] == inside / len(nees)
 
 
 def test_an_association_is_evaluated_as_the_estimates_it_was_made_of(noisy):

@@ -177,7 +177,7 @@ def test_bearing_trackers_write_azimuth_and_elevation_per_station(runs, there, t
 @pytest.mark.parametrize(
     ("tracker", "pictures"),
     [
-        ("direct", {"floor-plan", "error-cdf", "error-over-time", "consistency"}),
+        ("direct", {"floor-plan", "error-cdf", "error-over-time", "consistency", "coverage"}),
         ("beam", {f"bearings-simulated-hand-{SEED}-tag_0-station_{k}" for k in (1, 2, 3)}),
     ],
 )

@@ -3,9 +3,11 @@
 import numpy as np
 import polars as pl
 import pytest
+import scipy.stats
 from matplotlib.image import imread
 
 from experiments.plots import style
+from experiments.plots.coverage import coverage_curve, observed_shares
 from experiments.plots.errors import error_cdf, error_over_time
 from experiments.plots.filters import consistency
 from experiments.plots.objective import tuning_trace
@@ -127,6 +129,24 @@ def test_the_error_cdf_shows_horizontal_and_3d(tmp_path, rng):
 @pytest.mark.parametrize("errors", [np.zeros((0, 3)), np.zeros((1, 2)), np.full((4, 3), np.nan), np.zeros((9, 3))])
 def test_the_error_cdf_takes_next_to_nothing(tmp_path, errors):
     _pixels(error_cdf(tmp_path / "cdf.png", errors))
+
+
+def test_the_coverage_curve_has_a_line_for_each_recording_and_one_for_all_rows(tmp_path, rng):
+    names = np.repeat(["hall", "yard", "50 $ worth"], 200)
+    nees = rng.chisquare(2, 600) * np.repeat([1.0, 9.0, 0.2], 200)
+    nees[::7] = np.nan
+    picture = _pixels(coverage_curve(tmp_path / "coverage.png", names, nees, None))
+    assert all(_shows(picture, colour) for colour in (*LINES[:3], BLACK))
+    wide = _pixels(coverage_curve(tmp_path / "coverage.png", names, nees, nees))
+    assert wide.shape[1] > 1.5 * picture.shape[1]
+    many = np.array([f"{k}" for k in range(600)])
+    assert not _shows(_pixels(coverage_curve(tmp_path / "coverage.png", many, nees, None)), LINES[0])
+
+
+def test_the_observed_share_is_that_of_the_rows_within_the_quantile(rng):
+    nees, levels = np.append(rng.chisquare(3, 500), np.nan), np.array([0.0, 0.5, 0.95, 1.0])
+    expected = [np.mean(nees[:-1] <= scipy.stats.chi2.ppf(level, 3)) for level in levels]
+    np.testing.assert_allclose(observed_shares(nees, 3, levels), expected, rtol=1e-12)
 
 
 def test_consistency_of_many_runs_shows_means_bounds_and_density(tmp_path, rng):

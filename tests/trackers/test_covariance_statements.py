@@ -1,0 +1,100 @@
+"""Sentences on reported covariances: on tracks with known errors, and on innovations alone."""
+
+import numpy as np
+import polars as pl
+import pytest
+
+from trackers.evaluation import evaluate_association, evaluate_table
+from trackers.recordings.association import associate_truth
+
+N = 4000
+
+
+def _tracks(factor=1.0, recording="hall", seed=1, tails=None, nis=None, **columns):
+    """Tracks of N rows at 20 Hz whose errors are `factor` times the reported 0.1 m, with their truth."""
+    rng = np.random.default_rng(seed)
+    t = 0.05 * np.arange(N)
+    e = 0.1 * factor * (rng.normal(size=(N, 2)) if tails is None else rng.standard_t(tails, size=(N, 2)))
+    base = {"recording": recording, "tag": "1", "t_s": t, "x_m": t + e[:, 0], "y_m": e[:, 1], "z_m": 0 * t + 1}
+    base |= {"std_x_m": 0 * t + 0.1, "std_y_m": 0 * t + 0.1, "std_z_m": 0 * t}
+    base |= {"nis": rng.chisquare(2, N) if nis is None else nis, "nis_dof": 0 * t + 2}
+    truth = pl.DataFrame({"t_s": t, "tag": "1", "x_m": t, "y_m": 0 * t, "z_m": 0 * t + 1})
+    return pl.DataFrame(base | columns), truth
+
+
+def _statements(tracks, truth):
+    return evaluate_table(tracks, {"hall": truth}).statements
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [
+        (1.0, "Reported covariances hold: the 95 % ellipse holds the truth in 95 % of the rows, NEES/dof is"),
+        (2.3, "Reported standard deviations are 2.3 times too small: the 95 % ellipse holds the truth in"),
+        (1 / 3, "Reported standard deviations are 3 times too large: the 95 % ellipse holds the truth in 100 %"),
+    ],
+)
+def test_the_factor_of_the_standard_deviations_is_found(factor, words):
+    (sentence,) = _statements(*_tracks(factor))
+    assert sentence.startswith(words)
+
+
+def test_the_factor_is_that_of_the_median_whatever_the_largest_errors():
+    tracks, truth = _tracks(2.3)
+    spoilt = tracks.with_columns(x_m=pl.when(pl.int_range(N) % 50 == 0).then(1e6).otherwise("x_m"))
+    # 2 % of gross errors move the median of chi-square by 3 %.
+    assert evaluate_table(spoilt, {"hall": truth})["sigma_factor"] == pytest.approx(2.3, rel=0.05)
+
+
+def test_heavy_tails_with_a_right_median_are_named_as_such():
+    tracks, truth = _tracks(0.6, tails=1.2)
+    assert _statements(tracks, truth)[0].startswith(
+        "Reported standard deviations fit the median error and are too small for large errors"
+    )
+
+
+def test_a_recording_that_does_not_hold_is_named_although_all_rows_together_do():
+    good, truth = _tracks(1.0)
+    bad, _ = _tracks(2.0, "yard", seed=2)
+    many = pl.concat([good.with_columns(tag=pl.lit(f"{k}")) for k in range(9)])
+    truths = {"hall": pl.concat([truth.with_columns(tag=pl.lit(f"{k}")) for k in range(9)]), "yard": truth}
+    evaluation = evaluate_table(pl.concat([many, bad]), truths)
+    assert evaluation.statements[0].startswith("Reported covariances hold")
+    assert evaluation.statements[1].startswith("They do not hold in 1 of 2 recordings: yard (5")
+
+
+def test_a_height_that_is_too_certain_is_named_apart():
+    tracks, truth = _tracks(1.0)
+    low = tracks.with_columns(z_m=pl.lit(1.5), std_z_m=pl.lit(0.05))
+    plane, space = _statements(low, truth)
+    assert plane.startswith("Reported covariances hold")
+    assert space.startswith("In three dimensions, reported standard deviations are ")
+
+
+def test_correlated_innovations_are_named_besides_the_errors():
+    nis = np.repeat(np.random.default_rng(1).chisquare(2, N // 40), 40)  # each for 2 s
+    sentence = _statements(*_tracks(2.0, nis=nis))[-1]
+    assert sentence.startswith("NIS is correlated over 1 s (0.4")
+    assert sentence.endswith("errors last longer than the model assumes.")
+
+
+@pytest.mark.parametrize(
+    ("scale", "repeats", "words"),
+    [
+        (1.0, 1, "The innovations do not contradict the noise levels (NIS/dof "),
+        (3.0, 1, "NIS/dof is 3 where 1 is expected: the reported covariances are too small."),
+        (0.1, 1, "NIS/dof is 0.099 where 1 is expected: nothing confirms the reported covariances."),
+        (1.0, 40, "Innovations are correlated over 1 s (0.4"),
+        (1.0, 16, "Innovations are correlated over 1 s ("),  # of 0.8 s: the correlation over 1 s is small
+    ],
+)
+def test_without_truth_the_innovations_are_judged(scale, repeats, words):
+    nis = scale * np.repeat(np.random.default_rng(3).chisquare(2, N // repeats), repeats)
+    tracks, _ = _tracks(nis=nis)
+    (sentence,) = evaluate_association(associate_truth(tracks, {})).statements
+    assert sentence.startswith(words)
+
+
+def test_a_tracker_without_covariance_and_innovations_has_no_statement():
+    tracks, truth = _tracks()
+    assert _statements(tracks.drop("std_x_m", "std_y_m", "std_z_m", "nis", "nis_dof"), truth) == []

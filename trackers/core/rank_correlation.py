@@ -1,0 +1,129 @@
+"""Autocorrelation over time of a consistency statistic such as NIS, by ranks, on irregular time stamps.
+
+A few large values rule an ordinary correlation, and a wrong noise level shifts all values. Ranks depend on neither.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int, Num
+
+LAGS_S = {"100ms": 0.1, "1s": 1.0, "5s": 5.0}
+"""Lags, s, by the ending of their metric's name."""
+
+TOLERANCE = 0.25
+"""Part of the lag by which the time difference of a pair may deviate from the lag."""
+
+ROUNDING_S = 1e-6
+"""Differences of times, s, below which they are rounding errors."""
+
+WINDOW_S = 1.0
+"""Length, s, of the windows over which ranks are added."""
+
+MIN_PAIRS = 30
+"""Pairs of rows below which there is no autocorrelation, and rows below which there is no inflation."""
+
+
+class RankSums(NamedTuple):
+    """Sums over the ranks u of rows, of each of g tracks.
+
+    `products` (g, lags, 4): of u_i u_j, u_i², u_j² and 1 over pairs of rows at each lag. `windows` (g, 3): of the
+    squared sums of u over windows of `WINDOW_S`, of u², and of 1 over rows.
+    """
+
+    products: Float[np.ndarray, "g lags 4"]
+    windows: Float[np.ndarray, "g 3"]
+
+    def of_tracks(self, first: int, end: int) -> RankSums:
+        """The sums of the tracks `first` … `end` − 1."""
+        return RankSums(self.products[first:end], self.windows[first:end])
+
+    def correlations(self) -> Float[np.ndarray, " lags"]:
+        """The autocorrelation at each lag, pooled over tracks; NaN with fewer than `MIN_PAIRS` pairs."""
+        both, first, second, pairs = self.products.sum(axis=0).T
+        scale = np.sqrt(first * second)
+        enough = (pairs >= MIN_PAIRS) & (scale > 0)
+        return np.where(enough, both / np.where(enough, scale, 1.0), math.nan)
+
+    def inflation(self) -> float:
+        """The variance of sums over `WINDOW_S` relative to that of independent rows, pooled over tracks.
+
+        So many rows carry the information of one on the noise level. NaN with fewer than `MIN_PAIRS` rows.
+        """
+        sums, squares, rows = self.windows.sum(axis=0)
+        return float(sums / squares) if rows >= MIN_PAIRS and squares > 0 else math.nan
+
+
+def rank_sums(
+    times: Float[np.ndarray, " n"],
+    values: Float[np.ndarray, " n"],
+    dof: Num[np.ndarray, " n"],
+    starts: Int[np.ndarray, " g1"],
+) -> RankSums:
+    """Sums over the ranks of a statistic, from which its autocorrelation follows for any set of tracks.
+
+    u: the rank of a row among the rows of its track with the same degrees of freedom, uniform over ±1/2, ties averaged.
+    Row j of a pair is nearest to the lag after row i; pairs that miss the lag by more than `TOLERANCE` of it are left
+    out. `times`: s, sorted in each track; `starts` (g + 1,): the first row of each track, then n. Rows with dof 0, or
+    without time or value, take no part.
+    """
+    n_tracks = len(starts) - 1
+    products, windows = np.zeros((n_tracks, len(LAGS_S), 4)), np.zeros((n_tracks, 3))
+    rows = np.flatnonzero(np.isfinite(times) & np.isfinite(values) & (dof > 0))
+    if not len(rows):
+        return RankSums(products, windows)
+    track = np.repeat(np.arange(n_tracks), np.diff(starts))[rows]
+    u = _ranks(values[rows], dof[rows], track)
+    first = np.flatnonzero(_changes(track))
+    own = times[rows] - np.repeat(times[rows[first]], np.diff(np.append(first, len(rows))))
+    for k, lag in enumerate(LAGS_S.values()):
+        i, j = _pairs(own, track, lag)
+        for m, product in enumerate((u[i] * u[j], u[i] ** 2, u[j] ** 2, np.ones(len(i)))):
+            products[:, k, m] = np.bincount(track[i], product, minlength=n_tracks)
+    first = np.flatnonzero(_changes(track, np.floor(own / WINDOW_S)))
+    sums = np.add.reduceat(u, first)
+    for m, (of_track, x) in enumerate(((track[first], sums**2), (track, u**2), (track, np.ones(len(u))))):
+        windows[:, m] = np.bincount(of_track, x, minlength=n_tracks)
+    return RankSums(products, windows)
+
+
+def _ranks(values: np.ndarray, dof: np.ndarray, track: np.ndarray) -> np.ndarray:
+    """Ranks within each group of equal track and dof, scaled to −1/2 … 1/2, ties averaged."""
+    order = np.lexsort((values, dof, track))
+    group = np.flatnonzero(_changes(track[order], dof[order]))
+    tie = np.flatnonzero(_changes(track[order], dof[order], values[order]))
+    count = len(values)
+    middle = np.repeat((tie + np.append(tie[1:], count) - 1) / 2, np.diff(np.append(tie, count)))
+    sizes = np.diff(np.append(group, count))
+    ranks = np.empty(count)
+    ranks[order] = (middle - np.repeat(group, sizes) + 0.5) / np.repeat(sizes, sizes) - 0.5
+    return ranks
+
+
+def _changes(*columns: np.ndarray) -> np.ndarray:
+    """Mask of the rows at which any column differs from the row before; the first row counts."""
+    changed = np.ones(len(columns[0]), bool)
+    changed[1:] = np.any([x[1:] != x[:-1] for x in columns], axis=0)
+    return changed
+
+
+def _pairs(own: np.ndarray, track: np.ndarray, lag: float) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs of rows (i, j) of one track, j nearest to the lag after i; `own`: s since the start of the track."""
+    # All tracks one after the other, so that one search serves all. Differences are taken within a track: the pairs of
+    # a track then do not depend on the others.
+    last = np.flatnonzero(np.append(_changes(track)[1:], True))
+    spans = own[last] + 2 * lag
+    at = own + np.repeat(np.cumsum(spans) - spans, np.diff(np.append(-1, last)))
+    i = np.arange(len(at))
+    after = np.minimum(np.searchsorted(at, at + lag), len(at) - 1)
+    before = np.maximum(after - 1, 0)
+    miss_before, miss_after = (
+        np.where(track[j] == track, np.abs(own[j] - own - lag), math.inf) for j in (before, after)
+    )
+    # Half-way between two rows the earlier one counts, whatever the rounding.
+    j = np.where(miss_before <= miss_after + ROUNDING_S, before, after)
+    usable = (np.minimum(miss_before, miss_after) <= TOLERANCE * lag + ROUNDING_S) & (j > i)
+    return i[usable], j[usable]

@@ -1,0 +1,111 @@
+"""Sentences on whether reported covariances hold: from the errors, or from the innovations where there is no truth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from trackers.core.errors import listed
+
+COVERAGE = (0.85, 0.99)
+"""The share of the truth inside the 95 % ellipse with which covariances hold."""
+
+RATIO = (0.5, 2.0)
+"""NEES per degree of freedom with which covariances hold, and NIS per degree of freedom with which innovations fit."""
+
+FACTOR = 1.15
+"""The factor on standard deviations from which on they are too small or too large as a whole."""
+
+CORRELATION = 0.2
+"""The autocorrelation of NIS over 1 s from which on innovations count as correlated."""
+
+INFLATION = 10.0
+"""Rows with the information of one from which on innovations count as correlated, however small the autocorrelation.
+
+With many readings a second, of several sensors in turn, neighbouring rows are hardly correlated and whole seconds are.
+On the recordings used for development, covariances are too small on all above this value.
+"""
+
+
+def covariance_statements(overall: Mapping[str, Any], recordings: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Sentences on the metrics of all rows, and on the recordings whose covariances do not hold.
+
+    Covariances hold with a share of `COVERAGE` in the 95 % ellipse and NEES per degree of freedom within `RATIO`. The
+    factor by which they are too small is `trackers.core.metrics.sigma_factor`. Nothing without a covariance.
+    """
+    if overall["coverage_95"] is None:
+        return _innovations(overall, recordings)
+    sentences = [f"Reported {_covariance(overall, '')}."]
+    bad = [f"{r['recording']} ({_percent(r['coverage_95'])})" for r in recordings if not holds(r)]
+    if bad and len(recordings) > 1:
+        sentences.append(f"They do not hold in {len(bad)} of {len(recordings)} recordings: {listed(bad)}.")
+    if overall.get("coverage_95_3d") is not None and not holds(overall, "_3d"):
+        sentences.append(f"In three dimensions, reported {_covariance(overall, '_3d')}.")
+    if any(correlated(r) for r in recordings):
+        sentences.append(f"NIS is correlated {_correlation(recordings)}: errors last longer than the model assumes.")
+    return sentences
+
+
+def holds(metrics: Mapping[str, Any], suffix: str = "") -> bool:
+    """Whether the reported covariances hold, or are unknown; `suffix`: _3d for those in three dimensions."""
+    share, ratio = metrics[f"coverage_95{suffix}"], metrics[f"nees{suffix}_ratio"]
+    return share is None or (COVERAGE[0] <= share <= COVERAGE[1] and RATIO[0] <= ratio <= RATIO[1])
+
+
+def correlated(metrics: Mapping[str, Any]) -> bool:
+    """Whether the innovations are correlated over time."""
+    correlation, inflation = metrics["nis_correlation_1s"], metrics["nis_inflation_1s"]
+    return (correlation is not None and correlation > CORRELATION) or (inflation is not None and inflation > INFLATION)
+
+
+def _covariance(metrics: Mapping[str, Any], suffix: str) -> str:
+    """The size of the standard deviations relative to the errors, and the figures that show it."""
+    shape = "ellipsoid" if suffix else "ellipse"
+    names = (f"coverage_95{suffix}", f"nees{suffix}_ratio", f"sigma_factor{suffix}")
+    share, ratio, factor = (metrics[name] for name in names)
+    figures = f"the 95 % {shape} holds the truth in {_percent(share)} of the rows, NEES/dof is {ratio:.3g}"
+    if holds(metrics, suffix):
+        return f"covariances hold: {figures}"
+    small = share < COVERAGE[0] or ratio > RATIO[1]
+    if small and factor >= FACTOR:
+        return f"standard deviations are {factor:.2g} times too small: {figures}"
+    if not small and factor <= 1 / FACTOR:
+        return f"standard deviations are {1 / factor:.2g} times too large: {figures}"
+    large = "too small for large errors" if small else "too large for large errors"
+    return f"standard deviations fit the median error and are {large}: {figures}"
+
+
+def _innovations(overall: Mapping[str, Any], recordings: Sequence[Mapping[str, Any]]) -> list[str]:
+    """The sentence on the innovations alone; none for a tracker without."""
+    ratio = overall["nis_ratio"]
+    if ratio is None:
+        return []
+    if any(correlated(r) for r in recordings):
+        where = _correlation(recordings)
+        return [f"Innovations are correlated {where}: the reported covariances are too small by an unknown factor."]
+    if ratio > RATIO[1]:
+        return [f"NIS/dof is {ratio:.2g} where 1 is expected: the reported covariances are too small."]
+    if ratio < RATIO[0]:
+        return [f"NIS/dof is {ratio:.2g} where 1 is expected: nothing confirms the reported covariances."]
+    return [
+        f"The innovations do not contradict the noise levels (NIS/dof {ratio:.2g}, uncorrelated over 1 s); constant "
+        "errors do not show in them."
+    ]
+
+
+def _correlation(recordings: Sequence[Mapping[str, Any]]) -> str:
+    """The autocorrelation and inflation of the recording with the most, and the names of all that are correlated."""
+    found = [r for r in recordings if correlated(r)]
+    worst = max(found, key=lambda r: r["nis_inflation_1s"] or 0.0)
+    of = f" of {listed([r['recording'] for r in found])}" if len(recordings) > 1 else ""
+    r, n = worst["nis_correlation_1s"], worst["nis_inflation_1s"]
+    correlation = "" if r is None else f"{r:.2f}; "
+    return f"over 1 s{of} ({correlation}{n:.2g} rows carry the information of one)"
+
+
+def _percent(share: float) -> str:
+    """A share in per cent; 0 and 100 only where it is exactly that."""
+    percent = 100 * share
+    if percent in (0.0, 100.0) or 1 <= percent <= 99:
+        return f"{percent:.0f} %"
+    return f"{min(max(percent, 0.1), 99.9):.1f} %"
