@@ -14,6 +14,7 @@ import polars as pl
 
 from experiments.cli.manifest import write_manifest
 from experiments.plots.objective import tuning_trace
+from experiments.reports.recordings_compared import Compared
 from experiments.reports.tables import aligned
 from experiments.reports.tuning import write_tuning_report
 from experiments.reports.tuning_collect import Request, collect
@@ -38,7 +39,7 @@ class Run:
     command: Sequence[str]
 
 
-def write_run(out: Path, data: FitData, result: FitResult, run: Run) -> list[str]:
+def write_run(out: Path, data: FitData, result: FitResult, run: Run, compared: Compared) -> list[str]:
     """Writes all files to the folder; returns the lines to print."""
     objective, unit = run.options["objective"], "rad" if data.training[0].station else "m"
     if run.options["prior"]:
@@ -47,7 +48,11 @@ def write_run(out: Path, data: FitData, result: FitResult, run: Run) -> list[str
     write_tuned(out / "tuned.toml", run.tracker, objective, result, intervals)
     _write_trace(out, result, objective, unit)
     issues = _issues(result)
-    lines = [*table(result, objective, intervals), *(f"notice: {issue.text}" for issue in issues)]
+    lines = [
+        *table(result, objective, intervals),
+        *(f"notice: {issue.text}" for issue in issues),
+        compared.text().rstrip("\n"),
+    ]
     command = shlex.join(["trackwright", *run.command[1:]])
     use = f"trackwright track … --noise {out / 'tuned.toml'}"
     request = Request(
@@ -59,7 +64,7 @@ def write_run(out: Path, data: FitData, result: FitResult, run: Run) -> list[str
         seconds=run.seconds,
         notes=tuple(_notes(data, result)),
     )
-    report = collect(request, result, data.training, data.held_out, data.planar, intervals, issues)
+    report = collect(request, result, data.training, data.held_out, data.planar, intervals, issues, compared)
     write_tuning_report(out / "report.html", report)
     extra = {"recordings": [str(p) for p in run.recordings], "filter_runs": result.filter_runs}
     write_manifest(out, run.command, run.options, run.started, extra=extra)

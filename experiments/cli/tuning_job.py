@@ -13,9 +13,11 @@ from typing import Any
 from experiments.cli.console import Advance, notice, output_folder
 from experiments.cli.tuning_folder import Run, write_run
 from experiments.cli.tuning_options import checked_options, tracker_for_folders
+from experiments.reports.recordings_compared import Compared, compare
 from trackers.core.errors import UnusableInput
 from trackers.core.tunable import tunables
 from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.named_tracker import NamedTracker
 from tuning import FitResult, checkpoint, fit
 from tuning.data import FitData, fit_data
 from tuning.guessing import first_guess
@@ -37,11 +39,16 @@ OPTIMISERS: dict[str, Callable[[int], AbstractOptimiser | None]] = {
 
 @dataclass(frozen=True)
 class Fitted:
-    """A finished fit: the options with the tracker's name, what was fitted to, and the result."""
+    """A finished fit: the options with the tracker's name, the tracker, what was fitted to, and the result.
+
+    `shown`: the recordings whose errors are shown before and after: those held out, or else those fitted to.
+    """
 
     options: dict[str, Any]
+    named: NamedTracker
     data: FitData
     result: FitResult
+    shown: Sequence[RecordingFolder]
 
 
 def fit_folders(
@@ -57,19 +64,31 @@ def fit_folders(
     for text in cautions(data.tracker, select_parameters(data.tracker, tune, freeze), data.objective):
         notice(f"notice: {text}")
     output_folder(out)
-    return Fitted(options, data, _fitted(data, out, options, bounds, priors, resume, advance))
+    result = _fitted(data, out, options, bounds, priors, resume, advance)
+    advance(0, "(comparing before and after)")
+    return Fitted(options, named, data, result, folders[count:] or folders)
 
 
 def finish(fitted: Fitted, recordings: Sequence[Path], out: Path, started: datetime, clock: float) -> int:
     """Writes all files and prints the table; returns the exit code. `started`, `clock`: when the command began."""
     result, name = fitted.result, fitted.options["tracker"]
     run = Run(name, fitted.options, recordings, time.perf_counter() - clock, started, sys.argv)
-    for line in write_run(out, fitted.data, result, run):
+    for line in write_run(out, fitted.data, result, run, _compared(fitted)):
         print(line)
     if result.uncertainty is None:
         notice("stopped: tuned.toml holds the best values so far; continue with the same command and --resume")
         return INTERRUPTED
     return 0
+
+
+def _compared(fitted: Fitted) -> Compared:
+    """The recordings shown, tracked with the values before and after the fit."""
+    result = fitted.result
+    sides = (result.starts[0][0].values, result.values)
+    values = ({name: side[p.label] for p in result.parameters for name in p.names} for side in sides)
+    before, after = (fitted.named.with_values(side, "the fit") for side in values)
+    about = "held-out recordings" if fitted.data.held_out else "recordings tuned on"
+    return compare((before, after), fitted.shown, 2 if fitted.data.planar else 3, about)
 
 
 def _fitted(

@@ -9,6 +9,7 @@ from importlib.metadata import version
 
 import numpy as np
 
+from experiments.reports.recordings_compared import Compared
 from experiments.reports.tuning_data import ErrorTrack, MetricChange, OptimiserTrace, TunedParameter, TuningReportData
 from experiments.reports.wording import uncapitalised
 from trackers.core.estimates import Estimates
@@ -61,12 +62,13 @@ def collect(
     planar: bool,
     intervals: Mapping[str, Interval],
     issues: Sequence[IdentifiabilityIssue] = (),
+    compared: Compared | None = None,
 ) -> TuningReportData:
     """Metrics of both trackers on all trajectories; innovations and errors on the held-out ones, if there are any.
 
     `training`: the trajectories tuned on. `planar`: whether only the horizontal position is estimated. `intervals`:
-    95 %, by label, none where the fit was stopped; `issues`: undetermined parameters. The objective surface takes about
-    as many evaluations as the fit took steps.
+    95 %, by label, none where the fit was stopped; `issues`: undetermined parameters; `compared`: recordings before and
+    after. The objective surface takes about as many evaluations as the fit took steps.
     """
     filter_runs = result.filter_runs
     quantity = next(iter(training[0].recording.truth))
@@ -93,6 +95,7 @@ def collect(
         training=_recordings(training),
         held_out=_recordings(held_out),
         parameters=_parameters(result, intervals, issues),
+        compared=compared,
         metrics=(*_sum_objective(objective, result), *_metrics(trackers, rows, quantity, dimensions)),
         traces=_traces(result),
         surface=surface_of(result, result.uncertainty),

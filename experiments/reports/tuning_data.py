@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from experiments.reports.recordings_compared import Compared
     from tuning.diagnostics import Innovations
     from tuning.surface import Surface
 
@@ -70,8 +71,8 @@ class TuningReportData:
     `command`: as typed; `next_commands`: to use the result and to repeat the run. `tracker`, `objective`: names,
     `tracker_about`, `objective_about`: the same in words. `training`, `held_out`: names of recordings. `traces`: one
     per start, the best first. `evaluated_on`: in words, the recordings of `innovations` (before, after) and `errors`.
-    `issues`: sentences on undetermined parameters. `notes`: sentences on irregularities of the run. `provenance`: pairs
-    of name and text.
+    `compared`: recordings before and after, in the figures of `evaluate`. `issues`: sentences on undetermined
+    parameters. `notes`: sentences on irregularities of the run. `provenance`: pairs of name and text.
     """
 
     command: str
@@ -92,6 +93,7 @@ class TuningReportData:
     error_unit: str
     filter_runs: int
     seconds: float
+    compared: Compared | None = None
     issues: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     provenance: tuple[tuple[str, str], ...] = ()

@@ -1,0 +1,83 @@
+"""Errors and consistency of each recording with a tracker before and after tuning, as `evaluate` has them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+from experiments.reports.tables import rendered, ruled_table
+from experiments.reports.wording import Unit, fixed, length_unit
+from trackers.covariance_statements import covariance_statements
+from trackers.evaluation import Evaluation, evaluate_association
+from trackers.recordings.association import associate_truth
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.named_tracker import NamedTracker
+
+WIDTH = 120
+DEGREES = Unit("°", 57.29577951308232)
+
+
+class Compared(NamedTuple):
+    """A table of recordings before and after tuning, and sentences on the covariances after it.
+
+    `about`: in words, the recordings; `head`: its columns; `rows`: the text of its cells.
+    """
+
+    about: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    statements: tuple[str, ...]
+
+    def text(self) -> str:
+        """The table and the sentences for a terminal."""
+        title = f"{self.about[0].upper()}{self.about[1:]}, before → after"
+        return rendered(WIDTH, ruled_table(title, self.head, 1, self.rows), *self.statements)
+
+
+def compare(
+    trackers: tuple[NamedTracker, NamedTracker], folders: Sequence[RecordingFolder], dimensions: int, about: str
+) -> Compared:
+    """The recordings tracked as `track` does it by two trackers, before and after tuning.
+
+    `dimensions`: 3 for errors and ellipsoids in space, 2 for those over the floor. `about`: in words, the recordings.
+    A recording without truth has no figures but those of its innovations.
+    """
+    before, after = (_evaluation(tracker, folders) for tracker in trackers)
+    suffix = "_3d" if dimensions == 3 and before.overall.get("coverage_95_3d") is not None else ""
+    error = "rmse_direction_rad" if before.bearing else f"rmse{suffix}_m"
+    pairs = list(zip(before.recordings, after.recordings, strict=True))
+    unit = DEGREES if before.bearing else length_unit(before.overall[error] or 1.0)
+    shape = "ellipsoid" if suffix else "ellipse"
+    named = {
+        f"{'3-D ' if suffix else ''}RMSE, {unit.name}": (error, unit.factor, 3 if unit.name == "m" else 1),
+        f"% in 95 % {shape}": (f"coverage_95{suffix}", 100.0, 0),
+        "NEES/dof": (f"nees{suffix}_ratio", 1.0, 2),
+        "NIS r 1 s": ("nis_correlation_1s", 1.0, 2),
+    }
+    rows = [(old["recording"], *_cells(old, new, named.values())) for old, new in pairs]
+    if len(pairs) > 1:
+        means = [_means(side, named.values()) for side in zip(*pairs, strict=True)]
+        rows.append((f"mean of {len(pairs)}", *_cells(means[0], means[1], named.values())))
+    sentences = covariance_statements(after.overall, after.recordings)
+    return Compared(about, ("recording", *named), tuple(rows), tuple(sentences))
+
+
+def _evaluation(tracker: NamedTracker, folders: Sequence[RecordingFolder]) -> Evaluation:
+    truths = {f.name: f.tables["truth"] for f in folders if "truth" in f.tables}
+    association = associate_truth(tracker.run(folders).table, truths)
+    return evaluate_association(association, {f.name: f.rig.stations for f in folders})
+
+
+def _cells(old: Any, new: Any, columns: Any) -> Iterator[str]:
+    for name, factor, digits in columns:
+        pair = (None if side[name] is None else factor * side[name] for side in (old, new))
+        yield " → ".join(fixed(value, digits) for value in pair)
+
+
+def _means(metrics: Sequence[Any], columns: Any) -> dict[str, float | None]:
+    """The mean over recordings, each with the same weight; None where one has no value."""
+    means: dict[str, float | None] = {}
+    for name, _, _ in columns:
+        values = [m[name] for m in metrics]
+        means[name] = None if None in values else sum(values) / len(values)
+    return means
