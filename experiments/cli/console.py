@@ -11,7 +11,8 @@ from typing import Protocol
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from trackers.core.errors import UnusableInput
+from trackers.core.errors import UnusableInput, listed
+from trackers.recordings.calibration_file import read_calibration
 from trackers.recordings.folder import RecordingFolder, read_recordings
 
 ERRORS = Console(stderr=True, highlight=False, soft_wrap=True)
@@ -47,12 +48,20 @@ def notice(text: str) -> None:
     ERRORS.print(text, markup=False)
 
 
-def read_with_notices(paths: Sequence[Path]) -> list[RecordingFolder]:
-    """The recordings in several folders; prints their notices. Raises UnusableInput as `read_recordings`."""
+def read_with_notices(paths: Sequence[Path], calibration: Path | None = None) -> list[RecordingFolder]:
+    """The recordings in several folders, with the calibration in a file; prints their notices.
+
+    Raises UnusableInput as `read_recordings` and `read_calibration`.
+    """
     recordings = read_recordings(paths)
+    if calibration is not None:
+        read = read_calibration(calibration)
+        recordings = [recording.calibrated(read) for recording in recordings]
     for path, recording in zip(paths, recordings, strict=True):
         for text in recording.notices:
             notice(f"notice: {path}: {text}")
+        if calibration is not None and (lacking := recording.uncalibrated()):
+            notice(f"notice: {path}: {listed(lacking)}: not in {calibration}, and used uncalibrated")
     return recordings
 
 

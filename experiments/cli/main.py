@@ -18,6 +18,7 @@ FUNCTIONS = {
     "simulate-imu": "simulate:tool",
     "simulate-agv": "simulate:agv",
     "check": "check:check",
+    "calibrate": "calibrate:calibrate_recordings",
     "track": "track:track",
     "evaluate": "evaluate:evaluate_tracks",
     "tune": "tune:tune",

@@ -9,6 +9,9 @@ COMMANDS = {
     "simulate-imu": "Simulate hand tools with a UWB tag and an IMU: ranges and IMU samples, with truth.",
     "simulate-agv": "Simulate vehicles on a route round a workstation: UWB fixes that drift, with truth.",
     "check": "Check the data quality of recordings: time base, gaps, outliers, ids, units, truth, geometry.",
+    "calibrate": (
+        "Fit systematic errors of stations and anchors to recordings with truth: writes calibration.toml and a page."
+    ),
     "track": "Track recordings: writes tracks.parquet, events.parquet, figures and manifest.json.",
     "evaluate": (
         "Error metrics of estimates against truth, by track, by recording and overall. Exit code 1 with --fail-if."

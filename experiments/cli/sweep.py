@@ -26,6 +26,7 @@ def sweep(
     objective: str = "rmse",
     repeats: int = 10,
     noise: Path | None = None,
+    calibration: Path | None = None,
     path: Path | None = None,
     free_height: bool = False,
     piece_rows: int = 8000,
@@ -40,6 +41,7 @@ def sweep(
         objective: rmse (needs truth), nll, or another objective of `tune`.
         repeats: runs of a particle filter per value, with different random numbers.
         noise: a tuned.toml for the other parameters.
+        calibration: a calibration.toml of `trackwright calibrate` on other recordings of these stations or anchors.
         path: an output folder of `tune`, or its trace.csv, to draw as optimiser trace.
         free_height: estimate the height of tags whose height the rig gives.
         piece_rows: long recordings are cut into segments of about this many rows, as in `tune`.
@@ -48,10 +50,10 @@ def sweep(
     if repeats < 1 or piece_rows < 10:
         raise UnusableInput(f"--repeats {repeats} --piece-rows {piece_rows}: expected at least 1 and 10")
     grids = _grids(over)
-    folders = read_with_notices(recordings)
+    folders = read_with_notices(recordings, calibration)
     options = {
-        "tracker": tracker, "over": over, "objective": objective, "repeats": repeats, "noise": noise, "path": path,
-        "free_height": free_height, "piece_rows": piece_rows,
+        "tracker": tracker, "over": over, "objective": objective, "repeats": repeats, "noise": noise,
+        "calibration": calibration, "path": path, "free_height": free_height, "piece_rows": piece_rows,
     }  # fmt: skip
     keep_programs()
     # jax takes a second to import, which the help and a refused recording need not wait for.

@@ -41,6 +41,7 @@ class Options:
     out: Path
     tracker: str | None
     noise: Path | None
+    calibration: Path | None
     free_height: bool
     smooth: bool
     lag: float | None
@@ -95,6 +96,7 @@ def track_folders(folders: Sequence[RecordingFolder], options: Options, started:
     config = {
         "tracker": name,
         "noise": None if options.noise is None else str(options.noise),
+        "calibration": None if options.calibration is None else str(options.calibration),
         "free_height": options.free_height,
         "smooth": options.smooth,
         "lag": options.lag,

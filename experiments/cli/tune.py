@@ -27,6 +27,7 @@ def tune(
     prior: tuple[str, ...] = (),
     held_out: tuple[Path, ...] = (),
     start: Path | None = None,
+    calibration: Path | None = None,
     starts: int = 4,
     optimiser: Literal["auto", "lbfgs", "adam"] = "auto",
     steps: int = 60,
@@ -50,6 +51,7 @@ def tune(
         prior: PATTERN=0.2x2 for a value known within a factor of 2, PATTERN=0+-0.1 for an offset; with nll only.
         held_out: recordings to validate on: not fitted, but they select the best point and end the fit.
         start: a tuned.toml to start from.
+        calibration: a calibration.toml of `trackwright calibrate` on other recordings of these stations or anchors.
         starts: number of starts: the given values, then the best of a first guess from the data and a coarse grid.
         optimiser: auto is lbfgs for a likelihood, adam for other objectives, minibatches and particle filters.
         steps: maximum number of steps per start.
@@ -75,6 +77,7 @@ def tune(
         "prior": prior,
         "held_out": held_out,
         "start": start,
+        "calibration": calibration,
         "starts": starts,
         "optimiser": optimiser,
         "steps": steps,
@@ -85,7 +88,7 @@ def tune(
     }
     with progress("tuning", steps) as advance:
         advance(0, "(reading)")
-        folders = read_with_notices((*recordings, *held_out))
+        folders = read_with_notices((*recordings, *held_out), calibration)
         advance(0, "(preparing)")
         keep_programs()
         # jax takes a second to import, which the help and a refused recording need not wait for.

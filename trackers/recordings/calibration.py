@@ -22,6 +22,9 @@ ANGLE_PRIOR = np.array([0.0, 1.0, 0.0, 0.0]), np.array([0.2, 0.3, 0.2, 0.2])
 RANGE_PRIOR = np.zeros(2), np.array([0.3, 0.02])
 """Mean and standard deviation of the bias, m, and of the slope of an anchor before any recording."""
 
+DETERMINED = 0.7
+"""Largest standard deviation of a term that counts as determined, as a share of that before any recording."""
+
 LARGEST = np.array([np.pi, np.pi / 2])
 """The largest azimuth and elevation, rad."""
 
@@ -56,6 +59,11 @@ class StationCalibration:
     spans: Float[np.ndarray, "2 2"]
     rows: int = 0
 
+    @property
+    def determined(self) -> np.ndarray:
+        """Whether the recordings of the fit determine each term (2, 4), rather than its prior."""
+        return np.sqrt(np.diagonal(self.covariances, axis1=1, axis2=2)) < DETERMINED * ANGLE_PRIOR[1]
+
     def measured(self, true: np.ndarray) -> np.ndarray:
         """The angles (..., 2), rad, that the station measures at true angles (..., 2), without noise."""
         return _measured(true, self.coefficients, self.spans)
@@ -82,6 +90,11 @@ class AnchorCalibration:
     covariance: Float[np.ndarray, "2 2"]
     span: Float[np.ndarray, " 2"]
     rows: int = 0
+
+    @property
+    def determined(self) -> np.ndarray:
+        """Whether the recordings of the fit determine each term (2,), rather than its prior."""
+        return np.sqrt(np.diag(self.covariance)) < DETERMINED * RANGE_PRIOR[1]
 
 
 @dataclass(frozen=True)

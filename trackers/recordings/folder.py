@@ -70,6 +70,17 @@ class RecordingFolder:
         """This recording with systematic errors for trackers to remove; None for none."""
         return replace(self, calibration=calibration)
 
+    def uncalibrated(self) -> list[str]:
+        """Stations with bearings and anchors with ranges that the calibration lacks, in words; all without one."""
+        known = Calibration() if self.calibration is None else self.calibration
+        return [
+            f"{column} {name}"
+            for table, column, own in (("bearings", "station", known.stations), ("ranges", "anchor", known.anchors))
+            if table in self.tables
+            for name in self.tables[table][column].cast(pl.String).unique().sort().to_list()
+            if name not in own
+        ]
+
     def __repr__(self) -> str:
         tables = ", ".join(f"{name} {table.height:,} rows" for name, table in self.tables.items())
         tags = {tag: None for table in self.tables.values() for tag in table["tag"].unique(maintain_order=True)}

@@ -34,9 +34,11 @@ def test_the_help_of_a_command_shows_its_options():
         (("--help",), 0),
         (("track", "--help"), 0),
         (("tune", "--help"), 0),
+        (("calibrate", "--help"), 0),
         (("check", "GOOD"), 0),
         (("track", "nowhere", "--out", "out"), 2),
         (("tune", "nowhere", "--out", "out"), 2),
+        (("calibrate", "nowhere", "--out", "calibration.toml"), 2),
         (("track", "GOOD"), 2),
     ],
 )

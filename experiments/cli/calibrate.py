@@ -1,0 +1,41 @@
+"""`trackwright calibrate`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from experiments.cli.console import output_folder, read_with_notices
+from trackers.core.errors import UnusableInput
+from trackers.recordings.calibration_file import write_calibration
+
+
+def calibrate_recordings(recordings: Annotated[tuple[Path, ...], tyro.conf.Positional], out: Path) -> int:
+    """Fit systematic errors of stations and anchors to recordings with truth: writes calibration.toml and a page.
+
+    Recordings to be tracked or tuned with the result should be others than these.
+
+    Args:
+        recordings: recording folders with truth, and bearings or ranges; each has the same weight.
+        out: the file to write, as calibration.toml; the page and its figures go beside it.
+    """
+    if out.suffix != ".toml" or out.is_dir():
+        raise UnusableInput(f"--out {out}: expected a file with the ending .toml; give calibration.toml in a folder")
+    folders = read_with_notices(recordings)
+    # scipy and matplotlib take a second to import, which the help and a refused recording need not wait for.
+    from tuning.calibrating import calibrate
+
+    calibration = calibrate(folders)
+    output_folder(out.parent)
+    from experiments.reports.calibration import draw_report, report_on, report_text, write_calibration_report
+
+    report = report_on(calibration, folders)
+    write_calibration(calibration, out)
+    drawn = draw_report(out, calibration, report)
+    page = write_calibration_report(out, calibration, report, drawn, sys.argv)
+    print(report_text(report), end="")
+    print(f"wrote {out}, {page.name} and {', '.join(drawn)}")
+    return 0

@@ -1,0 +1,109 @@
+"""`trackwright calibrate`, and `--calibration` of the commands that read recordings."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.in_process import assert_refused, trackwright
+from tests.tuning.calibration_worlds import RIG, world
+from trackers.core.rig import Tag
+from trackers.recordings.calibration import Calibration
+from trackers.recordings.calibration_file import read_calibration, write_calibration
+from trackers.recordings.folder import write_recording
+
+
+@pytest.fixture(scope="module")
+def walks(tmp_path_factory):
+    """Two walks to calibrate on, and a third; their calibration.toml, and what the command printed."""
+    there = tmp_path_factory.mktemp("walks")
+    known, folders = world(5, seconds=30.0)
+    rig = replace(RIG, tags={"1": Tag(height=1.2)})
+    for number, folder in enumerate(folders):
+        write_recording(
+            replace(folder, name=f"walk {number}", rig=replace(rig, name=f"walk {number}")), there / f"{number}"
+        )
+    said = trackwright("calibrate", there / "0", there / "1", "--out", there / "site" / "calibration.toml")
+    return there, known, said
+
+
+def test_the_file_the_page_and_the_figures_are_written(walks):
+    there, known, said = walks
+    assert said.code == 0, said.err
+    found = read_calibration(there / "site" / "calibration.toml")
+    assert found.recordings == ("walk 0", "walk 1")
+    assert set(found.stations) == set(known.stations)
+    assert set(found.anchors) == set(known.anchors)
+    names = {path.name for path in (there / "site").iterdir()}
+    kinds = [f"calibration-{kind}.png" for kind in ("stations", "stations-floor", "anchors", "anchors-floor")]
+    assert names == {"calibration.toml", "calibration.html", *kinds}
+    assert f"wrote {there / 'site' / 'calibration.toml'}, calibration.html and {', '.join(kinds)}" in said.out
+
+
+def test_the_table_and_the_page_show_each_term_with_its_standard_error(walks):
+    there, _, said = walks
+    station = read_calibration(there / "site" / "calibration.toml").stations["north"]
+    gain = f"{station.coefficients[0, 1]:.3f} ± {np.sqrt(station.covariances[0, 1, 1]):.3f}"
+    page = (there / "site" / "calibration.html").read_text("utf-8")
+    assert gain in said.out
+    assert gain in page
+    assert page.count('<img src="data:image/png;base64,') == 4
+    # A walk of 30 s determines no cubic term of elevations, which span half a radian.
+    assert "<li>north elevation: " in page
+    assert f"trackwright track RECORDING --calibration {there / 'site' / 'calibration.toml'}" in page.replace(
+        "</span> <span>", " "
+    )
+
+
+@pytest.mark.parametrize("table", ["bearings", "uwb"])
+def test_a_calibrated_track_is_nearer_to_the_truth(walks, tmp_path, table):
+    there, _, _ = walks
+    errors = []
+    for name, more in (("plain", ()), ("calibrated", ("--calibration", there / "site" / "calibration.toml"))):
+        said = trackwright("track", there / "2", "--tracker", table, "--out", tmp_path / name, *more)
+        assert said.code == 0, said.err
+        assert "uncalibrated" not in said.err
+        assert trackwright("evaluate", tmp_path / name, "--json").code == 0
+        errors.append(json.loads((tmp_path / name / "evaluation.json").read_text("utf-8"))["overall"]["rmse_m"])
+        config = json.loads((tmp_path / name / "manifest.json").read_text("utf-8"))["config"]
+        assert config["calibration"] == (str(more[1]) if more else None)
+    assert errors[1] < 0.7 * errors[0]
+
+
+def test_stations_that_the_calibration_lacks_are_named_in_one_notice(walks, tmp_path):
+    there, known, _ = walks
+    part = Calibration({"north": known.stations["north"]}, {}, ("walk",))
+    path = write_calibration(part, tmp_path / "part.toml")
+    said = trackwright("sweep", there / "2", "--tracker", "bearings", "--over", "motion.sigma_a=0.1:0.2:2",
+                       "--calibration", path, "--out", tmp_path / "out")  # fmt: skip
+    assert said.code == 0, said.err
+    (line,) = [line for line in said.err.splitlines() if "uncalibrated" in line]
+    names = "station south, station west, anchor A, anchor B, anchor C and 1 more"
+    assert line == f"notice: {there / '2'}: {names}: not in {path}, and used uncalibrated"
+
+
+def test_an_output_that_is_no_toml_file_is_refused(walks, tmp_path):
+    there, _, _ = walks
+    for out in (tmp_path, tmp_path / "calibration", tmp_path / "calibration.html"):
+        said = trackwright("calibrate", there / "0", "--out", out)
+        assert_refused(said, f"--out {out}: expected a file with the ending .toml")
+    assert_refused(trackwright("calibrate", there / "0", "--out", there / "1" / "c.toml"), "is a recording folder")
+
+
+def test_a_recording_without_truth_is_refused_before_anything_is_written(tmp_path):
+    folder = world(5, 1, seconds=10.0)[1][0]
+    tables = {name: table for name, table in folder.tables.items() if name != "truth"}
+    write_recording(replace(folder, tables=tables), tmp_path / "bare")
+    said = trackwright("calibrate", tmp_path / "bare", "--out", tmp_path / "site" / "calibration.toml")
+    assert_refused(said, f"{tmp_path / 'bare'}: no truth table; expected truth to calibrate against")
+    assert not (tmp_path / "site").exists()
+
+
+@pytest.mark.parametrize("command", [("track",), ("tune",), ("sweep", "--over", "motion.sigma_a=0.1:0.2:2")])
+def test_a_file_that_is_no_calibration_is_refused(walks, tmp_path, command):
+    there, _, _ = walks
+    (tmp_path / "tuned.toml").write_text("[tunables]\n", "utf-8")
+    name, *more = command
+    said = trackwright(name, there / "2", *more, "--calibration", tmp_path / "tuned.toml", "--out", tmp_path / "out")
+    assert_refused(said, f"{tmp_path / 'tuned.toml'}: no `format`, expected `format = 1`")
