@@ -64,7 +64,7 @@ def main(
     Args:
         recordings: folders of TRACKWRIGHT_RECORDINGS.
         trackers: names of trackers; by default all that fit.
-        smooth: also the smoothed estimates, whose programs of many states take minutes to compile.
+        smooth: also the smoothed estimates.
         out: the JSON file to write.
     """
     set_flags()

@@ -126,14 +126,6 @@ class ChangedRows:
         changed = transposed_product(self.block, P[self.needed])
         return jnp.concatenate([P[: self.at.start], changed, P[self.at.stop :]])
 
-    def times_right(self, C: jax.Array) -> jax.Array:
-        """C F."""
-        n = len(C)
-        product = product_of(C[:, self.at], self.block.T)
-        zeros = jnp.zeros((n, self.at.stop - self.at.start), C.dtype)
-        unit = jnp.concatenate([C[:, : self.at.start], zeros, C[:, self.at.stop :]], axis=1)
-        return unit + jnp.pad(product, ((0, 0), (self.needed.start, n - self.needed.stop)))
-
     def congruence(self, P: jax.Array, FP: jax.Array) -> jax.Array:
         """F P Fᵀ, symmetric to the bit, given F P."""
         rows = FP[self.at]
