@@ -41,7 +41,8 @@ VECTOR = 8
 class RtsGain(NamedTuple):
     """The backward step of one time step: filtered belief, x⁻, C, GGᵀ (`noise`), and (I − CF)P(I − CF)ᵀ (`base`).
 
-    Of few trajectories the matrices are those of `_whole_vectors`. `connected`: the next step continues this track. `simultaneous`: it is at the same time.
+    Of few trajectories the matrices are those of `_whole_vectors`. `connected`: the next step continues this track.
+    `simultaneous`: it is at the same time.
     """
 
     filtered: Gaussian
@@ -110,7 +111,7 @@ def fixed_interval(
 ) -> Any:
     """The smoothed estimates of all time steps but the last, batch-last, by one scan backwards from the last.
 
-    `steps`: filtered beliefs, whether the next step continues the track, dt to it, and its inputs. `gain_of(*step)`: the
+    `steps`: filtered beliefs, whether the next step continues the track, dt to it, its inputs. `gain_of(*step)`: the
     gain of a step of one trajectory. `estimate_of`: the estimates of a batch's beliefs. `last`: the filtered beliefs of
     the last step. `few`: of few trajectories; steps at the time of the next one copy its belief there.
     """

@@ -10,6 +10,7 @@ import equinox as eqx
 import jax
 import numpy as np
 import pytest
+from jax.experimental.compilation_cache import compilation_cache
 
 from sim import worlds
 from trackers.catalogue import TRACKERS, build
@@ -42,7 +43,17 @@ def fixes():
 
 
 @pytest.fixture
-def store(tmp_path, monkeypatch):
+def compiled_anew():
+    """Without a cache of jax's own, as JAX_COMPILATION_CACHE_DIR sets: XLA loses functions of what it loads."""
+    compilation_cache.reset_cache()
+    jax.config.update("jax_enable_compilation_cache", False)
+    yield
+    jax.config.update("jax_enable_compilation_cache", True)
+    compilation_cache.reset_cache()
+
+
+@pytest.fixture
+def store(tmp_path, monkeypatch, compiled_anew):
     # Files of users that other tests imported in this process keep all programs from being found.
     for name in [name for name in sys.modules if name.startswith(USERS_FILE)]:
         monkeypatch.delitem(sys.modules, name)
