@@ -67,7 +67,7 @@ from trackers.parts.range_rows import range_trajectories
 from trackers.parts.ranges import RangeSensor
 from trackers.parts.singer import Singer
 from trackers.parts.start_nearby import NearbyStart
-from trackers.recordings.calibration import AnchorCalibration, Calibration, StationCalibration
+from trackers.recordings.calibration import AnchorCalibration, Calibration, StationCalibration, TagCalibration
 from trackers.recordings.calibration_file import read_calibration, write_calibration
 from trackers.recordings.checks import CheckResult, check
 from trackers.recordings.folder import RecordingFolder
@@ -107,6 +107,7 @@ __all__ = [
     "Calibration",
     "StationCalibration",
     "AnchorCalibration",
+    "TagCalibration",
     "read_calibration",
     "write_calibration",
     "UnusableInput",

@@ -7,8 +7,8 @@ their weight, and the covariance is a sandwich whose meat adds scores within pie
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,56 +16,64 @@ from trackers.core.errors import UnusableInput
 from trackers.recordings.calibration import (
     ANGLE_PRIOR,
     RANGE_PRIOR,
+    TAG_SIGMA,
     AnchorCalibration,
     Calibration,
     StationCalibration,
+    TagCalibration,
     angle_terms,
+    has_moved,
+    has_turned,
     range_terms,
 )
-from trackers.recordings.columns import TagRows
 from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.truth import TruthStatus
+from tuning.calibration_pairs import MIN_ROWS, Pairs, anchor_pairs, station_pairs
 from tuning.clustered_regression import Regression, Rows, regressions, with_least_slope
-
-PIECE_S, PIECE_M = 5.0, 1.0
-"""Least duration, s, and way, m, of a piece of time: errors of different pieces count as independent."""
-
-PLACE_M = 1.0
-"""Side of the squares of the floor, m, within which errors count as dependent."""
 
 LEAST_SLOPE = 0.2
 """Least slope of a calibrated angle or range, so that each reading has one true value."""
 
-MIN_ROWS = 20
-"""Least number of rows with truth of a station or anchor that is calibrated."""
-
-
-class Pairs(NamedTuple):
-    """Measured and true values of one station or anchor.
-
-    `true` and `measured` (N, 2) rad or (N, 1) m, NaN where not measured. `positions` (N, 3) m. `recording` (N,): the
-    number of each row's recording. `piece` and `place` (N,): numbers of its piece of time and of its square.
-    """
-
-    true: np.ndarray
-    measured: np.ndarray
-    positions: np.ndarray
-    recording: np.ndarray
-    piece: np.ndarray
-    place: np.ndarray
+TAG_ROUNDS = 3
+"""How often the biases of anchors and of tags are fitted in turn."""
 
 
 def calibrate(recordings: RecordingFolder | Sequence[RecordingFolder]) -> Calibration:
-    """The systematic errors of the stations and anchors of recordings with truth, with their covariances.
+    """The systematic errors of stations, anchors and tags of recordings with truth, with their covariances.
 
-    Stations and anchors of one id in several recordings are one. Each recording has the same weight. Those with fewer
-    than 20 rows with truth are left out. Raises UnusableInput where none is left.
+    Stations, anchors and tags of one id in several recordings are one. Each recording has the same weight. Those with
+    fewer than 20 rows with truth are left out. Raises UnusableInput where none is left, and for a station or anchor
+    that stands at several places.
     """
     folders = [recordings] if isinstance(recordings, RecordingFolder) else list(recordings)
-    stations, anchors = _stations(station_pairs(folders)), _anchors(anchor_pairs(folders))
+    _check_at_rest(folders)
+    stations = _stations(station_pairs(folders))
+    anchors, tags = _anchors(anchor_pairs(folders))
     if not stations and not anchors:
         raise UnusableInput(_lacking(folders))
-    return Calibration(stations, anchors, tuple(folder.name for folder in folders))
+    mounted = {name: station for folder in folders for name, station in folder.rig.stations.items()}
+    places = {name: place for folder in folders for name, place in folder.rig.anchors.items()}
+    return Calibration(
+        {name: replace(one, mounted=mounted[name]) for name, one in stations.items()},
+        {name: replace(one, position=places[name]) for name, one in anchors.items()},
+        tags,
+        tuple(folder.name for folder in folders),
+    )
+
+
+def _check_at_rest(folders: Sequence[RecordingFolder]) -> None:
+    """Raises UnusableInput for a station or anchor that stands elsewhere in another recording."""
+    for number, folder in enumerate(folders):
+        for other in folders[:number]:
+            a, b = folder.rig, other.rig
+            moved = [
+                f"station '{n}'" for n in a.stations if n in b.stations and has_turned(b.stations[n], a.stations[n])
+            ]
+            moved += [f"anchor '{n}'" for n in a.anchors if n in b.anchors and has_moved(b.anchors[n], a.anchors[n])]
+            if moved:
+                raise UnusableInput(
+                    f"{folder.path or folder.name}: {moved[0]} stands elsewhere than in {other.path or other.name}; "
+                    "expected recordings of one installation; calibrate them apart"
+                )
 
 
 def _lacking(folders: Sequence[RecordingFolder]) -> str:
@@ -79,95 +87,6 @@ def _lacking(folders: Sequence[RecordingFolder]) -> str:
         f"{names}: fewer than {MIN_ROWS} rows with truth for every station and anchor; expected at least {MIN_ROWS} "
         "for one; give longer recordings"
     )
-
-
-def station_pairs(folders: Sequence[RecordingFolder]) -> dict[str, Pairs]:
-    """Measured and true angles by station, of the stations with enough rows."""
-    return _pairs(folders, "bearings", "station", ("azimuth_rad", "elevation_rad"))
-
-
-def anchor_pairs(folders: Sequence[RecordingFolder]) -> dict[str, Pairs]:
-    """Measured and true ranges by anchor, of the anchors with enough rows."""
-    return _pairs(folders, "ranges", "anchor", ("range_m",))
-
-
-def _pairs(folders: Sequence[RecordingFolder], table: str, source: str, columns: Sequence[str]) -> dict[str, Pairs]:
-    parts: dict[str, list[Pairs]] = {}
-    for number, folder in enumerate(folders):
-        if table in folder.tables:
-            for name, pairs in _of_folder(folder, number, table, source, columns):
-                parts.setdefault(name, []).append(pairs)
-    joined = {name: Pairs(*map(np.concatenate, zip(*own, strict=True))) for name, own in sorted(parts.items())}
-    enough = {
-        name: pairs for name, pairs in joined.items() if np.isfinite(pairs.measured).sum(axis=0).max() >= MIN_ROWS
-    }
-    # Pieces and places get numbers that differ between recordings and from 0 up.
-    return {
-        name: pairs._replace(
-            piece=np.unique(np.stack([pairs.recording, pairs.piece]), axis=1, return_inverse=True)[1].ravel()
-        )
-        for name, pairs in enough.items()
-    }
-
-
-def _of_folder(
-    folder: RecordingFolder, number: int, table: str, source: str, columns: Sequence[str]
-) -> Iterator[tuple[str, Pairs]]:
-    """The pairs of each station or anchor of one recording."""
-    rows = folder.rows(table)
-    measured = rows.floats(columns)
-    positions, status = folder.paths.at(rows.tags, rows.starts, rows.times)
-    known = (status == TruthStatus.SCORED) & np.isfinite(positions).all(axis=1) & np.isfinite(measured).any(axis=1)
-    piece, place = _pieces(rows, positions, known), _places(positions)
-    rig = folder.rig
-    ids = list(rig.stations) if source == "station" else sorted(rig.anchors)
-    codes = rows.codes(source, ids)
-    for code, name in enumerate(ids):
-        own = known & (codes == code)
-        if source == "station":
-            true = rig.stations[name].angles(positions[own])
-            # The difference of azimuths is wrapped, so that readings beyond half a turn stay near the true ones.
-            values = true + (measured[own] - true + np.pi) % (2 * np.pi) - np.pi
-        else:
-            true = np.linalg.norm(positions[own] - np.asarray(rig.anchors[name]), axis=1)[:, None]
-            values = np.where(measured[own] > 0.0, measured[own], np.nan)
-        yield name, Pairs(true, values, positions[own], np.full(own.sum(), number), piece[own], place[own])
-
-
-def _pieces(rows: TagRows, positions: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """The number of each row's piece of time (N,): a new one after `PIECE_S` and `PIECE_M`, the same for all tags.
-
-    A tag that stands still stays in one piece, since the errors of its readings are those of one place.
-    """
-    piece = np.zeros(len(rows.times), int)
-    if not known.any():
-        return piece
-    # The way of the tag that moves most stands for all of them: tags on one body move together.
-    ways = []
-    for k in range(len(rows.tags)):
-        own = np.arange(rows.starts[k], rows.starts[k + 1])
-        own = own[known[own]]
-        if len(own) > 1:
-            ways.append((rows.times[own], np.append(0.0, np.cumsum(_steps(rows.times[own], positions[own])))))
-    if not ways:
-        return piece
-    times, way = max(ways, key=lambda one: one[1][-1])
-    begins, last = [times[0]], (times[0], 0.0)
-    for time, gone in zip(times, way, strict=True):
-        if time - last[0] >= PIECE_S and gone - last[1] >= PIECE_M:
-            begins.append(time)
-            last = (time, gone)
-    return np.searchsorted(np.array(begins), rows.times, side="right")
-
-
-def _steps(times: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    return np.linalg.norm(np.diff(positions, axis=0), axis=1)
-
-
-def _places(positions: np.ndarray) -> np.ndarray:
-    """The number of each row's square of the floor (N,)."""
-    x, y = np.floor(np.nan_to_num(positions[:, :2]) / PLACE_M).astype(int).T
-    return x * 100003 + y
 
 
 def _stations(pairs: Mapping[str, Pairs]) -> dict[str, StationCalibration]:
@@ -201,13 +120,39 @@ def _increasing(found: Regression, spans: np.ndarray, k: int) -> Regression:
     return with_least_slope(found, slopes, LEAST_SLOPE)
 
 
-def _anchors(pairs: Mapping[str, Pairs]) -> dict[str, AnchorCalibration]:
+def _anchors(pairs: Mapping[str, Pairs]) -> tuple[dict[str, AnchorCalibration], dict[str, TagCalibration]]:
+    """The calibrations of anchors and of tags, fitted in turn: the range errors of both add."""
+    if not pairs:
+        return {}, {}
     rows = {name: _rows(one, range_terms(one.true[:, 0]), 0) for name, one in pairs.items()}
-    found = regressions({name: one._replace(y=one.y - one.x[:, 1]) for name, one in rows.items()}, *RANGE_PRIOR)
+    rows = {name: one._replace(y=one.y - one.x[:, 1]) for name, one in rows.items()}
+    owners = {name: one.tag[np.isfinite(one.measured[:, 0])] for name, one in pairs.items()}
+    tags, counts = np.unique(np.concatenate(list(owners.values())), return_counts=True)
+    number = {name: np.searchsorted(tags, own) for name, own in owners.items()}
+    biases, sigmas = np.zeros(len(tags)), np.zeros(len(tags))
+    for _ in range(TAG_ROUNDS if len(tags) > 1 else 1):
+        own = {name: one._replace(y=one.y - biases[number[name]]) for name, one in rows.items()}
+        found = regressions(own, *RANGE_PRIOR)
+        if len(tags) > 1:
+            biases, sigmas = _tag_biases(rows, found, number, len(tags))
     calibrations = {}
     for name, regression in found.items():
         terms, covariance = with_least_slope(regression, np.array([[0.0, 1.0]]), LEAST_SLOPE - 1.0)
         distances = rows[name].x[:, 1]
         span = np.array([distances.min(), distances.max()])
         calibrations[name] = AnchorCalibration(terms, covariance, span, len(distances))
-    return calibrations
+    every = zip(tags.tolist(), biases.tolist(), sigmas.tolist(), counts.tolist(), strict=True)
+    return calibrations, {tag: TagCalibration(*one) for tag, *one in every}
+
+
+def _tag_biases(
+    rows: Mapping[str, Rows], found: Mapping[str, Regression], number: Mapping[str, np.ndarray], count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Biases of tags (count,), relative to their mean, and their standard deviations, from errors at all anchors."""
+    left = [one._replace(x=np.ones((len(one.y), 1)), y=one.y - one.x @ found[name].terms) for name, one in rows.items()]
+    every = Rows(*(np.concatenate(column) for column in zip(*left, strict=True)))
+    tag = np.concatenate([number[name] for name in rows])
+    of_tags = {str(k): Rows(*(column[tag == k] for column in every)) for k in range(count)}
+    fits = regressions(of_tags, np.zeros(1), np.array([TAG_SIGMA])).values()
+    biases = np.array([fit.terms[0] for fit in fits])
+    return biases - biases.mean(), np.sqrt([fit.covariance[0, 0] for fit in fits])

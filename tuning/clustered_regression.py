@@ -21,6 +21,12 @@ DOF = 4.0
 POOLED = 10.0
 """The number of clusters that the design effect of all regressions counts as, beside a regression's own clusters."""
 
+MOST = 100
+"""The most rows of one place in one piece of time, evenly spaced: their errors are dependent."""
+
+LEAST_SPARE = 2.0
+"""Least degrees of freedom of a variance: with one, intervals would be 13 standard deviations wide."""
+
 SMALLEST = 1e-6
 """Least scale of the errors, rad or m, below any resolution of a reading."""
 
@@ -68,12 +74,10 @@ def regressions(rows: Mapping[str, Rows], mean: np.ndarray, sigmas: np.ndarray) 
 
 def _fit(rows: Rows, mean: np.ndarray, sigmas: np.ndarray, pooled: tuple[float, float] | None) -> _Fit:
     """One regression; `pooled`: the design effect of all of them, and its degrees of freedom."""
-    both = np.unique(np.stack([rows.piece, rows.place]), axis=1, return_inverse=True)[1].ravel()
-    order = np.argsort(both, kind="stable")
-    x, y, both = rows.x[order], rows.y[order], both[order]
-    begins = np.flatnonzero(np.append(True, np.diff(both) != 0))
-    of_both = [_numbered(c[order][begins]) for c in (rows.piece, rows.place)]
-    weights = _equal_recordings(1.0 / np.bincount(both)[both], _numbered(rows.recording[order]))
+    rows, both = _in_order(rows)
+    x, y, begins = rows.x, rows.y, np.flatnonzero(np.append(True, np.diff(both) != 0))
+    of_both = [_numbered(c[begins]) for c in (rows.piece, rows.place)]
+    weights = _equal_recordings(1.0 / np.bincount(both)[both], _numbered(rows.recording))
     clusters = min(_effective(c, np.add.reduceat(weights, begins)) for c in of_both)
     precision = np.diag(1.0 / sigmas**2)
     terms, effect = mean.copy(), 1.0
@@ -105,11 +109,21 @@ def _fit(rows: Rows, mean: np.ndarray, sigmas: np.ndarray, pooled: tuple[float, 
             B = (clusters * B + more * pooled[0] * A) / (clusters + more)
             effect = (clusters * effect + more * pooled[0]) / (clusters + more)
             # Few clusters widen the variance, so that ±1.96 standard deviations hold 95 %.
-            wider = float(student_t.ppf(0.975, max(spare + more, 1.0)) / student_t.ppf(0.975, np.inf)) ** 2
+            wider = float(student_t.ppf(0.975, max(spare + more, LEAST_SPARE)) / student_t.ppf(0.975, np.inf)) ** 2
             B, effect = B * wider, effect * wider
     inverse = np.linalg.inv(A / effect + precision)
     covariance = inverse @ (B / effect**2 + precision) @ inverse
     return _Fit(Regression(terms, 0.5 * (covariance + covariance.T)), effect, clusters)
+
+
+def _in_order(rows: Rows) -> tuple[Rows, np.ndarray]:
+    """At most `MOST` rows of each place in a piece of time, together, and the number of each row's place and piece."""
+    both = np.unique(np.stack([rows.piece, rows.place]), axis=1, return_inverse=True)[1].ravel()
+    order = np.argsort(both, kind="stable")
+    counts = np.bincount(both)
+    within = np.arange(len(order)) - np.repeat(np.cumsum(counts) - counts, counts)
+    kept = order[within % -(-counts[both[order]] // MOST) == 0]
+    return Rows(*(column[kept] for column in rows)), both[kept]
 
 
 def _numbered(numbers: np.ndarray) -> np.ndarray:

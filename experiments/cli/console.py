@@ -61,7 +61,7 @@ def read_with_notices(paths: Sequence[Path], calibration: Path | None = None) ->
         for text in recording.notices:
             notice(f"notice: {path}: {text}")
         if calibration is not None and (lacking := recording.uncalibrated()):
-            notice(f"notice: {path}: {listed(lacking)}: not in {calibration}, and used uncalibrated")
+            notice(f"notice: {path}: {listed(lacking)}: not in {calibration}, or moved since; used uncalibrated")
     return recordings
 
 

@@ -25,7 +25,8 @@ from trackers.recordings.calibration import (
     range_terms,
 )
 from trackers.recordings.folder import RecordingFolder
-from tuning.calibrating import Pairs, anchor_pairs, calibrate, station_pairs
+from tuning.calibrating import calibrate
+from tuning.calibration_pairs import Pairs, anchor_pairs, station_pairs
 
 WIDTH = 150
 SHOWN = 12
@@ -35,6 +36,7 @@ CURVE = 80
 """Points of a fitted curve."""
 
 DEGREES = float(np.rad2deg(1.0))
+TAG_HEAD = ("tag", "bias, m", "rows")
 _ERRORS = ("rows", "as measured", "calibrated", "left out")
 ANGLE_HEAD = ("station", "angle", "offset, rad", "gain", "cubic, rad⁻²", "cross, rad⁻¹", *_ERRORS)
 RANGE_HEAD = ("anchor", "bias, m", "slope", *_ERRORS)
@@ -64,7 +66,9 @@ class Source(NamedTuple):
         if calibration is not None and self.is_angle:
             expected = calibration.stations.get(self.name, UNCALIBRATED).measured(true)[:, k]
         elif calibration is not None and self.name in calibration.anchors:
-            expected = expected + range_terms(expected) @ calibration.anchors[self.name].coefficients
+            tags, number = np.unique(self.pairs.tag, return_inverse=True)
+            biases = np.array([calibration.tags[tag].bias if tag in calibration.tags else 0.0 for tag in tags])
+            expected = expected + range_terms(expected) @ calibration.anchors[self.name].coefficients + biases[number]
         return self.pairs.measured[:, k] - expected
 
     def spread(self, errors: np.ndarray) -> float:
@@ -79,10 +83,14 @@ class Source(NamedTuple):
 
 
 class Report(NamedTuple):
-    """The tables of a calibration, by station and angle and by anchor, and the terms that are not determined."""
+    """The tables of a calibration, by station and angle, by anchor, and by tag where there are several.
+
+    `undetermined`: each source with the terms that are not determined.
+    """
 
     stations: list[list[str]]
     anchors: list[list[str]]
+    tags: list[list[str]]
     undetermined: list[tuple[str, str]]
     sources: list[Source]
 
@@ -111,7 +119,8 @@ def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> R
         lacking = [name for name, known in zip(names, determined, strict=True) if not known]
         if lacking:
             undetermined.append((f"{source.name} {source.quantity}", ", ".join(lacking)))
-    return Report(*tables, undetermined, sources)
+    tags = [[name, _term(tag.bias, tag.sigma, True), str(tag.rows)] for name, tag in calibration.tags.items()]
+    return Report(*tables, tags if len(tags) > 1 else [], undetermined, sources)
 
 
 def _sources(folders: Sequence[RecordingFolder]) -> Iterator[Source]:
@@ -154,6 +163,7 @@ def report_text(report: Report) -> str:
         for title, head, texts, rows in (
             ("Stations", ANGLE_HEAD, 2, report.stations),
             ("Anchors", RANGE_HEAD, 1, report.anchors),
+            ("Tags, relative to their mean", TAG_HEAD, 1, report.tags),
         )
         if rows
     ]
@@ -207,6 +217,7 @@ def write_calibration_report(
         recordings=calibration.recordings,
         angle_head=ANGLE_HEAD,
         range_head=RANGE_HEAD,
+        tag_head=TAG_HEAD,
         note=NOTE,
         report=report,
         figures=figures,

@@ -86,6 +86,36 @@ def _standing(seconds, place):
     return RecordingFolder(f"at {place}", None, RIG, tables)
 
 
+def test_the_bias_of_a_tag_is_told_apart_from_those_of_the_anchors():
+    _, folders = world(5, 2)
+    parts = []
+    for number, folder in enumerate(folders):
+        table = folder.tables["ranges"]
+        # Both walk everywhere; the second tag is 6 cm further than the first.
+        other = table.with_columns(tag=pl.lit("2"), range_m=pl.col("range_m") + 0.06)
+        truth = folder.tables["truth"]
+        tables = {
+            "ranges": pl.concat([table, other]).sort("t_s", maintain_order=True),
+            "truth": pl.concat([truth, truth.with_columns(tag=pl.lit("2"))]),
+        }
+        parts.append(replace(folder, tables=tables, name=str(number)))
+    both, alone = calibrate(parts), calibrate(folders)
+    biases = {name: tag.bias for name, tag in both.tags.items()}
+    # Equal errors of both tags leave the difference nearly exact; its prior shrinks it a little.
+    assert biases == pytest.approx({"1": -0.03, "2": 0.03}, abs=0.004)
+    for name, one in both.anchors.items():
+        # The biases of anchors are those of the mean tag.
+        expected = alone.anchors[name].coefficients[0] + 0.03
+        assert one.coefficients[0] == pytest.approx(expected, abs=0.015)
+
+
+def test_recordings_of_several_installations_are_refused():
+    _, folders = world(5, 2, seconds=10.0)
+    moved = {**RIG.anchors, "B": RIG.anchors["B"] + 0.3}
+    with pytest.raises(UnusableInput, match=r"walk 2: anchor 'B' stands elsewhere than in walk 1; expected .*apart"):
+        calibrate([folders[0], replace(folders[1], rig=replace(RIG, anchors=moved))])
+
+
 def test_the_rows_of_a_tag_that_stands_still_count_as_one_sample_of_the_error():
     # The mean of 2000 rows has a standard error of 0.2 mm, but 5 cm of its error are those of the place.
     for one in calibrate(_standing(200.0, (3.0, 2.0))).anchors.values():

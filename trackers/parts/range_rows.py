@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import polars as pl
 
 from trackers.core.recording import Readings
 from trackers.parts.ranges import RANGES
@@ -26,7 +27,7 @@ def range_rows(folder: RecordingFolder, rows: TagRows) -> tuple[Readings, np.nda
     """The readings of ranges, one row per row of the table, and the number of each range's anchor (N,).
 
     Anchors are numbered in the order of their ids. Ranges that are not positive are masked. Where the folder has a
-    calibration, ranges are without the bias and slope of their anchor, and have the variance that these add.
+    calibration, ranges are without the systematic errors of their anchor and tag, and have the variance that these add.
     """
     values, seen = rows.values(["range_m"])
     seen &= values > 0.0
@@ -34,7 +35,10 @@ def range_rows(folder: RecordingFolder, rows: TagRows) -> tuple[Readings, np.nda
     number = rows.codes("anchor", anchors)
     variances = rows.variances(["range_std_m"])
     if folder.calibration is not None:
-        distances, added = folder.calibration.of_ranges(anchors, number, values[:, 0])
+        # The ranges of several tags on one body are rows of one trajectory.
+        tags = sorted(folder.tables["ranges"]["tag"].cast(pl.String).unique()) if "carrier" in rows else rows.tags
+        tag = rows.codes("carrier", tags) if "carrier" in rows else rows.of_each(np.arange(len(tags)))
+        distances, added = folder.calibration.of_ranges(anchors, number, tags, tag, values[:, 0])
         values, variances = np.where(seen, distances[:, None], 0.0), variances + added[:, None]
         seen &= values > 0.0
     return Readings(values, seen, variances), number

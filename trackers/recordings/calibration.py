@@ -1,16 +1,19 @@
 """Calibrations: the systematic errors of stations and anchors, with their covariances, and their removal from readings.
 
 A station measures each angle a as offset + gain·a + cubic·a³ + cross·a·b, where b is the other angle, both in its array
-frame. An anchor measures a distance d as d + bias + slope·d. The fit is in `tuning/calibrating.py`.
+frame. An anchor measures the distance d of a tag as d + bias + slope·d + the tag's bias. The fit is in
+`tuning/calibrating.py`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
+
+from trackers.core.rig import Point, Rig, Station
 
 ANGLES = ("azimuth", "elevation")
 ANGLE_TERMS = ("offset", "gain", "cubic", "cross")
@@ -21,6 +24,12 @@ ANGLE_PRIOR = np.array([0.0, 1.0, 0.0, 0.0]), np.array([0.2, 0.3, 0.2, 0.2])
 
 RANGE_PRIOR = np.zeros(2), np.array([0.3, 0.02])
 """Mean and standard deviation of the bias, m, and of the slope of an anchor before any recording."""
+
+TAG_SIGMA = 0.05
+"""Standard deviation of the bias of a tag, m, relative to other tags, before any recording."""
+
+MOVED_M, MOVED_RAD = 0.1, 0.05
+"""Distance, m, and angle, rad, by which a station or anchor may have moved since its calibration."""
 
 DETERMINED = 0.7
 """Largest standard deviation of a term that counts as determined, as a share of that before any recording."""
@@ -52,12 +61,14 @@ class StationCalibration:
 
     `coefficients` (2, 4): offset, rad, gain, cubic, rad⁻², and cross, rad⁻¹, of each angle; `covariances` (2, 4, 4).
     `spans` (2, 2): the lowest and the highest true angle in the recordings of the fit, rad. `rows`: their number.
+    `mounted`: where the station stood; None for anywhere.
     """
 
     coefficients: Float[np.ndarray, "2 4"]
     covariances: Float[np.ndarray, "2 4 4"]
     spans: Float[np.ndarray, "2 2"]
     rows: int = 0
+    mounted: Station | None = None
 
     @property
     def determined(self) -> np.ndarray:
@@ -84,12 +95,14 @@ class AnchorCalibration:
     """The terms of an anchor's ranges: `coefficients` (2,), bias, m, and slope; `covariance` (2, 2).
 
     `span` (2,): the smallest and the largest distance in the recordings of the fit, m. `rows`: their number.
+    `position` (3,) m: where the anchor stood; None for anywhere.
     """
 
     coefficients: Float[np.ndarray, " 2"]
     covariance: Float[np.ndarray, "2 2"]
     span: Float[np.ndarray, " 2"]
     rows: int = 0
+    position: Point | None = None
 
     @property
     def determined(self) -> np.ndarray:
@@ -98,12 +111,39 @@ class AnchorCalibration:
 
 
 @dataclass(frozen=True)
+class TagCalibration:
+    """The bias of a tag's ranges, m, relative to the mean of all tags of the fit, and its standard deviation, m."""
+
+    bias: float
+    sigma: float
+    rows: int = 0
+
+
+@dataclass(frozen=True)
 class Calibration:
-    """The systematic errors of stations and anchors by their ids; `recordings`: the names of those of the fit."""
+    """Systematic errors of stations, anchors and tags by their ids; `recordings`: the names of those of the fit."""
 
     stations: Mapping[str, StationCalibration] = field(default_factory=dict)
     anchors: Mapping[str, AnchorCalibration] = field(default_factory=dict)
+    tags: Mapping[str, TagCalibration] = field(default_factory=dict)
     recordings: tuple[str, ...] = ()
+
+    def at_rest(self, rig: Rig) -> Calibration:
+        """The calibration of those stations and anchors of a rig that stand where they stood."""
+        stations, anchors = rig.stations, rig.anchors
+        return replace(
+            self,
+            stations={
+                name: one
+                for name, one in self.stations.items()
+                if name in stations and (one.mounted is None or not has_turned(one.mounted, stations[name]))
+            },
+            anchors={
+                name: one
+                for name, one in self.anchors.items()
+                if name in anchors and (one.position is None or not has_moved(one.position, anchors[name]))
+            },
+        )
 
     def of_bearings(
         self, stations: Sequence[str], number: np.ndarray, measured: np.ndarray
@@ -127,16 +167,37 @@ class Calibration:
         return rows, true, variances
 
     def of_ranges(
-        self, anchors: Sequence[str], number: np.ndarray, measured: np.ndarray
+        self, anchors: Sequence[str], number: np.ndarray, tags: Sequence[str], tag: np.ndarray, measured: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Distances (N,), m, at which `anchors[number]` (N,) measure these ranges (N,), and the added variances, m²."""
+        """The distances (N,), m, of ranges (N,) between `anchors[number]` (N,) and `tags[tag]` (N,).
+
+        Also the variances that the uncertainty of the terms adds (N,), m². A tag without a calibration has the bias of
+        the mean tag; ranges to an anchor without one are as measured.
+        """
         none = AnchorCalibration(np.zeros(2), np.zeros((2, 2)), np.zeros(2))
         own = [self.anchors.get(name, none) for name in anchors]
+        known = np.array([name in self.anchors for name in anchors])[number]
+        other = TagCalibration(0.0, TAG_SIGMA if self.tags else 0.0)
+        biases = np.array([(x.bias, x.sigma**2) for x in (self.tags.get(name, other) for name in tags)])[tag]
+        tag_bias, tag_variance = np.where(known[:, None], biases, 0.0).T
         bias, slope = np.stack([x.coefficients for x in own])[number].T
-        distances = (measured - bias) / (1.0 + slope)
+        distances = (measured - bias - tag_bias) / (1.0 + slope)
         factors = range_terms(distances)
         covariances = np.stack([x.covariance for x in own])[number]
-        return distances, np.einsum("ni,nij,nj->n", factors, covariances, factors) / (1.0 + slope) ** 2
+        variances = np.einsum("ni,nij,nj->n", factors, covariances, factors) + tag_variance
+        return distances, variances / (1.0 + slope) ** 2
+
+
+def has_moved(before: Point, now: Point) -> bool:
+    """Whether two positions (3,), m, are those of different places."""
+    return float(np.linalg.norm(np.asarray(now) - before)) > MOVED_M
+
+
+def has_turned(before: Station, now: Station) -> bool:
+    """Whether a station stands at another place, or otherwise turned."""
+    # The trace of a rotation is 1 + 2 cos of its angle.
+    cosine = 0.5 * (np.trace(before.world_from_array().T @ now.world_from_array()) - 1.0)
+    return has_moved(before.position, now.position) or float(np.arccos(np.clip(cosine, -1.0, 1.0))) > MOVED_RAD
 
 
 def _measured(true: np.ndarray, coefficients: np.ndarray, spans: np.ndarray) -> np.ndarray:

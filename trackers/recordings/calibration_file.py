@@ -11,24 +11,33 @@ import numpy as np
 import tomli_w
 
 from trackers.core.errors import UnusableInput, listed
+from trackers.core.rig import Station
 from trackers.recordings.atomic import atomic_write
-from trackers.recordings.calibration import ANGLES, AnchorCalibration, Calibration, StationCalibration
+from trackers.recordings.calibration import (
+    ANGLES,
+    AnchorCalibration,
+    Calibration,
+    StationCalibration,
+    TagCalibration,
+)
 
 FORMAT = 1
 COMMENT = "# Written by `trackwright calibrate`; read by `--calibration` of `track` and `tune`.\n"
 
-_TOP = ("format", "recordings", "stations", "anchors")
+_TOP = ("format", "recordings", "stations", "anchors", "tags")
 _ANGLE_TERMS = ("offset_rad", "gain", "cubic_per_rad2", "cross_per_rad")
 _ANGLE = (*_ANGLE_TERMS, "lowest_rad", "highest_rad", "covariance")
-_STATION = ("rows", *ANGLES)
+_STATION, _MOUNTED = ("rows", *ANGLES), ("position_m", "rotation_wxyz")
 _RANGE_TERMS = ("bias_m", "slope")
 _ANCHOR = ("rows", *_RANGE_TERMS, "lowest_m", "highest_m", "covariance")
+_TAG = ("rows", "bias_m", "standard_error_m")
 
 
 def write_calibration(calibration: Calibration, path: str | Path) -> Path:
     """Writes the calibration to the file `path`, completely or not at all; raises UnusableInput where it cannot be."""
     stations = {
         name: {"rows": one.rows}
+        | ({} if one.mounted is None else _mounting(one.mounted))
         | {
             angle: _entries(_ANGLE, one.coefficients[k], one.spans[k], one.covariances[k])
             for k, angle in enumerate(ANGLES)
@@ -36,7 +45,9 @@ def write_calibration(calibration: Calibration, path: str | Path) -> Path:
         for name, one in calibration.stations.items()
     }
     anchors = {
-        name: {"rows": one.rows} | _entries(_ANCHOR[1:], one.coefficients, one.span, one.covariance)
+        name: {"rows": one.rows}
+        | ({} if one.position is None else {"position_m": np.asarray(one.position, float).tolist()})
+        | _entries(_ANCHOR[1:], one.coefficients, one.span, one.covariance)
         for name, one in calibration.anchors.items()
     }
     content = {
@@ -44,9 +55,18 @@ def write_calibration(calibration: Calibration, path: str | Path) -> Path:
         "recordings": list(calibration.recordings),
         "stations": stations,
         "anchors": anchors,
+        "tags": {
+            name: dict(zip(_TAG, (one.rows, one.bias, one.sigma), strict=True))
+            for name, one in calibration.tags.items()
+        },
     }
     text = COMMENT + tomli_w.dumps(content)
     return atomic_write(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def _mounting(station: Station) -> dict[str, list[float]]:
+    values = (np.asarray(value, float).tolist() for value in (station.position, station.rotation))
+    return dict(zip(_MOUNTED, values, strict=True))
 
 
 def _entries(names: Sequence[str], terms: np.ndarray, span: np.ndarray, covariance: np.ndarray) -> dict[str, Any]:
@@ -84,17 +104,19 @@ class _Reader:
         names = content["recordings"]
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
             self.refuse(f"recordings = {names!r}, expected a list of names")
-        stations, anchors = (self.table(content[key], key) for key in ("stations", "anchors"))
+        stations, anchors, tags = (self.table(content[key], key) for key in ("stations", "anchors", "tags"))
         if not stations and not anchors:
             self.refuse("neither a station nor an anchor, expected [stations.ID] or [anchors.ID]")
         return Calibration(
             {name: self.station(f"stations.{name}", one) for name, one in stations.items()},
             {name: self.anchor(f"anchors.{name}", one) for name, one in anchors.items()},
+            {name: self.tag(f"tags.{name}", one) for name, one in tags.items()},
             tuple(names),
         )
 
     def station(self, where: str, content: Any) -> StationCalibration:
-        self.exactly(self.table(content, where), _STATION, f"[{where}]")
+        mounted = _MOUNTED if any(key in self.table(content, where) for key in _MOUNTED) else ()
+        self.exactly(content, (*_STATION, *mounted), f"[{where}]")
         parts = []
         for angle in ANGLES:
             table = self.table(content[angle], f"{where}.{angle}")
@@ -102,14 +124,29 @@ class _Reader:
             span = "lowest_rad", "highest_rad"
             parts.append(self.terms(f"{where}.{angle}", table, _ANGLE_TERMS, span))
         terms, spans, covariances = (np.stack(x) for x in zip(*parts, strict=True))
-        return StationCalibration(terms, covariances, spans, self.rows(where, content["rows"]))
+        station = None
+        if mounted:
+            position, rotation = (
+                self.array(f"{where}.{key}", content[key], (size,)) for key, size in zip(mounted, (3, 4), strict=True)
+            )
+            station = Station(position, rotation)
+        return StationCalibration(terms, covariances, spans, self.rows(where, content["rows"]), station)
 
     def anchor(self, where: str, content: Any) -> AnchorCalibration:
-        self.exactly(self.table(content, where), _ANCHOR, f"[{where}]")
+        placed = ("position_m",) if "position_m" in self.table(content, where) else ()
+        self.exactly(content, (*_ANCHOR, *placed), f"[{where}]")
         terms, span, covariance = self.terms(where, content, _RANGE_TERMS, ("lowest_m", "highest_m"))
         if terms[1] <= -1.0:
             self.refuse(f"{where}.slope = {terms[1]:.6g}, expected a number above -1")
-        return AnchorCalibration(terms, covariance, span, self.rows(where, content["rows"]))
+        position = self.array(f"{where}.position_m", content["position_m"], (3,)) if placed else None
+        return AnchorCalibration(terms, covariance, span, self.rows(where, content["rows"]), position)
+
+    def tag(self, where: str, content: Any) -> TagCalibration:
+        self.exactly(self.table(content, where), _TAG, f"[{where}]")
+        bias, sigma = (float(self.array(f"{where}.{key}", content[key], ())) for key in _TAG[1:])
+        if sigma < 0.0:
+            self.refuse(f"{where}.standard_error_m = {sigma:.6g}, expected a number of zero or more")
+        return TagCalibration(bias, sigma, self.rows(where, content["rows"]))
 
     def terms(
         self, where: str, table: dict[str, Any], names: Sequence[str], ends: tuple[str, str]

@@ -67,8 +67,11 @@ class RecordingFolder:
         return self.tables.paths(self.name)
 
     def calibrated(self, calibration: Calibration | None) -> RecordingFolder:
-        """This recording with systematic errors for trackers to remove; None for none."""
-        return replace(self, calibration=calibration)
+        """This recording with systematic errors for trackers to remove; None for none.
+
+        Stations and anchors that no longer stand where they were calibrated are uncalibrated.
+        """
+        return replace(self, calibration=None if calibration is None else calibration.at_rest(self.rig))
 
     def uncalibrated(self) -> list[str]:
         """Stations with bearings and anchors with ranges that the calibration lacks, in words; all without one."""

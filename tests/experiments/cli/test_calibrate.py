@@ -73,14 +73,14 @@ def test_a_calibrated_track_is_nearer_to_the_truth(walks, tmp_path, table):
 
 def test_stations_that_the_calibration_lacks_are_named_in_one_notice(walks, tmp_path):
     there, known, _ = walks
-    part = Calibration({"north": known.stations["north"]}, {}, ("walk",))
+    part = Calibration({"north": known.stations["north"]}, recordings=("walk",))
     path = write_calibration(part, tmp_path / "part.toml")
     said = trackwright("sweep", there / "2", "--tracker", "bearings", "--over", "motion.sigma_a=0.1:0.2:2",
                        "--calibration", path, "--out", tmp_path / "out")  # fmt: skip
     assert said.code == 0, said.err
     (line,) = [line for line in said.err.splitlines() if "uncalibrated" in line]
     names = "station south, station west, anchor A, anchor B, anchor C and 1 more"
-    assert line == f"notice: {there / '2'}: {names}: not in {path}, and used uncalibrated"
+    assert line == f"notice: {there / '2'}: {names}: not in {path}, or moved since; used uncalibrated"
 
 
 def test_an_output_that_is_no_toml_file_is_refused(walks, tmp_path):

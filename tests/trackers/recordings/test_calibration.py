@@ -6,13 +6,22 @@ import numpy as np
 import polars as pl
 import pytest
 
+from sim import worlds as simulate
 from tests.faulty import write_good
 from trackers.aoa.fusion import BEARINGS
 from trackers.aoa.rows import bearing_trajectories
+from trackers.core.rig import Station, Tag
 from trackers.parts.range_rows import range_trajectories
 from trackers.parts.ranges import RANGES
-from trackers.recordings.calibration import AnchorCalibration, Calibration, StationCalibration
+from trackers.recordings.calibration import (
+    TAG_SIGMA,
+    AnchorCalibration,
+    Calibration,
+    StationCalibration,
+    TagCalibration,
+)
 from trackers.recordings.folder import read_recording
+from trackers.uwb_imu.rows import inertial_trajectories
 
 SPANS = np.array([[-0.9, 1.0], [-0.6, 0.5]])
 TERMS = np.array([[0.08, 0.7, -0.06, 0.1], [-0.05, 1.1, 0.2, -0.08]])
@@ -102,7 +111,8 @@ def test_a_point_of_recent_bearings_is_that_of_the_true_angles(good):
 def test_ranges_are_without_bias_and_slope_and_have_the_variance_of_both(good):
     number, distances = np.array([0, 1, 0]), np.array([2.0, 3.0, 7.0])
     measured = np.where(number == 0, distances * 1.02 + 0.15, distances)
-    found, variances = Calibration(anchors={"A": ANCHOR}).of_ranges(["A", "B"], number, measured)
+    tags = np.zeros(3, int)
+    found, variances = Calibration(anchors={"A": ANCHOR}).of_ranges(["A", "B"], number, ["1"], tags, measured)
     np.testing.assert_allclose(found, distances, rtol=1e-12)
     expected = [(1e-4 - 2e-5 * d + 4e-6 * d * d) / 1.02**2 for d in (2.0, 7.0)]
     np.testing.assert_allclose(variances, [expected[0], 0.0, expected[1]], rtol=1e-12)
@@ -118,3 +128,44 @@ def test_ranges_of_a_folder_are_corrected_by_anchor(good):
     np.testing.assert_array_equal(after.values[~own], before.values[~own])
     assert (after.reported[own] > before.reported[own]).all()
     np.testing.assert_array_equal(after.reported[~own], before.reported[~own])
+
+
+def test_a_tag_adds_its_bias_and_an_unknown_one_its_uncertainty_at_calibrated_anchors_alone():
+    tags = {"1": TagCalibration(0.04, 0.01), "2": TagCalibration(-0.04, 0.02)}
+    calibration = Calibration(anchors={"A": replace(ANCHOR, covariance=np.zeros((2, 2)))}, tags=tags)
+    number, tag = np.array([0, 0, 0, 1]), np.array([0, 1, 2, 0])
+    found, variances = calibration.of_ranges(["A", "B"], number, ["1", "2", "3"], tag, np.full(4, 5.0))
+    np.testing.assert_allclose(found, [(5 - 0.19) / 1.02, (5 - 0.11) / 1.02, (5 - 0.15) / 1.02, 5.0])
+    np.testing.assert_allclose(np.sqrt(variances), [0.01 / 1.02, 0.02 / 1.02, TAG_SIGMA / 1.02, 0.0])
+
+
+def test_ranges_of_several_tags_on_one_body_have_the_bias_of_their_own_tag():
+    folder = simulate.tool(n=1, seed=0, rows=40).folder()
+    anchor = AnchorCalibration(np.zeros(2), np.zeros((2, 2)), np.zeros(2))
+    other = folder.tables["ranges"].with_columns(tag=pl.lit("other"), range_m=pl.col("range_m") + 0.5)
+    own = folder.tables["ranges"]["tag"][0]
+    both = pl.concat([folder.tables["ranges"], other]).sort("t_s", maintain_order=True)
+    rig = replace(folder.rig, tags={own: Tag(offset=np.zeros(3)), "other": Tag(offset=np.array([0.1, 0.0, 0.0]))})
+    calibration = Calibration(anchors=dict.fromkeys(rig.anchors, anchor), tags={"other": TagCalibration(0.5, 0.0)})
+    body = replace(folder, rig=rig, tables=folder.tables | {"ranges": both})
+    plain, found = (
+        {t.tag: t for t in inertial_trajectories(f, True)}[own].recording.readings[RANGES].values[:, 0]
+        for f in (body, body.calibrated(calibration))
+    )
+    differences, counts = np.unique(np.round(plain - found, 9), return_counts=True)
+    assert differences.tolist() == [0.0, 0.5]
+    assert counts[1] == len(other)
+
+
+def test_stations_and_anchors_that_moved_are_uncalibrated(good):
+    station, anchor = good.rig.stations["S1"], good.rig.anchors["A1"]
+    turned = Station(station.position, np.asarray(station.rotation) + [0.05, -0.05, 0.05, -0.05])
+    for mounted, place, left in (
+        (station, anchor, ["anchor A2", "anchor A3", "anchor A4", "station S2"]),
+        (replace(station, position=station.position + 0.5), anchor + 0.01, ["anchor A2", "station S1"]),
+        (turned, anchor + 0.2, ["anchor A1", "station S1"]),
+    ):
+        calibration = Calibration({"S1": replace(STATION, mounted=mounted)}, {"A1": replace(ANCHOR, position=place)})
+        assert set(left) <= set(good.calibrated(calibration).uncalibrated())
+    same = Calibration({"S1": replace(STATION, mounted=station)}, {"A1": replace(ANCHOR, position=anchor)})
+    assert not {"station S1", "anchor A1"} & set(good.calibrated(same).uncalibrated())

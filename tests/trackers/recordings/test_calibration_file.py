@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from trackers.core.errors import UnusableInput
-from trackers.recordings.calibration import AnchorCalibration, Calibration, StationCalibration
+from trackers.core.rig import Station
+from trackers.recordings.calibration import AnchorCalibration, Calibration, StationCalibration, TagCalibration
 from trackers.recordings.calibration_file import read_calibration, write_calibration
 
 _RNG = np.random.default_rng(0)
@@ -20,10 +21,20 @@ def _covariance(size):
 CALIBRATION = Calibration(
     {
         "S 1": StationCalibration(
-            _RNG.normal(size=(2, 4)), np.stack([_covariance(4)] * 2), np.array([[-1.0, 0.9], [-0.4, 0.3]]), 812
+            _RNG.normal(size=(2, 4)),
+            np.stack([_covariance(4)] * 2),
+            np.array([[-1.0, 0.9], [-0.4, 0.3]]),
+            812,
+            Station(np.array([0.0, 3.0, 2.3]), np.array([0.5, 0.5, 0.5, 0.5])),
+        ),
+        "S 2": StationCalibration(_RNG.normal(size=(2, 4)), np.zeros((2, 4, 4)), np.array([[-1.0, 0.9], [-0.4, 0.3]])),
+    },
+    {
+        "A": AnchorCalibration(
+            np.array([0.1, 0.01]), _covariance(2), np.array([0.4, 7.0]), 93, np.array([1.0, 2.0, 2.5])
         )
     },
-    {"A": AnchorCalibration(np.array([0.1, 0.01]), _covariance(2), np.array([0.4, 7.0]), 93)},
+    {"1": TagCalibration(0.03, 0.01, 40)},
     ("walk 1", "walk 2"),
 )
 
@@ -36,6 +47,12 @@ def path(tmp_path):
 def test_a_calibration_is_read_back_to_the_bit(path):
     found = read_calibration(path)
     assert found.recordings == CALIBRATION.recordings
+    assert found.tags == CALIBRATION.tags
+    np.testing.assert_array_equal(found.anchors["A"].position, CALIBRATION.anchors["A"].position)
+    station, other = found.stations["S 1"].mounted, CALIBRATION.stations["S 1"].mounted
+    np.testing.assert_array_equal(station.position, other.position)
+    np.testing.assert_array_equal(station.rotation, other.rotation)
+    assert found.stations["S 2"].mounted is None
     for kind, names in (
         ("stations", ("coefficients", "covariances", "spans")),
         ("anchors", ("coefficients", "covariance", "span")),
@@ -60,6 +77,9 @@ def test_a_calibration_is_read_back_to_the_bit(path):
         ("slope = 0.01", "slope = nan", "anchors.A.slope = nan, expected a finite number"),
         ("slope = 0.01", "slope = -1.5", "slope = -1.5, expected a number above -1"),
         ("slope = 0.01", 'slope = "0.01"', "slope = '0.01', expected a finite number"),
+        ("position_m = [\n    1.0", "position_m = [\n    nan", "anchors.A.position_m = [nan, 2.0, 2.5], expected 3 finite"),
+        ("position_m = [\n    0.0", "place_m = [\n    0.0", "[stations.S 1] has unknown key 'place_m'"),
+        ("standard_error_m = 0.01", "standard_error_m = -0.01", "standard_error_m = -0.01, expected a number of zero"),
         ("lowest_m = 0.4", "lowest_m = 9.0", "lowest_m = 9 is above highest_m = 7"),
         ('recordings = [\n', "recordings = [\n    3,\n", "expected a list of names"),
     ],

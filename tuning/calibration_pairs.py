@@ -1,0 +1,122 @@
+"""Measured and true values of stations and anchors, with the pieces of time and the places that share errors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from trackers.recordings.columns import TagRows
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.truth import TruthStatus
+
+PIECE_S, PIECE_M = 5.0, 1.0
+"""Least duration, s, and way, m, of a piece of time: errors of different pieces count as independent."""
+
+PLACE_M = 1.0
+"""Side of the squares of the floor, m, within which errors count as dependent."""
+
+MIN_ROWS = 20
+"""Least number of rows with truth of a station or anchor that is calibrated."""
+
+MOST_PIECES = 1_000_000
+"""More pieces than a recording has: pieces of different recordings have different numbers."""
+
+
+class Pairs(NamedTuple):
+    """Measured and true values of one station or anchor.
+
+    `true` and `measured` (N, 2) rad or (N, 1) m, NaN where not measured. `positions` (N, 3) m. `recording` (N,): the
+    number of each row's recording. `piece`, `place` (N,): numbers of its piece of time and of its square. `tag` (N,):
+    its id.
+    """
+
+    true: np.ndarray
+    measured: np.ndarray
+    positions: np.ndarray
+    recording: np.ndarray
+    piece: np.ndarray
+    place: np.ndarray
+    tag: np.ndarray
+
+
+def station_pairs(folders: Sequence[RecordingFolder]) -> dict[str, Pairs]:
+    """Measured and true angles by station, of the stations with enough rows."""
+    return _pairs(folders, "bearings", "station", ("azimuth_rad", "elevation_rad"))
+
+
+def anchor_pairs(folders: Sequence[RecordingFolder]) -> dict[str, Pairs]:
+    """Measured and true ranges by anchor, of the anchors with enough rows."""
+    return _pairs(folders, "ranges", "anchor", ("range_m",))
+
+
+def _pairs(folders: Sequence[RecordingFolder], table: str, source: str, columns: Sequence[str]) -> dict[str, Pairs]:
+    parts: dict[str, list[Pairs]] = {}
+    for number, folder in enumerate(folders):
+        if table in folder.tables:
+            for name, pairs in _of_folder(folder, number, table, source, columns):
+                parts.setdefault(name, []).append(pairs)
+    joined = {name: Pairs(*map(np.concatenate, zip(*own, strict=True))) for name, own in sorted(parts.items())}
+    return {name: pairs for name, pairs in joined.items() if np.isfinite(pairs.measured).sum(axis=0).max() >= MIN_ROWS}
+
+
+def _of_folder(
+    folder: RecordingFolder, number: int, table: str, source: str, columns: Sequence[str]
+) -> Iterator[tuple[str, Pairs]]:
+    """The pairs of each station or anchor of one recording."""
+    rows = folder.rows(table)
+    measured = rows.floats(columns)
+    positions, status = folder.paths.at(rows.tags, rows.starts, rows.times)
+    known = (status == TruthStatus.SCORED) & np.isfinite(positions).all(axis=1) & np.isfinite(measured).any(axis=1)
+    piece, place = _pieces(rows, positions, known) + MOST_PIECES * number, _places(positions)
+    tag = rows.of_each(np.array(rows.tags))
+    rig = folder.rig
+    ids = list(rig.stations) if source == "station" else sorted(rig.anchors)
+    codes = rows.codes(source, ids)
+    for code, name in enumerate(ids):
+        own = known & (codes == code)
+        if source == "station":
+            true = rig.stations[name].angles(positions[own])
+            # The difference of azimuths is wrapped, so that readings beyond half a turn stay near the true ones.
+            values = true + (measured[own] - true + np.pi) % (2 * np.pi) - np.pi
+        else:
+            true = np.linalg.norm(positions[own] - np.asarray(rig.anchors[name]), axis=1)[:, None]
+            values = np.where(measured[own] > 0.0, measured[own], np.nan)
+        yield name, Pairs(true, values, positions[own], np.full(own.sum(), number), piece[own], place[own], tag[own])
+
+
+def _pieces(rows: TagRows, positions: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """The number of each row's piece of time (N,): a new one after `PIECE_S` and `PIECE_M`, the same for all tags.
+
+    A tag that stands still stays in one piece, since the errors of its readings are those of one place.
+    """
+    piece = np.zeros(len(rows.times), int)
+    if not known.any():
+        return piece
+    # The way of the tag that moves most stands for all of them: tags on one body move together.
+    ways = []
+    for k in range(len(rows.tags)):
+        own = np.arange(rows.starts[k], rows.starts[k + 1])
+        own = own[known[own]]
+        if len(own) > 1:
+            ways.append((rows.times[own], np.append(0.0, np.cumsum(_steps(rows.times[own], positions[own])))))
+    if not ways:
+        return piece
+    times, way = max(ways, key=lambda one: one[1][-1])
+    begins, last = [times[0]], (times[0], 0.0)
+    for time, gone in zip(times, way, strict=True):
+        if time - last[0] >= PIECE_S and gone - last[1] >= PIECE_M:
+            begins.append(time)
+            last = (time, gone)
+    return np.searchsorted(np.array(begins), rows.times, side="right")
+
+
+def _steps(times: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(np.diff(positions, axis=0), axis=1)
+
+
+def _places(positions: np.ndarray) -> np.ndarray:
+    """The number of each row's square of the floor (N,)."""
+    x, y = np.floor(np.nan_to_num(positions[:, :2]) / PLACE_M).astype(int).T
+    return x * 100003 + y
