@@ -54,13 +54,14 @@ def read_with_notices(paths: Sequence[Path], calibration: Path | None = None) ->
     Raises UnusableInput as `read_recordings` and `read_calibration`.
     """
     recordings = read_recordings(paths)
-    if calibration is not None:
-        read = read_calibration(calibration)
-        recordings = [recording.calibrated(read) for recording in recordings]
+    read = None if calibration is None else read_calibration(calibration)
+    recordings = [recording.calibrated(read) for recording in recordings]
     for path, recording in zip(paths, recordings, strict=True):
         for text in recording.notices:
             notice(f"notice: {path}: {text}")
-        if calibration is not None and (lacking := recording.uncalibrated()):
+        if read is not None and recording.name in read.recordings:
+            notice(f"notice: {path}: is one of the recordings of {calibration}; errors of others are larger")
+        if read is not None and (lacking := recording.uncalibrated()):
             notice(f"notice: {path}: {listed(lacking)}: not in {calibration}, or moved since; used uncalibrated")
     return recordings
 

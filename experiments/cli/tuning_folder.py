@@ -54,7 +54,9 @@ def write_run(out: Path, data: FitData, result: FitResult, run: Run, compared: C
         compared.text().rstrip("\n"),
     ]
     command = shlex.join(["trackwright", *run.command[1:]])
+    calibration = run.options["calibration"]
     use = f"trackwright track … --noise {out / 'tuned.toml'}"
+    use += "" if calibration is None else f" --calibration {calibration}"
     request = Request(
         command=command,
         next_commands=(use, command),

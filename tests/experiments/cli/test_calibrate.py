@@ -83,6 +83,13 @@ def test_stations_that_the_calibration_lacks_are_named_in_one_notice(walks, tmp_
     assert line == f"notice: {there / '2'}: {names}: not in {path}, or moved since; used uncalibrated"
 
 
+def test_a_recording_of_the_calibration_is_named_in_a_notice(walks, tmp_path):
+    there, _, _ = walks
+    path = there / "site" / "calibration.toml"
+    said = trackwright("track", there / "1", "--tracker", "bearings", "--calibration", path, "--out", tmp_path)
+    assert f"notice: {there / '1'}: is one of the recordings of {path}; errors of others are larger" in said.err
+
+
 def test_an_output_that_is_no_toml_file_is_refused(walks, tmp_path):
     there, _, _ = walks
     for out in (tmp_path, tmp_path / "calibration", tmp_path / "calibration.html"):
