@@ -13,7 +13,7 @@ import numpy as np
 from experiments.plots.calibration import Panel, errors_over_floor, measured_against_true
 from experiments.reports.pages import page, write_page
 from experiments.reports.tables import rendered, ruled_table
-from experiments.reports.wording import MISSING, fixed
+from experiments.reports.wording import MISSING, counted, fixed
 from trackers.core.errors import UnusableInput
 from trackers.recordings.calibration import (
     ANGLE_TERMS,
@@ -118,7 +118,8 @@ def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> R
         tables[not source.is_angle].append([*head, *cells, str(int(np.isfinite(measured).sum())), *shown])
         lacking = [name for name, known in zip(names, determined, strict=True) if not known]
         if lacking:
-            undetermined.append((f"{source.name} {source.quantity}", ", ".join(lacking)))
+            word = f"station {source.name}, {source.quantity}" if source.is_angle else f"anchor {source.name}"
+            undetermined.append((word, ", ".join(lacking)))
     tags = [[name, _term(tag.bias, tag.sigma, True), str(tag.rows)] for name, tag in calibration.tags.items()]
     return Report(*tables, tags if len(tags) > 1 else [], undetermined, sources)
 
@@ -152,7 +153,7 @@ def _fit(calibration: Calibration, source: Source) -> tuple[np.ndarray, np.ndarr
 
 
 def _term(value: float, sigma: float, determined: bool) -> str:
-    text = f"{fixed(value, 3)} ± {fixed(sigma, 3)}"
+    text = f"{fixed(value, 3)}\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}{fixed(sigma, 3)}"
     return text if determined else f"({text})"
 
 
@@ -173,7 +174,7 @@ def report_text(report: Report) -> str:
 def draw_report(out: Path, calibration: Calibration, report: Report) -> list[str]:
     """Writes the figures beside the file `out`, with names that begin as its own; returns the names."""
     drawn = []
-    for kind, columns, angles in (("stations", 2, True), ("anchors", 4, False)):
+    for kind, columns, angles in (("stations", 2, True), ("anchors", 3, False)):
         panels = [_panel(calibration, source) for source in report.sources if source.is_angle == angles]
         panels = [panel for panel in panels if len(panel.true)][: 2 * SHOWN if angles else SHOWN]
         for draw, name, title in (
@@ -213,7 +214,7 @@ def write_calibration_report(
     figures = ["data:image/png;base64," + base64.b64encode(out.with_name(name).read_bytes()).decode() for name in drawn]
     text = page(
         "calibration.html",
-        title=f"Calibration on {', '.join(calibration.recordings)}",
+        title=f"Calibration on {counted(len(calibration.recordings), 'recording')}",
         recordings=calibration.recordings,
         angle_head=ANGLE_HEAD,
         range_head=RANGE_HEAD,

@@ -37,7 +37,7 @@ DETERMINED = 0.7
 LARGEST = np.array([np.pi, np.pi / 2])
 """The largest azimuth and elevation, rad."""
 
-_NEWTON_STEPS = 20
+_NEWTON_STEPS, _CONVERGED = 20, 1e-10
 
 
 def angle_terms(true: np.ndarray, spans: np.ndarray) -> np.ndarray:
@@ -215,5 +215,7 @@ def _true(measured: np.ndarray, coefficients: np.ndarray, spans: np.ndarray) -> 
         miss = measured - _measured(found, coefficients, spans)
         determinant = own[..., :1] * own[..., 1:] - other[..., :1] * other[..., 1:]
         step = (own[..., ::-1] * miss - other * miss[..., ::-1]) / determinant
-        found = np.clip(found + step, -LARGEST, LARGEST)
+        before, found = found, np.clip(found + step, -LARGEST, LARGEST)
+        if np.abs(found - before).max(initial=0.0) < _CONVERGED:
+            break
     return found

@@ -44,13 +44,13 @@ def test_the_file_the_page_and_the_figures_are_written(walks):
 def test_the_table_and_the_page_show_each_term_with_its_standard_error(walks):
     there, _, said = walks
     station = read_calibration(there / "site" / "calibration.toml").stations["north"]
-    gain = f"{station.coefficients[0, 1]:.3f} ± {np.sqrt(station.covariances[0, 1, 1]):.3f}"
+    gain = f"{station.coefficients[0, 1]:.3f} ± {np.sqrt(station.covariances[0, 1, 1]):.3f}".replace(" ", "\xa0")
     page = (there / "site" / "calibration.html").read_text("utf-8")
     assert gain in said.out
     assert gain in page
     assert page.count('<img src="data:image/png;base64,') == 4
     # A walk of 30 s determines no cubic term of elevations, which span half a radian.
-    assert "<li>north elevation: " in page
+    assert "<li>station north, elevation: " in page
     assert f"trackwright track RECORDING --calibration {there / 'site' / 'calibration.toml'}" in page.replace(
         "</span> <span>", " "
     )
