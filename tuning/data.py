@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from trackers.core.errors import UnusableInput
 from trackers.core.recording import Batch, Recording, stack
@@ -17,9 +19,11 @@ from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.named_tracker import NamedTracker, folder_list
 from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.tracks import batches
-from trackers.recordings.trajectories import Trajectory, segments, with_floor_truth
+from trackers.recordings.trajectories import Trajectories, Trajectory, segments, with_floor_truth
 from tuning.named_objectives import parse_objective
-from tuning.objectives import AbstractObjective
+from tuning.objectives import AbstractObjective, MissingQuantityError, StateLogLikelihood
+from tuning.problem import is_stochastic
+from tuning.weights import Weigh, trajectory_weights
 
 SEGMENT_ROWS = 8000
 """Rows of the segments that long recordings are cut into, which are fitted side by side."""
@@ -32,57 +36,108 @@ Arrays = Recording | Batch | Sequence[Recording] | Sequence[Batch]
 class FitData:
     """The trajectories of recording folders that a tracker is fitted to, those held out, and the objective.
 
-    `planar`: whether only the position over the floor is estimated.
+    `named`: the objective's name. `planar`: whether only the position over the floor is estimated. `dimensions`: the
+    components of a position that the objective judges. `unused`: recordings without the truth that it needs.
     """
 
     tracker: AbstractTracker
     objective: AbstractObjective
+    named: str
     planar: bool
+    dimensions: int
     training: list[Trajectory]
     held_out: list[Trajectory]
+    weigh: Weigh
+    unused: tuple[str, ...] = ()
 
     def rows(self, held_out: bool = False) -> list[Batch]:
         """The rows of the trajectories to fit to, or of those held out, as a fit takes them."""
-        trajectories = self.held_out if held_out else self.training
-        return [batch for _, batch in batches(trajectories)] if trajectories else []
+        return [batch for _, batch in (self._held_out_groups if held_out else self._training_groups)]
+
+    def weights(self, held_out: bool = False) -> list[Float[np.ndarray, " B"]]:
+        """The weight of each trajectory of `rows`."""
+        groups = self._held_out_groups if held_out else self._training_groups
+        names = [[folder.name for folder in own.folders] for own, _ in groups]
+        return trajectory_weights([batch for _, batch in groups], names, self.weigh, self.objective.needs_truth)
+
+    @cached_property
+    def _training_groups(self) -> list[tuple[Trajectories, Batch]]:
+        return batches(self.training)
+
+    @cached_property
+    def _held_out_groups(self) -> list[tuple[Trajectories, Batch]]:
+        return batches(self.held_out) if self.held_out else []
 
 
 def fit_data(
     batch: TrackerBatch,
-    objective: str | AbstractObjective,
+    objective: str | AbstractObjective | None,
     held_out: Sequence[RecordingFolder] = (),
     segment_rows: int = SEGMENT_ROWS,
+    dimensions: int = 2,
+    weigh: Weigh = "recordings",
 ) -> FitData:
     """The data of a fit to the trajectories of one tracker, cut into segments; `held_out`: folders not fitted to.
 
-    Raises UnusableInput for an objective that is not known, or that needs truth where there is none.
+    `objective`: None for `state-nll` where there is truth that it can judge, else `nll`. `dimensions`: 3 to judge the
+    height too, where it is estimated. Raises UnusableInput for an objective that is not known, or that needs truth
+    where there is none.
     """
     whole: Sequence[Trajectory] = batch.trajectories
     quantity = next(iter(whole[0].recording.truth))
-    floor = quantity == "direction" or batch.planar
+    floor = quantity == "direction" or batch.planar or dimensions == 2
     if quantity == "position" and floor:
         whole = _over_the_floor(whole)
     trajectories = [segment for trajectory in whole for segment in segments(trajectory, segment_rows)]
+    apart = {folder.name for folder in held_out}
+    known = [bool(trajectory.recording.truth[quantity][1].any()) for trajectory in trajectories]
+    if objective is None:
+        with_truth = {t.folder.name for t, has in zip(trajectories, known, strict=True) if has}
+        enough = bool(with_truth - apart) and (not apart or bool(with_truth & apart))
+        objective = _default_objective(batch, trajectories, quantity) if enough else "nll"
     goal = _objective(objective, batch.tracker, quantity, 2 if floor else 3)
     if goal.needs_truth and batch.planar and trajectories[0].station:
         raise UnusableInput(
             f"objective {objective}: azimuth and elevation of a tag in a flat array's own plane are singular; "
             "expected a tag above or below it; use the objective nll"
         )
-    apart = {folder.name for folder in held_out}
     parts: tuple[list[Trajectory], list[Trajectory]] = ([], [])
-    for trajectory in trajectories:
-        if not goal.needs_truth or trajectory.recording.truth[quantity][1].any():
+    for trajectory, has_truth in zip(trajectories, known, strict=True):
+        if not goal.needs_truth or has_truth:
             parts[trajectory.folder.name in apart].append(trajectory)
     for part, wanted, where in zip(parts, (True, bool(apart)), ("these recordings", "those held out"), strict=True):
         if wanted and not part:
             if not floor and any(t.recording.truth["position"][1].any() for t in _over_the_floor(whole)):
                 raise UnusableInput(
-                    f"objective {objective} needs truth with z_m, since the height is estimated, and {where} have x_m "
-                    "and y_m alone; give height_m of the tags in rig.toml, or use the objective nll"
+                    f"objective {objective} in three dimensions needs truth with z_m, and {where} have x_m and y_m "
+                    "alone; judge two dimensions (--dimensions 2), or use the objective nll"
                 )
             raise UnusableInput(f"objective {objective} needs truth, and {where} have none; use the objective nll")
-    return FitData(batch.tracker, goal, batch.planar, *parts)
+    used = {trajectory.folder.name for part in parts for trajectory in part}
+    unused = tuple(dict.fromkeys(t.folder.name for t in trajectories if t.folder.name not in used))
+    name = objective if isinstance(objective, str) else type(objective).__name__
+    return FitData(batch.tracker, goal, name, batch.planar, 2 if floor else 3, *parts, weigh, unused)
+
+
+def _default_objective(batch: TrackerBatch, trajectories: Sequence[Trajectory], quantity: str) -> str:
+    """`state-nll` where the tracker reports a covariance of the true quantity, else `nll`.
+
+    A particle filter has no gradient of the first, and a direction in a flat array's own plane is singular.
+    """
+    if is_stochastic(batch.tracker) or (batch.planar and trajectories[0].station):
+        return "nll"
+    return "state-nll" if _judged(batch.tracker, stack([trajectories[0].recording]), quantity) else "nll"
+
+
+def _judged(tracker: AbstractTracker, batch: Batch, quantity: str) -> bool:
+    """Whether the tracker estimates the quantity with a covariance."""
+    first = batch.rows(slice(0, 2)).columns(0, 1)
+    try:
+        goal = StateLogLikelihood(quantity, min(2, len(first.truth[quantity][0])))
+        jax.eval_shape(lambda: tracker.accumulate(first, goal.terms))
+    except MissingQuantityError:
+        return False
+    return True
 
 
 def _over_the_floor(trajectories: Sequence[Trajectory]) -> list[Trajectory]:
@@ -91,18 +146,33 @@ def _over_the_floor(trajectories: Sequence[Trajectory]) -> list[Trajectory]:
 
 
 class FitArrays(NamedTuple):
-    """A tracker, the batches to fit it to and to hold out, and the objective: what the optimisation works on."""
+    """A tracker, the batches to fit it to and to hold out with their weights, and the objective."""
 
     tracker: AbstractTracker
     training: list[Batch]
     held_out: list[Batch]
     objective: AbstractObjective
+    weights: list[Float[np.ndarray, " B"]]
+    held_out_weights: list[Float[np.ndarray, " B"]]
+
+    @classmethod
+    def of(cls, data: FitData) -> FitArrays:
+        """The arrays of recording folders."""
+        weights = (data.weights(), data.weights(held_out=True))
+        return cls(data.tracker, data.rows(), data.rows(held_out=True), data.objective, *weights)
 
 
 def fit_arrays(
-    tracker: AbstractTracker | NamedTracker, recordings: Any, objective: str | AbstractObjective, held_out: Any
+    tracker: AbstractTracker | NamedTracker,
+    recordings: Any,
+    objective: str | AbstractObjective | None,
+    held_out: Any,
+    dimensions: int = 2,
+    weigh: Weigh = "recordings",
 ) -> FitArrays:
     """Tracker, batches and objective of a fit, from what `tuning.fit` takes; raises UnusableInput, a ValueError."""
+    if isinstance(recordings, FitData):
+        return FitArrays.of(recordings)
     if isinstance(tracker, NamedTracker):
         if tracker.smoothed:
             raise UnusableInput(
@@ -110,8 +180,8 @@ def fit_arrays(
             )
         training = folder_list(recordings)
         apart = folder_list(held_out) if held_out != () else []
-        data = fit_data(tracker.only_batch([*training, *apart]), objective, apart)
-        return FitArrays(data.tracker, data.rows(), data.rows(held_out=True), data.objective)
+        batch = tracker.only_batch([*training, *apart])
+        return FitArrays.of(fit_data(batch, objective, apart, dimensions=dimensions, weigh=weigh))
     if not isinstance(tracker, AbstractTracker):
         raise UnusableInput(
             f"fit: found {type(tracker).__name__} for the tracker; expected a tracker of arrays or by name; usual fix: "
@@ -119,8 +189,15 @@ def fit_arrays(
         )
     batches = _batches(tracker, recordings)
     apart_batches = [] if isinstance(held_out, (tuple, list)) and not held_out else _batches(tracker, held_out)
-    goal = _array_objective(objective, tracker, batches, apart_batches)
-    return FitArrays(tracker, batches, apart_batches, goal)
+    goal = _array_objective(objective, tracker, batches, apart_batches, dimensions)
+    weights = [_array_weights(rows, weigh, goal.needs_truth) for rows in (batches, apart_batches)]
+    return FitArrays(tracker, batches, apart_batches, goal, *weights)
+
+
+def _array_weights(rows: Sequence[Batch], weigh: Weigh, needs_truth: bool) -> list[Float[np.ndarray, " B"]]:
+    """The weights of trajectories in arrays, each of which is a recording."""
+    names = [[f"{k} {n}" for n in range(batch.size)] for k, batch in enumerate(rows)]
+    return trajectory_weights(rows, names, weigh, needs_truth)
 
 
 def _batches(tracker: AbstractTracker, recordings: Arrays) -> list[Batch]:
@@ -139,7 +216,7 @@ def _batches(tracker: AbstractTracker, recordings: Arrays) -> list[Batch]:
 
 def _check_truth(objective: str | AbstractObjective, batches: Sequence[Batch], where: str) -> None:
     """Raises UnusableInput for batches without any row whose truth is known."""
-    if batches and not any(np.any(known) for batch in batches for _, known in batch.truth.values()):
+    if batches and not _has_truth(batches):
         name = objective if isinstance(objective, str) else type(objective).__name__
         raise UnusableInput(
             f"fit: {where} have no known truth; expected some, which the objective {name} needs; usual fix: `truth=` "
@@ -147,14 +224,26 @@ def _check_truth(objective: str | AbstractObjective, batches: Sequence[Batch], w
         )
 
 
+def _has_truth(batches: Sequence[Batch]) -> bool:
+    return any(bool(np.any(known)) for batch in batches for _, known in batch.truth.values())
+
+
 def _array_objective(
-    objective: str | AbstractObjective, tracker: AbstractTracker, rows: Sequence[Batch], apart: Sequence[Batch]
+    objective: str | AbstractObjective | None,
+    tracker: AbstractTracker,
+    rows: Sequence[Batch],
+    apart: Sequence[Batch],
+    dimensions: int,
 ) -> AbstractObjective:
-    """The objective for recordings in arrays: by name of the quantity of their truth, in the state's dimensions.
+    """The objective for recordings in arrays: by name of the quantity of their truth, in so many dimensions.
 
     Raises UnusableInput for an unknown name, and where truth is needed and there is none in `rows` or `apart`.
     """
     quantity = next(iter(rows[0].truth), "position")
+    if objective is None:
+        known = all(_has_truth(part) for part in (rows, apart) if part)
+        judged = known and not is_stochastic(tracker) and _judged(tracker, rows[0], quantity)
+        objective = "state-nll" if judged else "nll"
     goal = _objective(objective, tracker, quantity, 2)
     if goal.needs_truth:
         _check_truth(objective, rows, "the recordings")
@@ -163,8 +252,8 @@ def _array_objective(
         return goal
     first = rows[0].rows(slice(0, 2)).columns(0, 1)
     mean = jax.eval_shape(lambda: tracker.scan(first)[0]).mean
-    dimensions = len(jax.tree_util.tree_leaves(getattr(mean, quantity, ()))) or 2
-    return _objective(objective, tracker, quantity, dimensions)
+    estimated = len(jax.tree_util.tree_leaves(getattr(mean, quantity, ()))) or 2
+    return _objective(objective, tracker, quantity, min(dimensions, estimated))
 
 
 def _objective(

@@ -15,15 +15,17 @@ from trackers.core.chunks import CHUNK
 from trackers.core.tracker import AbstractTracker
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.named_tracker import NamedTracker
-from tuning.data import Arrays, fit_arrays
+from tuning.data import Arrays, FitData, fit_arrays
 from tuning.objectives import AbstractObjective
 from tuning.optimisation import FitState, MultiStart, from_arrays, min_gain
 from tuning.optimisers import LBFGS, AbstractOptimiser, Adam
+from tuning.optimum import Optimum, optimum
 from tuning.parameters import Parameter, flatten, limits, physical, select_parameters, with_parameters
 from tuning.priors import Prior
 from tuning.problem import Evaluation, Problem
 from tuning.starts import initial_state
-from tuning.uncertainty import Optimum, Uncertainty, determined, optimum, uncertainty_at, unidentifiable
+from tuning.uncertainty import Uncertainty, determined, uncertainty_at, unidentifiable
+from tuning.weights import Weigh
 
 AnyTracker = TypeVar("AnyTracker", bound="AbstractTracker | NamedTracker")
 
@@ -84,8 +86,8 @@ class FitResult(Generic[AnyTracker]):
 
 def fit(
     tracker: AnyTracker,
-    recordings: Arrays | RecordingFolder | Sequence[RecordingFolder],
-    objective: str | AbstractObjective,
+    recordings: Arrays | FitData | RecordingFolder | Sequence[RecordingFolder],
+    objective: str | AbstractObjective | None = None,
     tune: str | Sequence[str] = "*.sigma_*",
     *,
     frozen: Sequence[str] = (),
@@ -94,6 +96,8 @@ def fit(
     steps: int = 60,
     starts: int = 1,
     held_out: Arrays | RecordingFolder | Sequence[RecordingFolder] = (),
+    dimensions: int = 2,
+    weigh: Weigh = "recordings",
     minibatch: int | None = None,
     priors: Sequence[Prior] = (),
     guesses: Sequence[AbstractTracker] = (),
@@ -105,26 +109,29 @@ def fit(
     """The tracker with the tunables matching `tune` (shell patterns) fitted to minimise the objective.
 
     `tracker`, `recordings`: a tracker by name with recording folders, or a tracker with recordings in arrays: one,
-    several, or batches. `objective`: an object, or its name as on the command line (`nll`, `rmse`, `state-nll`, ...).
-    `frozen`: patterns of tunables to keep. `bounds`: lowest and highest physical value by pattern. `optimiser`:
-    default `LBFGS` for likelihoods, `Adam` for particle filters, minibatches and other objectives. `starts`: number of
-    starts: the tracker's own values, then the best of the `guesses` and of a coarse grid. `held_out`: recordings that
-    select the best point and end the fit. `minibatch`: trajectories per step. `priors`: for likelihoods only. `report`
-    is called with the state after every step; `resume`: the arrays of such a state (`tuning.optimisation.to_arrays`),
-    with bit-identical results.
+    several, or batches. `objective`: an object, or its name as on the command line (`nll`, `rmse`, `state-nll`, ...);
+    default `state-nll` where there is truth and no prior, else `nll`. `dimensions`: 3 to judge an estimated height too.
+    `weigh`: whether each recording (in arrays: trajectory) or each row has the same say. `frozen`: patterns of tunables
+    to keep. `bounds`: lowest and highest physical value by pattern. `optimiser`: default `LBFGS` for likelihoods,
+    `Adam` for particle filters, minibatches and other objectives. `starts`: number of starts: the tracker's own values,
+    then the best of the `guesses` and of a coarse grid. `held_out`: recordings that select the best point and end the
+    fit. `minibatch`: trajectories per step. `priors`: for likelihoods only. `report` is called with the state after
+    every step; `resume`: the arrays of such a state (`tuning.optimisation.to_arrays`), with bit-identical results.
 
     A step to a non-finite objective, or with `LBFGS` to a higher one, is shortened; a likelihood ends with a few Newton
     steps. The result is the best point met, never worse than the start; an interrupt (Ctrl-C) ends the fit there.
     Raises ValueError for patterns that match nothing or can't be tied, for empty bounds and for priors without a
     likelihood; FloatingPointError where the objective is not finite at the first start.
     """
-    model, batches, apart, objective = fit_arrays(tracker, recordings, objective, held_out)
+    objective = "nll" if objective is None and priors else objective
+    data = fit_arrays(tracker, recordings, objective, held_out, dimensions, weigh)
+    model, batches, apart, objective = data.tracker, data.training, data.held_out, data.objective
     parameters = select_parameters(model, tune, frozen)
     if priors and not objective.is_likelihood:
         raise ValueError("priors need a likelihood as objective; give bounds with another one")
     trajectories = chunk if minibatch is None else min(chunk, minibatch)
-    problem = Problem(model, batches, objective, parameters, trajectories, priors)
-    scoring = Problem(model, apart, objective, parameters, chunk) if apart else None
+    problem = Problem(model, batches, objective, parameters, trajectories, priors, data.weights)
+    scoring = Problem(model, apart, objective, parameters, chunk, (), data.held_out_weights) if apart else None
     low, high = limits(parameters, bounds or {})
     # Errors are discontinuous where a track is nearly lost, and a line search ends there; Adam steps over.
     smooth = objective.is_likelihood and minibatch is None and not problem.stochastic

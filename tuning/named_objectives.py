@@ -10,6 +10,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from trackers.core.chunks import CHUNK, as_dtype, chunks, run_chunks
 from trackers.core.recording import Batch
@@ -23,6 +24,7 @@ from tuning.objectives import (
     Weighted,
 )
 from tuning.pit_uniformity import PITUniformity
+from tuning.weights import by_chunks
 
 OBJECTIVES: Mapping[str, Callable[[str, int], AbstractObjective]] = MappingProxyType(
     {
@@ -71,8 +73,9 @@ def all_metrics(
     quantity: str = "position",
     dimensions: int = 2,
     chunk: int = CHUNK,
+    weights: Sequence[Float[np.ndarray, " B"]] | None = None,
 ) -> dict[str, float]:
-    """All objectives of a tracker over batches by name, in one pass.
+    """All objectives of a tracker over batches by name, in one pass; `weights`: of the trajectories of each batch.
 
     `rmse` of a position is horizontal, `rmse-3d` in space. NaN without truth or covariance. Each metric is over
     the trajectories for which it is finite.
@@ -80,20 +83,26 @@ def all_metrics(
     batches = [batches] if isinstance(batches, Batch) else list(batches)
     objectives = _available(tracker, batches, quantity, dimensions)
     try:
-        metrics = _evaluated(tracker, batches, objectives, chunk)
+        metrics = _evaluated(tracker, batches, objectives, chunk, weights)
     except MissingQuantityError:
         without_truth = {name: objective for name, objective in objectives.items() if not objective.needs_truth}
-        metrics = _evaluated(tracker, batches, without_truth, chunk)
+        metrics = _evaluated(tracker, batches, without_truth, chunk, weights)
     return dict.fromkeys([*OBJECTIVES, "rmse-3d"], math.nan) | metrics
 
 
 def _evaluated(
-    tracker: AbstractTracker, batches: Sequence[Batch], objectives: Mapping[str, AbstractObjective], chunk: int
+    tracker: AbstractTracker,
+    batches: Sequence[Batch],
+    objectives: Mapping[str, AbstractObjective],
+    chunk: int,
+    weights: Sequence[Float[np.ndarray, " B"]] | None,
 ) -> dict[str, float]:
     together = Weighted(tuple(objectives.values()), (1.0,) * len(objectives)).for_tracker(tracker)
     model = as_dtype((tracker, together), batches[0].dt.dtype)
-    parts = run_chunks(_sums, [(model, part) for batch in batches for part in chunks(batch, chunk)])
+    by_batch = [list(chunks(batch, chunk)) for batch in batches]
+    parts = run_chunks(_sums, [(model, part) for chunked in by_batch for part in chunked])
     sums = np.concatenate([np.asarray(part, float) for part in parts], axis=-1)
+    sums *= by_chunks(weights, batches, by_batch)
     metrics = {}
     for name, objective, own in zip(objectives, together.parts, together.split(sums), strict=True):
         total = own[:, np.isfinite(own).all(axis=0)].sum(axis=-1)

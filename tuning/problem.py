@@ -20,6 +20,7 @@ from tuning.objectives import AbstractObjective
 from tuning.parameters import Parameter
 from tuning.point import Point, plain_rows, plain_sums, row_terms, term_sums
 from tuning.priors import Penalty, Prior, penalty
+from tuning.weights import by_chunks
 
 Vectors = Float[np.ndarray, "*S p"]
 Terms = Float[np.ndarray, "many k n"]
@@ -38,8 +39,8 @@ class Evaluation(NamedTuple):
 
     `used` (S, n): the trajectories that count at each vector. `values` (S,), `gradients` (S, p): the objective over
     these and its derivatives; `sums` (S, k). `terms` (S, k, n), `term_gradients` (S, k, p, n): each trajectory's part
-    of the sums and its derivatives, not finite where a filter diverged. `filter_runs`: trajectories filtered, once per
-    vector.
+    of the sums, times its weight, and its derivatives, not finite where a filter diverged. `filter_runs`: trajectories
+    filtered, once per vector.
     """
 
     values: Float[np.ndarray, " S"]
@@ -65,7 +66,8 @@ class Evaluation(NamedTuple):
 class Problem:
     """The objective of a tracker over batches as a function of unconstrained vectors, compiled once per shape.
 
-    `priors`: added to a likelihood.
+    `priors`: added to a likelihood. `weights`: of the trajectories of each batch, default 1; the terms of a trajectory
+    and their derivatives are multiplied by its weight.
 
     A filter on the verge of losing a track has derivatives without bound, which would dominate all others. So
     `evaluate` leaves such a trajectory out of value and gradient alike, besides those that are not finite: its gradient
@@ -82,12 +84,15 @@ class Problem:
         parameters: Sequence[Parameter],
         chunk: int = CHUNK,
         priors: Sequence[Prior] = (),
+        weights: Sequence[Float[np.ndarray, " B"]] | None = None,
     ):
         self.priors = tuple(priors)
         self.objective, self.parameters = objective.for_tracker(tracker), list(parameters)
         self.dtype = batches[0].dt.dtype
         self.tracker = as_dtype(tracker, self.dtype)
-        self.chunks = [part for batch in batches for part in chunks(batch, chunk)]
+        by_batch = [list(chunks(batch, chunk)) for batch in batches]
+        self.chunks = [part for parts in by_batch for part in parts]
+        self.weights = by_chunks(weights, batches, by_batch)
         self.valid = np.concatenate([np.asarray(part.valid).any(axis=0) for part in self.chunks])
         trajectories = max(part.size for part in self.chunks)
         # As many vectors as keep a compiled call about as large as a full chunk. Few trajectories gain nothing by more
@@ -106,13 +111,14 @@ class Problem:
     ) -> Evaluation:
         """The objective and its gradient at vectors (S, p), over the trajectories that are usable there.
 
-        `weights` (n,) or (S, n): multiplicity of each trajectory. `subset`: indices of the chunks, default all.
-        `realisation`: number of the random draws, where the tracker uses any.
+        `weights` (n,) or (S, n): multiplicity of each trajectory, besides its own weight. `subset`: indices of the
+        chunks, default all. `realisation`: number of the random draws, where the tracker uses any.
         """
         found = self._run(row_terms if self.few else term_sums, vectors, subset, realisation)
         terms, term_gradients = (np.concatenate(xs, axis=-1) for xs in zip(*found, strict=True))
         used = np.isfinite(terms).all(axis=1) & np.stack([_usable(x) for x in term_gradients])
         used &= self._valid(subset)
+        terms, term_gradients = self._weighted(terms, subset), self._weighted(term_gradients, subset)
         count = used if weights is None else used * np.atleast_2d(np.asarray(weights, float))
         sums = weighted_sum(terms, count)
         values, by_sum = (np.asarray(x, float) for x in value_and_gradient(self.objective, jnp.asarray(sums)))
@@ -154,7 +160,7 @@ class Problem:
     def terms(self, vectors: Vectors, realisation: int = 0) -> Terms:
         """Each trajectory's part of the sums (S, k, n), without derivatives."""
         function = plain_rows if self.few else plain_sums
-        return np.concatenate([t for (t,) in self._run(function, vectors, None, realisation)], axis=-1)
+        return self._weighted(np.concatenate([t for (t,) in self._run(function, vectors, None, realisation)], axis=-1))
 
     def values_of(self, sums: Float[np.ndarray, "S k"]) -> Float[np.ndarray, " S"]:
         """The objective (S,) of sums (S, k), without priors."""
@@ -205,10 +211,17 @@ class Problem:
         return self.n_trajectories(subset) / self.n_trajectories()
 
     def _valid(self, subset: Sequence[int] | None) -> Bool[np.ndarray, " n"]:
+        return self._of_chunks(self.valid, subset)
+
+    def _weighted(self, terms: np.ndarray, subset: Sequence[int] | None = None) -> np.ndarray:
+        return terms * self._of_chunks(self.weights, subset)
+
+    def _of_chunks(self, values: np.ndarray, subset: Sequence[int] | None) -> np.ndarray:
+        """The part of values by trajectory that belongs to a subset of the chunks."""
         if subset is None:
-            return self.valid
+            return values
         starts = np.cumsum([0, *(part.size for part in self.chunks)])
-        return np.concatenate([self.valid[starts[k] : starts[k + 1]] for k in subset])
+        return np.concatenate([values[starts[k] : starts[k + 1]] for k in subset])
 
 
 def is_stochastic(tracker: AbstractTracker) -> bool:

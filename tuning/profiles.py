@@ -10,9 +10,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.special import chdtri
 
+from tuning.optimum import Optimum
 from tuning.parameters import Parameter, physical, physical_vector
 from tuning.problem import Problem
-from tuning.uncertainty import Optimum, determined
+from tuning.uncertainty import determined
 
 HALF_WIDTH = 3.5
 """Half width of a profile in standard deviations, where the likelihood of a normal shape has fallen by 6 nats."""
@@ -33,7 +34,8 @@ class Profile:
 
     `raw`, `values` (G,): unconstrained and physical values. `rise` (G,): above the optimum, nats. `low`, `high`: the
     physical interval of the given level, where the rise is below half the chi-square quantile of one degree of freedom
-    (Wilks 1938); infinite (or the end of the possible range) where the profile doesn't rise so far.
+    (Wilks 1938), stretched where trajectories have weights; infinite (or the end of the possible range) where the
+    profile doesn't rise so far.
     """
 
     raw: Float[np.ndarray, " G"]
@@ -64,7 +66,8 @@ def profile(
     along = found.hessian[component]
     _, inner, _ = determined(found.hessian, others)
     curvature = found.nats_per_unit * (found.hessian[component, component] - along @ inner @ along)
-    half_width = min(HALF_WIDTH / np.sqrt(curvature), MAX_HALF_WIDTH) if curvature > 0 else MAX_HALF_WIDTH
+    stretch = _stretch(found, others, component)
+    half_width = min(HALF_WIDTH * np.sqrt(stretch / curvature), MAX_HALF_WIDTH) if curvature > 0 else MAX_HALF_WIDTH
     # An odd number of points has the optimum itself among them.
     offsets = np.linspace(-half_width, half_width, points + 1 - points % 2)
     vectors = np.tile(found.vector, (len(offsets), 1))
@@ -72,11 +75,20 @@ def profile(
     vectors -= offsets[:, None] * (inner @ along)
     refitted = refit(problem, vectors, found.hessian, others, found.used.astype(float), ROUNDS)
     rise = found.nats_per_unit * (refitted.values - min(found.value, np.nanmin(refitted.values)))
-    ends = _crossings(offsets, rise, 0.5 * float(chdtri(1, 1 - level)))
+    ends = _crossings(offsets, rise, 0.5 * stretch * float(chdtri(1, 1 - level)))
     edge = [_physical(problem.parameters, found.vector, component, x) for x in ends]
     raw = found.vector[component] + offsets
     values = np.array([_physical(problem.parameters, found.vector, component, x) for x in offsets])
     return Profile(raw, values, rise, *edge)
+
+
+def _stretch(found: Optimum, others: Bool[np.ndarray, " p"], component: int) -> float:
+    """The factor of the chi-square quantile where trajectories have weights (Rotnitzky & Jewell 1990); 1 without."""
+    free = others.copy()
+    free[component] = True
+    _, inverse, _ = determined(found.hessian, free)
+    own, weighted = inverse[component, component], found.weighted(inverse)[component, component]
+    return float(weighted / own) if found.squared is not None and own > 0 and weighted > 0 else 1.0
 
 
 class Refitted(NamedTuple):

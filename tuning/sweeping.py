@@ -92,16 +92,19 @@ def sweep(
     repeats: int = 1,
     chunk: int = CHUNK,
     report: Callable[[int], None] = lambda points: None,
+    weights: Sequence[Float[np.ndarray, " B"]] | None = None,
 ) -> Sweep:
     """The objective on the grid spanned by `over`: one or two patterns of tunables with their values.
 
     All matches of a pattern are tied. A particle filter runs `repeats` times with other random numbers, any other
-    tracker once. `report` gets the number of grid points done since the last call. Raises ValueError for a pattern
+    tracker once. `report` gets the number of grid points done since the last call. `weights`: of the
+    trajectories of each batch, default 1. Raises ValueError for a pattern
     without match or whose matches can't be tied, for values outside a constraint, and for more than two patterns.
     """
     parameters = swept_parameters(tracker, list(over))
     grids = [np.asarray(values, float) for values in over.values()]
-    problem = Problem(tracker, [batches] if isinstance(batches, Batch) else batches, objective, parameters, chunk)
+    rows = [batches] if isinstance(batches, Batch) else batches
+    problem = Problem(tracker, rows, objective, parameters, chunk, weights=weights)
     points = grid_vectors(parameters, grids)
     repeats = repeats if problem.stochastic else 1
     values = np.stack([comparable_values(problem, points, repeat, report) for repeat in range(repeats)])

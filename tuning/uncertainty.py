@@ -3,33 +3,28 @@
     f  the objective        H  its Hessian with respect to the unconstrained vector        u  nats per unit of f
     ψ_n  derivative of the gradient of f with respect to the weight of trajectory n (its influence)
 
-Observed information: (uH)⁻¹, valid for a likelihood of a true model. Sandwich: H⁻¹ J H⁻¹ with J the scatter of the
-ψ_n, valid for any objective and a wrong model (Huber 1967). J is over trajectories where there are many; of a
-likelihood with few, over blocks of rows, and too small if errors are correlated over longer than a block. Where all ψ_n
-vanish, as at a point of symmetry, J vanishes too; so the reported interval is the wider of the two.
+Observed information: (uH)⁻¹, valid for a likelihood of a true model; where trajectories have weights w_n, of which
+H = Σ w_n H_n is the sum, H⁻¹ (Σ w_n² H_n) H⁻¹ / u (Lindsay 1988). Sandwich: H⁻¹ J H⁻¹ with J the scatter of the ψ_n,
+valid for any objective and a wrong model (Huber 1967). J is over trajectories where there are many; of a likelihood
+with few, over blocks of rows, and too small if errors are correlated over longer than a block. Where all ψ_n vanish, as
+at a point of symmetry, J vanishes too; so the reported interval is the wider of the two.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.special import ndtri, stdtrit
 
 from trackers.core.tunable import Covariance
-from tuning.objectives import AbstractObjective
+from tuning.optimum import Optimum, optimum
 from tuning.parameters import Parameter, physical, physical_errors
-from tuning.problem import Evaluation, Problem, value_and_gradient
+from tuning.problem import Problem
 from tuning.row_information import row_information
-
-STEP = 0.02
-"""Step of the central differences in unconstrained coordinates: 2 % of a noise level."""
 
 MIN_CURVATURE = 1e-5
 """Curvature of a direction, relative to the largest, below which it is undetermined: rounding."""
@@ -51,22 +46,6 @@ MIN_SLOPE_NATS = 1.0
 
 By = Literal["curvature", "scatter", "either"]
 """Source of an interval: the observed information, the sandwich, or the wider of the two."""
-
-
-class Optimum(NamedTuple):
-    """Quadratic model of the objective: vector (p,), value, gradient (p,), H (p, p), ψ (n, p), u (NaN: no likelihood).
-
-    `used`: which of all trajectories are the n that count. `evaluation`: at the vector itself.
-    """
-
-    vector: Float[np.ndarray, " p"]
-    value: float
-    gradient: Float[np.ndarray, " p"]
-    hessian: Float[np.ndarray, "p p"]
-    influence: Float[np.ndarray, "n p"]
-    nats_per_unit: float
-    used: Bool[np.ndarray, " all"]
-    evaluation: Evaluation
 
 
 @dataclass(frozen=True)
@@ -160,10 +139,11 @@ def uncertainty_at(problem: Problem, found: Optimum, at_bound: Bool[np.ndarray, 
     at_bound = np.zeros(len(found.vector), bool) if at_bound is None else at_bound
     scatter, clusters = _scatter(problem, found)
     if problem.stochastic:
-        found = found._replace(hessian=found.nats_per_unit * scatter)
+        found = _by_scatter(problem, found, scatter)
     missing, inverse, undetermined = determined(found.hessian, ~at_bound)
     undetermined &= ~unused(problem.parameters)
-    observed = inverse / found.nats_per_unit if np.isfinite(found.nats_per_unit) else np.full(inverse.shape, np.nan)
+    # NaN for an objective that is no likelihood
+    observed = found.weighted(inverse) / found.nats_per_unit
     sandwich = inverse @ scatter @ inverse
     # The gradient of a particle filter is noisy and does not locate the optimum.
     distance = 0.0 if problem.stochastic else _distance(inverse @ found.gradient, _larger_sigmas(observed, sandwich))
@@ -196,46 +176,18 @@ def _scatter(problem: Problem, found: Optimum) -> tuple[Float[np.ndarray, "p p"]
     rows = np.concatenate([np.asarray(part.valid).sum(axis=0) for part in problem.chunks])
     block = max(1, -(-int(rows.sum()) // BLOCKS))
     by_trajectory = row_information(problem, found.vector[None], block).information[0]
-    information = np.where(found.used, by_trajectory, 0.0).sum(axis=-1)
+    information = np.where(found.used, by_trajectory * problem.weights**2, 0.0).sum(axis=-1)
     return information / found.nats_per_unit**2, int(np.sum(-(-rows[found.used] // block)))
 
 
-def optimum(problem: Problem, vector: Float[np.ndarray, " p"]) -> Optimum:
-    """The quadratic model of the objective at a vector (p,), by central differences of gradients.
-
-    Only trajectories usable at all of the vectors count, so that all differences are of the same function.
-    """
-    vector = np.asarray(vector, float)
-    p = len(vector)
-    shifts = STEP * np.eye(p)
-    vectors = np.concatenate([vector[None], vector + shifts, vector - shifts])
-    evaluation = problem.evaluate(vectors)
-    used = np.asarray(evaluation.used.all(axis=0))
-    terms, term_gradients = evaluation.terms[..., used], evaluation.term_gradients[..., used]
-    sums = terms.sum(axis=-1)
-    values, by_sum = (np.asarray(x, float) for x in value_and_gradient(problem.objective, jnp.asarray(sums)))
-    gradients = np.einsum("sk,skp->sp", by_sum, term_gradients.sum(axis=-1))
-    prior = problem.prior_penalty(vectors, sums)
-    values, gradients = values + prior.values, gradients + prior.gradients
-    rows = (gradients[1 : p + 1] - gradients[p + 1 :]) / (2 * STEP)
-    # Without a single usable trajectory there is no likelihood.
-    nats = problem.objective.nats_per_unit(sums[0]) if used.any() else np.nan
-    psi = influence(problem.objective, terms[0], term_gradients[0])
-    hessian = 0.5 * (rows + rows.T)
-    return Optimum(vector, float(values[0]), gradients[0], hessian, psi, nats, used, evaluation.at(0))
-
-
-def influence(
-    objective: AbstractObjective, terms: Float[np.ndarray, "k n"], term_gradients: Float[np.ndarray, "k p n"]
-) -> Float[np.ndarray, "n p"]:
-    """The derivative of the gradient with respect to each trajectory's weight (n, p).
-
-    From terms (k, n) and their derivatives (k, p, n); exact, since the objective is a function of weighted sums.
-    """
-    first, second = (np.asarray(x, float) for x in _derivatives(objective, jnp.asarray(terms.sum(axis=-1))))
-    return np.einsum("k,kpn->np", first, term_gradients) + np.einsum(
-        "kn,kl,lp->np", terms, second, term_gradients.sum(axis=-1)
-    )
+def _by_scatter(problem: Problem, found: Optimum, scatter: Float[np.ndarray, "p p"]) -> Optimum:
+    """The optimum with the scatter J of the trajectories in place of their Hessians."""
+    u = found.nats_per_unit
+    if found.squared is None:
+        return found._replace(hessian=u * scatter)
+    count = len(found.influence)
+    hessian = u * count / (count - 1) * (found.influence.T / problem.weights[found.used]) @ found.influence
+    return found._replace(hessian=hessian, squared=u * scatter)
 
 
 def unused(parameters: Sequence[Parameter]) -> Bool[np.ndarray, " p"]:
@@ -252,14 +204,6 @@ def unidentifiable(term_gradients: Float[np.ndarray, "*many p n"]) -> Bool[np.nd
     each = np.moveaxis(term_gradients, -2, 0).reshape(term_gradients.shape[-2], -1)
     finite = np.isfinite(each)
     return np.all((each == 0) | ~finite, axis=1) & finite.any(axis=1)
-
-
-@eqx.filter_jit
-def _derivatives(
-    objective: AbstractObjective, sums: Float[jax.Array, " k"]
-) -> tuple[Float[jax.Array, " k"], Float[jax.Array, "k k"]]:
-    """First and second derivatives of the objective with respect to the sums."""
-    return jax.grad(objective.value)(sums), jax.hessian(objective.value)(sums)
 
 
 def determined(

@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 import tyro
@@ -24,6 +24,8 @@ def sweep(
     over: tyro.conf.UseAppendAction[tuple[str, ...]],
     tracker: str | None = None,
     objective: str = "rmse",
+    dimensions: Literal[2, 3] = 2,
+    weigh: Literal["recordings", "rows"] = "recordings",
     repeats: int = 10,
     noise: Path | None = None,
     calibration: Path | None = None,
@@ -39,6 +41,8 @@ def sweep(
         over: PATTERN=START:STOP:COUNT: a shell pattern of tunables, tied, and their values; once or twice.
         tracker: as in `track`; default: what fits the tables.
         objective: rmse (needs truth), nll, or another objective of `tune`.
+        dimensions: 2 to judge the horizontal position, 3 to judge an estimated height too.
+        weigh: what has the same say: each recording, or each row, so that long recordings decide.
         repeats: runs of a particle filter per value, with different random numbers.
         noise: a tuned.toml for the other parameters.
         calibration: a calibration.toml of `trackwright calibrate` on other recordings of these stations or anchors.
@@ -52,8 +56,9 @@ def sweep(
     grids = _grids(over)
     folders = read_with_notices(recordings, calibration)
     options = {
-        "tracker": tracker, "over": over, "objective": objective, "repeats": repeats, "noise": noise,
-        "calibration": calibration, "path": path, "free_height": free_height, "piece_rows": piece_rows,
+        "tracker": tracker, "over": over, "objective": objective, "dimensions": dimensions, "weigh": weigh,
+        "repeats": repeats, "noise": noise, "calibration": calibration, "path": path, "free_height": free_height,
+        "piece_rows": piece_rows,
     }  # fmt: skip
     keep_programs()
     # jax takes a second to import, which the help and a refused recording need not wait for.

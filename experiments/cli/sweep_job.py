@@ -41,7 +41,7 @@ def sweep_folders(
     named = tracker_for_folders(folders, options["tracker"], options["noise"], options["free_height"])
     group = named.only_batch(folders)
     model = group.tracker
-    data = fit_data(group, objective, (), options["piece_rows"])
+    data = fit_data(group, objective, (), options["piece_rows"], options["dimensions"], options["weigh"])
     try:
         parameters = swept_parameters(model, list(grids))
         points = grid_vectors(parameters, list(grids.values()))
@@ -51,7 +51,7 @@ def sweep_folders(
     output_folder(out)
     runs = repeats if is_stochastic(model) else 1
     with progress("sweeping", len(points) * runs) as advance:
-        swept = sweep(model, data.rows(), data.objective, grids, repeats, report=advance)
+        swept = sweep(model, data.rows(), data.objective, grids, repeats, report=advance, weights=data.weights())
     seconds = time.perf_counter() - clock
     if not np.isfinite(swept.mean).any():
         raise UnusableInput("the objective is not finite at any grid point; run `trackwright check` on the recordings")

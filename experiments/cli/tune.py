@@ -20,7 +20,9 @@ def tune(
     recordings: Annotated[tuple[Path, ...], tyro.conf.Positional],
     out: Path,
     tracker: str | None = None,
-    objective: str = "nll",
+    objective: str | None = None,
+    dimensions: Literal[2, 3] = 2,
+    weigh: Literal["recordings", "rows"] = "recordings",
     tune: tuple[str, ...] = (EVERYTHING,),
     freeze: tuple[str, ...] = (),
     bound: tuple[str, ...] = (),
@@ -43,12 +45,16 @@ def tune(
         recordings: recording folders to fit to, all at once.
         out: the folder to write to.
         tracker: as in `track`; default: what fits the tables.
-        objective: nll, the negative log-likelihood (needs no truth); rmse, the position error, state-nll, nees-shape
-            (need truth); nis-shape; or a weighted sum, as 'nll+0.1*rmse'.
+        objective: state-nll, the negative log density of the truth under the reported position and covariance; rmse,
+            the position error, nees-shape (need truth as well); nll, the negative log-likelihood, nis-shape (need
+            none); or a weighted sum, as 'state-nll+0.1*rmse'. Default: state-nll where there is truth, else nll.
+        dimensions: 2 to judge the horizontal position, 3 to judge an estimated height too.
+        weigh: what has the same say: each recording, or each row, so that long recordings decide.
         tune: shell patterns of tunables, as 'motion.*' 'sensors.*.sigma_p'; 'tied:PATTERN' keeps all matches equal.
         freeze: patterns of tunables to keep.
         bound: PATTERN=LOWEST:HIGHEST, physical bounds of tuned numbers.
-        prior: PATTERN=0.2x2 for a value known within a factor of 2, PATTERN=0+-0.1 for an offset; with nll only.
+        prior: PATTERN=0.2x2 for a value known within a factor of 2, PATTERN=0+-0.1 for an offset; with nll only, which
+            it then makes the default.
         held_out: recordings to validate on: not fitted, but they select the best point and end the fit.
         start: a tuned.toml to start from.
         calibration: a calibration.toml of `trackwright calibrate` on other recordings of these stations or anchors.
@@ -56,8 +62,8 @@ def tune(
         optimiser: auto is lbfgs for a likelihood, adam for other objectives, minibatches and particle filters.
         steps: maximum number of steps per start.
         minibatch: trajectories per step, drawn at random; default all.
-        intervals: method of the 95 % intervals: curvature (with the scatter of the trajectories), profile likelihood,
-            or bootstrap over trajectories (at least five).
+        intervals: method of the 95 % intervals: curvature (with the scatter of the trajectories), profile likelihood
+            (makes nll the default), or bootstrap over trajectories (at least five).
         resume: continue from the checkpoint in --out, with bit-identical results.
         free_height: estimate the height of tags whose height the rig gives.
         piece_rows: long recordings are cut into segments of about this many rows, which are fitted side by side.
@@ -71,6 +77,8 @@ def tune(
     options = {
         "tracker": tracker,
         "objective": objective,
+        "dimensions": dimensions,
+        "weigh": weigh,
         "tune": tune,
         "freeze": freeze,
         "bound": bound,

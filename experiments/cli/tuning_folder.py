@@ -66,7 +66,7 @@ def write_run(out: Path, data: FitData, result: FitResult, run: Run, compared: C
         seconds=run.seconds,
         notes=tuple(_notes(data, result)),
     )
-    report = collect(request, result, data.training, data.held_out, data.planar, intervals, issues, compared)
+    report = collect(request, result, data, intervals, issues, compared)
     write_tuning_report(out / "report.html", report)
     extra = {"recordings": [str(p) for p in run.recordings], "filter_runs": result.filter_runs}
     write_manifest(out, run.command, run.options, run.started, extra=extra)

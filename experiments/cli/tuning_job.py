@@ -14,7 +14,7 @@ from experiments.cli.console import Advance, notice, output_folder
 from experiments.cli.tuning_folder import Run, write_run
 from experiments.cli.tuning_options import checked_options, tracker_for_folders
 from experiments.reports.recordings_compared import Compared, compare
-from trackers.core.errors import UnusableInput
+from trackers.core.errors import UnusableInput, listed
 from trackers.core.tunable import tunables
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.named_tracker import NamedTracker
@@ -57,14 +57,18 @@ def fit_folders(
     """Fits the tracker to the first `count` recordings, the others held out; `advance` gets each step."""
     tune, freeze = options["tune"], options["freeze"]
     named = tracker_for_folders(folders, options["tracker"], options["start"], options["free_height"])
-    options = options | {"tracker": named.name}
-    data = fit_data(named.only_batch(folders), options["objective"], folders[count:], options["piece_rows"])
+    goal, priors_need = options["objective"], options["prior"] or options["intervals"] == "profile"
+    goal = "nll" if goal is None and priors_need else goal
+    how = (options["piece_rows"], options["dimensions"], options["weigh"])
+    data = fit_data(named.only_batch(folders), goal, folders[count:], *how)
+    by_default = goal is None
+    options = options | {"tracker": named.name, "objective": data.named}
     bounds, priors = checked_options(data, tune, freeze, options["bound"], options["prior"])
     require_possible(options["intervals"], data.objective, len(data.training))
     for text in cautions(data.tracker, select_parameters(data.tracker, tune, freeze), data.objective):
         notice(f"notice: {text}")
     output_folder(out)
-    result = _fitted(data, out, options, bounds, priors, resume, advance)
+    result = _fitted(data, out, options, bounds, priors, resume, advance, by_default)
     advance(0, "(comparing before and after)")
     return Fitted(options, named, data, result, folders[count:] or folders)
 
@@ -88,13 +92,23 @@ def _compared(fitted: Fitted) -> Compared:
     values = ({name: side[p.label] for p in result.parameters for name in p.names} for side in sides)
     before, after = (fitted.named.with_values(side, "the fit") for side in values)
     about = "held-out recordings" if fitted.data.held_out else "recordings tuned on"
-    return compare((before, after), fitted.shown, 2 if fitted.data.planar else 3, about)
+    return compare((before, after), fitted.shown, fitted.data.dimensions, about)
 
 
 def _fitted(
-    data: FitData, out: Path, options: dict[str, Any], bounds: Any, priors: Any, resume: bool, advance: Advance
+    data: FitData,
+    out: Path,
+    options: dict[str, Any],
+    bounds: Any,
+    priors: Any,
+    resume: bool,
+    advance: Advance,
+    by_default: bool,
 ) -> FitResult:
-    """The fit, with a checkpoint after every step; raises UnusableInput where the objective is never finite."""
+    """The fit, with a checkpoint after every step; raises UnusableInput where the objective is never finite.
+
+    `by_default`: whether the objective was chosen by the data.
+    """
     training, held_out = data.rows(), data.rows(held_out=True)
     # Intervals are computed from the result and don't change the fit.
     config = {name: value for name, value in options.items() if name != "intervals"}
@@ -104,6 +118,13 @@ def _fitted(
     saved = checkpoint.load(out, fingerprint) if resume else None
     if resume and saved is None:
         notice(f"notice: {out}: no checkpoint found; the fit starts from the beginning")
+    if by_default:
+        why = (
+            "there is truth" if data.objective.needs_truth else "there is no truth that the estimates can be judged by"
+        )
+        notice(f"objective: {data.named}, since {why}; choose another with --objective")
+    if data.unused:
+        notice(f"notice: without truth, and not used: {listed(data.unused)}")
     steps, starts, freeze = options["steps"], options["starts"], options["freeze"]
     tuned = {name for p in select_parameters(data.tracker, options["tune"], freeze) for name in p.names}
     kept = [name for name in tunables(data.tracker) if name not in tuned]
@@ -111,7 +132,7 @@ def _fitted(
     try:
         result = fit(
             data.tracker,
-            training,
+            data,
             data.objective,
             options["tune"],
             frozen=freeze,
@@ -119,7 +140,6 @@ def _fitted(
             optimiser=OPTIMISERS[options["optimiser"]](steps),
             steps=steps,
             starts=starts,
-            held_out=held_out,
             minibatch=options["minibatch"],
             priors=priors,
             guesses=[first_guess(data.tracker, training, kept)] if starts > 1 and saved is None else [],

@@ -18,6 +18,7 @@ from trackers.core.tracker import AbstractTracker
 from trackers.recordings.tracks import batches
 from trackers.recordings.trajectories import Trajectory
 from tuning import FitResult
+from tuning.data import FitData
 from tuning.diagnostics import absolute_errors, innovations_of
 from tuning.fitting import Step
 from tuning.identifiability import IdentifiabilityIssue
@@ -57,25 +58,21 @@ class Request:
 def collect(
     request: Request,
     result: FitResult,
-    training: Sequence[Trajectory],
-    held_out: Sequence[Trajectory],
-    planar: bool,
+    data: FitData,
     intervals: Mapping[str, Interval],
     issues: Sequence[IdentifiabilityIssue] = (),
     compared: Compared | None = None,
 ) -> TuningReportData:
     """Metrics of both trackers on all trajectories; innovations and errors on the held-out ones, if there are any.
 
-    `training`: the trajectories tuned on. `planar`: whether only the horizontal position is estimated. `intervals`:
-    95 %, by label, none where the fit was stopped; `issues`: undetermined parameters; `compared`: recordings before and
-    after. The objective surface takes about as many evaluations as the fit took steps.
+    `intervals`: 95 %, by label, none where the fit was stopped; `issues`: undetermined parameters; `compared`:
+    recordings before and after. The objective surface takes about as many evaluations as the fit took steps.
     """
-    filter_runs = result.filter_runs
+    filter_runs, training, held_out = result.filter_runs, data.training, data.held_out
     quantity = next(iter(training[0].recording.truth))
     angles = quantity == "direction"
-    dimensions = 2 if angles or planar else 3
     # The metric `rmse` is the horizontal error; the 3-D error has a name of its own.
-    objective = "rmse-3d" if request.objective == "rmse" and dimensions == 3 else request.objective
+    objective = "rmse-3d" if request.objective == "rmse" and data.dimensions == 3 else request.objective
     trackers = (result.before, result.tracker)
     runs = [_runs(tracker, held_out or training) for tracker in trackers]
     before, after = (
@@ -84,7 +81,8 @@ def collect(
     innovations = None if before is None or after is None else (before, after)
     # A beam in a flat array's own plane has no direction: nothing to compare with the truth.
     comparable = all(hasattr(run.mean, quantity) for own in runs for _, run in own)
-    rows = [_batches(trajectories, comparable) for trajectories in (training, held_out)]
+    rows = [[b if comparable else b._replace(truth={}) for b in data.rows(apart)] for apart in (False, True)]
+    weights = [data.weights(apart) for apart in (False, True)]
     return TuningReportData(
         command=request.command,
         next_commands=request.next_commands,
@@ -96,7 +94,7 @@ def collect(
         held_out=_recordings(held_out),
         parameters=_parameters(result, intervals, issues),
         compared=compared,
-        metrics=(*_sum_objective(objective, result), *_metrics(trackers, rows, quantity, dimensions)),
+        metrics=(*_sum_objective(objective, result), *_metrics(trackers, rows, weights, quantity, data.dimensions)),
         traces=_traces(result),
         surface=surface_of(result, result.uncertainty),
         evaluated_on="held-out recordings" if held_out else "the recordings tuned on",
@@ -121,11 +119,6 @@ def _runs(tracker: AbstractTracker, trajectories: Sequence[Trajectory]) -> list[
         estimates = tracker.run(batch)
         found += [(trajectory, estimates[k][: len(trajectory.recording)]) for k, trajectory in enumerate(own)]
     return found
-
-
-def _batches(trajectories: Sequence[Trajectory], with_truth: bool) -> list[Batch]:
-    rows = [batch for _, batch in batches(trajectories)] if trajectories else []
-    return rows if with_truth else [batch._replace(truth={}) for batch in rows]
 
 
 def _errors(
@@ -154,10 +147,17 @@ def _sum_objective(objective: str, result: FitResult) -> list[MetricChange]:
 
 
 def _metrics(
-    trackers: Sequence[AbstractTracker], recordings: Sequence[list[Batch]], quantity: str, dimensions: int
+    trackers: Sequence[AbstractTracker],
+    recordings: Sequence[list[Batch]],
+    weights: Sequence[Sequence[np.ndarray]],
+    quantity: str,
+    dimensions: int,
 ) -> tuple[MetricChange, ...]:
     """All defined metrics before and after, on the recordings tuned on and on those held out."""
-    found = [[all_metrics(t, rows, quantity, dimensions) if rows else {} for t in trackers] for rows in recordings]
+    found = [
+        [all_metrics(t, rows, quantity, dimensions, weights=own) if rows else {} for t in trackers]
+        for rows, own in zip(recordings, weights, strict=True)
+    ]
     unit = "rad" if quantity == "direction" else "m"
     metrics = []
     for key, (title, own) in TITLES.items():

@@ -73,12 +73,13 @@ def test_a_study_judges_truth_without_heights_as_evaluate_does(height):
 def test_the_error_of_an_estimated_height_needs_truth_with_heights(objective):
     folder = _folder(None, NONE)
     tracker = tw.build("fix-kf", folder)
-    with pytest.raises(UnusableInput, match=r"needs truth with z_m, .* have x_m and y_m alone; give height_m") as error:
-        fit_data(tracker.only_batch(folder), objective)
+    with pytest.raises(UnusableInput, match=r"needs truth with z_m, .* have x_m and y_m alone; judge two") as error:
+        fit_data(tracker.only_batch(folder), objective, dimensions=3)
     assert "\n" not in str(error.value)
-    assert fit_data(tracker.only_batch(folder), "nll").training
+    assert fit_data(tracker.only_batch(folder), "nll", dimensions=3).training
+    assert fit_data(tracker.only_batch(folder), objective).training, "the height is not judged"
     half = _folder(None, HALF)
-    assert fit_data(tw.build("fix-kf", half).only_batch(half), objective).training
+    assert fit_data(tw.build("fix-kf", half).only_batch(half), objective, dimensions=3).training
 
 
 def test_a_recording_without_truth_has_none_to_fit_to():
@@ -92,4 +93,4 @@ def test_truth_over_the_floor_of_a_state_in_space_is_refused_with_the_usual_fix(
     times = np.arange(5) * 0.1
     recording = tw.fix_recording(times, np.zeros((5, 3)), truth=np.zeros((5, 2)))
     with pytest.raises(MissingQuantityError, match="truth of the position has 2 components, and 3 are judged"):
-        tw.fit(tw.fix_tracker(), recording, objective="rmse")
+        tw.fit(tw.fix_tracker(), recording, objective="rmse", dimensions=3)

@@ -83,7 +83,7 @@ def _shown(tracker, folder):
 def test_the_objective_is_the_figure_of_the_estimates_shown(name, values, smooth, rtol):
     folder = _folder(name)
     tracker = build(name, [folder]).with_values(values)
-    data = fit_data(tracker.only_batch([folder]), "rmse")
+    data = fit_data(tracker.only_batch([folder]), "rmse", dimensions=3)
     model = Smoothed(data.tracker) if smooth else data.tracker
     quantity = "direction" if name == "beam" else "position"
     found = all_metrics(model, data.rows(), quantity, 2 if name == "beam" else 3)

@@ -133,7 +133,7 @@ def test_a_fit_that_cannot_begin_says_why(tmp_path, simulated, monkeypatch):
         raise FloatingPointError("the objective is not finite at the start (nan): no row is scored")
 
     monkeypatch.setattr(tune_command, "fit", nothing_scored)
-    said = trackwright("tune", simulated, "--tracker", "beam", "--out", tmp_path / "out")
+    said = trackwright("tune", simulated, "--tracker", "beam", "--objective", "nll", "--out", tmp_path / "out")
     assert_refused(said, "the objective is not finite at the start", "trackwright check")
 
 
@@ -142,7 +142,8 @@ def test_a_fit_that_ran_away_with_all_recordings_gives_no_numbers(tmp_path, simu
         return SimpleNamespace(n_excluded=6, value=-34.5)
 
     monkeypatch.setattr(tune_command, "fit", ran_away)
-    said = trackwright("tune", simulated, "--tracker", "beam", "--starts", 1, "--out", tmp_path / "out")
+    options = ("--tracker", "beam", "--objective", "nll", "--starts", 1)
+    said = trackwright("tune", simulated, *options, "--out", tmp_path / "out")
     assert_refused(said, "nll -34.5", "no segment of the recordings has finite gradients", "--bound")
     assert not list((tmp_path / "out").iterdir())
 

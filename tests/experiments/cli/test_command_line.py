@@ -298,7 +298,8 @@ def test_free_height_estimates_the_height_too(there, room):
 
 def test_tuned_noise_levels_are_written_and_used(runs, there, world):
     assert runs["beam"].code == 0
-    said = trackwright("tune", world, "--tracker", "beam", "--steps", 3, "--starts", 2, "--out", there / "tuned")
+    options = ("--tracker", "beam", "--objective", "nll", "--steps", 3, "--starts", 2)
+    said = trackwright("tune", world, *options, "--out", there / "tuned")
     assert said.code == 0, said
     folder = there / "tuned"
     written = ["checkpoint.npz", "manifest.json", "report.html", "trace.csv", "tuned.toml", "tuning.png"]

@@ -79,7 +79,7 @@ def test_a_sweep_gives_what_track_and_evaluate_give_at_the_same_value(once, fixe
     assert trackwright("track", fixes, *KALMAN, "--noise", noise, "--out", out).code == 0
     figures = json.loads(trackwright("evaluate", out, "--json").out)
     # single precision in the filter
-    assert figures["overall"]["rmse_3d_m"] == pytest.approx(rmse, rel=1e-4)
+    assert figures["overall"]["rmse_m"] == pytest.approx(rmse, rel=1e-4)
 
 
 def test_two_numbers_give_every_pair_and_a_figure_with_the_way_of_a_fit(twice):

@@ -11,6 +11,7 @@ from trackers.core.rig import Rig
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracks import batches
 from tuning import fit
+from tuning.data import FitData
 from tuning.identifiability import IdentifiabilityIssue
 from tuning.intervals import intervals_of
 from tuning.named_objectives import parse_objective
@@ -41,7 +42,8 @@ def run():
     result = fit(group.tracker, rows, parse_objective(NLL, "position", 3), PATTERNS, steps=6, starts=2)
     request = Request("trackwright tune a b", ("trackwright track c",), "fix-kf", "a Kalman filter", NLL, 1.5)
     issues = [IdentifiabilityIssue((PATTERNS[0],), "an issue")]
-    return result, collect(request, result, training, held_out, group.planar, intervals_of(result), issues)
+    data = FitData(group.tracker, parse_objective(NLL), NLL, group.planar, 3, training, held_out, "recordings")
+    return result, collect(request, result, data, intervals_of(result), issues)
 
 
 def test_parameters_are_those_of_the_fit_and_one_with_an_issue_is_not_determined(run):
