@@ -76,20 +76,34 @@ def lasting(rng, times, positions, sigma):
     return sigma * np.array(error)
 
 
-def recording(rng, name, calibration, seconds=60.0, outliers=0.0):
-    """A walk with bearings, whose errors last, and ranges, some of them `outliers` m too long."""
+def of_place(seed, positions, sigma):
+    """A smooth random function (T,) of the place, of standard deviation `sigma`, which varies over `LENGTH`."""
+    rng = np.random.default_rng(seed)
+    waves, phases = rng.normal(size=(2, 100)) / LENGTH, rng.uniform(0.0, 2 * np.pi, 100)
+    return sigma * np.sqrt(2.0 / 100) * np.cos(positions[:, :2] @ waves + phases).sum(axis=1)
+
+
+def recording(rng, name, calibration, seconds=60.0, outliers=0.0, field=None):
+    """A walk with bearings, whose errors last, and ranges, some of them `outliers` m too long.
+
+    `field`: a seed, where errors are functions of the place instead, the same for all walks.
+    """
     times, positions = walk(rng, seconds)
+
+    def errors_of(source, sigma):
+        return lasting(rng, times, positions, sigma) if field is None else of_place([field, source], positions, sigma)
+
     bearings, ranges = [], []
-    for station, own in STATIONS.items():
+    for number, (station, own) in enumerate(STATIONS.items()):
         angles = calibration.stations[station].measured(own.angles(positions))
-        errors = [lasting(rng, times, positions, sigma) for sigma in (0.07, 0.2)]
+        errors = [errors_of(2 * number + k, sigma) for k, sigma in enumerate((0.07, 0.2))]
         angles = angles + np.stack(errors, axis=1) + 0.1 * rng.standard_t(4.0, size=angles.shape)
         columns = {"azimuth_rad": angles[:, 0], "elevation_rad": angles[:, 1]}
         bearings.append(pl.DataFrame({"t_s": times, "tag": "1", "station": station, **columns}))
-    for anchor, place in ANCHORS.items():
+    for number, (anchor, place) in enumerate(ANCHORS.items()):
         bias, slope = calibration.anchors[anchor].coefficients
         distances = np.linalg.norm(positions - place, axis=1)
-        errors = lasting(rng, times, positions, 0.1) + 0.03 * rng.normal(size=len(times))
+        errors = errors_of(10 + number, 0.1) + 0.03 * rng.normal(size=len(times))
         errors += outliers * (rng.random(len(times)) < 0.1)
         measured = distances * (1 + slope) + bias + errors
         ranges.append(pl.DataFrame({"t_s": times, "tag": "1", "anchor": anchor, "range_m": measured}))
@@ -99,10 +113,11 @@ def recording(rng, name, calibration, seconds=60.0, outliers=0.0):
     return RecordingFolder(name, None, RIG, tables)
 
 
-def world(seed, recordings=3, **options):
-    """The calibration of a world, and its recordings."""
+def world(seed, recordings=3, by_place=False, **options):
+    """The calibration of a world, and its recordings; `by_place`: errors are functions of the place."""
     rng = np.random.default_rng(seed)
     calibration = drawn(rng)
+    options |= {"field": seed} if by_place else {}
     return calibration, [recording(rng, f"walk {k + 1}", calibration, **options) for k in range(recordings)]
 
 

@@ -45,7 +45,7 @@ def test_intervals_hold_the_terms_although_errors_last():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("options", [{}, {"recordings": 1, "seconds": 40.0}, {"outliers": 1.5}])
+@pytest.mark.parametrize("options", [{}, {"recordings": 1, "seconds": 40.0}, {"outliers": 1.5}, {"by_place": True}])
 def test_intervals_hold_90_to_97_percent_of_the_terms_of_200_worlds(options):
     angles, ranges = _coverage(200, **options)
     assert 0.90 <= angles <= 0.97
