@@ -66,6 +66,12 @@ def read_with_notices(paths: Sequence[Path], calibration: Path | None = None) ->
     return recordings
 
 
+def notice_unused_calibration(folders: Sequence[RecordingFolder], tracker: str, table: str) -> None:
+    """A notice where the recordings have a calibration, but the tracker reads neither bearings nor ranges."""
+    if folders[0].calibration is not None and not {"bearings", "ranges"} & set(table.replace(",", " ").split()):
+        notice(f"notice: tracker '{tracker}' reads {table}; a calibration changes bearings and ranges alone")
+
+
 def output_folder(path: Path) -> Path:
     """The folder, created if missing; raises UnusableInput if that fails, or for a recording folder."""
     if (path / "rig.toml").exists():

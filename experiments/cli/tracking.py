@@ -10,7 +10,7 @@ from datetime import datetime
 from functools import partial
 from pathlib import Path
 
-from experiments.cli.console import notice, output_folder, progress
+from experiments.cli.console import notice, notice_unused_calibration, output_folder, progress
 from experiments.cli.evaluate import SOURCES
 from experiments.cli.manifest import write_manifest
 from experiments.executors import cluster_executor
@@ -56,6 +56,7 @@ def track_folders(folders: Sequence[RecordingFolder], options: Options, started:
     named = build(name, folders, options.free_height)
     if options.tracker is None:
         notice(f"tracker: {name} ({named.spec.about}); choose another with --tracker")
+    notice_unused_calibration(folders, name, named.spec.table)
     if options.noise is not None:
         named = named.with_values(read_tuned(options.noise), options.noise)
     if options.smooth or options.lag is not None:

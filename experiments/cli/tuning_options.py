@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from experiments.cli.console import notice
+from experiments.cli.console import notice, notice_unused_calibration
 from trackers.catalogue import build, fitting
 from trackers.core.errors import UnusableInput
 from trackers.recordings.folder import RecordingFolder
@@ -24,6 +24,7 @@ def tracker_for_folders(
     if tracker is None:
         notice(f"tracker: {name}; choose another with --tracker")
     named = build(name, folders, free_height)
+    notice_unused_calibration(folders, name, named.spec.table)
     return named if noise is None else named.with_values(read_tuned(noise), noise)
 
 

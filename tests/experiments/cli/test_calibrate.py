@@ -90,6 +90,17 @@ def test_a_recording_of_the_calibration_is_named_in_a_notice(walks, tmp_path):
     assert f"notice: {there / '1'}: is one of the recordings of {path}; errors of others are larger" in said.err
 
 
+def test_a_tracker_that_reads_neither_bearings_nor_ranges_is_named_in_a_notice(walks, tmp_path):
+    there, _, _ = walks
+    folder = world(5, 1, seconds=10.0)[1][0]
+    fixes = folder.tables["truth"]
+    write_recording(replace(folder, tables={**folder.tables, "fixes": fixes}), tmp_path / "fixes")
+    said = trackwright("track", tmp_path / "fixes", "--tracker", "median", "--calibration",
+                       there / "site" / "calibration.toml", "--out", tmp_path / "out")  # fmt: skip
+    assert said.code == 0, said.err
+    assert "notice: tracker 'median' reads fixes; a calibration changes bearings and ranges alone" in said.err
+
+
 def test_an_output_that_is_no_toml_file_is_refused(walks, tmp_path):
     there, _, _ = walks
     for out in (tmp_path, tmp_path / "calibration", tmp_path / "calibration.html"):
