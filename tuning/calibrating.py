@@ -84,8 +84,8 @@ def _lacking(folders: Sequence[RecordingFolder]) -> str:
         found = ", ".join(dict.fromkeys(table for folder in folders for table in folder.tables))
         return f"{names}: tables {found}; expected bearings or ranges to calibrate; give recordings with such a table"
     return (
-        f"{names}: fewer than {MIN_ROWS} rows with truth for every station and anchor; expected at least {MIN_ROWS} "
-        "for one; give longer recordings"
+        f"{names}: fewer than {MIN_ROWS} rows with truth in x, y and z for every station and anchor; expected at least "
+        f"{MIN_ROWS} for one; give longer recordings, or height_m of the tags in rig.toml where the truth has no z_m"
     )
 
 

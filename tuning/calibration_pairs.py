@@ -9,6 +9,7 @@ import numpy as np
 
 from trackers.recordings.columns import TagRows
 from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.trajectories import known_heights
 from trackers.recordings.truth import TruthStatus
 
 PIECE_S, PIECE_M = 5.0, 1.0
@@ -68,6 +69,9 @@ def _of_folder(
     rows = folder.rows(table)
     measured = rows.floats(columns)
     positions, status = folder.paths.at(rows.tags, rows.starts, rows.times)
+    # A truth over the floor is completed by the height of the tag in the rig.
+    heights = rows.of_each(known_heights(folder, rows.tags))
+    positions = np.column_stack([positions[:, :2], np.where(np.isnan(positions[:, 2]), heights, positions[:, 2])])
     known = (status == TruthStatus.SCORED) & np.isfinite(positions).all(axis=1) & np.isfinite(measured).any(axis=1)
     piece, place = _pieces(rows, positions, known) + MOST_PIECES * number, _places(positions)
     tag = rows.of_each(np.array(rows.tags))

@@ -223,6 +223,7 @@ def write_calibration_report(
         report=report,
         figures=figures,
         several=len(calibration.recordings) > 1,
+        most=SHOWN if max(len(report.stations) // 2, len(report.anchors)) > SHOWN else None,
         out=str(out),
         words=shlex.join(["trackwright", *command[1:]]),
     )

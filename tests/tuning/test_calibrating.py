@@ -8,7 +8,7 @@ import pytest
 
 from tests.tuning.calibration_worlds import ANCHORS, RIG, lasting, recording, standardised, walk, world
 from trackers.core.errors import UnusableInput
-from trackers.core.rig import Station
+from trackers.core.rig import Station, Tag
 from trackers.recordings.calibration import ANGLE_PRIOR, RANGE_PRIOR, Calibration
 from trackers.recordings.folder import RecordingFolder
 from tuning.calibrating import LEAST_SLOPE, calibrate
@@ -188,10 +188,21 @@ def test_recordings_that_lack_something_are_refused_in_one_line(tables, words):
         calibrate(replace(folder, tables=kept))
 
 
+def test_a_truth_over_the_floor_is_completed_by_the_height_of_the_tag():
+    _, folders = world(5, 1, seconds=30.0)
+    truth = folders[0].tables["truth"]
+    flat = replace(folders[0], tables=folders[0].tables | {"truth": truth.drop("z_m")})
+    with pytest.raises(UnusableInput, match=r"or height_m of the tags in rig\.toml"):
+        calibrate(flat)
+    known = replace(flat, rig=replace(flat.rig, tags={"1": Tag(height=truth["z_m"][0])}))
+    expected = calibrate(folders).stations["north"].coefficients
+    np.testing.assert_array_equal(calibrate(known).stations["north"].coefficients, expected)
+
+
 def test_too_few_rows_are_refused_and_stations_with_few_are_left_out():
     folder = world(5, 1, seconds=10.0)[1][0]
     north = pl.col("station") == "north"
-    with pytest.raises(UnusableInput, match="fewer than 20 rows with truth for every station and anchor"):
+    with pytest.raises(UnusableInput, match="fewer than 20 rows with truth in x, y and z for every"):
         calibrate(replace(folder, tables={name: table.head(40) for name, table in folder.tables.items()}))
     few = folder.tables["bearings"].filter(~north | (pl.col("t_s") < 3.0))
     assert set(calibrate(replace(folder, tables=folder.tables | {"bearings": few})).stations) == {"south", "west"}

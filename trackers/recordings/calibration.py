@@ -160,9 +160,10 @@ class Calibration:
             np.stack([x.spans for x in own])[number],
         )
         true = _true(measured, coefficients, spans)
-        factors = angle_terms(true, spans)
-        covariances = np.stack([x.covariances for x in own])[number]
-        variances = np.einsum("nai,naij,naj->na", factors, covariances, factors)
+        factors, variances = angle_terms(true, spans), np.zeros(true.shape)
+        for k, station in enumerate(own):
+            part = number == k
+            variances[part] = np.einsum("nai,aij,naj->na", factors[part], station.covariances, factors[part])
         rows = np.concatenate([coefficients.reshape(-1, 8), spans.reshape(-1, 4)], axis=1)
         return rows, true, variances
 
@@ -182,9 +183,10 @@ class Calibration:
         tag_bias, tag_variance = np.where(known[:, None], biases, 0.0).T
         bias, slope = np.stack([x.coefficients for x in own])[number].T
         distances = (measured - bias - tag_bias) / (1.0 + slope)
-        factors = range_terms(distances)
-        covariances = np.stack([x.covariance for x in own])[number]
-        variances = np.einsum("ni,nij,nj->n", factors, covariances, factors) + tag_variance
+        factors, variances = range_terms(distances), tag_variance
+        for k, anchor in enumerate(own):
+            part = number == k
+            variances[part] += np.einsum("ni,ij,nj->n", factors[part], anchor.covariance, factors[part])
         return distances, variances / (1.0 + slope) ** 2
 
 
