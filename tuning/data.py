@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import jax
@@ -22,7 +23,7 @@ from trackers.recordings.tracks import batches
 from trackers.recordings.trajectories import Trajectories, Trajectory, segments, with_floor_truth
 from tuning.named_objectives import parse_objective
 from tuning.objectives import AbstractObjective, MissingQuantityError, StateLogLikelihood
-from tuning.problem import is_stochastic
+from tuning.problem import Problem, is_stochastic
 from tuning.weights import Weigh, trajectory_weights
 
 SEGMENT_ROWS = 8000
@@ -56,9 +57,13 @@ class FitData:
 
     def weights(self, held_out: bool = False) -> list[Float[np.ndarray, " B"]]:
         """The weight of each trajectory of `rows`."""
+        rows, names = self.rows(held_out), self.recordings(held_out)
+        return trajectory_weights(rows, names, self.weigh, self.objective.needs_truth)
+
+    def recordings(self, held_out: bool = False) -> list[list[str]]:
+        """The name of the recording of each trajectory of `rows`."""
         groups = self._held_out_groups if held_out else self._training_groups
-        names = [[folder.name for folder in own.folders] for own, _ in groups]
-        return trajectory_weights([batch for _, batch in groups], names, self.weigh, self.objective.needs_truth)
+        return [[folder.name for folder in own.folders] for own, _ in groups]
 
     @cached_property
     def _training_groups(self) -> list[tuple[Trajectories, Batch]]:
@@ -154,12 +159,18 @@ class FitArrays(NamedTuple):
     objective: AbstractObjective
     weights: list[Float[np.ndarray, " B"]]
     held_out_weights: list[Float[np.ndarray, " B"]]
+    recordings: list[list[str]]
+
+    def recordings_of(self, problem: Problem) -> list[str]:
+        """The recording of each trajectory of the problem, empty for padding."""
+        pairs = zip(self.recordings, problem.sizes, strict=True)
+        return [name for own, size in pairs for name in [*own, *[""] * (size - len(own))]]
 
     @classmethod
     def of(cls, data: FitData) -> FitArrays:
         """The arrays of recording folders."""
         weights = (data.weights(), data.weights(held_out=True))
-        return cls(data.tracker, data.rows(), data.rows(held_out=True), data.objective, *weights)
+        return cls(data.tracker, data.rows(), data.rows(held_out=True), data.objective, *weights, data.recordings())
 
 
 def fit_arrays(
@@ -190,14 +201,16 @@ def fit_arrays(
     batches = _batches(tracker, recordings)
     apart_batches = [] if isinstance(held_out, (tuple, list)) and not held_out else _batches(tracker, held_out)
     goal = _array_objective(objective, tracker, batches, apart_batches, dimensions)
-    weights = [_array_weights(rows, weigh, goal.needs_truth) for rows in (batches, apart_batches)]
-    return FitArrays(tracker, batches, apart_batches, goal, *weights)
+    names, apart_names = (_numbered(rows) for rows in (batches, apart_batches))
+    weights = trajectory_weights(batches, names, weigh, goal.needs_truth)
+    apart_weights = trajectory_weights(apart_batches, apart_names, weigh, goal.needs_truth)
+    return FitArrays(tracker, batches, apart_batches, goal, weights, apart_weights, names)
 
 
-def _array_weights(rows: Sequence[Batch], weigh: Weigh, needs_truth: bool) -> list[Float[np.ndarray, " B"]]:
-    """The weights of trajectories in arrays, each of which is a recording."""
-    names = [[f"{k} {n}" for n in range(batch.size)] for k, batch in enumerate(rows)]
-    return trajectory_weights(rows, names, weigh, needs_truth)
+def _numbered(rows: Sequence[Batch]) -> list[list[str]]:
+    """Numbers as names of trajectories in arrays, each of which is a recording."""
+    ends = np.cumsum([0, *(batch.size for batch in rows)])
+    return [[f"{n + 1}" for n in range(a, b)] for a, b in pairwise(ends)]
 
 
 def _batches(tracker: AbstractTracker, recordings: Arrays) -> list[Batch]:

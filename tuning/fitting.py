@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Generic, TypeVar
 
 import jax
@@ -16,6 +17,7 @@ from trackers.core.tracker import AbstractTracker
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.named_tracker import NamedTracker
 from tuning.data import Arrays, FitData, fit_arrays
+from tuning.fit_cautions import fit_cautions
 from tuning.objectives import AbstractObjective
 from tuning.optimisation import FitState, MultiStart, from_arrays, min_gain
 from tuning.optimisers import LBFGS, AbstractOptimiser, Adam
@@ -23,6 +25,7 @@ from tuning.optimum import Optimum, optimum
 from tuning.parameters import Parameter, flatten, limits, physical, select_parameters, with_parameters
 from tuning.priors import Prior
 from tuning.problem import Evaluation, Problem
+from tuning.reading_grids import ReadingGrid, floors, reading_grids
 from tuning.starts import initial_state
 from tuning.uncertainty import Uncertainty, determined, uncertainty_at, unidentifiable
 from tuning.weights import Weigh
@@ -30,6 +33,12 @@ from tuning.weights import Weigh
 AnyTracker = TypeVar("AnyTracker", bound="AbstractTracker | NamedTracker")
 
 NEWTON_STEPS = 4
+
+OTHER_STARTS = 4
+"""Starts of a fit that did not move from its only one."""
+
+MIN_SLOPE = 1e-3
+"""Norm of the gradient, relative to the objective, from which on a start is not the optimum."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +58,7 @@ class FitResult(Generic[AnyTracker]):
     gradients. `problem`, `vector`, `evaluation`: the objective as a function, its best point, and its value and
     gradient there. `uncertainty`: None where the fit was interrupted. `trace`: the steps of the best start, ending at
     `vector`; `starts`: of all starts. `before`: the tracker at the first start, tied numbers made equal and bounded
-    ones clipped.
+    ones clipped. `readings`: steps and repetitions of the readings; `recordings`: that of each trajectory of `problem`.
     """
 
     tracker: AnyTracker
@@ -57,6 +66,7 @@ class FitResult(Generic[AnyTracker]):
     values: dict[str, np.ndarray]
     value: float
     start_value: float
+    start_vector: Float[np.ndarray, " p"]
     n_excluded: int
     problem: Problem
     vector: Float[np.ndarray, " p"]
@@ -66,6 +76,8 @@ class FitResult(Generic[AnyTracker]):
     before: AbstractTracker
     trace: list[Step] = field(default_factory=list)
     starts: list[list[Step]] = field(default_factory=list)
+    readings: list[ReadingGrid] = field(default_factory=list)
+    recordings: list[str] = field(default_factory=list)
 
     def __repr__(self) -> str:
         lines = [f"<FitResult: objective {self.start_value:.5g} -> {self.value:.5g}, {self.filter_runs} filter runs"]
@@ -74,7 +86,17 @@ class FitResult(Generic[AnyTracker]):
             value, error = np.asarray(self.values[p.label]), np.asarray(errors[p.label])
             shown = f"{value:.4g} ± {error:.2g}" if value.ndim == 0 else np.array2string(value, precision=4)
             lines.append(f"  {p.label} {shown} {p.example.unit}")
-        return "\n".join(lines) + ">"
+        return "\n".join([*lines, *(f"  caution: {text}" for text in self.cautions)]) + ">"
+
+    @cached_property
+    def cautions(self) -> list[str]:
+        """Clauses on what speaks against the result; of a likelihood they take another run of the filter.
+
+        See `tuning.fit_cautions`.
+        """
+        return fit_cautions(
+            self.problem, self.start_vector, self.vector, self.uncertainty, self.readings, self.recordings
+        )
 
     @property
     def standard_errors(self) -> dict[str, np.ndarray]:
@@ -119,7 +141,9 @@ def fit(
     every step; `resume`: the arrays of such a state (`tuning.optimisation.to_arrays`), with bit-identical results.
 
     A step to a non-finite objective, or with `LBFGS` to a higher one, is shortened; a likelihood ends with a few Newton
-    steps. The result is the best point met, never worse than the start; an interrupt (Ctrl-C) ends the fit there.
+    steps. The noise levels of a sensor whose readings have a step are not fitted below that of its rounding, step/√12,
+    unless `bounds` name them. A fit that does not move from its only start has others. The result is the best point
+    met, never worse than the start; an interrupt (Ctrl-C) ends the fit there. `FitResult.cautions` speak against it.
     Raises ValueError for patterns that match nothing or can't be tied, for empty bounds and for priors without a
     likelihood; FloatingPointError where the objective is not finite at the first start.
     """
@@ -132,7 +156,9 @@ def fit(
     trajectories = chunk if minibatch is None else min(chunk, minibatch)
     problem = Problem(model, batches, objective, parameters, trajectories, priors, data.weights)
     scoring = Problem(model, apart, objective, parameters, chunk, (), data.held_out_weights) if apart else None
-    low, high = limits(parameters, bounds or {})
+    readings, bounds = reading_grids(model, batches), bounds or {}
+    low, high = limits(parameters, bounds)
+    low = np.maximum(low, floors(readings, parameters, bounds))
     # Errors are discontinuous where a track is nearly lost, and a line search ends there; Adam steps over.
     smooth = objective.is_likelihood and minibatch is None and not problem.stochastic
     optimiser = optimiser or (LBFGS() if smooth else Adam(steps))
@@ -146,16 +172,26 @@ def fit(
     interrupted = False
     try:
         report(state)
-        while not driver.done(state):
-            state = driver.step(state)
+        while not driver.done(state) or (starts == 1 and _stands_still(state)):
+            if driver.done(state):
+                starts, state = OTHER_STARTS, initial_state(driver, state.past_vectors[0], OTHER_STARTS)
+            else:
+                state = driver.step(state)
             report(state)
     except KeyboardInterrupt:
         interrupted = True
     result = _result(model, driver, state, interrupted)
+    result = dataclasses.replace(result, readings=readings, recordings=data.recordings_of(problem))
     if isinstance(tracker, NamedTracker):
         values = {name: result.values[p.label] for p in parameters for name in p.names}
         result = dataclasses.replace(result, tracker=tracker.with_values(values, "the fit"))
     return result
+
+
+def _stands_still(state: FitState) -> bool:
+    """Whether a fit has not moved from its start although the objective has a slope there."""
+    moved = not np.array_equal(state.best_vectors, state.past_vectors[0])
+    return not moved and bool(state.past_norms[0, 0] > MIN_SLOPE * abs(state.past_values[0, 0]))
 
 
 def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, interrupted: bool) -> FitResult[Any]:
@@ -183,6 +219,7 @@ def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, inter
         values=by_label(parameters, vector),
         value=value,
         start_value=float(start_value),
+        start_vector=own,
         n_excluded=problem.n_excluded(last),
         problem=problem,
         vector=vector,

@@ -67,7 +67,7 @@ class Problem:
     """The objective of a tracker over batches as a function of unconstrained vectors, compiled once per shape.
 
     `priors`: added to a likelihood. `weights`: of the trajectories of each batch, default 1; the terms of a trajectory
-    and their derivatives are multiplied by its weight.
+    and their derivatives are multiplied by its weight. `sizes`: trajectories of each batch, with padding.
 
     A filter on the verge of losing a track has derivatives without bound, which would dominate all others. So
     `evaluate` leaves such a trajectory out of value and gradient alike, besides those that are not finite: its gradient
@@ -93,6 +93,7 @@ class Problem:
         by_batch = [list(chunks(batch, chunk)) for batch in batches]
         self.chunks = [part for parts in by_batch for part in parts]
         self.weights = by_chunks(weights, batches, by_batch)
+        self.sizes = [sum(part.size for part in parts) for parts in by_batch]
         self.valid = np.concatenate([np.asarray(part.valid).any(axis=0) for part in self.chunks])
         trajectories = max(part.size for part in self.chunks)
         # As many vectors as keep a compiled call about as large as a full chunk. Few trajectories gain nothing by more

@@ -48,11 +48,9 @@ def write_run(out: Path, data: FitData, result: FitResult, run: Run, compared: C
     write_tuned(out / "tuned.toml", run.tracker, objective, result, intervals)
     _write_trace(out, result, objective, unit)
     issues = _issues(result)
-    lines = [
-        *table(result, objective, intervals),
-        *(f"notice: {issue.text}" for issue in issues),
-        compared.text().rstrip("\n"),
-    ]
+    cautions = [] if result.uncertainty is None else result.cautions
+    notices = [f"notice: {text}" for text in (*(issue.text for issue in issues), *cautions)]
+    lines = [*table(result, objective, intervals), *notices, compared.text().rstrip("\n")]
     command = shlex.join(["trackwright", *run.command[1:]])
     calibration = run.options["calibration"]
     use = f"trackwright track … --noise {out / 'tuned.toml'}"
@@ -66,7 +64,7 @@ def write_run(out: Path, data: FitData, result: FitResult, run: Run, compared: C
         seconds=run.seconds,
         notes=tuple(_notes(data, result)),
     )
-    report = collect(request, result, data, intervals, issues, compared)
+    report = collect(request, result, data, intervals, issues, compared, cautions)
     write_tuning_report(out / "report.html", report)
     extra = {"recordings": [str(p) for p in run.recordings], "filter_runs": result.filter_runs}
     write_manifest(out, run.command, run.options, run.started, extra=extra)

@@ -34,7 +34,7 @@ class Advice:
 
 def advice_on(data: TuningReportData) -> Advice:
     """Summary, warnings and advice on a tuning result."""
-    against = [*_unmoved(data), *_worse(data), *_undetermined(data)]
+    against = [*(_sentence(text) for text in data.cautions), *_worse(data), *_undetermined(data)]
     doubts = _inconsistent(data)
     best = data.metric(data.objective)
     parts = [_change(best, best.training) if best else f"{data.objective_about} was tuned"]
@@ -75,14 +75,6 @@ def _change(metric: MetricChange, pair: tuple[float, float]) -> str:
     relative = percent_change(*pair) if metric.unit not in ("nats", "1") else ""
     change = f" ({relative})" if relative else ""
     return f"{uncapitalised(metric.title)} changed from {number(pair[0])} to {number(pair[1])}{unit}{change}"
-
-
-def _unmoved(data: TuningReportData) -> list[str]:
-    """A warning where the fit moved no parameter."""
-    if not data.parameters or any(abs(p.after - p.before) > 1e-6 * abs(p.before) for p in data.parameters):
-        return []
-    where = " on the held-out recordings" if data.held_out else ""
-    return [f"No improvement: the fit found no point better than the initial values{where}."]
 
 
 def _inconsistent(data: TuningReportData) -> list[str]:
@@ -150,6 +142,12 @@ def _undetermined(data: TuningReportData) -> list[str]:
         if names
         else []
     )
+
+
+def _sentence(clause: str) -> str:
+    """A clause as a sentence; one that begins with the name of a parameter keeps its case."""
+    first = clause.split(" ", 1)[0]
+    return (clause if "." in first else clause[0].upper() + clause[1:]) + "."
 
 
 def _determined(known: int, all_of_them: int) -> str:

@@ -21,7 +21,7 @@ ROUNDING_S = 1e-6
 """Differences of times, s, below which they are rounding errors."""
 
 WINDOW_S = 1.0
-"""Length, s, of the windows over which ranks are added."""
+"""Default length, s, of the windows over which ranks are added."""
 
 MIN_PAIRS = 30
 """Pairs of rows below which there is no autocorrelation, and rows below which there is no inflation."""
@@ -31,7 +31,7 @@ class RankSums(NamedTuple):
     """Sums over the ranks u of rows, of each of g tracks.
 
     `products` (g, lags, 4): of u_i u_j, u_i², u_j² and 1 over pairs of rows at each lag. `windows` (g, 3): of the
-    squared sums of u over windows of `WINDOW_S`, of u², and of 1 over rows.
+    squared sums of u over windows of time, of u², and of 1 over rows.
     """
 
     products: Float[np.ndarray, "g lags 4"]
@@ -49,7 +49,7 @@ class RankSums(NamedTuple):
         return np.where(enough, both / np.where(enough, scale, 1.0), math.nan)
 
     def inflation(self) -> float:
-        """The variance of sums over `WINDOW_S` relative to that of independent rows, pooled over tracks.
+        """The variance of sums over windows of time relative to that of independent rows, pooled over tracks.
 
         So many rows carry the information of one on the noise level. NaN with fewer than `MIN_PAIRS` rows.
         """
@@ -62,13 +62,14 @@ def rank_sums(
     values: Float[np.ndarray, " n"],
     dof: Num[np.ndarray, " n"],
     starts: Int[np.ndarray, " g1"],
+    window: float = WINDOW_S,
 ) -> RankSums:
     """Sums over the ranks of a statistic, from which its autocorrelation follows for any set of tracks.
 
     u: the rank of a row among the rows of its track with the same degrees of freedom, uniform over ±1/2, ties averaged.
     Row j of a pair is nearest to the lag after row i; pairs that miss the lag by more than `TOLERANCE` of it are left
     out. `times`: s, sorted in each track; `starts` (g + 1,): the first row of each track, then n. Rows with dof 0, or
-    without time or value, take no part.
+    without time or value, take no part. `window`: s, of the sums of `inflation`.
     """
     n_tracks = len(starts) - 1
     products, windows = np.zeros((n_tracks, len(LAGS_S), 4)), np.zeros((n_tracks, 3))
@@ -83,7 +84,7 @@ def rank_sums(
         i, j = _pairs(own, track, lag)
         for m, product in enumerate((u[i] * u[j], u[i] ** 2, u[j] ** 2, np.ones(len(i)))):
             products[:, k, m] = np.bincount(track[i], product, minlength=n_tracks)
-    first = np.flatnonzero(_changes(track, np.floor(own / WINDOW_S)))
+    first = np.flatnonzero(_changes(track, np.floor(own / window)))
     sums = np.add.reduceat(u, first)
     for m, (of_track, x) in enumerate(((track[first], sums**2), (track, u**2), (track, np.ones(len(u))))):
         windows[:, m] = np.bincount(of_track, x, minlength=n_tracks)
