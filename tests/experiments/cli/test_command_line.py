@@ -188,7 +188,15 @@ def test_a_run_folder_has_a_manifest_and_plots(runs, there, world, tracker, pict
     assert said.out.splitlines()[-1].startswith(f"wrote {folder / 'tracks.parquet'} (")
     assert all(name in said.out.splitlines()[-1] for name in _pictures(folder))
     manifest = json.loads((folder / "manifest.json").read_text())
-    settings = {"tracker": tracker, "noise": None, "free_height": False, "smooth": False, "lag": None, "seed": 0}
+    settings = {
+        "tracker": tracker,
+        "noise": None,
+        "calibration": None,
+        "free_height": False,
+        "smooth": False,
+        "lag": None,
+        "seed": 0,
+    }
     assert manifest["config"] == settings
     assert manifest["recordings"] == [str(world)]
     assert manifest["verdicts"] == {"ok": TAGS * (3 if tracker == "beam" else 1)}
