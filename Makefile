@@ -62,7 +62,7 @@ bench-peers: .venv-peers/installed
 	$(PEERS)/python -m experiments.bench.imu
 	$(PEERS)/python -m experiments.bench.particle_peers
 	$(PEERS)/python -m experiments.bench.tuning --peers
-	$(PEERS)/python -m experiments.bench.recordings
+	$(PEERS)/python -m experiments.bench.recordings --smooth --page docs/performance.md
 	$(PEERS)/python -m experiments.bench.growth --page docs/performance.md
 
 # On a host with CUDA GPUs; the result file is out/bench-gpu.json.

@@ -20,13 +20,12 @@ import numpy as np
 import tyro
 
 from experiments.bench.growth_cases import SERIES, build
-from experiments.bench.timing import clocked, turns, write_json
+from experiments.bench.timing import clocked, replace_tables, turns, write_json
 from experiments.cli.runtime import set_flags
 from experiments.cli.subprocesses import in_new_process_or_failed
 
 ROUNDS = 3
 LIMIT_S = 120.0
-BEGIN, END = "<!-- tables of experiments.bench.growth -->", "<!-- end of the tables -->"
 
 
 def main(
@@ -62,8 +61,7 @@ def main(
     heading = f"{host['cpu']}, {host['cores']} cores, {began:%Y-%m-%d}, `{' '.join(command)}`.\n"
     print(f"{heading}\n{text}")
     if page is not None:
-        before, _, rest = page.read_text("utf-8").partition(BEGIN)
-        page.write_text(f"{before}{BEGIN}\n\n{heading}\n{text}\n{END}{rest.partition(END)[2]}", "utf-8")
+        replace_tables(page, "experiments.bench.growth", f"{heading}\n{text}")
     took = (datetime.now(UTC) - began).total_seconds()
     date = began.isoformat(timespec="seconds")
     write_json(out, {"date": date, "command": command, "machine": host, "series": results, "took_s": took})

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import importlib.util
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import tyro
 
-from experiments.bench.timing import clocked, turns, write_json
+from experiments.bench.timing import clocked, replace_tables, turns, write_json
 from experiments.cli.runtime import set_flags
 from experiments.cli.subprocesses import recordings_folder
 
@@ -57,6 +57,7 @@ def main(
     recordings: tuple[str, ...] = RECORDINGS,
     trackers: tuple[str, ...] = (),
     smooth: bool = False,
+    page: Path | None = None,
     out: Path = Path("out/bench-recordings.json"),
 ) -> int:
     """Measure, print a table and write the results as JSON.
@@ -65,6 +66,7 @@ def main(
         recordings: folders of TRACKWRIGHT_RECORDINGS.
         trackers: names of trackers; by default all that fit.
         smooth: also the smoothed estimates.
+        page: the page whose table is replaced, as docs/performance.md.
         out: the JSON file to write.
     """
     set_flags()
@@ -82,11 +84,15 @@ def main(
             found.append(row)
             print("  ".join(f"{k} {cell(row[k])}" for k in COLUMNS if row[k] is not None), file=sys.stderr, flush=True)
     print(aligned([COLUMNS, *[[cell(row[k]) for k in COLUMNS] for row in found]], range(2, len(COLUMNS))))
+    command = ["python", "-m", "experiments.bench.recordings", *sys.argv[1:]]
+    if page is not None:
+        heading = f"{host['cpu']}, {host['cores']} cores, {began:%Y-%m-%d}, `{' '.join(command)}`."
+        replace_tables(page, "experiments.bench.recordings", f"{heading}\n\n{markdown(found)}\n")
     write_json(
         out,
         {
             "date": began.isoformat(timespec="seconds"),
-            "command": ["python", "-m", "experiments.bench.recordings", *sys.argv[1:]],
+            "command": command,
             "machine": host,
             "rows": found,
             "took_s": (datetime.now(UTC) - began).total_seconds(),
@@ -99,6 +105,14 @@ def main(
 def cell(value: Any) -> str:
     """A number or a text of the table; nothing for None."""
     return "" if value is None else f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+def markdown(found: Sequence[Mapping[str, Any]]) -> str:
+    """The rows as a Markdown table, without the columns that are for the terminal alone."""
+    columns = [k for k in COLUMNS if k not in ("wall us/row", "difference m")]
+    lines = [[k.replace("us/", "µs/").replace(" x ", " × ") for k in columns], ["---", "---", *["---:"] * 8]]
+    lines += [[cell(row[k]) for k in columns] for row in found]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def measured(path: Path, names: tuple[str, ...], smooth: bool) -> Iterator[dict[str, Any]]:

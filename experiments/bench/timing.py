@@ -1,4 +1,4 @@
-"""Times of runs that take turns, and the JSON file of a benchmark's results."""
+"""Times of runs that take turns, and the JSON file and tables of a benchmark's results."""
 
 from __future__ import annotations
 
@@ -28,3 +28,10 @@ def write_json(out: Path, results: Mapping[str, Any]) -> None:
     """Write the results, creating the folder if missing."""
     out.parent.mkdir(parents=True, exist_ok=True)
     atomic_write(out, lambda path: path.write_text(json_text(results), "utf-8"))
+
+
+def replace_tables(page: Path, module: str, text: str) -> None:
+    """Replace what a page has between the marks of a module's tables."""
+    begin, end = f"<!-- tables of {module} -->", "<!-- end of the tables -->"
+    before, _, rest = page.read_text("utf-8").partition(begin)
+    page.write_text(f"{before}{begin}\n\n{text}\n{end}{rest.partition(end)[2]}", "utf-8")
