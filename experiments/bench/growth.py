@@ -99,7 +99,7 @@ def table(name: str, found: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> st
     lines = [
         f"### {name}: {SERIES[name].about}",
         "",
-        f"| {name} | version | first call s | run ms | processor ms | M rows per processor s | memory MiB |",
+        f"| {name} | version | first call, processor s | run ms | processor ms | M rows per processor s | memory MiB |",
         "| ---: | --- | ---: | ---: | ---: | ---: | ---: |",
     ]
     for version, points in found.items():
@@ -108,8 +108,8 @@ def table(name: str, found: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> st
                 lines.append(f"| {size} | {version} | | | | | {p['failed'].replace('|', '/')} |")
                 continue
             lines.append(
-                f"| {size} | {version} | {p['first_s']:.2f} | {1e3 * p['warm_s']:.4g} | {1e3 * p['warm_cpu_s']:.4g} | "
-                f"{p['rows'] / p['warm_cpu_s'] / 1e6:.3g} | {p['memory_mib']:.0f} |"
+                f"| {size} | {version} | {p['first_cpu_s']:.2f} | {1e3 * p['warm_s']:.4g} | "
+                f"{1e3 * p['warm_cpu_s']:.4g} | {p['rows'] / p['warm_cpu_s'] / 1e6:.3g} | {p['memory_mib']:.0f} |"
             )
     slopes = {version: slope(points) for version, points in found.items()}
     fitted = [f"{version} {value:.2f}" for version, value in slopes.items() if value is not None]

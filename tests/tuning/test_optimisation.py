@@ -81,3 +81,32 @@ def test_starts_of_equal_value_are_one_start(problem):
     assert len(state.vectors) == 4
     assert len(np.unique(state.vectors, axis=0)) == 4
     np.testing.assert_array_equal(state.vectors[0], own)
+
+
+def test_gains_below_the_jumps_of_an_objective_are_not_searched_for(problem, monkeypatch):
+    evaluate, start = Problem.evaluate, flatten(problem.parameters)
+
+    def fitted():
+        driver = MultiStart(problem, LBFGS(), 60, *ANYWHERE)
+        state = driver.init(start)
+        while not driver.done(state):
+            state = driver.step(state)
+        return state
+
+    def jumping(self, vectors, *args, **kwargs):
+        found = evaluate(self, vectors, *args, **kwargs)
+        # Up to two nats up or down every thousandth of a noise level, without a trace in the gradients.
+        levels = np.floor(1e3 * np.sum(np.atleast_2d(vectors), axis=1)).astype(int)
+        nats = np.random.default_rng(1).uniform(-2.0, 2.0, 100_000)[levels % 100_000]
+        terms = found.terms.copy()
+        terms[:, 0, 0] += nats
+        return found._replace(terms=terms, values=found.values + nats / terms[:, 1].sum(axis=1))
+
+    smooth = fitted()
+    monkeypatch.setattr(Problem, "evaluate", jumping)
+    seen = _evaluated(problem, monkeypatch)
+    rough = fitted()
+    assert len(seen) <= 4  # five with shorter and shorter attempts
+    monkeypatch.setattr(Problem, "evaluate", evaluate)
+    lost = problem.values(rough.best_vectors) - problem.values(smooth.best_vectors)
+    assert lost[0] * rough.terms[0, 1].sum() < 2.0
