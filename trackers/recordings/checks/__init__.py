@@ -1,4 +1,4 @@
-"""Data-quality checks of a recording: time base, rates, gaps, duplicates, outliers, ids, units, truth, geometry.
+"""Data-quality checks of a recording: time base, gaps, duplicates, outliers, ids, units, truth, geometry, errors.
 
 for result in check(read_recording("hall")):
     print(result.level, result.where, result.message)
@@ -8,10 +8,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from trackers.recordings.checks.anomalies import anomalies
 from trackers.recordings.checks.check_result import LEVELS, CheckResult, Level, format_results
+from trackers.recordings.checks.correlation import check_correlation
 from trackers.recordings.checks.coverage import check_ids, check_truth
 from trackers.recordings.checks.geometry import check_geometry
+from trackers.recordings.checks.quantisation import check_quantisation
+from trackers.recordings.checks.readings import about_local_line, readings, robust_std
+from trackers.recordings.checks.repeats import check_repeats
 from trackers.recordings.checks.sampling import check_rates, check_time_base
 from trackers.recordings.checks.units import check_units
 from trackers.recordings.tables import MEASUREMENTS
@@ -39,4 +45,17 @@ def check(recording: RecordingFolder) -> list[CheckResult]:
     if measured and "truth" in tables:
         results += check_truth(tables["truth"], measured)
     results += check_geometry(rig, tables)
+    for name in measured:
+        results += _check_errors(recording, name)
     return sorted(results, key=lambda result: LEVELS.index(result.level))
+
+
+def _check_errors(recording: RecordingFolder, name: str) -> list[CheckResult]:
+    """Checks of the errors of a table's readings: repeats, quantisation steps, correlation."""
+    read = readings(recording, name)
+    about = about_local_line(read)
+    found = [*check_repeats(name, read), *check_quantisation(name, read, robust_std(about))]
+    if name not in ("ranges", "bearings", "fixes"):
+        return found  # a local line through an IMU or phases does not follow the motion
+    true = bool(np.isfinite(read.errors).any())
+    return [*found, *check_correlation(name, read, read.errors if true else about, true)]
