@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -48,12 +49,18 @@ def notice(text: str) -> None:
     ERRORS.print(text, markup=False)
 
 
-def read_with_notices(paths: Sequence[Path], calibration: Path | None = None) -> list[RecordingFolder]:
-    """The recordings in several folders, with the calibration in a file; prints their notices.
+def read_with_notices(
+    paths: Sequence[Path], calibration: Path | None = None, average: float | None = None
+) -> list[RecordingFolder]:
+    """The recordings in several folders, averaged over intervals of so many s, with the calibration in a file.
 
-    Raises UnusableInput as `read_recordings` and `read_calibration`.
+    Prints their notices. Raises UnusableInput as `read_recordings` and `read_calibration`, and for a wrong interval.
     """
+    if average is not None and not 0 < average < math.inf:
+        raise UnusableInput(f"--average {average:g}: expected a time above zero, s")
     recordings = read_recordings(paths)
+    if average is not None:
+        recordings = [recording.averaged(average) for recording in recordings]
     read = None if calibration is None else read_calibration(calibration)
     recordings = [recording.calibrated(read) for recording in recordings]
     for path, recording in zip(paths, recordings, strict=True):

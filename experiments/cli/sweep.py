@@ -29,6 +29,7 @@ def sweep(
     repeats: int = 10,
     noise: Path | None = None,
     calibration: Path | None = None,
+    average: float | None = None,
     path: Path | None = None,
     free_height: bool = False,
     piece_rows: int = 8000,
@@ -46,6 +47,7 @@ def sweep(
         repeats: runs of a particle filter per value, with different random numbers.
         noise: a tuned.toml for the other parameters.
         calibration: a calibration.toml of `trackwright calibrate` on other recordings of these stations or anchors.
+        average: average the ranges, fixes and bearings of each tag and anchor or station over so many seconds.
         path: an output folder of `tune`, or its trace.csv, to draw as optimiser trace.
         free_height: estimate the height of tags whose height the rig gives.
         piece_rows: long recordings are cut into segments of about this many rows, as in `tune`.
@@ -54,11 +56,11 @@ def sweep(
     if repeats < 1 or piece_rows < 10:
         raise UnusableInput(f"--repeats {repeats} --piece-rows {piece_rows}: expected at least 1 and 10")
     grids = _grids(over)
-    folders = read_with_notices(recordings, calibration)
+    folders = read_with_notices(recordings, calibration, average)
     options = {
         "tracker": tracker, "over": over, "objective": objective, "dimensions": dimensions, "weigh": weigh,
-        "repeats": repeats, "noise": noise, "calibration": calibration, "path": path, "free_height": free_height,
-        "piece_rows": piece_rows,
+        "repeats": repeats, "noise": noise, "calibration": calibration, "average": average, "path": path,
+        "free_height": free_height, "piece_rows": piece_rows,
     }  # fmt: skip
     keep_programs()
     # jax takes a second to import, which the help and a refused recording need not wait for.

@@ -19,6 +19,7 @@ def track(  # noqa: D103
     tracker: str | None = None,
     noise: Path | None = None,
     calibration: Path | None = None,
+    average: float | None = None,
     free_height: bool = False,
     smooth: bool = False,
     lag: float | None = None,
@@ -26,12 +27,12 @@ def track(  # noqa: D103
     cluster: str | None = None,
 ) -> int:
     started = datetime.now(UTC)
-    folders = read_with_notices(recordings, calibration)
+    folders = read_with_notices(recordings, calibration, average)
     keep_programs()
     # jax takes a second to import, which the help and a refused recording need not wait for.
     from experiments.cli.tracking import Options, track_folders
 
-    options = Options(recordings, out, tracker, noise, calibration, free_height, smooth, lag, seed, cluster)
+    options = Options(recordings, out, tracker, noise, calibration, average, free_height, smooth, lag, seed, cluster)
     return track_folders(folders, options, started)
 
 
@@ -47,6 +48,7 @@ Args:
     tracker: one of the names above, or FILE.py:NAME of a TrackerSpec of your own; default: what fits the tables.
     noise: a tuned.toml of `trackwright tune`.
     calibration: a calibration.toml of `trackwright calibrate` on other recordings of these stations or anchors.
+    average: average the ranges, fixes and bearings of each tag and anchor or station over so many seconds.
     free_height: estimate the height of tags whose height the rig gives.
     smooth: use the rows after each row too, all of them: for recordings, where nothing has to be known at once.
     lag: smooth with the rows of the next so many seconds only.

@@ -42,6 +42,7 @@ class Options:
     tracker: str | None
     noise: Path | None
     calibration: Path | None
+    average: float | None
     free_height: bool
     smooth: bool
     lag: float | None
@@ -98,6 +99,7 @@ def track_folders(folders: Sequence[RecordingFolder], options: Options, started:
         "tracker": name,
         "noise": None if options.noise is None else str(options.noise),
         "calibration": None if options.calibration is None else str(options.calibration),
+        "average": options.average,
         "free_height": options.free_height,
         "smooth": options.smooth,
         "lag": options.lag,

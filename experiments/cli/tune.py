@@ -30,6 +30,7 @@ def tune(
     held_out: tuple[Path, ...] = (),
     start: Path | None = None,
     calibration: Path | None = None,
+    average: float | None = None,
     starts: int = 4,
     optimiser: Literal["auto", "lbfgs", "adam"] = "auto",
     steps: int = 60,
@@ -58,6 +59,7 @@ def tune(
         held_out: recordings to validate on: not fitted, but they select the best point and end the fit.
         start: a tuned.toml to start from.
         calibration: a calibration.toml of `trackwright calibrate` on other recordings of these stations or anchors.
+        average: average the ranges, fixes and bearings of each tag and anchor or station over so many seconds.
         starts: number of starts: the given values, then the best of a first guess from the data and a coarse grid.
         optimiser: auto is lbfgs for a likelihood, adam for other objectives, minibatches and particle filters.
         steps: maximum number of steps per start.
@@ -86,6 +88,7 @@ def tune(
         "held_out": held_out,
         "start": start,
         "calibration": calibration,
+        "average": average,
         "starts": starts,
         "optimiser": optimiser,
         "steps": steps,
@@ -96,7 +99,7 @@ def tune(
     }
     with progress("tuning", steps) as advance:
         advance(0, "(reading)")
-        folders = read_with_notices((*recordings, *held_out), calibration)
+        folders = read_with_notices((*recordings, *held_out), calibration, average)
         advance(0, "(preparing)")
         keep_programs()
         # jax takes a second to import, which the help and a refused recording need not wait for.

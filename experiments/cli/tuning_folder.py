@@ -55,6 +55,7 @@ def write_run(out: Path, data: FitData, result: FitResult, run: Run, compared: C
     calibration = run.options["calibration"]
     use = f"trackwright track … --noise {out / 'tuned.toml'}"
     use += "" if calibration is None else f" --calibration {calibration}"
+    use += "" if run.options["average"] is None else f" --average {run.options['average']:g}"
     request = Request(
         command=command,
         next_commands=(use, command),

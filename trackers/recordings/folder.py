@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import difflib
 import gzip
+import math
 import shutil
 import uuid
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,6 +19,7 @@ import polars as pl
 
 from trackers.core.errors import UnusableInput, listed
 from trackers.core.rig import Rig
+from trackers.recordings.averaging import averaged
 from trackers.recordings.calibration import Calibration
 from trackers.recordings.checks.anomalies import anomalies
 from trackers.recordings.columns import TagRows
@@ -72,6 +74,16 @@ class RecordingFolder:
         Stations and anchors that no longer stand where they were calibrated are uncalibrated.
         """
         return replace(self, calibration=None if calibration is None else calibration.at_rest(self.rig))
+
+    def averaged(self, interval: float) -> RecordingFolder:
+        """This recording with one range, fix or bearing per tag, anchor or station, and interval of so many s.
+
+        The columns are those of `averaging.averaged`. Raises ValueError for an interval that is not above zero.
+        """
+        if not 0 < interval < math.inf:
+            raise ValueError(f"interval = {interval:g} s, expected a time above zero")
+        tables = {name: averaged(table, name, interval) for name, table in self.tables.items()}
+        return replace(self, tables=tables)
 
     def uncalibrated(self) -> list[str]:
         """Stations with bearings and anchors with ranges that the calibration lacks, in words; all without one."""

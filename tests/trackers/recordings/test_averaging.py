@@ -1,0 +1,100 @@
+"""Averaged tables have one row per tag, sensor and interval, with the mean of its readings at the mean of their times."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import polars as pl
+import pytest
+
+from tests.faulty import write_good
+from tests.in_process import trackwright
+from trackers.recordings.averaging import averaged
+from trackers.recordings.folder import read_recording
+
+
+def _ranges(seed=0, rows=400):
+    rng = np.random.default_rng(seed)
+    return pl.DataFrame(
+        {
+            "t_s": np.sort(rng.uniform(0, 20, rows)),
+            "tag": rng.choice(["T1", "T2"], rows),
+            "anchor": rng.choice(["A1", "A2", "A3"], rows),
+            "range_m": rng.uniform(1, 9, rows),
+            "range_std_m": rng.uniform(0.1, 0.3, rows),
+        }
+    ).with_columns(range_m=pl.when(pl.col("t_s") > 19).then(None).otherwise(pl.col("range_m")))
+
+
+def test_ranges_are_means_of_each_tag_anchor_and_interval():
+    table = _ranges()
+    found = averaged(table, "ranges", 0.5)
+    assert found.columns == table.columns
+    assert found["t_s"].is_sorted()
+    rows = table.drop_nulls("range_m").to_dicts()
+    keys = {(row["tag"], row["anchor"], int(row["t_s"] // 0.5)) for row in rows}
+    assert len(found) == len(keys)
+    for row in found.iter_rows(named=True):
+        key = row["tag"], row["anchor"], int(row["t_s"] // 0.5)
+        own = [r for r in rows if (r["tag"], r["anchor"], int(r["t_s"] // 0.5)) == key]
+        assert row["t_s"] == pytest.approx(np.mean([r["t_s"] for r in own]))
+        assert row["range_m"] == pytest.approx(np.mean([r["range_m"] for r in own]))
+        assert row["range_std_m"] == pytest.approx(np.sqrt(np.mean([r["range_std_m"] ** 2 for r in own])))
+
+
+def test_the_mean_of_angles_is_their_direction_and_leaves_out_missing_ones():
+    table = pl.DataFrame(
+        {
+            "t_s": [0.1, 0.2, 0.3, 1.1],
+            "tag": ["T1"] * 4,
+            "station": ["S1"] * 4,
+            "azimuth_rad": [3.1, -3.1, None, 0.5],
+            "elevation_rad": [0.1, 0.3, 0.2, None],
+        }
+    )
+    found = averaged(table, "bearings", 1.0)
+    assert found["azimuth_rad"].to_list() == [pytest.approx(np.pi), 0.5]
+    assert found["elevation_rad"].to_list() == [pytest.approx(0.2, abs=1e-3), None]
+    assert found["t_s"].to_list() == [pytest.approx(0.2), 1.1]
+
+
+def test_a_recording_is_averaged_but_for_truth_phases_and_imu(tmp_path):
+    write_good(tmp_path / "good")
+    folder = read_recording(tmp_path / "good")
+    found = folder.averaged(0.35)
+    for name, table in folder.tables.items():
+        if name in ("ranges", "bearings", "fixes"):
+            assert len(found.tables[name]) < 0.5 * len(table)
+        else:
+            assert found.tables[name].equals(table)
+    for wrong in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(ValueError, match="expected a time above zero"):
+            folder.averaged(wrong)
+
+
+def test_an_interval_shorter_than_the_rows_changes_nothing(tmp_path):
+    write_good(tmp_path / "good")
+    folder = read_recording(tmp_path / "good")
+    for name, table in folder.averaged(1e-3).tables.items():
+        keys = [c for c in ("t_s", "tag", "anchor", "station") if c in table.columns]
+        expected = folder.tables[name].sort(keys)
+        assert table.sort(keys).select(keys).equals(expected.select(keys))
+        for column in set(table.columns) - set(keys):
+            np.testing.assert_allclose(table.sort(keys)[column], expected[column], rtol=1e-12, atol=1e-15)
+
+
+def test_track_averages_and_its_manifest_has_the_interval(tmp_path):
+    write_good(tmp_path / "good")
+    counts = {}
+    for average in (None, 0.5):
+        out = tmp_path / f"out-{average}"
+        options = [] if average is None else ["--average", str(average)]
+        done = trackwright("track", tmp_path / "good", "--tracker", "fix-kf", "--out", out, *options)
+        assert done.code == 0
+        assert json.loads((out / "manifest.json").read_text())["config"]["average"] == average
+        counts[average] = len(pl.read_parquet(out / "tracks.parquet"))
+    assert counts[0.5] < 0.5 * counts[None]
+    done = trackwright("track", tmp_path / "good", "--out", tmp_path / "none", "--average", "0")
+    assert done.code == 2
+    assert "--average 0: expected a time above zero" in done.err
