@@ -8,21 +8,19 @@ from dataclasses import dataclass
 from fnmatch import fnmatch
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from trackers.core.recording import Batch
+from trackers.core.sensor import AbstractSensor
 from trackers.core.tracker import AbstractTracker, Tracker
 from trackers.core.tunable import Scale
+from trackers.recordings.checks.quantisation import quantisation_step
+from trackers.recordings.checks.readings import Readings
+from trackers.recordings.checks.repeats import repeated_share
 from tuning.parameters import Parameter
 
-MOST_VALUES = 20_000
-"""Values of a channel that are looked at, the first ones."""
-
-MIN_VALUES = 100
-"""Values of a channel below which no step is looked for."""
-
-MAX_OFF_GRID = 0.1
-"""Deviation from multiples of the step, in steps, up to which values lie on a grid."""
+MOST_ROWS = 20_000
+"""Rows of a sensor that are looked at."""
 
 MOST_SOURCES = 64
 """Stations or anchors that readings of a channel are told apart by."""
@@ -50,14 +48,14 @@ def reading_grids(tracker: AbstractTracker, batches: Sequence[Batch]) -> list[Re
     """The steps and repetitions of the readings of each sensor and unit; none for a tracker without sensors."""
     found: list[ReadingGrid] = []
     for name, sensor in tracker.sensors.items() if isinstance(tracker, Tracker) else ():
-        parts = [batch for batch in batches if name in batch.readings]
-        columns = [_columns(batch, name) for batch in parts]
-        repeated = _repeated(parts, name, [each.name for each in sensor.inputs])
+        read = _readings(name, sensor, [batch for batch in batches if name in batch.readings])
+        if read is None:
+            continue
+        repeated = float(np.nan_to_num(repeated_share(read)))
         for unit in dict.fromkeys(channel.unit for channel in sensor.channels):
             own = [k for k, channel in enumerate(sensor.channels) if channel.unit == unit]
-            steps = [_step(np.concatenate([values[k] for values in columns])[:MOST_VALUES]) for k in own if columns]
-            step = min((s for s in steps if math.isfinite(s)), default=math.nan)
-            found.append(ReadingGrid(name, unit, step, repeated))
+            steps = [step for k in own if (step := quantisation_step(read, k)) is not None]
+            found.append(ReadingGrid(name, unit, min(steps, default=math.nan), repeated))
     return found
 
 
@@ -90,51 +88,26 @@ def grid_of(grids: Sequence[ReadingGrid], parameter: Parameter) -> ReadingGrid |
     return min(own, key=lambda grid: grid.floor if math.isfinite(grid.floor) else 0.0, default=None)
 
 
-def _columns(batch: Batch, name: str) -> list[Float[np.ndarray, " _"]]:
-    """The values seen in each channel, trajectory by trajectory."""
-    values, seen = (np.asarray(x) for x in batch.readings[name][:2])
-    return [values[:, k].T[seen[:, k].T].astype(float) for k in range(values.shape[1])]
-
-
-def _step(values: Float[np.ndarray, " n"]) -> float:
-    """The step of the grid that the values lie on; NaN where they lie on none, or hardly share values."""
-    different = np.unique(values)
-    if len(values) < MIN_VALUES or len(different) < 3 or len(different) > len(values) / 2:
-        return math.nan
-    gaps = np.diff(different)
-    # Differences far below the others are rounding of one and the same value.
-    gaps = gaps[gaps > 1e-3 * float(np.median(gaps))]
-    step = float(gaps.min())
-    for _ in range(3):
-        counts = np.round((different - different[0]) / step)
-        step = float(np.polyfit(counts, different, 1)[0]) if counts[-1] > 0 else math.nan
-        if not step > 0:
-            return math.nan
-    offset = float(np.median(different - counts * step))
-    off = np.abs(different - offset - counts * step) / step
-    return step if float(np.quantile(off, 0.99)) <= MAX_OFF_GRID else math.nan
-
-
-def _repeated(batches: Sequence[Batch], name: str, inputs: Sequence[str]) -> float:
-    """The share of readings that are equal to the last one of the same trajectory and of the same `inputs`."""
-    repeated = total = 0
+def _readings(name: str, sensor: AbstractSensor, batches: Sequence[Batch]) -> Readings | None:
+    """The readings of a sensor by trajectory, and by station or anchor; None without any."""
+    inputs, values, streams = [each.name for each in sensor.inputs], list[np.ndarray](), list[np.ndarray]()
     for batch in batches:
-        values, seen = (np.asarray(x) for x in batch.readings[name][:2])
+        read, seen = (np.asarray(x) for x in batch.readings[name][:2])
         for k in range(batch.size):
-            rows = np.flatnonzero(seen[:, :, k].any(axis=1))[:MOST_VALUES]
-            if len(rows) < 2 or total > MOST_VALUES:
+            rows = np.flatnonzero(seen[:, :, k].any(axis=1))[: MOST_ROWS - sum(len(x) for x in values)]
+            if not len(rows):
                 continue
-            where = [
-                np.asarray(batch.inputs[i])[rows, ..., k].reshape(len(rows), -1) for i in inputs if i in batch.inputs
-            ]
-            group = _sources(np.concatenate(where, axis=1)) if where else np.zeros(len(rows), int)
-            order = np.argsort(group, kind="stable")
-            shown = np.where(seen[rows, :, k], values[rows, :, k], 0.0)[order]
-            same: Bool[np.ndarray, " n"] = (shown[1:] == shown[:-1]).all(axis=1)
-            same &= (seen[rows, :, k][order][1:] == seen[rows, :, k][order][:-1]).all(axis=1)
-            follows = group[order][1:] == group[order][:-1]
-            repeated, total = repeated + int((same & follows).sum()), total + int(follows.sum())
-    return repeated / total if total else 0.0
+            given = [np.asarray(batch.inputs[i])[rows, ..., k] for i in inputs if i in batch.inputs]
+            source = _sources(np.concatenate([x.reshape(len(rows), -1) for x in given], axis=1)) if given else 0 * rows
+            order = np.argsort(source, kind="stable")
+            values.append(np.where(seen[rows, :, k], read[rows, :, k].astype(float), np.nan)[order])
+            streams.append(len(streams) * MOST_SOURCES + source[order])
+    if not any(len(x) for x in values):
+        return None
+    # The column of an angle is named so that its wraps are known.
+    columns = tuple(f"{channel.name}_{channel.unit}" for channel in sensor.channels)
+    every = np.concatenate(values)
+    return Readings(columns, np.concatenate(streams), np.zeros(len(every)), every, np.full(every.shape, np.nan))
 
 
 def _sources(inputs: Float[np.ndarray, "n i"]) -> np.ndarray:

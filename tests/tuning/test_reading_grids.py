@@ -10,7 +10,7 @@ from tests.tuning.worlds import line_tracker, walks
 from trackers.core.recording import Readings, Recording, stack
 from trackers.core.rig import Station
 from tuning.parameters import select_parameters
-from tuning.reading_grids import _step, floors, reading_grids
+from tuning.reading_grids import floors, reading_grids
 
 SIGMA = "sensors.gauge.sigma"
 
@@ -23,21 +23,21 @@ def _gauge(values, seen=None):
     return Recording(made.times, {"gauge": Readings(values[:, None], seen[:, None])}, made.inputs)
 
 
-@pytest.mark.parametrize("step", [0.03490658503988659, 0.25, 1e-3])
-@pytest.mark.parametrize("digits", [4, 12])
-def test_the_step_of_rounded_values_is_found(step, digits):
+def test_the_step_of_rounded_readings_is_found_in_single_precision():
     rng = np.random.default_rng(1)
-    values = np.round(step * np.round(rng.normal(0, 8, 2000) + 0.3), digits) + 0.7
-    # a file of four digits is off by up to half of its last one, which the whole range averages out
-    assert _step(values.astype(np.float32).astype(float)) == pytest.approx(step, rel=2e-3)
+    values = 0.0349 * np.round(rng.normal(0, 8, 2000)) + 0.7
+    (grid,) = reading_grids(line_tracker(), [stack([_gauge(values)], dtype=np.float32)])
+    assert grid.step == pytest.approx(0.0349, rel=1e-4)
+    assert grid.floor == pytest.approx(0.0349 / math.sqrt(12), rel=1e-4)
 
 
-def test_values_without_a_grid_have_no_step():
+def test_readings_without_a_grid_have_no_step():
     rng = np.random.default_rng(2)
-    assert math.isnan(_step(rng.normal(size=5000)))
-    assert math.isnan(_step(np.repeat(rng.normal(size=1000), 5))), "repeated, and on no grid"
-    assert math.isnan(_step(np.ones(500)))
-    assert math.isnan(_step(np.arange(20.0)))
+    (grid,) = reading_grids(line_tracker(), [stack([_gauge(np.repeat(rng.normal(size=400), 5))])])
+    assert math.isnan(grid.step)
+    assert grid.repeated == pytest.approx(0.8, abs=0.01)
+    unread = _gauge(np.zeros(20), np.zeros(20, bool))
+    assert reading_grids(line_tracker(), [stack([unread])]) == []
 
 
 def test_repetitions_are_counted_within_a_trajectory_and_over_missing_rows():
