@@ -15,7 +15,7 @@ from experiments.reports.wording import uncapitalised
 from trackers.core.estimates import Estimates
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker
-from trackers.recordings.tracks import batches
+from trackers.recordings.tracks import batches, for_positions
 from trackers.recordings.trajectories import Trajectory
 from tuning import FitResult
 from tuning.data import FitData
@@ -118,6 +118,8 @@ def collect(
 def _runs(tracker: AbstractTracker, trajectories: Sequence[Trajectory]) -> list[tuple[Trajectory, Estimates]]:
     """The tracker's estimates of each trajectory, without padding."""
     found = []
+    # With the compiled program of the recordings compared.
+    tracker = for_positions(tracker)
     for own, batch in batches(trajectories):
         estimates = tracker.run(batch)
         found += [(trajectory, estimates[k][: len(trajectory.recording)]) for k, trajectory in enumerate(own)]

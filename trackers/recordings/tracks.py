@@ -11,7 +11,7 @@ import polars as pl
 from trackers.core.chunks import CHUNK
 from trackers.core.estimates import AXES, STATUS_WORDS, STEP_COLUMNS, Estimates, Status
 from trackers.core.recording import Batch
-from trackers.core.tracker import Tracker
+from trackers.core.tracker import AbstractTracker, Tracker
 from trackers.recordings.columns import stable_order
 from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.trajectories import Trajectories, Trajectory
@@ -73,10 +73,7 @@ def track(groups: Sequence[TrackerBatch], advance: Callable[[int], None] = lambd
     keys: list[tuple[list[tuple[str, str]], np.ndarray]] = []
     summaries: dict[str, int] = {}
     for group in groups:
-        tracker = group.tracker
-        if isinstance(tracker, Tracker):
-            # Large states have hundreds of covariances, of which the table has no others.
-            tracker = replace(tracker, position_alone=True)
+        tracker = for_positions(group.tracker)
         for trajectories, batch in batches(group.trajectories, seed, truth=False):
             estimates = tracker.run(batch)
             rows = trajectories.columns.padded(trajectories.columns.times, estimates.status.shape[1])
@@ -92,6 +89,11 @@ def track(groups: Sequence[TrackerBatch], advance: Callable[[int], None] = lambd
     place = {key: k for k, key in enumerate(sorted({key for names, _ in keys for key in names}))}
     of_rows = np.concatenate([np.array([place[key] for key in names])[number] for names, number in keys])
     return Tracks(table[_order(of_rows, table["t_s"].to_numpy())], summaries, list(groups))
+
+
+def for_positions(tracker: AbstractTracker) -> AbstractTracker:
+    """The tracker whose estimates have the covariances of positions alone: those of large states are hundreds."""
+    return replace(tracker, position_alone=True) if isinstance(tracker, Tracker) else tracker
 
 
 def _order(track: np.ndarray, times: np.ndarray) -> np.ndarray:
