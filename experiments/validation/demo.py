@@ -8,6 +8,7 @@ import tomllib
 from pathlib import Path
 
 from experiments.cli.subprocesses import command, evaluation, recordings_folder
+from trackers.covariance_statements import holds
 
 OUT = Path("out/demo")
 SIGMA_P = 0.2
@@ -50,14 +51,22 @@ def main() -> None:
     fitted = next(entry for name, entry in tunables.items() if name.endswith("sigma_p"))
     print(f"Phase noise of {SIGMA_P} rad, started from {3 * SIGMA_P:.1f} and fitted without truth, all stations tied:")
     print(f"  {fitted['value']:.4f} ± {fitted['standard_error']:.4f} rad   {OUT / 'tuned'}")
-    if walk is not None:
-        print(f"A recorded walk ({WALK}), default noise levels, height known:\n  {_line(OUT / 'walk')}")
     print(f"Plots to look at first: floor-plan.png, error-over-time.png and consistency.png in {OUT / 'direct'}.")
+    if walk is None:
+        print(f"A recorded walk is left out: no recording {WALK} in the folder of TRACKWRIGHT_RECORDINGS.")
+    else:
+        print(f"A recorded walk ({WALK}) with default noise levels, which were set on other walks:")
+        print(f"  {_line(OUT / 'walk', covariances=True)}")
 
 
-def _line(tracks: Path) -> str:
+def _line(tracks: Path, covariances: bool = False) -> str:
     overall = evaluation(tracks)["overall"]
-    return f"{overall['rmse_m']:.3f} m horizontal, {overall['rmse_3d_m']:.3f} m 3-D RMSE   {tracks}"
+    line = f"{overall['rmse_m']:.3f} m horizontal, {overall['rmse_3d_m']:.3f} m 3-D RMSE   {tracks}"
+    if not covariances:
+        return line
+    inside = f"{100 * overall['coverage_95']:.0f} % of the 95 % ellipses contain the truth"
+    verdict = "the covariances hold" if holds(overall) else "the covariances do not hold"
+    return f"{line}\n  {inside}, NEES/dof {overall['nees_ratio']:.2f}: {verdict}"
 
 
 if __name__ == "__main__":

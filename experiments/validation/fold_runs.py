@@ -1,0 +1,122 @@
+"""The figures of a fold: calibration, tuning, tracks and their evaluation in this process, and the fold's limits."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import polars as pl
+
+from experiments.validation.folds import OTHER_HALF, OTHERS, Fold
+from experiments.validation.rooms import Outside, farthest_outside, room
+from trackers.catalogue import build
+from trackers.evaluation import evaluate
+from trackers.recordings.folder import RecordingFolder, read_recording
+from tuning.calibrating import calibrate
+from tuning.fitting import fit
+
+
+class Figures(NamedTuple):
+    """The metrics of one judged recording, filtered or smoothed, and its estimate farthest outside the room."""
+
+    fold: Fold
+    recording: str
+    smoothed: bool
+    metrics: dict[str, Any]
+    outside: Outside
+
+
+class Check(NamedTuple):
+    """A limit of a fold, its figure and whether the figure is within the limit."""
+
+    fold: str
+    what: str
+    figure: float
+    lowest: float
+    highest: float
+
+    @property
+    def met(self) -> bool:
+        """Whether the figure is within its limits."""
+        return self.lowest <= self.figure <= self.highest
+
+    @property
+    def expected(self) -> str:
+        """The limits in words."""
+        return f"≤ {self.highest:g}" if self.lowest == 0.0 else f"{self.lowest:g} to {self.highest:g}"
+
+
+def run_fold(fold: Fold, root: Path) -> Iterator[Figures]:
+    """The figures of every judged recording of a fold; `root`: the folder of the recordings."""
+    folders = [read_recording(root / name) for name in fold.judged]
+    values = _tuned(fold, root)
+    for folder in folders:
+        parts = _calibrated(fold, folder, folders, root)
+        plain = build(fold.tracker, parts, fold.free_height).with_values(values, "the fit")
+        for smoothed in (False, True) if fold.smoothes else (False,):
+            tracker = plain.smoothing() if smoothed else plain
+            estimates = tracker.run(parts)
+            metrics = evaluate(estimates, parts).overall
+            outside = farthest_outside(estimates.to_polars(), room(folder))
+            yield Figures(fold, folder.name, smoothed, metrics, outside)
+
+
+def _tuned(fold: Fold, root: Path) -> dict[str, Any]:
+    """The values that the fold tunes on its own recordings."""
+    if not fold.tuned_on:
+        return {}
+    folders = [read_recording(root / name) for name in fold.tuned_on]
+    result = fit(build(fold.tracker, folders), folders, "rmse", tune=fold.tuned, dimensions=3)
+    return dict(result.tracker.values)
+
+
+def _calibrated(
+    fold: Fold, folder: RecordingFolder, folders: list[RecordingFolder], root: Path
+) -> list[RecordingFolder]:
+    """The recording with the calibration of its fold; its halves where each is calibrated on the other."""
+    if fold.calibrated_on == OTHER_HALF:
+        first, second = halves(folder)
+        return [first.calibrated(calibrate(second)), second.calibrated(calibrate(first))]
+    if fold.calibrated_on == OTHERS:
+        return [folder.calibrated(calibrate([other for other in folders if other is not folder]))]
+    if fold.calibrated_on:
+        return [folder.calibrated(calibrate([read_recording(root / name) for name in fold.calibrated_on]))]
+    return [folder]
+
+
+def halves(folder: RecordingFolder) -> tuple[RecordingFolder, RecordingFolder]:
+    """The rows before the middle of the truth, and those from there on."""
+    times = folder.tables["truth"]["t_s"]
+    before = pl.col("t_s") < 0.5 * (float(times[0]) + float(times[-1]))
+    first, second = (
+        replace(
+            folder, name=f"{folder.name}, {which} half", tables={k: t.filter(rows) for k, t in folder.tables.items()}
+        )
+        for which, rows in (("first", before), ("second", ~before))
+    )
+    return first, second
+
+
+def checks(fold: Fold, figures: list[Figures]) -> list[Check]:
+    """The limits of a fold: of mean errors, and of the covariances of each recording, filtered and smoothed."""
+    found = []
+    for what, limit, metric, smoothed in (
+        ("RMSE, m", fold.rmse, "rmse_m", False),
+        ("RMSE smoothed, m", fold.smoothed, "rmse_m", True),
+        ("3-D RMSE, m", fold.spatial, "rmse_3d_m", False),
+    ):
+        if limit is not None:
+            mean = float(np.mean([f.metrics[metric] for f in figures if f.smoothed == smoothed]))
+            found.append(Check(fold.name, what, mean, 0.0, limit))
+    if fold.honest is not None:
+        for one in sorted(figures, key=operator.attrgetter("smoothed")):
+            of = f", {one.recording}{' smoothed' if one.smoothed else ''}"
+            inside, nees = one.metrics["coverage_95"], one.metrics["nees_ratio"]
+            if inside is not None:
+                found.append(Check(fold.name, f"inside 95 %{of}", inside, *fold.honest.inside))
+                found.append(Check(fold.name, f"NEES/dof{of}", nees, *fold.honest.nees))
+    return found

@@ -1,0 +1,97 @@
+"""The folds over real recordings: what they may see, how they are judged, and the page."""
+
+import numpy as np
+import polars as pl
+import pytest
+
+from experiments.validation.fold_runs import Figures, checks, halves
+from experiments.validation.folds import DEFAULTS, FOLDS, OTHER_HALF, OTHERS, Fold
+from experiments.validation.real_recordings import main
+from experiments.validation.real_recordings_page import all_checks, written
+from experiments.validation.rooms import Outside, farthest_outside, room
+from trackers.core.rig import Rig
+from trackers.recordings.folder import RecordingFolder
+
+INSIDE = Outside(0.0, 0.1, 1.0, 0)
+HONEST = {"rmse_m": 0.2, "rmse_3d_m": 0.3, "coverage_95": 0.95, "coverage_95_3d": 0.95, "nees_ratio": 1.0}
+HONEST |= {"nis_correlation_1s": 0.0, "nis_inflation_1s": 1.0, "nis_ratio": 1.0}
+FOLD = Fold("flights", "uwb", ("a", "b"), DEFAULTS, rmse=0.25, spatial=0.5)
+
+
+def _figures(recording, outside=INSIDE, smoothed=False, **metrics):
+    return Figures(FOLD, recording, smoothed, HONEST | metrics, outside)
+
+
+def _missed(*figures):
+    return [(check.fold, check.what) for check in all_checks(figures) if not check.met]
+
+
+@pytest.mark.parametrize("fold", FOLDS, ids=lambda fold: fold.name)
+def test_no_fold_is_calibrated_or_tuned_on_what_it_judges(fold):
+    assert not set(fold.judged) & {*fold.calibrated_on, *fold.tuned_on}
+    assert fold.calibrated_on != OTHERS or len(fold.judged) > 1
+
+
+def test_each_half_of_a_recording_has_its_own_rows_and_name():
+    times = np.arange(10.0)
+    ranges = pl.DataFrame({"t_s": np.arange(0.0, 12.0, 0.5), "range_m": 1.0})
+    folder = RecordingFolder("hall", None, Rig("hall"), {"truth": pl.DataFrame({"t_s": times}), "ranges": ranges})
+    first, second = halves(folder)
+    assert first.name != second.name
+    assert first.tables["truth"]["t_s"].to_list() == [0, 1, 2, 3, 4]
+    assert second.tables["truth"]["t_s"].to_list() == [5, 6, 7, 8, 9]
+    # Ranges after the last true position are the second half's.
+    assert pl.concat([first.tables["ranges"], second.tables["ranges"]]).equals(ranges)
+
+
+def test_limits_of_errors_are_of_means_and_those_of_covariances_of_each_recording():
+    assert _missed(_figures("a", rmse_m=0.1), _figures("b", rmse_m=0.39)) == []
+    assert _missed(_figures("a", rmse_m=0.1), _figures("b", rmse_m=0.41)) == [("flights", "RMSE, m")]
+    assert _missed(_figures("a", nees_ratio=0.1), _figures("b", nees_ratio=1.9)) == [("flights", "NEES/dof, a")]
+    assert _missed(_figures("a"), _figures("b", coverage_95=1.0)) == [("flights", "inside 95 %, b")]
+    assert _missed(_figures("a"), _figures("a", smoothed=True, coverage_95=0.8)) == [
+        ("flights", "inside 95 %, a smoothed")
+    ]
+
+
+def test_an_error_without_a_figure_misses_its_limit():
+    (check,) = [c for c in checks(FOLD, [_figures("a", rmse_m=float("nan"))]) if c.what == "RMSE, m"]
+    assert not check.met
+
+
+def test_the_estimate_farthest_outside_the_room_is_found_by_its_straight_distance():
+    rig = Rig("hall", anchors={"1": np.array([0.0, 0.0, 2.0]), "2": np.array([4.0, 1.0, 2.0])})
+    truth = pl.DataFrame({"x_m": [1.0, 2.0, None], "y_m": [-1.0, 3.0, None]})
+    corners = room(RecordingFolder("hall", None, rig, {"truth": truth}))
+    np.testing.assert_array_equal(corners, [[0, -1], [4, 3]])
+    # Inside, without estimate, 0.5 m left of the room, and 3 m and 4 m beyond its upper right corner.
+    estimates = pl.DataFrame({"x_m": [1.0, None, -0.5, 7.0], "y_m": [0.0, None, 0.0, 7.0]})
+    estimates = estimates.with_columns(t_s=pl.Series([0.0, 1.0, 2.0, 3.0]), std_x_m=0.2, std_y_m=0.3)
+    assert farthest_outside(estimates, corners) == Outside(5.0, 0.3, 3.0, 1)
+    assert farthest_outside(estimates[:2], corners).distance == 0.0
+
+
+def test_the_page_names_missed_limits_rooms_and_what_was_seen():
+    fold = FOLD._replace(calibrated_on=OTHER_HALF)
+    figures = [
+        _figures("a", nees_ratio=3.0, coverage_95=0.6, nis_ratio=4.0)._replace(fold=fold),
+        _figures("b", Outside(1.5, 0.1, 2.0, 7))._replace(fold=fold),
+    ]
+    page = written(figures, {"a": 0.123}, "the command", 60.0)
+    assert "**5 of 8 limits are met.**" in page
+    assert "| flights | NEES/dof, a | 3.000 | 0.5 to 2 | **no** |" in page
+    assert "| b | flights | 1.50 | 2.0 | 0.10 | 7 | **no** |" in page
+    assert "each calibrated on the other half" in page
+    assert "- a: NIS/dof is 4 where 1 is expected: the reported covariances are too small." in page
+    assert "0.123" in page
+
+
+@pytest.mark.slow
+def test_the_quick_folds_write_their_page(recordings, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("TRACKWRIGHT_RECORDINGS", str(recordings))
+    code = main(quick=True, page=tmp_path / "page.md")
+    missed = [line for line in capsys.readouterr().out.splitlines() if line.startswith("missed: ")]
+    page = (tmp_path / "page.md").read_text("utf-8")
+    assert code == int(bool(missed))
+    assert page.count("**no**") == len(missed) + sum("room" in line for line in missed)
+    assert not [line for line in missed if "RMSE, m" in line]
