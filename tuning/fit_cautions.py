@@ -8,14 +8,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from trackers.core.chunks import run_chunks
-from trackers.core.rank_correlation import rank_sums
-from trackers.core.recording import Batch
-from trackers.core.scan import Output
 from trackers.core.tunable import Scale
+from tuning.correlation import rows_and_inflation
 from tuning.optimum import Optimum
 from tuning.parameters import Parameter, component_kinds, component_names
-from tuning.point import Point
 from tuning.problem import Problem
 from tuning.profiles import refit
 from tuning.reading_grids import ReadingGrid, grid_of
@@ -36,11 +32,8 @@ ROUNDS = 8
 REPEATED = 0.5
 """Share of repeated readings from which on they are not independent."""
 
-WINDOWS_S = (1.0, 5.0, 20.0)
-"""Lengths of time, s, over which innovations are looked at; the inflation grows with them up to that of the errors."""
-
-MIN_WINDOWS, INFLATION = 40, 2.0
-"""Windows of a length for an estimate, and the rows with the information of one from which on rows are correlated."""
+INFLATION = 2.0
+"""Rows with the information of one from which on innovations are correlated."""
 
 
 def fit_cautions(
@@ -56,7 +49,7 @@ def fit_cautions(
     if uncertainty is not None:
         found += deciding(problem, uncertainty, recordings)
     if problem.objective.is_likelihood:
-        found += [*repetitions(grids), *correlation(problem, end)]
+        found += [*repetitions(grids), *([] if problem.objective.tempered else correlation(problem, end))]
     return found
 
 
@@ -153,36 +146,12 @@ def repetitions(grids: Sequence[ReadingGrid]) -> Iterator[str]:
 
 
 def correlation(problem: Problem, vector: Float[np.ndarray, " p"]) -> list[str]:
-    """A clause where innovations are correlated: the effective number of rows, and how much too narrow intervals are.
-
-    The inflation is that of `trackers.core.rank_correlation`, the largest over windows of several lengths.
-    """
-    points = [(problem.point(vector), part) for part in problem.chunks]
-    found = run_chunks(_nis_of_rows, points)
-    columns: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
-    for (nis, dof), part in zip(found, problem.chunks, strict=True):
-        valid, times = np.asarray(part.valid), np.cumsum(np.asarray(part.dt, float), axis=0)
-        columns += [(times[v, k], nis[v, k], dof[v, k]) for k, v in enumerate(valid.T) if v.any()]
-    starts = np.cumsum([0, *(len(times) for times, _, _ in columns)])
-    times, nis, dof = (np.concatenate(x).astype(float) for x in zip(*columns, strict=True))
-    rows, inflation = int(np.sum(np.isfinite(nis) & (dof > 0))), 1.0
-    for window in WINDOWS_S:
-        if sum(np.ptp(own) for own, _, _ in columns) >= MIN_WINDOWS * window:
-            inflation = max(inflation, np.nan_to_num(rank_sums(times, nis, dof, starts, window).inflation()))
+    """A clause where innovations are correlated: the effective number of rows, and by how much intervals fall short."""
+    rows, inflation = rows_and_inflation(problem, vector)
     if inflation < INFLATION:
         return []
     return [
         f"innovations are correlated over time: {rows} rows carry the information of about {rows / inflation:.0f} "
         f"independent ones, so that intervals by the curvature of the likelihood are about {math.sqrt(inflation):.2g} "
-        "times too narrow"
+        "times too narrow; give the objective tempered-nll, or state-nll where there is truth"
     ]
-
-
-def _nis_of_rows(point: Point, batch: Batch) -> tuple[np.ndarray, np.ndarray]:
-    """NIS and degrees of freedom of every row (T, B) at the point's first vector."""
-
-    def score(output: Output, truth: object) -> tuple[np.ndarray, np.ndarray]:
-        return output.nis, output.nis_dof
-
-    nis, dof = point.tracker_at(point.vectors[0]).accumulate(batch, score, every_row=True)
-    return nis, dof

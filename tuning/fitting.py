@@ -16,10 +16,11 @@ from trackers.core.chunks import CHUNK
 from trackers.core.tracker import AbstractTracker
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.named_tracker import NamedTracker
+from tuning.correlation import rows_and_inflation
 from tuning.data import Arrays, FitData, fit_arrays
 from tuning.fit_cautions import fit_cautions
 from tuning.objectives import AbstractObjective
-from tuning.optimisation import FitState, MultiStart, from_arrays, min_gain
+from tuning.optimisation import FitState, MultiStart, from_arrays, min_gain, stands_still
 from tuning.optimisers import LBFGS, AbstractOptimiser, Adam
 from tuning.optimum import Optimum, optimum
 from tuning.parameters import Parameter, flatten, limits, physical, select_parameters, with_parameters
@@ -36,9 +37,6 @@ NEWTON_STEPS = 4
 
 OTHER_STARTS = 4
 """Starts of a fit that did not move from its only one."""
-
-MIN_SLOPE = 1e-3
-"""Norm of the gradient, relative to the objective, from which on a start is not the optimum."""
 
 
 @dataclass(frozen=True)
@@ -151,8 +149,8 @@ def fit(
     data = fit_arrays(tracker, recordings, objective, held_out, dimensions, weigh)
     model, batches, apart, objective = data.tracker, data.training, data.held_out, data.objective
     parameters = select_parameters(model, tune, frozen)
-    if priors and not objective.is_likelihood:
-        raise ValueError("priors need a likelihood as objective; give bounds with another one")
+    if priors and (not objective.is_likelihood or objective.tempered):
+        raise ValueError("priors need the likelihood nll as objective; give bounds with another one")
     trajectories = chunk if minibatch is None else min(chunk, minibatch)
     problem = Problem(model, batches, objective, parameters, trajectories, priors, data.weights)
     scoring = Problem(model, apart, objective, parameters, chunk, (), data.held_out_weights) if apart else None
@@ -172,12 +170,15 @@ def fit(
     interrupted = False
     try:
         report(state)
-        while not driver.done(state) or (starts == 1 and _stands_still(state)):
+        while not driver.done(state) or (starts == 1 and stands_still(state)):
             if driver.done(state):
                 starts, state = OTHER_STARTS, initial_state(driver, state.past_vectors[0], OTHER_STARTS)
             else:
                 state = driver.step(state)
             report(state)
+        if objective.tempered:
+            best = state.best_vectors[int(np.argmin(state.best_scores))]
+            problem.power = 1.0 / rows_and_inflation(problem, best)[1]
     except KeyboardInterrupt:
         interrupted = True
     result = _result(model, driver, state, interrupted)
@@ -186,12 +187,6 @@ def fit(
         values = {name: result.values[p.label] for p in parameters for name in p.names}
         result = dataclasses.replace(result, tracker=tracker.with_values(values, "the fit"))
     return result
-
-
-def _stands_still(state: FitState) -> bool:
-    """Whether a fit has not moved from its start although the objective has a slope there."""
-    moved = not np.array_equal(state.best_vectors, state.past_vectors[0])
-    return not moved and bool(state.past_norms[0, 0] > MIN_SLOPE * abs(state.past_values[0, 0]))
 
 
 def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, interrupted: bool) -> FitResult[Any]:

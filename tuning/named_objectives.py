@@ -21,6 +21,7 @@ from tuning.objectives import (
     NegativeLogLikelihood,
     RootMeanSquareError,
     StateLogLikelihood,
+    TemperedLogLikelihood,
     Weighted,
 )
 from tuning.pit_uniformity import PITUniformity
@@ -29,6 +30,7 @@ from tuning.weights import by_chunks
 OBJECTIVES: Mapping[str, Callable[[str, int], AbstractObjective]] = MappingProxyType(
     {
         "nll": lambda quantity, dimensions: NegativeLogLikelihood(),
+        "tempered-nll": lambda quantity, dimensions: TemperedLogLikelihood(),
         "rmse": RootMeanSquareError,
         "state-nll": StateLogLikelihood,
         "nis-shape": lambda quantity, dimensions: PITUniformity("nis"),
@@ -87,7 +89,8 @@ def all_metrics(
     except MissingQuantityError:
         without_truth = {name: objective for name, objective in objectives.items() if not objective.needs_truth}
         metrics = _evaluated(tracker, batches, without_truth, chunk, weights)
-    return dict.fromkeys([*OBJECTIVES, "rmse-3d"], math.nan) | metrics
+    found = dict.fromkeys([*OBJECTIVES, "rmse-3d"], math.nan) | metrics
+    return found | {"tempered-nll": found["nll"]}
 
 
 def _evaluated(
@@ -121,7 +124,8 @@ def _available(
 ) -> dict[str, AbstractObjective]:
     """The objectives by name; without truth of the quantity those that need none."""
     horizontal = min(dimensions, 2)
-    objectives = {n: make(quantity, horizontal if n == "rmse" else dimensions) for n, make in OBJECTIVES.items()}
+    names = [name for name in OBJECTIVES if name != "tempered-nll"]  # its value is that of nll
+    objectives = {n: OBJECTIVES[n](quantity, horizontal if n == "rmse" else dimensions) for n in names}
     if dimensions == 3:
         objectives["rmse-3d"] = RootMeanSquareError(quantity, 3)
     try:

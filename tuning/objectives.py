@@ -59,6 +59,11 @@ class AbstractObjective(eqx.Module):
         """Whether the objective is a negative log-likelihood in some unit."""
         return math.isfinite(self.nats_per_unit([1.0] * self.size))
 
+    @property
+    def tempered(self) -> bool:
+        """Whether the likelihood gets a power by the autocorrelation of its innovations at the end of a fit."""
+        return False
+
     def for_tracker(self, tracker: AbstractTracker) -> AbstractObjective:
         """The objective with the properties of the tracker that it depends on; most depend on none."""
         return self
@@ -78,6 +83,30 @@ class NegativeLogLikelihood(AbstractObjective):
 
     def nats_per_unit(self, sums: Any) -> float:
         return float(sums[1])
+
+
+class TemperedLogLikelihood(AbstractObjective):
+    """The `NegativeLogLikelihood` with a power below 1 where innovations are correlated (composite likelihood).
+
+    The power is that of the effective number of rows, by `tuning.correlation.rows_and_inflation` at the optimum. It leaves
+    the optimum where it is and widens the intervals (Pauli, Racugno & Ventura 2011).
+    """
+
+    size: ClassVar[int] = 2
+    needs_truth: ClassVar[bool] = False
+
+    def terms(self, output: Output, truth: Truth) -> tuple[Scalar, ...]:
+        return -output.log_likelihood, output.nis_dof
+
+    def value(self, sums: Any) -> Scalar:
+        return sums[0] / sums[1]
+
+    def nats_per_unit(self, sums: Any) -> float:
+        return float(sums[1])
+
+    @property
+    def tempered(self) -> bool:
+        return True
 
 
 class RootMeanSquareError(AbstractObjective):

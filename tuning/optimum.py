@@ -58,7 +58,7 @@ def optimum(problem: Problem, vector: Float[np.ndarray, " p"]) -> Optimum:
     values, gradients = values + prior.values, gradients + prior.gradients
     rows = (gradients[1 : p + 1] - gradients[p + 1 :]) / (2 * STEP)
     # Without a single usable trajectory there is no likelihood.
-    nats = problem.objective.nats_per_unit(sums[0]) if used.any() else np.nan
+    nats = problem.nats_per_unit(sums[0]) if used.any() else np.nan
     psi = influence(problem.objective, terms[0], term_gradients[0])
     hessian, squared = 0.5 * (rows + rows.T), None
     weights = problem.weights[used]

@@ -67,7 +67,8 @@ class Problem:
     """The objective of a tracker over batches as a function of unconstrained vectors, compiled once per shape.
 
     `priors`: added to a likelihood. `weights`: of the trajectories of each batch, default 1; the terms of a trajectory
-    and their derivatives are multiplied by its weight. `sizes`: trajectories of each batch, with padding.
+    and their derivatives are multiplied by its weight. `sizes`: trajectories of each batch, with padding. `power`:
+    of the likelihood, below 1 where it is tempered; it changes the unit and not the objective.
 
     A filter on the verge of losing a track has derivatives without bound, which would dominate all others. So
     `evaluate` leaves such a trajectory out of value and gradient alike, besides those that are not finite: its gradient
@@ -88,7 +89,7 @@ class Problem:
     ):
         self.priors = tuple(priors)
         self.objective, self.parameters = objective.for_tracker(tracker), list(parameters)
-        self.dtype = batches[0].dt.dtype
+        self.dtype, self.power = batches[0].dt.dtype, 1.0
         self.tracker = as_dtype(tracker, self.dtype)
         by_batch = [list(chunks(batch, chunk)) for batch in batches]
         self.chunks = [part for parts in by_batch for part in parts]
@@ -176,8 +177,12 @@ class Problem:
         nats = penalty(self.priors, self.parameters, vectors)
         if not self.priors:
             return nats
-        scale = share / np.array([self.objective.nats_per_unit(s) for s in sums])
+        scale = share / np.array([self.nats_per_unit(s) for s in sums])
         return Penalty(nats.values * scale, nats.gradients * scale[:, None])
+
+    def nats_per_unit(self, sums: Float[np.ndarray, " k"]) -> float:
+        """The factor from the objective to a negative log-likelihood in nats, with its power."""
+        return self.power * self.objective.nats_per_unit(sums)
 
     @property
     def stochastic(self) -> bool:

@@ -9,7 +9,8 @@ import trackwright as tw
 from tests.known_start import recording
 from tests.tuning.worlds import SIGMA_START, line_tracker, walks
 from trackers.core.recording import Recording
-from tuning.fit_cautions import WINDOWS_S, standstill
+from tuning.correlation import WINDOWS_S
+from tuning.fit_cautions import standstill
 from tuning.optimisers import AbstractOptimiser
 
 LEVELS = ("motion.sigma_v", "sensors.gauge.sigma")

@@ -35,6 +35,7 @@ class Numbers:
     means: np.ndarray
     stochastic: bool = False
     own_weights: np.ndarray | None = None
+    power: float = 1.0
     objective: NegativeLogLikelihood = field(default_factory=NegativeLogLikelihood)
 
     def prior_penalty(self, vectors, sums):
@@ -67,6 +68,10 @@ class Numbers:
             used=np.ones((len(vectors), n), bool),
             filter_runs=n * len(vectors),
         )
+
+    def nats_per_unit(self, sums):
+        """The number of numbers, times the power."""
+        return self.power * float(sums[1])
 
     @property
     def valid(self):

@@ -21,7 +21,7 @@ ROUNDING_S = 1e-6
 """Differences of times, s, below which they are rounding errors."""
 
 WINDOW_S = 1.0
-"""Default length, s, of the windows over which ranks are added."""
+"""Length, s, of the windows over which ranks are added."""
 
 MIN_PAIRS = 30
 """Pairs of rows below which there is no autocorrelation, and rows below which there is no inflation."""
@@ -62,14 +62,13 @@ def rank_sums(
     values: Float[np.ndarray, " n"],
     dof: Num[np.ndarray, " n"],
     starts: Int[np.ndarray, " g1"],
-    window: float = WINDOW_S,
 ) -> RankSums:
     """Sums over the ranks of a statistic, from which its autocorrelation follows for any set of tracks.
 
     u: the rank of a row among the rows of its track with the same degrees of freedom, uniform over ±1/2, ties averaged.
     Row j of a pair is nearest to the lag after row i; pairs that miss the lag by more than `TOLERANCE` of it are left
     out. `times`: s, sorted in each track; `starts` (g + 1,): the first row of each track, then n. Rows with dof 0, or
-    without time or value, take no part. `window`: s, of the sums of `inflation`.
+    without time or value, take no part.
     """
     n_tracks = len(starts) - 1
     products, windows = np.zeros((n_tracks, len(LAGS_S), 4)), np.zeros((n_tracks, 3))
@@ -84,7 +83,7 @@ def rank_sums(
         i, j = _pairs(own, track, lag)
         for m, product in enumerate((u[i] * u[j], u[i] ** 2, u[j] ** 2, np.ones(len(i)))):
             products[:, k, m] = np.bincount(track[i], product, minlength=n_tracks)
-    first = np.flatnonzero(_changes(track, np.floor(own / window)))
+    first = np.flatnonzero(_changes(track, np.floor(own / WINDOW_S)))
     sums = np.add.reduceat(u, first)
     for m, (of_track, x) in enumerate(((track[first], sums**2), (track, u**2), (track, np.ones(len(u))))):
         windows[:, m] = np.bincount(of_track, x, minlength=n_tracks)
