@@ -88,7 +88,7 @@ class NegativeLogLikelihood(AbstractObjective):
 class TemperedLogLikelihood(AbstractObjective):
     """The `NegativeLogLikelihood` with a power below 1 where innovations are correlated (composite likelihood).
 
-    The power is that of the effective number of rows, by `tuning.correlation.rows_and_inflation` at the optimum. It leaves
+    The power is that of the effective number of rows, `tuning.correlation.rows_and_inflation` at the optimum. It leaves
     the optimum where it is and widens the intervals (Pauli, Racugno & Ventura 2011).
     """
 

@@ -48,7 +48,8 @@ def tune(
         tracker: as in `track`; default: what fits the tables.
         objective: state-nll, the negative log density of the truth under the reported position and covariance; rmse,
             the position error, nees-shape (need truth as well); nll, the negative log-likelihood, tempered-nll, the
-            same with intervals that allow for correlated innovations, nis-shape (need none); or a weighted sum, as 'state-nll+0.1*rmse'. Default: state-nll where there is truth, else nll.
+            same with intervals that allow for correlated innovations, nis-shape (need none); or a weighted sum, as
+            'state-nll+0.1*rmse'. Default: state-nll where there is truth, else nll.
         dimensions: 2 to judge the horizontal position, 3 to judge an estimated height too.
         weigh: what has the same say: each recording, or each row, so that long recordings decide.
         tune: shell patterns of tunables, as 'motion.*' 'sensors.*.sigma_p'; 'tied:PATTERN' keeps all matches equal.
