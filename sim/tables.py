@@ -12,6 +12,7 @@ import polars as pl
 from jaxtyping import Float, Int
 
 from trackers.core.rig import Rig, Tag
+from trackers.recordings.averaging import AVERAGED
 from trackers.recordings.columns import TagRows
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tables_by_tag import Tables
@@ -146,8 +147,8 @@ class SimulatedTables(Tables):
     def __len__(self) -> int:
         return len(self._arrays)
 
-    def rows(self, name: str) -> TagRows:
-        return self._arrays[name]
+    def rows(self, name: str, interval: float = 0.0) -> TagRows:
+        return super().rows(name, interval) if interval and name in AVERAGED else self._arrays[name]
 
     def paths(self, recording: str) -> TruePaths:
         if self._paths is None:

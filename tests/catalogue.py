@@ -50,13 +50,13 @@ from trackers.line.fixes import FloorFixes
 from trackers.line.motion import HaltingMotion, HaltingState, LineMotion, PathState
 from trackers.line.tracker import line_grid_tracker, line_tracker
 from trackers.mhk.tracker import STILL, mhk_tracker
+from trackers.parts.drifting_biases import BiasedState, DriftingBiases
 from trackers.parts.fixes import FIXES, CorrelatedFixSensor, FixSensor, FixStart
 from trackers.parts.ranges import RANGES, RangeSensor
 from trackers.parts.singer import Singer
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.trajectories import Trajectory, cut
 from trackers.uwb_imu.inertial import inertial_tracker
-from trackers.uwb_imu.range_motion import RangeMotion, RangeState
 from trackers.uwb_imu.strapdown import ImuNoise, Inertial, PlanarInertial, PlanarStrapdown, Strapdown
 
 TAGS, ROWS = 8, 64
@@ -380,12 +380,12 @@ MOTIONS = {
     "switching": MotionCase(SwitchingMotion((GroundMotion(1.0, 0.1), GroundMotion(3.0, 0.1))), _FLOOR_STATE),
     "Singer": MotionCase(Singer(1.0, 2.0, 1), Accelerated(Vector(0.1), Vector(-1.0), Vector(2.0))),
     "damped velocity on the floor": MotionCase(
-        RangeMotion(2, 0.3, 0.2, 5.0, 0.05, 20.0),
-        RangeState(Vector(0.1, 0.1), Vector(0.2, 0.2), Vector(0.01, -0.02)),
+        DriftingBiases(2, 0.3, 0.2, 5.0, 0.05, 20.0, 2.0),
+        BiasedState(Vector(0.1, 0.1), Vector(0.2, 0.2), Vector(0.01, -0.02)),
     ),
     "damped velocity": MotionCase(
-        RangeMotion(2, 0.3, 0.2, 5.0, 0.05, 20.0),
-        RangeState(Vector(0.1, 0.1, 0.1), Vector(0.2, 0.2, 0.2), Vector(0.01, -0.02)),
+        DriftingBiases(2, 0.3, 0.2, 5.0, 0.05, 20.0, 2.0),
+        BiasedState(Vector(0.1, 0.1, 0.1), Vector(0.2, 0.2, 0.2), Vector(0.01, -0.02)),
     ),
     "beam": MotionCase(BeamMotion(Scale(1.0)), BEAM),
     "beam in the plane": MotionCase(InPlaneBeamMotion(Scale(1.0)), FLAT_BEAM),

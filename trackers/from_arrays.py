@@ -124,7 +124,8 @@ def bearing_recording(
     nearby = recent_points(
         np.asarray(times, float), where[:, :3], where[:, 3:], values, np.asarray(seen.all(axis=1)), height
     )
-    inputs = {"origin": where[:, :3], "axes": where[:, 3:], "nearby": nearby}
+    number = np.array([list(stations).index(s) for s in station], float)
+    inputs = {"origin": where[:, :3], "axes": where[:, 3:], "station": number, "nearby": nearby}
     readings = {BEARINGS: Readings(values, seen, reported)}
     return Recording(times, readings, inputs | _height(times, height), _truth(truth, len(times)), name)
 

@@ -59,8 +59,8 @@ class _Fit(NamedTuple):
 def regressions(rows: Mapping[str, Rows], mean: np.ndarray, sigmas: np.ndarray) -> dict[str, Regression]:
     """The regressions of several sources of a kind, with the normal prior `mean`, `sigmas` (p,) of their terms.
 
-    Errors are of Student's t; each recording has the same weight, and so has each place in a piece of time. The design
-    effects of the sources are pooled where their own clusters are few.
+    Errors are of Student's t; each recording has the same weight, and of one place in one piece of time at most `MOST`
+    rows count. The design effects of the sources are pooled where their own clusters are few.
     """
     own = {name: _fit(one, mean, sigmas, None) for name, one in rows.items()}
     spare = {name: max(fit.clusters - len(mean), 0.0) for name, fit in own.items()}
@@ -77,7 +77,7 @@ def _fit(rows: Rows, mean: np.ndarray, sigmas: np.ndarray, pooled: tuple[float, 
     rows, both = _in_order(rows)
     x, y, begins = rows.x, rows.y, np.flatnonzero(np.append(True, np.diff(both) != 0))
     of_both = [_numbered(c[begins]) for c in (rows.piece, rows.place)]
-    weights = _equal_recordings(1.0 / np.bincount(both)[both], _numbered(rows.recording))
+    weights = _equal_recordings(np.ones(len(both)), _numbered(rows.recording))
     clusters = min(_effective(c, np.add.reduceat(weights, begins)) for c in of_both)
     precision = np.diag(1.0 / sigmas**2)
     terms, effect = mean.copy(), 1.0

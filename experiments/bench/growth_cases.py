@@ -118,9 +118,8 @@ def ranging(anchors: int, slots: int, biases: int, trajectories: int) -> tuple[A
     from trackers.core.track_loss import TrackLossPolicy
     from trackers.core.tracker import Tracker
     from trackers.core.tunable import Scale
+    from trackers.parts.drifting_biases import BiasedStart, DriftingBiases
     from trackers.parts.ranges import RANGES, RangeSensor
-    from trackers.uwb_imu.fusion import RangeStart
-    from trackers.uwb_imu.range_motion import RangeMotion
 
     rng = np.random.default_rng(0)
     around = np.arange(anchors) * (2 * np.pi / anchors)
@@ -142,9 +141,9 @@ def ranging(anchors: int, slots: int, biases: int, trajectories: int) -> tuple[A
         readings = {RANGES: Readings(values, np.ones(values.shape, bool))}
         recordings.append(Recording(times, readings, inputs, name=str(k)))
     tracker = Tracker(
-        RangeMotion(biases, 1.0, 1.0, 5.0, 0.03, 1000.0),
+        DriftingBiases(biases, 1.0, 1.0, 5.0, 0.03, 1000.0, 100.0),
         {RANGES: RangeSensor(slots, anchors, 0.1, 3.0, 3.0)},
-        RangeStart(Scale(1.0, "m"), Scale(1.0, "m/s"), Scale(0.03, "m"), True, biases),
+        BiasedStart(Scale(1.0, "m"), Scale(1.0, "m/s"), Scale(0.03, "m"), True, biases),
         track_loss=TrackLossPolicy(nis_limit=np.inf, max_gap=np.inf),
     )
     return tracker, recordings

@@ -18,9 +18,9 @@ from trackers.core.ekf import ExtendedKalman
 from trackers.core.motion import GroundMotion
 from trackers.core.recording import Recording
 from trackers.core.tracker import Tracker
+from trackers.parts.drifting_biases import DriftingBiases
 from trackers.parts.fixes import FIXES, FixSensor
 from trackers.parts.ranges import RANGES, RangeSensor
-from trackers.uwb_imu.range_motion import RangeMotion
 from trackers.uwb_imu.strapdown import Inertial, Strapdown
 from trackers.uwb_imu.yaw_mixture import YawMixtureFilter
 
@@ -29,11 +29,12 @@ Channel = tuple[float, np.ndarray, float]
 
 
 class Model(NamedTuple):
-    """A filter's model: `moved(state, row, dt)` is the predicted state with F and Q; `channels(state, row)`, those
-    seen; `added(state, step)`, the state after a small step; `dof`, degrees of freedom of Student's t, 0 for none.
+    """A filter's model: `moved(state, P, row, dt)`, the predicted state with F and Q, given the covariance P;
+    `channels(state, row)`, those seen; `added(state, step)`, the state after a small step; `dof`, degrees of freedom of
+    Student's t, 0 for none.
     """
 
-    moved: Callable[[Any, int, float], tuple[Any, np.ndarray, np.ndarray]]
+    moved: Callable[[Any, np.ndarray, int, float], tuple[Any, np.ndarray, np.ndarray]]
     channels: Callable[[Any, int], Iterator[Channel]]
     added: Callable[[Any, np.ndarray], Any]
     dof: float
@@ -46,15 +47,15 @@ def model_of(tracker: Any, recording: Recording, planar: bool) -> Model | None:
     sensor, motion = next(iter(tracker.sensors.values())), tracker.motion
     if isinstance(motion, Strapdown) and isinstance(sensor, RangeSensor):
         return Model(*inertial(motion, sensor, recording))
-    if isinstance(motion, RangeMotion) and isinstance(sensor, RangeSensor):
+    if isinstance(motion, DriftingBiases) and isinstance(sensor, RangeSensor):
         channels = range_channels(sensor, recording, planar, 4 if planar else 6)
         return Model(damped(motion, 2 if planar else 3), channels, np.add, float(sensor.dof.value))
     if isinstance(motion, GroundMotion) and isinstance(sensor, FixSensor):
         dof = 0.0 if sensor.dof is None else float(sensor.dof.value)
         return Model(ground(motion, planar), fix_channels(sensor, recording, planar), np.add, dof)
-    if isinstance(motion, GroundMotion) and isinstance(sensor, BearingSensor):
+    if isinstance(motion, DriftingBiases) and isinstance(sensor, BearingSensor):
         channels = bearing_channels(sensor, recording, planar)
-        return Model(ground(motion, planar), channels, np.add, float(sensor.dof.value))
+        return Model(damped(motion, 2 if planar else 3), channels, np.add, float(sensor.dof.value))
     return None
 
 
@@ -72,7 +73,7 @@ def filtered(model: Model, state: Any, P: np.ndarray, dts: np.ndarray, first: in
     means, covariances = np.empty((len(dts) - first, len(P))), np.empty((len(dts) - first, *P.shape))
     eye = np.eye(len(P))
     for row in range(first, len(dts)):
-        state, F, Q = model.moved(state, row, dts[row])
+        state, F, Q = model.moved(state, P, row, dts[row])
         P = F @ P @ F.T + Q
         step = np.zeros(len(P))
         for difference, gradient, sigma in model.channels(state, row):
@@ -101,7 +102,7 @@ def with_filterpy(model: Model, state: np.ndarray, P: np.ndarray, dts: np.ndarra
     kalman = ExtendedKalmanFilter(len(P), 1)
     kalman.x, kalman.P = state.copy(), P.copy()
     for row in range(first, len(dts)):
-        _, kalman.F, kalman.Q = model.moved(kalman.x, row, dts[row])
+        _, kalman.F, kalman.Q = model.moved(kalman.x, kalman.P, row, dts[row])
         kalman.predict()
         seen = list(model.channels(kalman.x, row))
         if seen:
@@ -118,7 +119,7 @@ def ground(motion: GroundMotion, planar: bool) -> Any:
     p = 2 if planar else 3
     F, Q = np.eye(p + 2), np.zeros((p + 2, p + 2))
 
-    def moved(x: np.ndarray, row: int, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def moved(x: np.ndarray, P: np.ndarray, row: int, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         for k in (0, 1):
             F[k, p + k] = dt
             Q[k, k], Q[p + k, p + k] = power * dt**3 / 3, power * dt
@@ -130,23 +131,26 @@ def ground(motion: GroundMotion, planar: bool) -> Any:
     return moved
 
 
-def damped(motion: RangeMotion, d: int) -> Any:
-    """Gauss–Markov velocities and range biases; positions, velocities, biases."""
+def damped(motion: DriftingBiases, d: int) -> Any:
+    """Gauss–Markov velocities and biases; positions, velocities, biases."""
     sigmas = [float(motion.sigma_a.value)] * 2 + [float(motion.sigma_z.value)] * (d - 2)
     memory, constant = float(motion.memory.value), float(motion.time_constant.value)
-    sigma_bias, n = float(motion.sigma_bias.value), 2 * d + motion.biases
+    length, n = float(motion.length.value), 2 * d + motion.biases
+    sigmas_bias = np.resize(np.asarray(motion.sigma_bias.value, float), motion.biases)
     biases = np.arange(2 * d, n)
     F, Q = np.eye(n), np.zeros((n, n))
 
-    def moved(x: np.ndarray, row: int, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        decay, kept = np.exp(-dt / memory), np.exp(-dt / constant)
+    def moved(x: np.ndarray, P: np.ndarray, row: int, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        square, spread = float(x[d : 2 * d] @ x[d : 2 * d]), float(np.trace(P[d : 2 * d, d : 2 * d]))
+        speed = max(square - spread, 0.0) / np.sqrt(square) if square > 0 else 0.0
+        decay, kept = np.exp(-dt / memory), np.exp(-dt * (1.0 / constant + speed / length))
         loss = 1.0 - decay
         variance = memory**3 * (dt / memory - 2.0 * loss + 0.5 * (1.0 - decay * decay))
         for k, sigma in enumerate(sigmas):
             F[k, d + k], F[d + k, d + k] = memory * loss, decay
             Q[k, k], Q[d + k, d + k] = sigma**2 * variance, sigma**2 * 0.5 * memory * (1.0 - decay * decay)
             Q[k, d + k] = Q[d + k, k] = sigma**2 * 0.5 * (memory * loss) ** 2
-        F[biases, biases], Q[biases, biases] = kept, sigma_bias**2 * (1.0 - kept * kept)
+        F[biases, biases], Q[biases, biases] = kept, sigmas_bias**2 * (1.0 - kept * kept)
         return F @ x, F, Q
 
     return moved
@@ -198,7 +202,7 @@ def fix_channels(sensor: FixSensor, recording: Recording, planar: bool) -> Any:
 
 
 def bearing_channels(sensor: BearingSensor, recording: Recording, planar: bool) -> Any:
-    """Azimuth and elevation of a row in the axes of its station, of an array without compression."""
+    """Azimuth and elevation of a row in its station's axes, without compression, with the biases in the state."""
     readings, inputs = recording.readings[BEARINGS], recording.inputs
     sigmas = float(sensor.sigma_azimuth.value), float(sensor.sigma_elevation.value)
     offsets = np.asarray(sensor.offsets.value, float)
@@ -215,8 +219,10 @@ def bearing_channels(sensor: BearingSensor, recording: Recording, planar: bool) 
         predicted = np.arctan2(x, z), np.arctan2(y, root)
         for k in (0, 1):
             if readings.seen[row, k]:
-                difference = readings.values[row, k] - predicted[k] - offsets[k]
+                bias = 2 * d + 2 * int(inputs["station"][row]) + k
+                difference = readings.values[row, k] - predicted[k] - offsets[k] - state[bias]
                 gradient = np.zeros(len(state))
+                gradient[bias] = 1.0
                 gradient[:d] = (rows[k] @ axes)[:d]
                 yield difference - 2 * np.pi * np.round(difference / (2 * np.pi)), gradient, sigmas[k]
 

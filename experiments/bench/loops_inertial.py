@@ -29,7 +29,7 @@ def inertial(motion: Strapdown, sensor: RangeSensor, recording: Recording) -> tu
     diagonal = np.arange(n)
     F, Q = np.eye(n), np.zeros((n, n))
 
-    def moved(state: InertialState, row: int, dt: float) -> tuple[InertialState, np.ndarray, np.ndarray]:
+    def moved(state: InertialState, P: np.ndarray, row: int, dt: float) -> tuple[InertialState, np.ndarray, np.ndarray]:
         x, q = state
         has_accel, has_gyro = int(inputs["imu"][row, 0] > 0.5), int(inputs["imu"][row, 1] > 0.5)
         rate = has_gyro * (inputs["gyro"][row] - x[12:15])

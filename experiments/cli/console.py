@@ -56,8 +56,8 @@ def read_with_notices(
 
     Prints their notices. Raises UnusableInput as `read_recordings` and `read_calibration`, and for a wrong interval.
     """
-    if average is not None and not 0 < average < math.inf:
-        raise UnusableInput(f"--average {average:g}: expected a time above zero, s")
+    if average is not None and not 0 <= average < math.inf:
+        raise UnusableInput(f"--average {average:g}: expected seconds above zero, or 0 for every reading")
     recordings = read_recordings(paths)
     if average is not None:
         recordings = [recording.averaged(average) for recording in recordings]

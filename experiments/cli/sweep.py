@@ -47,7 +47,8 @@ def sweep(
         repeats: runs of a particle filter per value, with different random numbers.
         noise: a tuned.toml for the other parameters.
         calibration: a calibration.toml of `trackwright calibrate` on other recordings of these stations or anchors.
-        average: average the ranges, fixes and bearings of each tag and anchor or station over so many seconds.
+        average: average the ranges, fixes and bearings of each tag and anchor or station over so many seconds;
+        0: every reading; default: 0.5 for bearings that repeat.
         path: an output folder of `tune`, or its trace.csv, to draw as optimiser trace.
         free_height: estimate the height of tags whose height the rig gives.
         piece_rows: long recordings are cut into segments of about this many rows, as in `tune`.

@@ -48,7 +48,8 @@ Args:
     tracker: one of the names above, or FILE.py:NAME of a TrackerSpec of your own; default: what fits the tables.
     noise: a tuned.toml of `trackwright tune`.
     calibration: a calibration.toml of `trackwright calibrate` on other recordings of these stations or anchors.
-    average: average the ranges, fixes and bearings of each tag and anchor or station over so many seconds.
+    average: average the ranges, fixes and bearings of each tag and anchor or station over so many seconds;
+    0: every reading; default: 0.5 for bearings that repeat.
     free_height: estimate the height of tags whose height the rig gives.
     smooth: use the rows after each row too, all of them: for recordings, where nothing has to be known at once.
     lag: smooth with the rows of the next so many seconds only.

@@ -60,7 +60,8 @@ def tune(
         held_out: recordings to validate on: not fitted, but they select the best point and end the fit.
         start: a tuned.toml to start from.
         calibration: a calibration.toml of `trackwright calibrate` on other recordings of these stations or anchors.
-        average: average the ranges, fixes and bearings of each tag and anchor or station over so many seconds.
+        average: average the ranges, fixes and bearings of each tag and anchor or station over so many seconds;
+        0: every reading; default: 0.5 for bearings that repeat.
         starts: number of starts: the given values, then the best of a first guess from the data and a coarse grid.
         optimiser: auto is lbfgs for a likelihood, adam for other objectives, minibatches and particle filters.
         steps: maximum number of steps per start.

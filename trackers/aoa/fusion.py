@@ -7,6 +7,7 @@ and in any order, and recordings of different installations share a tracker.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
@@ -14,15 +15,16 @@ import numpy as np
 
 from trackers.aoa.calibrated import CALIBRATION, measured_angles
 from trackers.core.algebra import Scalar, Vector, total
-from trackers.core.inputs import HEIGHT, Input, Inputs
-from trackers.core.motion import GroundMotion, Noise
+from trackers.core.inputs import HEIGHT, Input, Inputs, Need
+from trackers.core.motion import Noise
 from trackers.core.rig import Station
 from trackers.core.sensor import AbstractSensor, Channel, Reading, Residual, position_in_space, student_t_log_peak
 from trackers.core.state import wrap
 from trackers.core.track_loss import TrackLossPolicy
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import Real, Scale
-from trackers.parts.start_nearby import NearbyStart
+from trackers.parts.drifting_biases import BiasedStart, DriftingBiases
+from trackers.parts.ranges import entry_at
 
 BEARINGS = "bearings"
 
@@ -40,6 +42,17 @@ AXES = Input(
     "`bearing_recording`, or `bearing_inputs` of the station",
 )
 """The input with the orientation of a row's station."""
+
+
+STATION = Input(
+    "station",
+    (),
+    "",
+    "the number of the station, from 0, for a view with biases",
+    "`bearing_recording`, which counts the stations in the order given",
+    Need.IF_GIVEN,
+)
+"""The input with the number of a row's station."""
 
 
 class BearingSensor(AbstractSensor):
@@ -77,7 +90,7 @@ class BearingSensor(AbstractSensor):
 
     @property
     def inputs(self) -> tuple[Input, ...]:
-        return ORIGIN, AXES, HEIGHT, CALIBRATION
+        return ORIGIN, AXES, STATION, HEIGHT, CALIBRATION
 
     @property
     def reported(self) -> tuple[Channel, ...]:
@@ -86,14 +99,17 @@ class BearingSensor(AbstractSensor):
         return tuple(Channel(name, "rad^2") for name in names)
 
     def measure(self, view: Any, inputs: Inputs) -> list[Scalar]:
+        """Azimuth and elevation, with the calibration of the station or else compressed, and with its biases."""
         axes = [inputs["axes"][k] for k in range(9)]
         ray = Vector.of(p - inputs["origin"][k] for k, p in enumerate(position_in_space(view.position, inputs)))
         x, y, z = (ray.dot(axes[3 * k : 3 * k + 3]) for k in range(3))
-        angles = jnp.arctan2(x, z), jnp.arctan2(y, jnp.sqrt(x * x + z * z))
+        true = jnp.arctan2(x, z), jnp.arctan2(y, jnp.sqrt(x * x + z * z))
+        pairs = zip(true, self.compression.value, strict=True)
+        angles = tuple(a / jnp.sqrt(jnp.maximum(1.0 + c * a * a, 0.1)) for a, c in pairs)
         if CALIBRATION.name in inputs:
-            angles = measured_angles(angles, inputs[CALIBRATION.name])
-        pairs = zip(angles, self.compression.value, self.offsets.value, strict=True)
-        return [a / jnp.sqrt(jnp.maximum(1.0 + c * a * a, 0.1)) + offset for a, c, offset in pairs]
+            angles = measured_angles(true, inputs[CALIBRATION.name])
+        biases = [entry_at(view.bias, 2 * inputs["station"] + k) if hasattr(view, "bias") else 0.0 for k in range(2)]
+        return [a + offset + bias for a, offset, bias in zip(angles, self.offsets.value, biases, strict=True)]
 
     def residual(self, reading: Reading, predicted: Sequence[Scalar]) -> Residual:
         """Azimuth first, elevation given azimuth second: whitened by the Cholesky factor of the covariance."""
@@ -131,23 +147,45 @@ def region_centre(stations: Mapping[str, Station]) -> np.ndarray:
 
 
 def bearing_tracker(
-    sigma_a: float = 0.3,
-    sigma_z: float = 0.05,
-    sigma_azimuth: float = np.deg2rad(8.0),
-    sigma_elevation: float = np.deg2rad(12.0),
-    dof: float = 4.0,
+    stations: int,
     planar: bool = False,
+    sigma_a: float = 1.2,
+    sigma_z: float = 0.3,
+    memory: float = 3.8,
+    sigma_azimuth: float = 0.037,
+    sigma_elevation: float = 0.28,
+    dof: float = 1.0,
+    sigma_bias: Sequence[float] = (0.22, 0.25),
+    time_constant: float = 9.7,
+    length: float = 0.63,
 ) -> Tracker:
-    """Constant velocity in x and y, from bearings; the height is a random walk, or known if `planar`.
+    """Position and velocity from the bearings of numbered stations, with a drifting bias of each one's two angles.
 
-    The bearings-only EKF of Will et al. 2020, section 4.2, with Student's t instead of a gate. `sigma_a` m/s² per √Hz,
-    `sigma_z` m per √s, angles rad; `dof`: degrees of freedom.
+    The bearings-only EKF of Will et al. 2020, section 4.2, with Student's t instead of a gate, and with biases: errors
+    of real bearings last. Motion numbers as in `DriftingBiases`, with the biases of azimuth and elevation, rad; sensor
+    numbers as in `BearingSensor`. The defaults are for uncalibrated stations whose bearings are averages over 0.5 s;
+    those of calibrated ones are `CALIBRATED`. `planar`: at a known height.
     """
-    sensors = {BEARINGS: BearingSensor(sigma_azimuth, sigma_elevation, dof)}
-    # Errors of real bearings are correlated over seconds, so a large NIS average is no evidence of track loss.
+    biases = 2 * stations
     return Tracker(
-        GroundMotion(sigma_a, sigma_z),
-        sensors,
-        NearbyStart(Scale(1.5, "m"), Scale(1.0, "m/s"), planar, 2),
+        DriftingBiases(biases, sigma_a, sigma_z, memory, np.array(sigma_bias), time_constant, length, "rad"),
+        {BEARINGS: BearingSensor(sigma_azimuth, sigma_elevation, dof)},
+        BiasedStart(Scale(1.5, "m"), Scale(1.0, "m/s"), Scale(np.array(sigma_bias), "rad"), planar, biases),
+        # Student's t bounds the NIS, and errors that last make its average large: only a gap is a track loss.
         track_loss=TrackLossPolicy(nis_limit=1e3, max_gap=10.0),
     )
+
+
+CALIBRATED: Mapping[str, Any] = MappingProxyType(
+    {
+        "sigma_a": 0.2,
+        "memory": 6.5,
+        "sigma_azimuth": 0.068,
+        "sigma_elevation": 0.33,
+        "dof": 1.0,
+        "sigma_bias": (0.115, 0.055),
+        "time_constant": 1.7,
+        "length": 0.1,
+    }
+)
+"""The noise levels of `bearing_tracker` for calibrated stations."""

@@ -12,17 +12,22 @@ from trackers.aoa.beam import beam_tracker, in_plane_beam_tracker
 from trackers.aoa.cascade import cascade_tracker
 from trackers.aoa.das import DelayAndSum
 from trackers.aoa.direct import direct_tracker
-from trackers.aoa.fusion import BEARINGS, bearing_inputs, bearing_tracker
+from trackers.aoa.fusion import BEARINGS, CALIBRATED, bearing_inputs, bearing_tracker
 from trackers.aoa.rays import recent_points_of_each
 from trackers.core.recording import Readings
 from trackers.core.rig import Station
 from trackers.core.tracker import AbstractTracker
+from trackers.recordings.checks.readings import readings as readings_of
+from trackers.recordings.checks.repeats import repeated_share
 from trackers.recordings.columns import TagRows
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerSpec, on_request
 from trackers.recordings.trajectories import Trajectories, Trajectory, known_height, known_heights, trajectories_of
 
 PHASES = "phases"
+
+REPEATED, AVERAGE_S = 0.5, 0.5
+"""Share of repeated bearings above which they are averaged, over this interval, s: their errors last longer still."""
 
 IN_PLANE = 0.5
 """Largest difference of height, m, between a flat array and a tag that counts as in the array's plane."""
@@ -33,7 +38,8 @@ def bearing_trajectories(folder: RecordingFolder, free_height: bool) -> Trajecto
 
     Where the folder has a calibration, the input `calibration` of the row's station, and the variance that it adds.
     """
-    rows, stations = folder.rows("bearings"), folder.rig.stations
+    interval = AVERAGE_S if repeated_share(readings_of(folder, "bearings")) > REPEATED else 0.0
+    rows, stations = folder.rows("bearings", interval), folder.rig.stations
     values, seen = rows.values(["azimuth_rad", "elevation_rad"])
     # Zeros where no standard deviations are reported, so that trajectories with and without them share a batch.
     variances = rows.variances(["azimuth_std_rad", "elevation_std_rad"])
@@ -42,7 +48,7 @@ def bearing_trajectories(folder: RecordingFolder, free_height: bool) -> Trajecto
     geometries = np.stack([bearing_inputs(s) for s in stations.values()])[number]
     heights = np.full(len(rows.tags), np.nan) if free_height else known_heights(folder, rows.tags)
     origin, axes = geometries[:, :3], geometries[:, 3:]
-    inputs, directions = {"origin": origin, "axes": axes}, values
+    inputs, directions = {"origin": origin, "axes": axes, "station": number.astype(float)}, values
     if folder.calibration is not None:
         inputs["calibration"], directions, added = folder.calibration.of_bearings(list(stations), number, values)
         reported[:, ::2] += added
@@ -173,6 +179,18 @@ def _beam(trajectory: Trajectory, planar: bool) -> AbstractTracker:
     return in_plane_beam_tracker(_station(trajectory), PHASES) if planar else beam_tracker(_station(trajectory), PHASES)
 
 
+def _stations(trajectory: Trajectory) -> int:
+    return len(trajectory.folder.rig.stations)
+
+
+def _calibrated(trajectory: Trajectory) -> bool:
+    return "calibration" in trajectory.recording.inputs
+
+
+def _bearings(trajectory: Trajectory, planar: bool) -> AbstractTracker:
+    return bearing_tracker(_stations(trajectory), planar, **(CALIBRATED if _calibrated(trajectory) else {}))
+
+
 def _arrays(trajectory: Trajectory) -> dict[str, Station]:
     return {name: s for name, s in trajectory.folder.rig.stations.items() if name in trajectory.recording.readings}
 
@@ -231,8 +249,8 @@ TRACKERS = {
         about="position from azimuths and elevations of any number of stations, EKF",
         table="bearings",
         trajectories=bearing_trajectories,
-        build=lambda trajectory, planar: bearing_tracker(planar=planar),
+        build=_bearings,
         lacks=stations_of("bearings", 1),
-        geometry=lambda trajectory: "calibration" in trajectory.recording.inputs,
+        geometry=lambda trajectory: (_stations(trajectory), _calibrated(trajectory)),
     ),
 }

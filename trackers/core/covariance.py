@@ -75,6 +75,14 @@ def by_entry(covs: Any) -> tuple[jax.Array, ...]:
     return covs if isinstance(covs, tuple) else tuple(covs[:, k] for k in range(covs.shape[1]))
 
 
+def variance(cov: AnyCovariance, component: int) -> Scalar:
+    """The variance of one component."""
+    if not isinstance(cov, tuple):
+        return cov[component, component]
+    n = (isqrt(8 * len(cov) + 1) - 1) // 2
+    return cov[component * n - component * (component - 1) // 2]
+
+
 def leading(cov: AnyCovariance, n: int, size: int) -> AnyCovariance:
     """The leading block of `size` components of the covariance of n."""
     kept = [k for k, (_, j) in enumerate(triangle(n)) if j < size]

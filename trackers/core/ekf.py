@@ -57,6 +57,7 @@ class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
     def predict(self, belief: Gaussian, motion: AbstractMotion, inputs: Inputs, dt: Scalar) -> Gaussian:
         """The belief `dt` s later: mean through the motion, covariance FPFᵀ + GGᵀ."""
         mean, cov = belief
+        motion = motion.at(belief)
         if not isinstance(cov, tuple):
             mean, F_and_G = jacobian_of(motion, mean, inputs, dt)
             return Gaussian(mean, propagated(cov, F_and_G))
@@ -99,7 +100,7 @@ class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
         self, belief: Gaussian, motion: AbstractMotion, connected: Scalar, dt: Scalar, inputs: Inputs
     ) -> RtsGain:
         """The RTS gain to the next time step, `dt` s later; `connected`: that step continues the track."""
-        return rts_gain(belief, *jacobian_of(motion, belief.mean, inputs, dt), connected, dt == 0)
+        return rts_gain(belief, *jacobian_of(motion.at(belief), belief.mean, inputs, dt), connected, dt == 0)
 
     def rts_step(self, rts_gain: RtsGain, after: Gaussian) -> Gaussian:
         """The smoothed belief of a time step, given that of the next one."""

@@ -59,6 +59,13 @@ class AbstractMotion(eqx.Module):
         """`step` as a composition of functions with sparse Jacobians; covariances are predicted stage by stage."""
         return (self.step,)
 
+    def at(self, belief: Any) -> AbstractMotion:
+        """The motion with those of its numbers that are to follow the belief, but not to be linearised.
+
+        Filters that linearise use it; `belief`: a `Gaussian`. By default the motion itself: everything is linearised.
+        """
+        return self
+
     def log_density(self, state: State, inputs: Inputs, dt: Scalar, w: Vector) -> Scalar:
         """The log density of the noise draw of one step, in physical units, up to terms without tunables.
 

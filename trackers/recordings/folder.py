@@ -44,6 +44,7 @@ class RecordingFolder:
     `path`: the folder it was read from, None for one made in memory. `tables`: by name, with t_s and values as Float64,
     ids as String, null where a value is missing. `notices`: one line for each anomaly found while reading.
     `calibration`: the systematic errors that trackers remove from its bearings and ranges; the tables are as measured.
+    `average_s`: interval, s, over which its readings are averages; None where trackers are to average of themselves.
     """
 
     name: str
@@ -52,15 +53,19 @@ class RecordingFolder:
     tables: Mapping[str, pl.DataFrame]
     notices: tuple[str, ...] = ()
     calibration: Calibration | None = None
+    average_s: float | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.tables, Tables):
             object.__setattr__(self, "tables", Tables(self.tables))
 
-    def rows(self, table: str) -> TagRows:
-        """The rows of a table by tag, as columns; made once."""
+    def rows(self, table: str, average_s: float = 0.0) -> TagRows:
+        """The rows of a table by tag, as columns; made once.
+
+        Where the recording has no interval of its own, readings are averaged over `average_s`.
+        """
         assert isinstance(self.tables, Tables)
-        return self.tables.rows(table)
+        return self.tables.rows(table, average_s if self.average_s is None else 0.0)
 
     @property
     def paths(self) -> TruePaths:
@@ -78,12 +83,13 @@ class RecordingFolder:
     def averaged(self, interval: float) -> RecordingFolder:
         """This recording with one range, fix or bearing per tag, anchor or station, and interval of so many s.
 
-        The columns are those of `averaging.averaged`. Raises ValueError for an interval that is not above zero.
+        The columns are those of `averaging.averaged`. With zero every reading stays, for trackers that average of
+        themselves, too. Raises ValueError for a negative interval.
         """
-        if not 0 < interval < math.inf:
-            raise ValueError(f"interval = {interval:g} s, expected a time above zero")
-        tables = {name: averaged(table, name, interval) for name, table in self.tables.items()}
-        return replace(self, tables=tables)
+        if not 0 <= interval < math.inf:
+            raise ValueError(f"interval = {interval:g} s, expected a time above zero, or zero for every reading")
+        tables = {name: averaged(table, name, interval) for name, table in self.tables.items()} if interval else {}
+        return replace(self, tables=tables or self.tables, average_s=interval)
 
     def uncalibrated(self) -> list[str]:
         """Stations with bearings and anchors with ranges that the calibration lacks, in words; all without one."""

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 
 import polars as pl
 
+from trackers.recordings.averaging import AVERAGED, averaged
 from trackers.recordings.columns import TableRows, TagRows
 from trackers.recordings.truth import TruePaths
 
@@ -15,7 +16,7 @@ class Tables(Mapping[str, pl.DataFrame]):
 
     def __init__(self, frames: Mapping[str, pl.DataFrame]) -> None:
         self._frames = dict(frames)
-        self._rows: dict[str, TagRows] = {}
+        self._rows: dict[tuple[str, float], TagRows] = {}
         self._paths: TruePaths | None = None
 
     def __getitem__(self, name: str) -> pl.DataFrame:
@@ -33,11 +34,12 @@ class Tables(Mapping[str, pl.DataFrame]):
     def __or__(self, other: Mapping[str, pl.DataFrame]) -> dict[str, pl.DataFrame]:
         return {**self, **other}
 
-    def rows(self, name: str) -> TagRows:
-        """The rows of the table by tag."""
-        if name not in self._rows:
-            self._rows[name] = TableRows(self[name])
-        return self._rows[name]
+    def rows(self, name: str, interval: float = 0.0) -> TagRows:
+        """The rows of the table by tag, averaged over intervals of so many seconds where it has readings."""
+        key = name, interval if name in AVERAGED else 0.0
+        if key not in self._rows:
+            self._rows[key] = TableRows(averaged(self[name], name, interval) if key[1] else self[name])
+        return self._rows[key]
 
     def paths(self, recording: str) -> TruePaths:
         """The true paths of the tags, none without a truth table; `recording`: the name for messages."""

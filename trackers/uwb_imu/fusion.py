@@ -2,44 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import equinox as eqx
-
-from trackers.core.algebra import Vector, diagonal
-from trackers.core.filter import Gaussian
-from trackers.core.motion import Noise
-from trackers.core.recording import Row
 from trackers.core.track_loss import TrackLossPolicy
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import Scale
+from trackers.parts.drifting_biases import BiasedStart, DriftingBiases
 from trackers.parts.ranges import RANGES, RangeSensor
-from trackers.parts.start_nearby import AbstractNearbyStart
-from trackers.uwb_imu.range_motion import RangeMotion, RangeState
 
 MAX_BIASES = 16
 """Largest number of anchors with a bias each in the state; the cost of an epoch grows with its square."""
-
-
-class RangeStart(AbstractNearbyStart):
-    """A start at the position in the input `nearby` (4,), at rest, with zero biases.
-
-    `sigma_position` m, `sigma_velocity` m/s, `sigma_bias` m: standard deviations. `biases`: their number.
-    """
-
-    sigma_position: Noise
-    sigma_velocity: Noise
-    sigma_bias: Noise
-    planar: bool = eqx.field(static=True)
-    biases: int = eqx.field(static=True)
-
-    def belief(self, candidate: Any, row: Row) -> Gaussian:
-        n = 2 if self.planar else 3
-        zero = candidate[0] * 0.0
-        position = Vector(*(candidate[k] for k in range(n)))
-        state = RangeState(position, Vector(*[zero] * n), Vector(*[zero] * self.biases))
-        variances = [s.value**2 for s in (self.sigma_position, self.sigma_velocity, self.sigma_bias)]
-        return Gaussian(state, diagonal([variances[0]] * n + [variances[1]] * n + [variances[2]] * self.biases, zero))
 
 
 def range_tracker(
@@ -54,18 +24,19 @@ def range_tracker(
     bias: float = 0.015,
     sigma_bias: float = 0.025,
     time_constant: float = 1000.0,
+    length: float = 1e4,
 ) -> Tracker:
     """Position and velocity from ranges to numbered anchors, one range per row; `planar`: at a known height.
 
-    Motion numbers as in `RangeMotion`, sensor numbers as in `RangeSensor`; `bias`: mean of the range biases, m. One set
-    of defaults serves hand-held tags, drones, trolleys and tags on the floor. Above `MAX_BIASES` anchors the state has
-    no biases; the tunable ones of the sensor remain.
+    Motion numbers as in `DriftingBiases`, sensor numbers as in `RangeSensor`; `bias`: mean of the range biases, m. One
+    set of defaults serves hand-held tags, drones, trolleys and tags on the floor. Above `MAX_BIASES` anchors the state
+    has no biases; the tunable ones of the sensor remain.
     """
     biases = anchors if anchors <= MAX_BIASES else 0
     return Tracker(
-        RangeMotion(biases, sigma_a, sigma_z, memory, sigma_bias, time_constant),
+        DriftingBiases(biases, sigma_a, sigma_z, memory, sigma_bias, time_constant, length),
         {RANGES: RangeSensor(1, anchors, sigma_r, positive_skew, dof, bias)},
-        RangeStart(Scale(1.0, "m"), Scale(1.0, "m/s"), Scale(sigma_bias, "m"), planar, biases),
+        BiasedStart(Scale(1.0, "m"), Scale(1.0, "m/s"), Scale(sigma_bias, "m"), planar, biases),
         # With Student's t each range's NIS is bounded, and real biases make it large: only a gap is a track loss.
         track_loss=TrackLossPolicy(nis_limit=1e3, max_gap=10.0),
     )

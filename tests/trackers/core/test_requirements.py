@@ -213,7 +213,7 @@ MISTAKES = [
     (
         "tw.range_tracker(4).run(changed(nearby=None))",
         "no input 'nearby', found anchors, anchor; expected rows of shape (4,) m, a position from recent measurements",
-        "which the start (RangeStart) reads; usual fix: make it by `range_recording`",
+        "which the start (BiasedStart) reads; usual fix: make it by `range_recording`",
     ),
     (
         "tw.range_tracker(4).run(changed(anchors=np.tile(anchors.ravel(), (120, 1))))",

@@ -68,9 +68,18 @@ def test_a_recording_is_averaged_but_for_truth_phases_and_imu(tmp_path):
             assert len(found.tables[name]) < 0.5 * len(table)
         else:
             assert found.tables[name].equals(table)
-    for wrong in (0.0, -1.0, np.nan, np.inf):
+    for wrong in (-1.0, np.nan, np.inf):
         with pytest.raises(ValueError, match="expected a time above zero"):
             folder.averaged(wrong)
+
+
+def test_bearings_are_averaged_by_the_tracker_unless_the_recording_has_its_interval(tmp_path):
+    write_good(tmp_path / "good")
+    folder = read_recording(tmp_path / "good")
+    assert len(folder.rows("bearings", 0.5).times) == len(averaged(folder.tables["bearings"], "bearings", 0.5))
+    assert len(folder.averaged(0.0).rows("bearings", 0.5).times) == len(folder.tables["bearings"])
+    found = folder.averaged(0.3)
+    assert len(found.rows("bearings", 0.5).times) == len(found.tables["bearings"]) < len(folder.tables["bearings"])
 
 
 def test_an_interval_shorter_than_the_rows_changes_nothing(tmp_path):
@@ -95,6 +104,6 @@ def test_track_averages_and_its_manifest_has_the_interval(tmp_path):
         assert json.loads((out / "manifest.json").read_text())["config"]["average"] == average
         counts[average] = len(pl.read_parquet(out / "tracks.parquet"))
     assert counts[0.5] < 0.5 * counts[None]
-    done = trackwright("track", tmp_path / "good", "--out", tmp_path / "none", "--average", "0")
+    done = trackwright("track", tmp_path / "good", "--out", tmp_path / "none", "--average", "-1")
     assert done.code == 2
-    assert "--average 0: expected a time above zero" in done.err
+    assert "--average -1: expected seconds above zero" in done.err

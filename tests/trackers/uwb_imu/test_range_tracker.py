@@ -8,10 +8,10 @@ import pytest
 from tests.oracles import van_loan
 from trackers.core.algebra import Vector
 from trackers.core.recording import Readings, Recording, stack
+from trackers.parts.drifting_biases import BiasedState, DriftingBiases, damped_velocity
 from trackers.parts.ranges import RANGES
 from trackers.parts.recent_positions import recent_positions
 from trackers.uwb_imu.fusion import range_tracker
-from trackers.uwb_imu.range_motion import RangeMotion, RangeState, damped_velocity
 
 ANCHORS = np.array([[5.0, 0.0, 2.0], [0.0, 6.0, 1.0], [-4.0, -3.0, 2.5], [1.0, -6.0, 2.2], [-5.0, 4.0, 0.5]])
 HEIGHT = 1.1
@@ -20,11 +20,11 @@ HEIGHT = 1.1
 @pytest.mark.parametrize("dt", [1e-3, 0.1, 2.0, 6.0, 40.0])
 def test_the_motion_is_the_solution_of_its_differential_equation(dt):
     sigma, memory = 0.7, 4.0
-    motion = RangeMotion(0, sigma, 0.2, memory, 0.05, 20.0)
+    motion = DriftingBiases(0, sigma, 0.2, memory, 0.05, 20.0, 2.0)
     F, Q = van_loan(np.array([[0.0, 1.0], [0.0, -1.0 / memory]]), np.diag([0.0, sigma**2]), dt)
 
     def moved(x, v, *noise):
-        state = RangeState(Vector(x, 0.0), Vector(v, 0.0), Vector())
+        state = BiasedState(Vector(x, 0.0), Vector(v, 0.0), Vector())
         after = motion.step(state, None, jnp.asarray(dt), Vector(noise[0], 0.0, 0.0, noise[1], 0.0, 0.0))
         return np.array([float(after.position[0]), float(after.velocity[0])])
 
@@ -44,8 +44,8 @@ def test_gradients_with_respect_to_the_motions_numbers_are_finite_at_dt_zero():
 
 
 def test_a_bias_decays_exactly_over_any_interval():
-    motion = RangeMotion(1, 0.3, 0.2, 5.0, 0.05, 20.0)
-    state = RangeState(Vector(0.0, 0.0), Vector(0.0, 0.0), Vector(0.3))
+    motion = DriftingBiases(1, 0.3, 0.2, 5.0, 0.05, 20.0, 2.0)
+    state = BiasedState(Vector(0.0, 0.0), Vector(0.0, 0.0), Vector(0.3))
     still = Vector(*[0.0] * 7)
     twice = motion.step(motion.step(state, None, jnp.asarray(3.0), still), None, jnp.asarray(4.0), still)
     # Rounding of exponentials.

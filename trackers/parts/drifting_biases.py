@@ -1,0 +1,151 @@
+"""Motion of a tag with damped velocity, and sensor biases that drift with time and with the way covered."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from trackers.core.algebra import Scalar, Vector, diagonal, total
+from trackers.core.covariance import variance
+from trackers.core.filter import Gaussian
+from trackers.core.inputs import Inputs
+from trackers.core.motion import AbstractMotion, Noise
+from trackers.core.recording import Row
+from trackers.core.tunable import Scale
+from trackers.parts.start_nearby import AbstractNearbyStart
+
+
+class BiasedState(NamedTuple):
+    """Position, m, velocity, m/s, and the biases of the sensors' channels in their unit."""
+
+    position: Vector
+    velocity: Vector
+    bias: Vector
+
+
+class DriftingBiases(AbstractMotion):
+    """First-order Gauss–Markov velocities, planar or in three dimensions, and first-order Gauss–Markov biases.
+
+    `sigma_a`, `sigma_z`: white acceleration, horizontal and vertical, m/s² per √Hz; `memory`: time constant of the
+    velocities, s. `sigma_bias`: standard deviation of the biases, one number, or k that the biases take in turn (of
+    azimuth and elevation). The biases decay at the rate 1/`time_constant` + speed/`length`, s and m: multipath and
+    obstruction depend on the place. `biases`: their number. Exact at constant speed (Gelb 1974, section 3.8): there two
+    steps equal one long step.
+    """
+
+    sigma_a: Noise
+    sigma_z: Noise
+    memory: Noise
+    sigma_bias: Noise
+    time_constant: Noise
+    length: Noise
+    biases: int = eqx.field(static=True)
+    speed: Any
+
+    def __init__(
+        self,
+        biases: int,
+        sigma_a: float,
+        sigma_z: float,
+        memory: float,
+        sigma_bias: float | np.ndarray,
+        time_constant: float,
+        length: float,
+        unit: str = "m",
+    ):
+        """`unit`: of the biases."""
+        self.biases = biases
+        self.speed = None
+        self.sigma_a = Scale(sigma_a, "m/s^2/sqrt(Hz)", "process noise", "horizontal")
+        self.sigma_z = Scale(sigma_z, "m/s^2/sqrt(Hz)", "process noise", "vertical")
+        self.memory = Scale(memory, "s")
+        self.sigma_bias = Scale(sigma_bias, unit, "bias noise")
+        self.time_constant = Scale(time_constant, "s")
+        self.length = Scale(length, "m")
+
+    @property
+    def noise_dimension(self) -> int:
+        return 6 + self.biases
+
+    def at(self, belief: Gaussian) -> DriftingBiases:
+        """The motion whose biases decay with the speed of this belief, by as much as it exceeds its uncertainty.
+
+        The speed is |v|·(1 − tr P/|v|²)₊ (James and Stein 1961). Linearised at low speed, where the direction of the
+        velocity is noise, the decay of a bias would pass for a measured velocity.
+        """
+        state, cov = belief
+        n = len(state.position)
+        square = total(v * v for v in state.velocity)
+        spread = total(variance(cov, n + k) for k in range(len(state.velocity)))
+        moves = square > spread
+        speed = jnp.where(moves, (square - spread) / jnp.sqrt(jnp.where(moves, square, 1.0)), 0.0)
+        return eqx.tree_at(lambda motion: motion.speed, self, speed, is_leaf=lambda x: x is None)
+
+    def step(self, state: BiasedState, inputs: Inputs, dt: Scalar, w: Vector) -> BiasedState:
+        n = len(state.position)
+        sigmas = [self.sigma_a.value, self.sigma_a.value, self.sigma_z.value][:n]
+        decay, gain, velocity_noise, shared, own = damped_velocity(dt, self.memory.value)
+        axes = list(zip(state.position, state.velocity, sigmas, w.parts[:3], w.parts[3:6], strict=False))
+        position = Vector(*(x + v * gain + s * (a * shared + b * own) for x, v, s, a, b in axes))
+        velocity = Vector(*(v * decay + s * a * velocity_noise for _, v, s, a, _ in axes))
+        if not self.biases:
+            return BiasedState(position, velocity, state.bias)
+        speed = safe_sqrt(total(v * v for v in state.velocity)) if self.speed is None else self.speed
+        lapse = dt * (1.0 / self.time_constant.value + speed / self.length.value)
+        bias_decay, bias_noise = jnp.exp(-lapse), safe_sqrt(-jnp.expm1(-2.0 * lapse))
+        draws = (x * (in_turn(self.sigma_bias.value, k) * bias_noise) for k, x in enumerate(w.parts[6:]))
+        return BiasedState(position, velocity, state.bias * bias_decay + Vector(*draws))
+
+
+class BiasedStart(AbstractNearbyStart):
+    """A start at the position in the input `nearby` (4,), at rest, with zero biases.
+
+    `sigma_position` m, `sigma_velocity` m/s, `sigma_bias` as in `DriftingBiases`: standard deviations. `biases`: their
+    number.
+    """
+
+    sigma_position: Noise
+    sigma_velocity: Noise
+    sigma_bias: Noise
+    planar: bool = eqx.field(static=True)
+    biases: int = eqx.field(static=True)
+
+    def belief(self, candidate: Any, row: Row) -> Gaussian:
+        n = 2 if self.planar else 3
+        zero = candidate[0] * 0.0
+        position = Vector(*(candidate[k] for k in range(n)))
+        state = BiasedState(position, Vector(*[zero] * n), Vector(*[zero] * self.biases))
+        in_place, moving = self.sigma_position.value**2, self.sigma_velocity.value**2
+        biases = [in_turn(self.sigma_bias.value, k) ** 2 for k in range(self.biases)]
+        return Gaussian(state, diagonal([in_place] * n + [moving] * n + biases, zero))
+
+
+def in_turn(values: Any, number: int) -> Any:
+    """The value of a bias of this number: the only one, or of k values that the biases take in turn."""
+    return values if np.ndim(values) == 0 else values[number % len(values)]
+
+
+def damped_velocity(dt: Scalar, memory: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar, Scalar]:
+    """Transition and noise factor of dv = −v/τ dt + dW, dx = v dt over `dt` s, with τ = `memory` s.
+
+    v⁺ = decay·v + velocity_noise·a, x⁺ = x + gain·v + shared·a + own·b, with unit noise a and b. With u = dt/τ, the
+    conditional variance of x given v is τ³(u − 2 tanh(u/2)), by its power series where u is small.
+    """
+    u = dt / memory
+    loss = -jnp.expm1(-u)
+    decay = 1.0 - loss
+    velocity_noise = safe_sqrt(0.5 * memory * loss * (1.0 + decay))
+    shared = memory * loss * safe_sqrt(0.5 * memory * loss / (1.0 + decay))
+    small = u < 0.5
+    near = jnp.where(small, u, 0.0)
+    series = near**3 * (1.0 / 12.0 - near**2 * (1.0 / 120.0 - near**2 * (17.0 / 20160.0 - near**2 * 31.0 / 362880.0)))
+    conditional = jnp.where(small, series, u - 2.0 * jnp.tanh(0.5 * u))
+    return decay, memory * loss, velocity_noise, shared, memory * safe_sqrt(memory * conditional)
+
+
+def safe_sqrt(x: Scalar) -> Scalar:
+    """The square root with derivative zero at zero, for steps with dt = 0."""
+    return jnp.where(x > 0, jnp.sqrt(jnp.where(x > 0, x, 1.0)), 0.0)
