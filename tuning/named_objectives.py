@@ -39,6 +39,9 @@ OBJECTIVES: Mapping[str, Callable[[str, int], AbstractObjective]] = MappingProxy
 )
 """Constructors by name, each of a quantity and its number of components."""
 
+METRICS = tuple(name for name in OBJECTIVES if name != "tempered-nll")
+"""The objectives with values of their own: that of `tempered-nll` is that of `nll`."""
+
 SUMMAND = re.compile(r"\s*(?:([0-9.]+(?:[eE][+-]?[0-9]+)?)\s*\*\s*)?([a-z][a-z-]*)\s*")
 
 
@@ -89,8 +92,7 @@ def all_metrics(
     except MissingQuantityError:
         without_truth = {name: objective for name, objective in objectives.items() if not objective.needs_truth}
         metrics = _evaluated(tracker, batches, without_truth, chunk, weights)
-    found = dict.fromkeys([*OBJECTIVES, "rmse-3d"], math.nan) | metrics
-    return found | {"tempered-nll": found["nll"]}
+    return dict.fromkeys([*METRICS, "rmse-3d"], math.nan) | metrics
 
 
 def _evaluated(
@@ -124,8 +126,7 @@ def _available(
 ) -> dict[str, AbstractObjective]:
     """The objectives by name; without truth of the quantity those that need none."""
     horizontal = min(dimensions, 2)
-    names = [name for name in OBJECTIVES if name != "tempered-nll"]  # its value is that of nll
-    objectives = {n: OBJECTIVES[n](quantity, horizontal if n == "rmse" else dimensions) for n in names}
+    objectives = {n: OBJECTIVES[n](quantity, horizontal if n == "rmse" else dimensions) for n in METRICS}
     if dimensions == 3:
         objectives["rmse-3d"] = RootMeanSquareError(quantity, 3)
     try:
