@@ -52,16 +52,15 @@ def test_repetitions_are_counted_within_a_trajectory_and_over_missing_rows():
 def test_repetitions_are_those_of_each_station():
     n = 400
     rng = np.random.default_rng(3)
-    azimuth = np.repeat(rng.normal(size=(n // 8, 2)), 4, axis=0).reshape(
-        -1
-    )  # two stations in turn, each value four times
+    # two stations in turn, each value four times
+    azimuth = np.repeat(rng.normal(size=(n // 8, 2)), 4, axis=0).reshape(-1)
     elevation = 0 * azimuth
     stations = {
         k: Station(np.array([x, 0.0, 2.0]), np.array([1.0, 0.0, 0.0, 0.0])) for k, x in (("a", 0.0), ("b", 5.0))
     }
     bearings = np.stack([azimuth, elevation], axis=1)
     recording = tw.bearing_recording(0.05 * np.arange(n), bearings, ["a", "b"] * (n // 2), stations)
-    grids = reading_grids(tw.bearing_tracker(), [stack([recording])])
+    grids = reading_grids(tw.bearing_tracker(2), [stack([recording])])
     assert grids[0].repeated == pytest.approx(0.75, abs=0.01)
 
 
