@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import operator
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -31,23 +30,27 @@ class Figures(NamedTuple):
 
 
 class Check(NamedTuple):
-    """A limit of a fold, its figure and whether the figure is within the limit."""
+    """A figure of a fold, rounded as the page shows it, and its limits. `recording`: empty for a mean over several."""
 
     fold: str
     what: str
     figure: float
     lowest: float
     highest: float
+    recording: str = ""
+    smoothed: bool = False
 
     @property
     def met(self) -> bool:
         """Whether the figure is within its limits."""
         return self.lowest <= self.figure <= self.highest
 
-    @property
-    def expected(self) -> str:
-        """The limits in words."""
-        return f"≤ {self.highest:g}" if self.lowest == 0.0 else f"{self.lowest:g} to {self.highest:g}"
+    def __str__(self) -> str:
+        limits = f"≤ {self.highest:g}" if self.lowest == 0.0 else f"{self.lowest:g} to {self.highest:g}"
+        whose = f" of {self.recording}" if self.recording else ""
+        return (
+            f"{self.fold}: {self.what}{whose}{', smoothed,' if self.smoothed else ''} {self.figure:g}, limit {limits}"
+        )
 
 
 def run_fold(fold: Fold, root: Path) -> Iterator[Figures]:
@@ -101,22 +104,33 @@ def halves(folder: RecordingFolder) -> tuple[RecordingFolder, RecordingFolder]:
     return first, second
 
 
-def checks(fold: Fold, figures: list[Figures]) -> list[Check]:
+def checks(fold: Fold, figures: Sequence[Figures]) -> list[Check]:
     """The limits of a fold: of mean errors, and of the covariances of each recording, filtered and smoothed."""
     found = []
     for what, limit, metric, smoothed in (
-        ("RMSE, m", fold.rmse, "rmse_m", False),
-        ("RMSE smoothed, m", fold.smoothed, "rmse_m", True),
-        ("3-D RMSE, m", fold.spatial, "rmse_3d_m", False),
+        ("RMSE", fold.rmse, "rmse_m", False),
+        ("RMSE", fold.smoothed, "rmse_m", True),
+        ("3-D RMSE", fold.spatial, "rmse_3d_m", False),
     ):
         if limit is not None:
-            mean = float(np.mean([f.metrics[metric] for f in figures if f.smoothed == smoothed]))
-            found.append(Check(fold.name, what, mean, 0.0, limit))
-    if fold.honest is not None:
-        for one in sorted(figures, key=operator.attrgetter("smoothed")):
-            of = f", {one.recording}{' smoothed' if one.smoothed else ''}"
-            inside, nees = one.metrics["coverage_95"], one.metrics["nees_ratio"]
-            if inside is not None:
-                found.append(Check(fold.name, f"inside 95 %{of}", inside, *fold.honest.inside))
-                found.append(Check(fold.name, f"NEES/dof{of}", nees, *fold.honest.nees))
-    return found
+            mean = mean_of(figures, metric, smoothed)
+            found.append(Check(fold.name, what, round(mean, 3), 0.0, limit, smoothed=smoothed))
+    return found + [check for one in figures for check in covariance_checks(one)]
+
+
+def mean_of(figures: Sequence[Figures], metric: str, smoothed: bool) -> float:
+    """The mean of a metric over the recordings of a fold, filtered or smoothed; NaN without any."""
+    values = [one.metrics[metric] for one in figures if one.smoothed == smoothed]
+    return float(np.mean(values)) if values else float("nan")
+
+
+def covariance_checks(one: Figures) -> list[Check]:
+    """The limits of the covariances of a recording; none where the fold has none or no covariance is reported."""
+    inside, nees, honest = one.metrics["coverage_95"], one.metrics["nees_ratio"], one.fold.honest
+    if honest is None or inside is None:
+        return []
+    whose = (one.recording, one.smoothed)
+    return [
+        Check(one.fold.name, "share inside 95 %", round(inside, 3), *honest.inside, *whose),
+        Check(one.fold.name, "NEES/dof", round(nees, 2), *honest.nees, *whose),
+    ]

@@ -50,7 +50,7 @@ def main(quick: bool = False, page: Path | None = None) -> int:
     missed = [check for check in all_checks(figures) if not check.met]
     print(f"Written: {out} ({seconds:.0f} s)")
     for check in missed:
-        print(f"missed: {check.fold}, {check.what}: {check.figure:.3f}, expected {check.expected}")
+        print(f"missed: {check}")
     return int(bool(missed))
 
 

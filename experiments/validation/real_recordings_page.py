@@ -11,7 +11,7 @@ from itertools import groupby
 from pathlib import Path
 
 from experiments.reports.wording import fixed
-from experiments.validation.fold_runs import Check, Figures, checks
+from experiments.validation.fold_runs import Check, Figures, checks, covariance_checks, mean_of
 from experiments.validation.folds import OTHER_HALF, OTHERS, SEEN_BY_DEFAULTS, Fold
 from experiments.validation.rooms import MARGIN
 from trackers.covariance_statements import covariance_statements, holds
@@ -31,25 +31,25 @@ command finds them through `TRACKWRIGHT_RECORDINGS` (default `../shared/recordin
 `experiments/validation/folds.py`. No figure is of a recording that its calibration or tuning has seen, with two
 restrictions:
 
-- Some of the recordings were used to set default noise levels (`python -m experiments.validation.default_levels`); they
-  are marked by *. Their figures show how one set of levels fits recordings of several kinds, and are no prediction for
-  others.
+- Default noise levels of `bearings` and `uwb` were set on some of the recordings, which are marked by *
+  (`python -m experiments.validation.default_levels`); those of the other trackers were chosen with these recordings at
+  hand. Such figures show how one set of levels fits several kinds of recordings, and are no prediction for others.
 - Where a site has only one recording, each half of it, in time, is calibrated on the other half. Later changes of the
   site do not show in these figures.
 """
 
-LIMITS = """## Limits
+LIMITS = """## Summary
 
-Limits of RMSE hold for the mean over the recordings of a fold, limits of covariances for each recording. The table has
-all limits of RMSE, and of the other limits those that are missed.
+Means over the recordings of each fold, with their limits; bold figures miss them. Covariances: in how many recordings
+both the share inside the 95 % ellipse and NEES/dof are within their limits. Figures are compared as printed.
 """
 
 FIGURES = """## Figures by recording
 
-RMSE in m, horizontal unless it is called 3-D; * marks recordings on which default noise levels were set. Inside 95 %:
-share of the rows whose 95 % ellipse over the floor contains the truth. NIS over 1 s: autocorrelation of the normalised
-innovations squared, 0 for a model that fits. Baseline: horizontal RMSE of a Kalman filter with constant velocity whose
-noise levels were tuned on the judged recording itself.
+RMSE in m, horizontal unless it is called 3-D. Inside 95 %: share of the rows whose 95 % ellipse over the floor contains
+the truth. NIS over 1 s: autocorrelation of the normalised innovations squared, 0 for a model that fits. Baseline:
+horizontal RMSE of a Kalman filter with constant velocity whose noise levels were tuned on the judged recording itself.
+Bold figures miss their limits; * marks recordings on which default noise levels were set.
 """
 
 ROOMS = """## Rooms
@@ -85,7 +85,7 @@ def written(figures: Sequence[Figures], best: Baselines, command: str, seconds: 
             verdict=f"**{len(every) - len(missed)} of {len(every)} limits are met.**",
         ),
         LIMITS,
-        _limits(every),
+        _summary(figures),
         FIGURES,
         *(_section(fold, list(own), best) for fold, own in groupby(figures, key=lambda one: one.fold)),
         ROOMS.format(margin=MARGIN),
@@ -100,7 +100,10 @@ def all_checks(figures: Sequence[Figures]) -> list[Check]:
     found = [check for fold, own in groupby(figures, key=lambda one: one.fold) for check in checks(fold, list(own))]
     return [
         *found,
-        *(Check("room", name, one.outside.distance, 0.0, MARGIN) for name, one in _farthest(figures).items()),
+        *(
+            Check("room", "m outside", round(one.outside.distance, 2), 0.0, MARGIN, name)
+            for name, one in _farthest(figures).items()
+        ),
     ]
 
 
@@ -133,13 +136,41 @@ def saw(fold: Fold) -> str:
     return "; ".join([*parts, "height unknown"] if fold.free_height else parts)
 
 
-def _limits(every: Sequence[Check]) -> str:
-    shown = [check for check in every if not check.met or "RMSE" in check.what]
-    rows = [
-        (check.fold, check.what, fixed(check.figure, 3), check.expected, "yes" if check.met else "**no**")
-        for check in shown
-    ]
-    return _table(("fold", "figure", "measured", "limit", "met"), rows, 2)
+def _summary(figures: Sequence[Figures]) -> str:
+    rows = []
+    for fold, group in groupby(figures, key=lambda one: one.fold):
+        own = list(group)
+        means = [
+            _with_limit(mean_of(own, metric, smoothed), limit)
+            for metric, smoothed, limit in (
+                ("rmse_m", False, fold.rmse),
+                ("rmse_m", True, fold.smoothed),
+                ("rmse_3d_m", False, fold.spatial),
+            )
+        ]
+        if all(one.metrics["coverage_95_3d"] is None for one in own):
+            means[2] = ""
+        rows.append((fold.name, *means, *(_honest([one for one in own if one.smoothed == s]) for s in (False, True))))
+    head = ("fold", "RMSE, m", "smoothed", "3-D RMSE, m", "covariances hold", "smoothed")
+    return _table(head, rows, 1)
+
+
+def _with_limit(figure: float, limit: float | None) -> str:
+    if figure != figure:
+        return ""
+    return (
+        fixed(figure, 3) if limit is None else f"{_marked(fixed(figure, 3), round(figure, 3) <= limit)} (≤ {limit:g})"
+    )
+
+
+def _honest(own: Sequence[Figures]) -> str:
+    """In how many recordings the limits of covariances are met."""
+    found = [all(check.met for check in limits) for limits in map(covariance_checks, own) if limits]
+    return _marked(f"{sum(found)} of {len(found)}", all(found)) if found else ""
+
+
+def _marked(text: str, met: bool) -> str:
+    return text if met else f"**{text}**"
 
 
 def _section(fold: Fold, own: Sequence[Figures], best: Baselines) -> str:
@@ -154,9 +185,16 @@ def _section(fold: Fold, own: Sequence[Figures], best: Baselines) -> str:
         for one in own
     ]
     head = ("recording", "", "RMSE", "3-D RMSE", "inside 95 %", "NEES/dof", "NIS over 1 s", "baseline")
-    title = f"### {fold.name[0].upper()}{fold.name[1:]}\n\nTracker `{fold.tracker}`; {saw(fold)}.\n"
+    title = f"### {fold.name[0].upper()}{fold.name[1:]}\n\nTracker `{fold.tracker}`; {saw(fold)}. {_limits(fold)}\n"
     note = "" if smoothed else "\nThis tracker has no smoother.\n"
     return f"{title}\n{_table(head, rows, 2)}{note}{_innovations(own)}"
+
+
+def _limits(fold: Fold) -> str:
+    if fold.honest is None:
+        return "No limits."
+    (least, most), (low, high) = fold.honest
+    return f"Limits: inside 95 %: {100 * least:.0f} to {100 * most:.0f} %, NEES/dof {low:g} to {high:g}."
 
 
 def _innovations(own: Sequence[Figures]) -> str:
@@ -172,16 +210,16 @@ def _innovations(own: Sequence[Figures]) -> str:
     return "\nThe innovations of recordings whose filtered covariances do not hold, without truth:\n\n" + "".join(lines)
 
 
-def _cells(one: Figures) -> tuple[str, ...]:
+def _cells(one: Figures) -> list[str]:
     metrics = one.metrics
-    inside = metrics["coverage_95"]
-    return (
+    met = [check.met for check in covariance_checks(one)] or [True, True]
+    return [
         fixed(metrics["rmse_m"], 3),
         "" if metrics["coverage_95_3d"] is None else fixed(metrics["rmse_3d_m"], 3),
-        "" if inside is None else f"{100 * inside:.0f} %",
-        fixed(metrics["nees_ratio"], 2),
+        "" if metrics["coverage_95"] is None else _marked(f"{100 * metrics['coverage_95']:.1f} %", met[0]),
+        _marked(fixed(metrics["nees_ratio"], 2), met[1]),
         fixed(metrics["nis_correlation_1s"], 2),
-    )
+    ]
 
 
 def _farthest(figures: Sequence[Figures]) -> dict[str, Figures]:
@@ -198,9 +236,10 @@ def _rooms(figures: Sequence[Figures]) -> str:
     for name, one in _farthest(figures).items():
         out = one.outside
         where = one.fold.name + (", smoothed" if one.smoothed else "")
-        at = (fixed(out.time, 1), fixed(out.sigma, 2), str(out.rows)) if out.distance > 0 else ("", "", "0")
-        rows.append((name, where, fixed(out.distance, 2), *at, "yes" if out.distance <= MARGIN else "**no**"))
-    head = ("recording", "in the fold", "outside, m", "at, s", "σ there, m", "rows beyond the limit", "met")
+        at = (fixed(out.time, 1), fixed(out.sigma, 2), str(out.rows)) if out.distance > 0 else ("", "", "")
+        distance = _marked(fixed(out.distance, 2), round(out.distance, 2) <= MARGIN)
+        rows.append((name, where if out.distance > 0 else "", distance, *at))
+    head = ("recording", "in the fold", "outside, m", "at, s", "σ there, m", "rows beyond the limit")
     return _table(head, rows, 2)
 
 
