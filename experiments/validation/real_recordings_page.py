@@ -109,7 +109,7 @@ def all_checks(figures: Sequence[Figures]) -> list[Check]:
 
 def line_of(figures: Figures) -> str:
     """The figures of a recording in one line, for the terminal."""
-    cells = _cells(figures)
+    cells = [cell.replace("*", "") for cell in _cells(figures)]
     return f"{figures.fold.name:26s} {figures.recording:18s} " + "  ".join(f"{cell:>8s}" for cell in cells)
 
 
