@@ -1,8 +1,8 @@
 """Accuracy and covariances on real recordings: `python -m experiments.validation.real_recordings`.
 
-Runs every fold of `folds.FOLDS`, writes `docs/real-recordings.md` and ends with exit code 1 where a limit is missed. No
-fold is judged on a recording that its calibration or tuning has seen. The recordings are not part of this repository:
-TRACKWRIGHT_RECORDINGS names their folder, default `../shared/recordings`.
+Runs every fold of `folds.FOLDS`, writes `docs/real-recordings.md` and its summary in the README, and ends with exit
+code 1 where a limit is missed. No fold is judged on a recording that its calibration or tuning has seen. The recordings
+are not part of this repository: TRACKWRIGHT_RECORDINGS names their folder, default `../shared/recordings`.
 """
 
 from __future__ import annotations
@@ -14,11 +14,12 @@ from pathlib import Path
 
 import tyro
 
+from experiments.bench.timing import replace_tables
 from experiments.cli.runtime import keep_programs, set_flags
 from experiments.cli.subprocesses import REPOSITORY, recordings_folder
 from experiments.validation.fold_runs import Figures, run_fold
 from experiments.validation.folds import FOLDS, Fold
-from experiments.validation.real_recordings_page import all_checks, baselines, line_of, written
+from experiments.validation.real_recordings_page import all_checks, baselines, line_of, quoted, written
 from trackers.core.errors import UnusableInput
 
 PAGE = REPOSITORY / "docs" / "real-recordings.md"
@@ -47,6 +48,8 @@ def main(quick: bool = False, page: Path | None = None) -> int:
     out = page or (QUICK_PAGE if quick else PAGE)
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(written(figures, baselines(root / "README.md"), command, seconds), "utf-8")
+    if out == PAGE:
+        replace_tables(REPOSITORY / "README.md", "experiments.validation.real_recordings", quoted(figures))
     missed = [check for check in all_checks(figures) if not check.met]
     print(f"Written: {out} ({seconds:.0f} s)")
     for check in missed:

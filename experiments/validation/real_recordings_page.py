@@ -95,6 +95,37 @@ def written(figures: Sequence[Figures], best: Baselines, command: str, seconds: 
     return "\n".join(parts)
 
 
+QUOTED = """On real recordings that calibration and tuning have not seen, {met} of {all} limits of errors and
+covariances are met. Walks with a Bluetooth tag: mean horizontal RMSE {default:.2f} m with default noise levels,
+{calibrated:.2f} m ({smoothed:.2f} m smoothed) with stations calibrated on earlier walks. Covariances hold (share inside
+the 95 % ellipse, NEES/dof) in {held} of {judged} filtered and in {held_smoothed} of {judged_smoothed} smoothed
+recordings. All figures: [docs/real-recordings.md](docs/real-recordings.md)
+(`python -m experiments.validation.real_recordings`).
+"""
+
+
+def quoted(figures: Sequence[Figures]) -> str:
+    """The sentences on these figures for the README."""
+    every = all_checks(figures)
+
+    def walks(name: str, smoothed: bool) -> float:
+        return mean_of([one for one in figures if one.fold.name == name], "rmse_m", smoothed)
+
+    judged = [(one.smoothed, limits) for one in figures if (limits := covariance_checks(one))]
+    held = [smoothed for smoothed, limits in judged if all(check.met for check in limits)]
+    return QUOTED.format(
+        met=sum(check.met for check in every),
+        all=len(every),
+        default=walks("walks", smoothed=False),
+        calibrated=walks("walks, calibrated", smoothed=False),
+        smoothed=walks("walks, calibrated", smoothed=True),
+        held=held.count(False),
+        judged=sum(not smoothed for smoothed, _ in judged),
+        held_smoothed=held.count(True),
+        judged_smoothed=sum(smoothed for smoothed, _ in judged),
+    )
+
+
 def all_checks(figures: Sequence[Figures]) -> list[Check]:
     """The limits of all folds, then those of rooms."""
     found = [check for fold, own in groupby(figures, key=lambda one: one.fold) for check in checks(fold, list(own))]

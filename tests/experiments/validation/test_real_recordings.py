@@ -9,7 +9,7 @@ import pytest
 from experiments.validation.fold_runs import Figures, halves
 from experiments.validation.folds import DEFAULTS, FOLDS, OTHER_HALF, OTHERS, Fold
 from experiments.validation.real_recordings import main
-from experiments.validation.real_recordings_page import all_checks, written
+from experiments.validation.real_recordings_page import all_checks, quoted, written
 from experiments.validation.rooms import Outside, farthest_outside, room
 from trackers.core.rig import Rig
 from trackers.recordings.folder import RecordingFolder
@@ -89,6 +89,21 @@ def test_the_page_names_missed_limits_rooms_and_what_was_seen():
     assert "| b | flights | **1.50** | 2.0 | 0.10 | 7 |" in page
     assert "each calibrated on the other half" in page
     assert "- a: NIS/dof is 4 where 1 is expected: the reported covariances are too small." in page
+
+
+def test_the_readme_quotes_mean_errors_of_walks_and_how_many_covariances_hold():
+    walks, calibrated = FOLD._replace(name="walks"), FOLD._replace(name="walks, calibrated")
+    text = quoted(
+        [
+            _figures("a", rmse_m=0.8)._replace(fold=walks),
+            _figures("b", rmse_m=0.6, nees_ratio=3.0)._replace(fold=walks),
+            _figures("a", rmse_m=0.5)._replace(fold=calibrated),
+            _figures("a", rmse_m=0.3, smoothed=True)._replace(fold=calibrated),
+        ]
+    )
+    text = " ".join(text.split())
+    assert "0.70 m with default noise levels, 0.50 m (0.30 m smoothed)" in text
+    assert "in 2 of 3 filtered and in 1 of 1 smoothed recordings" in text
 
 
 @pytest.mark.slow
