@@ -99,8 +99,8 @@ QUOTED = """On real recordings that calibration and tuning have not seen, {met} 
 covariances are met. Walks with a Bluetooth tag: mean horizontal RMSE {default:.2f} m with default noise levels,
 {calibrated:.2f} m ({smoothed:.2f} m smoothed) with stations calibrated on earlier walks. Covariances hold (share inside
 the 95 % ellipse, NEES/dof) in {held} of {judged} filtered and in {held_smoothed} of {judged_smoothed} smoothed
-recordings. All figures: [docs/real-recordings.md](docs/real-recordings.md)
-(`python -m experiments.validation.real_recordings`).
+recordings; default noise levels were set on some of these. All figures:
+[docs/real-recordings.md](docs/real-recordings.md) (`python -m experiments.validation.real_recordings`).
 """
 
 
