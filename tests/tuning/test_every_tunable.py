@@ -51,7 +51,7 @@ def test_what_a_user_may_want_tuned_is_found_by_name(name):
 
 def test_the_rates_at_which_modes_and_accelerations_change_are_found_by_name():
     assert "fusion.filter.rate" in tunables(mhk_tracker(rate=1.0))
-    assert {"sensors.bearings.dof", "track_loss.nis_limit", "start.sigma_position"} <= set(tunables(bearing_tracker()))
+    assert {"sensors.bearings.dof", "track_loss.nis_limit", "start.sigma_position"} <= set(tunables(bearing_tracker(4)))
     assert np.shape(tunables(range_tracker(8))["sensors.ranges.bias"].raw) == (8,)
 
 

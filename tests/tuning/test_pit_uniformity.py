@@ -183,7 +183,7 @@ def test_a_quantity_that_no_state_shows_has_no_figures(figures):
 
 
 def test_what_makes_the_nis_says_its_tail():
-    assert float(student_t_dof_of(bearing_tracker(dof=5.0))) == pytest.approx(5.0)
+    assert float(student_t_dof_of(bearing_tracker(4, dof=5.0))) == pytest.approx(5.0)
     assert student_t_dof_of(line_tracker()) is None
     assert float(student_t_dof_of(fix_tracker(dof=7.0))) == pytest.approx(7.0)
     # the NIS of a smoothed tracker is its filter's, and that of MH-K is its fusion's

