@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
+
 from trackers.core.track_loss import TrackLossPolicy
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import Scale
@@ -15,22 +18,23 @@ MAX_BIASES = 16
 def range_tracker(
     anchors: int,
     planar: bool = False,
-    sigma_a: float = 0.3,
+    sigma_a: float = 0.37,
     sigma_z: float = 0.7,
     memory: float = 5.0,
-    sigma_r: float = 0.12,
-    positive_skew: float = 3.0,
-    dof: float = 3.0,
-    bias: float = 0.015,
-    sigma_bias: float = 0.025,
-    time_constant: float = 1000.0,
-    length: float = 1e4,
+    sigma_r: float = 0.06,
+    positive_skew: float = 3.5,
+    dof: float = 2.0,
+    bias: float = 0.12,
+    sigma_bias: float = 0.137,
+    time_constant: float = 130.0,
+    length: float = 4.7,
 ) -> Tracker:
     """Position and velocity from ranges to numbered anchors, one range per row; `planar`: at a known height.
 
     Motion numbers as in `DriftingBiases`, sensor numbers as in `RangeSensor`; `bias`: mean of the range biases, m. One
-    set of defaults serves hand-held tags, drones, trolleys and tags on the floor. Above `MAX_BIASES` anchors the state
-    has no biases; the tunable ones of the sensor remain.
+    set of defaults serves hand-held tags, drones, trolleys and tags on the floor; `CALIBRATED` replaces some of them
+    where the anchors are calibrated. Above `MAX_BIASES` anchors the state has no biases; the tunable ones of the sensor
+    remain.
     """
     biases = anchors if anchors <= MAX_BIASES else 0
     return Tracker(
@@ -40,3 +44,7 @@ def range_tracker(
         # With Student's t each range's NIS is bounded, and real biases make it large: only a gap is a track loss.
         track_loss=TrackLossPolicy(nis_limit=1e3, max_gap=10.0),
     )
+
+
+CALIBRATED: Mapping[str, float] = MappingProxyType({"bias": 0.0, "sigma_bias": 0.05})
+"""Levels of `range_tracker` for calibrated anchors."""

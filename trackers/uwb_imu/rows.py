@@ -11,6 +11,7 @@ import numpy as np
 import polars as pl
 
 from trackers.core.recording import Readings
+from trackers.core.tracker import AbstractTracker
 from trackers.parts.range_rows import anchor_positions, range_inputs, range_rows, range_trajectories
 from trackers.parts.ranges import RANGES
 from trackers.parts.recent_positions import latest_rows
@@ -19,7 +20,7 @@ from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tables import QUATERNION
 from trackers.recordings.tracker_spec import TrackerSpec, on_request
 from trackers.recordings.trajectories import Trajectories, Trajectory, known_height, known_heights, trajectories_of
-from trackers.uwb_imu.fusion import range_tracker
+from trackers.uwb_imu.fusion import CALIBRATED, range_tracker
 from trackers.uwb_imu.imu_inputs import imu_inputs, to_level_axes
 from trackers.uwb_imu.inertial import inertial_tracker
 from trackers.uwb_imu.multilateration import multilateration_tracker
@@ -247,6 +248,11 @@ def _bias_slots(trajectory: Trajectory) -> int:
     return -(-_anchors(trajectory) // 8) * 8
 
 
+def _ranges(trajectory: Trajectory, planar: bool) -> AbstractTracker:
+    levels = {} if trajectory.folder.calibration is None else CALIBRATED
+    return range_tracker(_bias_slots(trajectory), planar, **levels)
+
+
 _trilateration = partial(
     TrackerSpec,
     table="ranges",
@@ -269,9 +275,9 @@ TRACKERS = {
         about="position from ranges, EKF with a drifting bias per anchor",
         table="ranges",
         trajectories=range_trajectories,
-        build=lambda trajectory, planar: range_tracker(_bias_slots(trajectory), planar),
+        build=_ranges,
         lacks=lacks_ranges,
-        geometry=_bias_slots,
+        geometry=lambda trajectory: (_bias_slots(trajectory), trajectory.folder.calibration is not None),
     ),
     "multilateration": TrackerSpec(
         about="position from the latest ranges, robust least squares without a filter",

