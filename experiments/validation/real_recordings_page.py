@@ -33,7 +33,8 @@ restrictions:
 
 - Default noise levels of `bearings` and `uwb` were set on some of the recordings, which are marked by *
   (`python -m experiments.validation.default_levels`, those of `uwb` rounded by hand, see [decisions.md](decisions.md));
-  those of the other trackers were chosen with these recordings at hand. Such figures show how one set of levels fits several kinds of recordings, and are no prediction for others.
+  those of the other trackers were chosen with these recordings at hand. Such figures show how one set of levels fits
+  several kinds of recordings, and are no prediction for others.
 - Where a site has only one recording, each half of it, in time, is calibrated on the other half. Later changes of the
   site do not show in these figures.
 """
