@@ -29,6 +29,9 @@ PHASES = "phases"
 REPEATED, AVERAGE_S = 0.5, 0.5
 """Share of repeated bearings above which they are averaged, over this interval, s: their errors last longer still."""
 
+MIN_RAYS, PATIENCE_S = 3, 1.0
+"""Number of bearings for which a start waits, and for how long, s: two biased ones can meet outside the room."""
+
 IN_PLANE = 0.5
 """Largest difference of height, m, between a flat array and a tag that counts as in the array's plane."""
 
@@ -53,7 +56,9 @@ def bearing_trajectories(folder: RecordingFolder, free_height: bool) -> Trajecto
         inputs["calibration"], directions, added = folder.calibration.of_bearings(list(stations), number, values)
         reported[:, ::2] += added
     nearby = recent_points_of_each(rows.starts, rows.times, origin, axes, directions, np.all(seen, axis=1), heights)
-    inputs["nearby"] = nearby
+    begin = np.repeat(rows.starts[:-1], np.diff(rows.starts))
+    early = (np.arange(len(values)) - begin < MIN_RAYS - 1) & (rows.times - rows.times[begin] < PATIENCE_S)
+    inputs["nearby"] = np.where(early[:, None], 0.0, nearby)
     readings = {BEARINGS: Readings(values, seen, reported)}
     return trajectories_of(folder, rows.tags, rows.starts, rows.times, readings, inputs)
 

@@ -46,5 +46,5 @@ def range_tracker(
     )
 
 
-CALIBRATED: Mapping[str, float] = MappingProxyType({"bias": 0.0, "sigma_bias": 0.05})
+CALIBRATED: Mapping[str, float] = MappingProxyType({"bias": 0.0, "sigma_bias": 0.07})
 """Levels of `range_tracker` for calibrated anchors."""
