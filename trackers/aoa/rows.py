@@ -29,7 +29,7 @@ PHASES = "phases"
 REPEATED, AVERAGE_S = 0.5, 0.5
 """Share of repeated bearings above which they are averaged, over this interval, s: their errors last longer still."""
 
-MIN_RAYS, PATIENCE_S = 3, 1.0
+MIN_RAYS, PATIENCE_S = 4, 1.0
 """Number of bearings for which a start waits, and for how long, s: two biased ones can meet outside the room."""
 
 IN_PLANE = 0.5
