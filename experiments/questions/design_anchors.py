@@ -16,6 +16,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from experiments.monte_carlo import PREDICTED, Conclusion, ExpectedResult, Results, Study, TrackerConfig, World
+from experiments.papers.constant_biases import CONSTANT
 from experiments.plots.style import BLACK, VERMILION
 from experiments.questions._designs import (
     HALL,
@@ -102,9 +103,11 @@ NOISE = {
     "sensors.ranges.positive_skew": 1.0,
     "sensors.ranges.dof": 30.0,
     "sensors.ranges.bias": [0.0] * 8,
+    "motion.sigma_a": 0.3,
+    "motion.memory": 5.0,
     "motion.sigma_bias": 0.002,
     "start.sigma_bias": 0.002,
-}
+} | CONSTANT
 """Tunables that agree with the noise of this world, which has no biases."""
 
 STUDY = Study(

@@ -38,6 +38,7 @@ from experiments.monte_carlo import (
     inherited,
 )
 from experiments.monte_carlo.results import resampled
+from experiments.papers.constant_biases import CONSTANT
 from experiments.plots.style import BLUE, GREY, ORANGE, VERMILION, plain, write_svg
 from sim.corruptions import white_noise
 from sim.imu import simulate_uwb_imu
@@ -118,6 +119,12 @@ OF_RANGES = {
     "sensors.ranges.dof": 30.0,
     "start.sigma_bias": BIAS,
 }
+OF_UWB = CONSTANT | {
+    "sensors.ranges.bias": [0.0] * 8,
+    "motion.sigma_bias": BIAS,
+    "motion.sigma_a": 0.3,
+    "motion.memory": 5.0,
+}
 CONFIGS = {
     "direct": TrackerConfig("direct", {"sensors.*.sigma_p": SIGMA_P, "motion.sigma_a": 0.3}, free_height=True),
     "cascade": TrackerConfig(
@@ -125,7 +132,7 @@ CONFIGS = {
         {"beams.*.sensors.*.sigma_p": SIGMA_P, "fusion.sensors.bearings.reported_std_scale": 2.0},
         free_height=True,
     ),
-    "uwb": TrackerConfig("uwb", OF_RANGES | {"sensors.ranges.bias": [0.0] * 8, "motion.sigma_bias": BIAS}),
+    "uwb": TrackerConfig("uwb", OF_RANGES | OF_UWB),
     "uwb-imu": TrackerConfig("uwb-imu", OF_RANGES | {"sensors.ranges.bias": [0.0] * 4}, free_height=True),
 }
 NORMAL_SPACING = float(np.sqrt(2.0) * norm.ppf(1.0 - 0.75 * (1.0 - np.sqrt(0.95))))

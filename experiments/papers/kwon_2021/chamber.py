@@ -25,6 +25,7 @@ from experiments.monte_carlo import (
     World,
     inherited,
 )
+from experiments.papers.constant_biases import CONSTANT_BIASES
 from experiments.papers.fitting import fitted
 from experiments.reports.wording import listed
 from sim.ranging import Protocol, antenna_biases, chamber, simulate_ranges
@@ -106,7 +107,7 @@ def study_with(numbers: dict[str, float], runs: int = 200, seed: int = 1) -> Stu
         worlds={name: World(corner, {"place": place, **numbers}) for name, place in PLACES.items()},
         trackers={
             TRACKER: TrackerConfig("multilateration", free_height=True),
-            "filter": TrackerConfig("uwb", free_height=True),
+            "filter": TrackerConfig("uwb", CONSTANT_BIASES, free_height=True),
         },
         runs=runs,
         seed=seed,

@@ -21,6 +21,7 @@ from experiments.monte_carlo import (
     TrackerConfig,
     World,
 )
+from experiments.papers.constant_biases import CONSTANT_BIASES
 from experiments.reports.wording import fixed_interval
 from sim.corruptions import Corruption
 from sim.paths import hand_motion
@@ -82,7 +83,7 @@ STUDY = Study(
         "trilateration": TrackerConfig("trilateration"),
         "with (14)": TrackerConfig("trilateration-compensated"),
         "least squares": TrackerConfig("multilateration"),
-        "filter": TrackerConfig("uwb"),
+        "filter": TrackerConfig("uwb", CONSTANT_BIASES),
     },
     runs=100,
     measures={"settled_rmse_m": settled},
