@@ -14,7 +14,7 @@ OUT = Path("out/demo")
 SIGMA_P = 0.2
 """Phase noise of the simulated worlds, rad."""
 
-WALK = "ble51-walk-u1-r2"
+WALK = "ble51-walk-u2-r2"
 WRONG_START = f"""# Three times the simulated phase noise.
 [tunables."sensors.*.sigma_p"]
 value = {3 * SIGMA_P}
