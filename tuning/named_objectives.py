@@ -21,7 +21,6 @@ from tuning.objectives import (
     NegativeLogLikelihood,
     RootMeanSquareError,
     StateLogLikelihood,
-    TemperedLogLikelihood,
     Weighted,
 )
 from tuning.pit_uniformity import PITUniformity
@@ -30,7 +29,7 @@ from tuning.weights import by_chunks
 OBJECTIVES: Mapping[str, Callable[[str, int], AbstractObjective]] = MappingProxyType(
     {
         "nll": lambda quantity, dimensions: NegativeLogLikelihood(),
-        "tempered-nll": lambda quantity, dimensions: TemperedLogLikelihood(),
+        "tempered-nll": lambda quantity, dimensions: NegativeLogLikelihood(tempered=True),
         "rmse": RootMeanSquareError,
         "state-nll": StateLogLikelihood,
         "nis-shape": lambda quantity, dimensions: PITUniformity("nis"),

@@ -70,28 +70,14 @@ class AbstractObjective(eqx.Module):
 
 
 class NegativeLogLikelihood(AbstractObjective):
-    """The mean negative log-likelihood per measured number, nats; needs no truth."""
+    """The mean negative log-likelihood per measured number, nats; needs no truth.
 
-    size: ClassVar[int] = 2
-    needs_truth: ClassVar[bool] = False
-
-    def terms(self, output: Output, truth: Truth) -> tuple[Scalar, ...]:
-        return -output.log_likelihood, output.nis_dof
-
-    def value(self, sums: Any) -> Scalar:
-        return sums[0] / sums[1]
-
-    def nats_per_unit(self, sums: Any) -> float:
-        return float(sums[1])
-
-
-class TemperedLogLikelihood(AbstractObjective):
-    """The `NegativeLogLikelihood` with a power below 1 where innovations are correlated (composite likelihood).
-
-    The power is that of the effective number of rows, `tuning.correlation.rows_and_inflation` at the optimum. It leaves
-    the optimum where it is and widens the intervals (Pauli, Racugno & Ventura 2011).
+    `tempered`: with a power below 1 where innovations are correlated (composite likelihood), that of the effective
+    number of rows, `tuning.correlation.rows_and_inflation` at the optimum. It leaves the optimum where it is and widens
+    the intervals (Pauli, Racugno & Ventura 2011).
     """
 
+    tempered: bool = eqx.field(static=True, default=False)
     size: ClassVar[int] = 2
     needs_truth: ClassVar[bool] = False
 
@@ -103,10 +89,6 @@ class TemperedLogLikelihood(AbstractObjective):
 
     def nats_per_unit(self, sums: Any) -> float:
         return float(sums[1])
-
-    @property
-    def tempered(self) -> bool:
-        return True
 
 
 class RootMeanSquareError(AbstractObjective):
