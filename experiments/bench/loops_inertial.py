@@ -43,21 +43,27 @@ def inertial(motion: Strapdown, sensor: RangeSensor, recording: Recording) -> tu
         after[3:6] += acceleration * dt
         F[:3, 3:6] = np.eye(3) * dt
         F[3:6, 6:9] = -has_accel * dt * R @ cross(middle)
-        F[3:6, 9:12] = -has_accel * dt * R
-        F[:3, 6:9], F[:3, 9:12] = 0.5 * dt * F[3:6, 6:9], 0.5 * dt * F[3:6, 9:12]
-        back = matrix(exponential(-rate * dt))
-        F[6:9, 6:9], F[6:9, 12:15] = back, -has_gyro * dt * np.eye(3)
+        F[3:6, 9:12] = -has_accel * dt * R @ (np.eye(3) + 0.5 * dt * cross(rate))
+        F[3:6, 12:15] = has_accel * has_gyro * 0.5 * dt * dt * R @ cross(force)
+        F[:3, 6:15] = 0.5 * dt * F[3:6, 6:15]
+        back, right = matrix(exponential(-rate * dt)), right_jacobian(rate * dt)
+        F[6:9, 6:9], F[6:9, 12:15] = back, -has_gyro * dt * right
+        turns = right @ right.T * (turn[has_gyro] * dt)
         if arms[row].any():
             lever = cross(arms[row])
             R_after = matrix(turned)
             after[:3] += (R_after - R) @ arms[row]
             F[:3, 6:9] += R @ lever - R_after @ lever @ back
-            F[:3, 12:15] = has_gyro * dt * R_after @ lever
+            F[:3, 12:15] += has_gyro * dt * R_after @ lever @ right
         power = white[has_accel]
         Q[diagonal[:3], diagonal[:3]], Q[diagonal[3:6], diagonal[3:6]] = power * dt**3 / 3, power * dt
         Q[diagonal[:3], diagonal[3:6]] = Q[diagonal[3:6], diagonal[:3]] = power * dt**2 / 2
-        Q[diagonal[6:9], diagonal[6:9]] = turn[has_gyro] * dt
+        Q[6:9, 6:9] = turns
         Q[diagonal[9:], diagonal[9:]] = walks * dt
+        if arms[row].any():
+            Q[:3, 6:9] = -R_after @ lever @ turns
+            Q[6:9, :3] = Q[:3, 6:9].T
+            Q[:3, :3] = np.eye(3) * power * dt**3 / 3 + R_after @ lever @ turns @ lever.T @ R_after.T
         return (after, turned / np.sqrt(turned @ turned)), F, Q
 
     def added(state: InertialState, step: np.ndarray) -> InertialState:
@@ -103,6 +109,12 @@ def channels_of(sensor: RangeSensor, recording: Recording) -> Any:
 def cross(v: np.ndarray) -> np.ndarray:
     """The matrix of the cross product with v from the left."""
     return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+
+
+def right_jacobian(v: np.ndarray) -> np.ndarray:
+    """The right Jacobian of a rotation vector, to second order (Solà 2017, equation 183)."""
+    turn = cross(v)
+    return np.eye(3) - 0.5 * turn + turn @ turn / 6.0
 
 
 def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
