@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
@@ -150,33 +150,18 @@ def initial_view(layout: Layout, parts: Parts) -> Any:
 
     Raises UnusableInput for an input that is read without being declared, where the recordings lack it.
     """
-    kind = jax.dtypes.canonicalize_dtype(float)
-
-    def array(*shape: int) -> jax.ShapeDtypeStruct:
-        return jax.ShapeDtypeStruct(shape, kind)
-
-    inputs: dict[str, Any] = {name: array(*shape) for name, shape in layout.inputs.items()}
+    inputs = dict(layout.inputs)
     for _, declared, channels in parts.readers():
         for one in declared:
             if one.need is not Need.IF_GIVEN and one.name not in inputs:
-                inputs[one.name] = array(*one.row_shape(channels))
-    readings = {
-        name: Reading(array(m), jax.ShapeDtypeStruct((m,), bool), array(k)) for name, (m, k) in layout.readings.items()
-    }
-    row = Row(
-        array(),
-        jax.ShapeDtypeStruct((), bool),
-        readings,
-        inputs,
-        jax.ShapeDtypeStruct((2,), np.uint32),
-        jax.ShapeDtypeStruct((), np.uint32),
-    )
+                inputs[one.name] = one.row_shape(channels)
     leaves, tree = jax.tree_util.tree_flatten((parts.motion, parts.sensors, parts.start))
     numeric = [isinstance(x, (float, np.ndarray, np.floating, jax.Array)) for x in leaves]
     fixed = tuple(None if n else x for n, x in zip(numeric, leaves, strict=True))
-    numbers = [_shape(x, kind) if n else None for n, x in zip(numeric, leaves, strict=True)]
+    shapes = tuple((np.shape(x), np.result_type(x)) if n else None for n, x in zip(numeric, leaves, strict=True))
+    kind = jax.dtypes.canonicalize_dtype(float)
     try:
-        return _view_of.eval_shape(tree, fixed, numbers, row)
+        return _view_of(tree, fixed, shapes, tuple(layout.readings.items()), tuple(inputs.items()), kind)
     except MissingInputError as missing:
         raise UnusableInput(
             f"{layout.where}: no input '{missing.name}', found {listed(layout.inputs, 8) or 'none'}; expected it, "
@@ -184,25 +169,50 @@ def initial_view(layout: Layout, parts: Parts) -> Any:
         ) from None
 
 
-@partial(jax.jit, static_argnums=(0, 1))
-def _view_of(tree: Any, fixed: tuple[Any, ...], numbers: list[Any], row: Row) -> Any:
-    """The view after the start; jax keeps the shapes by tree and shapes, so that a second check traces nothing."""
-    leaves = [f if n is None else n for f, n in zip(fixed, numbers, strict=True)]
-    motion, sensors, start = jax.tree_util.tree_unflatten(tree, leaves)
-    given = row._replace(inputs=GivenInputs(row.inputs, f"the start ({type(start).__name__})"))
-    state = start.belief(start.candidate(sensors, given), given).mean
-    inputs = GivenInputs(row.inputs, f"the motion ({type(motion).__name__})")
-    motion.step(state, inputs, row.dt, Vector(*[row.dt] * motion.noise_dimension))
-    view = motion.view(state)
-    for name, sensor in sensors.items():
-        if all(hasattr(view, field) for field in sensor.view_fields):
-            sensor.measure(view, GivenInputs(row.inputs, _sensor(name, sensor)))
-    return view
+@lru_cache(maxsize=256)
+def _view_of(
+    tree: Any,
+    fixed: tuple[Any, ...],
+    shapes: tuple[Any, ...],
+    readings: tuple[tuple[str, tuple[int, int]], ...],
+    inputs: tuple[tuple[str, tuple[int, ...]], ...],
+    kind: Any,
+) -> Any:
+    """The shapes of the view after the start, kept, so that a second check traces nothing.
 
+    Motion, sensors and start are a `tree` of `fixed` leaves and of numbers with these `shapes`; `kind`: of floats.
+    """
 
-def _shape(x: Any, kind: Any) -> jax.ShapeDtypeStruct:
-    dtype = np.result_type(x)
-    return jax.ShapeDtypeStruct(np.shape(x), kind if np.issubdtype(dtype, np.floating) else dtype)
+    def array(*shape: int) -> jax.ShapeDtypeStruct:
+        return jax.ShapeDtypeStruct(shape, kind)
+
+    def number(shape: tuple[int, ...], own: np.dtype[Any]) -> jax.ShapeDtypeStruct:
+        return jax.ShapeDtypeStruct(shape, kind if np.issubdtype(own, np.floating) else own)
+
+    given: dict[str, Any] = {name: array(*shape) for name, shape in inputs}
+    row = Row(
+        array(),
+        jax.ShapeDtypeStruct((), bool),
+        {name: Reading(array(m), jax.ShapeDtypeStruct((m,), bool), array(k)) for name, (m, k) in readings},
+        given,
+        jax.ShapeDtypeStruct((2,), np.uint32),
+        jax.ShapeDtypeStruct((), np.uint32),
+    )
+
+    def view(numbers: list[Any], row: Row) -> Any:
+        leaves = [f if n is None else n for f, n in zip(fixed, numbers, strict=True)]
+        motion, sensors, start = jax.tree_util.tree_unflatten(tree, leaves)
+        given = row._replace(inputs=GivenInputs(row.inputs, f"the start ({type(start).__name__})"))
+        state = start.belief(start.candidate(sensors, given), given).mean
+        inputs = GivenInputs(row.inputs, f"the motion ({type(motion).__name__})")
+        motion.step(state, inputs, row.dt, Vector(*[row.dt] * motion.noise_dimension))
+        found = motion.view(state)
+        for name, sensor in sensors.items():
+            if all(hasattr(found, field) for field in sensor.view_fields):
+                sensor.measure(found, GivenInputs(row.inputs, _sensor(name, sensor)))
+        return found
+
+    return jax.eval_shape(view, [None if s is None else number(*s) for s in shapes], row)
 
 
 def _sensor(name: str, sensor: AbstractSensor) -> str:

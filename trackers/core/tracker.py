@@ -18,14 +18,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.core.algebra import Scalar, compute_once, total
+from trackers.core.batch_estimates import batch_estimates
 from trackers.core.carry import Carry, StepInfo, carry_of
-from trackers.core.chunks import CHUNK, as_dtype, chunks, run_chunks
+from trackers.core.chunks import CHUNK, as_dtype
 from trackers.core.covariance import AnyCovariance, leading
 from trackers.core.ekf import ExtendedKalman
 from trackers.core.errors import UnusableInput
 from trackers.core.estimates import Estimates, Status
 from trackers.core.filter import AbstractFilter, Gaussian, Innovation
-from trackers.core.initial import TrackerState, continued, stacked_priors, trajectories_of
+from trackers.core.initial import TrackerState, continued, stacked_priors
 from trackers.core.keys import RawKey
 from trackers.core.latency import AbstractDelayedSensor, scored_truth, shifted_back
 from trackers.core.layout import Layout
@@ -106,7 +107,7 @@ class AbstractTracker(eqx.Module):
                     "run: found a Batch with a seed or an initial belief; expected recordings for these; give the seed "
                     "to `stack`, the initial state to `tracker.scan`"
                 )
-            return self._run(recordings, chunk, _outputs, None)
+            return batch_estimates(self, recordings, chunk)
         single = isinstance(recordings, Recording)
         listed = [recordings] if isinstance(recordings, Recording) else recordings
         longest = max(len(r) for r in listed)
@@ -117,50 +118,15 @@ class AbstractTracker(eqx.Module):
             batch, state = continued(batch, listed, initial), initial.state
         elif initial is not None:
             state = self.begin(stacked_priors(initial, len(listed), batch.dt.dtype), batch)
-        found = self._run(batch, 1 if single else chunk, _outputs_and_state, state)
+        found = batch_estimates(self, batch, 1 if single else chunk, state, continues=True)
         times = np.full((len(listed), longest), np.nan)
         for row, recording in zip(times, listed, strict=True):
             row[: len(recording)] = recording.times
         final = TrackerState(found.final, np.array([r.times[-1] for r in listed]))
-        found = dataclasses.replace(found.rows(slice(0, longest)), final=final)
-        found = dataclasses.replace(found, times=found.valid_times(times), names=tuple(r.name for r in listed))
+        found = found if longest == len(batch.dt) else found.rows(slice(0, longest))
+        names = tuple(r.name for r in listed)
+        found = dataclasses.replace(found, times=found.valid_times(times), names=names, final=final)
         return found[0] if single else found
-
-    def _run(self, batch: Batch, chunk: int, function: Any, state: Any) -> Estimates:
-        model = as_dtype(self, batch.dt.dtype)
-        pairs = []
-        # No truth: it would be copied for nothing.
-        for k, part in enumerate(chunks(batch._replace(truth={}), chunk)):
-            size = part.dt.shape[1]
-            own = trajectories_of(state, k * size, (k + 1) * size)
-            pairs.append(((model, jax.device_put(own, part.dt.device)), part))
-        parts = run_chunks(function, pairs)
-
-        def join(*arrays: np.ndarray) -> np.ndarray:
-            return np.moveaxis(_joined(arrays, np.empty((*arrays[0].shape[:-1], batch.size), arrays[0].dtype)), -1, 0)
-
-        def join_first(*arrays: np.ndarray) -> np.ndarray:
-            return np.concatenate(arrays)[: batch.size]
-
-        outputs = [output for output, _ in parts]
-        # All entries in one array, with the trajectories last as the parts have them: another order is a slow copy.
-        cov = np.empty((len(outputs[0].cov), len(batch.dt), batch.size), batch.dt.dtype)
-        for entry, arrays in zip(cov, zip(*(output.cov for output in outputs), strict=True), strict=True):
-            _joined(arrays, entry)
-        joined = jax.tree_util.tree_map(join, *(output._replace(cov=()) for output in outputs))
-        final = jax.tree_util.tree_map(join_first, *[after for _, after in parts])
-        diagnostics = joined.log_likelihood, joined.nis, joined.nis_dof, joined.wrapped, joined.status
-        return Estimates(joined.mean, np.moveaxis(cov, -1, 1), *diagnostics, age=joined.age, final=final)
-
-
-def _joined(arrays: Sequence[np.ndarray], whole: np.ndarray) -> np.ndarray:
-    """`whole`, filled with the arrays of the chunks along the last axis; columns beyond its end are left out."""
-    start = 0
-    for array in arrays:
-        part = whole[..., start : start + array.shape[-1]]
-        part[...] = array[..., : part.shape[-1]]
-        start += array.shape[-1]
-    return whole
 
 
 class AbstractEpochwiseTracker(AbstractTracker):
@@ -180,16 +146,6 @@ def filter_batch(tracker: AbstractTracker, batch: Batch) -> Output:
     last row.
     """
     return as_dtype(tracker, jnp.asarray(batch.dt).dtype).scan(batch)[0]
-
-
-def _outputs(model: tuple[AbstractTracker, Any], batch: Batch) -> tuple[Output, Any]:
-    """The outputs of a tracker, without the state after them, for `run_chunks`."""
-    return model[0].scan(batch, model[1])[0], None
-
-
-def _outputs_and_state(model: tuple[AbstractTracker, Any], batch: Batch) -> tuple[Output, Any]:
-    """The outputs of a tracker and the state after them, for `run_chunks`."""
-    return model[0].scan(batch, model[1])
 
 
 class Tracker(AbstractTracker):

@@ -14,10 +14,10 @@ from jax.experimental.compilation_cache import compilation_cache
 
 from sim import worlds
 from trackers.catalogue import TRACKERS, build
+from trackers.core.batch_estimates import outputs, outputs_and_state
 from trackers.core.chunks import as_dtype, chunks, jitted
 from trackers.core.program_cache import ProgramStore
 from trackers.core.traced_programs import PREFIX, USERS_FILE, TracedPrograms
-from trackers.core.tracker import _outputs, _outputs_and_state
 from trackers.recordings.tracks import batches
 
 WORLDS = {"phases": worlds.station, "ranges": worlds.ranges, "imu": worlds.tool, "fixes": worlds.agv}
@@ -82,10 +82,10 @@ def _bits(tree):
 )
 def test_a_program_of_an_earlier_process_gives_the_bits_of_a_traced_one(name, store, compiled):
     model, part = _case(name)
-    traced = jitted(_outputs, model, part)
-    first = TracedPrograms(store).program(_outputs, model, part)(model, part)
+    traced = jitted(outputs, model, part)
+    first = TracedPrograms(store).program(outputs, model, part)(model, part)
     before = len(compiled)
-    later = TracedPrograms(store).program(_outputs, model, part)(model, part)
+    later = TracedPrograms(store).program(outputs, model, part)(model, part)
     assert len(compiled) == before
     assert _bits(traced) == _bits(first) == _bits(later)
     assert jax.tree_util.tree_structure(traced) == jax.tree_util.tree_structure(later)
@@ -94,25 +94,25 @@ def test_a_program_of_an_earlier_process_gives_the_bits_of_a_traced_one(name, st
 def test_other_numbers_use_the_program_and_other_shapes_functions_and_settings_do_not(fixes, store):
     model, part = fixes
     programs = TracedPrograms(store)
-    first = programs.program(_outputs, model, part)
+    first = programs.program(outputs, model, part)
     louder = jax.tree_util.tree_map(lambda x: x + 0.5 if eqx.is_inexact_array(x) else x, model)
-    assert programs.program(_outputs, louder, part) is first
-    assert _bits(first(louder, part)) == _bits(jitted(_outputs, louder, part))
+    assert programs.program(outputs, louder, part) is first
+    assert _bits(first(louder, part)) == _bits(jitted(outputs, louder, part))
     longer = jax.tree_util.tree_map(lambda x: np.concatenate([x, x]) if np.shape(x)[:1] == (16,) else x, part)
-    others = [programs.program(_outputs, model, longer), programs.program(_outputs_and_state, model, part)]
+    others = [programs.program(outputs, model, longer), programs.program(outputs_and_state, model, part)]
     with jax.default_matmul_precision("highest"):
-        others.append(programs.program(_outputs, model, part))
+        others.append(programs.program(outputs, model, part))
     assert len({first, *others}) == 4
 
 
 def test_a_damaged_program_is_traced_again(fixes, store):
     model, part = fixes
-    right = _bits(TracedPrograms(store).program(_outputs, model, part)(model, part))
+    right = _bits(TracedPrograms(store).program(outputs, model, part)(model, part))
     (path,) = store._path.glob(f"{PREFIX}*")
     store.put(path.name, b"not a program")
-    assert _bits(TracedPrograms(store).program(_outputs, model, part)(model, part)) == right
+    assert _bits(TracedPrograms(store).program(outputs, model, part)(model, part)) == right
     path.write_bytes(b"junk")
-    assert _bits(TracedPrograms(store).program(_outputs, model, part)(model, part)) == right
+    assert _bits(TracedPrograms(store).program(outputs, model, part)(model, part)) == right
 
 
 class _Mine(eqx.Module):
@@ -126,6 +126,6 @@ def test_code_of_others_is_traced(fixes, store, monkeypatch):
     programs = TracedPrograms(store)
     assert programs.program(lambda model, part: model, model, part) is None
     assert programs.program(_case, model, part) is None
-    assert programs.program(_outputs, (_Mine(model[0]), None), part) is None
+    assert programs.program(outputs, (_Mine(model[0]), None), part) is None
     monkeypatch.setitem(sys.modules, "trackwright_tracker_own", ModuleType("trackwright_tracker_own"))
-    assert programs.program(_outputs, model, part) is None
+    assert programs.program(outputs, model, part) is None
