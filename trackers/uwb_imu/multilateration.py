@@ -20,6 +20,9 @@ from trackers.core.tunable import Scale, freeze
 from trackers.parts.multilaterate import PositionFit, multilaterate
 from trackers.parts.ranges import ANCHORS, RANGES
 
+SOLVED_AT_ONCE = 64
+"""Rows of all trajectories that are solved side by side: operations on a few numbers take as long as on so many."""
+
 
 class Multilateration(AbstractEpochwiseTracker):
     """The position of every row with at least three ranges at a known height, else four.
@@ -49,16 +52,32 @@ class Multilateration(AbstractEpochwiseTracker):
         def solve(values: Any, seen: Any, anchors: Any, height: Scalar | None) -> PositionFit:
             return multilaterate(values, anchors.reshape(-1, 3), seen, height, 3.0 * sigma)
 
-        # One row at a time: solving all rows at once would keep every iteration of all of them in memory.
-        row = jax.vmap(solve, in_axes=-1, out_axes=-1)
+        # A block of rows at a time: solving all rows at once would keep every iteration of all of them in memory.
         arrays = (reading.values, reading.seen, inputs["anchors"], inputs["height"] if self.planar else None)
-        fit = jax.lax.map(lambda x: row(*x), jax.tree_util.tree_map(jnp.asarray, arrays))
+        block = jax.vmap(solve, in_axes=-1, out_axes=-1)
+        rows = max(1, SOLVED_AT_ONCE // batch.size)
+        fits = jax.lax.map(lambda x: block(*x), jax.tree_util.tree_map(lambda x: in_blocks(x, rows), arrays))
+        fit = jax.tree_util.tree_map(lambda x: out_of_blocks(x, rows, *jnp.shape(batch.dt)), fits)
         zero, n = jnp.zeros_like(fit.cost), 2 if self.planar else 3
         mean = Placed(Vector(*(fit.position[:, k] for k in range(n))))
         cov = tuple(sigma**2 * fit.covariance[:, i, j] for i, j in triangle(n))
         valid = jnp.asarray(batch.valid)
         status = jnp.where(valid, jnp.where(fit.determined, Status.OK, Status.WAITING), Status.PADDING)
         return Output(mean, cov, zero, zero, zero, zero, status.astype(jnp.int8)), ()
+
+
+def in_blocks(x: Any, rows: int) -> Any:
+    """Arrays (T, …, B) as blocks of `rows` rows side by side, (T / rows, …, rows · B), padded with zeros."""
+    x = jnp.asarray(x)
+    padding = [(0, -len(x) % rows)] + [(0, 0)] * (x.ndim - 1)
+    blocks = jnp.pad(x, padding).reshape(-1, rows, *x.shape[1:])
+    return jnp.moveaxis(blocks, 1, -2).reshape(len(blocks), *x.shape[1:-1], rows * x.shape[-1])
+
+
+def out_of_blocks(blocks: Any, rows: int, count: int, size: int) -> Any:
+    """Blocks of rows side by side as arrays (`count`, …, `size`), without the padding."""
+    each = jnp.moveaxis(blocks.reshape(*blocks.shape[:-1], rows, size), -2, 1)
+    return each.reshape(-1, *blocks.shape[1:-1], size)[:count]
 
 
 def multilateration_tracker(planar: bool = False, sigma_r: float = 0.1) -> Multilateration:

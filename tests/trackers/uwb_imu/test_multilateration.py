@@ -116,3 +116,19 @@ def test_the_tracker_waits_for_rows_with_enough_ranges_and_reports_a_covariance(
     nees = np.einsum("ti,tij,tj->t", errors, np.linalg.inv(estimates.covariance[1:]), errors)
     # Cauchy's loss with its scale at three sigmas loses a few per cent of efficiency and the covariance grows with it.
     assert 1.7 < nees.mean() < 2.4
+
+
+def test_rows_solved_side_by_side_are_those_solved_one_by_one():
+    # More rows than a block holds, and no multiple of it.
+    rows, random = 70, np.random.default_rng(3)
+    truth = random.uniform([-4.0, -4.0, 0.0], [4.0, 4.0, 1.0], (rows, 3))
+    ranges = np.linalg.norm(truth[:, None] - ANCHORS, axis=2) + 0.05 * random.standard_normal((rows, len(ANCHORS)))
+    # Five ranges: with four both images may fit exactly, and rounding chooses one.
+    seen = np.ones(ranges.shape, bool)
+    seen[np.arange(rows), random.integers(len(ANCHORS), size=rows)] = False
+    anchors = np.tile(ANCHORS.ravel(), (rows, 1))
+    recording = Recording(np.arange(float(rows)), {RANGES: Readings(ranges, seen)}, {"anchors": anchors})
+    estimates = multilateration_tracker(sigma_r=0.1).run(recording)
+    solve = jax.jit(lambda r, s: multilaterate(r, ANCHORS, s, None, 0.3).position)
+    alone = np.array([solve(r, s) for r, s in zip(ranges, seen, strict=True)])
+    np.testing.assert_allclose(np.stack([*estimates.mean.position], axis=-1), alone, atol=1e-6)
