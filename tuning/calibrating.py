@@ -47,7 +47,7 @@ def calibrate(recordings: RecordingFolder | Sequence[RecordingFolder]) -> Calibr
     folders = [recordings] if isinstance(recordings, RecordingFolder) else list(recordings)
     _check_at_rest(folders)
     stations = _stations(station_pairs(folders))
-    anchors, tags = _anchors(anchor_pairs(folders))
+    anchors, tags, spread = _anchors(anchor_pairs(folders))
     if not stations and not anchors:
         raise UnusableInput(_lacking(folders))
     mounted = {name: station for folder in folders for name, station in folder.rig.stations.items()}
@@ -57,6 +57,7 @@ def calibrate(recordings: RecordingFolder | Sequence[RecordingFolder]) -> Calibr
         {name: replace(one, position=places[name]) for name, one in anchors.items()},
         tags,
         tuple(folder.name for folder in folders),
+        spread,
     )
 
 
@@ -91,7 +92,7 @@ def _lacking(folders: Sequence[RecordingFolder]) -> str:
 
 def _stations(pairs: Mapping[str, Pairs]) -> dict[str, StationCalibration]:
     spans = {name: np.stack([one.true.min(axis=0), one.true.max(axis=0)], axis=1) for name, one in pairs.items()}
-    unknown = Regression(ANGLE_PRIOR[0], np.diag(ANGLE_PRIOR[1] ** 2))
+    unknown = Regression(ANGLE_PRIOR[0], np.diag(ANGLE_PRIOR[1] ** 2), 0.0)
     angles: list[dict[str, Regression]] = []
     for k in range(2):
         rows = {name: _rows(one, angle_terms(one.true, spans[name])[:, k], k) for name, one in pairs.items()}
@@ -99,7 +100,7 @@ def _stations(pairs: Mapping[str, Pairs]) -> dict[str, StationCalibration]:
         angles.append({name: _increasing(found.get(name, unknown), spans[name], k) for name in pairs})
     calibrations = {}
     for name, one in pairs.items():
-        terms, covariances = (np.stack(x) for x in zip(*(angle[name] for angle in angles), strict=True))
+        terms, covariances, _ = (np.stack(x) for x in zip(*(angle[name] for angle in angles), strict=True))
         calibrations[name] = StationCalibration(terms, covariances, spans[name], len(one.true))
     return calibrations
 
@@ -120,10 +121,12 @@ def _increasing(found: Regression, spans: np.ndarray, k: int) -> Regression:
     return with_least_slope(found, slopes, LEAST_SLOPE)
 
 
-def _anchors(pairs: Mapping[str, Pairs]) -> tuple[dict[str, AnchorCalibration], dict[str, TagCalibration]]:
-    """The calibrations of anchors and of tags, fitted in turn: the range errors of both add."""
+def _anchors(
+    pairs: Mapping[str, Pairs],
+) -> tuple[dict[str, AnchorCalibration], dict[str, TagCalibration], float | None]:
+    """The calibrations of anchors and of tags, fitted in turn: the range errors of both add; what spread they leave."""
     if not pairs:
-        return {}, {}
+        return {}, {}, None
     rows = {name: _rows(one, range_terms(one.true[:, 0]), 0) for name, one in pairs.items()}
     rows = {name: one._replace(y=one.y - one.x[:, 1]) for name, one in rows.items()}
     owners = {name: one.tag[np.isfinite(one.measured[:, 0])] for name, one in pairs.items()}
@@ -137,12 +140,13 @@ def _anchors(pairs: Mapping[str, Pairs]) -> tuple[dict[str, AnchorCalibration], 
             biases, sigmas = _tag_biases(rows, found, number, len(tags))
     calibrations = {}
     for name, regression in found.items():
-        terms, covariance = with_least_slope(regression, np.array([[0.0, 1.0]]), LEAST_SLOPE - 1.0)
+        terms, covariance, _ = with_least_slope(regression, np.array([[0.0, 1.0]]), LEAST_SLOPE - 1.0)
         distances = rows[name].x[:, 1]
         span = np.array([distances.min(), distances.max()])
         calibrations[name] = AnchorCalibration(terms, covariance, span, len(distances))
     every = zip(tags.tolist(), biases.tolist(), sigmas.tolist(), counts.tolist(), strict=True)
-    return calibrations, {tag: TagCalibration(*one) for tag, *one in every}
+    spread = float(np.sqrt(np.mean([regression.scale**2 for regression in found.values()])))
+    return calibrations, {tag: TagCalibration(*one) for tag, *one in every}, spread
 
 
 def _tag_biases(

@@ -44,10 +44,11 @@ class Rows(NamedTuple):
 
 
 class Regression(NamedTuple):
-    """Terms (p,) with their covariance (p, p)."""
+    """Terms (p,) with their covariance (p, p), and the scale of Student's t of the errors."""
 
     terms: np.ndarray
     covariance: np.ndarray
+    scale: float
 
 
 class _Fit(NamedTuple):
@@ -113,7 +114,7 @@ def _fit(rows: Rows, mean: np.ndarray, sigmas: np.ndarray, pooled: tuple[float, 
             B, effect = B * wider, effect * wider
     inverse = np.linalg.inv(A / effect + precision)
     covariance = inverse @ (B / effect**2 + precision) @ inverse
-    return _Fit(Regression(terms, 0.5 * (covariance + covariance.T)), effect, clusters)
+    return _Fit(Regression(terms, 0.5 * (covariance + covariance.T), sigma), effect, clusters)
 
 
 def _in_order(rows: Rows) -> tuple[Rows, np.ndarray]:

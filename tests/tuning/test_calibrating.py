@@ -70,6 +70,19 @@ def test_ranges_that_are_sometimes_much_too_long_change_a_bias_little():
     assert np.abs(ranges).max() < 3.0
 
 
+def test_the_spread_of_ranges_is_the_scale_of_their_errors_however_large_the_biases():
+    rng = np.random.default_rng(11)
+    times, positions = walk(rng, 200.0)
+    rows = [
+        pl.DataFrame({"t_s": times, "tag": "1", "anchor": a, "range_m": np.linalg.norm(positions - p, axis=1) + errors})
+        for a, p in ANCHORS.items()
+        for errors in [0.2 * rng.normal() + 0.05 * rng.standard_t(4.0, size=len(times))]
+    ]
+    truth = pl.DataFrame({"t_s": times, "tag": "1"} | dict(zip(("x_m", "y_m", "z_m"), positions.T, strict=True)))
+    folder = RecordingFolder("walk", None, RIG, {"ranges": pl.concat(rows).sort("t_s"), "truth": truth})
+    assert calibrate(folder).range_spread == pytest.approx(0.05, rel=0.05)
+
+
 def _standing(seconds, place):
     """A tag that stands still, with ranges whose errors are those of the place."""
     rng = np.random.default_rng(7)

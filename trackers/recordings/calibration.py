@@ -121,12 +121,17 @@ class TagCalibration:
 
 @dataclass(frozen=True)
 class Calibration:
-    """Systematic errors of stations, anchors and tags by their ids; `recordings`: the names of those of the fit."""
+    """Systematic errors of stations, anchors and tags by their ids; `recordings`: the names of those of the fit.
+
+    `range_spread`: how far the ranges of the fit scatter about it, m: the scale of Student's t, root mean square over
+    the anchors; None without anchors.
+    """
 
     stations: Mapping[str, StationCalibration] = field(default_factory=dict)
     anchors: Mapping[str, AnchorCalibration] = field(default_factory=dict)
     tags: Mapping[str, TagCalibration] = field(default_factory=dict)
     recordings: tuple[str, ...] = ()
+    range_spread: float | None = None
 
     def at_rest(self, rig: Rig) -> Calibration:
         """The calibration of those stations and anchors of a rig that stand where they stood."""

@@ -25,6 +25,7 @@ FORMAT = 1
 COMMENT = "# Written by `trackwright calibrate`; read by `--calibration` of `track` and `tune`.\n"
 
 _TOP = ("format", "recordings", "stations", "anchors", "tags")
+_SPREAD = "range_spread_m"
 _ANGLE_TERMS = ("offset_rad", "gain", "cubic_per_rad2", "cross_per_rad")
 _ANGLE = (*_ANGLE_TERMS, "lowest_rad", "highest_rad", "covariance")
 _STATION, _MOUNTED = ("rows", *ANGLES), ("position_m", "rotation_wxyz")
@@ -53,6 +54,7 @@ def write_calibration(calibration: Calibration, path: str | Path) -> Path:
     content = {
         "format": FORMAT,
         "recordings": list(calibration.recordings),
+        **({} if calibration.range_spread is None else {_SPREAD: calibration.range_spread}),
         "stations": stations,
         "anchors": anchors,
         "tags": {
@@ -100,7 +102,8 @@ class _Reader:
         if version != FORMAT or isinstance(version, bool):
             found = "no `format`" if version is None else f"format = {version!r}"
             self.refuse(f"{found}, expected `format = {FORMAT}` of the calibration.toml of `trackwright calibrate`")
-        self.exactly(content, _TOP, "the top level")
+        spread = (_SPREAD,) if _SPREAD in content else ()
+        self.exactly(content, (*_TOP, *spread), "the top level")
         names = content["recordings"]
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
             self.refuse(f"recordings = {names!r}, expected a list of names")
@@ -112,6 +115,7 @@ class _Reader:
             {name: self.anchor(f"anchors.{name}", one) for name, one in anchors.items()},
             {name: self.tag(f"tags.{name}", one) for name, one in tags.items()},
             tuple(names),
+            self.positive(_SPREAD, content[_SPREAD]) if spread else None,
         )
 
     def station(self, where: str, content: Any) -> StationCalibration:
@@ -171,6 +175,12 @@ class _Reader:
             shown = repr(value) if len(repr(value)) <= 60 else repr(value)[:57] + "..."
             self.refuse(f"{where} = {shown}, expected {size}")
         return found.astype(float)
+
+    def positive(self, where: str, value: Any) -> float:
+        found = float(self.array(where, value, ()))
+        if found <= 0.0:
+            self.refuse(f"{where} = {found:.6g}, expected a number above zero")
+        return found
 
     def rows(self, where: str, value: Any) -> int:
         if not isinstance(value, int) or isinstance(value, bool) or value < 0:

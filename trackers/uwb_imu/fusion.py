@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from types import MappingProxyType
-
 from trackers.core.track_loss import TrackLossPolicy
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import Scale
 from trackers.parts.drifting_biases import BiasedStart, DriftingBiases
 from trackers.parts.ranges import RANGES, RangeSensor
+from trackers.recordings.calibration import Calibration
 
 MAX_BIASES = 16
 """Largest number of anchors with a bias each in the state; the cost of an epoch grows with its square."""
@@ -32,9 +30,8 @@ def range_tracker(
     """Position and velocity from ranges to numbered anchors, one range per row; `planar`: at a known height.
 
     Motion numbers as in `DriftingBiases`, sensor numbers as in `RangeSensor`; `bias`: mean of the range biases, m. One
-    set of defaults serves hand-held tags, drones, trolleys and tags on the floor; `CALIBRATED` replaces some of them
-    where the anchors are calibrated. Above `MAX_BIASES` anchors the state has no biases; the tunable ones of the sensor
-    remain.
+    set of defaults serves hand-held tags, drones, trolleys and tags on the floor; `range_levels` has those of a
+    calibrated site. Above `MAX_BIASES` anchors the state has no biases; the tunable ones of the sensor remain.
     """
     biases = anchors if anchors <= MAX_BIASES else 0
     return Tracker(
@@ -46,5 +43,12 @@ def range_tracker(
     )
 
 
-CALIBRATED: Mapping[str, float] = MappingProxyType({"bias": 0.0, "sigma_bias": 0.07})
-"""Levels of `range_tracker` for calibrated anchors."""
+def range_levels(calibration: Calibration | None) -> dict[str, float]:
+    """The levels of `range_tracker`, by name, at a site with this calibration; none where it has no anchors.
+
+    The biases that a calibration leaves vary from place to place; their standard deviation is its `range_spread`.
+    """
+    if calibration is None or not calibration.anchors:
+        return {}
+    spread = {} if calibration.range_spread is None else {"sigma_bias": calibration.range_spread}
+    return {"bias": 0.0, "sigma_bias": 0.07, "length": 1.0} | spread

@@ -20,7 +20,7 @@ from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tables import QUATERNION
 from trackers.recordings.tracker_spec import TrackerSpec, on_request
 from trackers.recordings.trajectories import Trajectories, Trajectory, known_height, known_heights, trajectories_of
-from trackers.uwb_imu.fusion import CALIBRATED, range_tracker
+from trackers.uwb_imu.fusion import range_levels, range_tracker
 from trackers.uwb_imu.imu_inputs import imu_inputs, to_level_axes
 from trackers.uwb_imu.inertial import inertial_tracker
 from trackers.uwb_imu.multilateration import multilateration_tracker
@@ -249,8 +249,7 @@ def _bias_slots(trajectory: Trajectory) -> int:
 
 
 def _ranges(trajectory: Trajectory, planar: bool) -> AbstractTracker:
-    levels = {} if trajectory.folder.calibration is None else CALIBRATED
-    return range_tracker(_bias_slots(trajectory), planar, **levels)
+    return range_tracker(_bias_slots(trajectory), planar, **range_levels(trajectory.folder.calibration))
 
 
 _trilateration = partial(
@@ -277,7 +276,7 @@ TRACKERS = {
         trajectories=range_trajectories,
         build=_ranges,
         lacks=lacks_ranges,
-        geometry=lambda trajectory: (_bias_slots(trajectory), trajectory.folder.calibration is not None),
+        geometry=lambda trajectory: (_bias_slots(trajectory), *range_levels(trajectory.folder.calibration).values()),
     ),
     "multilateration": TrackerSpec(
         about="position from the latest ranges, robust least squares without a filter",

@@ -36,6 +36,7 @@ CALIBRATION = Calibration(
     },
     {"1": TagCalibration(0.03, 0.01, 40)},
     ("walk 1", "walk 2"),
+    0.0583,
 )
 
 
@@ -48,6 +49,7 @@ def test_a_calibration_is_read_back_to_the_bit(path):
     found = read_calibration(path)
     assert found.recordings == CALIBRATION.recordings
     assert found.tags == CALIBRATION.tags
+    assert found.range_spread == CALIBRATION.range_spread
     np.testing.assert_array_equal(found.anchors["A"].position, CALIBRATION.anchors["A"].position)
     station, other = found.stations["S 1"].mounted, CALIBRATION.stations["S 1"].mounted
     np.testing.assert_array_equal(station.position, other.position)
@@ -74,6 +76,7 @@ def test_a_calibration_is_read_back_to_the_bit(path):
         ("rows = 812\n", "", "[stations.S 1] has no rows"),
         ("rows = 812", "rows = -1", "rows = -1, expected a count"),
         ("rows = 93", "rows = 93\nheight = 1.0", "[anchors.A] has unknown key 'height'"),
+        ("range_spread_m = 0.0583", "range_spread_m = 0", "range_spread_m = 0, expected a number above zero"),
         ("slope = 0.01", "slope = nan", "anchors.A.slope = nan, expected a finite number"),
         ("slope = 0.01", "slope = -1.5", "slope = -1.5, expected a number above -1"),
         ("slope = 0.01", 'slope = "0.01"', "slope = '0.01', expected a finite number"),

@@ -1,0 +1,30 @@
+"""The noise levels of the tracker of ranges at a calibrated site."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim import worlds as simulate
+from trackers import build
+from trackers.recordings.calibration import UNCALIBRATED, AnchorCalibration, Calibration
+
+ANCHOR = AnchorCalibration(np.zeros(2), np.zeros((2, 2)), np.array([0.0, 20.0]))
+
+
+def _sigma_bias(folder):
+    """The standard deviation of the biases of the tracker that runs on the folder."""
+    (batch,) = build("uwb", folder).batches(folder)
+    return float(batch.tracker.motion.sigma_bias.value)
+
+
+def test_biases_of_a_calibrated_site_have_its_spread_and_no_mean():
+    folder = simulate.tool(n=1, seed=0, rows=40).folder()
+    calibration = Calibration(anchors=dict.fromkeys(folder.rig.anchors, ANCHOR), range_spread=0.031)
+    calibrated = folder.calibrated(calibration)
+    assert _sigma_bias(calibrated) == pytest.approx(0.031)
+    assert not np.any(build("uwb", calibrated).tunables["sensors.ranges.bias"].value)
+    # Without a spread the biases have that of other sites; a calibration of stations alone changes nothing.
+    assert _sigma_bias(folder.calibrated(replace(calibration, range_spread=None))) == pytest.approx(0.07)
+    stations = Calibration(stations={"S": UNCALIBRATED}, range_spread=0.031)
+    assert _sigma_bias(folder.calibrated(stations)) == _sigma_bias(folder)
