@@ -49,7 +49,7 @@ from trackers.core.sensor import AbstractSensor, Channel, Reading, Residual, ind
 from trackers.core.smoother import Smoothed
 from trackers.core.start import AbstractStart
 from trackers.core.state import Heading, Rotation, wrap
-from trackers.core.track_loss import TrackLossPolicy
+from trackers.core.track_loss import TrackLossPolicy, TrackScorePolicy
 from trackers.core.tracker import AbstractTracker, Tracker, filter_batch
 from trackers.core.tunable import Covariance, Fraction, Real, Scale, tunables
 from trackers.evaluation import Evaluation, evaluate
@@ -168,6 +168,7 @@ __all__ = [
     "GridFilter",
     "InteractingModels",
     "TrackLossPolicy",
+    "TrackScorePolicy",
     "AbstractStart",
     "BeamStart",
     "NearbyStart",

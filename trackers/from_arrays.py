@@ -14,7 +14,8 @@ import numpy as np
 from trackers.aoa.fusion import BEARINGS, bearing_inputs
 from trackers.aoa.rays import recent_points
 from trackers.core.recording import Readings, Recording
-from trackers.core.rig import Station
+from trackers.core.rig import Station, room_rows
+from trackers.core.track_loss import ROOM
 from trackers.parts.fixes import FIXES
 from trackers.parts.range_rows import range_inputs
 from trackers.parts.ranges import RANGES
@@ -92,6 +93,7 @@ def range_recording(
     readings = Readings(values, seen, variances)
     ends, heights = np.array([0, len(values)]), np.array([np.nan if height is None else height], float)
     inputs = range_inputs(ends, np.asarray(times, float), readings, number, anchors, heights)
+    inputs[ROOM.name] = room_rows(anchors, None, len(values))
     return Recording(times, {RANGES: readings}, inputs | _height(times, height), _truth(truth, len(times)), name)
 
 
@@ -126,6 +128,7 @@ def bearing_recording(
     )
     number = np.array([list(stations).index(s) for s in station], float)
     inputs = {"origin": where[:, :3], "axes": where[:, 3:], "station": number, "nearby": nearby}
+    inputs[ROOM.name] = room_rows(np.stack([s.position for s in stations.values()]), None, len(values))
     readings = {BEARINGS: Readings(values, seen, reported)}
     return Recording(times, readings, inputs | _height(times, height), _truth(truth, len(times)), name)
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,7 +20,7 @@ from trackers.core.estimates import Status
 from trackers.core.inputs import AnyArray
 from trackers.core.recording import Batch
 from trackers.core.scan import Output
-from trackers.core.track_loss import TrackLossPolicy
+from trackers.core.track_loss import AbstractTrackLoss
 from trackers.core.tracker import AbstractTracker
 from trackers.core.tunable import Covariance, Scale, matching, role_of, tunables
 from tuning.differences import noise_levels_of_fixes
@@ -139,15 +138,12 @@ def sample_segments(batches: Sequence[Batch], count: int) -> Batch:
 
 
 def tolerant(tracker: AbstractTracker) -> AbstractTracker:
-    """The tracker with `TOLERANCE` times the NIS limit of track loss: noise levels far off make most rows exceed it."""
+    """The tracker with `TOLERANCE` times the limits of track loss."""
 
-    def raised(node: Any) -> Any:
-        if not isinstance(node, TrackLossPolicy):
-            return node
-        limit = node.nis_limit.with_value(TOLERANCE * np.asarray(node.nis_limit.value))
-        return eqx.tree_at(lambda policy: policy.nis_limit, node, limit)
+    def relaxed(node: Any) -> Any:
+        return node.relaxed(TOLERANCE) if isinstance(node, AbstractTrackLoss) else node
 
-    return jax.tree_util.tree_map(raised, tracker, is_leaf=lambda node: isinstance(node, TrackLossPolicy))
+    return jax.tree_util.tree_map(relaxed, tracker, is_leaf=lambda node: isinstance(node, AbstractTrackLoss))
 
 
 class _Search:

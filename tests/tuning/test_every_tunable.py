@@ -30,7 +30,7 @@ PROMISED = {
     "line-grid": "motion.sigma_a motion.halting motion.rest sensors.fixes.sigma_p start.sigma_start",
     "line-pf": "motion.sigma_a motion.halting motion.rest sensors.ranges.sigma_r start.sigma_start",
     "uwb-imu in space": "motion.noise.sigma_accel motion.noise.sigma_gyro motion.noise.*_walk motion.gravity sensors.*.bias",
-    "uwb": "motion.sigma_a motion.sigma_bias motion.time_constant sensors.ranges.sigma_r sensors.ranges.bias track_loss.nis_limit",
+    "uwb": "motion.sigma_a motion.sigma_bias motion.time_constant sensors.ranges.sigma_r sensors.ranges.bias track_loss.score_limit",
     "fix-kf": "motion.sigma_a sensors.fixes.sigma_horizontal sensors.fixes.dof sensors.fixes.latency track_loss.nis_limit",
     "fix-singer": "motion.sigma_a motion.tau sensors.fixes.latency",
     "imm": "motion.modes.*.sigma_a filter.switching_rate filter.mode_prior sensors.fixes.latency",
@@ -51,7 +51,9 @@ def test_what_a_user_may_want_tuned_is_found_by_name(name):
 
 def test_the_rates_at_which_modes_and_accelerations_change_are_found_by_name():
     assert "fusion.filter.rate" in tunables(mhk_tracker(rate=1.0))
-    assert {"sensors.bearings.dof", "track_loss.nis_limit", "start.sigma_position"} <= set(tunables(bearing_tracker(4)))
+    assert {"sensors.bearings.dof", "track_loss.score_limit", "start.sigma_position"} <= set(
+        tunables(bearing_tracker(4))
+    )
     assert np.shape(tunables(range_tracker(8))["sensors.ranges.bias"].raw) == (8,)
 
 

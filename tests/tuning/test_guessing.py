@@ -85,8 +85,11 @@ def test_what_differences_do_not_show_is_not_claimed():
     assert noise_levels_of_fixes(stack(flat)) is None
 
 
-def test_the_search_raises_the_nis_limit_of_track_loss_and_changes_nothing_else():
-    for tracker, limit in ((mhk_tracker(), "fusion.track_loss.nis_limit"), (range_tracker(4), "track_loss.nis_limit")):
+def test_the_search_raises_the_limit_of_track_loss_and_changes_nothing_else():
+    for tracker, limit in (
+        (mhk_tracker(), "fusion.track_loss.nis_limit"),
+        (range_tracker(4), "track_loss.score_limit"),
+    ):
         before, after = _values(tracker), _values(tolerant(tracker))
         assert [name for name in before if not np.array_equal(before[name], after[name])] == [limit]
         assert after[limit] == pytest.approx(TOLERANCE * before[limit])

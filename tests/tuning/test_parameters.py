@@ -66,7 +66,7 @@ def test_a_lone_tied_tunable_keeps_its_own_name(direct):
         ("tied:sensors.*", "ties tunables of different units or shapes: .*offsets"),
         ("tied:*.sigma_?", "ties tunables of different units or shapes: motion.sigma_a"),
         ([], "nothing to tune"),
-        ("track_loss.*", r"'track_loss\.\*' matches only .*max_gap: no objective has a derivative .* use a sweep"),
+        ("track_loss.*", r"'track_loss\.\*' matches only .*nis_window: no objective has a derivative .* use a sweep"),
     ],
 )
 def test_patterns_that_name_nothing_or_nothing_that_can_be_tied_are_refused(direct, patterns, message):

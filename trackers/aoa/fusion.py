@@ -20,7 +20,7 @@ from trackers.core.motion import Noise
 from trackers.core.rig import Station
 from trackers.core.sensor import AbstractSensor, Channel, Reading, Residual, position_in_space, student_t_log_peak
 from trackers.core.state import wrap
-from trackers.core.track_loss import TrackLossPolicy
+from trackers.core.track_loss import TrackScorePolicy
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import Real, Scale
 from trackers.parts.drifting_biases import BiasedStart, DriftingBiases
@@ -171,8 +171,8 @@ def bearing_tracker(
         DriftingBiases(biases, sigma_a, sigma_z, memory, np.array(sigma_bias), time_constant, length, "rad"),
         {BEARINGS: BearingSensor(sigma_azimuth, sigma_elevation, dof)},
         BiasedStart(Scale(1.5, "m"), Scale(1.0, "m/s"), Scale(np.array(sigma_bias), "rad"), planar, biases),
-        # Student's t bounds the NIS, and errors that last make its average large: only a gap is a track loss.
-        track_loss=TrackLossPolicy(nis_limit=1e3, max_gap=10.0),
+        # An array covers half a turn of either angle.
+        track_loss=TrackScorePolicy(np.pi, "rad"),
     )
 
 

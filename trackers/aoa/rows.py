@@ -15,7 +15,8 @@ from trackers.aoa.direct import direct_tracker
 from trackers.aoa.fusion import BEARINGS, CALIBRATED, bearing_inputs, bearing_tracker
 from trackers.aoa.rays import recent_points_of_each
 from trackers.core.recording import Readings
-from trackers.core.rig import Station
+from trackers.core.rig import Station, room_rows
+from trackers.core.track_loss import ROOM
 from trackers.core.tracker import AbstractTracker
 from trackers.recordings.checks.readings import readings as readings_of
 from trackers.recordings.checks.repeats import repeated_share
@@ -37,7 +38,7 @@ IN_PLANE = 0.5
 
 
 def bearing_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:
-    """Each tag's bearings, one row per table row; inputs `origin`, `axes` of the row's station, and `nearby`.
+    """Each tag's bearings, one row per table row; inputs `origin`, `axes` of the row's station, `nearby`, and `room`.
 
     Where the folder has a calibration, the input `calibration` of the row's station, and the variance that it adds.
     """
@@ -58,6 +59,7 @@ def bearing_trajectories(folder: RecordingFolder, free_height: bool) -> Trajecto
     nearby = recent_points_of_each(rows.starts, rows.times, origin, axes, directions, np.all(seen, axis=1), heights)
     begin = np.repeat(rows.starts[:-1], np.diff(rows.starts))
     early = (np.arange(len(values)) - begin < MIN_RAYS - 1) & (rows.times - rows.times[begin] < PATIENCE_S)
+    inputs[ROOM.name] = room_rows(np.stack([s.position for s in stations.values()]), folder.rig.outline, len(values))
     inputs["nearby"] = np.where(early[:, None], 0.0, nearby)
     readings = {BEARINGS: Readings(values, seen, reported)}
     return trajectories_of(folder, rows.tags, rows.starts, rows.times, readings, inputs)

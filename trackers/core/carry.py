@@ -15,6 +15,7 @@ from trackers.core.keys import RawKey
 from trackers.core.recording import Row
 from trackers.core.sensor import AbstractSensor
 from trackers.core.start import AbstractStart
+from trackers.core.track_loss import AbstractTrackLoss
 
 
 class StepInfo(NamedTuple):
@@ -28,12 +29,12 @@ class StepInfo(NamedTuple):
 
 
 class Carry(NamedTuple):
-    """The carry between two time steps: belief, track status, running mean of NIS/dof, s since the last measurement."""
+    """The carry between two time steps: belief, track status, statistic of track loss, s since the last measurement."""
 
     belief: Any
     running: Scalar
     started: Scalar
-    nis_average: Scalar
+    loss_statistic: Scalar
     time_since_measurement: Scalar
 
 
@@ -47,6 +48,8 @@ class RecursiveTracker(Protocol):
     def start(self) -> AbstractStart: ...
     @property
     def filter(self) -> AbstractFilter[Any]: ...
+    @property
+    def track_loss(self) -> AbstractTrackLoss: ...
     def predict(self, belief: Any, row: Row) -> Any: ...
     def update(self, belief: Any, row: Row) -> tuple[Any, Innovation]: ...
     def advance(self, carry: Carry, row: Row, belief: Any, innovation: Innovation) -> tuple[Carry, StepInfo]: ...
@@ -68,7 +71,7 @@ def carry_of(tracker: RecursiveTracker, prior: Gaussian, key: RawKey, number: Sc
     one = jnp.ones_like(prior.cov[0])
     # A new key for every start of a trajectory; XLA drops it where the filter draws no random numbers.
     key = jax.random.key_data(jax.random.fold_in(jax.random.wrap_key_data(jnp.asarray(key)), number))
-    return Carry(tracker.filter.init(prior, key), one > 0, one > 0, one, one * 0)
+    return Carry(tracker.filter.init(prior, key), one > 0, one > 0, one * tracker.track_loss.initial, one * 0)
 
 
 def in_form(carry: Carry, few: bool) -> Carry:

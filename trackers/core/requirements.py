@@ -22,6 +22,7 @@ from trackers.core.motion import AbstractMotion
 from trackers.core.recording import Batch, Recording, Row
 from trackers.core.sensor import AbstractSensor, Reading
 from trackers.core.start import AbstractStart
+from trackers.core.track_loss import AbstractTrackLoss
 
 KINDS = {
     "RecordingFolder": "a tracker by name, `tw.tracker_for(folder)`",
@@ -109,6 +110,7 @@ class Parts(NamedTuple):
     sensors: Mapping[str, AbstractSensor]
     start: AbstractStart
     filter: AbstractFilter[Any]
+    track_loss: AbstractTrackLoss
 
     def readers(self) -> Iterator[tuple[str, Sequence[Input], int]]:
         """Every part by a name for messages, its declared inputs, and the number of channels of its readings."""
@@ -117,6 +119,7 @@ class Parts(NamedTuple):
             yield _sensor(name, sensor), sensor.inputs, len(sensor.channels)
         yield f"the start ({type(self.start).__name__})", self.start.inputs, 0
         yield f"the filter ({type(self.filter).__name__})", self.filter.inputs, 0
+        yield f"the track loss ({type(self.track_loss).__name__})", self.track_loss.inputs, 0
 
 
 def check_parts(layout: Layout, parts: Parts) -> None:

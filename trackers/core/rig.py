@@ -88,6 +88,24 @@ class Rig:
         return np.vstack([walls, np.hstack([corners, np.roll(corners, -1, axis=0)])])
 
 
+MARGIN = 10.0
+"""Least distance, m, by which a room of unknown outline is wider on each side than its anchors or stations."""
+
+
+def room_rows(
+    points: Float[np.ndarray, "n d"], outline: Float[np.ndarray, "m 2"] | None, rows: int
+) -> Float[np.ndarray, "rows 4"]:
+    """Lowest and highest x, lowest and highest y of the tags, m, in each of the rows: the input `room`.
+
+    The box of the outline, or else that of the points (n, 2 or 3), anchors or stations, wider on each side by its
+    longer side, at least by `MARGIN`: tags may be outside of it.
+    """
+    corners = np.asarray(points)[:, :2] if outline is None else np.asarray(outline)
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    margin = 0.0 if outline is not None else max(MARGIN, float((high - low).max()))
+    return np.broadcast_to(np.stack([low - margin, high + margin], axis=1).ravel(), (rows, 4))
+
+
 def checked_knots(knots: ArrayLike) -> Float[np.ndarray, "k 2"]:
     """The knots of a path as an array, m; raises ValueError for one that is not finite or repeats the one before."""
     knots = np.asarray(knots, float)

@@ -38,7 +38,7 @@ from trackers.core.select import select, where_mostly
 from trackers.core.sensor import AbstractSensor
 from trackers.core.start import AbstractStart
 from trackers.core.state import component_names
-from trackers.core.track_loss import TrackLossPolicy
+from trackers.core.track_loss import ROOM, AbstractTrackLoss, TrackLossPolicy, outside
 from trackers.core.tunable import freeze
 
 
@@ -160,12 +160,12 @@ class Tracker(AbstractTracker):
     sensors: Mapping[str, AbstractSensor]
     start: AbstractStart
     filter: AbstractFilter[Any] = ExtendedKalman()
-    track_loss: TrackLossPolicy = TrackLossPolicy()
+    track_loss: AbstractTrackLoss = TrackLossPolicy()
     latency_of: str | None = eqx.field(static=True, default=None)
     position_alone: bool = eqx.field(static=True, default=False)
 
     def check_layout(self, layout: Layout) -> None:
-        check_parts(layout, Parts(self.motion, self.sensors, self.start, self.filter))
+        check_parts(layout, Parts(self.motion, self.sensors, self.start, self.filter, self.track_loss))
 
     @property
     def nis_sensors(self) -> tuple[AbstractSensor, ...]:
@@ -237,16 +237,15 @@ class Tracker(AbstractTracker):
             numbers = jax.tree_util.tree_leaves(eqx.filter(belief, eqx.is_inexact_array))
             finite = jnp.isfinite(compute_once(total(x if x.ndim == 0 else jnp.sum(x) for x in numbers)))
         has_measurement = nis_dof > 0
-        correction = (nis / jnp.maximum(nis_dof, 1.0) - carry.nis_average) / self.track_loss.nis_window.value
-        nis_average = carry.nis_average + jnp.where(has_measurement, correction, 0.0)
+        statistic = self.track_loss.after(carry.loss_statistic, Innovation(log_likelihood, nis, nis_dof, wrapped))
         time_since_measurement = carry.time_since_measurement + row.dt
-        lost = (nis_average > self.track_loss.nis_limit.value) | (
-            time_since_measurement > self.track_loss.max_gap.value
-        )
+        lost = self.track_loss.exceeded(statistic) | (time_since_measurement > self.track_loss.max_gap.value)
+        if ROOM in self.track_loss.inputs and ROOM.name in row.inputs and not self.filter.has_particle_axis:
+            lost |= outside(*self.filter.moments(belief), row.inputs[ROOM.name])
         time_since_measurement = jnp.where(has_measurement, 0.0, time_since_measurement)
         status = jnp.where(finite, jnp.where(lost, Status.LOST, Status.OK), Status.NON_FINITE)
         status = jnp.where(carry.running, status, jnp.where(carry.started, Status.LOST, Status.WAITING))
-        updated = Carry(belief, carry.running & finite & ~lost, carry.started, nis_average, time_since_measurement)
+        updated = Carry(belief, carry.running & finite & ~lost, carry.started, statistic, time_since_measurement)
         keep = row.valid & carry.running & finite
         kept = (where_mostly if self.filter.has_particle_axis else select)(keep, belief, carry.belief)
         after = Carry(kept, *select(row.valid, updated[1:], carry[1:]))

@@ -6,6 +6,8 @@ import numpy as np
 import polars as pl
 
 from trackers.core.recording import Readings
+from trackers.core.rig import room_rows
+from trackers.core.track_loss import ROOM
 from trackers.parts.ranges import RANGES
 from trackers.parts.recent_positions import recent_positions
 from trackers.recordings.columns import TagRows
@@ -14,12 +16,13 @@ from trackers.recordings.trajectories import Trajectories, known_heights, trajec
 
 
 def range_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectories:
-    """Each tag's ranges, one row per table row, with the inputs of `range_inputs`."""
+    """Each tag's ranges, one row per table row, with the inputs of `range_inputs`, and `room`."""
     rows = folder.rows("ranges")
     readings, number = range_rows(folder, rows)
     heights = np.full(len(rows.tags), np.nan) if free_height else known_heights(folder, rows.tags)
     anchors = anchor_positions(folder)
     inputs = range_inputs(rows.starts, rows.times, readings, number, anchors, heights)
+    inputs |= room_of_anchors(folder, len(number))
     return trajectories_of(folder, rows.tags, rows.starts, rows.times, {RANGES: readings}, inputs)
 
 
@@ -64,3 +67,8 @@ def range_inputs(
 def anchor_positions(folder: RecordingFolder) -> np.ndarray:
     """The anchors' positions (A, 3), m, in the order of their ids."""
     return np.stack([np.asarray(folder.rig.anchors[a], float) for a in sorted(folder.rig.anchors)])
+
+
+def room_of_anchors(folder: RecordingFolder, rows: int) -> dict[str, np.ndarray]:
+    """The input `room` of so many rows, by the folder's floor or its anchors."""
+    return {ROOM.name: room_rows(anchor_positions(folder), folder.rig.outline, rows)}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from trackers.core.track_loss import TrackLossPolicy
+from trackers.core.track_loss import TrackScorePolicy
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import Scale
 from trackers.parts.drifting_biases import BiasedStart, DriftingBiases
@@ -11,6 +11,9 @@ from trackers.recordings.calibration import Calibration
 
 MAX_BIASES = 16
 """Largest number of anchors with a bias each in the state; the cost of an epoch grows with its square."""
+
+REACH = 50.0
+"""The distance, m, over which a range that has nothing to do with a track is uniformly distributed."""
 
 
 def range_tracker(
@@ -38,8 +41,7 @@ def range_tracker(
         DriftingBiases(biases, sigma_a, sigma_z, memory, sigma_bias, time_constant, length),
         {RANGES: RangeSensor(1, anchors, sigma_r, positive_skew, dof, bias)},
         BiasedStart(Scale(1.0, "m"), Scale(1.0, "m/s"), Scale(sigma_bias, "m"), planar, biases),
-        # With Student's t each range's NIS is bounded, and real biases make it large: only a gap is a track loss.
-        track_loss=TrackLossPolicy(nis_limit=1e3, max_gap=10.0),
+        track_loss=TrackScorePolicy(REACH, "m"),
     )
 
 

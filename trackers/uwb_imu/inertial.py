@@ -13,12 +13,12 @@ from trackers.core.inputs import Input
 from trackers.core.motion import Noise
 from trackers.core.recording import Row
 from trackers.core.state import Heading, Rotation, component_names
-from trackers.core.track_loss import TrackLossPolicy
+from trackers.core.track_loss import TrackScorePolicy
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import Scale
 from trackers.parts.ranges import RANGES, RangeSensor
 from trackers.parts.start_nearby import NEARBY, AbstractNearbyStart
-from trackers.uwb_imu.fusion import MAX_BIASES
+from trackers.uwb_imu.fusion import MAX_BIASES, REACH
 from trackers.uwb_imu.strapdown import ImuNoise, Inertial, PlanarInertial, PlanarStrapdown, Strapdown
 from trackers.uwb_imu.yaw_mixture import YawMixtureFilter
 
@@ -155,6 +155,5 @@ def inertial_tracker(
         {RANGES: RangeSensor(1, anchors, sigma_r, positive_skew, dof, bias)},
         InertialStart(planar, biases),
         YawMixtureFilter(count=yaws),
-        # Ranges without line of sight are too long for seconds: a large NIS average is no evidence of track loss.
-        TrackLossPolicy(nis_limit=1e3, max_gap=10.0),
+        TrackScorePolicy(REACH, "m"),
     )

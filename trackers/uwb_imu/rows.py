@@ -12,7 +12,7 @@ import polars as pl
 
 from trackers.core.recording import Readings
 from trackers.core.tracker import AbstractTracker
-from trackers.parts.range_rows import anchor_positions, range_inputs, range_rows, range_trajectories
+from trackers.parts.range_rows import anchor_positions, range_inputs, range_rows, range_trajectories, room_of_anchors
 from trackers.parts.ranges import RANGES
 from trackers.parts.recent_positions import latest_rows
 from trackers.recordings.columns import TableRows, TagRows
@@ -96,6 +96,7 @@ def _with_imu(
     index = np.concatenate(merged_rows)
     merged = {name: _with_zeros(values)[index] for name, values in inputs.items()}
     merged |= {name: np.concatenate([one[name] for one in merged_imu]) for name in merged_imu[0]}
+    merged |= room_of_anchors(folder, int(starts[-1]))
     merged["arm"] = np.repeat(np.stack([_offset(folder, tag) for tag in tags]), np.diff(starts), axis=0)
     assert readings.reported is not None
     of_all = Readings(*(_with_zeros(x)[index] for x in (readings.values, readings.seen, readings.reported)))

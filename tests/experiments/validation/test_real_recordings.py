@@ -11,8 +11,9 @@ from experiments.validation.folds import DEFAULTS, FOLDS, OTHER_HALF, OTHERS, Fo
 from experiments.validation.real_recordings import main
 from experiments.validation.real_recordings_page import all_checks, quoted, written
 from experiments.validation.rooms import Outside, farthest_outside, room
+from trackers.catalogue import tracker_for
 from trackers.core.rig import Rig
-from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.folder import RecordingFolder, read_recording
 
 INSIDE = Outside(0.0, 0.1, 1.0, 0)
 HONEST = {"rmse_m": 0.2, "rmse_3d_m": 0.3, "coverage_95": 0.95, "coverage_95_3d": 0.95, "nees_ratio": 1.0}
@@ -116,3 +117,15 @@ def test_the_quick_folds_write_their_page(recordings, tmp_path, capsys, monkeypa
     met, every = map(int, re.search(r"(\d+) of (\d+) limits are met", page).groups())
     assert every - met == len(missed)
     assert not [line for line in missed if "RMSE" in line and "smoothed" not in line]
+
+
+@pytest.mark.slow
+def test_no_estimate_is_more_than_a_metre_outside_the_room_of_a_real_recording(recordings):
+    folders = [read_recording(path.parent) for path in sorted(recordings.glob("*/rig.toml"))]
+    tracked = 0
+    for folder in folders:
+        estimates = tracker_for(folder).run(folder).to_polars()
+        if "x_m" in estimates.columns:
+            tracked += 1
+            assert farthest_outside(estimates, room(folder)).rows == 0, folder.name
+    assert tracked >= 20

@@ -46,7 +46,7 @@ def _recursive(tracker: AbstractTracker) -> list[Any]:
 
 def _readers(tracker: AbstractTracker) -> list[Any]:
     """All parts of a tracker that may read inputs."""
-    inner = [p for t in _recursive(tracker) for p in (t.motion, *t.sensors.values(), t.start, t.filter)]
+    inner = [p for t in _recursive(tracker) for p in (t.motion, *t.sensors.values(), t.start, t.filter, t.track_loss)]
     return inner or [tracker]
 
 
