@@ -9,6 +9,7 @@ import polars as pl
 
 from trackers.core.recording import Readings, Recording
 from trackers.line.leaving import excursions
+from trackers.line.path import path_of
 from trackers.parts.fixes import FIXES
 from trackers.parts.ranges import RANGES
 from trackers.recordings.columns import float_column
@@ -69,9 +70,6 @@ def off_the_path(trajectory: Trajectory, tracks: pl.DataFrame) -> list[tuple[flo
     known = tracks.filter(pl.all_horizontal(pl.col("x_m", "y_m").is_finite()))
     if trajectory.folder.rig.path_knots is None or known.is_empty():
         return []
-    # Trackers on lines are imported for tags with a path alone.
-    from trackers.line.rows import path_of
-
     path = path_of(trajectory.folder)
     times, positions = float_column(known, "t_s"), np.stack([float_column(known, f"{a}_m") for a in "xy"], axis=1)
     sigma = np.nan_to_num(np.hypot(float_column(known, "std_x_m"), float_column(known, "std_y_m")))

@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from experiments.monte_carlo.accumulators import BEARING, BINS, COLUMN, KINDS, POSITION, SUMS, histograms
+from trackers.core.chi_square import chi_square_quantile
 from trackers.core.estimates import Status
-from trackers.core.metrics import chi_square_quantile, nees_of_leading
+from trackers.core.metrics import nees_of_leading
 from trackers.recordings.folder import RecordingFolder
 
 

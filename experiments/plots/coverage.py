@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import scipy
 from matplotlib.axes import Axes
 
 from experiments.plots.style import BLACK, GREY, LINES, literal, png
+from trackers.core.chi_square import chi_square_probability
 from trackers.covariance_statements import COVERAGE
 
 NAMED = len(LINES)
@@ -46,7 +46,7 @@ def coverage_curve(
 
 def observed_shares(nees: np.ndarray, dof: int, levels: np.ndarray) -> np.ndarray:
     """The share of rows inside the ellipse of each level; NaN is left out."""
-    known = np.sort(scipy.special.gammainc(dof / 2, nees[np.isfinite(nees)] / 2))
+    known = np.sort(chi_square_probability(nees[np.isfinite(nees)], dof))
     return np.searchsorted(known, levels, side="right") / max(len(known), 1)
 
 

@@ -24,7 +24,7 @@ from experiments.plots.style import (
     png,
     svg_address,
 )
-from trackers.core.metrics import chi_square_quantile
+from trackers.core.chi_square import chi_square_quantile
 from tuning.diagnostics import Innovations, autocorrelation, expected_density, nis_probabilities
 
 WINDOW = 50

@@ -16,7 +16,7 @@ from matplotlib.collections import EllipseCollection
 from matplotlib.lines import Line2D
 
 from experiments.plots.style import BLACK, BLUE, GREY, LINES, SKY, broken_at_gaps, legend_above, literal, png
-from trackers.core.metrics import chi_square_quantile
+from trackers.core.chi_square import chi_square_quantile
 from trackers.core.rig import Station
 from trackers.recordings.columns import float_column
 from trackers.scoring import covariances

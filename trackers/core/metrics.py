@@ -14,6 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from trackers.core.chi_square import chi_square_quantile
+
 Errors = Float[np.ndarray, "N d"]
 Covariances = Float[np.ndarray, "N d d"]
 
@@ -143,16 +145,6 @@ def time_lost(times: Float[np.ndarray, " N"], lost: Bool[np.ndarray, " N"]) -> T
         return TimeLost(0.0, math.nan)
     seconds, span = float(np.diff(times) @ lost[:-1]), float(times[-1] - times[0])
     return TimeLost(seconds, seconds / span if span > 0 else _mean(lost))
-
-
-def chi_square_quantile(probability: float, dof: float) -> float:
-    """The quantile of the chi-square distribution; raises ValueError outside 0 < probability < 1 and dof > 0."""
-    if not (0 < probability < 1 and dof > 0):
-        raise ValueError(f"a chi-square quantile needs 0 < probability < 1 and dof > 0, found {probability} and {dof}")
-    # Imported when used: it takes 0.1 s of processor time, and many commands need no quantile.
-    from scipy.special import gammaincinv
-
-    return 2 * float(gammaincinv(dof / 2, probability))
 
 
 def _mean(values: np.ndarray) -> float:

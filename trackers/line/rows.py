@@ -10,12 +10,12 @@ import numpy as np
 import polars as pl
 
 from trackers.core.errors import UnusableInput
-from trackers.core.polyline import Polyline
 from trackers.core.recording import Readings
 from trackers.core.sensor import AbstractSensor
 from trackers.core.tracker import AbstractTracker, Tracker
 from trackers.line.fixes import FIXES, FloorFixes
 from trackers.line.motion import HaltingMotion, LineMotion
+from trackers.line.path import path_of
 from trackers.line.tracker import line_grid_tracker, line_motion, line_tracker
 from trackers.line.truth import KnotTimes, knot_times
 from trackers.parts.fix_rows import AXES_M, AXES_STD_M
@@ -32,10 +32,6 @@ SIGMA_RANGE, POSITIVE_SKEW, DOF = 0.1, 3.0, 3.0
 """Scale, m, skew and degrees of freedom of the range errors, as fitted to recordings of other rooms."""
 
 
-CLOSING_GAP = 0.05
-"""Largest gap between the ends of a closed path, as a fraction of its longest segment."""
-
-
 def planar_fix_trajectories(folder: RecordingFolder) -> Trajectories:
     """Each tag's fixes in x and y, one row per table row."""
     rows = folder.rows("fixes")
@@ -48,17 +44,6 @@ def line_trajectories(folder: RecordingFolder, free_height: bool) -> Trajectorie
     """Each tag's ranges if the rig has all heights, else its fixes; raises UnusableInput without a path."""
     path_of(folder)
     return range_trajectories(folder, False) if _reads_ranges(folder) else planar_fix_trajectories(folder)
-
-
-def path_of(folder: RecordingFolder) -> Polyline:
-    """The folder's known path, closed if its ends nearly meet; raises UnusableInput if there is none."""
-    if folder.rig.path_knots is None:
-        raise UnusableInput(f"{folder.path}: no [path] in rig.toml, expected its knots_m = [[x, y], …]; add them")
-    knots = np.asarray(folder.rig.path_knots, float)
-    gap = float(np.linalg.norm(knots[-1] - knots[0]))
-    if 0.0 < gap <= CLOSING_GAP * np.linalg.norm(np.diff(knots, axis=0), axis=1).max():
-        knots = np.vstack([knots, knots[:1]])
-    return Polyline(knots)
 
 
 def raw_positions(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:

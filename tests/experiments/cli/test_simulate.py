@@ -11,7 +11,7 @@ import pytest
 
 from tests.in_process import assert_refused, trackwright
 from trackers.catalogue import fitting
-from trackers.line.rows import path_of
+from trackers.line.path import path_of
 from trackers.recordings.folder import read_recording
 
 WORLDS = {

@@ -14,9 +14,9 @@ from experiments.monte_carlo.sources import load_study
 from experiments.reports.study_text import to_json, to_text
 from tests.experiments.monte_carlo.small_study import SMALL, TOML, no_progress, study_command
 from tests.in_process import trackwright
+from trackers.core.chi_square import chi_square_quantile
 from trackers.core.errors import UnusableInput
 from trackers.core.estimates import Status
-from trackers.core.metrics import chi_square_quantile
 
 
 def _sha(results):

@@ -14,7 +14,8 @@ from trackers.evaluation import evaluate
 from trackers.events import left_the_line
 from trackers.line import rows as line
 from trackers.line.motion import HaltingMotion, LineMotion
-from trackers.line.rows import TRACKERS, path_of
+from trackers.line.path import path_of
+from trackers.line.rows import TRACKERS
 from trackers.recordings.folder import RecordingFolder, read_recording
 from trackers.recordings.tracks import track
 
