@@ -44,10 +44,14 @@ def coverage_curve(
     return Path(path)
 
 
-def observed_shares(nees: np.ndarray, dof: int, levels: np.ndarray) -> np.ndarray:
-    """The share of rows inside the ellipse of each level; NaN is left out."""
-    known = np.sort(chi_square_probability(nees[np.isfinite(nees)], dof))
-    return np.searchsorted(known, levels, side="right") / max(len(known), 1)
+def levels_of(nees: np.ndarray, dof: int) -> np.ndarray:
+    """The level of the ellipse through the truth of each row, sorted; NaN is left out."""
+    return np.sort(chi_square_probability(nees[np.isfinite(nees)], dof))
+
+
+def observed_shares(levels_of_rows: np.ndarray, levels: np.ndarray) -> np.ndarray:
+    """The share of rows inside the ellipse of each level; `levels_of_rows`: sorted."""
+    return np.searchsorted(levels_of_rows, levels, side="right") / max(len(levels_of_rows), 1)
 
 
 def _panel(axes: Axes, recordings: np.ndarray, nees: np.ndarray, dof: int) -> None:
@@ -57,18 +61,20 @@ def _panel(axes: Axes, recordings: np.ndarray, nees: np.ndarray, dof: int) -> No
     axes.vlines(95, low, high, GREY, linewidth=4.0, alpha=0.45, label=f"covariances hold: {low:.0f} to {high:.0f} %")
     if len(names) > 1:
         for k, name in enumerate(names):
-            own = nees[recordings == name]
-            colour, label = (LINES[k], _named(name, own, dof)) if len(names) <= NAMED else (GREY, None)
-            axes.plot(100 * POINTS, 100 * observed_shares(own, dof, POINTS), linewidth=0.9, color=colour, label=label)
-    label = _named("all rows" if len(names) > 1 else str(names[0]), nees, dof)
-    axes.plot(100 * POINTS, 100 * observed_shares(nees, dof, POINTS), color=BLACK, linewidth=1.9, label=label)
-    marked = np.array(MARKED) / 100
-    axes.plot(MARKED, 100 * observed_shares(nees, dof, marked), "o", color=BLACK, markersize=4, markeredgecolor="white")
+            own = levels_of(nees[recordings == name], dof)
+            colour, label = (LINES[k], _named(name, own)) if len(names) <= NAMED else (GREY, None)
+            axes.plot(100 * POINTS, 100 * observed_shares(own, POINTS), linewidth=0.9, color=colour, label=label)
+    every = levels_of(nees, dof)
+    label = _named("all rows" if len(names) > 1 else str(names[0]), every)
+    shares = observed_shares(every, POINTS)
+    axes.plot(100 * POINTS, 100 * shares, color=BLACK, linewidth=1.9, label=label)
+    marked = observed_shares(every, np.array(MARKED) / 100)
+    axes.plot(MARKED, 100 * marked, "o", color=BLACK, markersize=4, markeredgecolor="white")
     axes.set(xlim=(0, 100.8), ylim=(0, 100.8), xticks=(0, 25, 50, 75, 90, 100), yticks=(0, 25, 50, 75, 90, 100))
     axes.set_aspect("equal")
-    below = float(np.mean(observed_shares(nees, dof, POINTS) - POINTS)) < 0
+    below = float(np.mean(shares - POINTS)) < 0
     axes.legend(loc="upper left" if below else "lower right")
 
 
-def _named(name: str, nees: np.ndarray, dof: int) -> str:
-    return literal(f"{name}: {100 * observed_shares(nees, dof, np.array([0.95]))[0]:.0f} % inside 95 %")
+def _named(name: str, levels_of_rows: np.ndarray) -> str:
+    return literal(f"{name}: {100 * observed_shares(levels_of_rows, np.array([0.95]))[0]:.0f} % inside 95 %")

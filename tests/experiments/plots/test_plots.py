@@ -7,7 +7,7 @@ import scipy.stats
 from matplotlib.image import imread
 
 from experiments.plots import style
-from experiments.plots.coverage import coverage_curve, observed_shares
+from experiments.plots.coverage import coverage_curve, levels_of, observed_shares
 from experiments.plots.errors import error_cdf, error_over_time
 from experiments.plots.filters import consistency
 from experiments.plots.objective import tuning_trace
@@ -146,7 +146,7 @@ def test_the_coverage_curve_has_a_line_for_each_recording_and_one_for_all_rows(t
 def test_the_observed_share_is_that_of_the_rows_within_the_quantile(rng):
     nees, levels = np.append(rng.chisquare(3, 500), np.nan), np.array([0.0, 0.5, 0.95, 1.0])
     expected = [np.mean(nees[:-1] <= scipy.stats.chi2.ppf(level, 3)) for level in levels]
-    np.testing.assert_allclose(observed_shares(nees, 3, levels), expected, rtol=1e-12)
+    np.testing.assert_allclose(observed_shares(levels_of(nees, 3), levels), expected, rtol=1e-12)
 
 
 def test_consistency_of_many_runs_shows_means_bounds_and_density(tmp_path, rng):
