@@ -385,7 +385,7 @@ MOTIONS = {
     ),
     "damped velocity": MotionCase(
         DriftingBiases(2, 0.3, 0.2, 5.0, 0.05, 20.0, 2.0),
-        BiasedState(Vector(0.1, 0.1, 0.1), Vector(0.2, 0.2, 0.2), Vector(0.01, -0.02)),
+        BiasedState(Vector(0.1, 0.1, 0.1), Vector(0.2, 0.2, 0.2), Vector(0.01, -0.02), Vector(0.05)),
     ),
     "beam": MotionCase(BeamMotion(Scale(1.0)), BEAM),
     "beam in the plane": MotionCase(InPlaneBeamMotion(Scale(1.0)), FLAT_BEAM),

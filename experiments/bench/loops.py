@@ -18,7 +18,7 @@ from trackers.core.ekf import ExtendedKalman
 from trackers.core.motion import GroundMotion
 from trackers.core.recording import Recording
 from trackers.core.tracker import Tracker
-from trackers.parts.drifting_biases import DriftingBiases
+from trackers.parts.drifting_biases import BiasedStart, DriftingBiases
 from trackers.parts.fixes import FIXES, FixSensor
 from trackers.parts.ranges import RANGES, RangeSensor
 from trackers.uwb_imu.strapdown import Inertial, Strapdown
@@ -48,8 +48,12 @@ def model_of(tracker: Any, recording: Recording, planar: bool) -> Model | None:
     if isinstance(motion, Strapdown) and isinstance(sensor, RangeSensor):
         return Model(*inertial(motion, sensor, recording))
     if isinstance(motion, DriftingBiases) and isinstance(sensor, RangeSensor):
-        channels = range_channels(sensor, recording, planar, 4 if planar else 6)
-        return Model(damped(motion, 2 if planar else 3), channels, np.add, float(sensor.dof.value))
+        d, shares = (
+            2 if planar else 3,
+            isinstance(tracker.start, BiasedStart) and tracker.start.sigma_shared is not None,
+        )
+        channels = range_channels(sensor, recording, planar, 2 * d, motion.biases)
+        return Model(damped(motion, d, int(shares)), channels, np.add, float(sensor.dof.value))
     if isinstance(motion, GroundMotion) and isinstance(sensor, FixSensor):
         dof = 0.0 if sensor.dof is None else float(sensor.dof.value)
         return Model(ground(motion, planar), fix_channels(sensor, recording, planar), np.add, dof)
@@ -131,13 +135,13 @@ def ground(motion: GroundMotion, planar: bool) -> Any:
     return moved
 
 
-def damped(motion: DriftingBiases, d: int) -> Any:
-    """Gauss–Markov velocities and biases; positions, velocities, biases."""
+def damped(motion: DriftingBiases, d: int, shared: int = 0) -> Any:
+    """Gauss–Markov velocities and biases; positions, velocities, biases, and constant ones of all channels."""
     sigmas = [float(motion.sigma_a.value)] * 2 + [float(motion.sigma_z.value)] * (d - 2)
     memory, constant = float(motion.memory.value), float(motion.time_constant.value)
-    length, n = float(motion.length.value), 2 * d + motion.biases
+    length, n = float(motion.length.value), 2 * d + motion.biases + shared
     sigmas_bias = np.resize(np.asarray(motion.sigma_bias.value, float), motion.biases)
-    biases = np.arange(2 * d, n)
+    biases = np.arange(2 * d, n - shared)
     F, Q = np.eye(n), np.zeros((n, n))
 
     def moved(x: np.ndarray, P: np.ndarray, row: int, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -156,8 +160,8 @@ def damped(motion: DriftingBiases, d: int) -> Any:
     return moved
 
 
-def range_channels(sensor: RangeSensor, recording: Recording, planar: bool, biases_at: int) -> Any:
-    """The range of a row, to its anchor, with the anchor's bias in the state and that of the sensor."""
+def range_channels(sensor: RangeSensor, recording: Recording, planar: bool, biases_at: int, biases: int) -> Any:
+    """The range of a row, to its anchor, with the sensor's bias, the anchor's in the state and those after it."""
     readings, inputs = recording.readings[RANGES], recording.inputs
     z, seen, reported = readings.values[:, 0], readings.seen[:, 0], readings.reported
     anchors, numbers = inputs["anchors"][:, :3], inputs["anchor"][:, 0].astype(int)
@@ -174,9 +178,10 @@ def range_channels(sensor: RangeSensor, recording: Recording, planar: bool, bias
         gradient, number = np.zeros(len(x)), numbers[row]
         gradient[: 2 if planar else 3] = (ray / distance)[: 2 if planar else 3]
         predicted = distance + known[number]
-        if biases_at + number < len(x):
-            gradient[biases_at + number] = 1.0
-            predicted += x[biases_at + number]
+        own = [biases_at + number] if number < biases else []
+        for k in (*own, *range(biases_at + biases, len(x))):
+            gradient[k] = 1.0
+            predicted += x[k]
         sigma = np.sqrt(variance + (0.0 if reported is None or not reported.size else reported[row, 0]))
         yield z[row] - predicted, gradient, sigma * (skew if z[row] > predicted else 1.0)
 

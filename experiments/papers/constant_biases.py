@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from types import MappingProxyType
 
-CONSTANT = MappingProxyType({"motion.time_constant": 1000.0, "motion.length": 1e4})
-"""Biases that neither time nor the way changes."""
+CONSTANT = MappingProxyType({"motion.time_constant": 1000.0, "motion.length": 1e4, "start.sigma_shared": 1e-3})
+"""Biases that neither time nor the way changes, and that the anchors do not share."""
 
 CONSTANT_BIASES = CONSTANT | {
     "motion.sigma_a": 0.3,

@@ -70,7 +70,9 @@ BEARINGS = (*DRIFTING, "sigma_azimuth", "sigma_elevation")
 KINDS = {
     "bearings": Levels("bearings", bearing_tracker, "stations", BEARINGS),
     "bearings-calibrated": Levels("bearings", bearing_tracker, "stations", BEARINGS, CALIBRATED, calibrated=True),
-    "uwb": Levels("uwb", range_tracker, "anchors", (*DRIFTING, "sigma_r", "positive_skew", "dof", "bias")),
+    "uwb": Levels(
+        "uwb", range_tracker, "anchors", (*DRIFTING, "sigma_shared", "sigma_r", "positive_skew", "dof", "bias")
+    ),
 }
 """What can be set. A likelihood over the floor does not determine `sigma_z`, which stays."""
 

@@ -23,6 +23,7 @@ SEEN_BY_DEFAULTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "lias-planar-fast",
             "labyrinth",
             "ngbui-line-1-1",
+            "ngbui-line-2-1",
         ),
     }
 )
@@ -96,6 +97,8 @@ FOLDS = (
     Fold("iasl drone", "uwb", ("iasl-drone-1",), rmse=0.06),
     Fold("iasl drone, calibrated", "uwb", ("iasl-drone-1",), CALIBRATED, 0.05, spatial=0.11, calibrated_on=OTHER_HALF),
     Fold("labyrinth", "uwb", ("labyrinth",)),
+    # A straight path behind walls, which this tracker is not given.
+    Fold("ngbui lines without the path", "uwb", ("ngbui-line-2-1", "ngbui-line-3-1"), None),
     # Ranges along a known path; the limits are the errors of earlier versions.
     Fold("ngbui line 1", "line-grid", ("ngbui-line-1-1",), rmse=0.032, smoothes=False),
     Fold("ngbui line 2", "line-grid", ("ngbui-line-2-1",), rmse=0.062, smoothes=False),

@@ -19,11 +19,15 @@ from trackers.parts.start_nearby import AbstractNearbyStart
 
 
 class BiasedState(NamedTuple):
-    """Position, m, velocity, m/s, and the biases of the sensors' channels in their unit."""
+    """Position, m, velocity, m/s, and biases in the sensor's unit: of its channels, and that which all of them share.
+
+    `shared` has one entry or none.
+    """
 
     position: Vector
     velocity: Vector
     bias: Vector
+    shared: Vector = Vector()
 
 
 class DriftingBiases(AbstractMotion):
@@ -31,7 +35,7 @@ class DriftingBiases(AbstractMotion):
 
     `sigma_a`, `sigma_z`: white acceleration, horizontal and vertical, m/s² per √Hz; `memory`: time constant of the
     velocities, s. `sigma_bias`: standard deviation of the biases, one number, or k that the biases take in turn (of
-    azimuth and elevation). The biases decay at the rate 1/`time_constant` + speed/`length`, s and m: multipath and
+    azimuth and elevation). The biases, but for a shared one, which is constant, decay at the rate 1/`time_constant` + speed/`length`, s and m: multipath and
     obstruction depend on the place. `biases`: their number. Exact at constant speed (Gelb 1974, section 3.8): there two
     steps equal one long step.
     """
@@ -92,19 +96,19 @@ class DriftingBiases(AbstractMotion):
         position = Vector(*(x + v * gain + s * (a * shared + b * own) for x, v, s, a, b in axes))
         velocity = Vector(*(v * decay + s * a * velocity_noise for _, v, s, a, _ in axes))
         if not self.biases:
-            return BiasedState(position, velocity, state.bias)
+            return BiasedState(position, velocity, state.bias, state.shared)
         speed = safe_sqrt(total(v * v for v in state.velocity)) if self.speed is None else self.speed
         lapse = dt * (1.0 / self.time_constant.value + speed / self.length.value)
         bias_decay, bias_noise = jnp.exp(-lapse), safe_sqrt(-jnp.expm1(-2.0 * lapse))
         draws = (x * (in_turn(self.sigma_bias.value, k) * bias_noise) for k, x in enumerate(w.parts[6:]))
-        return BiasedState(position, velocity, state.bias * bias_decay + Vector(*draws))
+        return BiasedState(position, velocity, state.bias * bias_decay + Vector(*draws), state.shared)
 
 
 class BiasedStart(AbstractNearbyStart):
     """A start at the position in the input `nearby` (4,), at rest, with zero biases.
 
-    `sigma_position` m, `sigma_velocity` m/s, `sigma_bias` as in `DriftingBiases`: standard deviations. `biases`: their
-    number.
+    `sigma_position` m, `sigma_velocity` m/s, `sigma_bias` as in `DriftingBiases`, `sigma_shared` in its unit: standard
+    deviations. `biases`: their number. Without `sigma_shared` there is no shared bias.
     """
 
     sigma_position: Noise
@@ -112,15 +116,17 @@ class BiasedStart(AbstractNearbyStart):
     sigma_bias: Noise
     planar: bool = eqx.field(static=True)
     biases: int = eqx.field(static=True)
+    sigma_shared: Noise | None = None
 
     def belief(self, candidate: Any, row: Row) -> Gaussian:
         n = 2 if self.planar else 3
         zero = candidate[0] * 0.0
         position = Vector(*(candidate[k] for k in range(n)))
-        state = BiasedState(position, Vector(*[zero] * n), Vector(*[zero] * self.biases))
+        shared = [] if self.sigma_shared is None else [self.sigma_shared.value**2]
+        state = BiasedState(position, Vector(*[zero] * n), Vector(*[zero] * self.biases), Vector(*[zero] * len(shared)))
         in_place, moving = self.sigma_position.value**2, self.sigma_velocity.value**2
         biases = [in_turn(self.sigma_bias.value, k) ** 2 for k in range(self.biases)]
-        return Gaussian(state, diagonal([in_place] * n + [moving] * n + biases, zero))
+        return Gaussian(state, diagonal([in_place] * n + [moving] * n + biases + shared, zero))
 
 
 def in_turn(values: Any, number: int) -> Any:

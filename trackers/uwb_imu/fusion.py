@@ -19,28 +19,32 @@ REACH = 50.0
 def range_tracker(
     anchors: int,
     planar: bool = False,
-    sigma_a: float = 0.37,
+    sigma_a: float = 0.44,
     sigma_z: float = 0.7,
-    memory: float = 5.0,
-    sigma_r: float = 0.06,
-    positive_skew: float = 3.5,
-    dof: float = 2.0,
-    bias: float = 0.12,
-    sigma_bias: float = 0.137,
-    time_constant: float = 130.0,
-    length: float = 4.7,
+    memory: float = 5.5,
+    sigma_r: float = 0.09,
+    positive_skew: float = 4.0,
+    dof: float = 1.8,
+    bias: float = 0.07,
+    sigma_bias: float = 0.085,
+    time_constant: float = 65.0,
+    length: float = 5.0,
+    sigma_shared: float = 0.1,
 ) -> Tracker:
     """Position and velocity from ranges to numbered anchors, one range per row; `planar`: at a known height.
 
-    Motion numbers as in `DriftingBiases`, sensor numbers as in `RangeSensor`; `bias`: mean of the range biases, m. One
-    set of defaults serves hand-held tags, drones, trolleys and tags on the floor; `range_levels` has those of a
-    calibrated site. Above `MAX_BIASES` anchors the state has no biases; the tunable ones of the sensor remain.
+    Motion numbers as in `DriftingBiases`, sensor numbers as in `RangeSensor`; `bias`: mean of the range biases, m;
+    `sigma_shared`: standard deviation, m, of the bias of the tag, which its ranges to all anchors share. One set of
+    defaults serves hand-held tags, drones, trolleys and tags on the floor; `range_levels` has those of a calibrated
+    site. Above `MAX_BIASES` anchors the state has only the shared bias; the tunable ones of the sensor remain.
     """
     biases = anchors if anchors <= MAX_BIASES else 0
     return Tracker(
         DriftingBiases(biases, sigma_a, sigma_z, memory, sigma_bias, time_constant, length),
         {RANGES: RangeSensor(1, anchors, sigma_r, positive_skew, dof, bias)},
-        BiasedStart(Scale(1.0, "m"), Scale(1.0, "m/s"), Scale(sigma_bias, "m"), planar, biases),
+        BiasedStart(
+            Scale(1.0, "m"), Scale(1.0, "m/s"), Scale(sigma_bias, "m"), planar, biases, Scale(sigma_shared, "m")
+        ),
         track_loss=TrackScorePolicy(REACH, "m"),
     )
 
@@ -53,4 +57,13 @@ def range_levels(calibration: Calibration | None) -> dict[str, float]:
     if calibration is None or not calibration.anchors:
         return {}
     spread = {} if calibration.range_spread is None else {"sigma_bias": calibration.range_spread}
-    return {"bias": 0.0, "sigma_bias": 0.07, "length": 1.0} | spread
+    return {
+        "bias": 0.0,
+        "sigma_bias": 0.07,
+        "time_constant": 130.0,
+        "length": 1.0,
+        "sigma_shared": 0.02,
+        "sigma_r": 0.06,
+        "positive_skew": 3.5,
+        "dof": 2.0,
+    } | spread

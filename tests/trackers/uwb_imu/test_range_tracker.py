@@ -153,18 +153,18 @@ def test_a_gap_of_a_minute_ends_the_track_and_starts_another(runs):
     assert np.sqrt(np.mean(errors[450:] ** 2)) < 0.09
 
 
-def test_with_too_many_anchors_the_state_has_no_biases():
+def test_with_too_many_anchors_the_state_has_only_the_bias_that_they_share():
     tracker = range_tracker(24, planar=True)
     times, numbers, ranges, _ = _rows(np.random.default_rng(3), count=60)
     estimates = tracker.run(_recording(times, numbers, ranges, HEIGHT))
-    assert estimates.dimension == 4
+    assert estimates.dimension == 5
     assert estimates.summary() == "ok"
 
 
 def test_the_covariance_is_consistent_where_the_world_is_the_model():
     """300 tags over the floor by the model's own motion, biases and normal noise: NEES over them of chi-squared."""
     runs, rows, step = 300, 80, 0.05
-    sigma_a, sigma_r, sigma_bias, constant = 0.5, 0.1, 0.05, 5.0
+    sigma_a, sigma_r, sigma_bias, sigma_shared, constant = 0.5, 0.1, 0.05, 0.15, 5.0
     rng = np.random.default_rng(4)
 
     def normal(*shape):
@@ -172,7 +172,7 @@ def test_the_covariance_is_consistent_where_the_world_is_the_model():
 
     times, numbers = np.arange(rows) * step, np.arange(rows) % len(ANCHORS)
     position, velocity, bias = normal(2), normal(2), sigma_bias * normal(len(ANCHORS))
-    begun = position + normal(2)
+    begun, shared = position + normal(2), sigma_shared * normal()
     recordings, readings = [], []
     for k in range(rows):
         if k:
@@ -183,7 +183,9 @@ def test_the_covariance_is_consistent_where_the_world_is_the_model():
             kept = np.exp(-step / constant)
             bias = kept * bias + sigma_bias * np.sqrt(1 - kept**2) * normal(len(ANCHORS))
         full = np.column_stack([position, np.full(runs, HEIGHT)])
-        readings.append(np.linalg.norm(full - ANCHORS[numbers[k]], axis=1) + bias[:, numbers[k]] + sigma_r * normal())
+        readings.append(
+            np.linalg.norm(full - ANCHORS[numbers[k]], axis=1) + bias[:, numbers[k]] + shared + sigma_r * normal()
+        )
     for run in range(runs):
         nearby = np.column_stack([np.tile(begun[run], (rows, 1)), np.full(rows, HEIGHT), np.ones(rows)])
         inputs = {
@@ -206,6 +208,7 @@ def test_the_covariance_is_consistent_where_the_world_is_the_model():
         bias=0.0,
         sigma_bias=sigma_bias,
         time_constant=constant,
+        sigma_shared=sigma_shared,
     )
     estimates = tracker.run(stack(recordings))
     found = np.stack([np.asarray(x)[:, -1] for x in (*estimates.mean.position, *estimates.mean.velocity)], axis=1)
