@@ -35,9 +35,9 @@ class DriftingBiases(AbstractMotion):
 
     `sigma_a`, `sigma_z`: white acceleration, horizontal and vertical, m/s² per √Hz; `memory`: time constant of the
     velocities, s. `sigma_bias`: standard deviation of the biases, one number, or k that the biases take in turn (of
-    azimuth and elevation). The biases, but for a shared one, which is constant, decay at the rate 1/`time_constant` + speed/`length`, s and m: multipath and
-    obstruction depend on the place. `biases`: their number. Exact at constant speed (Gelb 1974, section 3.8): there two
-    steps equal one long step.
+    azimuth and elevation). The biases, but for a shared one, which is constant, decay at the rate 1/`time_constant` +
+    speed/`length`, s and m: multipath and obstruction depend on the place. `biases`: their number. Exact at constant
+    speed (Gelb 1974, section 3.8): there two steps equal one long step.
     """
 
     sigma_a: Noise

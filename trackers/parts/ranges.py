@@ -33,8 +33,8 @@ class RangeSensor(AbstractSensor):
 
     Inputs: `anchors` (3·slots,) m, x, y, z of each slot's anchor; `anchor` (slots,), its number; `height` m for a
     planar state; optionally `levers` (3·slots,) m, the lever arm of each slot's tag in body axes, for a view with an
-    `attitude`. The predicted range includes the tunable `bias` and, if there are any, `view.bias`, both m per anchor, and
-    `view.shared`, m of all anchors.
+    `attitude`. The predicted range includes the tunable `bias` and, if there are any, `view.bias`, both m per anchor,
+    and `view.shared`, m of all anchors.
 
     Residuals follow a two-piece Student's t with `dof` degrees of freedom, of scale `sigma_r` m below zero and
     `positive_skew`·`sigma_r` above: ranges are too long more often than too short. Reported variances, m², one per
