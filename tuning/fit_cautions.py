@@ -9,12 +9,13 @@ import numpy as np
 from jaxtyping import Float
 
 from trackers.core.tunable import Scale
+from trackers.recordings.reading_grids import ReadingGrid
 from tuning.correlation import rows_and_inflation
 from tuning.optimum import Optimum
 from tuning.parameters import Parameter, component_kinds, component_names
 from tuning.problem import Problem
 from tuning.profiles import refit
-from tuning.reading_grids import ReadingGrid, grid_of
+from tuning.reading_grids import grid_of
 from tuning.uncertainty import Uncertainty, determined
 
 COLLAPSED = 1e-3

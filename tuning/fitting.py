@@ -16,6 +16,7 @@ from trackers.core.chunks import CHUNK
 from trackers.core.tracker import AbstractTracker
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.named_tracker import NamedTracker
+from trackers.recordings.reading_grids import ReadingGrid, reading_grids
 from tuning.correlation import rows_and_inflation
 from tuning.data import Arrays, FitData, fit_arrays
 from tuning.fit_cautions import fit_cautions
@@ -26,7 +27,7 @@ from tuning.optimum import Optimum, optimum
 from tuning.parameters import Parameter, flatten, limits, physical, select_parameters, with_parameters
 from tuning.priors import Prior
 from tuning.problem import Evaluation, Problem
-from tuning.reading_grids import ReadingGrid, floors, reading_grids
+from tuning.reading_grids import floors
 from tuning.starts import initial_state
 from tuning.uncertainty import Uncertainty, determined, uncertainty_at, unidentifiable
 from tuning.weights import Weigh

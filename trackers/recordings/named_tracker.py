@@ -12,6 +12,7 @@ from trackers.core.smoother import Smoothed
 from trackers.core.tracker import AbstractTracker
 from trackers.core.tunable import AbstractTunable, tunables, with_values
 from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.reading_grids import above_rounding
 from trackers.recordings.tracker_spec import TrackerBatch, TrackerSpec
 from trackers.recordings.tracks import Tracks, track
 
@@ -59,26 +60,37 @@ class NamedTracker:
         return track(self.batches(recordings), advance, seed)
 
     def batches(self, recordings: Recordings) -> list[TrackerBatch]:
-        """The trajectories of the recordings and the trackers that run them, with this tracker's numbers."""
+        """The trajectories of the recordings and the trackers that run them, with this tracker's numbers.
+
+        A noise level below the rounding of a recording's readings is raised to it: `TrackerBatch.notices`.
+        """
+        groups = self._batches(recordings)
+        split = [part for group in groups for part in above_rounding(group)]
+        return [dataclasses.replace(group, tracker=self._finished(group.tracker)) for group in split]
+
+    def _batches(self, recordings: Recordings) -> list[TrackerBatch]:
+        """The batches with this tracker's numbers as they are, not smoothed."""
         folders = folder_list(recordings)
         own, groups = self.made_for
         # Rows of long recordings take longer to make than to filter.
         if len(folders) != len(own) or any(a is not b for a, b in zip(folders, own, strict=True)):
             groups = self.spec.batches(folders, self.name, self.free_height)
-        return [dataclasses.replace(group, tracker=self._finished(group.tracker)) for group in groups]
+        return [
+            dataclasses.replace(group, tracker=with_values(group.tracker, self.values, self.source)) for group in groups
+        ]
 
     def only_batch(self, recordings: Recordings) -> TrackerBatch:
         """All trajectories of the recordings for one and the same tracker, as a fit needs them.
 
         Raises UnusableInput where they need several: those have no numbers in common.
         """
-        groups = self.batches(recordings)
+        groups = self._batches(recordings)
         if len(groups) != 1:
             raise UnusableInput(
                 f"the recordings need {len(groups)} different '{self.name}' trackers (other geometry, or heights known "
                 "for some tags only); expected one; take them apart, or estimate all heights (free_height)"
             )
-        return groups[0]
+        return dataclasses.replace(groups[0], tracker=self._finished(groups[0].tracker))
 
     @property
     def tunables(self) -> dict[str, AbstractTunable]:
@@ -101,7 +113,6 @@ class NamedTracker:
         return dataclasses.replace(self, smoothed=True, lag=lag)
 
     def _finished(self, tracker: AbstractTracker) -> AbstractTracker:
-        tracker = with_values(tracker, self.values, self.source)
         return self._smoother(tracker, self.lag) if self.smoothed else tracker
 
     def _smoother(self, tracker: AbstractTracker, lag: float | None) -> AbstractTracker:

@@ -18,12 +18,14 @@ from trackers.recordings.trajectories import Trajectories, Trajectory, known_hei
 class TrackerBatch:
     """Trajectories that one tracker runs as a batch.
 
-    `planar`: whether the state lies in a plane: that of the floor at known heights, or that of a flat array.
+    `planar`: whether the state lies in a plane: that of the floor at known heights, or that of a flat array. `notices`:
+    one line for each noise level that was raised to the rounding of the readings.
     """
 
     tracker: AbstractTracker
     trajectories: Sequence[Trajectory]
     planar: bool
+    notices: tuple[str, ...] = ()
 
 
 def at_known_height(trajectory: Trajectory, free_height: bool) -> bool:

@@ -33,6 +33,11 @@ class Tracks:
     summaries: dict[str, int]
     batches: list[TrackerBatch]
 
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """One line for each noise level that was raised to the rounding of a recording's readings."""
+        return tuple(line for batch in self.batches for line in batch.notices)
+
     def to_polars(self) -> pl.DataFrame:
         """The table of estimates; `.to_pandas()` of it gives a pandas frame."""
         return self.table

@@ -1,0 +1,140 @@
+"""Steps and repetitions of the readings of a tracker: the rounding that limits its noise levels from below."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatch
+
+import numpy as np
+from jaxtyping import Float
+
+from trackers.core.recording import Batch
+from trackers.core.sensor import AbstractSensor
+from trackers.core.tracker import AbstractTracker, Tracker
+from trackers.core.tunable import Scale, tunables, with_values
+from trackers.recordings.checks.quantisation import quantisation_step
+from trackers.recordings.checks.readings import Readings
+from trackers.recordings.checks.repeats import repeated_share
+from trackers.recordings.tracker_spec import TrackerBatch
+from trackers.recordings.trajectories import Trajectories
+
+MOST_ROWS = 20_000
+"""Rows of a sensor that are looked at."""
+
+MOST_SOURCES = 64
+"""Stations or anchors that readings of a channel are told apart by."""
+
+
+@dataclass(frozen=True)
+class ReadingGrid:
+    """The readings of one unit of a sensor: their quantisation step, NaN without one, and the share that repeats.
+
+    `repeated`: readings equal in all their channels to the reading before of the same station or anchor.
+    """
+
+    sensor: str
+    unit: str
+    step: float
+    repeated: float
+
+    @property
+    def floor(self) -> float:
+        """The standard deviation of the rounding to steps, step/√12; NaN without a step."""
+        return self.step / math.sqrt(12.0)
+
+    def limits(self, name: str, tunable: object) -> bool:
+        """Whether the tunable of this name is a noise level of these readings."""
+        return (
+            isinstance(tunable, Scale) and tunable.unit == self.unit and fnmatch(name, f"sensors.{self.sensor}.sigma*")
+        )
+
+
+def reading_grids(tracker: AbstractTracker, batches: Sequence[Batch]) -> list[ReadingGrid]:
+    """The steps and repetitions of the readings of each sensor and unit; none for a tracker without sensors."""
+    found: list[ReadingGrid] = []
+    for name, sensor in tracker.sensors.items() if isinstance(tracker, Tracker) else ():
+        read = _readings(name, sensor, [batch for batch in batches if name in batch.readings])
+        if read is None:
+            continue
+        repeated = float(np.nan_to_num(repeated_share(read)))
+        for unit in dict.fromkeys(channel.unit for channel in sensor.channels):
+            own = [k for k, channel in enumerate(sensor.channels) if channel.unit == unit]
+            steps = [step for k in own if (step := quantisation_step(read, k)) is not None]
+            found.append(ReadingGrid(name, unit, min(steps, default=math.nan), repeated))
+    return found
+
+
+def above_rounding(group: TrackerBatch) -> list[TrackerBatch]:
+    """The batch, without the recordings whose readings are coarser than a noise level: these are batches of their own.
+
+    Their trackers have that noise level raised to the rounding, with a notice. Where readings have standard deviations
+    of their own, these add to the noise level, and it is left as it is.
+    """
+    tracker, trajectories = group.tracker, Trajectories.of(group.trajectories)
+    levels = {name: one for name, one in tunables(tracker).items() if fnmatch(name, "sensors.*.sigma*")}
+    if not (levels and isinstance(tracker, Tracker)):
+        return [group]
+    numbers: dict[int, list[int]] = {}
+    for number, folder in enumerate(trajectories.folders):
+        numbers.setdefault(id(folder), []).append(number)
+    found, unchanged = list[TrackerBatch](), list[int]()
+    lengths = np.diff(trajectories.columns.starts)
+    for own in numbers.values():
+        enough = int(np.searchsorted(np.cumsum(lengths[own]), MOST_ROWS)) + 1
+        looked_at = trajectories.chosen(np.array(own[:enough]))
+        grids = reading_grids(tracker, [looked_at.columns.batch(truth=False)])
+        raised, notices = dict[str, np.ndarray](), list[str]()
+        for grid in grids:
+            reported = looked_at.columns.readings[grid.sensor].reported
+            if reported is not None and reported.any():
+                continue
+            for name, level in levels.items():
+                value = np.asarray(level.value)
+                if grid.limits(name, level) and (value < grid.floor).any():
+                    raised[name] = np.maximum(value, grid.floor)
+                    notices.append(
+                        f"{looked_at.folders[0].name}: {grid.sensor} in steps of {grid.step:.3g} {grid.unit}: {name} "
+                        f"is {float(value.min()):.3g}, expected step/√12 at least; raised to {grid.floor:.3g} "
+                        f"{grid.unit}"
+                    )
+        if raised:
+            part = trajectories.chosen(np.array(own))
+            found.append(
+                replace(group, tracker=with_values(tracker, raised), trajectories=part, notices=tuple(notices))
+            )
+        else:
+            unchanged += own
+    if not found:
+        return [group]
+    kept = [replace(group, trajectories=trajectories.chosen(np.array(unchanged)))] if unchanged else []
+    return [*kept, *found]
+
+
+def _readings(name: str, sensor: AbstractSensor, batches: Sequence[Batch]) -> Readings | None:
+    """The readings of a sensor by trajectory, and by station or anchor; None without any."""
+    inputs, values, streams = [each.name for each in sensor.inputs], list[np.ndarray](), list[np.ndarray]()
+    for batch in batches:
+        read, seen = (np.asarray(x) for x in batch.readings[name][:2])
+        for k in range(batch.size):
+            rows = np.flatnonzero(seen[:, :, k].any(axis=1))[: MOST_ROWS - sum(len(x) for x in values)]
+            if not len(rows):
+                continue
+            given = [np.asarray(batch.inputs[i])[rows, ..., k] for i in inputs if i in batch.inputs]
+            source = _sources(np.concatenate([x.reshape(len(rows), -1) for x in given], axis=1)) if given else 0 * rows
+            order = np.argsort(source, kind="stable")
+            values.append(np.where(seen[rows, :, k], read[rows, :, k].astype(float), np.nan)[order])
+            streams.append(len(streams) * MOST_SOURCES + source[order])
+    if not any(len(x) for x in values):
+        return None
+    # The column of an angle is named so that its wraps are known.
+    columns = tuple(f"{channel.name}_{channel.unit}" for channel in sensor.channels)
+    every = np.concatenate(values)
+    return Readings(columns, np.concatenate(streams), np.zeros(len(every)), every, np.full(every.shape, np.nan))
+
+
+def _sources(inputs: Float[np.ndarray, "n i"]) -> np.ndarray:
+    """A number for each different row of inputs; one for all where there are too many, as with moving inputs."""
+    different, index = np.unique(inputs, axis=0, return_inverse=True)
+    return index.ravel() if len(different) <= MOST_SOURCES else np.zeros(len(inputs), int)
