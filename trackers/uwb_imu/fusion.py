@@ -62,7 +62,7 @@ def range_levels(calibration: Calibration | None) -> dict[str, float]:
         "sigma_bias": 0.07,
         "time_constant": 130.0,
         "length": 1.0,
-        "sigma_shared": 0.02,
+        "sigma_shared": 0.005,
         "sigma_r": 0.06,
         "positive_skew": 3.5,
         "dof": 2.0,
