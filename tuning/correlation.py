@@ -12,7 +12,7 @@ from jaxtyping import Float, Int, Num
 from trackers.core.chunks import run_chunks
 from trackers.core.recording import Batch
 from trackers.core.scan import Output
-from tuning.point import Point
+from tuning.point import BESIDE, Point, plain_rows
 from tuning.problem import Problem
 
 WINDOWS_S = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
@@ -35,7 +35,14 @@ def rows_and_inflation(problem: Problem, vector: Float[np.ndarray, " p"]) -> tup
     longer ones; it is extrapolated in the inverse of the length, which removes most of what correlation beyond a window
     adds.
     """
-    found = run_chunks(_nis_of_rows, [(problem.point(vector), part) for part in problem.chunks])
+    pairs = [(problem.point(vector), part) for part in problem.chunks]
+    found: list[tuple[np.ndarray, np.ndarray]]
+    if problem.few:
+        # By the program that the starts were compared with.
+        at = [BESIDE.index(name) - len(BESIDE) for name in ("nis", "nis_dof")]
+        found = [(np.asarray(rows[0, at[0]]), np.asarray(rows[0, at[1]])) for (rows,) in run_chunks(plain_rows, pairs)]
+    else:
+        found = run_chunks(_nis_of_rows, pairs)
     times, values, track = list[np.ndarray](), list[np.ndarray](), list[np.ndarray]()
     for (nis, dof), part in zip(found, problem.chunks, strict=True):
         clock, known = np.cumsum(np.asarray(part.dt, float), axis=0), np.isfinite(nis) & (dof > 0)

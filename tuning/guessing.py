@@ -16,12 +16,13 @@ import numpy as np
 from jaxtyping import Shaped
 
 from trackers.core.algebra import Scalar
+from trackers.core.chunks import CHUNK
 from trackers.core.estimates import Status
 from trackers.core.inputs import AnyArray
 from trackers.core.recording import Batch
 from trackers.core.scan import Output
 from trackers.core.track_loss import AbstractTrackLoss
-from trackers.core.tracker import AbstractTracker
+from trackers.core.tracker import AbstractTracker, Tracker
 from trackers.core.tunable import Covariance, Scale, matching, role_of, tunables
 from tuning.differences import noise_levels_of_fixes
 from tuning.objectives import AbstractObjective, NegativeLogLikelihood, Truth
@@ -32,6 +33,11 @@ ROWS, SEGMENTS, SEGMENTS_OF_PARTICLES = 400, 8, 4
 """Rows per segment and segments: long enough for a track to converge, few enough for seconds of work.
 
 A filter with particles or grid cells costs hundreds of times as much as another.
+"""
+
+LARGE = 16
+"""Components of the process noise from which on segments run one by one: side by side they gain nothing, and compile
+twice as long.
 """
 
 DECADE = float(np.log(10.0))
@@ -84,7 +90,9 @@ def first_guess(
     measured = sum(int(np.sum(reading.seen)) for reading in segments.readings.values())
     if not parameters or not measured:
         return tracker
-    problem = Problem(tolerant(tracker), [segments], LikelihoodWithLossPenalty(), parameters)
+    large = isinstance(tracker, Tracker) and tracker.motion.noise_dimension > LARGE
+    chunk = 1 if large else CHUNK
+    problem = Problem(tolerant(tracker), [segments], LikelihoodWithLossPenalty(), parameters, chunk)
     search = _Search(problem, flatten(parameters), MIN_GAIN_NATS / measured)
     search.consider(_closed_form(parameters, segments))
     groups = [group for group in _groups(parameters) if group.any()]

@@ -17,6 +17,9 @@ from trackers.core.tunable import AbstractTunable
 from tuning.objectives import AbstractObjective
 from tuning.parameters import Parameter, with_parameters
 
+BESIDE = ("nis", "nis_dof", "log_likelihood")
+"""The numbers of a row beside the terms of the objective."""
+
 
 class Point(eqx.Module):
     """A tracker, an objective and S vectors of its parameters: the argument of the compiled functions."""
@@ -58,13 +61,13 @@ def plain_sums(point: Point, batch: Batch) -> tuple[Float[Array, "S k B"]]:
 
 
 def plain_rows(point: Point, batch: Batch) -> tuple[Float[Array, "S k T B"]]:
-    """The terms of every row per vector and trajectory (S, k + 1, T, B); the last is the log-likelihood.
+    """The terms of every row per vector and trajectory, then `BESIDE` (S, k + 3, T, B), for few trajectories.
 
-    For few trajectories. The host adds them in double precision, and derivatives of rows come with those of the sums.
+    The host adds the terms in double precision, and derivatives of rows come with those of the sums.
     """
 
     def scores(output: Output, truth: Any) -> tuple[Any, ...]:
-        return *point.objective.terms(output, truth), output.log_likelihood
+        return *point.objective.terms(output, truth), output.nis, output.nis_dof, output.log_likelihood
 
     return (point.map_vectors(lambda v: jnp.stack(point.tracker_at(v).accumulate(batch, scores, every_row=True))),)
 
@@ -75,7 +78,7 @@ def term_sums(point: Point, batch: Batch) -> tuple[Float[Array, "S k B"], Float[
 
 
 def row_terms(point: Point, batch: Batch) -> tuple[Float[Array, "S k T B"], Float[Array, "S k p T B"]]:
-    """The terms of every row as in `plain_rows`, and their derivatives (S, k + 1, p, T, B)."""
+    """The numbers of every row as in `plain_rows`, and their derivatives (S, k + 3, p, T, B)."""
     return _with_derivatives(plain_rows, point, batch)
 
 

@@ -18,7 +18,7 @@ from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker, Tracker
 from tuning.objectives import AbstractObjective
 from tuning.parameters import Parameter
-from tuning.point import Point, plain_rows, plain_sums, row_terms, term_sums
+from tuning.point import BESIDE, Point, plain_rows, plain_sums, row_terms, term_sums
 from tuning.priors import Penalty, Prior, penalty
 from tuning.weights import by_chunks
 
@@ -206,7 +206,7 @@ class Problem:
             parts = [fresh_keys(part, realisation) for part in parts]
         found = run_chunks(function, [(block, part) for part in parts for block in blocks])
         if self.few:
-            found = [tuple(np.sum(x[:, :-1], axis=-2, dtype=float) for x in xs) for xs in found]
+            found = [tuple(np.sum(x[:, : -len(BESIDE)], axis=-2, dtype=float) for x in xs) for xs in found]
         return [
             tuple(np.concatenate([np.asarray(x, float) for x in xs])[:size] for xs in zip(*of_part, strict=True))
             for of_part in (found[k : k + len(blocks)] for k in range(0, len(found), len(blocks)))
