@@ -1,4 +1,4 @@
-"""Levels of the tracker `uwb` for simulated anchors, whose biases are constant and of centimetres."""
+"""Levels of the trackers `uwb` and `uwb-imu` for simulated anchors, whose biases are constant and of centimetres."""
 
 from __future__ import annotations
 
@@ -18,3 +18,9 @@ CONSTANT_BIASES = CONSTANT | {
     "sensors.ranges.bias": [0.015] * 8,
 }
 """Levels for small constant biases and ranges that are too long more often than too short."""
+
+CONSTANT_INERTIAL = MappingProxyType({"motion.noise.sigma_range_walk": 0.005})
+"""The same of `uwb-imu`: range biases that hardly change."""
+
+CONSTANT_BIASES_INERTIAL = CONSTANT_INERTIAL | {"start.sigma_bias": 0.05, "sensors.ranges.bias": [0.03] * 4}
+"""Levels of `uwb-imu` for small constant biases."""

@@ -38,7 +38,7 @@ from experiments.monte_carlo import (
     inherited,
 )
 from experiments.monte_carlo.results import resampled
-from experiments.papers.constant_biases import CONSTANT
+from experiments.papers.constant_biases import CONSTANT, CONSTANT_INERTIAL
 from experiments.plots.style import BLUE, GREY, ORANGE, VERMILION, plain, write_svg
 from sim.corruptions import white_noise
 from sim.imu import simulate_uwb_imu
@@ -133,7 +133,9 @@ CONFIGS = {
         free_height=True,
     ),
     "uwb": TrackerConfig("uwb", OF_RANGES | OF_UWB),
-    "uwb-imu": TrackerConfig("uwb-imu", OF_RANGES | {"sensors.ranges.bias": [0.0] * 4}, free_height=True),
+    "uwb-imu": TrackerConfig(
+        "uwb-imu", OF_RANGES | CONSTANT_INERTIAL | {"sensors.ranges.bias": [0.0] * 4}, free_height=True
+    ),
 }
 NORMAL_SPACING = float(np.sqrt(2.0) * norm.ppf(1.0 - 0.75 * (1.0 - np.sqrt(0.95))))
 """Spacing over horizontal RMSE at which the nearest of the nine points is right in 95 %, for normal errors.

@@ -54,7 +54,7 @@ class InertialStart(AbstractNearbyStart):
         sigma_yaw: float = 1.0,
         sigma_accel_bias: float = 0.3,
         sigma_gyro_bias: float = 0.03,
-        sigma_bias: float = 0.05,
+        sigma_bias: float = 0.08,
     ):
         self.planar = planar
         self.biases = biases
@@ -137,7 +137,7 @@ def inertial_tracker(
     sigma_r: float = 0.1,
     positive_skew: float = 3.0,
     dof: float = 3.0,
-    bias: float = 0.03,
+    bias: float = 0.05,
     yaws: int = 3,
 ) -> Tracker:
     """Position, velocity, attitude and IMU biases from ranges and an IMU; any row may lack either.
@@ -146,7 +146,7 @@ def inertial_tracker(
     of up to `MAX_BIASES` numbered `anchors`. Sensor numbers as in `RangeSensor`, with one slot per row. `yaws`: number
     of initial yaws.
     """
-    noise = noise or ImuNoise(0.2, 0.02, 0.005, 0.0005, 1.5, 0.3, 0.005)
+    noise = noise or ImuNoise(0.2, 0.02, 0.005, 0.0005, 1.5, 0.3, 0.02)
     # In the plane, with three anchors, biases and position are not jointly observable.
     biases = anchors if anchors <= MAX_BIASES and not planar else 0
     motion = PlanarStrapdown(noise) if planar else Strapdown(noise, biases=biases)

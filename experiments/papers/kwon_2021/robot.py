@@ -30,7 +30,7 @@ from experiments.monte_carlo import (
     inherited,
 )
 from experiments.monte_carlo.chunk import tracked_runs
-from experiments.papers.constant_biases import CONSTANT_BIASES
+from experiments.papers.constant_biases import CONSTANT_BIASES, CONSTANT_BIASES_INERTIAL
 from experiments.papers.fitting import fitted
 from experiments.papers.kwon_2021.chamber import anchors, deviations, under
 from experiments.plots.style import BLACK, BLUE, GREY, HEIGHT, VERMILION, plain, write_svg
@@ -165,7 +165,7 @@ STUDY = Study(
     about="Table 3 and Figure 9 of Kwon et al. 2021: a tag that a robot moves along each axis, with and without IMU",
     worlds={"robot": World(robot, fitted("kwon_2021/chamber"))},
     trackers={
-        "with IMU": TrackerConfig("uwb-imu", every=1 / RATE_HZ),
+        "with IMU": TrackerConfig("uwb-imu", CONSTANT_BIASES_INERTIAL, every=1 / RATE_HZ),
         "without IMU": TrackerConfig("uwb", CONSTANT_BIASES, every=1 / RATE_HZ),
         MEASURED: TrackerConfig("multilateration"),
     },
