@@ -12,7 +12,7 @@ from trackers.recordings.calibration import Calibration
 MAX_BIASES = 16
 """Largest number of anchors with a bias each in the state; the cost of an epoch grows with its square."""
 
-REACH = 50.0
+REACH = 25.0
 """The distance, m, over which a range that has nothing to do with a track is uniformly distributed."""
 
 
