@@ -7,8 +7,12 @@ from scipy import stats
 import trackwright as tw
 from tests.known_start import recording
 from tests.tuning.worlds import line_tracker, walks
-from trackers.core.recording import Recording
+from trackers.core.covariance import FEW
+from trackers.core.recording import Recording, stack
 from tuning.correlation import inflation, rows_and_inflation
+from tuning.objectives import NegativeLogLikelihood
+from tuning.parameters import flatten, select_parameters
+from tuning.problem import Problem
 
 SIGMA, STEP = "sensors.gauge.sigma", 0.1
 
@@ -63,6 +67,18 @@ def test_tempering_widens_intervals_and_leaves_the_optimum():
     assert scatter[1] == pytest.approx(scatter[0], rel=1e-3), "the scatter of blocks needs no power"
     assert any("correlated" in text for text in plain.cautions)
     assert not any("correlated" in text for text in tempered.cautions)
+
+
+def test_the_effective_rows_in_chunks_of_few_trajectories_are_those_of_one_large_chunk():
+    rng, tracker = np.random.default_rng(4), line_tracker(1e-4, 0.3)
+    batch = stack([_standing(rng, 300, 1.0) for _ in range(16)])
+    parameters = select_parameters(tracker, (SIGMA,))
+    problems = [Problem(tracker, [batch], NegativeLogLikelihood(), parameters, chunk) for chunk in (FEW, 2 * FEW)]
+    assert [problem.few for problem in problems] == [True, False]
+    (rows, factor), other = (rows_and_inflation(problem, flatten(parameters)) for problem in problems)
+    assert rows == other[0]
+    assert factor == pytest.approx(other[1], rel=1e-6)
+    assert factor > 2.0
 
 
 def test_rows_of_the_model_itself_are_not_tempered():
