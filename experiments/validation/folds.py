@@ -25,9 +25,10 @@ SEEN_BY_DEFAULTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "ngbui-line-1-1",
             "ngbui-line-2-1",
         ),
+        "fix-mirror": ("tiers-1tag-01",),
     }
 )
-"""The recordings on which `default_levels` sets the default noise levels of a tracker."""
+"""The recordings on which the default noise levels of a tracker were set."""
 
 OTHER_HALF: Final = ("the other half",)
 """Calibrated on the other half, in time, of the judged recording."""

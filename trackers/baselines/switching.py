@@ -191,9 +191,9 @@ def switching_tracker(
 
 
 def mirror_tracker(
-    sigma_a: float = 1.0,
+    sigma_a: float = 0.35,
     sigma_z: float = 1.0,
-    sigma_horizontal: float = 0.1,
+    sigma_horizontal: float = 0.11,
     sigma_vertical: float = 0.4,
     offset: float = 0.55,
     shrink: float = 0.45,
