@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, TypeVar
 
@@ -22,6 +22,7 @@ from trackers.core.rank_correlation import LAGS_S
 from trackers.core.recording import Recording
 from trackers.core.rig import Station
 from trackers.covariance_statements import covariance_statements
+from trackers.lasting_residuals import residual_ratios
 from trackers.recordings.association import Association, associate_truth
 from trackers.recordings.columns import float_column, require_columns
 from trackers.recordings.folder import RecordingFolder
@@ -62,6 +63,12 @@ class Evaluation:
         """Sentences on whether the reported covariances hold; without truth, on what the innovations show."""
         return covariance_statements(self.overall, self.recordings)
 
+    def with_residuals(self, tracks: Tracks) -> Evaluation:
+        """This evaluation with the metric `residual_ratio_5s` of each recording, and the largest overall."""
+        ratios, name = residual_ratios(tracks), "residual_ratio_5s"
+        own = [one | {name: ratios.get(one["recording"])} for one in self.recordings]
+        return replace(self, overall=self.overall | {name: max(ratios.values(), default=None)}, recordings=own)
+
     def to_polars(self) -> pl.DataFrame:
         """A table with one row per track and one column per metric."""
         return pl.DataFrame(self.tracks, infer_schema_length=None)
@@ -99,7 +106,8 @@ def evaluate(
         return _evaluation(association, scored)
     association = estimates if isinstance(estimates, Association) else associate(estimates, recordings)
     _refuse_without_overlap(association, _truths(recordings))
-    return evaluate_association(association, stations, every)
+    found = _evaluation(association, score(association, stations, every))
+    return found.with_residuals(estimates) if isinstance(estimates, Tracks) else found
 
 
 def _of(name: str, values: Mapping[str, T]) -> dict[str, T]:
@@ -198,8 +206,7 @@ def _evaluation(association: Association, scored: Scored) -> Evaluation:
         {"recording": keys[a]["recording"], **_metrics(association, scored, a, b)} for a, b in pairwise([*first, last])
     ]
     per_track = [{**key, **_metrics(association, scored, k, k + 1)} for k, key in enumerate(keys)]
-    overall = _metrics(association, scored, 0, last)
-    return Evaluation(is_bearing(association.rows), overall, recordings, per_track)
+    return Evaluation(is_bearing(association.rows), _metrics(association, scored, 0, last), recordings, per_track)
 
 
 def _metrics(association: Association, scored: Scored, first: int, end: int) -> Metrics:
@@ -225,6 +232,7 @@ def _metrics(association: Association, scored: Scored, first: int, end: int) -> 
         "nis_ratio": float(scored.nis[begin:stop].sum()) / freedom if freedom > 0 else None,
         **{f"nis_correlation_{name}": r for name, r in zip(LAGS_S, ranks.correlations().tolist(), strict=True)},
         "nis_inflation_1s": ranks.inflation(),
+        "residual_ratio_5s": None,
         "lost_s": seconds,
         "lost_fraction": seconds / span if span > 0 else rows / float(stop - begin),
     }

@@ -27,7 +27,7 @@ from trackers.events import EVENTS, events_of
 from trackers.recordings.association import Association, associate_truth
 from trackers.recordings.atomic import atomic_write
 from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.tracks import track
+from trackers.recordings.tracks import Tracks, track
 from trackers.recordings.tracks_table import TRACKS, write_tracks
 from trackers.recordings.trajectories import known_height
 from tuning.tuned_file import read_tuned
@@ -93,9 +93,9 @@ def track_folders(folders: Sequence[RecordingFolder], options: Options, started:
     truths = {f.name: f.tables["truth"] for f in folders if "truth" in f.tables}
     association = associate_truth(table, truths)
     if association.scored.any():
-        print(to_text(evaluate(association, folders)), end="")
+        print(to_text(evaluate(association, folders).with_residuals(tracks)), end="")
     else:
-        _without_truth(association, folders)
+        _without_truth(association, folders, tracks)
     drawn = plot_tracks(out, association, folders, batches)
     config = {
         "tracker": name,
@@ -122,12 +122,12 @@ def track_folders(folders: Sequence[RecordingFolder], options: Options, started:
     return 0
 
 
-def _without_truth(association: Association, folders: Sequence[RecordingFolder]) -> None:
+def _without_truth(association: Association, folders: Sequence[RecordingFolder], tracks: Tracks) -> None:
     """Prints why the tracks are not evaluated, if there is a truth, and the statement on their innovations."""
     if any("truth" in f.tables for f in folders):
         try:
             evaluate(association, folders)
         except UnusableInput as problem:
             notice(f"notice: not evaluated: {problem}")
-    for sentence in evaluate_association(association).statements:
+    for sentence in evaluate_association(association).with_residuals(tracks).statements:
         print(f"Without truth: {uncapitalised(sentence)}")

@@ -1,0 +1,71 @@
+"""The ratio of lasting residuals against a loop in NumPy, and its statement."""
+
+import dataclasses
+
+import numpy as np
+import polars as pl
+import pytest
+
+import trackwright as tw
+from trackers.covariance_statements import LASTING, covariance_statements
+
+
+@pytest.fixture(scope="module")
+def clear():
+    return tw.simulate.ranges(n=3, rows=600, seed=4, hidden=0.0).folder()
+
+
+@pytest.fixture(scope="module")
+def obstructed(clear):
+    """The same ranges, those to one anchor too long by 3 m for half a minute."""
+    ranges = clear.tables["ranges"]
+    anchor = next(iter(clear.rig.anchors))
+    behind = (pl.col("anchor") == anchor) & pl.col("t_s").is_between(20.0, 50.0)
+    ranges = ranges.with_columns(range_m=pl.col("range_m") + pl.when(behind).then(3.0).otherwise(0.0))
+    return dataclasses.replace(clear, tables={**clear.tables, "ranges": ranges})
+
+
+def _by_hand(tracks, folder):
+    """The ratio from the tables alone, without the mean bias that the sensor subtracts: the median removes it."""
+    residuals, blocks = [], []
+    for (tag,), rows in folder.tables["ranges"].drop_nulls().group_by("tag", maintain_order=True):
+        own = tracks.to_polars().filter(pl.col("tag") == tag).drop_nulls("x_m")
+        first = rows["t_s"].min()
+        for t, anchor, value in rows.select("t_s", "anchor", "range_m").iter_rows():
+            place = [np.interp(t, own["t_s"], own[f"{axis}_m"]) for axis in "xyz"]
+            residuals.append(value - np.linalg.norm(place - folder.rig.anchors[anchor]))
+            blocks.append((tag, anchor, (t - first) // 5.0))
+    about = np.array(residuals) - np.median(residuals)
+    groups = {}
+    for block, value in zip(blocks, about, strict=True):
+        groups.setdefault(block, []).append(value)
+    means = [np.mean(values) for values in groups.values() if len(values) >= 3]
+    return np.sqrt(np.mean(np.square(means))) / (1.4826 * np.median(np.abs(about)))
+
+
+def test_means_over_5_s_of_an_obstructed_anchor_are_larger_than_most_residuals(clear, obstructed):
+    tracker = tw.build("uwb", clear)
+    found = {}
+    for name, folder in (("clear", clear), ("obstructed", obstructed)):
+        tracks = tracker.run(folder)
+        found[name] = tw.evaluate(tracks, folder)
+        ratio = found[name]["residual_ratio_5s"]
+        # Times of the table and of the rows differ by rounding, so that a reading may change its block.
+        assert ratio == pytest.approx(_by_hand(tracks, folder), rel=0.02)
+    assert found["clear"]["residual_ratio_5s"] < 1.1
+    assert found["obstructed"]["residual_ratio_5s"] > LASTING
+    assert not [s for s in found["clear"].statements if "last:" in s]
+    assert [s for s in found["obstructed"].statements if "Residuals of some stations or anchors last:" in s]
+
+
+def test_the_ratio_is_none_where_no_sensor_measures_a_position_alone():
+    folder = tw.simulate.line(n=2, seed=1).folder()
+    assert tw.evaluate(tw.build("moving-average", folder).run(folder), folder)["residual_ratio_5s"] is None
+
+
+def test_lasting_residuals_are_named_before_a_small_nis_without_truth():
+    metrics = {"coverage_95": None, "nis_ratio": 0.4, "nis_correlation_1s": 0.0, "nis_inflation_1s": 1.0}
+    (sentence,) = covariance_statements(metrics, [metrics | {"recording": "a", "residual_ratio_5s": 1.62}])
+    assert sentence.startswith("Residuals of some stations or anchors last: their 5 s means are 1.6 times")
+    (sentence,) = covariance_statements(metrics, [metrics | {"recording": "a", "residual_ratio_5s": 1.39}])
+    assert "nothing confirms" in sentence
