@@ -25,6 +25,7 @@ SEEN_BY_DEFAULTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "ngbui-line-1-1",
             "ngbui-line-2-1",
         ),
+        "uwb-imu": ("starloc-fast-s1", "iasl-drone-1"),
         "fix-mirror": ("tiers-1tag-01",),
     }
 )

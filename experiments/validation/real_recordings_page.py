@@ -31,9 +31,9 @@ command finds them through `TRACKWRIGHT_RECORDINGS` (default `../shared/recordin
 `experiments/validation/folds.py`. No figure is of a recording that its calibration or tuning has seen, with two
 restrictions:
 
-- Default noise levels of `bearings` and `uwb` were set on some of the recordings, which are marked by *
-  (`python -m experiments.validation.default_levels`, those of `uwb` rounded by hand, see [decisions.md](decisions.md));
-  those of the other trackers were chosen with these recordings at hand. Such figures show how one set of levels fits
+- Default noise levels of `bearings`, `uwb`, `uwb-imu` and `fix-mirror` were set on some of the recordings, which are
+  marked by * (of the first two by `python -m experiments.validation.default_levels`, then partly by hand, see
+  [decisions.md](decisions.md)); those of the other trackers were chosen with these recordings at hand. Such figures show how one set of levels fits
   several kinds of recordings, and are no prediction for others.
 - Where a site has only one recording, each half of it, in time, is calibrated on the other half. Later changes of the
   site do not show in these figures.
