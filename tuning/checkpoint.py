@@ -14,10 +14,27 @@ import numpy as np
 from trackers.core.errors import UnusableInput
 from trackers.core.recording import Batch
 from trackers.recordings.atomic import atomic_write, config_hash
+from tuning.optimisation import FitState
+from tuning.optimisers import AbstractOptimiser
 
 CHECKPOINT = "checkpoint.npz"
 FORMAT = 2
 """Of the arrays of a state; a checkpoint of another format is refused."""
+
+
+def to_arrays(state: FitState) -> list[np.ndarray]:
+    """The arrays of a state, for a file."""
+    return [np.asarray(leaf) for leaf in jax.tree_util.tree_leaves(state)]
+
+
+def from_arrays(optimiser: AbstractOptimiser, arrays: Sequence[np.ndarray]) -> FitState:
+    """The state of a fit with this optimiser from the arrays of `to_arrays`; raises ValueError where they don't fit."""
+    number, vectors = arrays[:2]
+    template = FitState(*[number] * len(FitState._fields))._replace(optimiser_state=optimiser.init(vectors))
+    leaves, structure = jax.tree_util.tree_flatten(template)
+    if len(leaves) != len(arrays):
+        raise ValueError(f"the state of a fit with this optimiser has {len(leaves)} arrays, found {len(arrays)}")
+    return FitState(*jax.tree_util.tree_unflatten(structure, list(arrays)))
 
 
 def fingerprint(config: Mapping[str, Any], batches: Sequence[Batch], start: np.ndarray) -> str:

@@ -17,11 +17,12 @@ from trackers.core.tracker import AbstractTracker
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.named_tracker import NamedTracker
 from trackers.recordings.reading_grids import ReadingGrid, reading_grids
+from tuning.checkpoint import from_arrays
 from tuning.correlation import rows_and_inflation
 from tuning.data import Arrays, FitData, fit_arrays
 from tuning.fit_cautions import fit_cautions
 from tuning.objectives import AbstractObjective
-from tuning.optimisation import FitState, MultiStart, from_arrays, min_gain, stands_still
+from tuning.optimisation import FitState, MultiStart, min_gain, stands_still
 from tuning.optimisers import LBFGS, AbstractOptimiser, Adam
 from tuning.optimum import Optimum, optimum
 from tuning.parameters import Parameter, flatten, limits, physical, select_parameters, with_parameters
@@ -137,7 +138,7 @@ def fit(
     `Adam` for particle filters, minibatches and other objectives. `starts`: number of starts: the tracker's own values,
     then the best of the `guesses` and of a coarse grid. `held_out`: recordings that select the best point and end the
     fit. `minibatch`: trajectories per step. `priors`: for likelihoods only. `report` is called with the state after
-    every step; `resume`: the arrays of such a state (`tuning.optimisation.to_arrays`), with bit-identical results.
+    every step; `resume`: the arrays of such a state (`tuning.checkpoint.to_arrays`), with bit-identical results.
 
     A step to a non-finite objective, or with `LBFGS` to a higher one, is shortened; a likelihood ends with a few Newton
     steps. The noise levels of a sensor whose readings have a step are not fitted below that of its rounding, step/√12,

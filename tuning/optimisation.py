@@ -25,6 +25,9 @@ ANOTHER_ATTEMPT = 10.0
 SAME_START = 0.1
 """Distance between two starts below which the worse one ends, in unconstrained coordinates: 10 % of a noise level."""
 
+PATIENCE = 15
+"""Steps without the least gain after which a start of an optimiser that also takes steps up ends."""
+
 SHORT = 0.1
 """Length of a step over which a likelihood is a parabola up to percents of its gain, in unconstrained coordinates."""
 
@@ -37,8 +40,8 @@ class FitState(NamedTuple):
 
     `values` (S,), `gradients` (S, p), `terms` (S, k, n), `used` (S, n): the objective at `vectors` (S, p), as in
     `Evaluation`. `best_scores`, `best_vectors`: each start's best point by the held-out objective, or by the objective
-    over all finite trajectories. `stale`: steps since then. `active`: starts that continue. `past_values`, `past_norms`
-    (steps, S), `past_vectors` (steps, S, p): the optimiser trace.
+    over all finite trajectories. `stale`: steps since the last gain. `active`: starts that continue. `past_values`,
+    `past_norms` (steps, S), `past_vectors` (steps, S, p): the optimiser trace.
     """
 
     number: Int[np.ndarray, ""]
@@ -74,7 +77,8 @@ class MultiStart:
     """Advances all starts of a fit one step at a time.
 
     `low`, `high` (p,): bounds of the unconstrained vector. `held_out`: its objective scores the points; a start without
-    a better score in `max_stale` steps ends. `minibatch`: chunks per step, drawn from `seed` and the step's number.
+    a better score in `max_stale` steps ends, as one does without `held_out` after `PATIENCE` where the objective stays
+    the same from step to step. `minibatch`: chunks per step, drawn from `seed` and the step's number.
     """
 
     problem: Problem
@@ -156,9 +160,12 @@ class MultiStart:
         values, gradients, terms, used = after
         scores = np.where(moved, self._scores(vectors, terms), np.inf)
         better = scores < state.best_scores
-        stale = np.where(better, 0, state.stale + moved)
+        much = scores + (least if self.held_out is None else 0.0) < state.best_scores
+        stale = np.where(much, 0, state.stale + moved)
         converged = self.optimiser.monotone & (gain < self._min_gains(values, terms, used))
-        improving = stale < self.max_stale if self.held_out is not None else True
+        best_scores = np.where(better, scores, state.best_scores)
+        best_vectors = np.where(better[:, None], vectors, state.best_vectors)
+        ended = converged | (stale >= self._patience) | self._duplicates(vectors, gradients, best_vectors, best_scores)
         return self._with_trace(
             state._replace(
                 number=np.array(number),
@@ -168,10 +175,10 @@ class MultiStart:
                 terms=terms,
                 used=used,
                 optimiser_state=optimiser_state,
-                best_scores=np.where(better, scores, state.best_scores),
-                best_vectors=np.where(better[:, None], vectors, state.best_vectors),
+                best_scores=best_scores,
+                best_vectors=best_vectors,
                 stale=stale,
-                active=moved & ~converged & improving & ~self._duplicates(vectors, gradients, values),
+                active=moved & ~ended,
                 filter_runs=state.filter_runs + runs + self._score_runs(vectors),
             ),
             subset,
@@ -213,14 +220,18 @@ class MultiStart:
         return len(vectors) * self.problem.n_trajectories() if self._noisy else 0
 
     def _duplicates(
-        self, vectors: Float[np.ndarray, "S p"], gradients: Float[np.ndarray, "S p"], values: Float[np.ndarray, " S"]
+        self,
+        vectors: Float[np.ndarray, "S p"],
+        gradients: Float[np.ndarray, "S p"],
+        best_vectors: Float[np.ndarray, "S p"],
+        best_scores: Float[np.ndarray, " S"],
     ) -> Bool[np.ndarray, " S"]:
-        """The starts (S,) that have come near a better one; numbers without effect do not separate them."""
-        if not self.optimiser.monotone:
+        """The starts (S,) that have come near the best point of a better one; numbers without effect are left out."""
+        if self._noisy:
             return np.zeros(len(vectors), bool)
         scale = np.any(gradients != 0, axis=0)
-        distances = np.linalg.norm((vectors[:, None] - vectors[None]) * scale, axis=2)
-        order = np.argsort(np.argsort(values, kind="stable"))
+        distances = np.linalg.norm((vectors[:, None] - best_vectors[None]) * scale, axis=2)
+        order = np.argsort(np.argsort(best_scores, kind="stable"))
         found: Bool[np.ndarray, " S"] = np.any((distances < SAME_START) & (order[None] < order[:, None]), axis=1)
         return found
 
@@ -240,6 +251,13 @@ class MultiStart:
             past_norms=np.concatenate([state.past_norms, norms[None]]),
             past_vectors=np.concatenate([state.past_vectors, state.vectors[None]]),
         )
+
+    @property
+    def _patience(self) -> float:
+        """Steps without a gain after which a start ends."""
+        if self.held_out is not None:
+            return self.max_stale
+        return np.inf if self._noisy or self.optimiser.monotone else PATIENCE
 
     @property
     def _noisy(self) -> bool:
@@ -279,18 +297,3 @@ def stands_still(state: FitState) -> bool:
     """Whether a fit has not moved from its starts although the objective has a slope at the first."""
     moved = not np.array_equal(state.best_vectors, state.past_vectors[0])
     return not moved and bool(state.past_norms[0, 0] > MIN_SLOPE * abs(state.past_values[0, 0]))
-
-
-def to_arrays(state: FitState) -> list[np.ndarray]:
-    """The arrays of a state, for a file."""
-    return [np.asarray(leaf) for leaf in jax.tree_util.tree_leaves(state)]
-
-
-def from_arrays(optimiser: AbstractOptimiser, arrays: Sequence[np.ndarray]) -> FitState:
-    """The state of a fit with this optimiser from the arrays of `to_arrays`; raises ValueError where they don't fit."""
-    number, vectors = arrays[:2]
-    template = FitState(*[number] * len(FitState._fields))._replace(optimiser_state=optimiser.init(vectors))
-    leaves, structure = jax.tree_util.tree_flatten(template)
-    if len(leaves) != len(arrays):
-        raise ValueError(f"the state of a fit with this optimiser has {len(leaves)} arrays, found {len(arrays)}")
-    return FitState(*jax.tree_util.tree_unflatten(structure, list(arrays)))

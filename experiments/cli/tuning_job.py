@@ -23,7 +23,7 @@ from tuning.data import FitData, fit_data
 from tuning.guessing import first_guess
 from tuning.identifiability import cautions
 from tuning.intervals import require_possible
-from tuning.optimisation import FitState, to_arrays
+from tuning.optimisation import FitState
 from tuning.optimisers import LBFGS, AbstractOptimiser, Adam
 from tuning.parameters import flatten, select_parameters
 
@@ -162,7 +162,7 @@ def _fitted(
 
 
 def _after_step(out: Path, fingerprint: str, state: FitState, advance: Advance) -> None:
-    checkpoint.save(out, to_arrays(state), fingerprint)
+    checkpoint.save(out, checkpoint.to_arrays(state), fingerprint)
     best = int(state.best_scores.argmin())
     now = f"(objective {state.best_scores[best]:.5g}, gradient {state.past_norms[-1, best]:.2g})"
     advance(min(1, int(state.number)), now)

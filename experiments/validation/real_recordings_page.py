@@ -33,8 +33,8 @@ restrictions:
 
 - Default noise levels of `bearings`, `uwb`, `uwb-imu` and `fix-mirror` were set on some of the recordings, which are
   marked by * (of the first two by `python -m experiments.validation.default_levels`, then partly by hand, see
-  [decisions.md](decisions.md)); those of the other trackers were chosen with these recordings at hand. Such figures show how one set of levels fits
-  several kinds of recordings, and are no prediction for others.
+  [decisions.md](decisions.md)); those of the other trackers were chosen with these recordings at hand. Such figures
+  show how one set of levels fits several kinds of recordings, and are no prediction for others.
 - Where a site has only one recording, each half of it, in time, is calibrated on the other half. Later changes of the
   site do not show in these figures.
 """

@@ -13,8 +13,9 @@ from trackers.core.errors import UnusableInput
 from trackers.core.recording import Readings, Recording, stack
 from trackers.core.tunable import tunables
 from tuning import NegativeLogLikelihood, RootMeanSquareError
+from tuning.checkpoint import to_arrays
 from tuning.fitting import fit
-from tuning.optimisation import to_arrays
+from tuning.optimisation import PATIENCE
 from tuning.optimisers import LBFGS, Adam
 from tuning.parameters import flatten, select_parameters, with_parameters
 from tuning.point import term_sums
@@ -310,6 +311,17 @@ def test_a_fit_resumed_at_any_step_is_bit_identical(line_world, optimiser):
         assert np.array_equal(again.vector, whole.vector)
         assert again.starts == whole.starts
         assert again.filter_runs == whole.filter_runs
+
+
+def test_starts_of_adam_end_where_they_no_longer_improve_or_meet_a_better_one(line_world):
+    seen = []
+    options = {"steps": 300, "optimiser": Adam(300), "report": seen.append}
+    alone = fit(line_tracker(), line_world, RootMeanSquareError(dimensions=1), LEVELS, **options)
+    assert PATIENCE < seen[-1].number < 150
+    # Other starts, a factor of ten away, end where they come near the best point of a better one.
+    several = fit(line_tracker(), line_world, RootMeanSquareError(dimensions=1), LEVELS, starts=3, **options)
+    assert seen[-1].number < 150
+    assert several.value <= alone.value * 1.001
 
 
 def test_an_interrupted_fit_keeps_its_best_point(line_world):
