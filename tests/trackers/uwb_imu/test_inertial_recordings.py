@@ -33,7 +33,7 @@ def _with_and_without(folder, planar):
 
 @pytest.mark.slow
 def test_a_sensor_without_gravity_and_gyro_reduces_the_error_of_a_planar_tag_by_a_tenth(recordings):
-    for name, limit in (("ngbui-line-1-1", 0.07), ("ngbui-line-2-1", 0.28)):
+    for name, limit in (("ngbui-line-1-1", 0.08), ("ngbui-line-2-1", 0.28)):
         with_imu, without = _with_and_without(recordings / name, planar=True)
         assert with_imu < 0.9 * without
         assert with_imu < limit
@@ -43,4 +43,4 @@ def test_a_sensor_without_gravity_and_gyro_reduces_the_error_of_a_planar_tag_by_
 def test_in_three_dimensions_the_error_with_the_imu_is_at_most_nine_tenths_of_that_without(recordings):
     with_imu, without = _with_and_without(recordings / "starloc-fast-s1", planar=False)
     assert with_imu < 0.9 * without
-    assert with_imu < 0.2
+    assert with_imu < 0.26
