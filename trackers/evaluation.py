@@ -106,7 +106,7 @@ def evaluate(
         return _evaluation(association, scored)
     association = estimates if isinstance(estimates, Association) else associate(estimates, recordings)
     _refuse_without_overlap(association, _truths(recordings))
-    found = _evaluation(association, score(association, stations, every))
+    found = evaluate_association(association, stations, every)
     return found.with_residuals(estimates) if isinstance(estimates, Tracks) else found
 
 

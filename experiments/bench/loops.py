@@ -48,10 +48,8 @@ def model_of(tracker: Any, recording: Recording, planar: bool) -> Model | None:
     if isinstance(motion, Strapdown) and isinstance(sensor, RangeSensor):
         return Model(*inertial(motion, sensor, recording))
     if isinstance(motion, DriftingBiases) and isinstance(sensor, RangeSensor):
-        d, shares = (
-            2 if planar else 3,
-            isinstance(tracker.start, BiasedStart) and tracker.start.sigma_shared is not None,
-        )
+        d, start = 2 if planar else 3, tracker.start
+        shares = isinstance(start, BiasedStart) and start.sigma_shared is not None
         channels = range_channels(sensor, recording, planar, 2 * d, motion.biases)
         return Model(damped(motion, d, int(shares)), channels, np.add, float(sensor.dof.value))
     if isinstance(motion, GroundMotion) and isinstance(sensor, FixSensor):

@@ -34,7 +34,7 @@ RECORDINGS = (
 """One recording of each kind."""
 
 AGREEMENT_M = 1e-5
-"""RMS difference of the positions of a loop, in double precision, and of ours in single; larger is another filter."""
+"""Largest median distance of the positions of a loop, in double precision, and of ours in single, for one filter."""
 
 ROUNDS = 5
 LOOP_ROWS = 1000

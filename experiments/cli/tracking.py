@@ -63,8 +63,9 @@ def track_folders(folders: Sequence[RecordingFolder], options: Options, started:
     if options.smooth or options.lag is not None:
         named = named.smoothing(options.lag)
     batches = named.batches(folders)
-    for line in (line for batch in batches for line in batch.notices):
-        notice(f"notice: {line}")
+    for batch in batches:
+        for line in batch.notices:
+            notice(f"notice: {line}")
     flat = [trajectory for batch in batches if batch.planar for trajectory in batch.trajectories]
     heights = sum(known_height(trajectory.folder, trajectory.tag) is not None for trajectory in flat)
     if heights and not named.spec.bearing_only:

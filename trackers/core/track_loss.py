@@ -33,10 +33,12 @@ SIGMAS = 3.0
 class AbstractTrackLoss(eqx.Module):
     """The test by which a track is lost and started again; no fit changes its thresholds, a sweep does.
 
-    `initial`: the test statistic of a new track. `max_gap`: limit of the time without measurements, s; np.inf for none.
+    `initial`: the test statistic of a new track. `limit`: the name of its threshold. `max_gap`: limit of
+    the time without measurements, s; np.inf for none.
     """
 
     initial: ClassVar[float]
+    limit: ClassVar[str]
     max_gap: eqx.AbstractVar[Threshold]
 
     @property
@@ -52,9 +54,11 @@ class AbstractTrackLoss(eqx.Module):
     def exceeded(self, statistic: Scalar) -> Scalar:
         """Whether the statistic is beyond its limit."""
 
-    @abstractmethod
     def relaxed(self, factor: float) -> AbstractTrackLoss:
         """The test with its limit multiplied, for noise levels far off, with which most rows would exceed it."""
+        threshold: Threshold = getattr(self, self.limit)
+        raised = threshold.with_value(factor * np.asarray(threshold.value))
+        return eqx.tree_at(lambda test: getattr(test, test.limit), self, raised)
 
 
 class TrackLossPolicy(AbstractTrackLoss):
@@ -65,6 +69,7 @@ class TrackLossPolicy(AbstractTrackLoss):
     """
 
     initial: ClassVar[float] = 1.0
+    limit: ClassVar[str] = "nis_limit"
     nis_limit: Threshold
     nis_window: Threshold
     max_gap: Threshold
@@ -80,10 +85,6 @@ class TrackLossPolicy(AbstractTrackLoss):
     def exceeded(self, statistic: Scalar) -> Scalar:
         return statistic > self.nis_limit.value
 
-    def relaxed(self, factor: float) -> TrackLossPolicy:
-        limit = self.nis_limit.with_value(factor * np.asarray(self.nis_limit.value))
-        return eqx.tree_at(lambda policy: policy.nis_limit, self, limit)
-
 
 class TrackScorePolicy(AbstractTrackLoss):
     """Track loss by the fall of the track score, for heavy tails, which bound the NIS, and by the room.
@@ -96,6 +97,7 @@ class TrackScorePolicy(AbstractTrackLoss):
     """
 
     initial: ClassVar[float] = 0.0
+    limit: ClassVar[str] = "score_limit"
     score_limit: Threshold
     width: Threshold
     max_gap: Threshold
@@ -114,10 +116,6 @@ class TrackScorePolicy(AbstractTrackLoss):
 
     def exceeded(self, statistic: Scalar) -> Scalar:
         return statistic < -self.score_limit.value
-
-    def relaxed(self, factor: float) -> TrackScorePolicy:
-        limit = self.score_limit.with_value(factor * np.asarray(self.score_limit.value))
-        return eqx.tree_at(lambda policy: policy.score_limit, self, limit)
 
 
 def outside(mean: Any, cov: AnyCovariance, room: Any) -> Scalar:

@@ -56,14 +56,13 @@ def range_levels(calibration: Calibration | None) -> dict[str, float]:
     """
     if calibration is None or not calibration.anchors:
         return {}
-    spread = {} if calibration.range_spread is None else {"sigma_bias": calibration.range_spread}
     return {
         "bias": 0.0,
-        "sigma_bias": 0.07,
+        "sigma_bias": calibration.range_spread or 0.07,
         "time_constant": 130.0,
         "length": 1.0,
         "sigma_shared": 0.005,
         "sigma_r": 0.06,
         "positive_skew": 3.5,
         "dof": 2.0,
-    } | spread
+    }
