@@ -29,7 +29,7 @@ env: .venv/installed
 	@touch $@
 
 demo: env
-	$(BIN)/python -m experiments.validation.demo
+	$(BIN)/trackwright demo
 
 test: env
 	$(BIN)/python -m pytest

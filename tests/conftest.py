@@ -69,5 +69,5 @@ def beginnings(tmp_path_factory):
 @pytest.fixture(scope="session")
 def simulated(beginnings):
     """A simulated recording of two tags, for what only fails once a tracker is built."""
-    assert trackwright("simulate", "--out", beginnings / "world", "--n", 2, "--rows", 10).code == 0
+    assert trackwright("simulate", "station", "--out", beginnings / "world", "--n", 2, "--rows", 10).code == 0
     return beginnings / "world"

@@ -81,7 +81,7 @@ def turning(tmp_path, monkeypatch):
     (block,) = (b for b in _blocks("docs/extending.md") if b.startswith("# turning.py"))
     (tmp_path / "turning.py").write_text(block, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
-    assert trackwright("simulate-agv", "--out", "agv", "--n", 2, "--rows", 100).code == 0
+    assert trackwright("simulate", "agv", "--out", "agv", "--n", 2, "--rows", 100).code == 0
     return tmp_path
 
 

@@ -110,7 +110,7 @@ def fit(
     tracker: AnyTracker,
     recordings: Arrays | FitData | RecordingFolder | Sequence[RecordingFolder],
     objective: str | AbstractObjective | None = None,
-    tune: str | Sequence[str] = "*.sigma_*",
+    tune: str | Sequence[str] | None = None,
     *,
     frozen: Sequence[str] = (),
     bounds: Mapping[str, tuple[float, float]] | None = None,
@@ -127,18 +127,20 @@ def fit(
     chunk: int = CHUNK,
     resume: Sequence[np.ndarray] | None = None,
     report: Callable[[FitState], None] = lambda state: None,
+    stage: Callable[[str], object] = lambda name: None,
 ) -> FitResult[AnyTracker]:
-    """The tracker with the tunables matching `tune` (shell patterns) fitted to minimise the objective.
+    """The tracker with the tunables matching `tune` fitted to minimise the objective.
 
     `tracker`, `recordings`: a tracker by name with recording folders, or a tracker with recordings in arrays: one,
     several, or batches. `objective`: an object, or its name as on the command line (`nll`, `rmse`, `state-nll`, ...);
-    default `state-nll` where there is truth and no prior, else `nll`. `dimensions`: 3 to judge an estimated height too.
-    `weigh`: whether each recording (in arrays: trajectory) or each row has the same say. `frozen`: patterns of tunables
-    to keep. `bounds`: lowest and highest physical value by pattern. `optimiser`: default `LBFGS` for likelihoods,
-    `Adam` for particle filters, minibatches and other objectives. `starts`: number of starts: the tracker's own values,
-    then the best of the `guesses` and of a coarse grid. `held_out`: recordings that select the best point and end the
-    fit. `minibatch`: trajectories per step. `priors`: for likelihoods only. `report` is called with the state after
-    every step; `resume`: the arrays of such a state (`tuning.checkpoint.to_arrays`), with bit-identical results.
+    default `state-nll` where there is truth and no prior, else `nll`. `tune`: shell patterns; by default the noise
+    levels of motion and sensors. `dimensions`: 3 to judge an estimated height too. `weigh`: whether each recording (in
+    arrays: trajectory) or each row has the same say. `frozen`: patterns of tunables to keep. `bounds`: lowest and
+    highest physical value by pattern. `optimiser`: default `LBFGS` for likelihoods, `Adam` for particle filters,
+    minibatches and other objectives. `starts`: number of starts: the tracker's own values, then the best of the
+    `guesses` and of a coarse grid. `held_out`: recordings that select the best point and end the fit. `minibatch`:
+    trajectories per step. `priors`: for likelihoods only. `report` is called with the state after every step, `stage`
+    with the name of each stage; `resume`: arrays of a state (`tuning.checkpoint.to_arrays`), to bit-identical results.
 
     A step to a non-finite objective, or with `LBFGS` to a higher one, is shortened; a likelihood ends with a few Newton
     steps. The noise levels of a sensor whose readings have a step are not fitted below that of its rounding, step/√12,
@@ -183,6 +185,7 @@ def fit(
             problem.power = 1.0 / rows_and_inflation(problem, best)[1]
     except KeyboardInterrupt:
         interrupted = True
+    stage("intervals")
     result = _result(model, driver, state, interrupted)
     result = dataclasses.replace(result, readings=readings, recordings=data.recordings_of(problem))
     if isinstance(tracker, NamedTracker):

@@ -13,8 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from trackers.core.errors import UnusableInput
 from trackers.core.tracker import AbstractTracker
-from trackers.core.tunable import AbstractTunable, Threshold, matching, replaced, tunables
+from trackers.core.tunable import AbstractTunable, Threshold, matching, replaced, role_of, tunables
 
 Tree = TypeVar("Tree")
 
@@ -46,18 +47,40 @@ class Parameter:
         return int(np.prod(self.shape, dtype=int))
 
 
+def noise_levels(tracker: AbstractTracker) -> tuple[str, ...]:
+    """The names of the noise levels of motion and sensors: those that are tuned by default.
+
+    These are the tunables with a `role`, and those named `sigma_…` outside of start and filter, which few recordings
+    determine. Raises UnusableInput for a tracker without noise levels.
+    """
+    own = tunables(tracker)
+    names = tuple(name for name, node in own.items() if role_of(node) is not None or _is_sigma(name.split(".")))
+    if not names:
+        raise UnusableInput(
+            "this tracker has no noise level of motion or sensors to tune; name what to tune by --tune; it has: "
+            f"{', '.join(own) or 'no tunable'}"
+        )
+    return names
+
+
+def _is_sigma(parts: Sequence[str]) -> bool:
+    return parts[-1].startswith("sigma_") and not {"start", "filter"} & {*parts}
+
+
 def select_parameters(
-    tracker: AbstractTracker, patterns: str | Sequence[str], frozen: Sequence[str] = (), thresholds: bool = False
+    tracker: AbstractTracker, patterns: str | Sequence[str] | None, frozen: Sequence[str] = (), thresholds: bool = False
 ) -> list[Parameter]:
     """The parameters that match the patterns, without the `frozen`; `tied:PATTERN` ties all its matches into one.
 
+    `patterns`: None for the noise levels of motion and sensors.
     `thresholds`: whether tunables without a derivative are among them, as for a sweep. Raises ValueError for a pattern
     without match, for one that matches only thresholds where these are left out, for tied tunables of different units
     or shapes, and where no parameter is left.
     """
     parameters: list[Parameter] = []
     taken: set[str] = set(matching(tracker, frozen)) if frozen else set()
-    for pattern in [patterns] if isinstance(patterns, str) else patterns:
+    chosen = noise_levels(tracker) if patterns is None else patterns
+    for pattern in [chosen] if isinstance(chosen, str) else chosen:
         found = matching(tracker, pattern.removeprefix(TIED))
         if not thresholds:
             found = _without_thresholds(pattern, found)

@@ -1,11 +1,11 @@
-"""`tuned.toml`: fitted values with unit and standard error, written by `tune` and read by `track --noise`."""
+"""`tuned.toml`: fitted values with unit and standard error, written by `tune` and read by `track --noise`; `--set`."""
 
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import tomli_w
@@ -49,8 +49,15 @@ def write_tuned(path: Path, tracker: str, objective: str, result: FitResult, int
     return atomic_write(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
-def read_tuned(path: Path) -> dict[str, Any]:
-    """The values by name; raises UnusableInput for a file that `tune` did not write."""
+class Tuned(NamedTuple):
+    """The content of a tuned.toml: the tracker it was fitted for, None where it names none, and values by name."""
+
+    tracker: str | None
+    values: dict[str, Any]
+
+
+def read_tuned(path: Path) -> Tuned:
+    """The tracker and the values by name; raises UnusableInput for a file that `tune` did not write."""
     try:
         content = tomllib.loads(path.read_text("utf-8"))
     except OSError as error:
@@ -72,4 +79,27 @@ def read_tuned(path: Path) -> dict[str, Any]:
             usable = False
         if not usable:
             raise UnusableInput(f"{path}: tunables.{name}.value is {value!r}, expected a finite number or a list")
-    return values
+    tracker = content.get("tracker")
+    if not isinstance(tracker, str | None):
+        raise UnusableInput(f"{path}: tracker is {tracker!r}, expected the name of a tracker")
+    return Tuned(tracker, values)
+
+
+def parse_values(texts: Sequence[str], option: str) -> dict[str, Any]:
+    """Values by tunable or pattern of texts such as `sensors.*.sigma_p=0.2`; several numbers of one with commas.
+
+    Raises UnusableInput, naming the option.
+    """
+    found: dict[str, Any] = {}
+    for text in texts:
+        name, _, numbers = text.partition("=")
+        try:
+            values = [float(number) for number in numbers.split(",")]
+        except ValueError:
+            values = []
+        if not name or not values or np.isnan(values).any():
+            raise UnusableInput(f"{option} {text}: expected NAME=VALUE, as sensors.ranges.sigma_r=0.1")
+        if name in found:
+            raise UnusableInput(f"{option} {name}: is given twice; expected it once; remove one")
+        found[name] = np.asarray(values if "," in numbers else values[0])
+    return found

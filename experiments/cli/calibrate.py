@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
-from typing import Annotated
 
-import tyro
-
+from experiments.cli.arguments import File, Folders
 from experiments.cli.console import output_folder, read_with_notices
 from trackers.core.errors import UnusableInput
 from trackers.recordings.calibration_file import write_calibration
 
 
-def calibrate_recordings(recordings: Annotated[tuple[Path, ...], tyro.conf.Positional], out: Path) -> int:
-    """Fit systematic errors of stations and anchors to recordings with truth: writes calibration.toml and a page.
+def calibrate_recordings(recordings: Folders, *, out: File) -> int:
+    """Fit systematic errors of stations and anchors against truth.
 
-    Recordings to be tracked or tuned with the result should be others than these.
+    Writes a file for `--calibration` of other commands, and beside it a page with figures. Recordings to be tracked or
+    tuned with the result should be others than these.
 
     Args:
         recordings: recording folders with truth, and bearings or ranges; each has the same weight.

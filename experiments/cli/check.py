@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated
-
-import tyro
-
+from experiments.cli.arguments import Folders
 from trackers.core.errors import UnusableInput
 from trackers.recordings.checks import check as check_recording
 from trackers.recordings.checks import format_results
 from trackers.recordings.folder import read_recording
 
 
-def check(recordings: Annotated[tuple[Path, ...], tyro.conf.Positional]) -> int:
-    """Check the data quality of recordings: time base, gaps, outliers, ids, units, truth, geometry.
+def check(recordings: Folders) -> int:
+    """Check the data: time base, gaps, outliers, ids, units, geometry.
+
+    Truth is checked too, if there is any.
 
     The exit code is 1 if there are errors.
 

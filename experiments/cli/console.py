@@ -1,47 +1,21 @@
-"""Output of commands on the console: progress bars, notices on standard error, tables as text."""
+"""What commands share: notices on standard error, the recordings that are read, output folders."""
 
 from __future__ import annotations
 
 import math
+import shutil
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Protocol
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from trackers.core.errors import UnusableInput, listed
 from trackers.recordings.calibration_file import read_calibration
 from trackers.recordings.folder import RecordingFolder, read_recordings
+from trackers.recordings.selection import Selection
 
 ERRORS = Console(stderr=True, highlight=False, soft_wrap=True)
-
-
-class Advance(Protocol):
-    """Advances a progress bar by `done`; `now` is appended to its label."""
-
-    def __call__(self, done: int, now: str = "") -> None: ...
-
-
-@contextmanager
-def progress(what: str, total: int) -> Iterator[Advance]:
-    """A progress bar on standard error, drawn only on a terminal; yields the function that advances it."""
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=ERRORS, disable=not sys.stderr.isatty(), transient=True) as bar:
-        task = bar.add_task(what, total=total)
-
-        def advance(done: int, now: str = "") -> None:
-            bar.update(task, advance=done, description=f"{what} {now}" if now else what)
-
-        yield advance
 
 
 def notice(text: str) -> None:
@@ -49,16 +23,37 @@ def notice(text: str) -> None:
     ERRORS.print(text, markup=False)
 
 
+def terminal_width() -> int:
+    """Characters that a line of a table may have: those of the terminal, 120 where the output goes elsewhere."""
+    return shutil.get_terminal_size((120, 24)).columns if sys.stdout.isatty() else 120
+
+
+def selection(tag: Sequence[str], start: float | None, stop: float | None, every: float | None) -> Selection:
+    """The part of recordings that `--tag`, `--from`, `--to` and `--every` name; raises UnusableInput."""
+    for option, value in (("--from", start), ("--to", stop)):
+        if value is not None and not math.isfinite(value):
+            raise UnusableInput(f"{option} {value:g}: expected seconds, a time of the recording")
+    if start is not None and stop is not None and start >= stop:
+        raise UnusableInput(f"--from {start:g} --to {stop:g}: expected the first below the second")
+    if every is not None and not 0 < every < math.inf:
+        raise UnusableInput(f"--every {every:g}: expected seconds above zero")
+    return Selection(tuple(tag), start, stop, every)
+
+
 def read_with_notices(
-    paths: Sequence[Path], calibration: Path | None = None, average: float | None = None
+    paths: Sequence[Path],
+    calibration: Path | None = None,
+    average: float | None = None,
+    part: Selection | None = None,
 ) -> list[RecordingFolder]:
     """The recordings in several folders, averaged over intervals of so many s, with the calibration in a file.
 
-    Prints their notices. Raises UnusableInput as `read_recordings` and `read_calibration`, and for a wrong interval.
+    `part`: of each recording, all by default. Prints their notices. Raises UnusableInput as `read_recordings` and
+    `read_calibration`, and for a wrong interval.
     """
     if average is not None and not 0 <= average < math.inf:
         raise UnusableInput(f"--average {average:g}: expected seconds above zero, or 0 for every reading")
-    recordings = read_recordings(paths)
+    recordings = [(part or Selection()).of(recording) for recording in read_recordings(paths)]
     if average is not None:
         recordings = [recording.averaged(average) for recording in recordings]
     read = None if calibration is None else read_calibration(calibration)
@@ -80,11 +75,20 @@ def notice_unused_calibration(folders: Sequence[RecordingFolder], tracker: str, 
 
 
 def output_folder(path: Path) -> Path:
-    """The folder, created if missing; raises UnusableInput if that fails, or for a recording folder."""
-    if (path / "rig.toml").exists():
-        raise UnusableInput(f"--out {path}: is a recording folder; expected a folder for results; choose another")
+    """The folder, created if missing; raises UnusableInput as `require_output`, and if that fails."""
+    require_output(path)
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UnusableInput(f"--out {path}: cannot be created ({error.strerror}); choose another folder") from error
     return path
+
+
+def require_output(path: Path) -> None:
+    """Raises UnusableInput for a folder that takes no results: a recording, a file, or the root of the file system."""
+    if (path / "rig.toml").exists():
+        raise UnusableInput(f"--out {path}: is a recording folder; expected a folder for results; choose another")
+    if path.resolve() == Path(path.resolve().anchor):
+        raise UnusableInput(f"--out {path}: is the root of the file system; choose another folder")
+    if path.is_file():
+        raise UnusableInput(f"--out {path}: is a file; expected a folder for results; choose another folder")

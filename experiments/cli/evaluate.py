@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import math
+import sys
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import tyro
-
-from experiments.cli.console import notice, read_with_notices
+from experiments.cli.arguments import File, Folder, Folders
+from experiments.cli.console import read_with_notices, selection, terminal_width
 from trackers.core.errors import UnusableInput
 from trackers.recordings.atomic import atomic_write
 from trackers.recordings.tracks_table import read_tracks
@@ -24,34 +23,42 @@ SOURCES = "recordings.txt"
 
 
 def evaluate_tracks(
-    folder: Annotated[Path, tyro.conf.Positional],
-    truth: tuple[Path, ...] = (),
+    folder: Folder,
+    *,
+    truth: Folders = (),
+    tag: Annotated[tuple[str, ...], "TAG"] = (),
+    from_: Annotated[float | None, "S"] = None,
+    to: Annotated[float | None, "S"] = None,
+    every: Annotated[float | None, "S"] = None,
     json: bool = False,
-    fail_if: str | None = None,
-    every_s: float | None = None,
-    worksteps: Path | None = None,
-    tolerance: float | None = None,
-    cluster: str | None = None,
+    fail_if: Annotated[str | None, "CONDITION"] = None,
+    worksteps: File | None = None,
+    tolerance: Annotated[float | None, "M"] = None,
+    cluster: Annotated[str | None, "ADDRESS"] = None,
 ) -> int:
-    """Error metrics of estimates against truth, by track, by recording and overall. Exit code 1 with --fail-if.
+    """Error metrics of estimates against truth; exit 1 by --fail-if.
+
+    By track, by recording and overall; writes evaluation.json.
 
     Args:
         folder: the output folder of `track`.
         truth: recordings whose truth tables are used; default: the tracked ones.
+        tag: score these tags alone.
+        from_: score estimates from this time on.
+        to: score estimates up to this time.
+        every: score only the last estimate in each interval of so many seconds, so that tags weigh equally.
         json: print all metrics as JSON instead of a table.
         fail_if: exit with code 1 if this holds for the overall metrics, e.g. "p95_m>0.5" or "rmse_m>0.2 or lost_s>0".
-        every_s: score only the last estimate in each interval of this many seconds, so that tags weigh equally.
         worksteps: a table of fastening points, name, x_m, y_m and optionally z_m; adds how often the tool is
             unlocked at the right one.
         tolerance: distance to a fastening point, m, up to which the tool is at it; default: half the smallest distance
             between two points.
         cluster: score each recording on a Dask cluster, tcp://HOST:8786, or in processes here, local:4.
     """
-    if every_s is not None and not (math.isfinite(every_s) and every_s > 0):
-        raise UnusableInput(f"--every-s {every_s}: expected a number of seconds above 0")
+    part = selection(tag, from_, to, every)
     if tolerance is not None and worksteps is None:
         raise UnusableInput(f"--tolerance {tolerance:g}: applies to fastening points; expected --worksteps POINTS too")
-    tracks = read_tracks(folder)
+    tracks = part.of_estimates(read_tracks(folder))
     folders = read_with_notices(truth or sources(folder))
     # jax takes a second to import, which the help and a refused folder need not wait for.
     from experiments.cli.fail_if import violation
@@ -62,18 +69,21 @@ def evaluate_tracks(
     from trackers.worksteps.tracks import workstep_report
 
     with cluster_executor(cluster) if cluster else nullcontext() as executor:
-        evaluation, work = evaluate(tracks, folders, every_s, executor), None
+        evaluation, work = evaluate(tracks, folders, every, executor), None
     if worksteps is not None:
         truths = {f.name: f.tables["truth"] for f in folders if "truth" in f.tables}
-        work = workstep_report(tracks, truths, worksteps, tolerance, every_s)
+        work = workstep_report(tracks, truths, worksteps, tolerance, every)
         evaluation = with_work(evaluation, work)
     text = to_json(evaluation, None if work is None else work.plain())
     atomic_write(folder / "evaluation.json", lambda path: path.write_text(text, encoding="utf-8"))
-    print(text if json else to_text(evaluation) + ("" if work is None else "\n" + work_text(work)), end="")
+    print(
+        text if json else to_text(evaluation, terminal_width()) + ("" if work is None else "\n" + work_text(work)),
+        end="",
+    )
     if fail_if is not None:
         why = violation(evaluation, fail_if)
         if why is not None:
-            notice(f"fails: {why}")
+            print(f"fails: {why}", file=sys.stderr)
             return 1
     return 0
 

@@ -6,19 +6,19 @@ import sys
 from pathlib import Path
 from typing import Annotated
 
-import tyro
-
+from experiments.cli.arguments import File, Folders
 from experiments.cli.console import notice, output_folder
 from experiments.reports.comparison import SHOWN, comparison_text, pairs, write_comparison
 from trackers.core.errors import UnusableInput
 
 
 def report(
-    runs: Annotated[tuple[Path, ...], tyro.conf.Positional],
-    out: Path = Path("out/comparison.html"),
-    metrics: tuple[str, ...] = SHOWN,
+    runs: Folders,
+    *,
+    out: File = Path("out/comparison.html"),
+    metrics: Annotated[tuple[str, ...], "METRIC"] = SHOWN,
 ) -> int:
-    """Compare two runs: print their metrics side by side, and write them as a page.
+    """Compare two runs: print their metrics and write them as a page.
 
     Args:
         runs: two output folders of `study`, or two of `track` with the evaluation.json of `evaluate`.

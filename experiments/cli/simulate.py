@@ -1,4 +1,4 @@
-"""`trackwright simulate`, `-line`, `-ranges`, `-imu` and `-agv`: each world of `sim.worlds` as a command."""
+"""`trackwright simulate station`, `line`, `ranges`, `tool` and `agv`: each world of `sim.worlds` as a command."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, get_type_hints
 
+from experiments.cli.arguments import Folder
 from experiments.cli.manifest import write_manifest
 from sim import worlds
 from sim.parameters import ParameterError
@@ -43,7 +44,7 @@ def command(world: Callable[..., SimulatedWorld]) -> Callable[..., int]:
     signature = inspect.signature(world)
     keyword = inspect.Parameter.KEYWORD_ONLY
     options = [p.replace(kind=keyword, annotation=hints[p.name]) for p in signature.parameters.values()]
-    options = [inspect.Parameter("out", keyword, annotation=Path), *(p for p in options if p.name != "ids")]
+    options = [inspect.Parameter("out", keyword, annotation=Folder), *(p for p in options if p.name != "ids")]
     simulate.__signature__ = signature.replace(parameters=options, return_annotation=int)  # type: ignore[attr-defined]
     simulate.__annotations__ = {p.name: p.annotation for p in options} | {"return": int}
     summary, _, arguments = (world.__doc__ or "").partition("\n")

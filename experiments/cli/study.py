@@ -10,11 +10,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
-import tyro
-
-from experiments.cli.console import notice, output_folder, progress
+from experiments.cli.arguments import Folder
+from experiments.cli.console import notice, output_folder, require_output
 from experiments.cli.manifest import write_manifest
 from experiments.cli.runtime import keep_programs
+from experiments.cli.stages import progress
 from experiments.executors import cluster_executor
 from experiments.monte_carlo.chunk_store import CHUNKS, merge_shards
 from experiments.monte_carlo.declaration import checked
@@ -31,8 +31,9 @@ RESULTS = "results.json"
 
 
 def study(
-    what: Annotated[tuple[str, ...], tyro.conf.Positional] = (),
-    out: Path | None = None,
+    what: Annotated[tuple[str, ...], "STUDY"] = (),
+    *,
+    out: Folder | None = None,
     runs: int | None = None,
     seed: int | None = None,
     until: str | None = None,
@@ -40,10 +41,11 @@ def study(
     cluster: str | None = None,
     list: bool = False,
 ) -> int:
-    """How accurate would this be? Run a study (worlds × trackers × grid × runs) and write report.html.
+    """Run a Monte Carlo study: worlds × trackers × a grid × runs.
 
-    `trackwright study NAME`, `FILE.toml` or `FILE.py` runs a study, or continues an interrupted one. `trackwright study
-    merge DIR DIR … --out DIR` merges shards; run the study again with that --out for its report.
+    Writes report.html and results.json. `trackwright study NAME`, `FILE.toml` or `FILE.py` runs a study, or continues
+    an interrupted one. `trackwright study merge DIR DIR … --out DIR` merges shards; run the study again with that --out
+    for its report.
 
     Args:
         what: a name from --list, or a file; or `merge` and the folders of shards.
@@ -55,6 +57,8 @@ def study(
         cluster: run the chunks on a Dask cluster, tcp://HOST:8786, or in processes here, local:4 (docs/cluster.md).
         list: list the studies that come with the package.
     """
+    if out is not None:
+        require_output(out)
     if list:
         print(study_names([load_study(name) for name in available_studies()]))
         return 0

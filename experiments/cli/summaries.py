@@ -3,33 +3,32 @@
 from __future__ import annotations
 
 COMMANDS = {
-    "simulate": "Simulate beacons at the 24 GHz work station: phases at three stations of eight antennas, with truth.",
-    "simulate-line": "Simulate tags on the assembly line: fixes along a known path, with truth.",
-    "simulate-ranges": "Simulate hand-held UWB tags in a room with four anchors: ranges, with truth.",
-    "simulate-imu": "Simulate hand tools with a UWB tag and an IMU: ranges and IMU samples, with truth.",
-    "simulate-agv": "Simulate vehicles on a route round a workstation: UWB fixes that drift, with truth.",
-    "check": "Check the data quality of recordings: time base, gaps, outliers, ids, units, truth, geometry.",
-    "calibrate": (
-        "Fit systematic errors of stations and anchors to recordings with truth: writes calibration.toml and a page."
+    "check": "Check the data: time base, gaps, outliers, ids, units, geometry.",
+    "calibrate": "Fit systematic errors of stations and anchors against truth.",
+    "track": "Track recordings: estimates, events, error metrics and figures.",
+    "evaluate": "Error metrics of estimates against truth; exit 1 by --fail-if.",
+    "report": "Compare two runs: print their metrics and write them as a page.",
+    "tune": "Fit noise levels by gradient: values, intervals and a report.",
+    "sweep": "Evaluate an objective on a grid of one or two noise levels.",
+    "trackers": "List the trackers and the tables they read.",
+    "tunables": "List the tunables of a tracker: value, unit, bounds, meaning.",
+    "simulate station": (
+        "Simulate beacons at the 24 GHz work station: phases at three stations of eight antennas, with truth."
     ),
-    "track": "Track recordings: writes tracks.parquet, events.parquet, figures and manifest.json.",
-    "evaluate": (
-        "Error metrics of estimates against truth, by track, by recording and overall. Exit code 1 with --fail-if."
-    ),
-    "tune": (
-        "Fit noise levels (and other tunables) to recordings by gradient: writes tuned.toml, report.html, trace.csv."
-    ),
-    "sweep": (
-        "Evaluate an objective on a grid of one or two noise levels: writes sweep.csv, sweep.png and manifest.json."
-    ),
-    "study": "How accurate would this be? Run a study (worlds × trackers × grid × runs) and write report.html.",
-    "report": "Compare two runs: print their metrics side by side, and write them as a page.",
-    "truth": "Fit ground truth along a known path by least squares: writes the recording with a truth table.",
-    "verify": (
-        "Check every gradient against an oracle that shares no code with it: prints a table, exits 1 if a check fails."
-    ),
+    "simulate line": "Simulate tags on the assembly line: fixes along a known path, with truth.",
+    "simulate ranges": "Simulate hand-held UWB tags in a room with four anchors: ranges, with truth.",
+    "simulate tool": "Simulate hand tools with a UWB tag and an IMU: ranges and IMU samples, with truth.",
+    "simulate agv": "Simulate vehicles on a route round a workstation: UWB fixes that drift, with truth.",
+    "study": "Run a Monte Carlo study: worlds × trackers × a grid × runs.",
+    "truth": "Fit truth along a known path: the recording with a truth table.",
+    "verify": "Check every gradient against an oracle; exit 1 if one fails.",
+    "demo": "Simulate, check, track, evaluate and tune: a tour in out/demo.",
+    "completion": "Print the completion script of a shell: bash, zsh or fish.",
 }
-"""The first line of each command's docstring."""
+"""The first line of each command's docstring, at most 67 characters so that the help has a line for each."""
+
+FAMILIES = {"simulate": "Simulate a recording with truth"}
+"""What commands of two words have in common, by their first word."""
 
 TRACKERS = {
     "direct": "position from the phases of all stations in one EKF, spherical waves (phases)",

@@ -2,72 +2,94 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-import tyro
 
-from experiments.cli.console import read_with_notices
+from experiments.cli.arguments import File, Folder, Folders
+from experiments.cli.console import read_with_notices, require_output, selection
 from experiments.cli.runtime import keep_programs
+from experiments.cli.stages import stages
+from experiments.cli.tune import require_counts
 from trackers.core.errors import UnusableInput
+from tuning.tuned_file import parse_values, read_tuned
 
-FORM = "PATTERN=START:STOP:COUNT, as 'motion.sigma_a=0.01:1:100'"
+FORM = "PATTERN=START:STOP:COUNT, as 'motion.sigma_a=0.01:1:100', with ':log' at the end for equal ratios"
 
 
 def sweep(
-    recordings: Annotated[tuple[Path, ...], tyro.conf.Positional],
-    out: Path,
-    over: tyro.conf.UseAppendAction[tuple[str, ...]],
-    tracker: str | None = None,
-    objective: str = "rmse",
+    recordings: Folders,
+    *,
+    out: Folder,
+    over: Annotated[tuple[str, ...], "PATTERN=START:STOP:COUNT[:log]"],
+    tracker: Annotated[str | None, "NAME"] = None,
+    objective: Annotated[str, "NAME"] = "rmse",
     dimensions: Literal[2, 3] = 2,
     weigh: Literal["recordings", "rows"] = "recordings",
     repeats: int = 10,
-    noise: Path | None = None,
-    calibration: Path | None = None,
-    average: float | None = None,
-    path: Path | None = None,
+    noise: File | None = None,
+    set_: Annotated[tuple[str, ...], "NAME=VALUE"] = (),
+    calibration: File | None = None,
+    tag: Annotated[tuple[str, ...], "TAG"] = (),
+    from_: Annotated[float | None, "S"] = None,
+    to: Annotated[float | None, "S"] = None,
+    every: Annotated[float | None, "S"] = None,
+    average: Annotated[float | None, "S"] = None,
+    path: Annotated[Path | None, "FOLDER"] = None,
     free_height: bool = False,
     piece_rows: int = 8000,
 ) -> int:
-    """Evaluate an objective on a grid of one or two noise levels: writes sweep.csv, sweep.png and manifest.json.
+    """Evaluate an objective on a grid of one or two noise levels.
+
+    Writes sweep.csv, sweep.png and manifest.json.
 
     Args:
         recordings: recording folders, all at once.
         out: the folder to write to.
-        over: PATTERN=START:STOP:COUNT: a shell pattern of tunables, tied, and their values; once or twice.
-        tracker: as in `track`; default: what fits the tables.
+        over: a shell pattern of tunables, tied, and their values; once or twice. ':log' makes equal ratios.
+        tracker: as in `track`; default: that of the noise file, else the one that fits the tables.
         objective: rmse (needs truth), nll, or another objective of `tune`.
         dimensions: 2 to judge the horizontal position, 3 to judge an estimated height too.
-        weigh: what has the same say: each recording, or each row, so that long recordings decide.
+        weigh: recordings or rows: which of them have the same weight.
         repeats: runs of a particle filter per value, with different random numbers.
         noise: a tuned.toml for the other parameters.
-        calibration: a calibration.toml of `trackwright calibrate` on other recordings of these stations or anchors.
-        average: average the ranges, fixes and bearings of each tag and anchor or station over so many seconds;
-        0: every reading; default: 0.5 for bearings that repeat.
+        set_: values of other parameters, by tunable or pattern.
+        calibration: a calibration.toml, as in `track`.
+        tag: these tags alone.
+        from_: readings from this time on.
+        to: readings up to this time.
+        every: only the last reading of each tag and anchor or station in every so many seconds.
+        average: mean of readings over so many seconds, as in `track`.
         path: an output folder of `tune`, or its trace.csv, to draw as optimiser trace.
         free_height: estimate the height of tags whose height the rig gives.
-        piece_rows: long recordings are cut into segments of about this many rows, as in `tune`.
+        piece_rows: rows of the segments into which long recordings are cut, as in `tune`.
     """
     started, clock = datetime.now(UTC), time.perf_counter()
-    if repeats < 1 or piece_rows < 10:
-        raise UnusableInput(f"--repeats {repeats} --piece-rows {piece_rows}: expected at least 1 and 10")
-    grids = _grids(over)
-    folders = read_with_notices(recordings, calibration, average)
-    options = {
+    part = selection(tag, from_, to, every)
+    options: dict[str, Any] = {
         "tracker": tracker, "over": over, "objective": objective, "dimensions": dimensions, "weigh": weigh,
-        "repeats": repeats, "noise": noise, "calibration": calibration, "average": average, "path": path,
-        "free_height": free_height, "piece_rows": piece_rows,
+        "repeats": repeats, "noise": noise, "set": set_, "calibration": calibration,
+        "part": dataclasses.asdict(part), "average": average, "path": path, "free_height": free_height,
+        "piece_rows": piece_rows,
     }  # fmt: skip
-    keep_programs()
-    # jax takes a second to import, which the help and a refused recording need not wait for.
-    from experiments.cli.sweep_job import sweep_folders
+    require_counts(options)
+    require_output(out)
+    grids, values = _grids(over), parse_values(set_, "--set")
+    tuned = None if noise is None else read_tuned(noise)
+    with stages("sweep") as begin:
+        begin("reading")
+        folders = read_with_notices(recordings, calibration, average, part)
+        begin("preparing")
+        keep_programs()
+        # jax takes a second to import, which the help and a refused recording need not wait for.
+        from experiments.cli.sweep_job import sweep_folders
 
-    return sweep_folders(folders, recordings, out, grids, options, started, clock)
+        return sweep_folders(folders, recordings, out, grids, options, tuned, values, started, clock, begin)
 
 
 def _grids(over: Sequence[str]) -> dict[str, np.ndarray]:
@@ -79,6 +101,7 @@ def _grids(over: Sequence[str]) -> dict[str, np.ndarray]:
     grids = {}
     for text in over:
         pattern, _, span = text.rpartition("=")
+        span, log = span.removesuffix(":log"), span.endswith(":log")
         try:
             start, stop, count = (kind(x) for kind, x in zip((float, float, int), span.split(":"), strict=True))
         except ValueError as error:
@@ -89,5 +112,7 @@ def _grids(over: Sequence[str]) -> dict[str, np.ndarray]:
             raise UnusableInput(f"--over {text}: expected {FORM}, START below STOP and COUNT at least 2")
         if pattern in grids:
             raise UnusableInput(f"--over {pattern}: duplicate, expected two different patterns")
-        grids[pattern] = np.linspace(start, stop, count)
+        if log and start <= 0:
+            raise UnusableInput(f"--over {text}: expected START above zero for equal ratios")
+        grids[pattern] = (np.geomspace if log else np.linspace)(start, stop, count)
     return grids

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from experiments.cli.console import output_folder, progress
+from experiments.cli.console import output_folder
 from experiments.cli.manifest import write_manifest
+from experiments.cli.stages import Begin
 from experiments.cli.tuning_options import tracker_for_folders
 from experiments.plots.objective import sweep_plot
 from trackers.core.errors import UnusableInput
@@ -22,6 +23,7 @@ from trackers.recordings.folder import RecordingFolder
 from tuning.data import fit_data
 from tuning.problem import is_stochastic
 from tuning.sweeping import Sweep, grid_vectors, sweep, swept_parameters
+from tuning.tuned_file import Tuned
 
 
 def sweep_folders(
@@ -30,15 +32,20 @@ def sweep_folders(
     out: Path,
     grids: Mapping[str, np.ndarray],
     options: Mapping[str, Any],
+    tuned: Tuned | None,
+    values: Mapping[str, Any],
     started: datetime,
     clock: float,
+    begin: Begin,
 ) -> int:
     """Evaluates the objective on the grid, writes all files and prints the best point; returns the exit code.
 
-    `started`, `clock`: when the command began.
+    `tuned`: the content of the noise file. `values`: by tunable or pattern. `started`, `clock`: when the command
+    began. `begin`: of a stage.
     """
     objective, repeats, path = options["objective"], options["repeats"], options["path"]
-    named = tracker_for_folders(folders, options["tracker"], options["noise"], options["free_height"])
+    free_height = options["free_height"]
+    named = tracker_for_folders(folders, options["tracker"], options["noise"], tuned, values, free_height)
     group = named.only_batch(folders)
     model = group.tracker
     data = fit_data(group, objective, (), options["piece_rows"], options["dimensions"], options["weigh"])
@@ -50,8 +57,9 @@ def sweep_folders(
     traces = [] if path is None else _traces(path, [p.label for p in parameters])
     output_folder(out)
     runs = repeats if is_stochastic(model) else 1
-    with progress("sweeping", len(points) * runs) as advance:
-        swept = sweep(model, data.rows(), data.objective, grids, repeats, report=advance, weights=data.weights())
+    advance = begin("grid point", len(points) * runs)
+    swept = sweep(model, data.rows(), data.objective, grids, repeats, report=advance, weights=data.weights())
+    begin("figure")
     seconds = time.perf_counter() - clock
     if not np.isfinite(swept.mean).any():
         raise UnusableInput("the objective is not finite at any grid point; run `trackwright check` on the recordings")

@@ -3,56 +3,75 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Annotated
 
-import tyro
-
-from experiments.cli.console import read_with_notices
+from experiments.cli.arguments import File, Folder, Folders
+from experiments.cli.console import read_with_notices, require_output, selection
 from experiments.cli.runtime import keep_programs
-from experiments.cli.summaries import COMMANDS, TRACKERS
+from experiments.cli.stages import stages
+from trackers.core.errors import UnusableInput
+from tuning.tuned_file import parse_values, read_tuned
 
 
-def track(  # noqa: D103
-    recordings: Annotated[tuple[Path, ...], tyro.conf.Positional],
-    out: Path,
-    tracker: str | None = None,
-    noise: Path | None = None,
-    calibration: Path | None = None,
-    average: float | None = None,
+def track(
+    recordings: Folders,
+    *,
+    out: Folder,
+    tracker: Annotated[str | None, "NAME"] = None,
+    noise: File | None = None,
+    set_: Annotated[tuple[str, ...], "NAME=VALUE"] = (),
+    calibration: File | None = None,
+    tag: Annotated[tuple[str, ...], "TAG"] = (),
+    from_: Annotated[float | None, "S"] = None,
+    to: Annotated[float | None, "S"] = None,
+    every: Annotated[float | None, "S"] = None,
+    average: Annotated[float | None, "S"] = None,
     free_height: bool = False,
     smooth: bool = False,
-    lag: float | None = None,
+    lag: Annotated[float | None, "S"] = None,
     seed: int = 0,
-    cluster: str | None = None,
+    cluster: Annotated[str | None, "ADDRESS"] = None,
 ) -> int:
+    """Track recordings: estimates, events, error metrics and figures.
+
+    Writes tracks.parquet, events.parquet, figures and manifest.json; prints error metrics where there is truth.
+
+    Args:
+        recordings: recording folders (rig.toml and tables).
+        out: the folder to write to.
+        tracker: one that `trackwright trackers` lists, or FILE.py:NAME of a TrackerSpec of your own; default: that of
+            the noise file, else the one that fits the tables.
+        noise: a tuned.toml of `trackwright tune`.
+        set_: values by tunable or pattern, e.g. sensors.ranges.sigma_r=0.1; those of `trackwright tunables`.
+        calibration: a calibration.toml of `trackwright calibrate`, of other recordings of these stations or anchors.
+        tag: these tags alone.
+        from_: readings from this time on.
+        to: readings up to this time.
+        every: only the last reading of each tag and anchor or station in every so many seconds.
+        average: mean of the ranges, fixes or bearings of each tag and anchor or station over so many seconds; 0:
+            every reading; default: 0.5 for bearings that repeat.
+        free_height: estimate the height of tags whose height the rig gives.
+        smooth: use later readings too, all of them: for recordings, where nothing has to be known at once.
+        lag: smooth with the readings of the next so many seconds only.
+        seed: of the random numbers of particle filters.
+        cluster: track each recording by itself on a Dask cluster, tcp://HOST:8786, or in processes here, local:4.
+    """
     started = datetime.now(UTC)
-    folders = read_with_notices(recordings, calibration, average)
-    keep_programs()
-    # jax takes a second to import, which the help and a refused recording need not wait for.
-    from experiments.cli.tracking import Options, track_folders
+    require_output(out)
+    if lag is not None and not 0 < lag < 1e6:
+        raise UnusableInput(f"--lag {lag:g}: expected seconds above zero; leave it out to use the whole recording")
+    part, values = selection(tag, from_, to, every), parse_values(set_, "--set")
+    tuned = None if noise is None else read_tuned(noise)
+    with stages("track") as begin:
+        begin("reading")
+        folders = read_with_notices(recordings, calibration, average, part)
+        begin("preparing")
+        keep_programs()
+        # jax takes a second to import, which the help and a refused recording need not wait for.
+        from experiments.cli.tracking import Options, track_folders
 
-    options = Options(recordings, out, tracker, noise, calibration, average, free_height, smooth, lag, seed, cluster)
-    return track_folders(folders, options, started)
-
-
-_LIST = "\n".join(f"    {name}: {about}" for name, about in TRACKERS.items())
-track.__doc__ = f"""{COMMANDS["track"]}
-
-Trackers (and the table they read):
-{_LIST}
-
-Args:
-    recordings: recording folders (rig.toml and tables).
-    out: the folder to write to.
-    tracker: one of the names above, or FILE.py:NAME of a TrackerSpec of your own; default: what fits the tables.
-    noise: a tuned.toml of `trackwright tune`.
-    calibration: a calibration.toml of `trackwright calibrate` on other recordings of these stations or anchors.
-    average: average the ranges, fixes and bearings of each tag and anchor or station over so many seconds;
-    0: every reading; default: 0.5 for bearings that repeat.
-    free_height: estimate the height of tags whose height the rig gives.
-    smooth: use the rows after each row too, all of them: for recordings, where nothing has to be known at once.
-    lag: smooth with the rows of the next so many seconds only.
-    seed: of the random numbers of particle filters; another one gives other estimates of the same distribution.
-    cluster: track each recording by itself on a Dask cluster, tcp://HOST:8786, or in processes here, local:4.
-"""
+        options = Options(
+            recordings, out, tracker, noise, tuned, values, calibration, part, average, free_height, smooth, lag, seed,
+            cluster,
+        )  # fmt: skip
+        return track_folders(folders, options, started, begin)

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
 from pathlib import Path
+from typing import Any
 
-from experiments.cli.console import notice, notice_unused_calibration, output_folder, progress
+from experiments.cli.console import notice, notice_unused_calibration, output_folder, terminal_width
 from experiments.cli.evaluate import SOURCES
 from experiments.cli.manifest import write_manifest
+from experiments.cli.stages import Begin
 from experiments.executors import cluster_executor
 from experiments.plots.track_folder import plot_tracks
 from experiments.portable_tracker import run_on
 from experiments.reports.evaluation_text import to_text
-from experiments.reports.wording import uncapitalised
+from experiments.reports.wording import counted, uncapitalised
 from trackers.catalogue import build, fitting
 from trackers.core.chunks import CHUNK
 from trackers.core.errors import UnusableInput
@@ -27,21 +30,28 @@ from trackers.events import EVENTS, events_of
 from trackers.recordings.association import Association, associate_truth
 from trackers.recordings.atomic import atomic_write
 from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.selection import Selection
 from trackers.recordings.tracks import Tracks, track
 from trackers.recordings.tracks_table import TRACKS, write_tracks
 from trackers.recordings.trajectories import known_height
-from tuning.tuned_file import read_tuned
+from tuning.tuned_file import Tuned
 
 
 @dataclass(frozen=True)
 class Options:
-    """The options of the command."""
+    """The options of the command.
+
+    `tuned`: the content of the file `noise`. `values`: by tunable or pattern. `part`: of the recordings.
+    """
 
     recordings: Sequence[Path]
     out: Path
     tracker: str | None
     noise: Path | None
+    tuned: Tuned | None
+    values: Mapping[str, Any]
     calibration: Path | None
+    part: Selection
     average: float | None
     free_height: bool
     smooth: bool
@@ -50,16 +60,21 @@ class Options:
     cluster: str | None
 
 
-def track_folders(folders: Sequence[RecordingFolder], options: Options, started: datetime) -> int:
-    """Tracks the recordings, writes all files and prints the metrics; returns the exit code."""
-    out = options.out
-    name = options.tracker or fitting(folders[0])
+def track_folders(folders: Sequence[RecordingFolder], options: Options, started: datetime, begin: Begin) -> int:
+    """Tracks the recordings, writes all files and prints the metrics; returns the exit code. `begin`: of a stage."""
+    out, tuned = options.out, options.tuned
+    of_file = None if tuned is None else tuned.tracker
+    name = options.tracker or of_file or fitting(folders[0])
     named = build(name, folders, options.free_height)
-    if options.tracker is None:
+    if options.tracker is None and of_file is not None:
+        notice(f"tracker: {name}, that of {options.noise}; choose another with --tracker")
+    elif options.tracker is None:
         notice(f"tracker: {name} ({named.spec.about}); choose another with --tracker")
     notice_unused_calibration(folders, name, named.spec.table)
-    if options.noise is not None:
-        named = named.with_values(read_tuned(options.noise), options.noise)
+    if tuned is not None:
+        named = named.with_values(tuned.values, options.noise)
+    if options.values:
+        named = named.with_values(options.values, "--set")
     if options.smooth or options.lag is not None:
         named = named.smoothing(options.lag)
     batches = named.batches(folders)
@@ -69,18 +84,17 @@ def track_folders(folders: Sequence[RecordingFolder], options: Options, started:
     flat = [trajectory for batch in batches if batch.planar for trajectory in batch.trajectories]
     heights = sum(known_height(trajectory.folder, trajectory.tag) is not None for trajectory in flat)
     if heights and not named.spec.bearing_only:
-        notice(f"height: known from rig.toml for {heights} tag(s) and used; estimate it with --free-height")
+        notice(f"height: known from rig.toml for {counted(heights, 'tag')} and used; estimate it with --free-height")
     output_folder(out)
     give_back()
-    with (
-        cluster_executor(options.cluster) if options.cluster else nullcontext() as executor,
-        progress("tracking", sum(len(batch.trajectories) for batch in batches)) as advance,
-    ):
+    advance = begin("tracking", sum(len(batch.trajectories) for batch in batches))
+    with cluster_executor(options.cluster) if options.cluster else nullcontext() as executor:
         if executor is None:
             tracks = track(batches, advance, options.seed)
         else:
             tracks = run_on(executor, named, folders, advance, options.seed)
     give_back()
+    begin("errors and events")
     table, summaries = tracks.table, tracks.summaries
     atomic_write(out / TRACKS, partial(write_tracks, table))
     happened = events_of(table, named.spec, batches)
@@ -88,19 +102,22 @@ def track_folders(folders: Sequence[RecordingFolder], options: Options, started:
     paths = "\n".join(str(p.resolve()) for p in options.recordings)
     atomic_write(out / SOURCES, lambda path: path.write_text(paths + "\n", encoding="utf-8"))
     print(
-        f"{sum(summaries.values())} tracks: "
+        f"{counted(sum(summaries.values()), 'track')}: "
         + "; ".join(f"{n} {v}" for v, n in sorted(summaries.items(), key=lambda x: -x[1]))
     )
     truths = {f.name: f.tables["truth"] for f in folders if "truth" in f.tables}
     association = associate_truth(table, truths)
     if association.scored.any():
-        print(to_text(evaluate(association, folders).with_residuals(tracks)), end="")
+        print(to_text(evaluate(association, folders).with_residuals(tracks), terminal_width()), end="")
     else:
         _without_truth(association, folders, tracks)
+    begin("figures")
     drawn = plot_tracks(out, association, folders, batches)
     config = {
         "tracker": name,
         "noise": None if options.noise is None else str(options.noise),
+        "set": {name: value.tolist() for name, value in options.values.items()},
+        "part": dataclasses.asdict(options.part),
         "calibration": None if options.calibration is None else str(options.calibration),
         "average": options.average,
         "free_height": options.free_height,
@@ -117,9 +134,9 @@ def track_folders(folders: Sequence[RecordingFolder], options: Options, started:
         extra={"recordings": [str(p) for p in options.recordings], "verdicts": summaries},
     )
     for event, count in happened.group_by("event", maintain_order=True).len().iter_rows():
-        print(f"event: {event} ({count} times)")
-    written = f"{out / TRACKS} ({len(table)} estimates), {EVENTS}, manifest.json"
-    print(f"wrote {written} and {len(drawn)} figures: {', '.join(drawn)}")
+        print(f"event: {event} ({counted(count, 'time')})")
+    written = f"{out / TRACKS} ({counted(len(table), 'estimate')}), {EVENTS}, manifest.json"
+    print(f"wrote {written} and {counted(len(drawn), 'figure')}: {', '.join(drawn)}")
     return 0
 
 

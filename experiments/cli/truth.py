@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import sys
 from datetime import UTC, datetime
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
-import tyro
 
+from experiments.cli.arguments import Folder
 from experiments.cli.console import notice, read_with_notices
 from experiments.cli.runtime import keep_programs
 from trackers.recordings.folder import RecordingFolder, write_recording
@@ -20,11 +19,12 @@ if TYPE_CHECKING:
     from trackers.line.truth import KnotTimes
 
 
-def truth(recording: Annotated[Path, tyro.conf.Positional], out: Path) -> int:
-    """Fit ground truth along a known path by least squares: writes the recording with a truth table.
+def truth(recording: Folder, *, out: Folder) -> int:
+    """Fit truth along a known path: the recording with a truth table.
 
     Every tag travels once from the first to the last knot of [path] in rig.toml, at a constant speed on each segment,
-    with rests at the knots. The knot times are fitted to its fixes, or to positions from its ranges.
+    with rests at the knots. The knot times are fitted to its fixes, or to positions
+    from its ranges, by least squares.
 
     Args:
         recording: a recording folder with [path] knots_m in rig.toml and a fixes or ranges table.

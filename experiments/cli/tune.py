@@ -2,35 +2,52 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
+from collections.abc import Mapping
 from datetime import UTC, datetime
-from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-import tyro
-
-from experiments.cli.console import progress, read_with_notices
+from experiments.cli.arguments import File, Folder, Folders
+from experiments.cli.console import read_with_notices, require_output, selection
 from experiments.cli.runtime import keep_programs
+from experiments.cli.stages import stages
 from trackers.core.errors import UnusableInput
+from tuning.tuned_file import parse_values, read_tuned
 
-EVERYTHING = "*.sigma_*"
+LEAST = {"steps": 1, "starts": 1, "piece_rows": 10, "minibatch": 1, "repeats": 1}
+"""The least value of each option that counts."""
+
+
+def require_counts(options: Mapping[str, Any]) -> None:
+    """Raises UnusableInput for the first option that is below its `LEAST` value."""
+    for name, least in LEAST.items():
+        value = options.get(name)
+        if value is not None and value < least:
+            raise UnusableInput(f"--{name.replace('_', '-')} {value}: expected at least {least}")
 
 
 def tune(
-    recordings: Annotated[tuple[Path, ...], tyro.conf.Positional],
-    out: Path,
-    tracker: str | None = None,
-    objective: str | None = None,
+    recordings: Folders,
+    *,
+    out: Folder,
+    tracker: Annotated[str | None, "NAME"] = None,
+    objective: Annotated[str | None, "NAME"] = None,
+    tune: Annotated[tuple[str, ...] | None, "PATTERN"] = None,
+    freeze: Annotated[tuple[str, ...], "PATTERN"] = (),
+    bound: Annotated[tuple[str, ...], "PATTERN=LOW:HIGH"] = (),
+    prior: Annotated[tuple[str, ...], "PATTERN=PRIOR"] = (),
+    start: File | None = None,
+    set_: Annotated[tuple[str, ...], "NAME=VALUE"] = (),
+    held_out: Folders = (),
+    calibration: File | None = None,
+    tag: Annotated[tuple[str, ...], "TAG"] = (),
+    from_: Annotated[float | None, "S"] = None,
+    to: Annotated[float | None, "S"] = None,
+    every: Annotated[float | None, "S"] = None,
+    average: Annotated[float | None, "S"] = None,
     dimensions: Literal[2, 3] = 2,
     weigh: Literal["recordings", "rows"] = "recordings",
-    tune: tuple[str, ...] = (EVERYTHING,),
-    freeze: tuple[str, ...] = (),
-    bound: tuple[str, ...] = (),
-    prior: tuple[str, ...] = (),
-    held_out: tuple[Path, ...] = (),
-    start: Path | None = None,
-    calibration: Path | None = None,
-    average: float | None = None,
     starts: int = 4,
     optimiser: Literal["auto", "lbfgs", "adam"] = "auto",
     steps: int = 60,
@@ -40,72 +57,65 @@ def tune(
     free_height: bool = False,
     piece_rows: int = 8000,
 ) -> int:
-    """Fit noise levels (and other tunables) to recordings by gradient: writes tuned.toml, report.html, trace.csv.
+    """Fit noise levels by gradient: values, intervals and a report.
+
+    Writes tuned.toml, for `--noise` of `track`, report.html, trace.csv and a checkpoint. Other tunables than noise
+    levels are fitted where --tune names them.
 
     Args:
         recordings: recording folders to fit to, all at once.
         out: the folder to write to.
-        tracker: as in `track`; default: what fits the tables.
+        tracker: as in `track`; default: that of the file `--start`, else the one that fits the tables.
         objective: state-nll, the negative log density of the truth under the reported position and covariance; rmse,
-            the position error, nees-shape (need truth as well); nll, the negative log-likelihood, tempered-nll, the
-            same with intervals that allow for correlated innovations, nis-shape (need none); or a weighted sum, as
-            'state-nll+0.1*rmse'. Default: state-nll where there is truth, else nll.
-        dimensions: 2 to judge the horizontal position, 3 to judge an estimated height too.
-        weigh: what has the same say: each recording, or each row, so that long recordings decide.
-        tune: shell patterns of tunables, as 'motion.*' 'sensors.*.sigma_p'; 'tied:PATTERN' keeps all matches equal.
+            nees-shape (need truth as well); nll, the negative log-likelihood, tempered-nll, nis-shape (need none); or
+            a sum, e.g. state-nll+0.1*rmse. Default: state-nll where there is truth, else nll.
+        tune: shell patterns of tunables, e.g. 'motion.*'; 'tied:PATTERN' keeps all matches equal. Default: the noise
+            levels of motion and sensors.
         freeze: patterns of tunables to keep.
-        bound: PATTERN=LOWEST:HIGHEST, physical bounds of tuned numbers.
-        prior: PATTERN=0.2x2 for a value known within a factor of 2, PATTERN=0+-0.1 for an offset; with nll only, which
-            it then makes the default.
-        held_out: recordings to validate on: not fitted, but they select the best point and end the fit.
+        bound: physical bounds of tuned numbers.
+        prior: PATTERN=0.2x2 for a value known within a factor of 2, PATTERN=0+-0.1 for an offset; makes nll the
+            default objective.
         start: a tuned.toml to start from.
-        calibration: a calibration.toml of `trackwright calibrate` on other recordings of these stations or anchors.
-        average: average the ranges, fixes and bearings of each tag and anchor or station over so many seconds;
-        0: every reading; default: 0.5 for bearings that repeat.
+        set_: values to start from, by tunable or pattern.
+        held_out: recordings to validate on: not fitted, they select the best point and end the fit.
+        calibration: a calibration.toml, as in `track`.
+        tag: these tags alone.
+        from_: readings from this time on.
+        to: readings up to this time.
+        every: only the last reading of each tag and anchor or station in every so many seconds.
+        average: mean of readings over so many seconds, as in `track`.
+        dimensions: 2 to judge the horizontal position, 3 to judge an estimated height too.
+        weigh: recordings or rows: which of them have the same weight.
         starts: number of starts: the given values, then the best of a first guess from the data and a coarse grid.
-        optimiser: auto is lbfgs for a likelihood, adam for other objectives, minibatches and particle filters.
+        optimiser: auto: lbfgs for a likelihood, adam for other objectives, minibatches and particle filters.
         steps: maximum number of steps per start.
-        minibatch: trajectories per step, drawn at random; default all.
+        minibatch: trajectories per step, drawn at random; default: all.
         intervals: method of the 95 % intervals: curvature (with the scatter of the trajectories), profile likelihood
-            (makes nll the default), or bootstrap over trajectories (at least five).
+            (makes nll the default objective), or bootstrap over trajectories.
         resume: continue from the checkpoint in --out, with bit-identical results.
         free_height: estimate the height of tags whose height the rig gives.
-        piece_rows: long recordings are cut into segments of about this many rows, which are fitted side by side.
+        piece_rows: rows of the segments into which long recordings are cut.
     """
     started, clock = datetime.now(UTC), time.perf_counter()
-    if steps < 1 or piece_rows < 10 or starts < 1 or (minibatch is not None and minibatch < 1):
-        raise UnusableInput(
-            f"--steps {steps} --piece-rows {piece_rows} --starts {starts} --minibatch {minibatch}: expected at least "
-            "1, 10, 1 and 1"
-        )
-    options = {
-        "tracker": tracker,
-        "objective": objective,
-        "dimensions": dimensions,
-        "weigh": weigh,
-        "tune": tune,
-        "freeze": freeze,
-        "bound": bound,
-        "prior": prior,
-        "held_out": held_out,
-        "start": start,
-        "calibration": calibration,
-        "average": average,
-        "starts": starts,
-        "optimiser": optimiser,
-        "steps": steps,
-        "minibatch": minibatch,
-        "intervals": intervals,
-        "free_height": free_height,
-        "piece_rows": piece_rows,
-    }
-    with progress("tuning", steps) as advance:
-        advance(0, "(reading)")
-        folders = read_with_notices((*recordings, *held_out), calibration, average)
-        advance(0, "(preparing)")
+    values = parse_values(set_, "--set")
+    part = selection(tag, from_, to, every)
+    options: dict[str, Any] = {
+        "tracker": tracker, "objective": objective, "dimensions": dimensions, "weigh": weigh, "tune": tune,
+        "freeze": freeze, "bound": bound, "prior": prior, "held_out": held_out, "start": start, "set": set_,
+        "calibration": calibration, "part": dataclasses.asdict(part), "average": average, "starts": starts,
+        "optimiser": optimiser, "steps": steps, "minibatch": minibatch, "intervals": intervals,
+        "free_height": free_height, "piece_rows": piece_rows,
+    }  # fmt: skip
+    require_counts(options)
+    require_output(out)
+    tuned = None if start is None else read_tuned(start)
+    with stages("tune") as begin:
+        begin("reading")
+        folders = read_with_notices((*recordings, *held_out), calibration, average, part)
+        begin("preparing")
         keep_programs()
         # jax takes a second to import, which the help and a refused recording need not wait for.
         from experiments.cli.tuning_job import finish, fit_folders
 
-        fitted = fit_folders(folders, len(recordings), out, options, resume, advance)
-    return finish(fitted, recordings, out, started, clock)
+        fitted = fit_folders(folders, len(recordings), out, options, tuned, values, resume, begin)
+        return finish(fitted, recordings, out, started, clock, begin)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from experiments.cli.console import Advance, notice, output_folder
+from experiments.cli.console import notice, output_folder
+from experiments.cli.stages import Advance, Begin
 from experiments.cli.tuning_folder import Run, write_run
 from experiments.cli.tuning_options import checked_options, tracker_for_folders
 from experiments.reports.recordings_compared import Compared, compare
@@ -25,7 +26,8 @@ from tuning.identifiability import cautions
 from tuning.intervals import require_possible
 from tuning.optimisation import FitState
 from tuning.optimisers import LBFGS, AbstractOptimiser, Adam
-from tuning.parameters import flatten, select_parameters
+from tuning.parameters import flatten, noise_levels, select_parameters
+from tuning.tuned_file import Tuned
 
 INTERRUPTED = 130
 """The exit code of a command that Ctrl-C ended, as shells have it."""
@@ -52,11 +54,24 @@ class Fitted:
 
 
 def fit_folders(
-    folders: Sequence[RecordingFolder], count: int, out: Path, options: dict[str, Any], resume: bool, advance: Advance
+    folders: Sequence[RecordingFolder],
+    count: int,
+    out: Path,
+    options: dict[str, Any],
+    tuned: Tuned | None,
+    values: Mapping[str, Any],
+    resume: bool,
+    begin: Begin,
 ) -> Fitted:
-    """Fits the tracker to the first `count` recordings, the others held out; `advance` gets each step."""
+    """Fits the tracker to the first `count` recordings, the others held out; `begin` begins a stage.
+
+    `tuned`: the content of the file to start from. `values`: to start from, by tunable or pattern.
+    """
+    free_height = options["free_height"]
+    named = tracker_for_folders(folders, options["tracker"], options["start"], tuned, values, free_height)
+    if options["tune"] is None:
+        options = options | {"tune": noise_levels(named.tracker)}
     tune, freeze = options["tune"], options["freeze"]
-    named = tracker_for_folders(folders, options["tracker"], options["start"], options["free_height"])
     goal, priors_need = options["objective"], options["prior"] or options["intervals"] == "profile"
     goal = "nll" if goal is None and priors_need else goal
     how = (options["piece_rows"], options["dimensions"], options["weigh"])
@@ -68,16 +83,18 @@ def fit_folders(
     for text in cautions(data.tracker, select_parameters(data.tracker, tune, freeze), data.objective):
         notice(f"notice: {text}")
     output_folder(out)
-    result = _fitted(data, out, options, bounds, priors, resume, advance, by_default)
-    advance(0, "(comparing before and after)")
+    result = _fitted(data, out, options, bounds, priors, resume, begin, by_default)
     return Fitted(options, named, data, result, folders[count:] or folders)
 
 
-def finish(fitted: Fitted, recordings: Sequence[Path], out: Path, started: datetime, clock: float) -> int:
+def finish(fitted: Fitted, recordings: Sequence[Path], out: Path, started: datetime, clock: float, begin: Begin) -> int:
     """Writes all files and prints the table; returns the exit code. `started`, `clock`: when the command began."""
+    begin("comparing before and after")
+    compared = _compared(fitted)
+    begin("report")
     result, name = fitted.result, fitted.options["tracker"]
     run = Run(name, fitted.options, recordings, time.perf_counter() - clock, started, sys.argv)
-    for line in write_run(out, fitted.data, result, run, _compared(fitted)):
+    for line in write_run(out, fitted.data, result, run, compared):
         print(line)
     if result.uncertainty is None:
         notice("stopped: tuned.toml holds the best values so far; continue with the same command and --resume")
@@ -102,7 +119,7 @@ def _fitted(
     bounds: Any,
     priors: Any,
     resume: bool,
-    advance: Advance,
+    begin: Begin,
     by_default: bool,
 ) -> FitResult:
     """The fit, with a checkpoint after every step; raises UnusableInput where the objective is never finite.
@@ -128,7 +145,8 @@ def _fitted(
     steps, starts, freeze = options["steps"], options["starts"], options["freeze"]
     tuned = {name for p in select_parameters(data.tracker, options["tune"], freeze) for name in p.names}
     kept = [name for name in tunables(data.tracker) if name not in tuned]
-    advance(0, "(evaluating starts)")
+    begin("searching for starts" if starts > 1 else "first evaluation")
+    steps_done = _Steps(out, fingerprint, steps, begin)
     try:
         result = fit(
             data.tracker,
@@ -144,7 +162,8 @@ def _fitted(
             priors=priors,
             guesses=[first_guess(data.tracker, training, kept)] if starts > 1 and saved is None else [],
             resume=saved,
-            report=lambda state: _after_step(out, fingerprint, state, advance),
+            report=steps_done.report,
+            stage=begin,
         )
     except FloatingPointError as error:
         raise UnusableInput(f"{error}; run `trackwright check` on the recordings") from error
@@ -161,8 +180,20 @@ def _fitted(
     return result
 
 
-def _after_step(out: Path, fingerprint: str, state: FitState, advance: Advance) -> None:
-    checkpoint.save(out, checkpoint.to_arrays(state), fingerprint)
-    best = int(state.best_scores.argmin())
-    now = f"(objective {state.best_scores[best]:.5g}, gradient {state.past_norms[-1, best]:.2g})"
-    advance(min(1, int(state.number)), now)
+class _Steps:
+    """The bar of the steps, which begins after the first evaluation, and the checkpoint after every step."""
+
+    def __init__(self, out: Path, fingerprint: str, steps: int, begin: Begin) -> None:
+        self.out, self.fingerprint, self.steps, self.begin = out, fingerprint, steps, begin
+        self.advance: Advance | None = None
+
+    def report(self, state: FitState) -> None:
+        """Saves the state and advances the bar."""
+        checkpoint.save(self.out, checkpoint.to_arrays(state), self.fingerprint)
+        best, number = int(state.best_scores.argmin()), int(state.number)
+        now = f"objective {state.best_scores[best]:.5g}, gradient {state.past_norms[-1, best]:.2g}"
+        if self.advance is None:
+            self.advance = self.begin("step", self.steps)
+            self.advance(number, now)
+        else:
+            self.advance(1, now)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from experiments.cli.console import notice, notice_unused_calibration
 from trackers.catalogue import build, fitting
@@ -13,19 +14,30 @@ from trackers.recordings.named_tracker import NamedTracker
 from tuning.data import FitData
 from tuning.parameters import parse_bounds, require_start_within, select_parameters
 from tuning.priors import Prior, parse_prior, require_fitting
-from tuning.tuned_file import read_tuned
+from tuning.tuned_file import Tuned
 
 
 def tracker_for_folders(
-    folders: Sequence[RecordingFolder], tracker: str | None, noise: Path | None, free_height: bool
+    folders: Sequence[RecordingFolder],
+    tracker: str | None,
+    noise: Path | None,
+    tuned: Tuned | None,
+    values: Mapping[str, Any],
+    free_height: bool,
 ) -> NamedTracker:
-    """The tracker, named or chosen by the tables, with the values of a tuned.toml."""
-    name = tracker or fitting(folders[0])
+    """The tracker, named, of the file `noise` or chosen by the tables, with the file's values and then `values`.
+
+    `tuned`: the content of the file.
+    """
+    of_file = None if tuned is None else tuned.tracker
+    name = tracker or of_file or fitting(folders[0])
     if tracker is None:
-        notice(f"tracker: {name}; choose another with --tracker")
+        notice(f"tracker: {name}{f', that of {noise}' if of_file else ''}; choose another with --tracker")
     named = build(name, folders, free_height)
     notice_unused_calibration(folders, name, named.spec.table)
-    return named if noise is None else named.with_values(read_tuned(noise), noise)
+    if tuned is not None:
+        named = named.with_values(tuned.values, noise)
+    return named.with_values(values, "--set") if values else named
 
 
 def checked_options(

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-from experiments.cli.console import progress
 from experiments.cli.runtime import keep_programs
+from experiments.cli.stages import progress
 from experiments.verify import deterministic_checks, particle_checks
 from experiments.verify.check_result import CheckResult, table
 
@@ -27,16 +27,16 @@ CHECKS: tuple[Callable[[], list[CheckResult]], ...] = (
 
 
 def verify() -> int:
-    """Check every gradient against an oracle that shares no code with it: prints a table, exits 1 if a check fails.
+    """Check every gradient against an oracle; exit 1 if one fails.
 
-    Oracles: the joint density of all fixes for the Kalman filter; enumeration of all state sequences for the hidden
-    Markov chain; quadrature in double precision for grid and particle filters, in a corridor whose walls kill
-    particles and at a halt on a line. Random estimates use 400 keys, and their mean may be 4 standard errors off.
-    Two estimators that are known to be biased must fail.
+    Oracles share no code with the gradients: the joint density of all fixes for the Kalman filter; enumeration of all
+    state sequences for the hidden Markov chain; quadrature in double precision for grid and particle filters, in a
+    corridor whose walls kill particles and at a halt on a line. Random estimates use 400 keys, and their mean may be 4
+    standard errors off. Two estimators that are known to be biased must fail.
     """
     keep_programs()
     results: list[CheckResult] = []
-    with progress("verifying", len(CHECKS)) as advance:
+    with progress("verify", len(CHECKS)) as advance:
         for check in CHECKS:
             results += check()
             advance(1)

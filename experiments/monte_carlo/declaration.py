@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -131,6 +132,8 @@ class Study:
 def checked(study: Study) -> Study:
     """The study; raises UnusableInput for empty parts, unknown trackers, and values out of range."""
     where = f"study '{study.name}'"
+    if not re.fullmatch(r"\w[^/\\]*", study.name):
+        raise UnusableInput(f"{where}: expected a name that a folder can have, without / and \\; rename it")
     for what, named in (("worlds", study.worlds), ("trackers", study.trackers)):
         if not named:
             raise UnusableInput(f"{where}: no {what}; expected at least one; add a table [{what}.NAME]")

@@ -17,7 +17,8 @@ from typing import Any
 
 import tyro
 
-from experiments.cli.console import notice, progress
+from experiments.cli.console import notice
+from experiments.cli.stages import progress
 from experiments.cli.subprocesses import new_interpreter
 from experiments.monte_carlo import Value
 from experiments.monte_carlo.sources import available_studies, load_study

@@ -28,12 +28,12 @@ def main() -> None:
     shutil.rmtree(OUT, ignore_errors=True)
     world, short = OUT / "world", OUT / "short-world"
     noise = ("--path", "hand", "--sigma-p", str(SIGMA_P))
-    command("simulate", *noise, "--n", "1000", "--out", world)
+    command("simulate", "station", *noise, "--n", "1000", "--out", world)
     command("check", world)
     command("track", world, "--tracker", "direct", "--out", OUT / "direct")
     command("track", world, "--tracker", "cascade", "--out", OUT / "cascade")
 
-    command("simulate", *noise, "--n", "16", "--seed", "1", "--rows", "100", "--out", short)
+    command("simulate", "station", *noise, "--n", "16", "--seed", "1", "--rows", "100", "--out", short)
     start = OUT / "wrong-start.toml"
     start.write_text(WRONG_START, encoding="utf-8")
     tune = ("--tune", "motion.sigma_a", "tied:sensors.*.sigma_p")
@@ -67,7 +67,3 @@ def _line(tracks: Path, covariances: bool = False) -> str:
     inside = f"{100 * overall['coverage_95']:.0f} % of the 95 % ellipses contain the truth"
     verdict = "the covariances hold" if holds(overall) else "the covariances do not hold"
     return f"{line}\n  {inside}, NEES/dof {overall['nees_ratio']:.2f}: {verdict}"
-
-
-if __name__ == "__main__":
-    main()

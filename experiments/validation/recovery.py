@@ -18,8 +18,8 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from experiments.cli.console import progress
 from experiments.cli.runtime import set_flags
+from experiments.cli.stages import progress
 
 set_flags()
 

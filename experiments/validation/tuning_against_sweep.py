@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 import tyro
 
-from experiments.cli.console import progress
+from experiments.cli.stages import progress
 from experiments.reports.tables import aligned
 from sim.line import SITUATIONS, simulate_line
 from trackers.catalogue import build

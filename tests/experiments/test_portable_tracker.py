@@ -24,7 +24,7 @@ MINE = "from trackers.catalogue import spec_of\n\nMINE = spec_of('fix-kf')\n"
 def paths(tmp_path_factory):
     folder = tmp_path_factory.mktemp("vehicles")
     for k, n in enumerate((2, 1)):
-        words = ("simulate-agv", "--n", n, "--rows", 40, "--seed", k, "--out", folder / f"agv-{k}")
+        words = ("simulate", "agv", "--n", n, "--rows", 40, "--seed", k, "--out", folder / f"agv-{k}")
         assert trackwright(*words).code == 0
     return [folder / f"agv-{k}" for k in (0, 1)]
 

@@ -55,7 +55,7 @@ def _direct(*names):
 def test_what_was_tuned_comes_back_and_nothing_else_changes(tmp_path, tracker, patterns):
     result = _result(tracker, patterns)
     write_tuned(tmp_path / "tuned.toml", "any", "nll", result, {})
-    back = with_values(tracker, read_tuned(tmp_path / "tuned.toml"), tmp_path / "tuned.toml")
+    back = with_values(tracker, read_tuned(tmp_path / "tuned.toml").values, tmp_path / "tuned.toml")
     expected, found = _numbers(result.tracker), _numbers(back)
     assert set(expected) == set(found)
     for name, value in expected.items():

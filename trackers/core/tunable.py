@@ -8,7 +8,7 @@ from __future__ import annotations
 import fnmatch
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, TypeVar, get_args
+from typing import Any, ClassVar, Literal, TypeVar, get_args
 
 import equinox as eqx
 import jax
@@ -42,8 +42,9 @@ Axis = Literal["horizontal", "vertical", "all"]
 
 
 class AbstractTunable(eqx.Module):
-    """A tunable number or array: `raw` is unconstrained, `value` physical."""
+    """A tunable number or array: `raw` is unconstrained, `value` physical; `bounds`: of the values, in words."""
 
+    bounds: ClassVar[str]
     raw: eqx.AbstractVar[Any]
     unit: eqx.AbstractVar[str]
 
@@ -63,6 +64,7 @@ class Scale(AbstractTunable):
     `role`, `axis`: of a noise level; first guesses and coarse grids go by them, never by names.
     """
 
+    bounds = "> 0"
     raw: Any
     unit: str = eqx.field(static=True)
     role: Role | None = eqx.field(static=True)
@@ -89,6 +91,7 @@ class Scale(AbstractTunable):
 class Fraction(AbstractTunable):
     """A number strictly between 0 and 1, such as a probability; tuned on the logit scale."""
 
+    bounds = "0 to 1"
     raw: Any
     unit: str = eqx.field(static=True)
 
@@ -110,6 +113,7 @@ class Fraction(AbstractTunable):
 class Real(AbstractTunable):
     """A number of either sign, such as an offset; tuned in units of `typical`, the size at which it matters."""
 
+    bounds = ""
     raw: Any
     unit: str = eqx.field(static=True)
     typical: float = eqx.field(static=True)
@@ -136,6 +140,7 @@ class Covariance(AbstractTunable):
     `role`, `axis`: as of a `Scale`.
     """
 
+    bounds = "positive definite"
     raw: Any
     unit: str = eqx.field(static=True)
     role: Role | None = eqx.field(static=True)
@@ -173,6 +178,7 @@ class Threshold(AbstractTunable):
     Set by name and swept as other tunables. Nothing has a derivative with respect to it, so no fit changes it.
     """
 
+    bounds = "> 0, inf: off"
     raw: Any
     unit: str = eqx.field(static=True)
 

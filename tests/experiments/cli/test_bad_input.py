@@ -242,7 +242,7 @@ def test_patterns_that_name_nothing_are_refused(tmp_path, simulated, patterns, w
 
 def test_a_tracker_without_tunables_cannot_be_tuned(tmp_path, simulated):
     said = trackwright("tune", simulated, "--tracker", "das", "--out", tmp_path / "out")
-    assert_refused(said, "matches no tunable")
+    assert_refused(said, "no noise level of motion or sensors to tune", "it has: no tunable")
 
 
 def test_the_least_error_cannot_be_found_without_truth(tmp_path, simulated):
@@ -276,21 +276,23 @@ def test_tags_of_known_and_of_unknown_height_are_not_tuned_together(tmp_path, be
     ],
 )
 def test_numbers_that_no_world_can_have_are_refused(tmp_path, option, value):
-    said = trackwright("simulate", "--out", tmp_path / "out", "--n", 1, "--rows", 2, f"{option}={value}")
+    said = trackwright("simulate", "station", "--out", tmp_path / "out", "--n", 1, "--rows", 2, f"{option}={value}")
     assert_refused(said, f"{option} {value}: ", "expected")
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("antenna", [(1, 0), (1, 9), (7, 1)])
 def test_an_antenna_that_is_not_there_cannot_be_masked(tmp_path, antenna):
-    said = trackwright("simulate", "--out", tmp_path / "out", "--masked-antenna", *antenna)
+    said = trackwright("simulate", "station", "--out", tmp_path / "out", "--masked-antenna", *antenna)
     assert_refused(said, "--masked-antenna")
 
 
 def test_a_world_is_not_written_over_something(tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "precious").write_text("x")
-    assert_refused(trackwright("simulate", "--out", tmp_path / "out", "--n", 1, "--rows", 2), "folder is not empty")
+    assert_refused(
+        trackwright("simulate", "station", "--out", tmp_path / "out", "--n", 1, "--rows", 2), "folder is not empty"
+    )
     assert _contents(tmp_path / "out") == {"precious": b"x"}
 
 
@@ -338,8 +340,7 @@ def test_fits_of_no_steps_or_to_no_rows_are_refused(tmp_path, beginnings, option
 @pytest.mark.parametrize(
     "arguments",
     [
-        ("simulate", "--out", "out", "--n", "many"),
-        ("simulate",),
+        ("simulate", "station", "--out", "out", "--n", "many"),
         ("track", "recording"),
         ("tune", "recording", "--out", "out", "--optimiser", "best"),
         ("track", "recording", "--out", "out", "--speed", "3"),

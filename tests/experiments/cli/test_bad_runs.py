@@ -48,7 +48,7 @@ def test_an_invalid_condition_is_refused(beginnings, expression, word):
 
 @pytest.mark.parametrize("seconds", ["nan", "inf", "0", "-1"])
 def test_an_invalid_interval_is_refused(beginnings, seconds):
-    assert_refused(trackwright("evaluate", beginnings / "tracked", f"--every-s={seconds}"), "--every-s")
+    assert_refused(trackwright("evaluate", beginnings / "tracked", f"--every={seconds}"), "--every")
 
 
 def _junk(folder):
@@ -184,7 +184,7 @@ def test_a_disk_that_fills_while_a_file_is_written_spoils_no_older_file(tracked_
 
 def test_a_disk_that_is_full_for_a_simulation_leaves_nothing(tmp_path, monkeypatch):
     monkeypatch.setattr(Path, "rename", _full)
-    said = trackwright("simulate", "--out", tmp_path / "out", "--n", 1, "--rows", 2)
+    said = trackwright("simulate", "station", "--out", tmp_path / "out", "--n", 1, "--rows", 2)
     assert_refused(said, f"{tmp_path / 'out'}: cannot be written (No space left on device), nothing was kept")
     assert not list(tmp_path.iterdir())
 

@@ -31,7 +31,7 @@ def _tracks(process: subprocess.Popen, out: Path) -> bytes:
 @pytest.fixture(scope="module")
 def world(tmp_path_factory):
     out = tmp_path_factory.mktemp("cached") / "world"
-    process = _started("simulate-ranges", "--n", 2, "--rows", 40, "--out", out, cache="off")
+    process = _started("simulate", "ranges", "--n", 2, "--rows", 40, "--out", out, cache="off")
     _, err = process.communicate()
     assert process.returncode == 0, err
     return out
@@ -67,7 +67,7 @@ def test_a_directory_full_of_junk_or_refused_costs_a_line_at_most(world, tmp_pat
 @pytest.mark.slow
 def test_a_program_traced_again_is_compiled_again_for_later_commands(tmp_path):
     world, cache = tmp_path / "world", tmp_path / "cache"
-    _started("simulate", "--n", 1, "--rows", 60, "--out", world, cache="off").communicate()
+    _started("simulate", "station", "--n", 1, "--rows", 60, "--out", world, cache="off").communicate()
     _tracks(_started("track", world, "--tracker", "beam", "--out", tmp_path / "0", cache=cache), tmp_path / "0")
     # As after a change of the package: the trace is new, the program of jax the same.
     for entry in cache.glob("*/traced-*"):

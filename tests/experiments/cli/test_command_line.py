@@ -35,7 +35,7 @@ def there(tmp_path_factory):
 @pytest.fixture(scope="module")
 def world(there):
     """A simulated recording."""
-    said = trackwright("simulate", "--out", there / "world", *SIMULATE)
+    said = trackwright("simulate", "station", "--out", there / "world", *SIMULATE)
     assert said.code == 0
     tables = f"phases {TAGS * ROWS * 3} rows, truth {TAGS * ROWS} rows"
     assert said.out == f"wrote {there / 'world'}: {TAGS} tags, {tables}\n"
@@ -104,7 +104,7 @@ def test_simulate_writes_a_recording_and_what_it_was_made_with(world):
 
 def test_the_same_seed_gives_the_same_bits_and_another_other_ones(world, there):
     for name, seed in (("again", SEED), ("other", SEED + 1)):
-        trackwright("simulate", "--out", there / name, *SIMULATE[:-4], "--sigma-p", 0.2, "--seed", seed)
+        trackwright("simulate", "station", "--out", there / name, *SIMULATE[:-4], "--sigma-p", 0.2, "--seed", seed)
     for table in ("phases.parquet", "truth.parquet"):
         one, again, other = (pl.read_parquet(there / name / table) for name in ("world", "again", "other"))
         assert one.equals(again)
@@ -125,7 +125,7 @@ def test_corruptions_are_in_the_recording(there):
         "--gauss-markov",
         0.1,
     )
-    assert trackwright("simulate", "--out", there / "bad-day", *SIMULATE, *options).code == 0
+    assert trackwright("simulate", "station", "--out", there / "bad-day", *SIMULATE, *options).code == 0
     phases = pl.read_parquet(there / "bad-day" / "phases.parquet")
     assert set(phases["station"]) == {"1", "3"}
     assert phases.filter(station="1")["phase_3_rad"].null_count() == phases.filter(station="1").height
@@ -191,6 +191,8 @@ def test_a_run_folder_has_a_manifest_and_plots(runs, there, world, tracker, pict
     settings = {
         "tracker": tracker,
         "noise": None,
+        "set": {},
+        "part": {"tags": [], "start": None, "stop": None, "every": None},
         "calibration": None,
         "average": None,
         "free_height": False,
@@ -230,7 +232,7 @@ def test_evaluate_prints_a_table_and_writes_the_metrics(runs, there):
     kept = json.loads((there / "direct" / "evaluation.json").read_text())
     assert kept["overall"] == _overall(there / "direct")
     assert len(kept["tracks"]) == TAGS
-    fewer = _overall(there / "direct", "--every-s", 1.0)
+    fewer = _overall(there / "direct", "--every", 1.0)
     assert fewer["n"] == 4 * TAGS
 
 
@@ -270,19 +272,20 @@ def test_without_a_tracker_the_fitting_one_is_chosen_with_a_notice(runs, there, 
     assert tracks[0].equals(tracks[1])
 
 
-def test_the_help_lists_the_trackers():
-    said = trackwright("track", "--help")
+def test_the_trackers_are_listed_with_their_tables():
+    said = trackwright("trackers")
     assert said.code == 0
-    for name, entry in TRACKERS.items():
-        assert f"{name}: " in said.out
-        assert entry.table in said.out
+    assert [line.split()[0] for line in said.out.splitlines() if line[2:3].strip()] == list(TRACKERS)
+    assert max(map(len, said.out.splitlines())) <= 80
+    for entry in TRACKERS.values():
+        assert entry.table in " ".join(said.out.split())
 
 
 def test_bearings_of_a_walk_are_tracked_at_the_known_height(there, room):
     said = trackwright("track", room, "--out", there / "walk")
     assert said.code == 0
     assert "tracker: bearings (" in said.err
-    assert "height: known from rig.toml for 1 tag(s) and used; estimate it with --free-height" in said.err
+    assert "height: known from rig.toml for 1 tag and used; estimate it with --free-height" in said.err
     tracks = pl.read_parquet(there / "walk" / "tracks.parquet")
     # four stations at once: one estimate for each time
     assert tracks.height == 28
@@ -361,7 +364,7 @@ def test_tuning_for_the_least_error_lowers_it_and_names_no_standard_errors(there
 def test_the_program_with_its_own_settings_tracks_as_the_suite_does(there):
     """More trajectories than a chunk, single precision and flags; against double precision."""
     options = ("--n", 200, "--rows", 20, "--sigma-p", 0.2)
-    assert trackwright("simulate", "--out", there / "many", *options).code == 0
+    assert trackwright("simulate", "station", "--out", there / "many", *options).code == 0
     assert trackwright("track", there / "many", "--tracker", "beam", "--out", there / "many-inside").code == 0
     line = [
         sys.executable,

@@ -96,7 +96,7 @@ def test_the_noise_is_tuned_by_the_particles_score_between_the_walls(there):
     )  # fmt: skip
     assert said.code == 0, said.err
     # The fixes are off by a metre and more, slowly and by 0.2 m at random; the tracker begins with 0.1 m.
-    values = read_tuned(there / "tuned" / "tuned.toml")
+    values = read_tuned(there / "tuned" / "tuned.toml").values
     assert 0.15 < float(values["sensors.fixes.sigma_horizontal"]) < 1.2
     trace = pl.read_csv(there / "tuned" / "trace.csv")["nll"]
     assert trace.min() < trace[0] - 0.5

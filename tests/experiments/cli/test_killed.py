@@ -43,7 +43,7 @@ def _killed(command: list[str], checkpoint: Path, wait_for_step: bool, delay: fl
 @pytest.mark.slow
 def test_a_fit_killed_at_twenty_moments_and_resumed_ends_the_same_to_the_bit(tmp_path):
     world = tmp_path / "world"
-    subprocess.run(_command("simulate-line", "--n", 6, "--out", world), check=True)
+    subprocess.run(_command("simulate", "line", "--n", 6, "--out", world), check=True)
     began = time.monotonic()
     subprocess.run(_tune(world, tmp_path / "whole"), check=True)
     whole = time.monotonic() - began

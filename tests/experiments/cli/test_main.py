@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import inspect
+import os
+import re
 import subprocess
 import sys
+from importlib.metadata import version
 
 import pytest
 
 from experiments.cli import summaries
+from experiments.cli.arguments import arguments_of
 from experiments.cli.main import FUNCTIONS, function_of
-from tests.in_process import trackwright
+from tests.in_process import assert_refused, trackwright
 from trackers.catalogue import TRACKERS
 
 
@@ -18,7 +22,66 @@ def test_the_help_lists_each_command_by_the_first_line_of_its_docstring():
     assert {name: inspect.getdoc(function_of(name)).splitlines()[0] for name in FUNCTIONS} == summaries.COMMANDS
 
 
-def test_the_help_of_track_lists_the_catalogue():
+def test_the_help_has_a_line_for_each_command_and_fits_a_terminal():
+    for words in ((), ("--help",), ("-h",)):
+        done = trackwright(*words)
+        assert (done.code, done.err) == (0, "")
+        lines = done.out.splitlines()
+        assert len(lines) <= 40
+        assert max(map(len, lines)) <= 80
+        first = {line.split()[0] for line in lines if re.match(r"  \w", line)}
+        assert first == {name.partition(" ")[0] for name in FUNCTIONS}
+
+
+@pytest.mark.parametrize("command", FUNCTIONS)
+def test_the_help_of_each_command_explains_every_argument_in_80_columns(command):
+    done = trackwright(*command.split(), "--help")
+    assert (done.code, done.err) == (0, "")
+    assert done.out.startswith(f"usage: trackwright {command}")
+    assert max(map(len, done.out.splitlines())) <= 80
+    assert "[[" not in done.out
+    for argument in arguments_of(function_of(command)):
+        assert argument.about, argument
+        assert argument.shown.split()[0] in done.out
+
+
+def test_the_version_is_printed():
+    assert trackwright("--version").out == f"trackwright {version('trackwright')}\n"
+
+
+def test_a_family_of_commands_lists_its_members():
+    for words in (("simulate",), ("simulate", "--help")):
+        done = trackwright(*words)
+        assert done.code == 0
+        assert all(f"  {name} " in done.out for name in ("station", "line", "ranges", "tool", "agv"))
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (("trak", "x"), "no command trak (did you mean track?)"),
+        (("simulate-line",), "did you mean simulate line?"),
+        (("simulate", "lines"), "no command simulate lines (did you mean simulate line?)"),
+        (("track", "x", "--out", "o", "--nose", "f"), "no option --nose (did you mean --noise?)"),
+        (("track", "x"), "no --out given; expected --out FOLDER, the folder to write to"),
+        (("track", "x", "--out", ""), "--out '': expected FOLDER, found an empty name"),
+        (("track", "x", "--out", "/"), "--out /: is the root of the file system"),
+        (("tune", "x", "--out", "o", "--steps", "0"), "--steps 0: expected at least 1"),
+        (("tune", "x", "--out", "o", "--optimiser", "adamm"), "expected auto or lbfgs or adam (did you mean adam?)"),
+        (("track", "x", "--out", "o", "--lag", "0"), "--lag 0: expected seconds above zero"),
+        (("track", "x", "--out", "o", "--set", "sigma"), "--set sigma: expected NAME=VALUE"),
+        (("track", "x", "--out", "o", "--from", "9", "--to", "3"), "--from 9 --to 3: expected the first below"),
+        (("track", "x", "--out", "o", "--every", "0"), "--every 0: expected seconds above zero"),
+        (("track", "x", "--out", "o", "--noise", "nowhere.toml"), "nowhere.toml: cannot be read"),
+        (("evaluate", "a", "b"), "found 'a' 'b'; expected FOLDER"),
+        (("sweep", "x", "--out", "o", "--over", "a=0:1:5:log"), "expected START above zero"),
+    ],
+)
+def test_a_mistake_is_one_line_that_names_the_option_before_anything_is_read(words, expected):
+    assert_refused(trackwright(*words), expected)
+
+
+def test_the_list_of_trackers_is_the_catalogue():
     assert {name: f"{spec.about} ({spec.table})" for name, spec in TRACKERS.items()} == summaries.TRACKERS
 
 
@@ -53,3 +116,33 @@ def test_help_a_check_and_a_refusal_import_no_jax(beginnings, tmp_path, argument
     )
     done = subprocess.run([sys.executable, "-c", program], input=str(code), capture_output=True, text=True, check=True)
     assert done.stdout.endswith("heavy: []\n"), done.stdout
+
+
+def _started(words, **environment):
+    line = [sys.executable, "-m", "experiments", *map(str, words)]
+    return subprocess.run(line, env={**os.environ, **environment}, capture_output=True, timeout=120, check=False)
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "cp1252"])
+def test_a_code_page_without_our_characters_gets_plain_ones(beginnings, encoding):
+    done = _started(("evaluate", beginnings / "tracked"), PYTHONIOENCODING=encoding)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == b""
+    assert "---" in done.stdout.decode(encoding)
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full")
+@pytest.mark.parametrize("words", [("--help",), ("check", "GOOD")])
+def test_a_full_output_is_one_line(beginnings, words):
+    line = " ".join([sys.executable, "-m", "experiments", *words]).replace("GOOD", str(beginnings / "good"))
+    done = subprocess.run(f"{line} > /dev/full", shell=True, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.startswith("trackwright: standard output cannot be written (No space left on device)")
+    assert done.stderr.count("\n") == 1
+
+
+def test_a_device_that_is_not_there_is_one_line(simulated, tmp_path):
+    done = _started(("track", simulated, "--tracker", "beam", "--out", tmp_path), JAX_PLATFORMS="cuda")
+    assert done.returncode == 2
+    assert done.stderr.decode().splitlines()[-1].startswith("trackwright: JAX_PLATFORMS=cuda: no such device here")
+    assert b"Traceback" not in done.stderr

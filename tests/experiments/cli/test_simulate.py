@@ -1,4 +1,4 @@
-"""The `simulate-…` commands: the recordings that they write, the tracker that fits each, and refused options."""
+"""The `simulate …` commands: the recordings that they write, the tracker that fits each, and refused options."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from trackers.line.path import path_of
 from trackers.recordings.folder import read_recording
 
 WORLDS = {
-    "simulate-line": (("--rate-hz", 2), {"fixes", "truth"}, "line-grid"),
-    "simulate-ranges": (("--rows", 30), {"ranges", "truth"}, "uwb"),
-    "simulate-imu": (("--rows", 40), {"ranges", "imu", "truth"}, "uwb-imu"),
+    "line": (("--rate-hz", 2), {"fixes", "truth"}, "line-grid"),
+    "ranges": (("--rows", 30), {"ranges", "truth"}, "uwb"),
+    "tool": (("--rows", 40), {"ranges", "imu", "truth"}, "uwb-imu"),
     # Its fixes have heights, which a tracker on a line would lose.
-    "simulate-agv": (("--rows", 50, "--latency", 0.3, "--mirror", 0.1, "--wild", 0.01), {"fixes", "truth"}, "fix-kf"),
+    "agv": (("--rows", 50, "--latency", 0.3, "--mirror", 0.1, "--wild", 0.01), {"fixes", "truth"}, "fix-kf"),
 }
 
 
@@ -28,7 +28,7 @@ def worlds(tmp_path_factory):
     """Two tags of each world."""
     folder = tmp_path_factory.mktemp("worlds")
     for command, (extra, _, _) in WORLDS.items():
-        said = trackwright(command, "--n", 2, "--seed", 4, *extra, "--out", folder / command)
+        said = trackwright("simulate", command, "--n", 2, "--seed", 4, *extra, "--out", folder / command)
         assert said.code == 0, said
         assert said.out.startswith(f"wrote {folder / command}: 2 tags, ")
     return folder
@@ -44,40 +44,40 @@ def test_a_world_is_a_recording_whose_tables_choose_their_tracker(worlds, comman
 
 
 def test_a_tag_depends_on_the_seed_and_its_own_number_alone(worlds, tmp_path):
-    assert trackwright("simulate-ranges", "--n", 1, "--seed", 4, "--rows", 30, "--out", tmp_path / "one").code == 0
-    one, two = (pl.read_parquet(path / "ranges.parquet") for path in (tmp_path / "one", worlds / "simulate-ranges"))
+    assert trackwright("simulate", "ranges", "--n", 1, "--seed", 4, "--rows", 30, "--out", tmp_path / "one").code == 0
+    one, two = (pl.read_parquet(path / "ranges.parquet") for path in (tmp_path / "one", worlds / "ranges"))
     assert one.equals(two.filter(pl.col("tag") == "0"))
 
 
 @pytest.mark.parametrize(
     ("command", "option", "value"),
     [
-        ("simulate-line", "--speed", 0),
-        ("simulate-ranges", "--lost", 1),
-        ("simulate-imu", "--rows", 1),
-        ("simulate-agv", "--n", 0),
-        ("simulate-agv", "--speed", 1.5),
+        ("line", "--speed", 0),
+        ("ranges", "--lost", 1),
+        ("tool", "--rows", 1),
+        ("agv", "--n", 0),
+        ("agv", "--speed", 1.5),
     ],
 )
 def test_a_value_out_of_range_is_refused_with_its_option(tmp_path, command, option, value):
-    refused = trackwright(command, option, value, "--out", tmp_path / "out")
+    refused = trackwright("simulate", command, option, value, "--out", tmp_path / "out")
     assert_refused(refused, f"{option} {value}", "expected a", "number from")
     assert not (tmp_path / "out").exists()
 
 
 def test_a_gap_that_ends_before_it_starts_is_refused(tmp_path):
-    refused = trackwright("simulate-imu", "--gap", 3, 1, "--out", tmp_path / "out")
+    refused = trackwright("simulate", "tool", "--gap", 3, 1, "--out", tmp_path / "out")
     assert_refused(refused, "--gap 3.0 1.0: expected two times in seconds")
 
 
 def test_a_tag_on_a_closed_path_is_tracked_round_it_and_has_no_height(worlds, tmp_path):
-    folder = read_recording(worlds / "simulate-agv")
+    folder = read_recording(worlds / "agv")
     knots = folder.rig.path_knots
     # Ends that nearly meet close the path, too.
     gap, part = np.vstack([knots[:-1:60], knots[-1] + 0.01]), knots[:300]
     closed = [path_of(replace(folder, rig=replace(folder.rig, path_knots=k))).closed for k in (knots, gap, part)]
     assert closed == [True, True, False]
-    said = trackwright("track", worlds / "simulate-agv", "--tracker", "line-grid", "--out", tmp_path / "out")
+    said = trackwright("track", worlds / "agv", "--tracker", "line-grid", "--out", tmp_path / "out")
     assert said.code == 0, said
     assert "height" not in said.err
     tracks = pl.read_parquet(tmp_path / "out" / "tracks.parquet")
@@ -91,7 +91,7 @@ def test_particles_are_tuned_by_their_score(worlds, tmp_path):
     options = ("--tracker", "line-pf", "--tune", "sensors.*.sigma_p", "--steps", 6, "--starts", 1)
     start = tmp_path / "start.toml"
     start.write_text('[tunables."sensors.fixes.sigma_p"]\nvalue = 3.0\n')
-    said = trackwright("tune", worlds / "simulate-line", *options, "--start", start, "--out", tmp_path / "out")
+    said = trackwright("tune", worlds / "line", *options, "--start", start, "--out", tmp_path / "out")
     assert said.code == 0, said
     content = tomllib.loads((tmp_path / "out" / "tuned.toml").read_text())
     assert content["after"] < content["before"]

@@ -18,7 +18,7 @@ def world(tmp_path_factory):
     """Two tags on the line, as short as a line can be walked."""
     folder = tmp_path_factory.mktemp("sweep") / "line"
     said = trackwright(
-        "simulate-line", "--out", folder, "--situation", "constant", "--n", 2, "--speed", 5, "--rate-hz", 3
+        "simulate", "line", "--out", folder, "--situation", "constant", "--n", 2, "--speed", 5, "--rate-hz", 3
     )
     assert said.code == 0, said
     return folder

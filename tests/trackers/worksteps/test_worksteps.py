@@ -186,7 +186,7 @@ def test_a_pipeline_can_stop_on_missed_unlock_decisions(tracked):
 
 def test_the_last_estimate_of_every_interval_can_be_scored_alone(tracked):
     given = ("evaluate", tracked, "--worksteps", tracked / "points.csv", "--tolerance", 0.2, "--json")
-    whole, thinned = (json.loads(trackwright(*given, *more).out)["worksteps"] for more in ((), ("--every-s", 0.2)))
+    whole, thinned = (json.loads(trackwright(*given, *more).out)["worksteps"] for more in ((), ("--every", 0.2)))
     assert 0 < thinned["overall"]["right"]["n"] < whole["overall"]["right"]["n"]
 
 

@@ -1,0 +1,116 @@
+"""`trackwright trackers` and `trackwright tunables`: what can be run, and which of its numbers can be set or fitted."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+from experiments.cli.arguments import File, Folder
+from experiments.cli.console import notice, read_with_notices, terminal_width
+from experiments.cli.summaries import TRACKERS
+from trackers.core.errors import UnusableInput
+from trackers.recordings.atomic import json_text
+from tuning.tuned_file import read_tuned
+
+if TYPE_CHECKING:
+    from trackers.recordings.folder import RecordingFolder
+    from trackers.recordings.named_tracker import NamedTracker
+
+
+def trackers() -> int:
+    """List the trackers and the tables they read.
+
+    The first that fits the tables of a recording is chosen where none is named. A tracker of your own is a Python file:
+    --tracker FILE.py:NAME.
+    """
+    from experiments.cli.help_text import rows
+
+    print("\n".join(rows(TRACKERS.items(), 29)))
+    return 0
+
+
+def tunables(
+    tracker: Annotated[str, "TRACKER"],
+    folder: Folder | None = None,
+    *,
+    noise: File | None = None,
+    free_height: bool = False,
+    json: bool = False,
+) -> int:
+    """List the tunables of a tracker: value, unit, bounds, meaning.
+
+    The names are those of --set, --tune, --bound and --over; those with a star are fitted where --tune names none.
+
+    Args:
+        tracker: one that `trackwright trackers` lists, or FILE.py:NAME of a TrackerSpec of your own.
+        folder: a recording folder, whose stations or anchors the tracker gets; default: a simulated one that it fits.
+        noise: a tuned.toml, whose values are shown.
+        free_height: the tracker that estimates the height of tags whose height the rig gives.
+        json: print JSON instead of a table.
+    """
+    tuned = None if noise is None else read_tuned(noise)
+    folders = [] if folder is None else read_with_notices((folder,))
+    # jax takes a second to import, which the help and a refused recording need not wait for.
+    from trackers.catalogue import build, spec_of
+
+    recording = folders[0] if folders else _simulated(tracker, spec_of(tracker).missing)
+    named = build(tracker, recording, free_height)
+    listed = _rows(named if tuned is None else named.with_values(tuned.values, noise))
+    if json:
+        print(json_text({"tracker": tracker, "recording": recording.name, "tunables": listed}))
+        return 0
+    if not folders:
+        notice(f"values: of the simulated recording {recording.name}; give a recording FOLDER for those of its own")
+    print(_table(listed, terminal_width()), end="")
+    return 0
+
+
+def _simulated(tracker: str, missing: Any) -> RecordingFolder:
+    """A simulated recording that has what the tracker needs; raises UnusableInput where there is none."""
+    from sim.worlds import WORLDS
+
+    for world in WORLDS.values():
+        folder = world(range(1), 0)
+        if missing(folder) is None:
+            return folder
+    raise UnusableInput(f"tunables {tracker}: no simulated recording has what it reads; give a recording FOLDER")
+
+
+def _rows(named: NamedTracker) -> list[dict[str, Any]]:
+    import numpy as np
+
+    from trackers.core.tunable_meaning import meanings
+    from tuning.parameters import noise_levels
+
+    sentences = meanings(named.tracker)
+    try:
+        fitted = noise_levels(named.tracker)
+    except UnusableInput:
+        fitted = ()
+    return [
+        {
+            "name": name,
+            "value": np.asarray(node.value, float).tolist(),
+            "unit": node.unit,
+            "bounds": node.bounds,
+            "fitted_by_default": name in fitted,
+            "meaning": sentences[name],
+        }
+        for name, node in named.tunables.items()
+    ]
+
+
+def _table(listed: list[dict[str, Any]], width: int) -> str:
+    import numpy as np
+
+    from experiments.reports.tables import compact_table, rendered
+
+    if not listed:
+        return "no tunables\n"
+    table = compact_table("", ["tunable", "value", "unit", "bounds", "meaning"], [])
+    for one in listed:
+        value = np.array2string(np.asarray(one["value"]), precision=4, threshold=4, separator=",").replace("\n", "")
+        star = "*" if one["fitted_by_default"] else ""
+        table.add_row(
+            one["name"] + star, value, "" if one["unit"] == "1" else one["unit"], one["bounds"], one["meaning"]
+        )
+    return rendered(width, table).lstrip("\n")

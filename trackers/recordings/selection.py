@@ -1,0 +1,80 @@
+"""A part of a recording: some of its tags, a span of time, and one reading in each interval."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import polars as pl
+
+from trackers.core.errors import UnusableInput, listed
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.tables import MEASUREMENTS, layout
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Which rows of recordings are used; by default all.
+
+    `tags`: those kept, none for all. `start`, `stop`: s, the rows from `start` to `stop`, both included. `every`: s,
+    only the last reading of each tag, and anchor or station, in each interval of that length; IMU samples stay.
+    """
+
+    tags: tuple[str, ...] = ()
+    start: float | None = None
+    stop: float | None = None
+    every: float | None = None
+
+    def of(self, folder: RecordingFolder) -> RecordingFolder:
+        """The recording with these rows alone; its truth is that of the tags, at all times.
+
+        Raises UnusableInput for a tag that the recording lacks, and where a table of measurements has no row left.
+        """
+        if self == Selection():
+            return folder
+        path = folder.path or folder.name
+        present = {tag: None for name in folder.tables for tag in folder.tables[name]["tag"].unique().sort()}
+        lacking = [tag for tag in self.tags if tag not in present]
+        if lacking:
+            raise UnusableInput(f"{path}: no tag {listed(map(repr, lacking))}; its tags: {listed(present, 10)}")
+        tables = {}
+        for name, table in folder.tables.items():
+            own = table.filter(pl.col("tag").is_in(list(self.tags))) if self.tags else table
+            if name in MEASUREMENTS:
+                kept = self._rows(own, name)
+                if own.height and not kept.height:
+                    raise UnusableInput(
+                        f"{path}: {name} has no row in the span of time asked for; expected a part of {_span(own)}"
+                    )
+                own = kept
+            if own.height:
+                tables[name] = own
+        return replace(folder, tables=tables)
+
+    def of_estimates(self, tracks: pl.DataFrame) -> pl.DataFrame:
+        """The rows of a table of estimates in these tags and times; raises UnusableInput where none is left."""
+        kept = tracks.filter(pl.col("tag").cast(pl.String).is_in(list(self.tags))) if self.tags else tracks
+        kept = self._in_time(kept)
+        if not kept.height:
+            tags = listed(tracks["tag"].cast(pl.String).unique().sort())
+            raise UnusableInput(
+                f"no estimate is of these tags and times; expected tags among {tags} and a part of {_span(tracks)}"
+            )
+        return kept
+
+    def _rows(self, table: pl.DataFrame, name: str) -> pl.DataFrame:
+        kept = self._in_time(table)
+        if self.every is None or name == "imu":
+            return kept
+        ids = layout(name, table.columns).ids
+        interval = (pl.col("t_s") / self.every).floor()
+        return kept.filter(pl.int_range(pl.len()).over(*ids, interval) == pl.len().over(*ids, interval) - 1)
+
+    def _in_time(self, table: pl.DataFrame) -> pl.DataFrame:
+        if self.start is not None:
+            table = table.filter(pl.col("t_s") >= self.start)
+        return table if self.stop is None else table.filter(pl.col("t_s") <= self.stop)
+
+
+def _span(table: pl.DataFrame) -> str:
+    times = table["t_s"].to_numpy()
+    return f"{times.min():g} to {times.max():g} s"
