@@ -13,6 +13,7 @@ from experiments.cli.runtime import set_flags
 from experiments.cli.summaries import COMMANDS, FAMILIES
 
 FUNCTIONS = {
+    "plan": "plan:plan",
     "check": "check:check",
     "calibrate": "calibrate:calibrate_recordings",
     "track": "track:track",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 COMMANDS = {
+    "plan": "Plan an installation: maps of the bound of errors over its floor.",
     "check": "Check the data: time base, gaps, outliers, ids, units, geometry.",
     "calibrate": "Fit systematic errors of stations and anchors against truth.",
     "track": "Track recordings: estimates, events, error metrics and figures.",

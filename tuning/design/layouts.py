@@ -67,7 +67,8 @@ class WallAnchors(AbstractLayout):
 
     `corners` (c, 2) m, in order; `bands` (anchors, 2): each one's least and greatest height, m; `spacing`: minimum
     distance of two anchors, m; `sensor`: a range sensor with one slot, anchors numbered from 0; `height`: of tags at a
-    known height. Bands keep the anchors out of one plane: the bound covers small errors only, not mirrored positions.
+    known height; `fixed` (k, 3) m: anchors that stay where they are, numbered after the others. Bands keep the anchors
+    out of one plane: the bound covers small errors only, not mirrored positions.
     """
 
     corners: Float[np.ndarray, "c 2"]
@@ -75,6 +76,7 @@ class WallAnchors(AbstractLayout):
     spacing: float
     sensor: RangeSensor
     height: float | None = eqx.field(static=True, default=None)
+    fixed: Float[np.ndarray, "k 3"] | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -110,15 +112,20 @@ class WallAnchors(AbstractLayout):
         known = {} if self.height is None else {"height": jnp.asarray(self.height)}
         return [
             SensorAtEpoch(self.sensor, {"anchors": place, "anchor": jnp.full(1, float(k)), **known}, 1)
-            for k, place in enumerate(self.positions(theta))
+            for k, place in enumerate(self._all(theta))
         ]
+
+    def _all(self, theta: Theta) -> Float[Array, "anchors 3"]:
+        """The positions of the anchors on the walls, then those of the fixed ones, m."""
+        placed = self.positions(theta)
+        return placed if self.fixed is None else jnp.concatenate([placed, jnp.asarray(self.fixed, placed.dtype)])
 
     def project(self, theta: Theta) -> Theta:
         """The perimeter wraps around, the height is clipped to the band."""
         return jnp.stack([theta[:, 0] % 1.0, jnp.clip(theta[:, 1], 0.0, 1.0)], axis=1)
 
     def violation(self, theta: Theta) -> Float[Array, ""]:
-        return spacing_violation(self.positions(theta), self.spacing)
+        return spacing_violation(self._all(theta), self.spacing)
 
 
 class PlanarArray(AbstractLayout):

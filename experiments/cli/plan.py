@@ -1,0 +1,71 @@
+"""`trackwright plan`."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from experiments.cli.arguments import Folder
+from experiments.cli.console import notice, output_folder
+from trackers.core.errors import UnusableInput
+from trackers.recordings.rig_file import RIG_FILE, read_rig
+
+HEIGHT = 1.2
+
+
+def plan(
+    rig: Path,
+    *,
+    out: Folder,
+    height: float | None = None,
+    sigma_range: float = 0.1,
+    sigma_angle: float = 0.05,
+    sigma_phase: float = 0.3,
+    place: int = 0,
+) -> int:
+    """Plan an installation: maps of the bound of errors over its floor.
+
+    Before anything is recorded: the Cramér–Rao bound of the position from one epoch, a reading of every anchor and
+    station. Writes plan.html, whose anchors and stations can be dragged, and plan.png.
+
+    Args:
+        rig: a rig.toml with anchors or stations, or the folder that holds it.
+        out: the folder to write to.
+        height: of the tags, m, known to the tracker; default: that of the tags in rig.toml, else 1.2 m and estimated.
+        sigma_range: standard deviation of a range, m.
+        sigma_angle: standard deviation of an azimuth or elevation, rad.
+        sigma_phase: standard deviation of a phase, rad.
+        place: propose places on the outline of the floor for so many more anchors.
+    """
+    for name, sigma in (("range", sigma_range), ("angle", sigma_angle), ("phase", sigma_phase)):
+        if not 0 < sigma < math.inf:
+            raise UnusableInput(f"--sigma-{name} {sigma:g}: expected a number above zero")
+    if not 0 <= place <= 8:
+        raise UnusableInput(f"--place {place}: expected a number of anchors from 0 to 8")
+    if height is not None and not math.isfinite(height):
+        raise UnusableInput(f"--height {height:g}: expected a height in metres")
+    geometry, notices = read_rig(rig / RIG_FILE if rig.is_dir() else rig)
+    for text in notices:
+        notice(f"notice: {rig}: {text}")
+    heights = {tag.height for tag in geometry.tags.values() if tag.height is not None}
+    known = height is not None or bool(heights)
+    if height is None:
+        height = sum(heights) / len(heights) if heights else HEIGHT
+    output_folder(out)
+    # jax takes a second to import, which the help and a refused rig need not wait for.
+    from experiments.plan.accuracy import Sigmas, floor_map
+    from experiments.plan.placement import place_anchors
+    from experiments.plan.report import summary_text, write_plan
+    from experiments.plots.plan import bound_maps
+
+    floor = floor_map(geometry, Sigmas(sigma_range, sigma_angle, sigma_phase), height)
+    placement = place_anchors(geometry, place, floor, known) if place else None
+    print(summary_text(floor, placement), end="")
+    proposed = np.zeros((0, 3)) if placement is None else placement.positions
+    bound_maps(out / "plan.png", geometry, floor, proposed)
+    page = write_plan(out / "plan.html", geometry, floor, proposed, sys.argv)
+    print(f"wrote {page} and plan.png")
+    return 0

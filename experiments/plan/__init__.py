@@ -1,0 +1,1 @@
+"""Accuracy of an installation over its floor, before anything is recorded."""
