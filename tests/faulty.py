@@ -12,6 +12,8 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
+from trackers.core.rig import Station
+
 Builder = Callable[[Path], str]
 
 RIG = """format = 1
@@ -46,11 +48,15 @@ offset_m = [0.1, 0.0, 0.0]
 knots_m = [[1.0, 1.0], [5.0, 1.0], [5.0, 4.0]]
 """
 _ANCHORS = {"A1": (0.0, 0.0, 0.3), "A2": (6.0, 0.0, 2.6), "A3": (6.0, 5.0, 0.4), "A4": (0.0, 5.0, 2.9)}
+_STATIONS = {
+    "S1": Station(np.array([0.0, 2.5, 2.3]), np.array([0.5, 0.5, 0.5, 0.5])),
+    "S2": Station(np.array([6.0, 2.5, 2.3]), np.array([0.5, 0.5, -0.5, -0.5])),
+}
 
 
 @cache
 def good_tables() -> dict[str, pl.DataFrame]:
-    """Five seconds of two tags at 10 Hz in every table; values are smooth, and physical only in ranges."""
+    """Five seconds of two tags at 10 Hz in every table; values are smooth, and but for phases and the IMU physical."""
     rng = np.random.default_rng(3)
     rows: dict[str, list[dict]] = {name: [] for name in ("ranges", "fixes", "bearings", "phases", "imu", "truth")}
     for t in np.round(np.arange(50) * 0.1, 3):
@@ -68,7 +74,8 @@ def good_tables() -> dict[str, pl.DataFrame]:
                 distance = float(np.linalg.norm(position - at)) + rng.normal(0, 0.03)
                 rows["ranges"].append(head | {"anchor": anchor, "range_m": distance, "range_std_m": 0.03})
             for station in ("S1", "S2"):
-                angles = {"azimuth_rad": 0.4 * np.sin(t), "elevation_rad": -0.3 + rng.normal(0, 0.01)}
+                azimuth, elevation = (float(x) for x in _STATIONS[station].angles(position))
+                angles = {"azimuth_rad": azimuth, "elevation_rad": elevation + rng.normal(0, 0.01)}
                 rows["bearings"].append(head | {"station": station} | angles)
                 phases = {f"phase_{k}_rad": float(rng.uniform(-3, 3)) for k in (1, 2, 3, 4)}
                 rows["phases"].append(head | {"station": station} | phases)

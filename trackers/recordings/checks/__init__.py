@@ -1,4 +1,4 @@
-"""Data-quality checks of a recording: time base, gaps, duplicates, outliers, ids, units, truth, geometry, errors.
+"""Data-quality checks of a recording: time base, gaps, duplicates, outliers, ids, units, geometry, errors against truth.
 
 for result in check(read_recording("hall")):
     print(result.level, result.where, result.message)
@@ -12,12 +12,15 @@ import numpy as np
 
 from trackers.recordings.checks.anomalies import anomalies
 from trackers.recordings.checks.check_result import LEVELS, CheckResult, Level, format_results
+from trackers.recordings.checks.compared import compared
 from trackers.recordings.checks.correlation import check_correlation
-from trackers.recordings.checks.coverage import check_ids, check_truth
+from trackers.recordings.checks.coverage import check_ids, check_overlap, check_truth
 from trackers.recordings.checks.geometry import check_geometry
+from trackers.recordings.checks.mistakes import check_against_truth
 from trackers.recordings.checks.quantisation import check_quantisation
 from trackers.recordings.checks.readings import about_local_line, readings, robust_std
 from trackers.recordings.checks.repeats import check_repeats
+from trackers.recordings.checks.residuals import check_residuals
 from trackers.recordings.checks.sampling import check_rates, check_time_base
 from trackers.recordings.checks.units import check_units
 from trackers.recordings.tables import MEASUREMENTS
@@ -25,7 +28,7 @@ from trackers.recordings.tables import MEASUREMENTS
 if TYPE_CHECKING:  # the folder's module imports `anomalies`
     from trackers.recordings.folder import RecordingFolder
 
-__all__ = ["CheckResult", "Level", "check", "format_results"]
+__all__ = ["CheckResult", "Level", "check", "errors_in", "format_results"]
 
 
 def check(recording: RecordingFolder) -> list[CheckResult]:
@@ -45,9 +48,29 @@ def check(recording: RecordingFolder) -> list[CheckResult]:
     if measured and "truth" in tables:
         results += check_truth(tables["truth"], measured)
     results += check_geometry(rig, tables)
+    wrong_units = any(result.level == "error" for result in results)
     for name in measured:
         results += _check_errors(recording, name)
+        view = compared(recording, name)
+        if view is not None:
+            results += check_residuals(view)
+            # Wrong units are a mistake that is named already.
+            results += [] if wrong_units else check_against_truth(view)
     return sorted(results, key=lambda result: LEVELS.index(result.level))
+
+
+def errors_in(recording: RecordingFolder) -> list[CheckResult]:
+    """The errors alone that `check` finds, in a fraction of its time."""
+    tables, rig = recording.tables, recording.rig
+    measured = {name: tables[name] for name in MEASUREMENTS if name in tables}
+    results = [*check_time_base(measured or tables), *check_units(rig, tables)]
+    if measured and "truth" in tables:
+        results += check_overlap(tables["truth"], measured)
+    found = [result for result in results if result.level == "error"]
+    if found:
+        return found
+    views = (compared(recording, name) for name in measured)
+    return [result for view in views if view is not None for result in check_against_truth(view)]
 
 
 def _check_errors(recording: RecordingFolder, name: str) -> list[CheckResult]:

@@ -63,8 +63,30 @@ def check_truth(truth: pl.DataFrame, measured: Mapping[str, pl.DataFrame]) -> li
         results.append(
             CheckResult("info", "truth", f"measured tags without truth: {len(without)} ({listed(without, 8)})")
         )
-    if math.isclose(share, 0.0):
+    apart = check_overlap(truth, measured)
+    if apart or math.isclose(share, 0.0):
         message = "no measurement lies inside the time span of the truth; expected one clock for all tables"
-        return [*results, CheckResult("error", "truth", message)]
+        return [*results, *(apart or [CheckResult("error", "truth", message)])]
     level: Level = "info" if share >= ENOUGH else "warning"
     return [*results, CheckResult(level, "truth", f"covers {100 * share:.3g} % of the measurements in time")]
+
+
+def check_overlap(truth: pl.DataFrame, measured: Mapping[str, pl.DataFrame]) -> list[CheckResult]:
+    """An error where truth and measurements have no time in common: how far they are apart, and the likely cause."""
+    first, last = (float(x) for x in truth.select(a=pl.col("t_s").min(), b=pl.col("t_s").max()).row(0))
+    starts = [float(table["t_s"].to_numpy().min()) for table in measured.values()]
+    ends = [float(table["t_s"].to_numpy().max()) for table in measured.values()]
+    if first <= max(ends) and last >= min(starts):
+        return []
+    apart = first - min(starts)
+    cause = ""
+    hours = apart / 3600
+    if abs(apart) > 1e8:
+        cause = "; one of them counts from 1970, the other from its own zero"
+    elif abs(hours) > 0.4 and abs(hours * 2 - round(hours * 2)) < 0.05:
+        cause = f"; {hours:.3g} hours apart, as two time zones"
+    message = (
+        f"no measurement lies inside the time span of the truth, {first:.6g} to {last:.6g} s; the measurements begin at "
+        f"{min(starts):.6g} s{cause}; expected one clock for all tables"
+    )
+    return [CheckResult("error", "truth", message)]

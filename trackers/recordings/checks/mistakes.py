@@ -1,0 +1,96 @@
+"""Readings that contradict the truth, and the change that explains their errors best: the most likely mistake.
+
+Each explanation is a change of the readings, the truth or the rig, some with fitted numbers. The errors of each anchor,
+station or tag are compared by their medians, so that outliers count little: the best explanation has the smallest mean
+logarithm of these medians, and pays for each fitted number.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from trackers.core.errors import listed
+from trackers.recordings.checks.check_result import CheckResult
+from trackers.recordings.checks.compared import Compared
+from trackers.recordings.checks.explanations import PENALTY, Explanation
+from trackers.recordings.checks.sensor_mistakes import sensor_explanations
+from trackers.recordings.checks.world_mistakes import world_explanations
+
+LARGE = {"ranges": (0.3,), "fixes": (0.25, 0.25, 1.0), "bearings": (np.radians(12.0), np.radians(12.0))}
+"""Median error of each column, m or rad, up to which nothing needs an explanation."""
+
+FLOOR = {"ranges": 0.05, "fixes": 0.05, "bearings": np.radians(2.0)}
+"""Median error, m or rad, below which an explanation gains nothing more."""
+
+ALL_GAIN, OWN_GAIN = 0.65, 1.0
+"""Mean log ratio of errors that an explanation must reach: of the truth as a whole, and of single sensors."""
+
+
+def check_against_truth(view: Compared) -> list[CheckResult]:
+    """The most likely mistake where the readings contradict the truth: an error; else nothing."""
+    explained = most_likely_mistake(view)
+    return [] if explained is None else [CheckResult("error", view.table, explained)]
+
+
+def most_likely_mistake(view: Compared) -> str | None:
+    """The errors and the most likely cause in a line; None where they are small, or nothing explains them."""
+    before = view.sizes(view.errors())
+    large = (before > LARGE[view.table]).any(axis=1)
+    if not large.any():
+        return None
+    found = []
+    for explanation in sensor_explanations(view, large):
+        found += _judged(view, explanation, before, large)
+    for explanation in world_explanations(view):
+        found += _judged(view, explanation, before, large)
+    if not found:
+        return None
+    _, groups, best = min(found, key=lambda one: one[0])
+    return None if best.harmless else _sentence(view, best, groups)
+
+
+def _judged(
+    view: Compared, one: Explanation, before: np.ndarray, large: np.ndarray
+) -> list[tuple[float, np.ndarray, Explanation]]:
+    """The cost of an explanation and the groups that it is for; none where it explains too little."""
+    floor, limit = FLOOR[view.table], LARGE[view.table]
+    after = np.where(np.isfinite(one.sizes), one.sizes, 1e3)
+    known = np.isfinite(before)
+    ratio = np.where(known, np.log(np.maximum(after, floor) / np.maximum(before, floor)), 0.0)
+    gains = -ratio.sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+    # Errors that were small and stay small neither need an explanation nor contradict one.
+    matters = known & ((before > limit) | (after > limit))
+    needed = -np.where(matters, ratio, 0.0).sum(axis=1)
+    if not one.own:
+        if needed.sum() < ALL_GAIN * max(int(matters.sum()), 1):
+            return []
+        return [(PENALTY * (one.parameters + 1) - float(gains.mean()), np.ones(len(gains), bool), one)]
+    groups = large & (needed >= OWN_GAIN * np.maximum(matters.sum(axis=1), 1))
+    if one.groups is not None:
+        groups &= one.groups
+    if one.together and one.groups is not None:
+        groups = one.groups & (gains[one.groups].mean() >= OWN_GAIN)
+    if one.parameters > 1:
+        # A place has enough freedom to take up a part of any error.
+        groups &= (~matters | ((after <= limit) & (ratio <= -ALL_GAIN))).all(axis=1)
+        groups &= 2 * groups.sum() <= len(groups)
+    if not groups.any():
+        return []
+    cost = PENALTY * (one.parameters + 1) * int(groups.sum()) - float(gains[groups].sum()) / len(gains)
+    return [(cost, groups, one)]
+
+
+def _sentence(view: Compared, best: Explanation, groups: np.ndarray) -> str:
+    chosen = np.flatnonzero(groups)
+    errors = view.sizes(view.errors(), bias=False)[chosen]
+    unit, factor = ("°", np.degrees(1.0)) if view.table == "bearings" else (" m", 1.0)
+    sizes = [f"{factor * float(np.nanmedian(np.nanmax(x, axis=1))):.2g}{unit}" for x in (errors, best.sizes[chosen])]
+    where = ""
+    if best.own:
+        names = [f"{view.ids[k]}{f' ({best.parts[k]})' if best.parts else ''}" for k in chosen]
+        noun = f"{view.noun}s" if len(chosen) > 1 else view.noun
+        where = f" of {noun} {listed(names, 6)}"
+        if len(chosen) == len(groups) and len(chosen) > 1 and not best.parts:
+            where = f" of all {len(chosen)} {noun}"
+    return f"errors against truth{where} are typically {sizes[0]}, and {sizes[1]} with {best.change}: {best.cause}"

@@ -1,0 +1,168 @@
+"""Explanations of errors by single anchors, stations or tags: units, signs, offsets, orientation, position."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from trackers.recordings.checks.compared import Compared, axes_of
+from trackers.recordings.checks.explanations import FACTORS, Explanation, metres, sizes_with
+from trackers.recordings.checks.readings import wrapped
+from trackers.recordings.checks.robust_fit import robust_fit
+
+FLIGHT = (
+    (0.299792458, "nanoseconds of flight"), (0.5, "round-trip distances"), (2.0, "halved distances"),
+)  # fmt: skip
+LEAST_OFFSET_M = 1.0
+LEAST_TURN = np.radians(15.0)
+LEAST_MOVE_M = 0.5
+"""Smallest offset of ranges, turn of a station and shift of a place that count as mistakes."""
+
+LEAST_EXTENT_M = 1.0
+"""Extent of the true positions, m, from which the place of an anchor or station is fitted."""
+
+
+def sensor_explanations(view: Compared, large: np.ndarray) -> Iterator[Explanation]:
+    """Changes of the readings and of the geometry that may hold for some groups alone.
+
+    `large` (G,): the groups with errors that need an explanation.
+    """
+    if view.table == "ranges":
+        yield from _of_ranges(view)
+    if view.table == "bearings":
+        yield from _of_bearings(view)
+        yield from _of_rotations(view)
+    if view.table != "fixes":
+        yield from _of_places(view)
+        yield from _moved(view, large)
+
+
+def _of_ranges(view: Compared) -> Iterator[Explanation]:
+    for factor, unit in (*FACTORS, *FLIGHT):
+        yield Explanation(
+            f"the ranges multiplied by {factor:.4g}", f"ranges are {unit}, expected metres; convert them",
+            sizes_with(view, values=factor * view.values), own=True,
+        )  # fmt: skip
+    yield Explanation(
+        "the sign of the ranges flipped", "ranges with the wrong sign; flip it",
+        sizes_with(view, values=-view.values), own=True,
+    )  # fmt: skip
+    offset = _medians(view, view.errors())
+    kept = np.abs(offset[:, 0]) >= LEAST_OFFSET_M
+    yield Explanation(
+        "a constant subtracted from the ranges", "an offset of the ranges, as of an antenna delay that is not "
+        "calibrated; calibrate the anchors", sizes_with(view, values=view.values - offset[view.group]), 1, True, kept,
+        parts=tuple(f"{x:+.2f} m" for x in offset[:, 0]),
+    )  # fmt: skip
+    ratio = _medians(view, view.values / np.maximum(view.predicted(), 0.1))
+    kept = np.abs(np.log(np.maximum(np.abs(ratio[:, 0]), 1e-6))) > 0.05
+    yield Explanation(
+        "the ranges divided by a constant", "a scale error of the ranges; check their unit and the clock of the device",
+        sizes_with(view, values=view.values / np.where(ratio == 0, 1.0, ratio)[view.group]), 1, True, kept,
+        parts=tuple(f"{x:.3f}" for x in ratio[:, 0]),
+    )  # fmt: skip
+
+
+def _of_bearings(view: Compared) -> Iterator[Explanation]:
+    azimuth, elevation = view.values.T
+    changed = {
+        "the sign of the azimuth flipped": (
+            np.stack([-azimuth, elevation], axis=1),
+            "the azimuth is positive to the right, expected to the left seen along the boresight; flip its sign",
+        ),
+        "the sign of the elevation flipped": (
+            np.stack([azimuth, -elevation], axis=1),
+            "the elevation is positive downward, expected upward; flip its sign",
+        ),
+        "the signs of azimuth and elevation flipped": (
+            -view.values, "the station is upside down, or both angles have the opposite sign; turn it in rig.toml",
+        ),
+        "azimuth and elevation swapped": (view.values[:, ::-1], "azimuth and elevation are swapped; rename the columns"),
+    }  # fmt: skip
+    for change, (values, cause) in changed.items():
+        yield Explanation(change, cause, sizes_with(view, values=values), own=True)
+    for sign, name in ((1.0, "turned"), (-1.0, "turned and its sign flipped")):
+        turned = np.stack([sign * azimuth, elevation], axis=1)
+        turn = _circular_medians(view, turned[:, 0] - view.predicted()[:, 0])
+        values = turned - np.stack([turn[view.group], np.zeros(len(turned))], axis=1)
+        yield Explanation(
+            f"the azimuth {name}", "another orientation than rig.toml's, or another zero of the azimuth; correct "
+            "rotation_wxyz", sizes_with(view, values=values), 1, True, np.abs(turn) >= LEAST_TURN,
+            parts=tuple(f"by {x:.0f}°" for x in np.degrees(turn)),
+        )  # fmt: skip
+
+
+def _of_rotations(view: Compared) -> Iterator[Explanation]:
+    q = view.rotations
+    changed = {
+        "rotation_wxyz read as x, y, z, w": (np.roll(q, 1, axis=1), "the quaternion is written x, y, z, w; reorder it"),
+        "rotation_wxyz inverted": (
+            q * np.array([1.0, -1.0, -1.0, -1.0]),
+            "the quaternion takes world vectors to array vectors; invert it (negate x, y, z)",
+        ),
+    }  # fmt: skip
+    for change, (rotations, cause) in changed.items():
+        other = np.abs(np.abs(np.einsum("gi,gi->g", rotations, q)) - 1.0) > 1e-3
+        yield Explanation(change, cause, sizes_with(view, axes=axes_of(rotations)), own=True, groups=other)
+
+
+def _of_places(view: Compared) -> Iterator[Explanation]:
+    for k, axis in enumerate("xyz"):
+        flipped = view.places * np.where(np.arange(3) == k, -1.0, 1.0)
+        other = np.abs(view.places[:, k]) > LEAST_MOVE_M / 2
+        yield Explanation(
+            f"the sign of {axis} of the position flipped", f"{axis} in rig.toml has the wrong sign; flip it",
+            sizes_with(view, places=flipped), own=True, groups=other,
+        )  # fmt: skip
+    swapped = view.places[:, [1, 0, 2]]
+    yield Explanation(
+        "x and y of the position swapped", "x and y in rig.toml are swapped", sizes_with(view, places=swapped), own=True,
+        groups=np.linalg.norm(swapped - view.places, axis=1) > LEAST_MOVE_M,
+    )  # fmt: skip
+
+
+def _moved(view: Compared, large: np.ndarray) -> Iterator[Explanation]:
+    """The place of each group with large errors fitted to its readings, unless the tags hardly move."""
+    places = view.places.copy()
+    fitted = np.zeros(len(places), bool)
+    for k in np.flatnonzero(large):
+        own = view.group == k
+        if np.linalg.norm(np.ptp(view.positions[own], axis=0)) < LEAST_EXTENT_M:
+            continue
+        part = view._replace(
+            ids=view.ids[k : k + 1], group=np.zeros(int(own.sum()), int), tag=view.tag[own], times=view.times[own],
+            values=view.values[own], positions=view.positions[own], places=view.places[k : k + 1],
+            axes=view.axes[k : k + 1],
+        )  # fmt: skip
+
+        def errors(place: np.ndarray, part: Compared = part) -> np.ndarray:
+            return part._replace(places=place[None]).errors()
+
+        starts = (view.places[k], view.places.mean(axis=0), 2 * part.positions.mean(axis=0) - view.places[k])
+        fits = [robust_fit(errors, start) for start in starts]
+        places[k], fitted[k] = min(fits, key=lambda fit: fit[1])[0], True
+    moved = np.linalg.norm(places - view.places, axis=1) > LEAST_MOVE_M
+    if not fitted.any():
+        return
+    yield Explanation(
+        "another position", "a wrong position in rig.toml; measure it again", sizes_with(view, places=places), 3, True,
+        fitted & moved, parts=tuple(f"at {metres(place)}" for place in places),
+    )  # fmt: skip
+
+
+def _medians(view: Compared, x: np.ndarray) -> np.ndarray:
+    """The median of each group and column (G, m)."""
+    return np.stack([np.nanmedian(x[view.group == k], axis=0) for k in range(len(view.ids))])
+
+
+def _circular_medians(view: Compared, angles: np.ndarray) -> np.ndarray:
+    """The median of angles of each group (G,), about their circular mean."""
+    found = np.zeros(len(view.ids))
+    for k in range(len(found)):
+        own = angles[(view.group == k) & np.isfinite(angles)]
+        if len(own):
+            centre = np.angle(np.mean(np.exp(1j * own)))
+            found[k] = centre + np.median(wrapped(own - centre, ("azimuth_rad",)))
+    found = np.mod(found + np.pi, 2 * np.pi) - np.pi
+    return found
