@@ -1,4 +1,4 @@
-"""Data-quality checks of a recording: time base, gaps, duplicates, outliers, ids, units, geometry, errors against truth.
+"""Data-quality checks of a recording: time base, gaps, outliers, ids, units, geometry, errors against truth.
 
 for result in check(read_recording("hall")):
     print(result.level, result.where, result.message)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -73,7 +74,7 @@ class Compared(NamedTuple):
         found = np.full((len(self.ids), errors.shape[1]), np.nan)
         for column, bound in enumerate(BIAS[self.table] if bias else [0.0] * errors.shape[1]):
             x = errors[:, column]
-            for k, (a, b) in enumerate(zip(ends[:-1], ends[1:], strict=True)):
+            for k, (a, b) in enumerate(pairwise(ends)):
                 own = x[a:b][np.isfinite(x[a:b])]
                 if 2 * len(own) >= max(b - a, 1):
                     middle = min(max(float(np.median(own)), -bound), bound) if bound else 0.0

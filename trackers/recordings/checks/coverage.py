@@ -86,7 +86,7 @@ def check_overlap(truth: pl.DataFrame, measured: Mapping[str, pl.DataFrame]) -> 
     elif abs(hours) > 0.4 and abs(hours * 2 - round(hours * 2)) < 0.05:
         cause = f"; {hours:.3g} hours apart, as two time zones"
     message = (
-        f"no measurement lies inside the time span of the truth, {first:.6g} to {last:.6g} s; the measurements begin at "
-        f"{min(starts):.6g} s{cause}; expected one clock for all tables"
+        f"no measurement lies inside the time span of the truth, {first:.6g} to {last:.6g} s; the measurements "
+        f"begin at {min(starts):.6g} s{cause}; expected one clock for all tables"
     )
     return [CheckResult("error", "truth", message)]

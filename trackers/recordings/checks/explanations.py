@@ -1,4 +1,4 @@
-"""One change of the readings, the truth or the rig that may explain large errors against truth, and the errors with it."""
+"""A change of the readings, the truth or the rig that may explain large errors, and the errors with it."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ FACTORS = (
 
 
 class Explanation(NamedTuple):
-    """`change`: what makes the errors small, in words after "with" or "if"; `cause`: the most likely mistake, and its fix.
+    """`change`: what makes the errors small, in words after "with"; `cause`: the most likely mistake, and its fix.
 
     `sizes` (G, m): the median errors of groups and columns with it. `parameters`: how many numbers were fitted for it.
-    `own`: each group has numbers of its own, or the change may concern some groups alone; `groups` (G,): those that it
-    may concern, all of them or none if `together`. `harmless`: a property of the sensor and no mistake. `parts`: what to
-    name of each group, if anything.
+    `own`: each group has numbers of its own, or the change may concern some groups alone. `groups` (G,): those that it
+    may concern, all of them or none if `together`. `harmless`: a property of the sensor and no mistake. `parts`: what
+    to name of each group, if anything.
     """
 
     change: str

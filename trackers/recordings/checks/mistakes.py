@@ -8,7 +8,6 @@ logarithm of these medians, and pays for each fitted number.
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
 
 from trackers.core.errors import listed
 from trackers.recordings.checks.check_result import CheckResult
@@ -36,7 +35,7 @@ def check_against_truth(view: Compared) -> list[CheckResult]:
 def most_likely_mistake(view: Compared) -> str | None:
     """The errors and the most likely cause in a line; None where they are small, or nothing explains them."""
     before = view.sizes(view.errors())
-    large = (before > LARGE[view.table]).any(axis=1)
+    large = np.any(before > np.array(LARGE[view.table]), axis=1)
     if not large.any():
         return None
     found = []

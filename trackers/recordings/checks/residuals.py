@@ -27,14 +27,14 @@ CORRELATED = 10
 class Residuals(NamedTuple):
     """The errors of one column of a group against truth, in m or rad.
 
-    `bias`: their median. `spread`: their robust standard deviation. `slope`: the change of the error per unit of the
-    true value. `delay`: s, by which readings come late. `outliers`: the share beyond `OUTLIER` spreads of the bias. NaN
-    where the readings do not determine a number.
+    `rows`: their number. `bias`: their median. `spread`: their robust standard deviation. `slope`: the change of the
+    error per unit of the true value. `delay`: s, by which readings come late. `outliers`: the share beyond `OUTLIER`
+    spreads of the bias. NaN where the readings do not determine a number.
     """
 
     group: str
     column: str
-    count: int
+    rows: int
     bias: float
     spread: float
     slope: float
@@ -46,7 +46,7 @@ def residuals(view: Compared) -> list[Residuals]:
     """The errors of each group and column against truth."""
     true, errors = view.predicted(), view.errors()
     after, before = (view.later(lag).predicted() for lag in (-LAG_S, LAG_S))
-    rates = (np.unwrap(np.stack([before, after]), axis=0) if view.table == "bearings" else np.stack([before, after]))
+    rates = np.unwrap(np.stack([before, after]), axis=0) if view.table == "bearings" else np.stack([before, after])
     rate = np.diff(rates, axis=0)[0] / (2 * LAG_S)
     found = []
     for k, name in enumerate(view.ids):

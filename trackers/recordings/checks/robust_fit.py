@@ -15,7 +15,7 @@ CUT = 3.0
 def robust_fit(
     errors: Callable[[np.ndarray], Float[np.ndarray, "N m"]], start: Float[np.ndarray, " k"], steps: int = STEPS
 ) -> tuple[Float[np.ndarray, " k"], float]:
-    """The numbers near `start` with the smallest errors, and the median size of these; errors that are NaN count nothing.
+    """The numbers near `start` with the smallest errors, and their median size; errors that are NaN count nothing.
 
     Derivatives are differences over 1e-6 of each number's unit.
     """

@@ -78,7 +78,7 @@ def _of_bearings(view: Compared) -> Iterator[Explanation]:
         "the signs of azimuth and elevation flipped": (
             -view.values, "the station is upside down, or both angles have the opposite sign; turn it in rig.toml",
         ),
-        "azimuth and elevation swapped": (view.values[:, ::-1], "azimuth and elevation are swapped; rename the columns"),
+        "azimuth and elevation swapped": (view.values[:, ::-1], "azimuth and elevation are swapped; rename both"),
     }  # fmt: skip
     for change, (values, cause) in changed.items():
         yield Explanation(change, cause, sizes_with(view, values=values), own=True)
@@ -117,7 +117,7 @@ def _of_places(view: Compared) -> Iterator[Explanation]:
         )  # fmt: skip
     swapped = view.places[:, [1, 0, 2]]
     yield Explanation(
-        "x and y of the position swapped", "x and y in rig.toml are swapped", sizes_with(view, places=swapped), own=True,
+        "x and y of the position swapped", "x and y in rig.toml are swapped", sizes_with(view, places=swapped), 0, True,
         groups=np.linalg.norm(swapped - view.places, axis=1) > LEAST_MOVE_M,
     )  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""Explanations of errors by the truth as a whole: units, frame, clock, swapped tags; and by swapped anchors or stations."""
+"""Explanations of errors by the truth as a whole: units, frame, clock; and by swapped tags, anchors or stations."""
 
 from __future__ import annotations
 
@@ -120,9 +120,9 @@ def _turned(view: Compared) -> Iterator[Explanation]:
             return part._replace(positions=_placed(part.positions, centre, x, mirrored)).errors()
 
         starts = [np.append(yaw, c) for yaw in np.arange(24) * np.pi / 12 for c in (centre, target)]
-        starts.sort(key=lambda x: float(np.nanmean(np.log1p(np.abs(errors(x, few))))))  # noqa: B023
+        starts.sort(key=lambda x: float(np.nanmean(np.log1p(np.abs(errors(x, few))))))
         near = starts[:TURNS]
-        rough = min((robust_fit(lambda x: errors(x, few), x0, 8) for x0 in near), key=lambda fit: fit[1])[0]  # noqa: B023
+        rough = min((robust_fit(lambda x: errors(x, few), x0, 8) for x0 in near), key=lambda fit: fit[1])[0]
         x, _ = robust_fit(errors, rough, 4)
         yaw = float(np.mod(x[0] + np.pi, 2 * np.pi) - np.pi)
         if not mirrored and abs(yaw) < LEAST_YAW:
@@ -155,7 +155,7 @@ def _delayed(view: Compared) -> Iterator[Explanation]:
     grid = np.arange(-longest, longest + step, step)
     while step > 0.02:
         part = few if step > 0.1 else view
-        best = min(grid, key=lambda delay: _total(part.later(delay)))  # noqa: B023
+        best = min(grid, key=lambda delay: _total(part.later(delay)))
         grid, step = best + step * np.arange(-1.0, 1.01, 0.25), step / 4
     late = "late" if best > 0 else "early"
     yield Explanation(

@@ -58,11 +58,17 @@ def _moved(anchors: dict[str, np.ndarray], number: int, by: tuple[float, float, 
     anchors[list(anchors)[number]] += by
 
 
+def _flipped_x(anchors: dict[str, np.ndarray], number: int) -> None:
+    anchors[list(anchors)[number]] *= np.array([-1.0, 1.0, 1.0])
+
+
 def _cycled(things: dict[str, Any]) -> dict[str, Any]:
     return dict(zip(things, np.roll(np.stack(list(things.values())), 1, axis=0), strict=True))
 
 
-def _quaternion(stations: dict[str, Station], change: Callable[[np.ndarray], np.ndarray], only: int | None = None) -> None:
+def _quaternion(
+    stations: dict[str, Station], change: Callable[[np.ndarray], np.ndarray], only: int | None = None
+) -> None:
     for number, (key, station) in enumerate(stations.items()):
         if only is None or number == only:
             stations[key] = replace(station, rotation=change(np.asarray(station.rotation, float)))
@@ -82,7 +88,6 @@ def _turned(degrees: float) -> Callable[[RecordingFolder], RecordingFolder]:
 
 T, X, Y, Z = (pl.col(name) for name in ("t_s", "x_m", "y_m", "z_m"))
 RANGE, AZIMUTH, ELEVATION = pl.col("range_m"), pl.col("azimuth_rad"), pl.col("elevation_rad")
-FLIP_Z = np.array([1.0, 1.0, -1.0])
 
 MISTAKES = {
     "ranges in millimetres": Mistake("starloc-fast-s1", ("millimetres",), _table("ranges", range_m=1000 * RANGE)),
@@ -105,7 +110,7 @@ MISTAKES = {
     ),
     "the sign of an anchor's x": Mistake(
         "rcv-drone-3", ("x in rig.toml has the wrong sign",),
-        _anchors(lambda anchors: anchors.update({list(anchors)[0]: list(anchors.values())[0] * [-1, 1, 1]})),
+        _anchors(lambda anchors: _flipped_x(anchors, 0)),
     ),
     "anchors in millimetres": Mistake(
         "labyrinth", ("rig.toml", "millimetres"),
@@ -154,7 +159,13 @@ MISTAKES = {
         _stations(lambda stations: _quaternion(stations, lambda q: _about_z(q, 90.0), 2)),
     ),
 }  # fmt: skip
-QUICK = ("ranges in centimetres", "round-trip distances", "x of the fixes flipped", "the azimuth's sign", "truth in centimetres")
+QUICK = (
+    "ranges in centimetres",
+    "round-trip distances",
+    "x of the fixes flipped",
+    "the azimuth's sign",
+    "truth in centimetres",
+)
 
 
 def _message(mistake: Mistake, recordings: Path, folder: Path) -> str:

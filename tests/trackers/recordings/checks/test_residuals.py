@@ -1,0 +1,77 @@
+"""Bias, slope, delay and outliers of readings against truth are those with which the readings were made."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import polars as pl
+import pytest
+
+from trackers.core.rig import Rig
+from trackers.recordings.checks import check
+from trackers.recordings.checks.compared import compared
+from trackers.recordings.checks.residuals import residuals
+from trackers.recordings.checks.robust_fit import robust_fit
+from trackers.recordings.folder import RecordingFolder
+
+ANCHORS = {
+    "A": np.array([0.0, 0.0, 3.0]),
+    "B": np.array([8.0, 1.0, 2.0]),
+    "C": np.array([7.0, 7.0, 3.0]),
+    "D": np.array([-1.0, 6.0, 2.0]),
+}
+BIAS, SLOPE, DELAY, OUTLIERS, SIGMA = 0.2, 0.03, 0.3, 0.04, 0.02
+
+
+def _position(t):
+    return np.stack([3 + 2.5 * np.cos(0.5 * t), 3 + 2 * np.sin(0.8 * t), np.full_like(t, 1.0)], axis=-1)
+
+
+def _walk(wrong: str = "A") -> RecordingFolder:
+    """Ranges of a walk to four anchors, those of `wrong` with a bias, a slope, a delay and outliers."""
+    rng, times, rows = np.random.default_rng(2), 0.1 * np.arange(600), []
+    for anchor, place in ANCHORS.items():
+        late = DELAY if anchor == wrong else 0.0
+        distance = np.linalg.norm(_position(times - late) - place, axis=1)
+        value = distance + rng.normal(0, SIGMA, len(times))
+        if anchor == wrong:
+            value += BIAS + SLOPE * (distance - distance.mean())
+            value[rng.random(len(times)) < OUTLIERS] += 4.0
+        rows.append(pl.DataFrame({"t_s": times, "tag": "T", "anchor": anchor, "range_m": value}))
+    fine = 0.02 * np.arange(-100, 3200)
+    truth = pl.DataFrame({"t_s": fine, "tag": "T"} | dict(zip(("x_m", "y_m", "z_m"), _position(fine).T, strict=True)))
+    return RecordingFolder("walk", None, Rig("walk", ANCHORS), {"ranges": pl.concat(rows).sort("t_s"), "truth": truth})
+
+
+def test_what_one_anchor_does_wrong_is_found_and_the_others_are_clean():
+    found = {one.group: one for one in residuals(compared(_walk(), "ranges"))}
+    wrong = found.pop("A")
+    assert wrong.bias == pytest.approx(BIAS, abs=0.06)
+    assert wrong.slope == pytest.approx(SLOPE, rel=0.25)
+    assert wrong.delay == pytest.approx(DELAY, rel=0.1)
+    assert wrong.outliers == pytest.approx(OUTLIERS, abs=0.02)
+    for one in found.values():
+        assert one.bias == pytest.approx(0.0, abs=0.005)
+        assert one.spread == pytest.approx(SIGMA, rel=0.2)
+        assert math.isnan(one.delay)
+        assert one.outliers < 0.01
+
+
+def test_the_check_prints_a_line_for_each_anchor_and_calls_none_of_it_a_mistake():
+    results = check(_walk())
+    lines = [result.message for result in results if result.message.startswith("anchor") and "bias" in result.message]
+    assert len(lines) == 4
+    assert lines[0].startswith("anchor A against truth: bias +0.2")
+    assert "late by 0.3 s" in lines[0]
+    assert not [result for result in results if result.level == "error"]
+
+
+def test_a_robust_fit_ignores_a_fifth_of_wild_errors():
+    rng, true = np.random.default_rng(0), np.array([1.0, -2.0])
+    x = rng.uniform(-3, 3, 400)
+    y = true[0] * x + true[1] + rng.normal(0, 0.05, 400)
+    y[rng.random(400) < 0.2] += 30.0
+    found, size = robust_fit(lambda p: (p[0] * x + p[1] - y)[:, None], np.zeros(2))
+    assert found == pytest.approx(true, abs=0.03)
+    assert size < 0.06
