@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from typing import TYPE_CHECKING, Annotated, Any
 
 from experiments.cli.arguments import File, Folder
@@ -12,6 +13,8 @@ from trackers.recordings.atomic import json_text
 from tuning.tuned_file import read_tuned
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from trackers.recordings.folder import RecordingFolder
     from trackers.recordings.named_tracker import NamedTracker
 
@@ -66,10 +69,12 @@ def tunables(
 
 def _simulated(tracker: str, missing: Any) -> RecordingFolder:
     """A simulated recording that has what the tracker needs; raises UnusableInput where there is none."""
+    import numpy as np
+
     from sim.worlds import WORLDS
 
     for world in WORLDS.values():
-        folder = world(range(1), 0)
+        folder = world(np.arange(1), 0)
         if missing(folder) is None:
             return folder
     raise UnusableInput(f"tunables {tracker}: no simulated recording has what it reads; give a recording FOLDER")
@@ -100,17 +105,30 @@ def _rows(named: NamedTracker) -> list[dict[str, Any]]:
 
 
 def _table(listed: list[dict[str, Any]], width: int) -> str:
+    """A line for each tunable, and below those of one meaning what it is."""
     import numpy as np
 
-    from experiments.reports.tables import compact_table, rendered
+    from experiments.reports.tables import aligned
 
-    if not listed:
-        return "no tunables\n"
-    table = compact_table("", ["tunable", "value", "unit", "bounds", "meaning"], [])
+    rows = [("tunable", "value", "unit", "bounds")]
     for one in listed:
-        value = np.array2string(np.asarray(one["value"]), precision=4, threshold=4, separator=",").replace("\n", "")
-        star = "*" if one["fitted_by_default"] else ""
-        table.add_row(
-            one["name"] + star, value, "" if one["unit"] == "1" else one["unit"], one["bounds"], one["meaning"]
-        )
-    return rendered(width, table).lstrip("\n")
+        star, unit = "*" if one["fitted_by_default"] else "", "" if one["unit"] == "1" else one["unit"]
+        rows.append((one["name"] + star, _short(np.asarray(one["value"])), unit, one["bounds"]))
+    head, *lines = aligned(rows).splitlines()
+    text = [head]
+    for k, (line, one) in enumerate(zip(lines, listed, strict=True)):
+        text.append(line.rstrip())
+        last = k + 1 == len(listed) or listed[k + 1]["meaning"] != one["meaning"]
+        if last and one["meaning"]:
+            indent = "    "
+            text += textwrap.wrap(one["meaning"], width, initial_indent=indent, subsequent_indent=indent)
+    return "\n".join(text) + "\n"
+
+
+def _short(value: np.ndarray) -> str:
+    """A number, a few, or their count and span."""
+    numbers = sorted(set(value.ravel().tolist()))
+    if value.size <= 3:
+        return ", ".join(f"{number:.4g}" for number in value.ravel())
+    shape = " x ".join(map(str, value.shape))
+    return f"{shape}: {numbers[0]:.4g}" + (f" to {numbers[-1]:.4g}" if len(numbers) > 1 else "")

@@ -60,7 +60,10 @@ class MirrorSensor(AbstractFixSensor, AbstractSwitching):
 
     Modes: a tag `BELOW` or `ABOVE` the plane; below without modes. `offset` m, `shrink`: as in the module's docstring.
     `floor`: height of the floor, m. `give` m: standard deviation of the depth below it; it is not identifiable, since
-    the pseudo-measurement is always 0. Input: `plane`, h, m.
+    the pseudo-measurement is always 0. `sigma_horizontal` and `sigma_vertical` m: standard deviations of x and y, and
+    of d. Reported ones, scaled by `reported_std_scale`, add to these in variance; errors follow Student's t of `dof`
+    degrees of freedom, None for normal ones. Fixes are measured `latency` s before the row's time. Input: `plane`, h,
+    m.
     """
 
     sigma_horizontal: Noise

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import re
 from collections.abc import Iterator
 from typing import Any
@@ -16,14 +15,14 @@ from trackers.core.tunable import is_tunable
 def meanings(tree: Any) -> dict[str, str]:
     """A sentence on every tunable of the tree by its dotted name; empty where no docstring mentions it.
 
-    It is the first sentence with the name of the field in backticks, in the docstring of the innermost object around
-    the tunable that has one.
+    It is the first sentence with the name of the field in backticks, of a list its own part, in the docstring of the
+    innermost object around the tunable that has one.
     """
     found = {}
     for path, node in jax.tree_util.tree_flatten_with_path(tree, is_leaf=is_tunable)[0]:
         if is_tunable(node):
             owners = list(_owners(tree, path))
-            sentences = (_sentence(owner, name) for owner, name in reversed(owners))
+            sentences = (_sentence(owner, owners[-1][1]) for owner, _ in reversed(owners))
             found[path_name(path)] = next(filter(None, sentences), "")
     return found
 
@@ -44,5 +43,9 @@ def _sentence(owner: Any, name: str) -> str:
         text = " ".join((kind.__dict__.get("__doc__") or "").split())
         for sentence in re.split(r"(?<=\.) (?=[A-Z`])", text):
             if f"`{name}`" in sentence:
-                return inspect.cleandoc(sentence).replace("`", "").rstrip(".")
+                # A list of `name`: meaning; `other`: meaning.
+                clauses = [clause for clause in sentence.split("; ") if re.match(rf"(`\w+`, )*`{name}`", clause)]
+                found = (clauses or [sentence])[0].rstrip(".")
+                if not re.fullmatch(rf"`{name}`: as in `\w+`", found):
+                    return found.replace("`", "")
     return ""

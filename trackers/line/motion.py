@@ -65,8 +65,8 @@ class LineMotion(AbstractMotion):
 class HaltingMotion(AbstractMotion):
     """`LineMotion`, with halts: at a join the tag rests with probability `halting`, for `rest` s on average.
 
-    The speed after a rest is half-normal with scale `sigma_departure` m/s. Future work in chapter 4 of the thesis:
-    `LineMotion` overshoots rests at joins.
+    `sigma_a`: white acceleration along the path, m/s per √s. The speed after a rest is half-normal with scale
+    `sigma_departure` m/s. Future work in chapter 4 of the thesis: `LineMotion` overshoots rests at joins.
     """
 
     line: Polyline

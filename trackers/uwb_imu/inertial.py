@@ -28,8 +28,8 @@ class InertialStart(AbstractNearbyStart):
 
     Input `rest` (7,): recent mean specific force m/s² and turning rate rad/s, and 1 if the body was at rest, in which
     case the rate is the gyro bias. Standard deviations: `sigma_position` m; `sigma_height` m, large because anchors at
-    similar heights leave a mirror ambiguity; `sigma_velocity` m/s; `sigma_tilt`, `sigma_yaw` rad; accelerometer bias
-    m/s², gyro bias rad/s and range bias m.
+    similar heights leave a mirror ambiguity; `sigma_velocity` m/s; `sigma_tilt`, `sigma_yaw` rad;
+    `sigma_accel_bias` m/s², `sigma_gyro_bias` rad/s and `sigma_bias` m, of the ranges.
     """
 
     sigma_position: Noise

@@ -1,0 +1,62 @@
+"""`trackwright tunables`: every number of every tracker that can be set, with its meaning from the docstrings."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from experiments.cli.trackers import _simulated
+from tests.in_process import assert_refused, trackwright
+from trackers.catalogue import TRACKERS, build
+from trackers.core.tunable_meaning import meanings
+
+NOT_SIMULATED = ("bearings", "trilateration", "trilateration-compensated", "floor-pf")
+
+
+@pytest.mark.parametrize("name", sorted({*TRACKERS} - {*NOT_SIMULATED}))
+def test_a_docstring_says_what_each_tunable_is(name):
+    tracker = build(name, _simulated(name, TRACKERS[name].missing))
+    found = meanings(tracker.tracker)
+    assert list(found) == list(tracker.tunables)
+    for tunable, sentence in found.items():
+        assert tunable.rpartition(".")[2] in sentence.replace("₀", "_0"), tunable
+
+
+def test_tunables_are_listed_with_values_units_and_bounds():
+    done = trackwright("tunables", "fix-kf", "--json")
+    assert done.code == 0
+    listed = {one.pop("name"): one for one in json.loads(done.out)["tunables"]}
+    assert listed["motion.sigma_a"] == {
+        "value": 1.0,
+        "unit": "m/s^2/sqrt(Hz)",
+        "bounds": "> 0",
+        "fitted_by_default": True,
+        "meaning": listed["motion.sigma_a"]["meaning"],
+    }
+    assert not any(one["fitted_by_default"] for name, one in listed.items() if name.startswith("start."))
+    text = trackwright("tunables", "fix-kf")
+    assert "give a recording FOLDER" in text.err
+    assert all(name in text.out for name in listed)
+
+
+def test_values_are_those_of_a_noise_file_and_of_the_recording(simulated, tmp_path):
+    (tmp_path / "tuned.toml").write_text('tracker = "beam"\n[tunables."motion.sigma_a"]\nvalue = 7.5\n')
+    done = trackwright("tunables", "beam", simulated, "--noise", tmp_path / "tuned.toml", "--json")
+    assert done.err == ""
+    found = {one["name"]: one["value"] for one in json.loads(done.out)["tunables"]}
+    assert found["motion.sigma_a"] == pytest.approx(7.5)
+    assert np.shape(found["sensors.phases.offsets"]) == (8,)
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (("uvb",), "tracker uvb: unknown"),
+        (("bearings",), "tunables bearings: no simulated recording has what it reads; give a recording FOLDER"),
+        ((), "no TRACKER given"),
+    ],
+)
+def test_what_cannot_be_listed_is_refused(words, expected):
+    assert_refused(trackwright("tunables", *words), expected)

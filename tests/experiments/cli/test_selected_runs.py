@@ -1,0 +1,130 @@
+"""Runs on a part of a recording, with values set on the command line, and with the tracker of a noise file."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+
+import numpy as np
+import polars as pl
+import pytest
+
+from experiments.cli import tracking
+from sim import worlds
+from tests.in_process import assert_refused, trackwright
+from trackers.core.errors import UnusableInput
+from trackers.recordings.folder import read_recording, write_recording
+from trackers.recordings.selection import Selection
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory):
+    """Two tags among four anchors, 6 s of ranges."""
+    path = tmp_path_factory.mktemp("selected") / "room"
+    write_recording(worlds.ranges(n=2, seed=5, rows=60).folder(), path)
+    return path
+
+
+@pytest.fixture(autouse=True)
+def _without_figures(monkeypatch):
+    monkeypatch.setattr(tracking, "plot_tracks", lambda *arguments: [])
+
+
+def _tracks(folder):
+    return pl.read_parquet(folder / "tracks.parquet")
+
+
+def test_a_part_of_a_recording_is_tracked(room, tmp_path):
+    part = ("--tag", "1", "--from", 1, "--to", 4)
+    done = trackwright("track", room, "--tracker", "uwb", *part, "--out", tmp_path)
+    assert done.code == 0, done
+    tracks = _tracks(tmp_path)
+    assert set(tracks["tag"]) == {"1"}
+    assert 1 <= tracks["t_s"].min() < 1.2
+    assert 3.8 < tracks["t_s"].max() <= 4
+    config = json.loads((tmp_path / "manifest.json").read_text())["config"]
+    assert config["part"] == {"tags": ["1"], "start": 1.0, "stop": 4.0, "every": None}
+
+
+def test_the_last_reading_of_each_anchor_and_interval_is_kept(room):
+    whole = read_recording(room)
+    kept, every = Selection(every=1.0).of(whole).tables["ranges"], whole.tables["ranges"]
+    chosen = {(t, tag, anchor) for t, tag, anchor in kept.select("t_s", "tag", "anchor").iter_rows()}
+    last = {}
+    for t, tag, anchor in every.select("t_s", "tag", "anchor").iter_rows():
+        last[int(t // 1.0), tag, anchor] = t
+    assert chosen == {(t, tag, anchor) for (_, tag, anchor), t in last.items()}
+    assert Selection(every=1.0).of(whole).tables["truth"].equals(whole.tables["truth"])
+
+
+@pytest.mark.parametrize(
+    ("part", "expected"),
+    [
+        (Selection(tags=("9",)), "no tag '9'; its tags: 0, 1"),
+        (Selection(start=100.0), "ranges has no row in the span of time asked for; expected a part of 0 to 5.9 s"),
+    ],
+)
+def test_a_part_that_holds_nothing_is_refused(room, part, expected):
+    with pytest.raises(UnusableInput, match=expected):
+        part.of(read_recording(room))
+
+
+def test_a_value_set_is_that_of_a_noise_file_and_goes_before_it(room, tmp_path):
+    (tmp_path / "noise.toml").write_text('tracker = "uwb"\n[tunables."sensors.ranges.sigma_r"]\nvalue = 0.3\n')
+    by_file = trackwright("track", room, "--noise", tmp_path / "noise.toml", "--out", tmp_path / "file")
+    assert f"tracker: uwb, that of {tmp_path / 'noise.toml'}; choose another with --tracker" in by_file.err
+    options = ("--tracker", "uwb", "--set", "sensors.*.sigma_r=0.3")
+    assert trackwright("track", room, *options, "--out", tmp_path / "set").code == 0
+    assert _tracks(tmp_path / "file").equals(_tracks(tmp_path / "set"))
+    both = ("--noise", tmp_path / "noise.toml", "--set", "sensors.ranges.sigma_r=0.1")
+    assert trackwright("track", room, *both, "--out", tmp_path / "both").code == 0
+    assert not _tracks(tmp_path / "both").equals(_tracks(tmp_path / "set"))
+
+
+def test_the_tracker_of_a_noise_file_is_taken_where_the_tables_would_give_another(room, tmp_path):
+    (tmp_path / "noise.toml").write_text('tracker = "multilateration"\n[tunables."sigma_r"]\nvalue = 0.3\n')
+    done = trackwright("track", room, "--noise", tmp_path / "noise.toml", "--out", tmp_path / "out")
+    assert done.code == 0, done
+    assert json.loads((tmp_path / "out" / "manifest.json").read_text())["config"]["tracker"] == "multilateration"
+
+
+def test_a_value_that_no_tunable_takes_is_refused(room, tmp_path):
+    for text, expected in (("sigma_q=1", "--set: this tracker has no 'sigma_q'"), ("*.sigma_r=-1", "is positive")):
+        said = trackwright("track", room, "--tracker", "uwb", "--set", text, "--out", tmp_path / "out")
+        assert_refused(said, expected)
+
+
+def test_quiet_prints_results_alone(room, tmp_path):
+    loud = trackwright("track", room, "--out", tmp_path / "loud")
+    quiet = trackwright("track", room, "--quiet", "--out", tmp_path / "quiet")
+    assert loud.err
+    assert quiet.err == ""
+    assert quiet.out == loud.out.replace(str(tmp_path / "loud"), str(tmp_path / "quiet"))
+
+
+def test_estimates_of_a_part_are_evaluated(room, tmp_path):
+    assert trackwright("track", room, "--tracker", "uwb", "--out", tmp_path).code == 0
+    whole, part = (
+        json.loads(trackwright("evaluate", tmp_path, "--json", *words).out)
+        for words in ((), ("--tag", "0", "--from", "2"))
+    )
+    assert len(part["tracks"]) == 1
+    later = _tracks(tmp_path).filter((pl.col("tag") == "0") & (pl.col("t_s") >= 2))
+    assert part["overall"]["n_rows"] == later.height < whole["overall"]["n_rows"]
+    assert_refused(trackwright("evaluate", tmp_path, "--from", 99), "no estimate is of these tags and times")
+
+
+def test_a_sweep_in_equal_ratios(room, tmp_path):
+    over = "sensors.ranges.sigma_r=0.01:1:3:log"
+    done = trackwright("sweep", room, "--tracker", "uwb", "--over", over, "--out", tmp_path)
+    assert done.code == 0, done
+    values = pl.read_csv(tmp_path / "sweep.csv")["sensors.ranges.sigma_r"].to_numpy()
+    np.testing.assert_allclose(values, [0.01, 0.1, 1.0])
+
+
+@pytest.mark.slow
+def test_noise_levels_of_motion_and_sensors_are_fitted_by_default(room, tmp_path):
+    done = trackwright("tune", room, "--tracker", "uwb", "--steps", 2, "--starts", 1, "--out", tmp_path)
+    assert done.code == 0, done
+    fitted = tomllib.loads((tmp_path / "tuned.toml").read_text())["tunables"]
+    assert set(fitted) == {"motion.sigma_a", "motion.sigma_z", "motion.sigma_bias", "sensors.ranges.sigma_r"}
