@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -81,7 +81,7 @@ class Compared(NamedTuple):
                     found[k, column] = np.median(np.abs(own - middle))
         return found
 
-    def later(self, delay: float, of: Int[np.ndarray, " T"] | None = None) -> Compared:
+    def later(self, delay: float | Float[np.ndarray, " N"], of: Int[np.ndarray, " T"] | None = None) -> Compared:
         """The same readings with the true positions of `delay` seconds before, NaN where there are none.
 
         `of`: the number of the tag whose path stands for that of each tag.
@@ -94,8 +94,10 @@ class Compared(NamedTuple):
 
     def thinned(self, most: int) -> Compared:
         """Every k-th reading of each group, at most about `most` in all."""
-        step = -(-len(self.group) // most)
-        part = slice(None, None, step)
+        return self.of_rows(slice(None, None, -(-len(self.group) // most)))
+
+    def of_rows(self, part: Any) -> Compared:
+        """Some of the readings, by a mask or a slice."""
         return self._replace(
             group=self.group[part], tag=self.tag[part], times=self.times[part], values=self.values[part],
             positions=self.positions[part],

@@ -10,6 +10,7 @@ import numpy as np
 
 from trackers.recordings.checks.check_result import CheckResult
 from trackers.recordings.checks.compared import Compared
+from trackers.recordings.checks.readings import wrapped
 
 OUTLIER = 5.0
 """Robust standard deviations beyond which a reading is an outlier."""
@@ -44,42 +45,61 @@ class Residuals(NamedTuple):
 
 def residuals(view: Compared) -> list[Residuals]:
     """The errors of each group and column against truth."""
-    true, errors = view.predicted(), view.errors()
-    after, before = (view.later(lag).predicted() for lag in (-LAG_S, LAG_S))
-    rates = np.unwrap(np.stack([before, after]), axis=0) if view.table == "bearings" else np.stack([before, after])
-    rate = np.diff(rates, axis=0)[0] / (2 * LAG_S)
-    found = []
-    for k, name in enumerate(view.ids):
-        own = view.group == k
-        for c, column in enumerate(view.columns):
-            known = own & np.isfinite(errors[:, c])
-            e, x, v = errors[known, c], true[known, c], np.nan_to_num(rate[known, c])
-            if not len(e):
-                continue
+    errors, found = view.errors(), []
+    # The slope is that of the errors after the delay: over the delay a reading does not change linearly.
+    delays = np.zeros(errors.shape)
+    for _ in range(2):
+        fits = {key: _slope_and_delay(view, key, delays) for key in np.ndindex(len(view.ids), len(view.columns))}
+        for (k, c), (_, delay) in fits.items():
+            delays[view.group == k, c] = np.nan_to_num(delay)
+    for (k, c), (slope, delay) in fits.items():
+        e = errors[view.group == k, c]
+        e = e[np.isfinite(e)]
+        if len(e):
             bias = float(np.median(e))
             spread = 1.4826 * float(np.median(np.abs(e - bias)))
-            inside = np.abs(e - bias) <= max(OUTLIER * spread, 1e-9)
-            slope, delay = _slope_and_delay(e[inside], x[inside], v[inside], view.table)
-            found.append(Residuals(name, column, len(e), bias, spread, slope, delay, 1.0 - float(inside.mean())))
+            outliers = float(np.mean(_outlying(e, bias, spread)))
+            found.append(Residuals(view.ids[k], view.columns[c], len(e), bias, spread, slope, delay, outliers))
     return found
 
 
-def _slope_and_delay(e: np.ndarray, true: np.ndarray, rate: np.ndarray, table: str) -> tuple[float, float]:
-    """The slope of errors over true values and the delay, NaN within three standard errors of zero."""
-    regressors = np.stack([np.ones(len(e)), true - true.mean(), -rate], axis=1)
-    if table == "fixes":
-        regressors[:, 1] = 0.0
-    scale = np.sqrt(np.mean(regressors**2, axis=0))
-    used = scale > np.array([0.0, 0.2, 0.02])
-    if len(e) < 3 * CORRELATED or not used[1:].any():
+def _outlying(e: np.ndarray, bias: float, spread: float) -> np.ndarray:
+    outlying: np.ndarray = np.abs(e - bias) > max(OUTLIER * spread, 1e-9)
+    return outlying
+
+
+def _slope_and_delay(view: Compared, key: tuple[int, ...], delays: np.ndarray) -> tuple[float, float]:
+    """Slope and delay of the readings of a group and column, NaN within three standard errors of zero.
+
+    `delays` (N, m): those found before, about which the readings are linearised.
+    """
+    k, c = key
+    own = view.group == k
+    part = view.of_rows(own)
+    at = delays[own, c]
+    true, before, after = (part.later(at + lag).predicted()[:, c] for lag in (0.0, LAG_S, -LAG_S))
+    change = wrapped((after - before)[:, None], view.columns[c : c + 1])[:, 0]
+    e = wrapped((part.values[:, c] - true)[:, None], view.columns[c : c + 1])[:, 0]
+    known = np.isfinite(e) & np.isfinite(change)
+    e, true, rate = e[known], true[known], change[known] / (2 * LAG_S)
+    if len(e) < 3 * CORRELATED:
         return math.nan, math.nan
+    middle = float(np.median(e))
+    inside = ~_outlying(e, middle, 1.4826 * float(np.median(np.abs(e - middle))))
+    e, true, rate = e[inside], true[inside], rate[inside]
+    regressors = np.stack([np.ones(len(e)), true - true.mean(), -rate], axis=1)
+    if view.table == "fixes":
+        regressors[:, 1] = 0.0
+    used = np.sqrt(np.mean(regressors**2, axis=0)) > np.array([0.0, 0.2, 0.02])
     A = regressors[:, used]
     fit = np.linalg.lstsq(A, e, rcond=None)[0]
     variance = float(np.mean((e - A @ fit) ** 2))
     errors = np.sqrt(np.maximum(np.diag(np.linalg.pinv(A.T @ A)), 0.0) * variance * CORRELATED)
-    values = np.full(3, np.nan)
-    values[used] = np.where(np.abs(fit) > 3 * errors, fit, np.nan)
-    return float(values[1]), float(values[2])
+    values, sigmas = np.zeros(3), np.full(3, np.inf)
+    values[used], sigmas[used] = fit, errors
+    values[2] += float(at[0])
+    slope, delay = (x if abs(x) > 3 * s else math.nan for x, s in zip(values[1:], sigmas[1:], strict=True))
+    return float(slope), float(delay)
 
 
 def check_residuals(view: Compared) -> list[CheckResult]:
