@@ -27,19 +27,20 @@ def _part(module):
     package, _, rest = module.partition(".")
     if package == "trackers":
         inside = rest.partition(".")[0]
-        return inside if inside in ("core", "recordings", "parts", *SYSTEMS) else "trackers"
+        return inside if inside in ("core", "recordings", "parts", "exchange", *SYSTEMS) else "trackers"
     if module.startswith("tuning.design"):
         return "design"
     return package if package in PACKAGES else None
 
 
 BASE = {"core", "recordings", "parts"}
-LIBRARY = {*BASE, *SYSTEMS, "trackers"}
+LIBRARY = {*BASE, *SYSTEMS, "exchange", "trackers"}
 MAY_IMPORT = {
     "core": {"core"},
     "recordings": {"core", "recordings"},
     "parts": BASE,
     **{system: {*BASE, system} for system in SYSTEMS},
+    "exchange": {"core", "recordings", "trackers", "exchange"},
     "trackers": LIBRARY,
     "sim": {*LIBRARY, "sim"},
     "tuning": {*BASE, "tuning"},

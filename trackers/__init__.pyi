@@ -54,6 +54,10 @@ from trackers.core.tracker import AbstractTracker, Tracker, filter_batch
 from trackers.core.tunable import Covariance, Fraction, Real, Scale, tunables
 from trackers.evaluation import Evaluation, evaluate
 from trackers.events import events_of
+from trackers.exchange.compare import TrajectoryErrors, compare_trajectories
+from trackers.exchange.imported import import_frames
+from trackers.exchange.poses import PoseTrajectory
+from trackers.exchange.trajectory_files import read_trajectory, write_trajectory
 from trackers.from_arrays import bearing_recording, fix_recording, phase_recording, range_recording
 from trackers.line.grid import GridFilter
 from trackers.line.motion import HaltingMotion, LineMotion
@@ -110,6 +114,7 @@ __all__ = [
     "TagCalibration",
     "read_calibration",
     "write_calibration",
+    "import_frames",
     "UnusableInput",
     "cache_programs",
     # trackers by name, their estimates, and how good these are
@@ -122,6 +127,11 @@ __all__ = [
     "Status",
     "evaluate",
     "Evaluation",
+    "PoseTrajectory",
+    "read_trajectory",
+    "write_trajectory",
+    "compare_trajectories",
+    "TrajectoryErrors",
     "events_of",
     "fit_path_truth",
     "error_metrics",

@@ -8,9 +8,11 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from experiments.cli.arguments import File, Folder, Folders
+from experiments.cli.arguments import File
 from experiments.cli.console import read_with_notices, selection, terminal_width
+from experiments.cli.evaluate_poses import PoseOptions, evaluate_poses
 from trackers.core.errors import UnusableInput
+from trackers.exchange.alignment import Alignment
 from trackers.recordings.atomic import atomic_write
 from trackers.recordings.tracks_table import read_tracks
 
@@ -23,9 +25,9 @@ SOURCES = "recordings.txt"
 
 
 def evaluate_tracks(
-    folder: Folder,
+    folder: Annotated[Path, "FOLDER|FILE"],
     *,
-    truth: Folders = (),
+    truth: Annotated[tuple[Path, ...], "FOLDER|FILE"] = (),
     tag: Annotated[tuple[str, ...], "TAG"] = (),
     from_: Annotated[float | None, "S"] = None,
     to: Annotated[float | None, "S"] = None,
@@ -35,15 +37,22 @@ def evaluate_tracks(
     worksteps: File | None = None,
     tolerance: Annotated[float | None, "M"] = None,
     cluster: Annotated[str | None, "ADDRESS"] = None,
+    align: Alignment | None = None,
+    time_offset: Annotated[str | None, "S|auto"] = None,
+    time_tolerance: Annotated[float | None, "S"] = None,
+    rpe: Annotated[tuple[str, ...], "STEP"] = (),
+    all_pairs: bool = False,
+    out: Annotated[Path | None, "FOLDER"] = None,
 ) -> int:
     """Error metrics of estimates against truth; exit 1 by --fail-if.
 
-    By track, by recording and overall; writes evaluation.json.
+    By track, by recording and overall; writes evaluation.json. Of a file of estimates (TUM, KITTI, EuRoC, or a table
+    with t_s, x_m, y_m), and with --align and what follows it, also absolute and relative pose errors as in evo.
 
     Args:
-        folder: the output folder of `track`.
-        truth: recordings whose truth tables are used; default: the tracked ones.
-        tag: score these tags alone.
+        folder: the output folder of `track`, or a file of estimates.
+        truth: recordings whose truth tables are used, or a trajectory file; default: the tracked recordings.
+        tag: score these tags alone; the tag that a file of estimates follows.
         from_: score estimates from this time on.
         to: score estimates up to this time.
         every: score only the last estimate in each interval of so many seconds, so that tags weigh equally.
@@ -54,10 +63,22 @@ def evaluate_tracks(
         tolerance: distance to a fastening point, m, up to which the tool is at it; default: half the smallest distance
             between two points.
         cluster: score each recording on a Dask cluster, tcp://HOST:8786, or in processes here, local:4.
+        align: fit each track to its truth first: se3, sim3 (with scale), scale, se2 (in x and y), origin (first pose).
+        time_offset: added to the times of the estimates; auto: the one that fits best.
+        time_tolerance: largest distance in time between a pose and its true pose; default: 0.01.
+        rpe: steps of the relative pose errors: 1m, 1s, 10f (rows); default: 1m 1s.
+        all_pairs: relative pose errors from every pose, not from the end of the step before.
+        out: a folder for evaluation.json, the tracks as compared, and figures.
     """
     part = selection(tag, from_, to, every)
     if tolerance is not None and worksteps is None:
         raise UnusableInput(f"--tolerance {tolerance:g}: applies to fastening points; expected --worksteps POINTS too")
+    options = PoseOptions(align, time_offset, time_tolerance, rpe, all_pairs, out)
+    if folder.is_file() or options.given:
+        if worksteps is not None or cluster is not None:
+            raise UnusableInput("--worksteps and --cluster: apply to a folder of `track` without trajectory options")
+        known = truth if truth or folder.is_file() else sources(folder)
+        return evaluate_poses(folder, known, options, part, json, fail_if)
     tracks = part.of_estimates(read_tracks(folder))
     folders = read_with_notices(truth or sources(folder))
     # jax takes a second to import, which the help and a refused folder need not wait for.

@@ -14,10 +14,12 @@ from experiments.cli.summaries import COMMANDS, FAMILIES
 
 FUNCTIONS = {
     "plan": "plan:plan",
+    "import": "import_source:import_source",
     "check": "check:check",
     "calibrate": "calibrate:calibrate_recordings",
     "track": "track:track",
     "evaluate": "evaluate:evaluate_tracks",
+    "export": "export:export",
     "report": "report:report",
     "tune": "tune:tune",
     "sweep": "sweep:sweep",

@@ -1,0 +1,142 @@
+"""`trackwright evaluate` of a trajectory file, or with an alignment: all metrics, and pose errors as in evo."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import polars as pl
+
+from experiments.cli.console import notice, output_folder, read_with_notices, require_output, terminal_width
+from trackers.core.errors import UnusableInput
+from trackers.exchange.alignment import Alignment
+from trackers.exchange.estimate_files import assigned, read_estimates, read_truth
+from trackers.exchange.tracks_compared import compare_tracks, pooled
+from trackers.recordings.atomic import atomic_write, json_text
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.selection import Selection
+from trackers.recordings.tracks_table import TRACKS, read_tracks, write_tracks
+
+DEFAULT_STEPS = ("1m", "1s")
+DEFAULT_TOLERANCE = 0.01
+FILE_TAG = "1"
+"""Tag of a truth in a file that names none."""
+
+
+@dataclass(frozen=True)
+class PoseOptions:
+    """The options of the comparison; None and empty where they were not given."""
+
+    align: Alignment | None = None
+    time_offset: str | None = None
+    time_tolerance: float | None = None
+    rpe: tuple[str, ...] = ()
+    all_pairs: bool = False
+    out: Path | None = None
+
+    @property
+    def given(self) -> bool:
+        """Whether any was given."""
+        return self != PoseOptions()
+
+    @property
+    def offset(self) -> float | Literal["auto"]:
+        """The time offset, s; raises UnusableInput for another text."""
+        if self.time_offset in (None, "auto"):
+            return 0.0 if self.time_offset is None else "auto"
+        try:
+            seconds = float(self.time_offset or "")
+        except ValueError:
+            seconds = math.nan
+        if not math.isfinite(seconds):
+            raise UnusableInput(f"--time-offset {self.time_offset}: expected seconds, or auto")
+        return seconds
+
+
+def evaluate_poses(
+    source: Path, truth: Sequence[Path], options: PoseOptions, part: Selection, json: bool, fail_if: str | None
+) -> int:
+    """Evaluates a file of estimates or a folder of `track`; prints the errors, and writes them with `--out`."""
+    offset = options.offset
+    if options.out is not None:
+        require_output(options.out)
+    if source.is_file() and len(part.tags) > 1:
+        raise UnusableInput(f"--tag {' '.join(part.tags)}: a file of estimates follows one tag; expected one")
+    tag = part.tags[0] if part.tags else None
+    folders = _read_truth(truth, tag)
+    truths = {folder.name: folder.tables["truth"] for folder in folders if "truth" in folder.tables}
+    if not truths:
+        raise UnusableInput(f"{truth[0]}: no truth table; expected a recording with truth, or a trajectory file")
+    if source.is_dir():
+        tracks = read_tracks(source)
+    else:
+        tracks, notices = read_estimates(source)
+        for line in notices:
+            notice(f"notice: {source}: {line}")
+        tracks = assigned(tracks, truths, tag, source)
+    tracks = part.of_estimates(tracks)
+    align = options.align or "none"
+    tolerance = DEFAULT_TOLERANCE if options.time_tolerance is None else options.time_tolerance
+    moved, compared = compare_tracks(
+        tracks, truths, align, offset, tolerance, options.rpe or DEFAULT_STEPS, options.all_pairs
+    )
+    # jax takes a second to import, which a refused file need not wait for.
+    from experiments.cli.fail_if import violation
+    from experiments.reports.evaluation_text import to_text
+    from experiments.reports.trajectory_text import to_text as poses_text
+    from trackers.evaluation import evaluate
+
+    evaluation = evaluate(moved, folders, part.every)
+    evaluation = dataclasses.replace(evaluation, overall=evaluation.overall | pooled(compared))
+    content = {
+        "kind": "position",
+        "statements": evaluation.statements,
+        "overall": evaluation.overall,
+        "recordings": evaluation.recordings,
+        "tracks": evaluation.tracks,
+        "poses": {"align": align, "tracks": [track.to_dict() for track in compared]},
+    }
+    text = json_text(content)
+    width = terminal_width()
+    print(text if json else to_text(evaluation, width) + "\n" + poses_text(compared, align, width), end="")
+    if options.out is not None:
+        _write(options.out, text, moved, folders, truth, quiet=json)
+    why = None if fail_if is None else violation(evaluation, fail_if)
+    if why is not None:
+        notice(f"fails: {why}")
+    return int(why is not None)
+
+
+def _read_truth(paths: Sequence[Path], tag: str | None) -> list[RecordingFolder]:
+    if not paths:
+        raise UnusableInput("no --truth; expected recording folders, or a trajectory file: --truth FOLDER|FILE")
+    files = [path for path in paths if path.is_file()]
+    if not files:
+        return read_with_notices(paths)
+    if len(paths) > 1:
+        raise UnusableInput(f"--truth {files[0]} and others; expected one trajectory file, or recording folders")
+    folder = read_truth(files[0], tag or FILE_TAG)
+    for line in folder.notices:
+        notice(f"notice: {files[0]}: {line}")
+    return [folder]
+
+
+def _write(
+    out: Path, text: str, tracks: pl.DataFrame, folders: Sequence[RecordingFolder], truth: Sequence[Path], quiet: bool
+) -> None:
+    from experiments.plots.track_folder import plot_tracks
+    from trackers.evaluation import associate
+
+    output_folder(out)
+    atomic_write(out / "evaluation.json", lambda path: path.write_text(text, encoding="utf-8"))
+    atomic_write(out / TRACKS, lambda path: write_tracks(tracks, path))
+    if all(path.is_dir() for path in truth):
+        listed = "".join(f"{path.resolve()}\n" for path in truth)
+        atomic_write(out / "recordings.txt", lambda path: path.write_text(listed, encoding="utf-8"))
+    drawn = plot_tracks(out, associate(tracks, folders), folders, ())
+    if not quiet:
+        print(f"wrote {out}: evaluation.json, {TRACKS} as compared, and {len(drawn)} figures: {', '.join(drawn)}")

@@ -1,0 +1,110 @@
+"""`trackwright export`."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+import polars as pl
+
+from experiments.cli.arguments import Folder
+from experiments.cli.console import notice
+from experiments.cli.evaluate import SOURCES
+from trackers.core.errors import UnusableInput, listed
+from trackers.core.rig import Rig
+from trackers.exchange.exported_tracks import ExportedTrack, tracks_of
+from trackers.exchange.rerun_writer import write_rrd
+from trackers.exchange.ros_writer import write_bag
+from trackers.exchange.trajectory_files import write_trajectory
+from trackers.recordings.atomic import atomic_write
+from trackers.recordings.folder import RecordingFolder, read_recording
+from trackers.recordings.rig_file import RIG_FILE
+from trackers.recordings.tracks_table import read_tracks
+
+Format = Literal["tum", "kitti", "csv", "ros2", "rrd"]
+
+
+def export(run: Folder, *, format: Format, out: Path, tag: str | None = None) -> int:
+    """Export tracks or truth: TUM, KITTI, CSV, ROS 2 bag, Rerun.
+
+    csv has every column of tracks.parquet; ros2 and rrd have the covariances of the positions. tum and kitti have
+    positions alone (attitude: the identity where there is none); kitti has the times in a second file, NAME.times.txt.
+
+    Args:
+        run: the output folder of `track`; or a recording folder, of which the truth is written.
+        format: of the file; ros2 needs the extra trackwright[ros], rrd the extra trackwright[rerun].
+        out: the file; of several tracks in tum or kitti, and for ros2, a new folder.
+        tag: this tag alone.
+    """
+    table, rigs, truths = _table(run, format)
+    if tag is not None:
+        known = sorted(table["tag"].cast(pl.String).unique())
+        table = table.filter(pl.col("tag").cast(pl.String) == tag)
+        if table.is_empty():
+            raise UnusableInput(f"--tag {tag}: no row of it; found {listed(known)}")
+    if format == "csv":
+        _new(out)
+        atomic_write(out, table.write_csv)
+        print(f"wrote {out}: {len(table)} rows")
+        return 0
+    tracks = tracks_of(table)
+    if format == "ros2":
+        print(f"wrote {out}: a ROS 2 bag with {listed(write_bag(out, tracks))}")
+    elif format == "rrd":
+        _new(out)
+        true = [track for truth in truths for track in tracks_of(truth) if tag in (None, track.tag)]
+        atomic_write(out, partial(write_rrd, tracks=tracks, truths=true, rigs=rigs))
+        print(f"wrote {out}: {len(tracks)} tracks; see it: rerun {out}")
+    else:
+        for track, path in zip(tracks, _files(out, tracks, format), strict=True):
+            write_trajectory(track.poses, path, format)
+            print(f"wrote {path}: {len(track.poses)} poses")
+    return 0
+
+
+def _table(run: Path, format: Format) -> tuple[pl.DataFrame, dict[str, Rig], list[pl.DataFrame]]:
+    """The table to export, and for the viewer the rigs and truths of the tracked recordings."""
+    if not (run / RIG_FILE).is_file():
+        known = _recordings(run) if format == "rrd" else []
+        truths = [_truth(folder) for folder in known if "truth" in folder.tables]
+        return read_tracks(run), {folder.name: folder.rig for folder in known}, truths
+    recording = read_recording(run)
+    if "truth" not in recording.tables:
+        raise UnusableInput(
+            f"{run}: has no truth table; expected the output folder of `track`, or a recording with truth"
+        )
+    return _truth(recording), {recording.name: recording.rig}, []
+
+
+def _truth(folder: RecordingFolder) -> pl.DataFrame:
+    return folder.tables["truth"].with_columns(recording=pl.lit(folder.name))
+
+
+def _files(out: Path, tracks: list[ExportedTrack], format: Format) -> list[Path]:
+    """The file of each track: `out` of one track, else its recording and tag in the folder `out`."""
+    _new(out)
+    if len(tracks) == 1 and out.suffix:
+        return [out]
+    out.mkdir(parents=True, exist_ok=True)
+    return [out / f"{track.file_name}.{format}" for track in tracks]
+
+
+def _new(out: Path) -> None:
+    if out.is_dir() and any(out.iterdir()):
+        raise UnusableInput(f"--out {out}: is a folder with content; expected a new file or an empty folder")
+
+
+def _recordings(run: Path) -> list[RecordingFolder]:
+    """The tracked recordings; a notice for each that cannot be read any more."""
+    try:
+        lines = (run / SOURCES).read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return []
+    found = []
+    for line in filter(None, lines):
+        try:
+            found.append(read_recording(line))
+        except UnusableInput as problem:
+            notice(f"notice: without its anchors and truth: {problem}")
+    return found

@@ -1,0 +1,88 @@
+"""`trackwright import`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from experiments.cli.arguments import File, Folder
+from experiments.cli.console import notice
+from trackers.core.errors import UnusableInput
+from trackers.exchange.imported import assembled, save
+from trackers.exchange.mapping import TableMapping, columns_of, read_mapping
+from trackers.exchange.sources import SourceKind, read_source, source_kind
+from trackers.recordings.rig_file import RIG_FILE, read_rig
+
+Table = Literal["ranges", "fixes", "bearings", "phases", "imu", "truth"]
+
+
+def import_source(
+    source: Annotated[Path, "FILE"],
+    *,
+    out: Folder,
+    table: Table | None = None,
+    columns: Annotated[tuple[str, ...], "TARGET=COLUMN"] = (),
+    mapping: File | None = None,
+    topic: Annotated[str | None, "TOPIC"] = None,
+    tag: Annotated[str | None, "TAG"] = None,
+    rig: File | None = None,
+    format: SourceKind | None = None,
+    separator: Annotated[str, "CHARACTER"] = ",",
+    interval: Annotated[float | None, "S"] = None,
+    skip_bad_lines: bool = False,
+    messages: Annotated[tuple[Path, ...], "FILE"] = (),
+) -> int:
+    """Import CSV, ROS bags, MCAP, TUM, EuRoC or logs of UWB kits.
+
+    Nothing is guessed: columns and topics that are not named are left out, a line that is not understood is refused.
+    docs/import.md has an example of each.
+
+    Args:
+        source: a file, or the folder of a ROS 2 bag.
+        out: the recording folder to write; of an existing one, to which tables are added.
+        table: what the rows or messages are.
+        columns: TARGET=COLUMN for each column with another name, e.g. "range_m=distance_mm*0.001",
+            "range_m=distance in mm", "t_s=stamp in iso", "anchor=header.frame_id", "range_m[A1]=d1" for a column of
+            each anchor.
+        mapping: a TOML file with the table, columns, topic, tag and separator of several tables, instead of these
+            options.
+        topic: of a bag.
+        tag: the id of the tag, where no column has it.
+        rig: a rig.toml with the positions of anchors or stations; default: those in the log, if it has any.
+        format: of the file; default: by its name and first lines.
+        separator: of the cells of a CSV file.
+        interval: s between the lines of a log without times.
+        skip_bad_lines: leave lines of a log that are not understood out, and count them.
+        messages: .msg files, PACKAGE/msg/NAME.msg, of message types that a bag does not define.
+    """
+    kind = format or source_kind(source)
+    notice(f"{source}: read as {kind}" + ("" if format else "; another format: --format"))
+    if mapping is not None:
+        if table or columns or topic or separator != ",":
+            raise UnusableInput("--mapping and --table, --columns, --topic or --separator; expected one or the other")
+        mappings = [
+            m if m.tag or tag is None else TableMapping(m.table, m.columns, m.topic, tag, m.separator)
+            for m in read_mapping(mapping)
+        ]
+    elif table is not None:
+        mappings = [TableMapping(table, columns_of(columns), topic, tag, separator)]
+    else:
+        if columns:
+            raise UnusableInput(
+                "--columns without --table; expected --table ranges, fixes, bearings, phases, imu or truth"
+            )
+        mappings = [TableMapping("ranges", tag=tag)] if kind in ("dwm1001", "trek1000") else []
+    found = read_source(source, kind, mappings, interval, skip_bad_lines, messages)
+    for line in found.notices:
+        notice(f"notice: {line}")
+    name = out.resolve().name
+    if (out / RIG_FILE).is_file() and rig is not None:
+        raise UnusableInput(f"--rig {rig}: {out} has a rig.toml already; expected one; leave --rig out")
+    known = out / RIG_FILE if (out / RIG_FILE).is_file() else rig
+    folder = assembled(name, None if known is None else read_rig(known)[0], found.tables, found.anchors)
+    written = save(folder, out)
+    for line in written.notices:
+        notice(f"notice: {out}: {line}")
+    rows = ", ".join(f"{table} {len(rows)} rows" for table, rows in found.tables.items())
+    print(f"wrote {out}: {rows}; next: trackwright check {out}")
+    return 0

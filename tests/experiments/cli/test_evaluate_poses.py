@@ -1,0 +1,207 @@
+"""`evaluate` of trajectory files and with alignment, and `export`, against evo and the known errors of made-up tracks."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from tests.in_process import assert_refused, trackwright
+from tests.trackers.exchange.against_evo import evo_errors, evo_modules
+from trackers.exchange.poses import PoseTrajectory, trajectory_of_table
+from trackers.exchange.trajectory_files import write_trajectory
+
+
+@pytest.fixture(scope="module")
+def truth(beginnings):
+    """The truth of tag T1 of the good recording."""
+    table = pl.read_csv(beginnings / "good" / "truth.csv")
+    return table.filter(pl.col("tag") == "T1")
+
+
+@pytest.fixture(scope="module")
+def there(beginnings, truth, tmp_path_factory):
+    """A folder with `own.tum`: the true path of tag T1 turned by 90°, shifted, 0.2 s late and with noise of 5 cm."""
+    folder = tmp_path_factory.mktemp("poses")
+    x, y = truth["x_m"], truth["y_m"]
+    noise = np.random.default_rng(1).normal(0, 0.05, (2, len(truth)))
+    moved = truth.with_columns(x_m=-y + 3 + noise[0], y_m=x - 1 + noise[1], t_s=pl.col("t_s") + 0.2)
+    write_trajectory(trajectory_of_table(moved.drop("qw", "qx", "qy", "qz"), "own"), folder / "own.tum")
+    write_trajectory(trajectory_of_table(truth.drop("qw", "qx", "qy", "qz"), "true"), folder / "true.tum")
+    return folder
+
+
+def test_a_file_is_aligned_shifted_in_time_and_scored_with_all_figures(beginnings, there, tmp_path):
+    arguments = ("--truth", beginnings / "good", "--tag", "T1", "--align", "se2", "--time-offset", -0.2)
+    said = trackwright("evaluate", there / "own.tum", *arguments, "--out", tmp_path / "out")
+    assert said.code == 0, said.err
+    assert "APE" in said.out
+    assert "alignment se2" in said.out
+    found = json.loads((tmp_path / "out" / "evaluation.json").read_text())
+    # Two axes with 5 cm each; the alignment takes three of a hundred numbers.
+    assert found["overall"]["rmse_m"] == pytest.approx(0.05 * math.sqrt(2), rel=0.2)
+    assert found["poses"]["tracks"][0]["ape_m"]["rmse"] == pytest.approx(found["overall"]["ape_m"])
+    written = {path.name for path in (tmp_path / "out").iterdir()}
+    assert {"tracks.parquet", "recordings.txt", "floor-plan.png", "error-over-time.png", "error-cdf.png"} <= written
+
+
+def test_the_json_of_two_files_has_the_numbers_of_evo(there):
+    evo_modules()
+    said = trackwright("evaluate", there / "own.tum", "--truth", there / "true.tum", "--align", "se3", "--json")
+    expected, poses = evo_errors(there / "own.tum", there / "true.tum", "se3")
+    (track,) = json.loads(said.out)["poses"]["tracks"]
+    assert track["pairs"] == poses
+    assert track["ape_m"] == pytest.approx(track["ape_m"] | expected["ape"], abs=1e-9)
+
+
+def test_a_time_offset_is_estimated_and_a_limit_fails(tmp_path):
+    times = np.arange(200) * 0.1
+    places = np.stack([3 * np.cos(0.7 * times), 2 * np.sin(0.9 * times), 0 * times], axis=1)
+    write_trajectory(PoseTrajectory(times, places), tmp_path / "true.tum")
+    write_trajectory(PoseTrajectory(times + 0.3, places + (0.0, 0.04, 0.0)), tmp_path / "own.tum")
+    said = trackwright(
+        "evaluate", tmp_path / "own.tum", "--truth", tmp_path / "true.tum", "--time-offset", "auto",
+        "--time-tolerance", 0.06, "--fail-if", "ape_m > 0.02",
+    )  # fmt: skip
+    assert said.code == 1
+    assert "fails: ape_m is 0.04" in said.err
+    offset = float(said.out.partition("time offset ")[2].split()[0])
+    assert offset == pytest.approx(-0.3, abs=0.01)
+
+
+def test_a_table_with_standard_deviations_gets_its_nees(beginnings, truth, tmp_path):
+    own = truth.select("t_s", pl.col("x_m") + 0.1, "y_m", "z_m", std_x_m=0.1, std_y_m=0.1, std_z_m=0.1)
+    own.write_csv(tmp_path / "own.csv")
+    said = trackwright("evaluate", tmp_path / "own.csv", "--truth", beginnings / "good", "--tag", "T1", "--json")
+    overall = json.loads(said.out)["overall"]
+    assert overall["nees_mean"] == pytest.approx(1.0)
+    assert overall["rmse_m"] == pytest.approx(0.1)
+
+
+def test_covariances_turn_with_the_track(beginnings, truth, tmp_path):
+    turned = truth.select(
+        "t_s", x_m=-pl.col("y_m"), y_m=pl.col("x_m"), z_m="z_m", std_x_m=0.1, std_y_m=0.3, std_z_m=0.2
+    )
+    turned.write_csv(tmp_path / "own.csv")
+    arguments = ("--truth", beginnings / "good", "--tag", "T1", "--align", "se2", "--out", tmp_path / "out")
+    assert trackwright("evaluate", tmp_path / "own.csv", *arguments).code == 0
+    row = pl.read_parquet(tmp_path / "out" / "tracks.parquet").row(0, named=True)
+    assert (row["std_x_m"], row["std_y_m"], row["std_z_m"]) == pytest.approx((0.3, 0.1, 0.2))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--truth", "good"), ("names no tag", "T1, T2", "--tag")),
+        (("--truth", "good", "--tag", "T9"), ("no such tag", "T1, T2")),
+        ((), ("no --truth",)),
+        (("--truth", "good", "--tag", "T1", "--time-offset", "900"), ("no pose lies within", "--time-offset")),
+        (("--truth", "good", "--tag", "T1", "--rpe", "5km"), ("such as 1m",)),
+        (("--truth", "good", "--tag", "T1", "--worksteps", "p.csv"), ("--worksteps",)),
+    ],
+)
+def test_what_cannot_be_scored_is_refused(beginnings, there, monkeypatch, arguments, words):
+    monkeypatch.chdir(beginnings)
+    said = trackwright("evaluate", there / "own.tum", *arguments)
+    last = said.err.splitlines()[-1]
+    assert_refused(said._replace(err=last + "\n"), *words)
+
+
+def test_what_track_writes_opens_in_evo_with_the_same_errors(recordings, tmp_path):
+    evo_modules()
+    folder = recordings / "labyrinth"
+    said = trackwright("track", folder, "--tracker", "multilateration", "--out", tmp_path / "run")
+    assert said.code == 0, said.err
+    own, true = tmp_path / "own.tum", tmp_path / "true.tum"
+    assert trackwright("export", tmp_path / "run", "--format", "tum", "--out", own).code == 0
+    assert trackwright("export", folder, "--format", "tum", "--out", true).code == 0
+    ours = json.loads(trackwright("evaluate", tmp_path / "run", "--align", "none", "--json").out)["poses"]["tracks"][0]
+    expected, poses = evo_errors(own, true)
+    assert ours["pairs"] == poses
+    for statistic, value in expected["ape"].items():
+        assert ours["ape_m"][statistic] == pytest.approx(value, abs=1e-6)
+    environment = os.environ | {"HOME": str(tmp_path), "MPLBACKEND": "Agg"}
+    command = [Path(sys.executable).parent / "evo_ape", "tum", true, own]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    (line,) = (line for line in done.stdout.splitlines() if "rmse" in line)
+    assert float(line.split()[1]) == pytest.approx(ours["ape_m"]["rmse"], abs=1e-6)
+
+
+@pytest.fixture(scope="module")
+def tracked(tmp_path_factory):
+    """A folder with tracks of two tags, one of which begins without an estimate, as `track` writes them."""
+    folder = tmp_path_factory.mktemp("tracked")
+    rows = [
+        {"recording": "hall 3", "tag": tag, "t_s": 0.1 * k, "x_m": None if k == 0 and tag == "7" else k * 0.2,
+         "y_m": 1.0, "z_m": 0.5, "std_x_m": 0.1, "std_y_m": 0.2, "std_z_m": 0.3, "cov_xy_m2": 0.01,
+         "status": "waiting" if k == 0 and tag == "7" else "ok"}
+        for tag in ("7", "B") for k in range(5)
+    ]  # fmt: skip
+    pl.DataFrame(rows).write_parquet(folder / "tracks.parquet")
+    return folder
+
+
+def test_several_tracks_are_exported_to_a_file_each(tracked, tmp_path):
+    assert trackwright("export", tracked, "--format", "tum", "--out", tmp_path / "tum").code == 0
+    assert sorted(path.name for path in (tmp_path / "tum").iterdir()) == ["hall_3-7.tum", "hall_3-B.tum"]
+    assert len((tmp_path / "tum" / "hall_3-7.tum").read_text().splitlines()) == 4
+    said = trackwright("export", tracked, "--format", "kitti", "--tag", "B", "--out", tmp_path / "b.kitti")
+    assert said.code == 0
+    assert (tmp_path / "b.times.txt").read_text().splitlines()[1] == "0.1"
+
+
+def test_the_csv_twin_has_every_column_and_row(tracked, tmp_path):
+    assert trackwright("export", tracked, "--format", "csv", "--out", tmp_path / "tracks.csv").code == 0
+    table = pl.read_parquet(tracked / "tracks.parquet")
+    assert pl.read_csv(tmp_path / "tracks.csv", schema_overrides=table.schema).equals(table)
+
+
+def test_a_ros_2_bag_holds_poses_with_covariances(tracked, tmp_path):
+    pytest.importorskip("rosbags", reason="rosbags is not installed; the extra ros has it")
+    from rosbags.highlevel import AnyReader
+
+    assert trackwright("export", tracked, "--format", "ros2", "--out", tmp_path / "bag").code == 0
+    with AnyReader([tmp_path / "bag"]) as reader:
+        assert sorted(c.topic for c in reader.connections) == ["/hall_3/B", "/hall_3/tag_7"]
+        (own,) = (c for c in reader.connections if c.topic == "/hall_3/B")
+        messages = [(t, reader.deserialize(raw, c.msgtype)) for c, t, raw in reader.messages([own])]
+    assert [t for t, _ in messages] == [0, 100_000_000, 200_000_000, 300_000_000, 400_000_000]
+    _, last = messages[-1]
+    assert last.pose.pose.position.x == pytest.approx(0.8)
+    covariance = last.pose.covariance.reshape(6, 6)
+    assert np.allclose(covariance[:3, :3], [[0.01, 0.01, 0], [0.01, 0.04, 0], [0, 0, 0.09]])
+    assert last.header.stamp.nanosec == 400_000_000
+
+
+def test_a_rerun_recording_is_written_and_read_back(tracked, tmp_path):
+    rerun = pytest.importorskip("rerun", reason="rerun-sdk is not installed; the extra rerun has it")
+    out = tmp_path / "tracks.rrd"
+    assert trackwright("export", tracked, "--format", "rrd", "--out", out).code == 0
+    assert out.stat().st_size > 1000
+    assert rerun
+
+
+@pytest.mark.parametrize(("format", "package", "extra"), [("ros2", "rosbags", "ros"), ("rrd", "rerun", "rerun")])
+def test_a_missing_package_is_named_with_its_extra(tracked, tmp_path, monkeypatch, format, package, extra):
+    for name in [name for name in sys.modules if name.partition(".")[0] == package]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, package, None)
+    said = trackwright("export", tracked, "--format", format, "--out", tmp_path / "out")
+    assert_refused(said, f"trackwright[{extra}]")
+
+
+def test_tracks_of_bearings_and_unknown_tags_are_refused(tracked, tmp_path):
+    assert_refused(
+        trackwright("export", tracked, "--format", "tum", "--tag", "x", "--out", tmp_path / "a"), "found 7, B"
+    )
+    pl.DataFrame(
+        {"recording": ["r"], "tag": ["1"], "station": ["S"], "t_s": [0.0], "azimuth_rad": [0.1]}
+    ).write_parquet(tmp_path / "tracks.parquet")
+    assert_refused(trackwright("export", tmp_path, "--format", "tum", "--out", tmp_path / "a"), "bearings", "csv")

@@ -1,0 +1,174 @@
+"""Pose errors against evo's own on real recordings, and on trajectories whose errors are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import polars as pl
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tests.trackers.exchange.against_evo import evo_errors
+from trackers.core.errors import UnusableInput
+from trackers.exchange.compare import compare_trajectories
+from trackers.exchange.poses import PoseTrajectory, trajectory_of_table
+from trackers.exchange.trajectory_files import read_trajectory, write_trajectory
+from trackers.recordings.folder import read_recording
+
+RECORDINGS = ("tiers-1tag-01", "tiers-2tag-03", "iasl-drone-1", "starloc-fast-s1", "rcv-drone-3")
+STEPS = ("1m", "10f")
+CASES = (("none", 0.01, 0.0, False), ("se3", 0.01, 0.0, False), ("sim3", 0.02, -0.3, False), ("scale", 0.01, 0.0, True),
+         ("origin", 0.02, -0.3, False))  # fmt: skip
+
+
+def _of_recording(folder, kind):
+    """An estimate and the truth of the first tag: the maker's fixes, or the truth with drift, noise and a turned frame."""
+    recording = read_recording(folder)
+    table = recording.tables["truth"]
+    tag = table["tag"][0]
+    truth = trajectory_of_table(table.filter(pl.col("tag") == tag), "truth")
+    if kind == "fixes":
+        fixes = recording.tables["fixes"].filter(pl.col("tag") == tag)[::2]
+        return trajectory_of_table(fixes, "fixes"), PoseTrajectory(truth.times, truth.positions, None, "truth")
+    rng = np.random.default_rng(5)
+    rows = np.arange(0, len(truth), 6)
+    drift = np.cumsum(rng.normal(0, 0.003, (len(rows), 3)), axis=0)
+    turn = Rotation.from_euler("zyx", (40.0, 5.0, -3.0), degrees=True)
+    places = 1.07 * turn.apply(truth.positions[rows] + drift) + (3.0, -2.0, 0.4)
+    given = truth.quaternions if truth.quaternions is not None else np.tile([1.0, 0, 0, 0], (len(truth), 1))
+    attitude = (
+        turn
+        * Rotation.from_quat(np.roll(given[rows], -1, axis=1))
+        * Rotation.from_rotvec(rng.normal(0, 0.03, (len(rows), 3)))
+    )
+    times = truth.times[rows] + rng.uniform(-0.004, 0.004, len(rows))
+    own = PoseTrajectory(np.sort(times), places, np.roll(attitude.as_quat(), 1, axis=1), "own")
+    return own, PoseTrajectory(truth.times, truth.positions, given + 0.0, "truth")
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_pose_errors_equal_those_of_evo_on_real_recordings(recordings, tmp_path, name):
+    kind = "fixes" if name.startswith(("tiers", "iasl")) else "drift"
+    for trajectory, file in zip(_of_recording(recordings / name, kind), ("own.tum", "true.tum"), strict=True):
+        write_trajectory(trajectory, tmp_path / file)
+    own, true = read_trajectory(tmp_path / "own.tum"), read_trajectory(tmp_path / "true.tum")
+    attitudes = own.quaternions is not None
+    compared = 0
+    for align, tolerance, offset, all_pairs in CASES:
+        expected, poses = evo_errors(
+            tmp_path / "own.tum", tmp_path / "true.tum", align, tolerance, offset, STEPS, all_pairs
+        )
+        found = compare_trajectories(own, true, align, offset, tolerance, STEPS, all_pairs)
+        assert found.pairs == poses
+        ours = {"ape": found.ape_m}
+        if attitudes:
+            ours |= {"ape rad": found.ape_rad} | {f"rpe {step} rad": found.rpe_rad[step] for step in STEPS}
+        # Without attitudes evo compares the displacements of a turned track in its own frame, we in that of the truth.
+        if attitudes or align not in ("se3", "sim3"):
+            ours |= {f"rpe {step}": found.rpe_m[step] for step in STEPS}
+        for error, values in ours.items():
+            for statistic, value in expected[error].items():
+                assert values[statistic] == pytest.approx(value, abs=1e-6, rel=1e-6), (align, error, statistic)
+                compared += 1
+    assert compared >= 60
+
+
+def test_a_turned_track_without_attitudes_has_no_relative_error_once_it_is_aligned():
+    truth = _spiral()
+    turned = PoseTrajectory(truth.times, Rotation.from_euler("z", 1.5).apply(truth.positions), None, "own")
+    assert compare_trajectories(turned, truth, "se3").rpe_m["1m"]["max"] < 1e-9
+
+
+def _spiral(n=400, dt=0.05):
+    times = np.arange(n) * dt
+    places = np.stack([3 * np.cos(0.7 * times), 2 * np.sin(0.9 * times), 0.3 * np.sin(0.4 * times) + 1], axis=1)
+    return PoseTrajectory(times, places, None, "truth")
+
+
+@pytest.mark.parametrize(("align", "scale"), [("se2", 1.0), ("se3", 1.0), ("sim3", 1.3)])
+def test_a_turned_and_shifted_trajectory_is_aligned_to_no_error(align, scale):
+    truth = _spiral()
+    euler = (0.8, 0.0, 0.0) if align == "se2" else (0.8, 0.3, -0.2)
+    shift = np.array([4.0, -1.0, 0.0 if align == "se2" else 2.0])
+    moved = scale * Rotation.from_euler("zyx", euler).apply(truth.positions) + shift
+    found = compare_trajectories(PoseTrajectory(truth.times, moved, None, "own"), truth, align)
+    assert found.ape_m["max"] < 1e-9
+    assert found.similarity.scale == pytest.approx(1 / scale)
+    assert found.rpe_m["1s"]["max"] < 1e-9
+    assert found.speed_mps["max"] < 1e-9
+
+
+def test_an_alignment_in_the_plane_is_the_one_of_a_numerical_search():
+    from scipy.optimize import minimize
+
+    truth, rng = _spiral(), np.random.default_rng(2)
+    places = Rotation.from_euler("z", 0.5).apply(truth.positions) + rng.normal(0, 0.1, truth.positions.shape)
+    own = PoseTrajectory(truth.times, places, None, "own")
+
+    def rmse(x):
+        turned = Rotation.from_euler("z", x[0]).apply(places) + (x[1], x[2], 0.0)
+        return np.sqrt(np.mean(np.sum((turned - truth.positions) ** 2, axis=1)))
+
+    best = minimize(rmse, (-0.4, 0.0, 0.0), method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-12})
+    assert compare_trajectories(own, truth, "se2").ape_m["rmse"] == pytest.approx(best.fun, abs=1e-7)
+
+
+def test_steps_of_seconds_compare_displacements_over_that_time():
+    truth = _spiral()
+    drifting = truth.positions + np.array([0.1, 0.0, 0.0]) * truth.times[:, None]
+    found = compare_trajectories(PoseTrajectory(truth.times, drifting, None, "own"), truth, rpe=("1s", "2s"))
+    assert found.rpe_m["1s"]["n"] == 19
+    assert found.rpe_m["1s"]["rmse"] == pytest.approx(0.1)
+    assert found.rpe_m["2s"]["rmse"] == pytest.approx(0.2)
+
+
+def test_speed_errors_are_those_of_a_trajectory_that_is_played_too_fast():
+    truth = PoseTrajectory(np.arange(100) * 0.1, np.outer(np.arange(100) * 0.1, [1.0, 0.0, 0.0]), None, "truth")
+    own = PoseTrajectory(truth.times, 1.2 * truth.positions, None, "own")
+    assert compare_trajectories(own, truth).speed_mps["bias"] == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("offset", [0.37, -2.5, 1000.0])
+@pytest.mark.parametrize("align", ["none", "se3"])
+def test_a_time_offset_is_found_again(offset, align):
+    truth, rng = _spiral(), np.random.default_rng(1)
+    places = truth.positions + rng.normal(0, 0.02, truth.positions.shape)
+    if align == "se3":
+        places = Rotation.from_euler("zyx", (0.8, 0.3, -0.2)).apply(places) + 1.0
+    own = PoseTrajectory(truth.times - offset, places, None, "own")
+    assert compare_trajectories(own, truth, align, "auto", 0.03).time_offset == pytest.approx(offset, abs=0.005)
+
+
+def test_the_latency_of_a_real_locating_system_is_found(recordings):
+    own, truth = _of_recording(recordings / "tiers-2tag-03", "fixes")
+    late = compare_trajectories(own, truth, "se2", "auto", 0.03)
+    at_once = compare_trajectories(own, truth, "se2", 0.0, 0.03)
+    assert -0.6 < late.time_offset < -0.2
+    assert late.ape_m["rmse"] < at_once.ape_m["rmse"]
+
+
+@pytest.mark.parametrize(
+    ("own", "options", "words"),
+    [
+        (PoseTrajectory(np.arange(5) + 99.0, np.eye(5, 3), None, "own"), {}, "no pose lies within 0.01 s"),
+        (
+            PoseTrajectory(np.arange(5) * 0.05, np.outer(np.arange(5), [1.0, 0, 0]), None, "own"),
+            {"align": "se3"},
+            "line",
+        ),
+        (_spiral(), {"align": "twist"}, "expected one of"),
+        (_spiral(), {"rpe": ("3",)}, "such as 1m"),
+        (_spiral(), {"tolerance": -1.0}, "zero or more"),
+        (PoseTrajectory(np.arange(99) * 0.1, np.ones((99, 3)), None, "own"), {"time_offset": "auto"}, "no time offset"),
+    ],
+)
+def test_what_cannot_be_compared_is_refused(own, options, words):
+    with pytest.raises(UnusableInput, match=words):
+        compare_trajectories(own, _spiral(), **options)
+
+
+def test_trajectories_without_height_are_compared_in_the_plane():
+    truth = _spiral()
+    flat = PoseTrajectory(truth.times, truth.positions * [1, 1, np.nan] + [0.3, 0.4, 0], None, "own")
+    found = compare_trajectories(flat, truth)
+    assert found.planar
+    assert found.ape_m["rmse"] == pytest.approx(0.5)

@@ -1,0 +1,168 @@
+"""Mapped columns against arithmetic done by hand, and every mistake in them with its words."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import polars as pl
+import pytest
+
+from trackers.core.errors import UnusableInput
+from trackers.core.rig import Rig
+from trackers.exchange.imported import import_frames
+from trackers.exchange.mapped_table import mapped_table
+from trackers.exchange.mapping import TableMapping, columns_of, parsed, read_mapping
+from trackers.recordings.table_file import TableFile, read_table_file
+
+RIG = Rig("room", {"A1": np.array([0.0, 0, 2]), "A2": np.array([4.0, 0, 2]), "7": np.array([0.0, 4, 2])})
+
+
+@pytest.mark.parametrize(
+    ("target", "text", "value", "expected"),
+    [
+        ("range_m", "d*0.001", 1500.0, 1.5),
+        ("range_m", "d/1000", 1500.0, 1.5),
+        ("range_m", "d*0.001-0.1", 1500.0, 1.4),
+        ("range_m", "d - 0.25", 2.0, 1.75),
+        ("range_m", "d in mm", 1500.0, 1.5),
+        ("range_m", "d-100 in mm", 1500.0, 1.4),
+        ("range_m", "sqrt(d)", 9.0, 3.0),
+        ("azimuth_rad", "d*-1 in deg", 90.0, -np.pi / 2),
+        ("accel_x_mps2", "d in g", 1.0, 9.80665),
+        ("gyro_x_radps", "d in deg/s", 180.0, np.pi),
+        ("t_s", "d in us", 2.5e6, 2.5),
+        ("t_s", "d - 1718000000", 1718000001.5, 1.5),
+        ("range_m", "d*1e-3", 1500.0, 1.5),
+    ],
+)
+def test_an_expression_is_the_arithmetic_it_says(target, text, value, expected):
+    tables = {
+        "range_m": "ranges",
+        "azimuth_rad": "bearings",
+        "accel_x_mps2": "imu",
+        "gyro_x_radps": "imu",
+        "t_s": "fixes",
+    }
+    table = tables[target]
+    values = {"ranges": ["range_m"], "bearings": ["azimuth_rad", "elevation_rad"], "fixes": ["x_m", "y_m", "z_m"]}
+    axes = [f"{kind}_{a}_{unit}" for kind, unit in (("accel", "mps2"), ("gyro", "radps")) for a in "xyz"]
+    entries = dict.fromkeys(values.get(table, axes), "d") | {"t_s": "t"} | {target: text}
+    entries |= {"ranges": {"anchor": "'A1'"}, "bearings": {"station": "'S'"}}.get(table, {})
+    frame = pl.DataFrame({"t": [1.0], "d": [value]})
+    mapping = TableMapping(table, columns_of([f"{k}={v}" for k, v in entries.items()]), tag="T")
+    found, _ = mapped_table(TableFile(Path("x.csv"), frame), mapping)
+    assert found[target][0] == pytest.approx(expected)
+
+
+def test_a_column_for_each_anchor_becomes_a_row_for_each(tmp_path):
+    path = tmp_path / "wide.csv"
+    path.write_text("time,d1,d2,note\n0.1,1000,2000,x\n0.2,,2100,y\n")
+    mapping = TableMapping("ranges", columns_of(["t_s=time", "range_m[A1]=d1 in mm", "range_m[A2]=d2 in mm"]), tag="T")
+    table, notices = mapped_table(read_table_file(path), mapping)
+    assert table.rows() == [(0.1, "T", "A1", 1.0), (0.1, "T", "A2", 2.0), (0.2, "T", "A2", 2.1)]
+    assert notices == ["1 rows without a value left out", "columns not used: note"]
+
+
+def test_a_name_may_hold_blanks_and_signs():
+    frame = pl.DataFrame({"t_s": [0.0], "my-d 1": [2.0], "id": [12]})
+    mapping = TableMapping("ranges", columns_of(["range_m=my-d 1", "anchor=id"]), tag="T")
+    table, _ = mapped_table(TableFile(Path("x"), frame), mapping)
+    assert table.rows() == [(0.0, "T", "12", 2.0)]
+
+
+def test_dates_become_seconds_since_1970():
+    frame = pl.DataFrame(
+        {
+            "when": ["2026-05-01T12:00:00.25", "2026-05-01 12:00:01"],
+            "tag": ["a", "a"],
+            "x_m": [1.0, 2],
+            "y_m": [0.0, 0],
+            "z_m": [0.0, 0],
+        }
+    )
+    table, _ = mapped_table(TableFile(Path("x"), frame), TableMapping("fixes", columns_of(["t_s=when in iso"])))
+    expected = datetime(2026, 5, 1, 12, 0, 0, 250_000, tzinfo=UTC).timestamp()
+    assert table["t_s"].to_list() == [expected, expected + 0.75]
+
+
+@pytest.mark.parametrize(
+    ("table", "columns", "words"),
+    [
+        ("ranges", ["range_m=distance in deg"], ("deg", "m, dm, cm")),
+        ("ranges", ["range_m"], ("TARGET=EXPRESSION",)),
+        ("ranges", ["range_m=d", "range_m=d"], ("twice",)),
+        ("ranges", ["range_m=d/0"], ("division by zero",)),
+        ("ranges", ["anchor=id in mm"], ("has no unit",)),
+        ("ranges", ["range_m=distance_m", "anchor=id"], ("no column 'distance_m'", "expected 'distance_mm'?")),
+        ("ranges", ["rnage_m=distance_mm"], ("has no column rnage_m", "range_m")),
+        ("ranges", ["anchor=id"], ("needs range_m", "'range_m=distance_mm in mm'")),
+        ("ranges", ["range_m=word", "anchor=id"], ("row 2 (line 3), column word", "'oops'")),
+        ("ranges", ["range_m=distance_mm", "anchor=gap"], ("row 2 (line 3), column gap", "empty")),
+        ("truth", ["x_m=word[A1]", "y_m=word", "z_m=word"], ("no column",)),
+        ("fixes", ["x_m[A1]=word"], ("has no anchors or stations",)),
+        ("truth", ["qw=distance_mm", "x_m=distance_mm", "y_m=distance_mm", "z_m=distance_mm"], ("qw alone",)),
+    ],
+)
+def test_a_mistake_in_a_mapping_is_refused(tmp_path, table, columns, words):
+    path = tmp_path / "log.csv"
+    path.write_text("t_s,tag,id,distance_mm,word,gap\n0,T,A1,1000,1,a\n1,T,A1,1000,oops,\n")
+    with pytest.raises(UnusableInput) as refused:
+        mapped_table(read_table_file(path), TableMapping(table, columns_of(columns)))
+    for word in words:
+        assert word in str(refused.value)
+
+
+def test_a_mapping_is_read_from_toml(tmp_path):
+    path = tmp_path / "map.toml"
+    path.write_text('[[tables]]\ntable = "ranges"\ntopic = "/uwb"\ncolumns = { range_m = "d in mm" }\n')
+    (mapping,) = read_mapping(path)
+    assert mapping == TableMapping("ranges", {"range_m": parsed("range_m", "d in mm")}, "/uwb")
+    for text, word in (("x = 1", "expected entries"), ('[[tables]]\ntabel = "x"', "unknown key 'tabel'"),
+                       ('[[tables]]\ntable = "range"', "expected one of ranges"), ("[[tables]]\n", "no table"),
+                       ('[[tables]]\ntable="ranges"\ncolumns={range_m=3}', "expected texts")):  # fmt: skip
+        path.write_text(text)
+        with pytest.raises(UnusableInput, match=word):
+            read_mapping(path)
+
+
+def _ranges():
+    return {"distance": [1000, 2000, 1500], "anchor": ["A1", "A2", "A1"], "when": [0.0, 0.1, 0.2]}
+
+
+@pytest.mark.parametrize("make", [pd.DataFrame, pl.DataFrame, pl.LazyFrame])
+def test_frames_become_a_recording(make):
+    columns = {"ranges": ["range_m=distance in mm", "t_s=when"]}
+    recording = import_frames({"ranges": make(_ranges())}, RIG, columns, tag="T1", name="x")
+    assert recording.name == "room"
+    assert recording.path is None
+    assert recording.tables["ranges"].rows() == [(0.0, "T1", "A1", 1.0), (0.1, "T1", "A2", 2.0), (0.2, "T1", "A1", 1.5)]
+
+
+@pytest.mark.parametrize("unit", ["ns", "us", "ms", "s"])
+def test_an_index_of_pandas_times_is_read_as_seconds_in_any_unit(unit):
+    stamps = pd.to_datetime(["2026-05-01T12:00:00", "2026-05-01T12:00:01", "2026-05-01T12:00:02"]).as_unit(unit)
+    frame = pd.DataFrame({"range_m": [1.0, 2.0, 1.5], "anchor": ["A1", "A2", None]}, index=stamps.rename("stamp"))[:2]
+    recording = import_frames({"ranges": frame}, RIG, {"ranges": ["t_s=stamp"]}, tag="T1")
+    start = datetime(2026, 5, 1, 12, tzinfo=UTC).timestamp()
+    assert recording.tables["ranges"]["t_s"].to_list() == [start, start + 1]
+
+
+@pytest.mark.parametrize(
+    ("frames", "rig", "words"),
+    [
+        ({"ranges": [1, 2]}, RIG, "expected a pandas or polars frame"),
+        ({"range": pl.DataFrame(_ranges())}, RIG, "expected one of ranges"),
+        (
+            {"ranges": pl.DataFrame(_ranges()).rename({"distance": "range_m", "when": "t_s"})},
+            None,
+            "without a position",
+        ),
+        ({"ranges": pl.DataFrame({"t_s": [0.0], "anchor": [1.5], "range_m": [1.0]})}, RIG, "text or whole numbers"),
+    ],
+)
+def test_frames_that_are_no_tables_are_refused(frames, rig, words):
+    with pytest.raises(UnusableInput, match=words):
+        import_frames(frames, rig, tag="T")

@@ -1,0 +1,120 @@
+"""Logs of DWM1001 and TREK1000 kits, with the lines that the makers' manuals print."""
+
+from __future__ import annotations
+
+import pytest
+
+from trackers.core.errors import UnusableInput
+from trackers.exchange.serial_logs import log_kind, read_log
+
+# DWM1001 firmware user guide, commands les, lec and lep.
+LES = (
+    "1151[5.00,8.00,2.25]=6.48 0CA8[0.00,8.00,2.25]=6.51 111C[5.00,0.00,2.25]=3.18 1150[0.00,0.00,2.25]=3.16 "
+    "le_us=2576 est[2.57,1.98,1.68,100]"
+)
+LEC = (
+    "DIST,4,AN0,1151,5.00,8.00,2.25,6.44,AN1,0CA8,0.00,8.00,2.25,6.50,AN2,111C,5.00,0.00,2.25,3.24,"
+    "AN3,1150,0.00,0.00,2.25,3.19,POS,2.55,2.01,1.71,98"
+)
+LEP = "POS,2.57,2.00,1.67,97"
+# TREK1000 user manual, 8.1.1.
+TREK = (
+    "mr 0f 000005a4 000004c8 00000436 000003f9 0958 c0 40424042 a0:0\n"
+    "ma 07 00000000 0000085c 00000659 000006b7 095b 26 00024bed a0:0\n"
+    "mc 0f 00000663 000005a3 00000512 000004cb 095f c1 00024c24 a0:0\n"
+)
+
+
+def _log(tmp_path, text, kind="dwm1001", tag="T", **options):
+    path = tmp_path / "log.txt"
+    path.write_text(text)
+    return read_log(path, kind, tag, **options)
+
+
+def test_the_lines_of_the_dwm1001_guide_are_ranges_fixes_and_anchors(tmp_path):
+    log = _log(tmp_path, f"dwm> les\n0.1 {LES}\n0.2 {LEC}\n0.3 {LEP}\n")
+    tables = log.tables()
+    assert tables["ranges"].row(0) == (0.1, "T", "1151", 6.48)
+    assert tables["ranges"].row(7) == (0.2, "T", "1150", 3.19)
+    assert len(tables["ranges"]) == 8
+    assert tables["fixes"].rows() == [
+        (0.1, "T", 2.57, 1.98, 1.68),
+        (0.2, "T", 2.55, 2.01, 1.71),
+        (0.3, "T", 2.57, 2.0, 1.67),
+    ]
+    assert log.anchors == {
+        "1151": (5.0, 8.0, 2.25),
+        "0CA8": (0.0, 8.0, 2.25),
+        "111C": (5.0, 0.0, 2.25),
+        "1150": (0.0, 0.0, 2.25),
+    }
+
+
+def test_the_lines_of_the_trek1000_manual_are_corrected_ranges_in_metres(tmp_path):
+    log = _log(tmp_path, TREK, "trek1000", None)
+    time = 0x24C24 / 1000
+    assert log.tables()["ranges"].rows() == [
+        (time, "0", "0", 1.635),
+        (time, "0", "1", 1.443),
+        (time, "0", "2", 1.298),
+        (time, "0", "3", 1.227),
+    ]
+    assert log.notices == ["2 lines of raw (mr) and anchor (ma) ranges left out; mc lines are used"]
+
+
+def test_ranges_that_the_mask_of_trek1000_leaves_out_are_left_out(tmp_path):
+    line = "mc 05 00000663 000005a3 00000512 ffffffff 095f c1 00024c24 a3:0\n"
+    rows = _log(tmp_path, line, "trek1000", None).tables()["ranges"].rows()
+    assert [(tag, anchor) for _, tag, anchor, _ in rows] == [("3", "0"), ("3", "2")]
+
+
+@pytest.mark.parametrize(
+    ("prefixes", "times"),
+    [
+        (("0.5 ", "0.75,"), [0.5, 0.75]),
+        (("[1718000000.25] ", "1718000001.5: "), [1718000000.25, 1718000001.5]),
+        (("2026-05-01T00:00:00.250Z ", "2026-05-01 00:00:00.5 "), [1777593600.25, 1777593600.5]),
+        (("[23:59:59.5] ", "[00:00:00.5] "), [86399.5, 86400.5]),
+    ],
+)
+def test_the_time_before_a_line_is_its_time(tmp_path, prefixes, times):
+    log = _log(tmp_path, "".join(f"{prefix}{LEP}\n" for prefix in prefixes))
+    assert log.tables()["fixes"]["t_s"].to_list() == pytest.approx(times, abs=1e-6)
+
+
+def test_a_log_without_times_needs_an_interval(tmp_path):
+    with pytest.raises(UnusableInput, match="line 1: no time .* --interval"):
+        _log(tmp_path, f"{LEP}\n{LEP}\n")
+    log = _log(tmp_path, f"{LEP}\n{LEP}\n", interval=0.1)
+    assert log.tables()["fixes"]["t_s"].to_list() == [0.0, 0.1]
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("0.2 DIST,4,AN0,1151,5.00,8.00", "line 2: 'DIST,4"),
+        ("0.2 DIST,2,AN0,1151,5.00,8.00,2.25,6.44", "line 2"),
+        ("0.2 1151[5.00,8.00,2.25]=6.48 0CA8[0.00", "line 2"),
+        ("0.2 DIST,1,AN0,1151,5.50,8.00,2.25,6.44", "line 2: anchor 1151 at"),
+        ("garbage", "line 2: 'garbage'"),
+        (f"noon {LEP}", "line 2: 'noon'"),
+    ],
+)
+def test_a_line_that_is_not_understood_is_refused_or_counted(tmp_path, line, words):
+    text = f"0.1 {LEC}\n{line}\n0.3 {LEP}\n"
+    with pytest.raises(UnusableInput, match="--skip-bad-lines") as refused:
+        _log(tmp_path, text)
+    assert words in str(refused.value)
+    log = _log(tmp_path, text, skip=True)
+    assert log.notices == ["1 lines could not be read and were left out: 2"]
+    assert len(log.tables()["fixes"]) == 2
+
+
+def test_logs_of_other_kinds_are_refused(tmp_path):
+    assert (log_kind(f"x\n0.1 {LEC}"), log_kind(TREK), log_kind("1 2 3")) == ("dwm1001", "trek1000", None)
+    with pytest.raises(UnusableInput, match="no readings"):
+        _log(tmp_path, "dwm> les\n")
+    with pytest.raises(UnusableInput, match="do not name the tag"):
+        _log(tmp_path, LEC, tag=None)
+    with pytest.raises(UnusableInput, match="no readings"):
+        _log(tmp_path, TREK.splitlines()[0], "trek1000", None)

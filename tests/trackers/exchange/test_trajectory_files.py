@@ -1,0 +1,119 @@
+"""TUM, KITTI and EuRoC files: written by evo, read by us, and the other way round; what is wrong is named by its line."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tests.trackers.exchange.against_evo import evo_modules
+from trackers.core.errors import UnusableInput
+from trackers.exchange.poses import PoseTrajectory, quaternions_of, rotation_matrices
+from trackers.exchange.trajectory_files import kind_of, read_trajectory, write_trajectory
+
+EUROC = """#timestamp [ns], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z [], v_x
+1403636580838555648,4.688319,-1.786938,0.783338,0.534108,-0.153029,-0.827383,-0.082152,-0.027876
+1403636580843555328,4.688177,-1.786770,0.787350,0.534640,-0.152990,-0.826976,-0.082863,-0.029272
+"""
+
+
+def _poses(n=20, seed=4):
+    rng = np.random.default_rng(seed)
+    quaternions = np.roll(Rotation.random(n, rng).as_quat(), 1, axis=1)
+    return PoseTrajectory(np.sort(rng.uniform(1.7e9, 1.7e9 + 9, n)), rng.normal(0, 3, (n, 3)), quaternions, "random")
+
+
+def _same_attitude(a, b):
+    return np.abs(np.einsum("ni,ni->n", a, b)) == pytest.approx(np.ones(len(a)), abs=1e-9)
+
+
+def test_quaternions_and_matrices_are_those_of_scipy():
+    poses = _poses(200)
+    expected = Rotation.from_quat(np.roll(poses.quaternions, -1, axis=1))
+    assert np.allclose(rotation_matrices(poses.quaternions), expected.as_matrix(), atol=1e-12)
+    assert _same_attitude(quaternions_of(expected.as_matrix()), poses.quaternions)
+    halves = Rotation.from_rotvec(np.pi * np.eye(3)).as_matrix()
+    assert np.allclose(np.abs(quaternions_of(halves)[:, 1:]), np.eye(3), atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["tum", "kitti", "euroc"])
+def test_evo_reads_what_we_write(tmp_path, kind):
+    _, _, files = evo_modules()
+    poses, path = _poses(), tmp_path / f"mine.{kind}"
+    write_trajectory(poses, path)
+    reader = {"tum": "read_tum_trajectory_file", "kitti": "read_kitti_poses_file", "euroc": "read_euroc_csv_trajectory"}
+    found = getattr(files, reader[kind])(str(path))
+    assert np.allclose(found.positions_xyz, poses.positions, atol=1e-12)
+    assert _same_attitude(found.orientations_quat_wxyz, poses.quaternions)
+    if kind != "kitti":
+        assert np.allclose(found.timestamps, poses.times, rtol=0, atol=1e-6)
+
+
+def test_we_read_what_evo_writes(tmp_path):
+    _, _, files = evo_modules()
+    poses = _poses()
+    write_trajectory(poses, tmp_path / "own.tum")
+    theirs = files.read_tum_trajectory_file(str(tmp_path / "own.tum"))
+    files.write_tum_trajectory_file(str(tmp_path / "evo.txt"), theirs)
+    files.write_kitti_poses_file(str(tmp_path / "poses.txt"), theirs)
+    (tmp_path / "times.txt").write_text("".join(f"{t!r}\n" for t in poses.times.tolist()))
+    for found in (
+        read_trajectory(tmp_path / "evo.txt"),
+        read_trajectory(tmp_path / "poses.txt", times=tmp_path / "times.txt"),
+    ):
+        assert np.allclose(found.times, poses.times, rtol=0, atol=1e-6)
+        assert np.allclose(found.positions, poses.positions, atol=1e-9)
+        assert _same_attitude(found.quaternions, poses.quaternions)
+
+
+@pytest.mark.parametrize("kind", ["tum", "kitti", "euroc"])
+def test_a_trajectory_is_read_back_as_it_was_written(tmp_path, kind):
+    poses, path = _poses(), tmp_path / f"mine.{kind}"
+    write_trajectory(poses, path)
+    times = path.with_suffix(".times.txt") if kind == "kitti" else None
+    back = read_trajectory(path, times=times)
+    assert np.allclose(back.times, poses.times, rtol=0, atol=3e-7 if kind == "euroc" else 0)
+    assert np.allclose(back.positions, poses.positions, rtol=0, atol=0)
+    assert _same_attitude(back.quaternions, poses.quaternions)
+
+
+def test_a_euroc_ground_truth_is_read_in_seconds(tmp_path):
+    path = tmp_path / "data.csv"
+    path.write_text(EUROC)
+    found = read_trajectory(path)
+    assert kind_of(path) == "euroc"
+    assert found.times == pytest.approx([1403636580.8385556, 1403636580.8435553], abs=1e-6)
+    assert found.positions[1] == pytest.approx([4.688177, -1.786770, 0.787350])
+    assert found.quaternions[0] == pytest.approx([0.534108, -0.153029, -0.827383, -0.082152], abs=1e-4)
+
+
+def test_rows_out_of_order_are_sorted_with_a_notice_and_kitti_rows_are_counted_with_one(tmp_path):
+    (tmp_path / "a.tum").write_text("# a comment\n2 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n")
+    found = read_trajectory(tmp_path / "a.tum")
+    assert found.times.tolist() == [1.0, 2.0]
+    assert "1; sorted" in found.notices[0]
+    assert "without attitude" in found.notices[1]
+    (tmp_path / "a.kitti").write_text("1 0 0 5 0 1 0 6 0 0 1 7\n1 0 0 5 0 1 0 6 0 0 1 8\n")
+    assert "have no times" in read_trajectory(tmp_path / "a.kitti").notices[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("a.tum", "0 0 0 0 0 0 0 1\n1 0 0 0 0 0 0\n", "line 2 has 7 numbers"),
+        ("a.tum", "# x\n0 0 0 0 0 0 0 1\n1 0 zero 0 0 0 0 1\n", "line 3, column 3: 'zero'"),
+        ("a.tum", "0 0 0 0 0 0 0 1\n1 nan 0 0 0 0 0 1\n", "line 2, column 2"),
+        ("a.tum", "0 0 0 0 0 0 0 0\n", "zero quaternion"),
+        ("a.tum", "\n# nothing\n", "holds no poses"),
+        ("a.kitti", "2 0 0 0 0 2 0 0 0 0 2 0\n", "no rotation"),
+        ("a.txt", "1 2 3\n", "no trajectory format"),
+        ("a.csv", "1,2,3\n", "no trajectory format"),
+        ("a.euroc", "1,2,3,4,5,6,7\n", "line 1 has 7 numbers"),
+    ],
+)
+def test_a_faulty_file_is_refused_with_its_line(tmp_path, name, text, words):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(UnusableInput) as refused:
+        read_trajectory(tmp_path / name)
+    assert words in str(refused.value)
+    assert name in str(refused.value)

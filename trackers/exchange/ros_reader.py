@@ -1,0 +1,162 @@
+"""Messages of ROS 1 and ROS 2 bags, and of MCAP files, as columns of numbers and texts."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from trackers.core.errors import UnusableInput, listed
+from trackers.exchange.mapping import TableMapping, parsed, sensor_of
+from trackers.exchange.ros_package import rosbags_module
+from trackers.recordings.table_file import TableFile
+
+RECEIVED = "received"
+"""Field of every message: the time, s, at which the bag received it."""
+
+_PART = re.compile(r"(\w+)((?:\[\d*\])*)")
+_POSES = {
+    "geometry_msgs/msg/PointStamped": ("point", None),
+    "geometry_msgs/msg/PoseStamped": ("pose.position", "pose.orientation"),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": ("pose.pose.position", "pose.pose.orientation"),
+    "geometry_msgs/msg/TransformStamped": ("transform.translation", "transform.rotation"),
+    "nav_msgs/msg/Odometry": ("pose.pose.position", "pose.pose.orientation"),
+}
+
+
+@contextmanager
+def opened(path: Path, definitions: Sequence[Path] = ()) -> Iterator[Any]:
+    """A reader of the bag; `definitions`: .msg files, PACKAGE/msg/NAME.msg, of types that the bag does not define.
+
+    Raises UnusableInput without the package rosbags, and for a file that is no bag.
+    """
+    anyreader, typesys = (rosbags_module(name, str(path)) for name in ("highlevel", "typesys"))
+    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    for file in definitions:
+        name = "/".join([*file.parts[-3:-1], file.stem])
+        try:
+            store.register(typesys.get_types_from_msg(file.read_text(encoding="utf-8"), name))
+        except (OSError, typesys.TypesysError) as error:
+            raise UnusableInput(f"{file}: is no message definition: {error}; expected PACKAGE/msg/NAME.msg") from error
+    try:
+        with anyreader.AnyReader([path], default_typestore=store) as reader:
+            yield reader
+    except (anyreader.AnyReaderError, typesys.TypesysError, OSError, ValueError) as error:
+        if isinstance(error, UnusableInput):
+            raise
+        text = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise UnusableInput(f"{path}: cannot be read as a ROS bag: {text}") from error
+
+
+def topics_of(reader: Any) -> str:
+    """The topics of a bag with their types and numbers of messages, for messages."""
+    return listed(
+        (f"{c.topic} ({c.msgtype}, {c.msgcount})" for c in sorted(reader.connections, key=lambda c: c.topic)), 20
+    )
+
+
+def message_columns(reader: Any, path: Path, mapping: TableMapping) -> tuple[TableFile, TableMapping]:
+    """The fields of a topic's messages that a mapping names, one row a message or list element, and that mapping.
+
+    Standard messages (poses, odometry, transforms, points, IMU, ranges) need no expressions; those given go first. A
+    field is a path such as `header.stamp` or `ranges[].distance`, with a row for each element of lists in `[]`.
+    Raises UnusableInput with the topic and the number of the message.
+    """
+    connections = [c for c in reader.connections if c.topic == mapping.topic]
+    if not connections:
+        raise UnusableInput(f"{path}: no topic {mapping.topic}; found {topics_of(reader)}")
+    kinds = sorted({c.msgtype for c in connections})
+    if len(kinds) > 1:
+        raise UnusableInput(f"{path}: topic {mapping.topic} has messages of {listed(kinds)}; expected one type")
+    given = {sensor_of(target)[0] for target in mapping.columns}
+    standard = {target: parsed(target, text) for target, text in _standard(kinds[0], mapping.table).items()}
+    # A standard field gives way to the user's, and the id of a sensor in brackets to none.
+    columns = {target: text for target, text in standard.items() if target not in given} | dict(mapping.columns)
+    sources = [e.source for e in columns.values() if e.constant is None]
+    if not sources:
+        raise UnusableInput(
+            f"{path}: topic {mapping.topic} has {kinds[0]}, which is no standard message for {mapping.table}; map its "
+            f"fields: --columns 'range_m=FIELD in mm' 'anchor=FIELD' …; fields: {_fields(reader, kinds[0])}"
+        )
+    rows: dict[str, list[Any]] = {source: [] for source in dict.fromkeys(sources)}
+    for count, (connection, stamp, raw) in enumerate(reader.messages(connections=connections), 1):
+        message = reader.deserialize(raw, connection.msgtype)
+        where = f"{path}: topic {mapping.topic}, message {count}"
+        found = {source: _values(message, source, stamp, where, reader, kinds[0]) for source in rows}
+        lengths = {len(values) for values in found.values() if isinstance(values, list)}
+        if len(lengths) > 1:
+            raise UnusableInput(f"{where}: lists of lengths {sorted(lengths)} in {listed(rows)}; expected equal ones")
+        size = lengths.pop() if lengths else 1
+        for source, values in found.items():
+            rows[source] += values if isinstance(values, list) else [values] * size
+    frame = pl.DataFrame({source: _series(values, source, path) for source, values in rows.items()})
+    if frame.is_empty():
+        raise UnusableInput(f"{path}: topic {mapping.topic}: no messages; expected at least one")
+    return TableFile(Path(f"{path} {mapping.topic}"), frame), replace(mapping, columns=columns)
+
+
+def _standard(kind: str, table: str) -> dict[str, str]:
+    """The expressions of a standard message for a table, by target; none for other messages."""
+    axes = "xyz"
+    if kind == "sensor_msgs/msg/Imu" and table == "imu":
+        parts = {f"accel_{a}_mps2": f"linear_acceleration.{a}" for a in axes}
+        return {"t_s": "header.stamp"} | parts | {f"gyro_{a}_radps": f"angular_velocity.{a}" for a in axes}
+    if kind == "sensor_msgs/msg/Range" and table == "ranges":
+        return {"t_s": "header.stamp", "range_m": "range"}
+    if kind in _POSES and table in ("truth", "fixes"):
+        position, attitude = _POSES[kind]
+        found = {"t_s": "header.stamp"} | {f"{a}_m": f"{position}.{a}" for a in axes}
+        if table == "truth" and attitude is not None:
+            found |= {f"q{a}": f"{attitude}.{a}" for a in "wxyz"}
+        return found
+    return {}
+
+
+def _values(message: Any, source: str, stamp: int, where: str, reader: Any, kind: str) -> Any:
+    """The value of a field, or the list of those of all elements."""
+    if source == RECEIVED:
+        return stamp / 1e9
+    values, several = [message], False
+    for part in source.split("."):
+        match = _PART.fullmatch(part)
+        if match is None:
+            raise UnusableInput(f"{where}: {source!r} is no field; expected a path such as header.stamp or ranges[].id")
+        for name in values:
+            if not hasattr(name, match[1]):
+                raise UnusableInput(f"{where}: no field {source}; fields: {_fields(reader, kind)}")
+        values = [getattr(value, match[1]) for value in values]
+        for index in re.findall(r"\[(\d*)\]", match[2]):
+            if not index:
+                values, several = [item for value in values for item in value], True
+                continue
+            if any(int(index) >= len(value) for value in values):
+                raise UnusableInput(f"{where}: {source}: has fewer than {int(index) + 1} elements")
+            values = [value[int(index)] for value in values]
+    plain = [_plain(value) for value in values]
+    return plain if several else plain[0]
+
+
+def _plain(value: Any) -> Any:
+    """The number or text; times as seconds."""
+    if hasattr(value, "nanosec"):
+        return value.sec + value.nanosec / 1e9
+    return value.item() if hasattr(value, "item") else value
+
+
+def _series(values: list[Any], source: str, path: Path) -> pl.Series:
+    wrong = next((value for value in values if not isinstance(value, (int, float, str))), None)
+    if wrong is not None:
+        raise UnusableInput(
+            f"{path}: field {source} is a {type(wrong).__name__}; expected a number, text or time in it"
+        )
+    return pl.Series(source, values)
+
+
+def _fields(reader: Any, kind: str) -> str:
+    definition = reader.typestore.fielddefs.get(kind)
+    return listed([name for name, _ in definition[1]], 20) if definition else "unknown"

@@ -1,0 +1,190 @@
+"""Serial logs of Decawave and Qorvo kits: lines of `les`, `lec` and `lep` (DWM1001), and of `mc` (TREK1000)."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Literal
+
+import polars as pl
+
+from trackers.core.errors import UnusableInput
+
+LogKind = Literal["dwm1001", "trek1000"]
+
+_N = r"-?\d+(?:\.\d+)?"
+_LES = re.compile(rf"([0-9A-Fa-f]{{4}})\[({_N}),({_N}),({_N})\]=({_N})")
+_ESTIMATE = re.compile(rf"est\[({_N}),({_N}),({_N}),(\d+)\]")
+_LES_LINE = re.compile(rf"(?:{_LES.pattern}\s*)+(?:le_us=\d+\s*)?(?:{_ESTIMATE.pattern})?")
+_LEC = re.compile(rf"AN\d+,([0-9A-Fa-f]{{4}}),({_N}),({_N}),({_N}),({_N})")
+_POS = re.compile(rf"POS,({_N}),({_N}),({_N}),(\d+)")
+_LEC_LINE = re.compile(rf"DIST,(\d+)((?:,{_LEC.pattern})*)(?:,{_POS.pattern})?")
+_TREK = re.compile(
+    r"m([acr]) ([0-9a-fA-F]{2}) ((?:[0-9a-fA-F]{8} ){4})([0-9a-fA-F]{4}) ([0-9a-fA-F]{2}) ([0-9a-fA-F]{8}) "
+    r"([at])(\d+):(\d+)"
+)
+_BEGINS = re.compile(rf"(?:DIST,|POS,|[0-9A-Fa-f]{{4}}\[{_N},|m[acr] [0-9a-fA-F]{{2}} )")
+_CLOCK = re.compile(r"(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d+)?)")
+_SHELL = ("dwm>", "DWM1001", "Copyright", "License", "Compiled", "Help")
+_DAY = 86400.0
+
+
+@dataclass
+class SerialLog:
+    """The rows of a log, with the number of their line; `anchors`: the positions, m, that it names."""
+
+    ranges: list[tuple[int, float, str, str, float]] = field(default_factory=list)
+    fixes: list[tuple[int, float, str, float, float, float]] = field(default_factory=list)
+    anchors: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+    notices: list[str] = field(default_factory=list)
+
+    def tables(self) -> dict[str, pl.DataFrame]:
+        """The tables ranges and fixes, those that have rows."""
+        ranges = pl.DataFrame([row[1:] for row in self.ranges], ["t_s", "tag", "anchor", "range_m"], orient="row")
+        fixes = pl.DataFrame([row[1:] for row in self.fixes], ["t_s", "tag", "x_m", "y_m", "z_m"], orient="row")
+        return {name: table for name, table in (("ranges", ranges), ("fixes", fixes)) if len(table)}
+
+
+def log_kind(text: str) -> LogKind | None:
+    """The kind of a log by its first line that holds readings; None for another text."""
+    for line in text.splitlines()[:200]:
+        begin = _BEGINS.search(line)
+        if begin is not None:
+            return "trek1000" if begin[0].startswith("m") else "dwm1001"
+    return None
+
+
+def read_log(
+    path: Path, kind: LogKind, tag: str | None, interval: float | None = None, skip: bool = False
+) -> SerialLog:
+    """The readings of a log. Lines of the shell, `mr` and `ma` lines and empty lines are left out.
+
+    Times: the text before the readings of a line, seconds or a date or a time of day; of TREK1000 lines without it,
+    the time of the last range in ms that they hold; else line k is at k · `interval`, s. `tag`: the id of the tag,
+    which DWM1001 lines do not name. Any other line is refused with its number, or left out with a notice if `skip`.
+    """
+    if kind == "dwm1001" and tag is None:
+        raise UnusableInput(f"{path}: DWM1001 lines do not name the tag; give it: --tag ID")
+    log, clock, bad = SerialLog(), _Clock(path, interval), []
+    raw = 0
+    for number, line in enumerate(_text(path).splitlines(), 1):
+        line = line.strip()
+        begin = _BEGINS.search(line)
+        if not line or line.startswith(("#", *_SHELL)):
+            continue
+        body = "" if begin is None else line[begin.start() :]
+        if kind == "trek1000" and body[:2] in ("mr", "ma") and _TREK.fullmatch(body):
+            raw += 1
+            continue
+        try:
+            if begin is None:
+                raise UnusableInput(f"{path}: line {number}: {line[:60]!r}; expected {_EXPECTED[kind]}")
+            _READERS[kind](log, path, number, body, line[: begin.start()], clock, tag)
+        except UnusableInput as problem:
+            if not skip:
+                raise UnusableInput(f"{problem}; --skip-bad-lines leaves such lines out") from problem
+            bad.append(number)
+    if bad:
+        shown = ", ".join(map(str, bad[:5])) + (" …" if len(bad) > 5 else "")
+        log.notices.append(f"{len(bad)} lines could not be read and were left out: {shown}")
+    if raw:
+        log.notices.append(f"{raw} lines of raw (mr) and anchor (ma) ranges left out; mc lines are used")
+    if not log.ranges and not log.fixes:
+        raise UnusableInput(f"{path}: no readings; expected {_EXPECTED[kind]}")
+    return log
+
+
+_EXPECTED = {
+    "dwm1001": "lines of the DWM1001 commands les, lec or lep, such as 'DIST,1,AN0,1151,5.00,8.00,2.25,6.44'",
+    "trek1000": "TREK1000 lines such as 'mc 07 00000663 000005a3 00000512 ffffffff 095f c1 00024c24 a0:0'",
+}
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_bytes().decode("utf-8-sig", errors="replace")
+    except OSError as error:
+        raise UnusableInput(f"{path}: cannot be read ({error.strerror}); check the path") from error
+
+
+class _Clock:
+    """The time of each line; times of day go on after midnight."""
+
+    def __init__(self, path: Path, interval: float | None) -> None:
+        self.path, self.interval = path, interval
+        self.rows, self.days, self.latest = 0, 0, -1.0
+
+    def at(self, number: int, prefix: str, device: float | None = None) -> float:
+        """The time, s, of a line with this text before its readings, or else that of the device."""
+        prefix = prefix.strip(" \t,;|:[]>")
+        self.rows += 1
+        if not prefix:
+            if device is None and self.interval is None:
+                raise UnusableInput(
+                    f"{self.path}: line {number}: no time before the readings; log with time stamps, or give the "
+                    "interval of the lines: --interval 0.1"
+                )
+            return device if device is not None else (self.rows - 1) * float(self.interval or 0.0)
+        day = _CLOCK.fullmatch(prefix)
+        if day is not None:
+            seconds = int(day[1]) * 3600 + int(day[2]) * 60 + float(day[3].replace(",", "."))
+            if seconds < self.latest - _DAY / 2:
+                self.days += 1
+            self.latest = seconds
+            return seconds + self.days * _DAY
+        try:
+            return float(prefix)
+        except ValueError:
+            pass
+        try:
+            stamp = datetime.fromisoformat(prefix.replace(",", "."))
+        except ValueError:
+            raise UnusableInput(
+                f"{self.path}: line {number}: {prefix[:40]!r} before the readings; expected seconds, a date such as "
+                "2026-05-01T12:00:00.25, or a time of day such as 12:00:00.25"
+            ) from None
+        return (stamp if stamp.tzinfo else stamp.replace(tzinfo=UTC)).timestamp()
+
+
+def _dwm1001(log: SerialLog, path: Path, number: int, body: str, prefix: str, clock: _Clock, tag: str | None) -> None:
+    assert tag is not None
+    position = None
+    if body.startswith("POS"):
+        position = _POS.fullmatch(body)
+        found, understood = [], position is not None
+    elif body.startswith("DIST"):
+        line = _LEC_LINE.fullmatch(body)
+        found = _LEC.findall(body)
+        understood = line is not None and int(line[1]) == len(found)
+        position = _POS.search(body)
+    else:
+        understood, found, position = _LES_LINE.fullmatch(body) is not None, _LES.findall(body), _ESTIMATE.search(body)
+    if not understood:
+        raise UnusableInput(f"{path}: line {number}: {body[:60]!r}; expected {_EXPECTED['dwm1001']}")
+    time = clock.at(number, prefix)
+    for anchor, x, y, z, distance in found:
+        place = (float(x), float(y), float(z))
+        if log.anchors.setdefault(anchor, place) != place:
+            raise UnusableInput(
+                f"{path}: line {number}: anchor {anchor} at {place}, before at {log.anchors[anchor]}; expected anchors "
+                "that stay; cut the log where it was moved"
+            )
+        log.ranges.append((number, time, tag, anchor, float(distance)))
+    if position is not None:
+        log.fixes.append((number, time, tag, *(float(position[k]) for k in (1, 2, 3))))  # type: ignore[arg-type]
+
+
+def _trek1000(log: SerialLog, path: Path, number: int, body: str, prefix: str, clock: _Clock, tag: str | None) -> None:
+    match = _TREK.fullmatch(body)
+    if match is None or match[1] != "c":
+        raise UnusableInput(f"{path}: line {number}: {body[:60]!r}; expected {_EXPECTED['trek1000']}")
+    mask, ranges = int(match[2], 16), [int(text, 16) for text in match[3].split()]
+    time = clock.at(number, prefix, int(match[6], 16) / 1000)
+    for k, millimetres in enumerate(ranges):
+        if mask >> k & 1 and millimetres < 0x8000_0000:
+            log.ranges.append((number, time, tag or match[8], str(k), millimetres / 1000))
+
+
+_READERS = {"dwm1001": _dwm1001, "trek1000": _trek1000}

@@ -1,0 +1,126 @@
+"""Files of other programs read as tables of a recording: what kind of file it is, and its tables."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import polars as pl
+
+from trackers.core.errors import UnusableInput, listed
+from trackers.exchange.mapped_table import mapped_table
+from trackers.exchange.mapping import TableMapping
+from trackers.exchange.ros_reader import message_columns, opened, topics_of
+from trackers.exchange.serial_logs import log_kind, read_log
+from trackers.exchange.trajectory_files import kind_of, read_trajectory
+from trackers.recordings.table_file import SUFFIXES, TableFile, read_table_file
+
+SourceKind = Literal["csv", "tum", "kitti", "euroc", "ros", "dwm1001", "trek1000"]
+
+
+@dataclass
+class Source:
+    """Tables by name, notices on how they were read, and the positions of anchors, m, if the source has them."""
+
+    tables: dict[str, pl.DataFrame] = field(default_factory=dict)
+    notices: list[str] = field(default_factory=list)
+    anchors: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+
+
+def source_kind(path: Path) -> SourceKind:
+    """What kind of file it is, by its name or else its first lines; raises UnusableInput where that is not clear."""
+    name = path.name.lower()
+    if path.is_dir():
+        if (path / "metadata.yaml").is_file():
+            return "ros"
+        raise UnusableInput(f"{path}: is a folder without metadata.yaml; expected a ROS 2 bag, or a file")
+    if name.endswith((".bag", ".mcap", ".db3")):
+        return "ros"
+    try:
+        with path.open("rb") as file:
+            begin = file.read(20_000).decode("utf-8-sig", errors="replace")
+    except OSError as error:
+        raise UnusableInput(f"{path}: cannot be read ({error.strerror}); check the path") from error
+    if name.endswith(SUFFIXES) and not begin.startswith("#timestamp"):
+        return "csv"
+    return log_kind(begin) or kind_of(path)
+
+
+def read_source(
+    path: Path,
+    kind: SourceKind,
+    mappings: Sequence[TableMapping],
+    interval: float | None = None,
+    skip: bool = False,
+    definitions: Sequence[Path] = (),
+) -> Source:
+    """The tables that the mappings make of a source; logs need a tag alone. Raises UnusableInput with file and line."""
+    if kind == "dwm1001" or kind == "trek1000":
+        log = read_log(path, kind, mappings[0].tag if mappings else None, interval, skip)
+        return Source(log.tables(), log.notices, log.anchors)
+    if not mappings:
+        raise UnusableInput(f"{path}: no table given; expected --table, or a file of mappings: --mapping FILE.toml")
+    found = Source()
+    if kind == "ros":
+        with opened(path, definitions) as reader:
+            for mapping in mappings:
+                if mapping.topic is None:
+                    raise UnusableInput(f"{path}: no --topic for {mapping.table}; expected one of {topics_of(reader)}")
+                file, whole = message_columns(reader, path, mapping)
+                _add(found, mapping.table, *mapped_table(file, whole))
+        return found
+    for mapping in mappings:
+        if kind == "csv":
+            file = read_table_file(path) if mapping.separator == "," else _separated(path, mapping.separator)
+            _add(found, mapping.table, *mapped_table(file, mapping))
+        else:
+            _add(found, mapping.table, *_poses(path, kind, mapping))
+    return found
+
+
+def _add(source: Source, name: str, table: pl.DataFrame, notices: Sequence[str]) -> None:
+    """A table of the source, after the rows of another part of it."""
+    if name in source.tables:
+        table = pl.concat([source.tables[name], table], how="diagonal").sort("t_s", maintain_order=True)
+    source.tables[name] = table
+    source.notices += [f"{name}: {line}" for line in notices]
+
+
+def _poses(path: Path, kind: SourceKind, mapping: TableMapping) -> tuple[pl.DataFrame, list[str]]:
+    if mapping.table not in ("truth", "fixes"):
+        raise UnusableInput(f"{path}: poses are a table truth or fixes, not {mapping.table}; give --table truth")
+    if mapping.columns:
+        raise UnusableInput(f"{path}: {listed(mapping.columns)}: the columns of {kind} are fixed; leave --columns out")
+    if mapping.tag is None:
+        raise UnusableInput(f"{path}: {kind} files do not name the tag; give it: --tag ID")
+    poses = read_trajectory(path, kind)  # type: ignore[arg-type]
+    table = poses.to_polars(mapping.tag)
+    return table if mapping.table == "truth" else table.select("t_s", "tag", "x_m", "y_m", "z_m"), list(poses.notices)
+
+
+def _separated(path: Path, separator: str) -> TableFile:
+    """The columns of a text file with another separator between its cells."""
+    if len(separator) != 1:
+        raise UnusableInput(f"--separator {separator!r}; expected one character, such as ';'")
+    try:
+        text = path.read_bytes().decode("utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UnusableInput(f"{path}: cannot be read as UTF-8 text ({error})") from error
+    reader = csv.reader(io.StringIO(text), delimiter=separator)
+    names = [name.strip() for name in next(reader, [])]
+    rows, lines = [], []
+    for row in reader:
+        if len(row) == len(names):
+            rows.append(row)
+            lines.append(reader.line_num)
+        elif any(cell.strip() for cell in row):
+            raise UnusableInput(
+                f"{path}: line {reader.line_num} has {len(row)} cells; expected {len(names)} as in line 1"
+            )
+    if not rows or len(set(names)) < len(names):
+        raise UnusableInput(f"{path}: no rows, or a name twice in line 1: {listed(names)}; expected a header and rows")
+    return TableFile(path, pl.DataFrame(rows, schema=dict.fromkeys(names, pl.String), orient="row"), lines)
