@@ -7,7 +7,7 @@ COMMANDS = {
     "import": "Import CSV, ROS bags, MCAP, TUM, EuRoC or logs of UWB kits.",
     "check": "Check the data: time base, gaps, outliers, ids, units, geometry.",
     "calibrate": "Fit systematic errors of stations and anchors against truth.",
-    "track": "Track recordings: estimates, events, error metrics and figures.",
+    "track": "Track recordings: estimates, events, error metrics, a page with playback.",
     "evaluate": "Error metrics of estimates against truth; exit 1 by --fail-if.",
     "export": "Export tracks or truth: TUM, KITTI, CSV, ROS 2 bag, Rerun.",
     "report": "Compare two runs: print their metrics and write them as a page.",

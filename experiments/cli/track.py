@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from typing import Annotated
+from typing import Annotated, Literal
 
 from experiments.cli.arguments import File, Folder, Folders
 from experiments.cli.console import read_with_notices, require_output, selection
@@ -31,10 +31,14 @@ def track(
     lag: Annotated[float | None, "S"] = None,
     seed: int = 0,
     cluster: Annotated[str | None, "ADDRESS"] = None,
+    no_figures: bool = False,
+    no_report: bool = False,
+    format: Literal["png", "pdf"] = "png",
 ) -> int:
-    """Track recordings: estimates, events, error metrics and figures.
+    """Track recordings: estimates, events, error metrics, a page with playback.
 
-    Writes tracks.parquet, events.parquet, figures and manifest.json; prints error metrics where there is truth.
+    Writes tracks.parquet, events.parquet, report.html, figures and manifest.json; prints error metrics where there is
+    truth.
 
     Args:
         recordings: recording folders (rig.toml and tables).
@@ -55,6 +59,9 @@ def track(
         lag: smooth with the readings of the next so many seconds only.
         seed: of the random numbers of particle filters.
         cluster: track each recording by itself on a Dask cluster, tcp://HOST:8786, or in processes here, local:4.
+        no_figures: draw no figures.
+        no_report: write no report.html, the page with playback and linked charts.
+        format: of the figures.
     """
     started = datetime.now(UTC)
     require_output(out)
@@ -72,6 +79,6 @@ def track(
 
         options = Options(
             recordings, out, tracker, noise, tuned, values, calibration, part, average, free_height, smooth, lag, seed,
-            cluster,
+            cluster, not no_figures, not no_report, format,
         )  # fmt: skip
         return track_folders(folders, options, started, begin)

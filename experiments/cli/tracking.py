@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
@@ -12,20 +13,22 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import polars as pl
+
 from experiments.cli.console import notice, notice_unused_calibration, output_folder, terminal_width
 from experiments.cli.evaluate import SOURCES
 from experiments.cli.manifest import write_manifest
 from experiments.cli.stages import Begin
 from experiments.executors import cluster_executor
-from experiments.plots.track_folder import plot_tracks
 from experiments.portable_tracker import run_on
 from experiments.reports.evaluation_text import to_text
 from experiments.reports.wording import counted, uncapitalised
+from experiments.scored_tracks import ScoredTracks
 from trackers.catalogue import build, fitting
 from trackers.core.chunks import CHUNK
 from trackers.core.errors import UnusableInput
 from trackers.core.freed_memory import give_back
-from trackers.evaluation import evaluate, evaluate_association
+from trackers.evaluation import Evaluation, evaluate, evaluate_association
 from trackers.events import EVENTS, events_of
 from trackers.recordings.association import Association, associate_truth
 from trackers.recordings.atomic import atomic_write
@@ -58,6 +61,9 @@ class Options:
     lag: float | None
     seed: int
     cluster: str | None
+    figures: bool
+    report: bool
+    format: str
 
 
 def track_folders(folders: Sequence[RecordingFolder], options: Options, started: datetime, begin: Begin) -> int:
@@ -107,12 +113,14 @@ def track_folders(folders: Sequence[RecordingFolder], options: Options, started:
     )
     truths = {f.name: f.tables["truth"] for f in folders if "truth" in f.tables}
     association = associate_truth(table, truths)
+    evaluation = None
     if association.scored.any():
-        print(to_text(evaluate(association, folders).with_residuals(tracks), terminal_width()), end="")
+        evaluation = evaluate(association, folders).with_residuals(tracks)
+        print(to_text(evaluation, terminal_width()), end="")
     else:
         _without_truth(association, folders, tracks)
-    begin("figures")
-    drawn = plot_tracks(out, association, folders, batches)
+    scored = ScoredTracks(association, folders, batches)
+    drawn = _shown(scored, happened, evaluation, f"{name}: {named.spec.about}", options, begin)
     config = {
         "tracker": name,
         "noise": None if options.noise is None else str(options.noise),
@@ -136,8 +144,35 @@ def track_folders(folders: Sequence[RecordingFolder], options: Options, started:
     for event, count in happened.group_by("event", maintain_order=True).len().iter_rows():
         print(f"event: {event} ({counted(count, 'time')})")
     written = f"{out / TRACKS} ({counted(len(table), 'estimate')}), {EVENTS}, manifest.json"
-    print(f"wrote {written} and {counted(len(drawn), 'figure')}: {', '.join(drawn)}")
+    print(f"wrote {', '.join([written, *drawn])}")
     return 0
+
+
+def _shown(
+    tracks: ScoredTracks,
+    events: pl.DataFrame,
+    evaluation: Evaluation | None,
+    tracker: str,
+    options: Options,
+    begin: Begin,
+) -> list[str]:
+    """Writes the page and the figures that are asked for; returns in words what was written."""
+    written = []
+    if options.report:
+        begin("report")
+        from experiments.interactive.track_page import PAGE, write_track_page
+
+        command = shlex.join(["trackwright", *sys.argv[1:]])
+        write_track_page(options.out / PAGE, tracks, events, evaluation, tracker, command)
+        written.append(PAGE)
+    if options.figures:
+        begin("figures")
+        # matplotlib takes a third of a second to import.
+        from experiments.plots.track_folder import plot_tracks
+
+        drawn = plot_tracks(options.out, tracks, options.format)
+        written.append(f"{counted(len(drawn), 'figure')} ({', '.join(drawn[:4])}{', …' if len(drawn) > 4 else ''})")
+    return written
 
 
 def _without_truth(association: Association, folders: Sequence[RecordingFolder], tracks: Tracks) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 
-from experiments.plots.style import BEFORE, BLACK, BLUE, GREY, VERMILION, literal, png
+from experiments.plots.style import BEFORE, BLACK, BLUE, GREY, VERMILION, figure_file, literal
 
 POINTS = 1500
 """The most rows drawn of a source, before and after each: evenly spaced ones."""
@@ -47,7 +47,7 @@ class Panel(NamedTuple):
 def measured_against_true(path: Path, panels: Sequence[Panel], columns: int, title: str) -> None:
     """Readings before and after calibration against true values, with the fit and its 95 % interval."""
     rows = -(-len(panels) // columns)
-    with png(path, 3.3 * columns + 0.4, 2.7 * rows + 0.9, title) as figure:
+    with figure_file(path, 3.3 * columns + 0.4, 2.7 * rows + 0.9, title) as figure:
         grid = figure.subplots(rows, columns, squeeze=False)
         for axes, panel in zip(grid.flat, panels, strict=False):
             _readings(axes, panel)
@@ -86,7 +86,7 @@ def errors_over_floor(path: Path, panels: Sequence[Panel], columns: int, title: 
     medians = [_medians(panel, edges) for panel in panels]
     largest = float(np.nanquantile(np.abs(np.concatenate([m.ravel() for m in medians])), 0.97)) or 1.0
     height = 3.3 * float(np.clip((high[1] - low[1]) / max(high[0] - low[0], 1e-3), 0.35, 1.5))
-    with png(path, 3.3 * columns + 1.0, (height + 0.5) * rows + 0.6, title) as figure:
+    with figure_file(path, 3.3 * columns + 1.0, (height + 0.5) * rows + 0.6, title) as figure:
         grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
         norm, mesh = Normalize(-largest, largest), None
         for axes, panel, values in zip(grid.flat, panels, medians, strict=False):

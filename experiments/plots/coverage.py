@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from experiments.plots.style import BLACK, GREY, LINES, literal, png
+from experiments.plots.style import BLACK, GREY, LINES, figure_file, literal
 from trackers.core.chi_square import chi_square_probability
 from trackers.covariance_statements import COVERAGE
 
@@ -35,7 +35,7 @@ def coverage_curve(
     panels = [("horizontal" if nees_3d is not None else "", nees, 2)]
     if nees_3d is not None and np.isfinite(nees_3d).any():
         panels.append(("3-D", nees_3d, 3))
-    with png(path, 1.0 + 4.2 * len(panels), 4.6, title) as figure:
+    with figure_file(path, 1.0 + 4.2 * len(panels), 4.6, title) as figure:
         for axes, (name, values, dof) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
             _panel(axes, recordings, values, dof)
             shape = "ellipsoid" if dof == 3 else "ellipse"

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import PercentFormatter
+from matplotlib.ticker import MaxNLocator, PercentFormatter
 
 from experiments.plots.style import (
     BEFORE,
@@ -18,10 +18,10 @@ from experiments.plots.style import (
     VERMILION,
     WIDTH,
     broken_at_gaps,
+    figure_file,
     legend_above,
     literal,
     plain,
-    png,
     svg_address,
 )
 from experiments.reports.tuning_data import ErrorTrack
@@ -49,11 +49,12 @@ def error_over_time(
     """Writes the error of each axis with the reported ± 3 σ; returns the path.
 
     `times` (n,) s; `errors`, `sigmas` (n, d) m, or rad with `angles`; NaN where missing. `bounds` (n, d): the
-    posterior Cramér–Rao bound as a standard deviation. Outliers don't set the scale.
+    posterior Cramér–Rao bound as a standard deviation. Errors of a single row don't set the scale.
     """
     columns = [k for k in range(errors.shape[1]) if np.isfinite(errors[:, k]).any()]
     unit, scale = _unit(errors, angles)
-    with png(path, 8.0, 1.0 + 1.7 * max(len(columns), 1), title) as figure:
+    halves = {k: scale * _half_height(errors[:, k], sigmas[:, k]) for k in columns}
+    with figure_file(path, 8.0, 1.0 + 1.7 * max(len(columns), 1), title) as figure:
         panels = figure.subplots(max(len(columns), 1), 1, sharex=True, squeeze=False)[:, 0]
         for k, axes in zip(columns, panels, strict=False):
             limits = [] if bounds is None else [bounds[:, k]]
@@ -66,13 +67,18 @@ def error_over_time(
                 line = {"color": VERMILION, "linewidth": 1.1, "linestyle": (0, (5, 2))}
                 axes.plot(at, 3 * scale * limit, label="± 3 × Cramér–Rao bound of this model", **line)
                 axes.plot(at, -3 * scale * limit, **line)
-            half = scale * _half_height(errors[:, k], sigmas[:, k])
+            # An axis along which the tracker holds the position fixed is not magnified to its rounding.
+            band = scale * _usual_band(sigmas[:, k])
+            half = max(halves[k], min(band, max(halves.values())), 0.05 * max(halves.values()))
             axes.set(ylim=(-half, half), ylabel=f"error in {names[k]} ({unit})")
             axes.margins(x=0.01)
             _note_outside(axes, int((np.abs(scale * error) > half).sum()))
         panels[-1].set_xlabel("time (s)")
         if columns:
             legend_above(panels[0])
+            if bounds is not None and _mostly_above(bounds[:, columns], sigmas[:, columns]):
+                note = "The bound is linearised about the truth, σ about the estimates: σ below the bound is too small."
+                figure.text(0.99, 0.0, note, ha="right", va="bottom", fontsize=7, color=GREY)
     return Path(path)
 
 
@@ -88,7 +94,7 @@ def error_cdf(path: Path | str, errors: np.ndarray, title: str = "Distribution o
     furthest = max(percentiles(values, (99.5,))[0] for _, values, _ in curves) if len(flat) else 0.0
     furthest = furthest or 1.0
     unit, scale = length_unit(furthest / 2)
-    with png(path, 6.4, 4.4, title) as figure:
+    with figure_file(path, 6.4, 4.4, title) as figure:
         axes = figure.add_subplot(xlabel=f"error ({unit})", ylabel="estimates with at most this error (%)")
         for percent in MARKED:
             axes.axhline(percent, color=GREY, linewidth=0.7, linestyle=":")
@@ -125,7 +131,7 @@ def rmse_over_time(
     """
     columns = [k for k in range(rmse.shape[1]) if np.isfinite(rmse[:, k]).any()]
     unit, scale = length_unit(float(np.nanmedian(rmse[:, columns])))
-    with png(path, 8.0, 1.0 + 1.7 * len(columns), f"{title} ({runs} runs)") as figure:
+    with figure_file(path, 8.0, 1.0 + 1.7 * len(columns), f"{title} ({runs} runs)") as figure:
         panels = figure.subplots(len(columns), 1, sharex=True, squeeze=False)[:, 0]
         for k, axes in zip(columns, panels, strict=True):
             axes.plot(times, scale * rmse[:, k], color=BLUE, linewidth=1.0, label="RMSE")
@@ -154,10 +160,14 @@ def rmse_chart(errors: Sequence[ErrorTrack], unit: str) -> str:
         axes.plot([r[0] for r in kept], places, "o", markerfacecolor="white", color=BEFORE, markersize=6,
                   label="before")  # fmt: skip
         axes.plot([r[1] for r in kept], places, "o", color=BLUE, markersize=6, label="after")
+        worse = [(r[1], k) for k, r in enumerate(kept) if r[1] > r[0]]
+        if worse:
+            axes.plot(*np.array(worse).T, "o", color=VERMILION, markersize=6, label="after, larger")
         axes.set_yticks(places, [literal(_short(r[2])) for r in kept])
         axes.set(xlabel=f"RMSE ({unit})", ylim=(-0.6, len(kept) - 0.4))
         axes.set_xlim(0, 1.06 * max(max(r[:2]) for r in kept))
-        axes.legend(loc="lower left", bbox_to_anchor=(-0.01, 1.0), ncols=2)
+        axes.legend(loc="lower left", bbox_to_anchor=(-0.01, 1.0), ncols=3)
+        axes.xaxis.set_major_locator(MaxNLocator(5))
         plain(axes, "x")
 
     return svg_address(draw, WIDTH, max(2.0, 1.0 + 0.24 * len(kept)))
@@ -217,12 +227,23 @@ def _unit(errors: np.ndarray, angles: bool) -> tuple[str, float]:
     return length_unit(float(np.quantile(known, 0.95)) if len(known) else 1.0)
 
 
+def _mostly_above(bounds: np.ndarray, sigmas: np.ndarray) -> bool:
+    """Whether most of the bounds exceed the reported standard deviations."""
+    known = np.isfinite(bounds) & np.isfinite(sigmas)
+    return bool(known.any() and np.mean(bounds[known] > sigmas[known]) > 0.5)
+
+
 def _half_height(error: np.ndarray, sigma: np.ndarray) -> float:
-    """Half the height of a panel: 99.5 % of the errors, and the usual 3 σ band up to four times as much."""
-    most = float(np.nanquantile(np.abs(error), 0.995))
+    """Half the height of a panel: every error that lasts two rows, and the usual 3 σ band up to four times as much."""
+    size = np.abs(error[np.isfinite(error)])
+    most = float(np.max(np.minimum(size[1:], size[:-1]), initial=0.0)) if len(size) > 1 else float(size[0])
+    return 1.15 * max(most, min(_usual_band(sigma), 4 * most)) or 1e-9
+
+
+def _usual_band(sigma: np.ndarray) -> float:
+    """3 σ as in most rows."""
     known = sigma[np.isfinite(sigma)]
-    band = 3 * float(np.quantile(known, 0.9)) if len(known) else 0.0
-    return 1.15 * max(most, min(band, 4 * most)) or 1e-9
+    return 3 * float(np.quantile(known, 0.9)) if len(known) else 0.0
 
 
 def _note_outside(axes: Axes, outside: int) -> None:

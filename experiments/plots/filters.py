@@ -19,9 +19,9 @@ from experiments.plots.style import (
     NARROW,
     SKY,
     VERMILION,
+    figure_file,
     legend_above,
     plain,
-    png,
     svg_address,
 )
 from trackers.core.chi_square import chi_square_quantile
@@ -50,7 +50,7 @@ def consistency(
     """
     shown = [(name, v, dof) for name, v, dof in (("NEES", nees, nees_dof), ("NIS", nis, nis_dof)) if v is not None]
     rows = len(shown) + (nis is not None)
-    with png(path, 8.0, 1.0 + 1.9 * rows, title) as figure:
+    with figure_file(path, 8.0, 1.0 + 1.9 * rows, title) as figure:
         panels = figure.subplots(rows, 1, squeeze=False)[:, 0]
         for axes, (name, values, dof) in zip(panels, shown, strict=False):
             _ratio_panel(axes, times, values, dof, name)
@@ -72,7 +72,7 @@ def nis_chart(before: Innovations, after: Innovations) -> str:
     def draw(figure: Figure) -> None:
         axes = figure.subplots()
         _nis_histogram(axes, after, before)
-        axes.set(xlabel="NIS of a row", yticks=())
+        axes.set(xlabel="NIS of a row", ylabel="density")
         axes.set_title("NIS of all rows")
         plain(axes, "")
 
@@ -136,7 +136,7 @@ def _nis_histogram(axes: Axes, after: Innovations, before: Innovations | None = 
     # Before a fit the first bin may exceed all others many times; it is cut off.
     peak = float(density[x > bins[1] / 2].max())
     highest = max(peak, min(max(float(heights.max()) for heights in (new, *old)), 2.5 * peak))
-    axes.set(xlim=(0, end), ylim=(0, 1.12 * highest))
+    axes.set(xlim=(0, end), ylim=(0, 1.6 * highest if before is not None else 1.12 * highest))
     beyond = [f"{100 * np.mean(v.nis > end):.1f} %" for v in sides]
     shares = beyond[0] if before is None else f"{beyond[1]} before, {beyond[0]} after"
     axes.legend(loc="upper right", title=f"beyond the axis: {shares}", title_fontsize=8, alignment="left")
@@ -168,13 +168,18 @@ def _ratio_panel(axes: Axes, times: np.ndarray, values: np.ndarray, dof: float |
     axes.plot(at, ratio, color=BLUE, label=over)
     axes.set_ylabel(f"{name} / dof")
     axes.margins(x=0.01)
-    if len(ratio) and (ratio.max() > 5 or ratio.min() < 0.1):
+    if len(ratio) == 0:
+        return
+    # The first rows, with the covariance of the start, do not set the axis.
+    least, largest = (float(np.quantile(ratio, p)) for p in (0.02, 0.98))
+    if largest > 5 or least < 0.1:
         axes.set_yscale("log")
         axes.yaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_minor_locator(NullLocator())
-    if len(ratio):
-        inside = f"{100 * np.mean((low <= ratio) & (ratio <= high)):.0f} % inside"
-        axes.text(0.995, 1.02, inside, transform=axes.transAxes, ha="right", fontsize=8, color=GREY)
+    bottom = 0.8 * max(min(least, float(np.median(low))), 1e-3)
+    axes.set_ylim(bottom, 1.25 * max(largest, float(np.median(high))))
+    inside = f"{100 * np.mean((low <= ratio) & (ratio <= high)):.0f} % inside the band"
+    axes.text(0.995, 1.02, inside, transform=axes.transAxes, ha="right", fontsize=8, color=GREY)
 
 
 def _bounds(freedom: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

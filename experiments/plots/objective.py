@@ -22,9 +22,9 @@ from experiments.plots.style import (
     SKY,
     VERMILION,
     WIDTH,
+    figure_file,
     literal,
     plain,
-    png,
     svg_address,
 )
 from experiments.reports.tuning_data import OptimiserTrace, TuningReportData
@@ -45,7 +45,7 @@ def sweep_plot(path: Path | str, swept: Sweep, objective: str, paths: Sequence[n
     best = [grid[k] for grid, k in zip(swept.grids, at, strict=True)]
     labels = [_named(p.label, p.example.unit) for p in swept.parameters]
     shown = ", ".join(f"{p.label} = {x:.4g}" for p, x in zip(swept.parameters, best, strict=True))
-    with png(path, 7.0, 4.6, f"Sweep: {objective}") as figure:
+    with figure_file(path, 7.0, 4.6, f"Sweep: {objective}") as figure:
         axes = figure.subplots()
         if len(labels) == 1:
             repeated = len(swept.values) > 1
@@ -81,7 +81,7 @@ def tuning_trace(
     logarithmic axis. Raises UnusableInput where the file can't be written.
     """
     lines = (len(values) + 1) // 2
-    with png(path, 8.0, 2.7 + 1.7 * lines, title) as figure:
+    with figure_file(path, 8.0, 2.7 + 1.7 * lines, title) as figure:
         grid = figure.add_gridspec(1 + lines, 2)
         top = figure.add_subplot(grid[0, :])
         top.plot(objective, color=BLACK)

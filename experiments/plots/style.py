@@ -1,4 +1,4 @@
-"""What all plots share: one matplotlib style, colours that colour-blind readers tell apart, and PNG and SVG output."""
+"""What all plots share: one matplotlib style, colours for colour-blind readers, and PNG, PDF and SVG output."""
 
 from __future__ import annotations
 
@@ -93,17 +93,25 @@ def _styled() -> Iterator[None]:
 
 
 @contextmanager
-def png(path: Path | str, width: float, height: float, title: str) -> Iterator[Figure]:
-    """A figure of the given size in inches, written as a PNG at the end of the block, whole or not at all."""
+def figure_file(path: Path | str, width: float, height: float, title: str) -> Iterator[Figure]:
+    """A figure of the given size in inches, written at the end of the block, whole or not at all: a PNG or a PDF.
+
+    The ending of `path` names the kind.
+    """
     with _styled():
         layout = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.06)
         figure = Figure(figsize=(width, height), dpi=STYLE["savefig.dpi"], facecolor="white", layout=layout)
-        canvas = FigureCanvasAgg(figure)
         if title:
             figure.suptitle(literal(title), x=0.12 / width, ha="left", fontsize=11, fontweight="bold")
         yield figure
         # `savefig` draws twice, the first time to lay the figure out, which drawing does anyway.
-        atomic_write(path, partial(canvas.print_png, pil_kwargs={"compress_level": COMPRESSION}))
+        if Path(path).suffix == ".pdf":
+            from matplotlib.backends.backend_pdf import FigureCanvasPdf
+
+            atomic_write(path, FigureCanvasPdf(figure).print_pdf)
+        else:
+            canvas = FigureCanvasAgg(figure)
+            atomic_write(path, partial(canvas.print_png, pil_kwargs={"compress_level": COMPRESSION}))
 
 
 def svg(draw: Callable[[Figure], object], width: float = WIDTH, height: float = HEIGHT) -> str:

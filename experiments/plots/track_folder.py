@@ -2,92 +2,104 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from experiments.plots.bearings import bearings_over_time
 from experiments.plots.coverage import coverage_curve
 from experiments.plots.errors import error_cdf, error_over_time, rmse_over_time
 from experiments.plots.filters import consistency
-from experiments.plots.tracks import bearings_over_time, floor_plan
-from trackers.bounds import bounds_of
-from trackers.recordings.association import Association, true_bearings
+from experiments.plots.style import LINES
+from experiments.plots.tracks import floor_plan, natural
+from experiments.reports.wording import length_unit
+from experiments.scored_tracks import ScoredRecording, ScoredTracks
+from trackers.recordings.association import true_bearings
 from trackers.recordings.columns import float_column
-from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.tracker_spec import TrackerBatch
-from trackers.recordings.tracks_table import is_bearing, track_keys
-from trackers.scoring import score
+from trackers.recordings.tracks_table import track_keys
 
 DRAWN = 4
 """The most recordings (or tags) with plots of their own."""
 
 
-def plot_tracks(
-    out: Path, association: Association, folders: Sequence[RecordingFolder], batches: Sequence[TrackerBatch]
-) -> list[str]:
+def plot_tracks(out: Path, tracks: ScoredTracks, kind: str = "png") -> list[str]:
     """Writes the plots of tracks and their errors into the folder `out`; returns the file names without their endings.
 
-    `association`: the estimates with their truth. `batches`: the trajectories of the folders, for their bounds.
+    `kind`: the ending of the files, png or pdf.
     """
-    bearing = is_bearing(association.rows)
-    drawn = _draw_bearings(out, association, folders) if bearing else []
-    if bearing and not association.scored.any():
-        return drawn
-    scored = score(association, {folder.name: folder.rig.stations for folder in folders})
-    if not bearing:
-        errors, nees = np.full((len(association.rows), 3), np.nan), np.full(len(association.rows), np.nan)
-        errors[scored.index], nees[scored.index] = scored.errors, scored.nees
-        for folder in folders[:DRAWN]:
-            part = association.of_recording(folder.name)
-            own = (association.rows["recording"] == folder.name).to_numpy()
-            suffix = "" if len(folders) == 1 else f"-{_plain(folder.name)}"
-            truth = folder.tables.get("truth")
-            rig = folder.rig
-            plan = _png(out, drawn, "floor-plan" + suffix)
-            floor_plan(plan, part.rows, truth, rig.stations, rig.anchors, folder.name, rig.all_walls())
-            if part.scored.any():
-                _draw_errors(out, drawn, suffix, part, errors[own], nees[own], folder, batches)
-    if np.isfinite(scored.nees).any():
-        names = association.rows["recording"].gather(scored.index).to_numpy()
-        coverage_curve(_png(out, drawn, "coverage"), names, scored.nees, scored.nees_3d)
-    return drawn
+    drawn = _Drawn(out, kind)
+    if tracks.bearing:
+        _draw_bearings(drawn, tracks)
+        if not tracks.association.scored.any():
+            return drawn.names
+    else:
+        for recording in tracks.recordings[:DRAWN]:
+            suffix = "" if len(tracks.folders) == 1 else f"-{_plain(recording.folder.name)}"
+            rig, title = recording.folder.rig, recording.folder.name
+            truth = recording.folder.tables.get("truth")
+            rows, shown = recording.association.rows, _shown_tags(recording)
+            floor_plan(
+                drawn("floor-plan" + suffix), rows, truth, rig.stations, rig.anchors, title, rig.all_walls(), shown
+            )
+            if recording.association.scored.any():
+                _draw_errors(drawn, suffix, recording)
+    if np.isfinite(tracks.scored.nees).any():
+        names = tracks.association.rows["recording"].gather(tracks.scored.index).to_numpy()
+        coverage_curve(drawn("coverage"), names, tracks.scored.nees, tracks.scored.nees_3d)
+    return drawn.names
 
 
-def _draw_errors(
-    out: Path,
-    drawn: list[str],
-    suffix: str,
-    association: Association,
-    errors: np.ndarray,
-    nees: np.ndarray,
-    folder: RecordingFolder,
-    batches: Sequence[TrackerBatch],
-) -> None:
-    """`errors` (n, 3) and `nees` (n,) of the rows of the association, NaN where not scored."""
-    sigmas = np.stack([float_column(association.rows, f"std_{a}_m") for a in "xyz"], axis=1)
-    known = sigmas[:, 2] > 0
-    errors[~known, 2] = np.nan
-    times = float_column(association.rows, "t_s")
-    error_cdf(_png(out, drawn, "error-cdf" + suffix), errors[association.scored], f"Errors, {folder.name}")
-    first = slice(association.starts[0], association.starts[1])
-    tag = association.rows["tag"][0]
-    bounds = bounds_of(folder, batches)
-    alone = None if bounds is None else _at(bounds, times[first])
-    title = f"Error over time, {folder.name}, tag {tag}"
-    error_over_time(
-        _png(out, drawn, "error-over-time" + suffix), times[first], errors[first], sigmas[first], alone, title=title
+class _Drawn:
+    """The plots in a folder; a call returns the path of another one."""
+
+    def __init__(self, out: Path, kind: str) -> None:
+        self.out, self.kind, self.names = out, kind, list[str]()
+
+    def __call__(self, name: str) -> Path:
+        self.names.append(name)
+        return self.out / f"{name}.{self.kind}"
+
+
+def _shown_tags(recording: ScoredRecording) -> dict[str, str]:
+    """The tags of a floor plan with remarks for its legend: all, or of many the worst, the median and the best."""
+    starts = recording.association.starts
+    tags = recording.association.rows["tag"].gather(starts[:-1]).to_list()
+    ranked = [k for k in recording.worst_first() if np.isfinite(recording.rmse[k])]
+    if len(tags) <= len(LINES):
+        return dict.fromkeys(sorted(tags, key=natural), "")
+    if len(ranked) < 3:
+        return dict.fromkeys(sorted(tags, key=natural)[: len(LINES)], "")
+    chosen = {"worst": ranked[0], "median": ranked[len(ranked) // 2], "best": ranked[-1]}
+    unit, scale = length_unit(float(recording.rmse[ranked[0]]))
+    return {
+        tags[k]: f"{word} of {len(ranked)}, RMSE {scale * recording.rmse[k]:.3g} {unit}" for word, k in chosen.items()
+    }
+
+
+def _draw_errors(drawn: _Drawn, suffix: str, recording: ScoredRecording) -> None:
+    """The plots of the errors of a recording with truth."""
+    association, errors, sigmas, name = (
+        recording.association,
+        recording.errors,
+        recording.sigmas(),
+        recording.folder.name,
     )
+    times, starts, bounds = recording.times, recording.association.starts, recording.bounds
+    error_cdf(drawn("error-cdf" + suffix), errors[association.scored], f"Errors, {name}")
+    worst = recording.worst_first()[0]
+    own = slice(starts[worst], starts[worst + 1])
+    title = f"Error over time, {name}, tag {association.rows['tag'][int(starts[worst])]}"
+    if len(starts) > 2:
+        title += f", the largest RMSE of {len(starts) - 1}"
+    alone = None if bounds is None else _at(bounds, times[own])
+    error_over_time(drawn("error-over-time" + suffix), times[own], errors[own], sigmas[own], alone, title=title)
     grid = _by_run(
-        association.starts,
-        times,
-        nees,
-        float_column(association.rows, "nis"),
-        float_column(association.rows, "nis_dof"),
+        starts, times, recording.nees, float_column(association.rows, "nis"), float_column(association.rows, "nis_dof")
     )
-    consistency(_png(out, drawn, "consistency" + suffix), grid[0], grid[1], 2, grid[2], grid[3])
-    if len(association.starts) > 10:
-        _draw_runs(_png(out, drawn, "rmse-over-time" + suffix), association.starts, times, errors, sigmas, bounds)
+    title = f"Consistency of the reported covariances, {name}"
+    consistency(drawn("consistency" + suffix), grid[0], grid[1], 2, grid[2], grid[3], title)
+    if len(starts) > 10:
+        _draw_runs(drawn("rmse-over-time" + suffix), starts, times, errors, sigmas, bounds)
 
 
 def _draw_runs(
@@ -125,9 +137,9 @@ def _at(bounds: tuple[np.ndarray, np.ndarray], times: np.ndarray) -> np.ndarray:
     return np.stack([np.interp(times, bounds[0], b, np.nan, np.nan) for b in bounds[1].T], axis=1)
 
 
-def _draw_bearings(out: Path, association: Association, folders: Sequence[RecordingFolder]) -> list[str]:
-    drawn: list[str] = []
-    true = true_bearings(association, {folder.name: folder.rig.stations for folder in folders})
+def _draw_bearings(drawn: _Drawn, tracks: ScoredTracks) -> None:
+    association = tracks.association
+    true = true_bearings(association, {folder.name: folder.rig.stations for folder in tracks.folders})
     keys = association.rows.select(track_keys(association.rows))[association.starts[:-1]].to_dicts()
     for k, key in enumerate(keys[:DRAWN]):
         part = slice(association.starts[k], association.starts[k + 1])
@@ -136,9 +148,8 @@ def _draw_bearings(out: Path, association: Association, folders: Sequence[Record
         sigmas = np.stack([float_column(rows, f"std_{a}_rad") for a in ("azimuth", "elevation")], axis=1)
         times, known = float_column(rows, "t_s"), bool(np.isfinite(true[part]).any())
         label = f"{key['recording']}, tag {key['tag']}, station {key['station']}"
-        name = "bearings-" + _plain(label.replace(", ", "-"))
         bearings_over_time(
-            _png(out, drawn, name),
+            drawn("bearings-" + _plain(label.replace(", ", "-"))),
             times,
             angles,
             sigmas,
@@ -146,12 +157,6 @@ def _draw_bearings(out: Path, association: Association, folders: Sequence[Record
             true_angles=true[part] if known else None,
             title=label,
         )
-    return drawn
-
-
-def _png(out: Path, drawn: list[str], name: str) -> Path:
-    drawn.append(name)
-    return out / f"{name}.png"
 
 
 def _plain(text: str) -> str:

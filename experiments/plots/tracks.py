@@ -1,10 +1,8 @@
-"""Plots of one recording's tracks: the floor plan, and bearings over time.
-
-Each function writes one PNG, whole or not at all, and returns its path; raises UnusableInput where it can't be written.
-"""
+"""The floor plan of one recording's tracks."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,8 +12,10 @@ import polars as pl
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
 from matplotlib.lines import Line2D
+from matplotlib.patheffects import withStroke
+from matplotlib.ticker import MaxNLocator
 
-from experiments.plots.style import BLACK, BLUE, GREY, LINES, SKY, broken_at_gaps, legend_above, literal, png
+from experiments.plots.style import GREY, LINES, broken_at_gaps, figure_file, literal
 from trackers.core.chi_square import chi_square_quantile
 from trackers.core.rig import Station
 from trackers.recordings.columns import float_column
@@ -23,6 +23,23 @@ from trackers.scoring import covariances
 
 ELLIPSES = 24
 """The most ellipses in all, at most half of them along one track; more would hide the tracks."""
+
+
+TRUTH = "#4a545e"
+"""The colour of true paths, drawn below the tracks and wider."""
+
+HALO = [withStroke(linewidth=2.0, foreground="white")]
+
+TIMES = 4
+"""About so many times are written along a track."""
+
+LARGE = 3.0
+"""An ellipse with a major axis so many times the median, as that of a start, is not drawn."""
+
+
+def natural(name: str) -> list[tuple[int, str]]:
+    """A key that sorts names with their numbers: 2 before 10."""
+    return [(int(part), "") if part.isdigit() else (0, part) for part in re.split(r"(\d+)", name)]
 
 
 class _Path(NamedTuple):
@@ -41,15 +58,17 @@ def floor_plan(
     anchors: Mapping[str, np.ndarray] | None = None,
     title: str = "Tracks on the floor plan",
     walls: np.ndarray | None = None,
+    shown: Mapping[str, str] | None = None,
 ) -> Path:
     """Writes the floor plan of one recording: tracks, truth, rig and some 95 % ellipses; returns the path.
 
     `tracks`: rows of tag, t_s, x_m, y_m and, for ellipses, std_x_m, std_y_m, cov_xy_m2. `truth`: t_s, tag, x_m, y_m.
-    `walls`: (n, 4) m, x1, y1, x2, y2. At most six tags are drawn, and outliers don't set the scale; a note in the plot
-    says so.
+    `walls`: (n, 4) m, x1, y1, x2, y2. `shown`: the tags that are drawn, at most six, with remarks for the legend.
+    Outliers don't set the scale; a note in the plot names their number.
     """
-    tags = sorted(tracks["tag"].cast(pl.String).unique().to_list())
-    drawn = tags[: len(LINES)]
+    tags = sorted(tracks["tag"].cast(pl.String).unique().to_list(), key=natural)
+    remarks = dict.fromkeys(tags, "") if shown is None else shown
+    drawn = list(remarks)[: len(LINES)]
     estimated = [_path_of(tracks, tag) for tag in drawn]
     true = [] if truth is None else [_path_of(truth, tag) for tag in drawn]
     mounted = {name: np.asarray(position)[:2] for name, position in (anchors or {}).items()}
@@ -58,21 +77,22 @@ def floor_plan(
     certain += [] if walls is None else [walls.reshape(-1, 2)]
     low, high = _limits([p.positions for p in estimated], certain)
     width, height = _size(high - low)
-    with png(path, width, height, title) as figure:
+    width += 0.055 * max((len(remark) for remark in remarks.values()), default=0)
+    with figure_file(path, width, height, title) as figure:
         axes = figure.add_subplot(aspect="equal", xlabel="x (m)", ylabel="y (m)")
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
         for x1, y1, x2, y2 in [] if walls is None else walls:
             axes.plot([x1, x2], [y1, y2], color=GREY, linewidth=2.0, solid_capstyle="round", zorder=2)
         _draw_rig(axes, stations or {}, anchors or {}, float(np.max(high - low)))
+        for line in true:
+            # Below the track, and wider: neither hides the other.
+            _, positions = broken_at_gaps(line.times, line.positions)
+            axes.plot(*positions.T, color=TRUTH, linewidth=2.4, zorder=2.5, solid_capstyle="round")
         for line, colour in zip(estimated, LINES, strict=False):
             _draw_track(axes, line, colour, min(ELLIPSES // len(drawn), ELLIPSES // 2))
-        for line in true:
-            _, positions = broken_at_gaps(line.times, line.positions)
-            axes.plot(
-                *positions.T, color=BLACK, linewidth=0.9 if len(true) == 1 else 0.6, linestyle=(0, (4, 2)), zorder=4
-            )
+            _mark_times(axes, line, colour, TIMES if len(drawn) <= 3 else 0)
         axes.legend(
-            handles=_handles(drawn, bool(true), bool(stations), bool(anchors)),
+            handles=_handles({tag: remarks[tag] for tag in drawn}, bool(true), bool(stations), bool(anchors)),
             loc="upper left",
             bbox_to_anchor=(1.01, 1.0),
             borderaxespad=0,
@@ -116,8 +136,11 @@ def _draw_track(axes: Axes, line: _Path, colour: str, n_ellipses: int) -> None:
     proper = np.flatnonzero(np.isfinite(line.covs).all(axis=(1, 2)) & (line.covs[:, 0, 0] > 0))
     if len(proper) == 0:
         return
-    chosen = proper[np.unique(np.linspace(0, len(proper) - 1, n_ellipses).astype(int))]
-    squares, vectors = np.linalg.eigh(line.covs[chosen])
+    squares, vectors = np.linalg.eigh(line.covs[proper])
+    usual = squares[:, 1] <= LARGE**2 * np.median(squares[:, 1])
+    proper, squares, vectors = proper[usual], squares[usual], vectors[usual]
+    few = np.unique(np.linspace(0, len(proper) - 1, n_ellipses).astype(int))
+    chosen, squares, vectors = proper[few], squares[few], vectors[few]
     axis_lengths = 2 * np.sqrt(chi_square_quantile(0.95, 2) * np.maximum(squares, 0))
     angles = np.degrees(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1]))
     positions = line.positions[chosen]
@@ -138,8 +161,29 @@ def _draw_track(axes: Axes, line: _Path, colour: str, n_ellipses: int) -> None:
     axes.plot(*positions.T, ".", color=colour, markersize=4, zorder=3.5)
 
 
+def _mark_times(axes: Axes, line: _Path, colour: str, times: int) -> None:
+    """The start, an open circle, the end, an open square, and some times along the track."""
+    if len(line.times) < 2:
+        return
+    for row, marker in ((0, "o"), (-1, "s")):
+        axes.plot(*line.positions[row], marker, markerfacecolor="none", color=colour, markersize=8, zorder=4.5,
+                  markeredgewidth=1.5)  # fmt: skip
+    if not times:
+        return
+    for at in MaxNLocator(times + 1, steps=[1, 2, 5, 10]).tick_values(line.times[0], line.times[-1]):
+        row = int(np.argmin(np.abs(line.times - at)))
+        near = abs(line.times[row] - at) <= 0.02 * (line.times[-1] - line.times[0])
+        if line.times[0] < at < line.times[-1] and near:
+            axes.plot(*line.positions[row], "|", color=colour, markersize=7, markeredgewidth=1.5, zorder=4)
+            axes.annotate(f"{at:g} s", line.positions[row], (4, 4), fontsize=7, color=colour, zorder=5,
+                          textcoords="offset points", path_effects=HALO)  # fmt: skip
+
+
 def _draw_rig(axes: Axes, stations: Mapping[str, Station], anchors: Mapping[str, np.ndarray], size: float) -> None:
-    """Stations as squares, with the boresight unless it points up or down; anchors as triangles."""
+    """Stations as squares, with the boresight unless it points up or down; anchors as triangles.
+
+    Those that stand above each other share a label.
+    """
     marks = [(name, float(position[0]), float(position[1]), "^", False) for name, position in anchors.items()]
     for name, station in stations.items():
         x, y = float(station.position[0]), float(station.position[1])
@@ -150,7 +194,15 @@ def _draw_rig(axes: Axes, stations: Mapping[str, Station], anchors: Mapping[str,
             axes.annotate(
                 "", (x + dx, y + dy), (x, y), arrowprops={"arrowstyle": "-|>", "color": GREY, "linewidth": 1.0}
             )
-        marks.append((name, x, y, "s", level and ahead[1] < -0.5))
+        marks.append((name, x, y, "s", level and ahead[1] < 0))
+    stacks: list[tuple[float, float, list[str]]] = []
+    for name, x, y, *_ in marks:
+        near = [names for u, v, names in stacks if np.hypot(u - x, v - y) <= size / 40]
+        if near:
+            near[0].append(name)
+        else:
+            stacks.append((x, y, [name]))
+    labels = {names[0]: ", ".join(sorted(names, key=natural)) for _, _, names in stacks}
     for name, x, y, marker, above in marks:
         axes.plot(x, y, marker, color=GREY, markersize=7, markeredgecolor="white", zorder=5)
         offset, side = ((0, 6), "bottom") if above else ((0, -7), "top")
@@ -161,15 +213,18 @@ def _draw_rig(axes: Axes, stations: Mapping[str, Station], anchors: Mapping[str,
             "fontsize": 7,
             "color": GREY,
         }
-        axes.annotate(literal(name), (x, y), offset, zorder=5, **words)
+        axes.annotate(literal(labels.get(name, "")), (x, y), offset, zorder=5, **words)
 
 
-def _handles(tags: list[str], truth: bool, stations: bool, anchors: bool) -> list[Line2D]:
+def _handles(tags: Mapping[str, str], truth: bool, stations: bool, anchors: bool) -> list[Line2D]:
     handles = [
-        Line2D([], [], color=colour, label=literal(f"tag {tag}")) for tag, colour in zip(tags, LINES, strict=False)
+        Line2D([], [], color=colour, label=literal(f"tag {tag}" + (f"\n{remark}" if remark else "")))
+        for (tag, remark), colour in zip(tags.items(), LINES, strict=False)
     ]
     if truth:
-        handles.append(Line2D([], [], color=BLACK, linewidth=0.9, linestyle=(0, (4, 2)), label="truth"))
+        handles.append(Line2D([], [], color=TRUTH, linewidth=2.4, label="truth"))
+    for marker, label in (("o", "start"), ("s", "end")):
+        handles.append(Line2D([], [], color=GREY, linestyle="", marker=marker, markerfacecolor="none", label=label))
     for there, marker, label in ((stations, "s", "station"), (anchors, "^", "anchor")):
         if there:
             handles.append(Line2D([], [], color=GREY, linestyle="", marker=marker, label=label))
@@ -179,61 +234,10 @@ def _handles(tags: list[str], truth: bool, stations: bool, anchors: bool) -> lis
 def _notes(estimated: list[_Path], n_tags: int, low: np.ndarray, high: np.ndarray) -> list[str]:
     notes = []
     if any(np.isfinite(line.covs).all(axis=(1, 2)).any() for line in estimated):
-        notes.append("ellipses: reported 95 % regions")
+        notes.append("dots: estimates with their reported 95 % ellipses")
     if n_tags > len(estimated):
         notes.append(f"{len(estimated)} of {n_tags} tags are shown")
     outside = sum(int(((line.positions < low) | (line.positions > high)).any(axis=1).sum()) for line in estimated)
     if outside:
         notes.append(f"{outside} of {sum(len(line.positions) for line in estimated)} estimates lie outside the axes")
     return notes
-
-
-def bearings_over_time(
-    path: Path | str,
-    times: np.ndarray,
-    angles: np.ndarray,
-    sigmas: np.ndarray | None = None,
-    true_times: np.ndarray | None = None,
-    true_angles: np.ndarray | None = None,
-    title: str = "Bearings over time",
-) -> Path:
-    """Writes azimuth and elevation in degrees with the reported ± 3 σ and the truth; returns the path.
-
-    `times` (n,) s; `angles`, `sigmas` (n, 2) rad; `true_times` (m,) s, `true_angles` (m, 2) rad.
-    """
-    with png(path, 8.0, 4.6, title) as figure:
-        panels = figure.subplots(2, 1, sharex=True)
-        for k, axes in enumerate(panels):
-            true = None if true_times is None or true_angles is None else true_angles[:, k]
-            middle = _circular_mean(angles[:, k] if true is None else true)
-            at, angle, *spread = broken_at_gaps(times, angles[:, k], *([] if sigmas is None else [sigmas[:, k]]))
-            degrees = _degrees_about(middle, angle)
-            for sigma in spread:
-                low, high = degrees - 3 * np.degrees(sigma), degrees + 3 * np.degrees(sigma)
-                axes.fill_between(at, low, high, color=SKY, alpha=0.35, lw=0, label="reported ± 3 σ")
-            axes.plot(at, degrees, color=BLUE, linewidth=0.9, label="estimate")
-            shown = degrees
-            if true_times is not None and true is not None:
-                at, truth = broken_at_gaps(true_times, true)
-                truth = _degrees_about(middle, truth)
-                axes.plot(at, truth, color=BLACK, linewidth=1.0, linestyle=(0, (4, 2)), label="truth")
-                shown = np.concatenate([shown, truth])
-            low, high = np.nanquantile(shown, (0.005, 0.995)) if np.isfinite(shown).any() else (0.0, 0.0)
-            margin = max(0.15 * (high - low), 1.0)
-            axes.set(ylim=(low - margin, high + margin), ylabel=("azimuth (°)", "elevation (°)")[k])
-            axes.margins(x=0.01)
-        panels[-1].set_xlabel("time (s)")
-        legend_above(panels[0])
-    return Path(path)
-
-
-def _circular_mean(angle: np.ndarray) -> float:
-    known = angle[np.isfinite(angle)]
-    return float(np.angle(np.exp(1j * known).sum())) if len(known) else 0.0
-
-
-def _degrees_about(middle: float, angle: np.ndarray) -> np.ndarray:
-    """The angles in degrees within half a turn of `middle`, NaN at jumps, so that no line crosses the panel."""
-    degrees = np.degrees(middle + np.pi - (np.pi - (angle - middle)) % (2 * np.pi))
-    jumps = np.append(np.abs(np.diff(degrees)) > 180, False)
-    return np.where(jumps, np.nan, degrees)

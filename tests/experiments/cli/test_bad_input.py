@@ -10,8 +10,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.cli import tracking as track_command
 from experiments.cli import tuning_job as tune_command
+from experiments.plots import track_folder
 from tests.broken import ANOMALOUS, BROKEN
 from tests.faulty import good_tables, write_good
 from tests.in_process import assert_refused, trackwright
@@ -84,7 +84,7 @@ def test_an_empty_list_of_recordings_is_refused(tmp_path, monkeypatch, command):
 
 @pytest.mark.parametrize("name", ANOMALOUS)
 def test_a_recording_with_an_anomaly_is_tracked_with_a_notice_and_reported_by_check(tmp_path, monkeypatch, name):
-    monkeypatch.setattr(track_command, "plot_tracks", lambda *arguments: [])
+    monkeypatch.setattr(track_folder, "plot_tracks", lambda *arguments: [])
     folder, out = tmp_path / "recording", tmp_path / "out"
     word = ANOMALOUS[name](folder)
     said = trackwright("track", folder, "--tracker", "bearings", "--free-height", "--out", out)
@@ -99,7 +99,7 @@ def test_a_recording_with_an_anomaly_is_tracked_with_a_notice_and_reported_by_ch
 
 
 def test_tags_with_and_without_reported_standard_deviations_are_tracked_together(tmp_path, beginnings, monkeypatch):
-    monkeypatch.setattr(track_command, "plot_tracks", lambda *arguments: [])
+    monkeypatch.setattr(track_folder, "plot_tracks", lambda *arguments: [])
     write_good(tmp_path / "half")
     known = pl.when(pl.col("tag") == "T2").then(0.1)
     table = good_tables()["bearings"].with_columns(azimuth_std_rad=known, elevation_std_rad=known)
@@ -155,7 +155,7 @@ def test_intervals_of_too_few_segments_are_refused_before_the_fit():
 
 
 def test_unwrapped_phases_are_tracked_with_a_notice(tmp_path, monkeypatch):
-    monkeypatch.setattr(track_command, "plot_tracks", lambda *arguments: [])
+    monkeypatch.setattr(track_folder, "plot_tracks", lambda *arguments: [])
     ANOMALOUS["phases from 0 to 2 pi"](tmp_path / "recording")
     said = trackwright("track", tmp_path / "recording", "--tracker", "das", "--out", tmp_path / "out")
     assert said.code == 0

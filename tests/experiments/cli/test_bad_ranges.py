@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.cli import tracking as track_command
+from experiments.plots import track_folder
 from tests.faulty import then, with_table
 from tests.in_process import assert_refused, trackwright
 
@@ -73,7 +73,7 @@ def tracked(tmp_path_factory):
     rig.write_text(rig.read_text().replace("[path]", "[tags.T9]\nheight_m = 1.0\n\n[path]"))
     found = {}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(track_command, "plot_tracks", lambda *arguments: [])
+        patch.setattr(track_folder, "plot_tracks", lambda *arguments: [])
         for tracker in TRACKERS:
             said = trackwright("track", folder / "recording", "--tracker", tracker, "--out", folder / tracker)
             assert said.code == 0, said
@@ -105,7 +105,7 @@ def test_negative_ranges_and_kilometres_move_no_track(tracked, tracker):
 
 
 def test_a_tag_observed_by_too_few_anchors_waits_while_the_other_is_tracked(tmp_path, monkeypatch):
-    monkeypatch.setattr(track_command, "plot_tracks", lambda *arguments: [])
+    monkeypatch.setattr(track_folder, "plot_tracks", lambda *arguments: [])
     few = (pl.col("tag") == "T1") | pl.col("anchor").is_in(["A1", "A2", "A3"])
     _ranges(lambda t: t.filter(few))(tmp_path / "recording")
     said = trackwright("track", tmp_path / "recording", "--tracker", "uwb", "--out", tmp_path / "out")

@@ -1,0 +1,271 @@
+// The page: what is chosen, and who draws what when it changes.
+
+const data = unpacked(JSON.parse(document.getElementById("data").textContent));
+const byId = (id) => document.getElementById(id);
+const state = { recording: null, selected: -1, trackOf: null, window: [-Infinity, Infinity] };
+const plot = byId("plan"), series = byId("series"), overlay = makeOverlay(plot);
+const cursor = document.createElement("div");
+cursor.className = "cursor";
+const playback = makePlayback(showMoment, nextTime);
+
+/** The track in the charts over time: the one chosen, else that with the largest error. */
+const shownTrack = () => state.selected >= 0 ? state.selected : ranked()[0];
+
+function ranked() {
+  const rmse = (k) => state.recording.tracks[k].rmse ?? -1;
+  return state.recording.tracks.map((_, k) => k).sort((a, b) => rmse(b) - rmse(a));
+}
+
+function option(value, text) {
+  const made = document.createElement("option");
+  made.value = value;
+  made.textContent = text;
+  return made;
+}
+
+function nextTime(time, direction) {
+  const { recording } = state, track = recording.tracks[shownTrack()];
+  if (!track) return time;
+  let row = rowAt(recording, track, time + 1e-6) + direction;
+  row = Math.min(Math.max(row, track.first), track.end - 1);
+  return recording.columns.t[row];
+}
+
+function showMoment(time) {
+  const { recording } = state;
+  byId("clock").textContent = `${fixed(recording.start + time, 2)} s`;
+  if (!recording.angles) overlay.draw(time, state.selected, Number(byId("tail").value));
+  placeCursor(time);
+  const number = shownTrack(), track = recording.tracks[number];
+  const row = track ? rowAt(recording, track, time) : -1;
+  const now = byId("now").querySelector("table"), pairs = row < 0 ? [["status", "no estimate yet"]] : numbersOf(recording, row);
+  now.replaceChildren(...pairs.map(([name, text]) => {
+    const line = document.createElement("tr");
+    for (const words of [name, text]) line.appendChild(document.createElement("td")).textContent = words;
+    return line;
+  }));
+}
+
+function placeCursor(time) {
+  const layout = series._fullLayout;
+  if (!layout || !layout.xaxis) return;
+  const { range, _length: length, _offset: offset } = layout.xaxis, at = state.recording.start + time;
+  const x = offset + (at - range[0]) / (range[1] - range[0]) * length;
+  cursor.style.cssText = `left:${x}px;top:${layout.margin.t}px;height:${layout.height - layout.margin.t - layout.margin.b}px;` +
+    `display:${at >= range[0] && at <= range[1] ? "block" : "none"}`;
+}
+
+function drawPlan() {
+  const { recording, selected } = state;
+  plot.parentElement.style.display = "";
+  if (recording.angles) {
+    plot.style.display = "none";
+    return;
+  }
+  const shown = selected >= 0 ? [selected] : recording.tracks.map((_, k) => k);
+  const traces = planTraces(recording, shown, byId("colour").value, state.window, state.trackOf);
+  Plotly.react(plot, traces, planLayout(recording), { ...CONFIG, scrollZoom: true }).then(() => showMoment(playback.now()));
+}
+
+function drawSeries() {
+  const number = shownTrack(), { recording } = state;
+  if (number === undefined) return;
+  const { traces, layout } = seriesFigure(recording, number, state.window);
+  if (Number.isFinite(state.window[0])) layout.xaxis.range = state.window.map((t) => t + recording.start);
+  series.style.height = `${layout.height}px`;
+  byId("series-lead").textContent = `Tag ${nameOf(recording.tracks[number])}` +
+    (state.selected < 0 && recording.tracks.length > 1 ? ", the one with the largest error" : "") +
+    ". A zoom here limits the estimates on the floor plan to the same times.";
+  Plotly.react(series, traces, layout, CONFIG).then(() => {
+    series.append(cursor);
+    placeCursor(playback.now());
+  });
+}
+
+function drawCharts() {
+  const charts = chartsOf(state.recording), box = byId("charts");
+  box.replaceChildren();
+  byId("distributions").style.display = charts.length ? "" : "none";
+  for (const { title, note, traces, layout } of charts) {
+    const [figure, heading, place] = ["figure", "h3", "div"].map((kind) => document.createElement(kind));
+    heading.textContent = title;
+    place.className = "chart";
+    figure.append(heading, place);
+    if (note) figure.appendChild(document.createElement("figcaption")).textContent = note;
+    box.append(figure);
+    Plotly.newPlot(place, traces, layoutOf(layout), CONFIG);
+  }
+}
+
+function drawAll() {
+  drawPlan();
+  drawSeries();
+  drawCharts();
+}
+
+function loadRecording(number) {
+  const recording = data.recordings[number];
+  Object.assign(state, { recording, selected: -1, trackOf: trackOfRows(recording), window: [-Infinity, Infinity] });
+  byId("colour").replaceChildren(...colourings(recording).map(([value, text]) => option(value, text)));
+  const order = ranked(), last = order.length - 1;
+  const words = new Map([[last, "best"], [last >> 1, "median"], [0, "worst"]]);
+  byId("tag").replaceChildren(option(-1, recording.tracks.length > 1 ? `all ${recording.tracks.length}` : "all"), ...order.map((k, place) => {
+    const { rmse } = recording.tracks[k], rank = rmse !== null && order.length > 2 ? words.get(place) : undefined;
+    return option(k, nameOf(recording.tracks[k]) + (rmse === null ? "" : ` · ${withUnit(rmse, recording.axes[0].unit)}`) + (rank ? ` · ${rank}` : ""));
+  }));
+  if (order.length > 6 && !recording.angles) state.selected = order[0];
+  byId("tag").value = state.selected;
+  overlay.load(recording);
+  listNow();
+  byId("ticks").replaceChildren(...recording.events.map((event) => {
+    const tick = document.createElement("i");
+    tick.style.left = `${100 * event.t / (recording.end - recording.start)}%`;
+    tick.title = `${event.what}, ${fixed(recording.start + event.t, 2)} s`;
+    return tick;
+  }));
+  byId("drawn").textContent = drawnWords(recording);
+  drawAll();
+  playback.load(Math.max(recording.end - recording.start, 1e-3), firstEstimate(recording));
+}
+
+/** The time of the first estimate of the track in the charts over time, after its start has settled. */
+function firstEstimate({ tracks, columns }) {
+  const track = tracks[shownTrack()];
+  if (!track) return 0;
+  const size = (row) => Math.hypot(columns.s0[row], columns.s1[row]), rows = [];
+  for (let row = track.first; row < track.end; row++) if (Number.isFinite(columns.v0[row])) rows.push(row);
+  const sizes = rows.map(size).filter(Number.isFinite).sort((a, b) => a - b);
+  const settled = rows.find((row) => !(size(row) > 3 * sizes[sizes.length >> 1]));
+  return settled === undefined ? 0 : columns.t[settled];
+}
+
+/** The numbers of the moment, and the events as links to their times. */
+function listNow() {
+  const { recording } = state, box = byId("now"), number = shownTrack();
+  const heading = document.createElement("h3"), list = document.createElement("ul");
+  heading.textContent = number === undefined ? "" : `tag ${nameOf(recording.tracks[number])}`;
+  const own = recording.events.filter((event) => state.selected < 0 || event.track === state.selected).slice(0, 12);
+  list.replaceChildren(...own.map((event) => {
+    const item = document.createElement("li");
+    item.textContent = `${fixed(recording.start + event.t, 1)} s: ${event.what}` + (event.detail ? `, ${event.detail}` : "") +
+      (state.selected < 0 && recording.tracks.length > 1 ? ` (${nameOf(recording.tracks[event.track])})` : "");
+    item.addEventListener("click", () => playback.go(event.t));
+    return item;
+  }));
+  box.replaceChildren(heading, document.createElement("table"), list);
+}
+
+function drawnWords(recording) {
+  const words = [];
+  if (recording.drawn < recording.rows) {
+    words.push(`Drawn: ${recording.drawn} of ${recording.rows} estimates, of each block of rows the first and the one with ` +
+      `the largest error; of ${recording.tracks.length} of ${recording.trackCount} tracks, evenly over the ranks by error.`);
+  }
+  if (recording.residuals.every > 1) words.push(`Residuals over time: every ${recording.residuals.every}th.`);
+  if (recording.eventCount > recording.events.length) words.push(`${recording.events.length} of ${recording.eventCount} events are marked.`);
+  if (words.length) words.push("All other charts and the metrics use every row.");
+  if (data.recordingCount > data.recordings.length) words.push(`${data.recordings.length} of ${data.recordingCount} recordings are on this page.`);
+  return words.join(" ");
+}
+
+function select(number) {
+  state.selected = number;
+  byId("tag").value = number;
+  listNow();
+  drawPlan();
+  drawSeries();
+  showMoment(playback.now());
+}
+
+function fillMetrics() {
+  const table = byId("metrics"), labels = ["recording", "tag", "station"];
+  const names = { n: "n", rmse_m: "RMSE, m", median_m: "median, m", p95_m: "p95, m", max_m: "max, m", rmse_3d_m: "3-D RMSE, m",
+                  rmse_azimuth_rad: "azimuth RMSE, °", rmse_elevation_rad: "elevation RMSE, °", coverage_95: "% in 95 %",
+                  nees_ratio: "NEES/dof", nis_ratio: "NIS/dof", lost_s: "lost, s" };
+  const factor = (key) => key.endsWith("_rad") ? 180 / Math.PI : key === "coverage_95" ? 100 : 1;
+  const digits = (key) => key.endsWith("_m") ? 3 : { n: 0, coverage_95: 0, lost_s: 1 }[key] ?? 2;
+  const used = [...labels, ...Object.keys(names)].filter((key) => data.metrics.some((one) => one[key] !== undefined));
+  byId("metrics-section").style.display = data.metrics.length ? "" : "none";
+  const head = table.createTHead().insertRow();
+  for (const key of used) {
+    const cell = document.createElement("th");
+    cell.textContent = labels.includes(key) ? key : names[key];
+    head.append(cell);
+  }
+  const body = table.createTBody();
+  for (const one of data.metrics) {
+    const line = body.insertRow();
+    line.className = one.tag === undefined ? "whole" : "";
+    for (const key of used) {
+      const cell = line.insertCell(), value = one[key];
+      cell.dataset.label = labels.includes(key) ? key : names[key];
+      cell.textContent = labels.includes(key) ? value ?? "" : value === undefined ? "–" : fixed(value * factor(key), digits(key));
+    }
+    line.addEventListener("click", () => chooseMetrics(one));
+  }
+}
+
+/** Shows the recording and tag of a line of the table. */
+function chooseMetrics(one) {
+  const number = data.recordings.findIndex((recording) => recording.name === one.recording);
+  if (number < 0) return;
+  if (data.recordings[number] !== state.recording) {
+    byId("recording").value = number;
+    loadRecording(number);
+  }
+  const track = state.recording.tracks.findIndex((own) => own.tag === one.tag && (own.station ?? undefined) === one.station);
+  if (track >= 0) select(track);
+  byId("replay").scrollIntoView({ behavior: "smooth" });
+}
+
+function listen() {
+  byId("tag").addEventListener("change", (event) => select(Number(event.target.value)));
+  byId("colour").addEventListener("change", drawPlan);
+  byId("tail").addEventListener("change", () => showMoment(playback.now()));
+  byId("recording").addEventListener("change", (event) => loadRecording(Number(event.target.value)));
+  document.documentElement.addEventListener("theme", drawAll);
+  addEventListener("beforeprint", () => document.documentElement.dispatchEvent(new Event("theme")));
+  addEventListener("afterprint", () => document.documentElement.dispatchEvent(new Event("theme")));
+  const tip = byId("tip");
+  plot.on("plotly_hover", ({ points, event }) => {
+    const row = points[0].customdata;
+    if (points[0].data.meta !== "estimates") return;
+    const track = state.recording.tracks[state.trackOf[row]];
+    tip.textContent = [["tag", nameOf(track)], ...numbersOf(state.recording, row)].map((pair) => pair.join(": ")).join("\n");
+    tip.hidden = false;
+    const wide = tip.offsetWidth, x = event.clientX + 14;
+    tip.style.left = `${x + wide > innerWidth ? Math.max(event.clientX - wide - 14, 4) : x}px`;
+    tip.style.top = `${Math.min(event.clientY + 14, innerHeight - tip.offsetHeight - 4)}px`;
+  });
+  plot.on("plotly_unhover", () => { tip.hidden = true; });
+  plot.on("plotly_click", ({ points }) => {
+    if (points[0].data.meta === "estimates") playback.go(state.recording.columns.t[points[0].customdata]);
+  });
+  for (const event of ["plotly_relayouting", "plotly_relayout", "plotly_afterplot"]) {
+    plot.on(event, () => showMoment(playback.now()));
+  }
+  series.on("plotly_click", ({ points }) => playback.go(points[0].x - state.recording.start));
+  series.on("plotly_relayout", (change) => {
+    if (!Object.keys(change).some((key) => key.startsWith("xaxis"))) return;
+    const { start } = state.recording, range = series._fullLayout.xaxis.range;
+    state.window = change["xaxis.autorange"] ? [-Infinity, Infinity] : range.map((t) => t - start);
+    drawSeries();
+    drawPlan();
+  });
+  addEventListener("resize", () => showMoment(playback.now()));
+}
+
+byId("recording").replaceChildren(...data.recordings.map((recording, k) => option(k, recording.name)));
+byId("recording-label").style.display = data.recordings.length > 1 ? "" : "none";
+byId("statements").replaceChildren(...data.statements.map((text) => {
+  const item = document.createElement("li");
+  item.textContent = text;
+  return item;
+}));
+byId("summary").textContent = data.tracker;
+byId("command").textContent = data.command;
+fillMetrics();
+Plotly.newPlot(plot, [], {}, CONFIG);
+Plotly.newPlot(series, [], {}, CONFIG);
+listen();
+loadRecording(0);

@@ -1,0 +1,91 @@
+// What moves over the floor plan, in SVG above it: tags, tails, ellipses, truth; drawn anew for each moment.
+
+const SVG = "http://www.w3.org/2000/svg";
+const LEVEL_95 = 5.991464547;  // quantile of chi squared with two degrees of freedom
+const FADE_S = 3;  // a tag without an estimate for longer is not drawn
+
+function element(kind, className, parent) {
+  const made = document.createElementNS(SVG, kind);
+  made.setAttribute("class", className);
+  parent.append(made);
+  return made;
+}
+
+/** The overlay of the chart `plot`; `draw(time, selected, tail)` shows a moment. */
+function makeOverlay(plot) {
+  const svg = element("svg", "overlay", plot), frame = element("g", "", svg);
+  const clip = element("clipPath", "", svg), box = element("rect", "", clip);
+  clip.id = "plan-clip";
+  frame.setAttribute("clip-path", "url(#plan-clip)");
+  let recording = null, parts = [];
+
+  function load(next) {
+    recording = next;
+    frame.replaceChildren();
+    parts = recording.tracks.map((track, k) => {
+      const group = element("g", "", frame), colour = lineColour(k);
+      const part = { group };
+      for (const [name, kind] of [["tail", "polyline"], ["ellipse", "polygon"], ["miss", "line"], ["truth", "path"],
+                                  ["tag", "circle"]]) {
+        part[name] = element(kind, name, group);
+      }
+      part.tail.style.stroke = colour;
+      part.ellipse.style.cssText = `stroke:${colour};fill:${colour}`;
+      part.tag.style.cssText = `fill:${colour};color:${colour}`;
+      part.tag.dataset.tag = nameOf(track);
+      return part;
+    });
+  }
+
+  function draw(time, selected, tail) {
+    const { xaxis, yaxis } = plot._fullLayout, { columns, tracks } = recording;
+    const scale = (axis, flip) => {
+      const [from, to] = axis.range, factor = axis._length / (to - from);
+      return flip ? (v) => axis._offset + axis._length - (v - from) * factor : (v) => axis._offset + (v - from) * factor;
+    };
+    const px = scale(xaxis, false), py = scale(yaxis, true);
+    for (const [name, value] of [["x", xaxis._offset], ["y", yaxis._offset], ["width", xaxis._length], ["height", yaxis._length]]) {
+      box.setAttribute(name, value);
+    }
+    tracks.forEach((track, k) => {
+      const part = parts[k], row = rowAt(recording, track, time), { v0, v1, e0, e1, t } = columns;
+      const there = row >= 0 && Number.isFinite(v0[row]) && time - t[row] <= FADE_S;
+      part.group.style.display = there && (selected < 0 || selected === k) ? "" : "none";
+      if (part.group.style.display) return;
+      const x = px(v0[row]), y = py(v1[row]);
+      part.tag.setAttribute("cx", x);
+      part.tag.setAttribute("cy", y);
+      part.tag.setAttribute("r", selected === k ? 7 : 5.5);
+      part.tag.classList.toggle("selected", selected === k);
+      part.tag.classList.toggle("lost", recording.statuses[columns.status[row]] === "lost");
+      part.tag.dataset.row = row;
+      const points = [];
+      for (let at = row; at >= track.first && time - t[at] <= tail; at--) {
+        if (Number.isFinite(v0[at])) points.push(`${px(v0[at]).toFixed(1)},${py(v1[at]).toFixed(1)}`);
+      }
+      part.tail.setAttribute("points", points.join(" "));
+      part.ellipse.setAttribute("points", ellipse(columns, row, px, py));
+      const known = Number.isFinite(e0[row]);
+      part.truth.style.display = part.miss.style.display = known ? "" : "none";
+      if (!known) return;
+      const u = px(v0[row] - e0[row]), v = py(v1[row] - e1[row]);
+      part.truth.setAttribute("d", `M${u - 6},${v}h12M${u},${v - 6}v12`);
+      for (const [name, value] of [["x1", x], ["y1", y], ["x2", u], ["y2", v]]) part.miss.setAttribute(name, value);
+    });
+  }
+
+  return { load, draw };
+}
+
+/** Corners of the 95 % ellipse of a row, in pixels; none without a covariance. */
+function ellipse(columns, row, px, py) {
+  const a = columns.s0[row] ** 2, b = columns.cov[row], c = columns.s1[row] ** 2;
+  if (!(a > 0 && a * c - b * b > 0)) return "";
+  // Cholesky factor of the covariance: it takes the circle to the ellipse.
+  const l11 = Math.sqrt(a), l21 = b / l11, l22 = Math.sqrt(c - l21 * l21), radius = Math.sqrt(LEVEL_95), corners = [];
+  for (let k = 0; k < 40; k++) {
+    const u = radius * Math.cos(k * Math.PI / 20), v = radius * Math.sin(k * Math.PI / 20);
+    corners.push(`${px(columns.v0[row] + l11 * u).toFixed(1)},${py(columns.v1[row] + l21 * u + l22 * v).toFixed(1)}`);
+  }
+  return corners.join(" ");
+}

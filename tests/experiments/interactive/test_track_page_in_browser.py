@@ -1,0 +1,147 @@
+"""The page of `track` in Chromium: what moves is where the table has it, and what is hovered shows its numbers."""
+
+import shutil
+
+import numpy as np
+import polars as pl
+import pytest
+
+from experiments.interactive.track_page import write_track_page
+from tests.experiments.interactive.small_tracks import NASTY, small_tracks
+from trackers.evaluation import evaluate
+from trackers.recordings.columns import float_column
+
+BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--enable-unsafe-swiftshader"]
+
+PLACE = """([kind, tag]) => {
+  const circle = [...document.querySelectorAll("circle.tag")].find((one) => one.dataset.tag === tag);
+  const one = circle.parentNode.querySelector(kind).getBoundingClientRect();
+  const plan = document.getElementById("plan"), box = plan.getBoundingClientRect(), { xaxis, yaxis } = plan._fullLayout;
+  const across = (at, axis) => axis.range[0] + (at - axis._offset) / axis._length * (axis.range[1] - axis.range[0]);
+  const x = one.x + one.width / 2 - box.x, y = one.y + one.height / 2 - box.y;
+  return [across(x, xaxis), across(2 * yaxis._offset + yaxis._length - y, yaxis), (xaxis.range[1] - xaxis.range[0]) / xaxis._length];
+}"""
+"""Where the drawn part of a tag is on the plan, m, and the size of a pixel."""
+
+PIXEL = """([x, y]) => {
+  const plan = document.getElementById("plan"), box = plan.getBoundingClientRect(), { xaxis, yaxis } = plan._fullLayout;
+  const along = (v, axis) => axis._offset + (v - axis.range[0]) / (axis.range[1] - axis.range[0]) * axis._length;
+  return [box.x + along(x, xaxis), box.y + 2 * yaxis._offset + yaxis._length - along(y, yaxis)];
+}"""
+"""The pixel of a place on the plan."""
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """Chromium, driven by playwright; skipped where either is missing."""
+    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    if BROWSER is None:
+        pytest.skip("no Chromium here")
+    with sync_api.sync_playwright() as driver:
+        started = driver.chromium.launch(executable_path=BROWSER, args=FLAGS)
+        yield started
+        started.close()
+
+
+def _written(folder, tracks):
+    event = pl.DataFrame({"recording": ["hall"], "tag": ["B"], "t_s": [5.0], "event": ["lost"], "detail": ["for 2 s"]})
+    evaluation = evaluate(tracks.association, tracks.folders)
+    write_track_page(folder / "report.html", tracks, event, evaluation, f"uwb: {NASTY}", "trackwright track hall")
+    return (folder / "report.html").as_uri()
+
+
+def _opened(browser, address, width=1300, scheme="light"):
+    """The page, and the list into which its errors go."""
+    page = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme).new_page()
+    errors = []
+    page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.on(
+        "request",
+        lambda request: errors.append(request.url) if not request.url.startswith(("file:", "blob:", "data:")) else None,
+    )
+    page.goto(address)
+    page.wait_for_selector("#charts .main-svg", state="attached")
+    return page, errors
+
+
+def _go(page, time):
+    page.evaluate(
+        "t => { const s = document.getElementById('time'); s.value = t; s.dispatchEvent(new Event('input')); }", time
+    )
+
+
+def test_slider_keys_and_hover_show_what_the_table_holds(browser, tmp_path):
+    tracks = small_tracks()
+    rows = tracks.association.rows
+    page, errors = _opened(browser, _written(tmp_path, tracks))
+    start = float(rows["t_s"].min())
+    for tag, number in (("A", 7), ("B", 41), (NASTY, 79)):
+        own = np.flatnonzero((rows["tag"] == tag).to_numpy())[number]
+        _go(page, float(rows["t_s"][int(own)]) - start + 0.02)
+        for kind, expected in (
+            (".tag", rows.select("x_m", "y_m").row(int(own))),
+            (".truth", tracks.association.truth[own, :2]),
+        ):
+            x, y, pixel = page.evaluate(PLACE, [kind, tag])
+            assert np.hypot(x - expected[0], y - expected[1]) < pixel
+
+    _go(page, 2.0)
+    page.keyboard.press("ArrowRight")
+    assert page.inner_text("#clock") == "5.10 s"
+    page.keyboard.press("End")
+    assert page.inner_text("#clock") == f"{float(rows['t_s'].max()):.2f} s"
+    page.keyboard.press(" ")
+    page.wait_for_function("parseFloat(document.getElementById('clock').textContent) > 3.2")
+    page.keyboard.press(" ")
+    stopped = page.inner_text("#clock")
+    page.wait_for_timeout(150)
+    assert page.inner_text("#clock") == stopped
+
+    own = np.flatnonzero((rows["tag"] == NASTY).to_numpy())[30]
+    x, y, time = (float_column(rows, name)[own] for name in ("x_m", "y_m", "t_s"))
+    page.evaluate("document.getElementById('plan').scrollIntoView()")
+    page.mouse.move(*page.evaluate(PIXEL, [x, y]))
+    page.wait_for_selector("#tip:not([hidden])")
+    shown = dict(line.split(": ", 1) for line in page.inner_text("#tip").splitlines())
+    miss = float(np.hypot(*(tracks.recordings[0].errors[own, :2])))
+    assert shown["tag"] == NASTY
+    assert shown["time"] == f"{time:.2f}\u202fs"
+    assert shown["x"].startswith(f"{x:.3f}\u202fm ± {rows['std_x_m'][int(own)]:.3f}")
+    assert shown["horizontal error"] == f"{miss:.3f}\u202fm"
+
+    assert page.locator("#ticks i").count() == 1
+    assert page.title() == "hall · trackwright track"
+    assert errors == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [1300, 400])
+def test_the_page_fits_its_window_in_both_themes(browser, tmp_path, width, scheme):
+    page, errors = _opened(browser, _written(tmp_path, small_tracks()), width, scheme)
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    assert page.locator("#charts figure").count() >= 5
+    brightness = "getComputedStyle(document.body).backgroundColor.match(/[0-9]+/g).reduce((a, b) => a + +b, 0)"
+    assert (page.evaluate(brightness) > 600) == (scheme == "light")
+    page.click(".theme")
+    assert (page.evaluate(brightness) > 600) != (scheme == "light")
+    assert page.locator("#series .xtitle").count() == 1
+    assert len(page.pdf(format="A4")) > 20_000
+    assert errors == []
+
+
+@pytest.mark.slow
+def test_two_hundred_tags_move_fluently(browser, tmp_path):
+    tracks = small_tracks(rows=250, tags=tuple(f"tag-{k}" for k in range(200)))
+    page, errors = _opened(browser, _written(tmp_path, tracks))
+    page.select_option("#tag", "-1")
+    page.wait_for_timeout(1000)
+    milliseconds = page.evaluate("""() => {
+      const slider = document.getElementById("time"), before = performance.now();
+      for (let k = 0; k < 50; k++) { slider.value = slider.max * k / 50; slider.dispatchEvent(new Event("input")); }
+      return (performance.now() - before) / 50;
+    }""")
+    assert milliseconds < 60
+    assert errors == []
