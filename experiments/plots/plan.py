@@ -27,7 +27,9 @@ def bound_maps(path: Path, rig: Rig, floor: FloorMap, proposed: Float[np.ndarray
     edges = [np.append(values - half, values[-1] + half) for values in (floor.x, floor.y)]
     (left, right), (bottom, top) = ((e[0], e[-1]) for e in edges)
     tall = float(np.clip((top - bottom) / (right - left), 0.35, 1.6))
-    with figure_file(path, 3.4 * max(len(fields), 1) + 0.4, 3.2 * tall + 1.3, f"{rig.name}: bound of one epoch") as figure:
+    with figure_file(
+        path, 3.4 * max(len(fields), 1) + 0.4, 3.2 * tall + 1.3, f"{rig.name}: bound of one epoch"
+    ) as figure:
         panels = figure.subplots(1, max(len(fields), 1), squeeze=False)[0]
         for axes, (name, bound) in zip(panels, fields.items(), strict=False):
             # A few cells beside an anchor or in line with two would take all colours.
