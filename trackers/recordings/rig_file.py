@@ -20,7 +20,8 @@ RIG_FILE = "rig.toml"
 NORM_TOLERANCE = 1e-3  # for a quaternion written with three decimals
 
 _TOP = ("format", "name", "about", "licence", "source", "anchors", "stations", "tags", "path", "floor")
-_STATION = ("position_m", "rotation_wxyz", "wavelength_m", "antennas_m")
+_ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
+_STATION = ("position_m", "rotation_wxyz", *_ANGLES, "wavelength_m", "antennas_m")
 _TAG = ("height_m", "offset_m")
 
 
@@ -89,16 +90,12 @@ class _Reader:
         if not isinstance(content, dict):
             self.refuse(where, content, "a table [stations.ID]")
         self.known(content, _STATION, f"[{where}]")
-        for key in ("position_m", "rotation_wxyz"):
-            if key not in content:
-                raise UnusableInput(f"{self.path}: [{where}] has no {key}, expected position_m and rotation_wxyz")
-        rotation = self.vector(f"{where}.rotation_wxyz", content["rotation_wxyz"], 4)
-        norm = float(np.linalg.norm(rotation))
-        if abs(norm - 1) > NORM_TOLERANCE:
-            raise UnusableInput(
-                f"{self.path}: {where}.rotation_wxyz has length {norm:.4g}, expected a unit quaternion w, x, y, z "
-                "(array frame to world frame); no rotation is [1, 0, 0, 0]"
-            )
+        for key, named in (("position_m", ("position_m",)), ("rotation_wxyz", ("rotation_wxyz", "yaw_deg"))):
+            if not any(name in content for name in named):
+                raise UnusableInput(
+                    f"{self.path}: [{where}] has no {key}, expected position_m and rotation_wxyz, or yaw_deg instead"
+                )
+        rotation = self.rotation(where, content)
         antennas = wavelength = None
         given = [key for key in ("antennas_m", "wavelength_m") if key in content]
         if len(given) == 1:
@@ -112,7 +109,25 @@ class _Reader:
             if wavelength <= 0:
                 self.refuse(f"{where}.wavelength_m", wavelength, "a positive length in metres")
         position = self.vector(f"{where}.position_m", content["position_m"], 3)
-        return Station(position=position, rotation=rotation / norm, antennas=antennas, wavelength=wavelength)
+        return Station(position=position, rotation=rotation, antennas=antennas, wavelength=wavelength)
+
+    def rotation(self, where: str, content: dict[str, Any]) -> np.ndarray:
+        """The unit quaternion of a station, given as such or by yaw, pitch and roll."""
+        angles = {key: self.number(f"{where}.{key}", content[key]) for key in _ANGLES if key in content}
+        if "rotation_wxyz" not in content:
+            return mounted(*np.deg2rad([angles.get(key, 0.0) for key in _ANGLES]))
+        if angles:
+            raise UnusableInput(
+                f"{self.path}: [{where}] has rotation_wxyz and {next(iter(angles))}, expected one of them"
+            )
+        rotation = self.vector(f"{where}.rotation_wxyz", content["rotation_wxyz"], 4)
+        norm = float(np.linalg.norm(rotation))
+        if abs(norm - 1) > NORM_TOLERANCE:
+            raise UnusableInput(
+                f"{self.path}: {where}.rotation_wxyz has length {norm:.4g}, expected a unit quaternion w, x, y, z "
+                "(array frame to world frame); no rotation is [1, 0, 0, 0]"
+            )
+        return rotation / norm
 
     def tag(self, where: str, content: Any) -> Tag:
         if not isinstance(content, dict):
@@ -168,6 +183,20 @@ class _Reader:
     def refuse(self, where: str, value: Any, expected: str) -> NoReturn:
         found = repr(value) if len(repr(value)) <= 60 else repr(value)[:57] + "..."
         raise UnusableInput(f"{self.path}: {where} = {found}, expected {expected}")
+
+
+def mounted(yaw: float, pitch: float, roll: float) -> np.ndarray:
+    """The unit quaternion w, x, y, z, array frame to world frame, of a station with these angles, rad.
+
+    With zero angles the boresight is along x and the station level. Turned about the world's z by yaw, which is to the
+    left, then about its own horizontal axis by pitch, downwards, then about its boresight by roll: Rz Ry Rx of a body
+    with x ahead, y left and z up.
+    """
+    (cr, cp, cy), (sr, sp, sy) = np.cos([roll / 2, pitch / 2, yaw / 2]), np.sin([roll / 2, pitch / 2, yaw / 2])
+    w, x = cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy
+    y, z = cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy
+    # Times (1, 1, 1, 1)/2: the array's x is left, y up and z ahead.
+    return np.array([w - x - y - z, w + x + y - z, w - x + y + z, w + x - y + z]) / 2
 
 
 def rig_text(rig: Rig) -> str:
