@@ -10,8 +10,8 @@ recording into estimates. Tuning returns the same tracker with better noise leve
     estimates = tracker.run(recording)
     print(tw.evaluate(estimates, recording))
 
-All public names of the packages `trackers`, `sim` and `tuning` are here, each imported when it is first used;
-docs/concepts.md shows how they fit.
+All public names of the packages `trackers`, `sim` and `tuning` are here, each imported when it is first used, and
+`trackwright.plot` draws them; docs/concepts.md shows how they fit.
 """
 
 from importlib import import_module
@@ -23,6 +23,7 @@ import trackers
 import tuning
 
 if TYPE_CHECKING:
+    from experiments.plots import notebook as plot
     from sim import *  # noqa: F403
     from sim import worlds as simulate
     from trackers import *  # noqa: F403
@@ -33,12 +34,15 @@ try:
 except PackageNotFoundError:
     __version__ = "unknown: not installed"
 
-__all__ = ["simulate", *trackers.__all__, *sim.__all__, *tuning.__all__]
+MODULES = {"simulate": "sim.worlds", "plot": "experiments.plots.notebook"}
+"""Names that stand for modules: worlds, and plots that return matplotlib axes."""
+
+__all__ = ["plot", "simulate", *trackers.__all__, *sim.__all__, *tuning.__all__]
 
 
 def __getattr__(name: str) -> Any:
-    if name == "simulate":
-        found = import_module("sim.worlds")
+    if name in MODULES:
+        found = import_module(MODULES[name])
     else:
         package = next((package for package in (trackers, sim, tuning) if name in package.__all__), None)
         if package is None:

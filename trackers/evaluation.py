@@ -6,7 +6,7 @@ metric without data (no heights, no reported covariance) is None.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -16,15 +16,16 @@ import numpy as np
 import polars as pl
 
 from trackers.core import metrics
-from trackers.core.errors import UnusableInput, listed, one_or_more
+from trackers.core.errors import UnusableInput, one_or_more
 from trackers.core.estimates import Estimates
+from trackers.core.frames import evaluation_html
 from trackers.core.rank_correlation import LAGS_S
 from trackers.core.recording import Recording
 from trackers.core.rig import Station
 from trackers.covariance_statements import covariance_statements
 from trackers.lasting_residuals import residual_ratios
-from trackers.recordings.association import Association, associate_truth
-from trackers.recordings.columns import float_column, require_columns
+from trackers.recordings.association import Association, associate_truth, refuse_without_overlap
+from trackers.recordings.columns import require_columns
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracks import Tracks
 from trackers.recordings.tracks_table import is_bearing, track_keys
@@ -73,6 +74,8 @@ class Evaluation:
         """A table with one row per track and one column per metric."""
         return pl.DataFrame(self.tracks, infer_schema_length=None)
 
+    _repr_html_ = evaluation_html
+
     def __repr__(self) -> str:
         known = ", ".join(f"{name} {value:.4g}" for name, value in self.overall.items() if isinstance(value, float))
         return f"<Evaluation of {self.overall['n']} estimates, {len(self.tracks)} tracks: {known}>"
@@ -102,10 +105,10 @@ def evaluate(
         ]
         done = [part.result() for part in parts]
         association, scored = Association.joined([x for x, _ in done]), Scored.joined([x for _, x in done])
-        _refuse_without_overlap(association, truths)
+        refuse_without_overlap(association, truths)
         return _evaluation(association, scored)
     association = estimates if isinstance(estimates, Association) else associate(estimates, recordings)
-    _refuse_without_overlap(association, _truths(recordings))
+    refuse_without_overlap(association, _truths(recordings))
     found = evaluate_association(association, stations, every)
     return found.with_residuals(estimates) if isinstance(estimates, Tracks) else found
 
@@ -184,7 +187,7 @@ def evaluate_table(
     that length. Raises UnusableInput if no estimate lies inside the truth of its recording and tag.
     """
     association = associate_truth(tracks, truths)
-    _refuse_without_overlap(association, truths)
+    refuse_without_overlap(association, truths)
     return evaluate_association(association, stations, every)
 
 
@@ -265,36 +268,3 @@ def _consistency(nees: np.ndarray, dof: int, suffix: str) -> Metrics:
         f"sigma_factor{suffix}": metrics.sigma_factor(known, dof),
         **{f"coverage_{percent}{suffix}": metrics.covered(known, dof, percent / 100) for percent in LEVELS},
     }
-
-
-def _refuse_without_overlap(association: Association, truths: Mapping[str, pl.DataFrame]) -> None:
-    if association.scored.any():
-        return
-    rows, usable = association.rows, association.truth_status != TruthStatus.NO_ESTIMATE
-    expected = "expected estimates inside the span of a truth of the same recording and tag"
-    if not usable.any():
-        raise UnusableInput(
-            f"the tracks: none of {len(rows)} rows holds an estimate (waiting, non-finite or empty); {expected}; "
-            "run `trackwright check` on the recording"
-        )
-    common = sorted(set(rows["recording"]) & set(truths))
-    if not common:
-        raise UnusableInput(
-            f"the tracks are of recording {_names(rows['recording'])}, the truth is of {_names(truths)}; {expected}; "
-            "give the recordings that were tracked"
-        )
-    truth = truths[common[0]]
-    raise UnusableInput(
-        f"no estimate lies inside a truth: estimates {_span(rows.filter(usable))} of tags {_names(rows['tag'])}, "
-        f"truth of '{common[0]}' {_span(truth)} of tags {_names(truth['tag'])}; "
-        f"{expected}; compare time bases and tag ids"
-    )
-
-
-def _span(table: pl.DataFrame) -> str:
-    times = float_column(table, "t_s")
-    return f"from {times.min():g} to {times.max():g} s" if len(times) else "at no time"
-
-
-def _names(names: Iterable[object]) -> str:
-    return listed(sorted({str(name) for name in names})) or "none"

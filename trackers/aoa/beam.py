@@ -12,6 +12,7 @@ import numpy as np
 from trackers.aoa.beamformer import Grid, direction
 from trackers.aoa.phases import InPlanePhases, PlanePhases
 from trackers.core.algebra import Scalar, Vector, diagonal
+from trackers.core.errors import UnusableInput
 from trackers.core.filter import Gaussian
 from trackers.core.inputs import Inputs
 from trackers.core.motion import AbstractMotion, Noise, process_noise
@@ -128,8 +129,13 @@ def beam_tracker(
 ) -> Tracker:
     """The beam tracker of one station, whose phases a recording holds under `name`; `span`: of the start's grid, rad.
 
-    `sigma_a` rad/s², `sigma_p` rad. `paper_form`: residuals as printed, see `pairwise` in phases.py.
+    `sigma_a` rad/s², `sigma_p` rad. `paper_form`: residuals as printed, see `pairwise` in phases.py. Raises
+    UnusableInput for anything but a station.
     """
+    if not isinstance(station, Station):
+        raise UnusableInput(
+            f"beam_tracker: found {type(station).__name__}; expected a station, as beam_tracker(rig.stations['1'], '1')"
+        )
     sensor = PlanePhases(station, sigma_p, paper_form)
     start = BeamStart(name, Grid.of(station, span), Scale(np.deg2rad(30.0), "rad"), Scale(1.0, "rad/s"))
     motion = BeamMotion(process_noise(sigma_a, "rad/s^2"))

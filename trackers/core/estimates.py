@@ -12,6 +12,7 @@ import polars as pl
 from jaxtyping import Bool, Float, Int, Num
 
 from trackers.core.algebra import dense, triangle
+from trackers.core.frames import estimates_html, to_pandas
 from trackers.core.state import component_names, path_name
 
 
@@ -147,6 +148,8 @@ class Estimates:
         )
         return f"<Estimates: {shape}; state {', '.join(self.sigmas)}>"
 
+    _repr_html_ = estimates_html
+
     def marginal(self, field: str) -> Float[np.ndarray, "*rows k k"]:
         """The covariances (…, T, k, k) of one field of the state, as `position`, in the order of its components.
 
@@ -236,8 +239,8 @@ class Estimates:
 
         Rows that share a time are merged as by `per_time`. A position becomes `x_m`, `y_m`, `z_m` with `std_…_m` and
         `cov_…_m2`, a velocity `vx_mps`, …; other components keep their names. `t_s` is the time for which the
-        estimate is valid. Empty where there is no estimate. `.to_pandas()` of the table gives a pandas frame. Raises
-        ValueError where the run was of a bare `Batch`, which has no times.
+        estimate is valid. Empty where there is no estimate. Raises ValueError where the run was of a bare `Batch`,
+        which has no times.
         """
         last, merged = self.per_time()
         assert merged.times is not None
@@ -250,6 +253,10 @@ class Estimates:
             | {name: getattr(merged, name) for name in STEP_COLUMNS}
             | {"status": [STATUS_WORDS[Status(s)] for s in merged.status]}
         )
+
+    def to_pandas(self) -> Any:
+        """The table of `to_polars` as a pandas frame; raises UnusableInput where pandas is not installed."""
+        return to_pandas(self.to_polars())
 
     def summary(self) -> str:
         """One sentence on a single trajectory: ok, lost and re-started, non-finite at row k, or too little data.

@@ -13,16 +13,17 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 from jaxtyping import Bool, DTypeLike, Float, Shaped, UInt32
-from numpy.typing import ArrayLike
 
 from trackers.core.algebra import Scalar
+from trackers.core.errors import UnusableInput
+from trackers.core.frames import recording_html
 from trackers.core.inputs import AnyArray, Inputs
 from trackers.core.keys import trajectory_key_data
-from trackers.core.row_checks import check_rows
+from trackers.core.row_checks import check_rows, read_only
 from trackers.core.sensor import Reading
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Readings:
     """All rows of one sensor: `values` (T, m), `seen` (T, m) bool, `reported` noise columns (T, k), k often 0.
 
@@ -35,7 +36,7 @@ class Readings:
 
     def __post_init__(self) -> None:
         for name in ("values", "seen") if self.reported is None else ("values", "seen", "reported"):
-            object.__setattr__(self, name, _read_only(getattr(self, name)))
+            object.__setattr__(self, name, read_only(getattr(self, name)))
 
 
 def _reported(readings: Readings) -> np.ndarray:
@@ -43,22 +44,15 @@ def _reported(readings: Readings) -> np.ndarray:
     return np.zeros((len(readings.values), 0)) if readings.reported is None else readings.reported
 
 
-def _read_only(array: ArrayLike) -> np.ndarray:
-    """A view of the array that refuses assignment."""
-    view = np.asarray(array).view()
-    view.flags.writeable = False
-    return view
-
-
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Recording:
     """One trajectory's rows.
 
     `times`: (T,) seconds, float64, not decreasing. `readings`: by sensor name. `inputs`: by name, (T, …), known
     quantities that motion and sensors may use. `truth`: by quantity name, values (T, d) with the rows where it is
     known. Its arrays are read-only views. `id`: from it and the seed of a run come the random numbers of filters that
-    draw any; None for the recording's place among those that run together. Raises ValueError where times are unsorted,
-    shapes differ or a number isn't finite.
+    draw any; None for the recording's place among those that run together. Equal to itself alone. Raises ValueError
+    where times are unsorted, shapes differ or a number isn't finite.
     """
 
     times: np.ndarray
@@ -71,9 +65,9 @@ class Recording:
     def __post_init__(self) -> None:
         times = np.asarray(self.times, np.float64)
         check_rows(self.name, times, self.readings, self.inputs, self.truth)
-        object.__setattr__(self, "times", _read_only(times))
-        object.__setattr__(self, "inputs", {name: _read_only(x) for name, x in self.inputs.items()})
-        truth = {name: (_read_only(values), _read_only(known)) for name, (values, known) in self.truth.items()}
+        object.__setattr__(self, "times", read_only(times))
+        object.__setattr__(self, "inputs", {name: read_only(x) for name, x in self.inputs.items()})
+        truth = {name: (read_only(values), read_only(known)) for name, (values, known) in self.truth.items()}
         object.__setattr__(self, "truth", truth)
 
     def __len__(self) -> int:
@@ -85,6 +79,8 @@ class Recording:
         return (
             f"<Recording '{self.name}': {len(self)} rows, {self.times[0]:g} to {self.times[-1]:g} s; {sensors}{truth}>"
         )
+
+    _repr_html_ = recording_html
 
 
 class Batch(NamedTuple):
@@ -294,6 +290,9 @@ def stack(
 
     `seed`: with the ids of the recordings it gives the random keys, for filters that draw random numbers.
 
-    All recordings name the same sensors, inputs and truths; `dt` is computed here, in float64.
+    All recordings name the same sensors, inputs and truths; `dt` is computed here, in float64. Raises UnusableInput for
+    no recording.
     """
+    if not len(recordings):
+        raise UnusableInput("stack: found no recording; expected one or more; usual fix: look at how the list is made")
     return Columns.of(recordings).batch(rows, dtype, seed)

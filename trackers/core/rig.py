@@ -9,8 +9,13 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from trackers.core.errors import UnusableInput
+
 Point = Float[np.ndarray, " 3"]
 """A position in space, m."""
+
+ROTATION_TOLERANCE = 1e-2
+"""How far a quaternion may be from unit length, as of numbers written with two digits."""
 
 
 @dataclass(frozen=True)
@@ -19,12 +24,21 @@ class Station:
 
     `position`: (3,) m, world frame. `rotation`: (4,) unit quaternion w, x, y, z from array frame to world frame.
     `antennas`: (n, 2) m in the array's x–y plane, with `wavelength` in m; both None where the station gives angles.
+    Raises UnusableInput for a rotation that is no unit quaternion.
     """
 
     position: Point
     rotation: Float[np.ndarray, " 4"]
     antennas: Float[np.ndarray, "n 2"] | None = None
     wavelength: float | None = None
+
+    def __post_init__(self) -> None:
+        rotation = np.asarray(self.rotation, float)
+        if rotation.shape != (4,) or not abs(np.linalg.norm(rotation) - 1.0) < ROTATION_TOLERANCE:
+            raise UnusableInput(
+                f"Station: rotation = {rotation.tolist()}; expected a quaternion of unit length, w, x, y, z, as "
+                "(1, 0, 0, 0)"
+            )
 
     def world_from_array(self) -> Float[np.ndarray, "3 3"]:
         """The 3 × 3 matrix that takes array-frame vectors to world-frame vectors; its columns are the array's axes."""

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 
 class ReadingArrays(Protocol):
@@ -68,3 +69,10 @@ def _check_readings(what: str, readings: ReadingArrays, rows: int) -> None:
             raise ValueError(
                 f"{what} row {row}, channel {channel} is not finite; for a missing value store 0 and set seen to False"
             )
+
+
+def read_only(array: ArrayLike) -> np.ndarray:
+    """A view of the array that refuses assignment."""
+    view = np.asarray(array).view()
+    view.flags.writeable = False
+    return view

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 import polars as pl
 
-from trackers.core.errors import UnusableInput
+from trackers.core.errors import UnusableInput, listed
 from trackers.core.rig import Station
 from trackers.recordings.columns import float_column, require_columns, run_starts
 from trackers.recordings.tracks_table import NO_ESTIMATE, is_bearing, track_keys
@@ -112,3 +112,37 @@ def _tracks(rows: pl.DataFrame, starts: np.ndarray, column: str) -> Iterator[tup
     """Of each track: its first row and end, its recording, and its value of `column`."""
     first = rows[starts[:-1]]
     return zip(pairwise(starts), first["recording"], first[column], strict=True)
+
+
+def refuse_without_overlap(association: Association, truths: Mapping[str, pl.DataFrame]) -> None:
+    """Raises UnusableInput, with the spans and tags of both, where no estimate lies inside a truth."""
+    if association.scored.any():
+        return
+    rows, usable = association.rows, association.truth_status != TruthStatus.NO_ESTIMATE
+    expected = "expected estimates inside the span of a truth of the same recording and tag"
+    if not usable.any():
+        raise UnusableInput(
+            f"the tracks: none of {len(rows)} rows holds an estimate (waiting, non-finite or empty); {expected}; "
+            "run `trackwright check` on the recording"
+        )
+    common = sorted(set(rows["recording"]) & set(truths))
+    if not common:
+        raise UnusableInput(
+            f"the tracks are of recording {_names(rows['recording'])}, the truth is of {_names(truths)}; {expected}; "
+            "give the recordings that were tracked"
+        )
+    truth = truths[common[0]]
+    raise UnusableInput(
+        f"no estimate lies inside a truth: estimates {_span(rows.filter(usable))} of tags {_names(rows['tag'])}, "
+        f"truth of '{common[0]}' {_span(truth)} of tags {_names(truth['tag'])}; "
+        f"{expected}; compare time bases and tag ids"
+    )
+
+
+def _span(table: pl.DataFrame) -> str:
+    times = float_column(table, "t_s")
+    return f"from {times.min():g} to {times.max():g} s" if len(times) else "at no time"
+
+
+def _names(names: Iterable[object]) -> str:
+    return listed(sorted({str(name) for name in names})) or "none"

@@ -18,6 +18,7 @@ from typing import IO, Any, Literal, cast, get_args
 import polars as pl
 
 from trackers.core.errors import UnusableInput, listed
+from trackers.core.frames import html_table
 from trackers.core.rig import Rig
 from trackers.recordings.averaging import averaged
 from trackers.recordings.calibration import Calibration
@@ -115,6 +116,16 @@ class RecordingFolder:
             f"  notices: {len(self.notices)}",
         ]
         return "\n".join(line for line in lines if not line.endswith(": 0"))
+
+    def _repr_html_(self) -> str:
+        """Its tables with rows, tags and span of time."""
+        rows = [
+            (name, table.height, table["tag"].n_unique(), float(t.min()), float(t.max()))
+            for name, table in self.tables.items()
+            for t in [table["t_s"].to_numpy()]
+        ]
+        caption = f"recording {self.name}: {len(self.rig.anchors)} anchors, {len(self.rig.stations)} stations"
+        return html_table(caption, ("table", "rows", "tags", "from s", "to s"), rows)
 
 
 def _counted(ids: Iterable[str]) -> str:

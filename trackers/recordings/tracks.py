@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import polars as pl
 
 from trackers.core.chunks import CHUNK
 from trackers.core.estimates import AXES, STATUS_WORDS, STEP_COLUMNS, Estimates, Status
+from trackers.core.frames import frame_html, to_pandas
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker, Tracker
 from trackers.recordings.columns import stable_order
@@ -39,8 +41,15 @@ class Tracks:
         return tuple(line for batch in self.batches for line in batch.notices)
 
     def to_polars(self) -> pl.DataFrame:
-        """The table of estimates; `.to_pandas()` of it gives a pandas frame."""
+        """The table of estimates."""
         return self.table
+
+    def to_pandas(self) -> Any:
+        """The table of estimates as a pandas frame; raises UnusableInput where pandas is not installed."""
+        return to_pandas(self.table)
+
+    def _repr_html_(self) -> str:
+        return frame_html(repr(self), self.table)
 
     def __repr__(self) -> str:
         count = sum(self.summaries.values())

@@ -1,0 +1,74 @@
+"""Tables for notebooks and for pandas: HTML of recordings, estimates and evaluations, and frames of pandas."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import polars as pl
+
+from trackers.core.errors import UnusableInput
+
+if TYPE_CHECKING:
+    import pandas
+
+MOST_ROWS = 12
+"""Rows of a table that a notebook shows of an object."""
+
+
+def html_table(caption: str, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """A small HTML table under a caption: at most `MOST_ROWS` rows, numbers with four significant digits."""
+    every = list(rows)
+    cells = "".join(f"<tr>{''.join(f'<td>{_text(cell)}</td>' for cell in row)}</tr>" for row in every[:MOST_ROWS])
+    more = f"<tr><td colspan={len(head)}>… {len(every) - MOST_ROWS} more</td></tr>" if len(every) > MOST_ROWS else ""
+    names = "".join(f"<th>{escape(name)}</th>" for name in head)
+    return f"<div>{escape(caption)}<table><thead><tr>{names}</tr></thead><tbody>{cells}{more}</tbody></table></div>"
+
+
+def _text(cell: Any) -> str:
+    if cell is None or cell != cell:
+        return "–"
+    return f"{cell:.4g}" if isinstance(cell, float) else escape(str(cell))
+
+
+def recording_html(recording: Any) -> str:
+    """Sensors, inputs and truth of a `Recording`, with their columns and how many rows have them."""
+    rows = [(k, "sensor", r.values.shape[1], int(r.seen.any(axis=1).sum())) for k, r in recording.readings.items()]
+    rows += [(k, "input", int(np.prod(x.shape[1:], dtype=int)), len(recording)) for k, x in recording.inputs.items()]
+    rows += [(k, "truth", x.shape[1], int(known.sum())) for k, (x, known) in recording.truth.items()]
+    return html_table(repr(recording), ("name", "", "columns", "rows"), rows)
+
+
+def frame_html(caption: str, table: pl.DataFrame) -> str:
+    """The first rows of a table."""
+    shown = f"{caption}; rows 1 to {min(MOST_ROWS, table.height)} of {table.height}"
+    return html_table(shown, table.columns, table.head(MOST_ROWS).rows())
+
+
+def estimates_html(estimates: Any) -> str:
+    """The first rows of the table of `Estimates`; those of a bare batch have none."""
+    if estimates.times is None:
+        return html_table(repr(estimates), (), ())
+    return frame_html(repr(estimates), estimates.to_polars())
+
+
+def evaluation_html(evaluation: Any) -> str:
+    """The main metrics of an `Evaluation`: overall, of each recording and of each track."""
+    first = "rmse_direction_rad" if evaluation.bearing else "rmse_m"
+    shown = ("n", first, first.replace("rmse", "p95"), first.replace("rmse", "max"), "coverage_95", "nees_ratio")
+    lines = [(("overall", ""), evaluation.overall)]
+    lines += [((m["recording"], "all"), m) for m in evaluation.recordings]
+    lines += [((m["recording"], m["tag"]), m) for m in evaluation.tracks]
+    rows = [(*names, *(metrics[name] for name in shown)) for names, metrics in lines]
+    return html_table(" ".join(evaluation.statements), ("recording", "tag", *shown), rows)
+
+
+def to_pandas(table: pl.DataFrame) -> pandas.DataFrame:
+    """The table as a pandas frame; raises UnusableInput where pandas is not installed."""
+    try:
+        import pandas
+    except ModuleNotFoundError:
+        raise UnusableInput("to_pandas: pandas is not installed; pip install pandas, or use to_polars()") from None
+    return pandas.DataFrame({name: table[name].to_list() for name in table.columns})
