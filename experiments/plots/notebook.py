@@ -53,7 +53,14 @@ def floor_plan(
         mounted = [*rig.anchors.items(), *((name, station.position) for name, station in rig.stations.items())]
         for name, position in mounted:
             axes.plot(*position[:2], "^", color=GREY)
-            axes.annotate(str(name), position[:2], xytext=(3, 3), textcoords="offset points", color=GREY, fontsize=8)
+            axes.annotate(
+                str(name),
+                (float(position[0]), float(position[1])),
+                xytext=(3, 3),
+                textcoords="offset points",
+                color=GREY,
+                fontsize=8,
+            )
         for x1, y1, x2, y2 in [] if rig.all_walls() is None else rig.all_walls():
             axes.plot([x1, x2], [y1, y2], color=GREY, lw=2)
     axes.legend()
