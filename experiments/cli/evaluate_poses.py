@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import shlex
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import polars as pl
 
@@ -20,6 +22,9 @@ from trackers.recordings.atomic import atomic_write, json_text
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.selection import Selection
 from trackers.recordings.tracks_table import TRACKS, read_tracks, write_tracks
+
+if TYPE_CHECKING:
+    from trackers.evaluation import Evaluation
 
 DEFAULT_STEPS = ("1m", "1s")
 DEFAULT_TOLERANCE = 0.01
@@ -104,7 +109,9 @@ def evaluate_poses(
     width = terminal_width()
     print(text if json else to_text(evaluation, width) + "\n" + poses_text(compared, align, width), end="")
     if options.out is not None:
-        _write(options.out, text, moved, folders, truth, quiet=json)
+        written = _write(options.out, text, evaluation, moved, folders, truth, str(source))
+        if not json:
+            print(written)
     why = None if fail_if is None else violation(evaluation, fail_if)
     if why is not None:
         notice(f"fails: {why}")
@@ -126,17 +133,28 @@ def _read_truth(paths: Sequence[Path], tag: str | None) -> list[RecordingFolder]
 
 
 def _write(
-    out: Path, text: str, tracks: pl.DataFrame, folders: Sequence[RecordingFolder], truth: Sequence[Path], quiet: bool
-) -> None:
+    out: Path,
+    text: str,
+    evaluation: Evaluation,
+    tracks: pl.DataFrame,
+    folders: Sequence[RecordingFolder],
+    truth: Sequence[Path],
+    source: str,
+) -> str:
+    """Writes the files of `--out`; returns in words which."""
+    from experiments.interactive.track_page import PAGE, write_track_page
     from experiments.plots.track_folder import plot_tracks
+    from experiments.scored_tracks import ScoredTracks
     from trackers.evaluation import associate
 
     output_folder(out)
     atomic_write(out / "evaluation.json", lambda path: path.write_text(text, encoding="utf-8"))
     atomic_write(out / TRACKS, lambda path: write_tracks(tracks, path))
     if all(path.is_dir() for path in truth):
-        listed = "".join(f"{path.resolve()}\n" for path in truth)
-        atomic_write(out / "recordings.txt", lambda path: path.write_text(listed, encoding="utf-8"))
-    drawn = plot_tracks(out, associate(tracks, folders), folders, ())
-    if not quiet:
-        print(f"wrote {out}: evaluation.json, {TRACKS} as compared, and {len(drawn)} figures: {', '.join(drawn)}")
+        names = "".join(f"{path.resolve()}\n" for path in truth)
+        atomic_write(out / "recordings.txt", lambda path: path.write_text(names, encoding="utf-8"))
+    scored = ScoredTracks(associate(tracks, folders), folders, ())
+    none = pl.DataFrame(schema={"recording": pl.String, "tag": pl.String, "t_s": pl.Float64, "event": pl.String})
+    write_track_page(out / PAGE, scored, none, evaluation, source, shlex.join(["trackwright", *sys.argv[1:]]))
+    drawn = plot_tracks(out, scored)
+    return f"wrote {out}: {PAGE}, evaluation.json, {TRACKS} as compared, and {len(drawn)} figures: {', '.join(drawn)}"

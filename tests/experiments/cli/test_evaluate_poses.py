@@ -49,7 +49,14 @@ def test_a_file_is_aligned_shifted_in_time_and_scored_with_all_figures(beginning
     assert found["overall"]["rmse_m"] == pytest.approx(0.05 * math.sqrt(2), rel=0.2)
     assert found["poses"]["tracks"][0]["ape_m"]["rmse"] == pytest.approx(found["overall"]["ape_m"])
     written = {path.name for path in (tmp_path / "out").iterdir()}
-    assert {"tracks.parquet", "recordings.txt", "floor-plan.png", "error-over-time.png", "error-cdf.png"} <= written
+    assert {
+        "report.html",
+        "tracks.parquet",
+        "recordings.txt",
+        "floor-plan.png",
+        "error-over-time.png",
+        "error-cdf.png",
+    } <= written
 
 
 def test_the_json_of_two_files_has_the_numbers_of_evo(there):
