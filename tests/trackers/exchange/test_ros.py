@@ -6,7 +6,10 @@ import numpy as np
 import polars as pl
 import pytest
 
+from tests.bags import ROWS, START, place, write_bag
 from tests.in_process import assert_refused, trackwright
+
+RIG = 'format = 1\nname = "hall"\n[anchors]\n17 = [0.0, 0.0, 2.0]\n42 = [5.0, 0.0, 2.0]\n'
 
 
 @pytest.fixture(autouse=True)
@@ -15,83 +18,13 @@ def _rosbags():
     pytest.importorskip("rosbags", reason="rosbags is not installed; the extra ros has it")
 
 
-UWB = """std_msgs/Header header
-string tag
-uwb_msgs/Range[] ranges
-"""
-RANGE = """uint16 anchor
-float64 distance_mm
-"""
-RIG = 'format = 1\nname = "hall"\n[anchors]\n17 = [0.0, 0.0, 2.0]\n42 = [5.0, 0.0, 2.0]\n'
-START = 1_770_000_000
-ROWS = 12
-
-
-def _place(k):
-    return np.array([1 + 0.1 * k, 2.0, 0.5])
-
-
-def _write(path, kind):
-    """A bag with custom UWB ranges, IMU, true poses and odometry; `kind`: bag (ROS 1), db3 or mcap (ROS 2)."""
-    from rosbags.rosbag1 import Writer as Writer1
-    from rosbags.rosbag2 import StoragePlugin
-    from rosbags.rosbag2 import Writer as Writer2
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-    store = get_typestore(Stores.ROS1_NOETIC if kind == "bag" else Stores.ROS2_HUMBLE)
-    for name, text in (("uwb_msgs/msg/Range", RANGE), ("uwb_msgs/msg/Ranges", UWB)):
-        store.register(get_types_from_msg(text, name))
-    types = store.types
-    plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
-    writer = Writer1(path) if kind == "bag" else Writer2(path, version=9, storage_plugin=plugin)
-    topics = {
-        "/uwb": "uwb_msgs/msg/Ranges", "/imu": "sensor_msgs/msg/Imu", "/vicon": "geometry_msgs/msg/PoseStamped",
-        "/odom": "nav_msgs/msg/Odometry",
-    }  # fmt: skip
-    with writer:
-        connections = {topic: writer.add_connection(topic, name, typestore=store) for topic, name in topics.items()}
-        serialize = store.serialize_ros1 if kind == "bag" else store.serialize_cdr
-        for k in range(ROWS):
-            sec, nanosec = START + k // 10, k % 10 * 100_000_000
-            time = types["builtin_interfaces/msg/Time"](sec, nanosec)
-            sequence = (k,) if kind == "bag" else ()
-            header = types["std_msgs/msg/Header"](*sequence, time, "world")
-            point, turn = (
-                types["geometry_msgs/msg/Point"](*_place(k)),
-                types["geometry_msgs/msg/Quaternion"](0, 0, 0.6, 0.8),
-            )
-            pose, vector = types["geometry_msgs/msg/Pose"](point, turn), types["geometry_msgs/msg/Vector3"]
-            anchors = {17: [0.0, 0.0, 2.0], 42: [5.0, 0.0, 2.0]}
-            ranges = [
-                types["uwb_msgs/msg/Range"](anchor, 1000 * float(np.linalg.norm(_place(k) - at)))
-                for anchor, at in anchors.items()
-            ]
-            covariance, nine = np.diag([0.04, 0.09, 0.16, 0, 0, 0]).ravel(), np.zeros(9)
-            messages = {
-                "/uwb": types["uwb_msgs/msg/Ranges"](header, "cart", ranges),
-                "/imu": types["sensor_msgs/msg/Imu"](
-                    header, turn, nine, vector(0.1, 0.2, 0.3), nine, vector(0.4, 0.5, 9.81), nine
-                ),
-                "/vicon": types["geometry_msgs/msg/PoseStamped"](header, pose),
-                "/odom": types["nav_msgs/msg/Odometry"](
-                    header, "cart", types["geometry_msgs/msg/PoseWithCovariance"](pose, covariance),
-                    types["geometry_msgs/msg/TwistWithCovariance"](
-                        types["geometry_msgs/msg/Twist"](vector(1, 0, 0), vector(0, 0, 0)), np.zeros(36)
-                    ),
-                ),
-            }  # fmt: skip
-            for topic, message in messages.items():
-                stamp = sec * 10**9 + nanosec + 5_000_000
-                writer.write(connections[topic], stamp, serialize(message, topics[topic]))
-
-
 @pytest.fixture(scope="module")
 def bags(tmp_path_factory):
     """Bags of each kind, a rig and a mapping of all their topics."""
     pytest.importorskip("rosbags", reason="rosbags is not installed; the extra ros has it")
     folder = tmp_path_factory.mktemp("bags")
     for kind in ("bag", "db3", "mcap"):
-        _write(folder / ("ros1.bag" if kind == "bag" else f"ros2-{kind}"), kind)
+        write_bag(folder / ("ros1.bag" if kind == "bag" else f"ros2-{kind}"), kind)
     (folder / "rig.toml").write_text(RIG)
     (folder / "map.toml").write_text(
         """
@@ -104,7 +37,7 @@ table = "imu"
 topic = "/imu"
 [[tables]]
 table = "truth"
-topic = "/vicon"
+topic = "/vicon/cart"
 [[tables]]
 table = "fixes"
 topic = "/odom"
@@ -128,12 +61,12 @@ def test_a_bag_becomes_a_recording(bags, tmp_path, name):
     ranges = tables["ranges"]
     assert ranges["tag"].unique().to_list() == ["cart"]
     assert ranges["anchor"].to_list()[:2] == ["17", "42"]
-    assert ranges["range_m"][1] == pytest.approx(np.linalg.norm(_place(0) - (5, 0, 2)))
+    assert ranges["range_m"][1] == pytest.approx(np.linalg.norm(place(0) - (5, 0, 2)))
     times = START + np.arange(ROWS) * 0.1
     for table in (tables["imu"], tables["truth"], tables["fixes"]):
         assert np.allclose(table["t_s"], times, rtol=0, atol=1e-6)
     assert tables["truth"].select("x_m", "y_m", "z_m").to_numpy() == pytest.approx(
-        np.stack([_place(k) for k in range(ROWS)])
+        np.stack([place(k) for k in range(ROWS)])
     )
     assert tables["truth"].select("qw", "qx", "qy", "qz").row(0) == pytest.approx((0.8, 0, 0, 0.6))
     assert tables["imu"].row(0, named=True)["accel_z_mps2"] == pytest.approx(9.81)
@@ -143,7 +76,7 @@ def test_a_bag_becomes_a_recording(bags, tmp_path, name):
 
 def test_the_time_of_reception_can_be_taken(bags, tmp_path):
     said = trackwright(
-        "import", bags / "ros2-mcap", "--table", "truth", "--topic", "/vicon", "--columns", "t_s=received", "--tag", "c",
+        "import", bags / "ros2-mcap", "--table", "truth", "--topic", "/vicon/cart", "--columns", "t_s=received", "--tag", "c",
         "--out", tmp_path / "x",
     )  # fmt: skip
     assert said.code == 0, said.err
@@ -153,9 +86,9 @@ def test_the_time_of_reception_can_be_taken(bags, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--table", "truth"), ("no --topic", "/vicon (geometry_msgs/msg/PoseStamped, 12)")),
+        (("--table", "truth"), ("no --topic", "/vicon/cart (geometry_msgs/msg/PoseStamped, 12)")),
         (("--table", "truth", "--topic", "/x"), ("no topic /x", "/odom")),
-        (("--table", "truth", "--topic", "/vicon"), ("truth needs tag", "--tag ID")),
+        (("--table", "truth", "--topic", "/vicon/cart"), ("truth needs tag", "--tag ID")),
         (("--table", "ranges", "--topic", "/uwb"), ("uwb_msgs/msg/Ranges", "no standard message", "ranges")),
         (("--table", "ranges", "--topic", "/uwb", "--columns", "range_m=ranges[].distance"), ("message 1", "no field")),
         (("--table", "ranges", "--topic", "/uwb", "--columns", "range_m=ranges"), ("expected a number",)),
