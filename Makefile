@@ -1,12 +1,13 @@
-# Targets: env demo test test-slow mutate lint papers bench bench-peers bench-gpu clean. Each makes the environment it needs.
+# Targets: env demo test test-slow mutate lint docs papers bench bench-peers bench-gpu clean. Each makes the environment it needs.
 
 PYTHON ?= python3
 BIN := .venv/bin
 PEERS := .venv-peers/bin
 GPU := .venv-gpu/bin
+DOCS := .venv-docs/bin
 OLD_PYTHON := trackwright needs Python 3.11 or newer; name one with `make PYTHON=/path/to/python3.11 ...`
 
-.PHONY: env demo test test-slow mutate lint papers bench bench-peers bench-gpu clean
+.PHONY: env demo test test-slow mutate lint docs papers bench bench-peers bench-gpu clean
 
 env: .venv/installed
 
@@ -28,6 +29,12 @@ env: .venv/installed
 	$(GPU)/python -m pip install --quiet --disable-pip-version-check -e '.[cuda]' -c constraints.txt
 	@touch $@
 
+.venv-docs/installed: pyproject.toml constraints.txt constraints-docs.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo '$(OLD_PYTHON)' >&2; exit 1; }
+	$(PYTHON) -m venv .venv-docs
+	$(DOCS)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]' -c constraints.txt -c constraints-docs.txt
+	@touch $@
+
 demo: env
 	$(BIN)/trackwright demo
 
@@ -45,6 +52,11 @@ lint: env
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+# The documentation as a site in out/site, with a page of each group of public names; a broken link is an error.
+docs: .venv-docs/installed
+	$(DOCS)/mkdocs build --quiet
+	@echo open out/site/index.html
 
 papers: env
 	$(BIN)/python -m experiments.papers.reproduce
@@ -70,5 +82,5 @@ bench-gpu: .venv-gpu/installed
 	$(GPU)/python -m experiments.bench.gpu
 
 clean:
-	rm -rf .venv .venv-peers .venv-gpu out *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis
+	rm -rf .venv .venv-peers .venv-gpu .venv-docs out *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

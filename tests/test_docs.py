@@ -5,6 +5,10 @@ from __future__ import annotations
 import importlib
 import inspect
 import re
+import shutil
+import subprocess
+import sys
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -147,6 +151,50 @@ def test_every_link_of_the_readme_leads_to_a_file():
     links = re.findall(r"\]\(([^)#:]+)\)", (ROOT / "README.md").read_text(encoding="utf-8"))
     assert links
     assert all((ROOT / link).is_file() for link in links)
+
+
+@pytest.mark.parametrize("page", sorted(path.name for path in (ROOT / "docs").glob("*.md")))
+def test_every_link_of_a_page_leads_to_a_file_and_a_heading(page):
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(((?!https?:)[^)]+)\)", text):
+        name, _, heading = target.partition("#")
+        path = ROOT / "docs" / (name or page)
+        assert path.is_file(), target
+        if heading:
+            headings = re.findall(r"^#+ (.*)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+            assert heading in {re.sub(r"[^\w\- ]", "", h.lower()).strip().replace(" ", "-") for h in headings}, target
+
+
+@pytest.mark.slow
+def test_the_site_is_built_without_a_broken_link(tmp_path):
+    pytest.importorskip("mkdocstrings", reason="the extra docs is not installed")
+    line = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--site-dir", str(tmp_path)]
+    done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "Smoothed" in "".join(page.read_text("utf-8") for page in (tmp_path / "api").glob("*.html"))
+
+
+@pytest.mark.slow
+def test_a_wheel_has_all_files_of_the_packages_and_the_command(tmp_path):
+    packages = ("trackers", "sim", "tuning", "experiments")
+    for name in (*packages, "trackwright.py", "pyproject.toml", "README.md", "LICENSE"):
+        copy = shutil.copytree if (ROOT / name).is_dir() else shutil.copy
+        copy(ROOT / name, tmp_path / name)
+    line = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", str(tmp_path), "-w", str(tmp_path)]
+    done = subprocess.run(line, capture_output=True, text=True, check=False)
+    if "No matching distribution found for setuptools" in done.stderr:
+        pytest.skip("no package index that pip can reach, for setuptools")
+    assert done.returncode == 0, done.stderr
+    (wheel,) = tmp_path.glob("trackwright-*.whl")
+    held = set(zipfile.ZipFile(wheel).namelist())
+    ours = [
+        path.relative_to(ROOT).as_posix() for name in packages for path in (ROOT / name).rglob("*") if path.is_file()
+    ]
+    left_out = (".md", ".json", ".pyc")
+    missing = [name for name in ours if not name.endswith(left_out) and name not in held]
+    assert not missing
+    (entry,) = (name for name in held if name.endswith("entry_points.txt"))
+    assert b"trackwright = experiments.cli.main:main" in zipfile.ZipFile(wheel).read(entry)
 
 
 @pytest.mark.parametrize("package", ["trackers.core", "trackers.recordings"])
