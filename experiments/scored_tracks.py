@@ -45,6 +45,12 @@ class ScoredRecording:
         """Whether the estimates are bearings."""
         return self.errors.shape[1] == 2
 
+    @property
+    def in_plane(self) -> bool:
+        """Whether the estimates are angles in the plane of a flat array: their azimuth is ± 90° and has no σ."""
+        azimuth, elevation = np.isfinite(self.sigmas()[:, :2]).any(axis=0)
+        return self.angles and bool(elevation and not azimuth)
+
     def sigmas(self) -> np.ndarray:
         """The reported standard deviations, with shape and unit of `errors`; NaN for a known height."""
         names = ("std_azimuth_rad", "std_elevation_rad") if self.angles else ("std_x_m", "std_y_m", "std_z_m")

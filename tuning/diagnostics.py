@@ -121,9 +121,12 @@ def expected_density(x: Float[np.ndarray, " n"], innovations: Innovations) -> Fl
             import scipy
 
             a, b, scale = student_t_nis_beta(dof, innovations.student_t_dof)
-            u = np.clip(x / scale, 0, 1)
+            # Below two degrees of freedom b may be below one, and the density rises without limit towards `scale`.
+            inside = x < scale
+            u = x[inside] / scale
             log_u = scipy.special.xlogy(a - 1, u) + scipy.special.xlog1py(b - 1, -u)
-            one = np.exp(log_u - scipy.special.betaln(a, b)) / scale
+            one = np.zeros(len(x))
+            one[inside] = np.exp(log_u - scipy.special.betaln(a, b)) / scale
         density += count / len(innovations.dof) * one
     return density
 

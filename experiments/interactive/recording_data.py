@@ -94,7 +94,7 @@ def _axes(recording: ScoredRecording) -> list[dict[str, str]]:
     return [
         {"name": name, "unit": unit, "value": f"v{k}", "error": f"e{k}", "sigma": f"s{k}", "bound": f"b{k}"}
         for k, name in enumerate(names)
-        if np.isfinite(recording.errors[:, k]).any() or np.isfinite(sigmas[:, k]).any() or k < 2
+        if np.isfinite(sigmas[:, k]).any() or (k < 2 and not recording.in_plane)
     ]
 
 

@@ -80,6 +80,8 @@ def error_distribution(recording: ScoredRecording) -> list[dict[str, Any]]:
     errors = recording.errors
     if recording.angles:
         named = {"azimuth": np.degrees(np.abs(errors[:, 0])), "elevation": np.degrees(np.abs(errors[:, 1]))}
+        if recording.in_plane:
+            del named["azimuth"]
     else:
         named = {"horizontal": np.hypot(errors[:, 0], errors[:, 1]), "3-D": np.sqrt((errors**2).sum(axis=1))}
     found = []

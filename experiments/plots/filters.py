@@ -134,8 +134,9 @@ def _nis_histogram(axes: Axes, after: Innovations, before: Innovations | None = 
     law = "χ²" if after.student_t_dof is None else "Student's t"
     axes.plot(x, density, color=VERMILION, linewidth=1.6, label=f"consistent ({law})")
     # Before a fit the first bin may exceed all others many times; it is cut off.
-    peak = float(density[x > bins[1] / 2].max())
-    highest = max(peak, min(max(float(heights.max()) for heights in (new, *old)), 2.5 * peak))
+    tallest = max(float(heights.max()) for heights in (new, *old))
+    peak = min(float(density[x > bins[1] / 2].max()), 2.5 * tallest)
+    highest = max(peak, min(tallest, 2.5 * peak))
     axes.set(xlim=(0, end), ylim=(0, 1.6 * highest if before is not None else 1.12 * highest))
     beyond = [f"{100 * np.mean(v.nis > end):.1f} %" for v in sides]
     shares = beyond[0] if before is None else f"{beyond[1]} before, {beyond[0]} after"

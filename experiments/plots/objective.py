@@ -17,7 +17,6 @@ from experiments.plots.style import (
     BLACK,
     BLUE,
     INK,
-    LINES,
     NARROW,
     SKY,
     VERMILION,
@@ -54,12 +53,14 @@ def sweep_plot(path: Path | str, swept: Sweep, objective: str, paths: Sequence[n
                 # The fit may have had another objective: its steps are drawn at the sweep's values.
                 level = np.interp(steps[:, 0], swept.grids[0], mean)
                 axes.plot(steps[:, 0], level, ".-", color=BLUE, markersize=4, linewidth=0.6, label="optimiser steps")
-            axes.set(ylabel=literal(objective), xlim=(swept.grids[0].min(), swept.grids[0].max()))
+            axes.set_ylabel(literal(objective))
             if repeated or paths:
                 axes.legend(loc="best")
         else:
-            _contours(axes, swept.grids, mean, paths, (float(best[0]), float(best[1])))
-            axes.set(xlim=swept.grids[0][[0, -1]], ylim=swept.grids[1][[0, -1]], ylabel=labels[1])
+            _contours(axes, swept.grids, mean, paths, (float(best[0]), float(best[1])), objective)
+            _scale_axis(axes, swept.grids[1], "y", tight=True)
+            axes.set_ylabel(labels[1])
+        _scale_axis(axes, swept.grids[0], "x", tight=len(labels) == 2)
         axes.set_xlabel(labels[0])
         # Over contours the legend is between them and the title.
         above = 22 if len(labels) == 2 and paths else 6
@@ -73,7 +74,7 @@ def tuning_trace(
     values: Mapping[str, np.ndarray],
     units: Mapping[str, str] | None = None,
     objective_name: str = "objective",
-    title: str = "Tuning",
+    title: str = "Fit",
 ) -> Path:
     """Writes the objective and every tuned parameter over the iterations; returns the path.
 
@@ -89,7 +90,7 @@ def tuning_trace(
         last = top
         for k, (name, trace) in enumerate(values.items()):
             last = figure.add_subplot(grid[1 + k // 2, k % 2], sharex=top)
-            last.plot(trace, color=LINES[k % len(LINES)])
+            last.plot(trace, color=BLUE)
             unit = (units or {}).get(name, "1")
             last.set_title(literal(f"{name}: {trace[-1]:.4g} {unit if unit != '1' else ''}"))
             if np.nanmin(trace) > 0:
@@ -157,7 +158,7 @@ def surface_chart(data: TuningReportData, surface: Surface) -> str:
             plain(axes)
         else:
             paths = [t.values[:, list(surface.axes)] for t in data.traces]
-            _contours(axes, surface.grids, surface.values, paths, (best[0], best[1]))
+            _contours(axes, surface.grids, surface.values, paths, (best[0], best[1]), data.objective)
             _scale_axis(axes, surface.grids[1], "y", tight=True)
             axes.set_ylabel(_named(known[1].name, known[1].unit))
         _scale_axis(axes, surface.grids[0], "x", tight=True)
@@ -195,8 +196,10 @@ def _curve(
         axes.fill_between(
             grid, low, high, color=SKY, alpha=0.35, linewidth=0, label="± standard deviation over repeats"
         )
-    axes.plot(grid, values, color=INK, linewidth=1.4)
-    axes.plot(*best, "o", color=VERMILION, markersize=8, markeredgecolor="white", markeredgewidth=1.3)
+    axes.plot(grid, values, color=INK, linewidth=1.4, marker="o" if len(grid) <= 40 else "", markersize=3.5)
+    axes.plot(
+        *best, "o", color=VERMILION, markersize=8, markeredgecolor="white", markeredgewidth=1.3, clip_on=False, zorder=5
+    )
 
 
 def _contours(
@@ -205,8 +208,9 @@ def _contours(
     values: np.ndarray,
     paths: Sequence[np.ndarray],
     best: tuple[float, float],
+    name: str,
 ) -> None:
-    """Draws contours of the objective (n, m) over two parameters, and optimiser traces (i, 2), the best one first.
+    """Draws contours of the objective `name` (n, m) over two parameters, and optimiser traces (i, 2), best one first.
 
     Levels are equidistant in the square root of the excess over the minimum: evenly spaced for a quadratic.
     """
@@ -215,7 +219,10 @@ def _contours(
     top = float(np.quantile(above, 0.97)) or float(above.max()) or 1.0
     levels = low + np.linspace(0, np.sqrt(top), 12) ** 2
     shown = np.where(np.isfinite(values), values, np.nan).T
-    axes.contourf(*grids, shown, levels=levels, cmap="Blues_r", extend="max", alpha=0.75)
+    filled = axes.contourf(*grids, shown, levels=levels, cmap="Blues_r", extend="max", alpha=0.75)
+    bar = axes.figure.colorbar(filled, ax=axes, ticks=levels[::3], format="%.4g", pad=0.02, aspect=30)
+    bar.set_label(literal(name), fontsize=8)
+    bar.outline.set_visible(False)  # type: ignore[operator]
     axes.contour(*grids, shown, levels=levels, colors="white", linewidths=0.6, linestyles="solid")
     for k, path in reversed(list(enumerate(paths))):
         first = k == 0
@@ -224,7 +231,9 @@ def _contours(
             linewidth=1.2 if first else 0.6, alpha=1.0 if first else 0.5,
             label={0: "best start" if len(paths) > 1 else "optimiser steps", 1: "other starts"}.get(k),
         )  # fmt: skip
-    axes.plot(*best, "o", color=VERMILION, markersize=8, markeredgecolor="white", markeredgewidth=1.3)
+    axes.plot(
+        *best, "o", color=VERMILION, markersize=8, markeredgecolor="white", markeredgewidth=1.3, clip_on=False, zorder=5
+    )
     axes.grid(visible=False)
     if paths:
         handles = (x[::-1] for x in axes.get_legend_handles_labels())

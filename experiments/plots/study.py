@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import functools
+import inspect
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -13,10 +15,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator, PercentFormatter
 
 from experiments.monte_carlo.accumulators import KINDS
-from experiments.monte_carlo.declaration import Condition, short
+from experiments.monte_carlo.declaration import WORLD, Condition, short
 from experiments.monte_carlo.expectations import Value
 from experiments.monte_carlo.results import Results
-from experiments.plots.style import HEIGHT, LINES, WIDTH, literal, plain, svg_address
+from experiments.plots.style import HEIGHT, INK, LINES, WIDTH, literal, plain, svg_address
 from experiments.reports.wording import SUFFIXES, Unit, heading, unit_of
 
 MARKS, DASHES = "osD^vPX", ("-", "--", "-.", ":")
@@ -24,6 +26,11 @@ MARKS, DASHES = "osD^vPX", ("-", "--", "-.", ":")
 
 SHOWN_CONDITIONS, LINES_SHOWN, ROWS_SHOWN, NAMES_INSIDE = 6, 8, 40, 4
 """The most conditions with distributions, lines in a chart, rows in a chart, and names in a legend inside the axes."""
+
+BOUND_DASHES = (0, (1, 1.5))
+
+UNITS = ("rad/s", "m/s²", "m/s", "rad", "Hz", "m", "s")
+"""Units of worlds' parameters in their docstrings; longer ones first."""
 
 DECADES = 30.0
 """Ratio of the largest to the smallest value from which an axis is logarithmic."""
@@ -39,27 +46,41 @@ class Chart(NamedTuple):
     address: str
 
 
-def metric_chart(results: Results, metric: str, found: Mapping[tuple[int, str], Value], unit: Unit) -> Chart | None:
+def metric_chart(
+    results: Results,
+    metric: str,
+    found: Mapping[tuple[int, str], Value],
+    unit: Unit,
+    bounds: Mapping[tuple[int, str], Value] | None = None,
+) -> Chart | None:
     """A metric with its intervals: along the grid where that is one list of numbers, else by condition.
 
-    None where a chart has no room for all lines or rows, and where all values are zero or missing.
+    None where a chart has no room for all lines or rows, and where all values are zero or missing. `bounds`: Cramér–Rao
+    bounds on the metric, drawn as lines, or as strokes in rows.
     """
     study = results.study
     values = {k: np.array(v.times(unit.factor)) for k, v in found.items() if np.isfinite(v.value)}
     if not any(v[0] for v in values.values()):
         return None
+    limits = {k: v.value * unit.factor for k, v in (bounds or {}).items() if np.isfinite(v.value)}
     words = heading(metric)
     title = words[0].upper() + words[1:] + (f", {unit.name}" if unit.name else "")
     along = _axis(results)
     if along is None:
-        return Chart(title, _bars(results, values, title)) if len(values) <= ROWS_SHOWN else None
+        return Chart(title, _bars(results, values, limits, title)) if len(values) <= ROWS_SHOWN else None
     if len(study.worlds) * len(study.trackers) > LINES_SHOWN:
         return None
-    return Chart(title, _along(results, along, values, title))
+    return Chart(title, _along(results, along, values, limits, title))
 
 
-def _along(results: Results, along: str, values: Mapping[tuple[int, str], np.ndarray], title: str) -> str:
-    """A line with its band for every world and tracker, over the grid."""
+def _along(
+    results: Results,
+    along: str,
+    values: Mapping[tuple[int, str], np.ndarray],
+    limits: Mapping[tuple[int, str], float],
+    title: str,
+) -> str:
+    """A line with its band for every world and tracker, over the grid, and its bound."""
     study = results.study
     series = [(w, t) for w in study.worlds for t in study.trackers]
 
@@ -75,12 +96,17 @@ def _along(results: Results, along: str, values: Mapping[tuple[int, str], np.nda
             name = tracker if len(study.worlds) == 1 else f"{world}: {tracker}"
             axes.plot(x, middle, **look, marker=MARKS[number % len(MARKS)], markersize=4, label=literal(name))
             axes.fill_between(x, low, high, color=look["color"], alpha=0.18, linewidth=0)
+            at = [float(c.point[along]) for c in there if (c.index, tracker) in limits]
+            if at:
+                bound = [limits[c.index, tracker] for c in there if (c.index, tracker) in limits]
+                line = {"color": look["color"], "linestyle": BOUND_DASHES, "linewidth": 1.3}
+                axes.plot(at, bound, **line, label=literal(f"{name}: Cramér–Rao bound"))
         least, most = min(study.grid[along]), max(study.grid[along])
         if least > 0 and most / least >= 8:
             axes.set_xscale("log")
             axes.set_xticks(sorted(study.grid[along]), [f"{v:g}" for v in sorted(study.grid[along])])
             axes.xaxis.set_minor_locator(NullLocator())
-        axes.set_xlabel(literal(short(along)))
+        axes.set_xlabel(literal(short(along) + _unit_of(results, along)))
         if _spans_decades(values):
             axes.set_yscale("log")
             _plain_log(axes.yaxis)
@@ -93,8 +119,10 @@ def _along(results: Results, along: str, values: Mapping[tuple[int, str], np.nda
     return svg_address(draw, WIDTH, _height(len(series)))
 
 
-def _bars(results: Results, values: Mapping[tuple[int, str], np.ndarray], title: str) -> str:
-    """Points with intervals, a row for every condition and tracker."""
+def _bars(
+    results: Results, values: Mapping[tuple[int, str], np.ndarray], limits: Mapping[tuple[int, str], float], title: str
+) -> str:
+    """Points with intervals, a row for every condition and tracker, and a stroke for its bound."""
     trackers = list(results.study.trackers)
     rows = [(c, t) for c in results.study.conditions for t in trackers if (c.index, t) in values]
 
@@ -106,6 +134,8 @@ def _bars(results: Results, values: Mapping[tuple[int, str], np.ndarray], title:
             axes.plot([low, high], [k, k], color=colour, linewidth=3, alpha=0.35, solid_capstyle="butt")
             mark = MARKS[number % len(MARKS)]
             axes.plot(middle, k, color=colour, marker=mark, markersize=5, clip_on=False, zorder=3)
+            if (condition.index, tracker) in limits:
+                axes.plot(limits[condition.index, tracker], k, "|", color=INK, markersize=9, markeredgewidth=1.6)
         axes.set_yticks(range(len(rows)), [literal(_row_name(results, c, t)) for c, t in rows])
         axes.set_ylim(len(rows) - 0.4, -0.6)
         if _spans_decades(values):
@@ -113,7 +143,7 @@ def _bars(results: Results, values: Mapping[tuple[int, str], np.ndarray], title:
             _plain_log(axes.xaxis)
         else:
             axes.set_xlim(0, 1.04 * float(np.nanmax([values[c.index, t] for c, t in rows])))
-        axes.set_title(literal(title))
+        axes.set_title(literal(title + (" (strokes: Cramér–Rao bound)" if limits else "")))
         plain(axes, "x")
 
     return svg_address(draw, WIDTH, max(1.3, 0.75 + 0.24 * len(rows)))
@@ -166,6 +196,20 @@ def _curves(
             edges, share = results.cdf(condition.world, tracker, kind, **condition.point)
             found[tracker] = edges * factor, share
     return found
+
+
+def _unit_of(results: Results, along: str) -> str:
+    """The unit of a world's parameter on the grid, ` (rad)`, as its docstring has it at the end of a phrase."""
+    for name in along.split(","):
+        key = name.strip().removeprefix(WORLD)
+        for world in results.study.worlds.values():
+            # Worlds by name are partial functions of those with the docstring.
+            make = world.make.args[0] if isinstance(world.make, functools.partial) else world.make
+            about = re.search(rf"^ +{re.escape(key)}: ([^\n]*)", inspect.getdoc(make) or "", re.M)
+            unit = re.search(rf", ({'|'.join(UNITS)})\b", about[1]) if about else None
+            if unit:
+                return f" ({unit[1]})"
+    return ""
 
 
 def _look(number: int) -> dict[str, Any]:

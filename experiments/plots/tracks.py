@@ -25,7 +25,7 @@ ELLIPSES = 24
 """The most ellipses in all, at most half of them along one track; more would hide the tracks."""
 
 
-TRUTH = "#4a545e"
+TRUTH = "#9aa5b0"
 """The colour of true paths, drawn below the tracks and wider."""
 
 HALO = [withStroke(linewidth=2.0, foreground="white")]
@@ -87,7 +87,7 @@ def floor_plan(
         for line in true:
             # Below the track, and wider: neither hides the other.
             _, positions = broken_at_gaps(line.times, line.positions)
-            axes.plot(*positions.T, color=TRUTH, linewidth=2.4, zorder=2.5, solid_capstyle="round")
+            axes.plot(*positions.T, color=TRUTH, linewidth=3.0, zorder=2.5, solid_capstyle="round")
         for line, colour in zip(estimated, LINES, strict=False):
             _draw_track(axes, line, colour, min(ELLIPSES // len(drawn), ELLIPSES // 2))
             _mark_times(axes, line, colour, TIMES if len(drawn) <= 3 else 0)
@@ -139,7 +139,7 @@ def _draw_track(axes: Axes, line: _Path, colour: str, n_ellipses: int) -> None:
     squares, vectors = np.linalg.eigh(line.covs[proper])
     usual = squares[:, 1] <= LARGE**2 * np.median(squares[:, 1])
     proper, squares, vectors = proper[usual], squares[usual], vectors[usual]
-    few = np.unique(np.linspace(0, len(proper) - 1, n_ellipses).astype(int))
+    few = np.unique((np.arange(n_ellipses) + 0.5) * len(proper) / n_ellipses).astype(int)
     chosen, squares, vectors = proper[few], squares[few], vectors[few]
     axis_lengths = 2 * np.sqrt(chi_square_quantile(0.95, 2) * np.maximum(squares, 0))
     angles = np.degrees(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1]))
@@ -222,7 +222,7 @@ def _handles(tags: Mapping[str, str], truth: bool, stations: bool, anchors: bool
         for (tag, remark), colour in zip(tags.items(), LINES, strict=False)
     ]
     if truth:
-        handles.append(Line2D([], [], color=TRUTH, linewidth=2.4, label="truth"))
+        handles.append(Line2D([], [], color=TRUTH, linewidth=3.0, label="truth"))
     for marker, label in (("o", "start"), ("s", "end")):
         handles.append(Line2D([], [], color=GREY, linestyle="", marker=marker, markerfacecolor="none", label=label))
     for there, marker, label in ((stations, "s", "station"), (anchors, "^", "anchor")):

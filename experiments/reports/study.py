@@ -23,6 +23,9 @@ REPORT = "report.html"
 KINDS = {".svg": "image/svg+xml", ".png": "image/png"}
 MOST_CHARTS = 4
 
+BOUNDS = {"rmse_m": "bound_m", "rmse_3d_m": "bound_3d_m"}
+"""The bound that is drawn as a line among the values of a metric, instead of in a chart of its own."""
+
 Expected = Sequence[ExpectedResult | Conclusion]
 
 
@@ -55,7 +58,10 @@ def study_page(results: Results, expected: Expected, pictures: Sequence[Path], c
     study, found = results.study, results.main_metrics()
     units = units_of({m: [v.value for v in values.values()] for m, values in found.items()})
     drawn = [m for m in study.metrics if m != "us_per_row"][:MOST_CHARTS]
-    charts = [chart for m in drawn if (chart := metric_chart(results, m, found[m], units[m])) is not None]
+    bounds = {m: found[BOUNDS[m]] for m in drawn if BOUNDS.get(m) in found}
+    drawn = [m for m in drawn if m not in {BOUNDS[error] for error in bounds}]
+    drawings = (metric_chart(results, m, found[m], units[m], bounds.get(m)) for m in drawn)
+    charts = [chart for chart in drawings if chart is not None]
     lengths = next((unit for metric, unit in units.items() if metric.endswith("_m")), None)
     more = len(study.conditions) > SHOWN_CONDITIONS
     return page(

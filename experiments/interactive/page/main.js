@@ -57,11 +57,8 @@ function placeCursor(time) {
 
 function drawPlan() {
   const { recording, selected } = state;
-  plot.parentElement.style.display = "";
-  if (recording.angles) {
-    plot.style.display = "none";
-    return;
-  }
+  plot.parentElement.classList.toggle("flat", recording.angles);
+  if (recording.angles) return;
   const shown = selected >= 0 ? [selected] : recording.tracks.map((_, k) => k);
   const traces = planTraces(recording, shown, byId("colour").value, state.window, state.trackOf);
   Plotly.react(plot, traces, planLayout(recording), { ...CONFIG, scrollZoom: true }).then(() => showMoment(playback.now()));

@@ -212,6 +212,16 @@ def test_the_density_and_probability_of_noise_with_a_tail_belong_together():
     )
 
 
+def test_the_density_of_a_heavy_tail_is_finite_and_ends():
+    x = np.linspace(0.01, 12, 500)
+    seen = Innovations(x, np.ones(len(x)), np.zeros(len(x), int), student_t_dof=1.8)
+    density = expected_density(x, seen)
+    assert np.isfinite(density).all()
+    # The NIS of a row with one degree of freedom is below 1 + 1.8.
+    assert (density[x < 2.8] > 0).all()
+    assert (density[x > 2.8] == 0).all()
+
+
 def test_autocorrelation_is_that_of_the_model_and_stops_at_the_end_of_a_trajectory():
     rng = np.random.default_rng(0)
     z = np.zeros(20_000)

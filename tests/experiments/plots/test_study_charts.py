@@ -1,0 +1,48 @@
+"""Charts of a study: a bound is a line among the errors, and a grid of a world's parameter has its unit."""
+
+import base64
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from experiments.monte_carlo import Study, TrackerConfig, World
+from experiments.monte_carlo.expectations import Value
+from experiments.plots.study import metric_chart
+from experiments.reports.wording import Unit
+from sim.worlds import WORLDS
+
+
+def _drawn(name, values, bounds=None):
+    """The SVG of RMSE over a grid of two trackers."""
+    study = Study(
+        name="grid",
+        about="",
+        worlds={"hand": World(WORLDS["station"])},
+        trackers={"direct": TrackerConfig("direct"), "cascade": TrackerConfig("cascade")},
+        grid={name: values},
+        runs=2,
+    )
+    found = {(c.index, t): Value(0.01 + 0.01 * c.index, 0.009, 0.06) for c in study.conditions for t in study.trackers}
+    limits = None if bounds is None else {key: Value(b, b, b) for key, b in zip(found, bounds, strict=True)}
+    chart = metric_chart(SimpleNamespace(study=study), "rmse_m", found, Unit("cm", 100.0), limits)
+    return base64.b64decode(chart.address.split(",", 1)[1]).decode()
+
+
+def test_the_bound_is_a_line_among_the_errors():
+    with_bound = _drawn("world.sigma_p", [0.1, 0.2, 0.3], [0.005, np.nan] * 3)
+    assert with_bound.count("Cramér–Rao bound") == 1
+    assert "direct: Cramér–Rao bound" in with_bound
+    assert "Cramér–Rao bound" not in _drawn("world.sigma_p", [0.1, 0.2, 0.3])
+
+
+def test_the_bound_is_a_stroke_in_the_row_of_a_condition():
+    assert "strokes: Cramér–Rao bound" in _drawn("world.path", ["helix", "hand"], [0.005, 0.006] * 2)
+
+
+@pytest.mark.parametrize(
+    ("name", "label"),
+    [("world.sigma_p, sensors.*.sigma_p", "sigma_p (rad)"), ("world.drop_outs", "drop_outs"), ("motion.sigma_a", "motion.sigma_a")],
+)  # fmt: skip
+def test_the_grid_of_a_worlds_parameter_has_its_unit(name, label):
+    assert f">{label}</text>" in _drawn(name, [0.1, 0.2, 0.3])
