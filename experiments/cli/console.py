@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import shutil
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -21,11 +19,6 @@ ERRORS = Console(stderr=True, highlight=False, soft_wrap=True)
 def notice(text: str) -> None:
     """Prints one line on standard error."""
     ERRORS.print(text, markup=False)
-
-
-def terminal_width() -> int:
-    """Characters that a line of a table may have: those of the terminal, 120 where the output goes elsewhere."""
-    return shutil.get_terminal_size((120, 24)).columns if sys.stdout.isatty() else 120
 
 
 def selection(tag: Sequence[str], start: float | None, stop: float | None, every: float | None) -> Selection:

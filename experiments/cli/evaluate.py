@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from experiments.cli.arguments import File
-from experiments.cli.console import read_with_notices, selection, terminal_width
+from experiments.cli.console import read_with_notices, selection
 from experiments.cli.evaluate_poses import PoseOptions, evaluate_poses
+from experiments.reports.tables import terminal_width
 from trackers.core.errors import UnusableInput
 from trackers.exchange.alignment import Alignment
 from trackers.recordings.atomic import atomic_write

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Literal
 
 import polars as pl
 
-from experiments.cli.console import notice, output_folder, read_with_notices, require_output, terminal_width
+from experiments.cli.console import notice, output_folder, read_with_notices, require_output
+from experiments.reports.tables import terminal_width
 from trackers.core.errors import UnusableInput
 from trackers.exchange.alignment import Alignment
 from trackers.exchange.estimate_files import assigned, read_estimates, read_truth

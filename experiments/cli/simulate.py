@@ -11,6 +11,7 @@ from typing import Any, get_type_hints
 
 from experiments.cli.arguments import Folder
 from experiments.cli.manifest import write_manifest
+from experiments.reports.wording import counted
 from sim import worlds
 from sim.parameters import ParameterError
 from sim.worlds import SimulatedWorld
@@ -36,8 +37,8 @@ def command(world: Callable[..., SimulatedWorld]) -> Callable[..., int]:
         write_recording(folder, out)
         config = {name: value for name, value in numbers.items() if name != "seed"}
         write_manifest(out, sys.argv, config, started, seeds=(numbers["seed"],))
-        sizes = ", ".join(f"{name} {len(table)} rows" for name, table in folder.tables.items())
-        print(f"wrote {out}: {len(folder.rig.tags)} tags, {sizes}")
+        sizes = ", ".join(f"{name} {counted(len(table), 'row')}" for name, table in folder.tables.items())
+        print(f"wrote {out}: {counted(len(folder.rig.tags), 'tag')}, {sizes}")
         return 0
 
     hints = get_type_hints(world, include_extras=True)

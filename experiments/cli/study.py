@@ -22,6 +22,7 @@ from experiments.monte_carlo.runner import StopRule, run_study
 from experiments.monte_carlo.sources import available_studies, load_study
 from experiments.reports.study import write_study_report
 from experiments.reports.study_text import study_names, to_json, to_text
+from experiments.reports.wording import counted
 from trackers.core.chunks import n_workers
 from trackers.core.errors import UnusableInput
 from trackers.recordings.atomic import atomic_write
@@ -83,8 +84,9 @@ def study(
     total = len(declared.conditions) * declared.chunks
     with cluster_executor(cluster) if cluster else nullcontext() as executor:
         notice(
-            f"{declared.name}: {declared.about} {len(declared.conditions)} conditions × {declared.runs} runs × "
-            f"{len(declared.trackers)} trackers in {total} chunks of {declared.chunk}, "
+            f"{declared.name}: {declared.about} {counted(len(declared.conditions), 'condition')} × "
+            f"{counted(declared.runs, 'run')} × {counted(len(declared.trackers), 'tracker')} in "
+            f"{counted(total, 'chunk')} of {declared.chunk}, "
             + (f"on {cluster}" if cluster else f"{n_workers()} in parallel")
         )
         with progress(declared.name, total // part[1] if part[1] > 1 else total) as advance:

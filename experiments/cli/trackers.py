@@ -6,8 +6,9 @@ import textwrap
 from typing import TYPE_CHECKING, Annotated, Any
 
 from experiments.cli.arguments import File, Folder
-from experiments.cli.console import notice, read_with_notices, terminal_width
+from experiments.cli.console import notice, read_with_notices
 from experiments.cli.summaries import TRACKERS
+from experiments.reports.tables import terminal_width
 from trackers.core.errors import UnusableInput
 from trackers.recordings.atomic import json_text
 from tuning.tuned_file import read_tuned

@@ -15,13 +15,14 @@ from typing import Any
 
 import polars as pl
 
-from experiments.cli.console import notice, notice_unused_calibration, output_folder, terminal_width
+from experiments.cli.console import notice, notice_unused_calibration, output_folder
 from experiments.cli.evaluate import SOURCES
 from experiments.cli.manifest import write_manifest
 from experiments.cli.stages import Begin
 from experiments.executors import cluster_executor
 from experiments.portable_tracker import run_on
 from experiments.reports.evaluation_text import to_text
+from experiments.reports.tables import terminal_width
 from experiments.reports.wording import counted, uncapitalised
 from experiments.scored_tracks import ScoredTracks
 from trackers.catalogue import build, fitting

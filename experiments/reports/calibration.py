@@ -12,7 +12,7 @@ import numpy as np
 
 from experiments.plots.calibration import Panel, errors_over_floor, measured_against_true
 from experiments.reports.pages import page, write_page
-from experiments.reports.tables import rendered, ruled_table
+from experiments.reports.tables import rendered, ruled_table, terminal_width
 from experiments.reports.wording import MISSING, counted, fixed
 from trackers.core.errors import UnusableInput
 from trackers.recordings.calibration import (
@@ -168,7 +168,7 @@ def report_text(report: Report) -> str:
         )
         if rows
     ]
-    return rendered(WIDTH, *tables, NOTE)
+    return rendered(terminal_width(WIDTH), *tables, NOTE)
 
 
 def draw_report(out: Path, calibration: Calibration, report: Report) -> list[str]:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from experiments.monte_carlo.declaration import short
 from experiments.monte_carlo.expectations import Value
 from experiments.reports.pages import page, write_page
-from experiments.reports.tables import rendered, ruled_table
+from experiments.reports.tables import rendered, ruled_table, terminal_width
 from experiments.reports.wording import MISSING, heading, units_of, with_interval, yes_no
 from trackers.core.errors import UnusableInput
 
@@ -92,7 +92,7 @@ def rows(found: Sequence[Pair]) -> list[list[str]]:
 
 def comparison_text(runs: Sequence[Path], found: Sequence[Pair]) -> str:
     """The metrics side by side, for a terminal."""
-    return rendered(WIDTH, ruled_table(f"first: {runs[0]}, second: {runs[1]}", HEAD, 2, rows(found)))
+    return rendered(terminal_width(WIDTH), ruled_table(f"first: {runs[0]}, second: {runs[1]}", HEAD, 2, rows(found)))
 
 
 def write_comparison(path: Path, runs: Sequence[Path], found: Sequence[Pair], command: Sequence[str]) -> Path:

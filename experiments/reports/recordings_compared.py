@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
-from experiments.reports.tables import rendered, ruled_table
+from experiments.reports.tables import rendered, ruled_table, terminal_width
 from experiments.reports.wording import Unit, fixed, length_unit
 from trackers.covariance_statements import covariance_statements
 from trackers.evaluation import Evaluation, evaluate_association
@@ -31,7 +31,7 @@ class Compared(NamedTuple):
     def text(self) -> str:
         """The table and the sentences for a terminal."""
         title = f"{self.about[0].upper()}{self.about[1:]}, before → after"
-        return rendered(WIDTH, ruled_table(title, self.head, 1, self.rows), *self.statements)
+        return rendered(terminal_width(WIDTH), ruled_table(title, self.head, 1, self.rows), *self.statements)
 
 
 def compare(

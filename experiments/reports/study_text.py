@@ -11,7 +11,7 @@ from rich.table import Table
 from experiments.monte_carlo.declaration import Study
 from experiments.monte_carlo.expectations import Conclusion, ExpectedResult, Value
 from experiments.monte_carlo.results import NAMES, Results
-from experiments.reports.tables import aligned, rendered, ruled_table
+from experiments.reports.tables import aligned, rendered, ruled_table, terminal_width
 from experiments.reports.wording import Unit, heading, headline, ratio_text, units_of, with_interval, yes_no
 from trackers.recordings.atomic import json_text
 
@@ -26,7 +26,7 @@ def to_text(results: Results, expected: Sequence[ExpectedResult | Conclusion]) -
         _table(results.study, heading(metric, units[metric]), found, units[metric]) for metric, found in shown.items()
     ]
     reproduced = [t for t in (_expected(expected), _conclusions(expected)) if t is not None]
-    text = rendered(WIDTH, *tables, *reproduced)
+    text = rendered(terminal_width(WIDTH), *tables, *reproduced)
     return f"{text}\n{headline_of(expected)}\n" if reproduced else text
 
 

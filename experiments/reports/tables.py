@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import shutil
+import sys
 from collections.abc import Iterable, Sequence
 
 from rich import box
@@ -11,6 +13,11 @@ from rich.table import Table
 
 UNLIMITED = 100_000
 """Characters a line where a table is not to be wrapped."""
+
+
+def terminal_width(elsewhere: int = 120) -> int:
+    """Characters that a line of a table may have: those of the terminal, or `elsewhere` where the output goes there."""
+    return shutil.get_terminal_size((elsewhere, 24)).columns if sys.stdout.isatty() else elsewhere
 
 
 def ruled_table(title: str, columns: Sequence[str], n_text: int = 1, rows: Iterable[Sequence[str]] = ()) -> Table:
