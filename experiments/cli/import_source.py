@@ -39,7 +39,7 @@ def import_source(
 
     Args:
         source: a file, or the folder of a ROS 2 bag.
-        out: the recording folder to write; of an existing one, to which tables are added.
+        out: the recording folder to write, whose name is that of the recording; tables are added to an existing one.
         table: what the rows or messages are.
         columns: TARGET=COLUMN for each column with another name, e.g. "range_m=distance_mm*0.001",
             "range_m=distance in mm", "t_s=stamp in iso", "anchor=header.frame_id", "range_m[A1]=d1" for a column of
@@ -75,9 +75,10 @@ def import_source(
     found = read_source(source, kind, mappings, interval, skip_bad_lines, messages)
     for line in found.notices:
         notice(f"notice: {line}")
-    name = out.resolve().name
     if (out / RIG_FILE).is_file() and rig is not None:
         raise UnusableInput(f"--rig {rig}: {out} has a rig.toml already; expected one; leave --rig out")
+    # Recordings of one installation share its rig, but not their name.
+    name = None if (out / RIG_FILE).is_file() else out.resolve().name
     known = out / RIG_FILE if (out / RIG_FILE).is_file() else rig
     folder = assembled(name, None if known is None else read_rig(known)[0], found.tables, found.anchors)
     written = save(folder, out)

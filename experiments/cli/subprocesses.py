@@ -22,10 +22,13 @@ def recordings_folder() -> Path | None:
     return folder if folder.is_dir() else None
 
 
-def command(*arguments: str | Path) -> None:
-    """Print a `trackwright` command and run it, its output to the terminal; exits with its code if it fails."""
+def command(*arguments: str | Path, folder: Path | None = None) -> None:
+    """Print a `trackwright` command and run it, its output to the terminal; exits with its code if it fails.
+
+    `folder`: the one it runs in; the current one by default.
+    """
     print(f"\n$ trackwright {shlex.join(map(str, arguments))}", flush=True)
-    _exit_on_failure(subprocess.run(_trackwright(arguments), check=False))
+    _exit_on_failure(subprocess.run(_trackwright(arguments), check=False, cwd=folder))
 
 
 def evaluation(tracks: Path) -> dict[str, Any]:

@@ -31,13 +31,14 @@ def import_frames(
     rig: Rig | Path | str | None = None,
     columns: Mapping[str, Sequence[str]] | None = None,
     tag: str | None = None,
-    name: str = "imported",
+    name: str | None = None,
 ) -> RecordingFolder:
     """A recording from pandas or polars frames by table, checked as if it were read from a folder.
 
     `rig`: the geometry, or the path of a rig.toml; needed for ranges, bearings and phases. `columns`: by table,
     expressions such as `range_m=distance_mm*0.001` or `t_s=stamp in ms` (docs/import.md); columns that have the name of
-    their target need none. `tag`: the id of all rows, where no column has it. Raises UnusableInput.
+    their target need none. `tag`: the id of all rows, where no column has it. `name`: of the recording, by default that
+    of the rig. Raises UnusableInput.
     """
     tables, notices = {}, []
     for table, frame in frames.items():
@@ -72,14 +73,18 @@ def _polars(frame: Any, table: str) -> pl.DataFrame:
 
 
 def assembled(
-    name: str,
+    name: str | None,
     rig: Rig | None,
     tables: Mapping[str, pl.DataFrame],
     anchors: Mapping[str, tuple[float, float, float]] | None = None,
 ) -> RecordingFolder:
-    """The recording of tables, with a rig or the anchors that a log names; raises UnusableInput for unknown sensors."""
+    """The recording of tables, with a rig or the anchors that a log names; raises UnusableInput for unknown sensors.
+
+    `name`: of the recording, by default that of the rig.
+    """
     if rig is None:
-        rig = Rig(name, {key: np.array(place) for key, place in (anchors or {}).items()})
+        rig = Rig(name or "imported", {key: np.array(place) for key, place in (anchors or {}).items()})
+    rig = replace(rig, name=name or rig.name)
     for table, (column, section) in _SENSORS.items():
         if table in tables:
             known = getattr(rig, section)

@@ -20,6 +20,7 @@ RECEIVED = "received"
 """Field of every message: the time, s, at which the bag received it."""
 
 _PART = re.compile(r"(\w+)((?:\[\d*\])*)")
+_WHOLE = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 _POSES = {
     "geometry_msgs/msg/PointStamped": ("point", None),
     "geometry_msgs/msg/PoseStamped": ("pose.position", "pose.orientation"),
@@ -158,5 +159,15 @@ def _series(values: list[Any], source: str, path: Path) -> pl.Series:
 
 
 def _fields(reader: Any, kind: str) -> str:
-    definition = reader.typestore.fielddefs.get(kind)
-    return listed([name for name, _ in definition[1]], 20) if definition else "unknown"
+    """The paths of the fields of a message type, for messages; times and the elements of lists are single fields."""
+    return listed(_paths(reader.typestore.fielddefs, kind), 24)
+
+
+def _paths(definitions: Any, kind: str) -> Iterator[str]:
+    for name, (node, about) in definitions[kind][1] if kind in definitions else ():
+        if node.name in ("ARRAY", "SEQUENCE"):
+            name, (node, about) = name + "[]", about[0]
+        if node.name == "NAME" and about not in _WHOLE:
+            yield from (f"{name}.{path}" for path in _paths(definitions, about))
+        else:
+            yield name

@@ -63,7 +63,13 @@ def read_source(
         log = read_log(path, kind, mappings[0].tag if mappings else None, interval, skip)
         return Source(log.tables(), log.notices, log.anchors)
     if not mappings:
-        raise UnusableInput(f"{path}: no table given; expected --table, or a file of mappings: --mapping FILE.toml")
+        topics = ""
+        if kind == "ros":
+            with opened(path, definitions) as reader:
+                topics = f"; topics: {topics_of(reader)}"
+        raise UnusableInput(
+            f"{path}: no table given; expected --table, or a file of mappings: --mapping FILE.toml{topics}"
+        )
     found = Source()
     if kind == "ros":
         with opened(path, definitions) as reader:

@@ -31,7 +31,7 @@ def test_a_csv_log_and_a_trajectory_become_one_recording(there):
     said = trackwright("import", "mocap.tum", "--table", "truth", "--tag", "T1", "--out", "hall")
     assert said.code == 0, said.err
     recording = read_recording(there / "hall")
-    assert recording.name == "hall 3"
+    assert recording.name == "hall"
     assert {name: len(table) for name, table in recording.tables.items()} == {"ranges": 60, "truth": 35}
     assert recording.tables["ranges"]["anchor"].unique(maintain_order=True).to_list() == ["A1", "A2", "0x0F"]
     assert recording.tables["ranges"]["t_s"][3] == pytest.approx(0.1)

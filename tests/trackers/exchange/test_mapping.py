@@ -135,8 +135,8 @@ def _ranges():
 @pytest.mark.parametrize("make", [pd.DataFrame, pl.DataFrame, pl.LazyFrame])
 def test_frames_become_a_recording(make):
     columns = {"ranges": ["range_m=distance in mm", "t_s=when"]}
-    recording = import_frames({"ranges": make(_ranges())}, RIG, columns, tag="T1", name="x")
-    assert recording.name == "room"
+    recording = import_frames({"ranges": make(_ranges())}, RIG, columns, tag="T1", name="monday")
+    assert recording.name == "monday"
     assert recording.path is None
     assert recording.tables["ranges"].rows() == [(0.0, "T1", "A1", 1.0), (0.1, "T1", "A2", 2.0), (0.2, "T1", "A1", 1.5)]
 
