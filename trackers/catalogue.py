@@ -12,6 +12,7 @@ from types import ModuleType
 from trackers.core.errors import UnusableInput
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.named_tracker import NamedTracker, folder_list
+from trackers.recordings.tables import MEASUREMENTS
 from trackers.recordings.tracker_spec import TrackerSpec
 
 SYSTEMS = ("aoa", "line", "uwb_imu", "baselines", "mhk")
@@ -67,14 +68,21 @@ def tracker_for(recordings: RecordingFolder | Sequence[RecordingFolder], free_he
 
 
 def fitting(folder: RecordingFolder) -> str:
-    """The name of the tracker that fits the folder's tables; raises UnusableInput where none does."""
+    """The name of the tracker that fits the folder's tables.
+
+    Raises UnusableInput where none does, with what the folder lacks for the first one that reads a table of its own.
+    """
+    nearest = None
     for name, spec in TRACKERS.items():
-        if spec.missing(folder) is None and spec.automatic(folder):
+        missing = spec.missing(folder)
+        if missing is None and spec.automatic(folder):
             return name
-    needs = ", ".join(sorted({spec.table for spec in TRACKERS.values()}))
+        if nearest is None and missing is not None and spec.table in folder.tables:
+            nearest = f"the nearest, '{name}', needs {missing}"
+    needs = ", ".join(sorted({spec.table for spec in TRACKERS.values()} & set(MEASUREMENTS)))
     raise UnusableInput(
-        f"{folder.path}: tables {', '.join(folder.tables)}: no tracker fits; expected one of {needs} "
-        "with its geometry in rig.toml; see `trackwright track --help`"
+        f"{folder.path or folder.name}: no tracker fits; {nearest or f'all need one of the tables {needs}'}; its "
+        f"tables: {', '.join(folder.tables)}; see `trackwright trackers`"
     )
 
 

@@ -44,9 +44,17 @@ def read_with_notices(
     `part`: of each recording, all by default. Prints their notices. Raises UnusableInput as `read_recordings` and
     `read_calibration`, and for a wrong interval.
     """
+    return prepared(read_recordings(paths), calibration, average, part)
+
+
+def prepared(
+    recordings: Sequence[RecordingFolder], calibration: Path | None, average: float | None, part: Selection | None
+) -> list[RecordingFolder]:
+    """Recordings that were read, as `read_with_notices` returns them; prints their notices."""
+    paths = [recording.path for recording in recordings]
     if average is not None and not 0 <= average < math.inf:
         raise UnusableInput(f"--average {average:g}: expected seconds above zero, or 0 for every reading")
-    recordings = [(part or Selection()).of(recording) for recording in read_recordings(paths)]
+    recordings = [(part or Selection()).of(recording) for recording in recordings]
     if average is not None:
         recordings = [recording.averaged(average) for recording in recordings]
     read = None if calibration is None else read_calibration(calibration)

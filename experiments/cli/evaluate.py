@@ -15,14 +15,11 @@ from experiments.reports.tables import terminal_width
 from trackers.core.errors import UnusableInput
 from trackers.exchange.alignment import Alignment
 from trackers.recordings.atomic import atomic_write
-from trackers.recordings.tracks_table import read_tracks
+from trackers.recordings.tracks_table import EVALUATION, SOURCES, read_tracks
 
 if TYPE_CHECKING:
     from trackers.evaluation import Evaluation
     from trackers.worksteps.tracks import WorkstepReport
-
-SOURCES = "recordings.txt"
-"""File in the output folder of `track`: paths of the tracked recordings, one per line."""
 
 
 def evaluate_tracks(
@@ -97,7 +94,7 @@ def evaluate_tracks(
         work = workstep_report(tracks, truths, worksteps, tolerance, every)
         evaluation = with_work(evaluation, work)
     text = to_json(evaluation, None if work is None else work.plain())
-    atomic_write(folder / "evaluation.json", lambda path: path.write_text(text, encoding="utf-8"))
+    atomic_write(folder / EVALUATION, lambda path: path.write_text(text, encoding="utf-8"))
     print(
         text if json else to_text(evaluation, terminal_width()) + ("" if work is None else "\n" + work_text(work)),
         end="",

@@ -3,40 +3,48 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 from experiments.cli.arguments import File, Folders
 from experiments.cli.console import notice, output_folder
-from experiments.reports.comparison import SHOWN, comparison_text, pairs, write_comparison
-from trackers.core.errors import UnusableInput
+
+COMPARISON = "comparison.html"
+"""The page that `track` writes where it ran several trackers."""
 
 
 def report(
     runs: Folders,
     *,
-    out: File = Path("out/comparison.html"),
-    metrics: Annotated[tuple[str, ...], "METRIC"] = SHOWN,
+    out: File = Path("out") / COMPARISON,
+    metrics: Annotated[tuple[str, ...], "METRIC"] = (),
 ) -> int:
-    """Compare two runs: print their metrics and write them as a page.
+    """Compare runs: metrics, differences from the first, a page, figures.
 
     Args:
-        runs: two output folders of `study`, or two of `track` with the evaluation.json of `evaluate`.
-        out: the page to write.
-        metrics: names of the metrics to show, as in results.json or evaluation.json.
+        runs: two or more output folders of `study`, or two or more of `track`.
+        out: the page to write; figures are written beside it.
+        metrics: of studies: names of the metrics to show, as in results.json.
     """
-    if len(runs) != 2:
-        raise UnusableInput(f"report: found {len(runs)} folders; expected two to compare")
-    compared, notices = pairs(*runs)
-    known = {p.metric for p in compared}
-    shown = [p for p in compared if p.metric in metrics]
-    if not shown:
-        raise UnusableInput(
-            f"--metrics {' '.join(metrics)}: not in both runs; expected names among {', '.join(sorted(known))}"
-        )
-    for text in notices:
-        notice(f"notice: {text}")
-    print(comparison_text(runs, shown), end="")
-    output_folder(out.parent)
-    print(f"wrote {write_comparison(out, runs, shown, sys.argv)}")
+    print_comparison(runs, out, metrics)
     return 0
+
+
+def print_comparison(folders: Sequence[Path], out: Path, metrics: Sequence[str] = ()) -> None:
+    """Prints the comparison of the runs in these folders and writes it as a page with figures beside it."""
+    # Reading errors of tracks and drawing take a second to import, which the help need not wait for.
+    from experiments.plots.comparison import plot_comparison
+    from experiments.reports.comparison import SHOWN, comparison, comparison_text, lone_subjects
+    from experiments.reports.comparison_page import write_comparison
+    from experiments.reports.runs import read_runs
+
+    runs, notices = read_runs(folders)
+    tables, contrasts = comparison(runs, metrics or SHOWN)
+    for text in (*notices, *lone_subjects(runs)):
+        notice(f"notice: {text}")
+    print(comparison_text(tables), end="")
+    output_folder(out.parent)
+    drawn = plot_comparison(out, runs, contrasts)
+    page = write_comparison(out, [run.name for run in runs], tables, drawn, sys.argv)
+    print(f"wrote {page}" + "".join(f", {path.name}" for path in drawn))

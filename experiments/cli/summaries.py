@@ -10,7 +10,7 @@ COMMANDS = {
     "track": "Track recordings: estimates, events, error metrics, a page with playback.",
     "evaluate": "Error metrics of estimates against truth; exit 1 by --fail-if.",
     "export": "Export tracks or truth: TUM, KITTI, CSV, ROS 2 bag, Rerun.",
-    "report": "Compare two runs: print their metrics and write them as a page.",
+    "report": "Compare runs: metrics, differences from the first, a page, figures.",
     "tune": "Fit noise levels by gradient: values, intervals and a report.",
     "sweep": "Evaluate an objective on a grid of one or two noise levels.",
     "trackers": "List the trackers and the tables they read.",

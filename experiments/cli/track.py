@@ -6,9 +6,10 @@ from datetime import UTC, datetime
 from typing import Annotated, Literal
 
 from experiments.cli.arguments import File, Folder, Folders
-from experiments.cli.console import read_with_notices, require_output, selection
+from experiments.cli.console import prepared, require_output, selection
 from experiments.cli.runtime import keep_programs
 from experiments.cli.stages import stages
+from experiments.cli.usable import usable_recordings
 from trackers.core.errors import UnusableInput
 from tuning.tuned_file import parse_values, read_tuned
 
@@ -34,6 +35,7 @@ def track(
     no_figures: bool = False,
     no_report: bool = False,
     format: Literal["png", "pdf"] = "png",
+    force: bool = False,
 ) -> int:
     """Track recordings: estimates, events, error metrics, a page with playback.
 
@@ -43,8 +45,8 @@ def track(
     Args:
         recordings: recording folders (rig.toml and tables).
         out: the folder to write to.
-        tracker: one that `trackwright trackers` lists, or FILE.py:NAME of a TrackerSpec of your own; default: that of
-            the noise file, else the one that fits the tables.
+        tracker: one that `trackwright trackers` lists, or FILE.py:NAME of a TrackerSpec of your own; several names with
+            commas are compared; default: that of the noise file, else for each recording the one that fits its tables.
         noise: a tuned.toml of `trackwright tune`.
         set_: values by tunable or pattern, e.g. sensors.ranges.sigma_r=0.1; those of `trackwright tunables`.
         calibration: a calibration.toml of `trackwright calibrate`, of other recordings of these stations or anchors.
@@ -62,6 +64,7 @@ def track(
         no_figures: draw no figures.
         no_report: write no report.html, the page with playback and linked charts.
         format: of the figures.
+        force: track recordings in spite of the errors that `trackwright check` finds.
     """
     started = datetime.now(UTC)
     require_output(out)
@@ -71,14 +74,15 @@ def track(
     tuned = None if noise is None else read_tuned(noise)
     with stages("track") as begin:
         begin("reading")
-        folders = read_with_notices(recordings, calibration, average, part)
+        usable, refused = usable_recordings(recordings, force)
+        folders = prepared(usable, calibration, average, part)
         begin("preparing")
         keep_programs()
         # jax takes a second to import, which the help and a refused recording need not wait for.
         from experiments.cli.tracking import Options, track_folders
 
         options = Options(
-            recordings, out, tracker, noise, tuned, values, calibration, part, average, free_height, smooth, lag, seed,
-            cluster, not no_figures, not no_report, format,
+            out, tracker, noise, tuned, values, calibration, part, average, free_height, smooth, lag, seed, cluster,
+            not no_figures, not no_report, format,
         )  # fmt: skip
-        return track_folders(folders, options, started, begin)
+        return track_folders(folders, refused, options, started, begin)

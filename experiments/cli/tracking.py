@@ -16,16 +16,17 @@ from typing import Any
 import polars as pl
 
 from experiments.cli.console import notice, notice_unused_calibration, output_folder
-from experiments.cli.evaluate import SOURCES
 from experiments.cli.manifest import write_manifest
+from experiments.cli.report import COMPARISON, print_comparison
 from experiments.cli.stages import Begin
+from experiments.cli.tracked_by import TrackedBy, tracked_by
 from experiments.executors import cluster_executor
 from experiments.portable_tracker import run_on
-from experiments.reports.evaluation_text import to_text
+from experiments.reports.evaluation_text import to_json, to_text
 from experiments.reports.tables import terminal_width
 from experiments.reports.wording import counted, uncapitalised
 from experiments.scored_tracks import ScoredTracks
-from trackers.catalogue import build, fitting
+from trackers.catalogue import build, spec_of
 from trackers.core.chunks import CHUNK
 from trackers.core.errors import UnusableInput
 from trackers.core.freed_memory import give_back
@@ -36,7 +37,7 @@ from trackers.recordings.atomic import atomic_write
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.selection import Selection
 from trackers.recordings.tracks import Tracks, track
-from trackers.recordings.tracks_table import TRACKS, write_tracks
+from trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS, write_tracks
 from trackers.recordings.trajectories import known_height
 from tuning.tuned_file import Tuned
 
@@ -48,7 +49,6 @@ class Options:
     `tuned`: the content of the file `noise`. `values`: by tunable or pattern. `part`: of the recordings.
     """
 
-    recordings: Sequence[Path]
     out: Path
     tracker: str | None
     noise: Path | None
@@ -67,19 +67,45 @@ class Options:
     format: str
 
 
-def track_folders(folders: Sequence[RecordingFolder], options: Options, started: datetime, begin: Begin) -> int:
-    """Tracks the recordings, writes all files and prints the metrics; returns the exit code. `begin`: of a stage."""
-    out, tuned = options.out, options.tuned
-    of_file = None if tuned is None else tuned.tracker
-    name = options.tracker or of_file or fitting(folders[0])
+def track_folders(
+    folders: Sequence[RecordingFolder], refused: Sequence[str], options: Options, started: datetime, begin: Begin
+) -> int:
+    """Tracks the recordings, writes all files and prints the metrics; returns the exit code, 1 if some were `refused`.
+
+    Several trackers get a folder each, by their names; those that the user named are compared. `begin`: of a stage.
+    """
+    of_file = None if options.tuned is None else options.tuned.tracker
+    runs, unfit = tracked_by(folders, options.tracker or of_file)
+    for name in (run.tracker for run in runs if options.tracker is None):
+        if of_file is not None:
+            notice(f"tracker: {name}, that of {options.noise}; choose another with --tracker")
+        else:
+            notice(f"tracker: {name} ({spec_of(name).about}); choose another with --tracker")
+    if len(runs) > 1 and options.noise is not None:
+        names = ", ".join(run.tracker for run in runs)
+        raise UnusableInput(f"--noise {options.noise}: belongs to one tracker, found {names}; name one with --tracker")
+    if len(runs) == 1:
+        _track(runs[0], options, options.out, started, begin, True)
+    else:
+        output_folder(options.out)
+        compared = options.tracker is not None
+        for run in runs:
+            _track(run, options, options.out / run.short, started, begin, not compared)
+        if compared:
+            begin("comparison")
+            print_comparison([options.out / run.short for run in runs], options.out / COMPARISON)
+    for line in (*refused, *unfit):
+        notice(f"not tracked: {line}")
+    return int(bool(refused or unfit))
+
+
+def _track(run: TrackedBy, options: Options, out: Path, started: datetime, begin: Begin, shown: bool) -> None:
+    """Tracks recordings with one tracker into the folder `out`; `shown`: with a table of errors and with figures."""
+    name, folders = run
     named = build(name, folders, options.free_height)
-    if options.tracker is None and of_file is not None:
-        notice(f"tracker: {name}, that of {options.noise}; choose another with --tracker")
-    elif options.tracker is None:
-        notice(f"tracker: {name} ({named.spec.about}); choose another with --tracker")
     notice_unused_calibration(folders, name, named.spec.table)
-    if tuned is not None:
-        named = named.with_values(tuned.values, options.noise)
+    if options.tuned is not None:
+        named = named.with_values(options.tuned.values, options.noise)
     if options.values:
         named = named.with_values(options.values, "--set")
     if options.smooth or options.lag is not None:
@@ -106,22 +132,22 @@ def track_folders(folders: Sequence[RecordingFolder], options: Options, started:
     atomic_write(out / TRACKS, partial(write_tracks, table))
     happened = events_of(table, named.spec, batches)
     atomic_write(out / EVENTS, happened.write_parquet)
-    paths = "\n".join(str(p.resolve()) for p in options.recordings)
+    paths = "\n".join(str(folder.path.resolve()) for folder in folders if folder.path is not None)
     atomic_write(out / SOURCES, lambda path: path.write_text(paths + "\n", encoding="utf-8"))
-    print(
-        f"{counted(sum(summaries.values()), 'track')}: "
-        + "; ".join(f"{n} {v}" for v, n in sorted(summaries.items(), key=lambda x: -x[1]))
-    )
+    endings = "; ".join(f"{n} {v}" for v, n in sorted(summaries.items(), key=lambda x: -x[1]))
+    print(f"{'' if out == options.out else f'{run.short}: '}{counted(sum(summaries.values()), 'track')}: {endings}")
     truths = {f.name: f.tables["truth"] for f in folders if "truth" in f.tables}
     association = associate_truth(table, truths)
-    evaluation = None
     if association.scored.any():
         evaluation = evaluate(association, folders).with_residuals(tracks)
-        print(to_text(evaluation, terminal_width()), end="")
+        if shown:
+            print(to_text(evaluation, terminal_width()), end="")
     else:
-        _without_truth(association, folders, tracks)
+        evaluation = _without_truth(association, folders, tracks)
+    metrics = to_json(evaluation)
+    atomic_write(out / EVALUATION, lambda path: path.write_text(metrics, encoding="utf-8"))
     scored = ScoredTracks(association, folders, batches)
-    drawn = _shown(scored, happened, evaluation, f"{name}: {named.spec.about}", options, begin)
+    drawn = _shown(scored, happened, evaluation, f"{name}: {named.spec.about}", options, out, begin) if shown else []
     config = {
         "tracker": name,
         "noise": None if options.noise is None else str(options.noise),
@@ -140,21 +166,21 @@ def track_folders(folders: Sequence[RecordingFolder], options: Options, started:
         config,
         started,
         chunk=CHUNK,
-        extra={"recordings": [str(p) for p in options.recordings], "verdicts": summaries},
+        extra={"recordings": [str(folder.path) for folder in folders], "verdicts": summaries},
     )
     for event, count in happened.group_by("event", maintain_order=True).len().iter_rows():
         print(f"event: {event} ({counted(count, 'time')})")
-    written = f"{out / TRACKS} ({counted(len(table), 'estimate')}), {EVENTS}, manifest.json"
+    written = f"{out / TRACKS} ({counted(len(table), 'estimate')}), {EVENTS}, {EVALUATION}, manifest.json"
     print(f"wrote {', '.join([written, *drawn])}")
-    return 0
 
 
 def _shown(
     tracks: ScoredTracks,
     events: pl.DataFrame,
-    evaluation: Evaluation | None,
+    evaluation: Evaluation,
     tracker: str,
     options: Options,
+    out: Path,
     begin: Begin,
 ) -> list[str]:
     """Writes the page and the figures that are asked for; returns in words what was written."""
@@ -163,25 +189,28 @@ def _shown(
         begin("report")
         from experiments.interactive.track_page import PAGE, write_track_page
 
+        known = evaluation if tracks.association.scored.any() else None
         command = shlex.join(["trackwright", *sys.argv[1:]])
-        write_track_page(options.out / PAGE, tracks, events, evaluation, tracker, command)
+        write_track_page(out / PAGE, tracks, events, known, tracker, command)
         written.append(PAGE)
     if options.figures:
         begin("figures")
         # matplotlib takes a third of a second to import.
         from experiments.plots.track_folder import plot_tracks
 
-        drawn = plot_tracks(options.out, tracks, options.format)
+        drawn = plot_tracks(out, tracks, options.format)
         written.append(f"{counted(len(drawn), 'figure')} ({', '.join(drawn[:4])}{', …' if len(drawn) > 4 else ''})")
     return written
 
 
-def _without_truth(association: Association, folders: Sequence[RecordingFolder], tracks: Tracks) -> None:
-    """Prints why the tracks are not evaluated, if there is a truth, and the statement on their innovations."""
+def _without_truth(association: Association, folders: Sequence[RecordingFolder], tracks: Tracks) -> Evaluation:
+    """The metrics of the innovations; prints what these show, and if there is a truth, why it is not used."""
     if any("truth" in f.tables for f in folders):
         try:
             evaluate(association, folders)
         except UnusableInput as problem:
             notice(f"notice: not evaluated: {problem}")
-    for sentence in evaluate_association(association).with_residuals(tracks).statements:
+    evaluation = evaluate_association(association).with_residuals(tracks)
+    for sentence in evaluation.statements:
         print(f"Without truth: {uncapitalised(sentence)}")
+    return evaluation

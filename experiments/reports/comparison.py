@@ -1,139 +1,262 @@
-"""A comparison of two studies or of two evaluations: their metrics side by side, as text and as an HTML page."""
+"""A comparison of any number of runs: their metrics side by side, and which of them differ from the first run.
+
+Differences are significant at 5 % for the whole table: p-values are adjusted for the number of comparisons (Holm).
+"""
 
 from __future__ import annotations
 
-import json
 import math
-import shlex
-from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
-from experiments.monte_carlo.declaration import short
+from rich.console import RenderableType
+
 from experiments.monte_carlo.expectations import Value
-from experiments.reports.pages import page, write_page
-from experiments.reports.tables import rendered, ruled_table, terminal_width
-from experiments.reports.wording import MISSING, heading, units_of, with_interval, yes_no
-from trackers.core.errors import UnusableInput
+from experiments.reports.evaluation_text import BEARING_COLUMNS, CONSISTENCY_COLUMNS, POSITION_COLUMNS, Column
+from experiments.reports.runs import StudyRun, TrackRun
+from experiments.reports.tables import compact_table, rendered, terminal_width
+from experiments.reports.wording import (
+    MISSING,
+    Unit,
+    fixed,
+    heading,
+    length_unit,
+    units_of,
+    with_interval,
+    yes_no,
+)  # fmt: skip
+from trackers.core.errors import UnusableInput, listed
+from trackers.paired_differences import METRICS, Difference, holm, paired_differences
 
-RESULTS, EVALUATION = "results.json", "evaluation.json"
-COUNTS = ("n", "n_rows", "n_no_estimate", "n_no_truth", "n_hole")
 SHOWN = (
     "rmse_m", "median_m", "p95_m", "rmse_3d_m", "p95_3d_m", "rmse_direction_rad", "nees_mean", "nees_ratio",
     "coverage_50", "coverage_90", "coverage_95", "coverage_99", "nis_ratio", "nis_correlation_100ms",
     "nis_correlation_1s", "nis_correlation_5s", "lost_fraction", "diverged",
 )  # fmt: skip
-HEAD = ("", "metric", "first", "second", "second / first", "differ?")
+"""The metrics of studies that are shown."""
+
+BEARING_NAMES = {"rmse_m": "rmse_direction_rad", "median_m": "median_direction_rad", "p95_m": "p95_direction_rad"}
+LEVEL = 0.05
 WIDTH = 150
+ALL = "all recordings"
 
 
-class Pair(NamedTuple):
-    """A metric of two runs: its subject (world and tracker, or recording), its name, and both values.
+class Table(NamedTuple):
+    """A table for a terminal and for a page: a title, its columns, of which `n_text` are text, rows, and a note."""
 
-    Without an interval where a run has none.
+    title: str
+    head: tuple[str, ...]
+    n_text: int
+    rows: list[list[str]]
+    note: str = ""
+
+    @property
+    def classes(self) -> list[str]:
+        """The classes of the columns on a page."""
+        return ["text"] * self.n_text + [""] * (len(self.head) - self.n_text)
+
+
+class Contrast(NamedTuple):
+    """A metric of a run against that of the first run.
+
+    `subject`: the world and tracker of studies, else empty. `p`: adjusted for the number of contrasts, NaN if unknown.
     """
 
     subject: str
     metric: str
-    before: Value
-    after: Value
-
-    @property
-    def ratio(self) -> float:
-        """The second over the first."""
-        return self.after.value / self.before.value if self.before.value else math.nan
+    run: str
+    difference: Difference
+    p: float
 
     @property
     def differs(self) -> bool | None:
-        """Whether the difference is significant at 5 %, by the intervals' widths; None where they are unknown.
-
-        For independent runs; conservative where they share their random numbers.
-        """
-        widths = [v.high - v.low for v in (self.before, self.after)]
-        if not all(math.isfinite(w) for w in widths):
-            return None
-        return abs(self.after.value - self.before.value) > math.hypot(*widths) / 2
+        """Whether the runs differ; None where that is unknown."""
+        return None if math.isnan(self.p) else self.p <= LEVEL
 
 
-def pairs(first: Path, second: Path) -> tuple[list[Pair], list[str]]:
-    """The metrics that both runs have, and notices on subjects of one run only; raises UnusableInput."""
-    kinds = [_kind(folder) for folder in (first, second)]
-    if kinds[0] != kinds[1]:
-        raise UnusableInput(
-            f"{first} holds {kinds[0]}, {second} {kinds[1]}; expected two runs of one kind: two studies, or two "
-            "folders of `track` that were evaluated"
-        )
-    read = _of_study if kinds[0] == RESULTS else _of_evaluation
-    a, b = (dict(read(_json(folder / kinds[0]))) for folder in (first, second))
-    common = [Pair(*key, a[key], b[key]) for key in a if key in b]
-    if not common:
-        raise UnusableInput(f"{first} and {second} have no metric of the same world and tracker in common")
-    in_a, in_b = ({subject for subject, _ in x} for x in (a, b))
-    return common, [
-        f"only in {folder}: {subject}"
-        for folder, own in ((first, in_a - in_b), (second, in_b - in_a))
-        for subject in sorted(own)
+def track_contrasts(runs: Sequence[TrackRun]) -> list[Contrast]:
+    """The paired differences of every run from the first, over the tracks that both have."""
+    found = []
+    for run in runs[1:]:
+        differences = paired_differences(runs[0].errors, run.errors)
+        flat = differences.get("rmse_m")
+        for metric in METRICS:
+            one = differences.get(metric)
+            same_in_space = metric == "rmse_3d_m" and flat is not None and one is not None and one[:2] == flat[:2]
+            if one is not None and math.isfinite(one.value) and not same_in_space:
+                name = BEARING_NAMES.get(metric, metric) if run.bearing else metric
+                found.append(Contrast("", name, run.name, one, one.p))
+    return _adjusted(found)
+
+
+def study_contrasts(runs: Sequence[StudyRun], metrics: Sequence[str]) -> list[Contrast]:
+    """The differences of every study from the first, as independent ones, by the widths of their intervals.
+
+    Conservative for studies with the same random numbers.
+    """
+    found = []
+    for subject, metric in runs[0].metrics:
+        for run in runs[1:]:
+            before, after = runs[0].metrics[subject, metric], run.metrics.get((subject, metric))
+            if metric in metrics and after is not None:
+                found.append(Contrast(subject, metric, run.name, one := _independent(before, after), one.p))
+    return _adjusted(found)
+
+
+def _independent(before: Value, after: Value) -> Difference:
+    half = math.hypot(before.high - before.low, after.high - after.low) / 2
+    value, p = after.value - before.value, math.nan
+    if math.isfinite(half):
+        p = math.erfc(abs(value) / (half / 1.959964) / math.sqrt(2)) if half > 0 else float(value == 0)
+    return Difference(before.value, after.value, value - half, value + half, p, 0)
+
+
+def _adjusted(contrasts: Sequence[Contrast]) -> list[Contrast]:
+    return [one._replace(p=p) for one, p in zip(contrasts, holm([one.p for one in contrasts]), strict=True)]
+
+
+def tables_of_tracks(runs: Sequence[TrackRun], contrasts: Sequence[Contrast]) -> list[Table]:
+    """The metrics of every recording and run, and the differences from the first run."""
+    unit = _unit(runs)
+    names = [name for name in dict.fromkeys(name for run in runs for name in run.metrics) if name]
+    shown = names if len(names) == 1 else [*names, ""]
+    columns = _columns(runs)
+    rows = [
+        [name or ALL, run.name, str(run.metrics[name]["n"]), *_cells(run.metrics[name], columns, unit)]
+        for name in shown
+        for run in runs
+        if name in run.metrics
+    ]
+    what = "Bearing errors in degrees" if runs[0].bearing else f"Horizontal and 3-D position errors in {unit.name}"
+    head = ("recording", "run", "n", *(column.title.replace("\n", " ").strip() for column in columns))
+    tables = [Table(what, head, 2, rows)]
+    if contrasts:
+        tables.append(_difference_table(runs[0].name, contrasts, unit))
+    return tables
+
+
+def _difference_table(first: str, contrasts: Sequence[Contrast], unit: Unit) -> Table:
+    rows = []
+    for one in contrasts:
+        of = Unit("%", 100.0) if one.metric.startswith("coverage") else unit
+        d = one.difference
+        interval = Value(d.value, d.low, d.high)
+        p = MISSING if math.isnan(one.p) else "<0.001" if one.p < 0.001 else f"{one.p:.3f}"
+        values = (with_interval(Value(x, math.nan, math.nan), of) for x in (d.first, d.second))
+        rows.append([one.run, heading(one.metric, of), *values, with_interval(interval, of), p, yes_no(one.differs)])
+    pieces = sorted({one.difference.pieces for one in contrasts})
+    known = sum(one.differs is not None for one in contrasts)
+    note = (
+        f"Paired over {' to '.join(map(str, dict.fromkeys((pieces[0], pieces[-1]))))} pieces of the common recordings, "
+        f"several times longer than errors last. p is adjusted for {known} comparisons (Holm)."
+    )
+    if not known:
+        note = "No intervals: the common recordings are too short for five pieces that are longer than errors last."
+    head = ("run", "metric", first, "run's", "difference (95 %)", "p", "differs")
+    return Table(f"Differences from {first}", head, 2, rows, note)
+
+
+def _unit(runs: Sequence[TrackRun]) -> Unit:
+    if runs[0].bearing:
+        return Unit("°", 180 / math.pi)
+    sizes = [run.metrics[""]["rmse_m"] for run in runs if run.metrics[""].get("rmse_m") is not None]
+    return length_unit(min(sizes, default=math.nan))
+
+
+def _columns(runs: Sequence[TrackRun]) -> list[Column]:
+    """The main columns, and the median, with a value in any run."""
+    every = (BEARING_COLUMNS if runs[0].bearing else POSITION_COLUMNS) + CONSISTENCY_COLUMNS
+    return [
+        column
+        for column in every
+        if (column.rank == 0 or column.metric.startswith("median"))
+        and any(one.get(column.metric) is not None for run in runs for one in run.metrics.values())
     ]
 
 
-def rows(found: Sequence[Pair]) -> list[list[str]]:
-    """The table's cells."""
+def _cells(metrics: dict, columns: Sequence[Column], unit: Unit) -> list[str]:
+    digits = {"m": 3, "cm": 1, "mm": 2}.get(unit.name, 2)
+    cells = []
+    for column in columns:
+        value, scale = metrics.get(column.metric), column.scale or unit.factor
+        cells.append(fixed(None if value is None else value * scale, digits if column.scale is None else column.digits))
+    return cells
+
+
+def tables_of_studies(runs: Sequence[StudyRun], contrasts: Sequence[Contrast]) -> list[Table]:
+    """The metrics of every world, tracker and study, and which studies differ from the first."""
+    found: dict[tuple[str, str], list[Contrast]] = {}
+    for one in contrasts:
+        found.setdefault((one.subject, one.metric), []).append(one)
     values: dict[str, list[float]] = {}
-    for pair in found:
-        values.setdefault(pair.metric, []).extend([pair.before.value, pair.after.value])
-    units, made = units_of(values), []
-    for pair in found:
-        unit = units[pair.metric]
-        both = (with_interval(pair.before, unit), with_interval(pair.after, unit))
-        ratio = f"{pair.ratio:.3f}" if math.isfinite(pair.ratio) else MISSING
-        made.append([pair.subject, heading(pair.metric, unit), *both, ratio, yes_no(pair.differs)])
-    return made
+    for subject, metric in found:
+        own = [run.metrics[subject, metric].value for run in runs if (subject, metric) in run.metrics]
+        values.setdefault(metric, []).extend(own)
+    units = units_of(values)
+    rows = []
+    for (subject, metric), others in found.items():
+        unit, missing = units[metric], Value(math.nan, math.nan, math.nan)
+        cells = [with_interval(run.metrics.get((subject, metric), missing), unit) for run in runs]
+        ratios = [_ratio(one.difference) for one in others]
+        rows.append([subject, heading(metric, unit), *cells, ", ".join(ratios), _which(others, len(runs))])
+    head = ("", "metric", *(run.name for run in runs), f"over {runs[0].name}", "differ?")
+    note = f"In brackets 95 % intervals. Differences are corrected for {len(contrasts)} comparisons (Holm)."
+    return [Table("Metrics", head, 2, rows, note)]
 
 
-def comparison_text(runs: Sequence[Path], found: Sequence[Pair]) -> str:
-    """The metrics side by side, for a terminal."""
-    return rendered(terminal_width(WIDTH), ruled_table(f"first: {runs[0]}, second: {runs[1]}", HEAD, 2, rows(found)))
+def _ratio(difference: Difference) -> str:
+    ratio = difference.second / difference.first if difference.first else math.nan
+    return f"{ratio:.3f}" if math.isfinite(ratio) else MISSING
 
 
-def write_comparison(path: Path, runs: Sequence[Path], found: Sequence[Pair], command: Sequence[str]) -> Path:
-    """Writes the page whole or not at all; returns the path. Raises UnusableInput where it can't be written."""
-    text = page(
-        "comparison.html",
-        title=f"{runs[0]} and {runs[1]}",
-        head=HEAD,
-        rows=rows(found),
-        intervals=any(pair.differs is not None for pair in found),
-        words=shlex.join(["trackwright", *command[1:]]),
-    )
-    return write_page(path, text)
+def _which(contrasts: Sequence[Contrast], runs: int) -> str:
+    """Yes or no for two studies; of more, the names of those that differ from the first."""
+    if runs == 2:
+        return yes_no(contrasts[0].differs)
+    return ", ".join(one.run for one in contrasts if one.differs) or yes_no(False)
 
 
-def _kind(folder: Path) -> str:
-    for name in (RESULTS, EVALUATION):
-        if (folder / name).is_file():
-            return name
-    raise UnusableInput(
-        f"{folder}: no {RESULTS} and no {EVALUATION}; expected what `trackwright study` or `trackwright evaluate` wrote"
-    )
+def comparison(
+    runs: Sequence[StudyRun] | Sequence[TrackRun], metrics: Sequence[str] = SHOWN
+) -> tuple[list[Table], list[Contrast]]:
+    """The tables of a comparison and the contrasts behind them; raises UnusableInput without a common metric."""
+    if isinstance(runs[0], TrackRun):
+        tracks = [run for run in runs if isinstance(run, TrackRun)]
+        contrasts = track_contrasts(tracks)
+        return tables_of_tracks(tracks, contrasts), contrasts
+    studies = [run for run in runs if isinstance(run, StudyRun)]
+    common = [key for key in studies[0].metrics if any(key in run.metrics for run in studies[1:])]
+    if not common:
+        names = " and ".join(str(run.folder) for run in studies)
+        raise UnusableInput(f"{names} have no metric of the same world and tracker in common")
+    if not any(metric in metrics for _, metric in common):
+        known = sorted({metric for _, metric in common})
+        raise UnusableInput(f"--metrics {' '.join(metrics)}: not in both runs; expected names among {', '.join(known)}")
+    contrasts = study_contrasts(studies, metrics)
+    return tables_of_studies(studies, contrasts), contrasts
 
 
-def _json(path: Path) -> Any:
-    try:
-        return json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError) as error:
-        raise UnusableInput(f"{path}: cannot be read as JSON; run the study or `evaluate` again") from error
+def lone_subjects(runs: Sequence[StudyRun] | Sequence[TrackRun]) -> list[str]:
+    """A line for each recording, or world and tracker, that some run lacks."""
+    subjects: list[list[str]] = [
+        [name for name in run.metrics if name] if isinstance(run, TrackRun) else [subject for subject, _ in run.metrics]
+        for run in runs
+    ]
+    every = dict.fromkeys(subject for own in subjects for subject in own)
+    names = [run.name for run in runs]
+    return [
+        f"only in {listed([name for name, own in zip(names, subjects, strict=True) if subject in own])}: {subject}"
+        for subject in every
+        if not all(subject in own for own in subjects)
+    ]
 
 
-def _of_study(content: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str], Value]]:
-    for cell in content["cells"]:
-        point = ", ".join(f"{short(k)} {v}" for k, v in cell["point"].items())
-        subject = ", ".join(x for x in (cell["world"], point, cell["tracker"]) if x)
-        for metric, value in cell["figures"].items():
-            yield (subject, metric), Value(*(math.nan if value[k] is None else value[k] for k in Value._fields))
-
-
-def _of_evaluation(content: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str], Value]]:
-    for named in [{"recording": "all recordings", **content["overall"]}, *content["recordings"]]:
-        for metric, value in named.items():
-            if isinstance(value, (int, float)) and metric not in COUNTS:
-                yield (named["recording"], metric), Value(float(value), math.nan, math.nan)
+def comparison_text(tables: Sequence[Table]) -> str:
+    """The tables for a terminal."""
+    parts: list[RenderableType] = []
+    for table in tables:
+        made = compact_table(table.title, table.head[: table.n_text], table.head[table.n_text :])
+        for row in table.rows:
+            made.add_row(*row)
+        parts += [made, *([table.note] if table.note else [])]
+    return rendered(terminal_width(WIDTH), *parts)

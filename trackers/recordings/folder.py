@@ -135,17 +135,25 @@ def _counted(ids: Iterable[str]) -> str:
     return f"{len(names)} ({shown})" if names else "0"
 
 
-def read_recordings(paths: Sequence[str | Path]) -> list[RecordingFolder]:
+def read_recordings(paths: Sequence[str | Path], refused: list[str] | None = None) -> list[RecordingFolder]:
     """The recordings in several folders, in the order given.
 
-    Raises UnusableInput for an empty list, a folder given twice, two recordings of one name, and an unusable folder.
+    `refused`: gets the message of each unusable folder, which is then left out. Raises UnusableInput for an empty list,
+    a folder given twice, two recordings of one name, and without `refused` for an unusable folder.
     """
     if not paths:
         raise UnusableInput("no recording given; expected one or more recording folders")
     repeated = _repeated([Path(path).resolve() for path in paths])
     if repeated is not None:
         raise UnusableInput(f"{paths[repeated]}: is given more than once; expected each recording once; remove one")
-    recordings = [read_recording(path) for path in paths]
+    recordings = []
+    for path in paths:
+        try:
+            recordings.append(read_recording(path))
+        except UnusableInput as problem:
+            if refused is None:
+                raise
+            refused.append(str(problem))
     same = _repeated([recording.name for recording in recordings])
     if same is not None:
         raise UnusableInput(

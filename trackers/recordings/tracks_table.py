@@ -8,8 +8,8 @@ import polars as pl
 
 from trackers.core.errors import UnusableInput
 
-TRACKS = "tracks.parquet"
-"""File in the output folder of `trackwright track`."""
+TRACKS, EVALUATION, SOURCES = "tracks.parquet", "evaluation.json", "recordings.txt"
+"""Files in the output folder of `trackwright track`: estimates, error metrics, a path of a recording per line."""
 
 NO_ESTIMATE = ("waiting", "non-finite")
 """Values of `status` of rows without an estimate."""

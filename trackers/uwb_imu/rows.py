@@ -220,8 +220,9 @@ def lacks_ranges(folder: RecordingFolder) -> str | None:
         )
     positions = anchor_positions(folder)[heard.any(axis=0)]
     sizes = np.linalg.svd(positions[:, :2] - positions[:, :2].mean(axis=0), compute_uv=False)
-    if sizes[1] < COLLINEAR * sizes[0]:
-        return f"anchors that span a plane, found all {len(positions)} that are heard on one line seen from above"
+    if sizes[1] <= COLLINEAR * sizes[0]:
+        where = "on one line" if sizes[0] > 0 else "at one place"
+        return f"anchors that span a plane, found all {len(positions)} that are heard {where} seen from above"
     median, extent = float(np.median(ranges[positive])), float(np.ptp(positions, axis=0).max())
     if median > MAX_RANGE_RATIO * extent:
         return (

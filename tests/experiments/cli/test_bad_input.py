@@ -44,10 +44,18 @@ def test_a_broken_recording_is_refused_in_one_line(tmp_path, beginnings, name, c
     assert _contents(beginnings / "tracked") == before
 
 
-def test_a_broken_recording_beside_a_good_one_is_refused(tmp_path, beginnings):
+def test_a_broken_recording_beside_a_good_one_has_its_own_line_and_the_good_one_is_tracked(
+    tmp_path, beginnings, monkeypatch
+):
+    monkeypatch.setattr(track_folder, "plot_tracks", lambda *arguments: [])
     word = BROKEN["infinite value"](tmp_path / "bad")
-    assert_refused(trackwright("track", beginnings / "good", tmp_path / "bad", "--out", tmp_path / "out"), word)
-    assert not (tmp_path / "out").exists()
+    out = tmp_path / "out"
+    said = trackwright("track", beginnings / "good", tmp_path / "bad", "--tracker", "uwb", "--out", out)
+    assert said.code == 1
+    lines = [line for line in said.err.splitlines() if line.startswith("not tracked: ")]
+    assert len(lines) == 1
+    assert word in lines[0]
+    assert (out / "recordings.txt").read_text().split() == [str(beginnings / "good")]
 
 
 @pytest.mark.parametrize("command", ["track", "tune"])
@@ -87,7 +95,7 @@ def test_a_recording_with_an_anomaly_is_tracked_with_a_notice_and_reported_by_ch
     monkeypatch.setattr(track_folder, "plot_tracks", lambda *arguments: [])
     folder, out = tmp_path / "recording", tmp_path / "out"
     word = ANOMALOUS[name](folder)
-    said = trackwright("track", folder, "--tracker", "bearings", "--free-height", "--out", out)
+    said = trackwright("track", folder, "--tracker", "bearings", "--free-height", "--force", "--out", out)
     assert said.code == 0, said
     assert any(line.startswith(f"notice: {folder}: ") and word in line for line in said.err.splitlines())
     tracks = pl.read_parquet(out / "tracks.parquet")
@@ -185,7 +193,7 @@ def test_a_recording_that_no_tracker_fits_is_refused(tmp_path):
     for name in ("bearings", "phases", "fixes", "ranges"):
         (tmp_path / "imu" / f"{name}.csv").unlink()
     said = trackwright("track", tmp_path / "imu", "--out", tmp_path / "out")
-    assert_refused(said, "tables imu, truth: no tracker fits", "bearings, fixes")
+    assert_refused(said, "no tracker fits; all need one of the tables bearings, fixes, phases, ranges", "imu, truth")
 
 
 TUNED = {

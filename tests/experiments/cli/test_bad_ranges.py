@@ -22,6 +22,15 @@ def _one_line(folder):
     return ""
 
 
+def _one_place(folder):
+    rig = (folder / "rig.toml").read_text()
+    for place in ("[6.0, 0.0, 2.6]", "[6.0, 5.0, 0.4]", "[0.0, 5.0, 2.9]"):
+        assert place in rig
+        rig = rig.replace(place, "[0.0, 0.0, 0.3]")
+    (folder / "rig.toml").write_text(rig)
+    return ""
+
+
 def _ranges(change):
     return with_table("ranges", change)
 
@@ -36,6 +45,9 @@ REFUSED = {
     "negative ranges alone": (_ranges(lambda t: t.with_columns(range_m=-pl.col("range_m"))), "found 0 at most"),
     "millimetres": (_ranges(lambda t: t.with_columns(range_m=1000.0 * pl.col("range_m"))), "millimetres?"),
     "no value at all": (_ranges(lambda t: t.with_columns(range_m=pl.lit(None, pl.Float64))), "found 0 at most"),
+    "zeros": (_ranges(lambda t: t.with_columns(range_m=pl.lit(0.0))), "found 0 at most"),
+    "one row": (_ranges(lambda t: t.head(1)), "found 1 at most"),
+    "anchors at one place": (then(_one_place), "at one place"),
 }
 
 
@@ -44,11 +56,38 @@ REFUSED = {
 def test_unusable_ranges_are_refused_in_one_line(tmp_path, name, tracker):
     build, word = REFUSED[name]
     build(tmp_path / "recording")
-    said = trackwright("track", tmp_path / "recording", "--tracker", tracker, "--out", tmp_path / "out")
-    # Notices of anomalies come first, one line each.
+    said = trackwright("track", tmp_path / "recording", "--tracker", tracker, "--force", "--out", tmp_path / "out")
+    # Notices of anomalies come first, one line each, and so do the errors of `check`.
     last = said._replace(err="".join(x for x in said.err.splitlines(keepends=True) if not x.startswith("notice: ")))
     assert_refused(last, str(tmp_path / "recording"), f"tracker '{tracker}' needs", word)
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_where_no_tracker_fits_the_nearest_and_what_it_lacks_are_named(tmp_path, name):
+    build, word = REFUSED[name]
+    folder = tmp_path / "recording"
+    build(folder)
+    for table in folder.glob("*.*"):
+        if not table.name.startswith(("rig", "ranges")):
+            table.unlink()
+    rig = folder / "rig.toml"
+    rig.write_text(rig.read_text().partition("[path]")[0])
+    said = trackwright("track", folder, "--force", "--out", tmp_path / "out")
+    last = said._replace(err="".join(x for x in said.err.splitlines(keepends=True) if not x.startswith("notice: ")))
+    assert_refused(last, f"{folder}: no tracker fits; the nearest, 'uwb', needs ", word)
+
+
+def test_errors_of_the_check_stop_the_command_before_anything_is_written(tmp_path, monkeypatch):
+    monkeypatch.setattr(track_folder, "plot_tracks", lambda *arguments: [])
+    folder = tmp_path / "recording"
+    _ranges(lambda t: t.with_columns(range_m=pl.col("range_m") / 0.3048))(folder)
+    assert_refused(trackwright("track", folder, "--out", tmp_path / "out"), "ranges are feet", "--force")
+    assert not (tmp_path / "out").exists()
+    said = trackwright("track", folder, "--force", "--tracker", "uwb", "--out", tmp_path / "out")
+    assert said.code == 0
+    assert "notice" in said.err
+    assert "feet" in said.err
 
 
 def test_trilateration_needs_the_height_of_every_tag(tmp_path):

@@ -14,7 +14,7 @@ import polars as pl
 import pytest
 
 from experiments.cli import check as check_command
-from experiments.cli import console
+from experiments.cli import usable
 from tests.faulty import good_tables, write_good
 from tests.in_process import assert_refused, trackwright
 from trackers.recordings import atomic
@@ -206,9 +206,9 @@ def test_a_closed_pipe_causes_no_traceback():
 
 
 def test_a_fault_of_the_program_is_not_called_bad_input(beginnings, monkeypatch):
-    def broken(path):
+    def broken(*arguments):
         raise ZeroDivisionError("a bug")
 
-    monkeypatch.setattr(console, "read_recordings", broken)
+    monkeypatch.setattr(usable, "read_recordings", broken)
     with pytest.raises(ZeroDivisionError):
         trackwright("track", beginnings / "good", "--out", beginnings / "never")

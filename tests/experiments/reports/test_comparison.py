@@ -1,12 +1,13 @@
 import json
-import math
 
 import numpy as np
 import pytest
 
 from experiments.cli.report import report
+from experiments.monte_carlo.expectations import Value
 from experiments.papers.reproduce import page, part
-from experiments.reports.comparison import pairs
+from experiments.reports.comparison import comparison, study_contrasts
+from experiments.reports.runs import StudyRun, read_runs
 from trackers.core.errors import UnusableInput
 
 
@@ -30,33 +31,48 @@ def _evaluation(folder, rmse):
     return folder
 
 
+def _contrasts(*folders):
+    runs, _ = read_runs(folders)
+    return {(one.run, one.metric): one for one in comparison(runs)[1]}
+
+
 def test_two_studies_differ_where_the_difference_is_larger_than_both_intervals_allow(tmp_path):
-    first, second = _study(tmp_path / "a", 0.10), _study(tmp_path / "b", 0.12)
-    found = {p.metric: p for p in pairs(first, second)[0]}
-    assert found["rmse_m"].ratio == pytest.approx(1.2)
-    assert found["rmse_m"].differs is True
-    assert found["nees_mean"].differs is False
-    assert found["rmse_m"].subject == "hand, sigma_p 0.1, direct"
+    found = _contrasts(_study(tmp_path / "a", 0.10), _study(tmp_path / "b", 0.12))
+    assert found["b", "rmse_m"].difference.value == pytest.approx(0.02)
+    assert found["b", "rmse_m"].differs is True
+    assert found["b", "nees_mean"].differs is False
+    assert found["b", "rmse_m"].subject == "hand, sigma_p 0.1, direct"
 
 
-def test_a_difference_of_two_normal_means_is_called_one_in_5_percent_of_cases_where_there_is_none(tmp_path):
-    # Half widths of 1.96 sigma each: their root sum of squares is 1.96 of the difference's sigma.
-    from experiments.reports.comparison import Pair, Value
-
+def test_studies_without_a_difference_differ_in_5_percent_of_tables(tmp_path):
+    """Half widths of 1.96 sigma of normal values without a difference: of one metric, then of twenty with Holm."""
     rng = np.random.default_rng(1)
-    a, b = rng.normal(size=(2, 4000))
-    called = [
-        Pair("", "", Value(x, x - 1.96, x + 1.96), Value(y, y - 1.96, y + 1.96)).differs
-        for x, y in zip(a, b, strict=True)
-    ]
-    assert 0.035 < np.mean(called) < 0.065
+
+    def share(metrics, tables):
+        differ = 0
+        for _ in range(tables):
+            runs = [
+                StudyRun(
+                    name, tmp_path, {("world", f"m{k}"): Value(x, x - 1.96, x + 1.96) for k, x in enumerate(values)}
+                )
+                for name, values in zip("ab", rng.normal(size=(2, metrics)), strict=True)
+            ]
+            differ += any(one.differs for one in study_contrasts(runs, [f"m{k}" for k in range(metrics)]))
+        return differ / tables
+
+    assert 0.03 < share(1, 3000) < 0.07
+    assert share(20, 500) < 0.08
 
 
-def test_two_evaluations_are_compared_without_counts_and_without_intervals(tmp_path):
-    found, alone = pairs(_evaluation(tmp_path / "a", 0.2), _evaluation(tmp_path / "b", 0.1))
-    assert [(p.subject, p.metric) for p in found] == [("all recordings", "rmse_m"), ("walk", "rmse_m")]
-    assert all(p.differs is None and math.isnan(p.before.low) for p in found)
-    assert alone == []
+def test_evaluations_alone_are_compared_without_intervals_and_without_empty_columns(tmp_path):
+    runs, notices = read_runs(
+        [_evaluation(tmp_path / name, rmse) for name, rmse in (("a", 0.2), ("b", 0.1), ("c", 0.3))]
+    )
+    (table,), contrasts = comparison(runs)
+    assert table.head == ("recording", "run", "n", "RMSE")
+    assert table.rows == [["walk", "a", "100", "20.0"], ["walk", "b", "100", "10.0"], ["walk", "c", "100", "30.0"]]
+    assert contrasts == []
+    assert notices == []
 
 
 def test_the_command_prints_both_and_writes_one_page(tmp_path, capsys):
@@ -70,22 +86,33 @@ def test_the_command_prints_both_and_writes_one_page(tmp_path, capsys):
     assert "http" not in page
 
 
+def test_of_three_studies_those_that_differ_from_the_first_are_named(tmp_path):
+    folders = [_study(tmp_path / name, rmse) for name, rmse in (("a", 0.10), ("b", 0.101), ("c", 0.15))]
+    tables, _ = comparison(read_runs(folders)[0])
+    rmse = next(row for row in tables[0].rows if row[1].startswith("RMSE"))
+    assert rmse[-2:] == ["1.010, 1.500", "c"]
+
+
 def test_runs_that_cannot_be_compared_are_refused_in_one_line(tmp_path):
     study, evaluation = _study(tmp_path / "a", 0.1), _evaluation(tmp_path / "b", 0.1)
-    other, broken = _study(tmp_path / "c", 0.1, tracker="beam"), tmp_path / "d"
+    other, broken, unevaluated = _study(tmp_path / "c", 0.1, tracker="beam"), tmp_path / "d", tmp_path / "e"
     broken.mkdir()
     (broken / "results.json").write_text("{")
+    unevaluated.mkdir()
+    (unevaluated / "tracks.parquet").write_text("")
     for runs, says in (
-        ((study, evaluation), "two runs of one kind"),
+        ((study, evaluation), "runs of one kind"),
         ((study, other), "in common"),
         ((study, broken), "JSON"),
         ((study, tmp_path), "no results.json"),
+        ((evaluation, unevaluated), f"`trackwright evaluate {unevaluated}`"),
+        ((study, study), "more than once"),
         ((study,), "found 1 folders"),
     ):
         with pytest.raises(UnusableInput, match=says):
             report(runs, out=tmp_path / "comparison.html")
     with pytest.raises(UnusableInput, match="--metrics speed"):
-        report((study, study), out=tmp_path / "comparison.html", metrics=("speed",))
+        report((study, _study(tmp_path / "f", 0.1)), out=tmp_path / "comparison.html", metrics=("speed",))
 
 
 def test_the_page_of_all_reproductions_says_what_is_fitted_and_what_was_not_reached():

@@ -69,14 +69,14 @@ def _judged(
     if one.groups is not None:
         groups &= one.groups
     if one.together and one.groups is not None:
-        groups = one.groups & (gains[one.groups].mean() >= OWN_GAIN)
+        groups = one.groups & (gains[one.groups].mean() >= ALL_GAIN)
     if one.parameters > 1:
         # A place has enough freedom to take up a part of any error.
         groups &= (~matters | ((after <= limit) & (ratio <= -ALL_GAIN))).all(axis=1)
         groups &= 2 * groups.sum() <= len(groups)
     if not groups.any():
         return []
-    cost = PENALTY * (one.parameters + 1) * int(groups.sum()) - float(gains[groups].sum()) / len(gains)
+    cost = PENALTY * (one.parameters * int(groups.sum()) + 1) - float(gains[groups].sum()) / len(gains)
     return [(cost, groups, one)]
 
 

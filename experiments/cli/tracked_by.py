@@ -1,0 +1,54 @@
+"""Which recordings `track` runs by which tracker: those named, or for each recording the one that fits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from trackers.catalogue import fitting, spec_of, split_name
+from trackers.core.errors import UnusableInput
+from trackers.recordings.folder import RecordingFolder
+
+
+class TrackedBy(NamedTuple):
+    """A tracker and the recordings that it runs on; `short`: its name as that of a folder."""
+
+    tracker: str
+    folders: list[RecordingFolder]
+
+    @property
+    def short(self) -> str:
+        """The name of the tracker, of one in a file without the file."""
+        return split_name(self.tracker)[1] or self.tracker
+
+
+def tracked_by(folders: Sequence[RecordingFolder], trackers: str | None) -> tuple[list[TrackedBy], list[str]]:
+    """The runs, and a line for each recording that a tracker does not fit.
+
+    `trackers`: names separated by commas, each of which runs on all recordings that it fits; None: each recording is
+    run by the tracker that fits it. Raises UnusableInput where nothing can be run, and for unknown or repeated names.
+    """
+    names = None if trackers is None else [name.strip() for name in trackers.split(",")]
+    runs: dict[str, list[RecordingFolder]] = {}
+    refused: list[str] = []
+    for name in names or []:
+        if name in runs:
+            raise UnusableInput(f"--tracker {trackers}: '{name}' twice; expected different names; remove one")
+        spec, runs[name] = spec_of(name), []
+        for folder in folders:
+            missing = spec.missing(folder)
+            if missing is None:
+                runs[name].append(folder)
+            else:
+                where, tables = folder.path or folder.name, ", ".join(folder.tables)
+                refused.append(f"{where}: tracker '{name}' needs {missing}; its tables: {tables}")
+    if names is None:
+        for folder in folders:
+            try:
+                runs.setdefault(fitting(folder), []).append(folder)
+            except UnusableInput as problem:
+                refused.append(str(problem))
+    found = [TrackedBy(name, own) for name, own in runs.items() if own]
+    if not found:
+        raise UnusableInput(refused[0])
+    return found, refused

@@ -1,0 +1,34 @@
+"""Which of the recordings given to `track` can be tracked: those that can be read, and without errors of `check`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from experiments.cli.console import notice
+from trackers.core.errors import UnusableInput
+from trackers.recordings.checks import errors_in
+from trackers.recordings.folder import RecordingFolder, read_recordings
+
+
+def usable_recordings(paths: Sequence[Path], force: bool) -> tuple[list[RecordingFolder], list[str]]:
+    """The recordings that can be tracked, and a line for each other one; with `force` those with errors, too.
+
+    Raises UnusableInput as `read_recordings`, and where no recording can be tracked.
+    """
+    refused: list[str] = []
+    usable = []
+    for recording in read_recordings(paths, refused):
+        lines = [f"{recording.path}: {error.where}: {error.message}" for error in errors_in(recording)]
+        if lines and not force:
+            more = f" (and {len(lines) - 1} more: `trackwright check {recording.path}`)" if len(lines) > 1 else ""
+            refused.append(f"{lines[0]}{more}; correct it, or track it as it is with --force")
+            continue
+        for line in lines:
+            notice(f"notice: {line}")
+        usable.append(recording)
+    if not usable:
+        for line in refused[1:]:
+            notice(f"not tracked: {line}")
+        raise UnusableInput(refused[0])
+    return usable, refused

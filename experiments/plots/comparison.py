@@ -1,0 +1,154 @@
+"""Figures of a comparison of runs: distributions of their errors, boxes and violins, and floor plans side by side."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from experiments.plots.style import BLACK, GREY, LINES, broken_at_gaps, legend_above, literal, plain, png
+from experiments.reports.comparison import Contrast
+from experiments.reports.runs import StudyRun, TrackRun
+from experiments.reports.wording import Unit, heading, length_unit, unit_of
+from trackers.recordings.columns import float_column
+
+MOST_PLANS = 3
+"""Recordings with floor plans."""
+
+MOST_TAGS = 4
+"""Tags of a floor plan."""
+
+MOST_POINTS = 2000
+"""Points of a distribution function, and errors of a violin."""
+
+
+def plot_comparison(
+    page: Path, runs: Sequence[StudyRun] | Sequence[TrackRun], contrasts: Sequence[Contrast]
+) -> list[Path]:
+    """Writes the figures beside the page, with its name before theirs; returns their paths."""
+    tracks = [run for run in runs if isinstance(run, TrackRun) and run.errors]
+    if tracks:
+        return [_distributions(page, tracks), *_floor_plans(page, [run for run in tracks if not run.bearing])]
+    return [_intervals(page, contrasts)] if contrasts and isinstance(runs[0], StudyRun) else []
+
+
+def all_errors(run: TrackRun) -> np.ndarray:
+    """The sorted horizontal errors, m, of all tracks, or the angles, rad, of bearings."""
+    return np.sort(np.concatenate([track.error for track in run.errors.values()]))
+
+
+def _distributions(page: Path, runs: Sequence[TrackRun]) -> Path:
+    """Distribution functions of the errors of all runs, and boxes in violins."""
+    errors = [all_errors(run) for run in runs]
+    furthest = max(float(np.quantile(e, 0.995)) for e in errors)
+    unit = Unit("°", 180 / math.pi) if runs[0].bearing else length_unit(furthest / 2)
+    path = _beside(page, "errors")
+    with png(path, 9.5, 4.0, "") as figure:
+        left, right = figure.subplots(1, 2)
+        quantity = "angle to the true direction" if runs[0].bearing else "horizontal error"
+        for run, own, colour in zip(runs, errors, _colours(len(runs)), strict=True):
+            chosen = np.linspace(0, len(own) - 1, min(len(own), MOST_POINTS)).astype(int)
+            left.plot(unit.factor * own[chosen], 100 * (chosen + 1) / len(own), color=colour, label=literal(run.name))
+        left.set(xlim=(0, 1.02 * unit.factor * furthest), ylim=(0, 101), yticks=(0, 25, 50, 75, 90, 95, 100))
+        left.set(xlabel=f"{quantity} ({unit.name})", ylabel="estimates with at most this error (%)")
+        legend_above(left, 3)
+        _violins(right, [unit.factor * e for e in errors], [run.name for run in runs], unit.factor * furthest)
+        right.set(ylabel=f"{quantity} ({unit.name})")
+        right.set_title("box: quartiles, whiskers: 5 and 95 %, point: RMSE", color=GREY, fontsize=8)
+    return path
+
+
+def _violins(axes: Axes, errors: Sequence[np.ndarray], names: Sequence[str], furthest: float) -> None:
+    places, colours = np.arange(len(errors)), _colours(len(errors))
+    thinned = [e[np.linspace(0, len(e) - 1, min(len(e), MOST_POINTS)).astype(int)] for e in errors]
+    spread = [k for k, e in enumerate(thinned) if np.ptp(e) > 0]
+    if spread:
+        drawn = axes.violinplot([thinned[k] for k in spread], spread, widths=0.85, showextrema=False)
+        for k, body in zip(spread, list(drawn["bodies"]), strict=True):  # type: ignore[call-overload]
+            body.set(facecolor=colours[k], alpha=0.35)
+    black = {"color": BLACK}
+    axes.boxplot(thinned, positions=places, widths=0.2, whis=(5, 95), showfliers=False, medianprops=black)
+    for place, own, colour in zip(places, errors, colours, strict=True):
+        axes.plot(place, np.sqrt(np.mean(own**2)), "o", color=colour, markeredgecolor="white", markersize=6, zorder=5)
+    axes.set_xticks(places, [literal(name) for name in names], rotation=20 if len(errors) > 3 else 0)
+    axes.set(ylim=(0, 1.02 * furthest), xlim=(-0.7, len(errors) - 0.3))
+    plain(axes, "y")
+
+
+def _floor_plans(page: Path, runs: Sequence[TrackRun]) -> list[Path]:
+    """The tracks of the first recordings that all runs have, a panel for each run, on the same axes."""
+    common = [name for name in _recordings(runs[0]) if all(name in _recordings(run) for run in runs)] if runs else []
+    if not common:
+        return []
+    shown, columns = common[:MOST_PLANS], len(runs)
+    path = _beside(page, "floor_plans")
+    with png(path, min(3.3 * columns + 0.4, 16.0), 3.2 * len(shown) + 0.5, "") as figure:
+        panels = figure.subplots(len(shown), columns, squeeze=False, sharex="row", sharey="row")
+        for row, name in zip(panels, shown, strict=True):
+            for axes, run, colour in zip(row, runs, _colours(columns), strict=True):
+                _plan(axes, run, name, colour)
+            row[0].set_ylabel("y (m)")
+            for axes in row:
+                axes.set_xlabel("x (m)")
+    return [path]
+
+
+def _recordings(run: TrackRun) -> list[str]:
+    return list(dict.fromkeys(key[0] for key in run.errors))
+
+
+def _plan(axes: Axes, run: TrackRun, name: str, colour: str) -> None:
+    """Estimates in the run's colour over the truth, black; anchors and stations grey."""
+    assert run.association is not None
+    part, rig = run.association.of_recording(name), run.recordings[name].rig
+    mounted = [*rig.anchors.values(), *(station.position for station in rig.stations.values())]
+    if mounted:
+        axes.plot(*np.stack(mounted)[:, :2].T, "^", color=GREY, markersize=5, markeredgecolor="white")
+    x, y, times = (float_column(part.rows, column) for column in ("x_m", "y_m", "t_s"))
+    for a, b in list(zip(part.starts[:-1], part.starts[1:], strict=True))[:MOST_TAGS]:
+        _, positions, truth = broken_at_gaps(times[a:b], np.stack([x[a:b], y[a:b]], axis=1), part.truth[a:b, :2])
+        axes.plot(*positions.T, color=colour, linewidth=1.0)
+        axes.plot(*truth.T, color=BLACK, linewidth=0.7, linestyle=(0, (4, 2)))
+    certain = np.concatenate([part.truth[part.scored][:, :2], *([np.stack(mounted)[:, :2]] if mounted else [])])
+    if len(certain):
+        low, high = np.nanmin(certain, axis=0), np.nanmax(certain, axis=0)
+        margin = max(0.1 * float(np.max(high - low)), 0.3)
+        axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
+    axes.set_aspect("equal", adjustable="box")
+    axes.set_title(literal(f"{run.name}, {name}"), fontsize=8.5)
+
+
+def _intervals(page: Path, contrasts: Sequence[Contrast]) -> Path:
+    """The metrics of studies with their intervals less the first study's, relative to it."""
+    metric = next((m for m in ("rmse_m", "rmse_direction_rad") if any(c.metric == m for c in contrasts)), "")
+    shown = [one for one in contrasts if one.metric == (metric or contrasts[0].metric)][:60]
+    names = list(dict.fromkeys(one.run for one in shown))
+    subjects = list(dict.fromkeys(one.subject for one in shown))
+    unit = unit_of(shown[0].metric, [one.difference.first for one in shown])
+    path = _beside(page, "differences")
+    with png(path, 7.5, 1.2 + 0.28 * len(subjects), "") as figure:
+        axes = figure.add_subplot()
+        for one in shown:
+            k, n = subjects.index(one.subject), names.index(one.run)
+            d, colour = one.difference, _colours(len(names))[n]
+            height = len(subjects) - 1 - k + 0.12 * (n - (len(names) - 1) / 2)
+            ends = [unit.factor * x for x in (d.low, d.high)]
+            axes.plot(ends, [height] * 2, color=colour, label=literal(one.run) if k == 0 else None)
+            axes.plot(unit.factor * d.value, height, "o" if one.differs else ".", color=colour)
+        axes.axvline(0, color=BLACK, linewidth=0.7)
+        axes.set_yticks(np.arange(len(subjects))[::-1], [literal(s) for s in subjects])
+        axes.set(xlabel=f"{heading(shown[0].metric, unit)}, less the first study's; large point: differs")
+        plain(axes, "x")
+        legend_above(axes, 3)
+    return path
+
+
+def _colours(count: int) -> list[str]:
+    return [LINES[k % len(LINES)] for k in range(count)]
+
+
+def _beside(page: Path, name: str) -> Path:
+    return page.with_name(f"{page.stem}-{name}.png")

@@ -1,0 +1,148 @@
+"""The runs that `report` compares: studies, and tracks with their errors against truth."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from experiments.monte_carlo.declaration import short
+from experiments.monte_carlo.expectations import Value
+from trackers.core.errors import UnusableInput
+from trackers.paired_differences import Key, TrackErrors, errors_by_track
+from trackers.recordings.association import Association, associate_truth
+from trackers.recordings.folder import RecordingFolder, read_recording
+from trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS, read_tracks
+from trackers.scoring import score
+
+RESULTS = "results.json"
+
+
+@dataclass(frozen=True)
+class StudyRun:
+    """A study: its metrics by subject (world, point and tracker) and name, with intervals."""
+
+    name: str
+    folder: Path
+    metrics: dict[tuple[str, str], Value]
+
+
+@dataclass(frozen=True)
+class TrackRun:
+    """Tracks of recordings. `bearing`: of bearings. `metrics`: of evaluation.json, by recording; overall under "".
+
+    `recordings`: the tracked ones, by name. `association`: the estimates with their truth, None where neither the
+    recordings nor those of another run can be read. `errors`: by track.
+    """
+
+    name: str
+    folder: Path
+    bearing: bool
+    metrics: dict[str, dict[str, Any]]
+    recordings: Mapping[str, RecordingFolder]
+    association: Association | None
+    errors: Mapping[Key, TrackErrors]
+
+
+def read_runs(folders: Sequence[Path]) -> tuple[list[StudyRun] | list[TrackRun], list[str]]:
+    """The runs in these folders, and notices; raises UnusableInput for fewer than two, and for runs of two kinds."""
+    if len(folders) < 2:
+        raise UnusableInput(f"report: found {len(folders)} folders; expected two or more to compare")
+    if len({folder.resolve() for folder in folders}) < len(folders):
+        raise UnusableInput("report: a folder is given more than once; expected different runs; remove one")
+    kinds = [_kind(folder) for folder in folders]
+    other = next((k for k, kind in enumerate(kinds) if kind != kinds[0]), None)
+    if other is not None:
+        raise UnusableInput(
+            f"{folders[0]} holds {kinds[0]}, {folders[other]} {kinds[other]}; expected runs of one kind: studies, or "
+            "folders of `track`"
+        )
+    names = _names(folders)
+    if kinds[0] == RESULTS:
+        return [
+            StudyRun(name, folder, dict(_of_study(_json(folder / RESULTS))))
+            for name, folder in zip(names, folders, strict=True)
+        ], []
+    return _track_runs(names, folders)
+
+
+def _track_runs(names: Sequence[str], folders: Sequence[Path]) -> tuple[list[TrackRun], list[str]]:
+    contents = [_json(folder / EVALUATION) for folder in folders]
+    different = {content.get("kind", "position") for content in contents}
+    if len(different) > 1:
+        raise UnusableInput(f"{', '.join(map(str, folders))}: tracks of positions and of bearings; expected one kind")
+    notices, known = [], {}
+    for folder in folders:
+        for path in _sources(folder):
+            if path not in known:
+                try:
+                    known[path] = read_recording(path)
+                except UnusableInput as problem:
+                    notices.append(f"{problem}; no intervals and figures for it")
+    by_name = {recording.name: recording for recording in known.values()}
+    runs = []
+    for name, folder, content in zip(names, folders, contents, strict=True):
+        association, errors = _errors(folder, by_name)
+        metrics = {one["recording"]: one for one in content["recordings"]}
+        bearing = content.get("kind") == "bearing"
+        runs.append(TrackRun(name, folder, bearing, {"": content["overall"]} | metrics, by_name, association, errors))
+    return runs, notices
+
+
+def _errors(
+    folder: Path, recordings: Mapping[str, RecordingFolder]
+) -> tuple[Association | None, Mapping[Key, TrackErrors]]:
+    truths = {name: one.tables["truth"] for name, one in recordings.items() if "truth" in one.tables}
+    if not (folder / TRACKS).is_file() or not truths:
+        return None, {}
+    association = associate_truth(read_tracks(folder), truths)
+    scored = score(association, {name: one.rig.stations for name, one in recordings.items()})
+    return association, errors_by_track(association, scored)
+
+
+def _sources(folder: Path) -> list[Path]:
+    try:
+        lines = (folder / SOURCES).read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError):
+        return []
+    return [Path(line) for line in lines if line]
+
+
+def _names(folders: Sequence[Path]) -> list[str]:
+    """The last parts of the paths, as few as tell them apart."""
+    parts = [folder.resolve().parts for folder in folders]
+    for length in range(1, max(map(len, parts)) + 1):
+        names = [os.sep.join(own[-length:]) for own in parts]
+        if len(set(names)) == len(names):
+            return names
+    return [str(folder) for folder in folders]
+
+
+def _kind(folder: Path) -> str:
+    for name in (RESULTS, EVALUATION):
+        if (folder / name).is_file():
+            return name
+    if (folder / TRACKS).is_file():
+        raise UnusableInput(f"{folder}: no {EVALUATION}; write it with `trackwright evaluate {folder}`")
+    raise UnusableInput(
+        f"{folder}: no {RESULTS} and no {EVALUATION}; expected a folder of `trackwright study` or `trackwright track`"
+    )
+
+
+def _json(path: Path) -> Any:
+    try:
+        return json.loads(path.read_text("utf-8"))
+    except (OSError, ValueError) as error:
+        raise UnusableInput(f"{path}: cannot be read as JSON; run the study or `evaluate` again") from error
+
+
+def _of_study(content: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str], Value]]:
+    for cell in content["cells"]:
+        point = ", ".join(f"{short(k)} {v}" for k, v in cell["point"].items())
+        subject = ", ".join(x for x in (cell["world"], point, cell["tracker"]) if x)
+        for metric, value in cell["figures"].items():
+            yield (subject, metric), Value(*(math.nan if value[k] is None else value[k] for k in Value._fields))

@@ -1,0 +1,101 @@
+"""Paired differences hold their level where errors last; Holm's correction is that of closed testing."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from trackers.paired_differences import LEAST_PIECES, TrackErrors, holm, paired_differences
+
+STEP_S = 0.1
+
+
+def _lasting(rng, rows, runs, tau=1.0):
+    """Vectors in the plane with independent coordinates of unit variance, correlated over `tau` seconds (runs, rows, 2)."""
+    kept = np.exp(-STEP_S / tau)
+    x = rng.normal(size=(runs, rows, 2))
+    for k in range(1, rows):
+        x[:, k] = kept * x[:, k - 1] + np.sqrt(1 - kept**2) * x[:, k]
+    return x
+
+
+def _run(errors, recording="r"):
+    size = np.linalg.norm(errors, axis=-1)
+    return {(recording, "T"): TrackErrors(STEP_S * np.arange(len(size)), size, size * 1.2, (size < 2.4).astype(float))}
+
+
+def test_where_no_run_differs_some_difference_is_found_in_one_family_of_twenty():
+    """Four runs with one part of the error in common, three comparisons of three metrics each: 9 in a family."""
+    rng, wrong, plain, families = np.random.default_rng(0), 0, 0, 100
+    for _ in range(families):
+        common, own = _lasting(rng, 900, 1), _lasting(rng, 900, 4)
+        runs = [_run(e) for e in common + own]
+        found = [
+            difference.p
+            for other in runs[1:]
+            for difference in paired_differences(runs[0], other, ("rmse_m", "median_m", "coverage_95")).values()
+        ]
+        wrong += min(holm(found)) <= 0.05
+        plain += min(found) <= 0.05
+    assert wrong / families <= 0.08
+    # Without a correction a quarter of the families has a difference.
+    assert plain / families > 0.15
+
+
+def test_the_interval_contains_the_true_difference_nineteen_times_in_twenty():
+    rng, inside, runs = np.random.default_rng(1), 0, 300
+    true = np.sqrt(2.0) * 0.3  # RMSE of two coordinates with standard deviations 1.3 and 1
+    for _ in range(runs):
+        first, second = _lasting(rng, 900, 2)
+        found = paired_differences(_run(first), _run(1.3 * second), ("rmse_m",))["rmse_m"]
+        inside += found.low <= true <= found.high
+    assert 0.90 <= inside / runs <= 0.985
+
+
+def test_rows_taken_as_independent_would_differ_far_too_often():
+    """The pieces are long enough: with pieces of a row each a third of the differences would be called."""
+    rng = np.random.default_rng(2)
+    called = 0
+    for _ in range(100):
+        first, second = (np.linalg.norm(e, axis=-1) ** 2 for e in _lasting(rng, 900, 2))
+        d = second - first
+        called += abs(d.mean()) > 1.96 * d.std() / np.sqrt(len(d))
+    assert called > 30
+
+
+def test_runs_are_compared_over_the_tracks_and_times_that_both_have():
+    rng = np.random.default_rng(3)
+    first, second = _lasting(rng, 900, 2)
+    a, b = _run(first), _run(second[:450])
+    found = paired_differences(a | _run(first * 50, "other"), b, ("rmse_m",))["rmse_m"]
+    assert found.first == pytest.approx(np.sqrt(np.mean(np.sum(first[:450] ** 2, axis=-1))), rel=0.02)
+    assert paired_differences(a, _run(second, "other")) == {}
+
+
+def test_a_run_does_not_differ_from_itself_and_short_runs_have_no_interval():
+    run = _run(_lasting(np.random.default_rng(4), 900, 1)[0])
+    same = paired_differences(run, run)["rmse_m"]
+    assert same.value == same.low == same.high == 0.0
+    assert same.p == 1.0
+    short, other = (_run(e) for e in _lasting(np.random.default_rng(5), 4, 2))
+    found = paired_differences(short, other)["rmse_m"]
+    assert found.pieces < LEAST_PIECES
+    assert np.isnan(found.p)
+
+
+def _closed(p):
+    """The adjusted p-values of closed testing with Bonferroni's test of each set of hypotheses, by enumeration."""
+    n = len(p)
+    sets = [chosen for size in range(1, n + 1) for chosen in combinations(range(n), size)]
+    return [max(min(1.0, len(s) * min(p[k] for k in s)) for s in sets if own in s) for own in range(n)]
+
+
+def test_holm_is_closed_testing():
+    rng = np.random.default_rng(7)
+    for _ in range(50):
+        p = list(rng.uniform(size=6) ** 3)
+        assert holm(p) == pytest.approx(_closed(p))
+    assert np.isnan(holm([0.01, np.nan])[1])
+    assert holm([0.01, np.nan])[0] == pytest.approx(0.01)

@@ -1,0 +1,224 @@
+"""Differences between two runs on the same recordings, with intervals that respect that errors last.
+
+Both runs are cut into the same pieces of time, several times longer than the correlation of the errors, so that pieces
+are nearly independent; many tracks are pieces themselves. The interval is that of Student's t with the variance of the
+jackknife over pieces (Efron and Stein 1981; Künsch 1989 for pieces of a time series).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from trackers.core.chi_square import chi_square_quantile
+from trackers.recordings.association import Association
+from trackers.recordings.columns import float_column
+from trackers.recordings.tracks_table import track_keys
+from trackers.scoring import Scored
+
+MOST_PIECES, LEAST_PIECES = 30, 5
+MANY_TRACKS = 30
+"""Tracks from which each is a piece."""
+
+CORRELATION_TIMES = 4.0
+"""Least length of a piece, in integrated autocorrelation times of the difference of squared errors."""
+
+BINS = 600
+"""Bins of time in which the autocorrelation is estimated."""
+
+Key = tuple[str, ...]
+"""Recording, tag and, of bearings, station."""
+
+
+class TrackErrors(NamedTuple):
+    """Scored estimates of a track: `times` (n,) s, and of each the error, m, or of bearings the angle, rad.
+
+    `error_3d` (n,): NaN of bearings. `inside` (n,): 1 where the 95 % ellipse contains the truth, else 0; NaN without a
+    covariance.
+    """
+
+    times: np.ndarray
+    error: np.ndarray
+    error_3d: np.ndarray
+    inside: np.ndarray
+
+
+class Difference(NamedTuple):
+    """The second value less the first, its 95 % interval, and the p-value of no difference; NaN where unknown.
+
+    `first`, `second`: the metric of each run over the pieces that both cover. `pieces`: their number.
+    """
+
+    first: float
+    second: float
+    low: float
+    high: float
+    p: float
+    pieces: int
+
+    @property
+    def value(self) -> float:
+        """The second value less the first."""
+        return self.second - self.first
+
+
+METRICS: dict[str, Callable[[TrackErrors], float]] = {
+    "rmse_m": lambda rows: _rms(rows.error),
+    "median_m": lambda rows: _quantile(rows.error, 0.5),
+    "p95_m": lambda rows: _quantile(rows.error, 0.95),
+    "rmse_3d_m": lambda rows: _rms(rows.error_3d),
+    "coverage_95": lambda rows: float(np.nanmean(rows.inside)) if np.isfinite(rows.inside).any() else math.nan,
+}
+"""The metrics of which differences are taken, by their names in evaluation.json."""
+
+
+def errors_by_track(association: Association, scored: Scored) -> dict[Key, TrackErrors]:
+    """The scored errors of each track by its recording, tag and station."""
+    keys = association.rows.select(track_keys(association.rows))[association.starts[:-1]].rows()
+    times = float_column(association.rows, "t_s")[scored.index]
+    norm = scored.angle[:, 0] if scored.angle is not None else np.linalg.norm(scored.errors[:, :2], axis=1)
+    in_space = np.linalg.norm(scored.errors, axis=1) if scored.angle is None else np.full(len(norm), math.nan)
+    inside = np.where(np.isfinite(scored.nees), scored.nees <= chi_square_quantile(0.95, 2), math.nan)
+    ends = np.searchsorted(scored.index, association.starts)
+    return {
+        tuple(key): TrackErrors(times[a:b], norm[a:b], in_space[a:b], inside[a:b])
+        for key, a, b in zip(keys, ends[:-1], ends[1:], strict=True)
+        if b > a
+    }
+
+
+def paired_differences(
+    first: Mapping[Key, TrackErrors], second: Mapping[Key, TrackErrors], metrics: Sequence[str] = tuple(METRICS)
+) -> dict[str, Difference]:
+    """The differences of the metrics over the tracks that both runs have; empty without a common track."""
+    common = [key for key in first if key in second]
+    if not common:
+        return {}
+    a, b = _in_pieces(common, first, second)
+    both = np.intersect1d(a.piece, b.piece)
+    a, b = a.of(both), b.of(both)
+    return {name: _difference(METRICS[name], a, b, both) for name in metrics}
+
+
+def holm(p: Sequence[float]) -> list[float]:
+    """The p-values adjusted for their number (Holm 1979): those up to 0.05 differ, wrongly in 5 % of all families.
+
+    NaN stays NaN and does not count.
+    """
+    values = np.asarray(p, float)
+    known = np.flatnonzero(np.isfinite(values))
+    order = known[np.argsort(values[known], kind="stable")]
+    adjusted = np.full(len(values), math.nan)
+    adjusted[order] = np.minimum(np.maximum.accumulate((len(order) - np.arange(len(order))) * values[order]), 1.0)
+    return [float(x) for x in adjusted]
+
+
+class _Pieces(NamedTuple):
+    """The rows of a run and the `piece` (n,) of each."""
+
+    rows: TrackErrors
+    piece: np.ndarray
+
+    def of(self, pieces: np.ndarray) -> _Pieces:
+        kept = np.isin(self.piece, pieces)
+        return _Pieces(TrackErrors(*(x[kept] for x in self.rows)), self.piece[kept])
+
+    def without(self, piece: int) -> TrackErrors:
+        kept = self.piece != piece
+        return TrackErrors(*(x[kept] for x in self.rows))
+
+
+def _in_pieces(
+    common: Sequence[Key], first: Mapping[Key, TrackErrors], second: Mapping[Key, TrackErrors]
+) -> tuple[_Pieces, _Pieces]:
+    """The rows of the common tracks of both runs with their pieces, −1 outside the time that both cover."""
+    joined = [_joined([run[key] for key in common]) for run in (first, second)]
+    lengths = [np.array([len(run[key].times) for key in common]) for run in (first, second)]
+    if len(common) >= MANY_TRACKS:
+        return tuple(  # type: ignore[return-value]
+            _Pieces(rows, np.repeat(np.arange(len(common)), n)) for rows, n in zip(joined, lengths, strict=True)
+        )
+    names = list(dict.fromkeys(key[0] for key in common))
+    number = np.array([names.index(key[0]) for key in common])
+    recording = [np.repeat(number, n) for n in lengths]
+    spans = []
+    for k in range(len(names)):
+        times = [rows.times[of == k] for rows, of in zip(joined, recording, strict=True)]
+        spans.append((max(x.min() for x in times), min(x.max() for x in times)))
+    length = _piece_length(joined, recording, spans)
+    numbers, before = [np.full(len(rows.times), -1) for rows in joined], 0
+    for k, (begin, end) in enumerate(spans):
+        count = max(int((end - begin) / length), 1) if end > begin else 1
+        for rows, of, piece in zip(joined, recording, numbers, strict=True):
+            own = np.flatnonzero((of == k) & (rows.times >= begin) & (rows.times <= end))
+            share = (rows.times[own] - begin) / max(end - begin, 1e-9)
+            piece[own] = before + np.minimum((share * count).astype(int), count - 1)
+        before += count
+    return tuple(  # type: ignore[return-value]
+        _Pieces(rows, piece).of(np.arange(before)) for rows, piece in zip(joined, numbers, strict=True)
+    )
+
+
+def _piece_length(joined: Sequence[TrackErrors], recording: Sequence[np.ndarray], spans: Sequence[tuple]) -> float:
+    """Seconds: a thirtieth of the time of all recordings, and several correlation times of the difference."""
+    total = sum(max(end - begin, 0.0) for begin, end in spans)
+    width, runs = max(total / BINS, 1e-9), []
+    for k, (begin, end) in enumerate(spans):
+        count = max(int((end - begin) / width), 1)
+        means = []
+        for rows, of in zip(joined, recording, strict=True):
+            own = (of == k) & (rows.times >= begin) & (rows.times <= end)
+            place = np.minimum(((rows.times[own] - begin) / width).astype(int), count - 1)
+            n = np.bincount(place, minlength=count)
+            means.append(np.bincount(place, rows.error[own] ** 2, minlength=count) / np.where(n, n, np.nan))
+        difference = means[1] - means[0]
+        runs.append(difference[np.isfinite(difference)])
+    return max(total / MOST_PIECES, CORRELATION_TIMES * width * _correlation_time(runs), 1e-9)
+
+
+def _correlation_time(runs: Sequence[np.ndarray]) -> float:
+    """The integrated autocorrelation time, in rows, of series about their common mean (Sokal's window of 5 times)."""
+    every = np.concatenate(runs)
+    if len(every) < 4 or np.ptp(every) == 0:
+        return 1.0
+    mean, variance, time = every.mean(), every.var(), 1.0
+    for lag in range(1, len(every) // 3):
+        products = [(x[lag:] - mean) * (x[:-lag] - mean) for x in runs if len(x) > lag]
+        time += 2.0 * float(np.concatenate(products).sum()) / len(every) / variance if products else 0.0
+        if lag >= 5 * time:
+            break
+    return max(time, 1.0)
+
+
+def _difference(metric: Callable[[TrackErrors], float], a: _Pieces, b: _Pieces, pieces: np.ndarray) -> Difference:
+    first, second, n = metric(a.rows), metric(b.rows), len(pieces)
+    unknown = Difference(first, second, math.nan, math.nan, math.nan, n)
+    if n < LEAST_PIECES or not math.isfinite(second - first):
+        return unknown
+    without = np.array([metric(b.without(k)) - metric(a.without(k)) for k in pieces])
+    variance = (n - 1) / n * float(((without - without.mean()) ** 2).sum())
+    if not math.isfinite(variance):
+        return unknown
+    if variance == 0.0:
+        same = second == first
+        return Difference(first, second, second - first, second - first, 1.0 if same else 0.0, n)
+    from scipy.special import stdtr, stdtrit
+
+    sigma, value = math.sqrt(variance), second - first
+    half = float(stdtrit(n - 1, 0.975)) * sigma
+    return Difference(first, second, value - half, value + half, 2.0 * float(stdtr(n - 1, -abs(value) / sigma)), n)
+
+
+def _joined(parts: Sequence[TrackErrors]) -> TrackErrors:
+    return TrackErrors(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def _rms(x: np.ndarray) -> float:
+    return math.sqrt(float(np.mean(x * x))) if len(x) and np.isfinite(x).all() else math.nan
+
+
+def _quantile(x: np.ndarray, level: float) -> float:
+    return float(np.quantile(x, level)) if len(x) else math.nan
