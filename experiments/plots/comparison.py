@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from experiments.plots.style import BLACK, GREY, LINES, broken_at_gaps, legend_above, literal, plain, png
+from experiments.plots.style import BLACK, GREY, LINES, broken_at_gaps, figure_file, legend_above, literal, plain
 from experiments.reports.comparison import Contrast
 from experiments.reports.runs import StudyRun, TrackRun
 from experiments.reports.wording import Unit, heading, length_unit, unit_of
@@ -46,7 +46,7 @@ def _distributions(page: Path, runs: Sequence[TrackRun]) -> Path:
     furthest = max(float(np.quantile(e, 0.995)) for e in errors)
     unit = Unit("°", 180 / math.pi) if runs[0].bearing else length_unit(furthest / 2)
     path = _beside(page, "errors")
-    with png(path, 9.5, 4.0, "") as figure:
+    with figure_file(path, 9.5, 4.0, "") as figure:
         left, right = figure.subplots(1, 2)
         quantity = "angle to the true direction" if runs[0].bearing else "horizontal error"
         for run, own, colour in zip(runs, errors, _colours(len(runs)), strict=True):
@@ -85,7 +85,7 @@ def _floor_plans(page: Path, runs: Sequence[TrackRun]) -> list[Path]:
         return []
     shown, columns = common[:MOST_PLANS], len(runs)
     path = _beside(page, "floor_plans")
-    with png(path, min(3.3 * columns + 0.4, 16.0), 3.2 * len(shown) + 0.5, "") as figure:
+    with figure_file(path, min(3.3 * columns + 0.4, 16.0), 3.2 * len(shown) + 0.5, "") as figure:
         panels = figure.subplots(len(shown), columns, squeeze=False, sharex="row", sharey="row")
         for row, name in zip(panels, shown, strict=True):
             for axes, run, colour in zip(row, runs, _colours(columns), strict=True):
@@ -129,7 +129,7 @@ def _intervals(page: Path, contrasts: Sequence[Contrast]) -> Path:
     subjects = list(dict.fromkeys(one.subject for one in shown))
     unit = unit_of(shown[0].metric, [one.difference.first for one in shown])
     path = _beside(page, "differences")
-    with png(path, 7.5, 1.2 + 0.28 * len(subjects), "") as figure:
+    with figure_file(path, 7.5, 1.2 + 0.28 * len(subjects), "") as figure:
         axes = figure.add_subplot()
         for one in shown:
             k, n = subjects.index(one.subject), names.index(one.run)

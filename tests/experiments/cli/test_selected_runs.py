@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.cli import tracking
+from experiments.plots import track_folder
 from sim import worlds
 from tests.in_process import assert_refused, trackwright
 from trackers.core.errors import UnusableInput
@@ -27,7 +27,7 @@ def room(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def _without_figures(monkeypatch):
-    monkeypatch.setattr(tracking, "plot_tracks", lambda *arguments: [])
+    monkeypatch.setattr(track_folder, "plot_tracks", lambda *arguments: [])
 
 
 def _tracks(folder):
