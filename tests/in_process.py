@@ -12,6 +12,7 @@ from unittest import mock
 
 import jax
 
+from experiments.cli import console
 from experiments.cli.main import main
 from experiments.plots import style
 from trackers.core import traced_programs
@@ -32,6 +33,7 @@ def trackwright(*arguments: str | Path | float) -> CommandResult:
     with (
         mock.patch.object(sys, "argv", ["trackwright", *map(str, arguments)]),
         mock.patch.dict(os.environ),
+        mock.patch.object(console.ERRORS, "quiet", False),
         mock.patch.dict(style.STYLE, {"savefig.dpi": 40}),
         # Tests replace functions of ours, of which a program that is not traced knows nothing.
         mock.patch.object(traced_programs, "use"),

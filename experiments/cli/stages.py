@@ -88,19 +88,19 @@ class Stages:
         COMPILATION.listen()
         self.end()
         self.name, self.total, self.done, self.note, self.since = name, total, 0, "", monotonic()
-        task = self.task = self.bars.add_task(name, total=total)
+        task = self.task = self.bars.add_task(name, total=total, count=self.count())
 
         def advance(done: int, now: str = "") -> None:
             self.done, self.note = self.done + done, now
-            self.bars.update(task, advance=done, description=f"{name} {now}" if now else name)
+            self.bars.update(task, advance=done, count=self.count(), description=f"{name} {now}" if now else name)
 
         return advance
 
     def end(self) -> None:
         """Stops the clock of the present stage."""
         if self.task is not None:
-            total = max(self.done, 1) if self.total is None else self.total
-            self.bars.update(self.task, total=total, completed=total, description=self.name)
+            done = max(self.done, 1)
+            self.bars.update(self.task, total=done, completed=done, description=self.name)
 
     def update_compiling(self) -> None:
         """Draws the row of jax's compilations, if there have been any."""
@@ -112,14 +112,22 @@ class Stages:
         if not words:
             return
         if self.compiling is None:
-            self.compiling = self.bars.add_task(words, total=None)
+            self.compiling = self.bars.add_task(words, total=None, count="")
         done_bar = None if COMPILATION.begun else 1
         self.bars.update(self.compiling, description=words, total=done_bar, completed=done_bar)
 
+    def count(self) -> str:
+        """How much of the stage is done; empty where its total is unknown."""
+        return "" if self.total is None else f"{self.done} of {self.total}"
+
     def line(self) -> str:
         """The present stage as a line for a pipe."""
-        count = "" if self.total is None else f" {self.done} of {self.total}"
-        words = [f"{self.name}{count}", f"{monotonic() - self.since:.0f} s", COMPILATION.now(), self.note]
+        words = [
+            f"{self.name} {self.count()}".rstrip(),
+            f"{monotonic() - self.since:.0f} s",
+            COMPILATION.now(),
+            self.note,
+        ]
         return f"{self.what}: {', '.join(x for x in words if x)}"
 
 
@@ -130,7 +138,7 @@ def stages(what: str) -> Iterator[Begin]:
     What is printed meanwhile comes after the bars, which are removed then.
     """
     terminal = sys.stderr.isatty() and not ERRORS.quiet
-    columns = (TextColumn("{task.description}"), BarColumn(20), TextColumn("{task.completed:.0f}"), TimeElapsedColumn())
+    columns = (TextColumn("{task.description}"), BarColumn(20), TextColumn("{task.fields[count]}"), TimeElapsedColumn())
     bars = Progress(*columns, console=ERRORS, disable=not terminal, transient=True, redirect_stdout=False)
     shown, ended, printed = Stages(what, bars), Event(), io.StringIO()
     watch = Thread(target=_watch, args=(shown, ended, terminal), daemon=True)
