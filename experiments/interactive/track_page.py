@@ -54,7 +54,8 @@ def track_page(
     more = len(tracks.folders) - 3
     title = names + (f" and {more} more" if more > 0 else "")
     data = page_data(tracks, events, evaluation) | {"tracker": tracker, "command": command}
-    own = "\n".join((HERE / f"{name}.js").read_text(encoding="utf-8") for name in SCRIPTS)
+    scripts = [SHARED / "plotting.js", *(HERE / f"{name}.js" for name in SCRIPTS)]
+    own = "\n".join(path.read_text(encoding="utf-8") for path in scripts)
     parts = {
         "title": escape(title),
         "tracker": escape(tracker),

@@ -27,8 +27,6 @@ MARKS, DASHES = "osD^vPX", ("-", "--", "-.", ":")
 SHOWN_CONDITIONS, LINES_SHOWN, ROWS_SHOWN, NAMES_INSIDE = 6, 8, 40, 4
 """The most conditions with distributions, lines in a chart, rows in a chart, and names in a legend inside the axes."""
 
-BOUND_DASHES = (0, (1, 1.5))
-
 UNITS = ("rad/s", "m/s²", "m/s", "rad", "Hz", "m", "s")
 """Units of worlds' parameters in their docstrings; longer ones first."""
 
@@ -99,7 +97,7 @@ def _along(
             at = [float(c.point[along]) for c in there if (c.index, tracker) in limits]
             if at:
                 bound = [limits[c.index, tracker] for c in there if (c.index, tracker) in limits]
-                line = {"color": look["color"], "linestyle": BOUND_DASHES, "linewidth": 1.3}
+                line = {"color": look["color"], "linestyle": ":", "linewidth": 1.3}
                 axes.plot(at, bound, **line, label=literal(f"{name}: Cramér–Rao bound"))
         least, most = min(study.grid[along]), max(study.grid[along])
         if least > 0 and most / least >= 8:

@@ -20,6 +20,8 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
+from experiments.interactive.packing import script_json
+from experiments.plots.plotly_figure import plotly_figure
 from trackers.recordings.atomic import atomic_write
 
 BLACK = "#000000"
@@ -114,22 +116,30 @@ def figure_file(path: Path | str, width: float, height: float, title: str) -> It
             atomic_write(path, partial(canvas.print_png, pil_kwargs={"compress_level": COMPRESSION}))
 
 
-def svg(draw: Callable[[Figure], object], width: float = WIDTH, height: float = HEIGHT) -> str:
-    """The SVG text that `draw` makes of an empty figure of that size in inches; its text stays text."""
+def svg(draw: Callable[[Figure], object], width: float = WIDTH, height: float = HEIGHT, movable: bool = False) -> str:
+    """The SVG text that `draw` makes of an empty figure of that size in inches; its text stays text.
+
+    With `movable` the SVG also holds the chart as data for plotly.js where it can, as the metadata `chart`.
+    """
     with _styled():
         figure = Figure(figsize=(width, height), dpi=72, facecolor="none", layout="constrained")
         canvas = FigureCanvasSVG(figure)
         draw(figure)
         page, nothing = io.BytesIO(), dict.fromkeys(("Date", "Creator", "Format", "Type"))
         canvas.print_svg(page, metadata=nothing)
+        chart = plotly_figure(figure) if movable else None
     text = page.getvalue().decode()
     text = re.sub(r"<\?xml.*?\?>\s*|<!DOCTYPE.*?>\s*|<metadata>.*?</metadata>\s*", "", text, flags=re.DOTALL)
-    return re.sub(r"font-family: [^;\"]*", f"font-family: {FONTS}", text)
+    text = re.sub(r"font-family: [^;\"]*", f"font-family: {FONTS}", text)
+    if chart is None:
+        return text
+    data = script_json(chart | {"height": height / width}).replace("&", "\\u0026").replace(">", "\\u003e")
+    return text.replace("</svg>", f'<metadata id="chart">{data}</metadata></svg>')
 
 
 def svg_address(draw: Callable[[Figure], object], width: float = WIDTH, height: float = HEIGHT) -> str:
-    """`svg` as a data address, for an image inside a page."""
-    return "data:image/svg+xml;base64," + base64.b64encode(svg(draw, width, height).encode()).decode()
+    """`svg` as a data address, for an image inside a page, with the data of the chart that scripts draw instead."""
+    return "data:image/svg+xml;base64," + base64.b64encode(svg(draw, width, height, movable=True).encode()).decode()
 
 
 def write_svg(

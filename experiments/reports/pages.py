@@ -10,17 +10,27 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from experiments.interactive.packing import plotting_script
 from experiments.reports.wording import counted, duration, number
 from trackers.core.errors import listed
 from trackers.recordings.atomic import atomic_write
+
+CHART = '<img src="data:image/svg+xml;base64,'
+"""How an image of a chart begins in a page."""
 
 WIDE = 132
 """Characters a line of a table from which intervals are put below their values instead of beside them."""
 
 
 def page(template: str, **content: Any) -> str:
-    """The page of a template; all text is escaped."""
-    return _environment().get_template(template).render(**content)
+    """The page of a template; all text is escaped. Its charts can be zoomed and moved, and show their numbers."""
+    environment = _environment()
+    text = environment.get_template(template).render(**content)
+    if CHART not in text:
+        return text
+    scripts = environment.get_template("moving.html").render(plotting_script=Markup(plotting_script()))
+    before, end, after = text.rpartition("</body>")
+    return before + scripts + end + after
 
 
 def write_page(path: Path | str, text: str) -> Path:

@@ -26,7 +26,7 @@ def _drawn(name, values, bounds=None):
     found = {(c.index, t): Value(0.01 + 0.01 * c.index, 0.009, 0.06) for c in study.conditions for t in study.trackers}
     limits = None if bounds is None else {key: Value(b, b, b) for key, b in zip(found, bounds, strict=True)}
     chart = metric_chart(SimpleNamespace(study=study), "rmse_m", found, Unit("cm", 100.0), limits)
-    return base64.b64decode(chart.address.split(",", 1)[1]).decode()
+    return base64.b64decode(chart.address.split(",", 1)[1]).decode().partition("<metadata")[0]
 
 
 def test_the_bound_is_a_line_among_the_errors():

@@ -16,7 +16,8 @@ BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil
 MEASURE = """<script>addEventListener("load", () => {
   const images = [...document.images], root = document.documentElement;
   root.dataset.found = [root.scrollWidth, innerWidth, images.length, images.filter(i => i.naturalWidth > 0).length,
-    Math.min(...images.map(i => i.clientWidth)), [...document.querySelectorAll("section")].length].join(" ");
+    Math.min(...[...document.querySelectorAll(".chart .main-svg")].map(i => i.clientWidth)),
+    [...document.querySelectorAll("section")].length].join(" ");
 });</script></body>"""
 
 
