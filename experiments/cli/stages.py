@@ -122,12 +122,8 @@ class Stages:
 
     def line(self) -> str:
         """The present stage as a line for a pipe."""
-        words = [
-            f"{self.name} {self.count()}".rstrip(),
-            f"{monotonic() - self.since:.0f} s",
-            COMPILATION.now(),
-            self.note,
-        ]
+        stage, seconds = f"{self.name} {self.count()}".rstrip(), f"{monotonic() - self.since:.0f} s"
+        words = [stage, seconds, COMPILATION.now(), self.note]
         return f"{self.what}: {', '.join(x for x in words if x)}"
 
 

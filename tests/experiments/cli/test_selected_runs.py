@@ -9,7 +9,6 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.plots import track_folder
 from sim import worlds
 from tests.in_process import assert_refused, trackwright
 from trackers.core.errors import UnusableInput
@@ -25,18 +24,13 @@ def room(tmp_path_factory):
     return path
 
 
-@pytest.fixture(autouse=True)
-def _without_figures(monkeypatch):
-    monkeypatch.setattr(track_folder, "plot_tracks", lambda *arguments: [])
-
-
 def _tracks(folder):
     return pl.read_parquet(folder / "tracks.parquet")
 
 
 def test_a_part_of_a_recording_is_tracked(room, tmp_path):
     part = ("--tag", "1", "--from", 1, "--to", 4)
-    done = trackwright("track", room, "--tracker", "uwb", *part, "--out", tmp_path)
+    done = trackwright("track", room, "--no-figures", "--no-report", "--tracker", "uwb", *part, "--out", tmp_path)
     assert done.code == 0, done
     tracks = _tracks(tmp_path)
     assert set(tracks["tag"]) == {"1"}
@@ -71,39 +65,45 @@ def test_a_part_that_holds_nothing_is_refused(room, part, expected):
 
 def test_a_value_set_is_that_of_a_noise_file_and_goes_before_it(room, tmp_path):
     (tmp_path / "noise.toml").write_text('tracker = "uwb"\n[tunables."sensors.ranges.sigma_r"]\nvalue = 0.3\n')
-    by_file = trackwright("track", room, "--noise", tmp_path / "noise.toml", "--out", tmp_path / "file")
+    by_file = trackwright(
+        "track", room, "--no-figures", "--no-report", "--noise", tmp_path / "noise.toml", "--out", tmp_path / "file"
+    )
     assert f"tracker: uwb, that of {tmp_path / 'noise.toml'}; choose another with --tracker" in by_file.err
     options = ("--tracker", "uwb", "--set", "sensors.*.sigma_r=0.3")
-    assert trackwright("track", room, *options, "--out", tmp_path / "set").code == 0
+    assert trackwright("track", room, "--no-figures", "--no-report", *options, "--out", tmp_path / "set").code == 0
     assert _tracks(tmp_path / "file").equals(_tracks(tmp_path / "set"))
     both = ("--noise", tmp_path / "noise.toml", "--set", "sensors.ranges.sigma_r=0.1")
-    assert trackwright("track", room, *both, "--out", tmp_path / "both").code == 0
+    assert trackwright("track", room, "--no-figures", "--no-report", *both, "--out", tmp_path / "both").code == 0
     assert not _tracks(tmp_path / "both").equals(_tracks(tmp_path / "set"))
 
 
 def test_the_tracker_of_a_noise_file_is_taken_where_the_tables_would_give_another(room, tmp_path):
     (tmp_path / "noise.toml").write_text('tracker = "multilateration"\n[tunables."sigma_r"]\nvalue = 0.3\n')
-    done = trackwright("track", room, "--noise", tmp_path / "noise.toml", "--out", tmp_path / "out")
+    done = trackwright(
+        "track", room, "--no-figures", "--no-report", "--noise", tmp_path / "noise.toml", "--out", tmp_path / "out"
+    )
     assert done.code == 0, done
     assert json.loads((tmp_path / "out" / "manifest.json").read_text())["config"]["tracker"] == "multilateration"
 
 
 def test_a_value_that_no_tunable_takes_is_refused(room, tmp_path):
     for text, expected in (("sigma_q=1", "--set: this tracker has no 'sigma_q'"), ("*.sigma_r=-1", "is positive")):
-        said = trackwright("track", room, "--tracker", "uwb", "--set", text, "--out", tmp_path / "out")
+        said = trackwright(
+            "track", room, "--no-figures", "--no-report", "--tracker", "uwb", "--set", text, "--out", tmp_path / "out"
+        )
         assert_refused(said, expected)
 
 
 def test_quiet_prints_results_alone(room, tmp_path):
-    loud = trackwright("track", room, "--out", tmp_path / "loud")
-    quiet = trackwright("track", room, "--quiet", "--out", tmp_path / "quiet")
+    loud = trackwright("track", room, "--no-figures", "--no-report", "--out", tmp_path / "loud")
+    quiet = trackwright("track", room, "--no-figures", "--no-report", "--quiet", "--out", tmp_path / "quiet")
     assert loud.err
     assert quiet.err == ""
     assert quiet.out == loud.out.replace(str(tmp_path / "loud"), str(tmp_path / "quiet"))
 
 
 def test_estimates_of_a_part_are_evaluated(room, tmp_path):
-    assert trackwright("track", room, "--tracker", "uwb", "--out", tmp_path).code == 0
+    assert trackwright("track", room, "--no-figures", "--no-report", "--tracker", "uwb", "--out", tmp_path).code == 0
     whole, part = (
         json.loads(trackwright("evaluate", tmp_path, "--json", *words).out)
         for words in ((), ("--tag", "0", "--from", "2"))

@@ -13,21 +13,21 @@ from experiments.cli import stages as module
 from experiments.cli.stages import Compilation, stages
 
 
-@pytest.fixture
-def drawn(monkeypatch, capsys):
-    """Standard error as a terminal of 100 columns."""
+class _Terminal(io.StringIO):
+    def isatty(self):
+        return True
 
-    class Terminal(io.StringIO):
-        def isatty(self):
-            return True
 
-    screen = Terminal()
+def _on_terminal(monkeypatch):
+    """Standard error as a terminal of 100 columns; to be called by a test, since capsys sets the streams anew."""
+    screen = _Terminal()
     monkeypatch.setattr(sys, "stderr", screen)
     monkeypatch.setattr(module, "ERRORS", Console(file=screen, force_terminal=True, width=100, color_system=None))
     return screen
 
 
-def test_every_stage_has_a_row_of_its_own_with_what_was_done(drawn, capsys):
+def test_every_stage_has_a_row_of_its_own_with_what_was_done(monkeypatch, capsys):
+    drawn = _on_terminal(monkeypatch)
     with stages("tune") as begin:
         begin("reading")
         advance = begin("step", 60)
@@ -60,7 +60,9 @@ def test_a_short_command_prints_nothing_in_a_pipe(capsys):
     assert capsys.readouterr() == ("", "")
 
 
-def test_results_printed_before_a_failure_are_not_lost(drawn, capsys):
+def test_results_printed_before_a_failure_are_not_lost(monkeypatch, capsys):
+    _on_terminal(monkeypatch)
+
     def fail():
         with stages("track") as begin:
             begin("reading")
