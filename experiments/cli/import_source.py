@@ -58,20 +58,24 @@ def import_source(
     kind = format or source_kind(source)
     notice(f"{source}: read as {kind}" + ("" if format else "; another format: --format"))
     if mapping is not None:
+        if kind in ("dwm1001", "trek1000"):
+            raise UnusableInput(f"--mapping {mapping}: a log of a kit has its tables; leave it out")
         if table or columns or topic or separator != ",":
             raise UnusableInput("--mapping and --table, --columns, --topic or --separator; expected one or the other")
         mappings = [
             m if m.tag or tag is None else TableMapping(m.table, m.columns, m.topic, tag, m.separator)
             for m in read_mapping(mapping)
         ]
+    elif kind in ("dwm1001", "trek1000"):
+        if table is not None or topic is not None:
+            raise UnusableInput(f"{source}: a log of a kit has its tables; leave --table and --topic out")
+        mappings = [TableMapping("ranges", columns_of(columns), tag=tag)]
     elif table is not None:
         mappings = [TableMapping(table, columns_of(columns), topic, tag, separator)]
+    elif columns:
+        raise UnusableInput("--columns without --table; expected --table ranges, fixes, truth or another table")
     else:
-        if columns:
-            raise UnusableInput(
-                "--columns without --table; expected --table ranges, fixes, bearings, phases, imu or truth"
-            )
-        mappings = [TableMapping("ranges", tag=tag)] if kind in ("dwm1001", "trek1000") else []
+        mappings = []
     found = read_source(source, kind, mappings, interval, skip_bad_lines, messages)
     for line in found.notices:
         notice(f"notice: {line}")

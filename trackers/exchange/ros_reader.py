@@ -98,6 +98,8 @@ def message_columns(reader: Any, path: Path, mapping: TableMapping) -> tuple[Tab
     frame = pl.DataFrame({source: _series(values, source, path) for source, values in rows.items()})
     if frame.is_empty():
         raise UnusableInput(f"{path}: topic {mapping.topic}: no messages; expected at least one")
+    if len(frame) > 1 and "header.stamp" in frame.columns and (frame["header.stamp"] == 0).all():
+        raise UnusableInput(f"{path}: topic {mapping.topic}: header.stamp is 0 in every message; give t_s=received")
     return TableFile(Path(f"{path} {mapping.topic}"), frame), replace(mapping, columns=columns)
 
 

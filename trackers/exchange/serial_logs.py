@@ -11,6 +11,7 @@ from typing import Literal
 import polars as pl
 
 from trackers.core.errors import UnusableInput
+from trackers.exchange.mapping import Expression
 
 LogKind = Literal["dwm1001", "trek1000"]
 
@@ -29,6 +30,8 @@ _BEGINS = re.compile(rf"(?:DIST,|POS,|[0-9A-Fa-f]{{4}}\[{_N},|m[acr] [0-9a-fA-F]
 _CLOCK = re.compile(r"(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d+)?)")
 _SHELL = ("dwm>", "DWM1001", "Copyright", "License", "Compiled", "Help")
 _DAY = 86400.0
+TIME = Expression("time", source="time")
+"""The expression of the number before the readings of a line, for `t_s`."""
 
 
 @dataclass
@@ -57,22 +60,28 @@ def log_kind(text: str) -> LogKind | None:
 
 
 def read_log(
-    path: Path, kind: LogKind, tag: str | None, interval: float | None = None, skip: bool = False
+    path: Path,
+    kind: LogKind,
+    tag: str | None,
+    interval: float | None = None,
+    skip: bool = False,
+    time: Expression = TIME,
 ) -> SerialLog:
     """The readings of a log. Lines of the shell, `mr` and `ma` lines and empty lines are left out.
 
-    Times: the text before the readings of a line, seconds or a date or a time of day; of TREK1000 lines without it,
-    the time of the last range in ms that they hold; else line k is at k · `interval`, s. `tag`: the id of the tag,
-    which DWM1001 lines do not name. Any other line is refused with its number, or left out with a notice if `skip`.
+    Times: the text before the readings of a line, a number (s, or by the expression `time`), a date or time of day; of
+    TREK1000 lines without it, the time of the last range in ms that they hold; else line k is at k · `interval`, s.
+    `tag`: the id of the tag, which DWM1001 lines do not name. Any other line is refused with its number, or left out
+    with a notice if `skip`.
     """
     if kind == "dwm1001" and tag is None:
         raise UnusableInput(f"{path}: DWM1001 lines do not name the tag; give it: --tag ID")
-    log, clock, bad = SerialLog(), _Clock(path, interval), []
+    log, clock, bad = SerialLog(), _Clock(path, interval, time), []
     raw = 0
     for number, line in enumerate(_text(path).splitlines(), 1):
         line = line.strip()
         begin = _BEGINS.search(line)
-        if not line or line.startswith(("#", *_SHELL)):
+        if not line or line.startswith("#") or (begin is None and line.startswith(_SHELL)):
             continue
         body = "" if begin is None else line[begin.start() :]
         if kind == "trek1000" and body[:2] in ("mr", "ma") and _TREK.fullmatch(body):
@@ -112,13 +121,13 @@ def _text(path: Path) -> str:
 class _Clock:
     """The time of each line; times of day go on after midnight."""
 
-    def __init__(self, path: Path, interval: float | None) -> None:
-        self.path, self.interval = path, interval
+    def __init__(self, path: Path, interval: float | None, time: Expression) -> None:
+        self.path, self.interval, self.time = path, interval, time
         self.rows, self.days, self.latest = 0, 0, -1.0
 
     def at(self, number: int, prefix: str, device: float | None = None) -> float:
         """The time, s, of a line with this text before its readings, or else that of the device."""
-        prefix = prefix.strip(" \t,;|:[]>")
+        prefix = prefix.strip().removesuffix("dwm>").strip(" \t,;|:[]->")
         self.rows += 1
         if not prefix:
             if device is None and self.interval is None:
@@ -135,7 +144,7 @@ class _Clock:
             self.latest = seconds
             return seconds + self.days * _DAY
         try:
-            return float(prefix)
+            return float(prefix) * self.time.factor + self.time.shift
         except ValueError:
             pass
         try:

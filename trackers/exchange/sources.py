@@ -15,7 +15,7 @@ from trackers.core.errors import UnusableInput, listed
 from trackers.exchange.mapped_table import mapped_table
 from trackers.exchange.mapping import TableMapping
 from trackers.exchange.ros_reader import message_columns, opened, topics_of
-from trackers.exchange.serial_logs import log_kind, read_log
+from trackers.exchange.serial_logs import TIME, log_kind, read_log
 from trackers.exchange.trajectory_files import kind_of, read_trajectory
 from trackers.recordings.table_file import SUFFIXES, TableFile, read_table_file
 
@@ -60,7 +60,11 @@ def read_source(
 ) -> Source:
     """The tables that the mappings make of a source; logs need a tag alone. Raises UnusableInput with file and line."""
     if kind == "dwm1001" or kind == "trek1000":
-        log = read_log(path, kind, mappings[0].tag if mappings else None, interval, skip)
+        (mapping,) = mappings
+        time = mapping.columns.get("t_s", TIME)
+        if mapping.columns.keys() - {"t_s"} or time.source != "time":
+            raise UnusableInput(f"{path}: {listed(mapping.columns)}: a log has one column, t_s=time, as t_s=time in ms")
+        log = read_log(path, kind, mapping.tag, interval, skip, time)
         return Source(log.tables(), log.notices, log.anchors)
     if not mappings:
         topics = ""

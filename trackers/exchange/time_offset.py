@@ -16,6 +16,7 @@ _SEARCHED_S = 0.5
 _LEAST_CORRELATION = 0.5
 _LEAST_OVERLAP = 0.5
 _MOST_STEPS = 200_000
+_FITTED = 5000
 _GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 
 
@@ -28,6 +29,7 @@ def estimate_offset(estimate: PoseTrajectory, truth: PoseTrajectory, align: Alig
     without changes of speed.
     """
     coarse = _by_speed(estimate, truth)
+    estimate = estimate.at_rows(np.unique(np.linspace(0, len(estimate) - 1, _FITTED).astype(int)))
     low, high = coarse - _SEARCHED_S, coarse + _SEARCHED_S
     # The distance has one minimum near the right offset, but small ripples where poses enter and leave the overlap.
     grid = np.linspace(low, high, 41)

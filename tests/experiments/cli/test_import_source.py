@@ -68,6 +68,16 @@ def test_a_log_of_a_kit_brings_its_anchors(there):
     assert {name: len(table) for name, table in recording.tables.items()} == {"ranges": 15, "fixes": 5}
 
 
+def test_a_log_in_milliseconds_takes_a_unit_and_no_other_column(there):
+    line = "POS,2.57,2.00,1.67,97"
+    (there / "tag.log").write_text(f"1500 {line}\n2500 {line}\n")
+    said = trackwright("import", "tag.log", "--tag", "C5", "--columns", "t_s=time in ms", "--out", "kit")
+    assert said.code == 0, said.err
+    assert pl.read_parquet("kit/fixes.parquet")["t_s"].to_list() == [1.5, 2.5]
+    for arguments, words in ((("--table", "ranges"), "leave --table"), (("--columns", "x_m=time"), "has one column")):
+        _refused_last(trackwright("import", "tag.log", "--tag", "C5", *arguments, "--out", "new"), words)
+
+
 @pytest.mark.parametrize(
     ("source", "arguments", "words"),
     [

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from trackers.core.errors import UnusableInput
+from trackers.exchange.mapping import parsed
 from trackers.exchange.serial_logs import log_kind, read_log
 
 # DWM1001 firmware user guide, commands les, lec and lep.
@@ -75,11 +76,17 @@ def test_ranges_that_the_mask_of_trek1000_leaves_out_are_left_out(tmp_path):
         (("[1718000000.25] ", "1718000001.5: "), [1718000000.25, 1718000001.5]),
         (("2026-05-01T00:00:00.250Z ", "2026-05-01 00:00:00.5 "), [1777593600.25, 1777593600.5]),
         (("[23:59:59.5] ", "[00:00:00.5] "), [86399.5, 86400.5]),
+        (("12:00:00.250 -> ", "12:00:00.500 -> dwm> "), [43200.25, 43200.5]),
     ],
 )
 def test_the_time_before_a_line_is_its_time(tmp_path, prefixes, times):
     log = _log(tmp_path, "".join(f"{prefix}{LEP}\n" for prefix in prefixes))
     assert log.tables()["fixes"]["t_s"].to_list() == pytest.approx(times, abs=1e-6)
+
+
+def test_a_number_before_a_line_may_have_a_unit(tmp_path):
+    log = _log(tmp_path, f"1500 {LEP}\n2500 {LEP}\n", time=parsed("t_s", "time in ms"))
+    assert log.tables()["fixes"]["t_s"].to_list() == [1.5, 2.5]
 
 
 def test_a_log_without_times_needs_an_interval(tmp_path):
