@@ -1,8 +1,8 @@
 """Recordings from NumPy arrays that a user holds: fixes, ranges, bearings and phases, for trackers that run on arrays.
 
-Everywhere: `times` (T,) s in ascending order; NaN marks a missing value; `height` m is the tag's constant height, which
-trackers over the floor (`planar=True`) need; `truth` (T, 3) m, or (T, 2) over the floor, is the true position, NaN
-where it is unknown. All raise ValueError for arrays that do not fit each other.
+Everywhere: `times` (T,) s in ascending order, or time stamps in any unit, as of pandas; NaN marks a missing value;
+`height` m is the tag's constant height, which trackers over the floor (`planar=True`) need; `truth` (T, 3) m, or (T, 2)
+over the floor, is the true position, NaN where it is unknown. All raise ValueError for arrays that do not fit.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from trackers.aoa.fusion import BEARINGS, bearing_inputs
 from trackers.aoa.rays import recent_points
 from trackers.core.recording import Readings, Recording
 from trackers.core.rig import Station, room_rows
+from trackers.core.seconds import seconds
 from trackers.core.track_loss import ROOM
 from trackers.parts.fixes import FIXES
 from trackers.parts.range_rows import range_inputs
@@ -77,7 +78,7 @@ def range_recording(
             )
         kept = np.isfinite(table)
         row, number = np.nonzero(kept)
-        times, table = np.asarray(times, float)[row], table[kept]
+        times, table = seconds(times)[row], table[kept]
         std = None if std is None else _like("std", std, kept)[kept]
         truth = None if truth is None else _rows_of(truth, row, len(kept))
     else:
@@ -92,7 +93,7 @@ def range_recording(
     variances = np.zeros(values.shape) if std is None else np.nan_to_num(_like("std", std, table))[:, None] ** 2
     readings = Readings(values, seen, variances)
     ends, heights = np.array([0, len(values)]), np.array([np.nan if height is None else height], float)
-    inputs = range_inputs(ends, np.asarray(times, float), readings, number, anchors, heights)
+    inputs = range_inputs(ends, seconds(times), readings, number, anchors, heights)
     inputs[ROOM.name] = room_rows(anchors, None, len(values))
     return Recording(times, {RANGES: readings}, inputs | _height(times, height), _truth(truth, len(times)), name)
 
@@ -123,9 +124,7 @@ def bearing_recording(
     where = np.stack([geometry[s] for s in station])
     spread = np.zeros(values.shape) if std is None else np.nan_to_num(_like("std", std, values))
     reported = np.stack([spread[:, 0] ** 2, np.zeros(len(spread)), spread[:, 1] ** 2], axis=1)
-    nearby = recent_points(
-        np.asarray(times, float), where[:, :3], where[:, 3:], values, np.asarray(seen.all(axis=1)), height
-    )
+    nearby = recent_points(seconds(times), where[:, :3], where[:, 3:], values, np.asarray(seen.all(axis=1)), height)
     number = np.array([list(stations).index(s) for s in station], float)
     inputs = {"origin": where[:, :3], "axes": where[:, 3:], "station": number, "nearby": nearby}
     inputs[ROOM.name] = room_rows(np.stack([s.position for s in stations.values()]), None, len(values))

@@ -20,6 +20,7 @@ from trackers.core.frames import recording_html
 from trackers.core.inputs import AnyArray, Inputs
 from trackers.core.keys import trajectory_key_data
 from trackers.core.row_checks import check_rows, read_only
+from trackers.core.seconds import seconds
 from trackers.core.sensor import Reading
 
 
@@ -48,11 +49,11 @@ def _reported(readings: Readings) -> np.ndarray:
 class Recording:
     """One trajectory's rows.
 
-    `times`: (T,) seconds, float64, not decreasing. `readings`: by sensor name. `inputs`: by name, (T, …), known
-    quantities that motion and sensors may use. `truth`: by quantity name, values (T, d) with the rows where it is
-    known. Its arrays are read-only views. `id`: from it and the seed of a run come the random numbers of filters that
-    draw any; None for the recording's place among those that run together. Equal to itself alone. Raises ValueError
-    where times are unsorted, shapes differ or a number isn't finite.
+    `times`: (T,) seconds, not decreasing; time stamps in any unit become seconds since 1970. `readings`: by sensor
+    name. `inputs`: by name, (T, …), known quantities that motion and sensors may use. `truth`: by quantity name, values
+    (T, d) with the rows where it is known. Its arrays are read-only views. `id`: from it and the seed of a run come the
+    random numbers of filters that draw any; None for the recording's place among those that run together. Equal to
+    itself alone. Raises ValueError where times are unsorted, shapes differ or a number isn't finite.
     """
 
     times: np.ndarray
@@ -63,7 +64,7 @@ class Recording:
     id: int | None = None
 
     def __post_init__(self) -> None:
-        times = np.asarray(self.times, np.float64)
+        times = seconds(self.times)
         check_rows(self.name, times, self.readings, self.inputs, self.truth)
         object.__setattr__(self, "times", read_only(times))
         object.__setattr__(self, "inputs", {name: read_only(x) for name, x in self.inputs.items()})

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 
 import polars as pl
 
+from trackers.core.seconds import seconds
 from trackers.recordings.averaging import AVERAGED, averaged
 from trackers.recordings.columns import TableRows, TagRows
 from trackers.recordings.truth import TruePaths
@@ -15,7 +16,7 @@ class Tables(Mapping[str, pl.DataFrame]):
     """The tables of a recording by name; their rows by tag and the true paths are made once."""
 
     def __init__(self, frames: Mapping[str, pl.DataFrame]) -> None:
-        self._frames = dict(frames)
+        self._frames = {name: _in_seconds(frame) for name, frame in frames.items()}
         self._rows: dict[tuple[str, float], TagRows] = {}
         self._paths: TruePaths | None = None
 
@@ -46,3 +47,9 @@ class Tables(Mapping[str, pl.DataFrame]):
         if self._paths is None:
             self._paths = TruePaths.of_table(self["truth"], recording) if "truth" in self else TruePaths.none()
         return self._paths
+
+
+def _in_seconds(frame: pl.DataFrame) -> pl.DataFrame:
+    """The table with time stamps as seconds; a cast of them to numbers would count their unit."""
+    times = frame["t_s"]
+    return frame.with_columns(t_s=seconds(times.to_numpy())) if times.dtype.is_temporal() else frame
