@@ -41,6 +41,8 @@ def study(
     shard: str = "1/1",
     cluster: str | None = None,
     list: bool = False,
+    no_figures: bool = False,
+    no_report: bool = False,
 ) -> int:
     """Run a Monte Carlo study: worlds × trackers × a grid × runs.
 
@@ -57,6 +59,8 @@ def study(
         shard: run only part i of n of the chunks, e.g. 2/8, for an array of jobs.
         cluster: run the chunks on a Dask cluster, tcp://HOST:8786, or in processes here, local:4 (docs/cluster.md).
         list: list the studies that come with the package.
+        no_figures: draw no figures of the study's own.
+        no_report: write no report.html.
     """
     if out is not None:
         require_output(out)
@@ -98,11 +102,13 @@ def study(
     expected = [] if declared.expected is None else declared.expected(results)
     print(to_text(results, expected), end="")
     atomic_write(folder / RESULTS, lambda path: path.write_text(to_json(results, expected), "utf-8"))
-    drawn = [] if declared.draw is None else declared.draw(results, folder)
-    written = write_study_report(folder, results, expected, drawn, sys.argv)
+    drawn = [] if declared.draw is None or no_figures else declared.draw(results, folder)
+    written = [RESULTS, "manifest.json", *drawn]
+    if not no_report:
+        written.insert(0, write_study_report(folder, results, expected, drawn, sys.argv).name)
     write_manifest(folder, sys.argv, {"study": declared.name, "runs": declared.runs}, started, (declared.seed,),
                    declared.chunk)  # fmt: skip
-    print(f"wrote {written}, {RESULTS}, manifest.json" + (f" and {', '.join(drawn)}" if drawn else ""))
+    print(f"wrote {', '.join([str(folder / written[0]), *written[1:]])}")
     return 0
 
 

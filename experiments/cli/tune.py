@@ -56,6 +56,8 @@ def tune(
     resume: bool = False,
     free_height: bool = False,
     piece_rows: int = 8000,
+    no_figures: bool = False,
+    no_report: bool = False,
 ) -> int:
     """Fit noise levels by gradient: values, intervals and a report.
 
@@ -95,6 +97,8 @@ def tune(
         resume: continue from the checkpoint in --out, with bit-identical results.
         free_height: estimate the height of tags whose height the rig gives.
         piece_rows: rows of the segments into which long recordings are cut.
+        no_figures: write no tuning.png.
+        no_report: write no report.html.
     """
     started, clock = datetime.now(UTC), time.perf_counter()
     values = parse_values(set_, "--set")
@@ -118,4 +122,4 @@ def tune(
         from experiments.cli.tuning_job import finish, fit_folders
 
         fitted = fit_folders(folders, len(recordings), out, options, tuned, values, resume, begin)
-        return finish(fitted, recordings, out, started, clock, begin)
+        return finish(fitted, recordings, out, started, clock, begin, not no_figures, not no_report)

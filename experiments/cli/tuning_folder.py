@@ -29,7 +29,10 @@ from tuning.tuned_file import write_tuned
 
 @dataclass(frozen=True)
 class Run:
-    """A finished run: the tracker's name, the options, the recordings' folders, when it started, how long it took."""
+    """A finished run: the tracker's name, the options, the recordings' folders, when it started, how long it took.
+
+    `figures`, `report`: whether these are written.
+    """
 
     tracker: str
     options: Mapping[str, Any]
@@ -37,6 +40,8 @@ class Run:
     seconds: float
     started: datetime
     command: Sequence[str]
+    figures: bool
+    report: bool
 
 
 def write_run(out: Path, data: FitData, result: FitResult, run: Run, compared: Compared) -> list[str]:
@@ -46,7 +51,7 @@ def write_run(out: Path, data: FitData, result: FitResult, run: Run, compared: C
         objective += " + prior"
     intervals = intervals_of(result, run.options["intervals"])
     write_tuned(out / "tuned.toml", run.tracker, objective, result, intervals)
-    _write_trace(out, result, objective, unit)
+    _write_trace(out, result, objective, unit, run.figures)
     issues = _issues(result)
     cautions = [] if result.uncertainty is None else result.cautions
     notices = [f"notice: {text}" for text in (*(issue.text for issue in issues), *cautions)]
@@ -65,11 +70,15 @@ def write_run(out: Path, data: FitData, result: FitResult, run: Run, compared: C
         seconds=run.seconds,
         notes=tuple(_notes(data, result)),
     )
-    report = collect(request, result, data, intervals, issues, compared, cautions)
-    write_tuning_report(out / "report.html", report)
+    written = ["trace.csv", "manifest.json"]
+    if run.figures:
+        written.insert(1, "tuning.png")
+    if run.report:
+        written.insert(0, "report.html")
+        write_tuning_report(out / "report.html", collect(request, result, data, intervals, issues, compared, cautions))
     extra = {"recordings": [str(p) for p in run.recordings], "filter_runs": result.filter_runs}
     write_manifest(out, run.command, run.options, run.started, extra=extra)
-    return [*lines, f"wrote {out / 'report.html'}, tuned.toml, trace.csv, tuning.png and manifest.json; use it: {use}"]
+    return [*lines, f"wrote {out / 'tuned.toml'}, {', '.join(written)}; use it: {use}"]
 
 
 def _notes(data: FitData, result: FitResult) -> Iterator[str]:
@@ -85,7 +94,7 @@ def _issues(result: FitResult) -> list[IdentifiabilityIssue]:
     return identifiability_issues(result.uncertainty, result.evaluation.term_gradients)
 
 
-def _write_trace(out: Path, result: FitResult, objective: str, unit: str) -> None:
+def _write_trace(out: Path, result: FitResult, objective: str, unit: str, figure: bool) -> None:
     trace = result.trace
     columns: dict[str, list[float]] = {
         objective: [s.value for s in trace],
@@ -101,6 +110,8 @@ def _write_trace(out: Path, result: FitResult, objective: str, unit: str) -> Non
             columns[label] = parts[:, k].tolist()
             drawn[label], units[label] = parts[:, k], parameter.example.unit
     atomic_write(out / "trace.csv", pl.DataFrame(columns).write_csv)
+    if not figure:
+        return
     names = {"nll": "negative log-likelihood per measured number (nats)", "rmse": f"RMSE ({unit})"}
     tuning_trace(out / "tuning.png", np.array(columns[objective]), drawn, units, names.get(objective, objective))
 

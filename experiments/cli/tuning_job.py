@@ -87,13 +87,27 @@ def fit_folders(
     return Fitted(options, named, data, result, folders[count:] or folders)
 
 
-def finish(fitted: Fitted, recordings: Sequence[Path], out: Path, started: datetime, clock: float, begin: Begin) -> int:
-    """Writes all files and prints the table; returns the exit code. `started`, `clock`: when the command began."""
+def finish(
+    fitted: Fitted,
+    recordings: Sequence[Path],
+    out: Path,
+    started: datetime,
+    clock: float,
+    begin: Begin,
+    figures: bool,
+    report: bool,
+) -> int:
+    """Writes the files and prints the table; returns the exit code.
+
+    `started`, `clock`: when the command began. `figures`, `report`: whether they are written.
+    """
     begin("comparing before and after")
     compared = _compared(fitted)
     begin("report")
     result, name = fitted.result, fitted.options["tracker"]
-    run = Run(name, fitted.options, recordings, time.perf_counter() - clock, started, sys.argv)
+    run = Run(
+        name, fitted.options, recordings, time.perf_counter() - clock, started, sys.argv, figures, report
+    )  # fmt: skip
     for line in write_run(out, fitted.data, result, run, compared):
         print(line)
     if result.uncertainty is None:
