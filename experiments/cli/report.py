@@ -34,7 +34,7 @@ def report(
 def print_comparison(folders: Sequence[Path], out: Path, metrics: Sequence[str] = ()) -> None:
     """Prints the comparison of the runs in these folders and writes it as a page with figures beside it."""
     # Reading errors of tracks and drawing take a second to import, which the help need not wait for.
-    from experiments.plots.comparison import plot_comparison
+    from experiments.plots.comparison import comparison_charts, plot_comparison
     from experiments.reports.comparison import SHOWN, comparison, comparison_text, lone_subjects
     from experiments.reports.comparison_page import write_comparison
     from experiments.reports.runs import read_runs
@@ -46,5 +46,6 @@ def print_comparison(folders: Sequence[Path], out: Path, metrics: Sequence[str] 
     print(comparison_text(tables), end="")
     output_folder(out.parent)
     drawn = plot_comparison(out, runs, contrasts)
-    page = write_comparison(out, [run.name for run in runs], tables, drawn, sys.argv)
+    charts = comparison_charts(runs, contrasts)
+    page = write_comparison(out, [run.name for run in runs], tables, charts, sys.argv)
     print(f"wrote {page}" + "".join(f", {path.name}" for path in drawn))

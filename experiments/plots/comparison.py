@@ -4,12 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from experiments.plots.style import BLACK, GREY, LINES, broken_at_gaps, figure_file, legend_above, literal, plain
+from experiments.plots.style import (
+    BLACK,
+    GREY,
+    LINES,
+    WIDTH,
+    broken_at_gaps,
+    figure_file,
+    legend_above,
+    literal,
+    plain,
+    svg_address,
+)
 from experiments.reports.comparison import Contrast
 from experiments.reports.runs import StudyRun, TrackRun
 from experiments.reports.wording import Unit, heading, length_unit, unit_of
@@ -35,6 +48,36 @@ def plot_comparison(
     return [_intervals(page, contrasts)] if contrasts and isinstance(runs[0], StudyRun) else []
 
 
+def comparison_charts(
+    runs: Sequence[StudyRun] | Sequence[TrackRun], contrasts: Sequence[Contrast]
+) -> list[tuple[str, str]]:
+    """The same figures for a page: the address of each panel as an image with its data, and words for the blind."""
+    tracks = [run for run in runs if isinstance(run, TrackRun) and run.errors]
+    if not tracks:
+        wanted = bool(contrasts) and isinstance(runs[0], StudyRun)
+        return [(svg_address(lambda figure: _draw_intervals(figure, contrasts)), "Differences")] if wanted else []
+    furthest, unit = _scale(tracks)
+    charts = [
+        (
+            svg_address(lambda figure: _draw_distributions(figure.subplots(), tracks, furthest, unit)),
+            "Distribution of errors",
+        ),
+        (svg_address(lambda figure: _draw_violins(figure.subplots(), tracks, furthest, unit)), "Boxes of errors"),
+    ]
+    plans = [run for run in tracks if not run.bearing]
+
+    def draw(figure: Figure, run: TrackRun, name: str, colour: str) -> None:
+        axes = figure.subplots()
+        _plan(axes, run, name, colour)
+        axes.set(xlabel="x (m)", ylabel="y (m)")
+
+    for name in _common(plans)[:MOST_PLANS]:
+        for run, colour in zip(plans, _colours(len(plans)), strict=True):
+            drawn = svg_address(partial(draw, run=run, name=name, colour=colour), WIDTH, WIDTH)
+            charts.append((drawn, f"Floor plan of {name} by {run.name}"))
+    return charts
+
+
 def all_errors(run: TrackRun) -> np.ndarray:
     """The sorted horizontal errors, m, of all tracks, or the angles, rad, of bearings."""
     return np.sort(np.concatenate([track.error for track in run.errors.values()]))
@@ -42,23 +85,40 @@ def all_errors(run: TrackRun) -> np.ndarray:
 
 def _distributions(page: Path, runs: Sequence[TrackRun]) -> Path:
     """Distribution functions of the errors of all runs, and boxes in violins."""
-    errors = [all_errors(run) for run in runs]
-    furthest = max(float(np.quantile(e, 0.995)) for e in errors)
-    unit = Unit("°", 180 / math.pi) if runs[0].bearing else length_unit(furthest / 2)
+    furthest, unit = _scale(runs)
     path = _beside(page, "errors")
     with figure_file(path, 9.5, 4.0, "") as figure:
         left, right = figure.subplots(1, 2)
-        quantity = "angle to the true direction" if runs[0].bearing else "horizontal error"
-        for run, own, colour in zip(runs, errors, _colours(len(runs)), strict=True):
-            chosen = np.linspace(0, len(own) - 1, min(len(own), MOST_POINTS)).astype(int)
-            left.plot(unit.factor * own[chosen], 100 * (chosen + 1) / len(own), color=colour, label=literal(run.name))
-        left.set(xlim=(0, 1.02 * unit.factor * furthest), ylim=(0, 101), yticks=(0, 25, 50, 75, 90, 95, 100))
-        left.set(xlabel=f"{quantity} ({unit.name})", ylabel="estimates with at most this error (%)")
-        legend_above(left, 3)
-        _violins(right, [unit.factor * e for e in errors], [run.name for run in runs], unit.factor * furthest)
-        right.set(ylabel=f"{quantity} ({unit.name})")
-        right.set_title("box: quartiles, whiskers: 5 and 95 %, point: RMSE", color=GREY, fontsize=8)
+        _draw_distributions(left, runs, furthest, unit)
+        _draw_violins(right, runs, furthest, unit)
     return path
+
+
+def _scale(runs: Sequence[TrackRun]) -> tuple[float, Unit]:
+    """The end of the axes of errors, in that unit, and the unit."""
+    furthest = max(float(np.quantile(all_errors(run), 0.995)) for run in runs)
+    unit = Unit("°", 180 / math.pi) if runs[0].bearing else length_unit(furthest / 2)
+    return unit.factor * furthest, unit
+
+
+def _quantity(runs: Sequence[TrackRun], unit: Unit) -> str:
+    return f"{'angle to the true direction' if runs[0].bearing else 'horizontal error'} ({unit.name})"
+
+
+def _draw_distributions(axes: Axes, runs: Sequence[TrackRun], furthest: float, unit: Unit) -> None:
+    for run, colour in zip(runs, _colours(len(runs)), strict=True):
+        own = unit.factor * all_errors(run)
+        chosen = np.linspace(0, len(own) - 1, min(len(own), MOST_POINTS)).astype(int)
+        axes.plot(own[chosen], 100 * (chosen + 1) / len(own), color=colour, label=literal(run.name))
+    axes.set(xlim=(0, 1.02 * furthest), ylim=(0, 101), yticks=(0, 25, 50, 75, 90, 95, 100))
+    axes.set(xlabel=_quantity(runs, unit), ylabel="estimates with at most this error (%)")
+    legend_above(axes, 3)
+
+
+def _draw_violins(axes: Axes, runs: Sequence[TrackRun], furthest: float, unit: Unit) -> None:
+    _violins(axes, [unit.factor * all_errors(run) for run in runs], [run.name for run in runs], furthest)
+    axes.set(ylabel=_quantity(runs, unit))
+    axes.set_title("box: quartiles, whiskers: 5 and 95 %, point: RMSE", color=GREY, fontsize=8)
 
 
 def _violins(axes: Axes, errors: Sequence[np.ndarray], names: Sequence[str], furthest: float) -> None:
@@ -80,10 +140,9 @@ def _violins(axes: Axes, errors: Sequence[np.ndarray], names: Sequence[str], fur
 
 def _floor_plans(page: Path, runs: Sequence[TrackRun]) -> list[Path]:
     """The tracks of the first recordings that all runs have, a panel for each run, on the same axes."""
-    common = [name for name in _recordings(runs[0]) if all(name in _recordings(run) for run in runs)] if runs else []
-    if not common:
+    shown, columns = _common(runs)[:MOST_PLANS], len(runs)
+    if not shown:
         return []
-    shown, columns = common[:MOST_PLANS], len(runs)
     path = _beside(page, "floor_plans")
     with figure_file(path, min(3.3 * columns + 0.4, 16.0), 3.2 * len(shown) + 0.5, "") as figure:
         panels = figure.subplots(len(shown), columns, squeeze=False, sharex="row", sharey="row")
@@ -94,6 +153,11 @@ def _floor_plans(page: Path, runs: Sequence[TrackRun]) -> list[Path]:
             for axes in row:
                 axes.set_xlabel("x (m)")
     return [path]
+
+
+def _common(runs: Sequence[TrackRun]) -> list[str]:
+    """The recordings that all runs have."""
+    return [name for name in _recordings(runs[0]) if all(name in _recordings(run) for run in runs)] if runs else []
 
 
 def _recordings(run: TrackRun) -> list[str]:
@@ -122,28 +186,32 @@ def _plan(axes: Axes, run: TrackRun, name: str, colour: str) -> None:
 
 
 def _intervals(page: Path, contrasts: Sequence[Contrast]) -> Path:
-    """The metrics of studies with their intervals less the first study's, relative to it."""
+    """The metrics of studies with their intervals less the first study's."""
+    path = _beside(page, "differences")
+    with figure_file(path, 7.5, 1.2 + 0.28 * len({one.subject for one in contrasts}), "") as figure:
+        _draw_intervals(figure, contrasts)
+    return path
+
+
+def _draw_intervals(figure: Figure, contrasts: Sequence[Contrast]) -> None:
     metric = next((m for m in ("rmse_m", "rmse_direction_rad") if any(c.metric == m for c in contrasts)), "")
     shown = [one for one in contrasts if one.metric == (metric or contrasts[0].metric)][:60]
     names = list(dict.fromkeys(one.run for one in shown))
     subjects = list(dict.fromkeys(one.subject for one in shown))
     unit = unit_of(shown[0].metric, [one.difference.first for one in shown])
-    path = _beside(page, "differences")
-    with figure_file(path, 7.5, 1.2 + 0.28 * len(subjects), "") as figure:
-        axes = figure.add_subplot()
-        for one in shown:
-            k, n = subjects.index(one.subject), names.index(one.run)
-            d, colour = one.difference, _colours(len(names))[n]
-            height = len(subjects) - 1 - k + 0.12 * (n - (len(names) - 1) / 2)
-            ends = [unit.factor * x for x in (d.low, d.high)]
-            axes.plot(ends, [height] * 2, color=colour, label=literal(one.run) if k == 0 else None)
-            axes.plot(unit.factor * d.value, height, "o" if one.differs else ".", color=colour)
-        axes.axvline(0, color=BLACK, linewidth=0.7)
-        axes.set_yticks(np.arange(len(subjects))[::-1], [literal(s) for s in subjects])
-        axes.set(xlabel=f"{heading(shown[0].metric, unit)}, less the first study's; large point: differs")
-        plain(axes, "x")
-        legend_above(axes, 3)
-    return path
+    axes = figure.add_subplot()
+    for one in shown:
+        k, n = subjects.index(one.subject), names.index(one.run)
+        d, colour = one.difference, _colours(len(names))[n]
+        height = len(subjects) - 1 - k + 0.12 * (n - (len(names) - 1) / 2)
+        ends = [unit.factor * x for x in (d.low, d.high)]
+        axes.plot(ends, [height] * 2, color=colour, label=literal(one.run) if k == 0 else None)
+        axes.plot(unit.factor * d.value, height, "o" if one.differs else ".", color=colour)
+    axes.axvline(0, color=BLACK, linewidth=0.7)
+    axes.set_yticks(np.arange(len(subjects))[::-1], [literal(s) for s in subjects])
+    axes.set(xlabel=f"{heading(shown[0].metric, unit)}, less the first study's; large point: differs")
+    plain(axes, "x")
+    legend_above(axes, 3)
 
 
 def _colours(count: int) -> list[str]:

@@ -32,13 +32,15 @@ def plotly_figure(figure: Figure) -> dict[str, Any] | None:
     traces = [trace for part in parts for trace in _traces(axes, part)]
     traces.sort(key=lambda trace: trace.pop("order"))
     title = axes.get_title("left")
-    layout = {
+    layout: dict[str, Any] = {
         "title": _plain(title),
         "xaxis": _axis(axes.xaxis, axes.get_xlim(), axes.get_xscale(), axes.get_xlabel()),
         "yaxis": _axis(axes.yaxis, axes.get_ylim(), axes.get_yscale(), axes.get_ylabel()),
         "showlegend": axes.get_legend() is not None or bool(figure.legends),
         "hovermode": "closest",
     }
+    if axes.get_aspect() == 1.0:
+        layout["yaxis"]["scaleanchor"] = "x"
     return {"data": traces, "layout": layout}
 
 
@@ -78,9 +80,11 @@ def _traces(axes: Axes, part: Any) -> Iterator[dict[str, Any]]:
 
 def _line(axes: Axes, line: Line2D) -> dict[str, Any]:
     x, y = (np.array(values, float) for values in line.get_data(orig=False))
+    # Lines across the axes have shares of them in one coordinate.
     if line.get_transform() == axes.get_yaxis_transform():
-        # A line across the axes.
         x = np.asarray(axes.get_xlim())
+    if line.get_transform() == axes.get_xaxis_transform():
+        y = np.asarray(axes.get_ylim())
     marker, dash = str(line.get_marker()), str(line.get_linestyle())
     drawn = ["lines"] * (dash in DASHES) + ["markers"] * (marker in SYMBOLS)
     face = line.get_markerfacecolor()

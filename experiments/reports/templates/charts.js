@@ -34,7 +34,8 @@
     if (!chart) continue;
     const place = document.createElement("div"), heading = document.createElement("h3");
     heading.className = "chart-title";
-    heading.innerHTML = chart.layout.title;  // escaped where it was made
+    if (chart.layout.title) heading.innerHTML = chart.layout.title;  // escaped where it was made
+    else heading.textContent = image.alt;
     place.className = "chart";
     place.style.aspectRatio = String(1 / chart.height);
     image.classList.add("still");
