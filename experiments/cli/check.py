@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 from experiments.cli.arguments import Folders
 from trackers.core.errors import UnusableInput
+from trackers.recordings.atomic import json_text
 from trackers.recordings.checks import check as check_recording
 from trackers.recordings.checks import format_results
 from trackers.recordings.folder import read_recording
 
 
-def check(recordings: Folders) -> int:
+def check(recordings: Folders, *, json: bool = False) -> int:
     """Check the data: time base, gaps, outliers, ids, units, geometry.
 
     Truth is checked too, if there is any.
@@ -18,12 +21,17 @@ def check(recordings: Folders) -> int:
 
     Args:
         recordings: recording folders (rig.toml and tables).
+        json: print JSON instead of lines: by folder, the results with level, where and message.
     """
     if not recordings:
         raise UnusableInput("no recording given; expected one or more recording folders")
-    failed = False
+    failed, found = False, {}
     for path in recordings:
         results = check_recording(read_recording(path))
         failed |= any(result.level == "error" for result in results)
-        print(f"{path}\n{format_results(results)}")
+        found[str(path)] = [asdict(result) for result in results]
+        if not json:
+            print(f"{path}\n{format_results(results)}")
+    if json:
+        print(json_text(found), end="")
     return int(failed)

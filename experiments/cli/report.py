@@ -9,6 +9,7 @@ from typing import Annotated
 
 from experiments.cli.arguments import File, Folders
 from experiments.cli.console import notice, output_folder
+from trackers.recordings.atomic import json_text
 
 COMPARISON = "comparison.html"
 """The page that `track` writes where it ran several trackers."""
@@ -19,6 +20,7 @@ def report(
     *,
     out: File = Path("out") / COMPARISON,
     metrics: Annotated[tuple[str, ...], "METRIC"] = (),
+    json: bool = False,
 ) -> int:
     """Compare runs: metrics, differences from the first, a page, figures.
 
@@ -26,12 +28,13 @@ def report(
         runs: two or more output folders of `study`, or two or more of `track`.
         out: the page to write; figures are written beside it.
         metrics: of studies: names of the metrics to show, as in results.json.
+        json: print JSON instead of tables: the tables, and each metric's difference from the first run.
     """
-    print_comparison(runs, out, metrics)
+    print_comparison(runs, out, metrics, json)
     return 0
 
 
-def print_comparison(folders: Sequence[Path], out: Path, metrics: Sequence[str] = ()) -> None:
+def print_comparison(folders: Sequence[Path], out: Path, metrics: Sequence[str] = (), json: bool = False) -> None:
     """Prints the comparison of the runs in these folders and writes it as a page with figures beside it."""
     # Reading errors of tracks and drawing take a second to import, which the help need not wait for.
     from experiments.plots.comparison import comparison_charts, plot_comparison
@@ -43,9 +46,14 @@ def print_comparison(folders: Sequence[Path], out: Path, metrics: Sequence[str] 
     tables, contrasts = comparison(runs, metrics or SHOWN)
     for text in (*notices, *lone_subjects(runs)):
         notice(f"notice: {text}")
-    print(comparison_text(tables), end="")
+    if json:
+        differences = [contrast._asdict() | {"difference": contrast.difference._asdict()} for contrast in contrasts]
+        print(json_text({"tables": [table._asdict() for table in tables], "contrasts": differences}), end="")
+    else:
+        print(comparison_text(tables), end="")
     output_folder(out.parent)
     drawn = plot_comparison(out, runs, contrasts)
     charts = comparison_charts(runs, contrasts)
     page = write_comparison(out, [run.name for run in runs], tables, charts, sys.argv)
-    print(f"wrote {page}" + "".join(f", {path.name}" for path in drawn))
+    if not json:
+        print(f"wrote {page}" + "".join(f", {path.name}" for path in drawn))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import asdict
 from functools import partial
 
 from experiments.cli.runtime import keep_programs
 from experiments.cli.stages import progress
 from experiments.verify import deterministic_checks, particle_checks
 from experiments.verify.check_result import CheckResult, table
+from trackers.recordings.atomic import json_text
 
 CHECKS: tuple[Callable[[], list[CheckResult]], ...] = (
     deterministic_checks.kalman_checks,
@@ -26,13 +28,16 @@ CHECKS: tuple[Callable[[], list[CheckResult]], ...] = (
 """Correct gradients against their oracles, and biased ones that must fail."""
 
 
-def verify() -> int:
+def verify(*, json: bool = False) -> int:
     """Check every gradient against an oracle; exit 1 if one fails.
 
     Oracles share no code with the gradients: the joint density of all fixes for the Kalman filter; enumeration of all
     state sequences for the hidden Markov chain; quadrature in double precision for grid and particle filters, in a
     corridor whose walls kill particles and at a halt on a line. Random estimates use 400 keys, and their mean may be 4
     standard errors off. Two estimators that are known to be biased must fail.
+
+    Args:
+        json: print JSON instead of a table.
     """
     keep_programs()
     results: list[CheckResult] = []
@@ -40,5 +45,5 @@ def verify() -> int:
         for check in CHECKS:
             results += check()
             advance(1)
-    print(table(results))
+    print(json_text([asdict(result) | {"passed": result.passed} for result in results]) if json else table(results))
     return 0 if all(r.passed for r in results) else 1
