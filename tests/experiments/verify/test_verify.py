@@ -1,5 +1,7 @@
 """The oracles have converged; the library agrees with them; the biased estimators do not."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -134,6 +136,8 @@ def test_verify_exits_1_if_a_check_fails(monkeypatch, mean, code, word):
     said = trackwright("verify")
     assert said.code == code
     assert word in said.out
+    (result,) = json.loads(trackwright("verify", "--json").out)
+    assert (result["mean"], result["passed"]) == (mean, code == 0)
 
 
 @pytest.mark.slow
