@@ -1,4 +1,4 @@
-"""Which recordings `track` runs by which tracker: those named, or for each recording the one that fits."""
+"""Which recordings `track` runs by which tracker, those named or that which fits, and readings too late for it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,12 @@ from typing import NamedTuple
 
 from trackers.catalogue import fitting, spec_of, split_name
 from trackers.core.errors import UnusableInput
+from trackers.recordings.checks.residuals import delay_against_truth
 from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.named_tracker import NamedTracker
+
+LATE_S = 0.1
+"""Delay of readings against truth, beyond the latency that the tracker assumes, that is worth a notice."""
 
 
 class TrackedBy(NamedTuple):
@@ -52,3 +57,19 @@ def tracked_by(folders: Sequence[RecordingFolder], trackers: str | None) -> tupl
     if not found:
         raise UnusableInput(refused[0])
     return found, refused
+
+
+def late_readings(named: NamedTracker, folders: Sequence[RecordingFolder]) -> list[str]:
+    """A line for each recording whose readings come later against truth than the tracker assumes."""
+    read = [name for name in ("ranges", "fixes", "bearings") if name in named.spec.table.replace(",", " ").split()]
+    lines = []
+    for folder in folders:
+        for table in (name for name in read if name in folder.tables):
+            tunable, delay = f"sensors.{table}.latency", delay_against_truth(folder, table)
+            latency = named.tunables.get(tunable)
+            if not abs(delay - (0.0 if latency is None else float(latency.value))) > LATE_S:
+                continue
+            what = f"{folder.path or folder.name}: {table} come {abs(delay):.2f} s {'late' if delay > 0 else 'early'}"
+            fix = "compare the clocks" if latency is None or delay < 0 else f"allow for it: --set {tunable}={delay:.2f}"
+            lines.append(f"{what} against truth; {fix}")
+    return lines

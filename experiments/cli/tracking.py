@@ -19,7 +19,7 @@ from experiments.cli.console import notice, notice_unused_calibration, output_fo
 from experiments.cli.manifest import write_manifest
 from experiments.cli.report import COMPARISON, print_comparison
 from experiments.cli.stages import Begin
-from experiments.cli.tracked_by import TrackedBy, tracked_by
+from experiments.cli.tracked_by import TrackedBy, late_readings, tracked_by
 from experiments.executors import cluster_executor
 from experiments.portable_tracker import run_on
 from experiments.reports.evaluation_text import to_json, to_text
@@ -140,6 +140,8 @@ def _track(run: TrackedBy, options: Options, out: Path, started: datetime, begin
     association = associate_truth(table, truths)
     if association.scored.any():
         evaluation = evaluate(association, folders).with_residuals(tracks)
+        for line in late_readings(named, folders):
+            notice(f"notice: {line}")
         if shown:
             print(to_text(evaluation, terminal_width()), end="")
     else:

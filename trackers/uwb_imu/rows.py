@@ -21,7 +21,7 @@ from trackers.recordings.tables import QUATERNION
 from trackers.recordings.tracker_spec import TrackerSpec, on_request
 from trackers.recordings.trajectories import Trajectories, Trajectory, known_height, known_heights, trajectories_of
 from trackers.uwb_imu.fusion import range_levels, range_tracker
-from trackers.uwb_imu.imu_inputs import imu_inputs, to_level_axes
+from trackers.uwb_imu.imu_inputs import imu_inputs, imu_outpaces_ranges, to_level_axes
 from trackers.uwb_imu.inertial import inertial_tracker
 from trackers.uwb_imu.multilateration import multilateration_tracker
 from trackers.uwb_imu.trilateration import trilateration_tracker
@@ -221,8 +221,7 @@ def lacks_ranges(folder: RecordingFolder) -> str | None:
     positions = anchor_positions(folder)[heard.any(axis=0)]
     sizes = np.linalg.svd(positions[:, :2] - positions[:, :2].mean(axis=0), compute_uv=False)
     if sizes[1] <= COLLINEAR * sizes[0]:
-        where = "on one line" if sizes[0] > 0 else "at one place"
-        return f"anchors that span a plane, found all {len(positions)} that are heard {where} seen from above"
+        return f"anchors that span a plane, found all {len(positions)} on one line or at one place seen from above"
     median, extent = float(np.median(ranges[positive])), float(np.ptp(positions, axis=0).max())
     if median > MAX_RANGE_RATIO * extent:
         return (
@@ -270,6 +269,7 @@ TRACKERS = {
         trajectories=inertial_trajectories,
         build=lambda trajectory, planar: inertial_tracker(_anchors(trajectory), planar),
         lacks=lacks_ranges_or_imu,
+        automatic=imu_outpaces_ranges,
         geometry=lambda trajectory: (_anchors(trajectory), "levers" in trajectory.recording.inputs),
     ),
     "uwb": TrackerSpec(

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from trackers.recordings.checks.check_result import CheckResult
-from trackers.recordings.checks.compared import Compared
+from trackers.recordings.checks.compared import Compared, compared
 from trackers.recordings.checks.readings import wrapped
+
+if TYPE_CHECKING:  # the folder's module imports `anomalies`
+    from trackers.recordings.folder import RecordingFolder
 
 OUTLIER = 5.0
 """Robust standard deviations beyond which a reading is an outlier."""
@@ -100,6 +103,13 @@ def _slope_and_delay(view: Compared, key: tuple[int, ...], delays: np.ndarray) -
     values[2] += float(at[0])
     slope, delay = (x if abs(x) > 3 * s else math.nan for x, s in zip(values[1:], sigmas[1:], strict=True))
     return float(slope), float(delay)
+
+
+def delay_against_truth(recording: RecordingFolder, table: str) -> float:
+    """Seconds by which the readings of a table come late against truth, NaN where most of them do not determine it."""
+    view = compared(recording, table)
+    delays = np.array([one.delay for one in residuals(view)] if view is not None else [math.nan])
+    return float(np.nanmedian(delays)) if 2 * np.isfinite(delays).sum() > len(delays) else math.nan
 
 
 def check_residuals(view: Compared) -> list[CheckResult]:

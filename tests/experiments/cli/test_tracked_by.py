@@ -1,0 +1,65 @@
+"""The tracker that is chosen for a recording, and readings that come later than it assumes."""
+
+from __future__ import annotations
+
+import numpy as np
+import polars as pl
+import pytest
+
+from experiments.cli.tracked_by import late_readings, tracked_by
+from sim import worlds
+from tests.faulty import good_tables
+from trackers.catalogue import build
+from trackers.core.errors import UnusableInput
+from trackers.core.rig import Rig
+from trackers.recordings.folder import RecordingFolder
+
+DELAY_S = 0.4
+
+
+def _late_fixes(delay):
+    """Fixes of a tag that moves at about 1 m/s, `delay` seconds late."""
+    times, rng = 0.1 * np.arange(400), np.random.default_rng(0)
+
+    def place(t):
+        return np.stack([3 * np.cos(0.4 * t), 2 * np.sin(0.7 * t), np.ones_like(t)], axis=-1)
+
+    def table(t, positions):
+        return pl.DataFrame({"t_s": t, "tag": "T"} | dict(zip(("x_m", "y_m", "z_m"), positions.T, strict=True)))
+
+    fixes = table(times, place(times - delay) + rng.normal(0, 0.03, (len(times), 3)))
+    return RecordingFolder("late", None, Rig("late"), {"fixes": fixes, "truth": table(times, place(times))})
+
+
+def test_late_fixes_are_named_with_the_latency_that_allows_for_them():
+    folder = _late_fixes(DELAY_S)
+    named = build("fix-kf", folder)
+    (line,) = late_readings(named, [folder])
+    assert line.startswith("late: fixes come 0.4")
+    assert "--set sensors.fixes.latency=0.4" in line
+    assert late_readings(named.with_values({"sensors.fixes.latency": DELAY_S}), [folder]) == []
+    assert late_readings(named, [_late_fixes(0.02)]) == []
+
+
+def test_an_imu_slower_than_the_ranges_is_left_out():
+    folder = worlds.tool(n=1, seed=1, rows=60).folder()
+    every = dict(folder.tables)
+    slow = every | {"imu": every["imu"].gather_every(60)}
+    for tables, expected in ((every, "uwb-imu"), (slow, "uwb")):
+        runs, refused = tracked_by([RecordingFolder(folder.name, None, folder.rig, tables)], None)
+        assert [run.tracker for run in runs] == [expected]
+        assert refused == []
+
+
+def test_a_recording_that_a_named_tracker_does_not_fit_has_a_line():
+    good = RecordingFolder("good", None, Rig("good"), {"fixes": good_tables()["fixes"]})
+    bare = RecordingFolder("bare", None, Rig("bare"), {"imu": good_tables()["imu"]})
+    runs, refused = tracked_by([good, bare], "fix-kf,median")
+    assert [(run.tracker, [f.name for f in run.folders]) for run in runs] == [
+        ("fix-kf", ["good"]),
+        ("median", ["good"]),
+    ]
+    assert len(refused) == 2
+    assert refused[0].startswith("bare: tracker 'fix-kf' needs")
+    with pytest.raises(UnusableInput, match="bare: no tracker fits"):
+        tracked_by([bare], None)
