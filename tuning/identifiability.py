@@ -44,11 +44,12 @@ def cautions(tracker: AbstractTracker, parameters: Sequence[Parameter], objectiv
 
 
 def identifiability_issues(
-    uncertainty: Uncertainty, term_gradients: Float[np.ndarray, "*many p n"]
+    uncertainty: Uncertainty, term_gradients: Float[np.ndarray, "*many p n"], held_out: bool = False
 ) -> list[IdentifiabilityIssue]:
     """The parameters that the recordings don't determine, worst first; empty for a good fit.
 
-    `term_gradients` (…, p, n): as in `Evaluation`; a number whose derivatives are all zero has no effect.
+    `term_gradients` (…, p, n): as in `Evaluation`; a number whose derivatives are all zero has no effect. `held_out`:
+    whether held-out recordings selected the point.
     """
     names, kinds = component_names(uncertainty.parameters), component_kinds(uncertainty.parameters)
     no_effect, ignored = unidentifiable(term_gradients), unused(uncertainty.parameters)
@@ -60,7 +61,7 @@ def identifiability_issues(
         for k in np.flatnonzero(uncertainty.at_bound)
     ]
     if not uncertainty.at_optimum:
-        return [*issues, IdentifiabilityIssue((), _not_at_optimum(uncertainty.distance_to_optimum))]
+        return [*issues, IdentifiabilityIssue((), _not_at_optimum(uncertainty.distance_to_optimum, held_out))]
     free = np.flatnonzero(~no_effect & ~ignored & ~uncertainty.at_bound)
     if not len(free) or not np.all(np.isfinite(uncertainty.optimum.hessian)):
         return issues
@@ -93,12 +94,10 @@ def _groups(
     return groups
 
 
-def _not_at_optimum(distance: float) -> str:
+def _not_at_optimum(distance: float, held_out: bool) -> str:
     off = f"{distance:.2g} standard deviations away" if distance < 100 else "far away"
-    return (
-        f"the numbers are not at the optimum of the recordings tuned on ({off}), and have no intervals: held-out "
-        "recordings selected them, or the fit ended early, as with objectives that are not smooth"
-    )
+    why = "held-out recordings selected them" if held_out else "the fit ended early, as where objectives are not smooth"
+    return f"the numbers are not at the optimum of the recordings tuned on ({off}), and have no intervals: {why}"
 
 
 def _at_bound(name: str, gradient: float) -> str:

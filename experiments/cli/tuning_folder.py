@@ -52,7 +52,7 @@ def write_run(out: Path, data: FitData, result: FitResult, run: Run, compared: C
     intervals = intervals_of(result, run.options["intervals"])
     write_tuned(out / "tuned.toml", run.tracker, objective, result, intervals)
     _write_trace(out, result, objective, unit, run.figures)
-    issues = _issues(result)
+    issues = _issues(result, bool(data.held_out))
     cautions = [] if result.uncertainty is None else result.cautions
     notices = [f"notice: {text}" for text in (*(issue.text for issue in issues), *cautions)]
     lines = [*table(result, objective, intervals), *notices, compared.text().rstrip("\n")]
@@ -88,10 +88,10 @@ def _notes(data: FitData, result: FitResult) -> Iterator[str]:
         yield f"{result.n_excluded} of {len(data.training)} segments were excluded."
 
 
-def _issues(result: FitResult) -> list[IdentifiabilityIssue]:
+def _issues(result: FitResult, held_out: bool) -> list[IdentifiabilityIssue]:
     if result.uncertainty is None:
         return []
-    return identifiability_issues(result.uncertainty, result.evaluation.term_gradients)
+    return identifiability_issues(result.uncertainty, result.evaluation.term_gradients, held_out)
 
 
 def _write_trace(out: Path, result: FitResult, objective: str, unit: str, figure: bool) -> None:
