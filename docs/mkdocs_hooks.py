@@ -6,6 +6,7 @@ Each group of public names in the stub `__init__.pyi` of a package, begun there 
 from __future__ import annotations
 
 import ast
+import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -27,10 +28,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Adds the generated pages."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     files.append(File.generated(config, "index.md", content=re.sub(r"\]\(docs/", "](", readme)))
-    notebook = files.get_file_from_path("notebook.ipynb")
-    if notebook is not None:
-        files.remove(notebook)
-        files.append(File.generated(config, "notebook.md", content=_markdown(ROOT / "docs/notebook.ipynb")))
+    files.append(File.generated(config, "notebook.md", content=_markdown(ROOT / "docs/notebook.ipynb")))
     for package in ("trackers", "sim", "tuning"):
         for page, content in _api_pages(package):
             files.append(File.generated(config, f"api/{page}.md", content=content))
@@ -71,8 +69,6 @@ def _api_pages(package: str) -> Iterator[tuple[str, str]]:
 
 def _markdown(path: Path) -> str:
     """A notebook without output as Markdown."""
-    import json
-
     cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
     texts = ["".join(cell["source"]) for cell in cells]
     return "\n\n".join(
