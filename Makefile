@@ -55,8 +55,8 @@ lint: env
 
 # The documentation as a site in out/site, with a page of each group of public names; a broken link is an error.
 docs: .venv-docs/installed
-	$(DOCS)/mkdocs build --quiet
-	@echo open out/site/index.html
+	$(DOCS)/mkdocs build
+	@echo 'wrote out/site; with search: $(PYTHON) -m http.server -d out/site'
 
 papers: env
 	$(BIN)/python -m experiments.papers.reproduce

@@ -168,7 +168,7 @@ def test_every_link_of_a_page_leads_to_a_file_and_a_heading(page):
 @pytest.mark.slow
 def test_the_site_is_built_without_a_broken_link(tmp_path):
     pytest.importorskip("mkdocstrings", reason="the extra docs is not installed")
-    line = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--site-dir", str(tmp_path)]
+    line = [sys.executable, "-m", "mkdocs", "build", "--site-dir", str(tmp_path)]
     done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "Smoothed" in "".join(page.read_text("utf-8") for page in (tmp_path / "api").glob("*.html"))
