@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import struct
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -86,8 +87,8 @@ def message_columns(reader: Any, path: Path, mapping: TableMapping) -> tuple[Tab
         )
     rows: dict[str, list[Any]] = {source: [] for source in dict.fromkeys(sources)}
     for count, (connection, stamp, raw) in enumerate(reader.messages(connections=connections), 1):
-        message = reader.deserialize(raw, connection.msgtype)
         where = f"{path}: topic {mapping.topic}, message {count}"
+        message = _message(reader, connection, raw, where)
         found = {source: _values(message, source, stamp, where, reader, kinds[0]) for source in rows}
         lengths = {len(values) for values in found.values() if isinstance(values, list)}
         if len(lengths) > 1:
@@ -101,6 +102,19 @@ def message_columns(reader: Any, path: Path, mapping: TableMapping) -> tuple[Tab
     if len(frame) > 1 and "header.stamp" in frame.columns and (frame["header.stamp"] == 0).all():
         raise UnusableInput(f"{path}: topic {mapping.topic}: header.stamp is 0 in every message; give t_s=received")
     return TableFile(Path(f"{path} {mapping.topic}"), frame), replace(mapping, columns=columns)
+
+
+def _message(reader: Any, connection: Any, raw: bytes, where: str) -> Any:
+    try:
+        return reader.deserialize(raw, connection.msgtype)
+    except KeyError as error:
+        name = str(error.args[0])
+        raise UnusableInput(
+            f"{where}: the bag does not define the type {name}; give its definition, as those of all its parts: "
+            f"--messages {name}.msg"
+        ) from error
+    except (AssertionError, ValueError, struct.error, IndexError, UnicodeDecodeError) as error:
+        raise UnusableInput(f"{where}: is no {connection.msgtype} ({error or 'too short'}); record it again") from error
 
 
 def _standard(kind: str, table: str) -> dict[str, str]:

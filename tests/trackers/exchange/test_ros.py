@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+import sqlite3
+
 import numpy as np
 import polars as pl
 import pytest
 
-from tests.bags import ROWS, START, place, write_bag
+from tests.bags import RANGE, ROWS, START, UWB, place, write_bag
 from tests.in_process import assert_refused, trackwright
 
 RIG = 'format = 1\nname = "hall"\n[anchors]\n17 = [0.0, 0.0, 2.0]\n42 = [5.0, 0.0, 2.0]\n'
@@ -100,6 +103,27 @@ def test_what_a_bag_does_not_hold_is_refused(bags, tmp_path, arguments, words):
     assert said.err.splitlines()[0].startswith(f"{bags / 'ros2-mcap'}: read as ros")
     assert_refused(said._replace(err=said.err.splitlines()[-1] + "\n"), *words)
     assert not (tmp_path / "x").exists()
+
+
+def test_types_that_a_bag_does_not_define_are_read_from_msg_files(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_bag(tmp_path / "old", "db3")
+    with contextlib.closing(sqlite3.connect(tmp_path / "old" / "old.db3")) as database:
+        database.execute("delete from message_definitions")
+        database.commit()
+    (tmp_path / "rig.toml").write_text(RIG)
+    arguments = (
+        "import", "old", "--table", "ranges", "--topic", "/uwb", "--rig", "rig.toml", "--tag", "c", "--out", "hall",
+        "--columns", "t_s=header.stamp", "anchor=ranges[].anchor", "range_m=ranges[].distance_mm in mm",
+    )  # fmt: skip
+    said = trackwright(*arguments)
+    assert_refused(said._replace(err=said.err.splitlines()[-1] + "\n"), "--messages uwb_msgs/msg/Ranges.msg")
+    (tmp_path / "uwb_msgs" / "msg").mkdir(parents=True)
+    for name, text in (("Range", RANGE), ("Ranges", UWB)):
+        (tmp_path / "uwb_msgs" / "msg" / f"{name}.msg").write_text(text)
+    said = trackwright(*arguments, "--messages", "uwb_msgs/msg/Range.msg", "uwb_msgs/msg/Ranges.msg")
+    assert said.code == 0, said.err
+    assert len(pl.read_parquet("hall/ranges.parquet")) == 2 * ROWS
 
 
 def test_a_file_that_is_no_bag_is_refused(tmp_path):
