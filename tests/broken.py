@@ -94,6 +94,7 @@ BROKEN: dict[str, Builder] = {
     "antennas without wavelength": with_rig("wavelength_m = 0.0125\n", "", "wavelength_m"),
     "wavelength without antennas": with_rig(_ANTENNAS, "", "antennas_m"),
     "antennas in 3-D": with_rig("[[0.02, 0.0],", "[[0.02, 0.0, 0.0],", "antennas_m"),
+    "tag height beyond reason": with_rig("height_m = 1.0", "height_m = 1e9", "tags.T1.height_m"),
     "tag height a text": with_rig("height_m = 1.0", 'height_m = "1 m"', "tags.T1.height_m"),
     "path of one corner": with_rig("[[1.0, 1.0], [5.0, 1.0], [5.0, 4.0]]", "[[1.0, 1.0]]", "knots_m"),
     "path with a repeated knot": with_rig(
@@ -127,7 +128,7 @@ BROKEN: dict[str, Builder] = {
     "one row too long and one too short": with_file(
         "ranges.csv", lambda data: data.replace(b"\n", b",9\n", 5).replace(b",9\n", b"\n", 4)[:-6] + b"\n"
     ),
-    "quote left open": with_line("ranges", lambda line: '"' + line, 5),
+    "quote left open": with_line("ranges", lambda line: '"' + line, 5, "row 5 (line 6) has a quote that is not closed"),
     # its columns
     "column missing": with_table("ranges", lambda table: table.drop("anchor")),
     "column misnamed": with_renamed("ranges", "range_m", "range"),

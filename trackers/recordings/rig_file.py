@@ -17,6 +17,7 @@ from trackers.core.rig import Rig, Station, Tag, checked_knots
 
 FORMAT = 1
 RIG_FILE = "rig.toml"
+HIGHEST = 1e5  # metres, of a tag
 NORM_TOLERANCE = 1e-3  # for a quaternion written with three decimals
 
 _TOP = ("format", "name", "about", "licence", "source", "anchors", "stations", "tags", "path", "floor")
@@ -133,8 +134,11 @@ class _Reader:
         if not isinstance(content, dict):
             self.refuse(where, content, "a table [tags.ID]")
         self.known(content, _TAG, f"[{where}]")
+        height = self.number(f"{where}.height_m", content["height_m"]) if "height_m" in content else None
+        if height is not None and abs(height) > HIGHEST:
+            self.refuse(f"{where}.height_m", height, f"metres, at most {HIGHEST:g}")
         return Tag(
-            height=self.number(f"{where}.height_m", content["height_m"]) if "height_m" in content else None,
+            height=height,
             offset=self.vector(f"{where}.offset_m", content["offset_m"], 3) if "offset_m" in content else None,
         )
 

@@ -132,14 +132,21 @@ def _row_by_row(path: Path, names: list[str], text: str) -> TableFile:
     rows, lines = [], []
     try:
         next(reader)
+        before = reader.line_num
         for row in reader:
+            begun, before = before + 1, reader.line_num
             if len(row) == len(names):
                 rows.append(row)
                 lines.append(reader.line_num)
+            elif reader.line_num > begun:
+                raise UnusableInput(
+                    f"{path}: row {len(rows) + 1} (line {begun}) has a quote that is not closed up to line "
+                    f"{reader.line_num}; close or remove it"
+                )
             elif any(cell.strip() for cell in row):
                 raise UnusableInput(
-                    f"{path}: row {len(rows) + 1} (line {reader.line_num}) has {len(row)} cells, expected "
-                    f"{len(names)} as in the header; look for a truncated file or decimal commas"
+                    f"{path}: row {len(rows) + 1} (line {reader.line_num}) has {len(row)} cell{'s'[: len(row) != 1]}, "
+                    f"expected {len(names)} as in the header; look for a truncated file or decimal commas"
                 )
     except csv.Error as error:
         raise UnusableInput(f"{path}: line {reader.line_num} is not CSV ({error}); check the quotes") from error
