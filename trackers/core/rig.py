@@ -14,9 +14,6 @@ from trackers.core.errors import UnusableInput
 Point = Float[np.ndarray, " 3"]
 """A position in space, m."""
 
-ROTATION_TOLERANCE = 1e-2
-"""How far a quaternion may be from unit length, as of numbers written with two digits."""
-
 
 @dataclass(frozen=True)
 class Station:
@@ -24,7 +21,7 @@ class Station:
 
     `position`: (3,) m, world frame. `rotation`: (4,) unit quaternion w, x, y, z from array frame to world frame.
     `antennas`: (n, 2) m in the array's x–y plane, with `wavelength` in m; both None where the station gives angles.
-    Raises UnusableInput for a rotation that is no unit quaternion.
+    A longer or shorter quaternion is normalised. Raises UnusableInput for one without a direction.
     """
 
     position: Point
@@ -34,10 +31,9 @@ class Station:
 
     def __post_init__(self) -> None:
         rotation = np.asarray(self.rotation, float)
-        if rotation.shape != (4,) or not abs(np.linalg.norm(rotation) - 1.0) < ROTATION_TOLERANCE:
+        if rotation.shape != (4,) or not 0 < np.linalg.norm(rotation) < np.inf:
             raise UnusableInput(
-                f"Station: rotation = {rotation.tolist()}; expected a quaternion of unit length, w, x, y, z, as "
-                "(1, 0, 0, 0)"
+                f"Station: rotation = {rotation.tolist()}; expected a quaternion w, x, y, z, as (1, 0, 0, 0)"
             )
 
     def world_from_array(self) -> Float[np.ndarray, "3 3"]:

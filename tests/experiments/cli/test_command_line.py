@@ -186,7 +186,7 @@ def test_a_run_folder_has_a_manifest_and_plots(runs, there, world, tracker, pict
     assert pictures <= _pictures(folder)
     assert said.out.splitlines()[0].endswith("ok")
     assert said.out.splitlines()[-1].startswith(f"wrote {folder / 'tracks.parquet'} (")
-    assert all(name in said.out.splitlines()[-1] for name in _pictures(folder))
+    assert f"{len(_pictures(folder))} figure" in said.out.splitlines()[-1]
     manifest = json.loads((folder / "manifest.json").read_text())
     settings = {
         "tracker": tracker,

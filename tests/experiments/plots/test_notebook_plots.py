@@ -111,8 +111,7 @@ def test_recordings_are_equal_to_themselves_alone(in_arrays):
     ("mistake", "message"),
     [
         (lambda: tw.stack([]), "stack: found no recording"),
-        (lambda: tw.Station(np.zeros(3), np.zeros(4)), "expected a quaternion of unit length"),
-        (lambda: tw.Station(np.zeros(3), np.array([0.7, 0.7, 0.7, 0.0])), "expected a quaternion of unit length"),
+        (lambda: tw.Station(np.zeros(3), np.zeros(4)), "expected a quaternion w, x, y, z"),
         (lambda: tw.beam_tracker(tw.simulate.station(n=1, rows=2).folder().rig, "1"), "found Rig; expected a station"),
     ],
 )
