@@ -156,7 +156,8 @@ function drawnWords(recording) {
   const words = [];
   if (recording.drawn < recording.rows) {
     words.push(`Drawn: ${recording.drawn} of ${recording.rows} estimates, of each block of rows the first and the one with ` +
-      `the largest error; of ${recording.tracks.length} of ${recording.trackCount} tracks, evenly over the ranks by error.`);
+      "the largest error" + (recording.tracks.length < recording.trackCount
+        ? `; of ${recording.tracks.length} of ${recording.trackCount} tracks, evenly over the ranks by error.` : "."));
   }
   if (recording.residuals.every > 1) words.push(`Residuals over time: every ${recording.residuals.every}th.`);
   if (recording.eventCount > recording.events.length) words.push(`${recording.events.length} of ${recording.eventCount} events are marked.`);
