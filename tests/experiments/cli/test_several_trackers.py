@@ -37,7 +37,8 @@ def test_several_trackers_are_compared_in_one_table_with_paired_differences_and_
     figures = {path.name for path in (folder / "two").glob("*.png")}
     assert figures == {"comparison-errors.png", "comparison-floor_plans.png"}
     page = (folder / "two" / "comparison.html").read_text()
-    assert "data:image/png;base64," in page
+    # The distribution of errors, their boxes, and a floor plan by each tracker.
+    assert page.count('<img src="data:image/svg+xml;base64,') == 4
     assert "adjusted for" in page
 
 
