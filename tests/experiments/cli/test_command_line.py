@@ -14,6 +14,7 @@ import numpy as np
 import polars as pl
 import pytest
 
+from experiments.reports.wording import MISSING
 from sim.stations import facing
 from tests.in_process import assert_refused, trackwright
 from trackers.catalogue import TRACKERS
@@ -292,6 +293,8 @@ def test_bearings_of_a_walk_are_tracked_at_the_known_height(there, room):
     assert (tracks["z_m"] == 1.2).all()
     assert (tracks["std_z_m"] == 0).all()
     metrics = _overall(there / "walk")
+    row = next(line for line in said.out.splitlines() if line.startswith(" room"))
+    assert row.split()[7] == MISSING, row
     # The defaults expect stations with biases of 0.2 rad, which these have not.
     assert metrics["rmse_m"] < 0.25
     assert metrics["rmse_3d_m"] is None or metrics["rmse_3d_m"] == pytest.approx(metrics["rmse_m"])
