@@ -45,14 +45,33 @@ def opened(path: Path, definitions: Sequence[Path] = ()) -> Iterator[Any]:
             store.register(typesys.get_types_from_msg(file.read_text(encoding="utf-8"), name))
         except (OSError, typesys.TypesysError) as error:
             raise UnusableInput(f"{file}: is no message definition: {error}; expected PACKAGE/msg/NAME.msg") from error
+    # A broken bag raises errors of many kinds within rosbags.
     try:
-        with anyreader.AnyReader([path], default_typestore=store) as reader:
-            yield reader
-    except (anyreader.AnyReaderError, typesys.TypesysError, OSError, ValueError) as error:
-        if isinstance(error, UnusableInput):
-            raise
-        text = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise UnusableInput(f"{path}: cannot be read as a ROS bag: {text}") from error
+        reader = anyreader.AnyReader([path], default_typestore=store)
+        reader.open()
+    except Exception as error:
+        raise UnusableInput(f"{path}: cannot be read as a ROS bag: {_first_line(error)}") from error
+    try:
+        yield reader
+    finally:
+        reader.close()
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).splitlines()[0] if str(error) else type(error).__name__
+
+
+def _raw_messages(reader: Any, connections: Sequence[Any], where: str) -> Iterator[tuple[Any, int, bytes]]:
+    """Connection, time in ns and bytes of each message; raises UnusableInput where the bag is broken."""
+    messages = reader.messages(connections=connections)
+    while True:
+        try:
+            message = next(messages, None)
+        except Exception as error:
+            raise UnusableInput(f"{where}: the bag is broken: {_first_line(error)}; record or copy it again") from error
+        if message is None:
+            return
+        yield message
 
 
 def topics_of(reader: Any) -> str:
@@ -86,8 +105,9 @@ def message_columns(reader: Any, path: Path, mapping: TableMapping) -> tuple[Tab
             f"fields: --columns 'range_m=FIELD in mm' 'anchor=FIELD' …; fields: {_fields(reader, kinds[0])}"
         )
     rows: dict[str, list[Any]] = {source: [] for source in dict.fromkeys(sources)}
-    for count, (connection, stamp, raw) in enumerate(reader.messages(connections=connections), 1):
-        where = f"{path}: topic {mapping.topic}, message {count}"
+    of_topic = f"{path}: topic {mapping.topic}"
+    for count, (connection, stamp, raw) in enumerate(_raw_messages(reader, connections, of_topic), 1):
+        where = f"{of_topic}, message {count}"
         message = _message(reader, connection, raw, where)
         found = {source: _values(message, source, stamp, where, reader, kinds[0]) for source in rows}
         lengths = {len(values) for values in found.values() if isinstance(values, list)}
