@@ -138,16 +138,16 @@ def test_a_broken_bag_is_refused_wherever_it_is_broken(bags, tmp_path, name):
     whole, rng = (bags / name).read_bytes(), np.random.default_rng(6)
     broken, refused = tmp_path / f"broken{(bags / name).suffix}", 0
     (tmp_path / "rig.toml").write_text(RIG)
-    for place in rng.integers(20, len(whole) - 20, 25).tolist():
+    for at in rng.integers(20, len(whole) - 20, 25).tolist():
         cut = bool(rng.integers(2))
-        broken.write_bytes(whole[:place] if cut else whole[:place] + rng.bytes(12) + whole[place + 12 :])
-        arguments = ("--topic", "/vicon/cart", "--table", "truth", "--tag", "c", "--out", tmp_path / f"out-{place}")
+        broken.write_bytes(whole[:at] if cut else whole[:at] + rng.bytes(12) + whole[at + 12 :])
+        arguments = ("--topic", "/vicon/cart", "--table", "truth", "--tag", "c", "--out", tmp_path / f"out-{at}")
         said = trackwright("import", broken, *arguments)
         assert said.code in (0, 2)
         refused += said.code == 2
         if said.code == 2:
             assert said.err.splitlines()[-1].startswith("trackwright: ")
-            assert not (tmp_path / f"out-{place}").exists()
+            assert not (tmp_path / f"out-{at}").exists()
     assert refused >= 10
 
 
