@@ -135,7 +135,7 @@ def fit(
     several, or batches. `objective`: an object, or its name as on the command line (`nll`, `rmse`, `state-nll`, ...);
     default `state-nll` where there is truth and no prior, else `nll`. `tune`: shell patterns; by default the noise
     levels of motion and sensors. `dimensions`: 3 to judge an estimated height too. `weigh`: whether each recording (in
-    arrays: trajectory) or each row has the same say. `frozen`: patterns of tunables to keep. `bounds`: lowest and
+    arrays: trajectory) or each row has the same weight. `frozen`: patterns of tunables to keep. `bounds`: lowest and
     highest physical value by pattern. `optimiser`: default `LBFGS` for likelihoods, `Adam` for particle filters,
     minibatches and other objectives. `starts`: number of starts: the tracker's own values, then the best of the
     `guesses` and of a coarse grid. `held_out`: recordings that select the best point and end the fit. `minibatch`:

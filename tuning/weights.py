@@ -21,7 +21,7 @@ def trajectory_weights(
 
     `recordings`: of each batch, the recording of each of its trajectories. Rows with known truth count where the
     objective `needs_truth`, else all rows. The weighted number of rows is that of the rows themselves, so that
-    recordings of one length have weight 1. All weights are 1 if rows have the same say.
+    recordings of one length have weight 1. All weights are 1 if rows have the same weight.
     """
     if weigh == "rows" or not batches:
         return [np.ones(batch.size) for batch in batches]
