@@ -49,7 +49,8 @@ class TrackErrors(NamedTuple):
 class Difference(NamedTuple):
     """The second value less the first, its 95 % interval, and the p-value of no difference; NaN where unknown.
 
-    `first`, `second`: the metric of each run over the pieces that both cover. `pieces`: their number.
+    `first`, `second`: the metric of each run over the pieces that both cover. `pieces`: their number. `kind`: in words,
+    what they are; empty for runs that are not paired.
     """
 
     first: float
@@ -58,6 +59,7 @@ class Difference(NamedTuple):
     high: float
     p: float
     pieces: int
+    kind: str = ""
 
     @property
     def value(self) -> float:
@@ -100,7 +102,8 @@ def paired_differences(
     a, b = _in_pieces(common, first, second)
     both = np.intersect1d(a.piece, b.piece)
     a, b = a.of(both), b.of(both)
-    return {name: _difference(METRICS[name], a, b, both) for name in metrics}
+    kind = "tracks" if len(common) >= MANY_TRACKS else "pieces of time, several times longer than errors last"
+    return {name: _difference(METRICS[name], a, b, both)._replace(kind=kind) for name in metrics}
 
 
 def holm(p: Sequence[float]) -> list[float]:

@@ -146,10 +146,8 @@ def _difference_table(first: str, contrasts: Sequence[Contrast], unit: Unit) -> 
         rows.append([one.run, heading(one.metric, of), *values, with_interval(interval, of), p, yes_no(one.differs)])
     pieces = sorted({one.difference.pieces for one in contrasts})
     known = sum(one.differs is not None for one in contrasts)
-    note = (
-        f"Paired over {' to '.join(map(str, dict.fromkeys((pieces[0], pieces[-1]))))} pieces of the common recordings, "
-        f"several times longer than errors last. p is adjusted for {known} comparisons (Holm)."
-    )
+    count = " to ".join(map(str, dict.fromkeys((pieces[0], pieces[-1]))))
+    note = f"Paired over {count} {contrasts[0].difference.kind}. p is adjusted for {known} comparisons (Holm)."
     if not known:
         note = "No intervals: the common recordings are too short for five pieces that are longer than errors last."
     head = ("run", "metric", first, "run's", "difference (95 %)", "p", "differs")

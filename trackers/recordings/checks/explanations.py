@@ -23,8 +23,8 @@ class Explanation(NamedTuple):
 
     `sizes` (G, m): the median errors of groups and columns with it. `parameters`: how many numbers were fitted for it.
     `own`: each group has numbers of its own, or the change may concern some groups alone. `groups` (G,): those that it
-    may concern, all of them or none if `together`. `harmless`: a property of the sensor and no mistake. `parts`: what
-    to name of each group, if anything.
+    may concern, all of them or none if `together`, and few of them if it changes a `place`: of many it is the frame.
+    `harmless`: a property of the sensor and no mistake. `parts`: what to name of each group, if anything.
     """
 
     change: str
@@ -34,6 +34,7 @@ class Explanation(NamedTuple):
     own: bool = False
     groups: Bool[np.ndarray, " G"] | None = None
     together: bool = False
+    place: bool = False
     harmless: bool = False
     parts: tuple[str, ...] = ()
 

@@ -23,7 +23,13 @@ FLOOR = {"ranges": 0.05, "fixes": 0.05, "bearings": np.radians(2.0)}
 """Median error, m or rad, below which an explanation gains nothing more."""
 
 ALL_GAIN, OWN_GAIN = 0.65, 1.0
-"""Mean log ratio of errors that an explanation must reach: of the truth as a whole, and of single sensors."""
+"""Mean log ratio of errors that an explanation must reach, and one with numbers fitted to single sensors."""
+
+UNCHANGED = 0.02
+"""Log ratio of errors up to which a change leaves them as they are."""
+
+FEW = 0.25
+"""Share of anchors or stations whose places may be wrong."""
 
 
 def check_against_truth(view: Compared) -> list[CheckResult]:
@@ -60,12 +66,16 @@ def _judged(
     gains = -ratio.sum(axis=1) / np.maximum(known.sum(axis=1), 1)
     # Errors that were small and stay small neither need an explanation nor contradict one.
     matters = known & ((before > limit) | (after > limit))
-    needed = -np.where(matters, ratio, 0.0).sum(axis=1)
     if not one.own:
-        if needed.sum() < ALL_GAIN * max(int(matters.sum()), 1):
+        if -float(ratio[matters].sum()) < ALL_GAIN * max(int(matters.sum()), 1):
             return []
         return [(PENALTY * (one.parameters + 1) - float(gains.mean()), np.ones(len(gains), bool), one)]
-    groups = large & (needed >= OWN_GAIN * np.maximum(matters.sum(axis=1), 1))
+    # Nor do errors that the change leaves as they are.
+    changed = matters & (np.abs(ratio) > UNCHANGED)
+    groups = large & changed.any(axis=1)
+    groups &= np.where(changed, -ratio, 0.0).sum(axis=1) >= (OWN_GAIN if one.parameters else ALL_GAIN) * changed.sum(
+        axis=1
+    )
     if one.groups is not None:
         groups &= one.groups
     if one.together and one.groups is not None:
@@ -73,7 +83,8 @@ def _judged(
     if one.parameters > 1:
         # A place has enough freedom to take up a part of any error.
         groups &= (~matters | ((after <= limit) & (ratio <= -ALL_GAIN))).all(axis=1)
-        groups &= 2 * groups.sum() <= len(groups)
+    if one.place and groups.sum() > max(FEW * len(groups), 1):
+        return []
     if not groups.any():
         return []
     cost = PENALTY * (one.parameters * int(groups.sum()) + 1) - float(gains[groups].sum()) / len(gains)

@@ -11,9 +11,7 @@ from trackers.recordings.checks.explanations import FACTORS, Explanation, metres
 from trackers.recordings.checks.readings import wrapped
 from trackers.recordings.checks.robust_fit import robust_fit
 
-FLIGHT = (
-    (0.299792458, "nanoseconds of flight"), (0.5, "round-trip distances"), (2.0, "halved distances"),
-)  # fmt: skip
+FLIGHT = ((0.5, "round-trip distances"), (2.0, "halved distances"))
 LEAST_OFFSET_M = 1.0
 LEAST_TURN = np.radians(15.0)
 LEAST_MOVE_M = 0.5
@@ -113,12 +111,12 @@ def _of_places(view: Compared) -> Iterator[Explanation]:
         other = np.abs(view.places[:, k]) > LEAST_MOVE_M / 2
         yield Explanation(
             f"the sign of {axis} of the position flipped", f"{axis} in rig.toml has the wrong sign; flip it",
-            sizes_with(view, places=flipped), own=True, groups=other,
+            sizes_with(view, places=flipped), 1, True, other, place=True,
         )  # fmt: skip
     swapped = view.places[:, [1, 0, 2]]
     yield Explanation(
-        "x and y of the position swapped", "x and y in rig.toml are swapped", sizes_with(view, places=swapped), 0, True,
-        groups=np.linalg.norm(swapped - view.places, axis=1) > LEAST_MOVE_M,
+        "x and y of the position swapped", "x and y in rig.toml are swapped", sizes_with(view, places=swapped), 1, True,
+        np.linalg.norm(swapped - view.places, axis=1) > LEAST_MOVE_M, place=True,
     )  # fmt: skip
 
 
@@ -147,7 +145,7 @@ def _moved(view: Compared, large: np.ndarray) -> Iterator[Explanation]:
         return
     yield Explanation(
         "another position", "a wrong position in rig.toml; measure it again", sizes_with(view, places=places), 3, True,
-        fitted & moved, parts=tuple(f"at {metres(place)}" for place in places),
+        fitted & moved, place=True, parts=tuple(f"at {metres(place)}" for place in places),
     )  # fmt: skip
 
 

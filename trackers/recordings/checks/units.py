@@ -16,6 +16,7 @@ GRAVITY = 9.81
 GRAVITY_SLACK = 0.15  # for the bias of a low-cost accelerometer and moderate motion
 FAR_M = 500.0  # beyond the range of indoor radio
 FAR_SIZES = 20.0  # times the size of the rig
+FAR_SIZES_MM = 150.0  # times the size of the rig, beyond which centimetres would be far away, too
 FASTEST_TURN = 35.0  # rad/s, the full scale of common gyroscopes
 _FAST_DEGREES = 100.0  # rad/s, no gyroscope's median
 
@@ -64,7 +65,8 @@ def _lengths(name: str, lengths: pl.Series, size: float | None) -> list[CheckRes
     typical = _median(lengths)
     what = f"a typical {'range' if name == 'ranges' else 'distance from the rig'} is {typical:.4g} m"
     if typical > FAR_M and (size is None or typical > FAR_SIZES * size):
-        return [CheckResult("error", name, f"{what}: looks like millimetres, expected metres")]
+        unit = "millimetres" if size is None or typical > FAR_SIZES_MM * size else "centimetres"
+        return [CheckResult("error", name, f"{what}: looks like {unit}, expected metres")]
     if size is not None and typical > FAR_SIZES * max(size, 1.0):
         message = f"{what}, the rig is {size:.3g} m across: looks like centimetres or millimetres, expected metres"
         return [CheckResult("error", name, message)]

@@ -189,7 +189,7 @@ def _swapped_sensors(view: Compared) -> Iterator[Explanation]:
         return
     yield Explanation(
         _exchange(view.noun, view.ids, order), f"the ids of {view.noun}s are mixed up; correct rig.toml or the table",
-        sizes_with(view, places=view.places[order], axes=view.axes[order]), 1, own=True,
+        sizes_with(view, places=view.places[order], axes=view.axes[order]), own=True,
         groups=order != np.arange(count), together=True,
     )  # fmt: skip
 
