@@ -71,6 +71,8 @@ def evaluate_tracks(
     part = selection(tag, from_, to, every)
     if tolerance is not None and worksteps is None:
         raise UnusableInput(f"--tolerance {tolerance:g}: applies to fastening points; expected --worksteps POINTS too")
+    if not folder.exists():
+        raise UnusableInput(f"{folder}: does not exist; expected the output folder of `track`, or a file of estimates")
     options = PoseOptions(align, time_offset, time_tolerance, rpe, all_pairs, out)
     if folder.is_file() or options.given:
         if worksteps is not None or cluster is not None:
