@@ -72,7 +72,9 @@ def evaluate_tracks(
     if tolerance is not None and worksteps is None:
         raise UnusableInput(f"--tolerance {tolerance:g}: applies to fastening points; expected --worksteps POINTS too")
     if not folder.exists():
-        raise UnusableInput(f"{folder}: does not exist; expected the output folder of `track`, or a file of estimates")
+        raise UnusableInput(
+            f"{folder}: no such file; expected a folder with tracks.parquet that `track` wrote, or a file of estimates"
+        )
     options = PoseOptions(align, time_offset, time_tolerance, rpe, all_pairs, out)
     if folder.is_file() or options.given:
         if worksteps is not None or cluster is not None:

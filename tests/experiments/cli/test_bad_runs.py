@@ -100,9 +100,15 @@ def test_a_run_folder_that_is_broken_is_refused(tmp_path, beginnings, change, wo
     assert _contents(tmp_path) == before
 
 
-@pytest.mark.parametrize("folder", ["good", "nowhere"])
-def test_a_folder_without_tracks_is_refused(beginnings, folder):
-    assert_refused(trackwright("evaluate", beginnings / folder), "tracks.parquet: no such file", "track")
+@pytest.mark.parametrize(
+    ("folder", "words"),
+    [
+        ("good", "tracks.parquet: no such file"),
+        ("nowhere", "nowhere: no such file; expected a folder with tracks.parquet"),
+    ],
+)
+def test_a_folder_without_tracks_is_refused(beginnings, folder, words):
+    assert_refused(trackwright("evaluate", beginnings / folder), words, "track")
 
 
 @pytest.mark.parametrize(
