@@ -216,14 +216,30 @@ function chooseMetrics(one) {
   byId("replay").scrollIntoView({ behavior: "smooth" });
 }
 
+/** Makes the page light and as wide as paper for a print, and afterwards as it was. */
+function forPaper(begins) {
+  const root = document.documentElement;
+  if (begins === root.classList.contains("paper")) return;
+  if (begins) state.theme = root.dataset.theme;
+  root.classList.toggle("paper", begins);
+  if (begins) root.dataset.theme = "light";
+  else if (state.theme) root.dataset.theme = state.theme;
+  else delete root.dataset.theme;
+  drawAll();
+  for (const chart of [plot, series]) {
+    Plotly.relayout(chart, begins ? { width: chart.clientWidth, height: chart.clientHeight } : { width: null, height: null, autosize: true });
+  }
+  showMoment(playback.now());
+}
+
 function listen() {
   byId("tag").addEventListener("change", (event) => select(Number(event.target.value)));
   byId("colour").addEventListener("change", drawPlan);
   byId("tail").addEventListener("change", () => showMoment(playback.now()));
   byId("recording").addEventListener("change", (event) => loadRecording(Number(event.target.value)));
   document.documentElement.addEventListener("theme", drawAll);
-  addEventListener("beforeprint", () => document.documentElement.dispatchEvent(new Event("theme")));
-  addEventListener("afterprint", () => document.documentElement.dispatchEvent(new Event("theme")));
+  addEventListener("beforeprint", () => forPaper(true));
+  addEventListener("afterprint", () => forPaper(false));
   const tip = byId("tip");
   plot.on("plotly_hover", ({ points, event }) => {
     const row = points[0].customdata;

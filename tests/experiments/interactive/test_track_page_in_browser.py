@@ -129,6 +129,13 @@ def test_the_page_fits_its_window_in_both_themes(browser, tmp_path, width, schem
     assert (page.evaluate(brightness) > 600) != (scheme == "light")
     assert page.locator("#series .xtitle").count() == 1
     assert len(page.pdf(format="A4")) > 20_000
+    page.evaluate("dispatchEvent(new Event('beforeprint'))")
+    sizes = "[...document.querySelectorAll('.js-plotly-plot')].map(p => p.offsetHeight - p.querySelector('svg').clientHeight)"
+    assert max(map(abs, page.evaluate(sizes))) <= 1
+    assert page.evaluate("document.querySelector('main').offsetWidth") <= 680
+    assert page.evaluate(brightness) > 600
+    page.evaluate("dispatchEvent(new Event('afterprint'))")
+    assert (page.evaluate(brightness) > 600) != (scheme == "light")
     assert errors == []
 
 
