@@ -14,9 +14,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import tyro
-
 from experiments.bench.timing import write_json
+from experiments.cli.main import run_alone
 from experiments.cli.runtime import set_flags
 from experiments.cli.subprocesses import in_new_process
 from experiments.reports.tables import aligned
@@ -29,7 +28,7 @@ LIMIT_S = 150.0
 """Limit of one process: batched LAPACK calls, as textbook versions make them, can deadlock on two cores."""
 
 
-def main(peers: bool = False, out: Path = Path("out/bench.json")) -> int:
+def main(*, peers: bool = False, out: Path = Path("out/bench.json")) -> int:
     """Measure the beam tracker, print the tables and write the results as JSON; 2 if a part fails.
 
     Args:
@@ -156,4 +155,4 @@ def memory(results: Mapping[str, Any]) -> list[str]:
 
 
 if __name__ == "__main__":
-    sys.exit(tyro.cli(main, prog="python -m experiments.bench"))
+    run_alone(main, "python -m experiments.bench")

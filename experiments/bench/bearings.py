@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tyro
 
 from experiments.bench.timing import clocked, turns, write_json
+from experiments.cli.main import run_alone
 from experiments.cli.runtime import set_flags
 from experiments.cli.subprocesses import in_new_process_or_failed
 
@@ -27,7 +27,7 @@ ROUNDS = 15
 LIMIT_S = 240.0
 
 
-def main(out: Path = Path("out/bench-bearings.json")) -> int:
+def main(*, out: Path = Path("out/bench-bearings.json")) -> int:
     """Print the table and write it as JSON.
 
     Args:
@@ -76,4 +76,4 @@ def point(name: str, walks: str) -> dict[str, float]:
 
 
 if __name__ == "__main__":
-    sys.exit(tyro.cli(main))
+    run_alone(main, "python -m experiments.bench.bearings")

@@ -21,9 +21,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tyro
 
 from experiments.bench.timing import clocked, write_json
+from experiments.cli.main import run_alone
 from experiments.cli.runtime import set_flags
 
 DECLARATION = """
@@ -38,7 +38,7 @@ WORKERS = 2
 PARTS = 200
 
 
-def main(runs: int = 20_000, out: Path = Path("out/bench-cluster.json")) -> int:
+def main(*, runs: int = 20_000, out: Path = Path("out/bench-cluster.json")) -> int:
     """Run the study three times, print a table and write the results as JSON; 1 if the bits differ.
 
     Args:
@@ -154,4 +154,4 @@ def _worker_of_this_process() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(tyro.cli(main))
+    run_alone(main, "python -m experiments.bench.cluster")

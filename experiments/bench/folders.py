@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tyro
 
 from experiments.bench.__main__ import machine
 from experiments.bench.timing import clocked, write_json
+from experiments.cli.main import run_alone
 from experiments.cli.runtime import set_flags
 
 TAGS, ROUNDS = 1000, 5
@@ -30,7 +30,7 @@ MOST = 3.0
 PARTS = ("read", "rows", "run", "track", "write")
 
 
-def main(tracker: tuple[str, ...] = ("direct", "cascade"), out: Path = Path("out/bench-folders.json")) -> int:
+def main(*, tracker: tuple[str, ...] = ("direct", "cascade"), out: Path = Path("out/bench-folders.json")) -> int:
     """Measure the tracking of a folder, print the table and write it as JSON; 1 where it takes too long.
 
     Args:
@@ -88,4 +88,4 @@ def measured(tracker: str) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    sys.exit(tyro.cli(main, prog="python -m experiments.bench.folders"))
+    run_alone(main, "python -m experiments.bench.folders")

@@ -15,13 +15,13 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import tyro
 
 from experiments.bench import particles
 from experiments.bench.__main__ import machine
 from experiments.bench.measure import TUNED, packages, simulate, trackers
 from experiments.bench.timing import turns, write_json
 from experiments.bench.waiting import commit
+from experiments.cli.main import run_alone
 from experiments.cli.subprocesses import REPOSITORY
 from tuning.objectives import NegativeLogLikelihood
 from tuning.parameters import flatten, select_parameters
@@ -43,7 +43,7 @@ class Size(NamedTuple):
     copied: int = 2**28
 
 
-def main(out: Path = Path("out/bench-gpu.json")) -> int:
+def main(*, out: Path = Path("out/bench-gpu.json")) -> int:
     """Measure one GPU, and all of them where there are several, print a table and write the results; 2 without a GPU.
 
     Args:
@@ -154,4 +154,4 @@ def _median(run: Callable[[], Any]) -> float:
 
 
 if __name__ == "__main__":
-    sys.exit(tyro.cli(main))
+    run_alone(main, "python -m experiments.bench.gpu")

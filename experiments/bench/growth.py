@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tyro
 
 from experiments.bench.growth_cases import SERIES, build
 from experiments.bench.timing import clocked, replace_tables, turns, write_json
+from experiments.cli.main import run_alone
 from experiments.cli.runtime import set_flags
 from experiments.cli.subprocesses import in_new_process_or_failed
 
@@ -29,7 +29,8 @@ LIMIT_S = 120.0
 
 
 def main(
-    series: tyro.conf.Positional[tuple[str, ...]] = tuple(SERIES),
+    series: tuple[str, ...] = (),
+    *,
     small: bool = False,
     page: Path | None = None,
     out: Path = Path("out/bench-growth.json"),
@@ -50,7 +51,7 @@ def main(
         return 2
     began, host = datetime.now(UTC), machine()
     results: dict[str, Any] = {}
-    for name in series:
+    for name in series or SERIES:
         sizes = SERIES[name].sizes[: 2 if small else None]
         results[name] = {
             version: {str(size): point_apart(name, version, size) for size in sizes if size <= largest}
@@ -126,4 +127,4 @@ def slope(points: Mapping[str, Mapping[str, Any]]) -> float | None:
 
 
 if __name__ == "__main__":
-    sys.exit(tyro.cli(main, prog="python -m experiments.bench.growth"))
+    run_alone(main, "python -m experiments.bench.growth")

@@ -8,15 +8,14 @@ dynamax (extra: peers) and the textbook version filter a slice of the rows.
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tyro
 
 from experiments.bench.timing import clocked, write_json
+from experiments.cli.main import run_alone
 from experiments.cli.runtime import set_flags
 from experiments.cli.subprocesses import in_new_process_or_failed
 
@@ -41,7 +40,7 @@ PARTS = (
 )
 
 
-def main(out: Path = Path("out/bench-imu.json")) -> int:
+def main(*, out: Path = Path("out/bench-imu.json")) -> int:
     """Measure all parts, print the results and write them as JSON; a part that fails is listed with its reason.
 
     Args:
@@ -281,4 +280,4 @@ def _timed(run: Callable[[], Any]) -> tuple[Any, tuple[float, float]]:
 
 
 if __name__ == "__main__":
-    sys.exit(tyro.cli(main, prog="python -m experiments.bench.imu"))
+    run_alone(main, "python -m experiments.bench.imu")

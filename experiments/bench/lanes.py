@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tyro
 
 from experiments.bench.timing import clocked, turns, write_json
+from experiments.cli.main import run_alone
 from experiments.cli.runtime import set_flags
 from experiments.cli.subprocesses import in_new_process_or_failed
 
@@ -28,7 +28,7 @@ LIMIT_S = 240.0
 
 
 def main(
-    lanes: tuple[int, ...] = LANES, states: tuple[int, ...] = STATES, out: Path = Path("out/bench-lanes.json")
+    *, lanes: tuple[int, ...] = LANES, states: tuple[int, ...] = STATES, out: Path = Path("out/bench-lanes.json")
 ) -> int:
     """Print the table and write it as JSON.
 
@@ -78,4 +78,4 @@ def point(form: str, states: str, trajectories: str) -> dict[str, float]:
 
 
 if __name__ == "__main__":
-    sys.exit(tyro.cli(main))
+    run_alone(main, "python -m experiments.bench.lanes")

@@ -9,7 +9,6 @@ dependencies (`pip install trackwright[peers]`).
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Callable
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -17,11 +16,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tyro
 
 from experiments.bench.__main__ import machine
 from experiments.bench.particles import PARTICLES, SIGMA_A, SIGMA_P, arclengths, ours, position_on, rmse, task
 from experiments.bench.timing import clocked, turns, write_json
+from experiments.cli.main import run_alone
 from experiments.cli.runtime import set_flags
 from experiments.cli.subprocesses import in_new_process_or_failed
 
@@ -34,7 +33,7 @@ FLOOR = 25.0
 """Required speed-up over the peers."""
 
 
-def main(out: Path = Path("out/bench-particles.json")) -> int:
+def main(*, out: Path = Path("out/bench-particles.json")) -> int:
     """Measure beside both libraries, print the results and write them as JSON; 1 if the speed-up is too small.
 
     Args:
@@ -186,4 +185,4 @@ def with_cuthbert(fixes: np.ndarray, dt: float, knots: np.ndarray) -> Callable[[
 
 
 if __name__ == "__main__":
-    sys.exit(tyro.cli(main, prog="python -m experiments.bench.particle_peers"))
+    run_alone(main, "python -m experiments.bench.particle_peers")

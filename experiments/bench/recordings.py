@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tyro
 
 from experiments.bench.timing import clocked, replace_tables, turns, write_json
+from experiments.cli.main import run_alone
 from experiments.cli.runtime import set_flags
 from experiments.cli.subprocesses import recordings_folder
 
@@ -57,6 +57,7 @@ COLUMNS = (
 
 
 def main(
+    *,
     recordings: tuple[str, ...] = RECORDINGS,
     trackers: tuple[str, ...] = (),
     smooth: bool = False,
@@ -223,4 +224,4 @@ def difference(means: list[np.ndarray], estimates: Any, rows: int) -> float:
 
 
 if __name__ == "__main__":
-    sys.exit(tyro.cli(main, prog="python -m experiments.bench.recordings"))
+    run_alone(main, "python -m experiments.bench.recordings")

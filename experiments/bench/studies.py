@@ -18,10 +18,10 @@ from typing import Any
 import equinox as eqx
 import jax
 import numpy as np
-import tyro
 
 from experiments.bench.__main__ import machine
 from experiments.bench.timing import write_json
+from experiments.cli.main import run_alone
 from experiments.cli.runtime import set_flags
 
 TRAJECTORIES = 256
@@ -44,7 +44,9 @@ WORLDS: dict[str, tuple[str, ...]] = {
 """The trackers that read each world's tables."""
 
 
-def main(world: tuple[str, ...] = (), tracker: tuple[str, ...] = (), out: Path = Path("out/bench-studies.json")) -> int:
+def main(
+    *, world: tuple[str, ...] = (), tracker: tuple[str, ...] = (), out: Path = Path("out/bench-studies.json")
+) -> int:
     """Measure chunks of studies, print the table and write it as JSON; 1 if a share is below a third.
 
     Args:
@@ -150,4 +152,4 @@ def _clocked(run: Callable[[], Any]) -> tuple[Any, float]:
 
 
 if __name__ == "__main__":
-    sys.exit(tyro.cli(main, prog="python -m experiments.bench.studies"))
+    run_alone(main, "python -m experiments.bench.studies")

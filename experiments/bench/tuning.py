@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tyro
 
 from experiments.bench.timing import clocked, write_json
+from experiments.cli.main import run_alone
 from experiments.cli.runtime import set_flags
 
 LIMIT_S = 5.0
@@ -26,7 +26,7 @@ CORNERS = ((10.0, 10.0), (0.1, 0.1), (10.0, 0.1), (0.1, 10.0))
 DYNAMAX_SLICE, DYNAMAX_STEPS = (16, 50), 20
 
 
-def main(peers: bool = False, out: Path = Path("out/bench-tuning.json")) -> int:
+def main(*, peers: bool = False, out: Path = Path("out/bench-tuning.json")) -> int:
     """Measure fits, print the results and write them as JSON; 1 if a fit takes too long.
 
     Args:
@@ -158,4 +158,4 @@ def with_dynamax() -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    sys.exit(tyro.cli(main, prog="python -m experiments.bench.tuning"))
+    run_alone(main, "python -m experiments.bench.tuning")

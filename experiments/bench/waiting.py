@@ -17,11 +17,10 @@ from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from statistics import median
-from typing import Annotated, Any
-
-import tyro
+from typing import Any
 
 from experiments.bench.timing import write_json
+from experiments.cli.main import run_alone
 from experiments.cli.subprocesses import REPOSITORY, recordings_folder
 from experiments.reports.tables import aligned
 from trackers.core.errors import UnusableInput
@@ -59,7 +58,8 @@ SETTINGS = ("JAX_", "XLA_", "TRACKWRIGHT_CACHE")
 
 
 def main(
-    names: Annotated[tuple[str, ...], tyro.conf.Positional] = (),
+    names: tuple[str, ...] = (),
+    *,
     against: Path | None = None,
     warm: int = 3,
     out: Path = Path("out/bench-waiting.json"),
@@ -168,4 +168,4 @@ def table(results: Mapping[str, Any]) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(tyro.cli(main, prog="python -m experiments.bench.waiting"))
+    run_alone(main, "python -m experiments.bench.waiting")

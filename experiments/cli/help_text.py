@@ -58,8 +58,9 @@ def command_help(function: Callable[..., Any], program: str) -> str:
         for a in (*positional, *options)
         if a.required or a.positional
     )
-    optional = " [options]" if any(not a.required for a in options) else ""
-    usage = textwrap.fill(f"usage: {program} {needed}{optional}", WIDTH, subsequent_indent="  ")
+    optional = "[options]" if any(not a.required for a in options) else ""
+    words = " ".join(part for part in (program, needed, optional) if part)
+    usage = textwrap.fill(f"usage: {words}", WIDTH, subsequent_indent="  ", break_on_hyphens=False)
     text = (inspect.getdoc(function) or "").partition("\nArgs:\n")[0].strip()
     paragraphs = [
         textwrap.fill(" ".join(part.split()), WIDTH) if "\n    " not in part else part for part in text.split("\n\n")

@@ -181,7 +181,7 @@ def function_of(command: str) -> Callable[..., Any]:
 
 
 def run_alone(function: Callable[..., Any], program: str) -> NoReturn:
-    """Run a function as a program of its own, as `python -m experiments.bench`; exits with its code."""
+    """Run a function as a program of its own, as `python -m experiments.bench`; exits with its code, or 2."""
     from experiments.cli.arguments import parse
     from experiments.cli.help_text import command_help
     from trackers.core.errors import UnusableInput
@@ -192,7 +192,7 @@ def run_alone(function: Callable[..., Any], program: str) -> NoReturn:
         sys.exit(0)
     try:
         positional, named = parse(function, program, words)
+        sys.exit(function(*positional, **named))
     except UnusableInput as problem:
         print(problem, file=sys.stderr)
         sys.exit(2)
-    sys.exit(function(*positional, **named))

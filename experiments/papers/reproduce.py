@@ -15,9 +15,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import tyro
-
 from experiments.cli.console import notice
+from experiments.cli.main import run_alone
 from experiments.cli.stages import progress
 from experiments.cli.subprocesses import new_interpreter
 from experiments.monte_carlo import Value
@@ -30,7 +29,7 @@ LIMIT_S = 1800.0
 RESULTS = Path("docs/results.md")
 
 
-def main(out: Path = Path("out/papers"), results: Path = RESULTS) -> int:
+def main(*, out: Path = Path("out/papers"), results: Path = RESULTS) -> int:
     """Run all studies with expected results and write the page of their results; 1 if a study fails.
 
     Args:
@@ -125,4 +124,4 @@ def _row(claim: dict[str, Any]) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(tyro.cli(main, prog="python -m experiments.papers.reproduce"))
+    run_alone(main, "python -m experiments.papers.reproduce")

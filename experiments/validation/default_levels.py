@@ -14,19 +14,18 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
-import tyro
 from scipy.optimize import minimize
 
+from experiments.cli.main import run_alone
 from experiments.cli.runtime import keep_programs, set_flags
 from experiments.cli.subprocesses import recordings_folder
 from experiments.reports.tables import aligned
 from experiments.validation.folds import SEEN_BY_DEFAULTS
 from trackers.aoa.fusion import CALIBRATED, bearing_tracker
 from trackers.catalogue import build
-from trackers.core.errors import UnusableInput
 from trackers.core.tracker import AbstractTracker
 from trackers.recordings.folder import RecordingFolder, read_recordings
 from trackers.recordings.tracker_spec import TrackerBatch
@@ -77,7 +76,7 @@ KINDS = {
 """What can be set. A likelihood over the floor does not determine `sigma_z`, which stays."""
 
 
-Kind = Annotated[Literal["bearings", "bearings-calibrated", "uwb"], tyro.conf.Positional]
+Kind = Literal["bearings", "bearings-calibrated", "uwb"]
 
 
 class Objective:
@@ -126,7 +125,7 @@ class Objective:
         return self.levels.builder(count, group.planar, **{**self.levels.now, **values})
 
 
-def main(kind: Kind, evaluations: int = 400) -> int:
+def main(kind: Kind, *, evaluations: int = 400) -> int:
     """Set default noise levels and print them beside the present ones.
 
     Args:
@@ -173,8 +172,4 @@ def _shown(value: Any) -> str:
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(tyro.cli(main, prog="python -m experiments.validation.default_levels"))
-    except UnusableInput as problem:
-        print(f"default_levels: {problem}", file=sys.stderr)
-        sys.exit(2)
+    run_alone(main, "python -m experiments.validation.default_levels")

@@ -7,14 +7,12 @@ are not part of this repository: TRACKWRIGHT_RECORDINGS names their folder, defa
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
 
-import tyro
-
 from experiments.bench.timing import replace_tables
+from experiments.cli.main import run_alone
 from experiments.cli.runtime import keep_programs, set_flags
 from experiments.cli.subprocesses import REPOSITORY, recordings_folder
 from experiments.validation.fold_runs import Figures, run_fold
@@ -26,7 +24,7 @@ PAGE = REPOSITORY / "docs" / "real-recordings.md"
 QUICK_PAGE = Path("out/real-recordings.md")
 
 
-def main(quick: bool = False, page: Path | None = None) -> int:
+def main(*, quick: bool = False, page: Path | None = None) -> int:
     """Run the folds, write the page, and return 1 where a limit is missed.
 
     Args:
@@ -68,8 +66,4 @@ def run(folds: Sequence[Fold], root: Path) -> list[Figures]:
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(tyro.cli(main, prog="python -m experiments.validation.real_recordings"))
-    except UnusableInput as problem:
-        print(f"real_recordings: {problem}", file=sys.stderr)
-        sys.exit(2)
+    run_alone(main, "python -m experiments.validation.real_recordings")

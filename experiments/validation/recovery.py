@@ -13,11 +13,11 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-import tyro
 
+from experiments.cli.main import run_alone
 from experiments.cli.runtime import set_flags
 from experiments.cli.stages import progress
 
@@ -265,7 +265,7 @@ def _inside(intervals: Mapping[str, tuple[np.ndarray, np.ndarray]], parameters: 
     return np.concatenate(inside)
 
 
-def main(systems: Annotated[tuple[str, ...], tyro.conf.Positional] = ()) -> int:
+def main(systems: tuple[str, ...] = ()) -> int:
     """Fit all replicates of the systems and print the recovery of their parameters; 1 if a system fails.
 
     Args:
@@ -280,4 +280,4 @@ def main(systems: Annotated[tuple[str, ...], tyro.conf.Positional] = ()) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(tyro.cli(main, prog="python -m experiments.validation.recovery"))
+    run_alone(main, "python -m experiments.validation.recovery")

@@ -14,14 +14,13 @@ maxima of their likelihoods agree.
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import tyro
 
+from experiments.cli.main import run_alone
 from experiments.cli.stages import progress
 from experiments.reports.tables import aligned
 from sim.line import SITUATIONS, simulate_line
@@ -72,7 +71,7 @@ class Score:
     nll: float
 
 
-def main(values: int = VALUES, repeats: int = REPEATS, tags: int = 3) -> int:
+def main(*, values: int = VALUES, repeats: int = REPEATS, tags: int = 3) -> int:
     """Print the comparison; 1 if a fit is worse than the sweep's best or takes too many filter runs.
 
     Args:
@@ -195,4 +194,4 @@ def table(every: Sequence[Found], scores: Sequence[Score]) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(tyro.cli(main, prog="python -m experiments.validation.tuning_against_sweep"))
+    run_alone(main, "python -m experiments.validation.tuning_against_sweep")

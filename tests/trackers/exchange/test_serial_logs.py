@@ -8,7 +8,7 @@ from trackers.core.errors import UnusableInput
 from trackers.exchange.mapping import parsed
 from trackers.exchange.serial_logs import log_kind, read_log
 
-# DWM1001 firmware user guide, commands les, lec and lep.
+# Output of the DWM1001's shell, commands les, lec and lep, as public code quotes it.
 LES = (
     "1151[5.00,8.00,2.25]=6.48 0CA8[0.00,8.00,2.25]=6.51 111C[5.00,0.00,2.25]=3.18 1150[0.00,0.00,2.25]=3.16 "
     "le_us=2576 est[2.57,1.98,1.68,100]"
