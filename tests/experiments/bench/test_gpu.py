@@ -11,7 +11,7 @@ from experiments.bench import gpu
 def test_without_a_gpu_it_writes_nothing_and_names_the_extra(tmp_path, capsys):
     if jax.default_backend() == "gpu":
         pytest.skip("this host has a GPU")
-    assert gpu.main(tmp_path / "bench-gpu.json") == 2
+    assert gpu.main(out=tmp_path / "bench-gpu.json") == 2
     assert "trackwright[cuda]" in capsys.readouterr().err
     assert not [*tmp_path.iterdir()]
 

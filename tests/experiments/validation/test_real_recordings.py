@@ -67,7 +67,7 @@ def test_an_error_without_a_figure_misses_its_limit():
 
 def test_the_estimate_farthest_outside_the_room_is_found_by_its_straight_distance():
     rig = Rig("hall", anchors={"1": np.array([0.0, 0.0, 2.0]), "2": np.array([4.0, 1.0, 2.0])})
-    truth = pl.DataFrame({"x_m": [1.0, 2.0, None], "y_m": [-1.0, 3.0, None]})
+    truth = pl.DataFrame({"t_s": [0.0, 1.0, 2.0], "x_m": [1.0, 2.0, None], "y_m": [-1.0, 3.0, None]})
     corners = room(RecordingFolder("hall", None, rig, {"truth": truth}))
     np.testing.assert_array_equal(corners, [[0, -1], [4, 3]])
     # Inside, without estimate, 0.5 m left of the room, and 3 m and 4 m beyond its upper right corner.
