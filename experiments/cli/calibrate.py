@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import sys
+import tomllib
 
 from experiments.cli.arguments import File, Folders
-from experiments.cli.console import output_folder, read_with_notices
+from experiments.cli.console import json_alone, output_folder, read_with_notices
 from trackers.core.errors import UnusableInput
 from trackers.recordings.calibration_file import write_calibration
 
 
-def calibrate_recordings(recordings: Folders, *, out: File) -> int:
+def calibrate_recordings(recordings: Folders, *, out: File, json: bool = False) -> int:
     """Fit systematic errors of stations and anchors against truth.
 
     Writes a file for `--calibration` of other commands, and beside it a page with figures. Recordings to be tracked or
@@ -19,6 +20,7 @@ def calibrate_recordings(recordings: Folders, *, out: File) -> int:
     Args:
         recordings: recording folders with truth, and bearings or ranges; each has the same weight.
         out: the file to write, as calibration.toml; the page and its figures go beside it.
+        json: print the content of that file as JSON instead of tables.
     """
     if out.suffix != ".toml" or out.is_dir():
         raise UnusableInput(f"--out {out}: expected a file with the ending .toml; give calibration.toml in a folder")
@@ -34,6 +36,8 @@ def calibrate_recordings(recordings: Folders, *, out: File) -> int:
     write_calibration(calibration, out)
     drawn = draw_report(out, calibration, report)
     page = write_calibration_report(out, calibration, report, drawn, sys.argv)
-    print(report_text(report), end="")
-    print(f"wrote {out}, {page.name} and {', '.join(drawn)}")
+    with json_alone(json) as put:
+        print(report_text(report), end="")
+        print(f"wrote {out}, {page.name} and {', '.join(drawn)}")
+        put(tomllib.loads(out.read_text("utf-8")))
     return 0

@@ -3,17 +3,34 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext, redirect_stdout
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
 from trackers.core.errors import UnusableInput, listed
+from trackers.recordings.atomic import json_text
 from trackers.recordings.calibration_file import read_calibration
 from trackers.recordings.folder import RecordingFolder, read_recordings
 from trackers.recordings.selection import Selection
 
 ERRORS = Console(stderr=True, highlight=False, soft_wrap=True)
+
+
+@contextmanager
+def json_alone(wanted: bool) -> Iterator[Callable[[Mapping[str, Any]], None]]:
+    """With `wanted`, the result on standard output is JSON alone, and what a command prints goes to standard error.
+
+    Yields a function that adds to the result.
+    """
+    result: dict[str, Any] = {}
+    with redirect_stdout(sys.stderr) if wanted else nullcontext():
+        yield result.update
+    if wanted:
+        print(json_text(result), end="")
 
 
 def notice(text: str) -> None:

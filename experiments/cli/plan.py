@@ -11,6 +11,7 @@ import numpy as np
 from experiments.cli.arguments import Folder
 from experiments.cli.console import notice, output_folder
 from trackers.core.errors import UnusableInput
+from trackers.recordings.atomic import json_text
 from trackers.recordings.rig_file import RIG_FILE, read_rig
 
 HEIGHT = 1.2
@@ -25,6 +26,7 @@ def plan(
     sigma_angle: float = 0.05,
     sigma_phase: float = 0.3,
     place: int = 0,
+    json: bool = False,
 ) -> int:
     """Plan an installation: maps of the bound of errors over its floor.
 
@@ -39,6 +41,7 @@ def plan(
         sigma_angle: standard deviation of an azimuth or elevation, rad.
         sigma_phase: standard deviation of a phase, rad.
         place: propose places on the outline of the floor for so many more anchors.
+        json: print the bounds, m, and proposed anchors as JSON instead of a table.
     """
     for name, sigma in (("range", sigma_range), ("angle", sigma_angle), ("phase", sigma_phase)):
         if not 0 < sigma < math.inf:
@@ -58,14 +61,14 @@ def plan(
     # jax takes a second to import, which the help and a refused rig need not wait for.
     from experiments.plan.accuracy import Sigmas, floor_map
     from experiments.plan.placement import place_anchors
-    from experiments.plan.report import summary_text, write_plan
+    from experiments.plan.report import summary, summary_text, write_plan
     from experiments.plots.plan import bound_maps
 
     floor = floor_map(geometry, Sigmas(sigma_range, sigma_angle, sigma_phase), height)
     placement = place_anchors(geometry, place, floor, known) if place else None
-    print(summary_text(floor, placement), end="")
+    print(json_text(summary(floor, placement)) if json else summary_text(floor, placement), end="")
     proposed = np.zeros((0, 3)) if placement is None else placement.positions
     bound_maps(out / "plan.png", geometry, floor, proposed)
     page = write_plan(out / "plan.html", geometry, floor, proposed, sys.argv)
-    print(f"wrote {page} and plan.png")
+    (notice if json else print)(f"wrote {page} and plan.png")
     return 0

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from experiments.cli.arguments import File, Folder, Folders
-from experiments.cli.console import read_with_notices, require_output, selection
+from experiments.cli.console import json_alone, read_with_notices, require_output, selection
 from experiments.cli.runtime import keep_programs
 from experiments.cli.stages import stages
 from experiments.cli.tune import require_counts
@@ -43,6 +43,7 @@ def sweep(
     path: Annotated[Path | None, "FOLDER"] = None,
     free_height: bool = False,
     piece_rows: int = 8000,
+    json: bool = False,
 ) -> int:
     """Evaluate an objective on a grid of one or two noise levels.
 
@@ -68,6 +69,7 @@ def sweep(
         path: an output folder of `tune`, or its trace.csv, to draw as optimiser trace.
         free_height: estimate the height of tags whose height the rig gives.
         piece_rows: rows of the segments into which long recordings are cut, as in `tune`.
+        json: print the best point as JSON instead of a line.
     """
     started, clock = datetime.now(UTC), time.perf_counter()
     part = selection(tag, from_, to, every)
@@ -81,7 +83,7 @@ def sweep(
     require_output(out)
     grids, values = _grids(over), parse_values(set_, "--set")
     tuned = None if noise is None else read_tuned(noise)
-    with stages("sweep") as begin:
+    with json_alone(json) as put, stages("sweep") as begin:
         begin("reading")
         folders = read_with_notices(recordings, calibration, average, part)
         begin("preparing")
@@ -89,7 +91,8 @@ def sweep(
         # jax takes a second to import, which the help and a refused recording need not wait for.
         from experiments.cli.sweep_job import sweep_folders
 
-        return sweep_folders(folders, recordings, out, grids, options, tuned, values, started, clock, begin)
+        put(sweep_folders(folders, recordings, out, grids, options, tuned, values, started, clock, begin))
+    return 0
 
 
 def _grids(over: Sequence[str]) -> dict[str, np.ndarray]:

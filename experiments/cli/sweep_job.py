@@ -37,8 +37,8 @@ def sweep_folders(
     started: datetime,
     clock: float,
     begin: Begin,
-) -> int:
-    """Evaluates the objective on the grid, writes all files and prints the best point; returns the exit code.
+) -> dict[str, Any]:
+    """Evaluates the objective on the grid, writes all files and prints the best point; returns it and the counts.
 
     `tuned`: the content of the noise file. `values`: by tunable or pattern. `started`, `clock`: when the command
     began. `begin`: of a stage.
@@ -67,17 +67,17 @@ def sweep_folders(
     unit = "rad" if group.trajectories[0].station else "m"
     sweep_plot(out / "sweep.png", swept, f"RMSE ({unit})" if objective == "rmse" else objective, traces)
     config = {**options} | {"tracker": named.name}
-    extra = {
-        "recordings": [str(p) for p in recordings],
+    found = {
         "best": swept.best,
         "least": float(swept.mean[swept.best_index]),
         "filter_runs": swept.filter_runs,
         "seconds": seconds,
     }
+    extra = {"recordings": [str(p) for p in recordings]} | found
     write_manifest(out, sys.argv, config, started, extra=extra)
     print(_summary(swept, objective, unit if objective == "rmse" else "", seconds))
     print(f"wrote {out / 'sweep.csv'}, sweep.png and manifest.json")
-    return 0
+    return found
 
 
 def _with_hint(problem: str) -> str:

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from typing import Annotated, Literal
 
 from experiments.cli.arguments import File, Folder, Folders
-from experiments.cli.console import prepared, require_output, selection
+from experiments.cli.console import json_alone, prepared, require_output, selection
 from experiments.cli.runtime import keep_programs
 from experiments.cli.stages import stages
 from experiments.cli.usable import usable_recordings
@@ -36,6 +36,7 @@ def track(
     no_report: bool = False,
     format: Literal["png", "pdf"] = "png",
     force: bool = False,
+    json: bool = False,
 ) -> int:
     """Track recordings: estimates, events, error metrics, a page with playback.
 
@@ -65,6 +66,7 @@ def track(
         no_report: write no report.html, the page with playback and linked charts.
         format: of the figures.
         force: track recordings in spite of the errors that `trackwright check` finds.
+        json: print the error metrics as JSON, by tracker, instead of tables.
     """
     started = datetime.now(UTC)
     require_output(out)
@@ -72,9 +74,9 @@ def track(
         raise UnusableInput(f"--lag {lag:g}: expected seconds above zero; leave it out to use the whole recording")
     part, values = selection(tag, from_, to, every), parse_values(set_, "--set")
     tuned = None if noise is None else read_tuned(noise)
-    with stages("track") as begin:
+    with json_alone(json) as put, stages("track") as begin:
         begin("reading")
-        usable, refused = usable_recordings(recordings, force)
+        usable, refused = usable_recordings(recordings, force, calibration is not None)
         folders = prepared(usable, calibration, average, part)
         begin("preparing")
         keep_programs()
@@ -85,4 +87,5 @@ def track(
             out, tracker, noise, tuned, values, calibration, part, average, free_height, smooth, lag, seed, cluster,
             not no_figures, not no_report, format,
         )  # fmt: skip
-        return track_folders(folders, refused, options, started, begin)
+        code = track_folders(folders, refused, options, started, begin, put)
+    return code

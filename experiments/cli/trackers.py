@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 from experiments.cli.arguments import File, Folder
@@ -20,12 +22,18 @@ if TYPE_CHECKING:
     from trackers.recordings.named_tracker import NamedTracker
 
 
-def trackers() -> int:
+def trackers(*, json: bool = False) -> int:
     """List the trackers and the tables they read.
 
     The first that fits the tables of a recording is chosen where none is named. A tracker of your own is a Python file:
     --tracker FILE.py:NAME.
+
+    Args:
+        json: print JSON instead of lines.
     """
+    if json:
+        print(json_text(TRACKERS), end="")
+        return 0
     from experiments.cli.help_text import rows
 
     print("\n".join(rows(TRACKERS.items(), 29)))
@@ -70,15 +78,38 @@ def tunables(
 
 def _simulated(tracker: str, missing: Any) -> RecordingFolder:
     """A simulated recording that has what the tracker needs; raises UnusableInput where there is none."""
-    import numpy as np
-
-    from sim.worlds import WORLDS
-
-    for world in WORLDS.values():
-        folder = world(np.arange(1), 0)
+    for folder in _simulated_folders():
         if missing(folder) is None:
             return folder
     raise UnusableInput(f"tunables {tracker}: no simulated recording has what it reads; give a recording FOLDER")
+
+
+def _simulated_folders() -> Iterator[RecordingFolder]:
+    """A recording of each world: as it is, with a floor and heights of tags, and with bearings of its stations."""
+    import numpy as np
+    import polars as pl
+
+    from sim.worlds import WORLDS
+    from trackers.core.rig import Tag
+
+    for world in WORLDS.values():
+        folder = world(np.arange(1), 0)
+        yield folder
+        truth = folder.tables["truth"]
+        x, y, z = (truth[axis].to_numpy() for axis in ("x_m", "y_m", "z_m"))
+        (west, east), (south, north) = ((v.min() - 1, v.max() + 1) for v in (x, y))
+        outline = np.array([[west, south], [east, south], [east, north], [west, north]])
+        tags = {tag: Tag(float(z[0])) for tag in truth["tag"].unique()}
+        yield replace(folder, rig=replace(folder.rig, outline=outline, tags=tags))
+        angles = {name: s.angles(np.stack([x, y, z], axis=1)).T for name, s in folder.rig.stations.items()}
+        bearings = [
+            truth.select(
+                "t_s", "tag", pl.lit(name).alias("station"), azimuth_rad=pl.Series(a), elevation_rad=pl.Series(e)
+            )
+            for name, (a, e) in angles.items()
+        ]
+        if bearings:
+            yield replace(folder, tables={"bearings": pl.concat(bearings).sort("t_s"), "truth": truth})
 
 
 def _rows(named: NamedTracker) -> list[dict[str, Any]]:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from datetime import datetime
@@ -68,11 +69,17 @@ class Options:
 
 
 def track_folders(
-    folders: Sequence[RecordingFolder], refused: Sequence[str], options: Options, started: datetime, begin: Begin
+    folders: Sequence[RecordingFolder],
+    refused: Sequence[str],
+    options: Options,
+    started: datetime,
+    begin: Begin,
+    put: Callable[[Mapping[str, Any]], None],
 ) -> int:
     """Tracks the recordings, writes all files and prints the metrics; returns the exit code, 1 if some were `refused`.
 
     Several trackers get a folder each, by their names; those that the user named are compared. `begin`: of a stage.
+    `put`: of the metrics, by tracker.
     """
     of_file = None if options.tuned is None else options.tuned.tracker
     runs, unfit = tracked_by(folders, options.tracker or of_file)
@@ -85,12 +92,12 @@ def track_folders(
         names = ", ".join(run.tracker for run in runs)
         raise UnusableInput(f"--noise {options.noise}: belongs to one tracker, found {names}; name one with --tracker")
     if len(runs) == 1:
-        _track(runs[0], options, options.out, started, begin, True)
+        put({runs[0].short: _track(runs[0], options, options.out, started, begin, True)})
     else:
         output_folder(options.out)
         compared = options.tracker is not None
         for run in runs:
-            _track(run, options, options.out / run.short, started, begin, not compared)
+            put({run.short: _track(run, options, options.out / run.short, started, begin, not compared)})
         if compared:
             begin("comparison")
             print_comparison([options.out / run.short for run in runs], options.out / COMPARISON)
@@ -99,8 +106,11 @@ def track_folders(
     return int(bool(refused or unfit))
 
 
-def _track(run: TrackedBy, options: Options, out: Path, started: datetime, begin: Begin, shown: bool) -> None:
-    """Tracks recordings with one tracker into the folder `out`; `shown`: with a table of errors and with figures."""
+def _track(run: TrackedBy, options: Options, out: Path, started: datetime, begin: Begin, shown: bool) -> Any:
+    """Tracks recordings with one tracker into the folder `out`, and returns the content of its evaluation.json.
+
+    `shown`: with a table of errors and with figures.
+    """
     name, folders = run
     named = build(name, folders, options.free_height)
     notice_unused_calibration(folders, name, named.spec.table)
@@ -174,6 +184,7 @@ def _track(run: TrackedBy, options: Options, out: Path, started: datetime, begin
         print(f"event: {event} ({counted(count, 'time')})")
     written = f"{out / TRACKS} ({counted(len(table), 'estimate')}), {EVENTS}, {EVALUATION}, manifest.json"
     print(f"wrote {', '.join([written, *drawn])}")
+    return json.loads(metrics)
 
 
 def _shown(

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import time
+import tomllib
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Annotated, Any, Literal
 
 from experiments.cli.arguments import File, Folder, Folders
-from experiments.cli.console import read_with_notices, require_output, selection
+from experiments.cli.console import json_alone, read_with_notices, require_output, selection
 from experiments.cli.runtime import keep_programs
 from experiments.cli.stages import stages
 from trackers.core.errors import UnusableInput
@@ -58,6 +59,7 @@ def tune(
     piece_rows: int = 8000,
     no_figures: bool = False,
     no_report: bool = False,
+    json: bool = False,
 ) -> int:
     """Fit noise levels by gradient: values, intervals and a report.
 
@@ -99,6 +101,7 @@ def tune(
         piece_rows: rows of the segments into which long recordings are cut.
         no_figures: write no tuning.png.
         no_report: write no report.html.
+        json: print the content of tuned.toml as JSON instead of tables.
     """
     started, clock = datetime.now(UTC), time.perf_counter()
     values = parse_values(set_, "--set")
@@ -113,7 +116,7 @@ def tune(
     require_counts(options)
     require_output(out)
     tuned = None if start is None else read_tuned(start)
-    with stages("tune") as begin:
+    with json_alone(json) as put, stages("tune") as begin:
         begin("reading")
         folders = read_with_notices((*recordings, *held_out), calibration, average, part)
         begin("preparing")
@@ -122,4 +125,6 @@ def tune(
         from experiments.cli.tuning_job import finish, fit_folders
 
         fitted = fit_folders(folders, len(recordings), out, options, tuned, values, resume, begin)
-        return finish(fitted, recordings, out, started, clock, begin, not no_figures, not no_report)
+        code = finish(fitted, recordings, out, started, clock, begin, not no_figures, not no_report)
+        put(tomllib.loads((out / "tuned.toml").read_text("utf-8")))
+    return code

@@ -11,15 +11,17 @@ from trackers.recordings.checks import errors_in
 from trackers.recordings.folder import RecordingFolder, read_recordings
 
 
-def usable_recordings(paths: Sequence[Path], force: bool) -> tuple[list[RecordingFolder], list[str]]:
+def usable_recordings(paths: Sequence[Path], force: bool, calibrated: bool) -> tuple[list[RecordingFolder], list[str]]:
     """The recordings that can be tracked, and a line for each other one; with `force` those with errors, too.
+
+    `calibrated`: systematic errors against truth are no mistakes, since a calibration removes them.
 
     Raises UnusableInput as `read_recordings`, and where no recording can be tracked.
     """
     refused: list[str] = []
     usable = []
     for recording in read_recordings(paths, refused):
-        lines = [f"{recording.path}: {error.where}: {error.message}" for error in errors_in(recording)]
+        lines = [f"{recording.path}: {error.where}: {error.message}" for error in errors_in(recording, not calibrated)]
         if lines and not force:
             more = f" (and {len(lines) - 1} more: `trackwright check {recording.path}`)" if len(lines) > 1 else ""
             refused.append(f"{lines[0]}{more}; correct it, or track it as it is with --force")

@@ -23,23 +23,41 @@ COLOURS = 64
 WIDTH = 80
 
 
+def summary(floor: FloorMap, placement: Placement | None) -> dict[str, Any]:
+    """The bounds over the floor, m, by name, the share of it where they are not determined, and proposed anchors."""
+    bounds = {}
+    for name, bound in floor.bounds.items():
+        cells = bound[floor.inside]
+        found = cells[np.isfinite(cells)]
+        figures = [np.sqrt(np.mean(found**2)), *np.quantile(found, (0.5, 0.95))] if len(found) else [None] * 3
+        missing = 1 - len(found) / max(len(cells), 1)
+        bounds[name] = dict(zip(("rms_m", "median_m", "p95_m", "not_determined"), (*figures, missing), strict=True))
+    proposed = {}
+    if placement is not None:
+        before = placement.before if placement.before < UNLIMITED else None
+        proposed = {"anchors": placement.positions.tolist(), "before_m": before, "after_m": placement.after}
+    return {"height_m": floor.height, "sigmas": floor.sigmas._asdict(), "bounds": bounds, "proposed": proposed}
+
+
 def summary_text(floor: FloorMap, placement: Placement | None) -> str:
-    """The bounds over the floor as a table, and the proposed anchors as lines for rig.toml."""
+    """`summary` as a table, and the proposed anchors as lines for rig.toml."""
     table = ruled_table(
         f"Bound of one epoch, tags at {floor.height:g} m",
         ("bound", "RMS, cm", "median, cm", "95 %, cm", "not determined"),
     )
-    for name, bound in floor.bounds.items():
-        cells = bound[floor.inside]
-        found = 100 * cells[np.isfinite(cells)]
-        figures = [np.sqrt(np.mean(found**2)), *np.quantile(found, (0.5, 0.95))] if len(found) else [np.nan] * 3
-        missing = 1 - len(found) / max(len(cells), 1)
-        table.add_row(name, *(f"{x:.3g}" if np.isfinite(x) else "-" for x in figures), f"{100 * missing:.0f} %")
-    lines = []
-    if placement is not None:
-        before = f"{100 * placement.before:.3g} cm" if placement.before < UNLIMITED else "no determined position"
-        lines = [f"Proposed anchors, with which the bound goes from {before} to {100 * placement.after:.3g} cm RMS:"]
-        lines += [f"  P{k + 1} = [{x:.2f}, {y:.2f}, {z:.2f}]" for k, (x, y, z) in enumerate(placement.positions)]
+    content = summary(floor, placement)
+    for name, figures in content["bounds"].items():
+        cells = [figures[key] for key in ("rms_m", "median_m", "p95_m")]
+        table.add_row(
+            name, *("-" if x is None else f"{100 * x:.3g}" for x in cells), f"{100 * figures['not_determined']:.0f} %"
+        )
+    lines, proposed = [], content["proposed"]
+    if proposed:
+        before = "no determined position" if proposed["before_m"] is None else f"{100 * proposed['before_m']:.3g} cm"
+        lines = [
+            f"Proposed anchors, with which the bound goes from {before} to {100 * proposed['after_m']:.3g} cm RMS:"
+        ]
+        lines += [f"  P{k + 1} = [{x:.2f}, {y:.2f}, {z:.2f}]" for k, (x, y, z) in enumerate(proposed["anchors"])]
     return rendered(WIDTH, table, *lines)
 
 

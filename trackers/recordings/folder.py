@@ -122,6 +122,7 @@ class RecordingFolder:
         rows = [
             (name, table.height, table["tag"].n_unique(), float(t.min()), float(t.max()))
             for name, table in self.tables.items()
+            if {"t_s", "tag"} <= set(table.columns)
             for t in [table["t_s"].to_numpy()]
         ]
         caption = f"recording {self.name}: {len(self.rig.anchors)} anchors, {len(self.rig.stations)} stations"

@@ -51,5 +51,6 @@ class Tables(Mapping[str, pl.DataFrame]):
 
 def _in_seconds(frame: pl.DataFrame) -> pl.DataFrame:
     """The table with time stamps as seconds; a cast of them to numbers would count their unit."""
-    times = frame["t_s"]
-    return frame.with_columns(t_s=seconds(times.to_numpy())) if times.dtype.is_temporal() else frame
+    if not frame.schema.get("t_s", pl.Float64()).is_temporal():
+        return frame
+    return frame.with_columns(t_s=seconds(frame["t_s"].to_numpy()))

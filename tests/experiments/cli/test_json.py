@@ -1,34 +1,67 @@
-"""`--json` of commands that print tables: the same results, to be read by programs."""
+"""`--json`: the result alone on standard output, the same numbers as in the files."""
 
 from __future__ import annotations
 
 import json
+import tomllib
 
-import polars as pl
 import pytest
 
+from sim import worlds
 from tests.in_process import trackwright
+from trackers.recordings.folder import write_recording
+
+PLAIN = ("--no-figures", "--no-report")
 
 
-def test_check_prints_its_results_by_folder(beginnings):
-    folder = beginnings / "good"
-    text, plain = trackwright("check", folder), trackwright("check", folder, "--json")
-    assert (plain.code, plain.err) == (text.code, text.err)
-    (results,) = json.loads(plain.out).values()
-    assert len(results) == len(text.out.splitlines()) - 2
-    assert all(result["message"] in text.out for result in results)
-    assert {result["level"] for result in results} <= {"error", "warning", "info"}
+@pytest.fixture(scope="module")
+def room(tmp_path_factory):
+    """A tag among four anchors, 6 s of ranges."""
+    path = tmp_path_factory.mktemp("json") / "room"
+    write_recording(worlds.ranges(n=1, seed=5, rows=60).folder(), path)
+    return path
 
 
-def test_report_prints_the_differences_of_evaluated_files(beginnings, tmp_path):
-    truth = pl.read_csv(beginnings / "good" / "truth.csv").filter(pl.col("tag") == "T1")
-    for name, error in (("near", 0.1), ("far", 0.3)):
-        truth.select("t_s", pl.col("x_m") + error, "y_m", "z_m").write_csv(tmp_path / f"{name}.csv")
-        arguments = ("--truth", beginnings / "good", "--tag", "T1", "--out", tmp_path / name)
-        assert trackwright("evaluate", tmp_path / f"{name}.csv", *arguments).code == 0
-    said = trackwright("report", tmp_path / "near", tmp_path / "far", "--json", "--out", tmp_path / "page.html")
-    assert said.code == 0, said.err
-    contrasts = json.loads(said.out)["contrasts"]
-    (rmse,) = (c for c in contrasts if c["metric"] == "rmse_m" and c["subject"] == "")
-    assert rmse["difference"]["first"] == pytest.approx(0.1)
-    assert rmse["difference"]["second"] == pytest.approx(0.3)
+def _result(*words):
+    done = trackwright(*words, "--json")
+    assert done.code == 0, done
+    return json.loads(done.out), done.err
+
+
+def test_metrics_of_a_track_are_those_of_its_file(room, tmp_path):
+    found, said = _result("track", room, "--tracker", "uwb", *PLAIN, "--out", tmp_path)
+    assert found == {"uwb": json.loads((tmp_path / "evaluation.json").read_text("utf-8"))}
+    assert "tracks.parquet" in said
+
+
+def test_metrics_of_several_trackers_are_named_by_them(room, tmp_path):
+    found, said = _result("track", room, "--tracker", "uwb,multilateration", *PLAIN, "--out", tmp_path)
+    assert list(found) == ["uwb", "multilateration"]
+    assert found["uwb"] != found["multilateration"]
+    assert "Differences from uwb" in said
+
+
+def test_the_result_of_a_fit_and_of_a_sweep(room, tmp_path):
+    words = (room, "--tracker", "uwb", "--tune", "motion.sigma_a", "--steps", 1, "--starts", 1, *PLAIN)
+    found, _ = _result("tune", *words, "--out", tmp_path / "fit")
+    written = tomllib.loads((tmp_path / "fit" / "tuned.toml").read_text("utf-8"))
+    assert found["tunables"].keys() == written["tunables"].keys() == {"motion.sigma_a"}
+    assert found["tunables"]["motion.sigma_a"]["value"] == written["tunables"]["motion.sigma_a"]["value"]
+    words = (room, "--tracker", "uwb", "--over", "motion.sigma_a=0.1:1:2", "--repeats", 1)
+    found, _ = _result("sweep", *words, "--out", tmp_path / "grid")
+    assert found["best"]["motion.sigma_a"] in (0.1, 1.0)
+
+
+def test_a_plan_and_the_list_of_trackers(room, tmp_path):
+    found, said = _result("plan", room, "--out", tmp_path)
+    assert 0 < found["bounds"]["horizontal"]["median_m"] < found["bounds"]["horizontal"]["p95_m"]
+    assert "plan.png" in said
+    found, _ = _result("trackers")
+    assert "uwb" in found
+
+
+@pytest.mark.parametrize("tracker", ["bearings", "trilateration", "floor-pf"])
+def test_tunables_of_trackers_that_need_bearings_heights_or_a_floor(tracker):
+    found, _ = _result("tunables", tracker)
+    assert found["tracker"] == tracker
+    assert found["tunables"] or tracker == "trilateration"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import sys
 import time
 
@@ -51,7 +52,7 @@ def test_a_pipe_gets_lines_at_intervals(monkeypatch, capsys):
         time.sleep(0.2)
     lines = capsys.readouterr().err.splitlines()
     assert 1 <= len(lines) <= 3, "the interval doubles"
-    assert all(line == "tune: step 7 of 60, 0 s, objective 1.5" for line in lines)
+    assert all(re.fullmatch(r"tune: step 7 of 60, \d+ s, objective 1.5", line) for line in lines)
 
 
 def test_a_short_command_prints_nothing_in_a_pipe(capsys):

@@ -59,15 +59,18 @@ def check(recording: RecordingFolder) -> list[CheckResult]:
     return sorted(results, key=lambda result: LEVELS.index(result.level))
 
 
-def errors_in(recording: RecordingFolder) -> list[CheckResult]:
-    """The errors alone that `check` finds, in a fraction of its time."""
+def errors_in(recording: RecordingFolder, against_truth: bool = True) -> list[CheckResult]:
+    """The errors alone that `check` finds, in a fraction of its time.
+
+    `against_truth`: also those of measurements compared with truth.
+    """
     tables, rig = recording.tables, recording.rig
     measured = {name: tables[name] for name in MEASUREMENTS if name in tables}
     results = [*check_time_base(measured or tables), *check_units(rig, tables)]
     if measured and "truth" in tables:
         results += check_overlap(tables["truth"], measured)
     found = [result for result in results if result.level == "error"]
-    if found:
+    if found or not against_truth:
         return found
     views = (compared(recording, name) for name in measured)
     return [result for view in views if view is not None for result in check_against_truth(view)]
