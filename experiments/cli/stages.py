@@ -81,6 +81,8 @@ class Stages:
         self.compiling: TaskID | None = None
         self.name, self.done, self.note, self.since = "", 0, "", monotonic()
         self.total: int | None = None
+        # A program that was lowered before and never compiled, as for an export, is none of this command's.
+        COMPILATION.begun.clear()
         self.compiled_before = COMPILATION.done, COMPILATION.seconds
 
     def begin(self, name: str, total: int | None = None) -> Advance:

@@ -54,7 +54,6 @@ def test_values_are_those_of_a_noise_file_and_of_the_recording(simulated, tmp_pa
     ("words", "expected"),
     [
         (("uvb",), "tracker uvb: unknown"),
-        (("bearings",), "tunables bearings: no simulated recording has what it reads; give a recording FOLDER"),
         ((), "no TRACKER given"),
     ],
 )

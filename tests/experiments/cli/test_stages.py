@@ -97,3 +97,10 @@ def test_jax_reports_what_it_compiles():
         assert compilation.begun == []
     finally:
         jax.monitoring.unregister_event_duration_listener(compilation.heard)
+
+
+def test_a_program_that_was_lowered_before_and_not_compiled_is_not_shown():
+    module.COMPILATION.begun.append(time.monotonic() - 100)
+    with stages("tune") as begin:
+        begin("step")
+        assert not module.COMPILATION.now()
