@@ -382,7 +382,9 @@ def test_the_program_with_its_own_settings_tracks_as_the_suite_does(there):
     ]
     clean = {k: v for k, v in os.environ.items() if k not in ("XLA_FLAGS", "JAX_ENABLE_X64")}
     done = subprocess.run(line, cwd=Path(__file__).parents[3], env=clean, capture_output=True, text=True, timeout=300)
-    assert (done.returncode, done.stderr) == (0, "")
+    assert done.returncode == 0
+    # On a busy machine a command says after ten seconds what it is doing.
+    assert not [line for line in done.stderr.splitlines() if not line.startswith("track: ")]
     assert json.loads((there / "many-run" / "manifest.json").read_text())["n_devices"] == 1
     inside, outside = (pl.read_parquet(there / name / "tracks.parquet") for name in ("many-inside", "many-run"))
     assert inside["status"].equals(outside["status"])
