@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from experiments.cli.arguments import Folder
-from experiments.cli.console import notice, output_folder
+from experiments.cli.console import json_alone, notice, output_folder
 from trackers.core.errors import UnusableInput
-from trackers.recordings.atomic import json_text
 from trackers.recordings.rig_file import RIG_FILE, read_rig
 
 HEIGHT = 1.2
@@ -66,9 +65,11 @@ def plan(
 
     floor = floor_map(geometry, Sigmas(sigma_range, sigma_angle, sigma_phase), height)
     placement = place_anchors(geometry, place, floor, known) if place else None
-    print(json_text(summary(floor, placement)) if json else summary_text(floor, placement), end="")
     proposed = np.zeros((0, 3)) if placement is None else placement.positions
     bound_maps(out / "plan.png", geometry, floor, proposed)
     page = write_plan(out / "plan.html", geometry, floor, proposed, sys.argv)
-    (notice if json else print)(f"wrote {page} and plan.png")
+    with json_alone(json) as put:
+        print(summary_text(floor, placement), end="")
+        print(f"wrote {page} and plan.png")
+        put(summary(floor, placement))
     return 0

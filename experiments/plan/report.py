@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,6 +12,7 @@ from jaxtyping import Float
 from markupsafe import Markup
 from matplotlib import colormaps
 
+from experiments.interactive.packing import script_json
 from experiments.plan.accuracy import UNLIMITED, FloorMap, floor_of
 from experiments.plan.placement import Placement
 from experiments.reports.pages import page, write_page
@@ -93,8 +93,7 @@ def write_plan(
     path: Path, rig: Rig, floor: FloorMap, proposed: Float[np.ndarray, "n 3"], command: Sequence[str]
 ) -> Path:
     """Writes the page whole or not at all; returns its path."""
-    # `<` is escaped, since a name that holds `</script>` would end the element.
-    data = Markup(json.dumps(plan_data(rig, floor, proposed)).replace("<", "\\u003c"))
+    data = Markup(script_json(plan_data(rig, floor, proposed)))
     text = page(
         "plan.html", title=rig.name, data=data, sigmas=floor.sigmas, height=floor.height, anchors=len(rig.anchors),
         stations=len(rig.stations), words=shlex.join(["trackwright", *command[1:]]), proposed=len(proposed),

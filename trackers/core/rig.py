@@ -15,6 +15,17 @@ Point = Float[np.ndarray, " 3"]
 """A position in space, m."""
 
 
+def rotation_matrices(quaternions: Float[np.ndarray, "*rows 4"]) -> Float[np.ndarray, "*rows 3 3"]:
+    """The matrices (..., 3, 3) of unit quaternions (..., 4) w, x, y, z."""
+    w, x, y, z = np.moveaxis(quaternions, -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
 @dataclass(frozen=True)
 class Station:
     """An angle-of-arrival station.
@@ -38,14 +49,7 @@ class Station:
 
     def world_from_array(self) -> Float[np.ndarray, "3 3"]:
         """The 3 × 3 matrix that takes array-frame vectors to world-frame vectors; its columns are the array's axes."""
-        w, x, y, z = np.asarray(self.rotation, float) / np.linalg.norm(self.rotation)
-        return np.array(
-            [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-            ]
-        )
+        return rotation_matrices(np.asarray(self.rotation, float) / np.linalg.norm(self.rotation))
 
     def position_in_array(self, world: Float[np.ndarray, "*rows 3"]) -> Float[np.ndarray, "*rows 3"]:
         """World points (..., 3), m, in this station's array frame."""

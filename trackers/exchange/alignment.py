@@ -9,7 +9,8 @@ import numpy as np
 import polars as pl
 
 from trackers.core.errors import UnusableInput
-from trackers.exchange.poses import AXES, PoseTrajectory, quaternions_of, rotation_matrices
+from trackers.core.rig import rotation_matrices
+from trackers.exchange.poses import AXES, PoseTrajectory, quaternions_of
 from trackers.recordings.columns import float_column
 from trackers.recordings.tables import QUATERNION
 from trackers.scoring import covariances

@@ -10,7 +10,8 @@ from typing import Literal
 import numpy as np
 
 from trackers.core.errors import UnusableInput
-from trackers.exchange.poses import PoseTrajectory, rotation_matrices
+from trackers.core.rig import rotation_matrices
+from trackers.exchange.poses import PoseTrajectory
 
 Statistics = dict[str, float]
 """Number, root mean square, mean, median, standard deviation, least, largest, and sum of squares of an error."""

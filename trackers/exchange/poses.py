@@ -91,17 +91,6 @@ def trajectory_of_table(table: pl.DataFrame, name: str) -> PoseTrajectory:
     )
 
 
-def rotation_matrices(quaternions: np.ndarray) -> np.ndarray:
-    """The matrices (n, 3, 3) of unit quaternions (n, 4) w, x, y, z."""
-    w, x, y, z = np.moveaxis(quaternions, -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
-
-
 def quaternions_of(matrices: np.ndarray) -> np.ndarray:
     """The unit quaternions (n, 4) w, x, y, z, w not negative, of rotation matrices (n, 3, 3).
 

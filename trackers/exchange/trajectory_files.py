@@ -9,7 +9,8 @@ from typing import Literal, get_args
 import numpy as np
 
 from trackers.core.errors import UnusableInput
-from trackers.exchange.poses import PoseTrajectory, quaternions_of, rotation_matrices
+from trackers.core.rig import rotation_matrices
+from trackers.exchange.poses import PoseTrajectory, quaternions_of
 from trackers.recordings.atomic import atomic_write
 
 Kind = Literal["tum", "kitti", "euroc"]

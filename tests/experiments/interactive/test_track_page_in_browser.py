@@ -1,18 +1,14 @@
 """The page of `track` in Chromium: what moves is where the table has it, and what is hovered shows its numbers."""
 
-import shutil
-
 import numpy as np
 import polars as pl
 import pytest
 
 from experiments.interactive.track_page import write_track_page
+from tests.browser import chromium, watched
 from tests.experiments.interactive.small_tracks import NASTY, small_tracks
 from trackers.evaluation import evaluate
 from trackers.recordings.columns import float_column
-
-BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--enable-unsafe-swiftshader"]
 
 PLACE = """([kind, tag]) => {
   const circle = [...document.querySelectorAll("circle.tag")].find((one) => one.dataset.tag === tag);
@@ -34,14 +30,8 @@ PIXEL = """([x, y]) => {
 
 @pytest.fixture(scope="module")
 def browser():
-    """Chromium, driven by playwright; skipped where either is missing."""
-    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    if BROWSER is None:
-        pytest.skip("no Chromium here")
-    with sync_api.sync_playwright() as driver:
-        started = driver.chromium.launch(executable_path=BROWSER, args=FLAGS)
+    with chromium() as started:
         yield started
-        started.close()
 
 
 def _written(folder, tracks):
@@ -54,13 +44,7 @@ def _written(folder, tracks):
 def _opened(browser, address, width=1300, scheme="light"):
     """The page, and the list into which its errors go."""
     page = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme).new_page()
-    errors = []
-    page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
-    page.on("pageerror", lambda error: errors.append(str(error)))
-    page.on(
-        "request",
-        lambda request: errors.append(request.url) if not request.url.startswith(("file:", "blob:", "data:")) else None,
-    )
+    errors = watched(page)
     page.goto(address)
     page.wait_for_selector("#charts .main-svg", state="attached")
     return page, errors

@@ -1,6 +1,5 @@
 """The page of a plan in a real browser: the same bounds as in Python, anchors that move, names that are only text."""
 
-import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -9,9 +8,9 @@ import pytest
 from experiments.plan.accuracy import Sigmas, floor_map
 from experiments.plan.report import write_plan
 from sim.stations import work_station
+from tests.browser import chromium, watched
 from trackers.core.rig import Rig
 
-CHROMIUM = shutil.which("chromium")
 SIGMAS, HEIGHT = Sigmas(0.1, 0.05, 0.3), 1.2
 ROOM = Rig(
     "room",
@@ -27,22 +26,13 @@ FIELDS = {"flat": "horizontal, height known", "horizontal": "horizontal", "verti
 
 @pytest.fixture(scope="module")
 def browser():
-    playwright = pytest.importorskip("playwright.sync_api")
-    if CHROMIUM is None:
-        pytest.skip("chromium is not installed")
-    with playwright.sync_playwright() as started:
-        opened = started.chromium.launch(
-            executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu", "--disable-background-networking"]
-        )
-        yield opened
-        opened.close()
+    with chromium() as started:
+        yield started
 
 
 def _opened(browser, tmp_path, rig):
     page = browser.new_page(viewport={"width": 1300, "height": 1000})
-    errors = []
-    page.on("pageerror", lambda error: errors.append(str(error)))
-    page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
+    errors = watched(page)
     floor = floor_map(rig, SIGMAS, HEIGHT)
     page.goto(write_plan(tmp_path / "plan.html", rig, floor, np.zeros((0, 3)), ["trackwright"]).as_uri())
     return page, floor, errors

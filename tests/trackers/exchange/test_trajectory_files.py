@@ -8,7 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from tests.trackers.exchange.against_evo import evo_modules
 from trackers.core.errors import UnusableInput
-from trackers.exchange.poses import PoseTrajectory, quaternions_of, rotation_matrices
+from trackers.core.rig import rotation_matrices
+from trackers.exchange.poses import PoseTrajectory, quaternions_of
 from trackers.exchange.trajectory_files import kind_of, read_trajectory, write_trajectory
 
 EUROC = """#timestamp [ns], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z [], v_x

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from trackers.core.rig import rotation_matrices
 from trackers.recordings.checks.readings import wrapped
 from trackers.recordings.columns import stable_order
 from trackers.recordings.truth import TruePaths
@@ -106,13 +107,7 @@ class Compared(NamedTuple):
 
 def axes_of(rotations: Float[np.ndarray, "G 4"]) -> Float[np.ndarray, "G 3 3"]:
     """The matrices that take array-frame vectors to world-frame vectors, of quaternions w, x, y, z of any length."""
-    w, x, y, z = (rotations / np.linalg.norm(rotations, axis=1, keepdims=True)).T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), 2, 0)
+    return rotation_matrices(rotations / np.linalg.norm(rotations, axis=1, keepdims=True))
 
 
 def compared(recording: RecordingFolder, table: str) -> Compared | None:
