@@ -203,6 +203,13 @@ _MHK_IDLE = ("*.reported_std_scale",)
 """Fixes that become medians lose the variances that the device reported."""
 
 
+_GRID_IDLE = ("filter.output_map.sigma_line",)
+"""The width of the line is part of reported covariances alone."""
+
+_RESTING_IDLE = ("start.sigma_speed", *_GRID_IDLE)
+"""A tag that starts at rest has no speed."""
+
+
 def _ready_cases() -> Iterator[Case]:
     """Every tracker of `trackers.catalogue`: at the tags' known heights, and in space where that is another tracker."""
 
@@ -219,22 +226,21 @@ def _ready_cases() -> Iterator[Case]:
     yield from both("fix-kf", quick=True)
     yield from both("fix-singer")
     yield from both("imm")
-    yield ready("fix-mirror", idle=("*.floor", "*.give"))
+    yield ready("fix-mirror", idle=("*.floor",))
     yield ready("moving-average", smoothable=False, quick=True)
     yield ready("median", smoothable=False, quick=True)
     yield ready("mhk", smoothable=False, idle=_MHK_IDLE)
     yield ready("mhk-stamped", smoothable=False, idle=_MHK_IDLE)
     yield ready("floor-pf", smoothable=False, draws=True)
-    yield ready(
-        "line-grid", smoothable=False, source=_of_fixes, idle=("start.sigma_speed", "filter.output_map.sigma_line")
-    )
+    yield ready("line-grid", smoothable=False, source=_of_fixes, idle=_RESTING_IDLE)
     yield ready("line-pf", smoothable=False, draws=True)
     yield from both("uwb")
     yield from both("uwb-imu")
     yield from both("multilateration", smoothable=False)
-    yield ready("trilateration", smoothable=False, quick=True)
+    yield ready("trilateration", smoothable=False, idle=("sigma_r",), quick=True)
     yield ready("trilateration-compensated", smoothable=False)
-    yield from both("bearings")
+    # No walk of four seconds has a significant speed, and no reading a standard deviation.
+    yield from both("bearings", idle=("motion.length", "*.reported_std_scale"))
     yield ready("beam")
     yield flat("beam", quick=True)
     yield ready("das", smoothable=False, quick=True)
@@ -269,17 +275,19 @@ def _made_cases() -> Iterator[Case]:
     free, halting = partial(LineMotion, sigma_a=0.1), partial(HaltingMotion, sigma_a=0.1)
     on_line, fixes = partial(line_tracker, n_particles=100), {"source": _of_fixes}
     yield made("line-pf without halts", "line-pf", _on_line(on_line, free), draws=True, **fixes, smoothable=False)
-    yield made("line-grid without halts", "line-grid", _on_line(line_grid_tracker, free), **fixes, smoothable=False)
-    yield made(
-        "line-grid, closed", "line-grid", _on_line(line_grid_tracker, halting, closed=True), **fixes, smoothable=False
-    )
+    grid: dict[str, Any] = {**fixes, "smoothable": False}
+    yield made("line-grid without halts", "line-grid", _on_line(line_grid_tracker, free), idle=_GRID_IDLE, **grid)
+    closed = _on_line(line_grid_tracker, halting, closed=True)
+    yield made("line-grid, closed", "line-grid", closed, idle=_RESTING_IDLE, **grid)
     walk = Tracker(ConstantPosition(0.5, 2), {FIXES: FloorFixes(0.3)}, KnownStart(_place), few)
     yield made("random walk", "line-pf", lambda: walk, add=_from_the_first_knot, draws=True, **fixes, smoothable=False)
     two = {FIXES: FixSensor(0.1, 0.3), RANGES: RangeSensor(1, len(CORNERS), 0.1, 2.0, 4.0)}
     both = partial(replace, fix_tracker(), sensors=two)
     yield made("fixes and ranges", "uwb", both, add=_with_a_fix, **in_space)
     single = partial(replace, inertial_tracker(planar=True), filter=ExtendedKalman())
-    yield made("inertial with a known yaw", "uwb-imu", single)
+    # On the floor, without biases of ranges.
+    idle = ("start.sigma_tilt", "start.sigma_height", "start.sigma_bias", "motion.noise.sigma_range_walk")
+    yield made("inertial with a known yaw", "uwb-imu", single, idle=idle)
 
 
 def _on_line(make: Any, motion: Any, closed: bool = False) -> Callable[[], AbstractTracker]:

@@ -177,16 +177,28 @@ def step(tracker: RecursiveTracker, carry: Carry, row: Row, few: bool) -> tuple[
     if not few:
         return advance(carry, row, *update(predict(carry.belief, row), row))
 
+    def where(condition: Bool[Array, " B"], after: Any, before: Any) -> Any:
+        # A trajectory that stands still beside others that move keeps its bits: they must not depend on its neighbours.
+        return (
+            after
+            if len(condition) == 1
+            else jax.vmap(select, (-1, *[axes.belief] * 2), axes.belief)(condition, after, before)
+        )
+
+    moves = row.dt > 0
+    seen = jnp.any(jnp.concatenate([reading.seen for reading in row.readings.values()]), axis=0)
+
     def measured(belief: Any) -> tuple[Any, Innovation]:
-        belief, innovation = update(belief, row)
-        return belief, Innovation(*(jnp.asarray(x, row.dt.dtype) for x in innovation))
+        after, innovation = update(belief, row)
+        return where(seen, after, belief), Innovation(
+            *(jnp.where(seen, x, 0.0).astype(row.dt.dtype) for x in innovation)
+        )
 
     def unmeasured(belief: Any) -> tuple[Any, Innovation]:
         return belief, Innovation(*[jnp.zeros_like(row.dt)] * 4)
 
-    belief = jax.lax.cond(jnp.any(row.dt > 0), lambda b: predict(b, row), lambda b: b, carry.belief)
-    seen = [jnp.any(reading.seen) for reading in row.readings.values()]
-    belief, innovation = jax.lax.cond(jnp.any(jnp.stack(seen)), measured, unmeasured, belief)
+    belief = jax.lax.cond(jnp.any(moves), lambda b: where(moves, predict(b, row), b), lambda b: b, carry.belief)
+    belief, innovation = jax.lax.cond(jnp.any(seen), measured, unmeasured, belief)
     return advance(carry, row, belief, innovation)
 
 

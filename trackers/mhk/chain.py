@@ -25,5 +25,7 @@ def updated(weights: Any, log_likelihoods: Any) -> tuple[Any, Scalar]:
     """The filtered state probabilities (N,) given the states' log-likelihoods (N,), and the log-evidence."""
     top = jnp.max(log_likelihoods)
     joint = weights * jnp.exp(log_likelihoods - top)
-    evidence = jnp.maximum(jnp.sum(joint), jnp.finfo(joint.dtype).tiny)
+    # Before a track starts all weights are zero; a quotient by the smallest number would have no derivative there.
+    evidence = jnp.sum(joint)
+    evidence = jnp.where(evidence > 0, evidence, 1.0)
     return joint / evidence, top + jnp.log(evidence)

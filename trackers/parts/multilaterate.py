@@ -47,7 +47,7 @@ def multilaterate(ranges: Any, anchors: Any, counts: Any, height: Scalar | None,
     if height is not None:
         return _gauss_newton(ranges, anchors, counts, Vector(centroid[0], centroid[1]), height, scale)
     spread = (anchors[:, 0] - centroid[0]) ** 2 + (anchors[:, 1] - centroid[1]) ** 2
-    up = Vector(0.0, 0.0, jnp.sqrt(jnp.sum(counts * spread) / number))
+    up = Vector(0.0, 0.0, _root(jnp.sum(counts * spread) / number))
     below, above = (_gauss_newton(ranges, anchors, counts, x, None, scale) for x in (centroid - up, centroid + up))
     return jax.tree_util.tree_map(lambda a, b: jnp.where(below.cost <= above.cost, a, b), below, above)
 
@@ -73,13 +73,13 @@ def _gauss_newton(
         move = Vector.of(total(a * b for a, b in zip(row, gradient, strict=True)) for row in inverted)
         # No step is longer than the mean distance to the anchors: beyond it the linearisation does not hold.
         longest = jnp.maximum(jnp.sum(counts * distance) / jnp.maximum(number, 1.0), 1e-6)
-        return position + move / jnp.maximum(jnp.sqrt(move.dot(move)) / longest, 1.0), None
+        return position + move / jnp.maximum(_root(move.dot(move)) / longest, 1.0), None
 
     position = jax.lax.scan(step, start, None, length=ITERATIONS)[0]
     residual, jacobian, _ = linearised(position)
     weight = counts / (1.0 + (residual / scale) ** 2)
     (a, b), (_, c) = information(counts, jacobian[:2], ridge=0.0)
-    smallest = 0.5 * (a + c - jnp.sqrt((a - c) ** 2 + 4.0 * b * b)) / jnp.maximum(number, 1.0)
+    smallest = 0.5 * (a + c - _root((a - c) ** 2 + 4.0 * b * b)) / jnp.maximum(number, 1.0)
     determined = (number > n) & (smallest > MIN_INFORMATION) & jnp.all(jnp.isfinite(position.array()))
     return PositionFit(
         position.array(),
@@ -87,6 +87,11 @@ def _gauss_newton(
         jnp.stack([jnp.stack(row) for row in inverse(information(weight, jacobian))]),
         determined,
     )
+
+
+def _root(square: Scalar) -> Scalar:
+    """The square root; its derivative at zero, as in rows without ranges, is finite."""
+    return jnp.sqrt(jnp.maximum(square, jnp.finfo(square.dtype).tiny))
 
 
 def information(weight: Any, jacobian: list[Any], ridge: float = RIDGE) -> list[list[Scalar]]:
