@@ -16,6 +16,7 @@ from experiments.cli.manifest import write_manifest
 from experiments.plots.objective import tuning_trace
 from experiments.reports.recordings_compared import Compared
 from experiments.reports.tables import aligned
+from experiments.reports.tracks_compared import TrackChanges
 from experiments.reports.tuning import write_tuning_report
 from experiments.reports.tuning_collect import Request, collect
 from trackers.catalogue import spec_of
@@ -44,8 +45,10 @@ class Run:
     report: bool
 
 
-def write_run(out: Path, data: FitData, result: FitResult, run: Run, compared: Compared) -> list[str]:
-    """Writes all files to the folder; returns the lines to print."""
+def write_run(
+    out: Path, data: FitData, result: FitResult, run: Run, compared: Compared, plans: TrackChanges | None
+) -> list[str]:
+    """Writes all files to the folder; returns the lines to print. `plans`: the tracks before and after."""
     objective, unit = run.options["objective"], "rad" if data.training[0].station else "m"
     if run.options["prior"]:
         objective += " + prior"
@@ -75,7 +78,8 @@ def write_run(out: Path, data: FitData, result: FitResult, run: Run, compared: C
         written.insert(1, "tuning.png")
     if run.report:
         written.insert(0, "report.html")
-        write_tuning_report(out / "report.html", collect(request, result, data, intervals, issues, compared, cautions))
+        known = collect(request, result, data, intervals, issues, compared, plans, cautions)
+        write_tuning_report(out / "report.html", known)
     extra = {"recordings": [str(p) for p in run.recordings], "filter_runs": result.filter_runs}
     write_manifest(out, run.command, run.options, run.started, extra=extra)
     return [*lines, f"wrote {out / 'tuned.toml'}, {', '.join(written)}; use it: {use}"]

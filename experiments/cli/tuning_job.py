@@ -14,7 +14,8 @@ from experiments.cli.console import notice, output_folder
 from experiments.cli.stages import Advance, Begin
 from experiments.cli.tuning_folder import Run, write_run
 from experiments.cli.tuning_options import checked_options, tracker_for_folders
-from experiments.reports.recordings_compared import Compared, compare
+from experiments.reports.recordings_compared import Compared, compare, tracked
+from experiments.reports.tracks_compared import MOST_PLANS, TrackChanges, track_changes
 from trackers.core.errors import UnusableInput, listed
 from trackers.core.tunable import tunables
 from trackers.recordings.folder import RecordingFolder
@@ -43,7 +44,8 @@ OPTIMISERS: dict[str, Callable[[int], AbstractOptimiser | None]] = {
 class Fitted:
     """A finished fit: the options with the tracker's name, the tracker, what was fitted to, and the result.
 
-    `shown`: the recordings whose errors are shown before and after: those held out, or else those fitted to.
+    `shown`: the recordings whose errors are shown before and after: those held out, or else those fitted to; `others`:
+    those fitted to if some were held out.
     """
 
     options: dict[str, Any]
@@ -51,6 +53,7 @@ class Fitted:
     data: FitData
     result: FitResult
     shown: Sequence[RecordingFolder]
+    others: Sequence[RecordingFolder]
 
 
 def fit_folders(
@@ -84,7 +87,8 @@ def fit_folders(
         notice(f"notice: {text}")
     output_folder(out)
     result = _fitted(data, out, options, bounds, priors, resume, begin, by_default)
-    return Fitted(options, named, data, result, folders[count:] or folders)
+    shown, others = (folders[count:], folders[:count]) if folders[count:] else (folders, [])
+    return Fitted(options, named, data, result, shown, others)
 
 
 def finish(
@@ -102,13 +106,13 @@ def finish(
     `started`, `clock`: when the command began. `figures`, `report`: whether they are written.
     """
     begin("comparing before and after")
-    compared = _compared(fitted)
+    compared, plans = _compared(fitted, report)
     begin("report")
     result, name = fitted.result, fitted.options["tracker"]
     run = Run(
         name, fitted.options, recordings, time.perf_counter() - clock, started, sys.argv, figures, report
     )  # fmt: skip
-    for line in write_run(out, fitted.data, result, run, compared):
+    for line in write_run(out, fitted.data, result, run, compared, plans):
         print(line)
     if result.uncertainty is None:
         notice("stopped: tuned.toml holds the best values so far; continue with the same command and --resume")
@@ -116,14 +120,18 @@ def finish(
     return 0
 
 
-def _compared(fitted: Fitted) -> Compared:
-    """The recordings shown, tracked with the values before and after the fit."""
+def _compared(fitted: Fitted, report: bool) -> tuple[Compared, TrackChanges | None]:
+    """The recordings shown, tracked with the values before and after the fit; `report`: with plans, of others too."""
     result = fitted.result
     sides = (result.starts[0][0].values, result.values)
     values = ({name: side[p.label] for p in result.parameters for name in p.names} for side in sides)
-    before, after = (fitted.named.with_values(side, "the fit") for side in values)
+    room = max(MOST_PLANS - len(fitted.shown), 0) if report else 0
+    folders = [*fitted.shown, *fitted.others[:room]]
+    before, after = (tracked(fitted.named.with_values(side, "the fit"), folders) for side in values)
     about = "held-out recordings" if fitted.data.held_out else "recordings tuned on"
-    return compare((before, after), fitted.shown, fitted.data.dimensions, about)
+    held_out = {folder.name for folder in fitted.shown} if fitted.data.held_out else set()
+    plans = track_changes(before, after, folders, held_out) if report else None
+    return compare((before, after), fitted.shown, fitted.data.dimensions, about), plans
 
 
 def _fitted(

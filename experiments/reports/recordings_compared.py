@@ -9,7 +9,7 @@ from experiments.reports.tables import rendered, ruled_table, terminal_width
 from experiments.reports.wording import Unit, fixed, length_unit
 from trackers.covariance_statements import covariance_statements
 from trackers.evaluation import Evaluation, evaluate_association
-from trackers.recordings.association import associate_truth
+from trackers.recordings.association import Association, associate_truth
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.named_tracker import NamedTracker
 
@@ -34,15 +34,19 @@ class Compared(NamedTuple):
         return rendered(terminal_width(WIDTH), ruled_table(title, self.head, 1, self.rows), *self.statements)
 
 
-def compare(
-    trackers: tuple[NamedTracker, NamedTracker], folders: Sequence[RecordingFolder], dimensions: int, about: str
-) -> Compared:
-    """The recordings tracked as `track` does it by two trackers, before and after tuning.
+def tracked(tracker: NamedTracker, folders: Sequence[RecordingFolder]) -> Association:
+    """The estimates of the recordings, tracked as `track` does it, with their truth."""
+    truths = {f.name: f.tables["truth"] for f in folders if "truth" in f.tables}
+    return associate_truth(tracker.run(folders).table, truths)
+
+
+def compare(sides: Sequence[Association], folders: Sequence[RecordingFolder], dimensions: int, about: str) -> Compared:
+    """Errors of the recordings `folders` in the estimates before and after tuning, those of `tracked`.
 
     `dimensions`: 3 for errors and ellipsoids in space, 2 for those over the floor. `about`: in words, the recordings.
     A recording without truth has no figures but those of its innovations.
     """
-    before, after = (_evaluation(tracker, folders) for tracker in trackers)
+    before, after = (_evaluation(side, folders) for side in sides)
     suffix = "_3d" if dimensions == 3 and before.overall.get("coverage_95_3d") is not None else ""
     error = "rmse_direction_rad" if before.bearing else f"rmse{suffix}_m"
     pairs = list(zip(before.recordings, after.recordings, strict=True))
@@ -62,10 +66,9 @@ def compare(
     return Compared(about, ("recording", *named), tuple(rows), tuple(sentences))
 
 
-def _evaluation(tracker: NamedTracker, folders: Sequence[RecordingFolder]) -> Evaluation:
-    truths = {f.name: f.tables["truth"] for f in folders if "truth" in f.tables}
-    association = associate_truth(tracker.run(folders).table, truths)
-    return evaluate_association(association, {f.name: f.rig.stations for f in folders})
+def _evaluation(side: Association, folders: Sequence[RecordingFolder]) -> Evaluation:
+    own = Association.joined([side.of_recording(name) for name in sorted(f.name for f in folders)])
+    return evaluate_association(own, {f.name: f.rig.stations for f in folders})
 
 
 def _cells(old: Any, new: Any, columns: Any) -> Iterator[str]:

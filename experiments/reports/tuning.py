@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 from experiments.plots.errors import distribution_chart, error_charts, rmse_chart
 from experiments.plots.filters import autocorrelation_chart, nis_chart, probability_chart
 from experiments.plots.objective import objective_chart, parameter_chart, surface_chart
+from experiments.plots.plan_change import plan_chart
 from experiments.reports.advice import advice_on, is_better, is_worse
 from experiments.reports.pages import page, write_page
 from experiments.reports.tuning_data import MetricChange, TuningReportData
@@ -69,7 +70,9 @@ def _changed(metric: MetricChange, pair: tuple[float, float]) -> Change:
 
 def _charts(data: TuningReportData) -> dict[str, Any]:
     """The charts of the page as data addresses, by section."""
-    charts: dict[str, Any] = {"consistency": (), "errors": {}}
+    charts: dict[str, Any] = {"consistency": (), "errors": {}, "plans": ()}
+    if data.plans is not None:
+        charts["plans"] = [(plan_chart(change), change) for change in data.plans.shown]
     if data.traces:
         charts["objective"] = objective_chart(data)
         charts["parameters"] = [parameter_chart(data, k) for k in range(len(data.parameters))]

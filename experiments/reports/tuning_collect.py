@@ -10,6 +10,7 @@ from importlib.metadata import version
 import numpy as np
 
 from experiments.reports.recordings_compared import Compared
+from experiments.reports.tracks_compared import TrackChanges
 from experiments.reports.tuning_data import ErrorTrack, MetricChange, OptimiserTrace, TunedParameter, TuningReportData
 from experiments.reports.wording import uncapitalised
 from trackers.core.estimates import Estimates
@@ -62,13 +63,14 @@ def collect(
     intervals: Mapping[str, Interval],
     issues: Sequence[IdentifiabilityIssue] = (),
     compared: Compared | None = None,
+    plans: TrackChanges | None = None,
     cautions: Sequence[str] = (),
 ) -> TuningReportData:
     """Metrics of both trackers on all trajectories; innovations and errors on the held-out ones, if there are any.
 
     `intervals`: 95 %, by label, none where the fit was stopped; `issues`: undetermined parameters; `compared`:
-    recordings before and after; `cautions`: those of the result. The objective surface takes about as many evaluations
-    as the fit took steps.
+    recordings before and after; `plans`: their tracks; `cautions`: those of the result. The objective surface takes
+    about as many evaluations as the fit took steps.
     """
     filter_runs, training, held_out = result.filter_runs, data.training, data.held_out
     quantity = next(iter(training[0].recording.truth))
@@ -96,6 +98,7 @@ def collect(
         held_out=_recordings(held_out),
         parameters=_parameters(result, intervals, issues),
         compared=compared,
+        plans=plans,
         cautions=tuple(cautions),
         metrics=(*_sum_objective(objective, result), *_metrics(trackers, rows, weights, quantity, data.dimensions)),
         traces=_traces(result),

@@ -9,6 +9,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from experiments.reports.recordings_compared import Compared
+    from experiments.reports.tracks_compared import TrackChanges
     from tuning.diagnostics import Innovations
     from tuning.surface import Surface
 
@@ -71,9 +72,9 @@ class TuningReportData:
     `command`: as typed; `next_commands`: to use the result and to repeat the run. `tracker`, `objective`: names,
     `tracker_about`, `objective_about`: the same in words. `training`, `held_out`: names of recordings. `traces`: one
     per start, the best first. `evaluated_on`: in words, the recordings of `innovations` (before, after) and `errors`.
-    `compared`: recordings before and after, in the figures of `evaluate`. `cautions`: clauses of the fit on itself.
-    `issues`: sentences on undetermined parameters. `notes`: sentences on irregularities of the run. `provenance`: pairs
-    of name and text.
+    `compared`: recordings before and after, in the figures of `evaluate`; `plans`: their tracks. `cautions`: clauses of
+    the fit on itself. `issues`: sentences on undetermined parameters. `notes`: sentences on irregularities of the run.
+    `provenance`: pairs of name and text.
     """
 
     command: str
@@ -95,6 +96,7 @@ class TuningReportData:
     filter_runs: int
     seconds: float
     compared: Compared | None = None
+    plans: TrackChanges | None = None
     cautions: tuple[str, ...] = ()
     issues: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()

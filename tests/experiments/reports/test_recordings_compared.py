@@ -5,7 +5,7 @@ import polars as pl
 import pytest
 
 import trackwright as tw
-from experiments.reports.recordings_compared import compare
+from experiments.reports.recordings_compared import compare, tracked
 from experiments.reports.tuning import tuning_page
 from tests.experiments.reports.tuning_report_data import report_data
 from trackers.core.rig import Rig
@@ -35,10 +35,14 @@ def walks():
     return folders, (named.with_values({SIGMAS: 0.05}), named.with_values({SIGMAS: 0.25}))
 
 
+def _both(trackers, folders):
+    return [tracked(tracker, folders) for tracker in trackers]
+
+
 @pytest.mark.parametrize(("dimensions", "suffix"), [(2, ""), (3, "_3d")])
 def test_the_figures_are_those_of_evaluate_and_recordings_have_the_same_say(walks, dimensions, suffix):
     folders, trackers = walks
-    found = compare(trackers, folders, dimensions, "held-out recordings")
+    found = compare(_both(trackers, folders), folders, dimensions, "held-out recordings")
     sides = [{r["recording"]: r for r in tw.evaluate(t.run(folders), folders).recordings} for t in trackers]
     assert [row[0] for row in found.rows] == ["long", "short", "mean of 2"]
     for name, *cells in found.rows[:2]:
@@ -58,7 +62,8 @@ def test_the_figures_are_those_of_evaluate_and_recordings_have_the_same_say(walk
 
 def test_a_recording_without_truth_has_no_errors(walks):
     folders, trackers = walks
-    found = compare(trackers, [folders[0], _walk("blind", 3, 100, truth=False)], 2, "recordings tuned on")
+    own = [folders[0], _walk("blind", 3, 100, truth=False)]
+    found = compare(_both(trackers, own), own, 2, "recordings tuned on")
     blind = next(row for row in found.rows if row[0] == "blind")
     assert blind[1:4] == ("– → –",) * 3
     assert "–" not in blind[4]
@@ -66,7 +71,13 @@ def test_a_recording_without_truth_has_no_errors(walks):
 
 def test_the_page_of_a_tuning_run_shows_the_table(walks):
     folders, trackers = walks
-    found = compare(trackers, folders, 2, "held-out recordings")
+    found = compare(_both(trackers, folders), folders, 2, "held-out recordings")
     page = tuning_page(report_data(compared=found))
     assert "Held-out recordings</h2>" in page
     assert found.rows[0][1] in page
+
+
+def test_recordings_tracked_beside_those_shown_change_nothing(walks):
+    folders, trackers = walks
+    sides = _both(trackers, folders)
+    assert compare(sides, folders[:1], 2, "a") == compare(_both(trackers, folders[:1]), folders[:1], 2, "a")
