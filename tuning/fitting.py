@@ -136,8 +136,8 @@ def fit(
     default `state-nll` where there is truth and no prior, else `nll`. `tune`: shell patterns; by default the noise
     levels of motion and sensors. `dimensions`: 3 to judge an estimated height too. `weigh`: whether each recording (in
     arrays: trajectory) or each row has the same weight. `frozen`: patterns of tunables to keep. `bounds`: lowest and
-    highest physical value by pattern. `optimiser`: default `LBFGS` for likelihoods, `Adam` for particle filters,
-    minibatches and other objectives. `starts`: number of starts: the tracker's own values, then the best of the
+    highest physical value by pattern. `optimiser`: default `LBFGS` for likelihoods and for `state-nll`, alone or in a
+    sum, else `Adam`, as for particle filters and minibatches. `starts`: the tracker's own values, then the best of the
     `guesses` and of a coarse grid. `held_out`: recordings that select the best point and end the fit. `minibatch`:
     trajectories per step. `priors`: for likelihoods only. `report` is called with the state after every step, `stage`
     with the name of each stage; `resume`: arrays of a state (`tuning.checkpoint.to_arrays`), to bit-identical results.
@@ -162,7 +162,7 @@ def fit(
     low, high = limits(parameters, bounds)
     low = np.maximum(low, floors(readings, parameters, bounds))
     # Errors are discontinuous where a track is nearly lost, and a line search ends there; Adam steps over.
-    smooth = objective.is_likelihood and minibatch is None and not problem.stochastic
+    smooth = objective.has_density and minibatch is None and not problem.stochastic
     optimiser = optimiser or (LBFGS() if smooth else Adam(steps))
     per_step = None if minibatch is None else max(1, minibatch // problem.chunks[0].size)
     driver = MultiStart(problem, optimiser, steps, low, high, scoring, minibatch=per_step, seed=seed)

@@ -64,6 +64,11 @@ class AbstractObjective(eqx.Module):
         """Whether the likelihood gets a power by the autocorrelation of its innovations at the end of a fit."""
         return False
 
+    @property
+    def has_density(self) -> bool:
+        """Whether it contains a density: one jumps little where a track is nearly lost, and a line search goes on."""
+        return self.is_likelihood
+
     def for_tracker(self, tracker: AbstractTracker) -> AbstractObjective:
         """The objective with the properties of the tracker that it depends on; most depend on none."""
         return self
@@ -123,6 +128,10 @@ class StateLogLikelihood(AbstractObjective):
     size: ClassVar[int] = 2
     needs_truth: ClassVar[bool] = True
 
+    @property
+    def has_density(self) -> bool:
+        return True
+
     def terms(self, output: Output, truth: Truth) -> tuple[Scalar, ...]:
         error = normalised_error(output, truth, self.quantity, self.dimensions)
         density = -0.5 * (error.nees + error.log_determinant + self.dimensions * LOG_2PI)
@@ -149,6 +158,10 @@ class Weighted(AbstractObjective):
     @property
     def needs_truth(self) -> bool:
         return any(part.needs_truth for part in self.parts)
+
+    @property
+    def has_density(self) -> bool:
+        return any(part.has_density for part in self.parts)
 
     def terms(self, output: Output, truth: Truth) -> tuple[Scalar, ...]:
         return tuple(x for part in self.parts for x in part.terms(output, truth))

@@ -91,7 +91,7 @@ def tune(
         dimensions: 2 to judge the horizontal position, 3 to judge an estimated height too.
         weigh: recordings or rows: which of them have the same weight.
         starts: number of starts: the given values, then the best of a first guess from the data and a coarse grid.
-        optimiser: auto: lbfgs for a likelihood, adam for other objectives, minibatches and particle filters.
+        optimiser: auto: lbfgs for nll and state-nll, alone or in a sum; adam else, and for minibatches and particles.
         steps: maximum number of steps per start.
         minibatch: trajectories per step, drawn at random; default: all.
         intervals: method of the 95 % intervals: curvature (with the scatter of the trajectories), profile likelihood
