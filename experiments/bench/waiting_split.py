@@ -24,7 +24,7 @@ FUNCTIONS = {
     "trackers.evaluation": {"evaluate": "evaluation"},
     "trackers.bounds": {"bounds_of": "evaluation"},
     "experiments.plots.track_folder": {"plot_tracks": "figures"},
-    "experiments.interactive.track_page": {"write_track_page": "figures"},
+    "experiments.interactive.track_page": {"run_data": "figures", "write_track_page": "figures"},
     "experiments.plots.objective": {"tuning_trace": "figures"},
     "experiments.reports.tuning_collect": {"collect": "evaluation"},
     "experiments.reports.tuning": {"write_tuning_report": "figures"},

@@ -143,7 +143,7 @@ def _write(
     source: str,
 ) -> str:
     """Writes the files of `--out`; returns in words which."""
-    from experiments.interactive.track_page import PAGE, write_track_page
+    from experiments.interactive.track_page import PAGE, run_data, write_track_page
     from experiments.plots.track_folder import plot_tracks
     from experiments.scored_tracks import ScoredTracks
     from trackers.evaluation import associate
@@ -156,6 +156,7 @@ def _write(
         atomic_write(out / "recordings.txt", lambda path: path.write_text(names, encoding="utf-8"))
     scored = ScoredTracks(associate(tracks, folders), folders, ())
     none = pl.DataFrame(schema={"recording": pl.String, "tag": pl.String, "t_s": pl.Float64, "event": pl.String})
-    write_track_page(out / PAGE, scored, none, evaluation, source, shlex.join(["trackwright", *sys.argv[1:]]))
+    run = run_data(scored, none, evaluation, source, figures=True)
+    write_track_page(out / PAGE, [run], shlex.join(["trackwright", *sys.argv[1:]]))
     drawn = plot_tracks(out, scored)
     return f"wrote {out}: {PAGE}, evaluation.json, {TRACKS} as compared, and {len(drawn)} figures: {', '.join(drawn)}"

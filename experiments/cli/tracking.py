@@ -14,14 +14,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import polars as pl
-
 from experiments.cli.console import notice, notice_unused_calibration, output_folder
 from experiments.cli.manifest import write_manifest
 from experiments.cli.report import COMPARISON, print_comparison
 from experiments.cli.stages import Begin
 from experiments.cli.tracked_by import TrackedBy, late_readings, tracked_by
 from experiments.executors import cluster_executor
+from experiments.interactive.track_page import PAGE, run_data, write_track_page
 from experiments.portable_tracker import run_on
 from experiments.reports.evaluation_text import to_json, to_text
 from experiments.reports.tables import terminal_width
@@ -92,24 +91,32 @@ def track_folders(
         names = ", ".join(run.tracker for run in runs)
         raise UnusableInput(f"--noise {options.noise}: belongs to one tracker, found {names}; name one with --tracker")
     if len(runs) == 1:
-        put({runs[0].short: _track(runs[0], options, options.out, started, begin, True)})
+        put({runs[0].short: _track(runs[0], options, options.out, started, begin, 1)[0]})
     else:
         output_folder(options.out)
-        compared = options.tracker is not None
+        of, pages = len(runs) if options.tracker is not None else 1, list[dict[str, Any]]()
         for run in runs:
-            put({run.short: _track(run, options, options.out / run.short, started, begin, not compared)})
-        if compared:
+            metrics, page = _track(run, options, options.out / run.short, started, begin, of)
+            put({run.short: metrics})
+            pages += [] if page is None else [page]
+        if of > 1:
             begin("comparison")
             print_comparison([options.out / run.short for run in runs], options.out / COMPARISON)
+            if pages:
+                begin("report")
+                _write_page(options.out, pages)
+                print(f"wrote {options.out / PAGE}")
     for line in (*refused, *unfit):
         notice(f"not tracked: {line}")
     return int(bool(refused or unfit))
 
 
-def _track(run: TrackedBy, options: Options, out: Path, started: datetime, begin: Begin, shown: bool) -> Any:
-    """Tracks recordings with one tracker into the folder `out`, and returns the content of its evaluation.json.
+def _track(
+    run: TrackedBy, options: Options, out: Path, started: datetime, begin: Begin, of: int
+) -> tuple[Any, dict[str, Any] | None]:
+    """Tracks recordings with one tracker into the folder `out`; returns its evaluation.json and its page.
 
-    `shown`: with a table of errors and with figures.
+    `of`: how many trackers are compared; the only one has a table of errors, figures and its page in its folder.
     """
     name, folders = run
     named = build(name, folders, options.free_height)
@@ -152,14 +159,20 @@ def _track(run: TrackedBy, options: Options, out: Path, started: datetime, begin
         evaluation = evaluate(association, folders).with_residuals(tracks)
         for line in late_readings(named, folders):
             notice(f"notice: {line}")
-        if shown:
+        if of == 1:
             print(to_text(evaluation, terminal_width()), end="")
     else:
         evaluation = _without_truth(association, folders, tracks)
     metrics = to_json(evaluation)
     atomic_write(out / EVALUATION, lambda path: path.write_text(metrics, encoding="utf-8"))
     scored = ScoredTracks(association, folders, batches)
-    drawn = _shown(scored, happened, evaluation, f"{name}: {named.spec.about}", options, out, begin) if shown else []
+    page, drawn = None, list[str]()
+    if options.report:
+        begin("report")
+        known, about = evaluation if association.scored.any() else None, f"{name}: {named.spec.about}"
+        page = run_data(scored, happened, known, about, run.short, of, options.figures and of == 1)
+    if of == 1:
+        drawn = _shown(scored, page, options, out, begin)
     config = {
         "tracker": name,
         "noise": None if options.noise is None else str(options.noise),
@@ -184,27 +197,16 @@ def _track(run: TrackedBy, options: Options, out: Path, started: datetime, begin
         print(f"event: {event} ({counted(count, 'time')})")
     written = f"{out / TRACKS} ({counted(len(table), 'estimate')}), {EVENTS}, {EVALUATION}, manifest.json"
     print(f"wrote {', '.join([written, *drawn])}")
-    return json.loads(metrics)
+    return json.loads(metrics), page
 
 
 def _shown(
-    tracks: ScoredTracks,
-    events: pl.DataFrame,
-    evaluation: Evaluation,
-    tracker: str,
-    options: Options,
-    out: Path,
-    begin: Begin,
+    tracks: ScoredTracks, page: Mapping[str, Any] | None, options: Options, out: Path, begin: Begin
 ) -> list[str]:
-    """Writes the page and the figures that are asked for; returns in words what was written."""
+    """Writes the page, if any, and the figures that are asked for; returns in words what was written."""
     written = []
-    if options.report:
-        begin("report")
-        from experiments.interactive.track_page import PAGE, write_track_page
-
-        known = evaluation if tracks.association.scored.any() else None
-        command = shlex.join(["trackwright", *sys.argv[1:]])
-        write_track_page(out / PAGE, tracks, events, known, tracker, command)
+    if page is not None:
+        _write_page(out, [page])
         written.append(PAGE)
     if options.figures:
         begin("figures")
@@ -214,6 +216,10 @@ def _shown(
         drawn = plot_tracks(out, tracks, options.format)
         written.append(f"{counted(len(drawn), 'figure')} ({', '.join(drawn[:4])}{', …' if len(drawn) > 4 else ''})")
     return written
+
+
+def _write_page(out: Path, pages: Sequence[Mapping[str, Any]]) -> None:
+    write_track_page(out / PAGE, pages, shlex.join(["trackwright", *sys.argv[1:]]))
 
 
 def _without_truth(association: Association, folders: Sequence[RecordingFolder], tracks: Tracks) -> Evaluation:

@@ -11,7 +11,7 @@ from experiments.interactive.decimation import MOST_EVENTS, drawn_rows, drawn_tr
 from experiments.interactive.packing import packed, rounded
 from experiments.interactive.residuals import page_residuals
 from experiments.interactive.summaries import calibration_curve, error_distribution, error_map
-from experiments.scored_tracks import ScoredRecording
+from experiments.scored_tracks import Component, ScoredRecording
 from trackers.core.chi_square import chi_square_quantile
 from trackers.core.rig import Rig
 from trackers.recordings.columns import float_column
@@ -35,8 +35,7 @@ def recording_data(
     chosen = drawn_tracks(recording.worst_first(), most_tracks)
     kept_lengths = lengths[chosen]
     of_chosen = np.concatenate([np.arange(starts[k], starts[k + 1]) for k in chosen] or [np.zeros(0, int)])
-    size = np.sqrt(np.nansum(recording.errors[of_chosen, :2] ** 2, axis=1))
-    drawn = drawn_rows(kept_lengths, size, most_rows) if len(of_chosen) else of_chosen
+    drawn = drawn_rows(kept_lengths, recording.miss[of_chosen], most_rows) if len(of_chosen) else of_chosen
     first = np.searchsorted(drawn, np.concatenate([[0], np.cumsum(kept_lengths)]))
     index = of_chosen[drawn]
     start = float(np.min(times, initial=np.inf)) if len(times) else 0.0
@@ -45,6 +44,8 @@ def recording_data(
     stations = rows["station"].gather(starts[:-1]).to_list() if recording.angles else [None] * len(lengths)
     tags = rows["tag"].gather(starts[:-1]).to_list()
     source, sources = _sources(recording, index)
+    scale = 180 / np.pi if recording.angles else 1.0
+    components = recording.components()
     return {
         "name": recording.folder.name,
         "start": start,
@@ -56,11 +57,14 @@ def recording_data(
         "trackCount": len(lengths),
         "tracks": [
             {"tag": tags[k], "station": stations[k], "first": int(a), "end": int(b),
-             "rmse": rounded(float(recording.rmse[k])), "rows": int(lengths[k])}
+             "rmse": rounded(scale * float(recording.rmse[k])), "rows": int(lengths[k])}
             for k, a, b in zip(chosen, first[:-1], first[1:], strict=True)
         ],
-        "axes": _axes(recording),
-        "columns": _packed_rows(recording, index, start, origin)
+        "axes": [
+            {"name": c.name, "unit": c.unit, "value": f"v{k}", "error": f"e{k}", "sigma": f"s{k}", "bound": f"b{k}"}
+            for k, c in enumerate(components)
+        ],
+        "columns": _packed_rows(recording, components, index, start, origin)
         | {"status": packed(_statuses(rows, index), "u1"), "source": packed(source, "u2")},
         "statuses": STATUSES,
         "sources": sources,
@@ -87,31 +91,22 @@ def _columns(rows: pl.DataFrame, *names: str) -> np.ndarray:
     return np.stack([float_column(rows, name) for name in names], axis=1)
 
 
-def _axes(recording: ScoredRecording) -> list[dict[str, str]]:
-    """Name, unit and columns of each axis with an error: value, error, standard deviation, bound."""
-    names, unit = (["azimuth", "elevation"], "°") if recording.angles else (["x", "y", "z"], "m")
-    sigmas = recording.sigmas()
-    return [
-        {"name": name, "unit": unit, "value": f"v{k}", "error": f"e{k}", "sigma": f"s{k}", "bound": f"b{k}"}
-        for k, name in enumerate(names)
-        if np.isfinite(sigmas[:, k]).any() or (k < 2 and not recording.in_plane)
-    ]
-
-
 def _packed_rows(
-    recording: ScoredRecording, index: np.ndarray, start: float, origin: np.ndarray
+    recording: ScoredRecording, components: list[Component], index: np.ndarray, start: float, origin: np.ndarray
 ) -> dict[str, dict[str, str]]:
     """Times, values, errors, standard deviations, horizontal covariance, NIS and its degrees of freedom of the rows."""
     rows = recording.association.rows[index]
-    errors, sigmas = recording.errors[index], recording.sigmas()[index]
-    if recording.angles:
-        values, scale = np.degrees(_columns(rows, "azimuth_rad", "elevation_rad")), 180 / np.pi
-    else:
-        values, scale = _columns(rows, "x_m", "y_m", "z_m") - np.append(origin, 0.0), 1.0
     columns = {"t": float_column(rows, "t_s") - start}
-    for k in range(values.shape[1]):
-        columns |= {f"v{k}": values[:, k], f"e{k}": scale * errors[:, k], f"s{k}": scale * sigmas[:, k]}
-    if not recording.angles:
+    for k, component in enumerate(components):
+        values, errors, sigmas = (values[index] for values in component[2:])
+        columns |= {
+            f"v{k}": values - (0.0 if recording.angles else [*origin, 0.0][k]),
+            f"e{k}": errors,
+            f"s{k}": sigmas,
+        }
+    if recording.angles:
+        columns["miss"] = np.degrees(recording.miss[index])
+    else:
         columns["cov"] = np.nan_to_num(float_column(rows, "cov_xy_m2"))
     dof = np.nan_to_num(float_column(rows, "nis_dof"))
     columns |= {"nis": np.where(dof > 0, float_column(rows, "nis"), np.nan), "dof": dof}

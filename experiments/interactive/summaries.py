@@ -70,6 +70,9 @@ def calibration_curve(recording: ScoredRecording) -> dict[str, Any] | None:
 
 def _distances(recording: ScoredRecording) -> list[tuple[str, np.ndarray, int]]:
     """Names, NEES and degrees of freedom of the curves."""
+    if recording.in_plane:
+        (angle,) = recording.components()
+        return [(angle.name, (angle.errors / angle.sigmas) ** 2, 1)]
     if recording.nees_3d is None:
         return [("both angles", recording.nees, 2)]
     return [("horizontal", recording.nees, 2), ("3-D", recording.nees_3d, 3)]
@@ -79,9 +82,7 @@ def error_distribution(recording: ScoredRecording) -> list[dict[str, Any]]:
     """Quantiles of the errors of all rows: horizontal and 3-D, m, or azimuth and elevation, °."""
     errors = recording.errors
     if recording.angles:
-        named = {"azimuth": np.degrees(np.abs(errors[:, 0])), "elevation": np.degrees(np.abs(errors[:, 1]))}
-        if recording.in_plane:
-            del named["azimuth"]
+        named = {component.name: np.abs(component.errors) for component in recording.components()}
     else:
         named = {"horizontal": np.hypot(errors[:, 0], errors[:, 1]), "3-D": np.sqrt((errors**2).sum(axis=1))}
     found = []

@@ -6,7 +6,7 @@ The page is put together from text without jinja, which takes as long to import 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ PAGE = "report.html"
 """File in the output folder of `trackwright track`."""
 
 HERE, SHARED = Path(__file__).parent / "page", Path(reports.__file__).parent / "templates"
-SCRIPTS = ("data", "formats", "colours", "plan", "overlay", "series", "charts", "playback", "main")
+SCRIPTS = ("data", "formats", "colours", "plan", "polar", "overlay", "series", "charts", "playback", "main")
 """The page's own scripts, in the order in which they need each other."""
 
 MOST_RECORDINGS = 60
@@ -34,34 +34,29 @@ MOST_RECORDINGS = 60
 MOST_LISTED = 40
 """The most tracks in the table: those with the largest errors."""
 
-METRICS = ("n", "rmse_m", "median_m", "p95_m", "max_m", "rmse_3d_m", "rmse_azimuth_rad", "rmse_elevation_rad",
-           "coverage_95", "nees_ratio", "nis_ratio", "lost_s")  # fmt: skip
+ANGLES = ("rmse_azimuth_rad", "rmse_elevation_rad")
+METRICS = ("n", "rmse_m", "median_m", "p95_m", "max_m", "rmse_3d_m", *ANGLES, "rmse_direction_rad",
+           "p95_direction_rad", "coverage_95", "nees_ratio", "nis_ratio", "lost_s")  # fmt: skip
 
 
-def write_track_page(
-    path: Path, tracks: ScoredTracks, events: pl.DataFrame, evaluation: Evaluation | None, tracker: str, command: str
-) -> None:
-    """Writes the page, whole or not at all. `evaluation`: None without truth; `tracker`: its name and what it is."""
-    text = track_page(tracks, events, evaluation, tracker, command)
+def write_track_page(path: Path, runs: Sequence[Mapping[str, Any]], command: str) -> None:
+    """Writes the page, whole or not at all. `runs`: those of `run_data`, one for each tracker."""
+    text = track_page(runs, command)
     atomic_write(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
-def track_page(
-    tracks: ScoredTracks, events: pl.DataFrame, evaluation: Evaluation | None, tracker: str, command: str
-) -> str:
+def track_page(runs: Sequence[Mapping[str, Any]], command: str = "") -> str:
     """The text of the page; arguments as of `write_track_page`."""
-    names = ", ".join(folder.name for folder in tracks.folders[:3])
-    more = len(tracks.folders) - 3
-    title = names + (f" and {more} more" if more > 0 else "")
-    data = page_data(tracks, events, evaluation) | {"tracker": tracker, "command": command}
+    names = list(dict.fromkeys(recording["name"] for run in runs for recording in run["recordings"]))
+    title = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
     scripts = [SHARED / "plotting.js", *(HERE / f"{name}.js" for name in SCRIPTS)]
     own = "\n".join(path.read_text(encoding="utf-8") for path in scripts)
     parts = {
         "title": escape(title),
-        "tracker": escape(tracker),
+        "tracker": escape(runs[0]["tracker"]),
         "style": (SHARED / "style.css").read_text(encoding="utf-8") + (HERE / "track.css").read_text(encoding="utf-8"),
         "plotly": plotting_script(),
-        "data": script_json(data),
+        "data": script_json({"runs": runs, "command": command}),
         "theme": (SHARED / "theme.js").read_text(encoding="utf-8"),
         "scripts": f'(() => {{\n"use strict";\n{own}\n}})();',
     }
@@ -69,10 +64,22 @@ def track_page(
     return re.sub(r"\{\{ (\w+) \}\}", lambda found: parts[found[1]], template)
 
 
-def page_data(tracks: ScoredTracks, events: pl.DataFrame, evaluation: Evaluation | None) -> dict[str, Any]:
-    """Everything that the page shows, within the limits on rows, tracks and residuals of all recordings together."""
+def run_data(
+    tracks: ScoredTracks,
+    events: pl.DataFrame,
+    evaluation: Evaluation | None,
+    tracker: str,
+    name: str = "",
+    of: int = 1,
+    figures: bool = False,
+) -> dict[str, Any]:
+    """Everything that the page shows of one tracker, within limits on rows, tracks and residuals of all together.
+
+    `evaluation`: None without truth. `tracker`: what it is; `name`: its name where the page has `of` trackers, more
+    than one. `figures`: whether there are figures in files, whose choice of recordings the page names.
+    """
     shown = tracks.recordings[:MOST_RECORDINGS]
-    total = max(sum(len(recording.times) for recording in shown), 1)
+    total = of * max(sum(len(recording.times) for recording in shown), 1)
     found = []
     for recording in shown:
         share = len(recording.times) / total
@@ -81,21 +88,36 @@ def page_data(tracks: ScoredTracks, events: pl.DataFrame, evaluation: Evaluation
                   ((MOST_ROWS, 200), (MOST_TRACKS, 3), (MOST_POINTS, 100)))  # fmt: skip
         found.append(recording_data(recording, own, *limits))
     return {
+        "name": name,
+        "tracker": tracker,
         "recordings": found,
         "recordingCount": len(tracks.recordings),
-        "metrics": [] if evaluation is None else _metrics(evaluation.recordings, evaluation.tracks),
+        "metrics": [] if evaluation is None else _metrics(tracks, evaluation),
         "statements": [] if evaluation is None else evaluation.statements,
+        "figures": tracks.drawn_words if figures else "",
     }
 
 
-def _metrics(recordings: Sequence[dict[str, Any]], tracks: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The main metrics of each recording and of the tracks with the largest errors, without those that have no data."""
+def _metrics(tracks: ScoredTracks, evaluation: Evaluation) -> list[dict[str, Any]]:
+    """The main metrics of each recording and of the tracks with the largest errors, without those that have no data.
 
-    def size(metrics: dict[str, Any]) -> float:
+    Errors in 3-D of a height that is given, not estimated, are left out, and azimuths in the plane of an array.
+    """
+    flat = {recording.folder.name for recording in tracks.recordings if recording.in_plane}
+
+    def size(metrics: Mapping[str, Any]) -> float:
         return metrics.get("rmse_m") or metrics.get("rmse_direction_rad") or 0.0
 
+    def known(metrics: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+        height_given = metrics.get("nees_3d_ratio") is None and metrics.get("nees_ratio") is not None
+        for key in METRICS:
+            left_out = (height_given and "_3d" in key) or (metrics["recording"] in flat and key in ANGLES)
+            if metrics.get(key) is not None and not left_out:
+                yield key, rounded(metrics[key])
+
+    worst = sorted(evaluation.tracks, key=size, reverse=True)[:MOST_LISTED]
     return [
         {key: metrics[key] for key in ("recording", "tag", "station") if metrics.get(key) is not None}
-        | {key: rounded(value) for key in METRICS if (value := metrics.get(key)) is not None}
-        for metrics in (*recordings, *sorted(tracks, key=size, reverse=True)[:MOST_LISTED])
+        | dict(known(metrics))
+        for metrics in (*evaluation.recordings, *worst)
     ]

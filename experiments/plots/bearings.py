@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from experiments.plots.style import BLACK, BLUE, SKY, broken_at_gaps, figure_file, legend_above
+from experiments.scored_tracks import IN_PLANE, in_one_plane, in_the_plane
 
 
 def bearings_over_time(
@@ -21,12 +22,13 @@ def bearings_over_time(
     """Writes azimuth and elevation in degrees with the reported ± 3 σ and the truth; returns the path.
 
     `times` (n,) s; `angles`, `sigmas` (n, 2) rad; `true_times` (m,) s, `true_angles` (m, 2) rad. Directions in the
-    plane of a flat array, whose azimuth is ± 90° and has no σ, are drawn as one angle.
+    plane of a flat array, whose azimuth is ± 90°, are drawn as one angle.
     """
-    in_plane = sigmas is not None and np.isfinite(sigmas[:, 1]).any() and not np.isfinite(sigmas[:, 0]).any()
-    names = {1: "angle in the array's plane (°)"} if in_plane else {0: "azimuth (°)", 1: "elevation (°)"}
-    if in_plane:
-        angles, true_angles = in_the_plane(angles), None if true_angles is None else in_the_plane(true_angles)
+    names = {0: "azimuth (°)", 1: "elevation (°)"}
+    if in_one_plane(angles[:, 0]):
+        names = {1: f"{IN_PLANE} (°)"}
+        angles = np.tile(in_the_plane(angles)[:, None], 2)
+        true_angles = None if true_angles is None else np.tile(in_the_plane(true_angles)[:, None], 2)
     with figure_file(path, 8.0, 1.0 + 1.8 * len(names), title) as figure:
         panels = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
         for (k, name), axes in zip(names.items(), panels, strict=True):
@@ -51,12 +53,6 @@ def bearings_over_time(
         panels[-1].set_xlabel("time (s)")
         legend_above(panels[0])
     return Path(path)
-
-
-def in_the_plane(angles: np.ndarray) -> np.ndarray:
-    """Directions (n, 2), rad, in the plane of a flat array as angles in it, from its x axis, in the second column."""
-    azimuth, elevation = angles.T
-    return np.stack([azimuth, np.arctan2(np.sin(elevation), np.sin(azimuth) * np.cos(elevation))], axis=1)
 
 
 def _circular_mean(angle: np.ndarray) -> float:

@@ -12,14 +12,10 @@ from experiments.plots.errors import error_cdf, error_over_time, rmse_over_time
 from experiments.plots.filters import consistency
 from experiments.plots.style import LINES
 from experiments.plots.tracks import floor_plan, natural
-from experiments.reports.wording import length_unit
-from experiments.scored_tracks import ScoredRecording, ScoredTracks
+from experiments.scored_tracks import ScoredRecording, ScoredTracks, directions, drawn_of
 from trackers.recordings.association import true_bearings
 from trackers.recordings.columns import float_column
 from trackers.recordings.tracks_table import track_keys
-
-DRAWN = 4
-"""The most recordings (or tags) with plots of their own."""
 
 
 def plot_tracks(out: Path, tracks: ScoredTracks, kind: str = "png") -> list[str]:
@@ -33,9 +29,10 @@ def plot_tracks(out: Path, tracks: ScoredTracks, kind: str = "png") -> list[str]
         if not tracks.association.scored.any():
             return drawn.names
     else:
-        for recording in tracks.recordings[:DRAWN]:
+        for k, why in tracks.drawn.items():
+            recording = tracks.recordings[k]
             suffix = "" if len(tracks.folders) == 1 else f"-{_plain(recording.folder.name)}"
-            rig, title = recording.folder.rig, recording.folder.name
+            rig, title = recording.folder.rig, recording.folder.name + (f", {why}" if why else "")
             truth = recording.folder.tables.get("truth")
             rows, shown = recording.association.rows, _shown_tags(recording)
             floor_plan(
@@ -62,18 +59,9 @@ class _Drawn:
 
 def _shown_tags(recording: ScoredRecording) -> dict[str, str]:
     """The tags of a floor plan with remarks for its legend: all, or of many the worst, the median and the best."""
-    starts = recording.association.starts
-    tags = recording.association.rows["tag"].gather(starts[:-1]).to_list()
-    ranked = [k for k in recording.worst_first() if np.isfinite(recording.rmse[k])]
-    if len(tags) <= len(LINES):
-        return dict.fromkeys(sorted(tags, key=natural), "")
-    if len(ranked) < 3:
-        return dict.fromkeys(sorted(tags, key=natural)[: len(LINES)], "")
-    chosen = {"worst": ranked[0], "median": ranked[len(ranked) // 2], "best": ranked[-1]}
-    unit, scale = length_unit(float(recording.rmse[ranked[0]]))
-    return {
-        tags[k]: f"{word} of {len(ranked)}, RMSE {scale * recording.rmse[k]:.3g} {unit}" for word, k in chosen.items()
-    }
+    tags = recording.association.rows["tag"].gather(recording.association.starts[:-1]).to_list()
+    order = sorted(range(len(tags)), key=lambda k: natural(tags[k]))
+    return {tags[order[k]]: why for k, why in drawn_of(recording.rmse[order], False, len(LINES)).items()}
 
 
 def _draw_errors(drawn: _Drawn, suffix: str, recording: ScoredRecording) -> None:
@@ -141,21 +129,26 @@ def _draw_bearings(drawn: _Drawn, tracks: ScoredTracks) -> None:
     association = tracks.association
     true = true_bearings(association, {folder.name: folder.rig.stations for folder in tracks.folders})
     keys = association.rows.select(track_keys(association.rows))[association.starts[:-1]].to_dicts()
-    for k, key in enumerate(keys[:DRAWN]):
+    # The rows are sorted by recording, the recordings as they were given.
+    ordered = sorted(tracks.recordings, key=lambda recording: recording.folder.name)
+    rmse = np.concatenate([recording.rmse for recording in ordered])
+    for k, why in drawn_of(rmse, True).items():
+        key = keys[k]
         part = slice(association.starts[k], association.starts[k + 1])
         rows = association.rows[part]
-        angles = np.stack([float_column(rows, f"{a}_rad") for a in ("azimuth", "elevation")], axis=1)
+        angles = directions(rows)
         sigmas = np.stack([float_column(rows, f"std_{a}_rad") for a in ("azimuth", "elevation")], axis=1)
         times, known = float_column(rows, "t_s"), bool(np.isfinite(true[part]).any())
         label = f"{key['recording']}, tag {key['tag']}, station {key['station']}"
+        name = "bearings-" + _plain(label.replace(", ", "-"))
         bearings_over_time(
-            drawn("bearings-" + _plain(label.replace(", ", "-"))),
+            drawn(name),
             times,
             angles,
             sigmas,
             true_times=times if known else None,
             true_angles=true[part] if known else None,
-            title=label,
+            title=label + (f"; {why}" if why else ""),
         )
 
 

@@ -32,8 +32,17 @@ function trackOfRows(recording) {
   return found;
 }
 
-/** Size of the error of a row: horizontal, or of both angles; NaN without truth. */
-const missOf = (columns, row) => Math.hypot(columns.e0[row], columns.e1[row]);
+/** Size of the error of a row: horizontal, or the angle to the true direction; NaN without truth. */
+const missOf = (columns, row) => columns.miss ? columns.miss[row] : Math.hypot(columns.e0[row], columns.e1[row]);
+
+/** An angle within half a turn of zero, degrees. */
+const withinHalfTurn = (degrees) => degrees - 360 * Math.round(degrees / 360);
+
+/** Size of the reported standard deviations of a row. */
+const spreadOf = ({ s0, s1 }, row) => s1 ? Math.hypot(s0[row], s1[row]) : s0[row];
+
+/** The number of a track with the same tag and station as another's, or -1. */
+const sameTrack = (tracks, tag, station) => tracks.findIndex((own) => own.tag === tag && (own.station ?? undefined) === (station ?? undefined));
 
 /** Rows from `first` to `end` whose time is in the window. */
 function rowsWithin(columns, first, end, [from, to]) {
@@ -57,12 +66,12 @@ function thinned(rows, values, most) {
   return kept;
 }
 
-/** A column of the rows with null where the track has a gap, so that no line crosses it. */
-function broken(rows, times, value) {
+/** A column of the rows with null where the track has a gap or `apart(row, before)`, so that no line crosses it. */
+function broken(rows, times, value, apart = () => false) {
   const steps = rows.slice(1).map((row, k) => times[row] - times[rows[k]]).sort((a, b) => a - b);
   const limit = Math.max(1, 10 * (steps[steps.length >> 1] || 0)), found = [];
   rows.forEach((row, k) => {
-    if (k && times[row] - times[rows[k - 1]] > limit) found.push(null);
+    if (k && (times[row] - times[rows[k - 1]] > limit || apart(row, rows[k - 1]))) found.push(null);
     found.push(value(row));
   });
   return found;

@@ -25,19 +25,20 @@ function numbersOf(recording, row) {
     pairs.push([axis.name, withUnit(value, unit) + (Number.isFinite(sigma) ? ` ± ${fixed(sigma, digitsOf(unit))}` : "")]);
   });
   const miss = missOf(columns, row);
-  if (Number.isFinite(miss)) pairs.push([angles ? "error" : "horizontal error", withUnit(miss, unit)]);
+  if (Number.isFinite(miss)) pairs.push([angles ? "angle to the truth" : "horizontal error", withUnit(miss, unit)]);
   if (!angles && axes.length > 2) pairs.push(["error in z", withUnit(columns.e2[row], unit)]);
   const nees = neesOf(columns, row);
-  if (Number.isFinite(nees)) pairs.push(["NEES/dof", fixed(nees / 2, 2)]);
+  if (Number.isFinite(nees)) pairs.push(["NEES/dof", fixed(nees, 2)]);
   if (columns.dof[row] > 0) pairs.push(["NIS/dof", fixed(columns.nis[row] / columns.dof[row], 2)]);
   if (recording.sources.length) pairs.push([angles ? "station" : "reading of", recording.sources[columns.source[row]]]);
   pairs.push(["status", recording.statuses[columns.status[row]]]);
   return pairs;
 }
 
-/** NEES of the horizontal position, or of both angles. */
+/** NEES per degree of freedom of the horizontal position, of both angles, or of the only one. */
 function neesOf(columns, row) {
+  if (!columns.s1) return (columns.e0[row] / columns.s0[row]) ** 2;
   const a = columns.s0[row] ** 2, b = columns.cov ? columns.cov[row] : 0, c = columns.s1[row] ** 2;
   const x = columns.e0[row], y = columns.e1[row];
-  return (c * x * x - 2 * b * x * y + a * y * y) / (a * c - b * b);
+  return (c * x * x - 2 * b * x * y + a * y * y) / (a * c - b * b) / 2;
 }

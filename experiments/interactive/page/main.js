@@ -2,7 +2,7 @@
 
 const data = unpacked(JSON.parse(document.getElementById("data").textContent));
 const byId = (id) => document.getElementById(id);
-const state = { recording: null, selected: -1, trackOf: null, window: [-Infinity, Infinity] };
+const state = { run: null, recording: null, view: null, selected: -1, trackOf: null, window: [-Infinity, Infinity] };
 const plot = byId("plan"), series = byId("series"), overlay = makeOverlay(plot);
 const cursor = document.createElement("div");
 cursor.className = "cursor";
@@ -34,7 +34,7 @@ function nextTime(time, direction) {
 function showMoment(time) {
   const { recording } = state;
   byId("clock").textContent = `${fixed(recording.start + time, 2)} s`;
-  if (!recording.angles) overlay.draw(time, state.selected, Number(byId("tail").value));
+  overlay.draw(time, state.selected, Number(byId("tail").value));
   placeCursor(time);
   const number = shownTrack(), track = recording.tracks[number];
   const row = track ? rowAt(recording, track, time) : -1;
@@ -56,12 +56,10 @@ function placeCursor(time) {
 }
 
 function drawPlan() {
-  const { recording, selected } = state;
-  plot.parentElement.classList.toggle("flat", recording.angles);
-  if (recording.angles) return;
+  const { recording, selected, view } = state;
   const shown = selected >= 0 ? [selected] : recording.tracks.map((_, k) => k);
-  const traces = planTraces(recording, shown, byId("colour").value, state.window, state.trackOf);
-  Plotly.react(plot, traces, planLayout(recording), { ...CONFIG, scrollZoom: true }).then(() => showMoment(playback.now()));
+  const traces = planTraces(recording, view, shown, byId("colour").value, state.window, state.trackOf);
+  Plotly.react(plot, traces, layoutOf(view.layout()), { ...CONFIG, scrollZoom: true }).then(() => showMoment(playback.now()));
 }
 
 function drawSeries() {
@@ -72,7 +70,7 @@ function drawSeries() {
   series.style.height = `${layout.height}px`;
   byId("series-lead").textContent = `Tag ${nameOf(recording.tracks[number])}` +
     (state.selected < 0 && recording.tracks.length > 1 ? ", the one with the largest error" : "") +
-    ". A zoom here limits the estimates on the floor plan to the same times.";
+    ". A zoom here limits the estimates drawn above to the same times.";
   Plotly.react(series, traces, layout, CONFIG).then(() => {
     series.append(cursor);
     placeCursor(playback.now());
@@ -100,9 +98,33 @@ function drawAll() {
   drawCharts();
 }
 
+/** Shows the run of a tracker: of the same recording the same tag and moment, where it has them. */
+function loadRun(number) {
+  const before = state.recording, run = data.runs[number];
+  const time = before && before.start + playback.now(), own = before && before.tracks[state.selected];
+  state.run = run;
+  byId("tracker").value = number;
+  byId("summary").textContent = run.tracker;
+  byId("figures").textContent = run.figures;
+  byId("statements").replaceChildren(...run.statements.map((text) => {
+    const item = document.createElement("li");
+    item.textContent = text;
+    return item;
+  }));
+  byId("recording").replaceChildren(...run.recordings.map((recording, k) => option(k, recording.name)));
+  byId("recording-label").style.display = run.recordings.length > 1 ? "" : "none";
+  const same = before ? run.recordings.findIndex((recording) => recording.name === before.name) : -1;
+  byId("recording").value = Math.max(same, 0);
+  loadRecording(Math.max(same, 0));
+  if (same < 0) return;
+  select(own ? sameTrack(state.recording.tracks, own.tag, own.station) : -1);
+  playback.go(time - state.recording.start);
+}
+
 function loadRecording(number) {
-  const recording = data.recordings[number];
-  Object.assign(state, { recording, selected: -1, trackOf: trackOfRows(recording), window: [-Infinity, Infinity] });
+  const recording = state.run.recordings[number], view = recording.angles ? polarOf(recording) : floorOf(recording);
+  Object.assign(state, { recording, view, selected: -1, trackOf: trackOfRows(recording), window: [-Infinity, Infinity] });
+  byId("view-words").textContent = view.words;
   byId("colour").replaceChildren(...colourings(recording).map(([value, text]) => option(value, text)));
   const order = ranked(), last = order.length - 1;
   const words = new Map([[last, "best"], [last >> 1, "median"], [0, "worst"]]);
@@ -110,9 +132,10 @@ function loadRecording(number) {
     const { rmse } = recording.tracks[k], rank = rmse !== null && order.length > 2 ? words.get(place) : undefined;
     return option(k, nameOf(recording.tracks[k]) + (rmse === null ? "" : ` · ${withUnit(rmse, recording.axes[0].unit)}`) + (rank ? ` · ${rank}` : ""));
   }));
-  if (order.length > 6 && !recording.angles) state.selected = order[0];
+  const stations = new Set(recording.tracks.map((track) => track.station));
+  if (order.length > 6 || stations.size > 1) state.selected = order[0];
   byId("tag").value = state.selected;
-  overlay.load(recording);
+  overlay.load(recording, view);
   listNow();
   byId("ticks").replaceChildren(...recording.events.map((event) => {
     const tick = document.createElement("i");
@@ -129,7 +152,7 @@ function loadRecording(number) {
 function firstEstimate({ tracks, columns }) {
   const track = tracks[shownTrack()];
   if (!track) return 0;
-  const size = (row) => Math.hypot(columns.s0[row], columns.s1[row]), rows = [];
+  const size = (row) => spreadOf(columns, row), rows = [];
   for (let row = track.first; row < track.end; row++) if (Number.isFinite(columns.v0[row])) rows.push(row);
   const sizes = rows.map(size).filter(Number.isFinite).sort((a, b) => a - b);
   const settled = rows.find((row) => !(size(row) > 3 * sizes[sizes.length >> 1]));
@@ -162,7 +185,8 @@ function drawnWords(recording) {
   if (recording.residuals.every > 1) words.push(`Residuals over time: every ${recording.residuals.every}th.`);
   if (recording.eventCount > recording.events.length) words.push(`${recording.events.length} of ${recording.eventCount} events are marked.`);
   if (words.length) words.push("All other charts and the metrics use every row.");
-  if (data.recordingCount > data.recordings.length) words.push(`${data.recordings.length} of ${data.recordingCount} recordings are on this page.`);
+  const { recordings, recordingCount } = state.run;
+  if (recordingCount > recordings.length) words.push(`${recordings.length} of ${recordingCount} recordings are on this page.`);
   return words.join(" ");
 }
 
@@ -176,14 +200,15 @@ function select(number) {
 }
 
 function fillMetrics() {
-  const table = byId("metrics"), labels = ["recording", "tag", "station"];
+  const table = byId("metrics"), labels = ["recording", "tag", "station", "tracker"], metrics = metricsOfRuns();
   const names = { n: "n", rmse_m: "RMSE, m", median_m: "median, m", p95_m: "p95, m", max_m: "max, m", rmse_3d_m: "3-D RMSE, m",
-                  rmse_azimuth_rad: "azimuth RMSE, °", rmse_elevation_rad: "elevation RMSE, °", coverage_95: "% in 95 %",
+                  rmse_azimuth_rad: "azimuth RMSE, °", rmse_elevation_rad: "elevation RMSE, °", rmse_direction_rad: "angle RMSE, °",
+                  p95_direction_rad: "angle p95, °", coverage_95: "% in 95 %",
                   nees_ratio: "NEES/dof", nis_ratio: "NIS/dof", lost_s: "lost, s" };
   const factor = (key) => key.endsWith("_rad") ? 180 / Math.PI : key === "coverage_95" ? 100 : 1;
   const digits = (key) => key.endsWith("_m") ? 3 : { n: 0, coverage_95: 0, lost_s: 1 }[key] ?? 2;
-  const used = [...labels, ...Object.keys(names)].filter((key) => data.metrics.some((one) => one[key] !== undefined));
-  byId("metrics-section").style.display = data.metrics.length ? "" : "none";
+  const used = [...labels, ...Object.keys(names)].filter((key) => metrics.some((one) => one[key] !== undefined));
+  byId("metrics-section").style.display = metrics.length ? "" : "none";
   const head = table.createTHead().insertRow();
   for (const key of used) {
     const cell = document.createElement("th");
@@ -191,7 +216,7 @@ function fillMetrics() {
     head.append(cell);
   }
   const body = table.createTBody();
-  for (const one of data.metrics) {
+  for (const one of metrics) {
     const line = body.insertRow();
     line.className = one.tag === undefined ? "whole" : "";
     for (const key of used) {
@@ -203,15 +228,24 @@ function fillMetrics() {
   }
 }
 
-/** Shows the recording and tag of a line of the table. */
+/** The metrics of all trackers: recordings first, those of the same recording or track beside each other. */
+function metricsOfRuns() {
+  const all = data.runs.flatMap((run, number) => run.metrics.map((one) => ({ ...one, number, ...data.runs.length > 1 && { tracker: run.name } })));
+  const key = (one) => JSON.stringify([one.recording, one.tag, one.station]), order = new Map();
+  for (const one of [...all.filter((one) => one.tag === undefined), ...all]) if (!order.has(key(one))) order.set(key(one), order.size);
+  return all.sort((a, b) => order.get(key(a)) - order.get(key(b)));
+}
+
+/** Shows the tracker, recording and tag of a line of the table. */
 function chooseMetrics(one) {
-  const number = data.recordings.findIndex((recording) => recording.name === one.recording);
+  if (data.runs[one.number] !== state.run) loadRun(one.number);
+  const { recordings } = state.run, number = recordings.findIndex((recording) => recording.name === one.recording);
   if (number < 0) return;
-  if (data.recordings[number] !== state.recording) {
+  if (recordings[number] !== state.recording) {
     byId("recording").value = number;
     loadRecording(number);
   }
-  const track = state.recording.tracks.findIndex((own) => own.tag === one.tag && (own.station ?? undefined) === one.station);
+  const track = sameTrack(state.recording.tracks, one.tag, one.station);
   if (track >= 0) select(track);
   byId("replay").scrollIntoView({ behavior: "smooth" });
 }
@@ -236,6 +270,7 @@ function listen() {
   byId("tag").addEventListener("change", (event) => select(Number(event.target.value)));
   byId("colour").addEventListener("change", drawPlan);
   byId("tail").addEventListener("change", () => showMoment(playback.now()));
+  byId("tracker").addEventListener("change", (event) => loadRun(Number(event.target.value)));
   byId("recording").addEventListener("change", (event) => loadRecording(Number(event.target.value)));
   document.documentElement.addEventListener("theme", drawAll);
   addEventListener("beforeprint", () => forPaper(true));
@@ -269,17 +304,11 @@ function listen() {
   addEventListener("resize", () => showMoment(playback.now()));
 }
 
-byId("recording").replaceChildren(...data.recordings.map((recording, k) => option(k, recording.name)));
-byId("recording-label").style.display = data.recordings.length > 1 ? "" : "none";
-byId("statements").replaceChildren(...data.statements.map((text) => {
-  const item = document.createElement("li");
-  item.textContent = text;
-  return item;
-}));
-byId("summary").textContent = data.tracker;
+byId("tracker").replaceChildren(...data.runs.map((run, k) => option(k, run.name)));
+byId("tracker-label").style.display = data.runs.length > 1 ? "" : "none";
 byId("command").textContent = data.command;
 fillMetrics();
 Plotly.newPlot(plot, [], {}, CONFIG);
 Plotly.newPlot(series, [], {}, CONFIG);
 listen();
-loadRecording(0);
+loadRun(0);

@@ -11,16 +11,17 @@ function element(kind, className, parent) {
   return made;
 }
 
-/** The overlay of the chart `plot`; `draw(time, selected, tail)` shows a moment. */
+/** The overlay of the chart `plot`; `load(recording, view)`, `draw(time, selected, tail)` shows a moment. */
 function makeOverlay(plot) {
   const svg = element("svg", "overlay", plot), frame = element("g", "", svg);
   const clip = element("clipPath", "", svg), box = element("rect", "", clip);
   clip.id = "plan-clip";
   frame.setAttribute("clip-path", "url(#plan-clip)");
-  let recording = null, parts = [];
+  let recording = null, view = null, parts = [];
 
-  function load(next) {
+  function load(next, nextView) {
     recording = next;
+    view = nextView;
     frame.replaceChildren();
     parts = recording.tracks.map((track, k) => {
       const group = element("g", "", frame), colour = lineColour(k);
@@ -44,48 +45,49 @@ function makeOverlay(plot) {
       return flip ? (v) => axis._offset + axis._length - (v - from) * factor : (v) => axis._offset + (v - from) * factor;
     };
     const px = scale(xaxis, false), py = scale(yaxis, true);
+    const corners = (places) => places.map(([x, y]) => `${px(x).toFixed(1)},${py(y).toFixed(1)}`).join(" ");
     for (const [name, value] of [["x", xaxis._offset], ["y", yaxis._offset], ["width", xaxis._length], ["height", yaxis._length]]) {
       box.setAttribute(name, value);
     }
     tracks.forEach((track, k) => {
-      const part = parts[k], row = rowAt(recording, track, time), { v0, v1, e0, e1, t } = columns;
+      const part = parts[k], row = rowAt(recording, track, time), { v0, e0, t } = columns;
       const there = row >= 0 && Number.isFinite(v0[row]) && time - t[row] <= FADE_S;
       part.group.style.display = there && (selected < 0 || selected === k) ? "" : "none";
       if (part.group.style.display) return;
-      const x = px(v0[row]), y = py(v1[row]);
-      part.tag.setAttribute("cx", x);
-      part.tag.setAttribute("cy", y);
+      const [x, y] = view.at(row);
+      part.tag.setAttribute("cx", px(x));
+      part.tag.setAttribute("cy", py(y));
       part.tag.setAttribute("r", selected === k ? 7 : 5.5);
       part.tag.classList.toggle("selected", selected === k);
       part.tag.classList.toggle("lost", recording.statuses[columns.status[row]] === "lost");
       part.tag.dataset.row = row;
       const points = [];
       for (let at = row; at >= track.first && time - t[at] <= tail; at--) {
-        if (Number.isFinite(v0[at])) points.push(`${px(v0[at]).toFixed(1)},${py(v1[at]).toFixed(1)}`);
+        if (Number.isFinite(v0[at])) points.push(view.at(at));
       }
-      part.tail.setAttribute("points", points.join(" "));
-      part.ellipse.setAttribute("points", ellipse(columns, row, px, py));
+      part.tail.setAttribute("points", corners(points));
+      part.ellipse.setAttribute("points", corners(view.region(row)));
       const known = Number.isFinite(e0[row]);
       part.truth.style.display = part.miss.style.display = known ? "" : "none";
       if (!known) return;
-      const u = px(v0[row] - e0[row]), v = py(v1[row] - e1[row]);
+      const [u, v] = [px(view.truth(row)[0]), py(view.truth(row)[1])], [begin, end] = view.miss(row);
       part.truth.setAttribute("d", `M${u - 6},${v}h12M${u},${v - 6}v12`);
-      for (const [name, value] of [["x1", x], ["y1", y], ["x2", u], ["y2", v]]) part.miss.setAttribute(name, value);
+      for (const [name, value] of [["x1", px(begin[0])], ["y1", py(begin[1])], ["x2", px(end[0])], ["y2", py(end[1])]]) part.miss.setAttribute(name, value);
     });
   }
 
   return { load, draw };
 }
 
-/** Corners of the 95 % ellipse of a row, in pixels; none without a covariance. */
-function ellipse(columns, row, px, py) {
+/** Corners of the 95 % ellipse of a row, m; none without a covariance. */
+function ellipse(columns, row) {
   const a = columns.s0[row] ** 2, b = columns.cov[row], c = columns.s1[row] ** 2;
-  if (!(a > 0 && a * c - b * b > 0)) return "";
+  if (!(a > 0 && a * c - b * b > 0)) return [];
   // Cholesky factor of the covariance: it takes the circle to the ellipse.
   const l11 = Math.sqrt(a), l21 = b / l11, l22 = Math.sqrt(c - l21 * l21), radius = Math.sqrt(LEVEL_95), corners = [];
   for (let k = 0; k < 40; k++) {
     const u = radius * Math.cos(k * Math.PI / 20), v = radius * Math.sin(k * Math.PI / 20);
-    corners.push(`${px(columns.v0[row] + l11 * u).toFixed(1)},${py(columns.v1[row] + l21 * u + l22 * v).toFixed(1)}`);
+    corners.push([columns.v0[row] + l11 * u, columns.v1[row] + l21 * u + l22 * v]);
   }
-  return corners.join(" ");
+  return corners;
 }

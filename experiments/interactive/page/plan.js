@@ -1,21 +1,46 @@
 // The floor plan: rig, true paths and estimates; the overlay draws upon it what moves.
 
-const MOST_TRUTHS = 6;  // more true paths would hide the estimates
+/** What the plan draws of a recording of positions: places of a row, what surrounds them, and the layout. */
+function floorOf(recording) {
+  const { columns } = recording;
+  const at = (row) => [columns.v0[row], columns.v1[row]];
+  const truth = (row) => [columns.v0[row] - columns.e0[row], columns.v1[row] - columns.e1[row]];
+  const { rig } = recording;
+  return {
+    at,
+    truth,
+    region: (row) => ellipse(columns, row),
+    miss: (row) => [at(row), truth(row)],
+    background: () => floorTraces(rig),
+    mounted: () => [...mountedAt(rig.anchors, "anchor", "triangle-up"), ...mountedAt(rig.stations, "station", "square")],
+    layout: () => planLayout(recording),
+    words: "",
+  };
+}
 
-/** The traces of the plan; `shown`: the tracks whose estimates are drawn; `window`: their times. */
-function planTraces(recording, shown, kind, window, trackOf) {
-  const { columns, rig, tracks } = recording, traces = [], soft = themed("soft"), ink = themed("ink");
-  const lines = (segments) => ({
-    x: segments.flatMap((s) => [s[0], s[2], null]), y: segments.flatMap((s) => [s[1], s[3], null]),
-    type: "scatter", mode: "lines", hoverinfo: "skip", showlegend: false,
-  });
-  if (rig.walls.length) traces.push({ ...lines(rig.walls), line: { color: soft, width: 3 } });
+/** Walls and the known path. */
+function floorTraces(rig) {
+  const soft = themed("soft"), traces = [];
+  if (rig.walls.length) {
+    traces.push({
+      x: rig.walls.flatMap((s) => [s[0], s[2], null]), y: rig.walls.flatMap((s) => [s[1], s[3], null]), type: "scatter",
+      mode: "lines", hoverinfo: "skip", showlegend: false, line: { color: soft, width: 3 },
+    });
+  }
   if (rig.path.length) {
     traces.push({
       x: rig.path.map((p) => p[0]), y: rig.path.map((p) => p[1]), type: "scatter", mode: "lines", name: "known path",
       hoverinfo: "skip", line: { color: soft, width: 1, dash: "dot" },
     });
   }
+  return traces;
+}
+
+const MOST_TRUTHS = 6;  // more true paths would hide the estimates
+
+/** The traces of the plan by its `view`; `shown`: the tracks whose estimates are drawn; `window`: their times. */
+function planTraces(recording, view, shown, kind, window, trackOf) {
+  const { columns, tracks } = recording, traces = view.background(), ink = themed("ink");
   const rows = [], truth = [[], []], ends = [[], [], []];
   for (const k of shown) {
     const own = rowsWithin(columns, tracks[k].first, tracks[k].end, window).filter((row) => columns.v0[row] === columns.v0[row]);
@@ -24,11 +49,12 @@ function planTraces(recording, shown, kind, window, trackOf) {
     if (shown.length > MOST_TRUTHS) continue;
     const path = thinned(own, columns.t, Math.max(400, 12000 / shown.length));
     for (const axis of [0, 1]) {
-      truth[axis].push(...broken(path, columns.t, (row) => columns[`v${axis}`][row] - columns[`e${axis}`][row]), null);
+      truth[axis].push(...broken(path, columns.t, (row) => view.truth(row)[axis]), null);
     }
     if (own.length) {
       for (const [row, mark] of [[own[0], "circle-open"], [own[own.length - 1], "square-open"]]) {
-        ends[0].push(columns.v0[row]); ends[1].push(columns.v1[row]); ends[2].push(mark);
+        const [x, y] = view.at(row);
+        ends[0].push(x); ends[1].push(y); ends[2].push(mark);
       }
     }
   }
@@ -37,15 +63,14 @@ function planTraces(recording, shown, kind, window, trackOf) {
                   line: { color: ink, width: 1.2, dash: "dash" } });
   }
   traces.push({
-    x: rows.map((row) => columns.v0[row]), y: rows.map((row) => columns.v1[row]), customdata: rows, type: MARKS,
+    x: rows.map((row) => view.at(row)[0]), y: rows.map((row) => view.at(row)[1]), customdata: rows, type: MARKS,
     mode: "markers", name: "estimates", hoverinfo: "none", meta: "estimates", showlegend: kind !== "source",
     marker: { size: rows.length > 5000 ? 3.5 : 5, opacity: 0.75, ...markerColours(recording, kind, rows, trackOf) },
   });
   if (kind === "source") traces.push(...sourceLegend(recording));
   traces.push({ x: ends[0], y: ends[1], type: "scatter", mode: "markers", name: "start ○ and end □", hoverinfo: "skip",
                 marker: { symbol: ends[2], size: 13, color: ink, line: { width: 2 } } });
-  const mounted = [...mountedAt(rig.anchors, "anchor", "triangle-up"), ...mountedAt(rig.stations, "station", "square")];
-  return [...traces, ...mounted];
+  return [...traces, ...view.mounted()];
 }
 
 const sourceLegend = (recording) => recording.sources.map((name, k) => ({
@@ -95,9 +120,9 @@ function planRanges(recording) {
 
 function planLayout(recording) {
   const [x, y] = planRanges(recording), [xFrom, yFrom] = recording.origin;
-  return layoutOf({
+  return {
     xaxis: { title: { text: fromOrigin("x", xFrom) }, range: x, zeroline: false },
     yaxis: { title: { text: fromOrigin("y", yFrom) }, range: y, zeroline: false, scaleanchor: "x" },
     hovermode: "closest", dragmode: "pan", uirevision: recording.name, margin: { l: 56, r: 12, t: 40, b: 44 },
-  });
+  };
 }

@@ -5,7 +5,10 @@ const LINE_POINTS = 2500, PANEL = 150;
 /** Panels of a recording: axes, NIS, kinds of residuals. */
 function panelsOf(recording) {
   const known = recording.tracks.some((track) => track.rmse !== null), panels = [];
-  for (const axis of recording.axes) panels.push({ kind: known ? "error" : "value", axis });
+  for (const axis of recording.axes) {
+    if (recording.angles || !known) panels.push({ kind: "value", axis });
+    if (known) panels.push({ kind: "error", axis });
+  }
   if (recording.nisBand) panels.push({ kind: "nis" });
   for (const channel of recording.residuals.channels) panels.push({ kind: "residual", channel });
   return panels;
@@ -16,35 +19,47 @@ function seriesFigure(recording, number, window) {
   const { columns, tracks } = recording, track = tracks[number], panels = panelsOf(recording);
   const rows = rowsWithin(columns, track.first, track.end, window), traces = [], layout = {};
   const height = 1 / panels.length, gap = 0.16 * height;
-  const time = (kept) => broken(kept, columns.t, (row) => recording.start + columns.t[row]);
+  const named = new Set(), once = (name) => !named.has(name) && Boolean(named.add(name));
   panels.forEach((panel, k) => {
     const id = k ? k + 1 : "", on = { xaxis: "x", yaxis: `y${id}`, type: "scatter", mode: "lines" };
-    const first = k === 0, top = 1 - k * height;
+    const top = 1 - k * height;
     const axis = { domain: [top - height + gap, top], zeroline: false };
     if (panel.kind === "error" || panel.kind === "value") {
       const { name, unit, error, sigma, value, bound } = panel.axis;
       const isError = panel.kind === "error", column = columns[isError ? error : value];
-      const kept = thinned(rows, column, LINE_POINTS), at = time(kept);
+      const apart = (row, before) => recording.angles && Math.abs(column[row] - column[before]) > 180;
+      const kept = thinned(rows, column, LINE_POINTS), drawn = (of) => broken(kept, columns.t, of, apart);
+      const at = drawn((row) => recording.start + columns.t[row]);
       const shift = isError ? 0 : recording.origin[panel.axis.value.slice(1)] * (recording.angles ? 0 : 1) || 0;
-      const line = (sign) => broken(kept, columns.t, (row) => (isError ? 0 : shift + column[row]) + sign * 3 * columns[sigma][row]);
+      const line = (sign) => drawn((row) => (isError ? 0 : shift + column[row]) + sign * 3 * columns[sigma][row]);
       const hover = `%{y:.${digitsOf(unit)}f} ${unit}`;
-      traces.push(
+      const band = kept.some((row) => Number.isFinite(columns[sigma][row])) ? [
         { ...on, x: at, y: line(-1), line: { width: 0 }, hoverinfo: "skip", showlegend: false },
         { ...on, x: at, y: line(1), line: { width: 0 }, fill: "tonexty", fillcolor: "rgba(86,180,233,.28)",
-          name: "reported ± 3 σ", legendgroup: "sigma", showlegend: first, hovertemplate: `± ${hover}` },
-        { ...on, x: at, y: broken(kept, columns.t, (row) => shift + column[row]), line: { color: themed("blue"), width: 1.2 },
-          name: isError ? "error" : "estimate", legendgroup: "error", showlegend: first, hovertemplate: hover },
+          name: "reported ± 3 σ", legendgroup: "sigma", showlegend: once("sigma"), hovertemplate: isError ? `± ${hover}` : hover },
+      ] : [];
+      traces.push(...band,
+        { ...on, x: at, y: drawn((row) => shift + column[row]), line: { color: themed("blue"), width: 1.2 },
+          name: isError ? "error" : "estimate", legendgroup: panel.kind, showlegend: once(panel.kind), hovertemplate: hover },
       );
+      if (!isError && track.rmse !== null) {
+        const trueValue = (row) => withinHalfTurn(column[row] - columns[error][row]);
+        const jumps = (row, before) => Math.abs(trueValue(row) - trueValue(before)) > 180;
+        const known = kept.filter((row) => Number.isFinite(columns[error][row]));
+        const along = (of) => broken(known, columns.t, of, jumps);
+        traces.push({ ...on, x: along((row) => recording.start + columns.t[row]), y: along(trueValue), name: "truth", legendgroup: "truth",
+                      showlegend: once("truth"), line: { color: themed("ink"), width: 1.2, dash: "dash" }, hovertemplate: `true ${hover}` });
+      }
       if (isError && recording.bounds && bound && recording.bounds[bound]) {
         const t = Array.from(recording.bounds.t, (s) => s + recording.start);
         for (const sign of [1, -1]) {
           traces.push({ ...on, x: t, y: Array.from(recording.bounds[bound], (b) => 3 * sign * b), name: "± 3 × Cramér–Rao bound",
-                        legendgroup: "bound", showlegend: first && sign > 0, line: { color: "#d55e00", width: 1.1, dash: "dash" },
+                        legendgroup: "bound", showlegend: sign > 0 && once("bound"), line: { color: "#d55e00", width: 1.1, dash: "dash" },
                         hoverinfo: "skip" });
         }
       }
-      axis.title = { text: `${isError ? "error in " : ""}${name} (${unit})` };
-      axis.range = isError ? errorRange(columns, rows, error, sigma) : undefined;
+      axis.title = { text: `${isError ? `error in${name.length > 9 ? "<br>" : " "}` : ""}${name} (${unit})` };
+      axis.range = isError ? errorRange(columns, rows, error, sigma) : recording.angles ? angleRange(columns, rows, panel.axis) : undefined;
     } else if (panel.kind === "nis") {
       const ratio = (row) => columns.nis[row] / columns.dof[row];
       const kept = thinned(rows, columns.nis, LINE_POINTS);
@@ -70,6 +85,16 @@ const bandShape = (axis, [low, high]) => ({
   type: "rect", xref: "paper", x0: 0, x1: 1, yref: axis, y0: low, y1: high, fillcolor: "rgba(0,158,115,.14)", line: { width: 0 },
   layer: "below",
 });
+
+/** The estimated and true angles with a margin of the usual 3 σ, degrees. */
+function angleRange(columns, rows, { value, error, sigma }) {
+  const angles = rows.flatMap((row) => [columns[value][row], withinHalfTurn(columns[value][row] - columns[error][row])]).filter(Number.isFinite);
+  if (!angles.length) return undefined;
+  const sigmas = rows.map((row) => columns[sigma][row]).filter(Number.isFinite).sort((a, b) => a - b);
+  const low = angles.reduce((a, b) => Math.min(a, b)), high = angles.reduce((a, b) => Math.max(a, b));
+  const margin = 0.06 * (high - low) + Math.min(3 * (sigmas[sigmas.length >> 1] || 0.3), 20);
+  return [low - margin, high + margin];
+}
 
 /** Half the axis: every error that lasts for two rows, and the usual 3 σ band up to four times as much. */
 function errorRange(columns, rows, error, sigma) {

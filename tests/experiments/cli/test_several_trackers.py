@@ -37,6 +37,12 @@ def test_several_trackers_are_compared_in_one_table_with_paired_differences_and_
     figures = {path.name for path in (folder / "two").glob("*.png")}
     assert figures == {"comparison-errors.png", "comparison-floor_plans.png"}
     page = (folder / "two" / "comparison.html").read_text()
+    moving = (folder / "two" / "report.html").read_text()
+    runs = json.loads(moving.split('id="data">')[1].split("</script>")[0])["runs"]
+    assert [(run["name"], run["recordings"][0]["name"]) for run in runs] == [
+        ("moving-average", "good"),
+        ("median", "good"),
+    ]
     # The distribution of errors, their boxes, and a floor plan by each tracker.
     assert page.count('<img src="data:image/svg+xml;base64,') == 4
     assert "adjusted for" in page

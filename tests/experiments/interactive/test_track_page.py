@@ -3,6 +3,7 @@
 import base64
 import json
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
@@ -12,9 +13,11 @@ import pytest
 from experiments.interactive.decimation import drawn_rows, drawn_tracks
 from experiments.interactive.packing import packed, script_json
 from experiments.interactive.summaries import error_map
-from experiments.interactive.track_page import page_data, track_page
-from tests.experiments.interactive.small_tracks import BIAS, NASTY, TAGS, small_tracks
+from experiments.interactive.track_page import run_data, track_page
+from experiments.scored_tracks import IN_PLANE, ScoredTracks, drawn_of
+from tests.experiments.interactive.small_tracks import BIAS, NASTY, TAGS, small_bearings, small_tracks
 from trackers.evaluation import evaluate
+from trackers.recordings.association import associate_truth
 from trackers.recordings.columns import float_column
 
 NO_EVENTS = pl.DataFrame(
@@ -34,7 +37,7 @@ def tracks():
 @pytest.fixture(scope="module")
 def recording(tracks):
     event = pl.DataFrame({"recording": ["hall"], "tag": ["B"], "t_s": [5.0], "event": ["lost"], "detail": [""]})
-    return page_data(tracks, event, None)["recordings"][0]
+    return run_data(tracks, event, None, "uwb")["recordings"][0]
 
 
 def test_the_columns_are_those_of_the_table(tracks, recording):
@@ -80,7 +83,7 @@ def test_the_map_holds_the_root_mean_square_error_of_each_cell(tracks):
 
 
 def test_the_calibration_of_correct_covariances_is_the_diagonal():
-    recording = page_data(small_tracks(rows=900), NO_EVENTS, None)["recordings"][0]
+    recording = run_data(small_tracks(rows=900), NO_EVENTS, None, "uwb")["recordings"][0]
     share = _unpacked(recording["calibration"]["curves"]["horizontal"]["share"])
     np.testing.assert_allclose(share, np.arange(101), atol=4)
 
@@ -104,17 +107,17 @@ def test_of_many_tracks_the_worst_the_median_and_the_best_are_drawn():
 
 def test_a_long_recording_is_decimated_within_the_size_of_a_page():
     tracks = small_tracks(rows=500, tags=tuple(f"tag-{k}" for k in range(200)))
-    text = track_page(tracks, NO_EVENTS, None, "uwb", "trackwright track hall")
+    run = run_data(tracks, NO_EVENTS, None, "uwb")
+    text = track_page([run], "trackwright track hall")
     assert len(text.encode()) < 8e6
-    (recording,) = page_data(tracks, NO_EVENTS, None)["recordings"]
+    (recording,) = run["recordings"]
     assert recording["rows"] == 100_000
     assert recording["drawn"] <= 25_400
 
 
 def test_no_text_of_a_user_ends_a_script_or_becomes_markup(tracks):
-    text = track_page(
-        tracks, NO_EVENTS, evaluate(tracks.association, tracks.folders), f"mine {NASTY}", f"track {NASTY}"
-    )
+    evaluation = evaluate(tracks.association, tracks.folders)
+    text = track_page([run_data(tracks, NO_EVENTS, evaluation, f"mine {NASTY}", NASTY)], f"track {NASTY}")
     assert NASTY not in text
 
     class Scripts(HTMLParser):
@@ -136,6 +139,72 @@ def test_no_text_of_a_user_ends_a_script_or_becomes_markup(tracks):
     assert parser.kinds == ["application/json", None, None, None]
     assert json.loads(parser.data)["command"] == f"track {NASTY}"
     assert not re.search(r'(src|href)="', text[: text.index('<script type="application/json"')])
+
+
+def test_a_direction_in_an_arrays_plane_is_one_angle_and_a_turn_of_it_is_no_error():
+    tracks, estimate, true = small_bearings(in_plane=True)
+    run = run_data(tracks, NO_EVENTS, evaluate(tracks.association, tracks.folders), "das")
+    (recording,) = run["recordings"]
+    (axis,), columns = recording["axes"], {name: _unpacked(own) for name, own in recording["columns"].items()}
+    assert axis["name"] == IN_PLANE
+    turn = np.abs(columns["v0"] - estimate[:, 0]) % 360
+    np.testing.assert_allclose(np.minimum(turn, 360 - turn), 0, atol=1e-3)
+    np.testing.assert_allclose(columns["e0"], estimate[:, 0] - true[:, 0], atol=1e-3)
+    np.testing.assert_allclose(columns["miss"], np.abs(estimate[:, 0] - true[:, 0]), atol=1e-3)
+    np.testing.assert_allclose(columns["s0"], np.degrees(0.03), rtol=1e-5)
+    rmse = np.sqrt(np.mean((estimate - true)[:, 0] ** 2))
+    assert recording["tracks"][0]["rmse"] == pytest.approx(rmse, rel=1e-3)
+    assert [curve["name"] for curve in recording["distribution"]] == [IN_PLANE]
+    assert list(recording["calibration"]["curves"]) == [IN_PLANE]
+    for line in run["metrics"]:
+        assert "rmse_azimuth_rad" not in line
+        assert np.degrees(line["rmse_direction_rad"]) == pytest.approx(rmse, rel=1e-3)
+
+
+def test_azimuth_and_elevation_are_in_degrees_with_their_errors():
+    tracks, estimate, true = small_bearings(in_plane=False)
+    (recording,) = run_data(tracks, NO_EVENTS, None, "beam")["recordings"]
+    assert [axis["name"] for axis in recording["axes"]] == ["azimuth", "elevation"]
+    columns = recording["columns"]
+    for k in range(2):
+        np.testing.assert_allclose(_unpacked(columns[f"e{k}"]), (estimate - true)[:, k], atol=1e-3)
+    # the angle between two directions is about the error of the elevation and that of the azimuth on its circle
+    flat = np.hypot((estimate - true)[:, 0] * np.cos(np.radians(true[:, 1])), (estimate - true)[:, 1])
+    np.testing.assert_allclose(_unpacked(columns["miss"]), flat, rtol=0.05)
+
+
+def test_errors_of_a_given_height_are_in_no_column():
+    for std, there in ((0.0, False), (0.4, True)):
+        tracks = small_tracks()
+        rows = tracks.association.rows.with_columns(std_z_m=pl.lit(std))
+        tracks = ScoredTracks(tracks.association._replace(rows=rows), tracks.folders, [])
+        run = run_data(tracks, NO_EVENTS, evaluate(tracks.association, tracks.folders), "uwb")
+        assert {"rmse_3d_m" in line for line in run["metrics"]} == {there}
+        assert len(run["recordings"][0]["axes"]) == 2 + there
+
+
+def test_of_many_recordings_the_worst_the_median_and_the_best_have_figures():
+    rmse = np.array([0.2, np.nan, 0.05, 0.9, 0.4, 0.3])
+    why = drawn_of(rmse, angles=False)
+    assert why == {3: "worst of 5, RMSE 90 cm", 5: "median of 5, RMSE 30 cm", 2: "best of 5, RMSE 5 cm"}
+    assert drawn_of(rmse[:4], angles=False) == dict.fromkeys(range(4), "")
+    assert drawn_of(np.full(9, np.nan), angles=False) == dict.fromkeys(range(4), "")
+    assert drawn_of(np.radians([1, 2, 3, 4, 5.0]), angles=True)[4] == "worst of 5, RMSE 5 °"
+
+
+def test_the_page_says_which_recordings_have_figures_and_why():
+    one = small_tracks(tags=("A",))
+    table, truth = one.association.rows, one.folders[0].tables["truth"]
+    folders = [replace(one.folders[0], name=f"hall-{k}") for k in range(6)]
+    shifted = [
+        table.with_columns(pl.col("x_m") + 0.2 * (k % 5), recording=pl.lit(f.name)) for k, f in enumerate(folders)
+    ]
+    tracks = ScoredTracks(associate_truth(pl.concat(shifted), {f.name: truth for f in folders}), folders, [])
+    words = run_data(tracks, NO_EVENTS, None, "uwb", figures=True)["figures"]
+    assert re.search(r"hall-4 \(worst of 6.*hall-2 \(median of 6.*hall-[05] \(best of 6", words)
+    unknown = ScoredTracks(associate_truth(pl.concat(shifted), {}), folders, [])
+    assert "first 4 of 6" in run_data(unknown, NO_EVENTS, None, "uwb", figures=True)["figures"]
+    assert run_data(one, NO_EVENTS, None, "uwb", figures=True)["figures"] == ""
 
 
 def test_json_of_a_script_holds_what_was_given():

@@ -4,9 +4,9 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.interactive.track_page import write_track_page
+from experiments.interactive.track_page import run_data, write_track_page
 from tests.browser import chromium, watched
-from tests.experiments.interactive.small_tracks import NASTY, small_tracks
+from tests.experiments.interactive.small_tracks import NASTY, TAGS, small_bearings, small_tracks
 from trackers.evaluation import evaluate
 from trackers.recordings.columns import float_column
 
@@ -37,7 +37,8 @@ def browser():
 def _written(folder, tracks):
     event = pl.DataFrame({"recording": ["hall"], "tag": ["B"], "t_s": [5.0], "event": ["lost"], "detail": ["for 2 s"]})
     evaluation = evaluate(tracks.association, tracks.folders)
-    write_track_page(folder / "report.html", tracks, event, evaluation, f"uwb: {NASTY}", "trackwright track hall")
+    run = run_data(tracks, event, evaluation, f"uwb: {NASTY}")
+    write_track_page(folder / "report.html", [run], "trackwright track hall")
     return (folder / "report.html").as_uri()
 
 
@@ -98,6 +99,67 @@ def test_slider_keys_and_hover_show_what_the_table_holds(browser, tmp_path):
     assert page.locator("#ticks i").count() == 1
     assert page.title() == "hall · trackwright track"
     assert errors == []
+
+
+NO_EVENTS = pl.DataFrame(schema={"recording": pl.String, "tag": pl.String, "t_s": pl.Float64, "event": pl.String})
+
+
+def test_the_tracker_is_chosen_and_the_moment_and_the_tag_stay(browser, tmp_path):
+    first, second = small_tracks(seed=1), small_tracks(rows=60, seed=2)
+    runs = [
+        run_data(t, NO_EVENTS, evaluate(t.association, t.folders), f"{name}: a tracker", name, 2)
+        for name, t in (("uwb", first), (NASTY, second))
+    ]
+    write_track_page(tmp_path / "report.html", runs, "trackwright track hall")
+    page, errors = _opened(browser, (tmp_path / "report.html").as_uri())
+    page.select_option("#tag", label=page.locator("#tag option", has_text="B ·").inner_text())
+    _go(page, 3.02)
+    page.select_option("#tracker", label=NASTY)
+    assert page.inner_text("#summary") == f"{NASTY}: a tracker"
+    assert page.inner_text("#clock") == "6.02 s"
+    assert page.inner_text("#now h3") == "tag B"
+    rows = second.association.rows
+    own = np.flatnonzero((rows["tag"] == "B").to_numpy())[30]
+    x, y, pixel = page.evaluate(PLACE, [".tag", "B"])
+    assert np.hypot(x - rows["x_m"][int(own)], y - rows["y_m"][int(own)]) < pixel
+    cells = [row.inner_text().split("\t") for row in page.locator("#metrics tbody tr").all()]
+    assert [row[:3] for row in cells[:4]] == [
+        ["hall", "", "uwb"],
+        ["hall", "", NASTY],
+        *[["hall", cells[2][1], n] for n in ("uwb", NASTY)],
+    ]
+    assert len(cells) == 2 + 2 * len(TAGS)
+    page.locator("#metrics tbody tr").first.click()
+    assert page.input_value("#tracker") == "0"
+    assert errors == []
+
+
+@pytest.mark.parametrize("in_plane", [True, False])
+def test_directions_are_drawn_around_the_station(browser, tmp_path, in_plane):
+    tracks, estimate, true = small_bearings(in_plane)
+    run = run_data(tracks, NO_EVENTS, evaluate(tracks.association, tracks.folders), "beam")
+    write_track_page(tmp_path / "report.html", [run], "trackwright track yard")
+    page, errors = _opened(browser, (tmp_path / "report.html").as_uri())
+    for row in (3, 30, 55):
+        _go(page, 0.1 * row + 0.02)
+        for kind, angles in ((".tag", estimate), (".truth", true)):
+            x, y, pixel = page.evaluate(PLACE, [kind, "A, station S"])
+            # from the array's x axis to the right, or from the boresight up, to the left
+            angle = np.arctan2(y, x) if in_plane else np.arctan2(-x, y)
+            turn = np.exp(1j * (angle - np.radians(angles[row, 0])))
+            assert abs(np.angle(turn)) * np.hypot(x, y) < 1.5 * pixel
+    names = ["in-plane angle"] if in_plane else ["azimuth", "elevation"]
+    expected = [words for name in names for words in (name, f"error in {name}")]
+    assert [title.replace(" (°)", "") for title in _words(page)][: len(expected)] == expected
+    assert errors == []
+
+
+def _words(page):
+    """The titles of the axes of the charts over time, from the top, their lines joined."""
+    found = page.evaluate(
+        "[...Array(9).keys()].map(k => document.getElementById('series').layout[`yaxis${k ? k + 1 : ''}`])"
+    )
+    return [axis["title"]["text"].replace("<br>", " ") for axis in found if axis]
 
 
 @pytest.mark.slow
