@@ -1,4 +1,4 @@
-"""Plots for notebooks, `trackwright.plot`: each draws on given or new axes of matplotlib and returns them."""
+"""Plots for notebooks, `trackwright.plot`: on given or new axes of matplotlib, which they return, or as a page."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
+from experiments.interactive.playback import playback
 from experiments.plots.style import BLACK, GREY, LINES, SKY, broken_at_gaps
 from experiments.reports.wording import length_unit
 from trackers.core.errors import UnusableInput
@@ -20,7 +21,7 @@ from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracks import Tracks
 from trackers.recordings.tracks_table import is_bearing
 
-__all__ = ["error_cdf", "error_over_time", "floor_plan"]
+__all__ = ["error_cdf", "error_over_time", "floor_plan", "playback"]
 
 AnyEstimates = Tracks | Estimates
 AnyRecording = RecordingFolder | Recording

@@ -307,6 +307,7 @@ function listen() {
 byId("tracker").replaceChildren(...data.runs.map((run, k) => option(k, run.name)));
 byId("tracker-label").style.display = data.runs.length > 1 ? "" : "none";
 byId("command").textContent = data.command;
+byId("command").closest("section").hidden = !data.command;
 fillMetrics();
 Plotly.newPlot(plot, [], {}, CONFIG);
 Plotly.newPlot(series, [], {}, CONFIG);

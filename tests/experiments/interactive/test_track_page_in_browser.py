@@ -4,7 +4,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.interactive.track_page import run_data, write_track_page
+from experiments.interactive.playback import Playback
+from experiments.interactive.track_page import run_data, track_page, write_track_page
 from tests.browser import chromium, watched
 from tests.experiments.interactive.small_tracks import NASTY, TAGS, small_bearings, small_tracks
 from trackers.evaluation import evaluate
@@ -151,6 +152,19 @@ def test_directions_are_drawn_around_the_station(browser, tmp_path, in_plane):
     names = ["in-plane angle"] if in_plane else ["azimuth", "elevation"]
     expected = [words for name in names for words in (name, f"error in {name}")]
     assert [title.replace(" (°)", "") for title in _words(page)][: len(expected)] == expected
+    assert errors == []
+
+
+def test_a_notebook_shows_the_page_in_a_frame(browser, tmp_path):
+    tracks = small_tracks()
+    run = run_data(tracks, NO_EVENTS, None, "uwb")
+    page = browser.new_page()
+    errors = watched(page)
+    page.set_content(f"<h1>notebook</h1>{Playback('hall', track_page([run]))._repr_html_()}")
+    frame = page.frame_locator("iframe")
+    frame.locator("#charts .main-svg").first.wait_for(state="attached")
+    assert frame.locator("circle.tag").count() == len(TAGS)
+    assert not frame.locator("#command").is_visible()
     assert errors == []
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import base64
 import builtins
+import json
 
 import matplotlib as mpl
 import numpy as np
@@ -69,6 +71,35 @@ def test_a_distribution_names_the_rmse_of_each_run(run):
     scale = {"m": 1.0, "cm": 100.0, "mm": 1000.0}[labels[0].split()[-1]]
     assert rmse == pytest.approx(scale * tw.evaluate(estimates, recording)["rmse_m"], rel=0.01)
     assert axes.lines[0].get_ydata()[-1] == 100
+
+
+def test_a_playback_holds_every_estimate_of_each_run(run, in_arrays, tmp_path):
+    recording, estimates = run
+    other = tw.build("median", recording).run(recording)
+    for shown, of, names in (
+        (tw.plot.playback({"fix-kf": estimates, "median": other}, recording), (estimates, other), ["fix-kf", "median"]),
+        (tw.plot.playback(in_arrays[1], in_arrays[0]), (in_arrays[1],), [""]),
+    ):
+        assert len(repr(shown)) < 200
+        assert shown._repr_html_().startswith("<iframe ")
+        page = shown.save(tmp_path / "page.html").read_text("utf-8")
+        runs = json.loads(page.split('id="data">')[1].split("</script>")[0])["runs"]
+        assert [one["name"] for one in runs] == names
+        for one, own in zip(runs, of, strict=True):
+            (held,) = one["recordings"]
+            assert held["rows"] == own.to_polars().height
+            x = np.frombuffer(base64.b64decode(held["columns"]["v0"]["bdata"]), "<f4")
+            np.testing.assert_allclose(np.sort(x), np.sort(own.to_polars()["x_m"].to_numpy()), rtol=1e-6, atol=1e-6)
+            assert one["metrics"][0]["rmse_m"] > 0
+
+
+def test_a_playback_without_truth_has_no_errors(in_arrays):
+    recording = in_arrays[0]
+    bare = tw.fix_recording(recording.times, recording.readings["fixes"].values)
+    page = tw.plot.playback(tw.fix_tracker().run(bare), bare).html
+    (one,) = json.loads(page.split('id="data">')[1].split("</script>")[0])["runs"]
+    assert one["metrics"] == []
+    assert one["recordings"][0]["tracks"][0]["rmse"] is None
 
 
 def test_objects_show_as_short_tables(run, in_arrays):
