@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
-from types import ModuleType
+from types import MappingProxyType, ModuleType
 
 from trackers.core.errors import UnusableInput
 from trackers.recordings.folder import RecordingFolder
@@ -16,11 +16,34 @@ from trackers.recordings.tables import MEASUREMENTS
 from trackers.recordings.tracker_spec import TrackerSpec
 
 SYSTEMS = ("aoa", "line", "uwb_imu", "baselines", "mhk")
-"""The packages whose `rows` have catalogue entries, in the order in which these are tried where none is named."""
+"""The packages whose `rows` have catalogue entries."""
+
+PREFERENCE: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        # No recording: phases of one station alone.
+        "phases of several stations": ("direct", "cascade"),
+        # ble51-uca, six of them.
+        "phases of a station": ("beam", "das"),
+        "bearings": ("bearings",),
+        # ngbui-line, all three.
+        "readings along a known path": ("line-grid", "line-pf"),
+        # Without an IMU lias-still, all three; with one ngbui-line-3-1, and a tie on the two that both were fitted to.
+        "ranges": ("uwb", "multilateration", "trilateration", "trilateration-compensated", "uwb-imu"),
+        # No recording with a floor plan.
+        "fixes on a floor plan": ("floor-pf",),
+        # iasl-drone-1 and all of tiers: the first five are ties, and the simplest is the first.
+        "fixes": ("fix-kf", "fix-singer", "imm", "mhk-stamped", "fix-mirror", "moving-average", "median", "mhk"),
+    }
+)
+"""The trackers by kind of readings, in the order in which these are tried where none is named.
+
+`python -m experiments.validation.choice` finds the order within a kind by the errors on recordings on which the levels
+of neither tracker were fitted, which are named above; docs/which-tracker.md has its figures.
+"""
 
 
 class _Catalogue(Mapping[str, TrackerSpec]):
-    """The entries of all systems. A system is imported when the entries before its own do not suffice."""
+    """The entries of all systems, in the order of preference; a system is imported when one of its entries is used."""
 
     def __getitem__(self, name: str) -> TrackerSpec:
         for entries in _entries():
@@ -29,11 +52,11 @@ class _Catalogue(Mapping[str, TrackerSpec]):
         raise KeyError(name)
 
     def __iter__(self) -> Iterator[str]:
-        for entries in _entries():
-            yield from entries
+        for names in PREFERENCE.values():
+            yield from names
 
     def __len__(self) -> int:
-        return sum(len(entries) for entries in _entries())
+        return sum(len(names) for names in PREFERENCE.values())
 
     def __repr__(self) -> str:
         return f"<TRACKERS: {', '.join(self)}>"

@@ -47,8 +47,8 @@ TRACKERS = {
         "position on a known path from ranges or fixes, particle filter with 1,000 particles (thesis) "
         "(ranges or fixes, and [path])"
     ),
-    "uwb-imu": "position, velocity and attitude from ranges and an IMU, error-state EKF (ranges and imu)",
     "uwb": "position from ranges, EKF with a drifting bias per anchor (ranges)",
+    "uwb-imu": "position, velocity and attitude from ranges and an IMU, error-state EKF (ranges and imu)",
     "multilateration": "position from the latest ranges, robust least squares without a filter (ranges)",
     "trilateration": (
         "planar position from three ranges, intersection of circles (Kwon et al.) without compensation (14) (ranges)"
@@ -61,12 +61,12 @@ TRACKERS = {
     "fix-singer": "position from fixes, Kalman filter, Singer's acceleration model (fixes)",
     "imm": "position from fixes, IMM filter of three constant-velocity models (fixes)",
     "fix-mirror": "position from fixes whose z may be mirrored in the anchors' plane, IMM filter of both sides (fixes)",
+    "mhk-stamped": "mhk, with each estimate at the time of the middle of its median window (fixes)",
     "moving-average": "mean of the last 9 fixes, axis by axis (fixes)",
     "median": "median of the last 9 fixes, axis by axis (fixes)",
     "mhk": (
         "position from fixes: sliding median, hidden Markov model of accelerations, Kalman filter "
         "(Huang et al.) (fixes)"
     ),
-    "mhk-stamped": "mhk, with each estimate at the time of the middle of its median window (fixes)",
 }
 """What each tracker of the catalogue is, and the table it reads."""

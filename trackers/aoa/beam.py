@@ -10,9 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.aoa.beamformer import Grid, direction
-from trackers.aoa.phases import InPlanePhases, PlanePhases
+from trackers.aoa.phases import InPlanePhases, PlanePhases, require_array
 from trackers.core.algebra import Scalar, Vector, diagonal
-from trackers.core.errors import UnusableInput
 from trackers.core.filter import Gaussian
 from trackers.core.inputs import Inputs
 from trackers.core.motion import AbstractMotion, Noise, process_noise
@@ -23,6 +22,9 @@ from trackers.core.state import Heading
 from trackers.core.track_loss import TrackLossPolicy
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import Scale
+
+PHASES = "phases"
+"""The name of a station's phases in the recordings of a tracker of one station."""
 
 
 class Beam(NamedTuple):
@@ -120,7 +122,7 @@ class BeamStart(AbstractStart):
 
 def beam_tracker(
     station: Station,
-    name: str,
+    name: str = PHASES,
     sigma_a: float = 0.5,
     sigma_p: float = 0.2,
     paper_form: bool = False,
@@ -130,23 +132,24 @@ def beam_tracker(
     """The beam tracker of one station, whose phases a recording holds under `name`; `span`: of the start's grid, rad.
 
     `sigma_a` rad/s², `sigma_p` rad. `paper_form`: residuals as printed, see `pairwise` in phases.py. Raises
-    UnusableInput for anything but a station.
+    UnusableInput for anything but a station with an array.
     """
-    if not isinstance(station, Station):
-        raise UnusableInput(
-            f"beam_tracker: found {type(station).__name__}; expected a station, as beam_tracker(rig.stations['1'], '1')"
-        )
+    require_array("beam_tracker", station)
     sensor = PlanePhases(station, sigma_p, paper_form)
     start = BeamStart(name, Grid.of(station, span), Scale(np.deg2rad(30.0), "rad"), Scale(1.0, "rad/s"))
     motion = BeamMotion(process_noise(sigma_a, "rad/s^2"))
     return Tracker(motion, {name: sensor}, start, track_loss=loss or TrackLossPolicy())
 
 
-def in_plane_beam_tracker(station: Station, name: str, sigma_a: float = 0.005, sigma_p: float = 0.7) -> Tracker:
+def in_plane_beam_tracker(
+    station: Station, name: str = PHASES, sigma_a: float = 0.005, sigma_p: float = 0.7
+) -> Tracker:
     """The beam tracker in the plane of a flat array, over all angles; `sigma_a` rad/s² per √Hz, `sigma_p` rad.
 
-    Over all angles ambiguous lobes are close, so track loss is declared earlier than by the default policy.
+    Over all angles ambiguous lobes are close, so track loss is declared earlier than by the default policy. Raises
+    UnusableInput for anything but a station with an array.
     """
+    require_array("in_plane_beam_tracker", station)
     sensor = InPlanePhases(station, sigma_p)
     start = BeamStart(name, Grid.in_plane(station), Scale(np.deg2rad(30.0), "rad"), Scale(0.05, "rad/s"))
     motion = InPlaneBeamMotion(process_noise(sigma_a, "rad/s^2/sqrt(Hz)"))

@@ -11,6 +11,7 @@ import numpy as np
 
 from trackers.aoa.beam import beam_tracker
 from trackers.aoa.fusion import AXES, BEARINGS, ORIGIN, BearingSensor, bearing_inputs, region_centre
+from trackers.aoa.phases import require_arrays
 from trackers.aoa.rays import nearest_to_rays, unit_vector
 from trackers.core.estimates import Status
 from trackers.core.filter import Gaussian
@@ -159,6 +160,7 @@ def cascade_tracker(
 
     `sigma_a_beam` rad/s², `sigma_a` of the fusion m/s² per √Hz; `sigma_p` and the `span` of the start rad.
     """
+    require_arrays("cascade_tracker", stations)
     beams = {name: beam_tracker(s, name, sigma_a_beam, sigma_p, paper_form, span) for name, s in stations.items()}
     sensors = {BEARINGS: BearingSensor(np.deg2rad(0.3), np.deg2rad(0.3), dof=30.0)}
     start = NearbyStart(Scale(0.2, "m"), Scale(0.5, "m/s"), False, 3)

@@ -8,8 +8,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from trackers.aoa.beam import Beam, InPlaneBeam
+from trackers.aoa.beam import PHASES, Beam, InPlaneBeam
 from trackers.aoa.beamformer import Grid, direction
+from trackers.aoa.phases import require_array
 from trackers.core.algebra import triangle
 from trackers.core.estimates import Status
 from trackers.core.layout import Layout
@@ -28,8 +29,12 @@ class DelayAndSum(AbstractEpochwiseTracker):
     name: str = eqx.field(static=True)
 
     @classmethod
-    def of(cls, station: Station, name: str, in_plane: bool = False) -> DelayAndSum:
-        """The beamformer of a station, whose readings a recording holds under `name`, on the paper's grid."""
+    def of(cls, station: Station, name: str = PHASES, in_plane: bool = False) -> DelayAndSum:
+        """The beamformer of a station, whose readings a recording holds under `name`, on the paper's grid.
+
+        Raises UnusableInput for anything but a station with an array.
+        """
+        require_array("DelayAndSum.of", station)
         return cls(Grid.in_plane(station) if in_plane else Grid.of(station), name)
 
     def check_layout(self, layout: Layout) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from trackers.aoa.beamformer import Grid, direction
 from trackers.aoa.fusion import region_centre
-from trackers.aoa.phases import SphericalPhases
+from trackers.aoa.phases import SphericalPhases, require_arrays
 from trackers.aoa.rays import nearest_to_rays, unit_vector
 from trackers.core.algebra import Scalar, Vector, diagonal, total
 from trackers.core.filter import Gaussian
@@ -79,6 +79,7 @@ def direct_tracker(
 
     `span`: half-width of the start's grid, rad. `planar`: at a known height.
     """
+    require_arrays("direct_tracker", stations)
     sensors = {name: SphericalPhases(s, sigma_p) for name, s in stations.items()}
     start = PhaseStart(
         region_centre(stations),

@@ -15,6 +15,7 @@ import numpy as np
 
 from trackers.aoa.calibrated import CALIBRATION, measured_angles
 from trackers.core.algebra import Scalar, Vector, total
+from trackers.core.errors import is_count, require
 from trackers.core.inputs import HEIGHT, Input, Inputs, Need
 from trackers.core.motion import Noise
 from trackers.core.rig import Station
@@ -166,6 +167,8 @@ def bearing_tracker(
     numbers as in `BearingSensor`. The defaults are for uncalibrated stations whose bearings are averages over 0.5 s;
     those of calibrated ones are `CALIBRATED`. `planar`: at a known height.
     """
+    expected = "the number of stations, as bearing_tracker(len(rig.stations))"
+    require(is_count(stations), "bearing_tracker", stations, expected)
     biases = 2 * stations
     return Tracker(
         DriftingBiases(biases, sigma_a, sigma_z, memory, np.array(sigma_bias), time_constant, length, "rad"),

@@ -8,7 +8,7 @@ differ only where a difference wraps: see `centred`, `pairwise` and docs/papers.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -18,6 +18,7 @@ import numpy as np
 
 from trackers.aoa.circular import circular_mean
 from trackers.core.algebra import Scalar, Vector, compute_once, total
+from trackers.core.errors import require
 from trackers.core.inputs import HEIGHT, Input, Inputs
 from trackers.core.motion import Noise, as_scale
 from trackers.core.rig import Station
@@ -202,3 +203,17 @@ def _array(station: Station) -> tuple[np.ndarray, float]:
     if station.antennas is None or station.wavelength is None:
         raise ValueError("a phase sensor needs a station with antennas and a wavelength; this one reports angles")
     return np.asarray(station.antennas, float), float(station.wavelength)
+
+
+def require_array(function: str, station: Any) -> None:
+    """Refuse anything but a station with antennas as the station of a tracker's constructor."""
+    ready = isinstance(station, Station) and station.antennas is not None and station.wavelength is not None
+    require(ready, function, station, "a station with antennas and a wavelength, as rig.stations['1']")
+
+
+def require_arrays(function: str, stations: Any) -> None:
+    """Refuse anything but stations with antennas by name as the stations of a tracker's constructor."""
+    found = isinstance(stations, Mapping) and len(stations) > 0
+    require(found, function, stations, f"stations with antennas by name, as {function}(rig.stations)")
+    for name, station in stations.items():
+        require_array(f"{function}: station {name}", station)

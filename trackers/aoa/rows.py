@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from trackers.aoa.beam import beam_tracker, in_plane_beam_tracker
+from trackers.aoa.beam import PHASES, beam_tracker, in_plane_beam_tracker
 from trackers.aoa.cascade import cascade_tracker
 from trackers.aoa.das import DelayAndSum
 from trackers.aoa.direct import direct_tracker
@@ -22,10 +22,8 @@ from trackers.recordings.checks.readings import readings as readings_of
 from trackers.recordings.checks.repeats import repeated_share
 from trackers.recordings.columns import TagRows
 from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.tracker_spec import TrackerSpec, on_request
+from trackers.recordings.tracker_spec import TrackerSpec
 from trackers.recordings.trajectories import Trajectories, Trajectory, known_height, known_heights, trajectories_of
-
-PHASES = "phases"
 
 REPEATED, AVERAGE_S = 0.5, 0.5
 """Share of repeated bearings above which they are averaged, over this interval, s: their errors last longer still."""
@@ -244,13 +242,11 @@ TRACKERS = {
         lacks=stations_of("phases", 2),
         geometry=_all_arrays,
         planar=lambda trajectory, free_height: False,
-        automatic=on_request,
     ),
     "beam": _per_station(about="azimuth and elevation per station from phases, EKF (Will et al.)", build=_beam),
     "das": _per_station(
         about="azimuth and elevation per station from phases, delay-and-sum on each row without a filter",
         build=lambda trajectory, planar: DelayAndSum.of(_station(trajectory), PHASES, planar),
-        automatic=on_request,
     ),
     "bearings": TrackerSpec(
         about="position from azimuths and elevations of any number of stations, EKF",

@@ -16,7 +16,7 @@ from trackers.parts.fix_rows import fix_trajectories, lacks_fixes
 from trackers.parts.fixes import FIXES
 from trackers.parts.walls import Walls
 from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.tracker_spec import TrackerSpec, on_request
+from trackers.recordings.tracker_spec import TrackerSpec
 from trackers.recordings.trajectories import Trajectories, Trajectory
 
 COPLANAR = 0.5
@@ -101,12 +101,10 @@ TRACKERS = {
     "fix-singer": _of_fixes(
         about="position from fixes, Kalman filter, Singer's acceleration model",
         build=lambda trajectory, planar: singer_tracker(planar=planar),
-        automatic=on_request,
     ),
     "imm": _of_fixes(
         about="position from fixes, IMM filter of three constant-velocity models",
         build=lambda trajectory, planar: switching_tracker(planar=planar),
-        automatic=on_request,
     ),
     "fix-mirror": TrackerSpec(
         about="position from fixes whose z may be mirrored in the anchors' plane, IMM filter of both sides",
@@ -115,17 +113,13 @@ TRACKERS = {
         trajectories=mirror_trajectories,
         build=lambda trajectory, planar: mirror_tracker(),
         planar=lambda trajectory, free_height: False,
-        automatic=on_request,
     ),
     "moving-average": _of_fixes(
         about=f"mean of the last {WINDOW} fixes, axis by axis",
         build=lambda trajectory, planar: MovingWindow(WINDOW, median=False, planar=planar),
-        automatic=on_request,
     ),
     "median": _of_fixes(
         about=f"median of the last {WINDOW} fixes, axis by axis",
         build=lambda trajectory, planar: MovingWindow(WINDOW, median=True, planar=planar),
-        automatic=on_request,
     ),
 }
-"""In the order of preference: `floor-pf` where the rig has a floor plan, else `fix-kf`."""

@@ -22,6 +22,7 @@ import numpy as np
 
 from trackers.core.algebra import Scalar, Vector, diagonal
 from trackers.core.ekf import ExtendedKalman
+from trackers.core.errors import require
 from trackers.core.filter import Gaussian
 from trackers.core.imm import AbstractInteractingModels, AbstractSwitching, InteractingModels, Mixture, SwitchingMotion
 from trackers.core.inputs import HEIGHT, Input, Inputs
@@ -186,6 +187,8 @@ def switching_tracker(
     `rate`: draws of a new mode, 1/s. `sigma_z` m per √s, the sensor's sigmas m; `dof`: degrees of freedom of Student's
     t, None for normal noise. `planar`: x and y alone.
     """
+    several = isinstance(sigmas_a, (Sequence, np.ndarray)) and not isinstance(sigmas_a, str) and len(sigmas_a) > 0
+    require(several, "switching_tracker", sigmas_a, "the noise level of each model, as switching_tracker((0.05, 5.0))")
     motion = SwitchingMotion(tuple(GroundMotion(sigma_a, sigma_z) for sigma_a in sigmas_a))
     sensor = FixSensor(sigma_horizontal, sigma_vertical, dof)
     start = FixStart(Scale(1.0, "m"), Scale(1.0, "m/s"), planar, 2)

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from trackers.core.algebra import Vector, triangle
+from trackers.core.errors import is_count, require
 from trackers.core.estimates import Status
 from trackers.core.layout import Layout
 from trackers.core.motion import Placed
@@ -22,7 +23,7 @@ from trackers.parts.median import nan_median
 class MovingWindow(AbstractEpochwiseTracker):
     """The mean, or the `median`, of each axis over its last `window` values, from the first value on.
 
-    It lags behind a moving tag by half the window. The covariance is NaN. `planar`: x and y alone. Raises ValueError
+    It lags behind a moving tag by half the window. The covariance is NaN. `planar`: x and y alone. Raises UnusableInput
     for a window below 1.
     """
 
@@ -31,8 +32,8 @@ class MovingWindow(AbstractEpochwiseTracker):
     planar: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self) -> None:
-        if self.window < 1:
-            raise ValueError(f"a window holds at least one row, found {self.window}")
+        least = is_count(self.window) and self.window > 0
+        require(least, "MovingWindow", self.window, "a window of at least one row, as MovingWindow(9, median=True)")
 
     def check_layout(self, layout: Layout) -> None:
         layout.check_readings("MovingWindow", FIXES, 2 if self.planar else 3)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any, TypeVar
 
+import numpy as np
+
 T = TypeVar("T")
 
 
@@ -20,6 +22,25 @@ def listed(names: Iterable[object], most: int = 5) -> str:
     """Names separated by commas, at most so many of them."""
     shown = [str(name) for name in names]
     return ", ".join(shown[:most]) + (f" and {len(shown) - most} more" if len(shown) > most else "")
+
+
+def require(fits: bool, function: str, found: Any, expected: str) -> None:
+    """Refuse an argument of a function unless it `fits`, with its value or its type, and the `expected` one."""
+    if not fits:
+        plain = found is None or isinstance(found, (bool, int, float, str))
+        raise UnusableInput(f"{function}: found {repr(found) if plain else type(found).__name__}; expected {expected}")
+
+
+def is_count(found: Any) -> bool:
+    """Whether an argument is a whole number from 0."""
+    return isinstance(found, (int, np.integer)) and not isinstance(found, bool) and bool(found >= 0)
+
+
+def numbers_of(kind: str, value: Any) -> np.ndarray:
+    """The value of a tunable of this kind as an array of floats; raises UnusableInput for anything but numbers."""
+    found = np.asarray(value)
+    require(found.dtype.kind in "biuf", f"a {kind}", value, "a number or an array of numbers")
+    return found.astype(float)
 
 
 def one_or_more(found: Any, kinds: tuple[type[T], ...], expected: str) -> list[T]:

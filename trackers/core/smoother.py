@@ -9,6 +9,7 @@ import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar
 from trackers.core.covariance import by_entry, few
+from trackers.core.errors import require
 from trackers.core.estimates import Status
 from trackers.core.filter import AbstractSmoothableFilter, Gaussian
 from trackers.core.inputs import Inputs
@@ -17,7 +18,7 @@ from trackers.core.recording import Batch
 from trackers.core.rts import fixed_interval, fixed_lag
 from trackers.core.scan import Output, moments_by_entry, scan_rows
 from trackers.core.sensor import AbstractSensor
-from trackers.core.tracker import AbstractEpochwiseTracker, Tracker
+from trackers.core.tracker import AbstractEpochwiseTracker, AbstractTracker, Tracker
 from trackers.core.tunable import freeze
 
 
@@ -33,6 +34,9 @@ class Smoothed(AbstractEpochwiseTracker):
     lag: float | None = None
 
     def __check_init__(self) -> None:
+        require(
+            isinstance(self.tracker, AbstractTracker), "Smoothed", self.tracker, "a tracker, as Smoothed(fix_tracker())"
+        )
         if not (isinstance(self.tracker, Tracker) and isinstance(self.tracker.filter, AbstractSmoothableFilter)):
             raise TypeError("Kalman filters and their mixtures have a smoother; chains, particles and grids have none")
 

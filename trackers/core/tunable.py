@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.errors import UnusableInput
+from trackers.core.errors import UnusableInput, numbers_of
 from trackers.core.state import path_name
 
 Tree = TypeVar("Tree")
@@ -71,10 +71,11 @@ class Scale(AbstractTunable):
     axis: Axis | None = eqx.field(static=True)
 
     def __init__(self, value: Any, unit: str = "1", role: Role | None = None, axis: Axis | None = None):
-        value = np.asarray(value, float)
+        value = numbers_of("Scale", value)
         if not (np.all(np.isfinite(value)) and np.all(value > 0)):
             raise ValueError(
-                f"a Scale is positive and finite, found {value}; a noise that is absent is left out, not set to zero"
+                f"a Scale is positive and finite, found {value.tolist()}; a noise that is absent is left out, "
+                "not set to zero"
             )
         self.raw = np.log(value)
         self.unit = unit
@@ -96,9 +97,9 @@ class Fraction(AbstractTunable):
     unit: str = eqx.field(static=True)
 
     def __init__(self, value: Any, unit: str = "1"):
-        value = np.asarray(value, float)
+        value = numbers_of("Fraction", value)
         if not np.all((value > 0) & (value < 1)):
-            raise ValueError(f"a Fraction lies strictly between 0 and 1, found {value}")
+            raise ValueError(f"a Fraction lies strictly between 0 and 1, found {value.tolist()}")
         self.raw = np.log(value) - np.log1p(-value)
         self.unit = unit
 
@@ -119,9 +120,9 @@ class Real(AbstractTunable):
     typical: float = eqx.field(static=True)
 
     def __init__(self, value: Any, unit: str = "1", typical: float = 1.0):
-        value = np.asarray(value, float)
+        value = numbers_of("Real", value)
         if not np.all(np.isfinite(value)):
-            raise ValueError(f"a Real is finite, found {value}")
+            raise ValueError(f"a Real is finite, found {value.tolist()}")
         self.raw = value / typical
         self.unit = unit
         self.typical = typical
@@ -147,7 +148,7 @@ class Covariance(AbstractTunable):
     axis: Axis | None = eqx.field(static=True)
 
     def __init__(self, value: Any, unit: str = "1", role: Role | None = None, axis: Axis | None = None):
-        value = np.asarray(value, float)
+        value = numbers_of("Covariance", value)
         square = value.ndim == 2 and value.shape[0] == value.shape[1] and bool(np.all(np.isfinite(value)))
         try:
             if not (square and np.allclose(value, value.T, rtol=1e-9)):
@@ -183,9 +184,9 @@ class Threshold(AbstractTunable):
     unit: str = eqx.field(static=True)
 
     def __init__(self, value: Any, unit: str = "1"):
-        value = np.asarray(value, float)
+        value = numbers_of("Threshold", value)
         if not np.all(value > 0):
-            raise ValueError(f"a Threshold is positive, np.inf to disable it, found {value}")
+            raise ValueError(f"a Threshold is positive, np.inf to disable it, found {value.tolist()}")
         self.raw = value
         self.unit = unit
 

@@ -22,7 +22,7 @@ from trackers.parts.fix_rows import AXES_M, AXES_STD_M
 from trackers.parts.range_rows import range_trajectories
 from trackers.parts.ranges import RANGES, RangeSensor
 from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.tracker_spec import TrackerSpec, on_request
+from trackers.recordings.tracker_spec import TrackerSpec
 from trackers.recordings.trajectories import Trajectories, Trajectory, known_height, known_heights, trajectories_of
 
 SIGMA_FIX = 0.3
@@ -138,6 +138,7 @@ _on_path = partial(
     lacks=_lacks,
     geometry=_geometry,
     planar=lambda trajectory, free_height: True,
+    automatic=_no_height_to_estimate,
     on_path=True,
 )
 
@@ -145,11 +146,9 @@ TRACKERS = {
     "line-grid": _on_path(
         about="position on a known path from ranges or fixes, grid filter of arclength and speed",
         build=_builder(line_grid_tracker),
-        automatic=_no_height_to_estimate,
     ),
     "line-pf": _on_path(
         about="position on a known path from ranges or fixes, particle filter with 1,000 particles (thesis)",
         build=_builder(line_tracker),
-        automatic=on_request,
     ),
 }

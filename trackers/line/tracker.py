@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from trackers.core.algebra import Scalar, diagonal, total
+from trackers.core.errors import require
 from trackers.core.filter import Gaussian
 from trackers.core.motion import Noise
 from trackers.core.particle.filter import ParticleFilter, log_density
@@ -99,6 +100,7 @@ def line_tracker(
     motion: LineMotion | HaltingMotion, sensors: Mapping[str, AbstractSensor], n_particles: int = 1000
 ) -> Tracker:
     """Particle filter of arclength and speed on a known path (thesis, 2.2); estimates are position and velocity."""
+    _require_path("line_tracker", motion)
     return Tracker(
         motion, sensors, _start(motion), ParticleFilter(n_particles, output_map=_output_map(motion)), PATIENT
     )
@@ -112,9 +114,16 @@ def line_grid_tracker(
     speeds: int = 64,
 ) -> Tracker:
     """Grid filter of arclength and speed: at least 81 cells of at most `spacing` m, `speeds` up to `fastest` m/s."""
+    _require_path("line_grid_tracker", motion)
     cells = max(81, int(np.ceil(float(motion.line.length) / spacing)) + 1)
     grid = GridFilter(_output_map(motion), cells, speeds, fastest)
     return Tracker(motion, sensors, _start(motion), grid, PATIENT)
+
+
+def _require_path(function: str, motion: Any) -> None:
+    """Refuse anything but a motion along a path as the motion of a tracker's constructor."""
+    fits = isinstance(motion, (LineMotion, HaltingMotion))
+    require(fits, function, motion, f"a motion along a path, as {function}(line_motion(Polyline(knots)), sensors)")
 
 
 def _start(motion: LineMotion | HaltingMotion) -> LineStart:

@@ -11,7 +11,7 @@ from trackers.mhk.tracker import mhk_tracker
 from trackers.parts.fix_rows import fix_trajectories, lacks_fixes
 from trackers.parts.fixes import FIXES
 from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.tracker_spec import TrackerSpec, on_request
+from trackers.recordings.tracker_spec import TrackerSpec
 from trackers.recordings.trajectories import Trajectories
 
 
@@ -34,7 +34,6 @@ _mhk = partial(
     trajectories=spatial_trajectories,
     lacks=lacks_fixes,
     planar=lambda trajectory, free_height: False,
-    automatic=on_request,
 )
 
 TRACKERS = {

@@ -33,11 +33,6 @@ def at_known_height(trajectory: Trajectory, free_height: bool) -> bool:
     return not free_height and known_height(trajectory.folder, trajectory.tag) is not None
 
 
-def on_request(folder: RecordingFolder) -> bool:
-    """Never: such a tracker is used only where it is named."""
-    return False
-
-
 @dataclass(frozen=True)
 class TrackerSpec:
     """A tracker of the catalogue, or a user's own.

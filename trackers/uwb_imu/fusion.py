@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from trackers.core.errors import is_count, require
 from trackers.core.track_loss import TrackScorePolicy
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import Scale
@@ -38,6 +39,7 @@ def range_tracker(
     defaults serves hand-held tags, drones, trolleys and tags on the floor; `range_levels` has those of a calibrated
     site. Above `MAX_BIASES` anchors the state has only the shared bias; the tunable ones of the sensor remain.
     """
+    require(is_count(anchors), "range_tracker", anchors, "the number of anchors, as range_tracker(len(rig.anchors))")
     biases = anchors if anchors <= MAX_BIASES else 0
     return Tracker(
         DriftingBiases(biases, sigma_a, sigma_z, memory, sigma_bias, time_constant, length),

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from trackers.recordings.columns import TagRows
-from trackers.recordings.folder import RecordingFolder
-
 HOLD_S = 0.2
 """Longest time for which a sample is held, s; after it the row has no IMU."""
 
@@ -69,20 +66,3 @@ def to_level_axes(accel: np.ndarray, attitude: np.ndarray, gravity: float) -> tu
     force = accel + w * twice + np.cross(q, twice)
     force[:, 2] += gravity
     return force, np.where(np.isfinite(force), 0.0, np.nan)
-
-
-def imu_outpaces_ranges(folder: RecordingFolder) -> bool:
-    """Whether the IMU has more samples than there are ranges of one anchor: a slower one adds little between ranges.
-
-    Measured on a drone with an IMU of 19 Hz and ranges of 50 Hz, where the tracker without the IMU is better.
-    """
-    if "imu" not in folder.tables or "ranges" not in folder.tables:
-        return True
-    ranges = folder.rows("ranges")
-    return _rate(folder.rows("imu")) > _rate(ranges) / max(ranges.count("anchor", sorted(folder.rig.anchors)), 1)
-
-
-def _rate(rows: TagRows) -> float:
-    """Rows per second of the median tag."""
-    ends = rows.times[rows.starts[1:] - 1] - rows.times[rows.starts[:-1]]
-    return float(np.median(np.diff(rows.starts) / np.maximum(ends, 1e-3)))

@@ -8,6 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar, Vector, diagonal, triangle
+from trackers.core.errors import is_count, require
 from trackers.core.filter import Gaussian
 from trackers.core.inputs import Input
 from trackers.core.motion import Noise
@@ -146,6 +147,8 @@ def inertial_tracker(
     of up to `MAX_BIASES` numbered `anchors`. Sensor numbers as in `RangeSensor`, with one slot per row. `yaws`: number
     of initial yaws.
     """
+    expected = "the number of anchors, as inertial_tracker(len(rig.anchors))"
+    require(is_count(anchors), "inertial_tracker", anchors, expected)
     noise = noise or ImuNoise(0.2, 0.02, 0.005, 0.0005, 1.5, 0.3, 0.02)
     # In the plane, with three anchors, biases and position are not jointly observable.
     biases = anchors if anchors <= MAX_BIASES and not planar else 0

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar, Vector, triangle
+from trackers.core.errors import require
 from trackers.core.estimates import Status
 from trackers.core.inputs import HEIGHT, Input, Need
 from trackers.core.layout import Layout
@@ -82,4 +83,10 @@ def out_of_blocks(blocks: Any, rows: int, count: int, size: int) -> Any:
 
 def multilateration_tracker(planar: bool = False, sigma_r: float = 0.1) -> Multilateration:
     """Robust least squares on the ranges of each row; `sigma_r` m. `planar`: at the tag's known height."""
+    require(
+        isinstance(planar, bool),
+        "multilateration_tracker: planar",
+        planar,
+        "True or False; anchors are in the recording",
+    )
     return Multilateration(Scale(sigma_r, "m"), RANGES, planar)

@@ -18,10 +18,10 @@ from trackers.parts.recent_positions import latest_rows
 from trackers.recordings.columns import TableRows, TagRows
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tables import QUATERNION
-from trackers.recordings.tracker_spec import TrackerSpec, on_request
+from trackers.recordings.tracker_spec import TrackerSpec
 from trackers.recordings.trajectories import Trajectories, Trajectory, known_height, known_heights, trajectories_of
 from trackers.uwb_imu.fusion import range_levels, range_tracker
-from trackers.uwb_imu.imu_inputs import imu_inputs, imu_outpaces_ranges, to_level_axes
+from trackers.uwb_imu.imu_inputs import imu_inputs, to_level_axes
 from trackers.uwb_imu.inertial import inertial_tracker
 from trackers.uwb_imu.multilateration import multilateration_tracker
 from trackers.uwb_imu.trilateration import trilateration_tracker
@@ -259,7 +259,6 @@ _trilateration = partial(
     trajectories=triple_trajectories,
     lacks=_lacks_known_height,
     planar=lambda trajectory, free_height: True,
-    automatic=on_request,
 )
 
 TRACKERS = {
@@ -269,7 +268,6 @@ TRACKERS = {
         trajectories=inertial_trajectories,
         build=lambda trajectory, planar: inertial_tracker(_anchors(trajectory), planar),
         lacks=lacks_ranges_or_imu,
-        automatic=imu_outpaces_ranges,
         geometry=lambda trajectory: (_anchors(trajectory), "levers" in trajectory.recording.inputs),
     ),
     "uwb": TrackerSpec(
@@ -287,7 +285,6 @@ TRACKERS = {
         build=lambda trajectory, planar: multilateration_tracker(planar),
         lacks=lacks_ranges,
         geometry=_anchors,
-        automatic=on_request,
     ),
     "trilateration": _trilateration(
         about="planar position from three ranges, intersection of circles (Kwon et al.) without compensation (14)",

@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar, Vector, triangle
+from trackers.core.errors import require
 from trackers.core.estimates import Status
 from trackers.core.inputs import HEIGHT, Input, Need
 from trackers.core.layout import Layout
@@ -125,4 +126,10 @@ class Trilateration(AbstractEpochwiseTracker):
 
 def trilateration_tracker(compensated: bool = True, sigma_r: float = 0.1) -> Trilateration:
     """Trilateration of rows with three ranges, with or without the paper's compensation (14); `sigma_r` m."""
+    require(
+        isinstance(compensated, bool),
+        "trilateration_tracker: compensated",
+        compensated,
+        "True or False; anchors are in the recording",
+    )
     return Trilateration(Scale(sigma_r, "m"), RANGES, compensated)

@@ -41,11 +41,11 @@ def test_late_fixes_are_named_with_the_latency_that_allows_for_them():
     assert late_readings(named, [_late_fixes(0.02)]) == []
 
 
-def test_an_imu_slower_than_the_ranges_is_left_out():
+def test_ranges_and_an_imu_are_tracked_without_the_imu_where_the_ranges_suffice():
     folder = worlds.tool(n=1, seed=1, rows=60).folder()
-    every = dict(folder.tables)
-    slow = every | {"imu": every["imu"].gather_every(60)}
-    for tables, expected in ((every, "uwb-imu"), (slow, "uwb")):
+    three = folder.tables["ranges"].filter(pl.col("anchor").is_in(sorted(folder.rig.anchors)[:3]))
+    for ranges, expected in ((folder.tables["ranges"], "uwb"), (three, "uwb-imu")):
+        tables = dict(folder.tables) | {"ranges": ranges}
         runs, refused = tracked_by([RecordingFolder(folder.name, None, folder.rig, tables)], None)
         assert [run.tracker for run in runs] == [expected]
         assert refused == []
