@@ -24,6 +24,9 @@ Folder = Annotated[Path, "FOLDER"]
 File = Annotated[Path, "FILE"]
 Folders = Annotated[tuple[Path, ...], "FOLDER"]
 
+FigureFormat = Literal["png", "pdf"]
+"""The kinds of figures in files, by their endings."""
+
 WORDS = {int: "N", float: "NUMBER", str: "TEXT", Path: "PATH"}
 """The words for values in help, by type."""
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
-from experiments.cli.arguments import File, Folders
+from experiments.cli.arguments import FigureFormat, File, Folders
 from experiments.cli.console import notice, output_folder
 from trackers.recordings.atomic import json_text
 
@@ -20,6 +20,7 @@ def report(
     *,
     out: File = Path("out") / COMPARISON,
     metrics: Annotated[tuple[str, ...], "METRIC"] = (),
+    format: FigureFormat = "png",
     json: bool = False,
 ) -> int:
     """Compare runs: metrics, differences from the first, a page, figures.
@@ -28,14 +29,20 @@ def report(
         runs: two or more output folders of `study`, or two or more of `track`.
         out: the page to write; figures are written beside it.
         metrics: of studies: names of the metrics to show, as in results.json.
+        format: of the figures.
         json: print JSON instead of tables: the tables, and each metric's difference from the first run.
     """
-    print_comparison(runs, out, metrics, json)
+    print_comparison(runs, out, format, metrics, json)
     return 0
 
 
-def print_comparison(folders: Sequence[Path], out: Path, metrics: Sequence[str] = (), json: bool = False) -> None:
-    """Prints the comparison of the runs in these folders and writes it as a page with figures beside it."""
+def print_comparison(
+    folders: Sequence[Path], out: Path, kind: str, metrics: Sequence[str] = (), json: bool = False
+) -> None:
+    """Prints the comparison of the runs in these folders and writes it as a page with figures beside it.
+
+    `kind`: the ending of the figures, png or pdf.
+    """
     # Reading errors of tracks and drawing take a second to import, which the help need not wait for.
     from experiments.plots.comparison import comparison_charts, plot_comparison
     from experiments.reports.comparison import SHOWN, comparison, comparison_text, lone_subjects
@@ -52,7 +59,7 @@ def print_comparison(folders: Sequence[Path], out: Path, metrics: Sequence[str] 
     else:
         print(comparison_text(tables), end="")
     output_folder(out.parent)
-    drawn = plot_comparison(out, runs, contrasts)
+    drawn = plot_comparison(out, runs, contrasts, kind)
     charts = comparison_charts(runs, contrasts)
     page = write_comparison(out, [run.name for run in runs], tables, charts, sys.argv)
     if not json:

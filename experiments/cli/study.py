@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
-from experiments.cli.arguments import Folder
+from experiments.cli.arguments import FigureFormat, Folder
 from experiments.cli.console import notice, output_folder, require_output
 from experiments.cli.manifest import write_manifest
 from experiments.cli.runtime import keep_programs
@@ -20,9 +20,10 @@ from experiments.monte_carlo.chunk_store import CHUNKS, merge_shards
 from experiments.monte_carlo.declaration import checked
 from experiments.monte_carlo.runner import StopRule, run_study
 from experiments.monte_carlo.sources import available_studies, load_study
-from experiments.reports.study import write_study_report
+from experiments.plots.study import write_charts
+from experiments.reports.study import study_charts, write_study_report
 from experiments.reports.study_text import study_names, to_json, to_text
-from experiments.reports.wording import counted
+from experiments.reports.wording import counted, figures_drawn
 from trackers.core.chunks import n_workers
 from trackers.core.errors import UnusableInput
 from trackers.recordings.atomic import atomic_write
@@ -43,12 +44,13 @@ def study(
     list: bool = False,
     no_figures: bool = False,
     no_report: bool = False,
+    format: FigureFormat = "png",
 ) -> int:
     """Run a Monte Carlo study: worlds × trackers × a grid × runs.
 
-    Writes report.html and results.json. `trackwright study NAME`, `FILE.toml` or `FILE.py` runs a study, or continues
-    an interrupted one. `trackwright study merge DIR DIR … --out DIR` merges shards; run the study again with that --out
-    for its report.
+    Writes report.html, results.json and figures. `trackwright study NAME`, `FILE.toml` or `FILE.py` runs a study, or
+    continues an interrupted one. `trackwright study merge DIR DIR … --out DIR` merges shards; run the study again with
+    that --out for its report.
 
     Args:
         what: a name from --list, or a file; or `merge` and the folders of shards.
@@ -59,8 +61,9 @@ def study(
         shard: run only part i of n of the chunks, e.g. 2/8, for an array of jobs.
         cluster: run the chunks on a Dask cluster, tcp://HOST:8786, or in processes here, local:4 (docs/cluster.md).
         list: list the studies that come with the package.
-        no_figures: draw no figures of the study's own.
+        no_figures: draw no figures, neither the charts of the report nor those of the study's own.
         no_report: write no report.html.
+        format: of the charts of the report; figures of the study's own have theirs.
     """
     if out is not None:
         require_output(out)
@@ -103,7 +106,9 @@ def study(
     print(to_text(results, expected), end="")
     atomic_write(folder / RESULTS, lambda path: path.write_text(to_json(results, expected), "utf-8"))
     drawn = [] if declared.draw is None or no_figures else declared.draw(results, folder)
-    written = [RESULTS, "manifest.json", *drawn]
+    charts = [] if no_figures else [chart for group in study_charts(results) for chart in group]
+    figures = [*drawn, *write_charts(folder, charts, format)]
+    written = [RESULTS, "manifest.json", *([figures_drawn(figures)] if figures else [])]
     if not no_report:
         written.insert(0, write_study_report(folder, results, expected, drawn, sys.argv).name)
     write_manifest(folder, sys.argv, {"study": declared.name, "runs": declared.runs}, started, (declared.seed,),

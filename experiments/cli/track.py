@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from typing import Annotated, Literal
+from typing import Annotated
 
-from experiments.cli.arguments import File, Folder, Folders
+from experiments.cli.arguments import FigureFormat, File, Folder, Folders
 from experiments.cli.console import json_alone, prepared, require_output, selection
 from experiments.cli.runtime import keep_programs
 from experiments.cli.stages import stages
@@ -34,7 +34,7 @@ def track(
     cluster: Annotated[str | None, "ADDRESS"] = None,
     no_figures: bool = False,
     no_report: bool = False,
-    format: Literal["png", "pdf"] = "png",
+    format: FigureFormat = "png",
     force: bool = False,
     json: bool = False,
 ) -> int:

@@ -24,7 +24,7 @@ from experiments.interactive.track_page import PAGE, run_data, write_track_page
 from experiments.portable_tracker import run_on
 from experiments.reports.evaluation_text import to_json, to_text
 from experiments.reports.tables import terminal_width
-from experiments.reports.wording import counted, uncapitalised
+from experiments.reports.wording import counted, figures_drawn, uncapitalised
 from experiments.scored_tracks import ScoredTracks
 from trackers.catalogue import build, spec_of
 from trackers.core.chunks import CHUNK
@@ -101,7 +101,7 @@ def track_folders(
             pages += [] if page is None else [page]
         if of > 1:
             begin("comparison")
-            print_comparison([options.out / run.short for run in runs], options.out / COMPARISON)
+            print_comparison([options.out / run.short for run in runs], options.out / COMPARISON, options.format)
             if pages:
                 begin("report")
                 _write_page(options.out, pages)
@@ -214,7 +214,7 @@ def _shown(
         from experiments.plots.track_folder import plot_tracks
 
         drawn = plot_tracks(out, tracks, options.format)
-        written.append(f"{counted(len(drawn), 'figure')} ({', '.join(drawn[:4])}{', …' if len(drawn) > 4 else ''})")
+        written.append(figures_drawn(drawn))
     return written
 
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Annotated, Any, Literal
 
-from experiments.cli.arguments import File, Folder, Folders
+from experiments.cli.arguments import FigureFormat, File, Folder, Folders
 from experiments.cli.console import json_alone, read_with_notices, require_output, selection
 from experiments.cli.runtime import keep_programs
 from experiments.cli.stages import stages
@@ -59,6 +59,7 @@ def tune(
     piece_rows: int = 8000,
     no_figures: bool = False,
     no_report: bool = False,
+    format: FigureFormat = "png",
     json: bool = False,
 ) -> int:
     """Fit noise levels by gradient: values, intervals and a report.
@@ -99,8 +100,9 @@ def tune(
         resume: continue from the checkpoint in --out, with bit-identical results.
         free_height: estimate the height of tags whose height the rig gives.
         piece_rows: rows of the segments into which long recordings are cut.
-        no_figures: write no tuning.png.
+        no_figures: draw no figure.
         no_report: write no report.html.
+        format: of the figure, tuning.png or tuning.pdf.
         json: print the content of tuned.toml as JSON instead of tables.
     """
     started, clock = datetime.now(UTC), time.perf_counter()
@@ -125,6 +127,6 @@ def tune(
         from experiments.cli.tuning_job import finish, fit_folders
 
         fitted = fit_folders(folders, len(recordings), out, options, tuned, values, resume, begin)
-        code = finish(fitted, recordings, out, started, clock, begin, not no_figures, not no_report)
+        code = finish(fitted, recordings, out, started, clock, begin, None if no_figures else format, not no_report)
         put(tomllib.loads((out / "tuned.toml").read_text("utf-8")))
     return code

@@ -1,4 +1,4 @@
-"""The files of a tuning run: tuned.toml, trace.csv, tuning.png, report.html and manifest.json."""
+"""The files of a tuning run: tuned.toml, trace.csv, tuning.png (or .pdf), report.html and manifest.json."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from tuning.tuned_file import write_tuned
 class Run:
     """A finished run: the tracker's name, the options, the recordings' folders, when it started, how long it took.
 
-    `figures`, `report`: whether these are written.
+    `figures`: their ending, None for none. `report`: whether it is written.
     """
 
     tracker: str
@@ -41,7 +41,7 @@ class Run:
     seconds: float
     started: datetime
     command: Sequence[str]
-    figures: bool
+    figures: str | None
     report: bool
 
 
@@ -74,8 +74,8 @@ def write_run(
         notes=tuple(_notes(data, result)),
     )
     written = ["trace.csv", "manifest.json"]
-    if run.figures:
-        written.insert(1, "tuning.png")
+    if run.figures is not None:
+        written.insert(1, f"tuning.{run.figures}")
     if run.report:
         written.insert(0, "report.html")
         known = collect(request, result, data, intervals, issues, compared, plans, cautions)
@@ -98,7 +98,7 @@ def _issues(result: FitResult, held_out: bool) -> list[IdentifiabilityIssue]:
     return identifiability_issues(result.uncertainty, result.evaluation.term_gradients, held_out)
 
 
-def _write_trace(out: Path, result: FitResult, objective: str, unit: str, figure: bool) -> None:
+def _write_trace(out: Path, result: FitResult, objective: str, unit: str, figure: str | None) -> None:
     trace = result.trace
     columns: dict[str, list[float]] = {
         objective: [s.value for s in trace],
@@ -114,10 +114,10 @@ def _write_trace(out: Path, result: FitResult, objective: str, unit: str, figure
             columns[label] = parts[:, k].tolist()
             drawn[label], units[label] = parts[:, k], parameter.example.unit
     atomic_write(out / "trace.csv", pl.DataFrame(columns).write_csv)
-    if not figure:
+    if figure is None:
         return
     names = {"nll": "negative log-likelihood per measured number (nats)", "rmse": f"RMSE ({unit})"}
-    tuning_trace(out / "tuning.png", np.array(columns[objective]), drawn, units, names.get(objective, objective))
+    tuning_trace(out / f"tuning.{figure}", np.array(columns[objective]), drawn, units, names.get(objective, objective))
 
 
 def table(result: FitResult, objective: str, intervals: Mapping[str, Interval]) -> list[str]:

@@ -98,12 +98,13 @@ def finish(
     started: datetime,
     clock: float,
     begin: Begin,
-    figures: bool,
+    figures: str | None,
     report: bool,
 ) -> int:
     """Writes the files and prints the table; returns the exit code.
 
-    `started`, `clock`: when the command began. `figures`, `report`: whether they are written.
+    `started`, `clock`: when the command began. `figures`: their ending, None for none. `report`: whether it is
+    written.
     """
     begin("comparing before and after")
     compared, plans = _compared(fitted, report)

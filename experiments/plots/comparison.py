@@ -39,13 +39,18 @@ MOST_POINTS = 2000
 
 
 def plot_comparison(
-    page: Path, runs: Sequence[StudyRun] | Sequence[TrackRun], contrasts: Sequence[Contrast]
+    page: Path, runs: Sequence[StudyRun] | Sequence[TrackRun], contrasts: Sequence[Contrast], kind: str = "png"
 ) -> list[Path]:
-    """Writes the figures beside the page, with its name before theirs; returns their paths."""
+    """Writes the figures beside the page, with its name before theirs; returns their paths.
+
+    `kind`: the ending of the files, png or pdf.
+    """
     tracks = [run for run in runs if isinstance(run, TrackRun) and run.errors]
     if tracks:
-        return [_distributions(page, tracks), *_floor_plans(page, [run for run in tracks if not run.bearing])]
-    return [_intervals(page, contrasts)] if contrasts and isinstance(runs[0], StudyRun) else []
+        plans = _floor_plans(_beside(page, "floor_plans", kind), [run for run in tracks if not run.bearing])
+        return [_distributions(_beside(page, "errors", kind), tracks), *plans]
+    wanted = bool(contrasts) and isinstance(runs[0], StudyRun)
+    return [_intervals(_beside(page, "differences", kind), contrasts)] if wanted else []
 
 
 def comparison_charts(
@@ -83,10 +88,9 @@ def all_errors(run: TrackRun) -> np.ndarray:
     return np.sort(np.concatenate([track.error for track in run.errors.values()]))
 
 
-def _distributions(page: Path, runs: Sequence[TrackRun]) -> Path:
+def _distributions(path: Path, runs: Sequence[TrackRun]) -> Path:
     """Distribution functions of the errors of all runs, and boxes in violins."""
     furthest, unit = _scale(runs)
-    path = _beside(page, "errors")
     with figure_file(path, 9.5, 4.0, "") as figure:
         left, right = figure.subplots(1, 2)
         _draw_distributions(left, runs, furthest, unit)
@@ -138,12 +142,11 @@ def _violins(axes: Axes, errors: Sequence[np.ndarray], names: Sequence[str], fur
     plain(axes, "y")
 
 
-def _floor_plans(page: Path, runs: Sequence[TrackRun]) -> list[Path]:
+def _floor_plans(path: Path, runs: Sequence[TrackRun]) -> list[Path]:
     """The tracks of the first recordings that all runs have, a panel for each run, on the same axes."""
     shown, columns = _common(runs)[:MOST_PLANS], len(runs)
     if not shown:
         return []
-    path = _beside(page, "floor_plans")
     with figure_file(path, min(3.3 * columns + 0.4, 16.0), 3.2 * len(shown) + 0.5, "") as figure:
         panels = figure.subplots(len(shown), columns, squeeze=False, sharex="row", sharey="row")
         for row, name in zip(panels, shown, strict=True):
@@ -185,9 +188,8 @@ def _plan(axes: Axes, run: TrackRun, name: str, colour: str) -> None:
     axes.set_title(literal(f"{run.name}, {name}"), fontsize=8.5)
 
 
-def _intervals(page: Path, contrasts: Sequence[Contrast]) -> Path:
+def _intervals(path: Path, contrasts: Sequence[Contrast]) -> Path:
     """The metrics of studies with their intervals less the first study's."""
-    path = _beside(page, "differences")
     with figure_file(path, 7.5, 1.2 + 0.28 * len({one.subject for one in contrasts}), "") as figure:
         _draw_intervals(figure, contrasts)
     return path
@@ -218,5 +220,5 @@ def _colours(count: int) -> list[str]:
     return [LINES[k % len(LINES)] for k in range(count)]
 
 
-def _beside(page: Path, name: str) -> Path:
-    return page.with_name(f"{page.stem}-{name}.png")
+def _beside(page: Path, name: str, kind: str) -> Path:
+    return page.with_name(f"{page.stem}-{name}.{kind}")

@@ -5,7 +5,8 @@ from __future__ import annotations
 import functools
 import inspect
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from experiments.monte_carlo.accumulators import KINDS
 from experiments.monte_carlo.declaration import WORLD, Condition, short
 from experiments.monte_carlo.expectations import Value
 from experiments.monte_carlo.results import Results
-from experiments.plots.style import HEIGHT, INK, LINES, WIDTH, literal, plain, svg_address
+from experiments.plots.style import HEIGHT, INK, LINES, WIDTH, figure_file, literal, plain, svg_address
 from experiments.reports.wording import SUFFIXES, Unit, heading, unit_of
 
 MARKS, DASHES = "osD^vPX", ("-", "--", "-.", ":")
@@ -38,10 +39,26 @@ ALIKE = 2.0
 
 
 class Chart(NamedTuple):
-    """A chart's title and its image as a data address."""
+    """A chart: its name in a file's name, its title, what draws it into an empty figure, and its height in inches."""
 
+    name: str
     title: str
-    address: str
+    draw: Callable[[Figure], object]
+    height: float
+
+    @property
+    def address(self) -> str:
+        """The chart as a data address, for an image inside a page."""
+        return svg_address(self.draw, WIDTH, self.height)
+
+
+def write_charts(folder: Path, charts: Sequence[Chart], kind: str) -> list[str]:
+    """Writes the charts as files into the folder; returns their names. `kind`: their ending, png or pdf."""
+    names = [f"{re.sub(r'[^a-zA-Z0-9_-]', '_', chart.name)}.{kind}" for chart in charts]
+    for name, chart in zip(names, charts, strict=True):
+        with figure_file(folder / name, WIDTH, chart.height, "") as figure:
+            chart.draw(figure)
+    return names
 
 
 def metric_chart(
@@ -65,19 +82,20 @@ def metric_chart(
     title = words[0].upper() + words[1:] + (f", {unit.name}" if unit.name else "")
     along = _axis(results)
     if along is None:
-        return Chart(title, _bars(results, values, limits, title)) if len(values) <= ROWS_SHOWN else None
+        return _bars(results, metric, values, limits, title) if len(values) <= ROWS_SHOWN else None
     if len(study.worlds) * len(study.trackers) > LINES_SHOWN:
         return None
-    return Chart(title, _along(results, along, values, limits, title))
+    return _along(results, metric, along, values, limits, title)
 
 
 def _along(
     results: Results,
+    metric: str,
     along: str,
     values: Mapping[tuple[int, str], np.ndarray],
     limits: Mapping[tuple[int, str], float],
     title: str,
-) -> str:
+) -> Chart:
     """A line with its band for every world and tracker, over the grid, and its bound."""
     study = results.study
     series = [(w, t) for w in study.worlds for t in study.trackers]
@@ -114,12 +132,16 @@ def _along(
         _legend(figure, axes)
         plain(axes)
 
-    return svg_address(draw, WIDTH, _height(len(series)))
+    return Chart(metric, title, draw, _height(len(series)))
 
 
 def _bars(
-    results: Results, values: Mapping[tuple[int, str], np.ndarray], limits: Mapping[tuple[int, str], float], title: str
-) -> str:
+    results: Results,
+    metric: str,
+    values: Mapping[tuple[int, str], np.ndarray],
+    limits: Mapping[tuple[int, str], float],
+    title: str,
+) -> Chart:
     """Points with intervals, a row for every condition and tracker, and a stroke for its bound."""
     trackers = list(results.study.trackers)
     rows = [(c, t) for c in results.study.conditions for t in trackers if (c.index, t) in values]
@@ -144,7 +166,7 @@ def _bars(
         axes.set_title(literal(title + (" (strokes: Cramér–Rao bound)" if limits else "")))
         plain(axes, "x")
 
-    return svg_address(draw, WIDTH, max(1.3, 0.75 + 0.24 * len(rows)))
+    return Chart(metric, title, draw, max(1.3, 0.75 + 0.24 * len(rows)))
 
 
 def distribution_charts(results: Results, lengths: Unit | None) -> list[Chart]:
@@ -180,7 +202,7 @@ def distribution_charts(results: Results, lengths: Unit | None) -> list[Chart]:
     for k, condition in enumerate(conditions):
         title = f"Distribution of errors: {condition.label}"
         draw_this = functools.partial(draw, condition=k, title=title)
-        made.append(Chart(title, svg_address(draw_this, WIDTH, _height(len(study.trackers)))))
+        made.append(Chart(f"errors-{k + 1}", title, draw_this, _height(len(study.trackers))))
     return made
 
 

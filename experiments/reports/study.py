@@ -14,7 +14,7 @@ import numpy as np
 from experiments.monte_carlo.declaration import Study
 from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
 from experiments.monte_carlo.results import Results
-from experiments.plots.study import SHOWN_CONDITIONS, distribution_charts, metric_chart
+from experiments.plots.study import SHOWN_CONDITIONS, Chart, distribution_charts, metric_chart
 from experiments.reports.pages import page, write_page
 from experiments.reports.study_text import headline_of
 from experiments.reports.wording import Unit, heading, ratio_text, units_of, with_interval, yes_no
@@ -55,14 +55,8 @@ def write_study_report(
 
 def study_page(results: Results, expected: Expected, pictures: Sequence[Path], command: Sequence[str]) -> str:
     """The report as HTML."""
-    study, found = results.study, results.main_metrics()
-    units = units_of({m: [v.value for v in values.values()] for m, values in found.items()})
-    drawn = [m for m in study.metrics if m != "us_per_row"][:MOST_CHARTS]
-    bounds = {m: found[BOUNDS[m]] for m in drawn if BOUNDS.get(m) in found}
-    drawn = [m for m in drawn if m not in {BOUNDS[error] for error in bounds}]
-    drawings = (metric_chart(results, m, found[m], units[m], bounds.get(m)) for m in drawn)
-    charts = [chart for chart in drawings if chart is not None]
-    lengths = next((unit for metric, unit in units.items() if metric.endswith("_m")), None)
+    study, units = results.study, _units(results)
+    charts, distributions = study_charts(results)
     more = len(study.conditions) > SHOWN_CONDITIONS
     return page(
         "study.html",
@@ -76,7 +70,7 @@ def study_page(results: Results, expected: Expected, pictures: Sequence[Path], c
         counts=headline_of(expected),
         pictures=[_picture(path) for path in pictures],
         charts=charts,
-        distributions=distribution_charts(results, lengths),
+        distributions=distributions,
         charts_lead="Bands and bars are 95 % intervals."
         + (f" Distributions of the first {SHOWN_CONDITIONS} of {len(study.conditions)} conditions." if more else ""),
         metrics=_metrics(results, units),
@@ -84,6 +78,22 @@ def study_page(results: Results, expected: Expected, pictures: Sequence[Path], c
         settings=_settings(study),
         words=shlex.join(["trackwright", *command[1:]]),
     )
+
+
+def study_charts(results: Results) -> tuple[list[Chart], list[Chart]]:
+    """The charts of the first metrics, and of the distributions of errors."""
+    found, units = results.main_metrics(), _units(results)
+    drawn = [m for m in results.study.metrics if m != "us_per_row"][:MOST_CHARTS]
+    bounds = {m: found[BOUNDS[m]] for m in drawn if BOUNDS.get(m) in found}
+    drawn = [m for m in drawn if m not in {BOUNDS[error] for error in bounds}]
+    drawings = (metric_chart(results, m, found[m], units[m], bounds.get(m)) for m in drawn)
+    lengths = next((unit for metric, unit in units.items() if metric.endswith("_m")), None)
+    return [chart for chart in drawings if chart is not None], distribution_charts(results, lengths)
+
+
+def _units(results: Results) -> dict[str, Unit]:
+    """The units of the metrics on the page."""
+    return units_of({m: [v.value for v in values.values()] for m, values in results.main_metrics().items()})
 
 
 def _expected(results: Sequence[ExpectedResult]) -> Table:

@@ -167,6 +167,11 @@ def counted(count: int, noun: str) -> str:
     return f"{count} {noun}" + ("" if count == 1 else "s")
 
 
+def figures_drawn(names: Sequence[str]) -> str:
+    """The number of figures and the names of the first four."""
+    return f"{counted(len(names), 'figure')} ({', '.join(names[:4])}{', …' if len(names) > 4 else ''})"
+
+
 def yes_no(value: bool | None) -> str:
     """yes, no, or nothing where it is unknown."""
     return "" if value is None else "yes" if value else "no"

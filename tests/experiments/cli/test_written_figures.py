@@ -1,4 +1,4 @@
-"""Which figures and pages `tune` and `study` write."""
+"""Which figures and pages `tune`, `study` and `report` write."""
 
 from __future__ import annotations
 
@@ -9,18 +9,19 @@ import pytest
 
 from sim import worlds
 from tests.experiments.monte_carlo.small_study import TOML
-from tests.in_process import trackwright
+from tests.in_process import assert_refused, trackwright
 from trackers.recordings.folder import write_recording
 
-FIT = ("--tracker", "uwb", "--tune", "motion.sigma_a", "--steps", 1, "--starts", 1)
+MAGIC = {".png": b"\x89PNG\r\n", ".pdf": b"%PDF-"}
+FIT = ("--tracker", "fix-kf", "--tune", "motion.sigma_a", "--steps", 1, "--starts", 1)
 
 
 @pytest.fixture(scope="module")
 def rooms(tmp_path_factory):
-    """Two recordings of a tag among four anchors, 6 s of ranges."""
+    """Two recordings of the position fixes of a vehicle, 60 each."""
     paths = [tmp_path_factory.mktemp("figures") / name for name in ("room", "other")]
     for seed, path in enumerate(paths):
-        folder = worlds.ranges(n=1, seed=seed, rows=60).folder()
+        folder = worlds.agv(n=1, seed=seed, rows=60).folder()
         rig = dataclasses.replace(folder.rig, name=path.name)
         write_recording(dataclasses.replace(folder, name=path.name, rig=rig), path)
     return paths
@@ -29,10 +30,9 @@ def rooms(tmp_path_factory):
 @pytest.mark.parametrize(
     ("options", "left"),
     [
-        ((), {"report.html", "tuning.png"}),
         (("--no-figures",), {"report.html"}),
         (("--no-report",), {"tuning.png"}),
-        (("--no-figures", "--no-report"), set()),
+        (("--no-report", "--format", "pdf"), {"tuning.pdf"}),
     ],
 )
 def test_tune_writes_the_figures_and_the_page_that_are_asked_for(rooms, tmp_path, options, left):
@@ -40,19 +40,58 @@ def test_tune_writes_the_figures_and_the_page_that_are_asked_for(rooms, tmp_path
     assert done.code == 0, done
     written = {path.name for path in tmp_path.iterdir()}
     assert written == {"tuned.toml", "trace.csv", "manifest.json", "checkpoint.npz"} | left
-    named = set(re.findall(r"[\w.]+\.(?:html|png)", done.out.splitlines()[-1]))
-    assert named == left
+    assert set(re.findall(r"\w+\.(?:html|png|pdf)", done.out.splitlines()[-1])) == left
+    _assert_kinds(tmp_path)
     if "report.html" in left:
         page = (tmp_path / "report.html").read_text("utf-8")
         assert re.findall(r'alt="Floor plan of (\w+), tag', page) == ["other", "room"]
 
 
-@pytest.mark.parametrize("report", [True, False])
-def test_study_writes_no_page_that_is_not_wanted(tmp_path, report):
+CHARTS = {"rmse_m", "errors-1"}
+
+
+@pytest.mark.parametrize(
+    ("options", "figures", "report"),
+    [
+        ((), {f"{name}.png" for name in CHARTS}, True),
+        (("--format", "pdf", "--no-report"), {f"{name}.pdf" for name in CHARTS}, False),
+        (("--no-figures", "--no-report"), set(), False),
+    ],
+)
+def test_study_writes_the_figures_and_the_page_that_are_asked_for(tmp_path, options, figures, report):
     (tmp_path / "small.toml").write_text(TOML.replace("runs = 12", "runs = 4"), "utf-8")
-    options = () if report else ("--no-report", "--no-figures")
-    done = trackwright("study", tmp_path / "small.toml", *options, "--out", tmp_path / "out")
+    out = tmp_path / "out"
+    done = trackwright("study", tmp_path / "small.toml", *options, "--out", out)
     assert done.code == 0, done
-    assert (tmp_path / "out" / "report.html").exists() == report
+    files = {"study.json", "results.json", "manifest.json"} | ({"report.html"} if report else set())
+    assert {path.name for path in out.iterdir() if path.is_file()} == files | figures
+    assert set(re.findall(r"[\w-]+\.(?:png|pdf)", done.out)) == figures
     assert ("report.html" in done.out) == report
-    assert (tmp_path / "out" / "results.json").exists()
+    _assert_kinds(out)
+
+
+def test_report_writes_figures_of_the_kind_that_is_asked_for(rooms, tmp_path):
+    pair = ("--tracker", "fix-kf,moving-average", "--no-report", "--no-figures", "--format", "pdf")
+    assert trackwright("track", rooms[0], *pair, "--out", tmp_path / "pair").code == 0
+    names = {f"comparison-{name}.pdf" for name in ("errors", "floor_plans")}
+    assert {path.name for path in (tmp_path / "pair").glob("*.p*")} == names
+    runs = (tmp_path / "pair" / "fix-kf", tmp_path / "pair" / "moving-average")
+    done = trackwright("report", *runs, "--format", "pdf", "--out", tmp_path / "page" / "mine.html")
+    assert done.code == 0, done
+    names = {f"mine-{name}.pdf" for name in ("errors", "floor_plans")}
+    assert {path.name for path in (tmp_path / "page").glob("*.p*")} == names
+    assert all(name in done.out for name in names)
+    _assert_kinds(tmp_path / "pair")
+    _assert_kinds(tmp_path / "page")
+
+
+@pytest.mark.parametrize("command", ["track", "tune", "study", "report"])
+def test_every_other_kind_is_refused(command, tmp_path):
+    assert_refused(trackwright(command, "x", "--out", tmp_path / "x.html", "--format", "svg"), "expected png or pdf")
+
+
+def _assert_kinds(folder):
+    """The figures of a folder are what their endings say."""
+    for path in folder.iterdir():
+        if path.suffix in MAGIC:
+            assert path.read_bytes().startswith(MAGIC[path.suffix]), path
