@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ import numpy as np
 from trackers.core.errors import UnusableInput
 from trackers.core.recording import Batch
 from trackers.recordings.atomic import atomic_write, config_hash
+from trackers.recordings.input_file import read_arrays
 from tuning.optimisation import FitState
 from tuning.optimisers import AbstractOptimiser
 
@@ -66,10 +66,10 @@ def load(folder: Path, belongs_to: str) -> list[np.ndarray] | None:
     if not path.exists():
         return None
     try:
-        with np.load(path, allow_pickle=False) as file:
-            owner = str(file["belongs_to"])
-            arrays = [file[f"array_{k}"] for k in range(len(file.files) - 1)]
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile, EOFError) as error:
+        found = read_arrays(path)
+        owner = str(found["belongs_to"])
+        arrays = [found[f"array_{k}"] for k in range(len(found) - 1)]
+    except (ValueError, KeyError) as error:
         raise UnusableInput(f"{path}: is no checkpoint of `tune`; remove it, or begin anew") from error
     if owner != belongs_to:
         raise UnusableInput(

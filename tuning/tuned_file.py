@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -12,6 +11,7 @@ import tomli_w
 
 from trackers.core.errors import UnusableInput
 from trackers.recordings.atomic import atomic_write
+from trackers.recordings.input_file import read_toml
 
 if TYPE_CHECKING:
     from tuning.fitting import FitResult
@@ -58,14 +58,7 @@ class Tuned(NamedTuple):
 
 def read_tuned(path: Path) -> Tuned:
     """The tracker and the values by name; raises UnusableInput for a file that `tune` did not write."""
-    try:
-        content = tomllib.loads(path.read_text("utf-8"))
-    except OSError as error:
-        raise UnusableInput(f"{path}: cannot be read ({error.strerror}); expected the tuned.toml of `tune`") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UnusableInput(
-            f"{path}: is not valid TOML ({str(error).splitlines()[0]}); write it with `tune`"
-        ) from error
+    content = read_toml(path, "the tuned.toml of `trackwright tune`")
     table = content.get("tunables")
     if not isinstance(table, Mapping) or not table:
         raise UnusableInput(f"{path}: found no [tunables], expected the tuned.toml of `trackwright tune`")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 
 from experiments.cli.arguments import Folders
-from trackers.core.errors import UnusableInput
+from trackers.core.errors import UnusableInput, printable
 from trackers.recordings.atomic import json_text
 from trackers.recordings.checks import check as check_recording
 from trackers.recordings.checks import format_results
@@ -31,7 +31,7 @@ def check(recordings: Folders, *, json: bool = False) -> int:
         failed |= any(result.level == "error" for result in results)
         found[str(path)] = [asdict(result) for result in results]
         if not json:
-            print(f"{path}\n{format_results(results)}")
+            print(f"{printable(path)}\n{format_results(results)}")
     if json:
         print(json_text(found), end="")
     return int(failed)

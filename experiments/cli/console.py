@@ -11,7 +11,7 @@ from typing import Any
 
 from rich.console import Console
 
-from trackers.core.errors import UnusableInput, listed
+from trackers.core.errors import UnusableInput, has_control, listed, printable
 from trackers.recordings.atomic import json_text
 from trackers.recordings.calibration_file import read_calibration
 from trackers.recordings.folder import RecordingFolder, read_recordings
@@ -35,7 +35,7 @@ def json_alone(wanted: bool) -> Iterator[Callable[[Mapping[str, Any]], None]]:
 
 def notice(text: str) -> None:
     """Prints one line on standard error."""
-    ERRORS.print(text, markup=False)
+    ERRORS.print(" ".join(printable(text).split()), markup=False)
 
 
 def selection(tag: Sequence[str], start: float | None, stop: float | None, every: float | None) -> Selection:
@@ -108,5 +108,7 @@ def require_output(path: Path) -> None:
         raise UnusableInput(f"--out {path}: is a recording folder; expected a folder for results; choose another")
     if path.resolve() == Path(path.resolve().anchor):
         raise UnusableInput(f"--out {path}: is the root of the file system; choose another folder")
+    if has_control(str(path)):
+        raise UnusableInput(f"--out {path}: has a control character or bytes that are no UTF-8; choose another folder")
     if path.is_file():
         raise UnusableInput(f"--out {path}: is a file; expected a folder for results; choose another folder")

@@ -15,7 +15,7 @@ from experiments.reports.tables import terminal_width
 from trackers.core.errors import UnusableInput
 from trackers.exchange.alignment import Alignment
 from trackers.recordings.atomic import atomic_write
-from trackers.recordings.tracks_table import EVALUATION, SOURCES, read_tracks
+from trackers.recordings.tracks_table import EVALUATION, SOURCES, read_tracks, source_paths
 
 if TYPE_CHECKING:
     from trackers.evaluation import Evaluation
@@ -122,11 +122,9 @@ def with_work(evaluation: Evaluation, work: WorkstepReport) -> Evaluation:
 
 def sources(folder: Path) -> tuple[Path, ...]:
     """The recordings tracked into an output folder; raises UnusableInput if it does not list them."""
-    path = folder / SOURCES
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError):
-        lines = []
-    if not any(lines):
-        raise UnusableInput(f"{path}: names no recording; expected a folder written by `track`; give --truth RECORDING")
-    return tuple(Path(line) for line in lines if line)
+    paths = source_paths(folder)
+    if not paths:
+        raise UnusableInput(
+            f"{folder / SOURCES}: names no recording; expected a folder written by `track`; give --truth RECORDING"
+        )
+    return tuple(paths)

@@ -10,7 +10,6 @@ import polars as pl
 
 from experiments.cli.arguments import Folder
 from experiments.cli.console import notice
-from experiments.cli.evaluate import SOURCES
 from trackers.core.errors import UnusableInput, listed
 from trackers.core.rig import Rig
 from trackers.exchange.exported_tracks import ExportedTrack, tracks_of
@@ -20,7 +19,7 @@ from trackers.exchange.trajectory_files import write_trajectory
 from trackers.recordings.atomic import atomic_write
 from trackers.recordings.folder import RecordingFolder, read_recording
 from trackers.recordings.rig_file import RIG_FILE
-from trackers.recordings.tracks_table import read_tracks
+from trackers.recordings.tracks_table import read_tracks, source_paths
 
 Format = Literal["tum", "kitti", "csv", "ros2", "rrd"]
 
@@ -97,14 +96,10 @@ def _new(out: Path) -> None:
 
 def _recordings(run: Path) -> list[RecordingFolder]:
     """The tracked recordings; a notice for each that cannot be read any more."""
-    try:
-        lines = (run / SOURCES).read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return []
     found = []
-    for line in filter(None, lines):
+    for path in source_paths(run):
         try:
-            found.append(read_recording(line))
+            found.append(read_recording(path))
         except UnusableInput as problem:
             notice(f"notice: without its anchors and truth: {problem}")
     return found

@@ -20,6 +20,7 @@ from experiments.monte_carlo.declaration import Study, TrackerConfig
 from experiments.monte_carlo.results import ChunkTotals, Results, Totals
 from trackers.core.errors import UnusableInput
 from trackers.recordings.atomic import atomic_write, json_text
+from trackers.recordings.input_file import read_arrays
 
 IDENTITY, CHUNKS = "study.json", "chunks"
 
@@ -116,19 +117,16 @@ class ChunkStore:
         for index in runs:
             sums = {name: ChunkTotals(runs[index]) for name in self.study.trackers}
             for chunk in range(-(-runs[index] // self.study.chunk)):
-                with self._file(index, chunk) as file:
+                path = self.path(index, chunk)
+                try:
+                    arrays = read_arrays(path)
                     for k, name in enumerate(sums):
-                        own = {n.partition("/")[2]: file[n] for n in file.files if n.startswith(f"{k}/")}
+                        own = {n.partition("/")[2]: x for n, x in arrays.items() if n.startswith(f"{k}/")}
                         sums[name].add(chunk * self.study.chunk, own)
+                except (ValueError, LookupError, TypeError) as error:
+                    raise UnusableInput(f"{path}: not a chunk of a study; remove it and run the study again") from error
             totals |= {(index, name): own.totals() for name, own in sums.items()}
         return Results(self.study, totals, runs)
-
-    def _file(self, index: int, chunk: int) -> Any:
-        path = self.path(index, chunk)
-        try:
-            return np.load(path, allow_pickle=False)
-        except (OSError, ValueError, zipfile.BadZipFile) as error:
-            raise UnusableInput(f"{path}: not a chunk of a study; remove it and run the study again") from error
 
 
 def first_difference(other: Mapping[str, Any], mine: Mapping[str, Any]) -> str:

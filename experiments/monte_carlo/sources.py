@@ -7,7 +7,6 @@ import difflib
 import importlib
 import importlib.util
 import pkgutil
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from experiments.monte_carlo.declaration import Study, TrackerConfig, World, che
 from sim.worlds import WORLDS
 from trackers.catalogue import run_file, split_name
 from trackers.core.errors import UnusableInput
+from trackers.recordings.input_file import read_toml
 
 KINDS = {str: "text", int: "a whole number", float: "a number", list: "a list", dict: "a table", bool: "true or false"}
 STUDY_KEYS = {
@@ -100,13 +100,7 @@ def _from_python(path: Path) -> Study:
 
 
 def _from_toml(path: Path) -> Study:
-    try:
-        text = path.read_text("utf-8")
-        content = tomllib.loads(text)
-    except OSError as error:
-        raise UnusableInput(f"{path}: cannot be read ({error.strerror}); expected a study in TOML") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UnusableInput(f"{path}: is not valid TOML ({str(error).splitlines()[0]}); correct it") from error
+    content = read_toml(path, "a study")
     if "figures" in content:
         raise UnusableInput(f"{path}: the key 'figures' is now called 'metrics'; rename it")
     _check_keys(path, "", content, STUDY_KEYS)
@@ -122,7 +116,7 @@ def _from_toml(path: Path) -> Study:
         about=content.get("about", ""),
         worlds={name: _world(path, name, table) for name, table in content.get("worlds", {}).items()},
         trackers=trackers,
-        source=text,
+        source=path.read_text("utf-8-sig"),
         **{k: content[k] for k in ("runs", "seed", "metrics", "grid") if k in content},
     )
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from experiments.monte_carlo.declaration import short
 from experiments.monte_carlo.expectations import Value
@@ -16,10 +16,12 @@ from trackers.core.errors import UnusableInput
 from trackers.paired_differences import Key, TrackErrors, errors_by_track
 from trackers.recordings.association import Association, associate_truth
 from trackers.recordings.folder import RecordingFolder, read_recording
-from trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS, read_tracks
+from trackers.recordings.tracks_table import EVALUATION, TRACKS, read_tracks, source_paths
 from trackers.scoring import score
 
 RESULTS = "results.json"
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -64,20 +66,19 @@ def read_runs(folders: Sequence[Path]) -> tuple[list[StudyRun] | list[TrackRun],
     names = _names(folders)
     if kinds[0] == RESULTS:
         return [
-            StudyRun(name, folder, dict(_of_study(_json(folder / RESULTS))))
+            StudyRun(name, folder, _json(folder / RESULTS, lambda content: dict(_of_study(content))))
             for name, folder in zip(names, folders, strict=True)
         ], []
     return _track_runs(names, folders)
 
 
 def _track_runs(names: Sequence[str], folders: Sequence[Path]) -> tuple[list[TrackRun], list[str]]:
-    contents = [_json(folder / EVALUATION) for folder in folders]
-    different = {content.get("kind", "position") for content in contents}
-    if len(different) > 1:
+    contents = [_json(folder / EVALUATION, _of_tracks) for folder in folders]
+    if len({bearing for bearing, _ in contents}) > 1:
         raise UnusableInput(f"{', '.join(map(str, folders))}: tracks of positions and of bearings; expected one kind")
     notices, known = [], {}
     for folder in folders:
-        for path in _sources(folder):
+        for path in source_paths(folder):
             if path not in known:
                 try:
                     known[path] = read_recording(path)
@@ -85,11 +86,9 @@ def _track_runs(names: Sequence[str], folders: Sequence[Path]) -> tuple[list[Tra
                     notices.append(f"{problem}; no intervals and figures for it")
     by_name = {recording.name: recording for recording in known.values()}
     runs = []
-    for name, folder, content in zip(names, folders, contents, strict=True):
+    for name, folder, (bearing, metrics) in zip(names, folders, contents, strict=True):
         association, errors = _errors(folder, by_name)
-        metrics = {one["recording"]: one for one in content["recordings"]}
-        bearing = content.get("kind") == "bearing"
-        runs.append(TrackRun(name, folder, bearing, {"": content["overall"]} | metrics, by_name, association, errors))
+        runs.append(TrackRun(name, folder, bearing, metrics, by_name, association, errors))
     return runs, notices
 
 
@@ -102,14 +101,6 @@ def _errors(
     association = associate_truth(read_tracks(folder), truths)
     scored = score(association, {name: one.rig.stations for name, one in recordings.items()})
     return association, errors_by_track(association, scored)
-
-
-def _sources(folder: Path) -> list[Path]:
-    try:
-        lines = (folder / SOURCES).read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError):
-        return []
-    return [Path(line) for line in lines if line]
 
 
 def _names(folders: Sequence[Path]) -> list[str]:
@@ -133,11 +124,22 @@ def _kind(folder: Path) -> str:
     )
 
 
-def _json(path: Path) -> Any:
+def _json(path: Path, use: Callable[[Any], T]) -> T:
+    """What `use` makes of the JSON in a file; raises UnusableInput for content that no command writes."""
     try:
-        return json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError) as error:
-        raise UnusableInput(f"{path}: cannot be read as JSON; run the study or `evaluate` again") from error
+        return use(json.loads(path.read_text("utf-8")))
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+        raise UnusableInput(f"{path}: cannot be read as JSON of ours; run the study or `evaluate` again") from error
+
+
+def _of_tracks(content: Any) -> tuple[bool, dict[str, dict[str, Any]]]:
+    """Whether the tracks are of bearings, and the metrics by recording; those of all under ""."""
+    metrics = {"": dict(content["overall"])} | {str(one["recording"]): dict(one) for one in content["recordings"]}
+    for one in metrics.values():
+        for name, value in one.items():
+            if not (name == "recording" or value is None or isinstance(value, int | float)):
+                raise TypeError(f"{name} is {value!r}, no number")
+    return content.get("kind", "position") == "bearing", metrics
 
 
 def _of_study(content: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str], Value]]:
@@ -145,4 +147,4 @@ def _of_study(content: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str], Val
         point = ", ".join(f"{short(k)} {v}" for k, v in cell["point"].items())
         subject = ", ".join(x for x in (cell["world"], point, cell["tracker"]) if x)
         for metric, value in cell["figures"].items():
-            yield (subject, metric), Value(*(math.nan if value[k] is None else value[k] for k in Value._fields))
+            yield (subject, metric), Value(*(math.nan if value[k] is None else float(value[k]) for k in Value._fields))

@@ -56,7 +56,7 @@ def aligned(rows: Sequence[Sequence[str]], numbers: Iterable[int] = ()) -> str:
 
 def width_of(table: Table) -> int:
     """Characters a line of the table without wrapping."""
-    console = Console(width=UNLIMITED)
+    console = Console(width=UNLIMITED, markup=False, emoji=False)
     return console.measure(table).maximum
 
 

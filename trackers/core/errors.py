@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import unicodedata
 from collections.abc import Iterable
 from typing import Any, TypeVar
 
@@ -9,13 +10,26 @@ import numpy as np
 
 T = TypeVar("T")
 
+LONGEST = 3000
+"""Characters of a message; the middle of a longer one, which quotes an input of any length, is left out."""
+
 
 class UnusableInput(ValueError):  # noqa: N818 - a fault of the input, not of the program
     """Unusable input, with a message of one line: what, where, found, expected, usual fix."""
 
     def __init__(self, message: str) -> None:
-        printable = "".join(c if c.isprintable() or c.isspace() else "\N{REPLACEMENT CHARACTER}" for c in message)
-        super().__init__(" ".join(printable.split()))
+        text = " ".join(printable(message).split())
+        super().__init__(text if len(text) <= LONGEST else text[: LONGEST // 2] + " … " + text[-LONGEST // 2 :])
+
+
+def printable(text: object) -> str:
+    """The text with a mark in place of each control character, which may move a terminal's cursor."""
+    return "".join(c if c.isprintable() or c.isspace() else "\N{REPLACEMENT CHARACTER}" for c in str(text))
+
+
+def has_control(text: str) -> bool:
+    """Whether the text has a control character, as an end of line or an escape, or bytes that are no UTF-8."""
+    return any(unicodedata.category(c) in ("Cc", "Cs") for c in text)
 
 
 def listed(names: Iterable[object], most: int = 5) -> str:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from trackers.core.errors import UnusableInput, listed
+from trackers.recordings.input_file import read_toml
 from trackers.recordings.tables import TABLES
 
 UNITS: dict[str, dict[str, float]] = {
@@ -120,12 +120,7 @@ def sensor_of(target: str) -> tuple[str, str | None]:
 
 def read_mapping(path: Path) -> list[TableMapping]:
     """The mappings of a TOML file with entries [[tables]]; raises UnusableInput."""
-    try:
-        content = tomllib.loads(path.read_bytes().decode("utf-8-sig"))
-    except OSError as error:
-        raise UnusableInput(f"{path}: cannot be read ({error.strerror}); check the path") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UnusableInput(f"{path}: is not valid TOML: {error}") from error
+    content = read_toml(path, "entries [[tables]]")
     entries = content.pop("tables", None)
     if content or not isinstance(entries, list) or not entries or not all(isinstance(e, dict) for e in entries):
         raise UnusableInput(

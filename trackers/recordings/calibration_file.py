@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
@@ -20,6 +19,7 @@ from trackers.recordings.calibration import (
     StationCalibration,
     TagCalibration,
 )
+from trackers.recordings.input_file import read_toml
 
 FORMAT = 1
 COMMENT = "# Written by `trackwright calibrate`; read by `--calibration` of `track` and `tune`.\n"
@@ -78,17 +78,7 @@ def _entries(names: Sequence[str], terms: np.ndarray, span: np.ndarray, covarian
 def read_calibration(path: str | Path) -> Calibration:
     """The calibration in a `calibration.toml`; raises UnusableInput for content that `calibrate` does not write."""
     path = Path(path)
-    try:
-        content = tomllib.loads(path.read_text("utf-8"))
-    except OSError as error:
-        raise UnusableInput(
-            f"{path}: cannot be read ({error.strerror}); expected the calibration.toml of `trackwright calibrate`"
-        ) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UnusableInput(
-            f"{path}: is not valid TOML ({str(error).splitlines()[0]}); write it with `trackwright calibrate`"
-        ) from error
-    return _Reader(path).calibration(content)
+    return _Reader(path).calibration(read_toml(path, "the calibration.toml of `trackwright calibrate`"))
 
 
 class _Reader:

@@ -17,7 +17,7 @@ from typing import IO, Any, Literal, cast, get_args
 
 import polars as pl
 
-from trackers.core.errors import UnusableInput, listed
+from trackers.core.errors import UnusableInput, has_control, listed
 from trackers.core.frames import html_table
 from trackers.core.rig import Rig
 from trackers.recordings.averaging import averaged
@@ -171,6 +171,8 @@ def _repeated(items: Sequence[Any]) -> int | None:
 def read_recording(path: str | Path) -> RecordingFolder:
     """The recording in the folder `path`; raises UnusableInput with a message of one line for unusable content."""
     path = Path(path)
+    if has_control(str(path)):
+        raise UnusableInput(f"{path}: has a control character or bytes that are no UTF-8 in its name; rename it")
     try:
         entries = sorted(entry.name for entry in path.iterdir())
     except FileNotFoundError:

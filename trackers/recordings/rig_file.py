@@ -5,22 +5,25 @@ from __future__ import annotations
 import difflib
 import json
 import math
-import tomllib
+import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
 
-from trackers.core.errors import UnusableInput
+from trackers.core.errors import UnusableInput, has_control
 from trackers.core.rig import Rig, Station, Tag, checked_knots
+from trackers.recordings.input_file import read_toml
 
 FORMAT = 1
 RIG_FILE = "rig.toml"
 HIGHEST = 1e5  # metres, of a tag
+LARGEST = 1e9  # of any number, beyond all coordinates on Earth; squares of squares stay finite
 NORM_TOLERANCE = 1e-3  # for a quaternion written with three decimals
 
 _TOP = ("format", "name", "about", "licence", "source", "anchors", "stations", "tags", "path", "floor")
+_IDS = ("anchors", "stations", "tags")
 _ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
 _STATION = ("position_m", "rotation_wxyz", *_ANGLES, "wavelength_m", "antennas_m")
 _TAG = ("height_m", "offset_m")
@@ -28,21 +31,11 @@ _TAG = ("height_m", "offset_m")
 
 def read_rig(path: Path) -> tuple[Rig, tuple[str, ...]]:
     """The rig in a `rig.toml`, and a notice for each unknown key; raises UnusableInput."""
-    try:
-        content = tomllib.loads(path.read_bytes().decode("utf-8-sig"))
-    except FileNotFoundError:
+    if not os.path.lexists(path):
         raise UnusableInput(
             f"{path}: missing, expected beside the tables, with `format = {FORMAT}`, a name and the geometry; add it"
-        ) from None
-    except OSError as error:
-        raise UnusableInput(f"{path}: cannot be read ({error.strerror}); check the file and its permissions") from error
-    except UnicodeDecodeError as error:
-        raise UnusableInput(f"{path}: is not UTF-8 text at byte {error.start}; save it as UTF-8") from error
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise UnusableInput(
-            f"{path}: is not valid TOML: {error}; write texts in quotes and lists in brackets"
-        ) from error
-    return _Reader(path).rig(content)
+        )
+    return _Reader(path).rig(read_toml(path, "the geometry of a recording"))
 
 
 class _Reader:
@@ -64,6 +57,9 @@ class _Reader:
         for key, text in texts.items():
             if not isinstance(text, str):
                 self.refuse(key, text, "a text in quotes")
+        for text in (texts["name"], *(key for group in _IDS for key in self.table(content, group))):
+            if has_control(text):
+                raise UnusableInput(f"{self.path}: {text!r} has a control character; expected a name without")
         path = self.table(content, "path")
         self.known(path, ("knots_m",), "[path]")
         if "path" in content and "knots_m" not in path:
@@ -168,11 +164,11 @@ class _Reader:
 
     def number(self, where: str, value: Any) -> float:
         try:
-            if not isinstance(value, bool | str) and math.isfinite(value):
+            if not isinstance(value, bool | str) and math.isfinite(value) and abs(value) <= LARGEST:
                 return float(value)
         except (TypeError, OverflowError):
             pass
-        self.refuse(where, value, "a finite number")
+        self.refuse(where, value, f"a finite number, at most {LARGEST:g} in size")
 
     def known(self, content: Iterable[str], expected: tuple[str, ...], where: str) -> None:
         """Refuses a key that looks misspelt; adds a notice for any other unknown key."""

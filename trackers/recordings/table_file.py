@@ -6,7 +6,7 @@ Columns of CSV are text, those of Parquet typed; `trackers.recordings.tables` ch
 from __future__ import annotations
 
 import csv
-import gzip
+import errno
 import io
 import os
 import threading
@@ -19,9 +19,11 @@ from pathlib import Path
 import polars as pl
 
 from trackers.core.errors import UnusableInput
+from trackers.recordings.input_file import LARGEST, file_bytes, unpacked
 
 SUFFIXES = (".csv", ".csv.gz", ".parquet")
 _one_at_a_time = threading.Lock()  # the error stream belongs to the whole process
+_CELL = 8  # bytes of a value in memory
 _GZIP_MAGIC, _PARQUET_MAGIC = b"\x1f\x8b", b"PAR1"
 
 
@@ -41,28 +43,43 @@ class TableFile:
 
 def read_table_file(path: Path) -> TableFile:
     """The raw columns of a `.csv`, `.csv.gz` or `.parquet` file; raises UnusableInput for a broken or empty file."""
+    if path.name.endswith(".parquet"):
+        file = TableFile(path, read_parquet(path))
+    else:
+        file = _text(path, _unpacked(path, _content(path)))
+    if file.frame.height == 0:
+        raise UnusableInput(f"{path}: the table has no rows, expected at least one; remove the file if there are none")
+    return file
+
+
+def _content(path: Path) -> bytes:
     try:
-        data = path.read_bytes()
+        data = file_bytes(path)
     except OSError as error:
         raise UnusableInput(f"{path}: cannot be read ({error.strerror}); check the file and its permissions") from error
     if not data:
         raise UnusableInput(
             f"{path}: the file is empty, expected a header line and rows; remove the file if there are none"
         )
-    file = _parquet(path, data) if path.name.endswith(".parquet") else _text(path, _unpacked(path, data))
-    if file.frame.height == 0:
-        raise UnusableInput(f"{path}: the table has no rows, expected at least one; remove the file if there are none")
-    return file
+    return data
 
 
-def _parquet(path: Path, data: bytes) -> TableFile:
+def read_parquet(path: Path) -> pl.DataFrame:
+    """The columns of a Parquet file; raises UnusableInput for a broken file, and beyond `LARGEST`, by its footer."""
+    data = _content(path)
     if not data.startswith(_PARQUET_MAGIC) or not data.endswith(_PARQUET_MAGIC):
         raise UnusableInput(f"{path}: is not a complete Parquet file (start or end mark missing); write it again")
     try:
         with _native_code_silenced():
-            return TableFile(path, pl.read_parquet(io.BytesIO(data)))
+            lazy = pl.scan_parquet(io.BytesIO(data))
+            rows, columns = int(lazy.select(pl.len()).collect().item()), len(lazy.collect_schema())
+            if rows * columns * _CELL <= LARGEST:
+                return lazy.collect()
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError, ValueError) as error:
         raise UnusableInput(f"{path}: is a broken Parquet file ({str(error)[:100]}); write it again") from error
+    raise UnusableInput(
+        f"{path}: has {rows:,} rows of {columns} columns, expected at most {LARGEST // _CELL:,} values; split it"
+    )
 
 
 @contextmanager
@@ -85,10 +102,14 @@ def _unpacked(path: Path, data: bytes) -> bytes:
             raise UnusableInput(f"{path}: holds gzip data, expected text; name it {path.name}.gz or unpack it")
         return data
     try:
-        return gzip.decompress(data)
+        return unpacked(path, data)
     except EOFError as error:
         raise UnusableInput(f"{path}: the gzip data end too early, the file is truncated; copy it again") from error
-    except (OSError, zlib.error) as error:
+    except OSError as error:
+        if error.errno == errno.EFBIG:
+            raise UnusableInput(f"{path}: cannot be read ({error.strerror})") from error
+        raise UnusableInput(f"{path}: is not valid gzip data ({error}); copy it again or pack it with gzip") from error
+    except zlib.error as error:
         raise UnusableInput(f"{path}: is not valid gzip data ({error}); copy it again or pack it with gzip") from error
 
 

@@ -31,6 +31,7 @@ _VALUES = {
     "truth": _POSITION,
 }
 _PHASE = re.compile(r"phase_([1-9]\d*)_rad")
+_CONTROL = r"\p{Cc}"
 _LARGEST = 1e15  # its square is within the range of a 32-bit float
 _LATEST = 1e20  # beyond nanoseconds since 1970
 
@@ -122,6 +123,11 @@ def _ids(file: TableFile, column: str) -> pl.Series:
     ids = found.cast(pl.String)
     # The few different ids first.
     different = ids.unique()
+    if different.str.strip_chars().str.contains(_CONTROL).any():
+        row = _first(ids.str.strip_chars().str.contains(_CONTROL).fill_null(False))
+        raise UnusableInput(
+            f"{file.location(row, column)}: {ids[row]!r} has a control character; remove it from the id"
+        )
     if not (different.has_nulls() or (different == "").any() or (different.str.strip_chars() != different).any()):
         return ids
     ids = ids.str.strip_chars()

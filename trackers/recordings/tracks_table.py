@@ -6,7 +6,8 @@ from pathlib import Path
 
 import polars as pl
 
-from trackers.core.errors import UnusableInput
+from trackers.core.errors import UnusableInput, has_control
+from trackers.recordings.table_file import read_parquet
 
 TRACKS, EVALUATION, SOURCES = "tracks.parquet", "evaluation.json", "recordings.txt"
 """Files in the output folder of `trackwright track`: estimates, error metrics, a path of a recording per line."""
@@ -27,17 +28,21 @@ def read_tracks(folder: Path | str) -> pl.DataFrame:
         raise UnusableInput(
             f"{path}: no such file; expected a folder with {TRACKS}; give the folder that `trackwright track` wrote"
         )
-    try:
-        tracks = pl.read_parquet(path)
-    except (pl.exceptions.PolarsError, OSError) as error:
-        raise UnusableInput(
-            f"{path}: unreadable ({str(error).splitlines()[0]}); expected a Parquet table; run `track` again"
-        ) from error
+    tracks = read_parquet(path)
     if tracks.is_empty():
         raise UnusableInput(
             f"{path}: the table is empty; expected one row per estimate; read the output of `trackwright track`"
         )
     return tracks
+
+
+def source_paths(folder: Path) -> list[Path]:
+    """The recordings that `track` lists in its output folder; none where the list cannot be read."""
+    try:
+        lines = (folder / SOURCES).read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError):
+        return []
+    return [] if any(map(has_control, lines)) else [Path(line) for line in lines if line]
 
 
 def is_bearing(tracks: pl.DataFrame) -> bool:

@@ -82,7 +82,7 @@ def _lost_sources(folder):
 @pytest.mark.parametrize(
     ("change", "word"),
     [
-        (_junk, "unreadable"),
+        (_junk, "is not a complete Parquet file"),
         (_no_rows, "the table is empty"),
         (_no_times, "no column t_s"),
         (_no_sources, "names no recording"),

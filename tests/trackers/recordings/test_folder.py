@@ -14,6 +14,7 @@ import pytest
 from tests.broken import ANOMALOUS, BROKEN
 from tests.faulty import RIG, good_tables, write_good
 from trackers.core.errors import UnusableInput
+from trackers.recordings import input_file
 from trackers.recordings.folder import RecordingFolder, read_recording, read_recordings, write_recording
 
 KINDS = ("parquet", "csv.gz", "csv")
@@ -224,7 +225,7 @@ def test_a_panic_of_the_parquet_reader_is_one_line_and_prints_nothing(
         raise pl.exceptions.PanicException("assertion failed")
 
     write_recording(good, tmp_path / "a", "parquet")
-    monkeypatch.setattr(pl, "read_parquet", panic)
+    monkeypatch.setattr(pl, "scan_parquet", panic)
     with pytest.raises(UnusableInput, match="broken Parquet file \\(assertion failed\\)"):
         read_recording(tmp_path / "a")
     os.write(2, b"after the panic")
@@ -260,12 +261,12 @@ def test_an_unreadable_folder_or_file_is_refused(tmp_path: Path, locked):
         (tmp_path / "a" / locked).chmod(0o700)
 
 
-@pytest.mark.parametrize("what", ["iterdir", "read_bytes"])
-def test_a_refusal_by_the_system_is_one_line(good: RecordingFolder, monkeypatch, what):
-    def refuse(self):
-        raise PermissionError(errno.EACCES, "Permission denied", str(self))
+@pytest.mark.parametrize(("where", "what"), [(Path, "iterdir"), (input_file, "_opened")])
+def test_a_refusal_by_the_system_is_one_line(good: RecordingFolder, monkeypatch, where, what):
+    def refuse(path, *flags):
+        raise PermissionError(errno.EACCES, "Permission denied", str(path))
 
-    monkeypatch.setattr(Path, what, refuse)
+    monkeypatch.setattr(where, what, refuse)
     with pytest.raises(UnusableInput, match="cannot be read \\(Permission denied\\)"):
         read_recording(good.path)
 

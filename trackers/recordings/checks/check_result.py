@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from trackers.core.errors import printable
+
 Level = Literal["error", "warning", "info"]
 LEVELS: tuple[Level, ...] = ("error", "warning", "info")
 
@@ -26,6 +28,6 @@ def format_results(results: Sequence[CheckResult]) -> str:
     """The results as aligned lines of plain text, the most severe first, and a last line with their counts."""
     ordered = sorted(results, key=lambda result: LEVELS.index(result.level))
     width = max((len(result.where) for result in results), default=0)
-    lines = [f"{result.level:<7}  {result.where:<{width}}  {result.message}" for result in ordered]
+    lines = [printable(f"{result.level:<7}  {result.where:<{width}}  {result.message}") for result in ordered]
     errors, warnings, infos = (sum(result.level == level for result in results) for level in LEVELS)
     return "\n".join([*lines, f"errors: {errors}, warnings: {warnings}, notes: {infos}"])

@@ -62,6 +62,8 @@ def _duration(found: Correlation) -> str:
 def autocorrelation(read: Readings, errors: np.ndarray) -> Correlation | None:
     """The autocorrelation of errors (N,) along the streams; None for too few of them, or constant ones."""
     seen = np.isfinite(errors)
+    # Of readings with one time the first: copies would count as readings without an interval.
+    seen[1:] &= (np.diff(read.times) > 0) | (np.diff(read.stream) != 0)
     stream, times, x = read.stream[seen], read.times[seen], errors[seen]
     if len(x) < LEAST_PAIRS:
         return None

@@ -107,6 +107,11 @@ def _sums(x: np.ndarray, first: np.ndarray, end: np.ndarray) -> np.ndarray:
     return found
 
 
+def known_median(x: Float[np.ndarray, "N m"]) -> Float[np.ndarray, " m"]:
+    """The median (m,) of each column without its missing values, NaN without any value."""
+    return np.array([np.median(c[~np.isnan(c)]) if not np.isnan(c).all() else np.nan for c in x.T])
+
+
 def robust_std(x: Float[np.ndarray, "N m"]) -> Float[np.ndarray, " m"]:
     """The standard deviation (m,) of each column from its median size, blind to outliers; 0 without any value."""
     return np.array(

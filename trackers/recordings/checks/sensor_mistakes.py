@@ -8,7 +8,7 @@ import numpy as np
 
 from trackers.recordings.checks.compared import Compared, axes_of
 from trackers.recordings.checks.explanations import FACTORS, Explanation, metres, sizes_with
-from trackers.recordings.checks.readings import wrapped
+from trackers.recordings.checks.readings import known_median, wrapped
 from trackers.recordings.checks.robust_fit import robust_fit
 
 FLIGHT = ((0.5, "round-trip distances"), (2.0, "halved distances"))
@@ -151,7 +151,7 @@ def _moved(view: Compared, large: np.ndarray) -> Iterator[Explanation]:
 
 def _medians(view: Compared, x: np.ndarray) -> np.ndarray:
     """The median of each group and column (G, m)."""
-    return np.stack([np.nanmedian(x[view.group == k], axis=0) for k in range(len(view.ids))])
+    return np.stack([known_median(x[view.group == k]) for k in range(len(view.ids))])
 
 
 def _circular_medians(view: Compared, angles: np.ndarray) -> np.ndarray:

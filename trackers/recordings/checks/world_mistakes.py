@@ -9,6 +9,7 @@ import numpy as np
 
 from trackers.recordings.checks.compared import Compared
 from trackers.recordings.checks.explanations import FACTORS, Explanation, metres, sizes_with
+from trackers.recordings.checks.readings import known_median
 from trackers.recordings.checks.robust_fit import robust_fit
 
 FEW, COARSE = 240, 600
@@ -204,7 +205,7 @@ def _swapped_tags(view: Compared) -> Iterator[Explanation]:
     for j, other in enumerate(used):
         errors = np.abs(few.later(0.0, np.full(len(view.tags), other)).errors())
         for i, tag in enumerate(used):
-            costs[i, j] = _log(np.nanmedian(errors[few.tag == tag], axis=0, keepdims=True))[0]
+            costs[i, j] = _log(known_median(errors[few.tag == tag])[None])[0]
     order = _assignment(costs)
     if (order == np.arange(len(used))).all():
         return

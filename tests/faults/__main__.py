@@ -1,0 +1,56 @@
+"""`python -m tests.faults KIND --count 1000 --seed 0`: broken input through the command line, in process.
+
+Prints one line for each case that fails, with the words that repeat it, and counts by exit code.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+
+from experiments.cli.runtime import set_flags
+
+set_flags()
+
+from tests.faults.cases import CASES  # noqa: E402
+
+
+def main() -> int:
+    """Runs the cases; exit code 1 if one fails."""
+    parser = argparse.ArgumentParser(prog="python -m tests.faults", description=__doc__)
+    parser.add_argument("kind", choices=sorted(CASES))
+    parser.add_argument("--count", type=int, default=1000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--first", type=int, default=0, help="number of the first case")
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="begin no case after so many seconds")
+    asked = parser.parse_args()
+    codes, failed, began = Counter(), 0, time.monotonic()
+    for number in range(asked.first, asked.first + asked.count):
+        if time.monotonic() - began > asked.seconds:
+            break
+        place = Path(tempfile.mkdtemp(prefix="faults-"))
+        try:
+            words, wrong, code = CASES[asked.kind](asked.seed, number, place)
+        finally:
+            shutil.rmtree(place, ignore_errors=True)
+        codes[code] += 1
+        if wrong:
+            failed += 1
+            print(
+                f"--seed {asked.seed} --first {number} --count 1: {words}: {wrong}"[:1500]
+                .encode("ascii", "backslashreplace")
+                .decode(),
+                flush=True,
+            )
+    counts = ", ".join(f"exit code {code}: {n}" for code, n in sorted(codes.items()))
+    seconds = time.monotonic() - began
+    print(f"{asked.kind}, seed {asked.seed}: {codes.total()} cases in {seconds:.0f} s, {failed} failed; {counts}")
+    return int(failed > 0)
+
+
+sys.exit(main())

@@ -1,0 +1,74 @@
+"""A few random cases of each kind; `python -m tests.faults` tries thousands."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.faults.cases import CASES
+from tests.faults.judged import faults_of
+from tests.faults.recordings import broken_recording
+
+COUNTS = {"check": 60, "toml": 15, "stores": 10}
+
+
+@pytest.mark.parametrize("kind", COUNTS)
+def test_broken_input_is_refused_in_a_line_or_read(tmp_path, kind):
+    failed = []
+    for number in range(COUNTS[kind]):
+        place = tmp_path / str(number)
+        place.mkdir()
+        words, wrong, _ = CASES[kind](1, number, place)
+        if wrong:
+            failed.append(f"--seed 1 --first {number} --count 1: {words}: {wrong}")
+    assert not failed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "count"), [("check", 2000), ("track", 150), ("tune", 40), ("toml", 200), ("stores", 200)]
+)
+def test_much_broken_input_is_refused_in_a_line_or_read(tmp_path, kind, count):
+    failed = []
+    for number in range(count):
+        place = tmp_path / str(number)
+        place.mkdir()
+        words, wrong, _ = CASES[kind](2, number, place)
+        if wrong:
+            failed.append(f"--seed 2 --first {number} --count 1: {words}: {wrong}")
+    assert not failed
+
+
+def test_the_same_seed_and_number_give_the_same_recording(tmp_path):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    for number in range(20):
+        one, words = broken_recording(5, number, tmp_path / "a")
+        other, again = broken_recording(5, number, tmp_path / "b")
+        assert words == again
+        assert {p.name for p in one.iterdir()} == {p.name for p in other.iterdir()}
+        one.rename(tmp_path / "a" / f"done-{number}")
+        other.rename(tmp_path / "b" / f"done-{number}")
+
+
+def test_a_traceback_is_a_failure(tmp_path, monkeypatch):
+    from experiments.cli import check
+
+    def broken(path):
+        raise ZeroDivisionError("a bug")
+
+    monkeypatch.setattr(check, "read_recording", broken)
+    folder, _ = broken_recording(0, 0, tmp_path)
+    wrong, _ = faults_of(("check", folder), folder)
+    assert wrong.startswith("ZeroDivisionError: a bug")
+
+
+def test_a_changed_input_is_a_failure(tmp_path, monkeypatch):
+    from experiments.cli import check
+
+    def spoils(path):
+        (path / "new").touch()
+        raise check.UnusableInput("no")
+
+    monkeypatch.setattr(check, "read_recording", spoils)
+    folder, _ = broken_recording(0, 0, tmp_path)
+    assert "changed" in faults_of(("check", folder), folder)[0]
