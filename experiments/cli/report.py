@@ -37,11 +37,18 @@ def report(
 
 
 def print_comparison(
-    folders: Sequence[Path], out: Path, kind: str, metrics: Sequence[str] = (), json: bool = False
+    folders: Sequence[Path],
+    out: Path,
+    kind: str | None,
+    metrics: Sequence[str] = (),
+    json: bool = False,
+    page: bool = True,
+    playback: str | None = None,
 ) -> None:
     """Prints the comparison of the runs in these folders and writes it as a page with figures beside it.
 
-    `kind`: the ending of the figures, png or pdf.
+    `kind`: the ending of the figures, png or pdf; None for none. `page`: whether it is written. `playback`: another
+    page beside it, which it names.
     """
     # Reading errors of tracks and drawing take a second to import, which the help need not wait for.
     from experiments.plots.comparison import comparison_charts, plot_comparison
@@ -59,8 +66,9 @@ def print_comparison(
     else:
         print(comparison_text(tables), end="")
     output_folder(out.parent)
-    drawn = plot_comparison(out, runs, contrasts, kind)
-    charts = comparison_charts(runs, contrasts)
-    page = write_comparison(out, [run.name for run in runs], tables, charts, sys.argv)
-    if not json:
-        print(f"wrote {page}" + "".join(f", {path.name}" for path in drawn))
+    written = [] if kind is None else plot_comparison(out, runs, contrasts, kind)
+    if page:
+        charts = comparison_charts(runs, contrasts)
+        written.insert(0, write_comparison(out, [run.name for run in runs], tables, charts, sys.argv, playback))
+    if written and not json:
+        print(f"wrote {', '.join([str(written[0]), *(path.name for path in written[1:])])}")

@@ -101,11 +101,16 @@ def track_folders(
             pages += [] if page is None else [page]
         if of > 1:
             begin("comparison")
-            print_comparison([options.out / run.short for run in runs], options.out / COMPARISON, options.format)
             if pages:
-                begin("report")
                 _write_page(options.out, pages)
                 print(f"wrote {options.out / PAGE}")
+            print_comparison(
+                [options.out / run.short for run in runs],
+                options.out / COMPARISON,
+                options.format if options.figures else None,
+                page=options.report,
+                playback=PAGE if pages else None,
+            )
     for line in (*refused, *unfit):
         notice(f"not tracked: {line}")
     return int(bool(refused or unfit))

@@ -26,10 +26,11 @@ from experiments.plots.style import (
 from experiments.reports.comparison import Contrast
 from experiments.reports.runs import StudyRun, TrackRun
 from experiments.reports.wording import Unit, heading, length_unit, unit_of
+from experiments.scored_tracks import drawn_of
 from trackers.recordings.columns import float_column
 
 MOST_PLANS = 3
-"""Recordings with floor plans."""
+"""Recordings with floor plans: of more the worst, the median and the best by the RMSE of the first run."""
 
 MOST_TAGS = 4
 """Tags of a floor plan."""
@@ -71,14 +72,14 @@ def comparison_charts(
     ]
     plans = [run for run in tracks if not run.bearing]
 
-    def draw(figure: Figure, run: TrackRun, name: str, colour: str) -> None:
+    def draw(figure: Figure, run: TrackRun, name: str, colour: str, why: str) -> None:
         axes = figure.subplots()
-        _plan(axes, run, name, colour)
+        _plan(axes, run, name, colour, why)
         axes.set(xlabel="x (m)", ylabel="y (m)")
 
-    for name in _common(plans)[:MOST_PLANS]:
+    for name, why in _planned(plans).items():
         for run, colour in zip(plans, _colours(len(plans)), strict=True):
-            drawn = svg_address(partial(draw, run=run, name=name, colour=colour), WIDTH, WIDTH)
+            drawn = svg_address(partial(draw, run=run, name=name, colour=colour, why=why), WIDTH, WIDTH)
             charts.append((drawn, f"Floor plan of {name} by {run.name}"))
     return charts
 
@@ -143,19 +144,29 @@ def _violins(axes: Axes, errors: Sequence[np.ndarray], names: Sequence[str], fur
 
 
 def _floor_plans(path: Path, runs: Sequence[TrackRun]) -> list[Path]:
-    """The tracks of the first recordings that all runs have, a panel for each run, on the same axes."""
-    shown, columns = _common(runs)[:MOST_PLANS], len(runs)
+    """The tracks of recordings that all runs have, a panel for each run, on the same axes."""
+    shown, columns = _planned(runs), len(runs)
     if not shown:
         return []
     with figure_file(path, min(3.3 * columns + 0.4, 16.0), 3.2 * len(shown) + 0.5, "") as figure:
         panels = figure.subplots(len(shown), columns, squeeze=False, sharex="row", sharey="row")
-        for row, name in zip(panels, shown, strict=True):
+        for row, (name, why) in zip(panels, shown.items(), strict=True):
             for axes, run, colour in zip(row, runs, _colours(columns), strict=True):
-                _plan(axes, run, name, colour)
+                _plan(axes, run, name, colour, why)
             row[0].set_ylabel("y (m)")
             for axes in row:
                 axes.set_xlabel("x (m)")
     return [path]
+
+
+def _planned(runs: Sequence[TrackRun]) -> dict[str, str]:
+    """The recordings with floor plans, and why these."""
+    names = _common(runs)
+    if not names:
+        return {}
+    own = [np.concatenate([e.error for key, e in runs[0].errors.items() if key[0] == name]) for name in names]
+    chosen = drawn_of(np.array([np.sqrt(np.mean(e**2)) for e in own]), False, MOST_PLANS)
+    return {names[k]: f"{why} by {runs[0].name}" if why else "" for k, why in chosen.items()}
 
 
 def _common(runs: Sequence[TrackRun]) -> list[str]:
@@ -167,7 +178,7 @@ def _recordings(run: TrackRun) -> list[str]:
     return list(dict.fromkeys(key[0] for key in run.errors))
 
 
-def _plan(axes: Axes, run: TrackRun, name: str, colour: str) -> None:
+def _plan(axes: Axes, run: TrackRun, name: str, colour: str, why: str) -> None:
     """Estimates in the run's colour over the truth, black; anchors and stations grey."""
     assert run.association is not None
     part, rig = run.association.of_recording(name), run.recordings[name].rig
@@ -185,7 +196,7 @@ def _plan(axes: Axes, run: TrackRun, name: str, colour: str) -> None:
         margin = max(0.1 * float(np.max(high - low)), 0.3)
         axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
     axes.set_aspect("equal", adjustable="box")
-    axes.set_title(literal(f"{run.name}, {name}"), fontsize=8.5)
+    axes.set_title(literal(f"{run.name}, {name}" + (f"\n{why}" if why else "")), fontsize=8.5)
 
 
 def _intervals(path: Path, contrasts: Sequence[Contrast]) -> Path:

@@ -48,6 +48,15 @@ def test_several_trackers_are_compared_in_one_table_with_paired_differences_and_
     assert "adjusted for" in page
 
 
+def test_several_trackers_write_neither_pages_nor_figures_that_are_not_asked_for(compared, tmp_path):
+    folder, _ = compared
+    assert '<a href="report.html">' in (folder / "two" / "comparison.html").read_text()
+    plain = trackwright("track", folder / "good", "--tracker", "moving-average,median", "--out", tmp_path, *PLAIN)
+    assert plain.code == 0, plain
+    assert "Differences from moving-average" in plain.out
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["median", "moving-average"]
+
+
 def test_the_table_has_the_errors_of_each_run(compared):
     folder, said = compared
     for name in ("moving-average", "median"):
