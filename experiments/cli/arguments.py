@@ -4,7 +4,8 @@ Parameters before `*` are positional arguments, those after it options: `free_he
 `--from`. `tuple[T, ...]` takes all words up to the next option, `bool` none; of an option given twice the last
 counts, lists are joined. The word for a value in help is that of
 `Folder`, `Folders` and `File`, or of an `Annotated[T, "WORD"]`. The section `Args:` of the docstring has a line or more
-on each.
+on each. A parameter that is a dataclass of keyword-only fields stands for a group of options that commands share: its
+fields are options, explained in its own docstring.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import inspect
 import re
 import types
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn, Union, get_args, get_origin, get_type_hints
 
@@ -71,6 +72,9 @@ def arguments_of(function: Callable[..., Any]) -> list[Argument]:
     hints, about = get_type_hints(function, include_extras=True), explanations(function)
     found = []
     for key, parameter in inspect.signature(function).parameters.items():
+        if is_dataclass(hints[key]):
+            found += arguments_of(hints[key])
+            continue
         positional = parameter.kind is not inspect.Parameter.KEYWORD_ONLY
         kinds, many, word = _kinds(hints[key])
         found.append(Argument(key, positional, kinds, many, word, parameter.default, about.get(key, "")))
@@ -136,7 +140,11 @@ def parse(function: Callable[..., Any], command: str, words: Sequence[str]) -> t
             raise UnusableInput(f"{command}: {name}: {found}; expected {option.shown}{see(command)}")
         given[option.key] = [*given.get(option.key, ()), *values] if option.many else values
     positional = [a for a in arguments if a.positional]
-    return _placed(positional, command, loose), _named(options, command, given)
+    values, named = _placed(positional, command, loose), _named(options, command, given)
+    for key, group in get_type_hints(function).items():
+        if isinstance(group, type) and is_dataclass(group):
+            named[key] = group(**{a.key: named.pop(a.key) for a in arguments_of(group)})
+    return values, named
 
 
 def _placed(positional: Sequence[Argument], command: str, words: list[str]) -> list[Any]:

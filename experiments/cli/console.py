@@ -6,11 +6,13 @@ import math
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, redirect_stdout
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from rich.console import Console
 
+from experiments.cli.arguments import File
 from trackers.core.errors import UnusableInput, has_control, listed, printable
 from trackers.recordings.atomic import json_text
 from trackers.recordings.calibration_file import read_calibration
@@ -33,6 +35,40 @@ def json_alone(wanted: bool) -> Iterator[Callable[[Mapping[str, Any]], None]]:
         print(json_text(result), end="")
 
 
+@dataclass(frozen=True, kw_only=True)
+class ReadingOptions:
+    """The options of `track`, `tune` and `sweep` on the readings that are used, and on their calibration.
+
+    Raises UnusableInput for times that name no part of a recording.
+
+    Args:
+        calibration: a calibration.toml of `trackwright calibrate`, of other recordings of these stations or anchors.
+        tag: these tags alone.
+        from_: readings from this time on.
+        to: readings up to this time.
+        every: only the last reading of each tag and anchor or station in every so many seconds.
+        average: mean of the ranges, fixes or bearings of each tag and anchor or station over so many seconds; 0:
+            every reading; default: 0.5 for bearings that repeat.
+    """
+
+    calibration: File | None = None
+    tag: Annotated[tuple[str, ...], "TAG"] = ()
+    from_: Annotated[float | None, "S"] = None
+    to: Annotated[float | None, "S"] = None
+    every: Annotated[float | None, "S"] = None
+    average: Annotated[float | None, "S"] = None
+
+    def __post_init__(self) -> None:
+        _ = self.part
+        if self.average is not None and not 0 <= self.average < math.inf:
+            raise UnusableInput(f"--average {self.average:g}: expected seconds above zero, or 0 for every reading")
+
+    @property
+    def part(self) -> Selection:
+        """The part of each recording."""
+        return selection(self.tag, self.from_, self.to, self.every)
+
+
 def notice(text: str) -> None:
     """Prints one line on standard error."""
     ERRORS.print(" ".join(printable(text).split()), markup=False)
@@ -50,30 +86,20 @@ def selection(tag: Sequence[str], start: float | None, stop: float | None, every
     return Selection(tuple(tag), start, stop, every)
 
 
-def read_with_notices(
-    paths: Sequence[Path],
-    calibration: Path | None = None,
-    average: float | None = None,
-    part: Selection | None = None,
-) -> list[RecordingFolder]:
-    """The recordings in several folders, averaged over intervals of so many s, with the calibration in a file.
+def read_with_notices(paths: Sequence[Path], used: ReadingOptions | None = None) -> list[RecordingFolder]:
+    """The recordings in several folders with these options; prints their notices.
 
-    `part`: of each recording, all by default. Prints their notices. Raises UnusableInput as `read_recordings` and
-    `read_calibration`, and for a wrong interval.
+    Raises UnusableInput as `read_recordings` and `read_calibration`.
     """
-    return prepared(read_recordings(paths), calibration, average, part)
+    return prepared(read_recordings(paths), used or ReadingOptions())
 
 
-def prepared(
-    recordings: Sequence[RecordingFolder], calibration: Path | None, average: float | None, part: Selection | None
-) -> list[RecordingFolder]:
+def prepared(recordings: Sequence[RecordingFolder], used: ReadingOptions) -> list[RecordingFolder]:
     """Recordings that were read, as `read_with_notices` returns them; prints their notices."""
-    paths = [recording.path for recording in recordings]
-    if average is not None and not 0 <= average < math.inf:
-        raise UnusableInput(f"--average {average:g}: expected seconds above zero, or 0 for every reading")
-    recordings = [(part or Selection()).of(recording) for recording in recordings]
-    if average is not None:
-        recordings = [recording.averaged(average) for recording in recordings]
+    paths, calibration = [recording.path for recording in recordings], used.calibration
+    recordings = [used.part.of(recording) for recording in recordings]
+    if used.average is not None:
+        recordings = [recording.averaged(used.average) for recording in recordings]
     read = None if calibration is None else read_calibration(calibration)
     recordings = [recording.calibrated(read) for recording in recordings]
     for path, recording in zip(paths, recordings, strict=True):

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from experiments.cli.arguments import File, Folder, Folders
-from experiments.cli.console import json_alone, read_with_notices, require_output, selection
+from experiments.cli.console import ReadingOptions, json_alone, read_with_notices, require_output
 from experiments.cli.runtime import keep_programs
 from experiments.cli.stages import stages
 from experiments.cli.tune import require_counts
@@ -34,12 +34,7 @@ def sweep(
     repeats: int = 10,
     noise: File | None = None,
     set_: Annotated[tuple[str, ...], "NAME=VALUE"] = (),
-    calibration: File | None = None,
-    tag: Annotated[tuple[str, ...], "TAG"] = (),
-    from_: Annotated[float | None, "S"] = None,
-    to: Annotated[float | None, "S"] = None,
-    every: Annotated[float | None, "S"] = None,
-    average: Annotated[float | None, "S"] = None,
+    used: ReadingOptions,
     path: Annotated[Path | None, "FOLDER"] = None,
     free_height: bool = False,
     piece_rows: int = 8000,
@@ -60,23 +55,16 @@ def sweep(
         repeats: runs of a particle filter per value, with different random numbers.
         noise: a tuned.toml for the other parameters.
         set_: values of other parameters, by tunable or pattern.
-        calibration: a calibration.toml, as in `track`.
-        tag: these tags alone.
-        from_: readings from this time on.
-        to: readings up to this time.
-        every: only the last reading of each tag and anchor or station in every so many seconds.
-        average: mean of readings over so many seconds, as in `track`.
         path: an output folder of `tune`, or its trace.csv, to draw as optimiser trace.
         free_height: estimate the height of tags whose height the rig gives.
         piece_rows: rows of the segments into which long recordings are cut, as in `tune`.
         json: print the best point as JSON instead of a line.
     """
     started, clock = datetime.now(UTC), time.perf_counter()
-    part = selection(tag, from_, to, every)
     options: dict[str, Any] = {
         "tracker": tracker, "over": over, "objective": objective, "dimensions": dimensions, "weigh": weigh,
-        "repeats": repeats, "noise": noise, "set": set_, "calibration": calibration,
-        "part": dataclasses.asdict(part), "average": average, "path": path, "free_height": free_height,
+        "repeats": repeats, "noise": noise, "set": set_, "calibration": used.calibration,
+        "part": dataclasses.asdict(used.part), "average": used.average, "path": path, "free_height": free_height,
         "piece_rows": piece_rows,
     }  # fmt: skip
     require_counts(options)
@@ -85,7 +73,7 @@ def sweep(
     tuned = None if noise is None else read_tuned(noise)
     with json_alone(json) as put, stages("sweep") as begin:
         begin("reading")
-        folders = read_with_notices(recordings, calibration, average, part)
+        folders = read_with_notices(recordings, used)
         begin("preparing")
         keep_programs()
         # jax takes a second to import, which the help and a refused recording need not wait for.

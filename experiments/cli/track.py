@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from typing import Annotated
 
 from experiments.cli.arguments import FigureFormat, File, Folder, Folders
-from experiments.cli.console import json_alone, prepared, require_output, selection
+from experiments.cli.console import ReadingOptions, json_alone, prepared, require_output
 from experiments.cli.runtime import keep_programs
 from experiments.cli.stages import stages
 from experiments.cli.usable import usable_recordings
@@ -21,12 +21,7 @@ def track(
     tracker: Annotated[str | None, "NAME"] = None,
     noise: File | None = None,
     set_: Annotated[tuple[str, ...], "NAME=VALUE"] = (),
-    calibration: File | None = None,
-    tag: Annotated[tuple[str, ...], "TAG"] = (),
-    from_: Annotated[float | None, "S"] = None,
-    to: Annotated[float | None, "S"] = None,
-    every: Annotated[float | None, "S"] = None,
-    average: Annotated[float | None, "S"] = None,
+    used: ReadingOptions,
     free_height: bool = False,
     smooth: bool = False,
     lag: Annotated[float | None, "S"] = None,
@@ -50,13 +45,6 @@ def track(
             commas are compared; default: that of the noise file, else for each recording the one that fits its tables.
         noise: a tuned.toml of `trackwright tune`.
         set_: values by tunable or pattern, e.g. sensors.ranges.sigma_r=0.1; those of `trackwright tunables`.
-        calibration: a calibration.toml of `trackwright calibrate`, of other recordings of these stations or anchors.
-        tag: these tags alone.
-        from_: readings from this time on.
-        to: readings up to this time.
-        every: only the last reading of each tag and anchor or station in every so many seconds.
-        average: mean of the ranges, fixes or bearings of each tag and anchor or station over so many seconds; 0:
-            every reading; default: 0.5 for bearings that repeat.
         free_height: estimate the height of tags whose height the rig gives.
         smooth: use later readings too, all of them: for recordings, where nothing has to be known at once.
         lag: smooth with the readings of the next so many seconds only.
@@ -72,19 +60,19 @@ def track(
     require_output(out)
     if lag is not None and not 0 < lag < 1e6:
         raise UnusableInput(f"--lag {lag:g}: expected seconds above zero; leave it out to use the whole recording")
-    part, values = selection(tag, from_, to, every), parse_values(set_, "--set")
+    values = parse_values(set_, "--set")
     tuned = None if noise is None else read_tuned(noise)
     with json_alone(json) as put, stages("track") as begin:
         begin("reading")
-        usable, refused = usable_recordings(recordings, force, calibration is not None)
-        folders = prepared(usable, calibration, average, part)
+        usable, refused = usable_recordings(recordings, force, used.calibration is not None)
+        folders = prepared(usable, used)
         begin("preparing")
         keep_programs()
         # jax takes a second to import, which the help and a refused recording need not wait for.
         from experiments.cli.tracking import Options, track_folders
 
         options = Options(
-            out, tracker, noise, tuned, values, calibration, part, average, free_height, smooth, lag, seed, cluster,
+            out, tracker, noise, tuned, values, used, free_height, smooth, lag, seed, cluster,
             not no_figures, not no_report, format,
         )  # fmt: skip
         code = track_folders(folders, refused, options, started, begin, put)

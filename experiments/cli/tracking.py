@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from experiments.cli.console import notice, notice_unused_calibration, output_folder
+from experiments.cli.console import ReadingOptions, notice, notice_unused_calibration, output_folder
 from experiments.cli.manifest import write_manifest
 from experiments.cli.report import COMPARISON, print_comparison
 from experiments.cli.stages import Begin
@@ -35,7 +35,6 @@ from trackers.events import EVENTS, events_of
 from trackers.recordings.association import Association, associate_truth
 from trackers.recordings.atomic import atomic_write
 from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.selection import Selection
 from trackers.recordings.tracks import Tracks, track
 from trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS, write_tracks
 from trackers.recordings.trajectories import known_height
@@ -46,7 +45,7 @@ from tuning.tuned_file import Tuned
 class Options:
     """The options of the command.
 
-    `tuned`: the content of the file `noise`. `values`: by tunable or pattern. `part`: of the recordings.
+    `tuned`: the content of the file `noise`. `values`: by tunable or pattern. `used`: of the recordings.
     """
 
     out: Path
@@ -54,9 +53,7 @@ class Options:
     noise: Path | None
     tuned: Tuned | None
     values: Mapping[str, Any]
-    calibration: Path | None
-    part: Selection
-    average: float | None
+    used: ReadingOptions
     free_height: bool
     smooth: bool
     lag: float | None
@@ -182,9 +179,9 @@ def _track(
         "tracker": name,
         "noise": None if options.noise is None else str(options.noise),
         "set": {name: value.tolist() for name, value in options.values.items()},
-        "part": dataclasses.asdict(options.part),
-        "calibration": None if options.calibration is None else str(options.calibration),
-        "average": options.average,
+        "part": dataclasses.asdict(options.used.part),
+        "calibration": None if options.used.calibration is None else str(options.used.calibration),
+        "average": options.used.average,
         "free_height": options.free_height,
         "smooth": options.smooth,
         "lag": options.lag,

@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from typing import Annotated, Any, Literal
 
 from experiments.cli.arguments import FigureFormat, File, Folder, Folders
-from experiments.cli.console import json_alone, read_with_notices, require_output, selection
+from experiments.cli.console import ReadingOptions, json_alone, read_with_notices, require_output
 from experiments.cli.runtime import keep_programs
 from experiments.cli.stages import stages
 from trackers.core.errors import UnusableInput
@@ -41,12 +41,7 @@ def tune(
     start: File | None = None,
     set_: Annotated[tuple[str, ...], "NAME=VALUE"] = (),
     held_out: Folders = (),
-    calibration: File | None = None,
-    tag: Annotated[tuple[str, ...], "TAG"] = (),
-    from_: Annotated[float | None, "S"] = None,
-    to: Annotated[float | None, "S"] = None,
-    every: Annotated[float | None, "S"] = None,
-    average: Annotated[float | None, "S"] = None,
+    used: ReadingOptions,
     dimensions: Literal[2, 3] = 2,
     weigh: Literal["recordings", "rows"] = "recordings",
     starts: int = 4,
@@ -83,12 +78,6 @@ def tune(
         start: a tuned.toml to start from.
         set_: values to start from, by tunable or pattern.
         held_out: recordings to validate on: not fitted, they select the best point and end the fit.
-        calibration: a calibration.toml, as in `track`.
-        tag: these tags alone.
-        from_: readings from this time on.
-        to: readings up to this time.
-        every: only the last reading of each tag and anchor or station in every so many seconds.
-        average: mean of readings over so many seconds, as in `track`.
         dimensions: 2 to judge the horizontal position, 3 to judge an estimated height too.
         weigh: recordings or rows: which of them have the same weight.
         starts: number of starts: the given values, then the best of a first guess from the data and a coarse grid.
@@ -107,12 +96,11 @@ def tune(
     """
     started, clock = datetime.now(UTC), time.perf_counter()
     values = parse_values(set_, "--set")
-    part = selection(tag, from_, to, every)
     options: dict[str, Any] = {
         "tracker": tracker, "objective": objective, "dimensions": dimensions, "weigh": weigh, "tune": tune,
         "freeze": freeze, "bound": bound, "prior": prior, "held_out": held_out, "start": start, "set": set_,
-        "calibration": calibration, "part": dataclasses.asdict(part), "average": average, "starts": starts,
-        "optimiser": optimiser, "steps": steps, "minibatch": minibatch, "intervals": intervals,
+        "calibration": used.calibration, "part": dataclasses.asdict(used.part), "average": used.average,
+        "starts": starts, "optimiser": optimiser, "steps": steps, "minibatch": minibatch, "intervals": intervals,
         "free_height": free_height, "piece_rows": piece_rows,
     }  # fmt: skip
     require_counts(options)
@@ -120,7 +108,7 @@ def tune(
     tuned = None if start is None else read_tuned(start)
     with json_alone(json) as put, stages("tune") as begin:
         begin("reading")
-        folders = read_with_notices((*recordings, *held_out), calibration, average, part)
+        folders = read_with_notices((*recordings, *held_out), used)
         begin("preparing")
         keep_programs()
         # jax takes a second to import, which the help and a refused recording need not wait for.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -107,3 +108,40 @@ def test_help_shows_what_has_to_be_given_and_all_defaults():
     assert "where to (required)" in text
     assert command_help(_one, "one").startswith("usage: one TEXT [FOLDER] [options]")
     assert [a.name for a in arguments_of(_one)] == ["TEXT", "FOLDER", "--json"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Shared:
+    """Options of several commands.
+
+    Args:
+        from_: seconds.
+        tag: these tags alone.
+    """
+
+    from_: Annotated[float | None, "S"] = None
+    tag: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.from_ is not None and self.from_ < 0:
+            raise UnusableInput("--from: expected seconds above zero")
+
+
+def _grouped(name: str, *, first: int = 1, shared: _Shared, last: bool = False) -> None:
+    """Runs.
+
+    Args:
+        name: a name.
+        first: a number.
+        last: a flag.
+    """
+
+
+def test_a_group_of_options_is_one_argument_of_the_function():
+    assert [a.name for a in arguments_of(_grouped)] == ["TEXT", "--first", "--from", "--tag", "--last"]
+    given = {"first": 1, "shared": _Shared(from_=2.0, tag=("a", "b")), "last": False}
+    assert parse(_grouped, "run", ["n", "--from", "2", "--tag", "a", "b"]) == (["n"], given)
+    assert parse(_grouped, "run", ["n"])[1]["shared"] == _Shared()
+    assert "  --tag TEXT...         these tags alone\n  --last" in command_help(_grouped, "trackwright run")
+    with pytest.raises(UnusableInput, match="--from"):
+        parse(_grouped, "run", ["n", "--from", "-2"])
