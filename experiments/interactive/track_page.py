@@ -17,6 +17,7 @@ from experiments import reports
 from experiments.interactive.decimation import MOST_POINTS, MOST_ROWS, MOST_TRACKS
 from experiments.interactive.packing import plotting_script, rounded, script_json
 from experiments.interactive.recording_data import recording_data
+from experiments.reports.wording import shown_metric
 from experiments.scored_tracks import ScoredTracks
 from trackers.evaluation import Evaluation
 from trackers.recordings.atomic import atomic_write
@@ -109,11 +110,10 @@ def _metrics(tracks: ScoredTracks, evaluation: Evaluation) -> list[dict[str, Any
         return metrics.get("rmse_m") or metrics.get("rmse_direction_rad") or 0.0
 
     def known(metrics: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-        height_given = metrics.get("nees_3d_ratio") is None and metrics.get("nees_ratio") is not None
         for key in METRICS:
-            left_out = (height_given and "_3d" in key) or (metrics["recording"] in flat and key in ANGLES)
-            if metrics.get(key) is not None and not left_out:
-                yield key, rounded(metrics[key])
+            value = None if metrics["recording"] in flat and key in ANGLES else shown_metric(metrics, key)
+            if value is not None:
+                yield key, rounded(value)
 
     worst = sorted(evaluation.tracks, key=size, reverse=True)[:MOST_LISTED]
     return [

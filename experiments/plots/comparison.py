@@ -196,7 +196,7 @@ def _plan(axes: Axes, run: TrackRun, name: str, colour: str, why: str) -> None:
         margin = max(0.1 * float(np.max(high - low)), 0.3)
         axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
     axes.set_aspect("equal", adjustable="box")
-    axes.set_title(literal(f"{run.name}, {name}" + (f"\n{why}" if why else "")), fontsize=8.5)
+    axes.set_title(literal(f"{run.name}, {name}" + (f",\n{why}" if why else "")), fontsize=8.5)
 
 
 def _intervals(path: Path, contrasts: Sequence[Contrast]) -> Path:

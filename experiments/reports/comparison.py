@@ -21,6 +21,7 @@ from experiments.reports.wording import (
     fixed,
     heading,
     length_unit,
+    shown_metric,
     units_of,
     with_interval,
     yes_no,
@@ -79,11 +80,10 @@ def track_contrasts(runs: Sequence[TrackRun]) -> list[Contrast]:
     found = []
     for run in runs[1:]:
         differences = paired_differences(runs[0].errors, run.errors)
-        flat = differences.get("rmse_m")
         for metric in METRICS:
             one = differences.get(metric)
-            same_in_space = metric == "rmse_3d_m" and flat is not None and one is not None and one[:2] == flat[:2]
-            if one is not None and math.isfinite(one.value) and not same_in_space:
+            given = "_3d" in metric and all(shown_metric(both.metrics[""], metric) is None for both in (runs[0], run))
+            if one is not None and math.isfinite(one.value) and not given:
                 name = BEARING_NAMES.get(metric, metric) if run.bearing else metric
                 found.append(Contrast("", name, run.name, one, one.p))
     return _adjusted(found)
@@ -127,7 +127,8 @@ def tables_of_tracks(runs: Sequence[TrackRun], contrasts: Sequence[Contrast]) ->
         for run in runs
         if name in run.metrics
     ]
-    what = "Bearing errors in degrees" if runs[0].bearing else f"Horizontal and 3-D position errors in {unit.name}"
+    spatial = " and 3-D" if any("_3d" in column.metric for column in columns) else ""
+    what = "Bearing errors in degrees" if runs[0].bearing else f"Horizontal{spatial} position errors in {unit.name}"
     head = ("recording", "run", "n", *(column.title.replace("\n", " ").strip() for column in columns))
     tables = [Table(what, head, 2, rows)]
     if contrasts:
@@ -168,7 +169,7 @@ def _columns(runs: Sequence[TrackRun]) -> list[Column]:
         column
         for column in every
         if (column.rank == 0 or column.metric.startswith("median"))
-        and any(one.get(column.metric) is not None for run in runs for one in run.metrics.values())
+        and any(shown_metric(one, column.metric) is not None for run in runs for one in run.metrics.values())
     ]
 
 
@@ -176,7 +177,7 @@ def _cells(metrics: dict, columns: Sequence[Column], unit: Unit) -> list[str]:
     digits = {"m": 3, "cm": 1, "mm": 2}.get(unit.name, 2)
     cells = []
     for column in columns:
-        value, scale = metrics.get(column.metric), column.scale or unit.factor
+        value, scale = shown_metric(metrics, column.metric), column.scale or unit.factor
         cells.append(fixed(None if value is None else value * scale, digits if column.scale is None else column.digits))
     return cells
 

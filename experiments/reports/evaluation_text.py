@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from rich.table import Table
 
 from experiments.reports.tables import compact_table, rendered, width_of
-from experiments.reports.wording import Unit, fixed, length_unit
+from experiments.reports.wording import Unit, fixed, length_unit, shown_metric
 from trackers.evaluation import Evaluation, Metrics
 from trackers.recordings.atomic import json_text
 
@@ -91,10 +91,8 @@ def _table(evaluation: Evaluation, columns: Sequence[Column]) -> Table:
     table = compact_table(f"{what} in {unit.name}", _labels(evaluation), ["n", *(column.title for column in columns)])
     for labels, metrics, style in _lines(evaluation):
         cells = []
-        # A height that is given, not estimated, has no covariance: its error is none of the tracker's.
-        given = metrics.get("nees_3d_ratio") is None and metrics.get("nees_ratio") is not None
         for column in columns:
-            value = None if given and "_3d" in column.metric else metrics[column.metric]
+            value = shown_metric(metrics, column.metric)
             scale = column.scale or unit.factor
             shown = digits if column.scale is None else column.digits
             cells.append(fixed(None if value is None else value * scale, shown))

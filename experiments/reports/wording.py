@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -45,6 +45,15 @@ class Unit(NamedTuple):
 
 
 NO_UNIT = Unit("", 1.0)
+
+
+def shown_metric(metrics: Mapping[str, Any], name: str) -> float | None:
+    """A metric of a recording or track; None without it, and of errors in 3-D where the height is given, not estimated.
+
+    A given height has no covariance, and its error is not the tracker's.
+    """
+    given = metrics.get("nees_3d_ratio") is None and metrics.get("nees_ratio") is not None
+    return None if given and "_3d" in name else metrics.get(name)
 
 
 def length_unit(size: float) -> Unit:

@@ -37,6 +37,18 @@ def _contrasts(*folders):
     return {(one.run, one.metric): one for one in comparison(runs)[1]}
 
 
+@pytest.mark.parametrize(("spatial_nees", "there"), [(None, False), (1.0, True)])
+def test_errors_in_3d_have_a_column_only_where_the_height_is_estimated(tmp_path, spatial_nees, there):
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        figures = {"n": 9, "rmse_m": 0.2, "rmse_3d_m": 0.2, "nees_ratio": 1.1, "nees_3d_ratio": spatial_nees}
+        content = {"overall": figures, "recordings": [{"recording": "walk", **figures}]}
+        (tmp_path / name / "evaluation.json").write_text(json.dumps(content))
+    table = comparison(read_runs([tmp_path / "a", tmp_path / "b"])[0])[0][0]
+    assert ("3-D RMSE" in table.head) == there
+    assert ("3-D" in table.title) == there
+
+
 def test_two_studies_differ_where_the_difference_is_larger_than_both_intervals_allow(tmp_path):
     found = _contrasts(_study(tmp_path / "a", 0.10), _study(tmp_path / "b", 0.12))
     assert found["b", "rmse_m"].difference.value == pytest.approx(0.02)
