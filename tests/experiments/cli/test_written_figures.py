@@ -71,7 +71,7 @@ def test_study_writes_the_figures_and_the_page_that_are_asked_for(tmp_path, opti
 
 
 def test_report_writes_figures_of_the_kind_that_is_asked_for(rooms, tmp_path):
-    pair = ("--tracker", "fix-kf,moving-average", "--no-report", "--no-figures", "--format", "pdf")
+    pair = ("--tracker", "fix-kf,moving-average", "--no-report", "--format", "pdf")
     assert trackwright("track", rooms[0], *pair, "--out", tmp_path / "pair").code == 0
     names = {f"comparison-{name}.pdf" for name in ("errors", "floor_plans")}
     assert {path.name for path in (tmp_path / "pair").glob("*.p*")} == names

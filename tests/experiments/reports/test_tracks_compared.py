@@ -13,8 +13,9 @@ import trackwright as tw
 from experiments.plots.plan_change import plan_chart
 from experiments.reports.recordings_compared import tracked
 from experiments.reports.tracks_compared import MOST_PLANS, MOST_POINTS, track_changes
-from experiments.reports.tuning import tuning_page
+from experiments.reports.tuning import tuning_page, write_tuning_report
 from sim import worlds
+from tests.browser import chromium, watched
 from tests.experiments.reports.tuning_report_data import report_data
 from trackers.core.rig import Rig
 from trackers.recordings.folder import RecordingFolder
@@ -115,6 +116,30 @@ def test_the_chart_holds_both_paths_the_truth_and_the_anchors(three):
     for name, path in (("truth", change.truth), ("before", change.before.path), ("after", change.after.path)):
         np.testing.assert_allclose([traces[name]["x"], traces[name]["y"]], path.T, rtol=1e-4, atol=1e-5)
     assert (traces["anchors"]["x"], traces["anchors"]["y"]) == ([0.0], [0.0])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [1300, 400])
+def test_the_plans_are_drawn_in_a_browser(three, tmp_path, width):
+    _, _, found = three
+    path = write_tuning_report(tmp_path / "report.html", report_data(plans=found))
+    with chromium() as browser:
+        page = browser.new_page(viewport={"width": width, "height": 900})
+        errors = watched(page)
+        page.goto(path.as_uri())
+        page.wait_for_function("document.querySelectorAll('#plans .chart .main-svg').length >= 4")
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        # of the path on the screen: its points, and as many pixels a metre along x as along y
+        drawn, scales = page.evaluate("""() => {
+          const place = document.querySelector("#plans .chart"), { xaxis, yaxis } = place._fullLayout;
+          return [place.data.find((trace) => trace.name === "after").x, [xaxis._m, -yaxis._m]];
+        }""")
+        assert scales[0] == pytest.approx(scales[1], rel=1e-3)
+        assert [np.nan if x is None else x for x in drawn] == pytest.approx(
+            found.shown[0].after.path[:, 0], rel=1e-4, abs=1e-4, nan_ok=True
+        )
+        assert page.locator("#plans figcaption").first.inner_text().endswith("held out.")
+        assert not errors
 
 
 def test_of_many_tags_the_worst_the_median_and_the_best_are_shown():
