@@ -121,8 +121,25 @@ function loadRun(number) {
   playback.go(time - state.recording.start);
 }
 
+const viewOf = (recording) => recording.angles ? polarOf(recording) : floorOf(recording);
+
+/** The same recording by the other trackers, for the open circles; named below the plan. */
+function otherRuns(recording) {
+  const found = data.runs.flatMap((run, k) => run === state.run ? [] : run.recordings
+    .filter((own) => own.name === recording.name && own.angles === recording.angles)
+    .map((own) => ({ name: run.name, recording: own, view: viewOf(own), colour: lineColour(k) })));
+  const words = found.flatMap(({ name, colour }, k) => {
+    const made = document.createElement("b");
+    made.style.color = colour;
+    made.textContent = `○ ${name}`;
+    return [k ? ", " : "", made];
+  });
+  byId("others").replaceChildren(...found.length ? ["At the same moment: ", ...words, "."] : []);
+  return found;
+}
+
 function loadRecording(number) {
-  const recording = state.run.recordings[number], view = recording.angles ? polarOf(recording) : floorOf(recording);
+  const recording = state.run.recordings[number], view = viewOf(recording);
   Object.assign(state, { recording, view, selected: -1, trackOf: trackOfRows(recording), window: [-Infinity, Infinity] });
   byId("view-words").textContent = view.words;
   byId("colour").replaceChildren(...colourings(recording).map(([value, text]) => option(value, text)));
@@ -135,7 +152,7 @@ function loadRecording(number) {
   const stations = new Set(recording.tracks.map((track) => track.station));
   if (order.length > 6 || stations.size > 1) state.selected = order[0];
   byId("tag").value = state.selected;
-  overlay.load(recording, view);
+  overlay.load(recording, view, otherRuns(recording));
   listNow();
   byId("ticks").replaceChildren(...recording.events.map((event) => {
     const tick = document.createElement("i");

@@ -11,17 +11,18 @@ function element(kind, className, parent) {
   return made;
 }
 
-/** The overlay of the chart `plot`; `load(recording, view)`, `draw(time, selected, tail)` shows a moment. */
+/** The overlay of the chart `plot`; `load(recording, view, others)`, `draw(time, selected, tail)` shows a moment.
+ *
+ * `others`: of other trackers the same recording, its view and a colour; their estimates are open circles. */
 function makeOverlay(plot) {
   const svg = element("svg", "overlay", plot), frame = element("g", "", svg);
   const clip = element("clipPath", "", svg), box = element("rect", "", clip);
   clip.id = "plan-clip";
   frame.setAttribute("clip-path", "url(#plan-clip)");
-  let recording = null, view = null, parts = [];
+  let recording = null, view = null, others = [], parts = [];
 
-  function load(next, nextView) {
-    recording = next;
-    view = nextView;
+  function load(next, nextView, nextOthers) {
+    [recording, view, others] = [next, nextView, nextOthers];
     frame.replaceChildren();
     parts = recording.tracks.map((track, k) => {
       const group = element("g", "", frame), colour = lineColour(k);
@@ -34,6 +35,13 @@ function makeOverlay(plot) {
       part.ellipse.style.cssText = `stroke:${colour};fill:${colour}`;
       part.tag.style.cssText = `fill:${colour};color:${colour}`;
       part.tag.dataset.tag = nameOf(track);
+      part.others = others.map((other) => {
+        const circle = element("circle", "other", group), same = sameTrack(other.recording.tracks, track.tag, track.station);
+        circle.style.stroke = other.colour;
+        circle.dataset.tag = nameOf(track);
+        circle.setAttribute("r", 6);
+        return { circle, other, track: other.recording.tracks[same] };
+      });
       return part;
     });
   }
@@ -67,6 +75,15 @@ function makeOverlay(plot) {
       }
       part.tail.setAttribute("points", corners(points));
       part.ellipse.setAttribute("points", corners(view.region(row)));
+      for (const { circle, other, track: same } of part.others) {
+        const own = other.recording, at = same ? rowAt(own, same, time + recording.start - own.start) : -1;
+        const seen = at >= 0 && Number.isFinite(own.columns.v0[at]) && time + recording.start - own.start - own.columns.t[at] <= FADE_S;
+        circle.style.display = seen ? "" : "none";
+        if (!seen) continue;
+        const place = other.view.at(at), shift = [0, 1].map((axis) => own.origin[axis] - recording.origin[axis]);
+        circle.setAttribute("cx", px(place[0] + shift[0]));
+        circle.setAttribute("cy", py(place[1] + shift[1]));
+      }
       const known = Number.isFinite(e0[row]);
       part.truth.style.display = part.miss.style.display = known ? "" : "none";
       if (!known) return;

@@ -121,8 +121,13 @@ def test_the_tracker_is_chosen_and_the_moment_and_the_tag_stay(browser, tmp_path
     assert page.inner_text("#now h3") == "tag B"
     rows = second.association.rows
     own = np.flatnonzero((rows["tag"] == "B").to_numpy())[30]
+    of_first = np.flatnonzero((first.association.rows["tag"] == "B").to_numpy())[30]
     x, y, pixel = page.evaluate(PLACE, [".tag", "B"])
     assert np.hypot(x - rows["x_m"][int(own)], y - rows["y_m"][int(own)]) < pixel
+    x, y, _ = page.evaluate(PLACE, [".other", "B"])
+    rows = first.association.rows
+    assert np.hypot(x - rows["x_m"][int(of_first)], y - rows["y_m"][int(of_first)]) < pixel
+    assert page.inner_text("#others") == "At the same moment: ○ uwb."
     cells = [row.inner_text().split("\t") for row in page.locator("#metrics tbody tr").all()]
     assert [row[:3] for row in cells[:4]] == [
         ["hall", "", "uwb"],
