@@ -16,14 +16,19 @@ from trackers.recordings.checks.explanations import PENALTY, Explanation
 from trackers.recordings.checks.sensor_mistakes import sensor_explanations
 from trackers.recordings.checks.world_mistakes import world_explanations
 
-LARGE = {"ranges": (0.3,), "fixes": (0.25, 0.25, 1.0), "bearings": (np.radians(12.0), np.radians(12.0))}
-"""Median error of each column, m or rad, up to which nothing needs an explanation."""
+LARGE = {
+    "ranges": (0.3,), "fixes": (0.25, 0.25, 1.0), "bearings": (np.radians(12.0), np.radians(12.0)), "phases": (0.8,),
+}  # fmt: skip
+"""Median error of each column, or of all, m or rad, up to which nothing needs an explanation."""
 
-FLOOR = {"ranges": 0.05, "fixes": 0.05, "bearings": np.radians(2.0)}
+FLOOR = {"ranges": 0.05, "fixes": 0.05, "bearings": np.radians(2.0), "phases": 0.1}
 """Median error, m or rad, below which an explanation gains nothing more."""
 
 ALL_GAIN, OWN_GAIN = 0.65, 1.0
 """Mean log ratio of errors that an explanation must reach, and one with numbers fitted to single sensors."""
+
+UNITS = {"bearings": ("°", np.degrees(1.0)), "phases": (" rad", 1.0)}
+"""Unit of printed angles and its size per radian; all other readings are in m."""
 
 UNCHANGED = 0.02
 """Log ratio of errors up to which a change leaves them as they are."""
@@ -94,7 +99,7 @@ def _judged(
 def _sentence(view: Compared, best: Explanation, groups: np.ndarray) -> str:
     chosen = np.flatnonzero(groups)
     errors = view.sizes(view.errors(), bias=False)[chosen]
-    unit, factor = ("°", np.degrees(1.0)) if view.table == "bearings" else (" m", 1.0)
+    unit, factor = UNITS.get(view.table, (" m", 1.0))
     sizes = [f"{factor * float(np.nanmedian(np.nanmax(x, axis=1))):.2g}{unit}" for x in (errors, best.sizes[chosen])]
     where = ""
     if best.own:

@@ -107,19 +107,39 @@ def _slope_and_delay(view: Compared, key: tuple[int, ...], delays: np.ndarray) -
 
 def delay_against_truth(recording: RecordingFolder, table: str) -> float:
     """Seconds by which the readings of a table come late against truth, NaN where most of them do not determine it."""
-    view = compared(recording, table)
+    view = compared(recording, table) if table != "phases" else None
     delays = np.array([one.delay for one in residuals(view)] if view is not None else [math.nan])
     return float(np.nanmedian(delays)) if 2 * np.isfinite(delays).sum() > len(delays) else math.nan
 
 
 def check_residuals(view: Compared) -> list[CheckResult]:
     """A line for each anchor, station or tag; the range of their biases where there are many."""
+    if view.table == "phases":
+        return [CheckResult("info", view.table, line) for line in _of_arrays(view)]
     found = residuals(view)
     if len(view.ids) > SHOWN:
         lines = [_of_many([one for one in found if one.column == column], view) for column in view.columns]
     else:
         lines = [_line([one for one in found if one.group == name], view) for name in view.ids]
     return [CheckResult("info", view.table, line) for line in lines]
+
+
+def _of_arrays(view: Compared) -> list[str]:
+    """A line for each station: the offsets of its antennas, and the spread and outliers of its phases about them."""
+    errors, lines = view.errors(), []
+    for k, name in enumerate(view.ids):
+        e = errors[view.group == k]
+        e = e[:, np.isfinite(e).any(axis=0)]
+        offset = np.nanmedian(e, axis=0)
+        about = wrapped(e - offset, view.columns[: e.shape[1]])
+        about = about[np.isfinite(about)]
+        spread = 1.4826 * float(np.median(np.abs(about)))
+        outliers = float(np.mean(_outlying(about, 0.0, spread)))
+        lines.append(
+            f"{view.noun} {name} against truth: offsets of antennas {offset.min():+.2f} to {offset.max():+.2f} "
+            f"rad, spread {spread:.2f} rad, outliers {100 * outliers:.2g} %"
+        )
+    return lines[:SHOWN]
 
 
 def _line(rows: Sequence[Residuals], view: Compared) -> str:

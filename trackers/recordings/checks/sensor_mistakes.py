@@ -8,6 +8,7 @@ import numpy as np
 
 from trackers.recordings.checks.compared import Compared, axes_of
 from trackers.recordings.checks.explanations import FACTORS, Explanation, metres, sizes_with
+from trackers.recordings.checks.phase_mistakes import of_phases
 from trackers.recordings.checks.readings import known_median, wrapped
 from trackers.recordings.checks.robust_fit import robust_fit
 
@@ -30,6 +31,9 @@ def sensor_explanations(view: Compared, large: np.ndarray) -> Iterator[Explanati
         yield from _of_ranges(view)
     if view.table == "bearings":
         yield from _of_bearings(view)
+    if view.table == "phases":
+        yield from of_phases(view)
+    if view.table in ("bearings", "phases"):
         yield from _of_rotations(view)
     if view.table != "fixes":
         yield from _of_places(view)
@@ -131,7 +135,7 @@ def _moved(view: Compared, large: np.ndarray) -> Iterator[Explanation]:
         part = view._replace(
             ids=view.ids[k : k + 1], group=np.zeros(int(own.sum()), int), tag=view.tag[own], times=view.times[own],
             values=view.values[own], positions=view.positions[own], places=view.places[k : k + 1],
-            axes=view.axes[k : k + 1],
+            axes=view.axes[k : k + 1], antennas=view.antennas[k : k + 1], wavelengths=view.wavelengths[k : k + 1],
         )  # fmt: skip
 
         def errors(place: np.ndarray, part: Compared = part) -> np.ndarray:

@@ -23,6 +23,9 @@ LATENCY_S = 1.0
 """Delays of measurements up to here are a property of the sensor."""
 
 LEAST_SHIFT_M, LEAST_YAW = 0.4, np.radians(4.0)
+FARTHEST_M = 200.0
+"""Shift of the truth, m, up to which phases are compared with it: far away on the boresight all are equal."""
+
 LEAST_MOTION_M = 0.5
 CLEAR = 1.5
 """Sum of the log ratios of errors from which two of them count as swapped."""
@@ -101,7 +104,7 @@ def _shifted(view: Compared) -> Iterator[Explanation]:
     starts = (start, target - centre, np.append((target - centre)[:2], 0.0))
     rough = min((robust_fit(lambda x: errors(x, few), x0, 8) for x0 in starts), key=lambda fit: fit[1])[0]
     shift, _ = robust_fit(errors, rough, 4)
-    if np.linalg.norm(shift) >= LEAST_SHIFT_M:
+    if LEAST_SHIFT_M <= np.linalg.norm(shift) <= _farthest(view):
         yield Explanation(
             f"the truth shifted by {metres(shift)}", _frame_cause(view, "has another origin than"),
             sizes_with(view, positions=view.positions + shift), 3,
@@ -128,6 +131,8 @@ def _turned(view: Compared) -> Iterator[Explanation]:
         yaw = float(np.mod(x[0] + np.pi, 2 * np.pi) - np.pi)
         if not mirrored and abs(yaw) < LEAST_YAW:
             continue
+        if np.linalg.norm(x[1:] - centre) > _farthest(view):
+            continue
         origin = _placed(np.zeros((1, 3)), centre, x, mirrored)[0]
         words = f"{'mirrored (y flipped), then ' if mirrored else ''}turned by {np.degrees(yaw):.1f}° about z"
         if np.linalg.norm(origin) >= LEAST_SHIFT_M:
@@ -136,6 +141,10 @@ def _turned(view: Compared) -> Iterator[Explanation]:
             f"the truth {words}", _frame_cause(view, "is mirrored against" if mirrored else "is turned against"),
             sizes_with(view, positions=_placed(view.positions, centre, x, mirrored)), 5 if mirrored else 4,
         )  # fmt: skip
+
+
+def _farthest(view: Compared) -> float:
+    return FARTHEST_M if view.table == "phases" else np.inf
 
 
 def _placed(positions: np.ndarray, centre: np.ndarray, x: np.ndarray, mirrored: bool) -> np.ndarray:

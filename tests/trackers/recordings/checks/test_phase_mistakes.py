@@ -1,0 +1,134 @@
+"""Mistakes made on simulated phases, and on real ones, are named by `check`; none is named on sound recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import polars as pl
+import pytest
+
+from sim import worlds
+from trackers.core.rig import Station
+from trackers.recordings.checks import check, errors_in
+from trackers.recordings.folder import RecordingFolder, read_recording
+
+SIGMA_P = 0.3
+PHASES = [f"phase_{k}_rad" for k in range(1, 9)]
+
+
+@pytest.fixture(scope="module")
+def sound():
+    return worlds.station(n=2, seed=2, rows=80, sigma_p=SIGMA_P).folder()
+
+
+def _table(name: str, **columns: pl.Expr) -> Callable[[RecordingFolder], RecordingFolder]:
+    return lambda folder: replace(folder, tables={**folder.tables, name: folder.tables[name].with_columns(**columns)})
+
+
+def _each(change: Callable[[pl.Expr], pl.Expr]) -> Callable[[RecordingFolder], RecordingFolder]:
+    return _table("phases", **{name: change(pl.col(name)) for name in PHASES})
+
+
+def _columns(order: list[str]) -> Callable[[RecordingFolder], RecordingFolder]:
+    return _table("phases", **{name: pl.col(other) for name, other in zip(PHASES, order, strict=True)})
+
+
+def _stations(
+    change: Callable[[Station], Station], only: tuple[str, ...] = ("1", "2", "3")
+) -> Callable[[RecordingFolder], RecordingFolder]:
+    def made(folder: RecordingFolder) -> RecordingFolder:
+        stations = {key: change(s) if key in only else s for key, s in folder.rig.stations.items()}
+        return replace(folder, rig=replace(folder.rig, stations=stations))
+
+    return made
+
+
+def _antennas(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Station], Station]:
+    return lambda station: replace(station, antennas=change(np.asarray(station.antennas)))
+
+
+def _rotation(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Station], Station]:
+    return lambda station: replace(station, rotation=change(np.asarray(station.rotation)))
+
+
+def _about_z(q: np.ndarray, degrees: float = 40.0) -> np.ndarray:
+    """The attitude q turned about the world's z."""
+    c, s = np.cos(np.radians(degrees) / 2), np.sin(np.radians(degrees) / 2)
+    w, x, y, z = q
+    return np.array([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w])
+
+
+SWAPPED = [PHASES[{1: 4, 4: 1}.get(k, k)] for k in range(8)]
+MISTAKES = {
+    "the sign": (_each(lambda phase: -phase), "sign of the phases flipped"),
+    "degrees, wrapped": (_each(lambda phase: phase.degrees()), "degrees"),
+    "turns": (_each(lambda phase: phase / (2 * np.pi)), "phases in turns"),
+    "two antennas swapped": (_columns(SWAPPED), "phases 2 and 5 exchanged"),
+    "the antennas in reverse order": (_columns(PHASES[::-1]), "antennas in reverse order"),
+    "the antennas counted from another one": (_columns([*PHASES[1:], PHASES[0]]), "phase_1_rad as that of antenna 2"),
+    "a wavelength 1.3 times too long": (_stations(lambda s: replace(s, wavelength=1.3 * s.wavelength)), "wavelength_m"),
+    "half the wavelength": (_stations(lambda s: replace(s, wavelength=0.5 * s.wavelength)), "another wavelength"),
+    "the wavelength in millimetres": (
+        _stations(lambda s: replace(s, wavelength=1000 * s.wavelength)),
+        "wavelength_m in millimetres",
+    ),
+    "antennas in centimetres": (_stations(_antennas(lambda a: 100 * a)), "antennas_m in centimetres"),
+    "antennas seen from behind": (_stations(_antennas(lambda a: a * [-1.0, 1.0])), "x of antennas_m flipped"),
+    "quaternions as x, y, z, w": (_stations(_rotation(lambda q: np.roll(q, -1))), "x, y, z, w"),
+    "quaternions inverted": (_stations(_rotation(lambda q: q * [1, -1, -1, -1]), ("2", "3")), "inverted"),
+    "one station turned": (_stations(_rotation(_about_z), ("2",)), "station 2 (by -40°)"),
+    "truth of another origin": (_table("truth", x_m=pl.col("x_m") + 1.5), "truth shifted by (-1.5"),
+}
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_mistake_is_named_with_the_errors_that_remain_without_it(sound, name):
+    make, words = MISTAKES[name]
+    errors = errors_in(make(sound))
+    assert len(errors) == 1
+    assert words in errors[0].message, errors[0].message
+    assert errors[0].where == "phases"
+
+
+def test_sound_phases_have_no_error_and_a_line_for_each_station(sound):
+    results = check(sound)
+    assert [result for result in results if result.level == "error"] == []
+    lines = [result.message for result in results if "against truth" in result.message]
+    assert len(lines) == 3
+    for number, line in enumerate(lines, 1):
+        assert line.startswith(f"station {number} against truth: offsets of antennas")
+        # The mean of a row takes an eighth of the variance away.
+        spread = float(line.partition("spread ")[2].split(" rad")[0])
+        assert spread == pytest.approx(SIGMA_P * np.sqrt(7 / 8), rel=0.1)
+
+
+def test_a_station_that_gives_angles_and_missing_phases_are_left_out(sound):
+    rig = replace(sound.rig, stations={**sound.rig.stations, "4": replace(sound.rig.stations["1"], antennas=None)})
+    fewer = replace(sound.rig.stations["3"], antennas=np.asarray(sound.rig.stations["3"].antennas)[:6])
+    rig = replace(rig, stations={**rig.stations, "3": fewer})
+    missing = {
+        name: pl.when(pl.col("station") == "3").then(None).otherwise(pl.col(name)).alias(name) for name in PHASES[6:]
+    }
+    phases = sound.tables["phases"].with_columns(**missing)
+    folder = replace(sound, rig=rig, tables={**sound.tables, "phases": phases})
+    assert errors_in(folder) == []
+    assert sum("against truth" in result.message for result in check(folder)) == 3
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda folder: folder, None),
+        (_columns(SWAPPED), "phases 2 and 5 exchanged"),
+        (_columns(PHASES[::-1]), "antennas in reverse order"),
+        (_each(lambda phase: phase.degrees()), "degrees"),
+        (_stations(lambda s: replace(s, wavelength=1000 * s.wavelength), ("RX",)), "wavelength_m in millimetres"),
+        (_stations(_antennas(lambda a: a * [-1.0, 1.0]), ("RX",)), "x of antennas_m flipped"),
+    ],
+    ids=["sound", "swapped", "reversed", "degrees", "wavelength", "mirrored"],
+)
+def test_mistakes_on_recorded_phases_of_a_circular_array_are_named(recordings, make, words):
+    errors = errors_in(make(read_recording(recordings / "ble51-uca-x3y3")))
+    assert [words in error.message for error in errors] == ([] if words is None else [True])
