@@ -77,7 +77,12 @@ function seriesFigure(recording, number, window) {
   });
   layout.xaxis = { title: { text: "time (s)" }, anchor: `y${panels.length > 1 ? panels.length : ""}`, zeroline: false };
   return { traces, layout: layoutOf({ ...layout, hovermode: "x", uirevision: `${recording.name} ${number}`,
-                                      height: 90 + PANEL * panels.length }) };
+                                      height: 90 + PANEL * panels.length,
+                                      // The legend has several lines on a phone.
+                                      ...series.clientWidth < 500 && {
+                                        margin: { l: 56, r: 12, t: 70, b: 44 },
+                                        legend: { orientation: "h", x: 0, y: 1, yref: "container", yanchor: "top" },
+                                      } }) };
 }
 
 /** A band across the whole chart. */
