@@ -126,7 +126,7 @@ def _world(path: Path, name: str, table: Any) -> World:
     if not isinstance(table, Mapping):
         raise UnusableInput(f"{path}: {where} = {table!r}; expected a table, [{where}]")
     kind = table.get("kind", name)
-    if kind not in WORLDS:
+    if not isinstance(kind, str) or kind not in WORLDS:
         raise UnusableInput(f"{path}: {where}: kind '{kind}' is unknown; expected one of {', '.join(WORLDS)}")
     return World(WORLDS[kind], {k: v for k, v in table.items() if k != "kind"})
 

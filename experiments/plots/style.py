@@ -91,6 +91,8 @@ def _styled() -> Iterator[None]:
     with rc_context(STYLE), warnings.catch_warnings():
         # A name in a script that the font lacks is drawn as boxes; a warning would not help the user.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
+        # Nor would one about names as long as the figure.
+        warnings.filterwarnings("ignore", message="constrained_layout not applied")
         yield
 
 

@@ -24,10 +24,10 @@ TRACKERS = {
 """Trackers of few parts by the table that they read."""
 
 
-def _tracker(seed: int, number: int, folder: Path) -> str:
+def _tracker(seed: int, number: int, folder: Path, among: tuple[str, ...] = tuple(TRACKERS)) -> str:
     """A tracker for a table that is there, if there is one."""
     draw = np.random.default_rng([seed, number, 1])
-    tables = [name for name in TRACKERS if any(folder.glob(f"{name}.*"))] or [*TRACKERS]
+    tables = [name for name in among if any(folder.glob(f"{name}.*"))] or [*among]
     return pick(draw, TRACKERS[pick(draw, tables)])
 
 
@@ -48,7 +48,7 @@ def tracked(seed: int, number: int, place: Path) -> tuple[str, str, int]:
 def tuned(seed: int, number: int, place: Path) -> tuple[str, str, int]:
     """A recording with one fault through `tune`."""
     folder, words = broken_recording(seed, number, place, 1)
-    tracker, out = _tracker(seed, number, folder), place / "out"
+    tracker, out = _tracker(seed, number, folder, ("ranges", "fixes", "bearings")), place / "out"
     few = ("--steps", 1, "--starts", 1, "--free-height", "--no-figures", "--no-report")
     return f"{words} ({tracker})", *faults_of(("tune", folder, "--tracker", tracker, *few, "--out", out), folder, out)
 

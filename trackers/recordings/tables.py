@@ -9,7 +9,7 @@ from pathlib import Path
 
 import polars as pl
 
-from trackers.core.errors import UnusableInput
+from trackers.core.errors import UnusableInput, listed
 from trackers.core.rig import Rig
 from trackers.recordings.table_file import TableFile, read_table_file
 
@@ -77,7 +77,11 @@ def read_table(path: Path, name: str, rig: Rig) -> tuple[pl.DataFrame, tuple[str
     _check_stds(file, frame, expected)
     _check_quaternions(file, frame)
     _check_sensors(file, frame, name, rig)
-    notices = [f"{name}: column {c!r} of {path.name} is not part of the format and was ignored" for c in ignored]
+    notices = []
+    if ignored:
+        columns, are = ("column", "is") if len(ignored) == 1 else ("columns", "are")
+        named = listed(map(repr, ignored))
+        notices.append(f"{name}: {columns} {named} of {path.name} {are} not part of the format; ignored")
     unordered = int((frame["t_s"].diff() < 0).sum())
     if unordered:
         notices.append(f"{name}: rows earlier than the previous row: {unordered} of {frame.height}; sorted")

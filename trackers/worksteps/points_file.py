@@ -8,6 +8,7 @@ import numpy as np
 import polars as pl
 
 from trackers.core.errors import UnusableInput
+from trackers.recordings.rig_file import LARGEST
 from trackers.recordings.table_file import SUFFIXES, TableFile, read_table_file
 from trackers.worksteps.decisions import FasteningPoints
 
@@ -63,9 +64,11 @@ def _metres(file: TableFile, column: str) -> np.ndarray:
     if not (metres.dtype.is_numeric() or metres.dtype == pl.Null):
         raise UnusableInput(f"{file.path}: column {column} has type {metres.dtype}, expected numbers in metres")
     values = metres.cast(pl.Float64).fill_null(np.nan).to_numpy()
-    wrong = np.flatnonzero(~np.isfinite(values))
+    wrong = np.flatnonzero(~(np.abs(values) <= LARGEST))
     if len(wrong):
         row = int(wrong[0])
         text = "empty" if not (texts[row] or "").strip() else repr(texts[row][:40])
-        raise UnusableInput(f"{file.location(row, column)}: {text}, expected a finite number, m; correct the cell")
+        raise UnusableInput(
+            f"{file.location(row, column)}: {text}, expected a finite number, m, at most {LARGEST:g}; correct the cell"
+        )
     return values

@@ -1,0 +1,95 @@
+"""Faults that random cases found, each in its smallest form."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import polars as pl
+import pytest
+from rich.table import Table
+
+from experiments.reports.tables import width_of
+from tests.faulty import good_tables, write_good
+from tests.in_process import assert_refused, trackwright
+from trackers.core.errors import UnusableInput
+from trackers.recordings.checks.readings import known_median
+from trackers.recordings.tracks_table import source_paths
+from trackers.worksteps.points_file import read_points
+
+
+@pytest.mark.parametrize("table", ["bearings", "fixes", "ranges"])
+def test_a_table_that_stands_there_twice_has_an_autocorrelation_time(tmp_path, table):
+    write_good(tmp_path / "good")
+    once = trackwright("check", tmp_path / "good")
+    good = good_tables()[table]
+    pl.concat([good, good]).write_csv(tmp_path / "good" / f"{table}.csv")
+    twice = trackwright("check", tmp_path / "good")
+    assert twice.code == once.code
+
+    def correlated(text: str) -> list[str]:
+        return [line for line in text.splitlines() if line.startswith(f"info     {table}") and "correlated" in line]
+
+    assert correlated(twice.out) == correlated(once.out)
+
+
+def test_medians_of_columns_without_a_value_are_unknown_without_a_warning():
+    x = np.array([[1.0, np.nan, 5.0], [3.0, np.nan, np.nan]])
+    np.testing.assert_array_equal(known_median(x), [2.0, np.nan, 5.0])
+    assert np.isnan(known_median(x[:0])).all()
+
+
+def test_a_name_in_brackets_is_no_markup_of_a_table():
+    table = Table("[/]")
+    table.add_row("[/] [bold]x")
+    assert width_of(table) >= len("[/] [bold]x")
+
+
+@pytest.mark.parametrize("content", [b"a\0b\n", b"\xff\xfe", b"", b"x\x1b[31m\n"])
+def test_a_damaged_list_of_recordings_names_none(tmp_path, content):
+    (tmp_path / "recordings.txt").write_bytes(content)
+    assert source_paths(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    "content", [[], {}, {"cells": [{}]}, {"cells": 3}, {"cells": [{"world": 1, "point": [], "figures": {}}]}]
+)
+def test_results_that_no_study_wrote_are_refused(tmp_path, content):
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "results.json").write_text(json.dumps(content))
+    said = trackwright("report", tmp_path / "a", tmp_path / "b", "--out", tmp_path / "out")
+    assert_refused(said, "a/results.json: cannot be read", "run the study")
+
+
+@pytest.mark.parametrize(
+    "change", [{"overall": None}, {"overall": {"rmse_m": "x"}}, {"recordings": [3]}, {"recordings": [{}]}]
+)
+def test_metrics_that_no_command_wrote_are_refused(tmp_path, change):
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        content = {"kind": "position", "overall": {"rmse_m": 1.0}, "recordings": [], **change}
+        (tmp_path / name / "evaluation.json").write_text(json.dumps(content))
+    said = trackwright("report", tmp_path / "a", tmp_path / "b", "--out", tmp_path / "out")
+    assert_refused(said, "a/evaluation.json: cannot be read")
+
+
+def test_a_kind_of_world_that_is_a_list_is_refused(tmp_path):
+    (tmp_path / "study.toml").write_text("[worlds.line]\nkind = [1]\n[trackers.fix-kf]\n")
+    said = trackwright("study", tmp_path / "study.toml", "--out", tmp_path / "out")
+    assert_refused(said, "worlds.line: kind '[1]' is unknown")
+
+
+def test_points_beyond_all_coordinates_are_refused(tmp_path):
+    (tmp_path / "points.csv").write_text("name,x_m,y_m\nP1,1e200,0\nP2,1,1\n")
+    with pytest.raises(UnusableInput, match="row 1 .*column x_m: '1e200', expected a finite number, m, at most"):
+        read_points(tmp_path / "points.csv")
+
+
+def test_hundreds_of_unknown_columns_are_one_notice(tmp_path):
+    write_good(tmp_path / "good")
+    table = good_tables()["ranges"].with_columns(pl.lit(0.1).alias(f"more_{k}") for k in range(300))
+    table.write_csv(tmp_path / "good" / "ranges.csv")
+    lines = [line for line in trackwright("check", tmp_path / "good").out.splitlines() if "more_0" in line]
+    assert len(lines) == 1
+    assert "and 295 more of ranges.csv are not part of the format" in lines[0]
