@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from experiments.plots.style import BEFORE, BLUE, GREEN, GREY, WIDTH, legend_above, literal, svg_address
+from experiments.plots.tracks import draw_rig
 from experiments.reports.tracks_compared import Side, TrackChange
 from trackers.core.chi_square import chi_square_quantile
 from trackers.core.rig import Rig
@@ -38,7 +38,9 @@ def plan_chart(change: TrackChange) -> str:
         for row, marker in ((0, "o"), (-1, "s")):
             axes.plot(*change.after.path[row], marker, color=BLUE, markerfacecolor="white", markersize=9,
                       markeredgewidth=2.0, label="_ends", zorder=4)  # fmt: skip
-        _draw_rig(axes, change.rig)
+        for x1, y1, x2, y2 in change.rig.all_walls():
+            axes.plot([x1, x2], [y1, y2], color=GREY, linewidth=1.5, label="_wall", zorder=2)
+        draw_rig(axes, change.rig.stations, change.rig.anchors, float(np.max(high - low)))
         legend_above(axes, 3)
         axes.set_title(literal(f"{change.recording}, tag {change.tag}"), pad=30)
 
@@ -63,18 +65,6 @@ def _limits(change: TrackChange) -> tuple[np.ndarray, np.ndarray]:
 def _mounted(rig: Rig) -> Float[np.ndarray, "n 2"]:
     places = [*rig.anchors.values(), *(station.position for station in rig.stations.values())]
     return np.array([place[:2] for place in places], float).reshape(-1, 2)
-
-
-def _draw_rig(axes: Axes, rig: Rig) -> None:
-    for x1, y1, x2, y2 in rig.all_walls():
-        axes.plot([x1, x2], [y1, y2], color=GREY, linewidth=1.5, label="_wall", zorder=2)
-    for places, marker, name in (
-        (rig.anchors.values(), "^", "anchors"),
-        ([station.position for station in rig.stations.values()], "s", "stations"),
-    ):
-        if len(places):
-            at = np.array([place[:2] for place in places], float)
-            axes.plot(*at.T, marker, color=GREY, markersize=6, markeredgecolor="white", label=name, zorder=5)
 
 
 def _outlines(side: Side) -> Float[np.ndarray, "n 2"]:

@@ -15,6 +15,7 @@ from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle, StepPatch
+from matplotlib.text import Annotation
 from matplotlib.ticker import PercentFormatter
 
 SYMBOLS = {"o": "circle", ".": "circle", "s": "square", "^": "triangle-up", "v": "triangle-down", "D": "diamond",
@@ -39,6 +40,8 @@ def plotly_figure(figure: Figure) -> dict[str, Any] | None:
         "showlegend": axes.get_legend() is not None or bool(figure.legends),
         "hovermode": "closest",
     }
+    labels = (text for text in axes.texts if isinstance(text, Annotation) and text.get_text())
+    layout["annotations"] = [_label(axes, text) for text in labels]
     if axes.get_aspect() == 1.0:
         layout["yaxis"]["scaleanchor"] = "x"
     return {"data": traces, "layout": layout}
@@ -101,6 +104,16 @@ def _line(axes: Axes, line: Line2D) -> dict[str, Any]:
             "color": colour,
         }
     return trace
+
+
+def _label(axes: Axes, text: Annotation) -> dict[str, Any]:
+    """The words at a point, above or below it as drawn; on a logarithmic axis plotly places them by the logarithm."""
+    scales = (axes.get_xscale(), axes.get_yscale())
+    x, y = (np.log10(value) if scale == "log" else value for value, scale in zip(text.xy, scales, strict=True))
+    shift = -10 if text.get_verticalalignment() == "top" else 10
+    font = {"size": 10, "color": _colour(text.get_color())}
+    return {"x": float(f"{x:.5g}"), "y": float(f"{y:.5g}"), "text": _plain(text.get_text()), "showarrow": False,
+            "xanchor": text.get_horizontalalignment(), "yshift": shift, "font": font}  # fmt: skip
 
 
 def _filled(x: list[float | None], y: list[float | None], colour: Any) -> dict[str, Any]:

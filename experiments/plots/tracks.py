@@ -83,7 +83,7 @@ def floor_plan(
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
         for x1, y1, x2, y2 in [] if walls is None else walls:
             axes.plot([x1, x2], [y1, y2], color=GREY, linewidth=2.0, solid_capstyle="round", zorder=2)
-        _draw_rig(axes, stations or {}, anchors or {}, float(np.max(high - low)))
+        draw_rig(axes, stations or {}, anchors or {}, float(np.max(high - low)))
         for line in true:
             # Below the track, and wider: neither hides the other.
             _, positions = broken_at_gaps(line.times, line.positions)
@@ -179,7 +179,7 @@ def _mark_times(axes: Axes, line: _Path, colour: str, times: int) -> None:
                           textcoords="offset points", path_effects=HALO)  # fmt: skip
 
 
-def _draw_rig(axes: Axes, stations: Mapping[str, Station], anchors: Mapping[str, np.ndarray], size: float) -> None:
+def draw_rig(axes: Axes, stations: Mapping[str, Station], anchors: Mapping[str, np.ndarray], size: float) -> None:
     """Stations as squares, with the boresight unless it points up or down; anchors as triangles.
 
     Those that stand above each other share a label.

@@ -64,6 +64,17 @@ def test_a_logarithmic_axis_and_names_of_rows_are_kept(axes):
     assert layout["yaxis"]["tickvals"] == [0, 1, 2]
 
 
+def test_words_at_points_are_kept_and_arrows_are_not(axes):
+    axes.plot(X, X)
+    axes.set_xscale("log")
+    words = {"textcoords": "offset points", "va": "top", "ha": "right", "color": "#0072b2"}
+    axes.annotate(r"A<1>\$", (100.0, 2.0), (0, -7), **words)
+    axes.annotate("", (1.0, 1.0), (2.0, 2.0), arrowprops={"arrowstyle": "->"})
+    (label,) = _figure(axes)["layout"]["annotations"]
+    assert (label["x"], label["y"], label["text"], label["showarrow"]) == (2.0, 2.0, "A&lt;1&gt;$", False)
+    assert (label["xanchor"], label["yshift"] < 0, label["font"]["color"]) == ("right", True, "rgba(0,114,178,1)")
+
+
 def test_contours_and_several_panels_stay_images(axes):
     axes.contourf(np.outer(X, X))
     assert _figure(axes) is None

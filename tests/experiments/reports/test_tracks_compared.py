@@ -103,10 +103,14 @@ def test_ellipses_before_and_after_are_of_the_same_times_and_hold_95_percent(thr
 
 
 def _traces(change):
+    return {trace["name"]: trace for trace in _chart(change)["data"]}
+
+
+def _chart(change):
     text = base64.b64decode(plan_chart(change).partition(",")[2]).decode()
     chart = json.loads(re.search(r'<metadata id="chart">(.*?)</metadata>', text, re.DOTALL)[1])
     assert chart["layout"]["yaxis"]["scaleanchor"] == "x"
-    return {trace["name"]: trace for trace in chart["data"]}
+    return chart
 
 
 def test_the_chart_holds_both_paths_the_truth_and_the_anchors(three):
@@ -115,7 +119,9 @@ def test_the_chart_holds_both_paths_the_truth_and_the_anchors(three):
     traces = _traces(change)
     for name, path in (("truth", change.truth), ("before", change.before.path), ("after", change.after.path)):
         np.testing.assert_allclose([traces[name]["x"], traces[name]["y"]], path.T, rtol=1e-4, atol=1e-5)
-    assert (traces["anchors"]["x"], traces["anchors"]["y"]) == ([0.0], [0.0])
+    (mark,) = (t for t in _chart(change)["data"] if t.get("marker", {}).get("symbol") == "triangle-up")
+    assert (mark["x"], mark["y"]) == ([0.0], [0.0])
+    assert [(a["x"], a["y"], a["text"]) for a in _chart(change)["layout"]["annotations"]] == [(0.0, 0.0, "A")]
 
 
 @pytest.mark.slow
