@@ -95,8 +95,8 @@ class Compared(NamedTuple):
             for k, (a, b) in enumerate(pairwise(ends)):
                 own = x[a:b][np.isfinite(x[a:b])]
                 if 2 * len(own) >= max(b - a, 1):
-                    middle = min(max(float(np.median(own)), -bound), bound) if bound else 0.0
-                    found[k, column] = np.median(np.abs(own - middle))
+                    middle = min(max(median_of(own), -bound), bound) if bound else 0.0
+                    found[k, column] = median_of(np.abs(own - middle))
         return found
 
     def later(self, delay: float | Float[np.ndarray, " N"], of: Int[np.ndarray, " T"] | None = None) -> Compared:
@@ -120,6 +120,15 @@ class Compared(NamedTuple):
             group=self.group[part], tag=self.tag[part], times=self.times[part], values=self.values[part],
             positions=self.positions[part],
         )  # fmt: skip
+
+
+def median_of(x: np.ndarray) -> float:
+    """The median of values without NaN, as of `np.median`, which takes three times as long for some hundred of them."""
+    half = len(x) // 2
+    if len(x) % 2:
+        return float(np.partition(x, half)[half])
+    low, high = np.partition(x, (half - 1, half))[half - 1 : half + 1]
+    return float((low + high) / 2)
 
 
 def axes_of(rotations: Float[np.ndarray, "G 4"]) -> Float[np.ndarray, "G 3 3"]:

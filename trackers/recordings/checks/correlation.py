@@ -84,7 +84,7 @@ def autocorrelation(read: Readings, errors: np.ndarray) -> Correlation | None:
         some = slice(None, None, 1 + len(pairs) // MOST_TIMES)
         later = float(np.median((times[lag:][some] - times[:-lag][some])[pairs[some]]))
         interval = later if lag == 1 else interval
-        value = float(np.dot(x[lag:] * pairs, x[:-lag])) / count / variance
+        value = float(np.einsum("n,n->", x[lag:] * pairs, x[:-lag])) / count / variance
         if value < _LEVEL:
             fallen = at + (later - at) * (before - _LEVEL) / (before - value)
             return Correlation(fallen, interval, lag > 1, True, sigma)

@@ -10,7 +10,7 @@ import pytest
 
 from trackers.core.rig import Rig
 from trackers.recordings.checks import check
-from trackers.recordings.checks.compared import compared
+from trackers.recordings.checks.compared import compared, median_of
 from trackers.recordings.checks.residuals import residuals
 from trackers.recordings.checks.robust_fit import robust_fit
 from trackers.recordings.folder import RecordingFolder
@@ -75,3 +75,10 @@ def test_a_robust_fit_ignores_a_fifth_of_wild_errors():
     found, size = robust_fit(lambda p: (p[0] * x + p[1] - y)[:, None], np.zeros(2))
     assert found == pytest.approx(true, abs=0.03)
     assert size < 0.06
+
+
+def test_the_median_is_that_of_numpy_to_the_bit():
+    rng = np.random.default_rng(0)
+    for count in (1, 2, 3, 4, 100, 501):
+        x = rng.normal(size=count).round(1)
+        assert median_of(x) == np.median(x)
