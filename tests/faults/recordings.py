@@ -131,7 +131,9 @@ def _other_ids(draw: Draw, frame: pl.DataFrame) -> pl.DataFrame:
     one, new = pick(draw, frame[column].unique().sort().to_list()), pick(draw, IDS)
     if draw.random() < 0.1:
         return frame.with_columns(pl.int_range(len(frame)).cast(pl.String).alias(column))
-    return frame.with_columns(pl.when(pl.col(column) == one).then(pl.lit(new)).otherwise(pl.col(column)).alias(column))
+    return frame.with_columns(
+        pl.when(pl.col(column).eq_missing(pl.lit(one))).then(pl.lit(new)).otherwise(pl.col(column)).alias(column)
+    )
 
 
 def _fewer(draw: Draw, frame: pl.DataFrame) -> pl.DataFrame:
