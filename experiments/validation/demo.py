@@ -8,6 +8,7 @@ import tomllib
 from pathlib import Path
 
 from experiments.cli.subprocesses import command, evaluation, recordings_folder
+from experiments.reports.wording import shown_metric
 from trackers.covariance_statements import holds
 
 OUT = Path("out/demo")
@@ -61,7 +62,9 @@ def main() -> None:
 
 def _line(tracks: Path, covariances: bool = False) -> str:
     overall = evaluation(tracks)["overall"]
-    line = f"{overall['rmse_m']:.3f} m horizontal, {overall['rmse_3d_m']:.3f} m 3-D RMSE   {tracks}"
+    spatial = shown_metric(overall, "rmse_3d_m")
+    in_space = "" if spatial is None else f", {spatial:.3f} m 3-D"
+    line = f"{overall['rmse_m']:.3f} m horizontal{in_space} RMSE   {tracks}"
     if not covariances:
         return line
     inside = f"{100 * overall['coverage_95']:.0f} % of the 95 % ellipses contain the truth"
