@@ -22,6 +22,16 @@ def recordings_folder() -> Path | None:
     return folder if folder.is_dir() else None
 
 
+def required_recordings() -> Path:
+    """The folder of real recordings; raises UnusableInput where there is none."""
+    folder = recordings_folder()
+    if folder is None:
+        raise UnusableInput(
+            "no folder of real recordings; expected ../shared/recordings or a folder named by TRACKWRIGHT_RECORDINGS"
+        )
+    return folder
+
+
 def command(*arguments: str | Path, folder: Path | None = None) -> None:
     """Print a `trackwright` command and run it, its output to the terminal; exits with its code if it fails.
 

@@ -19,10 +19,9 @@ import numpy as np
 from experiments.bench.timing import replace_tables
 from experiments.cli.main import run_alone
 from experiments.cli.runtime import keep_programs, set_flags
-from experiments.cli.subprocesses import REPOSITORY, recordings_folder
+from experiments.cli.subprocesses import REPOSITORY, required_recordings
 from experiments.validation.folds import SEEN_BY_DEFAULTS
 from trackers.catalogue import PREFERENCE, TRACKERS, build
-from trackers.core.errors import UnusableInput
 from trackers.evaluation import evaluate
 from trackers.recordings.folder import RecordingFolder, read_recordings
 
@@ -88,11 +87,7 @@ def main(*, page: Path | None = None) -> int:
     """
     set_flags()
     keep_programs()
-    root = recordings_folder()
-    if root is None:
-        raise UnusableInput(
-            "no folder of real recordings; expected ../shared/recordings or a folder named by TRACKWRIGHT_RECORDINGS"
-        )
+    root = required_recordings()
     began = time.monotonic()
     figures = []
     for folder in read_recordings([path.parent for path in sorted(root.glob("*/rig.toml"))]):

@@ -14,11 +14,10 @@ from pathlib import Path
 from experiments.bench.timing import replace_tables
 from experiments.cli.main import run_alone
 from experiments.cli.runtime import keep_programs, set_flags
-from experiments.cli.subprocesses import REPOSITORY, recordings_folder
+from experiments.cli.subprocesses import REPOSITORY, required_recordings
 from experiments.validation.fold_runs import Figures, run_fold
 from experiments.validation.folds import FOLDS, Fold
 from experiments.validation.real_recordings_page import all_checks, baselines, line_of, quoted, written
-from trackers.core.errors import UnusableInput
 
 PAGE = REPOSITORY / "docs" / "real-recordings.md"
 QUICK_PAGE = Path("out/real-recordings.md")
@@ -33,11 +32,7 @@ def main(*, quick: bool = False, page: Path | None = None) -> int:
     """
     set_flags()
     keep_programs()
-    root = recordings_folder()
-    if root is None:
-        raise UnusableInput(
-            "no folder of real recordings; expected ../shared/recordings or a folder named by TRACKWRIGHT_RECORDINGS"
-        )
+    root = required_recordings()
     began = time.monotonic()
     figures = run([fold for fold in FOLDS if fold.quick or not quick], root)
     seconds = time.monotonic() - began

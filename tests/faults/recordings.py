@@ -13,7 +13,7 @@ import numpy as np
 import polars as pl
 import polars.selectors as cs
 
-from tests.faults.values import CELLS, ENCODINGS, FOLDER_NAMES, IDS, TOML, Draw, of_other_type, pick
+from tests.faults.values import CELLS, ENCODINGS, FOLDER_NAMES, IDS, Draw, of_other_type, other_line, other_value, pick
 from tests.faulty import RIG, good_tables
 
 FLOOR = """
@@ -227,24 +227,7 @@ def _packed_again(draw: Draw, data: bytes) -> bytes:
 
 
 def _rig_value(draw: Draw, text: str) -> str:
-    found = [*re.finditer(r"(?<= = ).*$|-?\d+\.\d+", text, re.MULTILINE)]
-    one = pick(draw, found)
-    return text[: one.start()] + pick(draw, TOML) + text[one.end() :]
-
-
-def _rig_line(draw: Draw, text: str) -> str:
-    lines = text.split("\n")
-    k = int(draw.integers(len(lines)))
-    ways = (
-        [],
-        [lines[k]] * 2,
-        [lines[k], pick(draw, lines)],
-        ["[x]"],
-        [lines[k][: len(lines[k]) // 2]],
-        [f"{pick(draw, TOML)} = 1"],
-    )
-    lines[k : k + 1] = pick(draw, ways)
-    return "\n".join(lines)
+    return other_value(draw, text, r"(?<= = ).*$|-?\d+\.\d+")
 
 
 def _rig_ids(draw: Draw, text: str) -> str:
@@ -313,7 +296,7 @@ def _more_files(draw: Draw, folder: Path) -> str:
 OF_FRAMES = (_times, _units, _shifted, _missing, _other_ids, _fewer, _repeated, _columns)
 OF_TEXT = (_cells, _lines, _encoded_text)
 OF_BYTES = (_flipped, _cut, _spliced, _encoded, _packed_again)
-OF_RIG = (_rig_value, _rig_line, _rig_ids, _rig_geometry)
+OF_RIG = (_rig_value, other_line, _rig_ids, _rig_geometry)
 OF_FOLDER = (_links, _special, _more_files)
 OF_PARQUET = (of_other_type,)
 KINDS: tuple[Callable, ...] = (*OF_FRAMES, *OF_TEXT, *OF_BYTES, *OF_RIG, *OF_FOLDER, *OF_PARQUET)

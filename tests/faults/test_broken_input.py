@@ -11,16 +11,21 @@ from tests.faults.recordings import broken_recording
 COUNTS = {"check": 60, "toml": 15, "stores": 10}
 
 
+def _failed(kind, seed, count, parent):
+    """The failing ones of the first cases of a kind: the words that repeat each, and its failure."""
+    failed = []
+    for number in range(count):
+        place = parent / str(number)
+        place.mkdir()
+        words, wrong, _ = CASES[kind](seed, number, place)
+        if wrong:
+            failed.append(f"--seed {seed} --first {number} --count 1: {words}: {wrong}")
+    return failed
+
+
 @pytest.mark.parametrize("kind", COUNTS)
 def test_broken_input_is_refused_in_a_line_or_read(tmp_path, kind):
-    failed = []
-    for number in range(COUNTS[kind]):
-        place = tmp_path / str(number)
-        place.mkdir()
-        words, wrong, _ = CASES[kind](1, number, place)
-        if wrong:
-            failed.append(f"--seed 1 --first {number} --count 1: {words}: {wrong}")
-    assert not failed
+    assert not _failed(kind, 1, COUNTS[kind], tmp_path)
 
 
 @pytest.mark.slow
@@ -28,14 +33,7 @@ def test_broken_input_is_refused_in_a_line_or_read(tmp_path, kind):
     ("kind", "count"), [("check", 2000), ("track", 150), ("tune", 40), ("toml", 200), ("stores", 200)]
 )
 def test_much_broken_input_is_refused_in_a_line_or_read(tmp_path, kind, count):
-    failed = []
-    for number in range(count):
-        place = tmp_path / str(number)
-        place.mkdir()
-        words, wrong, _ = CASES[kind](2, number, place)
-        if wrong:
-            failed.append(f"--seed 2 --first {number} --count 1: {words}: {wrong}")
-    assert not failed
+    assert not _failed(kind, 2, count, tmp_path)
 
 
 def test_the_same_seed_and_number_give_the_same_recording(tmp_path):

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from tests.faults.recordings import OF_BYTES
-from tests.faults.values import CELLS, IDS, TOML, Draw, pick
+from tests.faults.values import CELLS, IDS, Draw, other_line, other_value, pick
 
 TUNED = """tracker = "fix-kf"
 objective = "nll"
@@ -104,7 +104,7 @@ POINTS = "name,x_m,y_m,z_m\nP1,1.0,2.0,0.5\nP2,2.0,2.0,0.5\nP3,2.5,2.0,0.5\n"
 def broken_toml(draw: Draw, text: str) -> bytes:
     """A TOML file with one to three faults in its values, keys, lines or bytes."""
     for _ in range(int(draw.integers(1, 4))):
-        text = pick(draw, (_value, _value, _line, _key))(draw, text)
+        text = pick(draw, (_value, _value, other_line, _key))(draw, text)
     data = text.encode("utf-8", "surrogatepass")
     return pick(draw, OF_BYTES)(draw, data) if draw.random() < 0.2 else data
 
@@ -126,26 +126,7 @@ def broken_file(draw: Draw, path: Path) -> str:
 
 
 def _value(draw: Draw, text: str) -> str:
-    found = [*re.finditer(r"(?<= = ).*$|-?\d+(\.\d+|e-\d+)", text, re.MULTILINE)]
-    if not found:
-        return text
-    one = pick(draw, found)
-    return text[: one.start()] + pick(draw, TOML) + text[one.end() :]
-
-
-def _line(draw: Draw, text: str) -> str:
-    lines = text.split("\n")
-    k = int(draw.integers(len(lines)))
-    ways = (
-        [],
-        [lines[k]] * 2,
-        [lines[k], pick(draw, lines)],
-        ["[x]"],
-        [lines[k][: len(lines[k]) // 2]],
-        [f"{pick(draw, TOML)} = 1"],
-    )
-    lines[k : k + 1] = pick(draw, ways)
-    return "\n".join(lines)
+    return other_value(draw, text, r"(?<= = ).*$|-?\d+(\.\d+|e-\d+)")
 
 
 def _key(draw: Draw, text: str) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import polars as pl
 
@@ -64,3 +66,28 @@ def of_other_type(draw: Draw, column: pl.Series) -> pl.Series:
         return pick(draw, ways)(column).alias(column.name)
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException):
         return pl.Series(column.name, [None] * len(column))
+
+
+def other_value(draw: Draw, text: str, values: str) -> str:
+    """The text of a TOML or JSON file with another value in place of one that the pattern `values` finds, if any."""
+    found = [*re.finditer(values, text, re.MULTILINE)]
+    if not found:
+        return text
+    one = pick(draw, found)
+    return text[: one.start()] + pick(draw, TOML) + text[one.end() :]
+
+
+def other_line(draw: Draw, text: str) -> str:
+    """The text of a TOML file with one line left out, repeated, followed by another, cut short or replaced."""
+    lines = text.split("\n")
+    k = int(draw.integers(len(lines)))
+    ways = (
+        [],
+        [lines[k]] * 2,
+        [lines[k], pick(draw, lines)],
+        ["[x]"],
+        [lines[k][: len(lines[k]) // 2]],
+        [f"{pick(draw, TOML)} = 1"],
+    )
+    lines[k : k + 1] = pick(draw, ways)
+    return "\n".join(lines)

@@ -177,22 +177,19 @@ def step(tracker: RecursiveTracker, carry: Carry, row: Row, few: bool) -> tuple[
     if not few:
         return advance(carry, row, *update(predict(carry.belief, row), row))
 
+    chosen = jax.vmap(select, (-1, axes.belief, axes.belief), axes.belief)
+
     def where(condition: Bool[Array, " B"], after: Any, before: Any) -> Any:
         # A trajectory that stands still beside others that move keeps its bits: they must not depend on its neighbours.
-        return (
-            after
-            if len(condition) == 1
-            else jax.vmap(select, (-1, *[axes.belief] * 2), axes.belief)(condition, after, before)
-        )
+        return after if len(condition) == 1 else chosen(condition, after, before)
 
     moves = row.dt > 0
     seen = jnp.any(jnp.concatenate([reading.seen for reading in row.readings.values()]), axis=0)
 
     def measured(belief: Any) -> tuple[Any, Innovation]:
         after, innovation = update(belief, row)
-        return where(seen, after, belief), Innovation(
-            *(jnp.where(seen, x, 0.0).astype(row.dt.dtype) for x in innovation)
-        )
+        own = (jnp.where(seen, x, 0.0).astype(row.dt.dtype) for x in innovation)
+        return where(seen, after, belief), Innovation(*own)
 
     def unmeasured(belief: Any) -> tuple[Any, Innovation]:
         return belief, Innovation(*[jnp.zeros_like(row.dt)] * 4)
