@@ -61,7 +61,8 @@ def cluster_executor(cluster: str) -> Iterator[Executor]:
             client.wait_for_workers(1)
             for address, found in client.run(_prepared, expected["XLA flags"], on_error="return").items():
                 _require_same(expected, found, f"worker {address}")
-            yield WorkerExecutor(client.get_executor(pure=False), expected)
+            workers = len(client.nthreads())
+            yield WorkerExecutor(client.get_executor(pure=False), expected, max(AT_ONCE, workers + workers // 4))
     except (CancelledError, distributed.CancelledError, distributed.comm.CommClosedError) as error:
         raise UnusableInput(f"--cluster {cluster}: the scheduler was lost; start it again, then the command") from error
     except distributed.KilledWorker as error:
@@ -112,10 +113,13 @@ def _client(distributed: Any, cluster: str, processes: int | None) -> Iterator[A
 
 
 class WorkerExecutor(Executor):
-    """An executor of other processes that computes only where the environment is `expected`."""
+    """An executor of other processes that computes only where the environment is `expected`.
 
-    def __init__(self, executor: Executor, expected: Mapping[str, Any]) -> None:
-        self.executor, self.expected = executor, dict(expected)
+    `at_once`: parts that it is given at a time, so that every worker has one.
+    """
+
+    def __init__(self, executor: Executor, expected: Mapping[str, Any], at_once: int = AT_ONCE) -> None:
+        self.executor, self.expected, self.at_once = executor, dict(expected), at_once
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         # As bytes, so that the worker unpickles nothing that imports jax before the flags are set.
@@ -217,11 +221,15 @@ def _vector_instructions() -> str:
 
 
 def finished(
-    submit: Callable[[Item], Future[Any]], items: Iterable[Item], at_once: int = AT_ONCE
+    submit: Callable[[Item], Future[Any]],
+    items: Iterable[Item],
+    at_once: int = AT_ONCE,
+    lost: Callable[[Item], Any] | None = None,
 ) -> Iterator[tuple[Item, Any]]:
     """Each item with the result of its submitted part, as parts finish; at most `at_once` are submitted at a time.
 
-    Parts that have not begun are cancelled where one fails, and where the caller stops.
+    `lost`: the result of a part whose workers ended again and again; without it, that is a failure. Parts that have not
+    begun are cancelled where one fails, and where the caller stops.
     """
     waiting: dict[Future[Any], Item] = {}
     remaining = iter(items)
@@ -232,7 +240,9 @@ def finished(
             if not waiting:
                 return
             for future in wait(waiting, return_when=FIRST_COMPLETED).done:
-                yield waiting.pop(future), future.result()
+                item = waiting.pop(future)
+                ended = lost is not None and type(future.exception()).__name__ == "KilledWorker"
+                yield item, lost(item) if lost is not None and ended else future.result()
     finally:
         for future in waiting:
             future.cancel()

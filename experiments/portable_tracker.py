@@ -41,11 +41,15 @@ class PortableTracker(NamedTuple):
 
     def tracks(self, folder: RecordingFolder, seed: int) -> tuple[pl.DataFrame, dict[str, int]]:
         """Of one recording: the table of estimates, and how many trajectories ended how."""
+        found = self.named(folder).run(folder, seed=seed)
+        return found.table, found.summaries
+
+    def named(self, folder: RecordingFolder) -> NamedTracker:
+        """The tracker for one recording; raises UnusableInput as `NamedTracker.of` and where values do not fit."""
         tracker = NamedTracker.of(self.name, _spec(self.name, self.text), folder, self.free_height)
         if self.values:
             tracker = tracker.with_values(self.values, self.source)
-        found = (tracker.smoothing(self.lag) if self.smoothed else tracker).run(folder, seed=seed)
-        return found.table, found.summaries
+        return tracker.smoothing(self.lag) if self.smoothed else tracker
 
 
 @functools.lru_cache(maxsize=8)

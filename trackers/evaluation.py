@@ -106,7 +106,7 @@ def evaluate(
         done = [part.result() for part in parts]
         association, scored = Association.joined([x for x, _ in done]), Scored.joined([x for _, x in done])
         refuse_without_overlap(association, truths)
-        return _evaluation(association, scored)
+        return evaluation_of(association, scored)
     association = estimates if isinstance(estimates, Association) else associate(estimates, recordings)
     refuse_without_overlap(association, _truths(recordings))
     found = evaluate_association(association, stations, every)
@@ -197,11 +197,11 @@ def evaluate_association(
     every: float | None = None,
 ) -> Evaluation:
     """As `evaluate_table`, of estimates already associated with truth; metrics are None if no row is scored."""
-    return _evaluation(association, score(association, stations, every))
+    return evaluation_of(association, score(association, stations, every))
 
 
-def _evaluation(association: Association, scored: Scored) -> Evaluation:
-    """The metrics by track, by recording and overall."""
+def evaluation_of(association: Association, scored: Scored) -> Evaluation:
+    """The metrics by track, by recording and overall of estimates that are associated and scored."""
     keys = association.rows.select(track_keys(association.rows))[association.starts[:-1]].to_dicts()
     last = len(keys)
     first = [k for k in range(last) if k == 0 or keys[k]["recording"] != keys[k - 1]["recording"]]

@@ -15,6 +15,7 @@ from rich.console import Console
 from experiments.cli.arguments import File
 from trackers.core.errors import UnusableInput, has_control, listed, printable
 from trackers.recordings.atomic import json_text
+from trackers.recordings.calibration import Calibration
 from trackers.recordings.calibration_file import read_calibration
 from trackers.recordings.folder import RecordingFolder, read_recordings
 from trackers.recordings.selection import Selection
@@ -68,6 +69,10 @@ class ReadingOptions:
         """The part of each recording."""
         return selection(self.tag, self.from_, self.to, self.every)
 
+    def read_calibration(self) -> Calibration | None:
+        """The calibration, None without; raises UnusableInput as `read_calibration`."""
+        return None if self.calibration is None else read_calibration(self.calibration)
+
 
 def notice(text: str) -> None:
     """Prints one line on standard error."""
@@ -96,20 +101,29 @@ def read_with_notices(paths: Sequence[Path], used: ReadingOptions | None = None)
 
 def prepared(recordings: Sequence[RecordingFolder], used: ReadingOptions) -> list[RecordingFolder]:
     """Recordings that were read, as `read_with_notices` returns them; prints their notices."""
-    paths, calibration = [recording.path for recording in recordings], used.calibration
-    recordings = [used.part.of(recording) for recording in recordings]
+    calibration = used.read_calibration()
+    found = [ready(recording, used, calibration) for recording in recordings]
+    for _, lines in found:
+        for line in lines:
+            notice(f"notice: {line}")
+    return [recording for recording, _ in found]
+
+
+def ready(
+    recording: RecordingFolder, used: ReadingOptions, calibration: Calibration | None
+) -> tuple[RecordingFolder, list[str]]:
+    """A recording with these options and the calibration that they name, and its notices, with its path."""
+    path = recording.path
+    recording = used.part.of(recording)
     if used.average is not None:
-        recordings = [recording.averaged(used.average) for recording in recordings]
-    read = None if calibration is None else read_calibration(calibration)
-    recordings = [recording.calibrated(read) for recording in recordings]
-    for path, recording in zip(paths, recordings, strict=True):
-        for text in recording.notices:
-            notice(f"notice: {path}: {text}")
-        if read is not None and recording.name in read.recordings:
-            notice(f"notice: {path}: is one of the recordings of {calibration}; errors of others are larger")
-        if read is not None and (lacking := recording.uncalibrated()):
-            notice(f"notice: {path}: {listed(lacking)}: not in {calibration}, or moved since; used uncalibrated")
-    return recordings
+        recording = recording.averaged(used.average)
+    recording = recording.calibrated(calibration)
+    lines = [f"{path}: {text}" for text in recording.notices]
+    if calibration is not None and recording.name in calibration.recordings:
+        lines.append(f"{path}: is one of the recordings of {used.calibration}; errors of others are larger")
+    if calibration is not None and (lacking := recording.uncalibrated()):
+        lines.append(f"{path}: {listed(lacking)}: not in {used.calibration}, or moved since; used uncalibrated")
+    return recording, lines
 
 
 def notice_unused_calibration(folders: Sequence[RecordingFolder], tracker: str, table: str) -> None:

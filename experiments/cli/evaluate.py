@@ -8,6 +8,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from experiments.archives.folders import RECORDINGS, is_archive
 from experiments.cli.arguments import File
 from experiments.cli.console import read_with_notices, selection
 from experiments.cli.evaluate_poses import PoseOptions, evaluate_poses
@@ -48,7 +49,7 @@ def evaluate_tracks(
     with t_s, x_m, y_m), and with --align and what follows it, also absolute and relative pose errors as in evo.
 
     Args:
-        folder: the output folder of `track`, or a file of estimates.
+        folder: the output folder of `track`, of one recording, several or an archive, or a file of estimates.
         truth: recordings whose truth tables are used, or a trajectory file; default: the tracked recordings.
         tag: score these tags alone; the tag that a file of estimates follows.
         from_: score estimates from this time on.
@@ -76,6 +77,16 @@ def evaluate_tracks(
             f"{folder}: no such file; expected a folder with tracks.parquet that `track` wrote, or a file of estimates"
         )
     options = PoseOptions(align, time_offset, time_tolerance, rpe, all_pairs, out)
+    if is_archive(folder):
+        if options.given or truth or worksteps is not None:
+            raise UnusableInput(
+                f"{folder}: is an archive; expected no --truth, --worksteps and trajectory options; "
+                f"evaluate one of {folder / RECORDINGS}/*/*"
+            )
+        # jax takes a second to import, which the help and a refused folder need not wait for.
+        from experiments.cli.archive import evaluate_archive
+
+        return evaluate_archive(folder, part, every, cluster, json, fail_if)
     if folder.is_file() or options.given:
         if worksteps is not None or cluster is not None:
             raise UnusableInput("--worksteps and --cluster: apply to a folder of `track` without trajectory options")

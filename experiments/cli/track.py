@@ -5,6 +5,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import Annotated
 
+from experiments.archives.folders import archive_of
 from experiments.cli.arguments import FigureFormat, File, Folder, Folders
 from experiments.cli.console import ReadingOptions, json_alone, prepared, require_output
 from experiments.cli.runtime import keep_programs
@@ -31,6 +32,7 @@ def track(
     no_report: bool = False,
     format: FigureFormat = "png",
     force: bool = False,
+    keep_going: bool = False,
     json: bool = False,
 ) -> int:
     """Track recordings: estimates, events, error metrics, a page with playback.
@@ -39,7 +41,7 @@ def track(
     truth.
 
     Args:
-        recordings: recording folders (rig.toml and tables).
+        recordings: recording folders (rig.toml and tables), or folders of such folders.
         out: the folder to write to.
         tracker: one that `trackwright trackers` lists, or FILE.py:NAME of a TrackerSpec of your own; several names with
             commas are compared; default: that of the noise file, else for each recording the one that fits its tables.
@@ -54,6 +56,8 @@ def track(
         no_report: write no report.html, the page with playback and linked charts.
         format: of the figures.
         force: track recordings in spite of the errors that `trackwright check` finds.
+        keep_going: track each recording by itself, keep finished ones for the same command again, and leave out those
+            that fail, with exit code 1; always with a folder of folders, and with more than 60 recordings.
         json: print the error metrics as JSON, by tracker, instead of tables.
     """
     started = datetime.now(UTC)
@@ -64,16 +68,20 @@ def track(
     tuned = None if noise is None else read_tuned(noise)
     with json_alone(json) as put, stages("track") as begin:
         begin("reading")
-        usable, refused = usable_recordings(recordings, force, used.calibration is not None)
-        folders = prepared(usable, used)
+        archive = archive_of(recordings, keep_going)
+        if archive is None:
+            usable, refused = usable_recordings(recordings, force, used.calibration is not None)
+            folders = prepared(usable, used)
         begin("preparing")
         keep_programs()
         # jax takes a second to import, which the help and a refused recording need not wait for.
+        from experiments.cli.archive import track_archive
         from experiments.cli.tracking import Options, track_folders
 
         options = Options(
             out, tracker, noise, tuned, values, used, free_height, smooth, lag, seed, cluster,
             not no_figures, not no_report, format,
         )  # fmt: skip
-        code = track_folders(folders, refused, options, started, begin, put)
-    return code
+        if archive is not None:
+            return track_archive(archive, force, options, started, begin, put)
+        return track_folders(folders, refused, options, started, begin, put)

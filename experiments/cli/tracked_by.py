@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 from trackers.catalogue import fitting, spec_of, split_name
@@ -27,18 +28,35 @@ class TrackedBy(NamedTuple):
         return split_name(self.tracker)[1] or self.tracker
 
 
-def tracked_by(folders: Sequence[RecordingFolder], trackers: str | None) -> tuple[list[TrackedBy], list[str]]:
+def tracker_names(trackers: str | None, noise: Path | None = None) -> list[str]:
+    """The names in a text with commas, none for None.
+
+    Raises UnusableInput for a repeated name, and for several with a file of one tracker's values, `noise`.
+    """
+    names = [] if trackers is None else [name.strip() for name in trackers.split(",")]
+    repeated = next((name for k, name in enumerate(names) if name in names[:k]), None)
+    if repeated is not None:
+        raise UnusableInput(f"--tracker {trackers}: '{repeated}' twice; expected different names; remove one")
+    if len(names) > 1 and noise is not None:
+        raise UnusableInput(
+            f"--noise {noise}: belongs to one tracker, found {', '.join(names)}; name one with --tracker"
+        )
+    return names
+
+
+def tracked_by(
+    folders: Sequence[RecordingFolder], trackers: str | None, noise: Path | None = None
+) -> tuple[list[TrackedBy], list[str]]:
     """The runs, and a line for each recording that a tracker does not fit.
 
     `trackers`: names separated by commas, each of which runs on all recordings that it fits; None: each recording is
-    run by the tracker that fits it. Raises UnusableInput where nothing can be run, and for unknown or repeated names.
+    run by the tracker that fits it. `noise`: a file of one tracker's values. Raises UnusableInput where nothing can be
+    run, and for unknown, repeated or too many names.
     """
-    names = None if trackers is None else [name.strip() for name in trackers.split(",")]
+    names = tracker_names(trackers, noise)
     runs: dict[str, list[RecordingFolder]] = {}
     refused: list[str] = []
-    for name in names or []:
-        if name in runs:
-            raise UnusableInput(f"--tracker {trackers}: '{name}' twice; expected different names; remove one")
+    for name in names:
         spec, runs[name] = spec_of(name), []
         for folder in folders:
             missing = spec.missing(folder)
@@ -47,7 +65,7 @@ def tracked_by(folders: Sequence[RecordingFolder], trackers: str | None) -> tupl
             else:
                 where, tables = folder.path or folder.name, ", ".join(folder.tables)
                 refused.append(f"{where}: tracker '{name}' needs {missing}; its tables: {tables}")
-    if names is None:
+    if not names:
         for folder in folders:
             try:
                 runs.setdefault(fitting(folder), []).append(folder)

@@ -7,13 +7,14 @@ import json
 import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from experiments.archives.folders import RESULTS
 from experiments.cli.console import ReadingOptions, notice, notice_unused_calibration, output_folder
 from experiments.cli.manifest import write_manifest
 from experiments.cli.report import COMPARISON, print_comparison
@@ -63,6 +64,21 @@ class Options:
     report: bool
     format: str
 
+    def config(self, tracker: str) -> dict[str, Any]:
+        """What the manifest of a run of this tracker holds of the options."""
+        return {
+            "tracker": tracker,
+            "noise": None if self.noise is None else str(self.noise),
+            "set": {name: value.tolist() for name, value in self.values.items()},
+            "part": dataclasses.asdict(self.used.part),
+            "calibration": None if self.used.calibration is None else str(self.used.calibration),
+            "average": self.used.average,
+            "free_height": self.free_height,
+            "smooth": self.smooth,
+            "lag": self.lag,
+            "seed": self.seed,
+        }
+
 
 def track_folders(
     folders: Sequence[RecordingFolder],
@@ -78,15 +94,15 @@ def track_folders(
     `put`: of the metrics, by tracker.
     """
     of_file = None if options.tuned is None else options.tuned.tracker
-    runs, unfit = tracked_by(folders, options.tracker or of_file)
+    runs, unfit = tracked_by(folders, options.tracker or of_file, options.noise)
     for name in (run.tracker for run in runs if options.tracker is None):
         if of_file is not None:
             notice(f"tracker: {name}, that of {options.noise}; choose another with --tracker")
         else:
             notice(f"tracker: {name} ({spec_of(name).about}); choose another with --tracker")
-    if len(runs) > 1 and options.noise is not None:
-        names = ", ".join(run.tracker for run in runs)
-        raise UnusableInput(f"--noise {options.noise}: belongs to one tracker, found {names}; name one with --tracker")
+    with suppress(OSError):
+        # That of an archive which was tracked to this folder before.
+        (options.out / RESULTS).unlink(missing_ok=True)
     if len(runs) == 1:
         put({runs[0].short: _track(runs[0], options, options.out, started, begin, 1)[0]})
     else:
@@ -153,8 +169,8 @@ def _track(
     atomic_write(out / EVENTS, happened.write_parquet)
     paths = "\n".join(str(folder.path.resolve()) for folder in folders if folder.path is not None)
     atomic_write(out / SOURCES, lambda path: path.write_text(paths + "\n", encoding="utf-8"))
-    endings = "; ".join(f"{n} {v}" for v, n in sorted(summaries.items(), key=lambda x: -x[1]))
-    print(f"{'' if out == options.out else f'{run.short}: '}{counted(sum(summaries.values()), 'track')}: {endings}")
+    whose = "" if out == options.out else f"{run.short}: "
+    print(f"{whose}{counted(sum(summaries.values()), 'track')}: {endings(summaries)}")
     truths = {f.name: f.tables["truth"] for f in folders if "truth" in f.tables}
     association = associate_truth(table, truths)
     if association.scored.any():
@@ -174,23 +190,11 @@ def _track(
         known, about = evaluation if association.scored.any() else None, f"{name}: {named.spec.about}"
         page = run_data(scored, happened, known, about, run.short, of, options.figures and of == 1)
     if of == 1:
-        drawn = _shown(scored, page, options, out, begin)
-    config = {
-        "tracker": name,
-        "noise": None if options.noise is None else str(options.noise),
-        "set": {name: value.tolist() for name, value in options.values.items()},
-        "part": dataclasses.asdict(options.used.part),
-        "calibration": None if options.used.calibration is None else str(options.used.calibration),
-        "average": options.used.average,
-        "free_height": options.free_height,
-        "smooth": options.smooth,
-        "lag": options.lag,
-        "seed": options.seed,
-    }
+        drawn = write_shown(scored, page, options, out, begin)
     write_manifest(
         out,
         sys.argv,
-        config,
+        options.config(name),
         started,
         chunk=CHUNK,
         extra={"recordings": [str(folder.path) for folder in folders], "verdicts": summaries},
@@ -202,7 +206,12 @@ def _track(
     return json.loads(metrics), page
 
 
-def _shown(
+def endings(summaries: Mapping[str, int]) -> str:
+    """How many tracks ended how, the most first."""
+    return "; ".join(f"{n} {v}" for v, n in sorted(summaries.items(), key=lambda x: -x[1]))
+
+
+def write_shown(
     tracks: ScoredTracks, page: Mapping[str, Any] | None, options: Options, out: Path, begin: Begin
 ) -> list[str]:
     """Writes the page, if any, and the figures that are asked for; returns in words what was written."""

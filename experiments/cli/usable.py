@@ -21,16 +21,24 @@ def usable_recordings(paths: Sequence[Path], force: bool, calibrated: bool) -> t
     refused: list[str] = []
     usable = []
     for recording in read_recordings(paths, refused):
-        lines = [f"{recording.path}: {error.where}: {error.message}" for error in errors_in(recording, not calibrated)]
-        if lines and not force:
-            more = f" (and {len(lines) - 1} more: `trackwright check {recording.path}`)" if len(lines) > 1 else ""
-            refused.append(f"{lines[0]}{more}; correct it, or track it as it is with --force")
+        try:
+            for line in errors_of(recording, force, calibrated):
+                notice(f"notice: {line}")
+        except UnusableInput as problem:
+            refused.append(str(problem))
             continue
-        for line in lines:
-            notice(f"notice: {line}")
         usable.append(recording)
     if not usable:
         for line in refused[1:]:
             notice(f"not tracked: {line}")
         raise UnusableInput(refused[0])
     return usable, refused
+
+
+def errors_of(recording: RecordingFolder, force: bool, calibrated: bool) -> list[str]:
+    """A line for each error of `check`, with `force`; raises UnusableInput for the errors without."""
+    lines = [f"{recording.path}: {error.where}: {error.message}" for error in errors_in(recording, not calibrated)]
+    if lines and not force:
+        more = f" (and {len(lines) - 1} more: `trackwright check {recording.path}`)" if len(lines) > 1 else ""
+        raise UnusableInput(f"{lines[0]}{more}; correct it, or track it as it is with --force")
+    return lines

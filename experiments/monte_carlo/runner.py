@@ -129,7 +129,10 @@ def _submitting(study: Study, count: int, executor: Executor | None) -> Iterator
     """How `count` chunks are submitted, and how many at once: to the executor, or to threads of this process."""
     if executor is not None:
         portable = PortableStudy.of(study)
-        yield lambda item: executor.submit(portable_chunk, portable, item[0].index, item[1]), AT_ONCE
+        yield (
+            lambda item: executor.submit(portable_chunk, portable, item[0].index, item[1]),
+            getattr(executor, "at_once", AT_ONCE),
+        )
         return
     devices: SimpleQueue[Any] = SimpleQueue()
     used = jax.local_devices()[: max(1, count // CHUNKS_PER_DEVICE)]

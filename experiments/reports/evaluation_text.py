@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
+import numpy as np
 from rich.table import Table
 
 from experiments.reports.tables import compact_table, rendered, width_of
@@ -16,6 +18,12 @@ from trackers.recordings.atomic import json_text
 
 SHOWN_TRACKS = 10
 """The most tracks listed per recording: the worst."""
+
+SHOWN_RECORDINGS = 5
+"""Recordings of an archive that are listed: the worst."""
+
+Line = tuple[list[str], Metrics, str | None]
+"""A row of a table: its labels, its metrics and a style."""
 
 
 class Column(NamedTuple):
@@ -76,38 +84,54 @@ def to_json(evaluation: Evaluation, work: Mapping[str, Any] | None = None) -> st
 
 def to_text(evaluation: Evaluation, width: int = 120) -> str:
     """The metrics as a table, what they mean, and the excluded rows; the main metrics where `width` holds no more."""
+    labels = ["recording", "tag", "station"] if evaluation.bearing else ["recording", "tag"]
+    notes = []
+    if max(Counter(track["recording"] for track in evaluation.tracks).values()) > SHOWN_TRACKS:
+        notes.append(f"At most {SHOWN_TRACKS} tracks per recording are listed, those with the largest p95.")
+    return _text(evaluation, labels, _lines(evaluation, labels), notes, width)
+
+
+def archive_text(evaluation: Evaluation, width: int = 120) -> str:
+    """As `to_text`, of any number of recordings: overall, the medians over recordings, and the worst recordings."""
+    recordings = evaluation.recordings
+    worst = sorted(recordings, key=partial(_p95, evaluation.bearing), reverse=True)[:SHOWN_RECORDINGS]
+    lines: list[Line] = [
+        (["overall"], evaluation.overall, "bold"),
+        ([f"median of {len(recordings)}"], _median(recordings), None),
+        *(([one["recording"]], one, None) for one in worst),
+    ]
+    notes = [f"The {len(worst)} recordings with the largest p95 are listed."]
+    return _text(evaluation, ["recording"], lines, notes, width)
+
+
+def _text(evaluation: Evaluation, labels: Sequence[str], lines: Sequence[Line], notes: list[str], width: int) -> str:
     every = (BEARING_COLUMNS if evaluation.bearing else POSITION_COLUMNS) + CONSISTENCY_COLUMNS
     for rank in RANKS:
         columns = [column for column in every if column.rank <= rank]
-        table = _table(evaluation, columns)
+        table = _table(evaluation, columns, labels, lines)
         if width_of(table) <= width:
             break
-    return rendered(width, table, *evaluation.statements, *_notes(evaluation, columns))
+    return rendered(width, table, *evaluation.statements, *notes, *_notes(evaluation, columns))
 
 
-def _table(evaluation: Evaluation, columns: Sequence[Column]) -> Table:
+def _table(evaluation: Evaluation, columns: Sequence[Column], labels: Sequence[str], lines: Sequence[Line]) -> Table:
     unit, digits = _unit(evaluation)
     what = "Bearing errors" if evaluation.bearing else "Horizontal and 3-D position errors"
-    table = compact_table(f"{what} in {unit.name}", _labels(evaluation), ["n", *(column.title for column in columns)])
-    for labels, metrics, style in _lines(evaluation):
+    table = compact_table(f"{what} in {unit.name}", labels, ["n", *(column.title for column in columns)])
+    for words, metrics, style in lines:
         cells = []
         for column in columns:
             value = shown_metric(metrics, column.metric)
             scale = column.scale or unit.factor
             shown = digits if column.scale is None else column.digits
             cells.append(fixed(None if value is None else value * scale, shown))
-        table.add_row(*labels, str(metrics["n"]), *cells, style=style)
+        table.add_row(*words, str(metrics["n"]), *cells, style=style)
     return table
 
 
-def _labels(evaluation: Evaluation) -> list[str]:
-    return ["recording", "tag", "station"] if evaluation.bearing else ["recording", "tag"]
-
-
-def _lines(evaluation: Evaluation) -> list[tuple[list[str], Metrics, str | None]]:
-    """The table's rows: labels, metrics, style."""
-    labels = _labels(evaluation)
-    lines: list[tuple[list[str], Metrics, str | None]] = []
+def _lines(evaluation: Evaluation, labels: Sequence[str]) -> list[Line]:
+    """The table's rows of tracks, recordings and all."""
+    lines: list[Line] = []
     for recording in evaluation.recordings:
         tracks = [track for track in evaluation.tracks if track["recording"] == recording["recording"]]
         lines += [([track[label] for label in labels], track, None) for track in _worst(tracks, evaluation.bearing)]
@@ -119,11 +143,24 @@ def _lines(evaluation: Evaluation) -> list[tuple[list[str], Metrics, str | None]
     return lines
 
 
+def _median(recordings: Sequence[Metrics]) -> Metrics:
+    """The median of each metric over the recordings that have it."""
+    names = [name for name in recordings[0] if name != "recording"]
+    known = {name: [one[name] for one in recordings if one[name] is not None] for name in names}
+    found: Metrics = {name: float(np.median(values)) if values else None for name, values in known.items()}
+    return found | {"n": round(found["n"])}
+
+
 def _worst(tracks: list[Metrics], bearing: bool) -> list[Metrics]:
     if len(tracks) <= SHOWN_TRACKS:
         return tracks
-    by = "p95_direction_rad" if bearing else "p95_m"
-    return sorted(tracks, key=lambda track: -1.0 if track[by] is None else track[by], reverse=True)[:SHOWN_TRACKS]
+    return sorted(tracks, key=partial(_p95, bearing), reverse=True)[:SHOWN_TRACKS]
+
+
+def _p95(bearing: bool, metrics: Metrics) -> float:
+    """The 95th percentile by which the worst come first; those without truth come last."""
+    found = metrics["p95_direction_rad" if bearing else "p95_m"]
+    return -1.0 if found is None else found
 
 
 def _unit(evaluation: Evaluation) -> tuple[Unit, int]:
@@ -136,8 +173,6 @@ def _unit(evaluation: Evaluation) -> tuple[Unit, int]:
 
 def _notes(evaluation: Evaluation, columns: Sequence[Column]) -> list[str]:
     overall, notes = evaluation.overall, []
-    if max(Counter(track["recording"] for track in evaluation.tracks).values()) > SHOWN_TRACKS:
-        notes.append(f"At most {SHOWN_TRACKS} tracks per recording are listed, those with the largest p95.")
     if any(overall[c.metric] is not None for c in columns if c.metric in ("nees_ratio", "nis_ratio")):
         notes.append(
             "% in 95 %: of the truth inside the 95 % ellipse. NEES/dof and NIS/dof are 1 for correct covariances, "

@@ -10,6 +10,7 @@ import gzip
 import math
 import shutil
 import uuid
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -142,11 +143,7 @@ def read_recordings(paths: Sequence[str | Path], refused: list[str] | None = Non
     `refused`: gets the message of each unusable folder, which is then left out. Raises UnusableInput for an empty list,
     a folder given twice, two recordings of one name, and without `refused` for an unusable folder.
     """
-    if not paths:
-        raise UnusableInput("no recording given; expected one or more recording folders")
-    repeated = _repeated([Path(path).resolve() for path in paths])
-    if repeated is not None:
-        raise UnusableInput(f"{paths[repeated]}: is given more than once; expected each recording once; remove one")
+    refuse_repeated(paths)
     recordings = []
     for path in paths:
         try:
@@ -163,9 +160,19 @@ def read_recordings(paths: Sequence[str | Path], refused: list[str] | None = Non
     return recordings
 
 
+def refuse_repeated(paths: Sequence[str | Path]) -> None:
+    """Raises UnusableInput for an empty list of recordings, and for a folder given twice."""
+    if not paths:
+        raise UnusableInput("no recording given; expected one or more recording folders")
+    repeated = _repeated([Path(path).resolve() for path in paths])
+    if repeated is not None:
+        raise UnusableInput(f"{paths[repeated]}: is given more than once; expected each recording once; remove one")
+
+
 def _repeated(items: Sequence[Any]) -> int | None:
     """Index of the first item that occurs more than once."""
-    return next((k for k, item in enumerate(items) if items.count(item) > 1), None)
+    counts = Counter(items)
+    return next((k for k, item in enumerate(items) if counts[item] > 1), None)
 
 
 def read_recording(path: str | Path) -> RecordingFolder:

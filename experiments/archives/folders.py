@@ -1,0 +1,71 @@
+"""The recordings of an archive: folders of folders, at any depth."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from trackers.recordings.folder import refuse_repeated
+from trackers.recordings.rig_file import RIG_FILE
+from trackers.recordings.table_file import SUFFIXES
+from trackers.recordings.tables import TABLES
+
+MANY = 60
+"""The most recordings that are tracked together: as many as a page shows."""
+
+
+RECORDINGS, RESULTS = "recordings", "results.csv"
+"""In the output folder of an archive: the folder of the finished recordings, and the table of results.
+
+The table has a row for each recording and tracker, and one for each refusal.
+"""
+
+
+def is_archive(out: Path) -> bool:
+    """Whether `track` wrote an archive into this folder."""
+    return (out / RESULTS).is_file() and (out / RECORDINGS).is_dir()
+
+
+def archive_of(paths: Sequence[Path], keep_going: bool) -> list[Path] | None:
+    """The recordings in these folders, None where they are few and none is a folder of folders.
+
+    `keep_going`: few are an archive, too. Raises UnusableInput for an empty list and for a folder found twice.
+    """
+    found = [recordings_under(path) for path in paths]
+    every = [path for own in found for path in own]
+    if not keep_going and len(every) <= MANY and found == [[path] for path in paths]:
+        return None
+    refuse_repeated(every)
+    return every
+
+
+def recordings_under(path: Path) -> list[Path]:
+    """The recordings at or below a folder, sorted: folders with a rig.toml or a table, and those that cannot be read.
+
+    Nothing is looked for inside a recording and in hidden folders. The folder itself where there is none.
+    """
+    found: list[Path] = []
+    seen: set[str] = set()
+    for root, folders, files in os.walk(
+        path, onerror=lambda error: found.append(Path(error.filename)), followlinks=True
+    ):
+        real = os.path.realpath(root)
+        if real in seen or is_recording(files):
+            folders.clear()
+            if real not in seen:
+                found.append(Path(root))
+        seen.add(real)
+        folders[:] = [name for name in folders if not name.startswith(".")]
+    return sorted(found) or [path]
+
+
+def is_recording(files: Sequence[str]) -> bool:
+    """Whether a folder with these files is meant as a recording."""
+    return any(name == RIG_FILE or is_table(name) for name in files)
+
+
+def is_table(name: str) -> bool:
+    """Whether a file of this name is a table of a recording."""
+    stem, _, suffix = name.partition(".")
+    return stem in TABLES and f".{suffix}" in SUFFIXES

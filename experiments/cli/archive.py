@@ -1,0 +1,249 @@
+"""`track` and `evaluate` on an archive: recordings one by one, finished ones kept, one table of results."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from experiments.archives.folders import RESULTS
+from experiments.archives.part import Scoring, Tracking
+from experiments.archives.runner import run_missing
+from experiments.archives.store import SCORED, TRACKED, Item, RecordingStore, content_of, digest_of
+from experiments.archives.tables import Refusals, Run, gathered, read_results, write_results
+from experiments.cli.console import json_alone, notice, output_folder, ready
+from experiments.cli.fail_if import violation
+from experiments.cli.manifest import write_manifest
+from experiments.cli.stages import Begin, stages
+from experiments.cli.tracked_by import tracker_names
+from experiments.cli.tracking import Options, endings, write_shown
+from experiments.executors import environment
+from experiments.interactive.track_page import run_data
+from experiments.portable_tracker import PortableTracker
+from experiments.reports.evaluation_text import archive_text, to_json
+from experiments.reports.tables import terminal_width
+from experiments.reports.wording import counted
+from experiments.scored_tracks import DRAWN, ScoredTracks
+from trackers.catalogue import spec_of, split_name
+from trackers.core.chunks import CHUNK
+from trackers.core.errors import UnusableInput
+from trackers.evaluation import Evaluation
+from trackers.events import EVENTS
+from trackers.recordings.association import associate_truth
+from trackers.recordings.atomic import config_hash
+from trackers.recordings.folder import RecordingFolder, read_recording
+from trackers.recordings.selection import Selection
+from trackers.recordings.tracks_table import EVALUATION, TRACKS, read_tracks
+
+LISTED = 20
+"""The most refusals that are printed; the table of results has all."""
+
+
+def track_archive(
+    paths: Sequence[Path],
+    force: bool,
+    options: Options,
+    started: datetime,
+    begin: Begin,
+    put: Callable[[Mapping[str, Any]], None],
+) -> int:
+    """Tracks the recordings that are not finished, and writes the tables of all; returns the exit code.
+
+    `force`, `started`, `begin`, `put` as of `tracking.track_folders`. Raises UnusableInput where no recording can be
+    tracked.
+    """
+    tracking = _tracking(options, force)
+    store, identity = RecordingStore(output_folder(options.out), TRACKED), _identity(tracking, options)
+
+    def read(item: Item) -> RecordingFolder:
+        return read_recording(item.path)
+
+    items = _items(store, paths, lambda path: identity)
+    done, refused = run_missing(store, items, read, tracking, options.cluster, begin("tracking", len(paths)))
+    if not done:
+        raise _none_usable("tracked", paths, refused)
+    begin("tables")
+    runs, rows, noticed = gathered(store, paths, done, refused)
+    for run in runs:
+        out = output_folder(options.out if len(runs) == 1 else options.out / run.short)
+        evaluation, count = run.write(out), run.write_table(out, TRACKS)
+        run.write_table(out, EVENTS)
+        run.write_sources(out)
+        tracks = counted(sum(run.endings.values()), "track")
+        print(f"{run.short}: {tracks} of {counted(len(run.paths), 'recording')}: {endings(run.endings)}")
+        put(_shown(run, evaluation))
+        shown = _show(run, evaluation, tracking, options, out, begin) if options.report or options.figures else []
+        extra = {"recordings": len(run.paths), "verdicts": run.endings}
+        write_manifest(out, sys.argv, options.config(run.tracker), started, chunk=CHUNK, extra=extra)
+        written = f"{out / TRACKS} ({counted(count, 'estimate')})"
+        print(f"wrote {', '.join([written, EVENTS, EVALUATION, *shown, 'manifest.json'])}")
+    write_results(options.out, rows)
+    return _ended("tracked", options.out, noticed, [refused[path] for path in paths if path in refused])
+
+
+def _tracking(options: Options, force: bool) -> Tracking:
+    """How each recording is tracked; raises UnusableInput for unknown trackers and an unreadable calibration."""
+    of_file = None if options.tuned is None else options.tuned.tracker
+    names = tracker_names(options.tracker or of_file, options.noise)
+    files = {name: split_name(name)[0] for name in names if spec_of(name)}
+    texts = tuple((name, Path(file).read_text("utf-8") if file else "") for name, file in files.items())
+    values = {**({} if options.tuned is None else options.tuned.values), **options.values}
+    source = "--set" if options.values else str(options.noise)
+    smoothed = options.smooth or options.lag is not None
+    tracker = PortableTracker("", "", options.free_height, values, source, smoothed, options.lag)
+    return Tracking(texts, tracker, options.seed, force, options.used, options.used.read_calibration())
+
+
+def _identity(tracking: Tracking, options: Options) -> dict[str, Any]:
+    """All that the outcome of a recording depends on, beside its content."""
+    calibration = options.used.calibration
+    return {
+        "trackers": tracking.names,
+        "settings": tracking.tracker._replace(source="")._asdict(),
+        "seed": tracking.seed,
+        "force": tracking.force,
+        "used": dataclasses.asdict(options.used),
+        "calibration": None if calibration is None else calibration.read_text("utf-8"),
+        "versions": _versions(),
+    }
+
+
+def _versions() -> dict[str, Any]:
+    """What bits depend on beside options and content."""
+    return {name: value for name, value in environment().items() if name != "programs kept"}
+
+
+def _items(
+    store: RecordingStore, paths: Sequence[Path], identity: Callable[[Path], Mapping[str, Any]]
+) -> Iterator[Item]:
+    """The recordings with what their outcomes depend on, as far as it can be read."""
+    for path in paths:
+        try:
+            fingerprint = config_hash({"content": content_of(path), **identity(path)})
+        except OSError:
+            fingerprint = None
+        yield Item(path, store.folder(path), fingerprint)
+
+
+def _shown(run: Run, evaluation: Evaluation) -> dict[str, Any]:
+    """Prints the table of a tracker; its metrics by its name, as JSON holds them."""
+    if evaluation.overall["n"]:
+        print(archive_text(evaluation, terminal_width()), end="")
+    else:
+        print(*(f"Without truth: {sentence}" for sentence in evaluation.statements), sep="\n")
+    return {run.short: json.loads(to_json(evaluation))}
+
+
+def _show(run: Run, evaluation: Evaluation, tracking: Tracking, options: Options, out: Path, begin: Begin) -> list[str]:
+    """Writes the page and the figures of a few recordings; returns in words what was written."""
+    names = _drawn(evaluation)
+    folders, batches, tables, events = [], [], [], []
+    texts = dict(tracking.names)
+    for name in names:
+        folder, _ = ready(read_recording(run.paths[name]), tracking.used, tracking.calibration)
+        tracker = tracking.tracker._replace(name=run.tracker, text=texts.get(run.tracker, ""))
+        batches += tracker.named(folder).batches(folder)
+        folders.append(folder)
+        tables.append(read_tracks(run.folders[name]))
+        events.append(pl.read_parquet(run.folders[name] / EVENTS))
+    truths = {folder.name: folder.tables["truth"] for folder in folders if "truth" in folder.tables}
+    association = associate_truth(pl.concat(tables, how="diagonal"), truths)
+    part = Evaluation(
+        evaluation.bearing,
+        evaluation.overall,
+        [run.recordings[name] for name in names],
+        [track for track in run.tracks if track["recording"] in names],
+    )
+    tracks, page = ScoredTracks(association, folders, batches), None
+    if options.report:
+        known = part if association.scored.any() else None
+        about = f"{run.tracker}: {spec_of(run.tracker).about}"
+        page = run_data(tracks, pl.concat(events, how="diagonal"), known, about, run.short)
+        page |= {"recordingCount": len(run.paths), "statements": evaluation.statements if known else []}
+    return write_shown(tracks, page, options, out, begin)
+
+
+def _drawn(evaluation: Evaluation) -> list[str]:
+    """The names of the recordings on the page: the two worst, the median and the best, or the first without truth."""
+    by = "rmse_direction_rad" if evaluation.bearing else "rmse_m"
+    known = [one for one in evaluation.recordings if one[by] is not None]
+    ranked = [one["recording"] for one in sorted(known, key=lambda one: -one[by])]
+    if len(evaluation.recordings) <= DRAWN or len(ranked) < DRAWN:
+        return [one["recording"] for one in evaluation.recordings[:DRAWN]]
+    return list(dict.fromkeys([*ranked[:2], ranked[(len(ranked) - 1) // 2], ranked[-1]]))
+
+
+def _none_usable(verb: str, paths: Sequence[Path], refused: Refusals) -> UnusableInput:
+    """The error where every recording is refused: that of the first, after those of the others."""
+    first, *others = [refused[path] for path in paths]
+    _list_refused(verb, others)
+    return UnusableInput(first[0])
+
+
+def _list_refused(verb: str, refused: Sequence[Sequence[str]], table: Path | None = None) -> None:
+    """A line for each refusal, up to some; `table`: the file that has all."""
+    lines = [line for own in refused for line in own]
+    for line in lines[:LISTED]:
+        notice(f"not {verb}: {line}")
+    if len(lines) > LISTED:
+        where = "" if table is None else f": column 'refused' of {table}"
+        notice(f"not {verb}: {len(lines) - LISTED} more{where}")
+
+
+def _ended(verb: str, out: Path, noticed: int, refused: Sequence[Sequence[str]]) -> int:
+    """Says where the table of results is, and lists what was refused; the exit code."""
+    table = out / RESULTS
+    print(f"wrote {table}, a row for each recording and tracker")
+    if noticed:
+        notice(f"notice: {counted(noticed, 'recording')} with notices: column 'notices' of {table}")
+    _list_refused(verb, refused, table)
+    return int(bool(refused))
+
+
+def evaluate_archive(
+    out: Path, part: Selection, every: float | None, cluster: str | None, json: bool, fail_if: str | None
+) -> int:
+    """Scores the estimates of an archive again, recording by recording; returns the exit code.
+
+    Arguments as of `evaluate`. Raises UnusableInput where no recording can be scored.
+    """
+    tracked, store = RecordingStore(out, TRACKED), RecordingStore(out, SCORED)
+    known = read_results(out)
+    paths = [path for path in known if (tracked.folder(path) / TRACKED).is_file()]
+    if not paths:
+        raise UnusableInput(f"{out / RESULTS}: names no recording that is kept beside it; run `track` again")
+    options = {"part": dataclasses.asdict(part), "every": every, "versions": _versions()}
+
+    def identity(path: Path) -> dict[str, Any]:
+        return {"tracked": digest_of(tracked.folder(path) / TRACKED).hex(), **options}
+
+    def read(item: Item) -> tuple[list[tuple[dict[str, Any], pl.DataFrame]], RecordingFolder]:
+        kept = tracked.kept(item.folder)["outcomes"]
+        about = [{key: one[key] for key in ("tracker", "short", "endings")} for one in kept]
+        return [(one, read_tracks(item.folder / one["short"])) for one in about], read_recording(item.path)
+
+    with json_alone(json) as put, stages("evaluate") as begin:
+        items, advance = _items(store, paths, identity), begin("scoring", len(paths))
+        done, refused = run_missing(store, items, read, Scoring(part, every), cluster, advance)
+        if not done:
+            raise _none_usable("evaluated", paths, refused)
+        # What could not be tracked keeps its line, but is no failure of this command.
+        lines = {path: own for path, own in known.items() if path not in paths} | refused
+        runs, rows, noticed = gathered(store, list(known), done, lines)
+        failed = False
+        for run in runs:
+            evaluation = run.write(out if len(runs) == 1 else output_folder(out / run.short))
+            put(_shown(run, evaluation))
+            why = None if fail_if is None else violation(evaluation, fail_if)
+            if why is not None:
+                print(f"fails: {run.short}: {why}", file=sys.stderr)
+                failed = True
+        write_results(out, rows)
+        code = _ended("evaluated", out, noticed, [lines[path] for path in paths if path in lines])
+    return int(failed or code)
