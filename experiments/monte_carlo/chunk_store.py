@@ -20,7 +20,7 @@ from experiments.monte_carlo.declaration import Study, TrackerConfig
 from experiments.monte_carlo.results import ChunkTotals, Results, Totals
 from trackers.core.errors import UnusableInput
 from trackers.recordings.atomic import atomic_write, json_text
-from trackers.recordings.input_file import read_arrays
+from trackers.recordings.input_file import file_bytes, read_arrays
 
 IDENTITY, CHUNKS = "study.json", "chunks"
 
@@ -99,7 +99,7 @@ class ChunkStore:
     def has(self, index: int, chunk: int) -> bool:
         """Whether the chunk is finished and its file intact."""
         path = self.path(index, chunk)
-        return path.exists() and zipfile.is_zipfile(path)
+        return path.is_file() and zipfile.is_zipfile(path)
 
     def write(self, index: int, chunk: int, trackers: Sequence[Mapping[str, np.ndarray]]) -> None:
         """Write a chunk, by the trackers' order; raises UnusableInput where the disk is full."""
@@ -140,8 +140,8 @@ def first_difference(other: Mapping[str, Any], mine: Mapping[str, Any]) -> str:
 def _stored(path: Path) -> dict[str, Any]:
     """The identity in a study.json; raises UnusableInput where there is none."""
     try:
-        found = json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError) as error:
+        found = json.loads(file_bytes(path))
+    except (OSError, ValueError, RecursionError) as error:
         raise UnusableInput(f"{path}: cannot be read; expected the identity of a study, as its --out holds") from error
     if not isinstance(found, dict):
         raise UnusableInput(f"{path}: holds no table; expected the identity of a study, as its --out holds")

@@ -16,6 +16,7 @@ from trackers.core.errors import UnusableInput
 from trackers.paired_differences import Key, TrackErrors, errors_by_track
 from trackers.recordings.association import Association, associate_truth
 from trackers.recordings.folder import RecordingFolder, read_recording
+from trackers.recordings.input_file import file_bytes
 from trackers.recordings.tracks_table import EVALUATION, TRACKS, read_tracks, source_paths
 from trackers.scoring import score
 
@@ -127,7 +128,7 @@ def _kind(folder: Path) -> str:
 def _json(path: Path, use: Callable[[Any], T]) -> T:
     """What `use` makes of the JSON in a file; raises UnusableInput for content that no command writes."""
     try:
-        return use(json.loads(path.read_text("utf-8")))
+        return use(json.loads(file_bytes(path)))
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         raise UnusableInput(f"{path}: cannot be read as JSON of ours; run the study or `evaluate` again") from error
 

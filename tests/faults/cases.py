@@ -10,6 +10,7 @@ import numpy as np
 
 from tests.faults.judged import faults_of
 from tests.faults.recordings import broken_recording
+from tests.faults.sources import broken_source
 from tests.faults.stores import fit_command, stores
 from tests.faults.texts import CALIBRATION, MAPPING, POINTS, STUDY, TUNED, broken_file, broken_toml, damage
 from tests.faults.values import pick
@@ -97,6 +98,14 @@ def store_read(seed: int, number: int, place: Path) -> tuple[str, str, int]:
     return f"{words}, {command[0]}", *faults_of(command, place / "good")
 
 
+def imported(seed: int, number: int, place: Path) -> tuple[str, str, int]:
+    """A broken file of another program through `import`."""
+    folder, out = place / "source", place / "out"
+    folder.mkdir()
+    words, command = broken_source(damage(seed, number), folder)
+    return words, *faults_of((*command, "--out", out), folder, out)
+
+
 READ = (".json", ".parquet", ".npz", ".txt", ".toml")
 
 CASES: dict[str, Callable[[int, int, Path], tuple[str, str, int]]] = {
@@ -105,4 +114,5 @@ CASES: dict[str, Callable[[int, int, Path], tuple[str, str, int]]] = {
     "tune": tuned,
     "toml": toml_read,
     "stores": store_read,
+    "import": imported,
 }

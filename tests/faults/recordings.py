@@ -13,7 +13,8 @@ import numpy as np
 import polars as pl
 import polars.selectors as cs
 
-from tests.faults.values import CELLS, ENCODINGS, FOLDER_NAMES, IDS, Draw, of_other_type, other_line, other_value, pick
+from tests.faults.data import OF_BYTES
+from tests.faults.values import CELLS, FOLDER_NAMES, IDS, Draw, of_other_type, other_line, other_value, pick
 from tests.faulty import RIG, good_tables
 
 FLOOR = """
@@ -193,36 +194,6 @@ def _encoded_text(draw: Draw, text: str) -> str:
     return text.replace("T1", pick(draw, IDS))
 
 
-# changes of bytes
-
-
-def _flipped(draw: Draw, data: bytes) -> bytes:
-    changed = bytearray(data)
-    for at in draw.integers(len(changed), size=min(len(changed), int(pick(draw, (1, 1, 2, 8, 64))))) if changed else ():
-        changed[at] = int(draw.integers(256))
-    return bytes(changed)
-
-
-def _cut(draw: Draw, data: bytes) -> bytes:
-    return data[: int(draw.integers(len(data) + 1))]
-
-
-def _spliced(draw: Draw, data: bytes) -> bytes:
-    at = int(draw.integers(len(data) + 1))
-    new = pick(
-        draw, (b"\0" * 100, bytes(range(256)), b"\xff\xfe", b"\r", b"\x1f\x8b", b"PAR1", draw.bytes(64), data[:at])
-    )
-    return data[:at] + new + (data[at:] if draw.random() < 0.5 else data[at + len(new) :])
-
-
-def _encoded(draw: Draw, data: bytes) -> bytes:
-    return data.decode("latin-1").encode(pick(draw, ENCODINGS), "replace")
-
-
-def _packed_again(draw: Draw, data: bytes) -> bytes:
-    return gzip.compress(data, 1, mtime=0)
-
-
 # changes of the rig
 
 
@@ -295,7 +266,6 @@ def _more_files(draw: Draw, folder: Path) -> str:
 
 OF_FRAMES = (_times, _units, _shifted, _missing, _other_ids, _fewer, _repeated, _columns)
 OF_TEXT = (_cells, _lines, _encoded_text)
-OF_BYTES = (_flipped, _cut, _spliced, _encoded, _packed_again)
 OF_RIG = (_rig_value, other_line, _rig_ids, _rig_geometry)
 OF_FOLDER = (_links, _special, _more_files)
 OF_PARQUET = (of_other_type,)

@@ -8,7 +8,7 @@ from tests.faults.cases import CASES
 from tests.faults.judged import faults_of
 from tests.faults.recordings import broken_recording
 
-COUNTS = {"check": 60, "toml": 15, "stores": 10}
+COUNTS = {"check": 60, "toml": 15, "stores": 10, "import": 25}
 
 
 def _failed(kind, seed, count, parent):
@@ -30,7 +30,7 @@ def test_broken_input_is_refused_in_a_line_or_read(tmp_path, kind):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("kind", "count"), [("check", 2000), ("track", 150), ("tune", 40), ("toml", 200), ("stores", 200)]
+    ("kind", "count"), [("check", 2000), ("track", 150), ("tune", 40), ("toml", 200), ("stores", 200), ("import", 1000)]
 )
 def test_much_broken_input_is_refused_in_a_line_or_read(tmp_path, kind, count):
     assert not _failed(kind, 2, count, tmp_path)

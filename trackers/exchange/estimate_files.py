@@ -10,6 +10,7 @@ from trackers.core.errors import UnusableInput, listed
 from trackers.core.rig import Rig
 from trackers.exchange.trajectory_files import Kind, read_trajectory
 from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.input_file import beginning
 from trackers.recordings.table_file import SUFFIXES, TableFile, read_table_file
 
 _TEXT = ("recording", "tag", "station", "status", "wrapped")
@@ -65,8 +66,7 @@ def _is_table(path: Path) -> bool:
         return False
     if name.endswith(".csv"):
         try:
-            with path.open("rb") as file:
-                head = file.readline(1000)
+            head = beginning(path, 1000).partition(b"\n")[0]
         except OSError as error:
             raise UnusableInput(f"{path}: cannot be read ({error.strerror}); check the path") from error
         return b"t_s" in head

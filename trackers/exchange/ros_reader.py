@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import struct
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -15,10 +14,14 @@ import polars as pl
 from trackers.core.errors import UnusableInput, listed
 from trackers.exchange.mapping import TableMapping, parsed, sensor_of
 from trackers.exchange.ros_package import rosbags_module
+from trackers.recordings.input_file import LARGEST, file_bytes, size_of
 from trackers.recordings.table_file import TableFile
 
 RECEIVED = "received"
 """Field of every message: the time, s, at which the bag received it."""
+
+LARGEST_BAG = 2**35
+"""Bytes of the largest bag: only the messages of the topics asked for are held, at most `LARGEST` bytes."""
 
 _PART = re.compile(r"(\w+)((?:\[\d*\])*)")
 _WHOLE = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
@@ -38,13 +41,16 @@ def opened(path: Path, definitions: Sequence[Path] = ()) -> Iterator[Any]:
     Raises UnusableInput without the package rosbags, and for a file that is no bag.
     """
     anyreader, typesys = (rosbags_module(name, str(path)) for name in ("highlevel", "typesys"))
+    _check_files(path)
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
     for file in definitions:
         name = "/".join([*file.parts[-3:-1], file.stem])
         try:
-            store.register(typesys.get_types_from_msg(file.read_text(encoding="utf-8"), name))
-        except (OSError, typesys.TypesysError) as error:
-            raise UnusableInput(f"{file}: is no message definition: {error}; expected PACKAGE/msg/NAME.msg") from error
+            store.register(typesys.get_types_from_msg(file_bytes(file).decode("utf-8"), name))
+        except (OSError, ValueError, RecursionError, typesys.TypesysError) as error:
+            raise UnusableInput(
+                f"{file}: is no message definition: {_first_line(error)}; expected PACKAGE/msg/NAME.msg"
+            ) from error
     # A broken bag raises errors of many kinds within rosbags.
     try:
         reader = anyreader.AnyReader([path], default_typestore=store)
@@ -57,13 +63,29 @@ def opened(path: Path, definitions: Sequence[Path] = ()) -> Iterator[Any]:
         reader.close()
 
 
+def _check_files(path: Path) -> None:
+    """Refuses what has no end and what is too large, before any of it is read.
+
+    The files of a ROS 2 bag lie in its folder, whatever paths its metadata.yaml has.
+    """
+    try:
+        files = [one for one in path.iterdir() if not one.is_dir()] if path.is_dir() else [path]
+        size = sum(map(size_of, files))
+    except OSError as error:
+        raise UnusableInput(f"{error.filename}: cannot be read ({error.strerror}); check the path") from error
+    if size > LARGEST_BAG:
+        raise UnusableInput(
+            f"{path}: holds more than {LARGEST_BAG / 1e9:.1f} GB; copy the topics that are needed to a bag of their own"
+        )
+
+
 def _first_line(error: Exception) -> str:
     return str(error).splitlines()[0] if str(error) else type(error).__name__
 
 
 def _raw_messages(reader: Any, connections: Sequence[Any], where: str) -> Iterator[tuple[Any, int, bytes]]:
     """Connection, time in ns and bytes of each message; raises UnusableInput where the bag is broken."""
-    messages = reader.messages(connections=connections)
+    messages, size = reader.messages(connections=connections), 0
     while True:
         try:
             message = next(messages, None)
@@ -71,6 +93,9 @@ def _raw_messages(reader: Any, connections: Sequence[Any], where: str) -> Iterat
             raise UnusableInput(f"{where}: the bag is broken: {_first_line(error)}; record or copy it again") from error
         if message is None:
             return
+        size += len(message[2])
+        if size > LARGEST:
+            raise UnusableInput(f"{where}: its messages hold more than {LARGEST / 1e9:.1f} GB; split the bag")
         yield message
 
 
@@ -133,8 +158,9 @@ def _message(reader: Any, connection: Any, raw: bytes, where: str) -> Any:
             f"{where}: the bag does not define the type {name}; give its definition, as those of all its parts: "
             f"--messages {name}.msg"
         ) from error
-    except (AssertionError, ValueError, struct.error, IndexError, UnicodeDecodeError) as error:
-        raise UnusableInput(f"{where}: is no {connection.msgtype} ({error or 'too short'}); record it again") from error
+    # Broken messages raise errors of many kinds within rosbags, too.
+    except Exception as error:
+        raise UnusableInput(f"{where}: is no {connection.msgtype} ({_first_line(error)}); record it again") from error
 
 
 def _standard(kind: str, table: str) -> dict[str, str]:

@@ -12,6 +12,7 @@ import polars as pl
 
 from trackers.core.errors import UnusableInput
 from trackers.exchange.mapping import Expression
+from trackers.recordings.input_file import file_bytes
 
 LogKind = Literal["dwm1001", "trek1000"]
 
@@ -113,7 +114,7 @@ _EXPECTED = {
 
 def _text(path: Path) -> str:
     try:
-        return path.read_bytes().decode("utf-8-sig", errors="replace")
+        return file_bytes(path).decode("utf-8-sig", errors="replace")
     except OSError as error:
         raise UnusableInput(f"{path}: cannot be read ({error.strerror}); check the path") from error
 

@@ -17,6 +17,7 @@ from trackers.exchange.mapping import TableMapping
 from trackers.exchange.ros_reader import message_columns, opened, topics_of
 from trackers.exchange.serial_logs import TIME, log_kind, read_log
 from trackers.exchange.trajectory_files import kind_of, read_trajectory
+from trackers.recordings.input_file import beginning, file_bytes
 from trackers.recordings.table_file import SUFFIXES, TableFile, read_table_file
 
 SourceKind = Literal["csv", "tum", "kitti", "euroc", "ros", "dwm1001", "trek1000"]
@@ -41,8 +42,7 @@ def source_kind(path: Path) -> SourceKind:
     if name.endswith((".bag", ".mcap", ".db3")):
         return "ros"
     try:
-        with path.open("rb") as file:
-            begin = file.read(20_000).decode("utf-8-sig", errors="replace")
+        begin = beginning(path, 20_000).decode("utf-8-sig", errors="replace")
     except OSError as error:
         raise UnusableInput(f"{path}: cannot be read ({error.strerror}); check the path") from error
     if name.endswith(SUFFIXES) and not begin.startswith("#timestamp"):
@@ -117,9 +117,11 @@ def _separated(path: Path, separator: str) -> TableFile:
     if len(separator) != 1:
         raise UnusableInput(f"--separator {separator!r}; expected one character, such as ';'")
     try:
-        text = path.read_bytes().decode("utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise UnusableInput(f"{path}: cannot be read as UTF-8 text ({error})") from error
+        text = file_bytes(path).decode("utf-8-sig")
+    except OSError as error:
+        raise UnusableInput(f"{path}: cannot be read ({error.strerror}); check the path") from error
+    except UnicodeDecodeError as error:
+        raise UnusableInput(f"{path}: is not UTF-8 text at byte {error.start}; export it again in UTF-8") from error
     reader = csv.reader(io.StringIO(text), delimiter=separator)
     names = [name.strip() for name in next(reader, [])]
     rows, lines = [], []

@@ -12,6 +12,7 @@ from trackers.core.errors import UnusableInput
 from trackers.core.rig import rotation_matrices
 from trackers.exchange.poses import PoseTrajectory, quaternions_of
 from trackers.recordings.atomic import atomic_write
+from trackers.recordings.input_file import file_bytes
 
 Kind = Literal["tum", "kitti", "euroc"]
 
@@ -120,7 +121,7 @@ def _text(rows: np.ndarray, separator: str) -> str:
 def _lines(path: Path) -> list[tuple[int, str]]:
     """The lines that are neither empty nor comments, with their numbers."""
     try:
-        text = path.read_bytes().decode("utf-8-sig")
+        text = file_bytes(path).decode("utf-8-sig")
     except OSError as error:
         raise UnusableInput(f"{path}: cannot be read ({error.strerror}); check the file and its permissions") from error
     except UnicodeDecodeError as error:

@@ -37,6 +37,9 @@ CURVE_SPACING = 0.5
 PATIENT = TrackLossPolicy(nis_limit=30.0, max_gap=np.inf)
 """On a known path a gap is no track loss, and errors of fixes are correlated over seconds; see also `leaving.py`."""
 
+MOST_CELLS = 2**16
+"""Cells of the longest path of a grid filter, 3 km of 5 cm: with 64 speeds, 17 MB for each tag."""
+
 START_GRID = 201
 """Points along the path at which the prior of a start is evaluated."""
 
@@ -116,6 +119,12 @@ def line_grid_tracker(
     """Grid filter of arclength and speed: at least 81 cells of at most `spacing` m, `speeds` up to `fastest` m/s."""
     _require_path("line_grid_tracker", motion)
     cells = max(81, int(np.ceil(float(motion.line.length) / spacing)) + 1)
+    require(
+        cells <= MOST_CELLS,
+        "line_grid_tracker: cells of the path",
+        cells,
+        f"at most {MOST_CELLS}, as with a greater spacing; a particle filter (line-pf) needs no grid",
+    )
     grid = GridFilter(_output_map(motion), cells, speeds, fastest)
     return Tracker(motion, sensors, _start(motion), grid, PATIENT)
 

@@ -32,16 +32,27 @@ def file_bytes(path: Path) -> bytes:
         return file.read()
 
 
+def beginning(path: Path, size: int) -> bytes:
+    """The first `size` bytes of a file; raises OSError as `file_bytes`."""
+    with open(path, "rb", opener=_opened) as file:
+        return file.read(size)
+
+
 def _opened(path: str, flags: int) -> int:
     """Opens a regular file alone: opening a pipe would wait for a writer."""
+    if size_of(path) > LARGEST:
+        raise too_large(Path(path))
+    return os.open(path, flags)
+
+
+def size_of(path: Path | str) -> int:
+    """The bytes of a regular file; raises OSError for anything else."""
     found = os.stat(path)
     if stat.S_ISDIR(found.st_mode):
         raise OSError(errno.EISDIR, "is a folder, not a file", path)
     if not stat.S_ISREG(found.st_mode):
         raise OSError(errno.EINVAL, "is a pipe or device, not a file", path)
-    if found.st_size > LARGEST:
-        raise too_large(Path(path))
-    return os.open(path, flags)
+    return found.st_size
 
 
 def too_large(path: Path) -> OSError:
@@ -64,7 +75,7 @@ def unpacked(path: Path, data: bytes) -> bytes:
 def read_arrays(path: Path) -> dict[str, np.ndarray]:
     """The arrays of an `.npz` file by name; raises ValueError for other content, and beyond `LARGEST` unpacked."""
     try:
-        with path.open("rb") as raw, zipfile.ZipFile(raw) as file:
+        with open(path, "rb", opener=_opened) as raw, zipfile.ZipFile(raw) as file:
             if sum(member.file_size for member in file.infolist()) > LARGEST:
                 raise too_large(path)
             return {

@@ -20,11 +20,12 @@ import polars as pl
 
 from trackers.core.errors import UnusableInput
 from trackers.recordings.input_file import LARGEST, file_bytes, unpacked
+from trackers.recordings.parquet_footer import MARK, read_footer
 
 SUFFIXES = (".csv", ".csv.gz", ".parquet")
 _one_at_a_time = threading.Lock()  # the error stream belongs to the whole process
 _CELL = 8  # bytes of a value in memory
-_GZIP_MAGIC, _PARQUET_MAGIC = b"\x1f\x8b", b"PAR1"
+_GZIP_MAGIC = b"\x1f\x8b"
 
 
 @dataclass(frozen=True)
@@ -67,18 +68,18 @@ def _content(path: Path) -> bytes:
 def read_parquet(path: Path) -> pl.DataFrame:
     """The columns of a Parquet file; raises UnusableInput for a broken file, and beyond `LARGEST`, by its footer."""
     data = _content(path)
-    if not data.startswith(_PARQUET_MAGIC) or not data.endswith(_PARQUET_MAGIC):
+    if not data.startswith(MARK) or not data.endswith(MARK):
         raise UnusableInput(f"{path}: is not a complete Parquet file (start or end mark missing); write it again")
     try:
-        with _native_code_silenced():
-            lazy = pl.scan_parquet(io.BytesIO(data))
-            rows, columns = int(lazy.select(pl.len()).collect().item()), len(lazy.collect_schema())
-            if rows * columns * _CELL <= LARGEST:
-                return lazy.collect()
+        footer = read_footer(data)
+        if max(footer.rows * footer.columns, footer.values) * _CELL <= LARGEST and footer.unpacked <= LARGEST:
+            with _native_code_silenced():
+                return pl.read_parquet(io.BytesIO(data))
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError, ValueError) as error:
         raise UnusableInput(f"{path}: is a broken Parquet file ({str(error)[:100]}); write it again") from error
     raise UnusableInput(
-        f"{path}: has {rows:,} rows of {columns} columns, expected at most {LARGEST // _CELL:,} values; split it"
+        f"{path}: has {footer.rows:,} rows of {footer.columns} columns, expected at most {LARGEST // _CELL:,} values, "
+        f"{LARGEST / 1e9:.1f} GB unpacked; split it"
     )
 
 

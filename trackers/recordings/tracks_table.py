@@ -7,6 +7,7 @@ from pathlib import Path
 import polars as pl
 
 from trackers.core.errors import UnusableInput, has_control
+from trackers.recordings.input_file import file_bytes
 from trackers.recordings.table_file import read_parquet
 
 TRACKS, EVALUATION, SOURCES = "tracks.parquet", "evaluation.json", "recordings.txt"
@@ -39,7 +40,7 @@ def read_tracks(folder: Path | str) -> pl.DataFrame:
 def source_paths(folder: Path) -> list[Path]:
     """The recordings that `track` lists in its output folder; none where the list cannot be read."""
     try:
-        lines = (folder / SOURCES).read_text(encoding="utf-8").splitlines()
+        lines = file_bytes(folder / SOURCES).decode("utf-8").splitlines()
     except (OSError, UnicodeDecodeError):
         return []
     return [] if any(map(has_control, lines)) else [Path(line) for line in lines if line]

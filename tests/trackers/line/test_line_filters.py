@@ -9,6 +9,7 @@ import pytest
 from tests.known_start import NEVER_LOST, KnownStart, recording
 from trackers.core.algebra import diagonal
 from trackers.core.chunks import as_dtype
+from trackers.core.errors import UnusableInput
 from trackers.core.estimates import Status
 from trackers.core.filter import Gaussian
 from trackers.core.particle.filter import ParticleFilter
@@ -19,6 +20,7 @@ from trackers.core.tunable import Scale
 from trackers.line.fixes import FIXES, FloorFixes
 from trackers.line.grid import GridFilter
 from trackers.line.motion import HaltingMotion, HaltingState, LineMotion, PathOutputMap, PathState
+from trackers.line.tracker import line_grid_tracker
 
 KEYS, ROWS, DT = 200, 12, 0.5
 PARTICLES = 4000
@@ -160,3 +162,9 @@ def test_the_gradient_of_the_grids_likelihood_is_the_central_difference():
 
 def _with(model, raw_a, raw_p):
     return eqx.tree_at(lambda t: (t.motion.sigma_a.raw, t.sensors[FIXES].sigma_p.raw), model, (raw_a, raw_p))
+
+
+def test_a_grid_on_a_path_of_many_kilometres_is_refused():
+    far = LineMotion(Polyline([[0.0, 0.0], [1e5, 0.0]]), 0.3)
+    with pytest.raises(UnusableInput, match="cells of the path: found 2000001; expected at most 65536"):
+        line_grid_tracker(far, {FIXES: FloorFixes(0.1)})

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import gzip
+import io
 import os
+import zipfile
 
 import numpy as np
 import polars as pl
@@ -171,3 +173,21 @@ def test_no_number_is_lost_below_the_limit(tmp_path):
     frame = pl.DataFrame({"t_s": np.arange(1000.0), "x_m": np.random.default_rng(0).normal(size=1000)})
     frame.write_parquet(path)
     assert read_table_file(path).frame.equals(frame)
+
+
+def test_a_member_of_an_archive_outside_its_folder_is_an_array_and_no_file(tmp_path):
+    path = tmp_path / "inside" / "a.npz"
+    path.parent.mkdir()
+    with zipfile.ZipFile(path, "w") as archive:
+        for name in ("../outside.npy", "/outside.npy"):
+            written = io.BytesIO()
+            np.save(written, np.arange(3))
+            archive.writestr(name, written.getvalue())
+    assert sorted(input_file.read_arrays(path)) == ["../outside", "/outside"]
+    assert [p.name for p in tmp_path.rglob("*")] == ["inside", "a.npz"]
+
+
+def test_a_pipe_in_place_of_an_archive_holds_no_arrays(tmp_path):
+    os.mkfifo(tmp_path / "a.npz")
+    with pytest.raises(ValueError, match="pipe or device"):
+        input_file.read_arrays(tmp_path / "a.npz")

@@ -1,0 +1,87 @@
+"""Files of other programs beyond the limits of size, without an end, or outside of their bag: one line, at once."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from tests.bags import write_bag
+from tests.in_process import trackwright
+from trackers.exchange import ros_reader
+
+POSES = ("--table", "truth", "--tag", "T")
+BAG = ("--table", "truth", "--topic", "/vicon/cart", "--tag", "T")
+SOURCES = {
+    "log.csv": ("--table", "fixes", "--separator", ";"),
+    "log.csv.gz": ("--table", "fixes"),
+    "log.txt": ("--tag", "T", "--format", "dwm1001"),
+    "path.tum": POSES,
+    "path": POSES,
+    "a.bag": BAG,
+    "a.mcap": BAG,
+    "a.db3": BAG,
+}
+
+
+@pytest.fixture(autouse=True)
+def _rosbags():
+    pytest.importorskip("rosbags", reason="rosbags is not installed; the extra ros has it")
+
+
+def _refused(*words):
+    said = trackwright("import", *words)
+    assert said.code == 2, said
+    lines = [line for line in said.err.splitlines() if line.startswith("trackwright: ")]
+    assert len(lines) == 1, said.err
+    return lines[0]
+
+
+@pytest.mark.parametrize("name", SOURCES)
+def test_a_large_file_is_refused_before_it_is_read(tmp_path, name):
+    with (tmp_path / name).open("wb") as file:
+        file.truncate(2**40)  # a hole: no byte is stored
+    assert "holds more than" in _refused(tmp_path / name, *SOURCES[name], "--out", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", SOURCES)
+@pytest.mark.parametrize("what", ["pipe", "/dev/zero"])
+def test_a_file_without_an_end_is_refused_at_once(tmp_path, name, what):
+    if what == "pipe":
+        os.mkfifo(tmp_path / name)
+    else:
+        (tmp_path / name).symlink_to(what)
+    words = _refused(tmp_path / name, *SOURCES[name], "--out", tmp_path / "out")
+    assert "is a pipe or device, not a file" in words
+
+
+def test_files_of_a_bag_beyond_the_limit_together_are_refused(tmp_path):
+    write_bag(tmp_path / "bag", "mcap")
+    for k in range(2):
+        with (tmp_path / "bag" / f"more{k}").open("wb") as file:
+            file.truncate(20 * 10**9)
+    assert "copy the topics that are needed" in _refused(tmp_path / "bag", *BAG, "--out", tmp_path / "out")
+
+
+def test_messages_beyond_the_limit_are_refused(tmp_path, monkeypatch):
+    write_bag(tmp_path / "bag", "mcap")
+    monkeypatch.setattr(ros_reader, "LARGEST", 500)
+    assert "its messages hold more than" in _refused(tmp_path / "bag", *BAG, "--out", tmp_path / "out")
+
+
+@pytest.mark.parametrize("outside", ["../other/other.mcap", "/proc/self/mem"])
+def test_a_bag_reads_nothing_outside_its_folder(tmp_path, outside):
+    write_bag(tmp_path / "bag", "mcap")
+    write_bag(tmp_path / "other", "mcap")
+    (tmp_path / "bag" / "bag.mcap").unlink()
+    metadata = tmp_path / "bag" / "metadata.yaml"
+    metadata.write_text(metadata.read_text().replace("bag.mcap", outside))
+    assert "missing" in _refused(tmp_path / "bag", *BAG, "--out", tmp_path / "out")
+
+
+def test_a_message_definition_that_is_no_text_is_refused(tmp_path):
+    write_bag(tmp_path / "bag", "mcap")
+    (tmp_path / "Ranges.msg").write_bytes(b"\xff\xfe")
+    words = _refused(tmp_path / "bag", *BAG, "--messages", tmp_path / "Ranges.msg", "--out", tmp_path / "out")
+    assert "Ranges.msg: is no message definition" in words
