@@ -16,6 +16,9 @@ RATIO = (0.5, 2.0)
 FACTOR = 1.15
 """The factor on standard deviations from which on they are too small or too large as a whole."""
 
+MOST = 1000
+"""The largest factor that is named; errors of zero have none."""
+
 CORRELATION = 0.2
 """The autocorrelation of NIS over 1 s from which on innovations count as correlated."""
 
@@ -77,7 +80,9 @@ def _covariance(metrics: Mapping[str, Any], suffix: str) -> str:
     if small and factor >= FACTOR:
         return f"standard deviations are {factor:.2g} times too small: {figures}"
     if not small and factor <= 1 / FACTOR:
-        return f"standard deviations are {1 / factor:.2g} times too large: {figures}"
+        # Errors may be zero: of a trajectory that is compared with itself, or aligned with a copy.
+        times = f"{1 / factor:.2g}" if factor > 1 / MOST else f"over {MOST}"
+        return f"standard deviations are {times} times too large: {figures}"
     large = "too small for large errors" if small else "too large for large errors"
     return f"standard deviations fit the median error and are {large}: {figures}"
 

@@ -32,6 +32,7 @@ def _statements(tracks, truth):
         (1.0, "Reported covariances hold: the 95 % ellipse holds the truth in 95 % of the rows, NEES/dof is"),
         (2.3, "Reported standard deviations are 2.3 times too small: the 95 % ellipse holds the truth in"),
         (1 / 3, "Reported standard deviations are 3 times too large: the 95 % ellipse holds the truth in 100 %"),
+        (0.0, "Reported standard deviations are over 1000 times too large: the 95 % ellipse holds the truth in 100 %"),
     ],
 )
 def test_the_factor_of_the_standard_deviations_is_found(factor, words):
