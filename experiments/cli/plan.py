@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.cli.arguments import Folder
+from experiments.cli.arguments import FigureFormat, Folder
 from experiments.cli.console import json_alone, notice, output_folder
 from trackers.core.errors import UnusableInput
 from trackers.recordings.rig_file import RIG_FILE, read_rig
@@ -25,12 +25,13 @@ def plan(
     sigma_angle: float = 0.05,
     sigma_phase: float = 0.3,
     place: int = 0,
+    format: FigureFormat = "png",
     json: bool = False,
 ) -> int:
     """Plan an installation: maps of the bound of errors over its floor.
 
     Before anything is recorded: the Cramér–Rao bound of the position from one epoch, a reading of every anchor and
-    station. Writes plan.html, whose anchors and stations can be dragged, and plan.png.
+    station. Writes plan.html, whose anchors and stations can be dragged, and the figure plan.png.
 
     Args:
         rig: a rig.toml with anchors or stations, or the folder that holds it.
@@ -40,6 +41,7 @@ def plan(
         sigma_angle: standard deviation of an azimuth or elevation, rad.
         sigma_phase: standard deviation of a phase, rad.
         place: propose places on the outline of the floor for so many more anchors.
+        format: of the figure, plan.png or plan.pdf.
         json: print the bounds, m, and proposed anchors as JSON instead of a table.
     """
     for name, sigma in (("range", sigma_range), ("angle", sigma_angle), ("phase", sigma_phase)):
@@ -66,10 +68,11 @@ def plan(
     floor = floor_map(geometry, Sigmas(sigma_range, sigma_angle, sigma_phase), height)
     placement = place_anchors(geometry, place, floor, known) if place else None
     proposed = np.zeros((0, 3)) if placement is None else placement.positions
-    bound_maps(out / "plan.png", geometry, floor, proposed)
+    drawn = out / f"plan.{format}"
+    bound_maps(drawn, geometry, floor, proposed)
     page = write_plan(out / "plan.html", geometry, floor, proposed, sys.argv)
     with json_alone(json) as put:
         print(summary_text(floor, placement), end="")
-        print(f"wrote {page} and plan.png")
+        print(f"wrote {page} and {drawn.name}")
         put(summary(floor, placement))
     return 0

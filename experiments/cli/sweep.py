@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from experiments.cli.arguments import File, Folder, Folders
+from experiments.cli.arguments import FigureFormat, File, Folder, Folders
 from experiments.cli.console import ReadingOptions, json_alone, read_with_notices, require_output
 from experiments.cli.runtime import keep_programs
 from experiments.cli.stages import stages
@@ -38,11 +38,12 @@ def sweep(
     path: Annotated[Path | None, "FOLDER"] = None,
     free_height: bool = False,
     piece_rows: int = 8000,
+    format: FigureFormat = "png",
     json: bool = False,
 ) -> int:
     """Evaluate an objective on a grid of one or two noise levels.
 
-    Writes sweep.csv, sweep.png and manifest.json.
+    Writes sweep.csv, the figure sweep.png and manifest.json.
 
     Args:
         recordings: recording folders, all at once.
@@ -58,6 +59,7 @@ def sweep(
         path: an output folder of `tune`, or its trace.csv, to draw as optimiser trace.
         free_height: estimate the height of tags whose height the rig gives.
         piece_rows: rows of the segments into which long recordings are cut, as in `tune`.
+        format: of the figure, sweep.png or sweep.pdf.
         json: print the best point as JSON instead of a line.
     """
     started, clock = datetime.now(UTC), time.perf_counter()
@@ -79,7 +81,7 @@ def sweep(
         # jax takes a second to import, which the help and a refused recording need not wait for.
         from experiments.cli.sweep_job import sweep_folders
 
-        put(sweep_folders(folders, recordings, out, grids, options, tuned, values, started, clock, begin))
+        put(sweep_folders(folders, recordings, out, grids, options, tuned, values, started, clock, begin, format))
     return 0
 
 

@@ -37,11 +37,12 @@ def sweep_folders(
     started: datetime,
     clock: float,
     begin: Begin,
+    format: str,
 ) -> dict[str, Any]:
     """Evaluates the objective on the grid, writes all files and prints the best point; returns it and the counts.
 
     `tuned`: the content of the noise file. `values`: by tunable or pattern. `started`, `clock`: when the command
-    began. `begin`: of a stage.
+    began. `begin`: of a stage. `format`: of the figure, its ending.
     """
     objective, repeats, path = options["objective"], options["repeats"], options["path"]
     free_height = options["free_height"]
@@ -65,7 +66,8 @@ def sweep_folders(
         raise UnusableInput("the objective is not finite at any grid point; run `trackwright check` on the recordings")
     _write(out / "sweep.csv", swept, objective)
     unit = "rad" if group.trajectories[0].station else "m"
-    sweep_plot(out / "sweep.png", swept, f"RMSE ({unit})" if objective == "rmse" else objective, traces)
+    drawn = out / f"sweep.{format}"
+    sweep_plot(drawn, swept, f"RMSE ({unit})" if objective == "rmse" else objective, traces)
     config = {**options} | {"tracker": named.name}
     found = {
         "best": swept.best,
@@ -76,7 +78,7 @@ def sweep_folders(
     extra = {"recordings": [str(p) for p in recordings]} | found
     write_manifest(out, sys.argv, config, started, extra=extra)
     print(_summary(swept, objective, unit if objective == "rmse" else "", seconds))
-    print(f"wrote {out / 'sweep.csv'}, sweep.png and manifest.json")
+    print(f"wrote {out / 'sweep.csv'}, {drawn.name} and manifest.json")
     return found
 
 

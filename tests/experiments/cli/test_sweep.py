@@ -45,7 +45,8 @@ def fixes(tmp_path_factory):
 def once(fixes):
     """One number by RMSE; what was said, and the folder."""
     out = fixes.parent / "once"
-    return trackwright("sweep", fixes, *KALMAN, "--over", f"{SIGMA_P}=0.05:1.2:6", "--out", out), out
+    options = "--over", f"{SIGMA_P}=0.05:1.2:6", "--format", "pdf"
+    return trackwright("sweep", fixes, *KALMAN, *options, "--out", out), out
 
 
 @pytest.fixture(scope="module")
@@ -69,6 +70,8 @@ def test_the_table_has_a_row_for_every_value_and_the_best_is_printed(once):
     assert f"best {SIGMA_P} = {best[SIGMA_P]:.6g} m" in said.out
     assert f"rmse = {best['rmse']:.6g} m" in said.out
     assert "6 trajectories filtered" in said.out
+    assert (out / "sweep.pdf").read_bytes().startswith(b"%PDF")
+    assert "sweep.pdf" in said.out
 
 
 def test_a_sweep_gives_what_track_and_evaluate_give_at_the_same_value(once, fixes):

@@ -131,6 +131,8 @@ def test_the_command_writes_a_page_and_a_picture(tmp_path, capsys):
     assert "P1 = [" in shown
     assert (tmp_path / "out" / "plan.png").read_bytes().startswith(b"\x89PNG")
     assert "proposed" in (tmp_path / "out" / "plan.html").read_text("utf-8")
+    assert plan(tmp_path, out=tmp_path / "out", format="pdf") == 0
+    assert (tmp_path / "out" / "plan.pdf").read_bytes().startswith(b"%PDF")
 
 
 def test_names_on_the_page_do_not_end_its_script(tmp_path):
