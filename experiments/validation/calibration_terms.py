@@ -13,8 +13,9 @@ from unittest import mock
 
 import numpy as np
 
+from experiments.cli.main import run_alone
 from experiments.cli.runtime import set_flags
-from experiments.cli.subprocesses import recordings_folder
+from experiments.cli.subprocesses import required_recordings
 from experiments.reports.tables import aligned
 from trackers.catalogue import build
 from trackers.evaluation import evaluate
@@ -37,20 +38,17 @@ EXCLUDED = 1e-6
 """Prior standard deviation of a term that is left out."""
 
 
-def main() -> None:
+def main() -> int:
     """Print the table."""
     set_flags()
-    folder = recordings_folder()
-    if folder is None:
-        raise SystemExit(
-            "no folder of real recordings; expected ../shared/recordings or one named by TRACKWRIGHT_RECORDINGS"
-        )
+    folder = required_recordings()
     folders = read_recordings([folder / name for name in WALKS])
     rows = [["terms", "RMSE", "smoothed", "inside 95 %"]]
     for label, terms in SETS.items():
         rmse, smoothed, inside = np.mean([_judged(folders, one, terms) for one in folders], axis=0)
         rows.append([label, f"{rmse:.3f} m", f"{smoothed:.3f} m", f"{100 * inside:.0f} %"])
     print(aligned(rows, range(1, 4)))
+    return 0
 
 
 def _judged(folders: Sequence[RecordingFolder], one: RecordingFolder, terms: Sequence[str]) -> tuple[float, ...]:
@@ -66,4 +64,4 @@ def _judged(folders: Sequence[RecordingFolder], one: RecordingFolder, terms: Seq
 
 
 if __name__ == "__main__":
-    main()
+    run_alone(main, "python -m experiments.validation.calibration_terms")

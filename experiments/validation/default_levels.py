@@ -10,7 +10,6 @@ their folder, default `../shared/recordings`.
 from __future__ import annotations
 
 import inspect
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
@@ -21,7 +20,7 @@ from scipy.optimize import minimize
 
 from experiments.cli.main import run_alone
 from experiments.cli.runtime import keep_programs, set_flags
-from experiments.cli.subprocesses import recordings_folder
+from experiments.cli.subprocesses import required_recordings
 from experiments.reports.tables import aligned
 from experiments.validation.folds import SEEN_BY_DEFAULTS
 from trackers.aoa.fusion import CALIBRATED, bearing_tracker
@@ -134,10 +133,7 @@ def main(kind: Kind, *, evaluations: int = 400) -> int:
     """
     set_flags()
     keep_programs()
-    levels, root = KINDS[kind], recordings_folder()
-    if root is None:
-        print("default_levels: no folder of real recordings; set TRACKWRIGHT_RECORDINGS", file=sys.stderr)
-        return 2
+    levels, root = KINDS[kind], required_recordings()
     folders = read_recordings([root / name for name in SEEN_BY_DEFAULTS[levels.tracker]])
     objective = Objective(levels, known_and_new(folders) if levels.calibrated else folders)
     start = objective.start()
