@@ -17,7 +17,7 @@ from trackers.recordings.columns import float_column
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.tracks_table import is_bearing
-from trackers.scoring import Scored, score
+from trackers.scoring import Scored, in_plane, score
 
 DRAWN = 4
 """The most recordings with figures and a Cramér–Rao bound, and the most tracks of bearings with figures."""
@@ -202,7 +202,7 @@ def directions(rows: pl.DataFrame) -> np.ndarray:
 def in_one_plane(azimuth: np.ndarray) -> bool:
     """Whether directions with these azimuths (n,), rad, lie in the plane of the array, where each azimuth is ± 90°."""
     known = azimuth[np.isfinite(azimuth)]
-    return bool(len(known)) and bool(np.all(np.abs(np.abs(known) - np.pi / 2) < 1e-9))
+    return bool(len(known)) and bool(in_plane(known).all())
 
 
 def in_the_plane(angles: np.ndarray) -> np.ndarray:

@@ -30,7 +30,7 @@ from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracks import Tracks
 from trackers.recordings.tracks_table import is_bearing, track_keys
 from trackers.recordings.truth import TruthStatus
-from trackers.scoring import Scored, score
+from trackers.scoring import Scored, outside_plane, score
 
 T = TypeVar("T")
 OneOrMore = RecordingFolder | Recording | Sequence[RecordingFolder] | Sequence[Recording]
@@ -224,7 +224,11 @@ def _metrics(association: Association, scored: Scored, first: int, end: int) -> 
         "n_no_truth": counts[TruthStatus.NO_TRUTH],
         "n_hole": counts[TruthStatus.HOLE],
     }
-    found |= _errors_of(scored.errors[part], None if scored.angle is None else scored.angle[part])
+    errors = scored.errors[part]
+    if scored.angle is None:
+        found |= _errors_of(errors)
+    else:
+        found |= _errors_of_bearings(scored.angle[part], errors[outside_plane(association, scored.index[part])])
     found |= _consistency(scored.nees[part], 2, "")
     if scored.nees_3d is not None:
         found |= _consistency(scored.nees_3d[part], 3, "_3d")
@@ -242,21 +246,27 @@ def _metrics(association: Association, scored: Scored, first: int, end: int) -> 
     return {name: None if value != value else value for name, value in found.items()}
 
 
-def _errors_of(errors: np.ndarray, angle: np.ndarray | None) -> Metrics:
-    if angle is not None:
-        parts = {"_direction_rad": angle, "_azimuth_rad": errors[:, :1], "_elevation_rad": errors[:, 1:]}
-        bias = dict(zip(("bias_azimuth_rad", "bias_elevation_rad"), metrics.bias(errors).tolist(), strict=True))
-    else:
-        solid = errors[np.isfinite(errors[:, 2])]
-        parts = {"_m": errors[:, :2], "_3d_m": solid}
-        means = [*metrics.bias(errors[:, :2]).tolist(), float(metrics.bias(solid)[2])]
-        bias = dict(zip(("bias_x_m", "bias_y_m", "bias_z_m"), means, strict=True))
-    named = {
+def _errors_of(errors: np.ndarray) -> Metrics:
+    """Of errors (n, 3), m."""
+    solid = errors[np.isfinite(errors[:, 2])]
+    means = [*metrics.bias(errors[:, :2]).tolist(), float(metrics.bias(solid)[2])]
+    bias = dict(zip(("bias_x_m", "bias_y_m", "bias_z_m"), means, strict=True))
+    return _named({"_m": errors[:, :2], "_3d_m": solid}) | bias
+
+
+def _errors_of_bearings(angle: np.ndarray, errors: np.ndarray) -> Metrics:
+    """Of angles between directions (n, 1), and of azimuths and elevations (m, 2) outside the plane of an array, rad."""
+    bias = dict(zip(("bias_azimuth_rad", "bias_elevation_rad"), metrics.bias(errors).tolist(), strict=True))
+    return _named({"_direction_rad": angle, "_azimuth_rad": errors[:, :1], "_elevation_rad": errors[:, 1:]}) | bias
+
+
+def _named(errors: Mapping[str, np.ndarray]) -> Metrics:
+    """The error metrics, with these suffixes."""
+    return {
         name + suffix: value
-        for suffix, values in parts.items()
+        for suffix, values in errors.items()
         for name, value in metrics.error_metrics(values)._asdict().items()
     }
-    return named | bias
 
 
 def _consistency(nees: np.ndarray, dof: int, suffix: str) -> Metrics:

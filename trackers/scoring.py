@@ -125,6 +125,17 @@ def _bearings(association: Association, kept: np.ndarray, stations: Mapping[str,
     return Scored(kept, errors, angle[:, None], nees, None, *_innovations(association), _lost(association))
 
 
+def outside_plane(association: Association, index: np.ndarray) -> np.ndarray:
+    """Which bearings, of the rows `index` (n,), are outside an array's plane, where azimuth and elevation have errors."""
+    return ~in_plane(float_column(association.rows.select("azimuth_rad")[index], "azimuth_rad"))
+
+
+def in_plane(azimuth: np.ndarray) -> np.ndarray:
+    """Which directions with these azimuths (n,), rad, lie in the plane of a flat array, where each azimuth is ± 90°."""
+    lying: np.ndarray = np.abs(np.abs(azimuth) - np.pi / 2) < 1e-9
+    return lying
+
+
 def _directions(angles: np.ndarray) -> np.ndarray:
     azimuth, elevation = angles.T
     flat = np.cos(elevation)

@@ -17,7 +17,7 @@ from trackers.core.rank_correlation import LAGS_S, RankSums
 from trackers.evaluation import LEVELS, Metrics
 from trackers.recordings.association import Association
 from trackers.recordings.truth import TruthStatus
-from trackers.scoring import Scored
+from trackers.scoring import Scored, outside_plane
 
 Sums = Mapping[str, np.ndarray]
 """Arrays by name; those named `max …` are largest values, the others add up."""
@@ -35,11 +35,12 @@ def sums_of(association: Association, scored: Scored) -> Sums:
     """The sums over all rows of associated estimates and their scores."""
     counts = np.bincount(association.truth_status, minlength=len(TruthStatus))
     found = {"rows": np.array([len(scored.index), len(association.rows), *(counts[s] for s in EXCLUDED.values())])}
-    for kind, norms in _norms(scored).items():
+    beside = scored.errors if scored.angle is None else scored.errors[outside_plane(association, scored.index)]
+    for kind, norms in _norms(scored, beside).items():
         found[f"errors {kind}"] = np.array([len(norms), np.sum(norms**2)])
         found[f"max {kind}"] = np.max(norms, initial=0.0)
         found[f"histogram {kind}"] = _histogram(norms)
-    found["bias"] = np.nansum(scored.errors, axis=0)
+    found["bias"] = np.nansum(beside, axis=0)
     for suffix, values, dof in (("", scored.nees, 2), ("_3d", scored.nees_3d, 3)):
         if values is not None:
             known = values[np.isfinite(values)]
@@ -52,12 +53,12 @@ def sums_of(association: Association, scored: Scored) -> Sums:
     return found
 
 
-def _norms(scored: Scored) -> dict[str, np.ndarray]:
-    """The sizes of the errors by kind, as `trackers.evaluation` names them."""
+def _norms(scored: Scored, errors: np.ndarray) -> dict[str, np.ndarray]:
+    """The sizes of the errors by kind, as `trackers.evaluation` names them; of bearings those outside a plane."""
     if scored.angle is not None:
-        return dict(zip(BEARING, (scored.angle[:, 0], *np.abs(scored.errors.T)), strict=True))
-    solid = scored.errors[np.isfinite(scored.errors[:, 2])]
-    norms = (np.sqrt(np.einsum("nd,nd->n", errors, errors)) for errors in (scored.errors[:, :2], solid))
+        return dict(zip(BEARING, (scored.angle[:, 0], *np.abs(errors.T)), strict=True))
+    solid = errors[np.isfinite(errors[:, 2])]
+    norms = (np.sqrt(np.einsum("nd,nd->n", e, e)) for e in (errors[:, :2], solid))
     return dict(zip(POSITION, norms, strict=True))
 
 

@@ -35,9 +35,8 @@ MOST_RECORDINGS = 60
 MOST_LISTED = 40
 """The most tracks in the table: those with the largest errors."""
 
-ANGLES = ("rmse_azimuth_rad", "rmse_elevation_rad")
-METRICS = ("n", "rmse_m", "median_m", "p95_m", "max_m", "rmse_3d_m", *ANGLES, "rmse_direction_rad",
-           "p95_direction_rad", "coverage_95", "nees_ratio", "nis_ratio", "lost_s")  # fmt: skip
+METRICS = ("n", "rmse_m", "median_m", "p95_m", "max_m", "rmse_3d_m", "rmse_azimuth_rad", "rmse_elevation_rad",
+           "rmse_direction_rad", "p95_direction_rad", "coverage_95", "nees_ratio", "nis_ratio", "lost_s")  # fmt: skip
 
 
 def write_track_page(path: Path, runs: Sequence[Mapping[str, Any]], command: str) -> None:
@@ -93,25 +92,24 @@ def run_data(
         "tracker": tracker,
         "recordings": found,
         "recordingCount": len(tracks.recordings),
-        "metrics": [] if evaluation is None else _metrics(tracks, evaluation),
+        "metrics": [] if evaluation is None else _metrics(evaluation),
         "statements": [] if evaluation is None else evaluation.statements,
         "figures": tracks.drawn_words if figures else "",
     }
 
 
-def _metrics(tracks: ScoredTracks, evaluation: Evaluation) -> list[dict[str, Any]]:
+def _metrics(evaluation: Evaluation) -> list[dict[str, Any]]:
     """The main metrics of each recording and of the tracks with the largest errors, without those that have no data.
 
-    Errors in 3-D of a height that is given, not estimated, are left out, and azimuths in the plane of an array.
+    Errors in 3-D of a height that is given, not estimated, are left out.
     """
-    flat = {recording.folder.name for recording in tracks.recordings if recording.in_plane}
 
     def size(metrics: Mapping[str, Any]) -> float:
         return metrics.get("rmse_m") or metrics.get("rmse_direction_rad") or 0.0
 
     def known(metrics: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
         for key in METRICS:
-            value = None if metrics["recording"] in flat and key in ANGLES else shown_metric(metrics, key)
+            value = shown_metric(metrics, key)
             if value is not None:
                 yield key, rounded(value)
 

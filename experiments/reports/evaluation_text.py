@@ -54,7 +54,7 @@ BEARING_COLUMNS = (
     Column("az\nbias", "bias_azimuth_rad", rank=3),
     Column("el\nRMSE", "rmse_elevation_rad"),
     Column("el\nbias", "bias_elevation_rad", rank=3),
-    Column("angle\nRMSE", "rmse_direction_rad", rank=3),
+    Column("angle\nRMSE", "rmse_direction_rad", rank=1),
     Column("angle\nmedian", "median_direction_rad", rank=2),
     Column("angle\np95", "p95_direction_rad"),
 )
@@ -83,7 +83,10 @@ def to_json(evaluation: Evaluation, work: Mapping[str, Any] | None = None) -> st
 
 
 def to_text(evaluation: Evaluation, width: int = 120) -> str:
-    """The metrics as a table, what they mean, and the excluded rows; the main metrics where `width` holds no more."""
+    """The metrics as a table, what they mean, and the excluded rows; the main metrics where `width` holds no more.
+
+    Metrics that no line has are left out.
+    """
     labels = ["recording", "tag", "station"] if evaluation.bearing else ["recording", "tag"]
     notes = []
     if max(Counter(track["recording"] for track in evaluation.tracks).values()) > SHOWN_TRACKS:
@@ -106,6 +109,7 @@ def archive_text(evaluation: Evaluation, width: int = 120) -> str:
 
 def _text(evaluation: Evaluation, labels: Sequence[str], lines: Sequence[Line], notes: list[str], width: int) -> str:
     every = (BEARING_COLUMNS if evaluation.bearing else POSITION_COLUMNS) + CONSISTENCY_COLUMNS
+    every = tuple(c for c in every if any(shown_metric(metrics, c.metric) is not None for _, metrics, _ in lines))
     for rank in RANKS:
         columns = [column for column in every if column.rank <= rank]
         table = _table(evaluation, columns, labels, lines)

@@ -271,6 +271,19 @@ def test_azimuth_errors_are_wrapped(stations):
     assert overall["bias_azimuth_rad"] == pytest.approx(0.01 + math.atan(0.01), rel=1e-9)
 
 
+def test_of_directions_in_the_plane_of_an_array_the_angle_alone_is_judged():
+    flat = {"hall": {"N": Station(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))}}
+    truth = {"hall": _truth([0.0, 1.0], [math.cos(0.1)] * 2, y_m=[math.sin(0.1)] * 2, z_m=[0.0, 0.0])}
+    row = {"recording": "hall", "tag": "1", "station": "N", "t_s": [0.5], "azimuth_rad": [math.pi / 2]}
+    evaluation = evaluate_table(pl.DataFrame({**row, "elevation_rad": [0.3]}), truth, flat)
+    assert evaluation.overall["rmse_azimuth_rad"] is None
+    assert evaluation.overall["bias_elevation_rad"] is None
+    assert evaluation.overall["rmse_direction_rad"] == pytest.approx(0.2, rel=1e-9)
+    head = to_text(evaluation, 80).split("─")[0]
+    assert "angle" in head
+    assert "az" not in head
+
+
 def test_a_station_missing_in_the_rig_is_refused(stations):
     del stations["hall"]["S"]
     tracks = _bearing_tracks(stations, [0.0, 0.0]).with_columns(station=pl.lit("S"))
@@ -345,6 +358,13 @@ def test_the_table_names_its_unit_and_every_track(noisy):
     text = to_text(evaluate_table(*noisy))
     assert "errors in cm" in text
     assert all(word in text for word in ("hall", "yard", "all 2", "overall"))
+
+
+def test_metrics_without_data_have_no_column(noisy):
+    tracks, truths = noisy
+    heads = [to_text(evaluate_table(t, truths), 200).split("─")[0] for t in (tracks, tracks.drop("nis", "nis_dof"))]
+    assert ["NIS" in head for head in heads] == [True, False]
+    assert all("NEES" in head for head in heads)
 
 
 @pytest.mark.parametrize(("size", "unit"), [(5.0, "m"), (0.05, "cm"), (0.005, "mm")])
