@@ -126,7 +126,7 @@ def _bearings(association: Association, kept: np.ndarray, stations: Mapping[str,
 
 
 def outside_plane(association: Association, index: np.ndarray) -> np.ndarray:
-    """Which bearings, of the rows `index` (n,), are outside an array's plane, where azimuth and elevation have errors."""
+    """Which bearings of the rows `index` (n,) are outside the plane of an array, where azimuths have errors."""
     return ~in_plane(float_column(association.rows.select("azimuth_rad")[index], "azimuth_rad"))
 
 
