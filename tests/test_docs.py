@@ -70,6 +70,7 @@ def test_the_python_example_of_the_readme_runs_and_lowers_the_negative_log_likel
     assert len(names["table"]) == len(names["estimates"].to_polars())
 
 
+@pytest.mark.slow
 def test_the_sentences_of_the_concepts_run_in_order_from_folders_and_from_arrays(tmp_path, monkeypatch):
     names = _run("docs/concepts.md", tmp_path, monkeypatch)
     assert (tmp_path / "my-folder" / "rig.toml").is_file()

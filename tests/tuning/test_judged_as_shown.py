@@ -62,10 +62,10 @@ def _shown(tracker, folder):
     ("name", "values", "smooth", "rtol"),
     [
         pytest.param("beam", {}, False, 1e-9, marks=pytest.mark.slow),
-        ("cascade", {}, False, 1e-9),
+        pytest.param("cascade", {}, False, 1e-9, marks=pytest.mark.slow),
         ("uwb", {}, False, 1e-9),
         pytest.param("mhk", {}, False, 1e-9, marks=pytest.mark.slow),
-        ("mhk-stamped", {}, False, 1e-9),
+        pytest.param("mhk-stamped", {}, False, 1e-9, marks=pytest.mark.slow),
         # Six of 600 estimates are valid before the truth begins: the objective continues it there, `evaluate` does not.
         pytest.param("fix-kf", LATENCY, False, 0.02, marks=pytest.mark.slow),
         ("fix-kf", LATENCY, True, 0.02),

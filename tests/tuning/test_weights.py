@@ -37,8 +37,8 @@ def test_rows_with_truth_count_where_the_objective_judges_them():
     np.testing.assert_allclose(found, [25 / 40, 25 / 10])
 
 
-@pytest.mark.parametrize("objective", ["nll", "state-nll", "rmse"])
-@pytest.mark.parametrize("copies", [1, 20], ids=["few", "many"])
+@pytest.mark.parametrize("objective", ["nll", "state-nll", pytest.param("rmse", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("copies", [pytest.param(1, id="few"), pytest.param(20, id="many", marks=pytest.mark.slow)])
 def test_a_weight_of_three_is_three_trajectories(objective, copies):
     tracker, made = line_tracker(), walks([30, 45] * copies, 4)
     parameters, goal = select_parameters(tracker, LEVELS), parse_objective(objective, "position", 1)

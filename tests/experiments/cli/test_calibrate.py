@@ -56,7 +56,7 @@ def test_the_table_and_the_page_show_each_term_with_its_standard_error(walks):
     )
 
 
-@pytest.mark.parametrize("table", ["bearings", "uwb"])
+@pytest.mark.parametrize("table", ["bearings", pytest.param("uwb", marks=pytest.mark.slow)])
 def test_a_calibrated_track_is_nearer_to_the_truth(walks, tmp_path, table):
     there, _, _ = walks
     errors = []

@@ -75,6 +75,7 @@ def test_a_position_in_line_with_two_anchors_is_not_determined():
     assert "100 %" in summary_text(floor, None)
 
 
+@pytest.mark.slow
 def test_the_place_of_one_more_anchor_is_as_good_as_an_exhaustive_search():
     three = replace(ROOM, anchors={name: ROOM.anchors[name] for name in "ABC"})
     floor = floor_map(three, SIGMAS, HEIGHT)

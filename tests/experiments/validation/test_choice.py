@@ -82,6 +82,7 @@ def test_every_tracker_of_the_catalogue_has_one_place_in_the_order():
     assert set(SEEN_BY_DEFAULTS) <= set(TRACKERS)
 
 
+@pytest.mark.slow
 def test_every_tracker_that_fits_a_recording_has_a_figure():
     folder = worlds.agv(n=1, seed=1, rows=60).folder()
     figures = list(figures_of(folder))

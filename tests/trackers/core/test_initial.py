@@ -152,6 +152,7 @@ def test_keys_differ_by_seed_and_by_id_up_to_64_bits():
             trajectory_key_data(0, [wrong])
 
 
+@pytest.mark.slow
 def test_the_pure_function_is_the_run_and_jax_goes_through_it():
     tracker, recordings = _tracker(), [_recording(15, k) for k in range(4)]
     batch = tw.stack(recordings)

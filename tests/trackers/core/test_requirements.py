@@ -294,6 +294,7 @@ def test_a_mistake_is_refused_in_one_sentence_before_anything_is_traced(mistake)
         assert word in sentence
 
 
+@pytest.mark.slow
 def test_one_recording_several_and_a_batch_are_fitted_alike():
     recording = tw.fix_recording(TIMES, PATH + 0.1 * np.random.default_rng(0).normal(size=PATH.shape))
     tracker, numbers = tw.fix_tracker(dof=None), {"tune": "sensors.fixes.sigma_horizontal", "steps": 2}

@@ -66,7 +66,7 @@ def _run(kind, filter, keys):
 
 
 @pytest.mark.parametrize("filter", FILTERS)
-@pytest.mark.parametrize("kind", ["plain", "halting"])
+@pytest.mark.parametrize("kind", [pytest.param("plain", marks=pytest.mark.slow), "halting"])
 def test_no_tag_begins_with_a_negative_speed(kind, filter):
     keys = KEYS if filter == "particles" else 1
     found = _run(kind, FILTERS[filter], keys)
