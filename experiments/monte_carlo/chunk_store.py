@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import io
 import json
 import shutil
 import zipfile
@@ -101,15 +102,9 @@ class ChunkStore:
         path = self.path(index, chunk)
         return path.is_file() and zipfile.is_zipfile(path)
 
-    def write(self, index: int, chunk: int, trackers: Sequence[Mapping[str, np.ndarray]]) -> None:
-        """Write a chunk, by the trackers' order; raises UnusableInput where the disk is full."""
-        arrays = {f"{k}/{name}": x for k, own in enumerate(trackers) for name, x in own.items()}
-
-        def save(temporary: Path) -> None:
-            with temporary.open("wb") as file:
-                np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
-
-        atomic_write(self.path(index, chunk), save)
+    def write(self, index: int, chunk: int, content: bytes) -> None:
+        """Write the `packed` content of a chunk; raises UnusableInput where the disk is full."""
+        atomic_write(self.path(index, chunk), lambda temporary: temporary.write_bytes(content))
 
     def results(self, runs: Mapping[int, int]) -> Results:
         """The results of the stored chunks; `runs`: number of runs by index of the condition."""
@@ -127,6 +122,21 @@ class ChunkStore:
                     raise UnusableInput(f"{path}: not a chunk of a study; remove it and run the study again") from error
             totals |= {(index, name): own.totals() for name, own in sums.items()}
         return Results(self.study, totals, runs)
+
+
+def packed(trackers: Sequence[Mapping[str, np.ndarray]]) -> bytes:
+    """The content of a chunk's file: its arrays, by the trackers' order.
+
+    Whoever computes a chunk packs it, since the caller stores the chunks of all workers.
+    """
+    file = io.BytesIO()
+    # NumPy's level, 6, takes seven times as long, into files that are a tenth smaller.
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as members:
+        for k, own in enumerate(trackers):
+            for name, values in own.items():
+                with members.open(f"{k}/{name}.npy", "w") as member:
+                    np.lib.format.write_array(member, np.asanyarray(values), allow_pickle=False)
+    return file.getvalue()
 
 
 def first_difference(other: Mapping[str, Any], mine: Mapping[str, Any]) -> str:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from experiments.monte_carlo.chunk import run_chunk
-from experiments.monte_carlo.chunk_store import first_difference, plain_identity
+from experiments.monte_carlo.chunk_store import first_difference, packed, plain_identity
 from experiments.monte_carlo.declaration import Condition, Study, checked
 from experiments.monte_carlo.sources import load_study
 from trackers.catalogue import split_name
@@ -82,15 +82,20 @@ def _numbered(study: Study, runs: int, seed: int) -> Study:
     return checked(dataclasses.replace(study, runs=runs, seed=seed))
 
 
-def portable_chunk(portable: PortableStudy, index: int, chunk: int) -> list[dict[str, np.ndarray]]:
-    """A chunk of the condition with this index, computed in this process: arrays by tracker, as `run_chunk`."""
+def portable_chunk(portable: PortableStudy, index: int, chunk: int) -> bytes:
+    """A chunk of the condition with this index, computed in this process: the content of its file."""
     study = _study(portable)
-    return timed_chunk(study, study.conditions[index], chunk)
+    return packed_chunk(study, study.conditions[index], chunk)
 
 
 @functools.lru_cache(maxsize=4)
 def _study(portable: PortableStudy) -> Study:
     return portable.study()
+
+
+def packed_chunk(study: Study, condition: Condition, chunk: int) -> bytes:
+    """The content of a chunk's file."""
+    return packed(timed_chunk(study, condition, chunk))
 
 
 def timed_chunk(study: Study, condition: Condition, chunk: int) -> list[dict[str, np.ndarray]]:

@@ -18,7 +18,7 @@ from experiments.executors import AT_ONCE, finished
 from experiments.monte_carlo.chunk import require_fitting_parts
 from experiments.monte_carlo.chunk_store import IDENTITY, ChunkStore
 from experiments.monte_carlo.declaration import Condition, Study
-from experiments.monte_carlo.portable import PortableStudy, portable_chunk, timed_chunk
+from experiments.monte_carlo.portable import PortableStudy, packed_chunk, portable_chunk
 from experiments.monte_carlo.results import NAMES, Results
 from trackers.core.chunks import n_workers
 from trackers.core.errors import UnusableInput
@@ -116,8 +116,8 @@ def run_missing(
     if not missing:
         return
     with _submitting(store.study, len(missing), executor) as (submit, at_once):
-        for (condition, chunk), arrays in finished(submit, missing, at_once):
-            store.write(condition.index, chunk, arrays)
+        for (condition, chunk), content in finished(submit, missing, at_once):
+            store.write(condition.index, chunk, content)
             advance(1, condition.label)
 
 
@@ -140,11 +140,11 @@ def _submitting(study: Study, count: int, executor: Executor | None) -> Iterator
     for k in range(workers):
         devices.put(used[k % len(used)])
 
-    def run(condition: Condition, chunk: int) -> list[dict[str, np.ndarray]]:
+    def run(condition: Condition, chunk: int) -> bytes:
         device = devices.get()
         try:
             with jax.default_device(device):
-                return timed_chunk(study, condition, chunk)
+                return packed_chunk(study, condition, chunk)
         finally:
             devices.put(device)
 
