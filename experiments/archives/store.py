@@ -15,6 +15,7 @@ from experiments.archives.part import Found
 from experiments.reports.evaluation_text import to_json
 from trackers.core.errors import UnusableInput
 from trackers.recordings.atomic import atomic_write, json_text
+from trackers.recordings.input_file import file_bytes
 from trackers.recordings.rig_file import RIG_FILE
 from trackers.recordings.tracks_table import EVALUATION, SOURCES, write_tracks
 
@@ -50,13 +51,13 @@ class RecordingStore(NamedTuple):
             if fingerprint is None or kept["fingerprint"] != fingerprint:
                 return None
             whole = all((folder / name).stat().st_size == size for name, size in kept["bytes"].items())
-        except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
             return None
         return kept if whole else None
 
     def kept(self, folder: Path) -> dict[str, Any]:
         """What is kept of a finished recording."""
-        found: dict[str, Any] = json.loads((folder / self.name).read_text("utf-8"))
+        found: dict[str, Any] = json.loads(file_bytes(folder / self.name))
         return found
 
     def write(self, item: Item, found: Found) -> None:
