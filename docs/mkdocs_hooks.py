@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[1]
 SITE = {
     "Begin": ("index", "ten-minutes", "which-tracker", "covariance-too-small", "import", "plan", "notebook"),
     "Understand": ("concepts", "formats", "inputs", "studies", "cluster", "extending", "command-line"),
-    "Figures": ("real-recordings", "results", "benchmarks", "performance"),
+    "Figures": ("real-recordings", "results", "benchmarks", "performance", "faults"),
     "Background": ("papers", "decisions"),
 }
 """Pages of the menu that exist, by section; others are listed behind them."""

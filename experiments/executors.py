@@ -36,6 +36,9 @@ LEAVE_SIGINT = "import signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\n"
 CONNECT_S = 10
 """Seconds to wait for a scheduler."""
 
+SILENT_S = 60
+"""Seconds without a sign of life after which a local worker hangs: it is ended, and its part runs elsewhere."""
+
 Item = TypeVar("Item")
 
 
@@ -105,8 +108,9 @@ def _client(distributed: Any, cluster: str, processes: int | None) -> Iterator[A
         return
     # One thread a process computes one part at a time; memory is limited by the system alone, as it is for threads.
     workers = {"n_workers": processes, "threads_per_worker": 1, "memory_limit": 0, "preload": LEAVE_SIGINT}
+    others = {"dashboard_address": ":0", "silence_logs": logging.CRITICAL, "scheduler_kwargs": {"worker_ttl": SILENT_S}}
     with (
-        distributed.LocalCluster(**workers, dashboard_address=":0", silence_logs=logging.CRITICAL) as started,
+        distributed.LocalCluster(**workers, **others) as started,
         distributed.Client(started, set_as_default=False) as client,
     ):
         yield client

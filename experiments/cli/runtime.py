@@ -7,7 +7,7 @@ import gc
 import os
 import warnings
 
-from trackers.core.errors import UnusableInput
+# Our own modules are imported in functions: Ctrl-C is answered in a line within `main` alone, which imports this first.
 
 EXTRA_OPTIONS = "--xla_backend_extra_options"
 
@@ -38,6 +38,7 @@ def keep_programs() -> None:
     """Keep compiled programs for later commands, as `cache_programs`; a notice where that is impossible."""
     from experiments.cli.console import notice
     from trackers.core import traced_programs
+    from trackers.core.errors import UnusableInput
     from trackers.core.program_cache import cache_programs, store_in_use
 
     # A program that jax cannot load is compiled and replaced.

@@ -99,7 +99,7 @@ def study(
         with progress(declared.name, total // part[1] if part[1] > 1 else total) as advance:
             results = run_study(declared, folder, part, stop, advance, executor)
     if results is None:
-        finished = len([*(folder / CHUNKS).glob("*.npz")])
+        finished = len([*(folder / CHUNKS).glob("[0-9]*.npz")])
         print(f"{folder}: {finished} of {total} chunks; merge the shards with `trackwright study merge`")
         return 0
     expected = [] if declared.expected is None else declared.expected(results)

@@ -21,6 +21,7 @@ from experiments.monte_carlo.declaration import Study, TrackerConfig
 from experiments.monte_carlo.results import ChunkTotals, Results, Totals
 from trackers.core.errors import UnusableInput
 from trackers.recordings.atomic import atomic_write, json_text
+from trackers.recordings.beside import remove_abandoned
 from trackers.recordings.input_file import file_bytes, read_arrays
 
 IDENTITY, CHUNKS = "study.json", "chunks"
@@ -91,6 +92,8 @@ class ChunkStore:
                 )
         else:
             atomic_write(path, lambda temporary: temporary.write_text(json_text(own), "utf-8"))
+        # Also where no chunk is missing, and none will be written.
+        remove_abandoned(self.folder / CHUNKS)
         return self
 
     def path(self, index: int, chunk: int) -> Path:
@@ -174,7 +177,7 @@ def merge_shards(parts: Sequence[Path], out: Path) -> int:
             raise UnusableInput(
                 f"{part}: holds another study than {parts[0]} ({difference}); expected shards of one study; remove it"
             )
-    files = {path.name: path for part in parts for path in sorted((part / CHUNKS).glob("*.npz"))}
+    files = {path.name: path for part in parts for path in sorted((part / CHUNKS).glob("[0-9]*.npz"))}
     try:
         (out / CHUNKS).mkdir(parents=True, exist_ok=True)
     except OSError as error:

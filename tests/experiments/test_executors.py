@@ -77,7 +77,7 @@ def test_a_worker_with_another_version_is_refused_before_it_computes(tmp_path):
     other = "import experiments.executors\nexperiments.executors._version = lambda name: '0.0.1'\n"
     file = tmp_path / "small.toml"
     file.write_text(TOML)
-    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, preload=other, dashboard_address=None) as started:
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, preload=other, dashboard_address=":0") as started:
         address = started.scheduler_address
         with pytest.raises(UnusableInput, match="trackwright: 0.0.1"), cluster_executor(address):
             pytest.fail("was connected")

@@ -1,6 +1,7 @@
 """`python -m tests.faults KIND --count 1000 --seed 0`: broken input through the command line, in process.
 
-Prints one line for each case that fails, with the words that repeat it, and counts by exit code.
+Prints one line for each case that fails, with the words that repeat it, and counts by exit code. Two words are other
+programs: `table`, faults of processes and disks, and `soak`, long runs.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from importlib import import_module
 from pathlib import Path
 
 from experiments.cli.runtime import set_flags
@@ -53,4 +55,7 @@ def main() -> int:
     return int(failed > 0)
 
 
+if sys.argv[1:2] in (["table"], ["soak"]):
+    # Begun here, since the workers of a cluster import again what a program imports that is no `__main__`.
+    sys.exit(import_module(f"tests.faults.{sys.argv.pop(1)}").main())
 sys.exit(main())

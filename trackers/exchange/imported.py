@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import shutil
 import tempfile
-import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -19,6 +17,7 @@ from trackers.core.rig import Rig
 from trackers.exchange.mapped_table import mapped_table
 from trackers.exchange.mapping import TableMapping, checked, columns_of
 from trackers.recordings.atomic import atomic_write
+from trackers.recordings.beside import beside
 from trackers.recordings.folder import RecordingFolder, read_recording, write_recording
 from trackers.recordings.rig_file import RIG_FILE, read_rig
 from trackers.recordings.table_file import TableFile
@@ -107,16 +106,15 @@ def save(folder: RecordingFolder, out: Path) -> RecordingFolder:
         return _added(folder, out)
     if out.exists() and not (out.is_dir() and not any(out.iterdir())):
         raise UnusableInput(f"--out {out}: exists; expected a new folder, or a recording to add tables to")
-    scratch = out.parent / f".{uuid.uuid4().hex[:12]}-{out.name}"
     try:
-        read = _written(folder, scratch)
-        if out.exists():
-            out.rmdir()
-        scratch.rename(out)
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with beside(out, Path.mkdir) as scratch:
+            read = _written(folder, scratch / "recording")
+            if out.exists():
+                out.rmdir()
+            (scratch / "recording").rename(out)
     except OSError as error:
         raise UnusableInput(f"--out {out}: cannot be written ({error.strerror}); check its permissions") from error
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
     return replace(read, path=out)
 
 

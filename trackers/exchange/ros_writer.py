@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-import uuid
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,6 +11,7 @@ import numpy as np
 from trackers.core.errors import UnusableInput
 from trackers.exchange.exported_tracks import ExportedTrack
 from trackers.exchange.ros_package import rosbags_module
+from trackers.recordings.beside import beside
 
 _TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 _FRAME = "world"
@@ -31,23 +30,21 @@ def write_bag(out: Path, tracks: Sequence[ExportedTrack]) -> list[str]:
     if out.exists():
         raise UnusableInput(f"--out {out}: exists already, expected a new folder for the bag; choose another name")
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-    scratch = out.parent / f".{uuid.uuid4().hex[:12]}-{out.name}"
-    topics = []
+    plugin, topics = rosbag2.StoragePlugin.SQLITE3, []
     try:
-        scratch.mkdir(parents=True)
-        # The bag's files have the name of its folder, which is why a folder around it is temporary, not a name.
-        with rosbag2.Writer(scratch / out.name, version=9, storage_plugin=rosbag2.StoragePlugin.SQLITE3) as writer:
-            for track in tracks:
-                topic = f"/{_plain(track.recording)}/{_plain(track.tag)}"
-                topics.append(topic)
-                connection = writer.add_connection(topic, _TYPE, typestore=store)
-                for stamp, message in _messages(store, track):
-                    writer.write(connection, stamp, store.serialize_cdr(message, _TYPE))
-        (scratch / out.name).rename(out)
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with beside(out, Path.mkdir) as scratch:
+            # The bag's files have the name of its folder, which is why a folder around it is temporary, not a name.
+            with rosbag2.Writer(scratch / out.name, version=9, storage_plugin=plugin) as writer:
+                for track in tracks:
+                    topic = f"/{_plain(track.recording)}/{_plain(track.tag)}"
+                    topics.append(topic)
+                    connection = writer.add_connection(topic, _TYPE, typestore=store)
+                    for stamp, message in _messages(store, track):
+                        writer.write(connection, stamp, store.serialize_cdr(message, _TYPE))
+            (scratch / out.name).rename(out)
     except OSError as error:
         raise UnusableInput(f"{out}: cannot be written ({error.strerror}); check free space and permissions") from error
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
     return topics
 
 

@@ -6,7 +6,6 @@ import hashlib
 import json
 import math
 import os
-import uuid
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -15,26 +14,26 @@ import numpy as np
 import polars as pl
 
 from trackers.core.errors import UnusableInput
+from trackers.recordings.beside import beside
 
 
 def atomic_write(path: Path | str, writer: Callable[[Path], object]) -> Path:
     """Atomic write: `writer` writes a temporary file in the same folder, which is then renamed to `path`; returns it.
 
-    After a failure no partial file remains, and an older file of that name is unchanged. Raises UnusableInput for a
-    full disk, missing permission or a missing folder.
+    After a failure no partial file remains, and an older file of that name is unchanged; what a killed process leaves
+    is removed by the next one that writes to the folder. Raises UnusableInput for a full disk, missing permission or a
+    missing folder.
     """
     path = Path(path)
-    temporary = path.with_name(f".{uuid.uuid4().hex[:12]}-{path.name}")
     try:
-        writer(temporary)
-        os.replace(temporary, path)
+        with beside(path) as temporary:
+            writer(temporary)
+            os.replace(temporary, path)
     except (OSError, pl.exceptions.PolarsError) as error:
         reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
         raise UnusableInput(
             f"cannot write {path}: {reason}; expected a folder with space that may be written to; choose another folder"
         ) from error
-    finally:
-        _discard(temporary)
     return path
 
 
@@ -47,13 +46,6 @@ def config_hash(config: Mapping[str, Any]) -> str:
     """The SHA-256 of a configuration, independent of the order of its keys."""
     canonical = json.dumps(json.loads(json_text(config)), sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(canonical.encode()).hexdigest()
-
-
-def _discard(temporary: Path) -> None:
-    try:
-        temporary.unlink(missing_ok=True)
-    except OSError:  # missing or unreadable folder, which the first error reports
-        return
 
 
 def _plain(value: Any) -> Any:

@@ -8,8 +8,6 @@ from __future__ import annotations
 import difflib
 import gzip
 import math
-import shutil
-import uuid
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -22,6 +20,7 @@ from trackers.core.errors import UnusableInput, has_control, listed
 from trackers.core.frames import html_table
 from trackers.core.rig import Rig
 from trackers.recordings.averaging import averaged
+from trackers.recordings.beside import beside
 from trackers.recordings.calibration import Calibration
 from trackers.recordings.checks.anomalies import anomalies
 from trackers.recordings.columns import TagRows
@@ -256,27 +255,25 @@ def write_recording(folder: RecordingFolder, path: str | Path, kind: Kind = "par
     if kind not in get_args(Kind):
         raise ValueError(f"kind = {kind!r}, expected one of {', '.join(get_args(Kind))}")
     path = Path(path)
-    partial = path.parent / f".{uuid.uuid4().hex[:12]}-{path.name}"
     try:
         if path.exists() and not (path.is_dir() and not any(path.iterdir())):
             what = "folder is not empty" if path.is_dir() else "is a file"
             raise UnusableInput(
                 f"{path}: {what}, expected a new or empty folder to write to; choose another name or remove it"
             )
-        partial.mkdir(parents=True)
-        (partial / RIG_FILE).write_text(rig_text(folder.rig), encoding="utf-8")
-        for name, table in folder.tables.items():
-            _write_table(table, partial / f"{name}.{kind}", kind)
-        if path.exists():
-            path.rmdir()  # some systems do not rename onto an empty folder
-        partial.rename(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with beside(path, Path.mkdir) as partial:
+            (partial / RIG_FILE).write_text(rig_text(folder.rig), encoding="utf-8")
+            for name, table in folder.tables.items():
+                _write_table(table, partial / f"{name}.{kind}", kind)
+            if path.exists():
+                path.rmdir()  # some systems do not rename onto an empty folder
+            partial.rename(path)
     except (OSError, pl.exceptions.PolarsError) as error:
         reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
         raise UnusableInput(
             f"{path}: cannot be written ({reason}), nothing was kept; check free space and permissions"
         ) from error
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
 
 
 def _write_table(table: pl.DataFrame, file: Path, kind: Kind) -> None:

@@ -157,7 +157,10 @@ def test_chunks_in_another_order_and_shards_merged_give_the_same_numbers(whole, 
     parts = [tmp_path / f"part-{k}" for k in (1, 2)]
     for k, part in enumerate(parts, start=1):
         assert run_study(SMALL, part, (k, 2), None, no_progress) is None
+    # What a killed process was writing is no chunk.
+    (parts[0] / "chunks" / ".trackwright-01234567-0000-000000.npz").write_bytes(b"half")
     assert merge_shards(parts, tmp_path / "merged") == 4
+    assert not [*(tmp_path / "merged" / "chunks").glob(".*")]
     assert _sha(run_study(SMALL, tmp_path / "merged")) == _sha(whole[1])
 
 

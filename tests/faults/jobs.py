@@ -1,0 +1,189 @@
+"""Commands whose results are compared to the bit, as processes that can be hurt, and what these leave behind."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import tomllib
+import zipfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any, NamedTuple
+
+import numpy as np
+import polars as pl
+
+from tests.in_process import trackwright
+from trackers.recordings.beside import PREFIX
+
+LIMIT_S = 600
+"""Seconds after which a command counts as one that does not end."""
+
+STUDY = """
+runs = 1000
+metrics = ["rmse_m"]
+[worlds.line]
+rate_hz = 1.0
+[trackers.fix-kf]
+[trackers.moving-average]
+[grid]
+'world.speed' = [0.2, 0.3, 0.4]
+"""
+
+
+class Job(NamedTuple):
+    """A command without its --out, and the files that have the same bytes whatever happened on the way."""
+
+    name: str
+    words: tuple[str, ...]
+    same: tuple[str, ...]
+
+    def line(self, out: Path, *more: str) -> list[str]:
+        """The command as a process gets it."""
+        return [sys.executable, "-m", "experiments", *self.words, *more, "--out", str(out)]
+
+    def digest(self, out: Path) -> str:
+        """Of the bits of the results."""
+        if self.name == "study":
+            return str(json.loads((out / "results.json").read_text("utf-8"))["sha256"])
+        return hashlib.sha256(b"\0".join((out / name).read_bytes() for name in self.same)).hexdigest()
+
+    def finished(self, out: Path) -> set[Any]:
+        """The parts that no later command may lose or compute again: chunks of a study, steps of a fit."""
+        if self.name == "study":
+            return {(path.name, path.stat().st_ino) for path in out.glob("chunks/[0-9]*.npz")}
+        if self.name == "tune" and (out / "checkpoint.npz").exists():
+            with np.load(out / "checkpoint.npz") as arrays:
+                return {*range(int(arrays["array_0"]))}
+        return set()
+
+
+def jobs(place: Path) -> dict[str, Job]:
+    """A study, a track and a fit of some seconds, by name; their inputs are written to `place`."""
+    (place / "small.toml").write_text(STUDY, "utf-8")
+    done = trackwright("simulate", "agv", "--n", 3, "--rows", 200, "--out", place / "world")
+    assert done.code == 0, done.err
+    world, tuned = str(place / "world"), ("--tune", "motion.sigma_a", "sensors.*.sigma*")
+    few = ("--optimiser", "adam", "--steps", "40", "--starts", "2", "--no-figures", "--no-report", "--resume")
+    all_jobs = (
+        Job("study", ("study", str(place / "small.toml"), "--no-figures"), ("results.json",)),
+        Job("track", ("track", world, "--tracker", "fix-kf", "--no-figures"), ("tracks.parquet", "events.parquet")),
+        Job("tune", ("tune", world, "--tracker", "fix-kf", *tuned, *few), ("tuned.toml", "trace.csv")),
+    )
+    return {job.name: job for job in all_jobs}
+
+
+class Ended(NamedTuple):
+    """How a process ended; `code` is negative for a signal."""
+
+    code: int
+    out: str
+    err: str
+
+
+Moment = Callable[[subprocess.Popen[bytes]], None]
+"""Returns when a process is to be hurt, or has ended."""
+
+
+@contextmanager
+def running(line: Sequence[str], **environment: str) -> Iterator[tuple[subprocess.Popen[bytes], Callable[[], Ended]]]:
+    """A process in a session of its own, and a function that waits for its end; it is killed with the block."""
+    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
+        # Files, not pipes: workers that outlive their caller would keep these open.
+        process = subprocess.Popen(
+            line, stdout=out, stderr=err, env=os.environ | environment, start_new_session=True
+        )  # fmt: skip
+        try:
+            yield process, lambda: Ended(process.wait(LIMIT_S), _said(out), _said(err))
+        finally:
+            process.kill()
+            process.wait()
+
+
+def _said(file: IO[bytes]) -> str:
+    file.seek(0)
+    return file.read().decode(errors="replace")
+
+
+def run(line: Sequence[str], **environment: str) -> Ended:
+    """The whole process."""
+    with running(line, **environment) as (_, ended):
+        return ended()
+
+
+def hurt(line: Sequence[str], moment: Moment, number: int = signal.SIGKILL, **environment: str) -> Ended:
+    """The process, which gets a signal at a moment unless it has ended."""
+    with running(line, **environment) as (process, ended):
+        moment(process)
+        process.send_signal(number)
+        return ended()
+
+
+def after(seconds: float) -> Moment:
+    """So many seconds after its start."""
+
+    def wait(process: subprocess.Popen[bytes]) -> None:
+        try:
+            process.wait(seconds)
+        except subprocess.TimeoutExpired:
+            return
+
+    return wait
+
+
+def writing(out: Path, seconds: float) -> Moment:
+    """When it writes its next file, so many seconds after its start."""
+    before = temporary(out)
+
+    def wait(process: subprocess.Popen[bytes]) -> None:
+        after(seconds)(process)
+        while process.poll() is None and not temporary(out) - before:
+            time.sleep(2e-4)
+
+    return wait
+
+
+def stored(out: Path, count: int) -> Moment:
+    """When a study has stored so many chunks."""
+
+    def wait(process: subprocess.Popen[bytes]) -> None:
+        while process.poll() is None and len([*out.glob("chunks/[0-9]*.npz")]) < count:
+            time.sleep(0.01)
+
+    return wait
+
+
+def temporary(out: Path) -> set[str]:
+    """The temporary files of commands in a folder and in that of its chunks."""
+    folders = [folder for folder in (out, out / "chunks") if folder.is_dir()]
+    return {name for folder in folders for name in os.listdir(folder) if name.startswith(PREFIX)}
+
+
+def half_written(out: Path) -> list[str]:
+    """The files, but for temporary ones, that their kind's own reader does not take for whole."""
+    return [str(p.relative_to(out)) for p in out.rglob("*") if p.is_file() and p.name[0] != "." and not _whole(p)]
+
+
+def _whole(path: Path) -> bool:
+    try:
+        return bool(READERS[path.suffix](path))
+    except (ValueError, OSError, pl.exceptions.PolarsError, zipfile.BadZipFile):
+        return False
+
+
+READERS: dict[str, Callable[[Path], object]] = {
+    ".npz": lambda path: zipfile.ZipFile(path).testzip() is None,
+    ".json": lambda path: json.loads(path.read_text("utf-8")),
+    ".toml": lambda path: tomllib.loads(text := path.read_text("utf-8")) and text.endswith("\n"),
+    ".parquet": lambda path: pl.read_parquet(path).width,
+    ".html": lambda path: path.read_text("utf-8").rstrip().endswith("</html>"),
+    ".csv": lambda path: path.read_text("utf-8").endswith("\n"),
+    ".txt": lambda path: path.read_text("utf-8").endswith("\n"),
+}
