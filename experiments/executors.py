@@ -44,10 +44,19 @@ Item = TypeVar("Item")
 
 @contextmanager
 def cluster_executor(cluster: str) -> Iterator[Executor]:
-    """The workers of `local:N`, N processes on this machine, or of the Dask scheduler at `tcp://HOST:PORT`.
+    """The workers of a cluster, as of `cluster_client`, as an executor."""
+    with cluster_client(cluster) as (client, expected):
+        workers = len(client.nthreads())
+        yield WorkerExecutor(client.get_executor(pure=False), expected, max(AT_ONCE, workers + workers // 4))
 
-    A scheduler without workers is waited for. Raises UnusableInput for another text, where no scheduler answers, for
-    workers with other versions, and where the cluster is lost.
+
+@contextmanager
+def cluster_client(cluster: str) -> Iterator[tuple[Any, dict[str, Any]]]:
+    """Dask's client of `local:N`, N processes on this machine, or of the scheduler at `tcp://HOST:PORT`.
+
+    Second: the environment that `computed` expects of a worker. A scheduler without workers is waited for. Raises
+    UnusableInput for another text, where no scheduler answers, for workers with other versions, and where the cluster
+    is lost.
     """
     from experiments.cli.console import notice
     from trackers.core.errors import UnusableInput
@@ -64,8 +73,7 @@ def cluster_executor(cluster: str) -> Iterator[Executor]:
             client.wait_for_workers(1)
             for address, found in client.run(_prepared, expected["XLA flags"], on_error="return").items():
                 _require_same(expected, found, f"worker {address}")
-            workers = len(client.nthreads())
-            yield WorkerExecutor(client.get_executor(pure=False), expected, max(AT_ONCE, workers + workers // 4))
+            yield client, expected
     except (CancelledError, distributed.CancelledError, distributed.comm.CommClosedError) as error:
         raise UnusableInput(f"--cluster {cluster}: the scheduler was lost; start it again, then the command") from error
     except distributed.KilledWorker as error:
@@ -127,14 +135,17 @@ class WorkerExecutor(Executor):
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         # As bytes, so that the worker unpickles nothing that imports jax before the flags are set.
-        return self.executor.submit(_computed, self.expected, pickle.dumps((function, args, kwargs)))
+        return self.executor.submit(computed, self.expected, pickle.dumps((function, args, kwargs)))
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         self.executor.shutdown(wait=wait, cancel_futures=cancel_futures)
 
 
-def _computed(expected: Mapping[str, Any], call: bytes) -> Any:
-    """In a worker: the result of a pickled call; raises UnusableInput where the environment differs."""
+def computed(expected: Mapping[str, Any], call: bytes, *held: Any) -> Any:
+    """In a worker: the result of a pickled call; raises UnusableInput where the environment differs.
+
+    `held`: its first arguments, which the worker has already: of types that do not import jax.
+    """
     _require_same(expected, _prepared(expected["XLA flags"]), f"worker on {platform.node()}")
     import jax
 
@@ -142,7 +153,7 @@ def _computed(expected: Mapping[str, Any], call: bytes) -> Any:
         _keep_programs()
     with jax.enable_x64(expected["x64"]):
         function, args, kwargs = pickle.loads(call)
-        return function(*args, **kwargs)
+        return function(*held, *args, **kwargs)
 
 
 def _prepared(flags: str) -> dict[str, Any]:

@@ -46,14 +46,14 @@ class PortableTracker(NamedTuple):
 
     def named(self, folder: RecordingFolder) -> NamedTracker:
         """The tracker for one recording; raises UnusableInput as `NamedTracker.of` and where values do not fit."""
-        tracker = NamedTracker.of(self.name, _spec(self.name, self.text), folder, self.free_height)
+        tracker = NamedTracker.of(self.name, spec_here(self.name, self.text), folder, self.free_height)
         if self.values:
             tracker = tracker.with_values(self.values, self.source)
         return tracker.smoothing(self.lag) if self.smoothed else tracker
 
 
 @functools.lru_cache(maxsize=8)
-def _spec(name: str, text: str) -> TrackerSpec:
+def spec_here(name: str, text: str) -> TrackerSpec:
     """The entry of the catalogue, or that of a user's file with this text; kept, since its programs are compiled."""
     file, attribute = split_name(name)
     if not file:

@@ -47,5 +47,5 @@ def test_an_objective_and_its_gradient_lower_for_cuda(name):
     tracker, batch = case.tracker(), stack(case.recordings())
     parameters = select_parameters(tracker, ("sensors.*.sigma*",))
     problem = Problem(tracker, [batch], NegativeLogLikelihood(), parameters)
-    calls = _custom_calls(term_sums, problem.point(flatten(parameters)), problem.chunks[0])
+    calls = _custom_calls(term_sums, problem.point(flatten(parameters)), problem.parts.chunks[0])
     assert calls <= DEVICE_CALLS

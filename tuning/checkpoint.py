@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +12,11 @@ import jax
 import numpy as np
 
 from trackers.core.errors import UnusableInput
-from trackers.core.recording import Batch
 from trackers.recordings.atomic import atomic_write, config_hash
 from trackers.recordings.input_file import read_arrays
 from tuning.optimisation import FitState
 from tuning.optimisers import AbstractOptimiser
+from tuning.unstacked import AnyBatch, Pieces
 
 CHECKPOINT = "checkpoint.npz"
 FORMAT = 2
@@ -37,10 +38,10 @@ def from_arrays(optimiser: AbstractOptimiser, arrays: Sequence[np.ndarray]) -> F
     return FitState(*jax.tree_util.tree_unflatten(structure, list(arrays)))
 
 
-def fingerprint(config: Mapping[str, Any], batches: Sequence[Batch], start: np.ndarray) -> str:
+def fingerprint(config: Mapping[str, Any], batches: Sequence[AnyBatch], start: np.ndarray) -> str:
     """A hash of the options of a fit, of all numbers of its recordings, and of its starting values."""
     digest = hashlib.sha256(f"{FORMAT} {config_hash(config)}".encode())
-    for leaf in [start, *jax.tree_util.tree_leaves(batches)]:
+    for leaf in chain([start], *map(jax.tree_util.tree_leaves, Pieces(batches))):
         array = np.ascontiguousarray(leaf)
         digest.update(f"{array.shape}{array.dtype}".encode() + array.tobytes())
     return digest.hexdigest()

@@ -6,10 +6,12 @@ independent rows times an inflation, which grows with the window up to that of t
 
 from __future__ import annotations
 
-import numpy as np
-from jaxtyping import Float, Int, Num
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
-from trackers.core.chunks import run_chunks
+import numpy as np
+from jaxtyping import Float, Num
+
 from trackers.core.recording import Batch
 from trackers.core.scan import Output
 from tuning.point import BESIDE, Point, plain_rows
@@ -24,8 +26,34 @@ MIN_WINDOWS = 20
 FLAT = 1.05
 """Growth of the inflation from a window to one of twice the length below which it has reached that of the errors."""
 
+NO_SCATTER = 1e-12
+"""Scatter of ratios, relative to the sum of their squares, below which they are equal but for rounding."""
+
 MIN_ROWS = 4
 """Rows of a window, on average, below which it is too short."""
+
+
+class WindowSums(NamedTuple):
+    """Of the ratios x = NIS/dof of rows: their number, Σ x and Σ x²; and sums over the windows of each of W lengths.
+
+    `windows` (4, W): their number, Σ S², Σ S n and Σ n², where S is the sum of the n ratios in a window.
+    """
+
+    rows: float
+    total: float
+    squares: float
+    windows: Float[np.ndarray, "4 W"]
+
+    @property
+    def inflations(self) -> Float[np.ndarray, " W"]:
+        """The variance of sums over windows relative to that of independent rows; NaN with few windows."""
+        mean = self.total / self.rows
+        count, of_squares, of_products, of_sizes = self.windows
+        scatter = self.squares - self.total * mean
+        if scatter <= NO_SCATTER * self.squares:
+            return np.full(len(count), np.nan)
+        found = (of_squares - 2 * mean * of_products + mean**2 * of_sizes) / scatter
+        return np.where(count < MIN_WINDOWS, np.nan, found)
 
 
 def rows_and_inflation(problem: Problem, vector: Float[np.ndarray, " p"]) -> tuple[int, float]:
@@ -35,58 +63,52 @@ def rows_and_inflation(problem: Problem, vector: Float[np.ndarray, " p"]) -> tup
     longer ones; it is extrapolated in the inverse of the length, which removes most of what correlation beyond a window
     adds.
     """
-    pairs = [(problem.point(vector), part) for part in problem.chunks]
-    found: list[tuple[np.ndarray, np.ndarray]]
-    if problem.few:
-        # By the program that the starts were compared with.
-        at = [BESIDE.index(name) - len(BESIDE) for name in ("nis", "nis_dof")]
-        found = [(np.asarray(rows[0, at[0]]), np.asarray(rows[0, at[1]])) for (rows,) in run_chunks(plain_rows, pairs)]
-    else:
-        found = run_chunks(_nis_of_rows, pairs)
-    times, values, track = list[np.ndarray](), list[np.ndarray](), list[np.ndarray]()
-    for (nis, dof), part in zip(found, problem.chunks, strict=True):
-        clock, known = np.cumsum(np.asarray(part.dt, float), axis=0), np.isfinite(nis) & (dof > 0)
-        known &= np.asarray(part.valid)
-        for k in range(part.size):
-            own = known[:, k]
-            times.append(clock[own, k])
-            values.append(nis[own, k].astype(float) / dof[own, k])
-            track.append(np.full(int(own.sum()), len(track)))
-    t, x, n = (np.concatenate(parts) for parts in (times, values, track))
-    if len(x) < MIN_WINDOWS:
-        return len(x), 1.0
-    scores = x - x.mean()
+    # Of few trajectories by the program that the starts were compared with.
+    function, reduced = (plain_rows, _sums_of_rows) if problem.few else (_nis_of_rows, _sums)
+    found = [one for (one,) in problem.parts.run(function, [np.atleast_2d(vector)], reduced)]
+    sums = WindowSums(*(np.sum(np.stack(parts), axis=0) for parts in zip(*found, strict=True)))
+    if sums.rows < MIN_WINDOWS:
+        return int(sums.rows), 1.0
     before = last = 1.0
-    for window in WINDOWS_S:
-        if len(scores) < MIN_ROWS * len(_starts(t, n, window)):
+    for count, now in zip(sums.windows[0], sums.inflations, strict=True):
+        if sums.rows < MIN_ROWS * count:
             continue
-        now = inflation(t, scores, n, window)
         if np.isnan(now):
             break
-        flat, before, last = now < FLAT * last, last, now
+        flat, before, last = now < FLAT * last, last, float(now)
         if flat:
             break
-    return len(x), max(1.0, last, 2 * last - before)
+    return int(sums.rows), max(1.0, last, 2 * last - before)
 
 
-def inflation(
-    times: Float[np.ndarray, " n"], scores: Float[np.ndarray, " n"], track: Num[np.ndarray, " n"], window: float
-) -> float:
-    """The variance of sums of scores over windows of time relative to that of independent rows; NaN with few windows.
+def window_sums(
+    times: Float[np.ndarray, " n"],
+    ratios: Float[np.ndarray, " n"],
+    track: Num[np.ndarray, " n"],
+    windows: Sequence[float] = WINDOWS_S,
+) -> WindowSums:
+    """The sums over windows of so many seconds; `track` (n,): the number of each row's trajectory, in order."""
+    own = np.zeros((4, len(windows)))
+    for k, window in enumerate(windows if len(times) else ()):
+        first = np.flatnonzero(np.append(True, (np.diff(np.floor(times / window)) != 0) | (np.diff(track) != 0)))
+        sums, sizes = np.add.reduceat(ratios, first), np.diff(np.append(first, len(times)))
+        own[:, k] = len(first), sums @ sums, sums @ sizes, sizes @ sizes
+    return WindowSums(len(times), float(ratios.sum()), float(ratios @ ratios), own)
 
-    `track` (n,): the number of each row's trajectory, in order.
-    """
-    first = _starts(times, track, window)
-    squares = float(scores @ scores)
-    if len(first) < MIN_WINDOWS or squares == 0:
-        return np.nan
-    sums = np.add.reduceat(scores, first)
-    return float(sums @ sums) / squares
+
+def _sums_of_rows(found: Any, chunk: Batch) -> WindowSums:
+    """As `_sums`, from `plain_rows`."""
+    nis, dof = (found[0][0, BESIDE.index(name) - len(BESIDE)] for name in ("nis", "nis_dof"))
+    return _sums((nis, dof), chunk)
 
 
-def _starts(times: Float[np.ndarray, " n"], track: Num[np.ndarray, " n"], window: float) -> Int[np.ndarray, " windows"]:
-    """The first row of each window of each trajectory."""
-    return np.flatnonzero(np.append(True, (np.diff(np.floor(times / window)) != 0) | (np.diff(track) != 0)))
+def _sums(found: Any, chunk: Batch) -> WindowSums:
+    """The sums of the rows of a chunk that have a NIS."""
+    nis, dof = (np.asarray(x) for x in found)
+    known = np.isfinite(nis) & (dof > 0) & np.asarray(chunk.valid)
+    track, row = np.nonzero(known.T)
+    times = np.cumsum(np.asarray(chunk.dt, float), axis=0)[row, track]
+    return window_sums(times, nis[row, track].astype(float) / dof[row, track], track)
 
 
 def _nis_of_rows(point: Point, batch: Batch) -> tuple[np.ndarray, np.ndarray]:

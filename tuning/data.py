@@ -1,36 +1,30 @@
-"""The data of a fit: from recordings, in folders or arrays, to the batches and the objective that a fit works on."""
+"""The data of a fit from recordings in folders: segments of trajectories, those held out, weights and the objective."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
-from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import Float
 
 from trackers.core.errors import UnusableInput
-from trackers.core.recording import Batch, Recording, stack
-from trackers.core.requirements import check_input
+from trackers.core.recording import Batch, stack
 from trackers.core.tracker import AbstractTracker
 from trackers.recordings.folder import RecordingFolder
-from trackers.recordings.named_tracker import NamedTracker, folder_list
 from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.tracks import batches
 from trackers.recordings.trajectories import Trajectories, Trajectory, segments, with_floor_truth
 from tuning.named_objectives import parse_objective
 from tuning.objectives import AbstractObjective, MissingQuantityError, StateLogLikelihood
-from tuning.problem import Problem, is_stochastic
+from tuning.problem import is_stochastic
+from tuning.unstacked import AnyBatch, Unstacked, unstacked
 from tuning.weights import Weigh, trajectory_weights
 
 SEGMENT_ROWS = 8000
 """Rows of the segments that long recordings are cut into, which are fitted side by side."""
-
-Arrays = Recording | Batch | Sequence[Recording] | Sequence[Batch]
-"""Recordings in arrays, as `AbstractTracker.run` takes them, or several batches of them."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +32,8 @@ class FitData:
     """The trajectories of recording folders that a tracker is fitted to, those held out, and the objective.
 
     `named`: the objective's name. `planar`: whether only the position over the floor is estimated. `dimensions`: the
-    components of a position that the objective judges. `unused`: recordings without the truth that it needs.
+    components of a position that the objective judges. `unused`: recordings without the truth that it needs. `stacked`:
+    whether all rows are stacked at once, not piece by piece where they are needed.
     """
 
     tracker: AbstractTracker
@@ -50,20 +45,27 @@ class FitData:
     held_out: list[Trajectory]
     weigh: Weigh
     unused: tuple[str, ...] = ()
+    stacked: bool = True
 
     def rows(self, held_out: bool = False) -> list[Batch]:
-        """The rows of the trajectories to fit to, or of those held out, as a fit takes them."""
+        """The rows of the trajectories to fit to, or of those held out, in batches."""
         return [batch for _, batch in (self._held_out_groups if held_out else self._training_groups)]
+
+    def batches(self, held_out: bool = False) -> Sequence[AnyBatch]:
+        """The batches of `rows` as a fit takes them, `stacked` or not."""
+        return self.rows(held_out) if self.stacked else self._unstacked(held_out)
 
     def weights(self, held_out: bool = False) -> list[Float[np.ndarray, " B"]]:
         """The weight of each trajectory of `rows`."""
-        rows, names = self.rows(held_out), self.recordings(held_out)
-        return trajectory_weights(rows, names, self.weigh, self.objective.needs_truth)
+        names = self.recordings(held_out)
+        return trajectory_weights(self.batches(held_out), names, self.weigh, self.objective.needs_truth)
 
     def recordings(self, held_out: bool = False) -> list[list[str]]:
         """The name of the recording of each trajectory of `rows`."""
-        groups = self._held_out_groups if held_out else self._training_groups
-        return [[folder.name for folder in own.folders] for own, _ in groups]
+        return [[t.folder.name for t in batch.trajectories] for batch in self._unstacked(held_out)]
+
+    def _unstacked(self, held_out: bool) -> list[Unstacked]:
+        return unstacked(self.held_out if held_out else self.training)
 
     @cached_property
     def _training_groups(self) -> list[tuple[Trajectories, Batch]]:
@@ -88,19 +90,34 @@ def fit_data(
     height too, where it is estimated. Raises UnusableInput for an objective that is not known, or that needs truth
     where there is none.
     """
+    own = replace(batch, trajectories=fit_segments(batch, segment_rows, dimensions))
+    return segments_data(own, objective, {folder.name for folder in held_out}, dimensions, weigh)
+
+
+def fit_segments(batch: TrackerBatch, rows: int, dimensions: int) -> list[Trajectory]:
+    """The trajectories as a fit takes them: segments of about so many rows, with the truth that it judges."""
     whole: Sequence[Trajectory] = batch.trajectories
-    quantity = next(iter(whole[0].recording.truth))
-    floor = quantity == "direction" or batch.planar or dimensions == 2
-    if quantity == "position" and floor:
-        whole = _over_the_floor(whole)
-    trajectories = [segment for trajectory in whole for segment in segments(trajectory, segment_rows)]
-    apart = {folder.name for folder in held_out}
+    if _quantity(batch) == "position" and _over_floor(batch, dimensions):
+        whole = [with_floor_truth(trajectory) for trajectory in whole]
+    return [segment for trajectory in whole for segment in segments(trajectory, rows)]
+
+
+def segments_data(
+    batch: TrackerBatch,
+    objective: str | AbstractObjective | None,
+    apart: set[str],
+    dimensions: int,
+    weigh: Weigh,
+    stacked: bool = True,
+) -> FitData:
+    """As `fit_data`, of `fit_segments`; `apart`: names of the recordings not fitted to; `stacked`: see `FitData`."""
+    trajectories, quantity, floor = list(batch.trajectories), _quantity(batch), _over_floor(batch, dimensions)
     known = [bool(trajectory.recording.truth[quantity][1].any()) for trajectory in trajectories]
     if objective is None:
         with_truth = {t.folder.name for t, has in zip(trajectories, known, strict=True) if has}
         enough = bool(with_truth - apart) and (not apart or bool(with_truth & apart))
         objective = _default_objective(batch, trajectories, quantity) if enough else "nll"
-    goal = _objective(objective, batch.tracker, quantity, 2 if floor else 3)
+    goal = named_objective(objective, batch.tracker, quantity, 2 if floor else 3)
     if goal.needs_truth and batch.planar and trajectories[0].station:
         raise UnusableInput(
             f"objective {objective}: azimuth and elevation of a tag in a flat array's own plane are singular; "
@@ -112,7 +129,8 @@ def fit_data(
             parts[trajectory.folder.name in apart].append(trajectory)
     for part, wanted, where in zip(parts, (True, bool(apart)), ("these recordings", "those held out"), strict=True):
         if wanted and not part:
-            if not floor and any(t.recording.truth["position"][1].any() for t in _over_the_floor(whole)):
+            over_floor = () if floor else map(with_floor_truth, trajectories)
+            if any(t.recording.truth["position"][1].any() for t in over_floor):
                 raise UnusableInput(
                     f"objective {objective} in three dimensions needs truth with z_m, and {where} have x_m and y_m "
                     "alone; judge two dimensions (--dimensions 2), or use the objective nll"
@@ -121,7 +139,17 @@ def fit_data(
     used = {trajectory.folder.name for part in parts for trajectory in part}
     unused = tuple(dict.fromkeys(t.folder.name for t in trajectories if t.folder.name not in used))
     name = objective if isinstance(objective, str) else type(objective).__name__
-    return FitData(batch.tracker, goal, name, batch.planar, 2 if floor else 3, *parts, weigh, unused)
+    return FitData(batch.tracker, goal, name, batch.planar, 2 if floor else 3, *parts, weigh, unused, stacked)
+
+
+def _quantity(batch: TrackerBatch) -> str:
+    """The quantity of the truth."""
+    return next(iter(batch.trajectories[0].recording.truth))
+
+
+def _over_floor(batch: TrackerBatch, dimensions: int) -> bool:
+    """Whether a position is judged over the floor alone."""
+    return _quantity(batch) == "direction" or batch.planar or dimensions == 2
 
 
 def _default_objective(batch: TrackerBatch, trajectories: Sequence[Trajectory], quantity: str) -> str:
@@ -131,10 +159,10 @@ def _default_objective(batch: TrackerBatch, trajectories: Sequence[Trajectory], 
     """
     if is_stochastic(batch.tracker) or (batch.planar and trajectories[0].station):
         return "nll"
-    return "state-nll" if _judged(batch.tracker, stack([trajectories[0].recording]), quantity) else "nll"
+    return "state-nll" if is_judged(batch.tracker, stack([trajectories[0].recording]), quantity) else "nll"
 
 
-def _judged(tracker: AbstractTracker, batch: Batch, quantity: str) -> bool:
+def is_judged(tracker: AbstractTracker, batch: Batch, quantity: str) -> bool:
     """Whether the tracker estimates the quantity with a covariance."""
     first = batch.rows(slice(0, 2)).columns(0, 1)
     try:
@@ -145,133 +173,10 @@ def _judged(tracker: AbstractTracker, batch: Batch, quantity: str) -> bool:
     return True
 
 
-def _over_the_floor(trajectories: Sequence[Trajectory]) -> list[Trajectory]:
-    """The trajectories with true positions over the floor, as `evaluate` judges them, with or without heights."""
-    return [with_floor_truth(trajectory) for trajectory in trajectories]
-
-
-class FitArrays(NamedTuple):
-    """A tracker, the batches to fit it to and to hold out with their weights, and the objective."""
-
-    tracker: AbstractTracker
-    training: list[Batch]
-    held_out: list[Batch]
-    objective: AbstractObjective
-    weights: list[Float[np.ndarray, " B"]]
-    held_out_weights: list[Float[np.ndarray, " B"]]
-    recordings: list[list[str]]
-
-    def recordings_of(self, problem: Problem) -> list[str]:
-        """The recording of each trajectory of the problem, empty for padding."""
-        pairs = zip(self.recordings, problem.sizes, strict=True)
-        return [name for own, size in pairs for name in [*own, *[""] * (size - len(own))]]
-
-    @classmethod
-    def of(cls, data: FitData) -> FitArrays:
-        """The arrays of recording folders."""
-        weights = (data.weights(), data.weights(held_out=True))
-        return cls(data.tracker, data.rows(), data.rows(held_out=True), data.objective, *weights, data.recordings())
-
-
-def fit_arrays(
-    tracker: AbstractTracker | NamedTracker,
-    recordings: Any,
-    objective: str | AbstractObjective | None,
-    held_out: Any,
-    dimensions: int = 2,
-    weigh: Weigh = "recordings",
-) -> FitArrays:
-    """Tracker, batches and objective of a fit, from what `tuning.fit` takes; raises UnusableInput, a ValueError."""
-    if isinstance(recordings, FitData):
-        return FitArrays.of(recordings)
-    if isinstance(tracker, NamedTracker):
-        if tracker.smoothed:
-            raise UnusableInput(
-                "a smoother has the filter's numbers: fit the filter, then use result.tracker.smoothing()"
-            )
-        training = folder_list(recordings)
-        apart = folder_list(held_out) if held_out != () else []
-        batch = tracker.only_batch([*training, *apart])
-        return FitArrays.of(fit_data(batch, objective, apart, dimensions=dimensions, weigh=weigh))
-    if not isinstance(tracker, AbstractTracker):
-        raise UnusableInput(
-            f"fit: found {type(tracker).__name__} for the tracker; expected a tracker of arrays or by name; usual fix: "
-            "fit(tracker, recordings, objective), with a tracker as `range_tracker(4)` or `tw.tracker_for(folder)`"
-        )
-    batches = _batches(tracker, recordings)
-    apart_batches = [] if isinstance(held_out, (tuple, list)) and not held_out else _batches(tracker, held_out)
-    goal = _array_objective(objective, tracker, batches, apart_batches, dimensions)
-    names, apart_names = (_numbered(rows) for rows in (batches, apart_batches))
-    weights = trajectory_weights(batches, names, weigh, goal.needs_truth)
-    apart_weights = trajectory_weights(apart_batches, apart_names, weigh, goal.needs_truth)
-    return FitArrays(tracker, batches, apart_batches, goal, weights, apart_weights, names)
-
-
-def _numbered(rows: Sequence[Batch]) -> list[list[str]]:
-    """Numbers as names of trajectories in arrays, each of which is a recording."""
-    ends = np.cumsum([0, *(batch.size for batch in rows)])
-    return [[f"{n + 1}" for n in range(a, b)] for a, b in pairwise(ends)]
-
-
-def _batches(tracker: AbstractTracker, recordings: Arrays) -> list[Batch]:
-    """Recordings in arrays as batches; raises UnusableInput for anything else, and where the tracker lacks an input."""
-    if isinstance(recordings, (tuple, list)) and not isinstance(recordings, Batch):
-        batches = [x for x in recordings if isinstance(x, Batch)]
-        if batches and len(batches) == len(recordings):
-            for batch in batches:
-                check_input(tracker, batch, "fit")
-            return batches
-    checked = check_input(tracker, recordings, "fit")
-    if isinstance(checked, Batch):
-        return [checked]
-    return [stack([checked] if isinstance(checked, Recording) else checked)]
-
-
-def _check_truth(objective: str | AbstractObjective, batches: Sequence[Batch], where: str) -> None:
-    """Raises UnusableInput for batches without any row whose truth is known."""
-    if batches and not _has_truth(batches):
-        name = objective if isinstance(objective, str) else type(objective).__name__
-        raise UnusableInput(
-            f"fit: {where} have no known truth; expected some, which the objective {name} needs; usual fix: `truth=` "
-            "where the recordings are made, or the objective nll"
-        )
-
-
-def _has_truth(batches: Sequence[Batch]) -> bool:
-    return any(bool(np.any(known)) for batch in batches for _, known in batch.truth.values())
-
-
-def _array_objective(
-    objective: str | AbstractObjective | None,
-    tracker: AbstractTracker,
-    rows: Sequence[Batch],
-    apart: Sequence[Batch],
-    dimensions: int,
-) -> AbstractObjective:
-    """The objective for recordings in arrays: by name of the quantity of their truth, in so many dimensions.
-
-    Raises UnusableInput for an unknown name, and where truth is needed and there is none in `rows` or `apart`.
-    """
-    quantity = next(iter(rows[0].truth), "position")
-    if objective is None:
-        known = all(_has_truth(part) for part in (rows, apart) if part)
-        judged = known and not is_stochastic(tracker) and _judged(tracker, rows[0], quantity)
-        objective = "state-nll" if judged else "nll"
-    goal = _objective(objective, tracker, quantity, 2)
-    if goal.needs_truth:
-        _check_truth(objective, rows, "the recordings")
-        _check_truth(objective, apart, "the held-out recordings")
-    if not (goal.needs_truth and isinstance(objective, str)):
-        return goal
-    first = rows[0].rows(slice(0, 2)).columns(0, 1)
-    mean = jax.eval_shape(lambda: tracker.scan(first)[0]).mean
-    estimated = len(jax.tree_util.tree_leaves(getattr(mean, quantity, ()))) or 2
-    return _objective(objective, tracker, quantity, min(dimensions, estimated))
-
-
-def _objective(
+def named_objective(
     objective: str | AbstractObjective, tracker: AbstractTracker, quantity: str, dimensions: int
 ) -> AbstractObjective:
+    """The objective, by name or as it is; raises UnusableInput for a name that is unknown or does not fit."""
     if not isinstance(objective, str):
         return objective
     try:

@@ -19,23 +19,24 @@ from trackers.recordings.named_tracker import NamedTracker
 from trackers.recordings.reading_grids import ReadingGrid, reading_grids
 from tuning.checkpoint import from_arrays
 from tuning.correlation import rows_and_inflation
-from tuning.data import Arrays, FitData, fit_arrays
+from tuning.data import FitData
+from tuning.fit_arrays import Arrays, fit_arrays
 from tuning.fit_cautions import fit_cautions
+from tuning.newton import newton
 from tuning.objectives import AbstractObjective
-from tuning.optimisation import FitState, MultiStart, min_gain, stands_still
+from tuning.optimisation import FitState, MultiStart, stands_still
 from tuning.optimisers import LBFGS, AbstractOptimiser, Adam
-from tuning.optimum import Optimum, optimum
 from tuning.parameters import Parameter, flatten, limits, physical, select_parameters, with_parameters
+from tuning.parts import LocalParts, Place
 from tuning.priors import Prior
 from tuning.problem import Evaluation, Problem
 from tuning.reading_grids import floors
 from tuning.starts import initial_state
-from tuning.uncertainty import Uncertainty, determined, uncertainty_at, unidentifiable
+from tuning.uncertainty import Uncertainty, uncertainty_at, unidentifiable
+from tuning.unstacked import Pieces
 from tuning.weights import Weigh
 
 AnyTracker = TypeVar("AnyTracker", bound="AbstractTracker | NamedTracker")
-
-NEWTON_STEPS = 4
 
 OTHER_STARTS = 4
 """Starts of a fit that did not move from its only one."""
@@ -128,6 +129,7 @@ def fit(
     resume: Sequence[np.ndarray] | None = None,
     report: Callable[[FitState], None] = lambda state: None,
     stage: Callable[[str], object] = lambda name: None,
+    place: Place = LocalParts,
 ) -> FitResult[AnyTracker]:
     """The tracker with the tunables matching `tune` fitted to minimise the objective.
 
@@ -140,7 +142,8 @@ def fit(
     sum, else `Adam`, as for particle filters and minibatches. `starts`: the tracker's own values, then the best of the
     `guesses` and of a coarse grid. `held_out`: recordings that select the best point and end the fit. `minibatch`:
     trajectories per step. `priors`: for likelihoods only. `report` is called with the state after every step, `stage`
-    with the name of each stage; `resume`: arrays of a state (`tuning.checkpoint.to_arrays`), to bit-identical results.
+    with the name of each stage; `resume`: arrays of a state (`tuning.checkpoint.to_arrays`), to bit-identical results;
+    `place`: where the rows are kept and computed on, with the same bits.
 
     A step to a non-finite objective, or with `LBFGS` to a higher one, is shortened; a likelihood ends with a few Newton
     steps. The noise levels of a sensor whose readings have a step are not fitted below that of its rounding, step/√12,
@@ -156,15 +159,15 @@ def fit(
     if priors and (not objective.is_likelihood or objective.tempered):
         raise ValueError("priors need the likelihood nll as objective; give bounds with another one")
     trajectories = chunk if minibatch is None else min(chunk, minibatch)
-    problem = Problem(model, batches, objective, parameters, trajectories, priors, data.weights)
-    scoring = Problem(model, apart, objective, parameters, chunk, (), data.held_out_weights) if apart else None
-    readings, bounds = reading_grids(model, batches), bounds or {}
+    problem = Problem(model, batches, objective, parameters, trajectories, priors, data.weights, place)
+    scoring = Problem(model, apart, objective, parameters, chunk, (), data.held_out_weights, place) if apart else None
+    readings, bounds = reading_grids(model, Pieces(batches)), bounds or {}
     low, high = limits(parameters, bounds)
     low = np.maximum(low, floors(readings, parameters, bounds))
     # Errors are discontinuous where a track is nearly lost, and a line search ends there; Adam steps over.
     smooth = objective.has_density and minibatch is None and not problem.stochastic
     optimiser = optimiser or (LBFGS() if smooth else Adam(steps))
-    per_step = None if minibatch is None else max(1, minibatch // problem.chunks[0].size)
+    per_step = None if minibatch is None else max(1, minibatch // len(problem.parts.rows[0]))
     driver = MultiStart(problem, optimiser, steps, low, high, scoring, minibatch=per_step, seed=seed)
     if resume is not None:
         state = from_arrays(optimiser, resume)
@@ -202,7 +205,7 @@ def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, inter
     if interrupted:
         last, vectors = problem.evaluate(vector), vectors + 1
     else:
-        found, more = _newton(driver, vector)
+        found, more = newton(driver, vector)
         vector, last, vectors = found.vector, found.evaluation, vectors + more
         uncertainty = uncertainty_at(problem, found, driver.at_bound(vector, found.gradient))
     value = float(problem.finite_values(vector, last.terms)[0])
@@ -270,31 +273,3 @@ def _trace(parameters: Sequence[Parameter], state: FitState, start: int) -> list
         )
         for k in range(last)
     ]
-
-
-def _newton(driver: MultiStart, vector: Float[np.ndarray, " p"]) -> tuple[Optimum, int]:
-    """The optimum at a vector (p,) or after a few Newton steps from there, while they help.
-
-    For smooth likelihoods only, and not where held-out recordings select the point. Second: the number of vectors
-    evaluated.
-    """
-    problem, found = driver.problem, optimum(driver.problem, vector)
-    n_each = 2 * len(vector) + 1
-    vectors = n_each
-    if not np.isfinite(found.nats_per_unit) or driver.held_out is not None or problem.stochastic:
-        return found, vectors
-    for _ in range(NEWTON_STEPS):
-        _, inverse, _ = determined(found.hessian, ~driver.at_bound(found.vector, found.gradient))
-        step = -inverse @ found.gradient
-        # The gain that the quadratic model predicts.
-        if not -found.gradient @ step / 2 >= min_gain(found.value, found.nats_per_unit):
-            break
-        step = step / max(1.0, float(np.linalg.norm(step)))
-        vector = np.clip(found.vector + step, driver.low, driver.high)
-        trial = problem.evaluate(vector)
-        vectors += 1
-        before = problem.finite_values(found.vector, found.evaluation.terms)
-        if not (trial.finite[0] and problem.finite_values(vector, trial.terms)[0] < before[0]):
-            break
-        found, vectors = optimum(problem, vector), vectors + n_each
-    return found, vectors

@@ -28,6 +28,7 @@ from tuning.differences import noise_levels_of_fixes
 from tuning.objectives import AbstractObjective, NegativeLogLikelihood, Truth
 from tuning.parameters import Parameter, flatten, with_parameters
 from tuning.problem import Problem, has_particles
+from tuning.unstacked import AnyBatch, lengths_of, steps_of
 
 ROWS, SEGMENTS, SEGMENTS_OF_PARTICLES = 400, 8, 4
 """Rows per segment and segments: long enough for a track to converge, few enough for seconds of work.
@@ -77,7 +78,7 @@ class LikelihoodWithLossPenalty(AbstractObjective):
 
 
 def first_guess(
-    tracker: AbstractTracker, batches: Batch | Sequence[Batch], frozen: Sequence[str] = ()
+    tracker: AbstractTracker, batches: Batch | Sequence[AnyBatch], frozen: Sequence[str] = ()
 ) -> AbstractTracker:
     """The tracker with noise levels of the right order of magnitude for the batches.
 
@@ -122,25 +123,25 @@ def noise_levels(tracker: AbstractTracker, frozen: Sequence[str] = ()) -> list[P
     ]
 
 
-def sample_segments(batches: Sequence[Batch], count: int) -> Batch:
+def sample_segments(batches: Sequence[AnyBatch], count: int) -> Batch:
     """At most `count` segments of at most `ROWS` rows, evenly spread over all rows of all recordings."""
-    rows = min(ROWS, max(len(batch.dt) for batch in batches))
+    rows = min(ROWS, max(steps_of(batch) for batch in batches))
     every = [
         (b, trajectory, start)
         for b, batch in enumerate(batches)
-        for trajectory, length in enumerate(np.asarray(batch.valid).sum(axis=0))
+        for trajectory, length in enumerate(lengths_of(batch))
         for start in range(0, int(length), rows)
         if start == 0 or length - start >= rows // 2
     ]
     picked = [every[k] for k in np.unique(np.linspace(0, len(every) - 1, min(count, len(every))).astype(int))]
 
     def cut(b: int, trajectory: int, start: int) -> Batch:
-        def part(x: Shaped[AnyArray, "T *shape B"]) -> Shaped[np.ndarray, "rows *shape"]:
-            rows_of_x = np.asarray(x)[start : start + rows, ..., trajectory]
+        def part(x: Shaped[AnyArray, "T *shape 1"]) -> Shaped[np.ndarray, "rows *shape"]:
+            rows_of_x = np.asarray(x)[start : start + rows, ..., 0]
             return np.pad(rows_of_x, [(0, rows - len(rows_of_x))] + [(0, 0)] * (rows_of_x.ndim - 1))
 
-        key = np.asarray(batches[b].key)[:, trajectory]
-        return jax.tree_util.tree_map(part, batches[b]._replace(key=batches[b].dt))._replace(key=key)
+        one = batches[b].columns(trajectory, trajectory + 1)
+        return jax.tree_util.tree_map(part, one._replace(key=one.dt))._replace(key=np.asarray(one.key)[:, 0])
 
     return jax.tree_util.tree_map(lambda *x: np.stack(x, axis=-1), *(cut(*one) for one in picked))
 

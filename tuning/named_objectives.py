@@ -106,7 +106,7 @@ def _evaluated(
     by_batch = [list(chunks(batch, chunk)) for batch in batches]
     parts = run_chunks(_sums, [(model, part) for chunked in by_batch for part in chunked])
     sums = np.concatenate([np.asarray(part, float) for part in parts], axis=-1)
-    sums *= by_chunks(weights, batches, by_batch)
+    sums *= by_chunks(weights, [sum(part.size for part in chunked) for chunked in by_batch])
     metrics = {}
     for name, objective, own in zip(objectives, together.parts, together.split(sums), strict=True):
         total = own[:, np.isfinite(own).all(axis=0)].sum(axis=-1)

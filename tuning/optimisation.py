@@ -205,7 +205,7 @@ class MultiStart:
         if self.minibatch is None:
             return None
         draw = np.random.default_rng((self.seed, number))
-        return sorted(draw.permutation(len(self.problem.chunks))[: self.minibatch].tolist())
+        return sorted(draw.permutation(len(self.problem.parts.rows))[: self.minibatch].tolist())
 
     def _scores(self, vectors: Float[np.ndarray, "S p"], terms: Float[np.ndarray, "S k n"]) -> Float[np.ndarray, " S"]:
         """The scores (S,) that select the best point: `Problem.values` of the held-out or of all trajectories."""

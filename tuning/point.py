@@ -8,6 +8,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from trackers.core.recording import Batch
@@ -42,6 +43,10 @@ class Point(eqx.Module):
         self.names = tuple(p.names for p in parameters)
         self.labels = tuple(p.label for p in parameters)
         self.examples = tuple(p.example for p in parameters)
+
+    def at(self, vectors: Float[np.ndarray, "*S p"]) -> Point:
+        """This point at other vectors (S, p) or one."""
+        return eqx.tree_at(lambda p: p.vectors, self, jnp.asarray(np.atleast_2d(vectors), self.vectors.dtype))
 
     def tracker_at(self, vector: Float[Array, " p"]) -> AbstractTracker:
         """The tracker with the parameters of one vector."""

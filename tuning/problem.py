@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Num, Shaped, UInt32
+from jaxtyping import Array, Bool, Float, Num, Shaped
 
-from trackers.core.chunks import CHUNK, as_dtype, chunks, run_chunks
+from trackers.core.chunks import CHUNK, as_dtype
 from trackers.core.covariance import few
 from trackers.core.particle.filter import AbstractParticleFilter
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker, Tracker
 from tuning.objectives import AbstractObjective
-from tuning.parameters import Parameter
+from tuning.parameters import Parameter, flatten
+from tuning.parts import LocalParts, Place
 from tuning.point import BESIDE, Point, plain_rows, plain_sums, row_terms, term_sums
 from tuning.priors import Penalty, Prior, penalty
+from tuning.unstacked import AnyBatch, Pieces, padded_size
 from tuning.weights import by_chunks
 
 Vectors = Float[np.ndarray, "*S p"]
@@ -67,8 +70,9 @@ class Problem:
     """The objective of a tracker over batches as a function of unconstrained vectors, compiled once per shape.
 
     `priors`: added to a likelihood. `weights`: of the trajectories of each batch, default 1; the terms of a trajectory
-    and their derivatives are multiplied by its weight. `sizes`: trajectories of each batch, with padding. `power`:
-    of the likelihood, below 1 where it is tempered; it changes the unit and not the objective.
+    and their derivatives are multiplied by its weight. `place`: where the rows are kept, of which this has none itself.
+    `sizes`: trajectories of each batch, with padding. `power`: of the likelihood, below 1 where it is tempered; it
+    changes the unit and not the objective.
 
     A filter on the verge of losing a track has derivatives without bound, which would dominate all others. So
     `evaluate` leaves such a trajectory out of value and gradient alike, besides those that are not finite: its gradient
@@ -80,23 +84,25 @@ class Problem:
     def __init__(
         self,
         tracker: AbstractTracker,
-        batches: Sequence[Batch],
+        batches: Sequence[AnyBatch],
         objective: AbstractObjective,
         parameters: Sequence[Parameter],
         chunk: int = CHUNK,
         priors: Sequence[Prior] = (),
         weights: Sequence[Float[np.ndarray, " B"]] | None = None,
+        place: Place = LocalParts,
     ):
         self.priors = tuple(priors)
         self.objective, self.parameters = objective.for_tracker(tracker), list(parameters)
-        self.dtype, self.power = batches[0].dt.dtype, 1.0
-        self.tracker = as_dtype(tracker, self.dtype)
-        by_batch = [list(chunks(batch, chunk)) for batch in batches]
-        self.chunks = [part for parts in by_batch for part in parts]
-        self.weights = by_chunks(weights, batches, by_batch)
-        self.sizes = [sum(part.size for part in parts) for parts in by_batch]
-        self.valid = np.concatenate([np.asarray(part.valid).any(axis=0) for part in self.chunks])
-        trajectories = max(part.size for part in self.chunks)
+        dtype, self.power = batches[0].columns(0, 1).dt.dtype, 1.0
+        self.tracker = as_dtype(tracker, dtype)
+        start = jnp.asarray(flatten(self.parameters)[None], dtype)
+        self.start = Point(self.tracker, self.objective, self.parameters, start)
+        self.parts = place(self.start, Pieces(batches, chunk))
+        self.sizes = [padded_size(batch, chunk) for batch in batches]
+        self.weights = by_chunks(weights, self.sizes)
+        self.valid = np.concatenate(self.parts.rows) > 0
+        trajectories = max(len(rows) for rows in self.parts.rows)
         # As many vectors as keep a compiled call about as large as a full chunk. Few trajectories gain nothing by more
         # than one, nor does a filter with a particle axis, which would compute both sides of its conditions at every
         # row.
@@ -191,7 +197,7 @@ class Problem:
 
     def point(self, vectors: Vectors) -> Point:
         """The argument of `term_sums` at vectors (S, p)."""
-        return Point(self.tracker, self.objective, self.parameters, jnp.asarray(np.atleast_2d(vectors), self.dtype))
+        return self.start.at(vectors)
 
     def _run(
         self, function: Callable[..., Any], vectors: Vectors, subset: Sequence[int] | None, realisation: int
@@ -200,16 +206,13 @@ class Problem:
         vectors = np.atleast_2d(np.asarray(vectors, float))
         size, width = len(vectors), self.vectors_per_call
         padded = np.concatenate([vectors, np.repeat(vectors[-1:], -size % width, axis=0)])
-        blocks = [self.point(block) for block in padded.reshape(-1, width, vectors.shape[1])]
-        parts = self.chunks if subset is None else [self.chunks[k] for k in subset]
-        if self.stochastic and realisation:
-            parts = [fresh_keys(part, realisation) for part in parts]
-        found = run_chunks(function, [(block, part) for part in parts for block in blocks])
-        if self.few:
-            found = [tuple(np.sum(x[:, : -len(BESIDE)], axis=-2, dtype=float) for x in xs) for xs in found]
+        blocks = list(padded.reshape(-1, width, vectors.shape[1]))
+        # Of the repeated vectors of an only block nothing travels.
+        reduced = partial(_summed_rows if self.few else _as_found, min(width, size))
+        found = self.parts.run(function, blocks, reduced, subset, realisation if self.stochastic else 0)
         return [
             tuple(np.concatenate([np.asarray(x, float) for x in xs])[:size] for xs in zip(*of_part, strict=True))
-            for of_part in (found[k : k + len(blocks)] for k in range(0, len(found), len(blocks)))
+            for of_part in found
         ]
 
     def _share(self, subset: Sequence[int] | None) -> float:
@@ -226,7 +229,7 @@ class Problem:
         """The part of values by trajectory that belongs to a subset of the chunks."""
         if subset is None:
             return values
-        starts = np.cumsum([0, *(part.size for part in self.chunks)])
+        starts = np.cumsum([0, *map(len, self.parts.rows)])
         return np.concatenate([values[starts[k] : starts[k + 1]] for k in subset])
 
 
@@ -240,16 +243,14 @@ def has_particles(tracker: AbstractTracker) -> bool:
     return isinstance(tracker, Tracker) and tracker.filter.has_particle_axis
 
 
-def fresh_keys(part: Batch, realisation: int) -> Batch:
-    """The batch with the random keys of another realisation."""
-    return eqx.tree_at(lambda b: b.key, part, _folded(part.key, realisation))
+def _as_found(count: int, found: tuple[np.ndarray, ...], chunk: Batch) -> tuple[np.ndarray, ...]:
+    """The sums of the trajectories of a chunk at the first `count` vectors."""
+    return tuple(x[:count] for x in found)
 
 
-@jax.jit
-def _folded(keys: UInt32[Array, "2 B"], realisation: int) -> UInt32[Array, "2 B"]:
-    """Raw keys (2, B) with a number folded in."""
-    fold = jax.vmap(lambda k: jax.random.key_data(jax.random.fold_in(jax.random.wrap_key_data(k), realisation)), -1, -1)
-    return fold(keys)
+def _summed_rows(count: int, found: tuple[np.ndarray, ...], chunk: Batch) -> tuple[np.ndarray, ...]:
+    """The sums of the rows of few trajectories, without the numbers beside the terms, at the first `count` vectors."""
+    return tuple(np.sum(x[:count, : -len(BESIDE)], axis=-2, dtype=float) for x in found)
 
 
 def weighted_sum(

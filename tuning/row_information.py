@@ -8,12 +8,13 @@ Hall, Hall and Hausman 1974): positive semidefinite, and without second derivati
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from trackers.core.chunks import run_chunks
+from trackers.core.recording import Batch
 from tuning.point import row_terms
 from tuning.problem import Problem
 
@@ -32,17 +33,16 @@ def row_information(problem: Problem, vectors: Float[np.ndarray, "S p"], block: 
     Scores of `block` consecutive rows are added before they are squared, which makes the information valid for errors
     correlated over that many rows. Padding trajectories contribute zeros. Memory grows with the rows.
     """
-    points = [problem.point(vector) for vector in np.atleast_2d(vectors)]
-    found = run_chunks(row_terms, [(point, part) for part in problem.chunks for point in points])
-    each = [_information(np.asarray(terms[0, -1]), np.asarray(slopes[0, -1]), block) for terms, slopes in found]
-    count = len(points)
-    parts = [[np.stack(xs) for xs in zip(*each[k : k + count], strict=True)] for k in range(0, len(each), count)]
+    found = problem.parts.run(row_terms, list(np.atleast_2d(vectors)[:, None]), partial(_information, block))
+    parts = [[np.stack(xs) for xs in zip(*each, strict=True)] for each in found]
     return RowInformation(*(np.concatenate(xs, axis=-1) for xs in zip(*parts, strict=True)))
 
 
 def _information(
-    log_likelihoods: Float[np.ndarray, "T n"], scores: Float[np.ndarray, "p T n"], block: int
+    block: int, found: Any, chunk: Batch
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "p n"], Float[np.ndarray, "p p n"]]:
+    """Log-likelihood, scores and information of each trajectory of a chunk, from `row_terms` at one vector."""
+    log_likelihoods, scores = (np.asarray(x[0, -1]) for x in found)
     starts = np.arange(0, len(log_likelihoods), block)
     blocked = np.add.reduceat(scores.astype(float), starts, axis=1)
     information = np.einsum("ibn,jbn->ijn", blocked, blocked)

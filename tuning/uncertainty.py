@@ -173,7 +173,7 @@ def _scatter(problem: Problem, found: Optimum) -> tuple[Float[np.ndarray, "p p"]
     p = len(found.vector)
     if problem.stochastic or not found.nats_per_unit > 0:
         return np.full((p, p), np.nan), clusters
-    rows = np.concatenate([np.asarray(part.valid).sum(axis=0) for part in problem.chunks])
+    rows = np.concatenate(problem.parts.rows)
     block = max(1, -(-int(rows.sum()) // BLOCKS))
     by_trajectory = row_information(problem, found.vector[None], block).information[0]
     information = np.where(found.used, by_trajectory * problem.weights**2, 0.0).sum(axis=-1)

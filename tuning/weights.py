@@ -8,14 +8,14 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from trackers.core.recording import Batch
+from tuning.unstacked import AnyBatch, Unstacked
 
 Weigh = Literal["recordings", "rows"]
 """What has the same say in an objective: each recording, or each row."""
 
 
 def trajectory_weights(
-    batches: Sequence[Batch], recordings: Sequence[Sequence[str]], weigh: Weigh, needs_truth: bool
+    batches: Sequence[AnyBatch], recordings: Sequence[Sequence[str]], weigh: Weigh, needs_truth: bool
 ) -> list[Float[np.ndarray, " B"]]:
     """The weight of each trajectory of the batches, with which the rows of every recording add up to the same number.
 
@@ -36,20 +36,19 @@ def trajectory_weights(
     return np.split(say[index.ravel()], np.cumsum([len(own) for own in names])[:-1])
 
 
-def by_chunks(
-    weights: Sequence[Float[np.ndarray, " B"]] | None, batches: Sequence[Batch], parts: Sequence[Sequence[Batch]]
-) -> Float[np.ndarray, " n"]:
-    """The weights of the trajectories of all chunks, from those of the batches cut into `parts`; default 1.
+def by_chunks(weights: Sequence[Float[np.ndarray, " B"]] | None, sizes: Sequence[int]) -> Float[np.ndarray, " n"]:
+    """The weights of the trajectories of all chunks, from those of batches of these sizes with padding; default 1.
 
     Chunks are padded with trajectories without rows, whose weight does not matter.
     """
-    own = [np.ones(batch.size) for batch in batches] if weights is None else weights
-    padding = [sum(part.size for part in cut) - len(x) for cut, x in zip(parts, own, strict=True)]
-    return np.concatenate([np.append(x, np.ones(n)) for x, n in zip(own, padding, strict=True)])
+    own = [np.ones(size) for size in sizes] if weights is None else weights
+    return np.concatenate([np.append(x, np.ones(size - len(x))) for x, size in zip(own, sizes, strict=True)])
 
 
-def _rows(batch: Batch, needs_truth: bool) -> Float[np.ndarray, " B"]:
+def _rows(batch: AnyBatch, needs_truth: bool) -> Float[np.ndarray, " B"]:
     """The number of rows of each trajectory that an objective counts."""
+    if isinstance(batch, Unstacked):
+        return np.array([_rows(batch.columns(k, k + 1), needs_truth)[0] for k in range(batch.size)])
     counted = np.asarray(batch.valid)
     if needs_truth and batch.truth:
         counted = counted & np.any([np.asarray(known) for _, known in batch.truth.values()], axis=0)

@@ -216,7 +216,7 @@ def memory() -> dict[str, Any]:
         times = rows // len(few.dt)
         batch = jax.tree_util.tree_map(lambda x, times=times: np.concatenate([x] * times), few)._replace(key=few.key)
         problem = Problem(given, [batch], NegativeLogLikelihood(), parameters, CHUNK)
-        part = problem.chunks[0]
+        (part,) = chunks(batch, CHUNK)
         arguments = term_sums, problem.point(flatten(parameters)), part
         program = compiled.lower(*arguments).compile()
         jax.block_until_ready(program(*arguments))

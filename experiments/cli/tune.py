@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 
 from experiments.cli.arguments import FigureFormat, File, Folder, Folders
 from experiments.cli.console import ReadingOptions, json_alone, read_with_notices, require_output
+from experiments.cli.folders_in_turn import FoldersInTurn
 from experiments.cli.runtime import keep_programs
 from experiments.cli.stages import stages
 from trackers.core.errors import UnusableInput
@@ -50,6 +51,7 @@ def tune(
     minibatch: int | None = None,
     intervals: Literal["curvature", "profile", "bootstrap"] = "curvature",
     resume: bool = False,
+    cluster: Annotated[str | None, "ADDRESS"] = None,
     free_height: bool = False,
     piece_rows: int = 8000,
     no_figures: bool = False,
@@ -87,6 +89,8 @@ def tune(
         intervals: method of the 95 % intervals: curvature (with the scatter of the trajectories), profile likelihood
             (makes nll the default objective), or bootstrap over trajectories.
         resume: continue from the checkpoint in --out, with bit-identical results.
+        cluster: hold the rows on the workers of a Dask cluster, tcp://HOST:8786, or of processes here, local:4, which
+            all see the folder --out; for recordings that no memory holds, with the same tuned.toml.
         free_height: estimate the height of tags whose height the rig gives.
         piece_rows: rows of the segments into which long recordings are cut.
         no_figures: draw no figure.
@@ -102,19 +106,23 @@ def tune(
         "calibration": used.calibration, "part": dataclasses.asdict(used.part), "average": used.average,
         "starts": starts, "optimiser": optimiser, "steps": steps, "minibatch": minibatch, "intervals": intervals,
         "free_height": free_height, "piece_rows": piece_rows,
+        "cluster": cluster,
     }  # fmt: skip
     require_counts(options)
     require_output(out)
     tuned = None if start is None else read_tuned(start)
     with json_alone(json) as put, stages("tune") as begin:
         begin("reading")
-        folders = read_with_notices((*recordings, *held_out), used)
+        paths = (*recordings, *held_out)
+        folders = read_with_notices(paths, used) if cluster is None else FoldersInTurn(paths, used)
         begin("preparing")
         keep_programs()
         # jax takes a second to import, which the help and a refused recording need not wait for.
+        from experiments.cli.tuning_cluster import fit_workers
         from experiments.cli.tuning_job import finish, fit_folders
 
-        fitted = fit_folders(folders, len(recordings), out, options, tuned, values, resume, begin)
-        code = finish(fitted, recordings, out, started, clock, begin, None if no_figures else format, not no_report)
+        with fit_workers(cluster, out) as workers:
+            fitted = fit_folders(folders, len(recordings), out, options, tuned, values, resume, begin, workers)
+            code = finish(fitted, recordings, out, started, clock, begin, None if no_figures else format, not no_report)
         put(tomllib.loads((out / "tuned.toml").read_text("utf-8")))
     return code

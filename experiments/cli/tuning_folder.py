@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from experiments.reports.recordings_compared import Compared
 from experiments.reports.tables import aligned
 from experiments.reports.tracks_compared import TrackChanges
 from experiments.reports.tuning import write_tuning_report
-from experiments.reports.tuning_collect import Request, collect
+from experiments.reports.tuning_collect import Request, collect, recording_names
 from trackers.catalogue import spec_of
 from trackers.recordings.atomic import atomic_write
 from tuning import FitResult
@@ -46,9 +46,18 @@ class Run:
 
 
 def write_run(
-    out: Path, data: FitData, result: FitResult, run: Run, compared: Compared, plans: TrackChanges | None
+    out: Path,
+    data: FitData,
+    result: FitResult,
+    run: Run,
+    compared: Compared,
+    plans: TrackChanges | None,
+    reported: FitData,
 ) -> list[str]:
-    """Writes all files to the folder; returns the lines to print. `plans`: the tracks before and after."""
+    """Writes all files to the folder; returns the lines to print.
+
+    `plans`: the tracks before and after. `reported`: the data that the report looks at, or a part of them.
+    """
     objective, unit = run.options["objective"], "rad" if data.training[0].station else "m"
     if run.options["prior"]:
         objective += " + prior"
@@ -71,21 +80,24 @@ def write_run(
         tracker_about=spec_of(run.tracker).about,
         objective=objective,
         seconds=run.seconds,
-        notes=tuple(_notes(data, result)),
+        notes=tuple(_notes(data, result, reported)),
     )
     written = ["trace.csv", "manifest.json"]
     if run.figures is not None:
         written.insert(1, f"tuning.{run.figures}")
     if run.report:
         written.insert(0, "report.html")
-        known = collect(request, result, data, intervals, issues, compared, plans, cautions)
-        write_tuning_report(out / "report.html", known)
+        known = collect(request, result, reported, intervals, issues, compared, plans, cautions)
+        write_tuning_report(out / "report.html", replace(known, training=recording_names(data.training)))
     extra = {"recordings": [str(p) for p in run.recordings], "filter_runs": result.filter_runs}
     write_manifest(out, run.command, run.options, run.started, extra=extra)
     return [*lines, f"wrote {out / 'tuned.toml'}, {', '.join(written)}; use it: {use}"]
 
 
-def _notes(data: FitData, result: FitResult) -> Iterator[str]:
+def _notes(data: FitData, result: FitResult, reported: FitData) -> Iterator[str]:
+    if len(reported.training) < len(data.training):
+        some, every = (len(recording_names(own.training)) for own in (reported, data))
+        yield f"What is shown of the recordings tuned on is that of {some} of all {every}."
     if result.uncertainty is None:
         yield "The fit was interrupted: the values are the best so far; --resume continues it."
     if result.n_excluded:

@@ -7,15 +7,20 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from experiments.cli.console import notice, output_folder
+from experiments.cli.folders_in_turn import FoldersInTurn
 from experiments.cli.stages import Advance, Begin
+from experiments.cli.tuning_cluster import data_in_turn, reported
 from experiments.cli.tuning_folder import Run, write_run
 from experiments.cli.tuning_options import checked_options, tracker_for_folders
+from experiments.held_parts import FitWorkers, HeldParts
 from experiments.reports.recordings_compared import Compared, compare, tracked
 from experiments.reports.tracks_compared import MOST_PLANS, TrackChanges, track_changes
+from experiments.reports.tuning_collect import recording_names
 from trackers.core.errors import UnusableInput, listed
 from trackers.core.tunable import tunables
 from trackers.recordings.folder import RecordingFolder
@@ -28,6 +33,7 @@ from tuning.intervals import require_possible
 from tuning.optimisation import FitState
 from tuning.optimisers import LBFGS, AbstractOptimiser, Adam
 from tuning.parameters import flatten, noise_levels, select_parameters
+from tuning.parts import LocalParts, Place
 from tuning.tuned_file import Tuned
 
 INTERRUPTED = 130
@@ -44,20 +50,21 @@ OPTIMISERS: dict[str, Callable[[int], AbstractOptimiser | None]] = {
 class Fitted:
     """A finished fit: the options with the tracker's name, the tracker, what was fitted to, and the result.
 
-    `shown`: the recordings whose errors are shown before and after: those held out, or else those fitted to; `others`:
-    those fitted to if some were held out.
+    `reported`: what the report is made of, on a cluster a part of the data. `shown`: the recordings whose errors are
+    shown before and after: those held out, or else those fitted to; `others`: those fitted to if some were held out.
     """
 
     options: dict[str, Any]
     named: NamedTracker
     data: FitData
     result: FitResult
+    reported: FitData
     shown: Sequence[RecordingFolder]
     others: Sequence[RecordingFolder]
 
 
 def fit_folders(
-    folders: Sequence[RecordingFolder],
+    folders: list[RecordingFolder] | FoldersInTurn,
     count: int,
     out: Path,
     options: dict[str, Any],
@@ -65,20 +72,26 @@ def fit_folders(
     values: Mapping[str, Any],
     resume: bool,
     begin: Begin,
+    workers: FitWorkers | None = None,
 ) -> Fitted:
     """Fits the tracker to the first `count` recordings, the others held out; `begin` begins a stage.
 
-    `tuned`: the content of the file to start from. `values`: to start from, by tunable or pattern.
+    `tuned`: the content of the file to start from. `values`: to start from, by tunable or pattern. `workers`: that hold
+    the rows of folders read in turn.
     """
     free_height = options["free_height"]
-    named = tracker_for_folders(folders, options["tracker"], options["start"], tuned, values, free_height)
+    first = folders if workers is None else folders[:1]
+    named = tracker_for_folders(first, options["tracker"], options["start"], tuned, values, free_height)
     if options["tune"] is None:
         options = options | {"tune": noise_levels(named.tracker)}
     tune, freeze = options["tune"], options["freeze"]
     goal, priors_need = options["objective"], options["prior"] or options["intervals"] == "profile"
     goal = "nll" if goal is None and priors_need else goal
     how = (options["piece_rows"], options["dimensions"], options["weigh"])
-    data = fit_data(named.only_batch(folders), goal, folders[count:], *how)
+    if workers is None:
+        data = fit_data(named.only_batch(folders), goal, folders[count:], *how)
+    else:
+        data = data_in_turn(named, folders, count, workers.folder, goal, *how)
     by_default = goal is None
     options = options | {"tracker": named.name, "objective": data.named}
     bounds, priors = checked_options(data, tune, freeze, options["bound"], options["prior"])
@@ -86,9 +99,15 @@ def fit_folders(
     for text in cautions(data.tracker, select_parameters(data.tracker, tune, freeze), data.objective):
         notice(f"notice: {text}")
     output_folder(out)
-    result = _fitted(data, out, options, bounds, priors, resume, begin, by_default)
-    shown, others = (folders[count:], folders[:count]) if folders[count:] else (folders, [])
-    return Fitted(options, named, data, result, shown, others)
+    place = LocalParts if workers is None else partial(HeldParts, workers, named)
+    result = _fitted(data, out, options, bounds, priors, resume, begin, by_default, place)
+    if not isinstance(folders, FoldersInTurn):
+        shown, others = (folders[count:], folders[:count]) if folders[count:] else (folders, [])
+        return Fitted(options, named, data, result, data, shown, others)
+    some = reported(data)
+    fitted_to, apart = (folders.named(recording_names(part)) for part in (some.training, some.held_out))
+    shown, others = (apart, fitted_to) if apart else (fitted_to, [])
+    return Fitted(options, named, data, result, some, shown, others)
 
 
 def finish(
@@ -113,7 +132,7 @@ def finish(
     run = Run(
         name, fitted.options, recordings, time.perf_counter() - clock, started, sys.argv, figures, report
     )  # fmt: skip
-    for line in write_run(out, fitted.data, result, run, compared, plans):
+    for line in write_run(out, fitted.data, result, run, compared, plans, fitted.reported):
         print(line)
     if result.uncertainty is None:
         notice("stopped: tuned.toml holds the best values so far; continue with the same command and --resume")
@@ -129,7 +148,9 @@ def _compared(fitted: Fitted, report: bool) -> tuple[Compared, TrackChanges | No
     room = max(MOST_PLANS - len(fitted.shown), 0) if report else 0
     folders = [*fitted.shown, *fitted.others[:room]]
     before, after = (tracked(fitted.named.with_values(side, "the fit"), folders) for side in values)
-    about = "held-out recordings" if fitted.data.held_out else "recordings tuned on"
+    count = len({trajectory.folder.name for trajectory in fitted.data.training})
+    part = f"{len(fitted.shown)} of {count} " if len(fitted.shown) < count else ""
+    about = "held-out recordings" if fitted.data.held_out else f"{part}recordings tuned on"
     held_out = {folder.name for folder in fitted.shown} if fitted.data.held_out else set()
     plans = track_changes(before, after, folders, held_out) if report else None
     return compare((before, after), fitted.shown, fitted.data.dimensions, about), plans
@@ -144,14 +165,15 @@ def _fitted(
     resume: bool,
     begin: Begin,
     by_default: bool,
+    place: Place,
 ) -> FitResult:
     """The fit, with a checkpoint after every step; raises UnusableInput where the objective is never finite.
 
-    `by_default`: whether the objective was chosen by the data.
+    `by_default`: whether the objective was chosen by the data. `place`: of the rows.
     """
-    training, held_out = data.rows(), data.rows(held_out=True)
-    # Intervals are computed from the result and don't change the fit.
-    config = {name: value for name, value in options.items() if name != "intervals"}
+    training, held_out = data.batches(), data.batches(held_out=True)
+    # Intervals are computed from the result and don't change the fit, nor does the place where it is computed.
+    config = {name: value for name, value in options.items() if name not in ("intervals", "cluster")}
     fingerprint = checkpoint.fingerprint(
         config, [*training, *held_out], flatten(select_parameters(data.tracker, "*", thresholds=True))
     )
@@ -187,6 +209,7 @@ def _fitted(
             resume=saved,
             report=steps_done.report,
             stage=begin,
+            place=place,
         )
     except FloatingPointError as error:
         raise UnusableInput(f"{error}; run `trackwright check` on the recordings") from error

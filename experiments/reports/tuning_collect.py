@@ -94,8 +94,8 @@ def collect(
         tracker_about=request.tracker_about,
         objective=objective,
         objective_about=_about(objective, "rad" if angles else "m"),
-        training=_recordings(training),
-        held_out=_recordings(held_out),
+        training=recording_names(training),
+        held_out=recording_names(held_out),
         parameters=_parameters(result, intervals, issues),
         compared=compared,
         plans=plans,
@@ -226,7 +226,8 @@ def _about(objective: str, unit: str) -> str:
     return uncapitalised(title) + (f" ({shown})" if shown != "1" else "")
 
 
-def _recordings(trajectories: Sequence[Trajectory]) -> tuple[str, ...]:
+def recording_names(trajectories: Sequence[Trajectory]) -> tuple[str, ...]:
+    """The recordings of trajectories."""
     return tuple(dict.fromkeys(trajectory.folder.name for trajectory in trajectories))
 
 

@@ -30,7 +30,8 @@ from trackers.recordings.folder import RecordingFolder, read_recordings
 from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.uwb_imu.fusion import range_tracker
 from tuning.calibrating import calibrate
-from tuning.data import FitArrays, fit_data
+from tuning.data import fit_data
+from tuning.fit_arrays import FitArrays
 from tuning.parameters import flatten, select_parameters
 from tuning.problem import Problem
 

@@ -9,7 +9,7 @@ from tests.known_start import recording
 from tests.tuning.worlds import line_tracker, walks
 from trackers.core.covariance import FEW
 from trackers.core.recording import Recording, stack
-from tuning.correlation import inflation, rows_and_inflation
+from tuning.correlation import rows_and_inflation, window_sums
 from tuning.objectives import NegativeLogLikelihood
 from tuning.parameters import flatten, select_parameters
 from tuning.problem import Problem
@@ -45,13 +45,19 @@ def test_the_inflation_of_squared_gauss_markov_errors_is_that_of_their_autocorre
     k = np.arange(1, m)
     expected = 1 + 2 * np.sum((1 - k / m) * np.exp(-2 * k * STEP / length))
     # 2000 windows, of sums that are skewed: a standard error of 4 to 5 %
-    assert inflation(times, scores, np.zeros(rows), m * STEP) == pytest.approx(expected, rel=0.15)
+    (found,) = window_sums(times, scores, np.zeros(rows), [m * STEP]).inflations
+    assert found == pytest.approx(expected, rel=0.15)
 
 
 def test_windows_do_not_span_two_tracks_and_few_of_them_tell_nothing():
-    scores, times = np.ones(200), np.tile(0.1 * np.arange(100), 2)
-    assert inflation(times, scores, np.repeat([0, 1], 100), 0.25) == pytest.approx(np.mean([3, 2]), abs=0.2)
-    assert np.isnan(inflation(times, scores, np.repeat([0, 1], 100), 20.0))
+    scores, times = np.random.default_rng(3).normal(size=200), np.tile(0.1 * np.arange(100) + 0.01, 2)
+    found = window_sums(times, scores, np.repeat([0, 1], 100), [0.5, 20.0])
+    # Tracks of 10 s are 20 windows of half a second, with 5 rows each, or one of 20 s.
+    np.testing.assert_array_equal(found.windows[[0, 3]], [[40, 2], [40 * 25, 2 * 100**2]])
+    centred = (scores - scores.mean()).reshape(40, 5)
+    assert found.inflations[0] == pytest.approx(np.sum(centred.sum(axis=1) ** 2) / np.sum(centred**2), rel=1e-9)
+    assert np.isnan(found.inflations[1])
+    assert np.isnan(window_sums(times, 0 * times + 1.1, np.repeat([0, 1], 100), [0.5]).inflations[0])
 
 
 def test_tempering_widens_intervals_and_leaves_the_optimum():

@@ -105,7 +105,7 @@ def _reverse(problem, vector):
 
     def objective(v):
         tracker = with_parameters(problem.tracker, problem.parameters, v)
-        each = [tracker.accumulate(part, problem.objective.terms) for part in problem.chunks]
+        each = [tracker.accumulate(part, problem.objective.terms) for part in problem.parts.chunks]
         return problem.objective.value([sum(jnp.sum(s) for s in sums) for sums in zip(*each, strict=True)])
 
     return jax.jit(jax.grad(objective))(jnp.asarray(vector))
@@ -147,7 +147,7 @@ def _temporaries(rows):
     parameters = select_parameters(tracker, ["*.sigma_*"])
     assert len(flatten(parameters)) == 4
     problem = Problem(tracker, [batch], NLL, parameters, 512)
-    part = problem.chunks[0]
+    part = problem.parts.chunks[0]
     lowered = jitted.lower(term_sums, problem.point(flatten(parameters)), part)
     return lowered.compile().compiled.memory_analysis().temp_size_in_bytes
 
@@ -212,8 +212,8 @@ def test_the_filter_runs_of_a_result_are_those_that_were_made(line_world, monkey
     run, made = Problem._run, []
 
     def counted(self, function, vectors, subset, realisation):
-        parts = self.chunks if subset is None else [self.chunks[k] for k in subset]
-        made.append(len(np.atleast_2d(vectors)) * sum(part.size for part in parts))
+        parts = self.parts.rows if subset is None else [self.parts.rows[k] for k in subset]
+        made.append(len(np.atleast_2d(vectors)) * sum(len(rows) for rows in parts))
         return run(self, function, vectors, subset, realisation)
 
     monkeypatch.setattr(Problem, "_run", counted)

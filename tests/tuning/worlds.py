@@ -65,10 +65,14 @@ class Gauge(AbstractSensor):
         return independent([reading.values[0] - predicted[0]], [self.sigma.value], reading.seen)
 
 
+def _on_the_line(x: Any) -> Placed:
+    return Placed(Vector(x[0]))
+
+
 class LineStart(KnownStart):
     """A place on a line, known to `SIGMA_START`."""
 
-    build: Any = eqx.field(static=True, default=lambda x: Placed(Vector(x[0])))
+    build: Any = eqx.field(static=True, default=_on_the_line)
 
 
 def line_tracker(sigma_v: float = 0.3, sigma: float = 0.2) -> Tracker:

@@ -57,13 +57,18 @@ def as_dtype(tree: Tree, dtype: DTypeLike) -> Tree:
     return result
 
 
-def pieces(batch: Batch, chunk: int) -> list[Batch]:
-    """The batch in parts of `chunk` trajectories, not yet on a device."""
+def piece_size(trajectories: int, rows: int, chunk: int) -> int:
+    """The trajectories, padding included, of each part of a batch of so many, with so many rows; at most `chunk`."""
     # A small batch gets a small chunk, a power of two so that few shapes are compiled. Few long recordings run one by
     # one: they gain nothing side by side, and one program serves them all.
-    alone = few(batch.size) and len(batch.dt) >= LONG
-    chunk = 1 if alone else min(chunk, 1 << (batch.size - 1).bit_length())
-    return [batch.columns(start, start + chunk) for start in range(0, batch.size, chunk)]
+    alone = few(trajectories) and rows >= LONG
+    return 1 if alone else min(chunk, 1 << (trajectories - 1).bit_length())
+
+
+def pieces(batch: Batch, chunk: int) -> list[Batch]:
+    """The batch in parts of at most `chunk` trajectories, not yet on a device."""
+    size = piece_size(batch.size, len(batch.dt), chunk)
+    return [batch.columns(start, start + size) for start in range(0, batch.size, size)]
 
 
 def placed(parts: Iterable[Batch]) -> Iterator[Batch]:

@@ -151,12 +151,17 @@ def read_recordings(paths: Sequence[str | Path], refused: list[str] | None = Non
             if refused is None:
                 raise
             refused.append(str(problem))
-    same = _repeated([recording.name for recording in recordings])
+    refuse_same_names([recording.name for recording in recordings])
+    return recordings
+
+
+def refuse_same_names(names: Sequence[str]) -> None:
+    """Raises UnusableInput for two recordings of one name."""
+    same = _repeated(names)
     if same is not None:
         raise UnusableInput(
-            f"two recordings are both named '{recordings[same].name}'; expected different names in rig.toml; rename one"
+            f"two recordings are both named '{names[same]}'; expected different names in rig.toml; rename one"
         )
-    return recordings
 
 
 def refuse_repeated(paths: Sequence[str | Path]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -86,11 +86,24 @@ class NamedTracker:
         """
         groups = self._batches(recordings)
         if len(groups) != 1:
-            raise UnusableInput(
-                f"the recordings need {len(groups)} different '{self.name}' trackers (other geometry, or heights known "
-                "for some tags only); expected one; take them apart, or estimate all heights (free_height)"
-            )
+            raise self._several(len(groups))
         return dataclasses.replace(groups[0], tracker=self._finished(groups[0].tracker))
+
+    def batch_by_batch(self, recordings: Iterable[RecordingFolder]) -> Iterator[TrackerBatch]:
+        """As `only_batch`, the trajectories of one recording at a time; a recording without any is passed over."""
+        kinds = set()
+        for folder in recordings:
+            for group in self._batches(folder):
+                kinds.add((group.planar, self.spec.geometry(group.trajectories[0])))
+                if len(kinds) > 1:
+                    raise self._several(len(kinds))
+                yield dataclasses.replace(group, tracker=self._finished(group.tracker))
+
+    def _several(self, count: int) -> UnusableInput:
+        return UnusableInput(
+            f"the recordings need {count} different '{self.name}' trackers (other geometry, or heights known "
+            "for some tags only); expected one; take them apart, or estimate all heights (free_height)"
+        )
 
     @property
     def tunables(self) -> dict[str, AbstractTunable]:

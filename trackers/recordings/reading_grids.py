@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 
@@ -51,11 +51,14 @@ class ReadingGrid:
         )
 
 
-def reading_grids(tracker: AbstractTracker, batches: Sequence[Batch]) -> list[ReadingGrid]:
-    """The steps and repetitions of the readings of each sensor and unit; none for a tracker without sensors."""
+def reading_grids(tracker: AbstractTracker, batches: Iterable[Batch]) -> list[ReadingGrid]:
+    """The steps and repetitions of the readings of each sensor and unit; none for a tracker without sensors.
+
+    `batches`: looked through once for each sensor, as far as its first `MOST_ROWS` rows.
+    """
     found: list[ReadingGrid] = []
     for name, sensor in tracker.sensors.items() if isinstance(tracker, Tracker) else ():
-        read = _readings(name, sensor, [batch for batch in batches if name in batch.readings])
+        read = _readings(name, sensor, (batch for batch in batches if name in batch.readings))
         if read is None:
             continue
         repeated = float(np.nan_to_num(repeated_share(read)))
@@ -112,10 +115,12 @@ def above_rounding(group: TrackerBatch) -> list[TrackerBatch]:
     return [*kept, *found]
 
 
-def _readings(name: str, sensor: AbstractSensor, batches: Sequence[Batch]) -> Readings | None:
+def _readings(name: str, sensor: AbstractSensor, batches: Iterable[Batch]) -> Readings | None:
     """The readings of a sensor by trajectory, and by station or anchor; None without any."""
     inputs, values, streams = [each.name for each in sensor.inputs], list[np.ndarray](), list[np.ndarray]()
     for batch in batches:
+        if sum(len(x) for x in values) == MOST_ROWS:
+            break
         read, seen = (np.asarray(x) for x in batch.readings[name][:2])
         for k in range(batch.size):
             rows = np.flatnonzero(seen[:, :, k].any(axis=1))[: MOST_ROWS - sum(len(x) for x in values)]

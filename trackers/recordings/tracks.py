@@ -64,12 +64,15 @@ def batches(trajectories: Iterable[Trajectory], seed: int = 0, truth: bool = Tru
     `seed`: of the random numbers of filters that draw any. `truth`: whether the batches have it.
     """
     every = Trajectories.of(trajectories)
-    lengths = np.diff(every.columns.starts)
+    groups = [(every.chosen(numbers), steps) for numbers, steps in by_length(np.diff(every.columns.starts))]
+    return [(own, own.columns.batch(steps, None, seed, truth)) for own, steps in groups]
+
+
+def by_length(lengths: np.ndarray) -> list[tuple[np.ndarray, int]]:
+    """The numbers of the trajectories of each batch, of these lengths (n,), and the steps that it is padded to."""
     ordered = np.argsort(lengths, kind="stable")
     parts = [ordered[k : k + MAX_BATCH] for k in range(0, len(ordered), MAX_BATCH)]
-    chosen = [every.chosen(part) for part in parts]
-    longest = [rounded(int(np.diff(own.columns.starts).max())) for own in chosen]
-    return [(own, own.columns.batch(rows, None, seed, truth)) for own, rows in zip(chosen, longest, strict=True)]
+    return [(part, rounded(int(lengths[part].max()))) for part in parts]
 
 
 def rounded(rows: int) -> int:

@@ -1,0 +1,163 @@
+"""`tune --cluster`: the files of a fit whose rows are all here, killed workers and Ctrl-C included."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from experiments.cli import tuning_cluster, tuning_job
+from sim import worlds
+from tests.held_here import client_here
+from tests.in_process import assert_refused, trackwright
+from trackers.core.rig import Tag
+from trackers.recordings.folder import write_recording
+
+FIT = ("--tracker", "fix-kf", "--tune", "motion.sigma_a", "sensors.*.sigma*", "--no-figures", "--objective", "nll")
+
+
+def _write(path, seed, **changed):
+    folder = worlds.agv(n=2, seed=seed, rows=60).folder()
+    rig = dataclasses.replace(folder.rig, name=path.name, **changed)
+    write_recording(dataclasses.replace(folder, name=path.name, rig=rig), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def paths(tmp_path_factory):
+    """Ten recordings of two vehicles each: more than a report of a cluster's fit shows."""
+    return [_write(tmp_path_factory.mktemp("vehicles") / f"hall-{k}", k) for k in range(10)]
+
+
+@pytest.fixture
+def elsewhere(monkeypatch):
+    """Clusters whose calls are made in this process."""
+    monkeypatch.setattr(tuning_cluster, "cluster_client", client_here)
+
+
+def _both(tmp_path, *words):
+    """The same fit on threads, to `a`, and on a cluster, to `b`."""
+    run = ("tune", *words, *FIT)
+    return [trackwright(*run, "--out", tmp_path / out, *on) for out, on in (("a", ()), ("b", ("--cluster", "x:1")))]
+
+
+def _assert_same_files(tmp_path):
+    for name in ("tuned.toml", "trace.csv"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+    assert sorted(x.name for x in (tmp_path / "a").iterdir()) == sorted(x.name for x in (tmp_path / "b").iterdir())
+
+
+def test_a_fit_on_a_cluster_writes_the_numbers_of_a_fit_here(paths, elsewhere, tmp_path):
+    words = (*paths[:2], "--held-out", paths[2], "--steps", 1, "--starts", 2, "--piece-rows", 20, "--no-report")
+    here, there = _both(tmp_path, *words)
+    assert (here.code, there.code) == (0, 0), there.err
+    _assert_same_files(tmp_path)
+    assert here.out.replace(str(tmp_path / "a"), "") == there.out.replace(str(tmp_path / "b"), "")
+    assert json.loads((tmp_path / "b" / "manifest.json").read_text())["config"]["cluster"] == "x:1"
+
+
+@pytest.mark.slow
+def test_a_report_of_a_fit_on_a_cluster_shows_a_part_of_many_recordings(paths, elsewhere, tmp_path):
+    here, there = _both(tmp_path, *paths, "--steps", 1, "--starts", 1)
+    assert (here.code, there.code) == (0, 0), there.err
+    _assert_same_files(tmp_path)
+    pages = [(tmp_path / out / "report.html").read_text("utf-8") for out in "ab"]
+    assert ["What is shown of the recordings tuned on is that of 8 of all 10." in page for page in pages] == [
+        False,
+        True,
+    ]
+    assert all(" tuned on 10 recordings" in page for page in pages)
+    assert "8 of 10 recordings tuned on, before → after" in there.out
+
+
+def test_a_fit_interrupted_on_a_cluster_is_resumed_with_the_same_bits_there_or_here(
+    paths, elsewhere, tmp_path, monkeypatch
+):
+    run = ("tune", *paths[:2], *FIT, "--steps", 2, "--starts", 1, "--no-report")
+    assert trackwright(*run, "--out", tmp_path / "whole").code == 0
+    report = tuning_job._Steps.report
+
+    def interrupted(self, state):
+        report(self, state)
+        if int(state.number) == 1:
+            raise KeyboardInterrupt
+
+    for again in ("--cluster", "x:1"), ():
+        out = ("--out", tmp_path / f"again-{len(again)}")
+        with monkeypatch.context() as patched:
+            patched.setattr(tuning_job._Steps, "report", interrupted)
+            assert trackwright(*run, *out, "--cluster", "x:1").code == 130
+        assert trackwright(*run, *out, *again, "--resume").code == 0
+        for name in ("tuned.toml", "trace.csv"):
+            assert (out[1] / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+
+
+def test_recordings_that_no_fit_can_use_together_are_refused_and_leave_nothing(paths, elsewhere, tmp_path):
+    level = _write(tmp_path / "level", 1, tags=dict.fromkeys(("1", "2"), Tag(1.2)))
+    on = ("--cluster", "x:1", "--out", tmp_path / "out")
+    refused = trackwright("tune", paths[0], level, *FIT, *on)
+    assert refused.code == 2
+    assert "need 2 different 'fix-kf' trackers" in refused.err.splitlines()[-1]
+    twice = _write(tmp_path / "other" / "hall-0", 5)
+    assert_refused(trackwright("tune", paths[0], twice, *FIT, *on), "two recordings are both named 'hall-0'")
+    assert_refused(trackwright("tune", paths[0], paths[0], *FIT, *on), "is given more than once")
+    assert not (tmp_path / "out").exists()
+
+
+def _run(out, *more):
+    command = [sys.executable, "-m", "experiments", "tune", *more, "--out", out]
+    return subprocess.Popen([*map(str, command)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def _at_step(process, out):
+    """Waits until the fit has made its first step."""
+    checkpoint = out / "checkpoint.npz"
+    while process.poll() is None:
+        try:
+            with np.load(checkpoint) as saved:
+                if saved["array_0"] >= 1:
+                    return
+        except FileNotFoundError:
+            pass
+        time.sleep(0.01)
+    pytest.fail(f"ended before its first step: {process.stderr.read()}")
+
+
+def _workers(process):
+    import psutil
+
+    children = psutil.Process(process.pid).children(recursive=True)
+    return [child for child in children if "spawn_main" in " ".join(child.cmdline())]
+
+
+@pytest.mark.slow
+def test_a_worker_killed_and_ctrl_c_in_mid_fit_leave_the_bits_of_threads(paths, tmp_path):
+    pytest.importorskip("distributed")
+    # Adam takes all its steps, so that the fit is not over when the worker dies.
+    fit = (*paths, *FIT, "--optimiser", "adam", "--steps", 40, "--starts", 1, "--no-report")
+    threads = _run(tmp_path / "threads", *fit)
+    assert threads.wait() == 0, threads.stderr.read()
+    killed = _run(tmp_path / "killed", *fit, "--cluster", "local:2")
+    _at_step(killed, tmp_path / "killed")
+    victims = _workers(killed)
+    assert len(victims) == 2
+    os.kill(victims[0].pid, signal.SIGKILL)
+    assert killed.wait() == 0, killed.stderr.read()
+    stopped = _run(tmp_path / "stopped", *fit, "--cluster", "local:2")
+    _at_step(stopped, tmp_path / "stopped")
+    stopped.send_signal(signal.SIGINT)
+    assert stopped.wait() == 130, stopped.stderr.read()
+    resumed = _run(tmp_path / "stopped", *fit, "--cluster", "local:2", "--resume")
+    assert resumed.wait() == 0, resumed.stderr.read()
+    for name in ("tuned.toml", "trace.csv"):
+        expected = (tmp_path / "threads" / name).read_bytes()
+        assert (tmp_path / "killed" / name).read_bytes() == expected
+        assert (tmp_path / "stopped" / name).read_bytes() == expected
+    assert not [*tmp_path.glob("*/.tune-parts")]

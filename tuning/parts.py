@@ -1,0 +1,95 @@
+"""Where the rows of a problem are, in chunks, and how its compiled functions are run on them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Protocol
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Array, Float, Int, UInt32
+
+from trackers.core.chunks import placed, run_chunks
+from trackers.core.recording import Batch
+from tuning.point import Point
+from tuning.unstacked import lengths_of
+
+Function = Callable[[Point, Batch], Any]
+"""What is compiled: of a point and a chunk."""
+
+Reduced = Callable[[Any, Batch], Any]
+"""What is computed on the host, from the arrays of a compiled function and its chunk, before a result travels."""
+
+Blocks = Sequence[Float[np.ndarray, "S p"]]
+"""Vectors of a problem, those of one block in one compiled call."""
+
+
+class Parts(Protocol):
+    """The chunks of a problem, wherever they are; `rows`: of each chunk, the rows of each trajectory (B,)."""
+
+    rows: list[Int[np.ndarray, " B"]]
+
+    def run(
+        self,
+        function: Function,
+        blocks: Blocks,
+        reduced: Reduced,
+        which: Sequence[int] | None = None,
+        realisation: int = 0,
+    ) -> list[list[Any]]:
+        """`reduced(function(point, chunk), chunk)` of each chunk in `which`, default all, at each block of vectors.
+
+        `realisation`: number of the random draws.
+        """
+
+
+Place = Callable[[Point, Iterable[Batch]], Parts]
+"""Takes a point, whose vectors do not matter, and the chunks of a problem to where they are computed."""
+
+
+class LocalParts:
+    """The chunks of a problem in this process, on its devices."""
+
+    def __init__(self, point: Point, pieces: Iterable[Batch]) -> None:
+        self.point, self.chunks = point, list(placed(pieces))
+        self.rows = [lengths_of(chunk) for chunk in self.chunks]
+
+    def run(
+        self,
+        function: Function,
+        blocks: Blocks,
+        reduced: Reduced,
+        which: Sequence[int] | None = None,
+        realisation: int = 0,
+    ) -> list[list[Any]]:
+        """As `Parts`."""
+        chunks = [self.chunks[k] for k in (range(len(self.chunks)) if which is None else which)]
+        if realisation:
+            chunks = [fresh_keys(chunk, realisation) for chunk in chunks]
+        points = [self.point.at(block) for block in blocks]
+        found = iter(run_chunks(function, [(point, chunk) for chunk in chunks for point in points]))
+        return [[reduced(next(found), chunk) for _ in blocks] for chunk in chunks]
+
+
+def on_chunk(
+    held: tuple[Point, Batch], function: Function, blocks: Blocks, reduced: Reduced, realisation: int
+) -> list[Any]:
+    """What `Parts.run` returns of one chunk, which is held by another process with its point."""
+    point, piece = held
+    (chunk,) = placed([piece])
+    if realisation:
+        chunk = fresh_keys(chunk, realisation)
+    return [reduced(run_chunks(function, [(point.at(block), chunk)])[0], chunk) for block in blocks]
+
+
+def fresh_keys(part: Batch, realisation: int) -> Batch:
+    """The batch with the random keys of another realisation."""
+    return eqx.tree_at(lambda b: b.key, part, _folded(part.key, realisation))
+
+
+@jax.jit
+def _folded(keys: UInt32[Array, "2 B"], realisation: int) -> UInt32[Array, "2 B"]:
+    """Raw keys (2, B) with a number folded in."""
+    fold = jax.vmap(lambda k: jax.random.key_data(jax.random.fold_in(jax.random.wrap_key_data(k), realisation)), -1, -1)
+    return fold(keys)
