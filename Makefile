@@ -68,7 +68,6 @@ bench: env
 	$(BIN)/python -m experiments.bench.tuning
 	$(BIN)/python -m experiments.bench.waiting
 	$(BIN)/python -m experiments.bench.cluster
-	$(BIN)/python -m experiments.bench.cluster_fit
 
 bench-peers: .venv-peers/installed
 	$(PEERS)/python -m experiments.bench --peers

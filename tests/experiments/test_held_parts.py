@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import pickle
 import shutil
+import signal
 import sys
 
 import equinox as eqx
 import numpy as np
 import pytest
 
-from experiments.executors import environment
+from experiments.executors import cluster_client, environment
 from experiments.held_parts import FitWorkers, HeldParts
 from sim import worlds
 from tests.catalogue import CASES
@@ -22,6 +24,7 @@ from tuning.data import fit_data
 from tuning.parameters import flatten, select_parameters
 from tuning.parts import LocalParts
 from tuning.problem import Problem
+from tuning.unstacked import Pieces
 
 MINE = """
 import dataclasses
@@ -69,6 +72,32 @@ def test_evaluations_on_workers_have_the_bits_of_those_here_and_send_only_what_i
     numbers = sum(x.size for found in chunk for x in found)
     assert numbers == mine.terms.size + mine.term_gradients.size
     assert numbers < sum(np.size(x) for x in data.rows()[0].readings["fixes"]) / 10
+
+
+def test_chunks_whose_worker_is_killed_are_loaded_by_others(vehicles, tmp_path):
+    pytest.importorskip("distributed")
+    named, data = vehicles
+    here = _problem(named, data, LocalParts)
+    blocks, pieces = [flatten(here.parameters)[None]], Pieces(data.batches(), 2)
+    with cluster_client("local:2") as (client, expected):
+        parts = HeldParts(FitWorkers(client, expected, tmp_path), named, here.start, pieces)
+        before = parts.run(_keys, blocks, _as_found)
+        pids = list(client.run(os.getpid).values())
+        assert len(pids) == 2
+        os.kill(pids[0], signal.SIGKILL)
+        after = parts.run(_keys, blocks, _as_found)
+    expected_keys = LocalParts(here.start, pieces).run(_keys, blocks, _as_found)
+    assert len(expected_keys) == 6
+    np.testing.assert_array_equal(before, expected_keys)
+    np.testing.assert_array_equal(after, expected_keys)
+
+
+def _keys(point, batch):
+    return batch.key
+
+
+def _as_found(found, chunk):
+    return found
 
 
 def test_a_folder_that_workers_do_not_see_is_refused_in_a_line(vehicles, tmp_path):
