@@ -83,6 +83,14 @@ def variance(cov: AnyCovariance, component: int) -> Scalar:
     return cov[component * n - component * (component - 1) // 2]
 
 
+def added(cov: AnyCovariance, variances: Sequence[Scalar]) -> AnyCovariance:
+    """The covariance with independent errors of these variances added."""
+    if not isinstance(cov, tuple):
+        return cov + jnp.eye(len(cov), dtype=cov.dtype) * jnp.stack(list(variances))[None]
+    pairs = zip(cov, triangle(len(variances)), strict=True)
+    return tuple(entry + variances[i] if i == j else entry for entry, (i, j) in pairs)
+
+
 def leading(cov: AnyCovariance, n: int, size: int) -> AnyCovariance:
     """The leading block of `size` components of the covariance of n."""
     kept = [k for k, (_, j) in enumerate(triangle(n)) if j < size]

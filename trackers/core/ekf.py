@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -32,7 +33,7 @@ from trackers.core.algebra import (
     inverse_or_zero,
     total,
 )
-from trackers.core.covariance import AnyCovariance, dot, product, propagated, row_for, updated, zero_of, zeros
+from trackers.core.covariance import AnyCovariance, added, dot, product, propagated, row_for, updated, zero_of, zeros
 from trackers.core.filter import AbstractSmoothableFilter, Gaussian, Innovation
 from trackers.core.inputs import Inputs
 from trackers.core.keys import RawKey
@@ -94,7 +95,8 @@ class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
             belief.cov, residual, each, len(point), dof if student_t else None
         )
         innovation = Innovation(log_scale + log_density - 0.5 * rest, nis + rest, nis_dof, wrapped)
-        return Gaussian(retract(belief.mean, step), cov), innovation
+        mean = retract(belief.mean, step)
+        return Gaussian(mean, above_resolution(cov, coordinates(mean)[0])), innovation
 
     def rts_gain(
         self, belief: Gaussian, motion: AbstractMotion, connected: Scalar, dt: Scalar, inputs: Inputs
@@ -105,6 +107,16 @@ class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
     def rts_step(self, rts_gain: RtsGain, after: Gaussian) -> Gaussian:
         """The smoothed belief of a time step, given that of the next one."""
         return rts_step(rts_gain, after)
+
+
+def above_resolution(cov: AnyCovariance, point: Sequence[Scalar]) -> AnyCovariance:
+    """The covariance with the variances of rounding: a state in single precision is known to 1 cm at 100 km.
+
+    That of a component is the square of its relative spacing of numbers times its value, which fixes and ranges of the
+    same size are rounded to as well. Nothing is added in double precision.
+    """
+    eps = float(jnp.finfo(zero_of(cov).dtype).eps)
+    return cov if eps < 1e-12 else added(cov, [(eps * jax.lax.stop_gradient(x)) ** 2 for x in point])
 
 
 def sparse_jacobians(

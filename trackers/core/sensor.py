@@ -94,6 +94,11 @@ def position_in_space(position: Vector, inputs: Inputs) -> Vector:
     return position if len(position) == 3 else Vector(*position, inputs["height"])
 
 
+def rounding_variance(reading: Scalar) -> Scalar:
+    """The square of the spacing of numbers at a reading: no number is known better."""
+    return (float(jnp.finfo(jnp.result_type(reading)).eps) * reading) ** 2
+
+
 def student_t_log_peak(dof: Scalar) -> Scalar:
     """The log density of Student's t of unit scale at zero; it replaces −½ log 2π in a log_scale."""
     return gammaln(0.5 * (dof + 1.0)) - gammaln(0.5 * dof) - 0.5 * jnp.log(jnp.pi * dof)

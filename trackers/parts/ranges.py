@@ -16,7 +16,15 @@ import numpy as np
 from trackers.core.algebra import Scalar, Vector, total
 from trackers.core.inputs import HEIGHT, Input, Inputs, Need
 from trackers.core.motion import Noise
-from trackers.core.sensor import AbstractSensor, Channel, Reading, Residual, position_in_space, student_t_log_peak
+from trackers.core.sensor import (
+    AbstractSensor,
+    Channel,
+    Reading,
+    Residual,
+    position_in_space,
+    rounding_variance,
+    student_t_log_peak,
+)
 from trackers.core.state import Heading
 from trackers.core.tunable import Real, Scale
 
@@ -114,7 +122,8 @@ class RangeSensor(AbstractSensor):
         variances = reading.reported if len(reading.reported) else [0.0] * self.slots
         whitened, log_scales = [], []
         for z, p, seen, variance in zip(reading.values, predicted, reading.seen, variances, strict=True):
-            sigma = jnp.sqrt(self.sigma_r.value**2 + variance)
+            # Anchors and tags far away make ranges long, and those are rounded.
+            sigma = jnp.sqrt(self.sigma_r.value**2 + variance + rounding_variance(z))
             whitened.append(jnp.where(seen, (z - p) / jnp.where(z > p, sigma * positive_skew, sigma), 0.0))
             peak = student_t_log_peak(dof) - jnp.log(sigma) - jnp.log(0.5 * (1.0 + positive_skew))
             log_scales.append(jnp.where(seen, peak, 0.0))

@@ -16,6 +16,7 @@ from trackers.core.layout import Layout
 from trackers.core.motion import Noise, Placed
 from trackers.core.recording import Batch
 from trackers.core.scan import Output
+from trackers.core.sensor import rounding_variance
 from trackers.core.tracker import AbstractEpochwiseTracker
 from trackers.core.tunable import Scale, freeze
 from trackers.parts.multilaterate import PositionFit, multilaterate
@@ -61,7 +62,8 @@ class Multilateration(AbstractEpochwiseTracker):
         fit = jax.tree_util.tree_map(lambda x: out_of_blocks(x, rows, *jnp.shape(batch.dt)), fits)
         zero, n = jnp.zeros_like(fit.cost), 2 if self.planar else 3
         mean = Placed(Vector(*(fit.position[:, k] for k in range(n))))
-        cov = tuple(sigma**2 * fit.covariance[:, i, j] for i, j in triangle(n))
+        variance = sigma**2 + rounding_variance(jnp.max(jnp.where(reading.seen, reading.values, 0.0), axis=1))
+        cov = tuple(variance * fit.covariance[:, i, j] for i, j in triangle(n))
         valid = jnp.asarray(batch.valid)
         status = jnp.where(valid, jnp.where(fit.determined, Status.OK, Status.WAITING), Status.PADDING)
         return Output(mean, cov, zero, zero, zero, zero, status.astype(jnp.int8)), ()

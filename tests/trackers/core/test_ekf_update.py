@@ -1,5 +1,7 @@
 """One update: compressed and sequential against the joint update of the textbook, and what an empty reading does."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -15,7 +17,7 @@ from trackers.core.algebra import Vector
 from trackers.core.ekf import ExtendedKalman, compressed, sequential_updates
 from trackers.core.filter import Gaussian
 from trackers.core.motion import ConstantVelocity, Kinematic
-from trackers.core.sensor import Reading
+from trackers.core.sensor import AbstractSensor, Channel, Reading, independent
 from trackers.core.tunable import Scale
 
 STATES = 4
@@ -149,3 +151,41 @@ def test_students_t_moves_less_the_farther_off_a_reading_is():
     assert moves == sorted(moves, reverse=True)
     assert moves[0] > 0.5
     assert moves[-1] < 0.01
+
+
+class _Position(AbstractSensor):
+    """x and y of a tag, m."""
+
+    sigma: Any
+
+    @property
+    def channels(self):
+        return Channel("x", "m"), Channel("y", "m")
+
+    def measure(self, view, inputs):
+        return list(view.position)
+
+    def residual(self, reading, predicted):
+        misses = [z - p for z, p in zip(reading.values, predicted, strict=True)]
+        return independent(misses, [self.sigma] * 2, reading.seen)
+
+
+@pytest.mark.parametrize("form", [tuple, jnp.asarray])
+@pytest.mark.parametrize("far", [0.0, 1e5])
+def test_a_position_is_known_to_the_spacing_of_numbers(form, far):
+    """Readings with 1 µm of noise at 100 km, where numbers in single precision are 8 mm apart."""
+    rng = np.random.default_rng(4)
+    truth, motion = far + rng.uniform(0, 1, 2), ConstantVelocity(1e-9, 2)
+    with jax.enable_x64(False):
+        cov = np.diag([1.0, 1.0, 1e-12, 1e-12]).astype(np.float32)
+        cov = jnp.asarray(cov) if form is not tuple else tuple(jnp.asarray(cov[np.triu_indices(4)]))
+        mean = Kinematic(Vector(*(jnp.float32(far),) * 2), Vector(jnp.float32(0), jnp.float32(0)))
+        belief, sensor = Gaussian(mean, cov), _Position(jnp.float32(1e-6))
+        for _ in range(20):
+            values = jnp.asarray(truth + 1e-6 * rng.normal(size=2), jnp.float32)
+            reading = Reading(list(values), [jnp.asarray(True)] * 2)
+            belief, _ = ExtendedKalman().update(belief, motion, sensor, reading, {})
+        variance = belief.cov[0] if form is tuple else belief.cov[0, 0]
+    error = abs(float(belief.mean.position[0]) - truth[0])
+    assert error <= float(variance) ** 0.5 * (1.0 if far else 5.0)
+    assert float(variance) ** 0.5 < 0.02 if far else float(variance) ** 0.5 < 1e-6
