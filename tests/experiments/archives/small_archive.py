@@ -12,10 +12,10 @@ from trackers.recordings.folder import RecordingFolder, write_recording
 
 
 def recording(name: str, seed: int, rows: int = 40) -> RecordingFolder:
-    """A tag on a curve, with fixes whose errors grow with the seed."""
+    """A tag on a curve, with fixes whose errors grow with the seed, up to 0.3 m."""
     times, rng = 0.1 * np.arange(rows), np.random.default_rng(seed)
     truth = np.stack([3 * np.cos(0.4 * times), 2 * np.sin(0.7 * times), np.ones(rows)], axis=1)
-    fixes = truth + rng.normal(0, 0.02 + 0.01 * seed, truth.shape)
+    fixes = truth + rng.normal(0, 0.02 + 0.01 * (seed % 30), truth.shape)
     tables = {
         table: pl.DataFrame({"t_s": times, "tag": ["T"] * rows} | dict(zip(("x_m", "y_m", "z_m"), xyz.T, strict=True)))
         for table, xyz in (("fixes", fixes), ("truth", truth))
