@@ -83,12 +83,12 @@ def variance(cov: AnyCovariance, component: int) -> Scalar:
     return cov[component * n - component * (component - 1) // 2]
 
 
-def added(cov: AnyCovariance, variances: Sequence[Scalar]) -> AnyCovariance:
-    """The covariance with independent errors of these variances added."""
+def added(cov: AnyCovariance, deviations: Sequence[Scalar]) -> AnyCovariance:
+    """The covariance with independent errors of these standard deviations added."""
     if not isinstance(cov, tuple):
-        return cov + jnp.eye(len(cov), dtype=cov.dtype) * jnp.stack(list(variances))[None]
-    pairs = zip(cov, triangle(len(variances)), strict=True)
-    return tuple(entry + variances[i] if i == j else entry for entry, (i, j) in pairs)
+        return cov + jnp.diag(jnp.stack(list(deviations)) ** 2)
+    pairs = zip(cov, triangle(len(deviations)), strict=True)
+    return tuple(entry + deviations[i] ** 2 if i == j else entry for entry, (i, j) in pairs)
 
 
 def leading(cov: AnyCovariance, n: int, size: int) -> AnyCovariance:

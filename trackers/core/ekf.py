@@ -116,7 +116,7 @@ def above_resolution(cov: AnyCovariance, point: Sequence[Scalar]) -> AnyCovarian
     same size are rounded to as well. Nothing is added in double precision.
     """
     eps = float(jnp.finfo(zero_of(cov).dtype).eps)
-    return cov if eps < 1e-12 else added(cov, [(eps * jax.lax.stop_gradient(x)) ** 2 for x in point])
+    return cov if eps < 1e-12 else added(cov, [eps * jax.lax.stop_gradient(x) for x in point])
 
 
 def sparse_jacobians(

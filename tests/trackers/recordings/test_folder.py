@@ -225,7 +225,7 @@ def test_a_panic_of_the_parquet_reader_is_one_line_and_prints_nothing(
         raise pl.exceptions.PanicException("assertion failed")
 
     write_recording(good, tmp_path / "a", "parquet")
-    monkeypatch.setattr(pl, "scan_parquet", panic)
+    monkeypatch.setattr(pl, "read_parquet", panic)
     with pytest.raises(UnusableInput, match="broken Parquet file \\(assertion failed\\)"):
         read_recording(tmp_path / "a")
     os.write(2, b"after the panic")
