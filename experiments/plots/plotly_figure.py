@@ -61,8 +61,10 @@ def _traces(axes: Axes, part: Any) -> Iterator[dict[str, Any]]:
     elif isinstance(part, LineCollection):
         segments = [np.array(s, float) for s in part.get_segments()]
         x, y = ([value for s in segments for value in (*_numbers(s[:, k]), None)] for k in (0, 1))
-        colour = _colour(part.get_color()[0])
-        yield named | {"x": x, "y": y, "mode": "lines", "line": {"color": colour, "width": 2}, "hoverinfo": "skip"}
+        # Strokes of nothing have no colour.
+        if segments:
+            line = {"color": _colour(part.get_color()[0]), "width": 2}
+            yield named | {"x": x, "y": y, "mode": "lines", "line": line, "hoverinfo": "skip"}
     elif isinstance(part, PolyCollection):
         for path in part.get_paths():
             corners = np.array(path.vertices, float)

@@ -113,7 +113,7 @@ def test_recordings_that_no_fit_can_use_together_are_refused_and_leave_nothing(p
 
 def _run(out, *more):
     command = [sys.executable, "-m", "experiments", "tune", *more, "--out", out]
-    return subprocess.Popen([*map(str, command)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    return subprocess.Popen([*map(str, command)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
 def _at_step(process, out):
@@ -127,7 +127,7 @@ def _at_step(process, out):
         except FileNotFoundError:
             pass
         time.sleep(0.01)
-    pytest.fail(f"ended before its first step: {process.stderr.read()}")
+    pytest.fail("ended before its first step")
 
 
 def _workers(process):
@@ -143,19 +143,19 @@ def test_a_worker_killed_and_ctrl_c_in_mid_fit_leave_the_bits_of_threads(paths, 
     # Adam takes all its steps, so that the fit is not over when the worker dies.
     fit = (*paths, *FIT, "--optimiser", "adam", "--steps", 40, "--starts", 1, "--no-report")
     threads = _run(tmp_path / "threads", *fit)
-    assert threads.wait() == 0, threads.stderr.read()
+    assert threads.wait() == 0
     killed = _run(tmp_path / "killed", *fit, "--cluster", "local:2")
     _at_step(killed, tmp_path / "killed")
     victims = _workers(killed)
     assert len(victims) == 2
     os.kill(victims[0].pid, signal.SIGKILL)
-    assert killed.wait() == 0, killed.stderr.read()
+    assert killed.wait() == 0
     stopped = _run(tmp_path / "stopped", *fit, "--cluster", "local:2")
     _at_step(stopped, tmp_path / "stopped")
     stopped.send_signal(signal.SIGINT)
-    assert stopped.wait() == 130, stopped.stderr.read()
+    assert stopped.wait() == 130
     resumed = _run(tmp_path / "stopped", *fit, "--cluster", "local:2", "--resume")
-    assert resumed.wait() == 0, resumed.stderr.read()
+    assert resumed.wait() == 0
     for name in ("tuned.toml", "trace.csv"):
         expected = (tmp_path / "threads" / name).read_bytes()
         assert (tmp_path / "killed" / name).read_bytes() == expected
