@@ -44,11 +44,15 @@ class PoseTrajectory:
         if not (np.isfinite(self.times).all() and np.isfinite(self.positions[:, :2]).all()):
             raise UnusableInput(f"{self.name}: a time or position is not finite; leave such poses out")
         if self.quaternions is not None:
-            norms = np.linalg.norm(self.quaternions, axis=1)
-            if not (norms > 0).all():
-                row = int(np.argmin(norms > 0))
-                raise UnusableInput(f"{self.name}: pose {row + 1} has a zero quaternion, expected a unit quaternion")
-            object.__setattr__(self, "quaternions", self.quaternions / norms[:, None])
+            largest = np.abs(self.quaternions).max(axis=1)
+            usable = (largest > 0) & np.isfinite(largest)
+            if not usable.all():
+                row = int(np.argmin(usable))
+                what = "a zero quaternion" if largest[row] == 0 else "a quaternion that is not finite"
+                raise UnusableInput(f"{self.name}: pose {row + 1} has {what}, expected a unit quaternion")
+            # Powers of two keep all digits, and the squares of any number finite.
+            scaled = np.ldexp(self.quaternions, -np.frexp(largest)[1][:, None])
+            object.__setattr__(self, "quaternions", scaled / np.linalg.norm(scaled, axis=1, keepdims=True))
 
     def __len__(self) -> int:
         return len(self.times)

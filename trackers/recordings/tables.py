@@ -188,7 +188,7 @@ def _check_quaternions(file: TableFile, frame: pl.DataFrame) -> None:
         if zero.any():
             raise UnusableInput(
                 f"{file.location(_first(zero), 'qw')}: a zero quaternion, expected a unit quaternion; "
-                "leave its four file empty if the attitude is unknown"
+                "leave its four cells empty if the attitude is unknown"
             )
 
 
