@@ -135,6 +135,7 @@ def test_the_pure_function_under_jit_gives_the_run_to_rounding(whole):
         )
     ],
 )
+@pytest.mark.slow
 def test_gradients_go_through_the_pure_function_by_jax_and_are_those_of_differences(case):
     """Of the last positions by the values of the first readings, and the same mapped over two batches."""
     tracker, batch = case.tracker(), stack(case.recordings()[:2])

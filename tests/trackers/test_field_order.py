@@ -130,6 +130,7 @@ def test_the_tables_and_their_evaluation_do_not_depend_on_the_order_of_the_field
     assert other["coverage_95"] == one["coverage_95"]
 
 
+@pytest.mark.slow
 def test_objectives_do_not_depend_on_the_order_of_the_fields(folder, specs):
     metrics = []
     for name, spec in specs.items():
@@ -191,6 +192,7 @@ def test_the_rate_of_crossing_the_plane_uses_the_variance_of_the_height():
     assert float(rate) == pytest.approx(0.7 * np.exp(-0.5 * (z - plane) ** 2 / (P[4, 4] + reach**2)), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_a_grid_starts_from_the_variances_of_arclength_and_speed():
     class SpeedFirst(NamedTuple):
         speed: Any

@@ -70,6 +70,7 @@ def test_a_gap_that_ends_before_it_starts_is_refused(tmp_path):
     assert_refused(refused, "--gap 3.0 1.0: expected two times in seconds")
 
 
+@pytest.mark.slow
 def test_a_tag_on_a_closed_path_is_tracked_round_it_and_has_no_height(worlds, tmp_path):
     folder = read_recording(worlds / "agv")
     knots = folder.rig.path_knots

@@ -97,6 +97,7 @@ def test_two_numbers_give_every_pair_and_a_figure_with_the_way_of_a_fit(twice):
     assert set(manifest["best"]) == {SIGMA_A, SIGMA_P}
 
 
+@pytest.mark.slow
 def test_particles_are_swept_with_repeats_and_their_spread(world):
     out = world.parent / "particles"
     grid = f"{SIGMA_LINE}=0.2:0.4:2"

@@ -31,7 +31,7 @@ def rooms(tmp_path_factory):
     ("options", "left"),
     [
         (("--no-figures",), {"report.html"}),
-        (("--no-report",), {"tuning.png"}),
+        pytest.param(("--no-report",), {"tuning.png"}, marks=pytest.mark.slow),
         (("--no-report", "--format", "pdf"), {"tuning.pdf"}),
     ],
 )

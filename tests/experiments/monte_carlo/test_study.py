@@ -173,6 +173,7 @@ def test_a_study_continues_from_its_chunks_and_computes_a_torn_one_again(whole, 
     assert store.path(1, 1).stat().st_mtime_ns == made
 
 
+@pytest.mark.slow
 def test_one_and_two_devices_give_the_same_numbers_and_a_report(tmp_path):
     file, shas = tmp_path / "small.toml", []
     file.write_text(

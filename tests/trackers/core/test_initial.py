@@ -182,6 +182,7 @@ def test_a_run_inside_a_transformation_names_the_pure_function():
         jax.grad(error)(0.5)
 
 
+@pytest.mark.slow
 def test_the_gradient_of_an_error_by_an_anchors_position_is_that_of_finite_differences():
     anchors = np.array([[0.0, 0.0, 2.5], [8.0, 0.0, 1.0], [8.0, 6.0, 2.5], [0.0, 6.0, 1.0]])
     times = np.arange(0.0, 3.0, 0.1)

@@ -93,6 +93,7 @@ def test_the_gradient_by_the_latency_is_that_of_finite_differences(rmse_of_laten
         assert slope == pytest.approx((up - down) / 2e-5, rel=1e-4, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_a_smoother_is_scored_at_the_times_of_the_filter():
     recording = _recording(80)
     tracker = fix_tracker()

@@ -82,6 +82,7 @@ def test_a_track_is_lost_where_its_score_has_fallen_by_the_limit_below_its_maxim
     assert error[(recording.times > AWAY_S + 2) & (recording.times < BACK_S)].max() < 0.5
 
 
+@pytest.mark.slow
 def test_kidnapped_tags_are_found_and_no_other_track_is_lost():
     with_test, without = detection("ranges", 24), detection("ranges", 24, 1e9)
     assert with_test.false_alarms == without.false_alarms == without.detected == 0

@@ -49,8 +49,9 @@ def _filter(kind, line):
     return GridFilter(report, round(line.length / 0.02) + (0 if line.closed else 1), 41, 1.6)
 
 
-@pytest.mark.parametrize("filter", ["particles", pytest.param("grid", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("motion", [pytest.param("plain", marks=pytest.mark.slow), "halting"])
+@pytest.mark.slow
+@pytest.mark.parametrize("filter", ["particles", "grid"])
+@pytest.mark.parametrize("motion", ["plain", "halting"])
 def test_a_closed_path_is_equivalent_to_its_laps_one_after_another(motion, filter):
     # The prior is so near the first knot that it extends beyond it.
     closed = _run(motion, LOOP, _filter(filter, LOOP), -0.1)

@@ -46,7 +46,8 @@ def test_a_known_path_chooses_the_grid(folders):
     assert fitting(folders[0]) == "line-grid"
 
 
-@pytest.mark.parametrize("name", ["line-grid", pytest.param("line-pf", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["line-grid", "line-pf"])
 def test_on_all_situations_the_path_halves_the_error_of_the_fixes(folders, tracked, name):
     worlds = folders[:3]
     evaluation = evaluate(tracked(name)[0].filter(pl.col("recording") != "away"), worlds)
@@ -64,7 +65,8 @@ def test_particles_and_grid_are_about_as_good(folders, tracked):
     assert max(rmse) / min(rmse) < 1.15
 
 
-@pytest.mark.parametrize("name", ["line-grid", pytest.param("line-pf", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["line-grid", "line-pf"])
 def test_a_tag_that_is_carried_off_gives_an_event_and_its_return_another(tracked, name):
     tracks, found = tracked(name)
     trajectories = {

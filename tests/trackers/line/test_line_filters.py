@@ -86,6 +86,7 @@ def _on_line(estimates):
     return np.stack([arclength, np.hypot(*estimates.mean.velocity)], axis=-1)
 
 
+@pytest.mark.slow
 def test_estimates_over_200_keys_are_the_grids_within_3_standard_errors(pair):
     means, exact = _on_line(pair.particles)[:, 1:], _on_line(pair.grid)[1:]
     # The grid itself is off by the square of its steps over the standard deviation: 1 mm, and 2 mm/s.

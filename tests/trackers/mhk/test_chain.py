@@ -66,7 +66,9 @@ def test_the_posterior_mean_is_bayes_rule_over_all_states(sigma):
     np.testing.assert_allclose(_posterior(None, [], displacement, elapsed, sigma)[1], expected, rtol=1e-9)
 
 
-@pytest.mark.parametrize("sigma", [0.3, 0.03, 0.002])
+@pytest.mark.parametrize(
+    "sigma", [pytest.param(0.3, marks=pytest.mark.slow), 0.03, pytest.param(0.002, marks=pytest.mark.slow)]
+)
 def test_many_trajectories_have_the_posterior_means_and_derivatives_of_each(sigma):
     rings, precision = AccelerationSphere().rings(), 1.0 / sigma**2
     displacements = 0.1 * np.random.default_rng(0).normal(size=(5, 3))

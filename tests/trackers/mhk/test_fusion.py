@@ -122,6 +122,7 @@ def test_the_estimated_acceleration_shortens_the_lag_of_an_accelerating_tag(reco
     assert errors[0] < 0.8 * errors[1]
 
 
+@pytest.mark.slow
 def test_a_stamped_estimate_is_judged_at_the_middle_fix_of_its_window(recording):
     tracker = _tracker(stamped=True)
 

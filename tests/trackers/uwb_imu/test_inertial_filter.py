@@ -89,6 +89,7 @@ def estimates(world):
     return Tracker(MOTION, {"ranges": sensor}, KnownStart(_build), track_loss=NEVER_LOST).run(world[1])
 
 
+@pytest.mark.slow
 def test_the_nees_is_inside_its_95_percent_interval_with_biases_and_a_gap_of_the_imu(world, estimates):
     true, covs = world[0], estimates.covariance[1:]
     errors = np.stack(jax.jit(jax.vmap(jax.vmap(local)))(estimates.mean, true), axis=-1)[1:]
