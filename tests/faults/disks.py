@@ -72,6 +72,11 @@ def full(name: str, times: int, draw: Draw, place: Path) -> Seen:
     return seen
 
 
+def _stamps(folder: Path) -> dict[Path, tuple[int, int]]:
+    """When each file and folder in there was changed last, and its inode: another one where it was written again."""
+    return {path: (path.stat().st_mtime_ns, path.stat().st_ino) for path in folder.rglob("*")}
+
+
 def read_only(name: str, times: int, draw: Draw, place: Path) -> Seen:
     """A folder that cannot be written to, empty or with results, which stay as they are."""
     job, digest = _reference(place, name)
@@ -83,12 +88,12 @@ def read_only(name: str, times: int, draw: Draw, place: Path) -> Seen:
             if k % 2 == 0:
                 shutil.copytree(place / "whole", out)
                 seen.compare(job, out, digest, _here(job, out))
-            before = {path: (path.stat().st_mtime_ns, path.stat().st_ino) for path in disk.rglob("*")}
+            before = _stamps(disk)
             _remounted(disk, "ro")
             ended = _here(job, out)
             seen.times += 1
             seen.refused(ended, disk, 2, "Read-only file system")
-            now = {path: (path.stat().st_mtime_ns, path.stat().st_ino) for path in disk.rglob("*")}
+            now = _stamps(disk)
             seen.lost += len(before.items() - now.items())
             _remounted(disk, "rw")
             seen.compare(job, out, digest, _here(job, out))
