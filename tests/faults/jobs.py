@@ -70,14 +70,27 @@ def jobs(place: Path) -> dict[str, Job]:
     (place / "small.toml").write_text(STUDY, "utf-8")
     done = trackwright("simulate", "agv", "--n", 3, "--rows", 200, "--out", place / "world")
     assert done.code == 0, done.err
-    world, tuned = str(place / "world"), ("--tune", "motion.sigma_a", "sensors.*.sigma*")
-    few = ("--optimiser", "adam", "--steps", "40", "--starts", "2", "--no-figures", "--no-report", "--resume")
+    world = str(place / "world")
     all_jobs = (
         Job("study", ("study", str(place / "small.toml"), "--no-figures"), ("results.json",)),
         Job("track", ("track", world, "--tracker", "fix-kf", "--no-figures"), ("tracks.parquet", "events.parquet")),
-        Job("tune", ("tune", world, "--tracker", "fix-kf", *tuned, *few), ("tuned.toml", "trace.csv")),
+        _fit(world, 40),
     )
     return {job.name: job for job in all_jobs}
+
+
+def long_fit(place: Path) -> Job:
+    """A fit to 1,200 vehicles, three chunks of a cluster, that takes some minutes."""
+    done = trackwright("simulate", "agv", "--n", 1200, "--rows", 50, "--out", place / "fleet")
+    assert done.code == 0, done.err
+    return _fit(str(place / "fleet"), 8000)
+
+
+def _fit(world: str, steps: int) -> Job:
+    # Adam takes all its steps, so that a fit is not over before it is hurt.
+    few = ("--optimiser", "adam", "--steps", str(steps), "--starts", "2", "--no-figures", "--no-report", "--resume")
+    words = ("tune", world, "--tracker", "fix-kf", "--tune", "motion.sigma_a", "sensors.*.sigma*", *few)
+    return Job("tune", words, ("tuned.toml", "trace.csv"))
 
 
 class Ended(NamedTuple):
@@ -168,7 +181,9 @@ def temporary(out: Path) -> set[str]:
 
 def half_written(out: Path) -> list[str]:
     """The files, but for temporary ones, that their kind's own reader does not take for whole."""
-    return [str(p.relative_to(out)) for p in out.rglob("*") if p.is_file() and p.name[0] != "." and not _whole(p)]
+    files = {path.relative_to(out): path for path in out.rglob("*") if path.is_file()}
+    hidden = {name for name in files if any(part.startswith(".") for part in name.parts)}
+    return [str(name) for name, path in files.items() if name not in hidden and not _whole(path)]
 
 
 def _whole(path: Path) -> bool:

@@ -61,6 +61,8 @@ def faults(trajectories: int = LARGE, deaths: int = 10) -> list[Fault]:
               lambda times, draw, place: workers.killed(times, draw, place, max(LEAST, 640 * times))),
         Fault("workers killed, a long study", "the same", deaths,
               lambda times, draw, place: workers.killed(times, draw, place, trajectories)),
+        Fault("workers of a fit killed", "SIGKILL of a worker of `local:2` at random, of `tune --cluster`", 10,
+              workers.fit_killed),
         Fault("a worker hangs", f"SIGSTOP of a worker of `local:2`, silent for over {workers.executors.SILENT_S} s", 1,
               lambda times, draw, place: workers.hangs(times, draw, place, LEAST)),
         Fault("scheduler killed", "SIGKILL of `dask scheduler` with two workers; then another one", 3,

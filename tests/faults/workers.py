@@ -22,7 +22,7 @@ from experiments.monte_carlo import load_study, run_study
 from experiments.monte_carlo.chunk_store import ChunkStore
 from experiments.monte_carlo.declaration import Study
 from experiments.reports.study_text import to_json
-from tests.faults.jobs import half_written, hurt, jobs, run, stored, temporary
+from tests.faults.jobs import after, half_written, hurt, jobs, long_fit, run, running, stored, temporary
 from tests.faults.seen import Seen
 
 Draw = np.random.Generator
@@ -57,17 +57,17 @@ def _digest(study: Study, folder: Path, cluster: str | None = None) -> str:
     return str(json.loads(to_json(results, []))["sha256"])
 
 
-def workers() -> list[int]:
-    """The process ids of the local workers of this process."""
+def workers(caller: int | None = None) -> list[int]:
+    """The process ids of the local workers of a process, by default this one."""
     import psutil
 
-    children = psutil.Process().children(recursive=True)
+    children = psutil.Process(caller).children(recursive=True)
     return [child.pid for child in children if "spawn_main" in " ".join(child.cmdline())]
 
 
-def _sent(draw: Draw, number: int) -> int:
-    """Sends a signal to a worker of this process, any; how many got it."""
-    found = workers()
+def _sent(draw: Draw, number: int, caller: int | None = None) -> int:
+    """Sends a signal to any worker of a process, by default this one; how many got it."""
+    found = workers(caller)
     if not found:
         return 0
     try:
@@ -117,6 +117,24 @@ def killed(times: int, draw: Draw, place: Path, trajectories: int) -> Seen:
     if seen.times < times:
         seen.wrong.append(f"only {seen.times} kills: give it more trajectories")
     seen.notes.append(f"{study.runs:,} trajectories in {study.chunks} chunks")
+    return seen
+
+
+def fit_killed(times: int, draw: Draw, place: Path) -> Seen:
+    """A fit on `local:2` whose workers are killed by SIGKILL while they evaluate, with the bits of threads."""
+    job = long_fit(place)
+    ended = run(job.line(place / "threads"))
+    assert ended.code == 0, ended.err
+    seen, out, before = Seen(), place / "workers", set[Any]()
+    with running(job.line(out, "--cluster", "local:2")) as (caller, end):
+        while seen.times < times and caller.poll() is None:
+            seen.times += _sent(draw, signal.SIGKILL, caller.pid)
+            after(draw.uniform(2.0, 8.0))(caller)
+            before = seen.look(job, out, before)
+        ended = end()
+    seen.compare(job, out, job.digest(place / "threads"), ended)
+    if seen.times < times:
+        seen.wrong.append(f"only {seen.times} kills: give it more steps")
     return seen
 
 
