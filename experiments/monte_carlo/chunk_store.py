@@ -17,6 +17,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from experiments.monte_carlo.accumulators import compact, expanded
 from experiments.monte_carlo.declaration import Study, TrackerConfig
 from experiments.monte_carlo.results import ChunkTotals, Results, Totals
 from trackers.core.errors import UnusableInput
@@ -120,7 +121,7 @@ class ChunkStore:
                     arrays = read_arrays(path)
                     for k, name in enumerate(sums):
                         own = {n.partition("/")[2]: x for n, x in arrays.items() if n.startswith(f"{k}/")}
-                        sums[name].add(chunk * self.study.chunk, own)
+                        sums[name].add(chunk * self.study.chunk, expanded(own))
                 except (ValueError, LookupError, TypeError) as error:
                     raise UnusableInput(f"{path}: not a chunk of a study; remove it and run the study again") from error
             totals |= {(index, name): own.totals() for name, own in sums.items()}
@@ -136,7 +137,7 @@ def packed(trackers: Sequence[Mapping[str, np.ndarray]]) -> bytes:
     # NumPy's level, 6, takes seven times as long, into files that are a tenth smaller.
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as members:
         for k, own in enumerate(trackers):
-            for name, values in own.items():
+            for name, values in compact(own).items():
                 with members.open(f"{k}/{name}.npy", "w") as member:
                     np.lib.format.write_array(member, np.asanyarray(values), allow_pickle=False)
     return file.getvalue()

@@ -64,13 +64,16 @@ def scored(tracked: TrackedRuns) -> dict[str, np.ndarray]:
     # The rows of all stations count as rows of their trajectory.
     counts = tracked.known.reshape(n, -1)
     error = (tracked.estimates - tracked.truth).reshape(n, counts.shape[1], -1)
-    for kind, size, valid in _bearing_errors(tracked, error, counts) if bearing else _position_errors(error, counts):
+    for kinds, size, valid in _bearing_errors(tracked, error, counts) if bearing else _position_errors(error, counts):
         columns = {"n": valid.sum(axis=1), "sum": _sum(size, valid), "squares": _sum(size * size, valid)}
-        for name, values in columns.items():
-            sums[:, COLUMN[f"{name} {kind}"]] = values
         any_valid = columns["n"] > 0
-        largest[any_valid, KINDS.index(kind)] = _masked(size, valid, -1.0).max(axis=1)[any_valid]
-        arrays[f"cells {kind}"], arrays[f"counts {kind}"] = histograms(size, valid)
+        top = _masked(size, valid, -1.0).max(axis=1)[any_valid]
+        cells, numbers = histograms(size, valid)
+        for kind in kinds:
+            for name, values in columns.items():
+                sums[:, COLUMN[f"{name} {kind}"]] = values
+            largest[any_valid, KINDS.index(kind)] = top
+            arrays[f"cells {kind}"], arrays[f"counts {kind}"] = cells, numbers
     d = tracked.covariance.shape[-1]
     covariance = tracked.covariance.reshape(n, counts.shape[1], d, d)
     _add_nees(sums, error[..., :d], covariance, counts)
@@ -102,24 +105,29 @@ def _sum(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
     return found
 
 
-def _position_errors(error: np.ndarray, counts: np.ndarray) -> list[tuple[str, np.ndarray, np.ndarray]]:
-    """Kind, size (n, T) and mask of valid rows, of horizontal and of 3-D errors."""
+Errors = list[tuple[tuple[str, ...], np.ndarray, np.ndarray]]
+"""Kinds of errors, their size (n, T), and the mask of valid rows."""
+
+
+def _position_errors(error: np.ndarray, counts: np.ndarray) -> Errors:
+    """Horizontal and 3-D errors."""
     horizontal = np.hypot(error[..., 0], error[..., 1])
+    if not error[..., 2].any() and np.isfinite(horizontal).all():
+        # The height is known: the same numbers, since the root of a number's square is exactly that number.
+        return [(POSITION, horizontal, counts)]
     spatial = np.sqrt(horizontal * horizontal + error[..., 2] ** 2)
-    return [(POSITION[0], horizontal, counts), (POSITION[1], spatial, counts & np.isfinite(spatial))]
+    return [(POSITION[:1], horizontal, counts), (POSITION[1:], spatial, counts & np.isfinite(spatial))]
 
 
-def _bearing_errors(
-    tracked: TrackedRuns, error: np.ndarray, counts: np.ndarray
-) -> list[tuple[str, np.ndarray, np.ndarray]]:
-    """The same of the angle between the two directions, of azimuth and of elevation; wraps azimuth in `error`."""
+def _bearing_errors(tracked: TrackedRuns, error: np.ndarray, counts: np.ndarray) -> Errors:
+    """Errors of the angle between the two directions, of azimuth and of elevation; wraps azimuth in `error`."""
     error[..., 0] = np.pi - (np.pi - error[..., 0]) % (2 * np.pi)
     (x, y, z), (p, q, r) = (_direction(angles) for angles in (tracked.estimates, tracked.truth))
     cross = np.sqrt((y * r - z * q) ** 2 + (z * p - x * r) ** 2 + (x * q - y * p) ** 2)
     # In the order of a sum of pairs, as einsum has it.
     angle = np.arctan2(cross, x * p + z * r + y * q).reshape(counts.shape)
     sizes = (angle, np.abs(error[..., 0]), np.abs(error[..., 1]))
-    return [(kind, size, counts) for kind, size in zip(BEARING, sizes, strict=True)]
+    return [((kind,), size, counts) for kind, size in zip(BEARING, sizes, strict=True)]
 
 
 def _direction(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

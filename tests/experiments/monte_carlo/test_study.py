@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from experiments.monte_carlo import errors
-from experiments.monte_carlo.accumulators import COLUMN, KINDS, SUMS, histograms
+from experiments.monte_carlo.accumulators import BINS, COLUMN, KINDS, SUMS, compact, expanded, histograms
 from experiments.monte_carlo.chunk_store import ChunkStore, merge_shards
-from experiments.monte_carlo.errors import TrackedRuns, scored
+from experiments.monte_carlo.errors import TrackedRuns, _position_errors, scored
 from experiments.monte_carlo.results import METRICS, ChunkTotals, Results
 from experiments.monte_carlo.runner import StopRule, run_missing, run_study
 from experiments.monte_carlo.sources import load_study
@@ -83,6 +83,55 @@ def test_scores_do_not_depend_on_the_trajectories_that_are_scored_together():
     assert parts.keys() == whole.keys()
     for name, array in whole.items():
         np.testing.assert_array_equal(parts[name], array)
+
+
+def test_chunks_are_added_to_the_blocks_of_their_trajectories_in_order():
+    rng, runs = np.random.default_rng(8), 1300
+    chunks = [rng.lognormal(size=(700, 6)) for _ in range(2)]
+    totals = ChunkTotals(runs)
+    sums, largest, histogram = np.zeros((512, len(SUMS))), np.full((512, len(KINDS)), np.nan), np.zeros((512, BINS))
+    for start, sizes in zip((0, 700), chunks, strict=True):
+        kept = _accumulated(sizes, True)
+        totals.add(start, kept)
+        dense = np.bincount(kept["cells m"], kept["counts m"], 700 * BINS).reshape(700, BINS)
+        for k in range(min(700, runs - start)):
+            block = (start + k) % 512
+            sums[block] += kept["sums"][k]
+            largest[block] = np.fmax(largest[block], kept["largest"][k])
+            histogram[block] += dense[k]
+    found = totals.totals()
+    np.testing.assert_array_equal(found.sums, sums)
+    np.testing.assert_array_equal(found.largest, largest)
+    np.testing.assert_array_equal(found.histograms["m"], histogram)
+
+
+@pytest.mark.parametrize("flat", [True, False])
+def test_histograms_are_stored_in_few_bits_and_equal_ones_once(flat):
+    tracked, _ = _normal_tracked(4)
+    if flat:
+        level = tracked.estimates.copy()
+        level[..., 2] = tracked.truth[..., 2]
+        tracked = tracked._replace(estimates=level)
+    arrays = scored(tracked)
+    stored = compact(arrays)
+    names = [name for name in stored if name not in ("sums", "largest")]
+    assert names == (["histograms m 3d_m"] if flat else ["histograms m", "histograms 3d_m"])
+    assert {stored[name].dtype for name in names} == {np.dtype(np.uint16)}
+    for found in (expanded(stored), expanded(arrays)):
+        assert found.keys() == arrays.keys()
+        for name in arrays:
+            np.testing.assert_array_equal(found[name], arrays[name])
+
+
+def test_errors_of_known_heights_are_those_of_three_dimensions_to_the_bit():
+    _, errors = _normal_tracked(6)
+    counts, flat = np.ones(errors.shape[:2], bool), errors * [1.0, 1.0, 0.0]
+    (kinds, size, _), (_, spatial, _) = (
+        _position_errors(flat, counts)[0],
+        _position_errors(errors * [1, 1, 1e-200], counts)[1],
+    )
+    assert kinds == ("m", "3d_m")
+    np.testing.assert_array_equal(size, spatial)
 
 
 def _accumulated(sizes, histogram):
