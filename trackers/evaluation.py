@@ -51,8 +51,8 @@ class Evaluation:
 
     bearing: bool
     overall: Metrics
-    recordings: list[Metrics]
-    tracks: list[Metrics]
+    recordings: Sequence[Metrics]
+    tracks: Sequence[Metrics]
 
     def __getitem__(self, metric: str) -> Any:
         if metric not in self.overall:

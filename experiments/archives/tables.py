@@ -12,11 +12,12 @@ from typing import Any, NamedTuple
 import polars as pl
 
 from experiments.archives.folders import RESULTS
+from experiments.archives.rows import Rows
 from experiments.archives.store import RecordingStore
 from experiments.archives.sums import Sums, added, from_plain, metrics_of
-from experiments.reports.evaluation_text import to_json
+from experiments.reports.evaluation_text import json_pieces
 from trackers.core.errors import UnusableInput
-from trackers.evaluation import Evaluation, Metrics
+from trackers.evaluation import Evaluation
 from trackers.recordings.atomic import atomic_write
 from trackers.recordings.tracks_table import EVALUATION, SOURCES
 
@@ -29,14 +30,17 @@ Refusals = dict[Path, list[str]]
 
 @dataclass
 class Run:
-    """The recordings of one tracker, by name; `folders`: with their tables; `endings`: how many tracks ended how."""
+    """The recordings of one tracker and their tracks, with their metrics; `endings`: how many tracks ended how.
+
+    `paths`, `folders`: of the recordings and of their tables, by name.
+    """
 
     tracker: str
     short: str
     bearing: bool
     sums: Sums | None = None
-    recordings: dict[str, Metrics] = field(default_factory=dict)
-    tracks: list[Metrics] = field(default_factory=list)
+    recordings: Rows = field(default_factory=Rows)
+    tracks: Rows = field(default_factory=Rows)
     paths: dict[str, Path] = field(default_factory=dict)
     folders: dict[str, Path] = field(default_factory=dict)
     endings: Counter[str] = field(default_factory=Counter)
@@ -45,25 +49,30 @@ class Run:
         """Adds a recording at `path`, with its outcome and the folder of its tables."""
         own, name = from_plain(summary["sums"]), summary["recording"]
         self.sums = own if self.sums is None else added([self.sums, own])
-        self.recordings[name], self.paths[name], self.folders[name] = summary["metrics"], path, folder
-        self.tracks += summary["tracks"]
+        self.paths[name], self.folders[name] = path, folder
+        self.recordings.append(summary["metrics"])
+        for track in summary["tracks"]:
+            self.tracks.append(track)
         self.endings.update(summary["endings"])
 
     @property
     def evaluation(self) -> Evaluation:
         """The metrics over all rows, of each recording and of each track, both by name."""
         assert self.sums is not None
-        recordings = [self.recordings[name] for name in sorted(self.recordings)]
-        ratios = [one["residual_ratio_5s"] for one in recordings if one["residual_ratio_5s"] is not None]
-        overall = metrics_of(self.sums) | {"residual_ratio_5s": max(ratios, default=None)}
-        tracks = sorted(self.tracks, key=lambda one: (one["recording"], one["tag"], one.get("station") or ""))
-        return Evaluation(self.bearing, overall, recordings, tracks)
+        recordings, tracks = self.recordings.frame.sort("recording"), self.tracks.frame
+        keys = [name for name in ("recording", "tag", "station") if name in tracks.columns]
+        overall = metrics_of(self.sums) | {"residual_ratio_5s": recordings["residual_ratio_5s"].max()}
+        return Evaluation(self.bearing, overall, Rows(recordings), Rows(tracks.sort(keys)))
 
     def write(self, out: Path) -> Evaluation:
         """Writes the metrics into the folder `out` and returns them."""
         evaluation = self.evaluation
-        text = to_json(evaluation)
-        atomic_write(out / EVALUATION, lambda path: path.write_text(text, encoding="utf-8"))
+
+        def write(path: Path) -> None:
+            with path.open("w", encoding="utf-8") as file:
+                file.writelines(json_pieces(evaluation))
+
+        atomic_write(out / EVALUATION, write)
         return evaluation
 
     def write_sources(self, out: Path) -> None:
@@ -86,7 +95,7 @@ class Gathered(NamedTuple):
     """The runs by tracker, the rows of the table of results, and how many recordings have notices."""
 
     runs: list[Run]
-    rows: list[dict[str, Any]]
+    rows: Rows
     noticed: int
 
 
@@ -96,7 +105,7 @@ def gathered(store: RecordingStore, paths: Sequence[Path], done: Container[Path]
     A second recording of one name is refused, since its rows could not be told apart.
     """
     runs: dict[str, Run] = {}
-    rows: list[dict[str, Any]] = []
+    rows = Rows()
     owners: dict[str, Path] = {}
     noticed = 0
     for path in paths:
@@ -117,13 +126,14 @@ def gathered(store: RecordingStore, paths: Sequence[Path], done: Container[Path]
                 | {"endings": endings, **metrics, "notices": "; ".join(kept["notices"]), "refused": None}
             )
         noticed += bool(kept["notices"])
-        rows += [{"path": whole, "refused": line} for line in refused.get(path, ())]
+        for line in refused.get(path, ()):
+            rows.append({"path": whole, "refused": line})
     return Gathered(list(runs.values()), rows, noticed)
 
 
-def write_results(out: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+def write_results(out: Path, rows: Rows) -> None:
     """Writes the table of results, names first and texts last."""
-    table = pl.DataFrame(rows, infer_schema_length=None)
+    table = rows.frame
     metrics = [name for name in table.columns if name not in (*NAMES, *TEXTS)]
     atomic_write(out / RESULTS, table.select(*NAMES, *metrics, *TEXTS).write_csv)
 

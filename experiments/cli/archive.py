@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime
@@ -26,7 +25,7 @@ from experiments.cli.tracking import Options, endings, write_shown
 from experiments.executors import environment
 from experiments.interactive.track_page import run_data
 from experiments.portable_tracker import PortableTracker
-from experiments.reports.evaluation_text import archive_text, to_json
+from experiments.reports.evaluation_text import archive_text, content
 from experiments.reports.tables import terminal_width
 from experiments.reports.wording import counted
 from experiments.scored_tracks import DRAWN, ScoredTracks
@@ -37,7 +36,7 @@ from trackers.evaluation import Evaluation
 from trackers.events import EVENTS
 from trackers.recordings.association import associate_truth
 from trackers.recordings.atomic import config_hash
-from trackers.recordings.folder import RecordingFolder, read_recording
+from trackers.recordings.folder import RecordingFolder, read_recording, read_truth
 from trackers.recordings.selection import Selection
 from trackers.recordings.tracks_table import EVALUATION, TRACKS, read_tracks
 
@@ -137,7 +136,7 @@ def _shown(run: Run, evaluation: Evaluation) -> dict[str, Any]:
         print(archive_text(evaluation, terminal_width()), end="")
     else:
         print(*(f"Without truth: {sentence}" for sentence in evaluation.statements), sep="\n")
-    return {run.short: json.loads(to_json(evaluation))}
+    return {run.short: content(evaluation)}
 
 
 def _show(run: Run, evaluation: Evaluation, tracking: Tracking, options: Options, out: Path, begin: Begin) -> list[str]:
@@ -157,8 +156,8 @@ def _show(run: Run, evaluation: Evaluation, tracking: Tracking, options: Options
     part = Evaluation(
         evaluation.bearing,
         evaluation.overall,
-        [run.recordings[name] for name in names],
-        [track for track in run.tracks if track["recording"] in names],
+        [one for one in evaluation.recordings if one["recording"] in names],
+        [one for one in evaluation.tracks if one["recording"] in names],
     )
     tracks, page = ScoredTracks(association, folders, batches), None
     if options.report:
@@ -226,7 +225,7 @@ def evaluate_archive(
     def read(item: Item) -> tuple[list[tuple[dict[str, Any], pl.DataFrame]], RecordingFolder]:
         kept = tracked.kept(item.folder)["outcomes"]
         about = [{key: one[key] for key in ("tracker", "short", "endings")} for one in kept]
-        return [(one, read_tracks(item.folder / one["short"])) for one in about], read_recording(item.path)
+        return [(one, read_tracks(item.folder / one["short"])) for one in about], read_truth(item.path)
 
     with json_alone(json) as put, stages("evaluate") as begin:
         items, advance = _items(store, paths, identity), begin("scoring", len(paths))

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import heapq
+import json
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -75,11 +77,31 @@ RANKS = (3, 2, 1, 0)
 
 def to_json(evaluation: Evaluation, work: Mapping[str, Any] | None = None) -> str:
     """All metrics and statements as JSON, missing metrics as null; `work`: those of fastening points, if any."""
-    kind = "bearing" if evaluation.bearing else "position"
-    parts = {"overall": evaluation.overall, "recordings": evaluation.recordings, "tracks": evaluation.tracks}
-    return json_text(
-        {"kind": kind, "statements": evaluation.statements, **parts} | ({} if work is None else {"worksteps": work})
-    )
+    return json_text(content(evaluation) | ({} if work is None else {"worksteps": work}))
+
+
+def content(evaluation: Evaluation) -> dict[str, Any]:
+    """What evaluation.json holds."""
+    return {
+        "kind": "bearing" if evaluation.bearing else "position",
+        "statements": evaluation.statements,
+        "overall": evaluation.overall,
+        "recordings": evaluation.recordings,
+        "tracks": evaluation.tracks,
+    }
+
+
+def json_pieces(evaluation: Evaluation) -> Iterator[str]:
+    """As `to_json`, of any number of recordings: in pieces, a line for each recording and track."""
+    parts = content(evaluation)
+    rows = {name: parts.pop(name) for name in ("recordings", "tracks")}
+    yield json_text(parts).removesuffix("\n}\n")
+    for name, own in rows.items():
+        yield f',\n  "{name}": ['
+        for k, row in enumerate(own):
+            yield f"{',' if k else ''}\n    {json.dumps(row, ensure_ascii=False, allow_nan=False)}"
+        yield "\n  ]"
+    yield "\n}\n"
 
 
 def to_text(evaluation: Evaluation, width: int = 120) -> str:
@@ -97,7 +119,7 @@ def to_text(evaluation: Evaluation, width: int = 120) -> str:
 def archive_text(evaluation: Evaluation, width: int = 120) -> str:
     """As `to_text`, of any number of recordings: overall, the medians over recordings, and the worst recordings."""
     recordings = evaluation.recordings
-    worst = sorted(recordings, key=partial(_p95, evaluation.bearing), reverse=True)[:SHOWN_RECORDINGS]
+    worst = heapq.nlargest(SHOWN_RECORDINGS, recordings, key=partial(_p95, evaluation.bearing))
     lines: list[Line] = [
         (["overall"], evaluation.overall, "bold"),
         ([f"median of {len(recordings)}"], _median(recordings), None),
@@ -150,8 +172,9 @@ def _lines(evaluation: Evaluation, labels: Sequence[str]) -> list[Line]:
 def _median(recordings: Sequence[Metrics]) -> Metrics:
     """The median of each metric over the recordings that have it."""
     names = [name for name in recordings[0] if name != "recording"]
-    known = {name: [one[name] for one in recordings if one[name] is not None] for name in names}
-    found: Metrics = {name: float(np.median(values)) if values else None for name, values in known.items()}
+    columns = np.array([[one[name] for name in names] for one in recordings], float).T
+    known = {name: column[np.isfinite(column)] for name, column in zip(names, columns, strict=True)}
+    found: Metrics = {name: float(np.median(values)) if len(values) else None for name, values in known.items()}
     return found | {"n": round(found["n"])}
 
 

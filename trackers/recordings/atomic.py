@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -51,12 +51,12 @@ def config_hash(config: Mapping[str, Any]) -> str:
 def _plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple, set, frozenset)):
-        return [_plain(item) for item in value]
+    if value is None or isinstance(value, (bool, int, str)):
+        return value
     if isinstance(value, np.generic) or hasattr(value, "__array__"):
         return _plain(np.asarray(value).tolist())
     if isinstance(value, float):
         return value if math.isfinite(value) else None
-    if value is None or isinstance(value, (bool, int, str)):
-        return value
+    if isinstance(value, (Sequence, set, frozenset)) and not isinstance(value, bytes):
+        return [_plain(item) for item in value]
     return str(value)

@@ -55,7 +55,8 @@ def remove_abandoned(folder: Path) -> None:
                 os.close(lock)
 
 
-_clear_once = functools.cache(remove_abandoned)
+# Of the folders written to last: a command may write to thousands.
+_clear_once = functools.lru_cache(maxsize=64)(remove_abandoned)
 
 
 def _made(path: Path, make: Callable[[Path], object]) -> int | None:

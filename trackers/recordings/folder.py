@@ -5,7 +5,6 @@ An unusable file is refused with a message of one line that names it; anomalies 
 
 from __future__ import annotations
 
-import difflib
 import gzip
 import math
 from collections import Counter
@@ -16,7 +15,7 @@ from typing import IO, Any, Literal, cast, get_args
 
 import polars as pl
 
-from trackers.core.errors import UnusableInput, has_control, listed
+from trackers.core.errors import UnusableInput, listed
 from trackers.core.frames import html_table
 from trackers.core.rig import Rig
 from trackers.recordings.averaging import averaged
@@ -24,17 +23,14 @@ from trackers.recordings.beside import beside
 from trackers.recordings.calibration import Calibration
 from trackers.recordings.checks.anomalies import anomalies
 from trackers.recordings.columns import TagRows
-from trackers.recordings.rig_file import RIG_FILE, read_rig, rig_text
-from trackers.recordings.table_file import SUFFIXES
-from trackers.recordings.tables import MEASUREMENTS, TABLES, read_table
+from trackers.recordings.folder_contents import folder_contents
+from trackers.recordings.rig_file import RIG_FILE, rig_text
+from trackers.recordings.tables import MEASUREMENTS, read_table
 from trackers.recordings.tables_by_tag import Tables
 from trackers.recordings.truth import TruePaths
 
 Kind = Literal["parquet", "csv.gz", "csv"]
 
-_OTHER_DATA = (
-    ".txt", ".tsv", ".dat", ".json", ".xlsx", ".zip", ".bz2", ".xz", ".zst", ".feather", ".npz", ".mat", ".pq",
-)  # fmt: skip
 _SHOWN_IDS = 4
 
 
@@ -182,25 +178,8 @@ def _repeated(items: Sequence[Any]) -> int | None:
 def read_recording(path: str | Path) -> RecordingFolder:
     """The recording in the folder `path`; raises UnusableInput with a message of one line for unusable content."""
     path = Path(path)
-    if has_control(str(path)):
-        raise UnusableInput(f"{path}: has a control character or bytes that are no UTF-8 in its name; rename it")
-    try:
-        entries = sorted(entry.name for entry in path.iterdir())
-    except FileNotFoundError:
-        raise UnusableInput(f"{path}: does not exist, expected a recording folder; check the path") from None
-    except NotADirectoryError:
-        raise UnusableInput(
-            f"{path}: is a file, expected a recording folder with {RIG_FILE} and tables; give its folder"
-        ) from None
-    except OSError as error:
-        raise UnusableInput(f"{path}: folder cannot be read ({error.strerror}); check its permissions") from error
-    rig, rig_notices = read_rig(path / RIG_FILE)
-    files, file_notices = _table_files(path, entries)
-    if not files:
-        raise UnusableInput(
-            f"{path}: no tables, expected at least one of {', '.join(TABLES)} as {', '.join(SUFFIXES)}; export one"
-        )
-    tables, notices = {}, [*rig_notices, *file_notices]
+    rig, files, notices = folder_contents(path)
+    tables = {}
     for name, file in files.items():
         tables[name], table_notices = read_table(file, name, rig)
         notices += table_notices
@@ -209,32 +188,11 @@ def read_recording(path: str | Path) -> RecordingFolder:
     return RecordingFolder(rig.name, path, rig, tables, tuple(notices))
 
 
-def _table_files(path: Path, entries: list[str]) -> tuple[dict[str, Path], list[str]]:
-    """The file of each table, and a notice for each other data file; refuses duplicates and misspelt names."""
-    files: dict[str, Path] = {}
-    others = []
-    for entry in entries:
-        stem, _, suffix = entry.partition(".")
-        if stem in TABLES and f".{suffix}" in SUFFIXES:
-            if stem in files:
-                raise UnusableInput(
-                    f"{path}: both {files[stem].name} and {entry}, expected one file for table {stem}; remove one"
-                )
-            files[stem] = path / entry
-        elif entry.lower().endswith((*SUFFIXES, *_OTHER_DATA)):
-            others.append(entry)
-    notices = []
-    for entry in others:
-        stem = entry.partition(".")[0].lower()
-        near = difflib.get_close_matches(stem, [name for name in TABLES if name not in files], 1, 0.75)
-        if near:
-            raise UnusableInput(
-                f"{path / entry}: looks like table {near[0]}, expected {' or '.join(near[0] + s for s in SUFFIXES)}; "
-                "rename or convert it"
-            )
-        if entry.lower().endswith(SUFFIXES):
-            notices.append(f"{entry}: is not one of the tables {', '.join(TABLES)} and was ignored")
-    return files, notices
+def read_truth(path: Path) -> RecordingFolder:
+    """The recording in the folder `path` with its truth alone, if it has one; raises as `read_recording`."""
+    rig, files, _ = folder_contents(path)
+    truth = {name: read_table(file, name, rig)[0] for name, file in files.items() if name == "truth"}
+    return RecordingFolder(rig.name, path, rig, truth)
 
 
 def _check_common_tag(path: Path, tables: dict[str, pl.DataFrame]) -> None:
