@@ -19,7 +19,7 @@ from trackers.core import metrics
 from trackers.core.errors import UnusableInput, one_or_more
 from trackers.core.estimates import Estimates
 from trackers.core.frames import evaluation_html
-from trackers.core.rank_correlation import LAGS_S
+from trackers.core.rank_correlation import LAGS_S, RankSums
 from trackers.core.recording import Recording
 from trackers.core.rig import Station
 from trackers.covariance_statements import covariance_statements
@@ -232,18 +232,23 @@ def _metrics(association: Association, scored: Scored, first: int, end: int) -> 
     found |= _consistency(scored.nees[part], 2, "")
     if scored.nees_3d is not None:
         found |= _consistency(scored.nees_3d[part], 3, "_3d")
-    freedom = float(scored.dof[begin:stop].sum())
-    ranks = scored.nis_ranks.of_tracks(first, end)
-    seconds, span, rows = scored.lost[first:end].sum(axis=0).tolist()
-    found |= {
-        "nis_ratio": float(scored.nis[begin:stop].sum()) / freedom if freedom > 0 else None,
+    nis, freedom = float(scored.nis[begin:stop].sum()), float(scored.dof[begin:stop].sum())
+    lost = scored.lost[first:end].sum(axis=0).tolist()
+    found |= innovations_and_loss(nis, freedom, scored.nis_ranks.of_tracks(first, end), lost, int(stop - begin))
+    return {name: None if value != value else value for name, value in found.items()}
+
+
+def innovations_and_loss(nis: float, freedom: float, ranks: RankSums, lost: Sequence[float], n_rows: int) -> Metrics:
+    """The metrics of innovations and track loss from sums over tracks; `lost`: seconds, span in seconds, and rows."""
+    seconds, span, rows = lost
+    return {
+        "nis_ratio": nis / freedom if freedom > 0 else None,
         **{f"nis_correlation_{name}": r for name, r in zip(LAGS_S, ranks.correlations().tolist(), strict=True)},
         "nis_inflation_1s": ranks.inflation(),
         "residual_ratio_5s": None,
         "lost_s": seconds,
-        "lost_fraction": seconds / span if span > 0 else rows / float(stop - begin),
+        "lost_fraction": seconds / span if span > 0 else rows / n_rows,
     }
-    return {name: None if value != value else value for name, value in found.items()}
 
 
 def _errors_of(errors: np.ndarray) -> Metrics:

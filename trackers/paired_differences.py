@@ -197,11 +197,16 @@ def _correlation_time(runs: Sequence[np.ndarray]) -> float:
 
 
 def _difference(metric: Callable[[TrackErrors], float], a: _Pieces, b: _Pieces, pieces: np.ndarray) -> Difference:
-    first, second, n = metric(a.rows), metric(b.rows), len(pieces)
+    without = np.array([metric(b.without(k)) - metric(a.without(k)) for k in pieces])
+    return jackknifed(metric(a.rows), metric(b.rows), without)
+
+
+def jackknifed(first: float, second: float, without: np.ndarray) -> Difference:
+    """The difference of two values, with its interval by the differences without each of the pieces (n,)."""
+    n = len(without)
     unknown = Difference(first, second, math.nan, math.nan, math.nan, n)
     if n < LEAST_PIECES or not math.isfinite(second - first):
         return unknown
-    without = np.array([metric(b.without(k)) - metric(a.without(k)) for k in pieces])
     variance = (n - 1) / n * float(((without - without.mean()) ** 2).sum())
     if not math.isfinite(variance):
         return unknown

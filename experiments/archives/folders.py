@@ -56,7 +56,7 @@ def recordings_under(path: Path) -> list[Path]:
             if real not in seen:
                 found.append(Path(root))
         seen.add(real)
-        folders[:] = [name for name in folders if not name.startswith(".")]
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
     return sorted(found) or [path]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from experiments.cli.tracked_by import late_readings
 from experiments.cli.usable import errors_of
 from experiments.portable_tracker import PortableTracker
 from trackers.catalogue import fitting, split_name
-from trackers.core.errors import UnusableInput
+from trackers.core.errors import UnusableInput, one_line
 from trackers.evaluation import Evaluation, evaluation_of
 from trackers.events import EVENTS, events_of
 from trackers.recordings.association import Association, associate_truth, refuse_without_overlap
@@ -48,17 +48,26 @@ class Found:
     refused: list[str] = field(default_factory=list)
     notices: list[str] = field(default_factory=list)
 
+    def in_lines(self) -> Found:
+        """The same with each refusal and notice in one line that any file can hold, whatever names it quotes."""
+        return replace(self, refused=[*map(one_line, self.refused)], notices=[*map(one_line, self.notices)])
+
 
 def guarded(path: Path, function: Callable[..., Any], *arguments: Any) -> Any:
     """What the function returns; where it raises, a `Found` that names the recording, so that the others go on."""
     try:
         return function(*arguments)
     except UnusableInput as problem:
-        line = str(problem)
-        return Found(refused=[line if str(path) in line else f"{path}: {line}"])
+        return Found(refused=[_naming(path, problem)])
     except Exception as error:
         lines = str(error).splitlines() or ["no message"]
         return Found(refused=[f"{path}: cannot be used ({type(error).__name__}: {lines[0]})"])
+
+
+def _naming(path: Path | None, problem: UnusableInput) -> str:
+    """The refusal with the path of the recording."""
+    line = str(problem)
+    return line if one_line(path) in line else f"{path}: {line}"
 
 
 @dataclass(frozen=True)
@@ -85,7 +94,7 @@ class Tracking:
             try:
                 outcome, lines = self._tracked(self.tracker._replace(name=name, text=text), folder)
             except UnusableInput as problem:
-                found.refused.append(str(problem))
+                found.refused.append(_naming(folder.path, problem))
                 continue
             found.outcomes.append(outcome)
             found.notices.extend(lines)
@@ -123,10 +132,10 @@ class Scoring:
     part: Selection
     every: float | None
 
-    def __call__(self, source: tuple[list[tuple[dict[str, Any], pl.DataFrame]], RecordingFolder]) -> Found:
-        """The metrics of one recording; `source`: what is known of each tracker, its estimates, and the recording."""
-        tables, folder = source
-        found = Found()
+    def __call__(self, source: tuple[list[tuple[dict[str, Any], pl.DataFrame]], list[str], RecordingFolder]) -> Found:
+        """The metrics of one recording; `source`: each tracker's outcome and estimates, the notices, and the truth."""
+        tables, notices, folder = source
+        found = Found(notices=notices)
         if "truth" not in folder.tables:
             raise UnusableInput(f"{folder.path}: no truth table, expected one to evaluate against")
         truths = {folder.name: folder.tables["truth"]}

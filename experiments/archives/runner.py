@@ -64,7 +64,8 @@ def run_missing(
             return executor.submit(guarded, item.path, part, source)
 
         at_once = getattr(executor, "at_once", 2 * workers)
-        for item, found in finished(submit, missing(), at_once, _lost):
+        for item, result in finished(submit, missing(), at_once, _lost):
+            found = result.in_lines()
             if found.outcomes:
                 store.write(item, found)
                 done.add(item.path)

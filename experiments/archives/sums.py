@@ -13,8 +13,8 @@ import numpy as np
 
 from experiments.monte_carlo.accumulators import BINS, bins, quantile
 from trackers.core.chi_square import chi_square_quantile
-from trackers.core.rank_correlation import LAGS_S, RankSums
-from trackers.evaluation import LEVELS, Metrics
+from trackers.core.rank_correlation import RankSums
+from trackers.evaluation import LEVELS, Metrics, innovations_and_loss
 from trackers.recordings.association import Association
 from trackers.recordings.truth import TruthStatus
 from trackers.scoring import Scored, outside_plane
@@ -96,15 +96,7 @@ def metrics_of(sums: Sums) -> Metrics:
         found |= _consistency(sums, suffix, dof)
     nis, freedom = sums["nis"].tolist()
     ranks = RankSums(sums["products"][None], sums["windows"][None])
-    seconds, span, rows = sums["lost"].tolist()
-    found |= {
-        "nis_ratio": nis / freedom if freedom > 0 else None,
-        **{f"nis_correlation_{name}": r for name, r in zip(LAGS_S, ranks.correlations().tolist(), strict=True)},
-        "nis_inflation_1s": ranks.inflation(),
-        "residual_ratio_5s": None,
-        "lost_s": seconds,
-        "lost_fraction": seconds / span if span > 0 else rows / found["n_rows"],
-    }
+    found |= innovations_and_loss(nis, freedom, ranks, sums["lost"].tolist(), found["n_rows"])
     return {name: None if value != value else value for name, value in found.items()}
 
 

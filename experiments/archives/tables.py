@@ -16,7 +16,7 @@ from experiments.archives.rows import Rows
 from experiments.archives.store import RecordingStore
 from experiments.archives.sums import Sums, added, from_plain, metrics_of
 from experiments.reports.evaluation_text import json_pieces
-from trackers.core.errors import UnusableInput
+from trackers.core.errors import UnusableInput, has_control, one_line
 from trackers.evaluation import Evaluation
 from trackers.recordings.atomic import atomic_write
 from trackers.recordings.tracks_table import EVALUATION, SOURCES
@@ -110,6 +110,8 @@ def gathered(store: RecordingStore, paths: Sequence[Path], done: Container[Path]
     noticed = 0
     for path in paths:
         whole = str(path.resolve())
+        # Never tracked: no command looks for it by this name.
+        whole = one_line(whole) if has_control(whole) else whole
         kept = store.kept(store.folder(path)) if path in done else {"outcomes": [], "notices": []}
         for summary in kept["outcomes"]:
             name, short = summary["recording"], summary["short"]

@@ -23,6 +23,7 @@ from typing import Any
 from experiments.bench.timing import replace_tables, write_json
 from experiments.cli.main import run_alone
 from experiments.cli.subprocesses import REPOSITORY, in_new_process
+from experiments.monte_carlo.accumulators import BIN_WIDTH
 
 SIZES = (100, 1000, 10_000)
 ROWS, TOGETHER, TRACKER = 40, 100, "fix-kf"
@@ -41,7 +42,9 @@ COMMANDS: dict[str, tuple[str, ...]] = {
 
 
 def main(sizes: tuple[str, ...] = (), *, page: Path | None = None, out: Path = Path("out/bench-archives.json")) -> int:
-    """Measure the sizes, print a table and write it as JSON; 1 if a command ends otherwise than with refusals.
+    """Measure the sizes, print a table and write it as JSON.
+
+    Exit code 1 if a command fails, or a percentile deviates by more than a bin.
 
     Args:
         sizes: numbers of recordings; by default 100, 1000 and 10000.
@@ -62,7 +65,8 @@ def main(sizes: tuple[str, ...] = (), *, page: Path | None = None, out: Path = P
     about = {"date": began.isoformat(timespec="seconds"), "command": command, "commit": commit(REPOSITORY)}
     write_json(out, {**about, "machine": host, "rows": ROWS, "archives": found})
     print(f"Written: {out}")
-    return int(any(run["code"] != 1 for one in found.values() for run in one["runs"].values()))
+    wrong = any(run["code"] > 1 for one in found.values() for run in one["runs"].values())
+    return int(wrong or any(one["deviations"]["percentiles"][0] > BIN_WIDTH for one in found.values()))
 
 
 def measured(size: int) -> dict[str, Any]:

@@ -9,8 +9,10 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import polars as pl
 
+from experiments.archives.compared import compared
 from experiments.archives.folders import RESULTS
 from experiments.archives.part import Scoring, Tracking
 from experiments.archives.runner import run_missing
@@ -19,16 +21,19 @@ from experiments.archives.tables import Refusals, Run, gathered, read_results, w
 from experiments.cli.console import json_alone, notice, output_folder, ready
 from experiments.cli.fail_if import violation
 from experiments.cli.manifest import write_manifest
+from experiments.cli.report import COMPARISON
 from experiments.cli.stages import Begin, stages
 from experiments.cli.tracked_by import tracker_names
 from experiments.cli.tracking import Options, endings, write_shown
 from experiments.executors import environment
 from experiments.interactive.track_page import run_data
 from experiments.portable_tracker import PortableTracker
+from experiments.reports.comparison import Table, comparison_text
+from experiments.reports.comparison_page import write_comparison
 from experiments.reports.evaluation_text import archive_text, content
 from experiments.reports.tables import terminal_width
 from experiments.reports.wording import counted
-from experiments.scored_tracks import DRAWN, ScoredTracks
+from experiments.scored_tracks import ScoredTracks, drawn_of
 from trackers.catalogue import spec_of, split_name
 from trackers.core.chunks import CHUNK
 from trackers.core.errors import UnusableInput
@@ -36,6 +41,7 @@ from trackers.evaluation import Evaluation
 from trackers.events import EVENTS
 from trackers.recordings.association import associate_truth
 from trackers.recordings.atomic import config_hash
+from trackers.recordings.beside import held
 from trackers.recordings.folder import RecordingFolder, read_recording, read_truth
 from trackers.recordings.selection import Selection
 from trackers.recordings.tracks_table import EVALUATION, TRACKS, read_tracks
@@ -63,27 +69,32 @@ def track_archive(
     def read(item: Item) -> RecordingFolder:
         return read_recording(item.path)
 
-    items = _items(store, paths, lambda path: identity)
-    done, refused = run_missing(store, items, read, tracking, options.cluster, begin("tracking", len(paths)))
-    if not done:
-        raise _none_usable("tracked", paths, refused)
-    begin("tables")
-    runs, rows, noticed = gathered(store, paths, done, refused)
-    for run in runs:
-        out = output_folder(options.out if len(runs) == 1 else options.out / run.short)
-        evaluation, count = run.write(out), run.write_table(out, TRACKS)
-        run.write_table(out, EVENTS)
-        run.write_sources(out)
-        tracks = counted(sum(run.endings.values()), "track")
-        print(f"{run.short}: {tracks} of {counted(len(run.paths), 'recording')}: {endings(run.endings)}")
-        put(_shown(run, evaluation))
-        shown = _show(run, evaluation, tracking, options, out, begin) if options.report or options.figures else []
-        extra = {"recordings": len(run.paths), "verdicts": run.endings}
-        write_manifest(out, sys.argv, options.config(run.tracker), started, chunk=CHUNK, extra=extra)
-        written = f"{out / TRACKS} ({counted(count, 'estimate')})"
-        print(f"wrote {', '.join([written, EVENTS, EVALUATION, *shown, 'manifest.json'])}")
-    write_results(options.out, rows)
-    return _ended("tracked", options.out, noticed, [refused[path] for path in paths if path in refused])
+    with held(options.out):
+        items = _items(store, paths, lambda path: identity)
+        done, refused = run_missing(store, items, read, tracking, options.cluster, begin("tracking", len(paths)))
+        if not done:
+            raise _none_usable("tracked", paths, refused)
+        begin("tables")
+        runs, rows, noticed = gathered(store, paths, done, refused)
+        for run in runs:
+            out = output_folder(options.out if len(runs) == 1 else options.out / run.short)
+            evaluation, count = run.write(out), run.write_table(out, TRACKS)
+            run.write_table(out, EVENTS)
+            run.write_sources(out)
+            tracks = counted(sum(run.endings.values()), "track")
+            print(f"{run.short}: {tracks} of {counted(len(run.paths), 'recording')}: {endings(run.endings)}")
+            put(_shown(run, evaluation))
+            shown = _show(run, evaluation, tracking, options, out, begin) if options.report or options.figures else []
+            extra = {"recordings": len(run.paths), "verdicts": run.endings}
+            write_manifest(out, sys.argv, options.config(run.tracker), started, chunk=CHUNK, extra=extra)
+            written = f"{out / TRACKS} ({counted(count, 'estimate')})"
+            print(f"wrote {', '.join([written, EVENTS, EVALUATION, *shown, 'manifest.json'])}")
+        tables = _compare(runs)
+        if tables and options.report:
+            page = write_comparison(options.out / COMPARISON, [run.short for run in runs], tables, [], sys.argv)
+            print(f"wrote {page}")
+        write_results(options.out, rows)
+        return _ended("tracked", options.out, noticed, [refused[path] for path in paths if path in refused], len(paths))
 
 
 def _tracking(options: Options, force: bool) -> Tracking:
@@ -130,6 +141,14 @@ def _items(
         yield Item(path, store.folder(path), fingerprint)
 
 
+def _compare(runs: Sequence[Run]) -> list[Table]:
+    """Prints the comparison of several trackers; its tables."""
+    tables = compared(runs)
+    if tables:
+        print(comparison_text(tables), end="")
+    return tables
+
+
 def _shown(run: Run, evaluation: Evaluation) -> dict[str, Any]:
     """Prints the table of a tracker; its metrics by its name, as JSON holds them."""
     if evaluation.overall["n"]:
@@ -141,7 +160,9 @@ def _shown(run: Run, evaluation: Evaluation) -> dict[str, Any]:
 
 def _show(run: Run, evaluation: Evaluation, tracking: Tracking, options: Options, out: Path, begin: Begin) -> list[str]:
     """Writes the page and the figures of a few recordings; returns in words what was written."""
-    names = _drawn(evaluation)
+    rmse = [one["rmse_direction_rad" if evaluation.bearing else "rmse_m"] for one in evaluation.recordings]
+    chosen = [evaluation.recordings[k] for k in drawn_of(np.array(rmse, float), evaluation.bearing)]
+    names = [one["recording"] for one in chosen]
     folders, batches, tables, events = [], [], [], []
     texts = dict(tracking.names)
     for name in names:
@@ -156,7 +177,7 @@ def _show(run: Run, evaluation: Evaluation, tracking: Tracking, options: Options
     part = Evaluation(
         evaluation.bearing,
         evaluation.overall,
-        [one for one in evaluation.recordings if one["recording"] in names],
+        chosen,
         [one for one in evaluation.tracks if one["recording"] in names],
     )
     tracks, page = ScoredTracks(association, folders, batches), None
@@ -166,16 +187,6 @@ def _show(run: Run, evaluation: Evaluation, tracking: Tracking, options: Options
         page = run_data(tracks, pl.concat(events, how="diagonal"), known, about, run.short)
         page |= {"recordingCount": len(run.paths), "statements": evaluation.statements if known else []}
     return write_shown(tracks, page, options, out, begin)
-
-
-def _drawn(evaluation: Evaluation) -> list[str]:
-    """The names of the recordings on the page: the two worst, the median and the best, or the first without truth."""
-    by = "rmse_direction_rad" if evaluation.bearing else "rmse_m"
-    known = [one for one in evaluation.recordings if one[by] is not None]
-    ranked = [one["recording"] for one in sorted(known, key=lambda one: -one[by])]
-    if len(evaluation.recordings) <= DRAWN or len(ranked) < DRAWN:
-        return [one["recording"] for one in evaluation.recordings[:DRAWN]]
-    return list(dict.fromkeys([*ranked[:2], ranked[(len(ranked) - 1) // 2], ranked[-1]]))
 
 
 def _none_usable(verb: str, paths: Sequence[Path], refused: Refusals) -> UnusableInput:
@@ -195,12 +206,14 @@ def _list_refused(verb: str, refused: Sequence[Sequence[str]], table: Path | Non
         notice(f"not {verb}: {len(lines) - LISTED} more{where}")
 
 
-def _ended(verb: str, out: Path, noticed: int, refused: Sequence[Sequence[str]]) -> int:
-    """Says where the table of results is, and lists what was refused; the exit code."""
+def _ended(verb: str, out: Path, noticed: int, refused: Sequence[Sequence[str]], of: int) -> int:
+    """Says where the table of results is, and lists what was refused, of so many recordings; the exit code."""
     table = out / RESULTS
     print(f"wrote {table}, a row for each recording and tracker")
     if noticed:
         notice(f"notice: {counted(noticed, 'recording')} with notices: column 'notices' of {table}")
+    if refused:
+        notice(f"not {verb}: {len(refused)} of {counted(of, 'recording')}")
     _list_refused(verb, refused, table)
     return int(bool(refused))
 
@@ -222,12 +235,13 @@ def evaluate_archive(
     def identity(path: Path) -> dict[str, Any]:
         return {"tracked": digest_of(tracked.folder(path) / TRACKED).hex(), **options}
 
-    def read(item: Item) -> tuple[list[tuple[dict[str, Any], pl.DataFrame]], RecordingFolder]:
-        kept = tracked.kept(item.folder)["outcomes"]
-        about = [{key: one[key] for key in ("tracker", "short", "endings")} for one in kept]
-        return [(one, read_tracks(item.folder / one["short"])) for one in about], read_truth(item.path)
+    def read(item: Item) -> tuple[list[tuple[dict[str, Any], pl.DataFrame]], list[str], RecordingFolder]:
+        kept = tracked.kept(item.folder)
+        about = [{key: one[key] for key in ("tracker", "short", "endings")} for one in kept["outcomes"]]
+        tables = [(one, read_tracks(item.folder / one["short"])) for one in about]
+        return tables, kept["notices"], read_truth(item.path)
 
-    with json_alone(json) as put, stages("evaluate") as begin:
+    with held(out), json_alone(json) as put, stages("evaluate") as begin:
         items, advance = _items(store, paths, identity), begin("scoring", len(paths))
         done, refused = run_missing(store, items, read, Scoring(part, every), cluster, advance)
         if not done:
@@ -243,6 +257,7 @@ def evaluate_archive(
             if why is not None:
                 print(f"fails: {run.short}: {why}", file=sys.stderr)
                 failed = True
+        _compare(runs)
         write_results(out, rows)
-        code = _ended("evaluated", out, noticed, [lines[path] for path in paths if path in lines])
+        code = _ended("evaluated", out, noticed, [lines[path] for path in paths if path in lines], len(paths))
     return int(failed or code)

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 from rich.console import Console
 
 from experiments.cli.arguments import File
-from trackers.core.errors import UnusableInput, has_control, listed, printable
+from trackers.core.errors import UnusableInput, has_control, listed, one_line
 from trackers.recordings.atomic import json_text
 from trackers.recordings.calibration import Calibration
 from trackers.recordings.calibration_file import read_calibration
@@ -76,7 +76,7 @@ class ReadingOptions:
 
 def notice(text: str) -> None:
     """Prints one line on standard error."""
-    ERRORS.print(" ".join(printable(text).split()), markup=False)
+    ERRORS.print(one_line(text), markup=False)
 
 
 def selection(tag: Sequence[str], start: float | None, stop: float | None, every: float | None) -> Selection:

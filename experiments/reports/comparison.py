@@ -86,7 +86,7 @@ def track_contrasts(runs: Sequence[TrackRun]) -> list[Contrast]:
             if one is not None and math.isfinite(one.value) and not given:
                 name = BEARING_NAMES.get(metric, metric) if run.bearing else metric
                 found.append(Contrast("", name, run.name, one, one.p))
-    return _adjusted(found)
+    return adjusted(found)
 
 
 def study_contrasts(runs: Sequence[StudyRun], metrics: Sequence[str]) -> list[Contrast]:
@@ -100,7 +100,7 @@ def study_contrasts(runs: Sequence[StudyRun], metrics: Sequence[str]) -> list[Co
             before, after = runs[0].metrics[subject, metric], run.metrics.get((subject, metric))
             if metric in metrics and after is not None:
                 found.append(Contrast(subject, metric, run.name, one := _independent(before, after), one.p))
-    return _adjusted(found)
+    return adjusted(found)
 
 
 def _independent(before: Value, after: Value) -> Difference:
@@ -111,7 +111,8 @@ def _independent(before: Value, after: Value) -> Difference:
     return Difference(before.value, after.value, value - half, value + half, p, 0)
 
 
-def _adjusted(contrasts: Sequence[Contrast]) -> list[Contrast]:
+def adjusted(contrasts: Sequence[Contrast]) -> list[Contrast]:
+    """The contrasts with p-values for their number."""
     return [one._replace(p=p) for one, p in zip(contrasts, holm([one.p for one in contrasts]), strict=True)]
 
 
@@ -132,11 +133,12 @@ def tables_of_tracks(runs: Sequence[TrackRun], contrasts: Sequence[Contrast]) ->
     head = ("recording", "run", "n", *(column.title.replace("\n", " ").strip() for column in columns))
     tables = [Table(what, head, 2, rows)]
     if contrasts:
-        tables.append(_difference_table(runs[0].name, contrasts, unit))
+        tables.append(difference_table(runs[0].name, contrasts, unit))
     return tables
 
 
-def _difference_table(first: str, contrasts: Sequence[Contrast], unit: Unit) -> Table:
+def difference_table(first: str, contrasts: Sequence[Contrast], unit: Unit) -> Table:
+    """The differences from the run `first`, with errors in this unit."""
     rows = []
     for one in contrasts:
         of = Unit("%", 100.0) if one.metric.startswith("coverage") else unit

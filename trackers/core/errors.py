@@ -27,6 +27,11 @@ def printable(text: object) -> str:
     return "".join(c if c.isprintable() or c.isspace() else "\N{REPLACEMENT CHARACTER}" for c in str(text))
 
 
+def one_line(text: object) -> str:
+    """The text `printable` in one line, with single spaces."""
+    return " ".join(printable(text).split())
+
+
 def has_control(text: str) -> bool:
     """Whether the text has a control character, as an end of line or an escape, or bytes that are no UTF-8."""
     return any(unicodedata.category(c) in ("Cc", "Cs") for c in text)

@@ -14,6 +14,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from trackers.core.errors import UnusableInput
+
 try:
     import fcntl
 except ImportError:  # Windows has no such locks: what a killed process left there stays
@@ -53,6 +55,26 @@ def remove_abandoned(folder: Path) -> None:
                 _remove(path)
             finally:
                 os.close(lock)
+
+
+@contextmanager
+def held(folder: Path) -> Iterator[None]:
+    """Keeps other processes that ask for it out of a folder; raises UnusableInput where one has it."""
+    if fcntl is None:
+        yield
+        return
+    lock = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            fix = "wait until that has ended, or choose another folder"
+            raise UnusableInput(f"{folder}: another command writes to it; {fix}") from error
+        except OSError:
+            pass  # a file system without locks
+        yield
+    finally:
+        os.close(lock)
 
 
 # Of the folders written to last: a command may write to thousands.

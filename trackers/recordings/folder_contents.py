@@ -33,6 +33,10 @@ def folder_contents(path: Path) -> tuple[Rig, dict[str, Path], list[str]]:
         ) from None
     except OSError as error:
         raise UnusableInput(f"{path}: folder cannot be read ({error.strerror}); check its permissions") from error
+    if not any(entry == RIG_FILE or entry.partition(".")[0] in TABLES for entry in entries):
+        raise UnusableInput(
+            f"{path}: neither {RIG_FILE} nor a table, expected a recording folder, or folders of these; give another"
+        )
     rig, notices = read_rig(path / RIG_FILE)
     files, others = _table_files(path, entries)
     if not files:

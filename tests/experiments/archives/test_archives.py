@@ -18,6 +18,7 @@ from tests.experiments.archives.small_archive import recording, write_archive
 from tests.in_process import assert_refused, trackwright
 from trackers.catalogue import build
 from trackers.evaluation import evaluate
+from trackers.recordings.beside import held
 from trackers.recordings.folder import read_recording, write_recording
 
 COUNT = 30
@@ -80,6 +81,7 @@ def test_a_broken_folder_costs_its_own_line_and_never_the_rest(archive, whole):
     named = [*BROKEN, FAILING]
     assert refused["path"].to_list() == [str(archive / f"day-{k // 10}" / f"walk-{k:02d}") for k in named]
     listed = [line for line in done.err.splitlines() if line.startswith("not tracked: ")]
+    assert listed.pop(0) == f"not tracked: 4 of {COUNT} recordings"
     assert listed == [f"not tracked: {line}" for line in refused["refused"]]
     for line, word in zip(listed, ("rig.toml", "rig.toml", "fixes.parquet", "MemoryError"), strict=True):
         assert word in line
@@ -193,26 +195,29 @@ def test_several_trackers_have_a_folder_each_and_one_table_of_results(tmp_path):
     assert results["tracker"].to_list() == ["fix-kf", "median", None] * 3
     for name in ("fix-kf", "median"):
         assert (tmp_path / "out" / name / "report.html").is_file()
-    assert trackwright("evaluate", tmp_path / "out").code == 0
+    assert "lowest RMSE in" in (tmp_path / "out" / "comparison.html").read_text()
+    done = trackwright("evaluate", tmp_path / "out")
+    assert done.code == 0
+    assert "Medians over the 3 recordings that all trackers have." in done.out
     none = trackwright("track", tmp_path / "archive", "--tracker", "uwb", "--out", tmp_path / "none")
     assert none.code == 2
     assert none.out == ""
     assert [line.partition(": ")[0] for line in none.err.splitlines()] == ["not tracked", "not tracked", "trackwright"]
 
 
-def test_page_and_figures_are_of_four_recordings(tmp_path, monkeypatch):
+def test_page_and_figures_are_of_the_worst_the_median_and_the_best(tmp_path, monkeypatch):
     write_archive(tmp_path / "archive", 7)
     drawn = []
     monkeypatch.setattr(track_folder, "plot_tracks", lambda out, tracks, kind: drawn.append(tracks) or [])
     assert trackwright("track", tmp_path / "archive", "--out", tmp_path / "out").code == 0
     ranked = _results(tmp_path / "out").sort("rmse_m", descending=True)["recording"].to_list()
     (tracks,) = drawn
-    assert [folder.name for folder in tracks.folders] == [ranked[k] for k in (0, 1, 3, 6)]
+    assert [folder.name for folder in tracks.folders] == [ranked[k] for k in (0, 3, 6)]
     assert tracks.drawn_words == ""
     page = (tmp_path / "out" / "report.html").read_text()
     assert '"recordingCount":7' in page.replace(" ", "")
     assert [name for name in ranked if f'"name":"{name}"' in page.replace('": "', '":"')] == [
-        ranked[k] for k in (0, 1, 3, 6)
+        ranked[k] for k in (0, 3, 6)
     ]
 
 
@@ -223,6 +228,39 @@ def test_a_name_stands_for_one_recording(tmp_path):
     assert done.code == 1
     assert "r2: is named 'same', as is " in done.err
     assert _results(tmp_path / "out")["recording"].to_list() == ["same", "other", None]
+
+
+def test_names_of_any_characters_cost_their_own_line(tmp_path):
+    paths = write_archive(tmp_path / "archive", 3)
+    odd = paths[1].with_name(b"\xff\n\x1b[2J".decode("utf-8", "surrogateescape"))
+    paths[1].rename(odd)
+    (paths[2] / b"\xff.csv".decode("utf-8", "surrogateescape")).write_text("a,b\n1,2\n")
+    done = trackwright("track", tmp_path / "archive", *ALONE, "--out", tmp_path / "out")
+    assert done.code == 1
+    assert done.err.count("control character or bytes that are no UTF-8 in its name") == 1
+    assert "not tracked: 1 of 3 recordings\n" in done.err
+    assert _results(tmp_path / "out")["recording"].to_list().count(None) == 1
+    assert trackwright("evaluate", tmp_path / "out").code == 0
+    assert _results(tmp_path / "out")["notices"].str.contains("is not one of the tables").sum() == 1
+
+
+def test_a_second_command_on_the_same_output_is_refused(tmp_path):
+    write_archive(tmp_path / "archive", 2)
+    out = tmp_path / "out"
+    assert trackwright("track", tmp_path / "archive", *ALONE, "--out", out).code == 0
+    with held(out):
+        assert_refused(trackwright("track", tmp_path / "archive", *ALONE, "--out", out), "another command writes to it")
+        assert_refused(trackwright("evaluate", out), "another command writes to it")
+
+
+def test_settings_that_fit_no_recording_name_each(tmp_path):
+    paths = write_archive(tmp_path / "archive", 2)
+    done = trackwright("track", tmp_path / "archive", *ALONE, "--set", "nothing=1", "--out", tmp_path / "out")
+    assert done.code == 2
+    assert [str(path) in line for path, line in zip(paths[::-1], done.err.splitlines(), strict=True)] == [True, True]
+    assert_refused(
+        trackwright("track", tmp_path / "out", *ALONE, "--out", tmp_path / "o"), "neither rig.toml nor a table"
+    )
 
 
 class KilledWorker(Exception):  # noqa: N818 - the name in Dask
