@@ -76,6 +76,8 @@ def track_archive(
             raise _none_usable("tracked", paths, refused)
         begin("tables")
         runs, rows, noticed = gathered(store, paths, done, refused)
+        # Before anything is printed: the reader of a pipe may close it.
+        write_results(options.out, rows)
         for run in runs:
             out = output_folder(options.out if len(runs) == 1 else options.out / run.short)
             evaluation, count = run.write(out), run.write_table(out, TRACKS)
@@ -93,7 +95,6 @@ def track_archive(
         if tables and options.report:
             page = write_comparison(options.out / COMPARISON, [run.short for run in runs], tables, [], sys.argv)
             print(f"wrote {page}")
-        write_results(options.out, rows)
         return _ended("tracked", options.out, noticed, [refused[path] for path in paths if path in refused], len(paths))
 
 
@@ -249,6 +250,7 @@ def evaluate_archive(
         # What could not be tracked keeps its line, but is no failure of this command.
         lines = {path: own for path, own in known.items() if path not in paths} | refused
         runs, rows, noticed = gathered(store, list(known), done, lines)
+        write_results(out, rows)
         failed = False
         for run in runs:
             evaluation = run.write(out if len(runs) == 1 else output_folder(out / run.short))
@@ -258,6 +260,5 @@ def evaluate_archive(
                 print(f"fails: {run.short}: {why}", file=sys.stderr)
                 failed = True
         _compare(runs)
-        write_results(out, rows)
         code = _ended("evaluated", out, noticed, [lines[path] for path in paths if path in lines], len(paths))
     return int(failed or code)

@@ -16,7 +16,7 @@ from experiments.reports.tables import terminal_width
 from trackers.core.errors import UnusableInput
 from trackers.exchange.alignment import Alignment
 from trackers.recordings.atomic import atomic_write
-from trackers.recordings.tracks_table import EVALUATION, SOURCES, read_tracks, source_paths
+from trackers.recordings.tracks_table import EVALUATION, SOURCES, TRACKS, read_tracks, source_paths
 
 if TYPE_CHECKING:
     from trackers.evaluation import Evaluation
@@ -87,6 +87,8 @@ def evaluate_tracks(
         from experiments.cli.archive import evaluate_archive
 
         return evaluate_archive(folder, part, every, cluster, json, fail_if)
+    if (folder / RECORDINGS).is_dir() and not (folder / TRACKS).exists():
+        raise UnusableInput(f"{folder}: an archive that was not tracked to its end; run the same `track` again")
     if folder.is_file() or options.given:
         if worksteps is not None or cluster is not None:
             raise UnusableInput("--worksteps and --cluster: apply to a folder of `track` without trajectory options")
