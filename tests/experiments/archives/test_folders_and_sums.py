@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
+import json
+import os
+from pathlib import Path
 
 import numpy as np
 import polars as pl
 import pytest
 
 from experiments.archives.folders import MANY, archive_of, recordings_under
+from experiments.archives.rows import BLOCK, Rows
 from experiments.archives.sums import added, from_plain, metrics_of, plain, sums_of
+from experiments.reports.evaluation_text import content, json_pieces, to_json
 from sim import worlds
 from tests.experiments.archives.small_archive import recording
 from trackers.catalogue import build
 from trackers.core.errors import UnusableInput
-from trackers.evaluation import evaluate
+from trackers.evaluation import Evaluation, evaluate
 from trackers.recordings.association import associate_truth
+from trackers.recordings.atomic import json_text
 from trackers.scoring import score
 
 PERCENTILES = ("median", "p90", "p95", "p99", "sigma_factor")
@@ -41,6 +48,41 @@ def test_folders_of_folders_many_recordings_and_keep_going_make_an_archive(tmp_p
     assert archive_of(many, False) == many
     with pytest.raises(UnusableInput, match="more than once"):
         archive_of([tmp_path, tmp_path / "a"], False)
+
+
+def test_a_folder_that_cannot_be_opened_is_a_recording_that_cannot_be_read(tmp_path, monkeypatch):
+    _touch(tmp_path, "a/rig.toml", "shut/b/rig.toml")
+    scandir = os.scandir
+
+    def refusing(path):
+        if Path(path).name == "shut":
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        return scandir(path)
+
+    monkeypatch.setattr(os, "scandir", refusing)
+    assert recordings_under(tmp_path) == [tmp_path / "a", tmp_path / "shut"]
+
+
+def test_rows_are_those_appended_whatever_a_block_lacks():
+    given = [{"recording": f"r{k}", "n": k, "rmse_m": None if k < BLOCK else 0.1 * k} for k in range(2 * BLOCK + 3)]
+    given[-1]["tag"] = "T"
+    rows = Rows()
+    for row in given:
+        rows.append(row)
+    assert len(rows) == len(given)
+    assert list(rows) == [{"tag": None} | row for row in given]
+    assert rows[BLOCK] == rows[BLOCK : BLOCK + 1][0] == {"tag": None} | given[BLOCK]
+
+
+def test_pieces_of_json_are_that_of_the_whole():
+    folder = recording("\u00e9 \u2028", 0)
+    whole = evaluate(build("fix-kf", folder).run(folder), folder)
+    kept = Evaluation(
+        whole.bearing, whole.overall, *(Rows(pl.DataFrame(rows)) for rows in (whole.recordings, whole.tracks))
+    )
+    text = "".join(json_pieces(kept))
+    assert json.loads(text) == json.loads(to_json(whole)) == json.loads(json_text(content(kept)))
+    assert sum(line.startswith('    {"recording"') for line in text.split("\n")) == 2
 
 
 def _bearings(folder, rng):
