@@ -1,4 +1,4 @@
-"""Rows of named values held as columns, in a tenth of the memory of dictionaries."""
+"""Rows of named values held as columns, in a fraction of the memory of dictionaries."""
 
 from __future__ import annotations
 

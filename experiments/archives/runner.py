@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -12,6 +13,10 @@ from experiments.archives.store import Item, RecordingStore
 from experiments.archives.tables import Refusals
 from experiments.executors import cluster_executor, finished
 from trackers.core.chunks import n_workers
+from trackers.core.freed_memory import give_back
+
+BLOCK = 256
+"""Recordings after which memory is freed, which otherwise grows with their number."""
 
 
 def _lost(item: Item) -> Found:
@@ -64,7 +69,7 @@ def run_missing(
             return executor.submit(guarded, item.path, part, source)
 
         at_once = getattr(executor, "at_once", 2 * workers)
-        for item, result in finished(submit, missing(), at_once, _lost):
+        for count, (item, result) in enumerate(finished(submit, missing(), at_once, _lost), 1):
             found = result.in_lines()
             if found.outcomes:
                 store.write(item, found)
@@ -72,4 +77,8 @@ def run_missing(
             if found.refused:
                 refused[item.path] = found.refused
             advance(1)
+            if count % BLOCK == 0:
+                # Left alone, the collector hardly runs beside the many objects of jax, and tables wait for it.
+                gc.collect()
+                give_back()
     return done, refused

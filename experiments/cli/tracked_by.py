@@ -34,7 +34,9 @@ def tracker_names(trackers: str | None, noise: Path | None = None) -> list[str]:
     Raises UnusableInput for a repeated name, and for several with a file of one tracker's values, `noise`.
     """
     names = [] if trackers is None else [name.strip() for name in trackers.split(",")]
-    repeated = next((name for k, name in enumerate(names) if name in names[:k]), None)
+    # By which the folder of each is named.
+    shorts = [split_name(name)[1] or name for name in names]
+    repeated = next((name for k, name in enumerate(shorts) if name in shorts[:k]), None)
     if repeated is not None:
         raise UnusableInput(f"--tracker {trackers}: '{repeated}' twice; expected different names; remove one")
     if len(names) > 1 and noise is not None:

@@ -102,5 +102,5 @@ def test_recordings_of_two_kinds_get_the_trackers_that_fit_and_one_that_fits_non
 
 def test_wrong_lists_of_trackers_are_refused(tmp_path):
     write_good(tmp_path / "good")
-    for names, word in (("uwb,uwb", "twice"), ("uwb,nothing", "tracker nothing: unknown")):
+    for names, word in (("uwb,uwb", "twice"), ("a.py:T,b.py:T", "twice"), ("uwb,nothing", "tracker nothing: unknown")):
         assert_refused(trackwright("track", tmp_path / "good", "--tracker", names, "--out", tmp_path / "out"), word)
