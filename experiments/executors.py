@@ -117,8 +117,13 @@ def _client(distributed: Any, cluster: str, processes: int | None) -> Iterator[A
     # One thread a process computes one part at a time; memory is limited by the system alone, as it is for threads.
     workers = {"n_workers": processes, "threads_per_worker": 1, "memory_limit": 0, "preload": LEAVE_SIGINT}
     others = {"dashboard_address": ":0", "silence_logs": logging.CRITICAL, "scheduler_kwargs": {"worker_ttl": SILENT_S}}
+    try:
+        local_cluster = distributed.LocalCluster(**workers, **others)
+    except RuntimeError as error:
+        fix = "look at free memory and processes, then run the command again"
+        raise UnusableInput(f"--cluster {cluster}: a process ended while it started; {fix}") from error
     with (
-        distributed.LocalCluster(**workers, **others) as started,
+        local_cluster as started,
         distributed.Client(started, set_as_default=False) as client,
     ):
         yield client

@@ -72,6 +72,17 @@ def test_a_cluster_that_is_none_is_refused_in_one_line(tmp_path, monkeypatch, cl
         assert word in result.err.splitlines()[-1]
 
 
+def test_processes_that_end_while_they_start_are_refused_in_one_line(monkeypatch):
+    distributed = pytest.importorskip("distributed")
+
+    def ended(**options):
+        raise RuntimeError("Nanny failed to start.")
+
+    monkeypatch.setattr(distributed, "LocalCluster", ended)
+    with pytest.raises(UnusableInput, match="local:2: a process ended while it started"), cluster_executor("local:2"):
+        pytest.fail("was connected")
+
+
 def test_a_worker_with_another_version_is_refused_before_it_computes(tmp_path):
     distributed = pytest.importorskip("distributed")
     other = "import experiments.executors\nexperiments.executors._version = lambda name: '0.0.1'\n"
