@@ -54,7 +54,7 @@ def main(sizes: tuple[str, ...] = (), *, page: Path | None = None, out: Path = P
     from experiments.bench.__main__ import machine
     from experiments.bench.waiting import commit
 
-    began, host = datetime.now(UTC), machine()
+    began, host, before = datetime.now(UTC), machine(), commit(REPOSITORY)
     found = {size: measured(int(size)) for size in sizes or map(str, SIZES)}
     command = ["python", "-m", "experiments.bench.archives", *sys.argv[1:]]
     heading = f"{host['cpu']}, {host['cores']} cores, {began:%Y-%m-%d}, `{' '.join(command)}`."
@@ -62,7 +62,7 @@ def main(sizes: tuple[str, ...] = (), *, page: Path | None = None, out: Path = P
     print(text)
     if page is not None:
         replace_tables(page, "experiments.bench.archives", text)
-    about = {"date": began.isoformat(timespec="seconds"), "command": command, "commit": commit(REPOSITORY)}
+    about = {"date": began.isoformat(timespec="seconds"), "command": command, "commit": before}
     write_json(out, {**about, "machine": host, "rows": ROWS, "archives": found})
     print(f"Written: {out}")
     wrong = any(run["code"] > 1 for one in found.values() for run in one["runs"].values())
@@ -166,7 +166,7 @@ def table(found: Mapping[str, Mapping[str, Any]]) -> str:
             each = 1e3 * run["cpu_s"] / int(size)
             figures = f"{run['cpu_s']:.1f} | {each:.1f} | {run['peak_mb']:.0f} | {run['lines']}"
             lines.append(f"| {size} | {one['broken']} | `{name}` | {figures} |")
-    largest = [f"{one['deviations']['percentiles'][0]:.2%} of {size}" for size, one in found.items()]
+    largest = [f"{100 * one['deviations']['percentiles'][0]:.2f} % of {size}" for size, one in found.items()]
     return "\n".join([*lines, "", f"Percentiles from histograms deviate by at most {', '.join(largest)}.", ""])
 
 
