@@ -43,7 +43,7 @@ Item = TypeVar("Item")
 
 
 @contextmanager
-def cluster_executor(cluster: str) -> Iterator[Executor]:
+def cluster_executor(cluster: str) -> Iterator[WorkerExecutor]:
     """The workers of a cluster, as of `cluster_client`, as an executor."""
     with cluster_client(cluster) as (client, expected):
         workers = len(client.nthreads())
@@ -213,6 +213,7 @@ def _require_same(expected: Mapping[str, Any], found: Any, worker: str) -> None:
             )
 
 
+@functools.cache
 def _version(name: str) -> str:
     try:
         return version(name)

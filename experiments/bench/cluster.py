@@ -1,9 +1,10 @@
 """A study on worker processes beside threads, one worker killed: `python -m experiments.bench.cluster`.
 
-The chunks of a study of position fixes run on threads of this process, on `local:2`, and on `local:2` with a worker
-killed by SIGKILL on the way; the three results are compared to the bit. The overhead of a chunk is that of a part which
-computes nothing and returns the arrays of a chunk: a worker's time per part while others wait, and the round trip of a
-single one.
+The chunks of a study of position fixes run on threads of this process, on `local:1`, on `local:2`, and on `local:2`
+with a worker killed by SIGKILL on the way; the results are compared to the bit. Trajectories a second are counted from
+the moment when a quarter of the chunks is stored, since each worker begins by importing and compiling. The overhead of
+a chunk is that of a part which computes nothing and returns the content of a chunk: a worker's time per part while
+others wait, and the round trip of a single one.
 """
 
 from __future__ import annotations
@@ -11,10 +12,10 @@ from __future__ import annotations
 import json
 import os
 import signal
-import sys
 import tempfile
 import time
 from collections import deque
+from collections.abc import Mapping
 from contextlib import nullcontext
 from datetime import UTC, datetime
 from pathlib import Path
@@ -22,7 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from experiments.bench.timing import clocked, write_json
+from experiments.bench.cluster_results import head, markdown, publish
+from experiments.bench.timing import clocked
 from experiments.cli.main import run_alone
 from experiments.cli.runtime import set_flags
 
@@ -38,45 +40,50 @@ WORKERS = 2
 PARTS = 200
 
 
-def main(*, runs: int = 20_000, out: Path = Path("out/bench-cluster.json")) -> int:
-    """Run the study three times, print a table and write the results as JSON; 1 if the bits differ.
+def main(*, runs: int = 100_000, out: Path = Path("out/bench-cluster.json"), page: Path | None = None) -> int:
+    """Run the study in each place, print a table and write the results as JSON; 1 if the bits differ.
 
     Args:
         runs: trajectories of the study.
         out: the JSON file to write.
+        page: the page whose table is replaced, as docs/cluster.md.
     """
     set_flags()
-    from experiments.bench.__main__ import machine
-    from experiments.bench.measure import packages
-    from experiments.bench.waiting import commit
-    from experiments.cli.subprocesses import REPOSITORY
-
-    began, host = datetime.now(UTC), machine()
+    results = head("experiments.bench.cluster", datetime.now(UTC))
     with tempfile.TemporaryDirectory() as folder:
         found = measured(Path(folder), runs)
-    write_json(
-        out,
-        {
-            "date": began.isoformat(timespec="seconds"),
-            "command": ["python", "-m", "experiments.bench.cluster", *sys.argv[1:]],
-            "commit": commit(REPOSITORY),
-            "machine": host,
-            "packages": packages("distributed"),
-            "runs": runs,
-            **found,
-        },
-    )
-    for name, one in found["studies"].items():
-        print(
-            f"{name:20s} {one['chunks']} chunks  start {one['start_s']:4.1f} s  run {one['run_s']:6.1f} s  processor "
-            f"{one['cpu_s']:6.1f} s  sha256 {one['sha256'][:12]}"
-        )
-    print(
-        f"overhead of a chunk of {found['chunk_bytes']} bytes: {found['overhead_ms']:.1f} ms of a worker, "
-        f"{found['overhead_cpu_ms']:.1f} ms of processor time in the caller; round trip {found['round_trip_ms']:.1f} ms"
-    )
-    print(f"Written: {out}")
+    publish({**results, "runs": runs, **found}, text(runs, found), out, page)
     return int(len({one["sha256"] for one in found["studies"].values()}) > 1)
+
+
+def text(runs: int, found: Mapping[str, Any]) -> str:
+    """The table of all studies, and the overhead of a chunk in words."""
+    return (
+        f"A study of {runs:,} trajectories in {found['studies']['threads']['chunks']} chunks.\n\n"
+        f"{markdown(table(found['studies']))}\n\nBeside computing, a chunk of {found['chunk_bytes'] / 1e3:.0f} kB "
+        f"costs {found['overhead_cpu_ms']:.1f} ms of processor time in the caller, and "
+        f"{found['overhead_ms']:.1f} ms of a worker; the round trip of a single one takes "
+        f"{found['round_trip_ms']:.1f} ms."
+    )
+
+
+def table(studies: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
+    """The rows of a table of all studies."""
+    first = studies["threads"]["sha256"]
+    return [
+        ["", "trajectories a second", "start s", "run s", "processor s", "SHA-256 of the results"],
+        *(
+            [
+                name,
+                f"{one['per_s']:,.0f}",
+                f"{one['start_s']:.1f}",
+                f"{one['run_s']:.1f}",
+                f"{one['cpu_s']:.1f}",
+                f"{first[:12]}…" if name == "threads" else "the same" if one["sha256"] == first else "differs",
+            ]
+            for name, one in studies.items()
+        ),
+    ]
 
 
 def measured(folder: Path, runs: int) -> dict[str, Any]:
@@ -86,27 +93,26 @@ def measured(folder: Path, runs: int) -> dict[str, Any]:
     file = folder / "cluster.toml"
     file.write_text(f"runs = {runs}\n{DECLARATION}", "utf-8")
     studies = {"threads": one_study(file, folder / "threads", None)}
-    for name, kill in (("local:2", False), ("local:2, one killed", True)):
-        studies[name] = one_study(file, folder / name, f"local:{WORKERS}", kill)
-    stored = max((folder / "threads" / "chunks").glob("*.npz"), key=lambda path: path.stat().st_size)
-    with np.load(stored) as arrays:
-        chunk = {name: arrays[name] for name in arrays.files}
+    for workers, kill in ((1, False), (WORKERS, False), (WORKERS, True)):
+        name = f"`local:{workers}`{', one worker killed' * kill}"
+        studies[name] = one_study(file, folder / name, f"local:{workers}", kill)
+    content = max((folder / "threads" / "chunks").glob("*.npz"), key=lambda path: path.stat().st_size).read_bytes()
     with cluster_executor(f"local:{WORKERS}") as executor:
-        trips = [clocked(lambda: executor.submit(returned, chunk).result())[0][0] for _ in range(PARTS)]
-        parts = finished(lambda _: executor.submit(returned, chunk), range(PARTS))
+        trips = [clocked(lambda: executor.submit(returned, content).result())[0][0] for _ in range(PARTS)]
+        parts = finished(lambda _: executor.submit(returned, content), range(PARTS))
         (wall, caller), _ = clocked(lambda: deque(parts, maxlen=0))
     return {
         "studies": studies,
-        "chunk_bytes": sum(x.nbytes for x in chunk.values()),
+        "chunk_bytes": len(content),
         "overhead_ms": 1e3 * wall * WORKERS / PARTS,
         "overhead_cpu_ms": 1e3 * caller / PARTS,
         "round_trip_ms": 1e3 * float(np.median(trips)),
     }
 
 
-def returned(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The arrays: the part that computes nothing."""
-    return arrays
+def returned(content: bytes) -> bytes:
+    """The content of a chunk: the part that computes nothing."""
+    return content
 
 
 def one_study(file: Path, out: Path, cluster: str | None, kill: bool = False) -> dict[str, Any]:
@@ -119,12 +125,14 @@ def one_study(file: Path, out: Path, cluster: str | None, kill: bool = False) ->
     from experiments.reports.study_text import to_json
 
     study = load_study(str(file))
-    chunks, done, stored = len(study.conditions) * study.chunks, 0, 0.0
+    chunks, done = len(study.conditions) * study.chunks, 0
     killed: list[int] = []
+    stored: list[float] = []
 
     def advance(count: int, now: str = "") -> None:
-        nonlocal done, stored
-        done, stored = done + count, time.perf_counter()
+        nonlocal done
+        done += count
+        stored.extend([time.perf_counter()] * count)
         if kill and not killed and done >= chunks // 10:
             killed.append(_worker_of_this_process())
             os.kill(killed[0], signal.SIGKILL)
@@ -137,8 +145,9 @@ def one_study(file: Path, out: Path, cluster: str | None, kill: bool = False) ->
     used = np.subtract(os.times()[:4], own[:4])
     return {
         "chunks": chunks,
+        "per_s": study.runs * (1 - chunks // 4 / chunks) / (stored[-1] - stored[chunks // 4 - 1]),
         "start_s": started - began,
-        "run_s": stored - started,
+        "run_s": stored[-1] - started,
         "cpu_s": float(used.sum()),
         "killed": len(killed),
         "sha256": json.loads(to_json(results, []))["sha256"],

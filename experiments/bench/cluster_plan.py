@@ -1,16 +1,19 @@
-"""What a study of any size takes on a cluster: `python -m experiments.bench.cluster_plan --runs 1e9 --workers 1000`.
+"""What a study of any size takes on a cluster: `python -m experiments.bench.cluster_plan --runs 1e9 --workers 64 1000`.
 
-Nothing is run: all rates are those of a result file of `experiments.bench.cluster_scale`, by default the committed one.
+Nothing is run: all rates are those of a result file of `experiments.bench.cluster_scale`, by default the committed one,
+with the scheduler of the number of workers that is nearest.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from experiments.bench.cluster_results import markdown
+from experiments.bench.timing import replace_tables
 from experiments.cli.main import run_alone
 from experiments.reports.tables import aligned
 
@@ -62,13 +65,20 @@ def plan(rates: Mapping[str, Any], runs: float, workers: int, conditions: int = 
     )
 
 
+def rates_of(measured: Mapping[str, Any], workers: int) -> dict[str, Any]:
+    """The rates of a chunk, with those of the measured cluster whose number of workers is nearest in proportion."""
+    nearest = min(measured["clusters"], key=lambda one: abs(math.log(one["workers"] / workers)))
+    return {**measured["chunk"], **nearest}
+
+
 def main(
     *,
     runs: float = 1e9,
-    workers: int = 1000,
+    workers: tuple[int, ...] = (64, 1000),
     price: float | None = None,
     conditions: int = 1,
     measured: Path = MEASURED,
+    page: Path | None = None,
 ) -> int:
     """Print what a study takes: chunks, hours, bytes, and with a price the cost.
 
@@ -78,28 +88,40 @@ def main(
         price: of a core-hour, in any currency.
         conditions: worlds times points of the grid.
         measured: the result file of cluster_scale.
+        page: the page whose table is replaced, as docs/cluster.md.
     """
-    rates = json.loads(measured.read_text("utf-8"))
-    found = plan(rates, runs, workers, conditions)
-    rows = [
-        ("chunks of " + format(rates["trajectories"], ",") + " trajectories", f"{found.chunks:,}"),
-        ("computing, core-hours", f"{found.core_hours:,.1f}"),
-        (f"computing on {workers:,} workers, h", f"{found.compute_h:,.2f}"),
-        ("caller: hand out, take in and store, h", f"{found.caller_h:,.2f}"),
-        ("scheduler, h", f"{found.scheduler_h:,.2f}"),
-        ("workers that these two keep busy", f"{found.busy:,.0f}"),
-        ("caller: add up the results, h", f"{found.results_h:,.2f}"),
-        ("from start to end, h", f"{found.elapsed_h:,.2f}"),
-        ("chunk files, GB", f"{found.stored_bytes / 1e9:,.0f}"),
-        ("over the caller's network, GB", f"{found.caller_bytes / 1e9:,.0f}"),
-        ("the same, MB/s", f"{found.caller_bytes_per_s / 1e6:,.0f}"),
-        ("paid for, core-hours", f"{found.paid_core_hours:,.0f}"),
+    found = json.loads(measured.read_text("utf-8"))
+    plans = [plan(rates_of(found, count), runs, count, conditions) for count in workers]
+    rows = table(plans, found["chunk"]["trajectories"], runs, workers, price)
+    print(aligned(rows, range(1, len(rows[0]))))
+    print(f"Rates of {measured.name}: world {found['chunk']['world']}, tracker {found['chunk']['tracker']}.")
+    if page is not None:
+        replace_tables(page, "experiments.bench.cluster_plan", markdown(rows) + "\n")
+    return 0
+
+
+def table(
+    plans: Sequence[Plan], trajectories: int, runs: float, workers: Sequence[int], price: float | None
+) -> list[list[str]]:
+    """The rows of the plans, beside each other."""
+    every: list[tuple[str, Any, str]] = [
+        (f"chunks of {trajectories:,} trajectories", lambda p: p.chunks, ",.0f"),
+        ("computing, core-hours", lambda p: p.core_hours, ",.1f"),
+        ("computing on all workers, h", lambda p: p.compute_h, ",.2f"),
+        ("caller: hand out, take in and store, h", lambda p: p.caller_h, ",.2f"),
+        ("scheduler, h", lambda p: p.scheduler_h, ",.2f"),
+        ("workers that these two keep busy", lambda p: p.busy, ",.0f"),
+        ("caller: add up the results, h", lambda p: p.results_h, ",.2f"),
+        ("from start to end, h", lambda p: p.elapsed_h, ",.2f"),
+        ("chunk files, GB", lambda p: p.stored_bytes / 1e9, ",.0f"),
+        ("over the caller's network, GB", lambda p: p.caller_bytes / 1e9, ",.0f"),
+        ("the same, MB/s", lambda p: p.caller_bytes_per_s / 1e6, ",.0f"),
+        ("paid for, core-hours", lambda p: p.paid_core_hours, ",.0f"),
     ]
     if price is not None:
-        rows.append((f"cost at {price:g} a core-hour", f"{price * found.paid_core_hours:,.2f}"))
-    print(aligned(rows, [1]))
-    print(f"Rates of {measured.name}: world {rates['world']}, tracker {rates['tracker']}, {rates['workers']} workers.")
-    return 0
+        every.append((f"cost at {price:g} a core-hour", lambda p: price * p.paid_core_hours, ",.2f"))
+    head = [f"{runs:,.0f} trajectories", *(f"{count:,} workers" for count in workers)]
+    return [head, *([name, *(format(value(one), how) for one in plans)] for name, value, how in every)]
 
 
 if __name__ == "__main__":

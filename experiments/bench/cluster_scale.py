@@ -3,7 +3,12 @@
 The workers are Dask's own, many in a process (`dask spec`), beside a scheduler in a process of its own. Each part takes
 the declaration of a study and returns as many bytes as its largest chunks, so that what is measured is the
 rate at which caller and scheduler hand out and take in chunks: processor seconds of each, and bytes over their
-connections, by the kernel's own count. Also measured: storing such a chunk, adding it to the results, and computing it.
+connections, by the kernel's own count. All of these include what an idle scheduler takes, which is measured, too.
+Also measured: storing such a chunk, adding it to the results, and computing it.
+
+A thousand workers on a few cores would spend these on looking after themselves, which workers with cores of their own
+do beside their work: the profile of each one's thread and its event loop, the record of its memory and processor, and
+the check that its loop is alive are switched off. The scheduler has Dask's settings, and all workers report to it.
 """
 
 from __future__ import annotations
@@ -18,7 +23,7 @@ import sys
 import tempfile
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from functools import partial
@@ -27,7 +32,8 @@ from typing import Any
 
 import numpy as np
 
-from experiments.bench.timing import clocked, write_json
+from experiments.bench.cluster_results import head, markdown, publish
+from experiments.bench.timing import clocked
 from experiments.cli.main import run_alone
 from experiments.cli.runtime import set_flags
 from experiments.cli.subprocesses import REPOSITORY
@@ -43,62 +49,112 @@ situation = "constant"
 """
 WORLD, TRACKER = "line", "fix-kf"
 PROCESSES = 4
+QUIET = {
+    "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
+    "DASK_DISTRIBUTED__ADMIN__SYSTEM_MONITOR__INTERVAL": "1h",
+    "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "1h",
+    "DASK_DISTRIBUTED__ADMIN__TICK__CYCLE": "1h",
+}
+"""Settings of the workers."""
+
 ROUNDS = 5
 IDLE_S = 10.0
 BYTES_SENT = 120
 """Offset of bytes sent and acknowledged in the kernel's struct tcp_info; bytes received follow."""
 
 
-def main(*, workers: int = 1000, parts: int = 2000, out: Path = Path("out/bench-cluster-scale.json")) -> int:
+def main(
+    *,
+    workers: tuple[int, ...] = (100, 1000),
+    parts: int = 2000,
+    out: Path = Path("out/bench-cluster-scale.json"),
+    page: Path | None = None,
+) -> int:
     """Measure, print a table and write the results as JSON.
 
     Args:
-        workers: of the scheduler, with one thread each.
-        parts: that are computed.
+        workers: of a scheduler, with one thread each.
+        parts: that are computed by so many workers.
         out: the JSON file to write.
+        page: the page whose table is replaced, as docs/cluster.md.
     """
     set_flags()
-    from experiments.bench.__main__ import machine
-    from experiments.bench.measure import packages
-    from experiments.bench.waiting import commit
+    from experiments.monte_carlo.portable import PortableStudy
+    from experiments.monte_carlo.sources import load_study
 
-    began, host = datetime.now(UTC), machine()
+    results = head("experiments.bench.cluster_scale", datetime.now(UTC))
     with tempfile.TemporaryDirectory() as folder:
-        found = measured(Path(folder), workers, parts)
-    command = ["python", "-m", "experiments.bench.cluster_scale", *sys.argv[1:]]
-    about = {"date": began.isoformat(timespec="seconds"), "command": command, "commit": commit(REPOSITORY)}
-    write_json(out, {**about, "machine": host, "packages": packages("distributed"), **found})
-    for name, value in found.items():
-        print(f"{name:32s} {value if isinstance(value, str) else format(value, '.6g')}")
-    print(f"Written: {out}")
+        file = Path(folder) / "scale.toml"
+        file.write_text(DECLARATION, "utf-8")
+        study = load_study(str(file))
+        chunk = of_a_chunk(study, Path(folder) / "study")
+        portable = PortableStudy.of(study)
+        clusters = [of_a_cluster(portable, chunk["chunk_bytes"], count, parts) for count in workers]
+    publish({**results, "chunk": chunk, "clusters": clusters}, markdown(rows(chunk, clusters)), out, page)
     return 0
 
 
-def measured(folder: Path, workers: int, parts: int) -> dict[str, Any]:
-    """Figures of a chunk: its cost in the caller, the scheduler and a worker, and its bytes."""
+def rows(chunk: Mapping[str, Any], clusters: Sequence[Mapping[str, Any]]) -> list[list[str]]:
+    """The table of all clusters, and of what a chunk costs beside."""
+    every = [
+        ("chunks a second", "parts_per_s", 1, ".0f"),
+        ("scheduler, processor ms a chunk", "scheduler_ms", 1, ".2f"),
+        ("caller, processor ms a chunk", "caller_ms", 1, ".2f"),
+        ("caller sends, kB a chunk", "caller_sent_bytes", 1e-3, ".1f"),
+        ("caller receives, kB a chunk", "caller_received_bytes", 1e-3, ".1f"),
+        ("idle scheduler, % of a core", "idle_scheduler_share", 100, ".1f"),
+        ("idle scheduler, kB/s", "idle_scheduler_bytes_per_s", 1e-3, ".0f"),
+    ]
+    beside = [
+        (f"computing {chunk['trajectories']:,} trajectories and packing them, processor ms", "compute_s", 1e3, ".0f"),
+        ("storing a chunk, processor ms", "store_ms", 1, ".2f"),
+        ("adding a chunk to the results, processor ms", "add_ms", 1, ".2f"),
+    ]
+    return [
+        ["", *(f"{one['workers']:,} workers" for one in clusters)],
+        *([name, *(format(scale * one[key], how) for one in clusters)] for name, key, scale, how in every),
+        *([name, *[format(scale * chunk[key], how)] * len(clusters)] for name, key, scale, how in beside),
+    ]
+
+
+def of_a_chunk(study: Any, place: Path) -> dict[str, Any]:
+    """Bytes of a chunk, and seconds or ms of processor time to compute and pack it, to store it, and to add it up."""
+    from experiments.monte_carlo.chunk_store import ChunkStore
+    from experiments.monte_carlo.portable import packed_chunk
+
+    # The first one compiles.
+    contents = [packed_chunk(study, study.conditions[0], 0)]
+    store, computed, written = ChunkStore(place, study).open(), [], []
+    for k in range(ROUNDS):
+        (_, write), _ = clocked(partial(store.write, 0, k, contents[-1]))
+        (_, compute), content = clocked(partial(packed_chunk, study, study.conditions[0], k + 1))
+        computed.append(compute)
+        written.append(write)
+        contents.append(content)
+    one, every = (
+        np.median([clocked(partial(store.results, {0: count * study.chunk}))[0][1] for _ in range(ROUNDS)])
+        for count in (1, ROUNDS)
+    )
+    return {
+        "world": WORLD,
+        "tracker": TRACKER,
+        "trajectories": study.chunk,
+        "chunk_bytes": max(map(len, contents)),
+        "compute_s": float(np.median(computed)),
+        "store_ms": 1e3 * float(np.median(written)),
+        "add_ms": 1e3 * float(every - one) / (ROUNDS - 1),
+    }
+
+
+def of_a_cluster(portable: Any, size: int, workers: int, parts: int) -> dict[str, Any]:
+    """The rate, processor time and bytes of parts of this size on so many workers."""
     import distributed
     import psutil
 
     # What workers import by name: this file may run as __main__.
     from experiments.bench.cluster_scale import chunk_like, tcp_bytes
     from experiments.executors import cluster_executor, finished
-    from experiments.monte_carlo.chunk_store import ChunkStore
-    from experiments.monte_carlo.portable import PortableStudy, packed_chunk
-    from experiments.monte_carlo.sources import load_study
 
-    file = folder / "scale.toml"
-    file.write_text(DECLARATION, "utf-8")
-    study = load_study(str(file))
-    packed_chunk(study, study.conditions[0], 0)
-    costs = []
-    store = ChunkStore(folder / "study", study).open()
-    for k in range(1, ROUNDS + 1):
-        (_, compute), content = clocked(partial(packed_chunk, study, study.conditions[0], k))
-        (_, write), _ = clocked(partial(store.write, 0, 0, content))
-        (_, add), _ = clocked(partial(store.results, {0: study.chunk}))
-        costs.append((compute, write, add))
-    compute, write, add = np.median(costs, axis=0)
-    portable = PortableStudy.of(study)
     with (
         simulated(workers) as (address, scheduler),
         cluster_executor(address) as executor,
@@ -114,7 +170,8 @@ def measured(folder: Path, workers: int, parts: int) -> dict[str, Any]:
 
         def run(count: int) -> float:
             began = time.perf_counter()
-            deque(finished(lambda _: executor.submit(chunk_like, portable, len(content)), range(count)), maxlen=0)
+            parts = finished(lambda _: executor.submit(chunk_like, portable, size), range(count), executor.at_once)
+            deque(parts, maxlen=0)
             return time.perf_counter() - began
 
         first, before = run(workers), taken()
@@ -122,28 +179,20 @@ def measured(folder: Path, workers: int, parts: int) -> dict[str, Any]:
         idle = (taken() - before) / IDLE_S
         before = taken()
         seconds = run(parts)
-        used = taken() - before
-    per_part = (used - idle * seconds) / parts
+        per_part = (taken() - before) / parts
     return {
-        "world": WORLD,
-        "tracker": TRACKER,
         "workers": workers,
         "parts": parts,
-        "trajectories": study.chunk,
         "first_parts_s": first,
         "parts_per_s": parts / seconds,
         "caller_ms": 1e3 * per_part[0],
         "scheduler_ms": 1e3 * per_part[3],
-        "chunk_bytes": len(content),
         "caller_sent_bytes": per_part[1],
         "caller_received_bytes": per_part[2],
         "scheduler_sent_bytes": per_part[4],
         "scheduler_received_bytes": per_part[5],
         "idle_scheduler_share": idle[3],
         "idle_scheduler_bytes_per_s": idle[4] + idle[5],
-        "compute_s": compute,
-        "store_ms": 1e3 * write,
-        "add_ms": 1e3 * add,
     }
 
 
@@ -160,9 +209,9 @@ def simulated(workers: int) -> Iterator[tuple[str, int]]:
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
 
-        def started(*words: str) -> subprocess.Popen[bytes]:
-            command = [sys.executable, "-m", *words]
-            process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, cwd=REPOSITORY)
+        def started(*words: str, **settings: str) -> subprocess.Popen[bytes]:
+            command, none = [sys.executable, "-m", *words], subprocess.DEVNULL
+            process = subprocess.Popen(command, stdout=none, stderr=none, cwd=REPOSITORY, env=os.environ | settings)
             stack.callback(process.wait)
             stack.callback(process.terminate)
             return process
@@ -181,7 +230,7 @@ def simulated(workers: int) -> Iterator[tuple[str, int]]:
             }
             path = folder / f"{k}.json"
             path.write_text(json.dumps(spec), "utf-8")
-            started("distributed.cli.dask_spec", address, "--spec-file", str(path))
+            started("distributed.cli.dask_spec", address, "--spec-file", str(path), **QUIET)
         with distributed.Client(address, set_as_default=False) as client:
             client.wait_for_workers(workers // PROCESSES * PROCESSES, timeout=1200)
         yield address, scheduler.pid

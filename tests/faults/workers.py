@@ -172,7 +172,7 @@ def _dask(*words: str) -> Iterator[subprocess.Popen[bytes]]:
 
 
 @contextmanager
-def _cluster(place: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+def dask_cluster(place: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
     """A scheduler with two workers: its address and its process."""
     file = place / "scheduler.json"
     file.unlink(missing_ok=True)
@@ -191,7 +191,7 @@ def scheduler_killed(times: int, draw: Draw, place: Path) -> Seen:
     digest = job.digest(place / "whole") if run(job.line(place / "whole")).code == 0 else ""
     for k in range(times):
         out = place / f"scheduler-{k}"
-        with _cluster(place) as (address, scheduler):
+        with dask_cluster(place) as (address, scheduler):
 
             def moment(process: subprocess.Popen[bytes], out: Path = out, scheduler: Any = scheduler) -> None:
                 stored(out, int(draw.integers(1, 8)))(process)
@@ -202,7 +202,7 @@ def scheduler_killed(times: int, draw: Draw, place: Path) -> Seen:
             seen.times += 1
             seen.refused(ended._replace(err=ended.err.replace(address, "tcp://…")), place, 2, "the scheduler was lost")
         before = seen.look(job, out, set())
-        with _cluster(place) as (address, _):
+        with dask_cluster(place) as (address, _):
             ended = run(job.line(out, "--cluster", address))
         seen.look(job, out, before)
         seen.compare(job, out, digest, ended)

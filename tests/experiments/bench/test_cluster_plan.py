@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 
 import pytest
 
-from experiments.bench.cluster_plan import MEASURED, plan
+from experiments.bench.cluster_plan import MEASURED, main, plan, rates_of
 
 RATES = {
     "trajectories": 1000, "compute_s": 3.6, "caller_ms": 6.0, "store_ms": 30.0, "scheduler_ms": 3.6, "add_ms": 7.2,
@@ -34,19 +32,22 @@ def test_workers_beyond_those_that_the_caller_keeps_busy_cost_and_do_not_hasten(
     assert plan(RATES, 1e9, 100, conditions=3).paid_core_hours == pytest.approx(3 * enough.paid_core_hours)
 
 
-def test_the_command_prints_the_plan_from_the_committed_rates():
-    words = [
-        sys.executable,
-        "-m",
-        "experiments.bench.cluster_plan",
-        "--runs",
-        "1e9",
-        "--workers",
-        "1000",
-        "--price",
-        "0.5",
-    ]
-    done = subprocess.run(words, capture_output=True, text=True, check=True)
-    expected = plan(json.loads(MEASURED.read_text("utf-8")), 1e9, 1000)
-    assert f"{expected.chunks:,}" in done.stdout
-    assert f"{0.5 * expected.paid_core_hours:,.2f}" in done.stdout
+def test_a_plan_takes_the_scheduler_of_the_nearest_number_of_workers():
+    clusters = [{"workers": 100, "scheduler_ms": 1.0}, {"workers": 1000, "scheduler_ms": 2.0}]
+    measured = {"chunk": {"compute_s": 3.0}, "clusters": clusters}
+    for workers, nearest in ((1, 0), (300, 0), (400, 1), (5000, 1)):
+        assert rates_of(measured, workers) == {"compute_s": 3.0} | clusters[nearest]
+
+
+def test_the_command_writes_the_plan_from_the_committed_rates_to_a_page(tmp_path, capsys):
+    page = tmp_path / "page.md"
+    page.write_text("before\n<!-- tables of experiments.bench.cluster_plan -->\n<!-- end of the tables -->\nafter\n")
+    assert main(runs=1e9, workers=(64, 1000), price=0.5, page=page) == 0
+    printed, written = capsys.readouterr().out, page.read_text()
+    for workers in (64, 1000):
+        expected = plan(rates_of(json.loads(MEASURED.read_text("utf-8")), workers), 1e9, workers)
+        for text in (f"{expected.chunks:,}", f"{0.5 * expected.paid_core_hours:,.2f}"):
+            assert text in printed
+            assert text in written
+    assert written.startswith("before\n")
+    assert written.endswith("after\n")

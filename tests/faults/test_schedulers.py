@@ -1,0 +1,48 @@
+"""Commands on a scheduler of one's own: `dask scheduler` and `dask worker` as processes, and a scheduler that dies."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+from tests.faults.jobs import half_written, jobs, run, running, temporary
+from tests.faults.seen import Seen
+from tests.faults.workers import dask_cluster
+
+pytest.importorskip("distributed")
+
+
+@pytest.mark.slow
+def test_a_scheduler_with_two_workers_gives_the_bits_of_threads(tmp_path):
+    all_jobs = jobs(tmp_path)
+    with dask_cluster(tmp_path) as (address, _):
+        for name, job in all_jobs.items():
+            here, there = tmp_path / f"{name}-here", tmp_path / f"{name}-there"
+            assert run(job.line(here)).code == 0
+            ended = run(job.line(there, "--cluster", address))
+            assert ended.code == 0, ended.err
+            assert job.digest(there) == job.digest(here)
+
+
+@pytest.mark.slow
+def test_a_fit_whose_scheduler_is_killed_is_refused_in_a_line_and_goes_on_with_threads(tmp_path):
+    job, seen, out = jobs(tmp_path)["tune"], Seen(), tmp_path / "out"
+    assert run(job.line(tmp_path / "whole")).code == 0
+    with (
+        dask_cluster(tmp_path) as (address, scheduler),
+        running(job.line(out, "--cluster", address)) as (process, ended),
+    ):
+        while process.poll() is None and len(job.finished(out)) < 5:
+            time.sleep(0.01)
+        scheduler.kill()
+        found = ended()
+    seen.refused(found, tmp_path, 2, "--cluster tcp://", "the scheduler was lost; start it again, then the command")
+    assert not seen.wrong
+    assert not half_written(out)
+    assert not temporary(out)
+    assert not (out / ".tune-parts").exists()
+    assert 5 <= len(job.finished(out)) < 80
+    goes_on = run(job.line(out))
+    assert goes_on.code == 0, goes_on.err
+    assert job.digest(out) == job.digest(tmp_path / "whole")
