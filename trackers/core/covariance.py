@@ -214,6 +214,13 @@ def product(cov: AnyCovariance, h: SparseRow | jax.Array, n: int) -> Any:
     return Vector.of(compute_once([total(P[i][j] * v for j, v in entries.items()) for i in range(n)]))
 
 
+def unconnected(cov: AnyCovariance, h: SparseRow | jax.Array, n: int) -> Scalar:
+    """hᵀDh with D the diagonal of P: the size of the terms of hᵀPh, whose rounding errors remain where they cancel."""
+    if not isinstance(cov, tuple):
+        return jnp.sum(jnp.asarray(h) ** 2 * jnp.diagonal(cov))
+    return total(variance(cov, j) * (v * v) for j, v in dict(h).items())
+
+
 def updated(
     cov: AnyCovariance, Ph: Any, h: SparseRow | jax.Array, a: Scalar, noise: Scalar
 ) -> tuple[Any, AnyCovariance]:

@@ -33,7 +33,18 @@ from trackers.core.algebra import (
     inverse_or_zero,
     total,
 )
-from trackers.core.covariance import AnyCovariance, added, dot, product, propagated, row_for, updated, zero_of, zeros
+from trackers.core.covariance import (
+    AnyCovariance,
+    added,
+    dot,
+    product,
+    propagated,
+    row_for,
+    unconnected,
+    updated,
+    zero_of,
+    zeros,
+)
 from trackers.core.filter import AbstractSmoothableFilter, Gaussian, Innovation
 from trackers.core.inputs import Inputs
 from trackers.core.keys import RawKey
@@ -193,13 +204,15 @@ def sequential_updates(
         innovation = r - dot(h, step)
         square = innovation * innovation / (1.0 + a)
         # A covariance in single precision cannot hold 10 km beside 1 mm: one reading reduces a variance as far as the
-        # number format allows, later ones further. This never happens in double precision.
-        noise = jnp.maximum(1.0, coarse * a)
+        # number format allows, later ones further. What counts are the variances of which hᵀPh is the sum: where they
+        # cancel, as those of a position and a bias do, hᵀPh is all rounding. This never happens in double precision.
+        resolved = coarse * unconnected(cov, h, n)
+        noise = jnp.maximum(1.0, resolved)
         if dof is None:
             log_density = log_density - 0.5 * (square + jnp.log(1.0 + a))
         else:
             weight = (dof + 1.0) / (dof + square)
-            noise = jnp.maximum(1.0 / weight, coarse * a)
+            noise = jnp.maximum(1.0 / weight, resolved)
             log_density = log_density - 0.5 * ((dof + 1.0) * jnp.log1p(square / dof) + jnp.log(1.0 + a))
             square = square * weight
         k, cov = updated(cov, Ph, h, a, noise)

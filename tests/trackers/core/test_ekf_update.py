@@ -14,6 +14,7 @@ from trackers.aoa.beam import Beam, BeamMotion
 from trackers.aoa.fusion import BearingSensor, bearing_inputs
 from trackers.aoa.phases import PlanePhases, SphericalPhases
 from trackers.core.algebra import Vector
+from trackers.core.covariance import matrix
 from trackers.core.ekf import ExtendedKalman, compressed, sequential_updates
 from trackers.core.filter import Gaussian
 from trackers.core.motion import ConstantVelocity, Kinematic
@@ -189,3 +190,36 @@ def test_a_position_is_known_to_the_spacing_of_numbers(form, far):
     error = abs(float(belief.mean.position[0]) - truth[0])
     assert error <= float(variance) ** 0.5 * (1.0 if far else 5.0)
     assert float(variance) ** 0.5 < 0.02 if far else float(variance) ** 0.5 < 1e-6
+
+
+class _Sums(AbstractSensor):
+    """Position and velocity with these weights (4,), of which one number is measured, with 1 µm of noise."""
+
+    weights: Any
+
+    @property
+    def channels(self):
+        return (Channel("sum", "m"),)
+
+    def measure(self, view, inputs):
+        return [sum(w * x for w, x in zip(self.weights, [*view.position, *view.velocity], strict=True))]
+
+    def residual(self, reading, predicted):
+        return independent([reading.values[0] - predicted[0]], [1e-6], reading.seen)
+
+
+@pytest.mark.parametrize("form", [tuple, jnp.asarray])
+def test_variances_stay_positive_where_precise_readings_leave_large_ones_that_cancel(form):
+    """Three of four directions are measured a hundred times each; every component keeps a variance of about 1."""
+    rows = np.random.default_rng(2).normal(size=(3, 4)).astype(np.float32)
+    with jax.enable_x64(False):
+        cov = jnp.eye(4) if form is not tuple else tuple(jnp.eye(4)[np.triu_indices(4)])
+        zero = jnp.float32(0)
+        belief = Gaussian(Kinematic(Vector(zero, zero), Vector(zero, zero)), cov)
+        for k in range(300):
+            sensor, reading = _Sums(jnp.asarray(rows[k % 3])), Reading([zero], [jnp.asarray(True)])
+            belief, _ = ExtendedKalman().update(belief, ConstantVelocity(0.1, 2), sensor, reading, {})
+        found = np.asarray(matrix(belief.cov), float)
+    assert np.linalg.eigvalsh(found)[0] > 0
+    unseen = np.linalg.svd(rows)[2][-1]
+    assert unseen @ found @ unseen == pytest.approx(1.0, rel=1e-3)
