@@ -72,7 +72,7 @@ SUBJECTS: dict[str, Subject] = {
 
 
 class Run(NamedTuple):
-    """Positions, their standard deviations and the truth (n, T, d), m; statuses (n, T)."""
+    """Positions, their standard deviations and the truth (n, T, d), m; statuses (n, T), and which claim a track."""
 
     positions: np.ndarray
     sigmas: np.ndarray
@@ -186,7 +186,8 @@ def run(group: TrackerBatch, walks: Walks) -> Run:
     sigmas = np.stack([np.asarray(estimates.sigmas[f"position.{k}"], float)[:, rows] for k in axes], axis=-1)
     tags = np.array([int(tag) for tag in trajectories.tags])
     truth = Walks(walks.begin[tags], walks.velocity[tags]).at(times)[..., : len(axes)]
-    return Run(positions, sigmas, truth, estimates.status[:, rows], estimates.usable[:, rows])
+    status = estimates.status[:, rows]
+    return Run(positions, sigmas, truth, status, np.isin(status, (Status.OK, Status.RESTARTED)))
 
 
 def judged(single: Run, double: Run) -> Verdict:
@@ -202,7 +203,8 @@ def judged(single: Run, double: Run) -> Verdict:
     sound = double.usable & (exact_error <= SOUND)
     wrong = single.usable & (~known | (sound & ~(apart <= most)) | (~double.usable & ~(error <= SOUND)))
     if wrong.any():
-        return Verdict(f"{NONSENSE} in {wrong.sum()} of {wrong.size} rows", float(np.nanmax(apart[wrong])))
+        largest = max(apart[wrong & np.isfinite(apart)].tolist(), default=np.nan)
+        return Verdict(f"{NONSENSE} in {wrong.sum()} of {wrong.size} rows", largest)
     if not single.usable.any():
         return Verdict(STATUS_WORDS[Status(int(np.bincount(single.status.ravel()).argmax()))])
     judged = single.usable & sound

@@ -49,7 +49,7 @@ def difference(group: TrackerBatch, recording: Recording) -> float:
     first = int(running[0]) + 1
     at_start = jax.tree_util.tree_map(lambda x: x[first - 1], estimates.mean)
     P, dts = np.asarray(estimates.covariance[first - 1], float), np.diff(recording.times, prepend=recording.times[0])
-    if isinstance(tracker.filter, InteractingModels):
+    if isinstance(getattr(tracker, "filter", None), InteractingModels):
         means = _switched(tracker, recording, vector(at_start), P, dts, first)
     else:
         model = model_of(tracker, recording, group.planar)
