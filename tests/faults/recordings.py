@@ -44,7 +44,10 @@ def broken_recording(seed: int, number: int, parent: Path, most: int = 3) -> tup
         table = pick(draw, sorted(frames))
         if len(frames[table]) < FEW:
             continue
-        frames[table] = change(draw, frames[table])
+        try:
+            frames[table] = change(draw, frames[table])
+        except pl.exceptions.ColumnNotFoundError:
+            continue  # an earlier change has removed the column
         words.append(f"{change.__name__.strip('_')} of {table}")
     for change in (c for c in chosen if c in OF_RIG):
         rig = change(draw, rig)

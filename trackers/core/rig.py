@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -42,14 +43,14 @@ class Station:
 
     def __post_init__(self) -> None:
         rotation = np.asarray(self.rotation, float)
-        if rotation.shape != (4,) or not 0 < np.linalg.norm(rotation) < np.inf:
+        if rotation.shape != (4,) or not 0 < math.hypot(*rotation) < math.inf:
             raise UnusableInput(
                 f"Station: rotation = {rotation.tolist()}; expected a quaternion w, x, y, z, as (1, 0, 0, 0)"
             )
 
     def world_from_array(self) -> Float[np.ndarray, "3 3"]:
         """The 3 × 3 matrix that takes array-frame vectors to world-frame vectors; its columns are the array's axes."""
-        return rotation_matrices(np.asarray(self.rotation, float) / np.linalg.norm(self.rotation))
+        return rotation_matrices(np.asarray(self.rotation, float) / math.hypot(*self.rotation))
 
     def position_in_array(self, world: Float[np.ndarray, "*rows 3"]) -> Float[np.ndarray, "*rows 3"]:
         """World points (..., 3), m, in this station's array frame."""
