@@ -162,7 +162,10 @@ def computed(expected: Mapping[str, Any], call: bytes, *held: Any) -> Any:
 
 
 def _prepared(flags: str) -> dict[str, Any]:
-    """In a worker: its environment, with these XLA flags where jax is not imported yet."""
+    """In a worker: its environment, with these XLA flags where jax is not imported yet; freed memory is kept."""
+    from trackers.core.freed_memory import keep
+
+    keep()
     if "jax" not in sys.modules:
         os.environ["XLA_FLAGS"] = flags
     return environment()

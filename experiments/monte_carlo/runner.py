@@ -22,6 +22,7 @@ from experiments.monte_carlo.portable import PortableStudy, packed_chunk, portab
 from experiments.monte_carlo.results import NAMES, Results
 from trackers.core.chunks import n_workers
 from trackers.core.errors import UnusableInput
+from trackers.core.freed_memory import keep
 
 CHUNKS_PER_DEVICE = 4
 """Chunks for which another device is used: every device compiles the trackers again."""
@@ -134,6 +135,7 @@ def _submitting(study: Study, count: int, executor: Executor | None) -> Iterator
             getattr(executor, "at_once", AT_ONCE),
         )
         return
+    keep()
     devices: SimpleQueue[Any] = SimpleQueue()
     used = jax.local_devices()[: max(1, count // CHUNKS_PER_DEVICE)]
     workers = n_workers() * len(used) // jax.local_device_count()
