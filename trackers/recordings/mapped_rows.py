@@ -36,7 +36,8 @@ def mapped(trajectories: Sequence[Trajectory], path: Path) -> list[Trajectory]:
                 _with_arrays(trajectory.recording, put)
 
     atomic_write(path, write)
-    content, places = np.memmap(path, np.uint8, "r"), iter(begins)
+    # Plain views: a memmap of each array would take more memory than its place in the file.
+    content, places = np.memmap(path, np.uint8, "r").view(np.ndarray), iter(begins)
 
     def get(array: np.ndarray) -> np.ndarray:
         begin = next(places)

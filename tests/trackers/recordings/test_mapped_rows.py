@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -47,6 +49,18 @@ def test_mapped_rows_are_those_of_the_trajectories(trajectories, tmp_path):
             np.testing.assert_array_equal(a, b)
             assert b.size == 0 or _in_a_file(b)
             assert not _in_a_file(a)
+
+
+@pytest.mark.parametrize("rows", [40, 400])
+def test_a_trajectory_takes_the_same_few_kilobytes_however_many_its_rows(rows, tmp_path):
+    folder = worlds.agv(n=64, seed=1, rows=rows).folder()
+    whole = list(build("fix-kf", folder).only_batch(folder).trajectories)
+    mapped(whole[:1], tmp_path / "first")
+    tracemalloc.start()
+    found = mapped(whole, tmp_path / "rows")
+    kept, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert kept < 4_000 * len(found)
 
 
 def test_a_folder_that_cannot_be_written_to_is_refused_in_a_line(trajectories, tmp_path):
