@@ -2,8 +2,9 @@
 
 `trackwright tune` of position fixes runs on threads, on `local:1`, on `local:2`, and on `local:2` with a worker killed
 by SIGKILL in mid-fit; tuned.toml and trace.csv are compared to the byte. Memory is what a process itself holds
-(RssAnon: without the files that it looks at), at its peak, of fits to a quarter of the recordings and to all. The bytes
-of an evaluation are those over the workers' connections, by the kernel's own count.
+(RssAnon: without the files that it looks at), at its peak, of fits to a quarter of the recordings and to all; that of
+the caller also until the last step, after which it tracks some recordings for the table before and after. The bytes of
+an evaluation are those over the workers' connections, by the kernel's own count.
 """
 
 from __future__ import annotations
@@ -79,7 +80,7 @@ def main(
 def table(fits: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
     """The rows of a table of all fits."""
     first = fits["threads"]["sha256"]
-    memory = [f"{of} MB, {part}" for of in ("caller", "worker") for part in ("¼", "all")]
+    memory = [f"{of} MB, {part}" for of in ("caller fitting", "caller", "worker") for part in ("¼", "all")]
     return [
         ["", "wall s", "processor s", *memory, "SHA-256"],
         *(
@@ -87,7 +88,11 @@ def table(fits: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
                 kind,
                 f"{one['wall_s']:.1f}",
                 f"{one['cpu_s']:.1f}",
-                *(f"{one[where][name]:.0f}" for name in ("caller_mb", "worker_mb") for where in ("quarter", "memory")),
+                *(
+                    f"{one[where][f'{of}_mb']:.0f}"
+                    for of in ("fitting", "caller", "worker")
+                    for where in ("quarter", "memory")
+                ),
                 f"{one['sha256'][:12]}…" if kind == "threads" else "the same" if one["sha256"] == first else "differs",
             ]
             for kind, one in fits.items()
@@ -124,7 +129,7 @@ def tuned(words: Sequence[str], place: Path, kill: bool) -> dict[str, Any]:
         before, began = os.times(), time.perf_counter()
         with tempfile.TemporaryFile() as said:
             running = subprocess.Popen(command, stdout=said, stderr=said)
-            memory = peaks(running, Path(out) / "checkpoint.npz" if kill else None)
+            memory = peaks(running, Path(out) / "checkpoint.npz", kill)
             said.seek(0)
             if running.returncode:
                 raise RuntimeError(f"tune: exit code {running.returncode}: {said.read().decode()}")
@@ -138,22 +143,25 @@ def tuned(words: Sequence[str], place: Path, kill: bool) -> dict[str, Any]:
     }
 
 
-def peaks(running: subprocess.Popen[bytes], checkpoint: Path | None) -> dict[str, float]:
-    """The most memory, MB, that a process and one of its workers hold until it ends.
+def peaks(running: subprocess.Popen[bytes], checkpoint: Path, kill: bool) -> dict[str, float]:
+    """The most memory, MB, that a command holds until the last step and until it ends, and one of its workers.
 
-    A worker is killed once there is the checkpoint.
+    `kill`: a worker once there is the checkpoint, which every step writes.
     """
-    caller = worker = 0
+    whole = fitting = worker = step = 0
     while running.poll() is None:
         workers = workers_of(running.pid)
-        caller, worker = max(caller, anonymous(running.pid)), max([worker, *map(anonymous, workers)])
-        if checkpoint is not None and checkpoint.exists():
+        last, step = step, checkpoint.stat().st_mtime_ns if checkpoint.exists() else 0
+        if step != last:
+            fitting = whole
+        whole, worker = max(whole, anonymous(running.pid)), max([worker, *map(anonymous, workers)])
+        if kill and step:
             os.kill(workers[0], signal.SIGKILL)
-            checkpoint = None
+            kill = False
         time.sleep(0.05)
-    if checkpoint is not None:
+    if kill:
         raise RuntimeError("tune: the fit was over before a worker was killed; expected more steps")
-    return {"caller_mb": caller / 1e6, "worker_mb": worker / 1e6}
+    return {"fitting_mb": fitting / 1e6, "caller_mb": whole / 1e6, "worker_mb": worker / 1e6}
 
 
 def anonymous(pid: int) -> int:
