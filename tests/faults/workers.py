@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import Timer
 from typing import Any
@@ -61,8 +61,11 @@ def workers(caller: int | None = None) -> list[int]:
     """The process ids of the local workers of a process, by default this one."""
     import psutil
 
-    children = psutil.Process(caller).children(recursive=True)
-    return [child.pid for child in children if "spawn_main" in " ".join(child.cmdline())]
+    found = []
+    for child in psutil.Process(caller).children(recursive=True):
+        with suppress(psutil.NoSuchProcess):  # one that has just been killed
+            found += [child.pid] * ("spawn_main" in " ".join(child.cmdline()))
+    return found
 
 
 def _sent(draw: Draw, number: int, caller: int | None = None) -> int:
