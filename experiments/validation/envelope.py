@@ -1,9 +1,10 @@
 """Where single precision can be trusted: `python -m experiments.validation.envelope --page docs/envelope.md`.
 
-Every tracker runs in single and in double precision, on 256 tags together and on one alone, for readings with standard
-deviations from 1e-6 to 1e6, times from 0 to 1e6 s between them, and rooms from 1 cm to 100 km. Their difference is in
-standard deviations that single precision reports. Double precision is compared with other methods
-(`envelope_oracles.py`) where there is one. The exit code is 1 where an estimate that counts as sound is wrong.
+Every tracker runs in single and in double precision, on 256 tags together and on 32 one by one, for readings with
+standard deviations from 1e-6 to 1e6, times from 0 to 1e6 s between them, and rooms from 1 cm to 100 km. Both are
+compared with each other and with the truth, in standard deviations that they report. Double precision is compared with
+other methods (`envelope_oracles.py`) where there is one. The exit code is 1 where single precision is wrong, and double
+is not.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from datetime import UTC, datetime
 from fnmatch import fnmatch
 from itertools import product
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import jax
@@ -24,35 +26,35 @@ from experiments.bench.timing import replace_tables
 from experiments.cli.main import run_alone
 from experiments.cli.runtime import set_flags
 from experiments.validation.envelope_oracles import METHODS, difference
+from experiments.validation.envelope_verdicts import NONSENSE, Run, Verdict, judged
 from experiments.validation.envelope_worlds import Cell, Walks, recorded
 from trackers.catalogue import build
 from trackers.core.errors import UnusableInput
-from trackers.core.estimates import STATUS_WORDS, Status
+from trackers.core.estimates import Status
 from trackers.core.tunable import Covariance, tunables
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.tracks import batches
+from trackers.recordings.trajectories import Trajectory
 
 MODULE = "experiments.validation.envelope"
 SIGMAS = (1e-6, 1e-3, 1.0, 1e3, 1e6)
 STEPS = (0.0, 1e-3, 1.0, 1e3, 1e6)
 ROOMS = (0.01, 10.0, 1e3, 1e5)
-TAGS, CHECKED = 256, 2
-"""Tags of a recording, and those whose double precision is compared with another method."""
-
-AGREES, SOUND, WIDER = 1.0, 6.0, 1.5
-"""Most standard deviations between single and double precision; most between double precision and the truth; ratio of
-standard deviations from which on an estimate counts as coarser."""
-
-NONSENSE = "SILENT NONSENSE"
+TAGS, ALONE, CHECKED = 256, 32, 2
+"""Tags of a recording, those tracked one by one, and those whose double precision is compared with another method."""
 
 
 class Subject(NamedTuple):
-    """The readings of a tracker, as of `recorded`; patterns of its noise levels; tags that are tracked together."""
+    """The readings of a tracker, as of `recorded`; patterns of its noise levels; tags that are tracked together.
+
+    `known`: tunables that are set to what the readings have.
+    """
 
     table: str
     levels: tuple[str, ...]
     tags: int = TAGS
+    known: Mapping[str, float] = MappingProxyType({})
 
 
 _FIXES = Subject("fixes", ("sensors.fixes.sigma_*",))
@@ -60,36 +62,21 @@ SUBJECTS: dict[str, Subject] = {
     "fix-kf": _FIXES,
     "fix-singer": _FIXES,
     "imm": _FIXES,
-    "fix-mirror": Subject("mirrored", ("sensors.fixes.sigma_*",)),
+    "fix-mirror": Subject(
+        "mirrored", ("sensors.fixes.sigma_*",), known={"sensors.fixes.offset": 0.0, "sensors.fixes.shrink": 1.0}
+    ),
     "mhk": Subject("fixes", ("*.fixes.covariance", "*.sigma_displacement")),
     "uwb": Subject("ranges", ("sensors.ranges.sigma_r",)),
     "multilateration": Subject("ranges", ("sigma_r",)),
     "uwb-imu": Subject("imu", ("sensors.ranges.sigma_r",)),
     "bearings": Subject("bearings", ("sensors.bearings.sigma_*",)),
-    # Its grid has a cell for every 5 cm of the path.
-    "line-grid": Subject("path", ("sensors.fixes.sigma_p",), 8),
+    # Its grid has a cell for every 5 cm of the path, and takes one form for any number of tags.
+    "line-grid": Subject("path", ("sensors.fixes.sigma_p",), 16),
 }
 
 
-class Run(NamedTuple):
-    """Positions, their standard deviations and the truth (n, T, d), m; statuses (n, T), and which claim a track."""
-
-    positions: np.ndarray
-    sigmas: np.ndarray
-    truth: np.ndarray
-    status: np.ndarray
-    usable: np.ndarray
-
-
-class Verdict(NamedTuple):
-    """What becomes of a cell, in words, and the largest difference of both precisions in reported sigmas."""
-
-    words: str
-    difference: float = np.nan
-
-
 def main(trackers: tuple[str, ...] = (), *, seed: int = 0, tags: int = TAGS, page: Path | None = None) -> int:
-    """Try every cell, print the tables, and write them into a page; 1 for an estimate that is silently wrong.
+    """Try every cell, print the tables, and write them into a page; 1 for a cell that is silently wrong.
 
     Args:
         trackers: their names; by default all that are tried.
@@ -116,10 +103,13 @@ def main(trackers: tuple[str, ...] = (), *, seed: int = 0, tags: int = TAGS, pag
         "cells",
         "agree",
         "coarser",
+        "differ",
         "no estimate",
         "off the model",
         "silently wrong",
         "largest σ",
+        "tracks that part",
+        "tracks off: single, double",
         "checked by",
         "off by σ",
     )
@@ -137,24 +127,26 @@ def envelope(
     found, off = dict[Cell, Verdict](), list[float]()
     for cell in cells or [Cell(*one) for one in product(SIGMAS, STEPS, ROOMS)]:
         several, another = tried(name, cell, min(tags, SUBJECTS[name].tags), seed)
-        alone, _ = tried(name, cell, 1, seed)
-        found[cell] = alone if alone.words.startswith(NONSENSE) else several
+        found[cell] = several
+        if SUBJECTS[name].tags > ALONE:
+            alone, _ = tried(name, cell, min(tags, ALONE), seed, alone=True)
+            found[cell] = alone if alone.words.startswith(NONSENSE) else several
         off.append(another)
     return found, float(np.nanmax([*off, -np.inf]))
 
 
-def tried(name: str, cell: Cell, tags: int, seed: int) -> tuple[Verdict, float]:
-    """The verdict on a cell with so many tags, and how far double precision is off another method."""
+def tried(name: str, cell: Cell, tags: int, seed: int, alone: bool = False) -> tuple[Verdict, float]:
+    """The verdict on a cell, its tags together or one by one, and how far double precision is off another method."""
     folder, walks = recorded(cell, SUBJECTS[name].table, tags, seed)
     try:
         with jax.enable_x64(False):
-            single = run(ready(name, cell, folder), walks)
+            single = run(ready(name, cell, folder), walks, alone)
         with jax.enable_x64(True):
             group = ready(name, cell, folder)
-            double = run(group, walks)
+            double = run(group, walks, alone)
             verdict = judged(single, double)
             few = [one.recording for one in group.trajectories[:CHECKED]]
-            off = [difference(group, each) for each in few] if verdict.words == "agrees" else []
+            off = [difference(group, each) for each in few] if verdict.words == "agrees" and not alone else []
     except UnusableInput as problem:
         return Verdict(f"refused: {str(problem).partition('needs ')[2][:40] or problem}"), np.nan
     return verdict, float(np.nanmax([*off, -np.inf])) if np.isfinite(off).any() else np.nan
@@ -162,7 +154,7 @@ def tried(name: str, cell: Cell, tags: int, seed: int) -> tuple[Verdict, float]:
 
 def ready(name: str, cell: Cell, folder: RecordingFolder) -> TrackerBatch:
     """The tracker with the cell's noise, that a gap does not end, and its trajectories."""
-    named, values = build(name, folder, free_height=True), dict[str, Any]()
+    named, values = build(name, folder, free_height=True), dict[str, Any](SUBJECTS[name].known)
     for own, tunable in tunables(named.tracker).items():
         size = np.ones(np.shape(tunable.raw))
         if any(fnmatch(own, pattern) for pattern in SUBJECTS[name].levels):
@@ -175,9 +167,14 @@ def ready(name: str, cell: Cell, folder: RecordingFolder) -> TrackerBatch:
     return group
 
 
-def run(group: TrackerBatch, walks: Walks) -> Run:
-    """The estimates of all trajectories, in the precision that is set."""
-    ((trajectories, batch),) = batches(group.trajectories, truth=False)
+def run(group: TrackerBatch, walks: Walks, alone: bool) -> Run:
+    """The estimates of all trajectories, together or one by one, in the precision that is set."""
+    each = [[one] for one in group.trajectories] if alone else [group.trajectories]
+    return Run(*(np.concatenate(parts) for parts in zip(*(_run(group, some, walks) for some in each), strict=True)))
+
+
+def _run(group: TrackerBatch, some: Sequence[Trajectory], walks: Walks) -> Run:
+    ((trajectories, batch),) = batches(some, truth=False)
     estimates = group.tracker.run(batch)
     times = trajectories.columns.padded(trajectories.columns.times)
     rows = slice(times.shape[1])
@@ -188,30 +185,6 @@ def run(group: TrackerBatch, walks: Walks) -> Run:
     truth = Walks(walks.begin[tags], walks.velocity[tags]).at(times)[..., : len(axes)]
     status = estimates.status[:, rows]
     return Run(positions, sigmas, truth, status, np.isin(status, (Status.OK, Status.RESTARTED)))
-
-
-def judged(single: Run, double: Run) -> Verdict:
-    """What single precision makes of a cell, beside double precision and the truth."""
-    known = np.isfinite(single.positions).all(axis=-1) & (np.isfinite(single.sigmas) & (single.sigmas > 0)).all(axis=-1)
-    with np.errstate(all="ignore"):
-        apart = np.max(np.abs(single.positions - double.positions) / single.sigmas, axis=-1)
-        error = np.max(np.abs(single.positions - single.truth) / single.sigmas, axis=-1)
-        exact_error = np.max(np.abs(double.positions - double.truth) / double.sigmas, axis=-1)
-        wider = np.max(single.sigmas / double.sigmas, axis=-1)
-        # An estimate that makes less of the readings differs from the best by the root of the difference of variances.
-        most = AGREES + SOUND * np.sqrt(np.maximum(1.0 - np.min(double.sigmas / single.sigmas, axis=-1) ** 2, 0.0))
-    sound = double.usable & (exact_error <= SOUND)
-    wrong = single.usable & (~known | (sound & ~(apart <= most)) | (~double.usable & ~(error <= SOUND)))
-    if wrong.any():
-        largest = max(apart[wrong & np.isfinite(apart)].tolist(), default=np.nan)
-        return Verdict(f"{NONSENSE} in {wrong.sum()} of {wrong.size} rows", largest)
-    if not single.usable.any():
-        return Verdict(STATUS_WORDS[Status(int(np.bincount(single.status.ravel()).argmax()))])
-    judged = single.usable & sound
-    if not judged.any():
-        return Verdict("off the model")
-    words = "coarser" if np.median(wider[judged]) > WIDER else "agrees"
-    return Verdict(words, float(np.max(apart[judged])))
 
 
 def table(name: str, found: Mapping[Cell, Verdict]) -> str:
@@ -225,23 +198,36 @@ def _entry(found: Mapping[Cell, Verdict], sigma: float, room: float) -> Iterator
     """The verdicts of all time steps, those of equal words together."""
     own = {dt: found[Cell(sigma, dt, room)] for dt in STEPS if Cell(sigma, dt, room) in found}
     for words in dict.fromkeys(v.words for v in own.values()):
-        steps = [dt for dt, v in own.items() if v.words == words]
-        worst = max((own[dt].difference for dt in steps), default=np.nan)
+        same = {dt: v for dt, v in own.items() if v.words == words}
+        worst = np.fmax.reduce([v.difference for v in same.values()])
         number = f" {worst:.1g}" if np.isfinite(worst) else ""
-        where = "" if len(steps) == len(own) else f" ({', '.join(f'{dt:g}' for dt in steps)} s)"
-        yield f"{words}{number}{where}"
+        parted, off = max(v.parted for v in same.values()), np.max([v.off for v in same.values()], axis=0)
+        tracks = [f"{parted} part"] * (parted > 0) + [f"{off[0]} : {off[1]} off"] * bool(off.any())
+        where = "" if len(same) == len(own) else f" ({', '.join(f'{dt:g}' for dt in same)} s)"
+        yield f"{words}{number}{''.join(f', {text}' for text in tracks)}{where}"
 
 
 def summarised(name: str, found: Mapping[Cell, Verdict], off: float) -> list[str]:
     """The row of a tracker in the table of all: cells by verdict, and how double precision was checked."""
     words = [v.words for v in found.values()]
-    counts = [words.count("agrees"), words.count("coarser")]
+    counts = [words.count(one) for one in ("agrees", "coarser", "differs")]
     wrong, model = sum(w.startswith(NONSENSE) for w in words), words.count("off the model")
     worst = max((v.difference for v in found.values() if v.words in ("agrees", "coarser")), default=np.nan)
+    tracks = np.sum([v.off for v in found.values()], axis=0)
     checked = METHODS.get(name, "none: the same tracker in double precision")
     shown = f"{off:.1g}" if np.isfinite(off) else ""
     none = len(words) - sum(counts) - wrong - model
-    return [f"`{name}`", *map(str, (len(words), *counts, none, model, wrong)), f"{worst:.1g}", checked, shown]
+    numbers = (len(words), *counts, none, model, wrong)
+    parted = sum(v.parted for v in found.values())
+    return [
+        f"`{name}`",
+        *map(str, numbers),
+        f"{worst:.1g}",
+        f"{parted:,}",
+        f"{tracks[0]:,}, {tracks[1]:,}",
+        checked,
+        shown,
+    ]
 
 
 def markdown(rows: Sequence[Sequence[str]]) -> str:

@@ -16,6 +16,9 @@ ITERATIONS = 20
 MIN_INFORMATION = 0.02
 """Smallest eigenvalue of the horizontal information matrix, per range (0 … ½), with which a position is determined."""
 
+FURTHEST = 10.0
+"""Residual, in scales of the loss, of the furthest range that a position agrees with."""
+
 RIDGE = 1e-3
 """Information, m⁻² at unit weight, added to every direction, so that unobservable ones stay finite."""
 
@@ -23,8 +26,8 @@ RIDGE = 1e-3
 class PositionFit(eqx.Module):
     """A least-squares position: `position` (n,), m; `cost` Σ log(1 + (r/scale)²) of the residuals r.
 
-    `covariance` (n, n): inverse information of ranges with unit variance. `determined`: whether the ranges determine
-    the position.
+    `covariance` (n, n): inverse information of ranges with unit variance. `determined`: whether more ranges than
+    unknowns agree with the position, from directions that determine it.
     """
 
     position: Any
@@ -65,9 +68,12 @@ def _gauss_newton(
         distance = jnp.sqrt(jnp.maximum(total(x * x for x in offset), 1e-12))
         return counts * (ranges - distance), [x / distance for x in offset[:n]], distance
 
+    def widened(residual: Any) -> Scalar:
+        return jnp.maximum(1.5 * lower_median(jnp.abs(residual), counts), scale)
+
     def step(position: Vector, _: None) -> tuple[Vector, None]:
         residual, jacobian, distance = linearised(position)
-        weight = counts / (1.0 + (residual / jnp.maximum(1.5 * lower_median(jnp.abs(residual), counts), scale)) ** 2)
+        weight = counts / (1.0 + (residual / widened(residual)) ** 2)
         gradient = [jnp.sum(weight * residual * column) for column in jacobian]
         inverted = inverse(information(weight, jacobian))
         move = Vector.of(total(a * b for a, b in zip(row, gradient, strict=True)) for row in inverted)
@@ -78,9 +84,11 @@ def _gauss_newton(
     position = jax.lax.scan(step, start, None, length=ITERATIONS)[0]
     residual, jacobian, _ = linearised(position)
     weight = counts / (1.0 + (residual / scale) ** 2)
-    (a, b), (_, c) = information(counts, jacobian[:2], ridge=0.0)
-    smallest = 0.5 * (a + c - _root((a - c) ** 2 + 4.0 * b * b)) / jnp.maximum(number, 1.0)
-    determined = (number > n) & (smallest > MIN_INFORMATION) & jnp.all(jnp.isfinite(position.array()))
+    # As many ranges as unknowns are met exactly by several positions, whatever the range that is left is.
+    agree = jnp.where(jnp.abs(residual) <= FURTHEST * widened(residual), counts, 0.0)
+    (a, b), (_, c) = information(agree, jacobian[:2], ridge=0.0)
+    smallest = 0.5 * (a + c - _root((a - c) ** 2 + 4.0 * b * b)) / jnp.maximum(jnp.sum(agree), 1.0)
+    determined = (jnp.sum(agree) > n) & (smallest > MIN_INFORMATION) & jnp.all(jnp.isfinite(position.array()))
     return PositionFit(
         position.array(),
         jnp.sum(jnp.log1p((residual / scale) ** 2)),

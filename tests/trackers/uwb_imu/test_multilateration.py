@@ -74,6 +74,19 @@ def test_too_few_ranges_determine_nothing_and_give_no_nan(locate):
         assert np.isfinite(fit.position).all()
 
 
+def test_four_ranges_of_which_one_is_ignored_determine_nothing():
+    # Three ranges are met exactly by two positions; the loss hardly counts a fourth one that is hundreds of metres off.
+    anchors = 1000.0 * np.array([[0, 0, 0.1], [1, 0, 0.9], [1, 1, 0.1], [0, 1, 0.9]])
+    places = 1000.0 * np.random.default_rng(0).uniform(0.3, 0.7, (256, 3))
+    ranges = np.linalg.norm(places[:, None] - anchors, axis=-1)
+    solve = jax.vmap(lambda r: multilaterate(r, jnp.asarray(anchors), jnp.ones(4, bool), None, jnp.asarray(SCALE)))
+    fits = solve(jnp.asarray(ranges))
+    error = np.linalg.norm(fits.position - places, axis=1)
+    assert (error[np.asarray(fits.determined)] < 1e-3).all()
+    assert (error > 100.0).any()
+    assert np.asarray(fits.determined).mean() > 0.95
+
+
 def test_anchors_on_one_line_determine_nothing(locate):
     call, _ = locate
     line = np.column_stack([np.arange(6.0), 2.0 * np.arange(6.0), np.full(6, 2.0)])
