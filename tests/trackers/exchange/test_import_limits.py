@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import bz2
 import os
 
 import pytest
 
 from tests.bags import write_bag
 from tests.in_process import trackwright
-from trackers.exchange import ros_reader
+from trackers.exchange import ros_package, ros_reader
 
 POSES = ("--table", "truth", "--tag", "T")
 BAG = ("--table", "truth", "--topic", "/vicon/cart", "--tag", "T")
@@ -68,6 +69,23 @@ def test_messages_beyond_the_limit_are_refused(tmp_path, monkeypatch):
     write_bag(tmp_path / "bag", "mcap")
     monkeypatch.setattr(ros_reader, "LARGEST", 500)
     assert "its messages hold more than" in _refused(tmp_path / "bag", *BAG, "--out", tmp_path / "out")
+
+
+@pytest.mark.parametrize(("kind", "packed"), [("bag", "bz2"), ("bag", "lz4"), ("mcap", "zstd")])
+def test_a_chunk_that_unpacks_beyond_the_limit_is_refused(tmp_path, monkeypatch, kind, packed):
+    bag = tmp_path / ("a.bag" if kind == "bag" else "bag")
+    write_bag(bag, kind, packed)
+    assert trackwright("import", bag, *BAG, "--out", tmp_path / "whole").code == 0
+    monkeypatch.setattr(ros_package, "LARGEST", 500)
+    assert "a chunk holds more than" in _refused(bag, *BAG, "--out", tmp_path / "out")
+
+
+def test_the_streams_of_a_chunk_are_unpacked_one_after_the_other_to_their_end():
+    packed = bz2.compress(b"first ") + bz2.compress(bytes(10_000))
+    assert ros_package.unpacked_chunk(bz2.BZ2Decompressor, packed) == b"first " + bytes(10_000)
+    assert ros_package.unpacked_chunk(bz2.BZ2Decompressor, b"") == b""
+    with pytest.raises(ValueError, match="ends early"):
+        ros_package.unpacked_chunk(bz2.BZ2Decompressor, packed[:-5])
 
 
 @pytest.mark.parametrize("outside", ["../other/other.mcap", "/proc/self/mem"])
