@@ -7,26 +7,24 @@ where it runs: a worker computes only with the caller's versions, XLA flags and 
 from __future__ import annotations
 
 import functools
-import hashlib
 import logging
 import os
 import pickle
 import platform
 import re
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
 from contextlib import contextmanager, suppress
-from importlib.metadata import PackageNotFoundError, version
 from itertools import islice
-from pathlib import Path
+from threading import Event, Thread
 from typing import Any, TypeVar
+
+from experiments.environment import environment, require_same
 
 # jax and the packages that import it are imported in functions: in a worker after the XLA flags are set.
 
-PACKAGES = ("jax", "jaxlib", "numpy")
-SOURCES = ("trackers", "sim", "tuning", "experiments")
-SET = ("x64", "programs kept")
 AT_ONCE = 256
 """Parts given to a cluster at once, at least: finished ones are held in memory until the caller has stored them."""
 
@@ -38,6 +36,9 @@ CONNECT_S = 10
 
 SILENT_S = 60
 """Seconds without a sign of life after which a local worker hangs: it is ended, and its part runs elsewhere."""
+
+GONE_S = 15.0
+"""Seconds after which a local worker that is gone is replaced: Dask starts none again that ends while it starts."""
 
 Item = TypeVar("Item")
 
@@ -72,7 +73,7 @@ def cluster_client(cluster: str) -> Iterator[tuple[Any, dict[str, Any]]]:
                 notice(f"{cluster}: no worker yet; waiting for the first one")
             client.wait_for_workers(1)
             for address, found in client.run(_prepared, expected["XLA flags"], on_error="return").items():
-                _require_same(expected, found, f"worker {address}")
+                require_same(expected, found, f"worker {address}")
             yield client, expected
     except (CancelledError, distributed.CancelledError, distributed.comm.CommClosedError) as error:
         raise UnusableInput(f"--cluster {cluster}: the scheduler was lost; start it again, then the command") from error
@@ -125,8 +126,40 @@ def _client(distributed: Any, cluster: str, processes: int | None) -> Iterator[A
     with (
         local_cluster as started,
         distributed.Client(started, set_as_default=False) as client,
+        _replacing(started, processes),
     ):
         yield client
+
+
+@contextmanager
+def _replacing(cluster: Any, processes: int) -> Iterator[None]:
+    """Replace workers of a local cluster that have been gone for `GONE_S`."""
+    since: dict[Any, float] = {}
+    end = Event()
+
+    async def replace() -> None:
+        present = {worker["name"] for worker in cluster.scheduler_info["workers"].values()}
+        for name in list(cluster.workers):
+            if name in present:
+                since.pop(name, None)
+            elif time.monotonic() - since.setdefault(name, time.monotonic()) > GONE_S:
+                del since[name]
+                await cluster.workers.pop(name).close()
+        cluster.scale(processes)
+
+    def watch() -> None:
+        while not end.wait(1.0):
+            # A cluster that is being closed has no loop any more.
+            with suppress(Exception):
+                cluster.sync(replace)
+
+    watching = Thread(target=watch, daemon=True)
+    watching.start()
+    try:
+        yield
+    finally:
+        end.set()
+        watching.join()
 
 
 class WorkerExecutor(Executor):
@@ -151,7 +184,7 @@ def computed(expected: Mapping[str, Any], call: bytes, *held: Any) -> Any:
 
     `held`: its first arguments, which the worker has already: of types that do not import jax.
     """
-    _require_same(expected, _prepared(expected["XLA flags"]), f"worker on {platform.node()}")
+    require_same(expected, _prepared(expected["XLA flags"]), f"worker on {platform.node()}")
     import jax
 
     if expected["programs kept"]:
@@ -179,69 +212,6 @@ def _keep_programs() -> None:
 
     with suppress(UnusableInput):
         cache_programs(report=lambda line: None)
-
-
-def environment() -> dict[str, Any]:
-    """What the bits of a result depend on beside its arguments: versions, flags, number format, kind of device.
-
-    The `SET` ones are set in a worker for each part: the number format, and whether compiled programs are kept.
-    """
-    import jax
-
-    return {
-        "trackwright": f"{_version('trackwright')}, sources {_sources()}",
-        **{name: _version(name) for name in PACKAGES},
-        "XLA flags": os.environ.get("XLA_FLAGS", ""),
-        "device": jax.devices()[0].device_kind,
-        "vector instructions": _vector_instructions(),
-        "x64": bool(jax.config.jax_enable_x64),  # type: ignore[attr-defined]
-        "programs kept": jax.config.jax_compilation_cache_dir is not None,  # type: ignore[attr-defined]
-    }
-
-
-def _require_same(expected: Mapping[str, Any], found: Any, worker: str) -> None:
-    """Refuse a worker whose environment differs from the caller's."""
-    from trackers.core.errors import UnusableInput
-
-    if isinstance(found, BaseException):
-        raise UnusableInput(
-            f"{worker}: cannot import trackwright ({type(found).__name__}: {found}); expected the caller's packages; "
-            "install them there"
-        )
-    for key in expected:
-        if key not in SET and found.get(key) != expected[key]:
-            raise UnusableInput(
-                f"{worker}: {key}: {found.get(key) or 'none'}; expected as here: {expected[key] or 'none'}; the bits "
-                "would differ; give the worker the caller's environment, and start it anew"
-            )
-
-
-@functools.cache
-def _version(name: str) -> str:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return "not installed"
-
-
-@functools.cache
-def _sources() -> str:
-    """A digest of the package's source files: two checkouts of one version may differ."""
-    root, digest = Path(__file__).parents[1], hashlib.sha256()
-    for path in sorted(path for package in SOURCES for path in (root / package).rglob("*.py")):
-        digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
-    return digest.hexdigest()[:12]
-
-
-@functools.cache
-def _vector_instructions() -> str:
-    """The processor's widest vector instructions: NumPy has other sines and logarithms for others, with other bits."""
-    try:
-        flags = set(re.findall(r"\w+", Path("/proc/cpuinfo").read_text("utf-8")))
-    except OSError:
-        flags = set()
-    widest = next((name for name in ("avx512f", "avx2", "avx") if name in flags), "")
-    return f"{platform.machine()} {widest}".strip()
 
 
 def finished(

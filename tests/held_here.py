@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from experiments.executors import environment
+from experiments.environment import environment
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from experiments.cli.report import COMPARISON
 from experiments.cli.stages import Begin, stages
 from experiments.cli.tracked_by import tracker_names
 from experiments.cli.tracking import Options, endings, write_shown
-from experiments.executors import environment
+from experiments.environment import environment
 from experiments.interactive.track_page import run_data
 from experiments.portable_tracker import PortableTracker
 from experiments.reports.comparison import Table, comparison_text

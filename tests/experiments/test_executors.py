@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import math
+import os
+import signal
+import time
 from concurrent.futures import ThreadPoolExecutor
 from threading import Event
 
 import pytest
 
-from experiments.executors import WorkerExecutor, cluster_executor, environment, finished
+from experiments.environment import environment
+from experiments.executors import WorkerExecutor, cluster_executor, finished
 from tests.experiments.monte_carlo.small_study import TOML
+from tests.faults.workers import workers
 from tests.in_process import assert_refused, trackwright
 from trackers.core.errors import UnusableInput
 
@@ -85,7 +90,7 @@ def test_processes_that_end_while_they_start_are_refused_in_one_line(monkeypatch
 
 def test_a_worker_with_another_version_is_refused_before_it_computes(tmp_path):
     distributed = pytest.importorskip("distributed")
-    other = "import experiments.executors\nexperiments.executors._version = lambda name: '0.0.1'\n"
+    other = "import experiments.environment\nexperiments.environment._version = lambda name: '0.0.1'\n"
     file = tmp_path / "small.toml"
     file.write_text(TOML)
     with distributed.LocalCluster(n_workers=1, threads_per_worker=1, preload=other, dashboard_address=":0") as started:
@@ -95,3 +100,22 @@ def test_a_worker_with_another_version_is_refused_before_it_computes(tmp_path):
         result = trackwright("study", file, "--out", tmp_path / "out", "--cluster", address)
     assert_refused(result, "worker tcp://", "trackwright: 0.0.1", "expected as here: ")
     assert not [*(tmp_path / "out").glob("chunks/*")]
+
+
+@pytest.mark.slow
+def test_a_local_worker_that_ends_twice_within_seconds_is_replaced():
+    dask = pytest.importorskip("dask")
+    pytest.importorskip("distributed")
+    # Dask gives up a worker that is not there this long after it was lost, though it may be starting a second time.
+    given_up_s = 6.0
+    with (
+        dask.config.set({"distributed.deploy.lost-worker-timeout": f"{given_up_s} s"}),
+        cluster_executor("local:1") as executor,
+    ):
+        began = time.monotonic()
+        for at_s in (0.0, given_up_s - 0.2):
+            time.sleep(max(0.0, began + at_s - time.monotonic()))
+            (worker,) = workers()
+            os.kill(worker, signal.SIGKILL)
+        time.sleep(1.0)
+        assert executor.submit(math.factorial, 5).result(60) == 120

@@ -13,7 +13,8 @@ import equinox as eqx
 import numpy as np
 import pytest
 
-from experiments.executors import cluster_client, environment
+from experiments.environment import environment
+from experiments.executors import cluster_client
 from experiments.held_parts import FitWorkers, HeldParts
 from sim import worlds
 from tests.catalogue import CASES

@@ -10,7 +10,8 @@ import polars as pl
 import pytest
 
 import sim.worlds
-from experiments.executors import WorkerExecutor, environment
+from experiments.environment import environment
+from experiments.executors import WorkerExecutor
 from experiments.portable_tracker import run_on
 from tests.in_process import trackwright
 from trackers.catalogue import build

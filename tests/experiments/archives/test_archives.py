@@ -12,7 +12,8 @@ import pytest
 
 from experiments.archives import part, runner
 from experiments.archives.store import RecordingStore
-from experiments.executors import WorkerExecutor, environment
+from experiments.environment import environment
+from experiments.executors import WorkerExecutor
 from experiments.plots import track_folder
 from tests.experiments.archives.small_archive import recording, write_archive
 from tests.in_process import assert_refused, trackwright

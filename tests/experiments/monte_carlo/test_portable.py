@@ -8,7 +8,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from experiments.executors import WorkerExecutor, cluster_executor, environment
+from experiments.environment import environment
+from experiments.executors import WorkerExecutor, cluster_executor
 from experiments.monte_carlo.chunk_store import plain_identity
 from experiments.monte_carlo.portable import PortableStudy
 from experiments.monte_carlo.runner import StopRule, run_study
