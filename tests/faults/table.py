@@ -31,7 +31,7 @@ from trackers.core.program_cache import cache_programs
 
 RESULTS = Path(__file__).parent / "results.json"
 LEAST, LARGE = 4_000, 200_000
-"""Trajectories of the studies whose workers are hurt."""
+"""Trajectories of the study with a worker that hangs, and of each whose workers are killed."""
 
 
 class Fault(NamedTuple):
@@ -44,7 +44,7 @@ class Fault(NamedTuple):
 
 
 def faults(trajectories: int = LARGE, deaths: int = 10) -> list[Fault]:
-    """All of them; `deaths` of workers within a study of so many `trajectories`."""
+    """All of them; `deaths` of workers within each study of so many `trajectories`."""
     random = (
         "SIGKILL at random moments, half of them in the moment a file is written; up to 4 in a row, then to the end"
     )
@@ -58,9 +58,7 @@ def faults(trajectories: int = LARGE, deaths: int = 10) -> list[Fault]:
         *(Fault(f"`{c}`, Ctrl-C", "SIGINT at random moments", 10, _of(callers.interrupted, n))
           for n, c in commands.items()),
         Fault("workers killed", "SIGKILL of a worker of `local:2`, at random and in the moment a result is stored", 100,
-              lambda times, draw, place: workers.killed(times, draw, place, max(LEAST, 640 * times))),
-        Fault("workers killed, a long study", "the same", deaths,
-              lambda times, draw, place: workers.killed(times, draw, place, trajectories)),
+              lambda times, draw, place: workers.killed(times, draw, place, trajectories, deaths)),
         Fault("workers of a fit killed", "SIGKILL of a worker of `local:2` at random, of `tune --cluster`", 10,
               workers.fit_killed),
         Fault("a worker hangs", f"SIGSTOP of a worker of `local:2`, silent for over {workers.executors.SILENT_S} s", 1,
@@ -98,8 +96,8 @@ def main() -> int:
     parser.add_argument("--only", default="", help="those whose name contains this text")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--share", type=float, default=1.0, help="of the number of times that each is tried")
-    parser.add_argument("--trajectories", type=int, default=LARGE, help="of the long study")
-    parser.add_argument("--deaths", type=int, default=10, help="of its workers")
+    parser.add_argument("--trajectories", type=int, default=LARGE, help="of each study whose workers die")
+    parser.add_argument("--deaths", type=int, default=10, help="of workers in each")
     parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("--page", type=Path, help="the page whose table is replaced, as docs/faults.md")
     asked = parser.parse_args()

@@ -109,17 +109,19 @@ def _hurting(draw: Draw, times: int, chunks: int, number: int = signal.SIGKILL) 
         timer.cancel()
 
 
-def killed(times: int, draw: Draw, place: Path, trajectories: int) -> Seen:
-    """A study on `local:2` whose workers are killed by SIGKILL, with the bits of threads."""
-    study = _declared(place, trajectories)
+def killed(times: int, draw: Draw, place: Path, trajectories: int, deaths: int) -> Seen:
+    """Studies on `local:2` in each of which so many workers are killed by SIGKILL, with the bits of threads."""
+    study, seen, studies = _declared(place, trajectories), Seen(), range(0, times, deaths)
     digest = _digest(study, place / "threads")
-    with _hurting(draw, times, study.chunks) as sent:
-        found = _digest(study, place / "workers", "local:2")
-    out = place / "workers"
-    seen = Seen(sum(sent), half=len(half_written(out)), left=len(temporary(out)), compared=1, differ=found != digest)
+    for begun in studies:
+        out = place / f"workers-{begun}"
+        with _hurting(draw, min(deaths, times - begun), study.chunks) as sent:
+            found = _digest(study, out, "local:2")
+        half, left = len(half_written(out)), len(temporary(out))
+        seen += Seen(sum(sent), half=half, left=left, compared=1, differ=found != digest)
     if seen.times < times:
         seen.wrong.append(f"only {seen.times} kills: give it more trajectories")
-    seen.notes.append(f"{study.runs:,} trajectories in {study.chunks} chunks")
+    seen.notes.append(f"{len(studies)} × {study.runs:,} trajectories in {study.chunks} chunks, {deaths} kills each")
     return seen
 
 
@@ -130,6 +132,8 @@ def fit_killed(times: int, draw: Draw, place: Path) -> Seen:
     assert ended.code == 0, ended.err
     seen, out, before = Seen(), place / "workers", set[Any]()
     with running(job.line(out, "--cluster", "local:2")) as (caller, end):
+        while caller.poll() is None and not (out / "checkpoint.npz").exists():
+            time.sleep(0.1)
         while seen.times < times and caller.poll() is None:
             seen.times += _sent(draw, signal.SIGKILL, caller.pid)
             after(draw.uniform(2.0, 8.0))(caller)
