@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import logging
+import math
 import os
 import pickle
 import platform
@@ -112,7 +113,7 @@ def _client(distributed: Any, cluster: str, processes: int | None) -> Iterator[A
                 f"--cluster {cluster}: no scheduler answers within {CONNECT_S} s; expected one at this address; start "
                 "one with `dask scheduler`"
             ) from error
-        with client:
+        with client, _watching(_notice_empty(client, cluster)):
             yield client
         return
     # One thread a process computes one part at a time; memory is limited by the system alone, as it is for threads.
@@ -126,16 +127,31 @@ def _client(distributed: Any, cluster: str, processes: int | None) -> Iterator[A
     with (
         local_cluster as started,
         distributed.Client(started, set_as_default=False) as client,
-        _replacing(started, processes),
+        _watching(_replace_gone(started, processes)),
     ):
         yield client
 
 
-@contextmanager
-def _replacing(cluster: Any, processes: int) -> Iterator[None]:
-    """Replace workers of a local cluster that have been gone for `GONE_S`."""
+def _notice_empty(client: Any, cluster: str) -> Callable[[], None]:
+    """Says once that a cluster has had no workers for `GONE_S`, and once that it has some again."""
+    from experiments.cli.console import notice
+
+    since, said = math.inf, False
+
+    def look() -> None:
+        nonlocal since, said
+        since = math.inf if client.nthreads() else min(since, time.monotonic())
+        if (time.monotonic() - since > GONE_S) != said:
+            said = not said
+            gone = "no worker is left; waiting for one; Ctrl-C stops, and finished parts are kept"
+            notice(f"{cluster}: {gone if said else 'goes on with a new worker'}")
+
+    return look
+
+
+def _replace_gone(cluster: Any, processes: int) -> Callable[[], None]:
+    """Replaces workers of a local cluster that have been gone for `GONE_S`."""
     since: dict[Any, float] = {}
-    end = Event()
 
     async def replace() -> None:
         present = {worker["name"] for worker in cluster.scheduler_info["workers"].values()}
@@ -147,11 +163,19 @@ def _replacing(cluster: Any, processes: int) -> Iterator[None]:
                 await cluster.workers.pop(name).close()
         cluster.scale(processes)
 
+    return lambda: cluster.sync(replace)
+
+
+@contextmanager
+def _watching(look: Callable[[], None]) -> Iterator[None]:
+    """Looks at a cluster every second, in a thread of its own."""
+    end = Event()
+
     def watch() -> None:
         while not end.wait(1.0):
-            # A cluster that is being closed has no loop any more.
+            # One that is lost, or being closed, does not answer; what waits for it learns the same.
             with suppress(Exception):
-                cluster.sync(replace)
+                look()
 
     watching = Thread(target=watch, daemon=True)
     watching.start()
@@ -159,7 +183,7 @@ def _replacing(cluster: Any, processes: int) -> Iterator[None]:
         yield
     finally:
         end.set()
-        watching.join()
+        watching.join(CONNECT_S)
 
 
 class WorkerExecutor(Executor):

@@ -39,6 +39,15 @@ def test_medians_of_columns_without_a_value_are_unknown_without_a_warning():
     assert np.isnan(known_median(x[:0])).all()
 
 
+def test_a_change_that_leaves_errors_unknown_explains_no_coordinates_of_light_minutes(tmp_path):
+    write_good(tmp_path / "good")
+    fixes = good_tables()["fixes"]
+    fixes.with_columns(z_m=1e14 + 1e12 * pl.col("x_m")).write_csv(tmp_path / "good" / "fixes.csv")
+    said = trackwright("check", tmp_path / "good")
+    assert "nan m" not in said.out
+    assert "RuntimeWarning" not in said.err
+
+
 def test_a_name_in_brackets_is_no_markup_of_a_table():
     table = Table("[/]")
     table.add_row("[/] [bold]x")

@@ -6,9 +6,10 @@ import time
 
 import pytest
 
-from tests.faults.jobs import half_written, jobs, run, running, temporary
+from experiments.executors import GONE_S
+from tests.faults.jobs import half_written, jobs, run, running, stored, temporary
 from tests.faults.seen import Seen
-from tests.faults.workers import dask_cluster
+from tests.faults.workers import dask_cluster, dask_scheduler, dask_workers
 
 pytest.importorskip("distributed")
 
@@ -45,4 +46,21 @@ def test_a_fit_whose_scheduler_is_killed_is_refused_in_a_line_and_goes_on_with_t
     assert 5 <= len(job.finished(out)) < 80
     goes_on = run(job.line(out))
     assert goes_on.code == 0, goes_on.err
+    assert job.digest(out) == job.digest(tmp_path / "whole")
+
+
+@pytest.mark.slow
+def test_a_study_whose_workers_are_all_gone_says_so_and_goes_on_with_a_new_one(tmp_path):
+    job, out = jobs(tmp_path)["study"], tmp_path / "out"
+    with dask_scheduler(tmp_path) as (address, _), running(job.line(out, "--cluster", address)) as (process, ended):
+        with dask_workers(address, 1):
+            stored(out, 2)(process)
+        time.sleep(GONE_S + 5.0)
+        assert process.poll() is None
+        with dask_workers(address, 1):
+            found = ended()
+    assert found.code == 0, found.err
+    assert "no worker is left; waiting for one" in found.err
+    assert "goes on with a new worker" in found.err
+    assert run(job.line(tmp_path / "whole")).code == 0
     assert job.digest(out) == job.digest(tmp_path / "whole")

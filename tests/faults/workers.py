@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from threading import Timer
 from typing import Any
@@ -179,17 +179,27 @@ def _dask(*words: str) -> Iterator[subprocess.Popen[bytes]]:
 
 
 @contextmanager
-def dask_cluster(place: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
-    """A scheduler with two workers: its address and its process."""
+def dask_scheduler(place: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+    """A scheduler: its address and its process."""
     file = place / "scheduler.json"
     file.unlink(missing_ok=True)
     with _dask("scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", str(file)) as scheduler:
         while not file.exists():
             assert scheduler.poll() is None
             time.sleep(0.05)
-        address = json.loads(file.read_text("utf-8"))["address"]
-        with _dask("worker", address, "--nthreads", "1", "--nworkers", "2", "--no-dashboard"):
-            yield address, scheduler
+        yield json.loads(file.read_text("utf-8"))["address"], scheduler
+
+
+def dask_workers(address: str, count: int) -> AbstractContextManager[subprocess.Popen[bytes]]:
+    """The process of so many workers of a scheduler."""
+    return _dask("worker", address, "--nthreads", "1", "--nworkers", str(count), "--no-dashboard")
+
+
+@contextmanager
+def dask_cluster(place: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+    """A scheduler with two workers: its address and its process."""
+    with dask_scheduler(place) as (address, scheduler), dask_workers(address, 2):
+        yield address, scheduler
 
 
 def scheduler_killed(times: int, draw: Draw, place: Path) -> Seen:

@@ -65,7 +65,8 @@ def _judged(
 ) -> list[tuple[float, np.ndarray, Explanation]]:
     """The cost of an explanation and the groups that it is for; none where it explains too little."""
     floor, limit = FLOOR[view.table], LARGE[view.table]
-    after = np.where(np.isfinite(one.sizes), one.sizes, 1e3)
+    # A change with which the errors are unknown improves nothing.
+    after = np.where(np.isfinite(one.sizes), one.sizes, np.fmax(before, 1e3))
     known = np.isfinite(before)
     ratio = np.where(known, np.log(np.maximum(after, floor) / np.maximum(before, floor)), 0.0)
     gains = -ratio.sum(axis=1) / np.maximum(known.sum(axis=1), 1)
