@@ -19,6 +19,7 @@ from trackers.recordings.input_file import read_toml
 FORMAT = 1
 RIG_FILE = "rig.toml"
 HIGHEST = 1e5  # metres, of a tag
+SHORTEST = 1e-6  # wavelength, m: that of light
 LARGEST = 1e9  # of any number, beyond all coordinates on Earth; squares of squares stay finite
 NORM_TOLERANCE = 1e-3  # for a quaternion written with three decimals
 
@@ -103,8 +104,8 @@ class _Reader:
         if "antennas_m" in content:
             antennas = self.points(f"{where}.antennas_m", content["antennas_m"])
             wavelength = self.number(f"{where}.wavelength_m", content["wavelength_m"])
-            if wavelength <= 0:
-                self.refuse(f"{where}.wavelength_m", wavelength, "a positive length in metres")
+            if wavelength < SHORTEST:
+                self.refuse(f"{where}.wavelength_m", wavelength, f"a length of at least {SHORTEST:g} m")
         position = self.vector(f"{where}.position_m", content["position_m"], 3)
         return Station(position=position, rotation=rotation, antennas=antennas, wavelength=wavelength)
 
