@@ -80,10 +80,10 @@ def jobs(place: Path) -> dict[str, Job]:
 
 
 def long_fit(place: Path) -> Job:
-    """A fit to 1,200 vehicles, three chunks of a cluster, that takes some minutes."""
-    done = trackwright("simulate", "agv", "--n", 1200, "--rows", 50, "--out", place / "fleet")
+    """A fit to 1,200 vehicles, three chunks of a cluster, whose steps take a second each."""
+    done = trackwright("simulate", "agv", "--n", 1200, "--rows", 400, "--out", place / "fleet")
     assert done.code == 0, done.err
-    return _fit(str(place / "fleet"), 8000)
+    return _fit(str(place / "fleet"), 80)
 
 
 def _fit(world: str, steps: int) -> Job:

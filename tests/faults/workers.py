@@ -22,7 +22,7 @@ from experiments.monte_carlo import load_study, run_study
 from experiments.monte_carlo.chunk_store import ChunkStore
 from experiments.monte_carlo.declaration import Study
 from experiments.reports.study_text import to_json
-from tests.faults.jobs import after, half_written, hurt, jobs, long_fit, run, running, stored, temporary
+from tests.faults.jobs import half_written, hurt, jobs, long_fit, run, running, stored, temporary
 from tests.faults.seen import Seen
 
 Draw = np.random.Generator
@@ -131,17 +131,20 @@ def fit_killed(times: int, draw: Draw, place: Path) -> Seen:
     ended = run(job.line(place / "threads"))
     assert ended.code == 0, ended.err
     seen, out, before = Seen(), place / "workers", set[Any]()
+    steps = len(job.finished(place / "threads"))
     with running(job.line(out, "--cluster", "local:2")) as (caller, end):
-        while caller.poll() is None and not (out / "checkpoint.npz").exists():
-            time.sleep(0.1)
-        while seen.times < times and caller.poll() is None:
-            seen.times += _sent(draw, signal.SIGKILL, caller.pid)
-            after(draw.uniform(2.0, 8.0))(caller)
+        for step in np.sort(draw.choice(np.arange(1, steps - 1), times, replace=False)):
+            while caller.poll() is None and (
+                len(job.finished(out)) < step or not _sent(draw, signal.SIGKILL, caller.pid)
+            ):
+                time.sleep(0.02)
+            seen.times += caller.poll() is None
             before = seen.look(job, out, before)
         ended = end()
     seen.compare(job, out, job.digest(place / "threads"), ended)
     if seen.times < times:
         seen.wrong.append(f"only {seen.times} kills: give it more steps")
+    seen.notes.append(f"1,200 vehicles, {steps} steps")
     return seen
 
 
