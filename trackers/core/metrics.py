@@ -87,15 +87,17 @@ def nees_of_leading(errors: Errors, covs: Covariances) -> Float[np.ndarray, "d N
     upper = {(i, j): np.array(covs[:, i, j], float) for i in range(len(remainder)) for j in range(i, len(remainder))}
     P = {(i, j): upper[min(i, j), max(i, j)] for i in range(len(remainder)) for j in range(len(remainder))}
     values: list[np.ndarray] = []
-    for j, own in enumerate(remainder):
-        pivot = np.where(P[j, j] > 0, P[j, j], math.nan)
-        value = own**2 / pivot
-        values.append(values[-1] + value if values else value)
-        for a in range(j + 1, len(remainder)):
-            gain = P[a, j] / pivot
-            remainder[a] = remainder[a] - gain * own
-            for b in range(j + 1, len(remainder)):
-                P[a, b] = P[a, b] - gain * P[j, b]
+    # Covariances of a damaged file overflow: their rows have an infinite NEES, or NaN.
+    with np.errstate(over="ignore", invalid="ignore"):
+        for j, own in enumerate(remainder):
+            pivot = np.where(P[j, j] > 0, P[j, j], math.nan)
+            value = own**2 / pivot
+            values.append(values[-1] + value if values else value)
+            for a in range(j + 1, len(remainder)):
+                gain = P[a, j] / pivot
+                remainder[a] = remainder[a] - gain * own
+                for b in range(j + 1, len(remainder)):
+                    P[a, b] = P[a, b] - gain * P[j, b]
     return np.stack(values) if values else np.zeros((0, len(errors)))
 
 

@@ -72,6 +72,15 @@ def test_nees_is_nan_where_the_covariance_is_singular_and_right_elsewhere(rng):
     assert (values[[0, 3]] == alone[[0, 3]]).all()
 
 
+def test_nees_of_a_damaged_covariance_is_no_number_or_infinite_and_the_others_are_right(rng):
+    covs, errors = _covariances(rng, 4, 2), np.ones((4, 2))
+    right = metrics.nees(errors, covs)
+    covs[0] = [[1e-300, 1e200], [1e200, 1.0]]
+    found = metrics.nees(errors, covs)
+    assert not np.isfinite(found[0])
+    np.testing.assert_array_equal(found[1:], right[1:])
+
+
 def test_nees_changes_neither_errors_nor_covariances(rng):
     covs, errors = _covariances(rng, 5, 2), rng.normal(size=(5, 2))
     before = covs.copy(), errors.copy()
