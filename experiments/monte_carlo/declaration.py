@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -163,7 +164,8 @@ def _require_possible(what: str, value: Any) -> None:
     """Refuse numbers that are not finite, and negative standard deviations."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return
-    if not math.isfinite(value):
-        raise UnusableInput(f"{what} = {value}: expected a finite number")
+    # A whole number of TOML may be larger than any float.
+    if not abs(value) <= sys.float_info.max:
+        raise UnusableInput(f"{what} = {str(value)[:40]}: expected a finite number")
     if value < 0 and "sigma" in what:
         raise UnusableInput(f"{what} = {value}: expected a standard deviation of zero or more; remove the minus sign")

@@ -89,6 +89,13 @@ def test_a_kind_of_world_that_is_a_list_is_refused(tmp_path):
     assert_refused(said, "worlds.line: kind '[1]' is unknown")
 
 
+@pytest.mark.parametrize("number", ["inf", "nan", "1" + "0" * 400])
+def test_a_number_of_a_study_beyond_all_floats_is_refused(tmp_path, number):
+    (tmp_path / "study.toml").write_text(f"[worlds.line]\nrate_hz = {number}\n[trackers.fix-kf]\n")
+    said = trackwright("study", tmp_path / "study.toml", "--out", tmp_path / "out")
+    assert_refused(said, "worlds: rate_hz = ", "expected a finite number")
+
+
 def test_points_beyond_all_coordinates_are_refused(tmp_path):
     (tmp_path / "points.csv").write_text("name,x_m,y_m\nP1,1e200,0\nP2,1,1\n")
     with pytest.raises(UnusableInput, match="row 1 .*column x_m: '1e200', expected a finite number, m, at most"):
