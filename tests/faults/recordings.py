@@ -46,8 +46,8 @@ def broken_recording(seed: int, number: int, parent: Path, most: int = 3) -> tup
             continue
         try:
             frames[table] = change(draw, frames[table])
-        except pl.exceptions.ColumnNotFoundError:
-            continue  # an earlier change has removed the column
+        except (pl.exceptions.ColumnNotFoundError, LookupError):
+            continue  # an earlier change has removed the columns
         words.append(f"{change.__name__.strip('_')} of {table}")
     for change in (c for c in chosen if c in OF_RIG):
         rig = change(draw, rig)

@@ -46,7 +46,9 @@ ENCODINGS = ("utf-16", "utf-16-le", "utf-32", "utf-8-sig", "cp037", "utf-7", "la
 
 
 def pick(draw: Draw, among):
-    """One of a sequence."""
+    """One of a sequence; raises LookupError where it is empty."""
+    if not len(among):
+        raise LookupError("nothing to pick from")
     return among[int(draw.integers(len(among)))]
 
 
