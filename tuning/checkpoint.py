@@ -29,12 +29,20 @@ def to_arrays(state: FitState) -> list[np.ndarray]:
 
 
 def from_arrays(optimiser: AbstractOptimiser, arrays: Sequence[np.ndarray]) -> FitState:
-    """The state of a fit with this optimiser from the arrays of `to_arrays`; raises ValueError where they don't fit."""
+    """The state of a fit with this optimiser from the arrays of `to_arrays`.
+
+    Raises UnusableInput where there are more or fewer.
+    """
+    if len(arrays) < 2:
+        raise UnusableInput(f"{CHECKPOINT}: holds {len(arrays)} arrays, no state of a fit; remove it, or begin anew")
     number, vectors = arrays[:2]
     template = FitState(*[number] * len(FitState._fields))._replace(optimiser_state=optimiser.init(vectors))
     leaves, structure = jax.tree_util.tree_flatten(template)
     if len(leaves) != len(arrays):
-        raise ValueError(f"the state of a fit with this optimiser has {len(leaves)} arrays, found {len(arrays)}")
+        raise UnusableInput(
+            f"{CHECKPOINT}: holds {len(arrays)} arrays, expected {len(leaves)} with this optimiser; remove it, or "
+            "begin anew"
+        )
     return FitState(*jax.tree_util.tree_unflatten(structure, list(arrays)))
 
 

@@ -16,6 +16,8 @@ from trackers.core.errors import UnusableInput
 from trackers.recordings.checks.readings import known_median
 from trackers.recordings.tracks_table import source_paths
 from trackers.worksteps.points_file import read_points
+from tuning.checkpoint import from_arrays
+from tuning.optimisers import Adam
 
 
 @pytest.mark.parametrize("table", ["bearings", "fixes", "ranges"])
@@ -94,6 +96,21 @@ def test_a_number_of_a_study_beyond_all_floats_is_refused(tmp_path, number):
     (tmp_path / "study.toml").write_text(f"[worlds.line]\nrate_hz = {number}\n[trackers.fix-kf]\n")
     said = trackwright("study", tmp_path / "study.toml", "--out", tmp_path / "out")
     assert_refused(said, "worlds: rate_hz = ", "expected a finite number")
+
+
+def test_a_line_of_another_system_within_a_table_with_semicolons_is_refused(tmp_path):
+    (tmp_path / "log.csv").write_bytes(b"t_s;x_m;y_m\n0;1\r2;3\n")
+    said = trackwright(
+        "import", tmp_path / "log.csv", "--table", "fixes", "--separator", ";", "--tag", "T", "--out", tmp_path / "out"
+    )
+    assert said.code == 2
+    assert "log.csv: line 2: new-line character seen in unquoted field; expected" in said.err.splitlines()[-1]
+
+
+@pytest.mark.parametrize("count", [0, 1, 7, 60])
+def test_a_checkpoint_of_another_number_of_arrays_is_no_state_of_a_fit(count):
+    with pytest.raises(UnusableInput, match=rf"checkpoint.npz: holds {count} arrays, .*begin anew"):
+        from_arrays(Adam(3), [np.zeros((2, 3))] * count)
 
 
 def test_points_beyond_all_coordinates_are_refused(tmp_path):

@@ -123,16 +123,22 @@ def _separated(path: Path, separator: str) -> TableFile:
     except UnicodeDecodeError as error:
         raise UnusableInput(f"{path}: is not UTF-8 text at byte {error.start}; export it again in UTF-8") from error
     reader = csv.reader(io.StringIO(text), delimiter=separator)
-    names = [name.strip() for name in next(reader, [])]
     rows, lines = [], []
-    for row in reader:
-        if len(row) == len(names):
-            rows.append(row)
-            lines.append(reader.line_num)
-        elif any(cell.strip() for cell in row):
-            raise UnusableInput(
-                f"{path}: line {reader.line_num} has {len(row)} cells; expected {len(names)} as in line 1"
-            )
+    try:
+        names = [name.strip() for name in next(reader, [])]
+        for row in reader:
+            if len(row) == len(names):
+                rows.append(row)
+                lines.append(reader.line_num)
+            elif any(cell.strip() for cell in row):
+                raise UnusableInput(
+                    f"{path}: line {reader.line_num} has {len(row)} cells; expected {len(names)} as in line 1"
+                )
+    except csv.Error as error:
+        reason = str(error).partition(" - ")[0]
+        raise UnusableInput(
+            f"{path}: line {reader.line_num}: {reason}; expected one row a line; export it again"
+        ) from error
     if not rows or len(set(names)) < len(names):
         raise UnusableInput(f"{path}: no rows, or a name twice in line 1: {listed(names)}; expected a header and rows")
     return TableFile(path, pl.DataFrame(rows, schema=dict.fromkeys(names, pl.String), orient="row"), lines)
