@@ -50,6 +50,18 @@ def test_a_change_that_leaves_errors_unknown_explains_no_coordinates_of_light_mi
     assert "RuntimeWarning" not in said.err
 
 
+def test_fixes_without_a_height_are_compared_with_a_truth_in_another_frame(tmp_path):
+    write_good(tmp_path / "good")
+    tables = good_tables()
+    tables["fixes"].with_columns(z_m=pl.lit(None, pl.Float64)).write_csv(tmp_path / "good" / "fixes.csv")
+    truth = tables["truth"].with_columns(pl.col("x_m") + 7.0)
+    truth.write_csv(tmp_path / "good" / "truth.csv")
+    said = trackwright("check", tmp_path / "good")
+    assert "error    fixes     errors against truth" in said.out
+    assert "the truth shifted by (-7.00, 0.00, 0.00) m" in said.out
+    assert said.err == ""
+
+
 def test_a_name_in_brackets_is_no_markup_of_a_table():
     table = Table("[/]")
     table.add_row("[/] [bold]x")

@@ -100,7 +100,7 @@ def _shifted(view: Compared) -> Iterator[Explanation]:
 
     few = view.thinned(FEW)
     centre = view.positions.mean(axis=0)
-    target = np.nanmean(view.values, axis=0) if view.table == "fixes" else view.places.mean(axis=0)
+    target = _middle(view, centre)
     starts = (start, target - centre, np.append((target - centre)[:2], 0.0))
     rough = min((robust_fit(lambda x: errors(x, few), x0, 8) for x0 in starts), key=lambda fit: fit[1])[0]
     shift, _ = robust_fit(errors, rough, 4)
@@ -112,12 +112,20 @@ def _shifted(view: Compared) -> Iterator[Explanation]:
         )  # fmt: skip
 
 
+def _middle(view: Compared, centre: np.ndarray) -> np.ndarray:
+    """The mean (3,) of fixes, or of anchors or stations; the `centre` of the truth along an axis without a fix."""
+    if view.table != "fixes":
+        return np.asarray(view.places.mean(axis=0))
+    known = np.isfinite(view.values)
+    sums = np.where(known, view.values, 0.0).sum(axis=0)
+    return np.where(known.any(axis=0), sums / np.maximum(known.sum(axis=0), 1), centre)
+
+
 def _turned(view: Compared) -> Iterator[Explanation]:
     """The truth turned about z, mirrored or not, and shifted."""
     few = view.thinned(FEW)
     centre = view.positions.mean(axis=0)
-    target = np.nanmean(view.values, axis=0) if view.table == "fixes" else view.places.mean(axis=0)
-    target = np.append(target[:2], centre[2])
+    target = np.append(_middle(view, centre)[:2], centre[2])
     for mirrored in (False, True):
 
         def errors(x: np.ndarray, part: Compared = view, mirrored: bool = mirrored) -> np.ndarray:
