@@ -10,6 +10,7 @@ from experiments.validation.track_loss import detection
 from trackers.core.rig import MARGIN, room_rows
 from trackers.core.track_loss import ROOM, SIGMAS
 from trackers.core.tunable import with_values
+from trackers.parts.start_nearby import NEARBY
 
 ANCHORS = np.array([[0.0, 0.0, 2.0], [8.0, 0.0, 1.0], [8.0, 6.0, 2.5], [0.0, 6.0, 1.0]])
 TIMES = np.arange(0.0, 30.0, 0.1)
@@ -52,15 +53,17 @@ def test_the_room_is_the_outline_or_wider_than_the_anchors_by_its_longer_side_an
 
 
 @pytest.mark.parametrize("together", [1, 9])
-def test_a_track_that_leaves_the_room_by_three_standard_deviations_is_lost_there_and_starts_again(together):
+def test_a_track_three_standard_deviations_outside_the_room_is_lost_and_starts_again_where_ranges_agree(together):
     recording, path = _recording(5.0 * (TIMES - AWAY_S))
     tracker = _never(tw.range_tracker(4, planar=True))
     free = tracker.run([_without_room(recording)] * together)[together - 1]
     kept = tracker.run([recording] * together)[together - 1]
     x, sigma = np.asarray(free.mean.position[0]), free.sigmas["position.0"]
     leaves = _first(x - (8 + MARGIN) > SIGMAS * sigma)
-    assert leaves == _first(kept.status == tw.Status.RESTARTED)
+    assert leaves == _first(np.isin(kept.status, (tw.Status.LOST, tw.Status.RESTARTED)))
     _assert_same_before(free, kept, leaves)
+    determined = recording.inputs[NEARBY.name][leaves:, 3] == 1
+    assert leaves + _first(determined) == _first(kept.status == tw.Status.RESTARTED)
     # The tag returns at once: a track in the room needs no search for it.
     error = np.hypot(*(np.asarray(p) - q for p, q in zip(kept.mean.position, path.T, strict=False)))
     assert error[recording.times > BACK_S + 2].max() < 0.5
