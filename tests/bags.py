@@ -23,7 +23,8 @@ def place(k):
 def write_bag(path, kind, packed=None):
     """A bag with custom UWB ranges, IMU, true poses and odometry; `kind`: bag (ROS 1), db3 or mcap (ROS 2).
 
-    `packed`: the compression of its chunks, bz2 or lz4 of ROS 1, zstd of MCAP.
+    `packed`: the compression of its chunks, bz2 or lz4 of ROS 1; of ROS 2 zstd, with STORAGE for the chunks of MCAP,
+    FILE or MESSAGE.
     """
     from rosbags.rosbag1 import Writer as Writer1
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
@@ -39,7 +40,7 @@ def write_bag(path, kind, packed=None):
     if packed is not None and kind == "bag":
         writer.set_compression(Writer1.CompressionFormat[packed.upper()])
     elif packed is not None:
-        writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        writer.set_compression(CompressionMode[packed], CompressionFormat.ZSTD)
     topics = {
         "/uwb": "uwb_msgs/msg/Ranges", "/imu": "sensor_msgs/msg/Imu", "/vicon/cart": "geometry_msgs/msg/PoseStamped",
         "/odom": "nav_msgs/msg/Odometry",

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from types import ModuleType
 from typing import Any
 
@@ -22,17 +23,19 @@ def rosbags_module(name: str, what: str) -> ModuleType:
         ) from None
 
 
-def limit_chunks(what: str) -> None:
-    """Let rosbags unpack no chunk of a bag or MCAP file beyond `LARGEST` bytes; it sets no limit itself."""
-    mcap, bag = (rosbags_module(name, what) for name in ("rosbag2.storage_mcap", "rosbag1.reader"))
+def limit_unpacking(what: str) -> None:
+    """Let rosbags, which sets no limit, unpack at most `LARGEST` bytes of a chunk, a message or the files of a bag."""
+    names = "rosbag2.storage_mcap", "rosbag2.reader", "rosbag1.reader"
+    mcap, folder, bag = (rosbags_module(name, what) for name in names)
     import bz2
 
     from lz4.frame import LZ4FrameDecompressor
 
-    zstd = mcap.zstd.ZstdDecompressor
+    zstd = _LimitedZstd(mcap.zstd)
+    vars(folder)["zstd"] = zstd
     mcap.DECOMPRESSORS.update(
         lz4=lambda data, _: unpacked_chunk(LZ4FrameDecompressor, data),
-        zstd=lambda data, _: unpacked_chunk(zstd, data),
+        zstd=lambda data, _: zstd.decompress(data),
     )
     bag.decompressors.update(
         bz2=lambda data: unpacked_chunk(bz2.BZ2Decompressor, data),
@@ -41,7 +44,7 @@ def limit_chunks(what: str) -> None:
 
 
 def unpacked_chunk(decompressor: Callable[[], Any], data: bytes) -> bytes:
-    """The streams of a chunk unpacked; raises ValueError where one ends early, and beyond `LARGEST` bytes."""
+    """The streams of a chunk or message unpacked; raises ValueError where one ends early or beyond `LARGEST` bytes."""
     parts, left = list[bytes](), LARGEST
     while data:
         stream = decompressor()
@@ -53,3 +56,25 @@ def unpacked_chunk(decompressor: Callable[[], Any], data: bytes) -> bytes:
             raise ValueError("a chunk ends early")
         data = stream.unused_data
     return b"".join(parts)
+
+
+class _LimitedZstd:
+    """What rosbags uses of the module zstd, for one bag; raises ValueError beyond `LARGEST` bytes."""
+
+    def __init__(self, zstd: Any):
+        self.zstd, self.left = zstd, LARGEST
+
+    def decompress(self, data: bytes) -> bytes:
+        return unpacked_chunk(self.zstd.ZstdDecompressor, data)
+
+    @contextmanager
+    def open(self, packed: Any, mode: str) -> Iterator[_LimitedZstd]:
+        with self.zstd.open(packed, mode) as self.file:
+            yield self
+
+    def read(self, size: int) -> bytes:
+        data: bytes = self.file.read(size)
+        self.left -= len(data)
+        if self.left < 0:
+            raise ValueError(f"its files hold more than {LARGEST / 1e9:.1f} GB unpacked; decompress them")
+        return data

@@ -13,7 +13,7 @@ import polars as pl
 
 from trackers.core.errors import UnusableInput, listed
 from trackers.exchange.mapping import TableMapping, parsed, sensor_of
-from trackers.exchange.ros_package import limit_chunks, rosbags_module
+from trackers.exchange.ros_package import limit_unpacking, rosbags_module
 from trackers.recordings.input_file import LARGEST, file_bytes, size_of
 from trackers.recordings.table_file import TableFile
 
@@ -42,7 +42,7 @@ def opened(path: Path, definitions: Sequence[Path] = ()) -> Iterator[Any]:
     """
     anyreader, typesys = (rosbags_module(name, str(path)) for name in ("highlevel", "typesys"))
     _check_files(path)
-    limit_chunks(str(path))
+    limit_unpacking(str(path))
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
     for file in definitions:
         name = "/".join([*file.parts[-3:-1], file.stem])

@@ -71,13 +71,17 @@ def test_messages_beyond_the_limit_are_refused(tmp_path, monkeypatch):
     assert "its messages hold more than" in _refused(tmp_path / "bag", *BAG, "--out", tmp_path / "out")
 
 
-@pytest.mark.parametrize(("kind", "packed"), [("bag", "bz2"), ("bag", "lz4"), ("mcap", "zstd")])
-def test_a_chunk_that_unpacks_beyond_the_limit_is_refused(tmp_path, monkeypatch, kind, packed):
+@pytest.mark.parametrize(
+    ("kind", "packed"),
+    [("bag", "bz2"), ("bag", "lz4"), ("mcap", "STORAGE"), ("db3", "MESSAGE"), ("db3", "FILE"), ("mcap", "FILE")],
+)
+def test_what_unpacks_beyond_the_limit_is_refused(tmp_path, monkeypatch, kind, packed):
     bag = tmp_path / ("a.bag" if kind == "bag" else "bag")
     write_bag(bag, kind, packed)
     assert trackwright("import", bag, *BAG, "--out", tmp_path / "whole").code == 0
-    monkeypatch.setattr(ros_package, "LARGEST", 500)
-    assert "a chunk holds more than" in _refused(bag, *BAG, "--out", tmp_path / "out")
+    monkeypatch.setattr(ros_package, "LARGEST", 50)
+    what = "its files hold" if packed == "FILE" else "a chunk holds"
+    assert f"{what} more than" in _refused(bag, *BAG, "--out", tmp_path / "out")
 
 
 def test_the_streams_of_a_chunk_are_unpacked_one_after_the_other_to_their_end():
