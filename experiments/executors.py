@@ -41,6 +41,9 @@ SILENT_S = 60
 GONE_S = 15.0
 """Seconds after which a local worker that is gone is replaced: Dask starts none again that ends while it starts."""
 
+WAKE_S = 0.25
+"""Seconds after which a wait for parts looks for Ctrl-C: Polars lets system calls go on after it (SA_RESTART)."""
+
 Item = TypeVar("Item")
 
 
@@ -257,7 +260,7 @@ def finished(
                 waiting[submit(item)] = item
             if not waiting:
                 return
-            for future in wait(waiting, return_when=FIRST_COMPLETED).done:
+            for future in wait(waiting, WAKE_S, FIRST_COMPLETED).done:
                 item = waiting.pop(future)
                 ended = lost is not None and type(future.exception()).__name__ == "KilledWorker"
                 yield item, lost(item) if lost is not None and ended else future.result()

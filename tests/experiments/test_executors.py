@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import os
 import signal
+import subprocess
+import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from threading import Event
@@ -31,6 +33,27 @@ def test_parts_come_as_they_finish_and_few_are_submitted_at_once():
         first = next(parts)
         assert len(submitted) == 3
         assert sorted([first, *parts]) == [(k, math.factorial(k)) for k in range(20)]
+
+
+WAITS = """
+from concurrent.futures import Future
+import polars
+from experiments.executors import finished
+polars.LazyFrame({"a": [1]}).collect()
+print("waits", flush=True)
+list(finished(lambda item: Future(), [0]))
+"""
+
+
+def test_ctrl_c_ends_a_wait_for_a_part_that_never_ends():
+    with subprocess.Popen([sys.executable, "-c", WAITS], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as waiting:
+        assert waiting.stdout.readline() == b"waits\n"
+        time.sleep(0.5)
+        waiting.send_signal(signal.SIGINT)
+        try:
+            assert b"KeyboardInterrupt" in waiting.communicate(timeout=20)[1]
+        finally:
+            waiting.kill()
 
 
 def test_parts_that_have_not_begun_are_cancelled_where_one_fails():
