@@ -7,13 +7,14 @@ import pickle
 import platform
 import uuid
 from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
-from experiments.executors import computed
+from experiments.executors import computed, finished
 from experiments.portable_tracker import PortableTracker, spec_here
 from trackers.core.errors import UnusableInput
 from trackers.core.recording import Batch
@@ -34,11 +35,6 @@ class FitWorkers(NamedTuple):
     expected: Mapping[str, Any]
     folder: Path
 
-    def submit(self, what: str, call: bytes, *held: Any) -> Any:
-        """Dask's future of a pickled call, after whose arguments `held` the workers that have them are chosen."""
-        key = f"{what}-{uuid.uuid4().hex}"
-        return self.client.submit(computed, self.expected, call, *held, key=key, pure=False)
-
 
 class HeldParts:
     """The chunks of a problem with workers, each of which loads its own from files.
@@ -49,6 +45,7 @@ class HeldParts:
 
     def __init__(self, workers: FitWorkers, named: NamedTracker, point: Point, pieces: Iterable[Batch]) -> None:
         self.workers, self.rows, self.held = workers, list[Any](), list[Any]()
+        self.executor = workers.client.get_executor(pure=False)
         portable = PortableTracker.of(named)
         try:
             model = pickle.dumps(point)
@@ -64,7 +61,8 @@ class HeldParts:
             atomic_write(path, functools.partial(_write, leaves))
             call = pickle.dumps((loaded, (portable.name, portable.text, model, pickle.dumps(numbers), path), {}))
             self.rows.append(lengths_of(piece))
-            self.held.append(workers.submit("load", call))
+            key = f"load-{uuid.uuid4().hex}"
+            self.held.append(workers.client.submit(computed, workers.expected, call, key=key, pure=False))
 
     def run(
         self,
@@ -77,8 +75,12 @@ class HeldParts:
         """As `tuning.parts.Parts`."""
         call = pickle.dumps((evaluated, (function, blocks, reduced, realisation), {}))
         held = self.held if which is None else [self.held[k] for k in which]
-        found: list[list[Any]] = self.workers.client.gather([self.workers.submit("run", call, one) for one in held])
-        return found
+
+        def submit(k: int) -> Future[Any]:
+            return self.executor.submit(computed, self.workers.expected, call, held[k])
+
+        found = dict(finished(submit, range(len(held)), at_once=len(held)))
+        return [found[k] for k in range(len(held))]
 
 
 def _write(leaves: Sequence[np.ndarray], path: Path) -> None:

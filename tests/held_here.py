@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Iterator
+from concurrent import futures
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -12,35 +13,49 @@ from experiments.environment import environment
 
 
 @dataclass(frozen=True)
-class Future:
+class Held:
     """A submitted call, made whenever its result is needed."""
 
     function: Any
     expected: Any
     call: bytes
-    held: tuple[Future, ...]
 
     def result(self) -> Any:
         """What the call returns, as it would travel."""
-        held = [one.result() for one in self.held]
-        return pickle.loads(pickle.dumps(self.function(self.expected, self.call, *held)))
+        return pickle.loads(pickle.dumps(self.function(self.expected, self.call)))
 
 
 class Client:
-    """What a fit uses of `distributed.Client`; `results`: of all calls gathered."""
+    """What a fit uses of `distributed.Client`, and its executor; `results`: of all calls of the executor."""
 
     def __init__(self) -> None:
         self.results = list[Any]()
 
-    def submit(self, function: Any, expected: Any, call: bytes, *held: Future, key: str, pure: bool) -> Future:
-        """A call for later."""
-        return Future(function, expected, call, held)
+    def submit(self, function: Any, expected: Any, call: bytes, *, key: str, pure: bool) -> Held:
+        """What stays with a worker."""
+        return Held(function, expected, call)
 
-    def gather(self, futures: list[Future]) -> list[Any]:
-        """The results in the order of the calls, of which the last is made first."""
-        found = [one.result() for one in reversed(futures)][::-1]
-        self.results += found
-        return found
+    def get_executor(self, pure: bool) -> Executor:
+        """An executor that computes at once, here."""
+        return Executor(self)
+
+
+class Executor(futures.Executor):
+    """An executor that computes at once."""
+
+    def __init__(self, client: Client) -> None:
+        self.client = client
+
+    def submit(self, function: Any, /, *args: Any, **kwargs: Any) -> futures.Future[Any]:
+        """The future of a call, which has its result already."""
+        future = futures.Future[Any]()
+        here = [one.result() if isinstance(one, Held) else one for one in args]
+        try:
+            future.set_result(pickle.loads(pickle.dumps(function(*here, **kwargs))))
+            self.client.results.append(future.result())
+        except Exception as error:
+            future.set_exception(error)
+        return future
 
 
 @contextmanager

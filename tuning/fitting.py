@@ -188,7 +188,7 @@ def fit(
             problem.power = 1.0 / rows_and_inflation(problem, best)[1]
     except KeyboardInterrupt:
         interrupted = True
-    stage("intervals")
+    stage("the best values so far" if interrupted else "intervals")
     result = _result(model, driver, state, interrupted)
     result = dataclasses.replace(result, readings=readings, recordings=data.recordings_of(problem))
     if isinstance(tracker, NamedTracker):
