@@ -20,6 +20,7 @@ from trackers.recordings.calibration import (
     TagCalibration,
 )
 from trackers.recordings.input_file import read_toml
+from trackers.recordings.rig_file import LARGEST
 
 FORMAT = 1
 COMMENT = "# Written by `trackwright calibrate`; read by `--calibration` of `track` and `tune`.\n"
@@ -160,8 +161,9 @@ class _Reader:
             found = np.asarray(value)
         except ValueError:
             found = np.array(None)
-        if found.dtype.kind not in "if" or found.shape != shape or not np.isfinite(found).all():
+        if found.dtype.kind not in "if" or found.shape != shape or not (np.abs(found) <= LARGEST).all():
             size = f"{' × '.join(map(str, shape))} finite numbers" if shape else "a finite number"
+            size = f"{size}, at most {LARGEST:g} in size"
             shown = repr(value) if len(repr(value)) <= 60 else repr(value)[:57] + "..."
             self.refuse(f"{where} = {shown}, expected {size}")
         return found.astype(float)

@@ -78,6 +78,7 @@ def test_a_calibration_is_read_back_to_the_bit(path):
         ("rows = 93", "rows = 93\nheight = 1.0", "[anchors.A] has unknown key 'height'"),
         ("range_spread_m = 0.0583", "range_spread_m = 0", "range_spread_m = 0, expected a number above zero"),
         ("slope = 0.01", "slope = nan", "anchors.A.slope = nan, expected a finite number"),
+        ("slope = 0.01", "slope = 1e200", "anchors.A.slope = 1e+200, expected a finite number, at most 1e+09 in size"),
         ("slope = 0.01", "slope = -1.5", "slope = -1.5, expected a number above -1"),
         ("slope = 0.01", 'slope = "0.01"', "slope = '0.01', expected a finite number"),
         ("position_m = [\n    1.0", "position_m = [\n    nan", "anchors.A.position_m = [nan, 2.0, 2.5], expected 3 finite"),
