@@ -80,7 +80,10 @@ def cluster_client(cluster: str) -> Iterator[tuple[Any, dict[str, Any]]]:
                 require_same(expected, found, f"worker {address}")
             yield client, expected
     except (CancelledError, distributed.CancelledError, distributed.comm.CommClosedError) as error:
-        raise UnusableInput(f"--cluster {cluster}: the scheduler was lost; start it again, then the command") from error
+        raise UnusableInput(
+            f"--cluster {cluster}: the scheduler was lost, or the network to it; see that it runs, then run the "
+            "command again"
+        ) from error
     except distributed.KilledWorker as error:
         raise UnusableInput(
             f"--cluster {cluster}: {error.allowed_failures + 1} workers ended while they computed the same part; "

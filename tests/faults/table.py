@@ -25,7 +25,7 @@ import numpy as np
 
 from experiments.bench.timing import replace_tables, write_json
 from experiments.bench.waiting import commit
-from tests.faults import callers, disks, workers
+from tests.faults import callers, disks, networks, workers
 from tests.faults.seen import Seen, UntriedError
 from trackers.core.program_cache import cache_programs
 
@@ -66,6 +66,12 @@ def faults(trajectories: int = LARGE, deaths: int = 10) -> list[Fault]:
         Fault("scheduler killed", "SIGKILL of `dask scheduler` with two workers; then another one", 3,
               workers.scheduler_killed),
         Fault("caller of workers killed", "SIGKILL of `study --cluster local:2`; then on threads", 5, callers.orphaned),
+        *(Fault(f"network down, `{n} --cluster`", "the workers on another host (a network namespace), 1 to 20 s", 10,
+                _of(networks.cut, n)) for n in ("study", "tune")),
+        Fault("network down for long", f"the same, {networks.LONG_S:.0f} s; where workers ended, new ones", 3,
+              networks.workers_cut_off),
+        Fault("network of the caller down", f"the command on another host, {networks.LONG_S:.0f} s; then again", 3,
+              networks.caller_cut_off),
         *(Fault(f"full disk, `{c}`", full, 20, _of(disks.full, n)) for n, c in commands.items()),
         *(Fault(f"read-only folder, `{c}`", "a file system mounted read-only, empty or with results", 4,
                 _of(disks.read_only, n)) for n, c in commands.items()),

@@ -38,7 +38,7 @@ def test_a_fit_whose_scheduler_is_killed_is_refused_in_a_line_and_goes_on_with_t
             time.sleep(0.01)
         scheduler.kill()
         found = ended()
-    seen.refused(found, tmp_path, 2, "--cluster tcp://", "the scheduler was lost; start it again, then the command")
+    seen.refused(found, tmp_path, 2, "--cluster tcp://", "the scheduler was lost", "run the command again")
     assert not seen.wrong
     assert not half_written(out)
     assert not temporary(out)

@@ -166,11 +166,11 @@ def hangs(times: int, draw: Draw, place: Path, trajectories: int, silent_s: floa
 
 
 @contextmanager
-def _dask(*words: str) -> Iterator[subprocess.Popen[bytes]]:
-    """A process of Dask, which is killed with the block, its workers too."""
+def _dask(*words: str, before: Sequence[str] = ()) -> Iterator[subprocess.Popen[bytes]]:
+    """A process of Dask, which is killed with the block, its workers too; `before`: words before its command."""
     import psutil
 
-    line = [sys.executable, "-m", "dask", *words]
+    line = [*before, sys.executable, "-m", "dask", *words]
     process = subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
     try:
         yield process
@@ -182,20 +182,21 @@ def _dask(*words: str) -> Iterator[subprocess.Popen[bytes]]:
 
 
 @contextmanager
-def dask_scheduler(place: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+def dask_scheduler(place: Path, host: str = "127.0.0.1") -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
     """A scheduler: its address and its process."""
     file = place / "scheduler.json"
     file.unlink(missing_ok=True)
-    with _dask("scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", str(file)) as scheduler:
+    words = ("--host", host, "--port", "0", "--no-dashboard", "--scheduler-file", str(file))
+    with _dask("scheduler", *words) as scheduler:
         while not file.exists():
             assert scheduler.poll() is None
             time.sleep(0.05)
         yield json.loads(file.read_text("utf-8"))["address"], scheduler
 
 
-def dask_workers(address: str, count: int) -> AbstractContextManager[subprocess.Popen[bytes]]:
-    """The process of so many workers of a scheduler."""
-    return _dask("worker", address, "--nthreads", "1", "--nworkers", str(count), "--no-dashboard")
+def dask_workers(address: str, count: int, *before: str) -> AbstractContextManager[subprocess.Popen[bytes]]:
+    """The process of so many workers of a scheduler; `before`: words before its command."""
+    return _dask("worker", address, "--nthreads", "1", "--nworkers", str(count), "--no-dashboard", before=before)
 
 
 @contextmanager

@@ -1,0 +1,151 @@
+"""A network that is down for a while between a command, its scheduler and its workers: two hosts on one machine."""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+import shutil
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from tests.faults.jobs import Job, jobs, run, running
+from tests.faults.seen import Seen, UntriedError
+from tests.faults.workers import dask_scheduler, dask_workers
+
+LONG_S = 60.0
+"""Seconds without a network after which Dask, by default, gives up a connection (30 s), and some more."""
+
+
+class Host(NamedTuple):
+    """Another host on this machine: a network namespace whose only link ends here, at the address `here`."""
+
+    name: str
+    here: str
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """What goes before a command that runs there."""
+        return ("ip", "netns", "exec", self.name)
+
+    def cut(self, seconds: float) -> None:
+        """Takes the link down for so long."""
+        _ip("-n", self.name, "link", "set", "there", "down")
+        time.sleep(seconds)
+        _ip("-n", self.name, "link", "set", "there", "up")
+
+
+def _ip(*words: str) -> None:
+    done = subprocess.run(["ip", *words], capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise UntriedError(f"ip {' '.join(words)}: {done.stderr.strip()}")
+
+
+@contextmanager
+def other_host() -> Iterator[Host]:
+    """Another host; raises UntriedError where none can be made: it needs Linux, root and iproute2."""
+    if shutil.which("ip") is None or os.geteuid():
+        raise UntriedError("a network namespace needs root and the command ip")
+    # Of the range for tests of networks (RFC 2544), four addresses for each process.
+    here, there = (ipaddress.ip_address("198.18.0.0") + 4 * (os.getpid() % 2**14) + k for k in (1, 2))
+    host = Host(f"faults{os.getpid()}", str(here))
+    _ip("netns", "add", host.name)
+    try:
+        _ip("link", "add", host.name, "type", "veth", "peer", "name", "there", "netns", host.name)
+        _ip("addr", "add", f"{here}/30", "dev", host.name)
+        _ip("-n", host.name, "addr", "add", f"{there}/30", "dev", "there")
+        _ip("link", "set", host.name, "up")
+        _ip("-n", host.name, "link", "set", "there", "up")
+        yield host
+    finally:
+        _ip("netns", "del", host.name)
+
+
+def _whole(name: str, place: Path) -> tuple[Job, str]:
+    """A job, and the bits of its results on threads."""
+    job = jobs(place)[name]
+    ended = run(job.line(place / "whole"))
+    assert ended.code == 0, ended.err
+    return job, job.digest(place / "whole")
+
+
+def _begun(process: subprocess.Popen[bytes], job: Job, out: Path, parts: int) -> None:
+    while process.poll() is None and len(job.finished(out)) < parts:
+        time.sleep(0.01)
+
+
+def cut(name: str, times: int, draw: np.random.Generator, place: Path, longest: float = 20.0) -> Seen:
+    """The network to the workers is down for some seconds: the command goes on."""
+    job, digest = _whole(name, place)
+    seen = Seen()
+    with (
+        other_host() as host,
+        dask_scheduler(place, host.here) as (address, _),
+        dask_workers(address, 2, *host.words),
+    ):
+        for k in range(times):
+            out = place / f"cut-{k}"
+            with running(job.line(out, "--cluster", address)) as (process, ended):
+                _begun(process, job, out, int(draw.integers(1, 8)))
+                before, alive = job.finished(out), process.poll() is None
+                host.cut(float(draw.uniform(1.0, longest)))
+                seen.times += alive
+                found = ended()
+            seen.look(job, out, before)
+            seen.compare(job, out, digest, found)
+    return seen
+
+
+def workers_cut_off(times: int, draw: np.random.Generator, place: Path) -> Seen:
+    """The network is down for so long that workers end: the command waits for new ones and goes on."""
+    job, digest = _whole("study", place)
+    seen, ends = Seen(), 0
+    with other_host() as host:
+        for k in range(times):
+            out = place / f"cut-off-{k}"
+            with (
+                dask_scheduler(place, host.here) as (address, _),
+                running(job.line(out, "--cluster", address)) as (process, ended),
+            ):
+                with dask_workers(address, 2, *host.words) as gone:
+                    _begun(process, job, out, int(draw.integers(1, 8)))
+                    before = job.finished(out)
+                    host.cut(LONG_S)
+                    # Those that have reconnected in time go on.
+                    while gone.poll() is None and process.poll() is None:
+                        time.sleep(0.1)
+                    ends += process.poll() is None
+                seen.times += 1
+                with dask_workers(address, 2, *host.words):
+                    found = ended()
+            seen.look(job, out, before)
+            seen.compare(job, out, digest, found)
+    seen.notes.append(f"both workers ended {ends} times")
+    return seen
+
+
+def caller_cut_off(times: int, draw: np.random.Generator, place: Path) -> Seen:
+    """The network from the command to the scheduler is down for so long: a refusal; the same command goes on."""
+    job, digest = _whole("study", place)
+    seen = Seen()
+    with other_host() as host, dask_scheduler(place, host.here) as (address, _), dask_workers(address, 2):
+        for k in range(times):
+            out = place / f"caller-{k}"
+            line = [*host.words, *job.line(out, "--cluster", address)]
+            with running(line) as (process, ended):
+                _begun(process, job, out, int(draw.integers(1, 8)))
+                before = job.finished(out)
+                host.cut(LONG_S)
+                found = ended()
+            seen.times += 1
+            seen.refused(found._replace(err=found.err.replace(address, "tcp://…")), place, 2, "the scheduler was lost")
+            before = seen.look(job, out, before)
+            again = run(line)
+            seen.look(job, out, before)
+            seen.compare(job, out, digest, again)
+    return seen
