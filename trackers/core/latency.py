@@ -94,7 +94,7 @@ def _slopes(times: Any, values: Any, joined: Any) -> Any:
     """The slopes (T, d) of the parabolas through three neighbours, or through those that are `joined` (T - 1,)."""
     spans = jnp.where(joined, times[1:] - times[:-1], 0.0)
     chords = jnp.where(spans > 0, 1.0 / jnp.where(spans > 0, spans, 1.0), 0.0)[:, None] * (values[1:] - values[:-1])
-    none, flat = jnp.zeros_like(spans[:1]), jnp.zeros_like(chords[:1])
+    none, flat = jnp.zeros_like(times[:1]), jnp.zeros_like(values[:1])
     # Each neighbour's chord has the other's span as its weight; a single neighbour has the whole weight.
     before, after = jnp.concatenate([none, spans]), jnp.concatenate([spans, none])
     total_span = jnp.where(before + after > 0, before + after, 1.0)

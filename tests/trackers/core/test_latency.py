@@ -47,6 +47,12 @@ def test_the_truth_at_earlier_times_is_scipys_spline_within_a_stretch_and_its_ta
         np.testing.assert_allclose(values[first:end, :, 1], z, atol=1e-12)
 
 
+def test_the_truth_of_a_single_row_is_that_of_every_earlier_time():
+    recording = _recording(1)
+    values, _ = scored_truth(stack([recording]), np.array([0.21]))["position"]
+    np.testing.assert_array_equal(values[..., 0], recording.truth["position"][0])
+
+
 class Reordered(NamedTuple):
     velocity: Vector
     clock: float
