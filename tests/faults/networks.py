@@ -60,7 +60,8 @@ def other_host() -> Iterator[Host]:
         _ip("addr", "add", f"{here}/30", "dev", host.name)
         _ip("-n", host.name, "addr", "add", f"{there}/30", "dev", "there")
         _ip("link", "set", host.name, "up")
-        _ip("-n", host.name, "link", "set", "there", "up")
+        for device in ("lo", "there"):
+            _ip("-n", host.name, "link", "set", device, "up")
         yield host
     finally:
         _ip("netns", "del", host.name)
@@ -116,7 +117,7 @@ def workers_cut_off(times: int, draw: np.random.Generator, place: Path) -> Seen:
                     _begun(process, job, out, int(draw.integers(1, 8)))
                     before = job.finished(out)
                     host.cut(LONG_S)
-                    # Those that have reconnected in time go on.
+                    # Those that Dask starts again go on.
                     while gone.poll() is None and process.poll() is None:
                         time.sleep(0.1)
                     ends += process.poll() is None
