@@ -80,7 +80,7 @@ def _begun(process: subprocess.Popen[bytes], job: Job, out: Path, parts: int) ->
         time.sleep(0.01)
 
 
-def cut(name: str, times: int, draw: np.random.Generator, place: Path, longest: float = 20.0) -> Seen:
+def cut(name: str, times: int, draw: np.random.Generator, place: Path) -> Seen:
     """The network to the workers is down for some seconds: the command goes on."""
     job, digest = _whole(name, place)
     seen = Seen()
@@ -94,7 +94,7 @@ def cut(name: str, times: int, draw: np.random.Generator, place: Path, longest: 
             with running(job.line(out, "--cluster", address)) as (process, ended):
                 _begun(process, job, out, int(draw.integers(1, 8)))
                 before, alive = job.finished(out), process.poll() is None
-                host.cut(float(draw.uniform(1.0, longest)))
+                host.cut(float(draw.uniform(1.0, 20.0)))
                 seen.times += alive
                 found = ended()
             seen.look(job, out, before)
