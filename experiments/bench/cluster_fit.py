@@ -23,6 +23,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from experiments.bench.cluster_results import head, markdown, publish
 from experiments.cli.main import run_alone
 from experiments.cli.runtime import set_flags
@@ -71,7 +73,8 @@ def main(
         f"A fit of {size['trajectories']:,} trajectories, {size['rows'] / 1e6:.2f} million rows, which take "
         f"{travels['chunk_bytes'] / 1e6:.0f} MB on the workers.\n\n{markdown(table(fits))}\n\nAn evaluation at one "
         f"vector sends {travels['sent'] / 1e3:.0f} kB to the {travels['workers']} workers, and "
-        f"{travels['received'] / 1e3:.0f} kB back, for {travels['chunks']} chunks."
+        f"{travels['received'] / 1e3:.0f} kB back, for {travels['chunks']} chunks (median of "
+        f"{EVALUATIONS}; Dask may move a chunk to another worker besides)."
     )
     publish({**results, **size, "steps": steps, "fits": fits, "evaluation": travels}, text, out, page)
     return int(len({one["sha256"] for one in fits.values()}) > 1)
@@ -209,17 +212,19 @@ def travelling(paths: Sequence[Path], folder: Path, workers: int = 2) -> dict[st
         )  # fmt: skip
         vector = flatten(parameters)
         problem.evaluate(vector)
-        before = client.run(tcp_bytes)
+        counts = [client.run(tcp_bytes)]
         for _ in range(EVALUATIONS):
             problem.evaluate(vector)
-        after = client.run(tcp_bytes)
-        sent, received = (sum(after[one][k] - before[one][k] for one in before) for k in (1, 0))
+            counts.append(client.run(tcp_bytes))
+        totals = [[sum(one[k] for one in count.values()) for k in (1, 0)] for count in counts]
+        # The median, since Dask moves a chunk between workers now and then.
+        sent, received = (int(np.median(np.diff(own))) for own in zip(*totals, strict=True))
         return {
             "workers": workers,
             "chunks": len(problem.parts.rows),
             "chunk_bytes": sum(path.stat().st_size for path in folder.glob("*.npz")),
-            "sent": sent // EVALUATIONS,
-            "received": received // EVALUATIONS,
+            "sent": sent,
+            "received": received,
         }
 
 
