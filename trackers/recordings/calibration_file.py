@@ -161,12 +161,13 @@ class _Reader:
             found = np.asarray(value)
         except ValueError:
             found = np.array(None)
-        if found.dtype.kind not in "if" or found.shape != shape or not (np.abs(found) <= LARGEST).all():
+        numeric = found.dtype.kind in "if" and found.shape == shape
+        numbers = found.astype(float) if numeric else np.array(np.nan)
+        if not (np.abs(numbers) <= LARGEST).all():
             size = f"{' × '.join(map(str, shape))} finite numbers" if shape else "a finite number"
-            size = f"{size}, at most {LARGEST:g} in size"
             shown = repr(value) if len(repr(value)) <= 60 else repr(value)[:57] + "..."
-            self.refuse(f"{where} = {shown}, expected {size}")
-        return found.astype(float)
+            self.refuse(f"{where} = {shown}, expected {size}, at most {LARGEST:g} in size")
+        return numbers
 
     def positive(self, where: str, value: Any) -> float:
         found = float(self.array(where, value, ()))
