@@ -61,6 +61,7 @@ class HeldParts:
             atomic_write(path, functools.partial(_write, leaves))
             call = pickle.dumps((loaded, (portable.name, portable.text, model, pickle.dumps(numbers), path), {}))
             self.rows.append(lengths_of(piece))
+            # A prefix of its own: Dask estimates the duration of a task by those with the same one.
             key = f"load-{uuid.uuid4().hex}"
             self.held.append(workers.client.submit(computed, workers.expected, call, key=key, pure=False))
 
