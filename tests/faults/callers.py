@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.faults.jobs import Ended, Job, Moment, after, hurt, jobs, run, running, temporary, writing
+from tests.faults.jobs import Ended, Job, Moment, after, hurt, reference, run, running, temporary, writing
 from tests.faults.seen import Seen
 
 Draw = np.random.Generator
@@ -22,13 +22,13 @@ GONE_S = 20.0
 
 def _reference(place: Path, name: str) -> tuple[Job, str, float]:
     """The job, the digest of its results without a fault, and its duration, s, with compiled programs."""
-    job = jobs(place)[name]
-    for out in (place / "first", place / "whole"):
-        began = time.monotonic()
-        ended = run(job.line(out))
-        assert ended.code == 0, ended.err
-    assert job.digest(place / "first") == job.digest(place / "whole")
-    return job, job.digest(place / "whole"), time.monotonic() - began
+    job, digest = reference(place, name)
+    began = time.monotonic()
+    ended = run(job.line(place / "again"))
+    seconds = time.monotonic() - began
+    assert ended.code == 0, ended.err
+    assert job.digest(place / "again") == digest
+    return job, digest, seconds
 
 
 def _moment(draw: Draw, out: Path, seconds: float) -> Moment:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.faults.jobs import Ended, Job, after, hurt, jobs, run, temporary
+from tests.faults.jobs import Ended, Job, after, hurt, reference, run, temporary
 from tests.faults.seen import Seen, UntriedError
 from tests.in_process import trackwright
 
@@ -42,16 +42,9 @@ def _here(job: Job, out: Path) -> Ended:
     return Ended(*trackwright(*job.words, "--out", out))
 
 
-def _reference(place: Path, name: str) -> tuple[Job, str]:
-    job = jobs(place)[name]
-    ended = _here(job, place / "whole")
-    assert ended.code == 0, ended.err
-    return job, job.digest(place / "whole")
-
-
 def full(name: str, times: int, draw: Draw, place: Path) -> Seen:
     """A disk that is full at some point of a command; with more space the same command goes on."""
-    job, digest = _reference(place, name)
+    job, digest = reference(place, name, _here)
     needed = sum(-(-path.stat().st_size // 4096) * 4 for path in (place / "whole").rglob("*") if path.is_file())
     seen, k = Seen(), 0
     while seen.times < times:
@@ -79,7 +72,7 @@ def _stamps(folder: Path) -> dict[Path, tuple[int, int]]:
 
 def read_only(name: str, times: int, draw: Draw, place: Path) -> Seen:
     """A folder that cannot be written to, empty or with results, which stay as they are."""
-    job, digest = _reference(place, name)
+    job, digest = reference(place, name, _here)
     seen = Seen()
     for k in range(times):
         disk = place / f"disk-{k}"
@@ -102,7 +95,7 @@ def read_only(name: str, times: int, draw: Draw, place: Path) -> Seen:
 
 def cut(name: str, times: int, draw: Draw, place: Path) -> Seen:
     """A file of the results loses its end: it is computed again, or refused by its name until it is removed."""
-    job, digest = _reference(place, name)
+    job, digest = reference(place, name, _here)
     seen = Seen()
     for k in range(times):
         out = place / f"cut-{k}"
@@ -138,9 +131,7 @@ def _wrong_clock(place: Path) -> Path:
 def clock(name: str, times: int, draw: Draw, place: Path, *more: str) -> Seen:
     """A command begins in another year, is killed, and goes on with a clock that is set back by an hour on the way."""
     preload = {"LD_PRELOAD": str(_wrong_clock(place))}
-    job = jobs(place)[name]
-    assert run(job.line(place / "whole")).code == 0
-    seen, digest = Seen(), job.digest(place / "whole")
+    (job, digest), seen = reference(place, name), Seen()
     for k in range(times):
         out, line = place / f"clock-{k}", job.line(place / f"clock-{k}", *more)
         ahead = (1, -1)[k % 2] * int(draw.integers(1, 30)) * YEAR_S

@@ -131,6 +131,19 @@ def run(line: Sequence[str], **environment: str) -> Ended:
         return ended()
 
 
+def alone(job: Job, out: Path) -> Ended:
+    """The job as a process of its own."""
+    return run(job.line(out))
+
+
+def reference(place: Path, name: str, ran: Callable[[Job, Path], Ended] = alone) -> tuple[Job, str]:
+    """A job, and the digest of its results on threads, without a fault, in the folder `whole`."""
+    job = jobs(place)[name]
+    ended = ran(job, place / "whole")
+    assert ended.code == 0, ended.err
+    return job, job.digest(place / "whole")
+
+
 def hurt(line: Sequence[str], moment: Moment, number: int = signal.SIGKILL, **environment: str) -> Ended:
     """The process, which gets a signal at a moment unless it has ended."""
     with running(line, **environment) as (process, ended):
@@ -163,11 +176,11 @@ def writing(out: Path, seconds: float) -> Moment:
     return wait
 
 
-def stored(out: Path, count: int) -> Moment:
-    """When a study has stored so many chunks."""
+def begun(job: Job, out: Path, parts: int) -> Moment:
+    """When so many parts are finished: chunks of a study, steps of a fit."""
 
     def wait(process: subprocess.Popen[bytes]) -> None:
-        while process.poll() is None and len([*out.glob("chunks/[0-9]*.npz")]) < count:
+        while process.poll() is None and len(job.finished(out)) < parts:
             time.sleep(0.01)
 
     return wait

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tests.faults.jobs import Job, jobs, run, running
+from tests.faults.jobs import begun, reference, run, running
 from tests.faults.seen import Seen, UntriedError
 from tests.faults.workers import dask_scheduler, dask_workers
 
@@ -67,22 +67,9 @@ def other_host() -> Iterator[Host]:
         _ip("netns", "del", host.name)
 
 
-def _whole(name: str, place: Path) -> tuple[Job, str]:
-    """A job, and the bits of its results on threads."""
-    job = jobs(place)[name]
-    ended = run(job.line(place / "whole"))
-    assert ended.code == 0, ended.err
-    return job, job.digest(place / "whole")
-
-
-def _begun(process: subprocess.Popen[bytes], job: Job, out: Path, parts: int) -> None:
-    while process.poll() is None and len(job.finished(out)) < parts:
-        time.sleep(0.01)
-
-
 def cut(name: str, times: int, draw: np.random.Generator, place: Path) -> Seen:
     """The network to the workers is down for some seconds: the command goes on."""
-    job, digest = _whole(name, place)
+    job, digest = reference(place, name)
     seen = Seen()
     with (
         other_host() as host,
@@ -92,7 +79,7 @@ def cut(name: str, times: int, draw: np.random.Generator, place: Path) -> Seen:
         for k in range(times):
             out = place / f"cut-{k}"
             with running(job.line(out, "--cluster", address)) as (process, ended):
-                _begun(process, job, out, int(draw.integers(1, 8)))
+                begun(job, out, int(draw.integers(1, 8)))(process)
                 before, alive = job.finished(out), process.poll() is None
                 host.cut(float(draw.uniform(1.0, 20.0)))
                 seen.times += alive
@@ -104,7 +91,7 @@ def cut(name: str, times: int, draw: np.random.Generator, place: Path) -> Seen:
 
 def workers_cut_off(times: int, draw: np.random.Generator, place: Path) -> Seen:
     """The network is down for so long that workers end: the command waits for new ones and goes on."""
-    job, digest = _whole("study", place)
+    job, digest = reference(place, "study")
     seen, ends = Seen(), 0
     with other_host() as host:
         for k in range(times):
@@ -114,7 +101,7 @@ def workers_cut_off(times: int, draw: np.random.Generator, place: Path) -> Seen:
                 running(job.line(out, "--cluster", address)) as (process, ended),
             ):
                 with dask_workers(address, 2, *host.words) as gone:
-                    _begun(process, job, out, int(draw.integers(1, 8)))
+                    begun(job, out, int(draw.integers(1, 8)))(process)
                     before = job.finished(out)
                     host.cut(LONG_S)
                     # Those that Dask starts again go on.
@@ -132,19 +119,19 @@ def workers_cut_off(times: int, draw: np.random.Generator, place: Path) -> Seen:
 
 def caller_cut_off(times: int, draw: np.random.Generator, place: Path) -> Seen:
     """The network from the command to the scheduler is down for so long: a refusal; the same command goes on."""
-    job, digest = _whole("study", place)
+    job, digest = reference(place, "study")
     seen = Seen()
     with other_host() as host, dask_scheduler(place, host.here) as (address, _), dask_workers(address, 2):
         for k in range(times):
             out = place / f"caller-{k}"
             line = [*host.words, *job.line(out, "--cluster", address)]
             with running(line) as (process, ended):
-                _begun(process, job, out, int(draw.integers(1, 8)))
+                begun(job, out, int(draw.integers(1, 8)))(process)
                 before = job.finished(out)
                 host.cut(LONG_S)
                 found = ended()
             seen.times += 1
-            seen.refused(found._replace(err=found.err.replace(address, "tcp://…")), place, 2, "the scheduler was lost")
+            seen.refused(found, place, 2, "the scheduler was lost")
             before = seen.look(job, out, before)
             again = run(line)
             seen.look(job, out, before)

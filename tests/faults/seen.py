@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -70,6 +71,7 @@ class Seen:
             self.wrong.append(f"not refused in a line: {ended.code}, {ended.err[-500:]}")
             return
         line = lines[0].removeprefix("trackwright: ").replace(f"{place}/", "")
+        line = re.sub(r"tcp://[\d.]+:\d+", "tcp://…", line)
         self.wrong += [f"lacks {word!r}: {line}" for word in words if word not in line]
         self.said.add(line)
 

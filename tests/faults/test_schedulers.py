@@ -7,7 +7,7 @@ import time
 import pytest
 
 from experiments.executors import GONE_S
-from tests.faults.jobs import half_written, jobs, run, running, stored, temporary
+from tests.faults.jobs import begun, half_written, jobs, run, running, temporary
 from tests.faults.seen import Seen
 from tests.faults.workers import dask_cluster, dask_scheduler, dask_workers
 
@@ -34,8 +34,7 @@ def test_a_fit_whose_scheduler_is_killed_is_refused_in_a_line_and_goes_on_with_t
         dask_cluster(tmp_path) as (address, scheduler),
         running(job.line(out, "--cluster", address)) as (process, ended),
     ):
-        while process.poll() is None and len(job.finished(out)) < 5:
-            time.sleep(0.01)
+        begun(job, out, 5)(process)
         scheduler.kill()
         found = ended()
     seen.refused(found, tmp_path, 2, "--cluster tcp://", "the scheduler was lost", "run the command again")
@@ -54,7 +53,7 @@ def test_a_study_whose_workers_are_all_gone_says_so_and_goes_on_with_a_new_one(t
     job, out = jobs(tmp_path)["study"], tmp_path / "out"
     with dask_scheduler(tmp_path) as (address, _), running(job.line(out, "--cluster", address)) as (process, ended):
         with dask_workers(address, 1):
-            stored(out, 2)(process)
+            begun(job, out, 2)(process)
         time.sleep(GONE_S + 5.0)
         assert process.poll() is None
         with dask_workers(address, 1):

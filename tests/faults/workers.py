@@ -22,7 +22,7 @@ from experiments.monte_carlo import load_study, run_study
 from experiments.monte_carlo.chunk_store import ChunkStore
 from experiments.monte_carlo.declaration import Study
 from experiments.reports.study_text import to_json
-from tests.faults.jobs import half_written, hurt, jobs, long_fit, run, running, stored, temporary
+from tests.faults.jobs import begun, half_written, hurt, long_fit, reference, run, running, temporary
 from tests.faults.seen import Seen
 
 Draw = np.random.Generator
@@ -113,9 +113,9 @@ def killed(times: int, draw: Draw, place: Path, trajectories: int, deaths: int) 
     """Studies on `local:2` in each of which so many workers are killed by SIGKILL, with the bits of threads."""
     study, seen, studies = _declared(place, trajectories), Seen(), range(0, times, deaths)
     digest = _digest(study, place / "threads")
-    for begun in studies:
-        out = place / f"workers-{begun}"
-        with _hurting(draw, min(deaths, times - begun), study.chunks) as sent:
+    for first in studies:
+        out = place / f"workers-{first}"
+        with _hurting(draw, min(deaths, times - first), study.chunks) as sent:
             found = _digest(study, out, "local:2")
         half, left = len(half_written(out)), len(temporary(out))
         seen += Seen(sum(sent), half=half, left=left, compared=1, differ=found != digest)
@@ -208,20 +208,19 @@ def dask_cluster(place: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
 
 def scheduler_killed(times: int, draw: Draw, place: Path) -> Seen:
     """The scheduler is killed while a study runs on it: a refusal, and the same command goes on with another one."""
-    job, seen = jobs(place)["study"], Seen()
-    digest = job.digest(place / "whole") if run(job.line(place / "whole")).code == 0 else ""
+    (job, digest), seen = reference(place, "study"), Seen()
     for k in range(times):
         out = place / f"scheduler-{k}"
         with dask_cluster(place) as (address, scheduler):
 
             def moment(process: subprocess.Popen[bytes], out: Path = out, scheduler: Any = scheduler) -> None:
-                stored(out, int(draw.integers(1, 8)))(process)
+                begun(job, out, int(draw.integers(1, 8)))(process)
                 scheduler.kill()
                 process.wait(120)
 
             ended = hurt(job.line(out, "--cluster", address), moment)
             seen.times += 1
-            seen.refused(ended._replace(err=ended.err.replace(address, "tcp://…")), place, 2, "the scheduler was lost")
+            seen.refused(ended, place, 2, "the scheduler was lost")
         before = seen.look(job, out, set())
         with dask_cluster(place) as (address, _):
             ended = run(job.line(out, "--cluster", address))
