@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.faults.jobs import Ended, Job, Moment, after, hurt, reference, run, running, temporary, writing
+from tests.faults.jobs import Ended, Job, Moment, after, begun, hurt, reference, run, running, temporary, writing
 from tests.faults.seen import Seen
 
 Draw = np.random.Generator
@@ -89,13 +89,13 @@ def orphaned(times: int, draw: Draw, place: Path) -> Seen:
     """The caller of workers on this machine is killed: they end, and the study continues on threads."""
     import psutil
 
-    job, digest, seconds = _reference(place, "study")
+    job, digest = reference(place, "study")
     seen = Seen()
     for k in range(times):
         out = place / f"orphaned-{k}"
         with running(job.line(out, "--cluster", "local:2")) as (process, ended):
-            # The workers begin after the caller, which waits for them.
-            after(draw.uniform(seconds, 3 * seconds))(process)
+            # By parts, not by seconds: workers take longer to begin on a busy machine.
+            begun(job, out, int(draw.integers(1, 8)))(process)
             family = psutil.Process(process.pid).children(recursive=True) if process.poll() is None else []
             process.kill()
             seen.times += ended().code == -signal.SIGKILL
