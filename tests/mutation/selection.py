@@ -14,8 +14,8 @@ from random import Random
 from tests.mutation.operators import Mutation, mutations
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = ("trackers", "tuning", "sim")
-PUBLIC = {"trackwright", *PACKAGES}
+PACKAGES = ("trackers", "tuning", "sim", "experiments")
+PUBLIC = {"trackwright", "trackers", "tuning", "sim"}
 OF_TEXT = ("tests/mutation", "tests/test_docs.py", "tests/test_layout.py")
 """Tests of pages and source text, which no figure depends on."""
 
@@ -26,12 +26,17 @@ NOT_NUMERIC = (
     "trackers/recordings/table_file.py",
     "tuning/checkpoint.py",
     "tuning/tuned_file.py",
+    # The laboratory: what it prints is compared with committed pages by its own commands, not by tests.
+    "experiments/bench",
+    "experiments/papers",
+    "experiments/questions",
+    "experiments/validation",
 )
-"""Files and messages: no figure depends on them."""
+"""Files, messages and the laboratory: no figure of the product depends on them."""
 
 
 def numeric_modules(root: Path) -> list[str]:
-    """The files of the library that import numpy or jax, relative to the root."""
+    """The files of the product that import numpy or jax, relative to the root."""
     files = (path for package in PACKAGES for path in sorted((root / package).rglob("*.py")))
     names = [(path.relative_to(root).as_posix(), path.read_text("utf-8")) for path in files]
     numeric = re.compile(r"^import (numpy|jax)\b", re.M)
@@ -127,7 +132,7 @@ def _steps_to(root: Path, file: str) -> dict[str, int]:
 def _imports(root: Path) -> dict[str, set[str]]:
     """The files that each file imports, and `PUBLIC` packages, whose lists of names are no step on the way."""
     files = [
-        p.relative_to(root) for folder in (*PACKAGES, "experiments", "tests") for p in (root / folder).rglob("*.py")
+        p.relative_to(root) for folder in (*PACKAGES, "tests") for p in (root / folder).rglob("*.py")
     ]
     modules = {".".join(p.with_suffix("").parts): p.as_posix() for p in files if p.name != "__init__.py"}
     modules |= {package: package for package in PUBLIC}
