@@ -131,9 +131,7 @@ def _steps_to(root: Path, file: str) -> dict[str, int]:
 @cache
 def _imports(root: Path) -> dict[str, set[str]]:
     """The files that each file imports, and `PUBLIC` packages, whose lists of names are no step on the way."""
-    files = [
-        p.relative_to(root) for folder in (*PACKAGES, "tests") for p in (root / folder).rglob("*.py")
-    ]
+    files = [p.relative_to(root) for folder in (*PACKAGES, "tests") for p in (root / folder).rglob("*.py")]
     modules = {".".join(p.with_suffix("").parts): p.as_posix() for p in files if p.name != "__init__.py"}
     modules |= {package: package for package in PUBLIC}
     return {p.as_posix(): {modules[m] for m in _imported(root / p) if m in modules} for p in files}

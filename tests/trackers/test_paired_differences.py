@@ -99,3 +99,13 @@ def test_holm_is_closed_testing():
         assert holm(p) == pytest.approx(_closed(p))
     assert np.isnan(holm([0.01, np.nan])[1])
     assert holm([0.01, np.nan])[0] == pytest.approx(0.01)
+
+
+def test_the_last_common_row_counts_as_every_other():
+    """An error in the last row alone: half of it with twice the rows."""
+    n = 900
+    still = np.full((n, 2), 0.1)
+    last = still.copy()
+    last[-1] = [30.0, 40.0]
+    found = paired_differences(_run(still), _run(last), ("rmse_m",))["rmse_m"]
+    assert found.second == pytest.approx(np.sqrt(np.mean(np.sum(last**2, axis=-1))), rel=1e-12)

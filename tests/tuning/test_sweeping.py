@@ -14,7 +14,7 @@ from trackers.line.tracker import line_tracker as particle_tracker
 from tuning import NegativeLogLikelihood, RootMeanSquareError
 from tuning.parameters import Parameter, select_parameters
 from tuning.problem import Problem
-from tuning.sweeping import grid_vectors, sweep
+from tuning.sweeping import Sweep, grid_vectors, sweep
 
 NLL = NegativeLogLikelihood()
 SIGMA_V, SIGMA = "motion.sigma_v", "sensors.gauge.sigma"
@@ -127,3 +127,10 @@ def test_what_a_pattern_names_is_kept_equal_in_all_its_numbers():
 def test_a_grid_that_cannot_be_swept_is_refused(batches, over, words):
     with pytest.raises(ValueError, match=words):
         sweep(line_tracker(), batches, NLL, {k: np.array(v) for k, v in over.items()})
+
+
+def test_the_spread_is_the_sample_standard_deviation_of_two_repeats():
+    repeats = np.array([[1.0, 5.0], [4.0, 5.0]])
+    found = Sweep([], [np.array([0.1, 0.2])], repeats, 4)
+    # of two numbers: their distance over the root of two
+    np.testing.assert_allclose(found.spread, [3 / np.sqrt(2), 0.0])

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import base64
 import json
+import re
 import shutil
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 
+import numpy as np
 import polars as pl
 import pytest
 
@@ -132,6 +135,19 @@ def test_the_same_command_continues_after_an_end_at_any_moment(archive, whole, b
     assert not {path.name for path in written} & set(begun)
     assert len(begun) == COUNT - len(BROKEN) - 10
     assert _bytes(tmp_path) == _bytes(expected)
+
+
+def test_the_page_of_an_archive_has_the_truth_and_the_errors_of_the_recordings_shown(tmp_path):
+    write_archive(tmp_path / "archive", 2)
+    out = tmp_path / "out"
+    assert trackwright("track", tmp_path / "archive", "--keep-going", "--no-figures", "--out", out).code == 0
+    text = (out / "report.html").read_text()
+    held = json.loads(re.search(r'<script type="application/json" id="data">(.*?)</script>', text, re.DOTALL)[1])
+    (run,) = held["runs"]
+    assert len(run["recordings"]) == 2
+    for one in run["recordings"]:
+        errors = one["columns"]["e0"]
+        assert np.isfinite(np.frombuffer(base64.b64decode(errors["bdata"]), "<" + errors["dtype"])).any()
 
 
 def test_what_changed_is_tracked_again_and_nothing_else(tmp_path, begun):

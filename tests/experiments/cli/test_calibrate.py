@@ -4,14 +4,15 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import polars as pl
 import pytest
 
 from tests.in_process import assert_refused, trackwright
 from tests.tuning.calibration_worlds import RIG, world
-from trackers.core.rig import Tag
+from trackers.core.rig import Rig, Tag
 from trackers.recordings.calibration import Calibration
 from trackers.recordings.calibration_file import read_calibration, write_calibration
-from trackers.recordings.folder import write_recording
+from trackers.recordings.folder import RecordingFolder, write_recording
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +55,25 @@ def test_the_table_and_the_page_show_each_term_with_its_standard_error(walks):
     assert f"trackwright track RECORDING --calibration {there / 'site' / 'calibration.toml'}" in page.replace(
         "</span> <span>", " "
     )
+
+
+def test_the_page_says_that_its_figures_are_of_the_first_of_many_anchors(tmp_path):
+    rng = np.random.default_rng(2)
+    times = 0.2 * np.arange(150)
+    place = np.stack([5 + 4 * np.cos(0.3 * times), 4 + 3 * np.sin(0.21 * times), np.ones(150)], axis=1)
+    anchors = {f"A{k:02d}": np.array([rng.uniform(0, 10), rng.uniform(0, 8), 2.5]) for k in range(14)}
+    at = {"t_s": times, "tag": ["1"] * 150}
+    ranges = [
+        pl.DataFrame(
+            at | {"anchor": [name] * 150, "range_m": np.linalg.norm(place - spot, axis=1) + rng.normal(0, 0.05, 150)}
+        )
+        for name, spot in anchors.items()
+    ]
+    truth = pl.DataFrame(at | {f"{a}_m": place[:, k] for k, a in enumerate("xyz")})
+    tables = {"ranges": pl.concat(ranges).sort("t_s", maintain_order=True), "truth": truth}
+    write_recording(RecordingFolder("hall", None, Rig("hall", anchors=anchors), tables), tmp_path / "hall")
+    assert trackwright("calibrate", tmp_path / "hall", "--out", tmp_path / "calibration.toml").code == 0
+    assert "Of the first 12 stations and anchors." in (tmp_path / "calibration.html").read_text("utf-8")
 
 
 @pytest.mark.parametrize("table", ["bearings", pytest.param("uwb", marks=pytest.mark.slow)])

@@ -6,6 +6,8 @@ import numpy as np
 import polars as pl
 import pytest
 
+from experiments.cli import sweep_job
+from experiments.cli.stages import Stages
 from tests.in_process import assert_refused, trackwright
 
 KALMAN = "--tracker", "fix-kf"
@@ -95,6 +97,18 @@ def test_two_numbers_give_every_pair_and_a_figure_with_the_way_of_a_fit(twice):
     manifest = json.loads((out / "manifest.json").read_text())
     assert manifest["filter_runs"] == 12
     assert set(manifest["best"]) == {SIGMA_A, SIGMA_P}
+
+
+def test_the_progress_of_a_stochastic_tracker_counts_every_repeat(fixes, monkeypatch, tmp_path):
+    totals, begin = [], Stages.begin
+    monkeypatch.setattr(
+        Stages, "begin", lambda self, name, total=None: totals.append((name, total)) or begin(self, name, total)
+    )
+    monkeypatch.setattr(sweep_job, "is_stochastic", lambda tracker: True)
+    grid = f"{SIGMA_P}=0.2:0.4:2"
+    said = trackwright("sweep", fixes, *KALMAN, "--over", grid, "--repeats", 3, "--out", tmp_path / "out")
+    assert said.code == 0, said
+    assert ("grid point", 2 * 3) in totals
 
 
 @pytest.mark.slow

@@ -62,6 +62,25 @@ def test_tracks_events_and_sources_are_named(recording):
     assert recording["sources"][_unpacked(recording["columns"]["source"])[first]] == "1"
 
 
+def test_the_rig_is_drawn_where_the_estimates_are(tracks):
+    """Of map coordinates, walls, anchors and path are shifted by the origin of the page as positions are."""
+    (folder,) = tracks.folders
+    east = np.array([4e5, 5e6])
+    walls, path = np.array([[1.0, 2.0, 5.0, 2.5]]) + np.tile(east, 2), np.array([[0.0, 1.0], [9.0, 7.0]]) + east
+    anchors = {name: place + [*east, 0.0] for name, place in folder.rig.anchors.items()}
+    moved = replace(folder, rig=replace(folder.rig, anchors=anchors, walls=walls, path_knots=path))
+    places = [(pl.col(f"{a}_m") + by).alias(f"{a}_m") for a, by in zip("xy", east, strict=True)]
+    rows = tracks.association.rows.with_columns(places)
+    association = associate_truth(rows, {"hall": folder.tables["truth"].with_columns(places)})
+    drawn = run_data(ScoredTracks(association, [moved], []), NO_EVENTS, None, "uwb")["recordings"][0]
+    origin = np.array(drawn["origin"])
+    assert np.all(origin > 1e5)
+    np.testing.assert_allclose(np.array(drawn["rig"]["walls"]).reshape(-1, 2) + origin, walls.reshape(-1, 2))
+    np.testing.assert_allclose(np.array(drawn["rig"]["path"]) + origin, path)
+    for anchor in drawn["rig"]["anchors"]:
+        np.testing.assert_allclose(np.array(anchor["at"][:2]) + origin, anchors[anchor["name"]][:2])
+
+
 def test_the_bias_of_an_anchor_is_its_median_residual_about_the_truth(recording):
     (channel,) = recording["residuals"]["channels"]
     boxes = dict(zip(channel["sources"], channel["boxes"]["true"], strict=True))

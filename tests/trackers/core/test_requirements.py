@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
@@ -94,6 +95,7 @@ NAMES: dict[str, Any] = {
     "tw": tw,
     "np": np,
     "station": STATIONS["1"],
+    "five": replace(STATIONS["1"], antennas=STATIONS["1"].antennas[:5]),
     "stations": STATIONS,
     "times": TIMES,
     "path": PATH,
@@ -150,6 +152,10 @@ MISTAKES = [
         "tw.beam_tracker(station, '1').run(tw.phase_recording(times, {'1': phases[:, :7]}))",
         "readings['1'] has 7 channels; expected the 8 of sensor '1' (PlanePhases), phase_1 … phase_8, rad",
         "usual fix: one column per channel, with seen = False where a value is missing",
+    ),
+    (
+        "tw.beam_tracker(five, '1').run(tw.phase_recording(times, {'1': phases[:, :4]}))",
+        "readings['1'] has 4 channels; expected the 5 of sensor '1' (PlanePhases), phase_1 … phase_5, rad",
     ),
     (
         "cascade_tracker(stations).run(tw.phase_recording(times, {'1': phases, '2': phases}))",
