@@ -42,7 +42,8 @@ ANGLE_HEAD = ("station", "angle", "offset, rad", "gain", "cubic, rad⁻²", "cro
 RANGE_HEAD = ("anchor", "bias, m", "slope", *_ERRORS)
 NOTE = (
     "± standard error. In brackets: not determined by these recordings, near its value before any of them. As "
-    "measured, calibrated: 68 % of the errors are smaller; left out: by a calibration on the other recordings."
+    "measured, calibrated: 68th percentile of the absolute error before and after; left out: cross-validated, by a "
+    "calibration on the other recordings."
 )
 
 

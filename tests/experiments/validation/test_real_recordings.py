@@ -104,7 +104,7 @@ def test_the_readme_quotes_mean_errors_of_walks_and_how_many_covariances_hold():
     )
     text = " ".join(text.split())
     assert "0.70 m with default noise levels, 0.50 m (0.30 m smoothed)" in text
-    assert "in 2 of 3 filtered and in 1 of 1 smoothed recordings" in text
+    assert "right in 2 of 3 recordings (1 of 1 smoothed)" in text
 
 
 @pytest.mark.slow

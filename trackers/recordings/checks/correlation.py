@@ -47,8 +47,8 @@ def check_correlation(name: str, read: Readings, errors: np.ndarray, true: bool)
         what = f"errors of {column} against truth" if true else f"{column} about a line through {LINE_S:g} s"
         line = f"{what}: standard deviation {found.sigma:.2g} {unit}, {_duration(found)}"
         if found.resolved:
-            line += f": about {float(f'{2 * found.time / found.interval:.2g}'):g} readings weigh as one"
-            line += "" if true else ", or more: slower errors are seen against truth alone"
+            line += f"; effective sample size: 1 in {float(f'{2 * found.time / found.interval:.2g}'):g} readings"
+            line += "" if true else " at most; slower errors only show against truth"
         results.append(CheckResult("info", name, line))
     return results
 
