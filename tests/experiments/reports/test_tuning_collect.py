@@ -4,6 +4,7 @@ import numpy as np
 import polars as pl
 import pytest
 
+import trackwright as tw
 from experiments.reports.tuning import tuning_page
 from experiments.reports.tuning_collect import Request, _parameters, collect
 from trackers.catalogue import spec_of
@@ -11,7 +12,7 @@ from trackers.core.rig import Rig
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.tracks import batches
 from tuning import fit
-from tuning.data import FitData
+from tuning.data import FitData, fit_data
 from tuning.identifiability import IdentifiabilityIssue
 from tuning.intervals import intervals_of
 from tuning.named_objectives import parse_objective
@@ -119,3 +120,16 @@ def test_without_any_interval_it_is_unknown_what_is_determined(run):
         False,
         None,
     ]
+
+
+def test_of_directions_errors_are_in_degrees_and_metrics_in_radians():
+    folder = tw.simulate.station(n=1, rows=40, seed=2).folder()
+    data = fit_data(tw.build("beam", folder).only_batch([folder]), NLL)
+    sigma = next(name for name in tw.tunables(data.tracker) if name.endswith("sigma_p"))
+    result = fit(data.tracker, data.rows(), data.objective, (sigma,), steps=1, starts=1)
+    request = Request("trackwright tune a", (), "beam", "a beamformer", NLL, 1.5)
+    collected = collect(request, result, data, intervals_of(result), [])
+    (rmse,) = [one for one in collected.metrics if one.key.startswith("rmse")]
+    assert (rmse.unit, collected.error_unit) == ("rad", "°")
+    pooled = np.concatenate([track.after for track in collected.errors])
+    assert np.sqrt(np.nanmean(pooled**2)) == pytest.approx(np.degrees(rmse.training[1]), rel=0.01)
