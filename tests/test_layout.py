@@ -19,7 +19,7 @@ PACKAGES = ("trackers", "sim", "tuning", "experiments")
 SYSTEMS = ("baselines", "aoa", "line", "uwb_imu", "mhk")
 SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 TESTS = sorted((ROOT / "tests").rglob("test_*.py"))
-LONGEST = 300
+LONGEST = 500
 
 
 def _part(module):
@@ -141,7 +141,7 @@ def test_no_module_is_a_drawer_for_odds_and_ends():
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=_named)
-def test_a_file_has_one_idea_and_at_most_300_lines(path):
+def test_a_file_has_one_idea_and_at_most_500_lines(path):
     assert len(path.read_text(encoding="utf-8").splitlines()) <= LONGEST
 
 

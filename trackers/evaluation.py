@@ -17,8 +17,8 @@ import polars as pl
 
 from trackers.core import metrics
 from trackers.core.errors import UnusableInput, one_or_more
-from trackers.core.estimates import Estimates
-from trackers.core.frames import evaluation_html
+from trackers.core.estimates import Estimates, numbered_names
+from trackers.core.frames import evaluation_html, evaluation_text
 from trackers.core.rank_correlation import LAGS_S, RankSums
 from trackers.core.recording import Recording
 from trackers.core.rig import Station
@@ -26,7 +26,7 @@ from trackers.covariance_statements import covariance_statements
 from trackers.lasting_residuals import residual_ratios
 from trackers.recordings.association import Association, associate_truth, refuse_without_overlap
 from trackers.recordings.columns import require_columns
-from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.folder import RecordingFolder, refuse_same_names
 from trackers.recordings.tracks import Tracks
 from trackers.recordings.tracks_table import is_bearing, track_keys
 from trackers.recordings.truth import TruthStatus
@@ -76,9 +76,12 @@ class Evaluation:
 
     _repr_html_ = evaluation_html
 
+    __str__ = evaluation_text
+
     def __repr__(self) -> str:
-        known = ", ".join(f"{name} {value:.4g}" for name, value in self.overall.items() if isinstance(value, float))
-        return f"<Evaluation of {self.overall['n']} estimates, {len(self.tracks)} tracks: {known}>"
+        name = "rmse_direction_rad" if self.bearing else "rmse_m"
+        known = "" if self.overall[name] is None else f", {name} {self.overall[name]:.4g}"
+        return f"<Evaluation of {self.overall['n']} estimates, {len(self.tracks)} tracks{known}; print it for a table>"
 
 
 def evaluate(
@@ -91,8 +94,9 @@ def evaluate(
 
     `estimates`: `Tracks`, a table with the columns of tracks.parquet, the `Estimates` of `Recording`s whose truth is a
     `position`, or the `Association` of any of these. `every`: s, score only the last estimate in each interval of that
-    length. `executor`: associates and scores each recording of a table there, to the same bits. Raises UnusableInput if
-    no recording has a truth, or no estimate lies inside that of its recording and tag.
+    length. `executor`: associates and scores each recording of a table there, to the same bits. Recordings in arrays of
+    one name are told apart by their place, which must be that of the run. Raises UnusableInput if no recording has a
+    truth, or no estimate lies inside that of its recording and tag, and for two folders of one name.
     """
     stations = {f.name: f.rig.stations for f in _several(recordings) if isinstance(f, RecordingFolder)}
     if executor is not None and isinstance(estimates, pl.DataFrame):
@@ -136,6 +140,7 @@ def associate(estimates: Tracks | Estimates | pl.DataFrame, recordings: OneOrMor
     """
     truths = _required_truths(recordings)
     if isinstance(estimates, Estimates):
+        _refuse_other_places(estimates.names, [recording.name for recording in _several(recordings)])
         # an array recording has one trajectory, so its name identifies it
         return associate_truth(estimates.to_polars().with_columns(tag=pl.lit("")), truths)
     return associate_truth(estimates.to_polars() if isinstance(estimates, Tracks) else estimates, truths)
@@ -154,15 +159,27 @@ def _several(recordings: OneOrMore) -> list[RecordingFolder | Recording]:
     return one_or_more(recordings, kinds, "recordings as the second argument, evaluate(estimates, recordings)")
 
 
+def _refuse_other_places(estimated: Sequence[str], given: Sequence[str]) -> None:
+    """Raises UnusableInput for recordings of one name that are not those of the run in its order."""
+    if len(set(estimated)) < len(estimated) and list(estimated) != list(given):
+        name = next(name for name in estimated if list(estimated).count(name) > 1)
+        raise UnusableInput(
+            f"evaluate: {list(estimated).count(name)} recordings of the run are named '{name}', which their places alone "
+            "tell apart; expected the same recordings in the same order; or give each a `name` where it is made"
+        )
+
+
 def _truths(recordings: OneOrMore) -> dict[str, pl.DataFrame]:
     """The truth tables of the recordings that have one, by name."""
+    several = _several(recordings)
+    refuse_same_names([one.name for one in several if isinstance(one, RecordingFolder)])
     truths = {}
-    for recording in _several(recordings):
+    for name, recording in zip(numbered_names([one.name for one in several]), several, strict=True):
         if isinstance(recording, RecordingFolder):
             if "truth" in recording.tables:
-                truths[recording.name] = recording.tables["truth"]
+                truths[name] = recording.tables["truth"]
         elif "position" in recording.truth:
-            truths[recording.name] = _true_positions(recording)
+            truths[name] = _true_positions(recording)
     return truths
 
 

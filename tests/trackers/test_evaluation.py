@@ -3,6 +3,7 @@
 import json
 import math
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -459,3 +460,42 @@ def test_recordings_given_as_the_first_argument_are_refused_with_the_order_of_bo
     for wrong, found in ((estimates, "Estimates"), ([], "nothing"), (3, "int"), ([recording, "a"], "str")):
         with pytest.raises(UnusableInput, match=rf"found {found}; expected recordings .*evaluate\(estimates, rec"):
             evaluate(recording, wrong)
+
+
+def _still(offset, rows=20, **named):
+    """Fixes of a tag that stands `offset` m along x, and its truth; 5 mm apart."""
+    place = np.tile([offset, 0.0, 0.0], (rows, 1))
+    return tw.fix_recording(0.1 * np.arange(rows), place + 0.005, truth=place, **named)
+
+
+def test_recordings_of_one_name_are_told_apart_by_their_place():
+    unnamed, named = [_still(0.0), _still(5.0)], [_still(0.0, name="a"), _still(5.0, name="b")]
+    tracker = tw.fix_tracker()
+    found, expected = (evaluate(tracker.run(own), own) for own in (unnamed, named))
+    assert len(found.tracks) == 2
+    assert found["rmse_m"] == expected["rmse_m"] < 0.05
+    assert [one["recording"] for one in found.recordings] == ["recording", "recording 2"]
+    assert (
+        evaluate(tracker.run(unnamed).to_polars().with_columns(tag=pl.lit("")), unnamed)["rmse_m"] == expected["rmse_m"]
+    )
+    with pytest.raises(UnusableInput, match=r"2 recordings of the run are named 'recording'.*in the same order"):
+        evaluate(tracker.run(unnamed), unnamed[:1])
+
+
+def test_folders_of_one_name_are_refused_by_a_run_and_by_an_evaluation():
+    folders = [replace(tw.simulate.agv(n=1, rows=30, seed=seed).folder(), name="hall") for seed in (1, 2)]
+    tracker = tw.build("fix-kf", folders[0])
+    for call in (lambda: tracker.run(folders), lambda: evaluate(tracker.run(folders[0]), folders)):
+        with pytest.raises(UnusableInput, match="two recordings are both named"):
+            call()
+
+
+def test_an_evaluation_is_printed_as_a_table_with_what_it_means():
+    own = [_still(0.0, name="a"), _still(5.0, name="b")]
+    found = evaluate(tw.fix_tracker().run(own), own)
+    head, overall, a, *_ = str(found).splitlines()
+    assert head.split() == ["recording", "tag", "n", "rmse_m", "p95_m", "max_m", "coverage_95", "nees_ratio"]
+    assert overall.split()[:3] == ["overall", "40", f"{found['rmse_m']:.4g}"]
+    assert a.split()[:3] == ["a", "all", "20"]
+    assert str(found).endswith(found.statements[-1])
+    assert len(repr(found)) < 120

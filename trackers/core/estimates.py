@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Any
@@ -239,12 +240,12 @@ class Estimates:
 
         Rows that share a time are merged as by `per_time`. A position becomes `x_m`, `y_m`, `z_m` with `std_…_m` and
         `cov_…_m2`, a velocity `vx_mps`, …; other components keep their names. `t_s` is the time for which the
-        estimate is valid. Empty where there is no estimate. Raises ValueError where the run was of a bare `Batch`,
-        which has no times.
+        estimate is valid. Empty where there is no estimate. Recordings of one name are numbered (`numbered_names`).
+        Raises ValueError where the run was of a bare `Batch`, which has no times.
         """
         last, merged = self.per_time()
         assert merged.times is not None
-        names = np.array(self.names)[:, None] if last.ndim == 2 else np.array(self.names[0])
+        names = np.array(numbered_names(self.names))[:, None] if last.ndim == 2 else np.array(self.names[0])
         columns = {name: np.asarray(x, float) for name, x in state_columns(merged).items()}
         state = {name: np.where(merged.usable, x, np.nan) for name, x in columns.items()}
         return pl.DataFrame(
@@ -275,6 +276,11 @@ class Estimates:
         if restarts or np.any(status == Status.LOST):
             return f"lost and re-started {restarts} times" if restarts else "lost and never re-started"
         return "ok"
+
+
+def numbered_names(names: Sequence[str]) -> list[str]:
+    """The names, those that occur again with their number among all: `a`, `b`, `a` become `a`, `b`, `a 3`."""
+    return [f"{name} {k + 1}" if name in names[:k] else name for k, name in enumerate(names)]
 
 
 def state_columns(estimates: Estimates) -> dict[str, Num[np.ndarray, "*rows"]]:

@@ -56,13 +56,33 @@ def estimates_html(estimates: Any) -> str:
 
 def evaluation_html(evaluation: Any) -> str:
     """The main metrics of an `Evaluation`: overall, of each recording and of each track."""
+    return html_table(" ".join(evaluation.statements), *_main_metrics(evaluation))
+
+
+def evaluation_text(evaluation: Any) -> str:
+    """As `evaluation_html`, in aligned columns for a terminal."""
+    head, every = _main_metrics(evaluation)
+    cells = [list(head), *([_text(cell) for cell in row] for row in every[:MOST_ROWS])]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    lines = [
+        "  ".join(
+            cell.ljust(w) if k < 2 else cell.rjust(w) for k, (cell, w) in enumerate(zip(row, widths, strict=True))
+        )
+        for row in cells
+    ]
+    more = [f"… {len(every) - MOST_ROWS} more"] if len(every) > MOST_ROWS else []
+    return "\n".join([*(line.rstrip() for line in lines), *more, *evaluation.statements])
+
+
+def _main_metrics(evaluation: Any) -> tuple[tuple[str, ...], list[tuple[Any, ...]]]:
+    """The names of the columns, and the rows."""
     first = "rmse_direction_rad" if evaluation.bearing else "rmse_m"
     shown = ("n", first, first.replace("rmse", "p95"), first.replace("rmse", "max"), "coverage_95", "nees_ratio")
     lines = [(("overall", ""), evaluation.overall)]
     lines += [((m["recording"], "all"), m) for m in evaluation.recordings]
     lines += [((m["recording"], m["tag"]), m) for m in evaluation.tracks]
     rows = [(*names, *(metrics[name] for name in shown)) for names, metrics in lines]
-    return html_table(" ".join(evaluation.statements), ("recording", "tag", *shown), rows)
+    return ("recording", "tag", *shown), rows
 
 
 def to_pandas(table: pl.DataFrame) -> pandas.DataFrame:

@@ -65,11 +65,14 @@ class Similarity:
         return tracks.with_columns(pl.Series(name, values).fill_nan(None) for name, values in kept.items())
 
     def _covariances(self, tracks: pl.DataFrame) -> dict[str, np.ndarray]:
-        covariance = covariances(tracks)
-        # An unknown variance of the height must not reach the other axes where the map leaves heights alone.
-        part = slice(0, 2 if self.flat else 3)
-        factor = self.scale * self.rotation[part, part]
-        covariance[:, part, part] = factor @ covariance[:, part, part] @ factor.T
+        covariance, factor = covariances(tracks), self.scale * self.rotation
+        if self.flat:
+            # An unknown variance of the height, which the map leaves alone, must not reach the other axes.
+            turn = factor[:2, :2]
+            covariance[:, :2, :2] = turn @ covariance[:, :2, :2] @ turn.T
+            covariance[:, :2, 2] = covariance[:, 2, :2] = covariance[:, :2, 2] @ turn.T
+        else:
+            covariance = factor @ covariance @ factor.T
         stds = {name: np.sqrt(covariance[:, k, k]) for k, name in enumerate(_STDS)}
         return stds | {name: covariance[:, i, j] for name, i, j in _COVARIANCES}
 

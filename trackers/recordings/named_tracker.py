@@ -11,7 +11,7 @@ from trackers.core.errors import UnusableInput, one_or_more
 from trackers.core.smoother import Smoothed
 from trackers.core.tracker import AbstractTracker
 from trackers.core.tunable import AbstractTunable, tunables, with_values
-from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.folder import RecordingFolder, refuse_same_names
 from trackers.recordings.reading_grids import above_rounding
 from trackers.recordings.tracker_spec import TrackerBatch, TrackerSpec
 from trackers.recordings.tracks import Tracks, track
@@ -142,10 +142,12 @@ class NamedTracker:
 
 
 def folder_list(recordings: Recordings) -> list[RecordingFolder]:
-    """One recording folder or several as a list; raises UnusableInput for anything else."""
-    return one_or_more(
+    """One recording folder or several as a list; raises UnusableInput for anything else, and for two of one name."""
+    found = one_or_more(
         recordings,
         (RecordingFolder,),
         "one or more recording folders, as `read`, `read_all` and `world.folder()` return them; recordings in arrays "
         "are run by a tracker of arrays, as `range_tracker(4).run`",
     )
+    refuse_same_names([folder.name for folder in found])
+    return found

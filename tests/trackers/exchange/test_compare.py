@@ -9,10 +9,13 @@ from scipy.spatial.transform import Rotation
 
 from tests.trackers.exchange.against_evo import evo_errors
 from trackers.core.errors import UnusableInput
+from trackers.core.metrics import nees
+from trackers.exchange.alignment import Similarity
 from trackers.exchange.compare import compare_trajectories
 from trackers.exchange.poses import PoseTrajectory, trajectory_of_table
 from trackers.exchange.trajectory_files import read_trajectory, write_trajectory
 from trackers.recordings.folder import read_recording
+from trackers.scoring import covariances
 
 RECORDINGS = ("tiers-1tag-01", "tiers-2tag-03", "iasl-drone-1", "starloc-fast-s1", "rcv-drone-3")
 STEPS = ("1m", "10f")
@@ -183,3 +186,27 @@ def test_quaternions_of_any_size_are_made_unit_quaternions(size):
 def test_a_quaternion_that_is_not_finite_is_refused():
     with pytest.raises(UnusableInput, match="pose 1 has a quaternion that is not finite"):
         PoseTrajectory(np.zeros(1), np.zeros((1, 3)), np.array([[np.inf, 0.0, 0.0, 0.0]]))
+
+
+def test_a_turn_about_the_vertical_turns_every_covariance():
+    """Against the map of three dimensions, and by the NEES of draws from the covariance itself."""
+    rng, rows = np.random.default_rng(5), 4000
+    root = np.array([[0.3, 0.0, 0.0], [0.1, 0.2, 0.0], [0.15, -0.1, 0.25]])
+    error, cov = rng.normal(size=(rows, 3)) @ root.T, root @ root.T
+    names = {(0, 1): "cov_xy_m2", (0, 2): "cov_xz_m2", (1, 2): "cov_yz_m2"}
+    table = pl.DataFrame(
+        {f"{a}_m": error[:, k] for k, a in enumerate("xyz")}
+        | {f"std_{a}_m": np.full(rows, np.sqrt(cov[k, k])) for k, a in enumerate("xyz")}
+        | {name: np.full(rows, cov[ij]) for ij, name in names.items()}
+    )
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    flat = Similarity(turn, np.zeros(3), flat=True).table(table)
+    for name in (*names.values(), "std_x_m", "std_y_m", "std_z_m"):
+        np.testing.assert_allclose(flat[name], Similarity(turn, np.zeros(3)).table(table)[name], atol=1e-12)
+    moved = np.stack([flat[f"{a}_m"] for a in "xyz"], axis=1)
+    assert nees(moved, covariances(flat)).mean() / 3 == pytest.approx(1.0, abs=0.05)
+    # A height without a variance leaves the others as they are.
+    unknown = table.with_columns(
+        pl.lit(None, pl.Float64).alias(n) for n in ("z_m", "std_z_m", "cov_xz_m2", "cov_yz_m2")
+    )
+    assert Similarity(turn, np.zeros(3), flat=True).table(unknown)["cov_xy_m2"].equals(flat["cov_xy_m2"])
