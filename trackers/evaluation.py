@@ -6,6 +6,7 @@ metric without data (no heights, no reported covariance) is None.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
@@ -162,10 +163,10 @@ def _several(recordings: OneOrMore) -> list[RecordingFolder | Recording]:
 def _refuse_other_places(estimated: Sequence[str], given: Sequence[str]) -> None:
     """Raises UnusableInput for recordings of one name that are not those of the run in its order."""
     if len(set(estimated)) < len(estimated) and list(estimated) != list(given):
-        name = next(name for name in estimated if list(estimated).count(name) > 1)
+        name, count = Counter(estimated).most_common(1)[0]
         raise UnusableInput(
-            f"evaluate: {list(estimated).count(name)} recordings of the run are named '{name}', which their places alone "
-            "tell apart; expected the same recordings in the same order; or give each a `name` where it is made"
+            f"evaluate: {count} recordings of the run are named '{name}', which their places alone tell apart; expected "
+            "the same recordings in the same order; or give each a `name` where it is made"
         )
 
 

@@ -64,12 +64,8 @@ def evaluation_text(evaluation: Any) -> str:
     head, every = _main_metrics(evaluation)
     cells = [list(head), *([_text(cell) for cell in row] for row in every[:MOST_ROWS])]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    lines = [
-        "  ".join(
-            cell.ljust(w) if k < 2 else cell.rjust(w) for k, (cell, w) in enumerate(zip(row, widths, strict=True))
-        )
-        for row in cells
-    ]
+    sides = [str.ljust, str.ljust, *[str.rjust] * (len(widths) - 2)]
+    lines = ["  ".join(side(*x) for side, *x in zip(sides, row, widths, strict=True)) for row in cells]
     more = [f"… {len(every) - MOST_ROWS} more"] if len(every) > MOST_ROWS else []
     return "\n".join([*(line.rstrip() for line in lines), *more, *evaluation.statements])
 
