@@ -165,8 +165,8 @@ def _refuse_other_places(estimated: Sequence[str], given: Sequence[str]) -> None
     if len(set(estimated)) < len(estimated) and list(estimated) != list(given):
         name, count = Counter(estimated).most_common(1)[0]
         raise UnusableInput(
-            f"evaluate: {count} recordings of the run are named '{name}', which their places alone tell apart; expected "
-            "the same recordings in the same order; or give each a `name` where it is made"
+            f"evaluate: {count} recordings of the run are named '{name}', which their places alone tell apart; "
+            "expected the same recordings in the same order; or give each a `name` where it is made"
         )
 
 
