@@ -19,6 +19,8 @@ function layoutOf(own) {
     font: { family: "Helvetica Neue, Arial, Liberation Sans, sans-serif", size: 12, color: soft },
     margin: { l: 56, r: 12, t: 34, b: 44 }, hoverlabel: { bgcolor: paper, bordercolor: line, font: { color: ink } },
     legend: { orientation: "h", x: 0, xanchor: "left", y: 1.01, yanchor: "bottom", bgcolor: "rgba(0,0,0,0)" },
+    // Upright, since the legend is above the chart.
+    modebar: { orientation: "v", bgcolor: "rgba(0,0,0,0)", color: soft, activecolor: ink },
     ...own,
   };
   for (const name of Object.keys(layout)) {
@@ -27,4 +29,14 @@ function layoutOf(own) {
   return layout;
 }
 
-const CONFIG = { responsive: true, displaylogo: false, modeBarButtonsToRemove: ["select2d", "lasso2d"] };
+// Named one by one: by default there is a button that uploads the chart to a server.
+const CONFIG = {
+  responsive: true, displaylogo: false, showSendToCloud: false, plotlyServerURL: "",
+  modeBarButtons: [["zoom2d", "pan2d", "resetScale2d", "toImage"]],
+};
+
+// A phone has no room for the toolbar, paper none for plotly's hints.
+const rules = document.createElement("style");
+rules.textContent = "@media (max-width: 599px) { .modebar-container { display: none } } " +
+  "@media print { .modebar-container, .plotly-notifier { display: none !important } }";
+document.head.append(rules);
