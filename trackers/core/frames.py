@@ -64,8 +64,8 @@ def evaluation_text(evaluation: Any) -> str:
     head, every = _main_metrics(evaluation)
     cells = [list(head), *([_text(cell) for cell in row] for row in every[:MOST_ROWS])]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    sides = [str.ljust, str.ljust, *[str.rjust] * (len(widths) - 2)]
-    lines = ["  ".join(side(*x) for side, *x in zip(sides, row, widths, strict=True)) for row in cells]
+    sides = "<<" + ">" * (len(widths) - 2)
+    lines = ["  ".join(f"{x:{side}{n}}" for x, side, n in zip(row, sides, widths, strict=True)) for row in cells]
     more = [f"… {len(every) - MOST_ROWS} more"] if len(every) > MOST_ROWS else []
     return "\n".join([*(line.rstrip() for line in lines), *more, *evaluation.statements])
 
