@@ -155,6 +155,11 @@ BROKEN: dict[str, Builder] = {
     "time not a number": with_cell("truth", "t_s", "nan"),
     "time a clock text": with_cell("ranges", "t_s", "12:00:01"),
     "time infinite": with_cell("ranges", "t_s", "inf"),
+    "clock that starts again": with_table(
+        "ranges",
+        lambda table: pl.concat([table, table.with_columns(pl.col("t_s") + 0.02)]),
+        word="row 401 (line 402), column t_s: 0.020 after 4.900 of the same anchor and tag: the clock went back",
+    ),
     "tag missing": with_cell("ranges", "tag", ""),
     "unknown anchor": with_cell("ranges", "anchor", "A9"),
     "unknown station": with_cell("bearings", "station", "s1"),
@@ -216,6 +221,16 @@ ANOMALOUS: dict[str, Builder] = {
         "fixes",
         lambda table: table.with_columns(_when("T2", "y_m", 1.99, 2.11, pl.lit(-40.0))),
         "outliers of y_m: 2",
+    ),
+    "zeros for missing ranges": _anomalous(
+        "ranges",
+        lambda table: table.with_columns(_when("T1", "range_m", 0.99, 1.11, pl.lit(0.0))),
+        "ranges of 0 m: 8; not used",
+    ),
+    "clock with jitter": _anomalous(
+        "ranges",
+        lambda table: table.with_columns(pl.col("t_s") + 0.7 * (pl.int_range(pl.len()) // 8 % 2)),
+        "earlier than the previous row",
     ),
     "negative range": _anomalous(
         "ranges",

@@ -25,13 +25,14 @@ PREFERENCE: Mapping[str, tuple[str, ...]] = MappingProxyType(
         # ble51-uca, six of them.
         "phases of a station": ("beam", "das"),
         "bearings": ("bearings",),
-        # ngbui-line, all three.
+        # ngbui-line, all six.
         "readings along a known path": ("line-grid", "line-pf"),
-        # Without an IMU lias-still, all three; with one ngbui-line-3-1, and a tie on the two that both were fitted to.
-        "ranges": ("uwb", "multilateration", "trilateration", "trilateration-compensated", "uwb-imu"),
+        # lias-still, all three, and all of the others that are not the first of their kind. With an IMU the two of
+        # ngbui-line-3, which it makes worse, outweigh the other four.
+        "ranges": ("uwb", "uwb-imu", "multilateration", "trilateration", "trilateration-compensated"),
         # No recording with a floor plan.
         "fixes on a floor plan": ("floor-pf",),
-        # iasl-drone-1 and all of tiers: the first five are ties, and the simplest is the first.
+        # iasl-drone and all of tiers: the first five are ties, and the simplest is the first.
         "fixes": ("fix-kf", "fix-singer", "imm", "mhk-stamped", "fix-mirror", "moving-average", "median", "mhk"),
     }
 )

@@ -25,7 +25,7 @@ from trackers.recordings.checks.anomalies import anomalies
 from trackers.recordings.columns import TagRows
 from trackers.recordings.folder_contents import folder_contents
 from trackers.recordings.rig_file import RIG_FILE, rig_text
-from trackers.recordings.tables import MEASUREMENTS, read_table
+from trackers.recordings.tables import MEASUREMENTS, TABLES, read_table
 from trackers.recordings.tables_by_tag import Tables
 from trackers.recordings.truth import TruePaths
 
@@ -178,11 +178,18 @@ def _repeated(items: Sequence[Any]) -> int | None:
 def read_recording(path: str | Path) -> RecordingFolder:
     """The recording in the folder `path`; raises UnusableInput with a message of one line for unusable content."""
     path = Path(path)
-    rig, files, notices = folder_contents(path)
-    tables = {}
+    rig, files, notices, others = folder_contents(path)
+    tables, ignored = {}, []
+    if others:
+        ignored.append(f"{listed(others)} (not one of the tables {', '.join(TABLES)})")
     for name, file in files.items():
-        tables[name], table_notices = read_table(file, name, rig)
+        tables[name], table_notices, columns = read_table(file, name, rig)
         notices += table_notices
+        if columns:
+            which = f"column{'s' if len(columns) > 1 else ''} {listed(map(repr, columns))}"
+            ignored.append(f"{which} of {file.name} (not part of the format)")
+    if ignored:
+        notices.append(f"ignored: {'; '.join(ignored)}")
     _check_common_tag(path, tables)
     notices += anomalies(tables, rig)
     return RecordingFolder(rig.name, path, rig, tables, tuple(notices))
@@ -190,7 +197,7 @@ def read_recording(path: str | Path) -> RecordingFolder:
 
 def read_truth(path: Path) -> RecordingFolder:
     """The recording in the folder `path` with its truth alone, if it has one; raises as `read_recording`."""
-    rig, files, _ = folder_contents(path)
+    rig, files, _, _ = folder_contents(path)
     truth = {name: read_table(file, name, rig)[0] for name, file in files.items() if name == "truth"}
     return RecordingFolder(rig.name, path, rig, truth)
 

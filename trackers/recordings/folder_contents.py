@@ -16,8 +16,8 @@ _OTHER_DATA = (
 )  # fmt: skip
 
 
-def folder_contents(path: Path) -> tuple[Rig, dict[str, Path], list[str]]:
-    """The rig, the file of each table, at least one, and notices.
+def folder_contents(path: Path) -> tuple[Rig, dict[str, Path], list[str], list[str]]:
+    """The rig, the file of each table, at least one, notices, and the names of other tables.
 
     Raises UnusableInput for a folder or rig that cannot be read, without a table, and with two files for one.
     """
@@ -43,11 +43,11 @@ def folder_contents(path: Path) -> tuple[Rig, dict[str, Path], list[str]]:
         raise UnusableInput(
             f"{path}: no tables, expected at least one of {', '.join(TABLES)} as {', '.join(SUFFIXES)}; export one"
         )
-    return rig, files, [*notices, *others]
+    return rig, files, [*notices], others
 
 
 def _table_files(path: Path, entries: list[str]) -> tuple[dict[str, Path], list[str]]:
-    """The file of each table, and a notice for each other data file; refuses duplicates and misspelt names."""
+    """The file of each table, and the names of other tables; refuses duplicates and misspelt names."""
     files: dict[str, Path] = {}
     others = []
     for entry in entries:
@@ -60,7 +60,6 @@ def _table_files(path: Path, entries: list[str]) -> tuple[dict[str, Path], list[
             files[stem] = path / entry
         elif entry.lower().endswith((*SUFFIXES, *_OTHER_DATA)):
             others.append(entry)
-    notices = []
     for entry in others:
         stem = entry.partition(".")[0].lower()
         near = difflib.get_close_matches(stem, [name for name in TABLES if name not in files], 1, 0.75)
@@ -69,6 +68,4 @@ def _table_files(path: Path, entries: list[str]) -> tuple[dict[str, Path], list[
                 f"{path / entry}: looks like table {near[0]}, expected {' or '.join(near[0] + s for s in SUFFIXES)}; "
                 "rename or convert it"
             )
-        if entry.lower().endswith(SUFFIXES):
-            notices.append(f"{entry}: is not one of the tables {', '.join(TABLES)} and was ignored")
-    return files, notices
+    return files, [entry for entry in others if entry.lower().endswith(SUFFIXES)]

@@ -7,9 +7,10 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import polars as pl
 
-from trackers.core.errors import UnusableInput, listed
+from trackers.core.errors import UnusableInput
 from trackers.core.rig import Rig
 from trackers.recordings.table_file import TableFile, read_table_file
 
@@ -19,6 +20,12 @@ QUATERNION = ("qw", "qx", "qy", "qz")
 
 HOLE_S, HOLE_M = 1.0, 0.02
 """Truth is not interpolated between rows further apart than both limits: seconds in time and metres in position."""
+
+JITTER_S, JITTER = 1.0, 5.0
+"""Rows count as late, and are sorted, up to this many s, or median steps of their sensor and tag."""
+
+LEAST_AGAIN = 5
+"""Rows that repeat earlier times from which a clock went back."""
 
 _SENSOR = {"ranges": "anchor", "bearings": "station", "phases": "station"}
 _AXES = ("x", "y", "z")
@@ -59,8 +66,8 @@ def std_column(value: str) -> str:
     return f"{quantity}_std_{unit}"
 
 
-def read_table(path: Path, name: str, rig: Rig) -> tuple[pl.DataFrame, tuple[str, ...]]:
-    """The table in `path`, sorted by time, null where a value is missing, and notices of changed or ignored content.
+def read_table(path: Path, name: str, rig: Rig) -> tuple[pl.DataFrame, list[str], list[str]]:
+    """The table in `path`, sorted by time, null where a value is missing, notices of changes, and ignored columns.
 
     Ids are String, all other columns Float64. Raises UnusableInput with file, row and column.
     """
@@ -78,15 +85,16 @@ def read_table(path: Path, name: str, rig: Rig) -> tuple[pl.DataFrame, tuple[str
     _check_quaternions(file, frame)
     _check_sensors(file, frame, name, rig)
     notices = []
-    if ignored:
-        columns, are = ("column", "is") if len(ignored) == 1 else ("columns", "are")
-        named = listed(map(repr, ignored))
-        notices.append(f"{name}: {columns} {named} of {path.name} {are} not part of the format; ignored")
+    zero = int((frame["range_m"] == 0).sum()) if name == "ranges" else 0
+    if zero:
+        notices.append(f"{name}: ranges of 0 m: {zero}; not used: leave the cell of a missing reading empty")
+        frame = frame.with_columns(range_m=pl.when(pl.col("range_m") != 0).then("range_m"))
     unordered = int((frame["t_s"].diff() < 0).sum())
     if unordered:
+        _refuse_restart(file, frame, expected.ids)
         notices.append(f"{name}: rows earlier than the previous row: {unordered} of {frame.height}; sorted")
         frame = frame.sort("t_s", maintain_order=True)
-    return frame, tuple(notices)
+    return frame, notices, ignored
 
 
 def _columns(file: TableFile, name: str) -> tuple[Layout, list[str]]:
@@ -227,6 +235,27 @@ def _check_antennas(file: TableFile, frame: pl.DataFrame, arrays: dict) -> None:
                 f"{file.path}: {len(phases)} phase columns, but station {station!r} has {len(antennas)} antennas in "
                 "rig.toml, expected as many; leave the cell of an antenna without a phase empty"
             )
+
+
+def _refuse_restart(file: TableFile, frame: pl.DataFrame, ids: tuple[str, ...]) -> None:
+    """Raises UnusableInput where the time of a sensor and tag goes back and then repeats times that it had before.
+
+    Late rows do not, which fill a gap, nor duplicates, nor rows in any order, whose steps are as large.
+    """
+    rows = frame.with_row_index("row").unique(subset=frame.columns, keep="first", maintain_order=True)
+    for part in rows.partition_by(ids, maintain_order=True):
+        t = part["t_s"].to_numpy()
+        latest = np.maximum.accumulate(t)
+        behind = t < latest - max(JITTER_S, JITTER * float(np.median(np.abs(np.diff(t, prepend=t[0])))))
+        ends = np.flatnonzero(np.diff(behind, prepend=False, append=False))
+        for start, end in ends.reshape(-1, 2):
+            again = t[start:end]
+            if len(again) >= LEAST_AGAIN and (~behind & (t > again.min()) & (t < again.max())).any():
+                raise UnusableInput(
+                    f"{file.location(part['row'][int(start)], 't_s')}: {t[start]:.3f} after {latest[start]:.3f} of the "
+                    f"same {' and '.join(reversed(ids))}: the clock went back; expected times that increase; make the "
+                    "rows before and after it two recordings"
+                )
 
 
 def _first(rows: pl.Series) -> int:

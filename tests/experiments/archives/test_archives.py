@@ -258,7 +258,7 @@ def test_names_of_any_characters_cost_their_own_line(tmp_path):
     assert "not tracked: 1 of 3 recordings\n" in done.err
     assert _results(tmp_path / "out")["recording"].to_list().count(None) == 1
     assert trackwright("evaluate", tmp_path / "out").code == 0
-    assert _results(tmp_path / "out")["notices"].str.contains("is not one of the tables").sum() == 1
+    assert _results(tmp_path / "out")["notices"].str.contains("not one of the tables").sum() == 1
 
 
 def test_a_second_command_on_the_same_output_is_refused(tmp_path):

@@ -240,6 +240,30 @@ def test_a_recording_with_an_anomaly_is_read_with_a_notice(tmp_path: Path, name)
     assert all(notice.isprintable() for notice in folder.notices)
 
 
+def test_ranges_of_zero_are_missing(tmp_path: Path):
+    ANOMALOUS["zeros for missing ranges"](tmp_path / "recording")
+    ranges = read_recording(tmp_path / "recording").tables["ranges"]["range_m"]
+    assert (ranges.null_count(), (ranges == 0).sum()) == (8, 0)
+
+
+def test_unknown_columns_and_tables_of_a_recording_are_one_notice(tmp_path: Path):
+    write_good(tmp_path / "a")
+    for name in ("ranges", "bearings"):
+        good_tables()[name].with_columns(rss_dbm=-70.0).write_csv(tmp_path / "a" / f"{name}.csv")
+    (tmp_path / "a" / "odometry.csv").write_text("t_s,tag,speed_mps\n0,T1,1\n")
+    (notice,) = read_recording(tmp_path / "a").notices
+    assert all(word in notice for word in ("ignored: odometry.csv", "'rss_dbm' of bearings.csv", "of ranges.csv"))
+
+
+def test_outliers_of_a_recording_are_one_notice(tmp_path: Path):
+    write_good(tmp_path / "a")
+    for name, column in (("ranges", "range_m"), ("fixes", "x_m"), ("fixes", "y_m")):
+        far = pl.when(pl.col("t_s") == 2.0).then(250.0).otherwise(column).alias(column)
+        pl.read_csv(tmp_path / "a" / f"{name}.csv").with_columns(far).write_csv(tmp_path / "a" / f"{name}.csv")
+    (notice,) = read_recording(tmp_path / "a").notices
+    assert [notice.count(f"outliers of {column}") for column in ("range_m", "x_m", "y_m")] == [1, 1, 1]
+
+
 def test_rows_out_of_order_are_sorted_and_rows_of_one_time_keep_theirs(tmp_path: Path):
     write_good(tmp_path / "a")
     table = good_tables()["ranges"].with_row_index("row")

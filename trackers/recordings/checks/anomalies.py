@@ -23,14 +23,14 @@ _LEAST_JUMP = {"m": 1.0, "mps2": 20.0, "radps": 5.0}  # within reach of a person
 
 
 def anomalies(tables: Mapping[str, pl.DataFrame], rig: Rig) -> list[str]:
-    """One line for each kind of anomaly in each table; empty for a clean recording."""
+    """A line for each kind of anomaly in each table, and one for all outliers; empty for a clean recording."""
     layouts = {name: layout(name, table.columns) for name, table in tables.items()}
     present = {
         name: table.filter(pl.any_horizontal(pl.col(layouts[name].values).is_not_null())).with_row_index("row")
         for name, table in tables.items()
     }
     tags = {name: table["tag"].unique(maintain_order=True) for name, table in present.items()}
-    lines: list[str] = _never_observed(tags, rig)
+    lines, outliers = _never_observed(tags, rig), list[str]()
     for name, table in tables.items():
         expected, whole = layouts[name], present[name]
         if rig.tags:
@@ -46,8 +46,8 @@ def anomalies(tables: Mapping[str, pl.DataFrame], rig: Rig) -> list[str]:
             lines += _duplicates(name, streams(whole, expected.ids), expected.values)
         if name != "truth":
             lines += _gaps(name, ordered, whole.select(expected.ids))
-            lines += _outliers(name, ordered, expected.values)
-    return lines
+            outliers += _outliers(name, ordered, expected.values)
+    return [*lines, "; ".join(outliers)] if outliers else lines
 
 
 def _never_observed(tags: Mapping[str, pl.Series], rig: Rig) -> list[str]:
