@@ -16,6 +16,7 @@ from trackers.recordings.checks.compared import compared
 from trackers.recordings.checks.correlation import check_correlation
 from trackers.recordings.checks.coverage import check_ids, check_overlap, check_truth
 from trackers.recordings.checks.geometry import check_geometry
+from trackers.recordings.checks.heights import check_heights
 from trackers.recordings.checks.mistakes import check_against_truth
 from trackers.recordings.checks.quantisation import check_quantisation
 from trackers.recordings.checks.readings import about_local_line, readings, robust_std
@@ -45,6 +46,7 @@ def check(recording: RecordingFolder) -> list[CheckResult]:
     results += check_rates(tables)
     results += check_ids(rig, measured)
     results += check_units(rig, tables)
+    results += check_heights(rig, tables)
     if measured and "truth" in tables:
         results += check_truth(tables["truth"], measured)
     results += check_geometry(rig, tables)
@@ -66,7 +68,7 @@ def errors_in(recording: RecordingFolder, against_truth: bool = True) -> list[Ch
     """
     tables, rig = recording.tables, recording.rig
     measured = {name: tables[name] for name in MEASUREMENTS if name in tables}
-    results = [*check_time_base(measured or tables), *check_units(rig, tables)]
+    results = [*check_time_base(measured or tables), *check_units(rig, tables), *check_heights(rig, tables)]
     if measured and "truth" in tables:
         results += check_overlap(tables["truth"], measured)
     found = [result for result in results if result.level == "error"]

@@ -48,7 +48,7 @@ def most_likely_mistake(view: Compared) -> str | None:
     before = view.sizes(view.errors())
     large = np.any(before > np.array(LARGE[view.table]), axis=1)
     if not large.any():
-        return None
+        return _upside_down(view)
     found = []
     for explanation in sensor_explanations(view, large):
         found += _judged(view, explanation, before, large)
@@ -58,6 +58,18 @@ def most_likely_mistake(view: Compared) -> str | None:
         return None
     _, groups, best = min(found, key=lambda one: one[0])
     return None if best.harmless else _sentence(view, best, groups)
+
+
+def _upside_down(view: Compared) -> str | None:
+    """As `most_likely_mistake`, for a truth whose z points down: each sensor takes it for a bias of its own."""
+    down = view._replace(positions=view.positions * np.array([1.0, 1.0, -1.0]))
+    before, after = (np.maximum(one.sizes(one.errors(), bias=False), FLOOR[view.table]) for one in (view, down))
+    if (np.nanmedian(before, axis=0) <= np.array(LARGE[view.table])).all() or view.table in ("fixes", "phases"):
+        return None
+    if np.nanmean(np.log(before / after)) < ALL_GAIN:
+        return None
+    best = Explanation("the sign of z of the truth flipped", "z of the truth points down; flip it", after)
+    return _sentence(view, best, np.ones(len(view.ids), bool))
 
 
 def _judged(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from trackers.recordings.checks.check_result import CheckResult
-from trackers.recordings.checks.compared import Compared, compared
+from trackers.recordings.checks.compared import BIAS, Compared, compared
 from trackers.recordings.checks.readings import wrapped
 
 if TYPE_CHECKING:  # the folder's module imports `anomalies`
@@ -121,7 +121,19 @@ def check_residuals(view: Compared) -> list[CheckResult]:
         lines = [_of_many([one for one in found if one.column == column], view) for column in view.columns]
     else:
         lines = [_line([one for one in found if one.group == name], view) for name in view.ids]
-    return [CheckResult("info", view.table, line) for line in lines]
+    return [*_all_turned(found, view), *(CheckResult("info", view.table, line) for line in lines)]
+
+
+def _all_turned(found: Sequence[Residuals], view: Compared) -> list[CheckResult]:
+    """A warning where the azimuths of all stations are off to one side by more than a station's own error."""
+    biases = np.array([one.bias for one in found if one.column == "azimuth_rad"])
+    if not len(biases) or np.abs(np.sum(np.sign(biases))) < len(biases) or np.abs(biases).min() < BIAS["bearings"][0]:
+        return []
+    message = (
+        f"azimuths of all stations are off by about {_size(float(np.median(biases)), view, '+')}: turned against "
+        "rig.toml; correct rotation_wxyz, or calibrate"
+    )
+    return [CheckResult("warning", view.table, message)]
 
 
 def _of_arrays(view: Compared) -> list[str]:

@@ -18,6 +18,9 @@ LEAST_TURN = np.radians(15.0)
 LEAST_MOVE_M = 0.5
 """Smallest offset of ranges, turn of a station and shift of a place that count as mistakes."""
 
+ALIKE = 1.2
+"""Ratio of errors up to which two places explain the readings alike, and that nearer to rig.toml's is named."""
+
 LEAST_EXTENT_M = 1.0
 """Extent of the true positions, m, from which the place of an anchor or station is fitted."""
 
@@ -142,8 +145,11 @@ def _moved(view: Compared, large: np.ndarray) -> Iterator[Explanation]:
             return part._replace(places=place[None]).errors()
 
         starts = (view.places[k], view.places.mean(axis=0), 2 * part.positions.mean(axis=0) - view.places[k])
-        fits = [robust_fit(errors, start) for start in starts]
-        places[k], fitted[k] = min(fits, key=lambda fit: fit[1])[0], True
+        place, size = min((robust_fit(errors, start) for start in starts), key=lambda fit: fit[1])
+        sides = (place, _mirrored(place, part.positions))
+        alike = [side for side in sides if np.nanmedian(np.abs(errors(side))) <= ALIKE * size]
+        places[k] = min(alike or sides[:1], key=lambda side: float(np.linalg.norm(side - view.places[k])))
+        fitted[k] = True
     moved = np.linalg.norm(places - view.places, axis=1) > LEAST_MOVE_M
     if not fitted.any():
         return
@@ -151,6 +157,14 @@ def _moved(view: Compared, large: np.ndarray) -> Iterator[Explanation]:
         "another position", "a wrong position in rig.toml; measure it again", sizes_with(view, places=places), 3, True,
         fitted & moved, place=True, parts=tuple(f"at {metres(place)}" for place in places),
     )  # fmt: skip
+
+
+def _mirrored(place: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """The place (3,) on the other side of the plane nearest to all positions (n, 3), from which ranges are the same."""
+    centre = positions.mean(axis=0)
+    normal = np.linalg.svd(positions - centre, full_matrices=False)[2][2]
+    mirrored: np.ndarray = place - 2.0 * float((place - centre) @ normal) * normal
+    return mirrored
 
 
 def _medians(view: Compared, x: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 
 from trackers.core.rig import Rig
-from trackers.recordings.checks.check_result import CheckResult, Level
+from trackers.recordings.checks.check_result import CheckResult
 from trackers.recordings.tables import QUATERNION, layout
 
 GRAVITY = 9.81
@@ -20,8 +20,6 @@ FAR_SIZES_MM = 150.0  # times the size of the rig, beyond which centimetres woul
 FASTEST_TURN = 35.0  # rad/s, the full scale of common gyroscopes
 COARSE_M = 1e-3
 """Spacing of numbers in single precision, m, from which on coordinates are far from their origin: that of 8 km."""
-
-_FAST_DEGREES = 100.0  # rad/s, no gyroscope's median
 
 
 def check_units(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> list[CheckResult]:
@@ -127,7 +125,9 @@ def _accelerations(table: pl.DataFrame) -> list[CheckResult]:
         message = f"typical acceleration is {typical:.3g}: looks like multiples of g, expected m/s² with gravity (9.81)"
         return [CheckResult("error", "imu", message)]
     message = f"typical acceleration is {typical:.3g} m/s², expected {GRAVITY} ± {100 * GRAVITY_SLACK:g} % with gravity"
-    return [CheckResult("warning", "imu", message)]
+    if typical < GRAVITY / 2:
+        message += "; it looks subtracted: export the raw acceleration, or the attitude too, as qw, qx, qy, qz"
+    return [CheckResult("error" if typical < GRAVITY / 2 else "warning", "imu", message)]
 
 
 def _turn_rates(table: pl.DataFrame) -> list[CheckResult]:
@@ -137,12 +137,8 @@ def _turn_rates(table: pl.DataFrame) -> list[CheckResult]:
     large = float(sizes.quantile(0.95) or 0)
     if large <= FASTEST_TURN:
         return []
-    level: Level = "error" if _median(sizes) > _FAST_DEGREES else "warning"
-    return [
-        CheckResult(
-            level, "imu", f"turn rates reach {large:.3g} rad/s: looks like degrees per second, expected radians"
-        )
-    ]
+    message = f"turn rates reach {large:.3g} rad/s: looks like degrees per second, expected radians"
+    return [CheckResult("error", "imu", message)]
 
 
 def _size(rig: Rig) -> float | None:

@@ -123,7 +123,7 @@ _SUSPICIOUS: dict[str, tuple[str, tuple[str, ...], dict[str, Callable[[pl.DataFr
         {"imu": lambda table: table.with_columns(pl.col("^accel.*$") / 9.81)},
     ),
     "acceleration without gravity": (
-        "warning",
+        "error",
         ("imu", "with gravity"),
         {"imu": lambda table: table.with_columns(pl.col("accel_z_mps2") - 9.81)},
     ),

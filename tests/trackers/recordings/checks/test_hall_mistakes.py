@@ -1,0 +1,118 @@
+"""Mistakes in a simulated hall that are named, with truth and without, and none where nobody made one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import polars as pl
+import pytest
+
+from trackers.core.rig import Rig, Station, Tag
+from trackers.recordings.checks import check, errors_in
+from trackers.recordings.folder import RecordingFolder
+
+ANCHORS = {
+    "A1": (0.0, 0.0, 2.7), "A2": (6.0, 0.0, 2.4), "A3": (12.0, 0.0, 2.7),
+    "A4": (12.0, 8.0, 2.7), "A5": (6.0, 8.0, 2.4), "A6": (0.0, 8.0, 2.7),
+}  # fmt: skip
+AXES = ("x_m", "y_m", "z_m")
+
+
+def _facing(x: float, y: float) -> Station:
+    """A level station 2.5 m high that looks at the middle of the hall."""
+    boresight = np.array([6.0 - x, 4.0 - y, 0.0]) / np.hypot(6.0 - x, 4.0 - y)
+    up = np.array([0.0, 0.0, 1.0])
+    R = np.stack([np.cross(up, boresight), up, boresight], axis=1)
+    w = np.sqrt(1 + np.trace(R)) / 2
+    q = np.array([w, *(np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) / (4 * w))])
+    return Station(np.array([x, y, 2.5]), q)
+
+
+@cache
+def hall() -> RecordingFolder:
+    """A walk of 60 s at 1.1 m with ranges of six anchors and bearings of three stations, at 5 Hz, and its truth."""
+    rng, t = np.random.default_rng(4), 0.2 * np.arange(300)
+    true = np.stack([6 + 4 * np.sin(0.31 * t), 4 + 2.5 * np.cos(0.47 * t), np.full_like(t, 1.1)], axis=1)
+    stations = {"S1": _facing(0.0, 1.0), "S2": _facing(12.0, 2.0), "S3": _facing(5.0, 8.0)}
+    ranges, bearings = [], []
+    for anchor, place in ANCHORS.items():
+        r = np.linalg.norm(true - place, axis=1) + rng.normal(0.05, 0.08, len(t))
+        ranges.append(pl.DataFrame({"t_s": t, "tag": "T", "anchor": anchor, "range_m": r}))
+    for name, station in stations.items():
+        angles = np.asarray(station.angles(true)) + rng.normal(0, 0.03, (len(t), 2))
+        head = {"t_s": t, "tag": "T", "station": name}
+        bearings.append(pl.DataFrame(head | {"azimuth_rad": angles[:, 0], "elevation_rad": angles[:, 1]}))
+    tables = {
+        "ranges": pl.concat(ranges).sort("t_s"), "bearings": pl.concat(bearings).sort("t_s"),
+        "truth": pl.DataFrame({"t_s": t, "tag": "T"} | dict(zip(AXES, true.T, strict=True))),
+    }  # fmt: skip
+    anchors = {key: np.array(place) for key, place in ANCHORS.items()}
+    return RecordingFolder("hall", None, Rig("hall", anchors, stations, {"T": Tag(height=1.1)}), tables)
+
+
+def _table(name: str, **columns: pl.Expr) -> Callable[[RecordingFolder], RecordingFolder]:
+    return lambda folder: replace(folder, tables=folder.tables | {name: folder.tables[name].with_columns(**columns)})
+
+
+def _height(height: float | None) -> Callable[[RecordingFolder], RecordingFolder]:
+    return lambda folder: replace(folder, rig=replace(folder.rig, tags={"T": Tag(height=height)}))
+
+
+def _anchor(name: str, place: tuple[float, float, float]) -> Callable[[RecordingFolder], RecordingFolder]:
+    return lambda folder: replace(
+        folder, rig=replace(folder.rig, anchors=dict(folder.rig.anchors) | {name: np.array(place)})
+    )
+
+
+def _only(*tables: str) -> Callable[[RecordingFolder], RecordingFolder]:
+    return lambda folder: replace(folder, tables={name: folder.tables[name] for name in tables})
+
+
+def _lines(folder: RecordingFolder, *levels: str) -> list[str]:
+    return [f"{one.where}: {one.message}" for one in check(folder) if one.level in levels]
+
+
+@pytest.mark.parametrize("height", [1.1, None])
+@pytest.mark.parametrize("tables", [("ranges", "bearings", "truth"), ("ranges", "bearings")])
+def test_no_mistake_is_named_in_the_hall(tables, height):
+    lines = _lines(_height(height)(_only(*tables)(hall())), "error", "warning")
+    assert [line for line in lines if "weakly determined" not in line] == []
+
+
+WITH_TRUTH = {
+    "height of another place": (_height(11.0), "rig.toml: height_m of tag T is 11, but z of its truth is typically 1.10"),
+    "z of the truth down": (_table("truth", z_m=-pl.col("z_m")), "z of the truth points down; flip"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WITH_TRUTH)
+def test_a_mistake_is_named_with_truth(name):
+    make, words = WITH_TRUTH[name]
+    errors = [f"{one.where}: {one.message}" for one in errors_in(make(hall()))]
+    assert any(words in line for line in errors), errors
+
+
+def test_the_truth_with_z_down_is_named_where_the_height_is_not_known():
+    folder = _height(None)(_table("truth", z_m=-pl.col("z_m"))(_only("ranges", "truth")(hall())))
+    (error,) = errors_in(folder)
+    assert "with the sign of z of the truth flipped: z of the truth points down" in error.message
+
+
+def test_a_height_above_all_ranges_is_named_without_truth():
+    (error,) = errors_in(_height(17.0)(_only("ranges")(hall())))
+    assert "height_m of tag T is 17, but 100 % of its ranges are shorter" in error.message
+
+
+def test_a_wrong_place_of_an_anchor_is_corrected_to_the_side_on_which_rig_toml_has_it():
+    (error,) = errors_in(_anchor("A4", (12.0, 3.0, 2.7))(hall()))
+    place = [float(x) for x in error.message.partition("at (")[2].partition(")")[0].split(",")]
+    np.testing.assert_allclose(place, ANCHORS["A4"], atol=0.4)
+
+
+def test_stations_all_turned_by_ten_degrees_are_a_warning():
+    turned = _table("bearings", azimuth_rad=pl.col("azimuth_rad") + np.radians(10.0))(hall())
+    (warning,) = _lines(turned, "warning")
+    assert warning.startswith("bearings: azimuths of all stations are off by about +10.")
