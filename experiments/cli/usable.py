@@ -7,7 +7,7 @@ from pathlib import Path
 
 from experiments.cli.console import notice
 from trackers.core.errors import UnusableInput
-from trackers.recordings.checks import errors_in
+from trackers.recordings.checks import quick_check
 from trackers.recordings.folder import RecordingFolder, read_recordings
 
 
@@ -36,9 +36,11 @@ def usable_recordings(paths: Sequence[Path], force: bool, calibrated: bool) -> t
 
 
 def errors_of(recording: RecordingFolder, force: bool, calibrated: bool) -> list[str]:
-    """A line for each error of `check`, with `force`; raises UnusableInput for the errors without."""
-    lines = [f"{recording.path}: {error.where}: {error.message}" for error in errors_in(recording, not calibrated)]
-    if lines and not force:
-        more = f" (and {len(lines) - 1} more: `trackwright check {recording.path}`)" if len(lines) > 1 else ""
-        raise UnusableInput(f"{lines[0]}{more}; correct it, or track it as it is with --force")
+    """A line for each mistake of `quick_check`; raises UnusableInput for errors without `force`."""
+    found = quick_check(recording, not calibrated)
+    lines = [f"{recording.path}: {one.where}: {one.message}" for one in found]
+    errors = [line for line, one in zip(lines, found, strict=True) if one.level == "error"]
+    if errors and not force:
+        more = f" (and {len(errors) - 1} more: `trackwright check {recording.path}`)" if len(errors) > 1 else ""
+        raise UnusableInput(f"{errors[0]}{more}; correct it, or track it as it is with --force")
     return lines

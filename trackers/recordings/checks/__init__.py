@@ -17,6 +17,7 @@ from trackers.recordings.checks.correlation import check_correlation
 from trackers.recordings.checks.coverage import check_ids, check_overlap, check_truth
 from trackers.recordings.checks.geometry import check_geometry
 from trackers.recordings.checks.heights import check_heights
+from trackers.recordings.checks.imu_mistakes import check_imu
 from trackers.recordings.checks.mistakes import check_against_truth
 from trackers.recordings.checks.quantisation import check_quantisation
 from trackers.recordings.checks.readings import about_local_line, readings, robust_std
@@ -29,7 +30,7 @@ from trackers.recordings.tables import MEASUREMENTS
 if TYPE_CHECKING:  # the folder's module imports `anomalies`
     from trackers.recordings.folder import RecordingFolder
 
-__all__ = ["CheckResult", "Level", "check", "errors_in", "format_results"]
+__all__ = ["CheckResult", "Level", "check", "format_results", "quick_check"]
 
 
 def check(recording: RecordingFolder) -> list[CheckResult]:
@@ -51,6 +52,7 @@ def check(recording: RecordingFolder) -> list[CheckResult]:
         results += check_truth(tables["truth"], measured)
     results += check_geometry(rig, tables)
     wrong_units = any(result.level == "error" for result in results)
+    results += [] if wrong_units else check_imu(tables)
     for name in measured:
         results += _check_errors(recording, name)
         view = compared(recording, name)
@@ -61,21 +63,23 @@ def check(recording: RecordingFolder) -> list[CheckResult]:
     return sorted(results, key=lambda result: LEVELS.index(result.level))
 
 
-def errors_in(recording: RecordingFolder, against_truth: bool = True) -> list[CheckResult]:
-    """The errors alone that `check` finds, in a fraction of its time.
+def quick_check(recording: RecordingFolder, against_truth: bool = True) -> list[CheckResult]:
+    """The errors alone that `check` finds, and its warnings of units and of an IMU, in a fraction of its time.
 
     `against_truth`: also those of measurements compared with truth.
     """
     tables, rig = recording.tables, recording.rig
     measured = {name: tables[name] for name in MEASUREMENTS if name in tables}
-    results = [*check_time_base(measured or tables), *check_units(rig, tables), *check_heights(rig, tables)]
+    sizes = [*check_units(rig, tables), *check_heights(rig, tables)]
+    found = [one for one in check_time_base(measured or tables) if one.level == "error"]
+    found += [one for one in sizes if one.level != "info"]
     if measured and "truth" in tables:
-        results += check_overlap(tables["truth"], measured)
-    found = [result for result in results if result.level == "error"]
-    if found or not against_truth:
+        found += [one for one in check_overlap(tables["truth"], measured) if one.level == "error"]
+    if any(one.level == "error" for one in found):
         return found
-    views = (compared(recording, name) for name in measured)
-    return [result for view in views if view is not None for result in check_against_truth(view)]
+    found += check_imu(tables, against_truth)
+    views = (compared(recording, name) for name in measured if against_truth)
+    return found + [result for view in views if view is not None for result in check_against_truth(view)]
 
 
 def _check_errors(recording: RecordingFolder, name: str) -> list[CheckResult]:

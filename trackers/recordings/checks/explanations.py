@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import permutations, product
 from typing import NamedTuple
 
 import numpy as np
@@ -48,3 +50,40 @@ def sizes_with(view: Compared, **changed: np.ndarray) -> Float[np.ndarray, "G m"
 def metres(vector: np.ndarray) -> str:
     """A vector in metres: `(1.20, -0.30, 0.00) m`."""
     return f"({', '.join(f'{x + 0.0:.2f}' for x in np.round(vector, 2))}) m"
+
+
+class SignedAxes(NamedTuple):
+    """Axes exchanged or with another sign: new axis k is `signs[k]` times axis `order[k]`; `changes`: how many."""
+
+    order: tuple[int, ...]
+    signs: Float[np.ndarray, " 3"]
+    words: str
+    changes: int
+
+    @property
+    def matrix(self) -> Float[np.ndarray, "3 3"]:
+        """The matrix that takes vectors to the new axes."""
+        matrix: np.ndarray = self.signs[:, None] * np.eye(3)[list(self.order)]
+        return matrix
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether they are left-handed."""
+        return bool(np.linalg.det(self.matrix) < 0)
+
+
+def signed_axes(of: str) -> Iterator[SignedAxes]:
+    """All 48 axes, as they are first; the words name the changes of what they are `of`."""
+    for order in permutations(range(3)):
+        for signs in product((1.0, -1.0), repeat=3):
+            flipped = [axis for axis, sign in zip("xyz", signs, strict=True) if sign < 0]
+            turned = [k for k in range(3) if order[k] != k]
+            words = []
+            if len(turned) == 2:
+                words.append(f"{'xyz'[turned[0]]} and {'xyz'[turned[1]]} of {of} swapped")
+            elif turned:
+                words.append(f"x, y, z of {of} read as {', '.join('xyz'[k] for k in order)}")
+            if flipped:
+                signs_of = "the sign of" if len(flipped) == 1 else "the signs of"
+                words.append(f"{signs_of} {', '.join(flipped)}{'' if words else f' of {of}'} flipped")
+            yield SignedAxes(order, np.array(signs), " and ".join(words), len(words + flipped))

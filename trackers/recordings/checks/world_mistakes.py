@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import combinations, permutations, product
+from itertools import combinations
 
 import numpy as np
 
 from trackers.recordings.checks.compared import Compared
-from trackers.recordings.checks.explanations import FACTORS, Explanation, metres, sizes_with
+from trackers.recordings.checks.explanations import FACTORS, Explanation, metres, signed_axes, sizes_with
 from trackers.recordings.checks.readings import known_median
 from trackers.recordings.checks.robust_fit import robust_fit
 
@@ -66,24 +66,13 @@ def _units(view: Compared) -> Iterator[Explanation]:
 
 def _axes(view: Compared) -> Iterator[Explanation]:
     """Axes of the truth exchanged or with another sign."""
-    for order in permutations(range(3)):
-        for signs in product((1.0, -1.0), repeat=3):
-            flipped = [axis for axis, sign in zip("xyz", signs, strict=True) if sign < 0]
-            turned = [k for k in range(3) if order[k] != k]
-            if not flipped and not turned:
-                continue
-            words = []
-            if len(turned) == 2:
-                words.append(f"{'xyz'[turned[0]]} and {'xyz'[turned[1]]} of the truth swapped")
-            elif turned:
-                words.append(f"x, y, z of the truth read as {', '.join('xyz'[k] for k in order)}")
-            if flipped:
-                words.append(f"the sign of {' and '.join(flipped)} flipped")
+    for axes in signed_axes("the truth"):
+        if axes.changes:
             yield Explanation(
-                " and ".join(words), _frame_cause(view, "has other axes than"),
-                sizes_with(view, positions=view.positions[:, order] * signs) * (1.0 + 0.01 * len(words + flipped)),
+                axes.words, _frame_cause(view, "has other axes than"),
+                sizes_with(view, positions=view.positions @ axes.matrix.T) * (1.0 + 0.01 * axes.changes),
                 # The maker's height is often of no use, or mirrored in the plane of the anchors.
-                harmless=view.table == "fixes" and not turned and flipped == ["z"],
+                harmless=view.table == "fixes" and axes.words == "the sign of z of the truth flipped",
             )  # fmt: skip
 
 

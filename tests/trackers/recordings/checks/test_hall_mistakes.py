@@ -11,7 +11,7 @@ import polars as pl
 import pytest
 
 from trackers.core.rig import Rig, Station, Tag
-from trackers.recordings.checks import check, errors_in
+from trackers.recordings.checks import check, quick_check
 from trackers.recordings.folder import RecordingFolder
 
 ANCHORS = {
@@ -32,7 +32,7 @@ def _facing(x: float, y: float) -> Station:
 
 
 @cache
-def hall() -> RecordingFolder:
+def _hall() -> RecordingFolder:
     """A walk of 60 s at 1.1 m with ranges of six anchors and bearings of three stations, at 5 Hz, and its truth."""
     rng, t = np.random.default_rng(4), 0.2 * np.arange(300)
     true = np.stack([6 + 4 * np.sin(0.31 * t), 4 + 2.5 * np.cos(0.47 * t), np.full_like(t, 1.1)], axis=1)
@@ -78,7 +78,7 @@ def _lines(folder: RecordingFolder, *levels: str) -> list[str]:
 @pytest.mark.parametrize("height", [1.1, None])
 @pytest.mark.parametrize("tables", [("ranges", "bearings", "truth"), ("ranges", "bearings")])
 def test_no_mistake_is_named_in_the_hall(tables, height):
-    lines = _lines(_height(height)(_only(*tables)(hall())), "error", "warning")
+    lines = _lines(_height(height)(_only(*tables)(_hall())), "error", "warning")
     assert [line for line in lines if "weakly determined" not in line] == []
 
 
@@ -91,28 +91,28 @@ WITH_TRUTH = {
 @pytest.mark.parametrize("name", WITH_TRUTH)
 def test_a_mistake_is_named_with_truth(name):
     make, words = WITH_TRUTH[name]
-    errors = [f"{one.where}: {one.message}" for one in errors_in(make(hall()))]
+    errors = [f"{one.where}: {one.message}" for one in quick_check(make(_hall()))]
     assert any(words in line for line in errors), errors
 
 
 def test_the_truth_with_z_down_is_named_where_the_height_is_not_known():
-    folder = _height(None)(_table("truth", z_m=-pl.col("z_m"))(_only("ranges", "truth")(hall())))
-    (error,) = errors_in(folder)
+    folder = _height(None)(_table("truth", z_m=-pl.col("z_m"))(_only("ranges", "truth")(_hall())))
+    (error,) = quick_check(folder)
     assert "with the sign of z of the truth flipped: z of the truth points down" in error.message
 
 
 def test_a_height_above_all_ranges_is_named_without_truth():
-    (error,) = errors_in(_height(17.0)(_only("ranges")(hall())))
+    (error,) = quick_check(_height(17.0)(_only("ranges")(_hall())))
     assert "height_m of tag T is 17, but 100 % of its ranges are shorter" in error.message
 
 
 def test_a_wrong_place_of_an_anchor_is_corrected_to_the_side_on_which_rig_toml_has_it():
-    (error,) = errors_in(_anchor("A4", (12.0, 3.0, 2.7))(hall()))
+    (error,) = quick_check(_anchor("A4", (12.0, 3.0, 2.7))(_hall()))
     place = [float(x) for x in error.message.partition("at (")[2].partition(")")[0].split(",")]
     np.testing.assert_allclose(place, ANCHORS["A4"], atol=0.4)
 
 
 def test_stations_all_turned_by_ten_degrees_are_a_warning():
-    turned = _table("bearings", azimuth_rad=pl.col("azimuth_rad") + np.radians(10.0))(hall())
+    turned = _table("bearings", azimuth_rad=pl.col("azimuth_rad") + np.radians(10.0))(_hall())
     (warning,) = _lines(turned, "warning")
     assert warning.startswith("bearings: azimuths of all stations are off by about +10.")

@@ -11,7 +11,7 @@ import pytest
 
 from sim import worlds
 from trackers.core.rig import Station
-from trackers.recordings.checks import check, errors_in
+from trackers.recordings.checks import check, quick_check
 from trackers.recordings.folder import RecordingFolder, read_recording
 
 SIGMA_P = 0.3
@@ -86,7 +86,7 @@ MISTAKES = {
 @pytest.mark.parametrize("name", MISTAKES)
 def test_a_mistake_is_named_with_the_errors_that_remain_without_it(sound, name):
     make, words = MISTAKES[name]
-    errors = errors_in(make(sound))
+    errors = quick_check(make(sound))
     assert len(errors) == 1
     assert words in errors[0].message, errors[0].message
     assert errors[0].where == "phases"
@@ -113,7 +113,7 @@ def test_a_station_that_gives_angles_and_missing_phases_are_left_out(sound):
     }
     phases = sound.tables["phases"].with_columns(**missing)
     folder = replace(sound, rig=rig, tables={**sound.tables, "phases": phases})
-    assert errors_in(folder) == []
+    assert quick_check(folder) == []
     assert sum("against truth" in result.message for result in check(folder)) == 3
 
 
@@ -130,5 +130,5 @@ def test_a_station_that_gives_angles_and_missing_phases_are_left_out(sound):
     ids=["sound", "swapped", "reversed", "degrees", "wavelength", "mirrored"],
 )
 def test_mistakes_on_recorded_phases_of_a_circular_array_are_named(recordings, make, words):
-    errors = errors_in(make(read_recording(recordings / "ble51-uca-x3y3")))
+    errors = quick_check(make(read_recording(recordings / "ble51-uca-x3y3")))
     assert [words in error.message for error in errors] == ([] if words is None else [True])

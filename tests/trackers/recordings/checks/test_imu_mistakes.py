@@ -1,0 +1,111 @@
+"""Mistakes in the IMU of a simulated tool are named, with its true attitude and without."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import polars as pl
+import pytest
+
+from sim import worlds
+from trackers.recordings.checks import check, quick_check
+from trackers.recordings.checks.imu_rows import imu_rows, true_attitude
+from trackers.recordings.folder import RecordingFolder
+
+ACCEL, GYRO = ([f"{name}_{axis}_{unit}" for axis in "xyz"] for name, unit in (("accel", "mps2"), ("gyro", "radps")))
+QUATERNION = ["qw", "qx", "qy", "qz"]
+C = pl.col
+
+
+@cache
+def _tool() -> RecordingFolder:
+    return worlds.tool(n=1, seed=0, rows=600).folder()
+
+
+def _changed(table: str, *columns: pl.Expr, truth: bool = True) -> RecordingFolder:
+    folder = _tool()
+    tables = dict(folder.tables) | {table: folder.tables[table].with_columns(*columns)}
+    return replace(folder, tables={name: rows for name, rows in tables.items() if truth or name != "truth"})
+
+
+def _signs(names: list[str], signs: tuple[int, int, int]) -> list[pl.Expr]:
+    return [C(name) * sign for name, sign in zip(names, signs, strict=True)]
+
+
+def _swapped(names: list[str]) -> list[pl.Expr]:
+    return [C(names[1]).alias(names[0]), C(names[0]).alias(names[1])]
+
+
+FLIPPED, SWAPPED = _signs(GYRO, (-1, -1, -1)), [*_swapped(ACCEL), *_swapped(GYRO)]
+DOWN = [*_signs(ACCEL, (1, -1, -1)), *_signs(GYRO, (1, -1, -1))]
+
+WITH_TRUTH = {
+    "signs of the gyro": ("error", "only with the signs of x, y, z of the turn rates flipped", FLIPPED),
+    "x and y swapped": ("error", "only with x and y of the turn rates swapped;", SWAPPED),
+    "x and y of the gyro swapped": ("error", "only with x and y of the turn rates swapped;", _swapped(GYRO)),
+    "upside down": ("warning", "only with the signs of y, z of the turn rates flipped", DOWN),
+    "clock 0.5 s late": ("warning", "comes 0.50 s late against the truth's attitude", [C("t_s") + 0.5]),
+    "clock 2 s early": ("error", "comes 2.00 s early against the truth's attitude", [C("t_s") - 2.0]),
+}
+
+ALONE = {
+    "signs of the gyro": ("error", "with the signs of x, y, z of the turn rates flipped, or two axes of both", FLIPPED),
+    "x and y swapped": ("error", "with the signs of x, y, z of the turn rates flipped, or two axes of both", SWAPPED),
+    "x and y of the gyro swapped": ("error", "with x and y of the turn rates swapped (", _swapped(GYRO)),
+    "upside down": ("warning", "the IMU is upside down", DOWN),
+    "without gravity": ("error", "expected 9.81", _signs(ACCEL, (1, 1, 0))),
+    "degrees per second": ("error", "looks like degrees per second", [C(name).degrees() for name in GYRO]),
+}
+
+
+@pytest.mark.parametrize("truth", [True, False])
+def test_no_mistake_is_named_in_the_imu_of_the_tool(truth):
+    assert [one.message for one in quick_check(_changed("imu", truth=truth))] == []
+
+
+@pytest.mark.parametrize("name", WITH_TRUTH)
+def test_a_mistake_is_named_with_the_true_attitude(name):
+    level, words, columns = WITH_TRUTH[name]
+    found = [(one.level, one.message) for one in check(_changed("imu", *columns)) if one.where == "imu"]
+    assert any(level == of and words in message for of, message in found), found
+
+
+@pytest.mark.parametrize("name", ALONE)
+def test_a_mistake_is_named_by_gravity_alone(name):
+    level, words, columns = ALONE[name]
+    found = [(one.level, one.message) for one in quick_check(_changed("imu", *columns, truth=False))]
+    assert any(level == of and words in message for of, message in found), found
+
+
+@pytest.mark.parametrize(
+    ("words", "order"), [("x, y, z, w", (1, 2, 3, 0)), ("z, w, x, y", (3, 0, 1, 2)), ("inverted", None)]
+)
+def test_quaternions_of_the_truth_in_another_order_are_named(words, order):
+    columns = (
+        [-C(name) for name in QUATERNION[1:]]
+        if order is None
+        else [C(QUATERNION[k]).alias(name) for k, name in zip(order, QUATERNION, strict=True)]
+    )
+    (error,) = quick_check(_changed("truth", *columns))
+    assert error.where == "truth"
+    assert words in error.message
+
+
+def test_rates_of_the_true_attitude_are_those_of_a_steady_turn():
+    t, rate = 0.05 * np.arange(40), np.array([0.3, -0.5, 0.8])
+    half = np.linalg.norm(rate) * t / 2
+    axis = rate / np.linalg.norm(rate)
+    truth = pl.DataFrame({"t_s": t, "tag": "T", "qw": np.cos(half)} | {
+        name: x * np.sin(half) for name, x in zip(QUATERNION[1:], axis, strict=True)
+    })  # fmt: skip
+    _, found = true_attitude(truth, "T").rates()
+    np.testing.assert_allclose(found, np.tile(rate, (len(found), 1)), atol=1e-9)
+
+
+def test_no_window_lies_across_a_gap():
+    t = np.concatenate([0.1 * np.arange(20), 5 + 0.1 * np.arange(20)])
+    rows = imu_rows(pl.DataFrame({"t_s": t, "tag": "T"} | dict.fromkeys((*ACCEL, *GYRO), 2.0)), "T")
+    found = rows.between(rows.turned, np.array([0.5, 1.5, 5.5]), np.array([1.0, 5.5, 6.0]))
+    np.testing.assert_allclose(found, [[1.0] * 3, [np.nan] * 3, [1.0] * 3])

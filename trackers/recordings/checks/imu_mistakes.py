@@ -1,0 +1,222 @@
+"""Mistakes in an IMU: signs, axes, mounting and clock.
+
+Without truth: gravity, a constant vector of the world, turns in body axes by du/dt = -ω × u, whatever the heading, so
+that the specific force tests the signs and axes of the turn rates. With the true attitude: turn rates and gravity in
+body axes are known, and sizes of turn rates, which no axes change, tell how late the IMU is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+import numpy as np
+import polars as pl
+
+from trackers.recordings.checks.check_result import CheckResult
+from trackers.recordings.checks.explanations import SignedAxes, signed_axes
+from trackers.recordings.checks.imu_rows import Attitude, ImuRows, imu_rows, true_attitude
+from trackers.recordings.tables import QUATERNION
+
+WINDOW_S = 1.0
+"""Time over which gravity turns, s; specific force is averaged over half of it."""
+
+LEAST_WINDOWS, LEAST_TURN = 20, 0.05
+"""Windows, and their root mean square turn in rad, from which gravity tells of the axes."""
+
+FIT, BETTER = 0.5, 0.4
+"""Least correlation with other axes, and least gain of it, from which the given ones are wrong."""
+
+SIMPLER = 0.02
+"""Loss of correlation, or share of an error, for which simpler axes are preferred."""
+
+TILTED = np.cos(np.radians(60.0))
+"""Cosine of the angle between mean specific force and z beyond which an IMU lies on its side or upside down."""
+
+LONGEST_DELAY_S, LEAST_DELAY_S, STEP_S = 3.0, 0.1, 0.02
+LATENCY_S = 1.0
+"""Delays up to here are no mistake that stops a command."""
+
+SAME_MOTION = 0.7
+"""Least correlation of the sizes of turn rates from which a delay between IMU and truth is known."""
+
+WORSE = 2.0
+"""Ratio of errors from which other axes than the given ones are those of the IMU."""
+
+READ_AS = (
+    ("its quaternions as they are", (0, 1, 2, 3), np.ones(4)),
+    ("its quaternions read as x, y, z, w", (3, 0, 1, 2), np.ones(4)),
+    ("its quaternions read as z, w, x, y", (1, 2, 3, 0), np.ones(4)),
+    ("its quaternions inverted", (0, 1, 2, 3), np.array([1.0, -1.0, -1.0, -1.0])),
+)
+"""How the quaternions of a truth may be meant, in words: the order and the signs of w, x, y, z."""
+
+SMALL_TURN = np.radians(20.0)
+"""Angle of a mounting, rad, up to which it is no mistake."""
+
+
+def check_imu(tables: Mapping[str, pl.DataFrame], against_truth: bool = True) -> list[CheckResult]:
+    """Signs, axes, mounting and clock of the IMU of each tag; an attitude of the sensor's own excuses it."""
+    table = tables.get("imu")
+    if table is None or set(QUATERNION) <= set(table.columns):
+        return []
+    results = []
+    for tag in table["tag"].unique(maintain_order=True):
+        rows = imu_rows(table, tag)
+        attitude = true_attitude(tables["truth"], tag) if against_truth and "truth" in tables else None
+        if rows is not None:
+            found = [] if attitude is None else _against_attitude(rows, attitude)
+            found = found or [*_by_gravity(rows), *_mounting(rows)]
+            results += [CheckResult(one.level, one.where, f"tag {tag}: {one.message}") for one in found]
+    return results
+
+
+def _by_gravity(rows: ImuRows) -> list[CheckResult]:
+    """An error where gravity turns in body axes otherwise than the turn rates have it, and as others would."""
+    t = np.arange(rows.times[0] + WINDOW_S, rows.times[-1] - WINDOW_S, WINDOW_S / 4)
+    half, quarter = WINDOW_S / 2, WINDOW_S / 4
+    before, middle, after = (
+        rows.between(rows.pushed, at - quarter, at + quarter) / half for at in (t - half, t, t + half)
+    )
+    turned = rows.between(rows.turned, t - half, t + half)
+    change = after - before
+    # Longer turns are no longer small, and knocks are no gravity.
+    known = np.isfinite(change).all(axis=1) & np.isfinite(turned).all(axis=1)
+    known &= (np.linalg.norm(turned, axis=1) < 2.0) & (np.linalg.norm(change, axis=1) < 5.0)
+    change, middle, turned = change[known], middle[known], turned[known]
+    if len(turned) < LEAST_WINDOWS or np.sqrt(np.mean(turned**2)) < LEAST_TURN:
+        return []
+    tried = list(signed_axes("the turn rates"))
+    fits = [(_correlation(change, -np.cross(turned @ axes.matrix.T, middle)), axes) for axes in tried]
+    given = fits[0][0]
+    best, axes = max(fits, key=lambda fit: fit[0] - SIMPLER * fit[1].changes)
+    if best < FIT or best - given < BETTER:
+        return []
+    also = ", or two axes of both sensors swapped" if axes.signs.prod() < 0 and axes.order == (0, 1, 2) else ""
+    return [
+        CheckResult(
+            "error", "imu", f"turn rates fit the turn of gravity in the acceleration only with {axes.words}{also} "
+            f"(correlation {best:.2f}, {given:.2f} as they are); correct the axes of the gyro or of the accelerometer",
+        )
+    ]  # fmt: skip
+
+
+def _mounting(rows: ImuRows) -> list[CheckResult]:
+    """A warning where the mean specific force does not point along z, as that of a level IMU does."""
+    mean = rows.pushed[-1] / (rows.times[-1] - rows.times[0])
+    if np.linalg.norm(mean) < 1.0 or mean[2] > TILTED * np.linalg.norm(mean):
+        return []
+    how = "upside down" if -mean[2] > TILTED * np.linalg.norm(mean) else "on its side"
+    x, y, z = (f"{c + 0.0:.1f}" for c in np.round(mean, 1))
+    message = f"mean acceleration is ({x}, {y}, {z}) m/s²: the IMU is {how}, expected z up; turn its axes"
+    return [CheckResult("warning", "imu", message)]
+
+
+class _Vectors(NamedTuple):
+    """What the IMU measures and what truth implies of it (n, 3), by name."""
+
+    name: str
+    measured: np.ndarray
+    true: np.ndarray
+
+
+def _against_attitude(rows: ImuRows, attitude: Attitude) -> list[CheckResult]:
+    times, rates = attitude.rates()
+    if len(times) < LEAST_WINDOWS or np.sqrt(np.mean(rates**2)) < LEAST_TURN:
+        return []
+    delay, fit, at_once = _delay(rows, times, rates)
+    if fit < SAME_MOTION:
+        return []
+    if abs(delay) >= LEAST_DELAY_S and fit - at_once > 0.05:
+        message = (
+            f"comes {abs(delay):.2f} s {'late' if delay > 0 else 'early'} against the truth's attitude: their clocks "
+            "differ; shift one table"
+        )
+        return [CheckResult("error" if abs(delay) > LATENCY_S else "warning", "imu", message)]
+    return _other_quaternions(rows, attitude) or [
+        CheckResult("error" if wrong else "warning", "imu", line)
+        for vectors in _vectors(rows, attitude, times, rates)
+        for wrong, line in _axes(vectors)
+    ]
+
+
+def _measured_rates(rows: ImuRows, times: np.ndarray) -> np.ndarray:
+    return rows.between(rows.turned, times - 0.1, times + 0.1) / 0.2
+
+
+def _delay(rows: ImuRows, times: np.ndarray, rates: np.ndarray) -> tuple[float, float, float]:
+    """Seconds by which the IMU comes late, and the correlation of sizes of turn rates with that delay and without."""
+    part = slice(None, None, -(-len(times) // 2000))
+    times, true = times[part], np.linalg.norm(rates[part], axis=1)
+    true = np.minimum(true, np.quantile(true, 0.98))
+    fits = {}
+    for delay in np.arange(-LONGEST_DELAY_S, LONGEST_DELAY_S + STEP_S / 2, STEP_S):
+        size = np.linalg.norm(_measured_rates(rows, times + delay), axis=1)
+        known = np.isfinite(size)
+        enough = known.sum() > max(len(size) / 2, LEAST_WINDOWS)
+        fits[round(float(delay), 3)] = _correlation(size[known], true[known], centred=True) if enough else -1.0
+    best = max(fits, key=lambda delay: fits[delay])
+    return best, fits[best], fits[0.0]
+
+
+def _vectors(rows: ImuRows, attitude: Attitude, times: np.ndarray, rates: np.ndarray) -> Iterator[_Vectors]:
+    measured = _measured_rates(rows, times)
+    known = np.isfinite(measured).all(axis=1)
+    yield _Vectors("turn rates", measured[known], rates[known])
+    at = np.arange(times[0] + 1.0, times[-1] - 1.0, 0.5)
+    force = rows.between(rows.pushed, at - 0.5, at + 0.5)
+    known = np.isfinite(force).all(axis=1)
+    if known.sum() >= LEAST_WINDOWS:
+        yield _Vectors("accelerations", force[known], 9.81 * attitude.up(at)[known])
+
+
+def _axes(vectors: _Vectors) -> Iterator[tuple[bool, str]]:
+    """Other axes of the measured vectors than the true ones, in words, and whether they make a mirrored frame."""
+    given = _error(vectors.measured, vectors.true)
+    error, axes = _best_axes(vectors.measured, vectors.true, f"the {vectors.name}")
+    left, _, right = np.linalg.svd(vectors.measured.T @ vectors.true)
+    turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+    angle = float(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))
+    turned = _error(vectors.measured, vectors.true @ turn.T)
+    if given < WORSE * min(error, turned):
+        return
+    if error < WORSE * turned:
+        yield axes.mirrored, f"{vectors.name} fit the truth's attitude only with {axes.words}; correct the axes"
+    elif angle > SMALL_TURN and vectors.name == "turn rates":
+        yield False, f"axes are turned by {np.degrees(angle):.0f}° against the body axes of the truth's attitude"
+
+
+def _other_quaternions(rows: ImuRows, attitude: Attitude) -> list[CheckResult]:
+    """An error where turn rates fit the attitude once its quaternions are read otherwise, and with no other axes."""
+    found = {}
+    for change, order, signs in READ_AS:
+        other = attitude._replace(quaternions=attitude.quaternions[:, order] * signs)
+        times, rates = other.rates()
+        measured = _measured_rates(rows, times)
+        known = np.isfinite(measured).all(axis=1)
+        found[change] = _best_axes(measured[known], rates[known], "")[0]
+    best = min(found, key=lambda change: found[change])
+    if best == READ_AS[0][0] or found[READ_AS[0][0]] < WORSE * found[best]:
+        return []
+    message = f"turn rates fit the truth's attitude only with {best}; correct the columns qw, qx, qy, qz of the truth"
+    return [CheckResult("error", "truth", message)]
+
+
+def _best_axes(measured: np.ndarray, true: np.ndarray, of: str) -> tuple[float, SignedAxes]:
+    """The axes with which the true vectors are nearest to the measured ones, and the error, larger for each change."""
+    axes = list(signed_axes(of))
+    errors = [_error(measured, true @ one.matrix.T) * (1.0 + SIMPLER * one.changes) for one in axes]
+    best = int(np.argmin(errors))
+    return errors[best], axes[best]
+
+
+def _error(measured: np.ndarray, true: np.ndarray) -> float:
+    return float(np.median(np.linalg.norm(measured - true, axis=1)))
+
+
+def _correlation(x: np.ndarray, y: np.ndarray, centred: bool = False) -> float:
+    """The correlation of all numbers, about zero unless `centred`; 0 where one of both is constant."""
+    if centred:
+        x, y = x - x.mean(), y - y.mean()
+    scale = float(np.sqrt(np.sum(x**2) * np.sum(y**2)))
+    return float(np.sum(x * y)) / scale if scale > 0 else 0.0

@@ -1,0 +1,87 @@
+"""Means and turns of an IMU over windows, and the turn rates and gravity that a true attitude implies."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import polars as pl
+from jaxtyping import Float
+
+from trackers.core.rig import rotation_matrices
+from trackers.recordings.tables import QUATERNION, layout
+
+MOST_ROWS = 30_000
+"""Rows of an IMU that are looked at, the first ones."""
+
+GAP_S = 0.25
+"""Time between two rows, s, above which no window lies across them."""
+
+RATE_S = 0.1
+"""Half the time over which the rate of a true attitude is taken, s."""
+
+
+class ImuRows(NamedTuple):
+    """`times` (N,) s, and the integrals over time of specific force (N, 3) m/s and of the turn rate (N, 3) rad."""
+
+    times: Float[np.ndarray, " N"]
+    pushed: Float[np.ndarray, "N 3"]
+    turned: Float[np.ndarray, "N 3"]
+
+    def between(self, which: Float[np.ndarray, "N 3"], start: np.ndarray, end: np.ndarray) -> Float[np.ndarray, "n 3"]:
+        """The integral `which` from `start` to `end` (n,) s; NaN outside the rows and across gaps."""
+        found = np.stack([np.interp(end, self.times, c) - np.interp(start, self.times, c) for c in which.T], axis=1)
+        gaps = np.concatenate([[0], np.cumsum(np.diff(self.times) > GAP_S)])
+        first = np.searchsorted(self.times, start, side="right") - 1
+        last = np.searchsorted(self.times, end)
+        inside = (first >= 0) & (last < len(self.times))
+        inside &= gaps[np.maximum(first, 0)] == gaps[np.minimum(last, len(gaps) - 1)]
+        found[~inside] = np.nan
+        return found
+
+
+def imu_rows(table: pl.DataFrame, tag: str) -> ImuRows | None:
+    """The whole rows of a tag; None with fewer than ten."""
+    columns = layout("imu", table.columns).values
+    rows = table.filter(pl.col("tag") == tag).select("t_s", *columns).drop_nulls().unique("t_s", keep="first")
+    rows = rows.sort("t_s").head(MOST_ROWS)
+    if len(rows) < 10:
+        return None
+    t, x = rows["t_s"].to_numpy(), rows.select(columns).to_numpy()
+    areas = (x[1:] + x[:-1]) / 2 * np.diff(t)[:, None]
+    sums = np.concatenate([np.zeros((1, 6)), np.cumsum(areas, axis=0)])
+    return ImuRows(t, sums[:, :3], sums[:, 3:])
+
+
+class Attitude(NamedTuple):
+    """The true attitude of a tag: `times` (N,) s, `quaternions` (N, 4) w, x, y, z, from body to world."""
+
+    times: Float[np.ndarray, " N"]
+    quaternions: Float[np.ndarray, "N 4"]
+
+    def rates(self) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
+        """Turn rates (n, 3), rad/s in body axes, and the times (n,), s, about which they are taken."""
+        after = np.minimum(np.searchsorted(self.times, self.times + 2 * RATE_S * 0.999), len(self.times) - 1)
+        span = self.times[after] - self.times
+        known = (span > 0) & (span < GAP_S)
+        a, b = self.quaternions[known], self.quaternions[after[known]]
+        scalar = np.einsum("ni,ni->n", a, b)
+        vector = a[:, :1] * b[:, 1:] - b[:, :1] * a[:, 1:] - np.cross(a[:, 1:], b[:, 1:])
+        size = np.linalg.norm(vector, axis=1)
+        turn = 2.0 * np.arctan2(size, np.abs(scalar)) * np.where(scalar < 0, -1.0, 1.0) / np.maximum(size, 1e-12)
+        return (self.times + span / 2)[known], turn[:, None] * vector / span[known, None]
+
+    def up(self, times: np.ndarray) -> Float[np.ndarray, "n 3"]:
+        """The world's z in body axes (n, 3), of the rows before `times`."""
+        row = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, len(self.times) - 1)
+        return np.asarray(rotation_matrices(self.quaternions[row])[:, 2, :])
+
+
+def true_attitude(truth: pl.DataFrame, tag: str) -> Attitude | None:
+    """The attitude of a tag; None without quaternions."""
+    if "qw" not in truth.columns:
+        return None
+    own = truth.filter(pl.col("tag") == tag).select("t_s", *QUATERNION).drop_nulls().unique("t_s", keep="first")
+    own = own.sort("t_s").head(MOST_ROWS)
+    q = own.select(QUATERNION).to_numpy()
+    return Attitude(own["t_s"].to_numpy(), q / np.linalg.norm(q, axis=1, keepdims=True)) if len(own) > 10 else None
