@@ -12,7 +12,8 @@ import numpy as np
 
 from trackers.recordings.checks.anomalies import anomalies
 from trackers.recordings.checks.check_result import LEVELS, CheckResult, Level, format_results
-from trackers.recordings.checks.compared import compared
+from trackers.recordings.checks.closing_mistakes import check_closing
+from trackers.recordings.checks.compared import Compared, compared
 from trackers.recordings.checks.correlation import check_correlation
 from trackers.recordings.checks.coverage import check_ids, check_overlap, check_truth
 from trackers.recordings.checks.geometry import check_geometry
@@ -58,8 +59,8 @@ def check(recording: RecordingFolder) -> list[CheckResult]:
         view = compared(recording, name)
         if view is not None:
             results += check_residuals(view)
-            # Wrong units are a mistake that is named already.
-            results += [] if wrong_units else check_against_truth(view)
+        # Wrong units are a mistake that is named already.
+        results += [] if wrong_units else _mistakes(recording, name, view)
     return sorted(results, key=lambda result: LEVELS.index(result.level))
 
 
@@ -78,8 +79,14 @@ def quick_check(recording: RecordingFolder, against_truth: bool = True) -> list[
     if any(one.level == "error" for one in found):
         return found
     found += check_imu(tables, against_truth)
-    views = (compared(recording, name) for name in measured if against_truth)
-    return found + [result for view in views if view is not None for result in check_against_truth(view)]
+    for name in measured if against_truth else ():
+        found += _mistakes(recording, name, compared(recording, name))
+    return found
+
+
+def _mistakes(recording: RecordingFolder, name: str, view: Compared | None) -> list[CheckResult]:
+    """The most likely mistake in a table: against the truth, or where there is none, of readings among themselves."""
+    return check_closing(recording, name) if view is None else check_against_truth(view)
 
 
 def _check_errors(recording: RecordingFolder, name: str) -> list[CheckResult]:

@@ -69,23 +69,26 @@ def _of_ranges(view: Compared) -> Iterator[Explanation]:
     )  # fmt: skip
 
 
-def _of_bearings(view: Compared) -> Iterator[Explanation]:
-    azimuth, elevation = view.values.T
-    changed = {
+def angles_changed(values: np.ndarray) -> dict[str, tuple[np.ndarray, str]]:
+    """Azimuths and elevations (…, 2) with other signs or swapped, and the mistake, by the change in words."""
+    return {
         "the sign of the azimuth flipped": (
-            np.stack([-azimuth, elevation], axis=1),
+            values * np.array([-1.0, 1.0]),
             "the azimuth is positive to the right, expected to the left seen along the boresight; flip its sign",
         ),
         "the sign of the elevation flipped": (
-            np.stack([azimuth, -elevation], axis=1),
-            "the elevation is positive downward, expected upward; flip its sign",
+            values * np.array([1.0, -1.0]), "the elevation is positive downward, expected upward; flip its sign",
         ),
         "the signs of azimuth and elevation flipped": (
-            -view.values, "the station is upside down, or both angles have the opposite sign; turn it in rig.toml",
+            -values, "the station is upside down, or both angles have the opposite sign; turn it in rig.toml",
         ),
-        "azimuth and elevation swapped": (view.values[:, ::-1], "azimuth and elevation are swapped; rename both"),
+        "azimuth and elevation swapped": (values[..., ::-1], "azimuth and elevation are swapped; rename both"),
     }  # fmt: skip
-    for change, (values, cause) in changed.items():
+
+
+def _of_bearings(view: Compared) -> Iterator[Explanation]:
+    azimuth, elevation = view.values.T
+    for change, (values, cause) in angles_changed(view.values).items():
         yield Explanation(change, cause, sizes_with(view, values=values), own=True)
     for sign, name in ((1.0, "turned"), (-1.0, "turned and its sign flipped")):
         turned = np.stack([sign * azimuth, elevation], axis=1)

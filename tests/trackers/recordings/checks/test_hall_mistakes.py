@@ -12,6 +12,7 @@ import pytest
 
 from trackers.core.rig import Rig, Station, Tag
 from trackers.recordings.checks import check, quick_check
+from trackers.recordings.checks.closing import moments
 from trackers.recordings.folder import RecordingFolder
 
 ANCHORS = {
@@ -116,3 +117,61 @@ def test_stations_all_turned_by_ten_degrees_are_a_warning():
     turned = _table("bearings", azimuth_rad=pl.col("azimuth_rad") + np.radians(10.0))(_hall())
     (warning,) = _lines(turned, "warning")
     assert warning.startswith("bearings: azimuths of all stations are off by about +10.")
+
+
+def _swapped(folder: RecordingFolder) -> RecordingFolder:
+    return _anchor("A2", ANCHORS["A4"])(_anchor("A4", ANCHORS["A2"])(folder))
+
+
+A, E = pl.col("azimuth_rad"), pl.col("elevation_rad")
+ALONE = {
+    "anchors swapped": ("ranges", ("anchors A2 and A4 swapped", "ids of anchors"), _swapped),
+    "feet": ("ranges", ("0.3048", "feet"), _table("ranges", range_m=pl.col("range_m") / 0.3048)),
+    "azimuths flipped": ("bearings", ("the sign of the azimuth flipped",), _table("bearings", azimuth_rad=-A)),
+    "elevations flipped": ("bearings", ("the sign of the elevation flipped",), _table("bearings", elevation_rad=-E)),
+    "angles swapped": (
+        "bearings", ("azimuth and elevation swapped",), _table("bearings", azimuth_rad=E, elevation_rad=A)
+    ),
+    "azimuths turned": ("bearings", ("the azimuth turned by 180°",), _table("bearings", azimuth_rad=A - np.pi * A.sign())),
+    "azimuths of a station": (
+        "bearings", ("the sign of the azimuth flipped of station S2",),
+        _table("bearings", azimuth_rad=pl.when(pl.col("station") == "S2").then(-A).otherwise(A)),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ALONE)
+def test_a_mistake_is_named_without_truth_by_readings_that_contradict_each_other(name):
+    table, words, make = ALONE[name]
+    (error,) = quick_check(make(_only("ranges", "bearings")(_hall())))
+    assert (error.level, error.where) == ("error", table)
+    assert all(word in error.message for word in words), error.message
+
+
+@pytest.mark.parametrize("height", [1.1, None])
+def test_swapped_anchors_are_named_without_truth_and_with_the_height_or_without(height):
+    (error,) = quick_check(_swapped(_height(height)(_only("ranges")(_hall()))))
+    assert "anchors A2 and A4 swapped" in error.message
+
+
+def test_contradictions_that_no_change_explains_are_a_warning():
+    (found,) = quick_check(_anchor("A1", (9.0, 9.0, 2.7))(_only("ranges")(_hall())))
+    assert found.level == "warning"
+    assert "no change of units, signs or ids explains it" in found.message
+
+
+def test_ranges_close_to_zero_where_they_are_exact_and_bearings_likewise():
+    folder = _hall()
+    truth = folder.tables["truth"].select(*AXES).to_numpy()
+    t = folder.tables["truth"]["t_s"].to_numpy()
+    for table, noun, names in (("ranges", "anchor", ANCHORS), ("bearings", "station", folder.rig.stations)):
+        rows = []
+        for name in names:
+            head = {"t_s": t, "tag": "T", noun: name}
+            if table == "ranges":
+                rows.append(pl.DataFrame(head | {"range_m": np.linalg.norm(truth - ANCHORS[name], axis=1)}))
+            else:
+                azimuth, elevation = np.asarray(folder.rig.stations[name].angles(truth)).T
+                rows.append(pl.DataFrame(head | {"azimuth_rad": azimuth, "elevation_rad": elevation}))
+        exact = replace(_height(None)(folder), tables={table: pl.concat(rows).sort("t_s")})
+        assert moments(exact, table).closing() < 2e-3

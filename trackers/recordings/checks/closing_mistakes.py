@@ -1,0 +1,75 @@
+"""Mistakes that show without truth: readings of one moment contradict each other, and no longer do with a change."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from trackers.recordings.checks.check_result import CheckResult
+from trackers.recordings.checks.closing import Moments, moments
+from trackers.recordings.checks.explanations import FACTORS
+from trackers.recordings.checks.sensor_mistakes import FLIGHT, angles_changed
+
+if TYPE_CHECKING:  # the folder's module imports `anomalies`
+    from trackers.recordings.folder import RecordingFolder
+
+LARGE = {"ranges": 0.3, "bearings": 0.12}
+"""Contradiction, m or rad, up to which nothing needs an explanation."""
+
+SMALLER = 0.67
+"""Ratio of contradictions from which a change explains them."""
+
+REMAINING = {"ranges": 0.45, "bearings": 0.3}
+"""Contradiction that may remain with a change that explains it; twice as much is reported without an explanation."""
+
+ALIKE, NAMED = 1.1, 3
+"""Ratio up to which changes explain them alike, as in a symmetric rig, and how many of these are named."""
+
+
+def check_closing(recording: RecordingFolder, table: str) -> list[CheckResult]:
+    """An error where ranges or bearings contradict each other and one change explains it; a warning where none does."""
+    found = moments(recording, table) if table in LARGE else None
+    if found is None or (before := found.closing()) <= LARGE[table]:
+        return []
+    tried = [(changed.closing(), change, cause) for change, cause, changed in _changes(found)]
+    least, _, cause = min(tried)
+    unit, factor = (" m", 1.0) if table == "ranges" else ("°", np.degrees(1.0))
+    message = f"readings of one moment contradict each other by {factor * before:.2g}{unit}"
+    if least > min(SMALLER * before, REMAINING[table]):
+        line = f"{message}, and no change of units, signs or ids explains it; check positions and rotations in rig.toml"
+        return [CheckResult("warning", table, line)] if before > 2 * REMAINING[table] else []
+    alike = [change for size, change, _ in sorted(tried) if size <= ALIKE * least][:NAMED]
+    line = f"{message}, and by {factor * least:.2g}{unit} with {', or '.join(alike)}: {cause}"
+    return [CheckResult("error", table, line)]
+
+
+def _changes(found: Moments) -> Iterator[tuple[str, str, Moments]]:
+    """Changes of units, signs and ids in words, the mistake that they undo, and the readings with them."""
+    noun = "anchor" if found.table == "ranges" else "station"
+    if found.table == "ranges":
+        for factor, unit in (*FACTORS, *FLIGHT):
+            words, cause = f"the ranges multiplied by {factor:.4g}", f"ranges are {unit}, expected metres; convert them"
+            yield words, cause, found._replace(values=factor * found.values)
+    else:
+        cause = "another zero of the azimuth, or stations that face the other way in rig.toml; turn one of both"
+        yield "the azimuth turned by 180°", cause, found._replace(values=found.values + np.array([np.pi, 0.0]))
+        for change, (values, cause) in angles_changed(found.values).items():
+            yield change, cause, found._replace(values=values)
+            for k, station in enumerate(found.ids):
+                own = np.arange(len(found.ids))[:, None] == k
+                yield (
+                    f"{change} of station {station}",
+                    cause,
+                    found._replace(values=np.where(own, values, found.values)),
+                )
+    for i, j in combinations(range(len(found.ids)), 2):
+        order = np.arange(len(found.ids))
+        order[[i, j]] = j, i
+        yield (
+            f"{noun}s {found.ids[i]} and {found.ids[j]} swapped",
+            f"the ids of {noun}s are mixed up; correct rig.toml or the table",
+            found._replace(places=found.places[order], axes=found.axes[order]),
+        )
