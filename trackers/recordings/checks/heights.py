@@ -45,7 +45,7 @@ def _short_ranges(rig: Rig, own: Mapping[str, pl.DataFrame], height: float) -> s
     if not len(read):
         return ""
     apart = read["anchor"].replace_strict({key: abs(float(at[2]) - height) for key, at in rig.anchors.items()})
-    short = float((read["range_m"] < apart - OFF_M).mean())
+    short = float(np.mean(read["range_m"].to_numpy() < apart.to_numpy() - OFF_M))
     if short < SHORT:
         return ""
     return (
