@@ -12,9 +12,11 @@ import polars as pl
 
 from experiments.reports.wording import length_unit
 from trackers.bounds import bounds_of
+from trackers.core.seconds import zero_of
 from trackers.recordings.association import Association
 from trackers.recordings.columns import float_column
 from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.tables import MEASUREMENTS, first_time
 from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.tracks_table import is_bearing
 from trackers.scoring import Scored, in_plane, score
@@ -57,6 +59,12 @@ class ScoredRecording:
     def times(self) -> np.ndarray:
         """The times (n,) of the rows, s."""
         return float_column(self.association.rows, "t_s")
+
+    @property
+    def zero(self) -> float:
+        """The time, s, from which times are shown: zero, or that of the first reading where they count from 1970."""
+        tables = {name: table for name, table in self.folder.tables.items() if name in MEASUREMENTS}
+        return zero_of(first_time(tables) if tables else float(np.min(self.times, initial=np.inf)))
 
     @property
     def angles(self) -> bool:

@@ -14,6 +14,7 @@ from experiments.interactive.summaries import calibration_curve, error_distribut
 from experiments.scored_tracks import Component, ScoredRecording
 from trackers.core.chi_square import chi_square_quantile
 from trackers.core.rig import Rig
+from trackers.core.seconds import time_label
 from trackers.recordings.columns import float_column
 
 FAR_M = 500.0
@@ -39,6 +40,7 @@ def recording_data(
     first = np.searchsorted(drawn, np.concatenate([[0], np.cumsum(kept_lengths)]))
     index = of_chosen[drawn]
     start = float(np.min(times, initial=np.inf)) if len(times) else 0.0
+    zero = recording.zero
     positions = np.zeros((len(rows), 2)) if recording.angles else _columns(rows, "x_m", "y_m")
     origin = _origin(positions)
     stations = rows["station"].gather(starts[:-1]).to_list() if recording.angles else [None] * len(lengths)
@@ -48,8 +50,9 @@ def recording_data(
     components = recording.components()
     return {
         "name": recording.folder.name,
-        "start": start,
-        "end": float(np.max(times, initial=start)) if len(times) else start,
+        "start": start - zero,
+        "end": float(np.max(times, initial=start)) - zero if len(times) else start - zero,
+        "timeLabel": time_label(zero),
         "origin": origin.tolist(),
         "angles": recording.angles,
         "rows": len(rows),

@@ -18,6 +18,7 @@ def bearings_over_time(
     true_times: np.ndarray | None = None,
     true_angles: np.ndarray | None = None,
     title: str = "Bearings over time",
+    xlabel: str = "time (s)",
 ) -> Path:
     """Writes azimuth and elevation in degrees with the reported ± 3 σ and the truth; returns the path.
 
@@ -50,7 +51,7 @@ def bearings_over_time(
             margin = max(0.15 * (high - low), 1.0)
             axes.set(ylim=(low - margin, high + margin), ylabel=name)
             axes.margins(x=0.01)
-        panels[-1].set_xlabel("time (s)")
+        panels[-1].set_xlabel(xlabel)
         legend_above(panels[0])
     return Path(path)
 

@@ -45,6 +45,7 @@ def error_over_time(
     names: Sequence[str] = ("x", "y", "z"),
     angles: bool = False,
     title: str = "Error over time",
+    xlabel: str = "time (s)",
 ) -> Path:
     """Writes the error of each axis with the reported ± 3 σ; returns the path.
 
@@ -73,7 +74,7 @@ def error_over_time(
             axes.set(ylim=(-half, half), ylabel=f"error in {names[k]} ({unit})")
             axes.margins(x=0.01)
             _note_outside(axes, int((np.abs(scale * error) > half).sum()))
-        panels[-1].set_xlabel("time (s)")
+        panels[-1].set_xlabel(xlabel)
         if columns:
             legend_above(panels[0])
             if bounds is not None and _mostly_above(bounds[:, columns], sigmas[:, columns]):
@@ -124,6 +125,7 @@ def rmse_over_time(
     bounds: np.ndarray | None,
     runs: int,
     title: str = "Root mean square error over time",
+    xlabel: str = "time (s)",
 ) -> Path:
     """Writes the RMSE of each axis over `runs` runs with the reported σ and the Cramér–Rao bound; returns the path.
 
@@ -142,7 +144,7 @@ def rmse_over_time(
             top = float(np.nanquantile(scale * rmse[:, k], 0.98))
             axes.set(ylim=(0, 1.6 * top), ylabel=f"{'xyz'[k]} ({unit})")
             axes.margins(x=0.01)
-        panels[-1].set_xlabel("time (s)")
+        panels[-1].set_xlabel(xlabel)
         legend_above(panels[0])
     return Path(path)
 

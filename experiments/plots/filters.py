@@ -41,6 +41,7 @@ def consistency(
     nis: np.ndarray | None,
     nis_dof: float | np.ndarray,
     title: str = "Consistency of the reported covariances",
+    xlabel: str = "time (s)",
 ) -> Path:
     """Writes NEES and NIS per degree of freedom over time with χ² bounds, and the NIS histogram; returns the path.
 
@@ -55,7 +56,7 @@ def consistency(
         for axes, (name, values, dof) in zip(panels, shown, strict=False):
             _ratio_panel(axes, times, values, dof, name)
             axes.sharex(panels[0])
-        panels[len(shown) - 1].set_xlabel("time (s)")
+        panels[len(shown) - 1].set_xlabel(xlabel)
         legend_above(panels[0])
         if nis is not None:
             known = np.isfinite(nis) & (np.asarray(nis_dof) > 0)

@@ -14,6 +14,7 @@ from experiments.reports.wording import length_unit
 from trackers.core.errors import UnusableInput
 from trackers.core.estimates import Estimates
 from trackers.core.recording import Recording
+from trackers.core.seconds import time_label, zero_of
 from trackers.evaluation import associate
 from trackers.recordings.association import Association
 from trackers.recordings.columns import float_column
@@ -83,8 +84,10 @@ def error_over_time(
     rows = association.rows.filter(tags == chosen)
     error = _horizontal(association)[tags == chosen]
     sigma = np.hypot(float_column(rows, "std_x_m"), float_column(rows, "std_y_m"))
-    axes = _axes(ax, xlabel="time (s)", ylabel="horizontal error (m)")
-    at, error, sigma = broken_at_gaps(float_column(rows, "t_s"), error, sigma)
+    times = float_column(rows, "t_s")
+    zero = zero_of(times[0])
+    axes = _axes(ax, xlabel=time_label(zero), ylabel="horizontal error (m)")
+    at, error, sigma = broken_at_gaps(times - zero, error, sigma)
     axes.fill_between(at, 0, sigma, color=SKY, alpha=0.35, lw=0, label="reported standard deviation")
     axes.plot(at, error, color=LINES[0], label=f"error, tag {chosen}" if chosen else "error")
     axes.set_ylim(bottom=0)

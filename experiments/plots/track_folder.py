@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 
 from experiments.plots.bearings import bearings_over_time
 from experiments.plots.coverage import coverage_curve
@@ -13,6 +14,7 @@ from experiments.plots.filters import consistency
 from experiments.plots.style import LINES
 from experiments.plots.tracks import floor_plan, natural
 from experiments.scored_tracks import ScoredRecording, ScoredTracks, directions, drawn_of
+from trackers.core.seconds import time_label
 from trackers.recordings.association import true_bearings
 from trackers.recordings.columns import float_column
 from trackers.recordings.tracks_table import track_keys
@@ -34,7 +36,8 @@ def plot_tracks(out: Path, tracks: ScoredTracks, kind: str = "png") -> list[str]
             suffix = "" if len(tracks.folders) == 1 else f"-{_plain(recording.folder.name)}"
             rig, title = recording.folder.rig, recording.folder.name + (f", {why}" if why else "")
             truth = recording.folder.tables.get("truth")
-            rows, shown = recording.association.rows, _shown_tags(recording)
+            shown = _shown_tags(recording)
+            rows = recording.association.rows.with_columns(pl.col("t_s") - recording.zero)
             floor_plan(
                 drawn("floor-plan" + suffix), rows, truth, rig.stations, rig.anchors, title, rig.all_walls(), shown
             )
@@ -72,7 +75,9 @@ def _draw_errors(drawn: _Drawn, suffix: str, recording: ScoredRecording) -> None
         recording.sigmas(),
         recording.folder.name,
     )
-    times, starts, bounds = recording.times, recording.association.starts, recording.bounds
+    times, starts, bounds = recording.times - recording.zero, recording.association.starts, recording.bounds
+    bounds = None if bounds is None else (bounds[0] - recording.zero, bounds[1])
+    label = time_label(recording.zero)
     error_cdf(drawn("error-cdf" + suffix), errors[association.scored], f"Errors, {name}")
     worst = recording.worst_first()[0]
     own = slice(starts[worst], starts[worst + 1])
@@ -80,25 +85,34 @@ def _draw_errors(drawn: _Drawn, suffix: str, recording: ScoredRecording) -> None
     if len(starts) > 2:
         title += f", the largest RMSE of {len(starts) - 1}"
     alone = None if bounds is None else _at(bounds, times[own])
-    error_over_time(drawn("error-over-time" + suffix), times[own], errors[own], sigmas[own], alone, title=title)
+    error_over_time(
+        drawn("error-over-time" + suffix), times[own], errors[own], sigmas[own], alone, title=title, xlabel=label
+    )
     grid = _by_run(
         starts, times, recording.nees, float_column(association.rows, "nis"), float_column(association.rows, "nis_dof")
     )
     title = f"Consistency of the reported covariances, {name}"
-    consistency(drawn("consistency" + suffix), grid[0], grid[1], 2, grid[2], grid[3], title)
+    consistency(drawn("consistency" + suffix), grid[0], grid[1], 2, grid[2], grid[3], title, label)
     if len(starts) > 10:
-        _draw_runs(drawn("rmse-over-time" + suffix), starts, times, errors, sigmas, bounds)
+        _draw_runs(drawn("rmse-over-time" + suffix), starts, times, errors, sigmas, bounds, label)
 
 
 def _draw_runs(
-    path: Path, starts: np.ndarray, times: np.ndarray, errors: np.ndarray, sigmas: np.ndarray, bounds: tuple | None
+    path: Path,
+    starts: np.ndarray,
+    times: np.ndarray,
+    errors: np.ndarray,
+    sigmas: np.ndarray,
+    bounds: tuple | None,
+    xlabel: str,
 ) -> None:
     grid = _by_run(starts, times, *(x for k in range(3) for x in (errors[:, k] ** 2, sigmas[:, k] ** 2)))
     if not any(np.isfinite(g).any() for g in grid[1:]):
         return
     rmse = np.stack([np.sqrt(_mean(grid[1 + 2 * k])) for k in range(3)], axis=1)
     reported = np.stack([np.sqrt(_mean(grid[2 + 2 * k])) for k in range(3)], axis=1)
-    rmse_over_time(path, grid[0], rmse, reported, None if bounds is None else _at(bounds, grid[0]), len(starts) - 1)
+    limits = None if bounds is None else _at(bounds, grid[0])
+    rmse_over_time(path, grid[0], rmse, reported, limits, len(starts) - 1, xlabel=xlabel)
 
 
 def _mean(values: np.ndarray) -> np.ndarray:
@@ -138,7 +152,8 @@ def _draw_bearings(drawn: _Drawn, tracks: ScoredTracks) -> None:
         rows = association.rows[part]
         angles = directions(rows)
         sigmas = np.stack([float_column(rows, f"std_{a}_rad") for a in ("azimuth", "elevation")], axis=1)
-        times, known = float_column(rows, "t_s"), bool(np.isfinite(true[part]).any())
+        zero = next(one.zero for one in ordered if one.folder.name == key["recording"])
+        times, known = float_column(rows, "t_s") - zero, bool(np.isfinite(true[part]).any())
         label = f"{key['recording']}, tag {key['tag']}, station {key['station']}"
         name = "bearings-" + _plain(label.replace(", ", "-"))
         bearings_over_time(
@@ -149,6 +164,7 @@ def _draw_bearings(drawn: _Drawn, tracks: ScoredTracks) -> None:
             true_times=times if known else None,
             true_angles=true[part] if known else None,
             title=label + (f"; {why}" if why else ""),
+            xlabel=time_label(zero),
         )
 
 

@@ -175,7 +175,7 @@ def _mark_times(axes: Axes, line: _Path, colour: str, times: int) -> None:
         near = abs(line.times[row] - at) <= 0.02 * (line.times[-1] - line.times[0])
         if line.times[0] < at < line.times[-1] and near:
             axes.plot(*line.positions[row], "|", color=colour, markersize=7, markeredgewidth=1.5, zorder=4)
-            axes.annotate(f"{at:g} s", line.positions[row], (4, 4), fontsize=7, color=colour, zorder=5,
+            axes.annotate(f"{at:.9g} s", line.positions[row], (4, 4), fontsize=7, color=colour, zorder=5,
                           textcoords="offset points", path_effects=HALO)  # fmt: skip
 
 

@@ -13,6 +13,7 @@ from jaxtyping import Array, DTypeLike, Float, Shaped
 from trackers.core.errors import UnusableInput
 from trackers.core.filter import Gaussian
 from trackers.core.recording import Batch, Recording
+from trackers.core.seconds import moment
 
 
 class TrackerState(NamedTuple):
@@ -46,8 +47,8 @@ def continued(batch: Batch, recordings: Sequence[Recording], initial: TrackerSta
     if (gaps < 0).any():
         k = int(np.argmax(gaps < 0))
         raise UnusableInput(
-            f"run: '{recordings[k].name}' begins at {recordings[k].times[0]:g} s, its `initial` state is that at "
-            f"{initial.times[k]:g} s; expected later rows; leave out the rows that were run before"
+            f"run: '{recordings[k].name}' begins at {moment(recordings[k].times[0])}, its `initial` state is that at "
+            f"{moment(initial.times[k])}; expected later rows; leave out the rows that were run before"
         )
     dt = np.array(batch.dt)
     dt[0] = gaps

@@ -20,7 +20,7 @@ from trackers.core.frames import recording_html
 from trackers.core.inputs import AnyArray, Inputs
 from trackers.core.keys import trajectory_key_data
 from trackers.core.row_checks import check_rows, read_only
-from trackers.core.seconds import seconds
+from trackers.core.seconds import seconds, span
 from trackers.core.sensor import Reading
 
 
@@ -77,9 +77,7 @@ class Recording:
     def __repr__(self) -> str:
         sensors = ", ".join(f"{name} ({np.shape(r.values)[1]})" for name, r in self.readings.items())
         truth = f"; truth of {', '.join(self.truth)}" if self.truth else ""
-        return (
-            f"<Recording '{self.name}': {len(self)} rows, {self.times[0]:g} to {self.times[-1]:g} s; {sensors}{truth}>"
-        )
+        return f"<Recording '{self.name}': {len(self)} rows, {span(self.times[0], self.times[-1])}; {sensors}{truth}>"
 
     _repr_html_ = recording_html
 

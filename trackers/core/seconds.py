@@ -1,11 +1,15 @@
-"""Times that a user holds as seconds: numbers, NumPy's and pandas' time stamps and durations in any unit."""
+"""Times that a user holds as seconds: numbers, NumPy's and pandas' time stamps and durations; and times as text."""
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+
+UNIX_S, UNIX_MS = 1e8, 1e11
+"""Times, s, from the first on count from 1970, in s below the second: three years are longer than any recording."""
 
 
 def seconds(times: Any) -> Float[np.ndarray, "*shape"]:
@@ -30,3 +34,31 @@ def seconds(times: Any) -> Float[np.ndarray, "*shape"]:
     if np.isnan(values).any():
         raise ValueError(f"times[{int(np.argmax(np.isnan(values)))}] is missing (NaT); leave the row out")
     return values
+
+
+def zero_of(first: float) -> float:
+    """The time, s, from which those of a recording that begins at `first` are shown: `first` if it counts from 1970."""
+    return float(first) if UNIX_S <= first < np.inf else 0.0
+
+
+def moment(time: float) -> str:
+    """A time, s, for messages: the date and time of day, UTC, where it counts from 1970, else seconds."""
+    if not UNIX_S <= time < UNIX_MS:
+        return f"{time:.12g} s"
+    text = datetime.fromtimestamp(round(float(time), 3), UTC).strftime("%Y-%m-%d %H:%M:%S.%f")
+    return text.rstrip("0").rstrip(".") + " UTC"
+
+
+def span(first: float, last: float) -> str:
+    """The time from `first` to `last`, s, for messages, each as a `moment`."""
+    return f"{moment(first).removesuffix(' s')} to {moment(last)}"
+
+
+def place_in_time(time: float, zero: float) -> str:
+    """Where a row stands, for messages: its `t_s`, or of times that count from 1970 the seconds after `zero`."""
+    return f"{time - zero:.6g} s after the start" if zero else f"t_s {time:.9g}"
+
+
+def time_label(zero: float) -> str:
+    """The label of an axis of times, s, after `zero`, with its date where that counts from 1970."""
+    return f"time (s) since {moment(zero)}" if zero else "time (s)"

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from trackers.core.errors import UnusableInput
+from trackers.core.seconds import span
 from trackers.exchange.alignment import Alignment, Similarity, alignment
 from trackers.exchange.pose_errors import Statistics, Step, absolute_errors, associate, relative_errors, statistics
 from trackers.exchange.poses import PoseTrajectory
@@ -83,8 +84,8 @@ def compare_trajectories(
     if not len(own_rows):
         raise UnusableInput(
             f"{estimate.name}: no pose lies within {tolerance:g} s of a true pose: estimates from "
-            f"{estimate.times[0] + offset:.9g} to {estimate.times[-1] + offset:.9g} s, truth from {truth.times[0]:.9g} "
-            f"to {truth.times[-1]:.9g} s; give --time-offset, or a larger --time-tolerance"
+            f"{span(estimate.times[0] + offset, estimate.times[-1] + offset)}, truth from "
+            f"{span(truth.times[0], truth.times[-1])}; give --time-offset, or a larger --time-tolerance"
         )
     similarity = alignment(align, estimate.at_rows(own_rows), truth.at_rows(true_rows))
     aligned = replace(similarity.trajectory(estimate), times=estimate.times + offset)

@@ -10,6 +10,7 @@ import numpy as np
 import polars as pl
 
 from trackers.core.errors import UnusableInput
+from trackers.core.seconds import span
 from trackers.recordings.columns import float_column
 from trackers.recordings.tables import QUATERNION
 from trackers.recordings.tracks_table import NO_ESTIMATE
@@ -59,7 +60,7 @@ class PoseTrajectory:
 
     def __repr__(self) -> str:
         what = "positions" if self.quaternions is None else "poses"
-        return f"<PoseTrajectory {self.name!r}: {len(self)} {what} from {self.times[0]:g} to {self.times[-1]:g} s>"
+        return f"<PoseTrajectory {self.name!r}: {len(self)} {what} from {span(self.times[0], self.times[-1])}>"
 
     def at_rows(self, rows: Sequence[int] | np.ndarray) -> PoseTrajectory:
         """The poses of these rows."""

@@ -11,6 +11,7 @@ import polars as pl
 
 from trackers.core.errors import UnusableInput, listed
 from trackers.core.rig import Station
+from trackers.core.seconds import span
 from trackers.recordings.columns import float_column, require_columns, run_starts
 from trackers.recordings.tracks_table import NO_ESTIMATE, is_bearing, track_keys
 from trackers.recordings.truth import TruePaths, TruthStatus
@@ -141,7 +142,7 @@ def refuse_without_overlap(association: Association, truths: Mapping[str, pl.Dat
 
 def _span(table: pl.DataFrame) -> str:
     times = float_column(table, "t_s")
-    return f"from {times.min():g} to {times.max():g} s" if len(times) else "at no time"
+    return f"from {span(times.min(), times.max())}" if len(times) else "at no time"
 
 
 def _names(names: Iterable[object]) -> str:

@@ -18,6 +18,7 @@ import polars as pl
 from trackers.core.errors import UnusableInput, listed
 from trackers.core.frames import html_table
 from trackers.core.rig import Rig
+from trackers.core.seconds import moment, seconds
 from trackers.recordings.averaging import averaged
 from trackers.recordings.beside import beside
 from trackers.recordings.calibration import Calibration
@@ -116,13 +117,13 @@ class RecordingFolder:
     def _repr_html_(self) -> str:
         """Its tables with rows, tags and span of time."""
         rows = [
-            (name, table.height, table["tag"].n_unique(), float(t.min()), float(t.max()))
+            (name, table.height, table["tag"].n_unique(), moment(t.min()), moment(t.max()))
             for name, table in self.tables.items()
             if {"t_s", "tag"} <= set(table.columns)
-            for t in [table["t_s"].to_numpy()]
+            for t in [seconds(table["t_s"].to_numpy())]
         ]
         caption = f"recording {self.name}: {len(self.rig.anchors)} anchors, {len(self.rig.stations)} stations"
-        return html_table(caption, ("table", "rows", "tags", "from s", "to s"), rows)
+        return html_table(caption, ("table", "rows", "tags", "from", "to"), rows)
 
 
 def _counted(ids: Iterable[str]) -> str:

@@ -77,4 +77,4 @@ class Selection:
 
 def _span(table: pl.DataFrame) -> str:
     times = table["t_s"].to_numpy()
-    return f"{times.min():g} to {times.max():g} s"
+    return f"{times.min():.12g} to {times.max():.12g} s"

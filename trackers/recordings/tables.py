@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import polars as pl
 
 from trackers.core.errors import UnusableInput
 from trackers.core.rig import Rig
+from trackers.core.seconds import seconds
 from trackers.recordings.table_file import TableFile, read_table_file
 
 MEASUREMENTS = ("ranges", "fixes", "bearings", "phases", "imu")
@@ -50,6 +52,13 @@ class Layout:
     ids: tuple[str, ...]
     values: tuple[str, ...]
     optional: tuple[str, ...]
+
+
+def first_time(tables: Mapping[str, pl.DataFrame]) -> float:
+    """The earliest time, s, of the measurements, or of the truth where there are none; zero without rows."""
+    measured = [tables[name] for name in MEASUREMENTS if name in tables]
+    times = [seconds(table["t_s"].to_numpy()) for table in measured or tables.values()]
+    return min((float(own.min()) for own in times if len(own)), default=0.0)
 
 
 def layout(name: str, columns: list[str]) -> Layout:

@@ -28,7 +28,7 @@ function markerColours(recording, kind, rows, trackOf) {
   const [title, value] = {
     error: [`error (${unit})`, (row) => missOf(columns, row)],
     nis: ["NIS/dof", (row) => columns.nis[row] / columns.dof[row]],
-    time: ["time (s)", (row) => recording.start + columns.t[row]],
+    time: [recording.timeLabel, (row) => recording.start + columns.t[row]],
   }[kind];
   const values = rows.map(value), known = values.filter(Number.isFinite).sort((a, b) => a - b);
   const top = kind === "nis" ? 4 : known[Math.floor(0.98 * (known.length - 1))];

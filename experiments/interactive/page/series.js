@@ -75,7 +75,7 @@ function seriesFigure(recording, number, window) {
     }
     layout[`yaxis${id}`] = axis;
   });
-  layout.xaxis = { title: { text: "time (s)" }, anchor: `y${panels.length > 1 ? panels.length : ""}`, zeroline: false };
+  layout.xaxis = { title: { text: recording.timeLabel }, anchor: `y${panels.length > 1 ? panels.length : ""}`, zeroline: false };
   return { traces, layout: layoutOf({ ...layout, hovermode: "x", uirevision: `${recording.name} ${number}`,
                                       height: 90 + PANEL * panels.length,
                                       // The legend has several lines on a phone.

@@ -14,6 +14,8 @@ from experiments.interactive.decimation import drawn_rows, drawn_tracks
 from experiments.interactive.packing import packed, script_json
 from experiments.interactive.summaries import error_map
 from experiments.interactive.track_page import run_data, track_page
+from experiments.plots import style
+from experiments.plots.track_folder import plot_tracks
 from experiments.scored_tracks import IN_PLANE, ScoredTracks, drawn_of
 from tests.experiments.interactive.small_tracks import BIAS, NASTY, TAGS, small_bearings, small_tracks
 from trackers.evaluation import evaluate
@@ -51,6 +53,27 @@ def test_the_columns_are_those_of_the_table(tracks, recording):
     scored = tracks.association.scored
     np.testing.assert_allclose(_unpacked(recording["columns"]["e0"])[scored], errors[scored], rtol=1e-4, atol=1e-6)
     assert np.isnan(_unpacked(recording["columns"]["e0"])[~scored]).all()
+
+
+def test_times_that_count_from_1970_are_shown_since_the_first_reading(tracks, tmp_path, monkeypatch):
+    unix = small_tracks(later=1777896797.26)
+    assert unix.recordings[0].zero == 1777896800.26
+    shown = run_data(unix, NO_EVENTS, None, "uwb")["recordings"][0]
+    assert (shown["start"], shown["timeLabel"]) == (0.0, "time (s) since 2026-05-04 12:13:20.26 UTC")
+    assert shown["end"] == pytest.approx(7.9)
+    plain = run_data(tracks, NO_EVENTS, None, "uwb")["recordings"][0]
+    assert (plain["start"], plain["timeLabel"]) == (3.0, "time (s)")
+    figures = []
+    monkeypatch.setattr(style.FigureCanvasAgg, "print_png", lambda canvas, *_, **__: figures.append(canvas.figure))
+    monkeypatch.setattr(style, "atomic_write", lambda path, write: write(path))
+    plot_tracks(tmp_path, unix)
+    over_time = [axes for figure in figures for axes in figure.axes if axes.get_xlabel().startswith("time")]
+    assert len(over_time) == 2
+    for axes in over_time:
+        assert axes.get_xlabel() == shown["timeLabel"]
+        assert 7.8 < axes.dataLim.x1 < 8.0
+    marks = {text.get_text() for axes in figures[0].axes for text in axes.texts}
+    assert {"2 s", "4 s", "6 s"} <= marks
 
 
 def test_tracks_events_and_sources_are_named(recording):

@@ -10,9 +10,12 @@ import pytest
 
 from trackers.core.recording import Readings, Recording
 from trackers.core.rig import Rig
-from trackers.core.seconds import seconds
+from trackers.core.seconds import moment, place_in_time, seconds, span, time_label, zero_of
 from trackers.from_arrays import fix_recording, range_recording
+from trackers.recordings.checks import check
+from trackers.recordings.checks.anomalies import anomalies
 from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.tables import first_time
 
 START = datetime(2026, 3, 1, 12, 0, tzinfo=UTC)
 STAMPS = [START + timedelta(milliseconds=250 * k) for k in range(5)]
@@ -56,3 +59,40 @@ def test_tables_with_time_stamps_are_in_seconds():
     table = pl.DataFrame({"t_s": STAMPS, "tag": "T", "x_m": 0.0, "y_m": 0.0, "z_m": 0.0})
     folder = RecordingFolder("stamped", None, Rig("stamped"), {"fixes": table})
     assert folder.rows("fixes").times == pytest.approx(TRUE, abs=1e-6)
+    assert "2026-03-01 12:00:00 UTC" in folder._repr_html_()
+    assert first_time(folder.tables) == TRUE[0]
+
+
+def test_times_that_count_from_1970_are_never_rounded_to_five_digits():
+    unix = 1777896826.66
+    assert moment(unix) == "2026-05-04 12:13:46.66 UTC"
+    assert moment(12.5) == "12.5 s"
+    assert moment(1234567.25) == "1234567.25 s"
+    assert moment(1.77e12) == "1.77e+12 s"
+    assert span(unix, unix + 1) == "2026-05-04 12:13:46.66 UTC to 2026-05-04 12:13:47.66 UTC"
+    assert span(0.0, 120.1) == "0 to 120.1 s"
+    assert (zero_of(1777896800.26), zero_of(12.5), zero_of(np.inf)) == (1777896800.26, 0.0, 0.0)
+    assert place_in_time(unix, 1777896800.26) == "26.4 s after the start"
+    assert place_in_time(26.4, 0.0) == "t_s 26.4"
+    assert time_label(1777896800.26) == "time (s) since 2026-05-04 12:13:20.26 UTC"
+    recording = fix_recording(unix + np.arange(3.0), np.zeros((3, 3)))
+    assert "e+" not in repr(recording)
+
+
+def test_notices_and_checks_name_times_that_count_from_1970_by_the_seconds_since_the_start():
+    times = 1777896800.0 + 0.1 * np.arange(100)
+    times[60:] += 20.0
+    ranges = pl.DataFrame(
+        {"t_s": times, "tag": "T", "anchor": "A", "range_m": np.where(np.arange(100) == 30, 9e2, 2.0)}
+    )
+    truth = pl.DataFrame({"t_s": times + 7200.0, "tag": "T", "x_m": 1.0, "y_m": 0.0, "z_m": 0.0})
+    rig = Rig("hall", {"A": np.zeros(3)})
+    gaps, outlier = anomalies({"ranges": ranges}, rig)
+    assert "the longest 20.1 s before 26 s after the start" in gaps
+    assert outlier.endswith("the worst 900 at 3 s after the start")
+    said = " ".join(
+        result.message for result in check(RecordingFolder("hall", None, rig, {"ranges": ranges, "truth": truth}))
+    )
+    assert "the truth, 2026-05-04 14:13:20 UTC to 2026-05-04 14:13:49.9 UTC; the measurements begin at" in said
+    assert "`trackwright import --origin start`" in said
+    assert "e+09" not in said

@@ -13,8 +13,9 @@ import polars as pl
 
 from trackers.core.errors import listed
 from trackers.core.rig import Rig
+from trackers.core.seconds import place_in_time, zero_of
 from trackers.recordings.columns import codes, stable_order
-from trackers.recordings.tables import QUATERNION, layout
+from trackers.recordings.tables import QUATERNION, first_time, layout
 
 GAP_FACTOR, GAP_LEAST_S = 5.0, 1.0
 OUTLIER_SPREAD, OUTLIER_MEDIAN = 10.0, 100.0
@@ -31,6 +32,7 @@ def anomalies(tables: Mapping[str, pl.DataFrame], rig: Rig) -> list[str]:
     }
     tags = {name: table["tag"].unique(maintain_order=True) for name, table in present.items()}
     lines, outliers = _never_observed(tags, rig), list[str]()
+    zero = zero_of(first_time(tables))
     for name, table in tables.items():
         expected, whole = layouts[name], present[name]
         if rig.tags:
@@ -45,8 +47,8 @@ def anomalies(tables: Mapping[str, pl.DataFrame], rig: Rig) -> list[str]:
         if (ordered["dt"] == 0).any():
             lines += _duplicates(name, streams(whole, expected.ids), expected.values)
         if name != "truth":
-            lines += _gaps(name, ordered, whole.select(expected.ids))
-            outliers += _outliers(name, ordered, expected.values)
+            lines += _gaps(name, ordered, whole.select(expected.ids), zero)
+            outliers += _outliers(name, ordered, expected.values, zero)
     return [*lines, "; ".join(outliers)] if outliers else lines
 
 
@@ -98,13 +100,13 @@ def _duplicates(name: str, ordered: pl.DataFrame, values: tuple[str, ...]) -> li
     return lines
 
 
-def _gaps(name: str, ordered: pl.DataFrame, ids: pl.DataFrame) -> list[str]:
+def _gaps(name: str, ordered: pl.DataFrame, ids: pl.DataFrame, zero: float) -> list[str]:
     found = long_gaps(ordered)
     if found.height == 0:
         return []
     longest = found.row(int(found["dt"].arg_max() or 0), named=True)
     where = ", ".join(f"{column} {one}" for column, one in ids.row(longest["row"], named=True).items())
-    example = f"the longest {longest['dt']:.3g} s before t_s {longest['t_s']:g} ({where})"
+    example = f"the longest {longest['dt']:.3g} s before {place_in_time(longest['t_s'], zero)} ({where})"
     return [f"{name}: gaps longer than 1 s: {found.height}, {example}"]
 
 
@@ -134,7 +136,7 @@ def _least_jump(column: str) -> float | None:
     return _LEAST_JUMP.get(column.rpartition("_")[2])
 
 
-def _outliers(name: str, ordered: pl.DataFrame, values: tuple[str, ...]) -> list[str]:
+def _outliers(name: str, ordered: pl.DataFrame, values: tuple[str, ...], zero: float) -> list[str]:
     """Values far from both neighbours in their stream, or above 100 times its median: spikes, unlike motion."""
     lines = []
     for column in values:
@@ -160,6 +162,6 @@ def _outliers(name: str, ordered: pl.DataFrame, values: tuple[str, ...]) -> list
         outliers = present.join(per_stream, on="stream", how="left", maintain_order="left").filter(spike | tall)
         if outliers.height:
             worst = outliers.row(int((outliers[column].abs() - outliers["typical"]).abs().arg_max() or 0), named=True)
-            example = f"the worst {worst[column]:.4g} at t_s {worst['t_s']:g}"
+            example = f"the worst {worst[column]:.4g} at {place_in_time(worst['t_s'], zero)}"
             lines.append(f"{name}: outliers of {column}: {outliers.height}, {example}")
     return lines

@@ -9,9 +9,10 @@ import polars as pl
 
 from trackers.core.errors import listed
 from trackers.core.rig import Rig
+from trackers.core.seconds import moment, place_in_time, span, zero_of
 from trackers.recordings.checks.anomalies import streams
 from trackers.recordings.checks.check_result import CheckResult, Level
-from trackers.recordings.tables import HOLE_M, HOLE_S, layout
+from trackers.recordings.tables import HOLE_M, HOLE_S, first_time, layout
 
 ENOUGH = 0.5
 """Share of the measurements that truth should cover."""
@@ -48,9 +49,10 @@ def check_truth(truth: pl.DataFrame, measured: Mapping[str, pl.DataFrame]) -> li
     holes = known.filter("hole").with_columns(lasts=pl.col("until") - pl.col("t_s"))
     if holes.height:
         worst = holes.sort("lasts").row(-1, named=True)
+        begin = place_in_time(worst["t_s"], zero_of(first_time(measured)))
         message = (
             f"holes longer than {HOLE_S:g} s with motion: {holes.height}, the longest {worst['lasts']:.3g} s "
-            f"after t_s {worst['t_s']:g} (tag {worst['tag']}); estimates inside are not scored"
+            f"after {begin} (tag {worst['tag']}); estimates inside are not scored"
         )
         results.append(CheckResult("warning", "truth", message))
     rows = pl.concat([table.select("t_s", "tag") for table in measured.values()]).sort("t_s")
@@ -86,7 +88,7 @@ def check_overlap(truth: pl.DataFrame, measured: Mapping[str, pl.DataFrame]) -> 
     elif abs(hours) > 0.4 and abs(hours * 2 - round(hours * 2)) < 0.05:
         cause = f"; {hours:.3g} hours apart, as two time zones"
     message = (
-        f"no measurement lies inside the time span of the truth, {first:.6g} to {last:.6g} s; the measurements "
-        f"begin at {min(starts):.6g} s{cause}; expected one clock for all tables"
+        f"no measurement lies inside the time span of the truth, {span(first, last)}; the measurements "
+        f"begin at {moment(min(starts))}{cause}; expected one clock for all tables"
     )
     return [CheckResult("error", "truth", message)]

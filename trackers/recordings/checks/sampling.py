@@ -7,9 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 import polars as pl
 
+from trackers.core.seconds import moment, place_in_time, span, zero_of
 from trackers.recordings.checks.anomalies import long_gaps, streams
 from trackers.recordings.checks.check_result import CheckResult
-from trackers.recordings.tables import layout
+from trackers.recordings.tables import first_time, layout
 
 STREAMS_SHOWN = 24
 """Tables of more streams get one summary line."""
@@ -28,22 +29,23 @@ def check_time_base(tables: Mapping[str, pl.DataFrame]) -> list[CheckResult]:
         if first > least:
             message = (
                 f"starts at {first:.0f}: looks like {unit} since 1970, expected seconds since the start of recording"
+                + ("; `trackwright import --origin start` makes them so" if unit == "seconds" else "")
             )
             return [CheckResult("warning" if unit == "seconds" else "error", "t_s", message)]
     results = []
     if abs(first) > START_S:
-        results.append(CheckResult("warning", "t_s", f"starts at {first:.6g} s, expected a start near 0"))
+        results.append(CheckResult("warning", "t_s", f"starts at {moment(first)}, expected a start near 0"))
     steps = [table["t_s"].unique().diff().median() for table in tables.values()]
     shortest = min((float(step) for step in steps if isinstance(step, float)), default=0.0)
     if shortest >= 5 and last - first > 1000:
         message = f"rows {shortest:.4g} s apart over {last - first:.6g} s: looks like milliseconds, expected seconds"
         results.append(CheckResult("warning", "t_s", message))
-    return [*results, CheckResult("info", "t_s", f"from {first:.6g} to {last:.6g} s")]
+    return [*results, CheckResult("info", "t_s", f"from {span(first, last)}")]
 
 
 def check_rates(tables: Mapping[str, pl.DataFrame]) -> list[CheckResult]:
     """Rows, rate and gaps of each stream, or of each table if it has many streams; the share of empty cells."""
-    results = []
+    results, zero = [], zero_of(first_time(tables))
     for name, table in tables.items():
         expected = layout(name, table.columns)
         ordered = streams(table.filter(pl.any_horizontal(pl.col(expected.values).is_not_null())), expected.ids)
@@ -65,23 +67,24 @@ def check_rates(tables: Mapping[str, pl.DataFrame]) -> list[CheckResult]:
             .join(gaps, on="stream", how="left", maintain_order="left")
         )
         if per_stream.height <= STREAMS_SHOWN:
-            lines = [_stream_line(stream, expected.ids) for stream in per_stream.iter_rows(named=True)]
+            lines = [_stream_line(stream, expected.ids, zero) for stream in per_stream.iter_rows(named=True)]
         else:
-            lines = [_summary(per_stream, expected.ids)]
+            lines = [_summary(per_stream, expected.ids, zero)]
         results += [CheckResult("info", name, line) for line in lines]
     return results
 
 
-def _stream_line(stream: dict, ids: tuple[str, ...]) -> str:
+def _stream_line(stream: dict, ids: tuple[str, ...], zero: float) -> str:
     line = ", ".join(f"{column} {stream[column]}" for column in reversed(ids)) + f": {stream['rows']} rows"
     if stream["interval"]:
         line += f", {1 / stream['interval']:.3g} Hz"
     if stream["gaps"]:
-        line += f", long gaps: {stream['gaps']}, the longest {stream['longest']:.3g} s before t_s {stream['before']:g}"
+        before = place_in_time(stream["before"], zero)
+        line += f", long gaps: {stream['gaps']}, the longest {stream['longest']:.3g} s before {before}"
     return line
 
 
-def _summary(per_stream: pl.DataFrame, ids: tuple[str, ...]) -> str:
+def _summary(per_stream: pl.DataFrame, ids: tuple[str, ...], zero: float) -> str:
     counts = ", ".join(f"{per_stream[column].n_unique()} {column}s" for column in ids)
     rates = np.sort(1 / per_stream["interval"].drop_nulls().to_numpy())
     line = f"{counts}: {per_stream['rows'].sum()} rows"
@@ -93,5 +96,5 @@ def _summary(per_stream: pl.DataFrame, ids: tuple[str, ...]) -> str:
         worst = with_gaps.sort("longest").row(-1, named=True)
         where = ", ".join(f"{column} {worst[column]}" for column in ids)
         line += f"; long gaps: {with_gaps['gaps'].sum()}, "
-        line += f"the longest {worst['longest']:.3g} s before t_s {worst['before']:g} ({where})"
+        line += f"the longest {worst['longest']:.3g} s before {place_in_time(worst['before'], zero)} ({where})"
     return line
