@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 from experiments.cli.arguments import File, Folder
 from experiments.cli.console import notice
 from trackers.core.errors import UnusableInput
+from trackers.core.seconds import moment
 from trackers.exchange.imported import assembled, save
 from trackers.exchange.mapping import TableMapping, columns_of, read_mapping
+from trackers.exchange.origin import origin_of, since
 from trackers.exchange.sources import SourceKind, read_source, source_kind
 from trackers.recordings.rig_file import RIG_FILE, read_rig
 
@@ -27,7 +30,9 @@ def import_source(
     tag: Annotated[str | None, "TAG"] = None,
     rig: File | None = None,
     format: SourceKind | None = None,
-    separator: Annotated[str, "CHARACTER"] = ",",
+    separator: Annotated[str | None, "CHARACTER"] = None,
+    decimal: Literal[".", ","] = ".",
+    origin: Annotated[str | None, "start|S|DATE"] = None,
     interval: Annotated[float | None, "S"] = None,
     skip_bad_lines: bool = False,
     messages: Annotated[tuple[Path, ...], "FILE"] = (),
@@ -44,13 +49,16 @@ def import_source(
         columns: TARGET=COLUMN for each column with another name, e.g. "range_m=distance_mm*0.001",
             "range_m=distance in mm", "t_s=stamp in iso", "anchor=header.frame_id", "range_m[A1]=d1" for a column of
             each anchor.
-        mapping: a TOML file with the table, columns, topic, tag and separator of several tables, instead of these
-            options.
+        mapping: a TOML file with the table, columns, topic, tag, separator and decimal of several tables, instead of
+            these options.
         topic: of a bag.
         tag: the id of the tag, where no column has it.
         rig: a rig.toml with the positions of anchors or stations; default: those in the log, if it has any.
         format: of the file; default: by its name and first lines.
-        separator: of the cells of a CSV file.
+        separator: of the cells of a CSV file; default: a semicolon or tab where the header has one and no comma.
+        decimal: the mark in the numbers of a CSV file.
+        origin: the time of the source that becomes t_s = 0 in every table: start (the earliest measurement), seconds
+            on its clock, or a date such as 2026-05-01T12:00:00.25, UTC without a zone; default: times stay.
         interval: s between the lines of a log without times.
         skip_bad_lines: leave lines of a log that are not understood out, and count them.
         messages: .msg files, PACKAGE/msg/NAME.msg, of message types that a bag does not define.
@@ -60,34 +68,43 @@ def import_source(
     if mapping is not None:
         if kind in ("dwm1001", "trek1000"):
             raise UnusableInput(f"--mapping {mapping}: a log of a kit has its tables; leave it out")
-        if table or columns or topic or separator != ",":
-            raise UnusableInput("--mapping and --table, --columns, --topic or --separator; expected one or the other")
-        mappings = [
-            m if m.tag or tag is None else TableMapping(m.table, m.columns, m.topic, tag, m.separator)
-            for m in read_mapping(mapping)
-        ]
+        if table or columns or topic or separator or decimal != ".":
+            raise UnusableInput(
+                "--mapping and --table, --columns, --topic, --separator or --decimal; expected one or the other"
+            )
+        mappings = [m if m.tag else replace(m, tag=tag) for m in read_mapping(mapping)]
     elif kind in ("dwm1001", "trek1000"):
         if table is not None or topic is not None:
             raise UnusableInput(f"{source}: a log of a kit has its tables; leave --table and --topic out")
         mappings = [TableMapping("ranges", columns_of(columns), tag=tag)]
     elif table is not None:
-        mappings = [TableMapping(table, columns_of(columns), topic, tag, separator)]
+        mappings = [TableMapping(table, columns_of(columns), topic, tag, separator, decimal)]
     elif columns:
         raise UnusableInput("--columns without --table; expected --table ranges, fixes, truth or another table")
     else:
         mappings = []
+    if origin == "start" and (out / RIG_FILE).is_file():
+        raise UnusableInput(
+            f"--origin start: {out} has tables already; expected their origin, as its first import printed it: "
+            "--origin SECONDS, or none where that had none"
+        )
     found = read_source(source, kind, mappings, interval, skip_bad_lines, messages)
     for line in found.notices:
         notice(f"notice: {line}")
+    tables = found.tables
+    if origin is not None:
+        begin = origin_of(origin, tables)
+        tables = since(tables, begin)
+        notice(f"notice: t_s = 0 is {moment(begin)} of {source}; give further tables the same --origin {begin!r}")
     if (out / RIG_FILE).is_file() and rig is not None:
         raise UnusableInput(f"--rig {rig}: {out} has a rig.toml already; expected one; leave --rig out")
     # Recordings of one installation share its rig, but not their name.
     name = None if (out / RIG_FILE).is_file() else out.resolve().name
     known = out / RIG_FILE if (out / RIG_FILE).is_file() else rig
-    folder = assembled(name, None if known is None else read_rig(known)[0], found.tables, found.anchors)
+    folder = assembled(name, None if known is None else read_rig(known)[0], tables, found.anchors)
     written = save(folder, out)
     for line in written.notices:
         notice(f"notice: {out}: {line}")
-    rows = ", ".join(f"{table} {len(rows)} rows" for table, rows in found.tables.items())
+    rows = ", ".join(f"{table} {len(rows)} rows" for table, rows in tables.items())
     print(f"wrote {out}: {rows}; next: trackwright check {out}")
     return 0

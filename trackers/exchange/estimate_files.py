@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import polars as pl
@@ -13,6 +14,8 @@ from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.input_file import beginning
 from trackers.recordings.table_file import SUFFIXES, TableFile, read_table_file
 
+_DATE = re.compile(r"\d{4}-\d{2}-\d{2}(?:[T ]|$)")
+_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+(?:[eE][-+]?\d+)?")
 _TEXT = ("recording", "tag", "station", "status", "wrapped")
 
 
@@ -93,12 +96,25 @@ def numbers_of(file: TableFile, column: str) -> pl.Series:
             raise UnusableInput(f"{file.path}: column {column} has type {found.dtype}; expected numbers")
         return found.cast(pl.Float64).fill_nan(None)
     text = found.str.strip_chars()
-    numbers = text.cast(pl.Float64, strict=False)
+    points = text
+    if file.decimal == ",":
+        # A point, as it groups thousands, is then no part of a number.
+        points = text.str.replace(".", "x", literal=True).str.replace(",", ".", literal=True)
+    numbers = points.cast(pl.Float64, strict=False)
     wrong = numbers.is_null() & text.is_not_null() & (text != "")
     if wrong.any():
         row = wrong.arg_max()
         assert row is not None
         raise UnusableInput(
-            f"{file.location(row, column)}: {text[row][:40]!r}; expected a number; leave a missing cell empty"
+            f"{file.location(row, column)}: {text[row][:40]!r}; expected a number; {_remedy(text[row], column)}"
         )
     return numbers.fill_nan(None)
+
+
+def _remedy(text: str, column: str) -> str:
+    """What to do about a text where a number is expected."""
+    if _DATE.match(text):
+        return f"it looks like a date, which `trackwright import` reads by 't_s={column} in iso'"
+    if _DECIMAL_COMMA.fullmatch(text):
+        return "it looks like a decimal comma, which `trackwright import --decimal ,` reads"
+    return "leave a missing cell empty"

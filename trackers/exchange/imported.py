@@ -16,6 +16,7 @@ from trackers.core.errors import UnusableInput, listed
 from trackers.core.rig import Rig
 from trackers.exchange.mapped_table import mapped_table
 from trackers.exchange.mapping import TableMapping, checked, columns_of
+from trackers.exchange.origin import origin_of, since
 from trackers.recordings.atomic import atomic_write
 from trackers.recordings.beside import beside
 from trackers.recordings.folder import RecordingFolder, read_recording, write_recording
@@ -31,19 +32,23 @@ def import_frames(
     columns: Mapping[str, Sequence[str]] | None = None,
     tag: str | None = None,
     name: str | None = None,
+    origin: float | str | None = None,
 ) -> RecordingFolder:
     """A recording from pandas or polars frames by table, checked as if it were read from a folder.
 
     `rig`: the geometry, or the path of a rig.toml; needed for ranges, bearings and phases. `columns`: by table,
     expressions such as `range_m=distance_mm*0.001` or `t_s=stamp in ms` (docs/import.md); columns that have the name of
     their target need none. `tag`: the id of all rows, where no column has it. `name`: of the recording, by default that
-    of the rig. Raises UnusableInput.
+    of the rig. `origin`: the time, s, that becomes `t_s` = 0 in all tables, a date, or `start`, the earliest
+    measurement. Raises UnusableInput.
     """
     tables, notices = {}, []
     for table, frame in frames.items():
         mapping = checked(TableMapping(table, columns_of((columns or {}).get(table, ())), tag=tag))
         tables[table], found = mapped_table(TableFile(Path(f"frame {table}"), _polars(frame, table)), mapping)
         notices += [f"{table}: {line}" for line in found]
+    if origin is not None:
+        tables = since(tables, origin_of(str(origin), tables))
     folder = assembled(name, read_rig(Path(rig))[0] if isinstance(rig, (str, Path)) else rig, tables)
     with tempfile.TemporaryDirectory() as scratch:
         read = _written(folder, Path(scratch) / "recording")

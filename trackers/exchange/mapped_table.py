@@ -15,6 +15,8 @@ from trackers.recordings.table_file import TableFile
 from trackers.recordings.tables import QUATERNION, layout
 
 _UNIT_IN_NAME = re.compile(r"[\W_](mm|cm|ms|us|ns|deg|km|ft)$|[\[(](mm|cm|ms|us|ns|deg|km|ft)[\])]$", re.IGNORECASE)
+_DATE = re.compile(r"\d{4}-\d{2}-\d{2}[T ]")
+_ZONE = re.compile(r":\d.*?(Z|[+-]\d{2}:?(?:\d{2})?)$")
 
 
 def mapped_table(file: TableFile, mapping: TableMapping) -> tuple[pl.DataFrame, list[str]]:
@@ -89,15 +91,14 @@ def _part(
 def _missing(file: TableFile, table: str, name: str) -> str:
     found = file.frame.columns
     own = {"t_s", "tag", *layout(table, found).values}
+    unmapped = f"{file.path}: {table} needs {name}, which is not mapped; found {listed(map(repr, found), 12)}"
+    if name == "tag":
+        return f"{unmapped}; give --tag ID"
     near = difflib.get_close_matches(name.rpartition("_")[0] or name, [c for c in found if c not in own], 1, 0.3)
     source = near[0] if near else "COLUMN"
     unit = _UNIT_IN_NAME.search(source)
     example = f"{name}={source}" + (f" in {(unit[1] or unit[2]).lower()}" if unit and "_" in name else "")
-    fix = "give --tag ID, or " if name == "tag" else ""
-    return (
-        f"{file.path}: {table} needs {name}, which is not mapped; found {listed(map(repr, found), 12)}; {fix}"
-        f"add --columns {example!r}"
-    )
+    return f"{unmapped}; add --columns {example!r}"
 
 
 def _source(file: TableFile, name: str, expression: Expression) -> str:
@@ -151,17 +152,28 @@ def _seconds(file: TableFile, source: str) -> pl.Series:
     """Dates as seconds since 1970, UTC where they name no zone; raises UnusableInput with the row of another text."""
     column = file.frame[source]
     if column.dtype == pl.String:
-        stamps = column.str.strip_chars().str.to_datetime(time_unit="ns", time_zone="UTC", strict=False)
+        stamps = column.str.strip_chars().str.replace(",", ".", literal=True)
+        stamps = stamps.str.to_datetime(time_unit="ns", time_zone="UTC", strict=False)
         wrong = stamps.is_null()
         if wrong.any():
-            row = _first(wrong)
-            raise UnusableInput(
-                f"{file.location(row, source)}: {column[row]!r}; expected a date such as 2026-05-01T12:00:00.25"
-            )
+            raise UnusableInput(_no_date(file, source, _first(wrong)))
         column = stamps
     whole = column.dt.epoch("ns")
     # The seconds are exact; only their sum with the fraction is rounded.
     return (whole // 1_000_000_000).cast(pl.Float64) + (whole % 1_000_000_000).cast(pl.Float64) / 1e9
+
+
+def _no_date(file: TableFile, source: str, row: int) -> str:
+    """Why the text in a row is no date as those above: a time zone that the first row lacks, or the reverse."""
+    texts = file.frame[source]
+    first, other = (_ZONE.search(str(texts[k]).strip()) for k in (0, row))
+    if _DATE.match(str(texts[row]).strip()) and (first is None) != (other is None):
+        zones = [f"has {found[1]}" if found else "has no time zone" for found in (other, first)]
+        return (
+            f"{file.path}: column {source}: row {row + 1} {zones[0]}, row 1 {zones[1]}; expected a time zone in every "
+            "row, or in none"
+        )
+    return f"{file.location(row, source)}: {texts[row]!r}; expected a date such as 2026-05-01T12:00:00.25"
 
 
 def _first(rows: pl.Series) -> int:

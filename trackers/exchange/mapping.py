@@ -27,7 +27,7 @@ _EXPRESSION = re.compile(
     rf"(?:(?P<sign>[-+])\s*(?P<shift>{_NUMBER.removeprefix('[-+]?')}))?(?:\s+in\s+(?P<unit>\S+))?"
 )
 _TARGET = re.compile(r"(?P<name>\w+)(?:\[(?P<sensor>[^\]]+)\])?")
-_ENTRY_KEYS = ("table", "columns", "topic", "tag", "separator")
+_ENTRY_KEYS = ("table", "columns", "topic", "tag", "separator", "decimal")
 
 
 @dataclass(frozen=True)
@@ -49,14 +49,15 @@ class TableMapping:
 
     `columns`: by target, or by target and sensor as `range_m[A1]`, an expression; a column of the source that has the
     name of a target needs none. `topic`: of a bag. `tag`: the id of all rows, where no column has it. `separator`: of
-    the cells of a CSV file.
+    the cells of a CSV file, None for the one in its header. `decimal`: the mark in numbers of a CSV file, `.` or `,`.
     """
 
     table: str
     columns: Mapping[str, Expression] = field(default_factory=dict)
     topic: str | None = None
     tag: str | None = None
-    separator: str = ","
+    separator: str | None = None
+    decimal: str = "."
 
 
 def parsed(target: str, text: str) -> Expression:
@@ -152,4 +153,6 @@ def checked(mapping: TableMapping) -> TableMapping:
     """The mapping; raises UnusableInput for a table that a recording does not have."""
     if mapping.table not in TABLES:
         raise UnusableInput(f"table {mapping.table!r}; expected one of {', '.join(TABLES)}")
+    if mapping.decimal not in (".", ","):
+        raise UnusableInput(f"decimal {mapping.decimal!r}; expected '.' or ','")
     return mapping

@@ -78,8 +78,8 @@ def read_log(
     if kind == "dwm1001" and tag is None:
         raise UnusableInput(f"{path}: DWM1001 lines do not name the tag; give it: --tag ID")
     log, clock, bad = SerialLog(), _Clock(path, interval, time), []
-    raw = 0
-    for number, line in enumerate(_text(path).splitlines(), 1):
+    raw, lines = 0, _text(path).rstrip().splitlines()
+    for number, line in enumerate(lines, 1):
         line = line.strip()
         begin = _BEGINS.search(line)
         if not line or line.startswith("#") or (begin is None and line.startswith(_SHELL)):
@@ -94,7 +94,9 @@ def read_log(
             _READERS[kind](log, path, number, body, line[: begin.start()], clock, tag)
         except UnusableInput as problem:
             if not skip:
-                raise UnusableInput(f"{problem}; --skip-bad-lines leaves such lines out") from problem
+                last = isinstance(problem, _NoSuchLine) and number == len(lines)
+                cut = "; it is the last line, and looks cut off" if last else ""
+                raise UnusableInput(f"{problem}{cut}; --skip-bad-lines leaves such lines out") from problem
             bad.append(number)
     if bad:
         shown = ", ".join(map(str, bad[:5])) + (" …" if len(bad) > 5 else "")
@@ -108,6 +110,9 @@ def read_log(
 
 _EXPECTED = {
     "dwm1001": "lines of the DWM1001 commands les, lec or lep, such as 'DIST,1,AN0,1151,5.00,8.00,2.25,6.44'",
+    "les": "a line of les, such as '1151[5.00,8.00,2.25]=6.44 est[2.57,1.98,1.68,100]'",
+    "lec": "a line of lec, such as 'DIST,1,AN0,1151,5.00,8.00,2.25,6.44' with as many anchors as it says",
+    "lep": "a line of lep, such as 'POS,2.57,1.98,1.68,100'",
     "trek1000": "TREK1000 lines such as 'mc 07 00000663 000005a3 00000512 ffffffff 095f c1 00024c24 a0:0'",
 }
 
@@ -117,6 +122,10 @@ def _text(path: Path) -> str:
         return file_bytes(path).decode("utf-8-sig", errors="replace")
     except OSError as error:
         raise UnusableInput(f"{path}: cannot be read ({error.strerror}); check the path") from error
+
+
+class _NoSuchLine(UnusableInput):
+    """A line with readings that has not the form of its command, as one that was cut off."""
 
 
 class _Clock:
@@ -160,11 +169,13 @@ class _Clock:
 
 def _dwm1001(log: SerialLog, path: Path, number: int, body: str, prefix: str, clock: _Clock, tag: str | None) -> None:
     assert tag is not None
-    position = None
+    position, command = None, "les"
     if body.startswith("POS"):
+        command = "lep"
         position = _POS.fullmatch(body)
         found, understood = [], position is not None
     elif body.startswith("DIST"):
+        command = "lec"
         line = _LEC_LINE.fullmatch(body)
         found = _LEC.findall(body)
         understood = line is not None and int(line[1]) == len(found)
@@ -172,7 +183,7 @@ def _dwm1001(log: SerialLog, path: Path, number: int, body: str, prefix: str, cl
     else:
         understood, found, position = _LES_LINE.fullmatch(body) is not None, _LES.findall(body), _ESTIMATE.search(body)
     if not understood:
-        raise UnusableInput(f"{path}: line {number}: {body[:60]!r}; expected {_EXPECTED['dwm1001']}")
+        raise _NoSuchLine(f"{path}: line {number}: {body[:60]!r}; expected {_EXPECTED[command]}")
     time = clock.at(number, prefix)
     for anchor, x, y, z, distance in found:
         place = (float(x), float(y), float(z))
@@ -189,7 +200,7 @@ def _dwm1001(log: SerialLog, path: Path, number: int, body: str, prefix: str, cl
 def _trek1000(log: SerialLog, path: Path, number: int, body: str, prefix: str, clock: _Clock, tag: str | None) -> None:
     match = _TREK.fullmatch(body)
     if match is None or match[1] != "c":
-        raise UnusableInput(f"{path}: line {number}: {body[:60]!r}; expected {_EXPECTED['trek1000']}")
+        raise _NoSuchLine(f"{path}: line {number}: {body[:60]!r}; expected {_EXPECTED['trek1000']}")
     mask, ranges = int(match[2], 16), [int(text, 16) for text in match[3].split()]
     time = clock.at(number, prefix, int(match[6], 16) / 1000)
     for k, millimetres in enumerate(ranges):

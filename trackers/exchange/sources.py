@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -21,6 +21,11 @@ from trackers.recordings.input_file import beginning, file_bytes
 from trackers.recordings.table_file import SUFFIXES, TableFile, read_table_file
 
 SourceKind = Literal["csv", "tum", "kitti", "euroc", "ros", "dwm1001", "trek1000"]
+
+_FORMATS = (
+    "a table (.csv, .csv.gz, .parquet), a ROS bag (.bag, .db3, .mcap, or the folder of a ROS 2 bag), a log of a "
+    "DWM1001 or TREK1000 kit, or a TUM, KITTI or EuRoC trajectory"
+)
 
 
 @dataclass
@@ -47,7 +52,10 @@ def source_kind(path: Path) -> SourceKind:
         raise UnusableInput(f"{path}: cannot be read ({error.strerror}); check the path") from error
     if name.endswith(SUFFIXES) and not begin.startswith("#timestamp"):
         return "csv"
-    return log_kind(begin) or kind_of(path)
+    try:
+        return log_kind(begin) or kind_of(path)
+    except UnusableInput:
+        raise UnusableInput(f"{path}: no format is recognised; expected {_FORMATS}; --format names one") from None
 
 
 def read_source(
@@ -85,8 +93,11 @@ def read_source(
         return found
     for mapping in mappings:
         if kind == "csv":
-            file = read_table_file(path) if mapping.separator == "," else _separated(path, mapping.separator)
-            _add(found, mapping.table, *mapped_table(file, mapping))
+            separator = mapping.separator or _separator_of(path, mapping.decimal)
+            if mapping.separator is None and separator != ",":
+                found.notices.append(f"cells are read as separated by {separator!r}; another mark: --separator")
+            file = read_table_file(path) if separator == "," else _separated(path, separator)
+            _add(found, mapping.table, *mapped_table(replace(file, decimal=mapping.decimal), mapping))
         else:
             _add(found, mapping.table, *_poses(path, kind, mapping))
     return found
@@ -110,6 +121,14 @@ def _poses(path: Path, kind: SourceKind, mapping: TableMapping) -> tuple[pl.Data
     poses = read_trajectory(path, kind)  # type: ignore[arg-type]
     table = poses.to_polars(mapping.tag)
     return table if mapping.table == "truth" else table.select("t_s", "tag", "x_m", "y_m", "z_m"), list(poses.notices)
+
+
+def _separator_of(path: Path, decimal: str) -> str:
+    """A semicolon or tab where the header has one and no comma, or numbers have decimal commas; else a comma."""
+    if path.name.lower().endswith((".gz", ".parquet")):
+        return ","
+    head = beginning(path, 20_000).decode("utf-8-sig", errors="replace").partition("\n")[0]
+    return next((mark for mark in ";\t" if mark in head and (decimal == "," or "," not in head)), ",")
 
 
 def _separated(path: Path, separator: str) -> TableFile:

@@ -30,11 +30,15 @@ _GZIP_MAGIC = b"\x1f\x8b"
 
 @dataclass(frozen=True)
 class TableFile:
-    """The columns of a file before any check; `lines`: the line number of each row, None for Parquet."""
+    """The columns of a file before any check.
+
+    `lines`: the line number of each row, None for Parquet. `decimal`: the mark in numbers that are text.
+    """
 
     path: Path
     frame: pl.DataFrame
     lines: Sequence[int] | None = None
+    decimal: str = "."
 
     def location(self, row: int, column: str) -> str:
         """File, row and column in words, for messages; `row` is counted from 0."""

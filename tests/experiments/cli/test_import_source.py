@@ -83,13 +83,18 @@ def test_a_log_in_milliseconds_takes_a_unit_and_no_other_column(there):
     [
         ("log.csv", CSV, ("ranges: anchor 'A1', 'A2', '0x0F' without a position", "--rig")),
         ("log.csv", ("--table", "ranges"), ("needs t_s", "found 'stamp', 'id', 'distance'", "--columns")),
+        ("log.csv", ("--table", "fixes", "--columns", "t_s=stamp"), ("fixes needs tag", "'distance'; give --tag ID\n")),
         ("log.csv", (), ("no table given", "--table")),
         ("log.csv", ("--columns", "range_m=distance"), ("--columns without --table",)),
         ("log.csv", ("--mapping", "map.toml", "--table", "ranges"), ("one or the other",)),
         ("missing.csv", CSV, ("missing.csv", "cannot be read")),
         ("mocap.tum", ("--table", "truth"), ("do not name the tag",)),
         ("mocap.tum", ("--table", "ranges", "--tag", "T"), ("truth or fixes",)),
-        ("rig.toml", ("--table", "truth", "--tag", "T"), ("no trajectory format",)),
+        (
+            "rig.toml",
+            ("--table", "truth", "--tag", "T"),
+            ("no format is recognised", "a ROS bag", "DWM1001", "TUM", "--format"),
+        ),
     ],
 )
 def test_what_is_not_understood_is_refused_and_nothing_is_written(there, source, arguments, words):
@@ -104,3 +109,50 @@ def test_a_bad_value_is_named_by_the_line_of_its_source(there):
     (there / "log.csv").write_text("\n".join(lines) + "\n")
     said = trackwright("import", "log.csv", *CSV, "--rig", "rig.toml", "--out", "new")
     _refused_last(said, "log.csv: row 7 (line 8), column distance", "expected a number")
+
+
+def test_one_origin_moves_all_tables_of_an_import(there):
+    lines = "".join(f"{1777896800.26 + 0.1 * k} {1 + 0.01 * k} 2 0.5 0 0 0 1\n" for k in range(30))
+    (there / "mocap.tum").write_text(lines)
+    rows = [f"2026-05-04T14:13:{20.36 + 0.1 * k:.2f}+02:00,A1,{2000 + k}" for k in range(30)]
+    (there / "log.csv").write_text("stamp,id,distance\n" + "\n".join(rows) + "\n")
+    iso = [word.replace("stamp*0.001", "stamp in iso") for word in CSV]
+    said = trackwright("import", "log.csv", *iso, "--origin", "start", "--rig", "rig.toml", "--out", "hall")
+    assert "t_s = 0 is 2026-05-04 12:13:20.36 UTC of log.csv" in said.err
+    given = said.err.partition("the same --origin ")[2].split()[0]
+    truth = ("import", "mocap.tum", "--table", "truth", "--tag", "T1", "--out", "hall", "--origin")
+    _refused_last(trackwright(*truth, "start"), "hall has tables already", "--origin SECONDS")
+    _refused_last(trackwright(*truth, "noon"), "--origin noon: expected start, seconds, or a date such as")
+    assert trackwright(*truth, given).code == 0
+    tables = read_recording(there / "hall").tables
+    assert tables["ranges"]["t_s"].to_list()[:2] == pytest.approx([0.0, 0.1], abs=1e-6)
+    assert tables["truth"]["t_s"].to_list()[:2] == pytest.approx([-0.1, 0.0], abs=1e-6)
+    by_date = (*truth[:-2], "dated", "--origin", "2026-05-04T12:13:20.26")
+    assert trackwright(*by_date).code == 0
+    assert pl.read_parquet("dated/truth.parquet")["t_s"][29] == pytest.approx(2.9, abs=1e-6)
+
+
+def test_decimal_commas_are_read_and_named_where_they_are_not_asked_for(there):
+    lines = ["Zeit;d1;d2", *(f"{0.1 * k:.1f};{2 + 0.5 * k:.1f};3,25".replace(".", ",") for k in range(5))]
+    (there / "wide.csv").write_text("\n".join(lines) + "\n")
+    columns = ("--table", "ranges", "--columns", "t_s=Zeit", "range_m[A1]=d1", "range_m[A2]=d2", "--tag", "T")
+    to = ("--rig", "rig.toml", "--out", "new")
+    refused = trackwright("import", "wide.csv", *columns, *to)
+    _refused_last(refused, "row 1 (line 2), column Zeit: '0,0'; expected a number", "--decimal ,")
+    said = trackwright("import", "wide.csv", *columns, "--decimal", ",", *to)
+    assert "separated by ';'" in said.err
+    table = pl.read_parquet("new/ranges.parquet").sort("anchor", "t_s")
+    assert table["range_m"].to_list() == [2.0, 2.5, 3.0, 3.5, 4.0, *[3.25] * 5]
+    (there / "wide.csv").write_text("Zeit;d1;d2\n0,0;1.234;3,1\n")
+    # With decimal commas a point groups thousands: 1.234 is not 1,234.
+    _refused_last(trackwright("import", "wide.csv", *columns, "--decimal", ",", "--out", "other"), "'1.234'")
+
+
+def test_a_date_without_its_unit_and_a_cut_line_of_a_log_are_named(there):
+    (there / "log.csv").write_text("stamp,id,distance\n2026-05-04T14:13:20.26,A1,2710\n")
+    columns = [word.replace("stamp*0.001", "stamp") for word in CSV]
+    _refused_last(trackwright("import", "log.csv", *columns, "--out", "new"), "looks like a date", "'t_s=stamp in iso'")
+    line = "1151[5.00,8.00,2.25]=6.48 0CA8[0.00,8.00,2.25]=6.51"
+    (there / "tag.log").write_text(f"0.1 {line}\n0.2 {line}\n0.3 {line[:40]}\n")
+    cut = trackwright("import", "tag.log", "--tag", "C5", "--out", "new")
+    _refused_last(cut, "line 3", "a line of les, such as '1151[", "it is the last line, and looks cut off")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -86,6 +87,20 @@ def test_dates_become_seconds_since_1970():
     table, _ = mapped_table(TableFile(Path("x"), frame), TableMapping("fixes", columns_of(["t_s=when in iso"])))
     expected = datetime(2026, 5, 1, 12, 0, 0, 250_000, tzinfo=UTC).timestamp()
     assert table["t_s"].to_list() == [expected, expected + 0.75]
+
+
+@pytest.mark.parametrize(
+    ("dates", "words"),
+    [
+        (["2026-05-04T14:13:20.26+02:00", "2026-05-04T14:13:20.36"], "row 2 has no time zone, row 1 has +02:00"),
+        (["2026-05-04T14:13:20.26", "2026-05-04T14:13:20.36Z"], "row 2 has Z, row 1 has no time zone"),
+        (["2026-05-04T14:13:20", "noon"], "row 2, column when: 'noon'; expected a date such as"),
+    ],
+)
+def test_dates_with_and_without_a_time_zone_are_told_apart(dates, words):
+    frame = pl.DataFrame({"when": dates, "tag": "a", "x_m": 1.0, "y_m": 0.0, "z_m": 0.0})
+    with pytest.raises(UnusableInput, match=re.escape(words)):
+        mapped_table(TableFile(Path("x"), frame), TableMapping("fixes", columns_of(["t_s=when in iso"])))
 
 
 @pytest.mark.parametrize(
