@@ -9,7 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType, ModuleType
 
-from trackers.core.errors import UnusableInput
+from trackers.core.errors import UnusableInput, near
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.named_tracker import NamedTracker, folder_list
 from trackers.recordings.tables import MEASUREMENTS
@@ -119,7 +119,9 @@ def spec_of(name: str) -> TrackerSpec:
     file, attribute = split_name(name)
     if file:
         return _from_file(Path(file), attribute)
-    raise UnusableInput(f"tracker {name}: unknown; expected FILE.py:NAME or one of {', '.join(TRACKERS)}")
+    raise UnusableInput(
+        f"tracker {name}: unknown{near(name, TRACKERS)}; expected FILE.py:NAME or one of {', '.join(TRACKERS)}"
+    )
 
 
 def split_name(name: str) -> tuple[str, str]:
@@ -146,7 +148,13 @@ def _from_file(file: Path, attribute: str) -> TrackerSpec:
 
 
 def run_file(file: Path, name: str) -> ModuleType:
-    """The module of a Python file, which is run; registered as `name`, where dataclasses and pytrees look it up."""
+    """The module of a Python file, which is run; registered as `name`, where dataclasses and pytrees look it up.
+
+    The file may import those beside it.
+    """
+    folder = str(file.resolve().parent)
+    if folder not in sys.path:
+        sys.path.append(folder)
     spec = importlib.util.spec_from_file_location(name, file)
     assert spec is not None
     assert spec.loader is not None

@@ -218,6 +218,11 @@ def evaluate_association(
     return evaluation_of(association, score(association, stations, every))
 
 
+def metric_names(tracks: pl.DataFrame) -> list[str]:
+    """The names of the metrics that such estimates, the columns of tracks.parquet, have overall."""
+    return list(evaluate_association(associate_truth(tracks.head(1), {})).overall)
+
+
 def evaluation_of(association: Association, scored: Scored) -> Evaluation:
     """The metrics by track, by recording and overall of estimates that are associated and scored."""
     keys = association.rows.select(track_keys(association.rows))[association.starts[:-1]].to_dicts()

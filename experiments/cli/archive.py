@@ -19,7 +19,7 @@ from experiments.archives.runner import run_missing
 from experiments.archives.store import SCORED, TRACKED, Item, RecordingStore, content_of, digest_of
 from experiments.archives.tables import Refusals, Run, gathered, read_results, write_results
 from experiments.cli.console import json_alone, notice, output_folder, ready
-from experiments.cli.fail_if import violation
+from experiments.cli.fail_if import conditions, violation
 from experiments.cli.manifest import write_manifest
 from experiments.cli.report import COMPARISON
 from experiments.cli.stages import Begin, stages
@@ -37,7 +37,7 @@ from experiments.scored_tracks import ScoredTracks, drawn_of
 from trackers.catalogue import spec_of, split_name
 from trackers.core.chunks import CHUNK
 from trackers.core.errors import UnusableInput
-from trackers.evaluation import Evaluation
+from trackers.evaluation import Evaluation, metric_names
 from trackers.events import EVENTS
 from trackers.recordings.association import associate_truth
 from trackers.recordings.atomic import config_hash
@@ -231,6 +231,10 @@ def evaluate_archive(
     paths = [path for path in known if (tracked.folder(path) / TRACKED).is_file()]
     if not paths:
         raise UnusableInput(f"{out / RESULTS}: names no recording that is kept beside it; run `track` again")
+    if fail_if is not None:
+        first = tracked.folder(paths[0])
+        for one in tracked.kept(first)["outcomes"]:
+            conditions(fail_if, metric_names(read_tracks(first / one["short"])))
     options = {"part": dataclasses.asdict(part), "every": every, "versions": _versions()}
 
     def identity(path: Path) -> dict[str, Any]:

@@ -10,7 +10,6 @@ fields are options, explained in its own docstring.
 
 from __future__ import annotations
 
-import difflib
 import inspect
 import re
 import types
@@ -19,7 +18,7 @@ from dataclasses import dataclass, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn, Union, get_args, get_origin, get_type_hints
 
-from trackers.core.errors import UnusableInput
+from trackers.core.errors import UnusableInput, near
 
 Folder = Annotated[Path, "FOLDER"]
 File = Annotated[Path, "FILE"]
@@ -203,12 +202,6 @@ def _value(argument: Argument, kind: Any, command: str, word: str) -> Any:
 
 def _refuse_option(command: str, name: str, options: Mapping[str, Argument]) -> NoReturn:
     raise UnusableInput(f"{command}: no option {name}{near(name, options)}{see(command)}")
-
-
-def near(word: str, names: Sequence[str] | Mapping[str, Any]) -> str:
-    """` (did you mean …?)` with the nearest of the names, or nothing where none is near."""
-    found = difflib.get_close_matches(word, list(names), 1, 0.6)
-    return f" (did you mean {found[0]}?)" if found else ""
 
 
 def see(command: str) -> str:

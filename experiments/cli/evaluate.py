@@ -50,7 +50,8 @@ def evaluate_tracks(
 
     Args:
         folder: the output folder of `track`, of one recording, several or an archive, or a file of estimates.
-        truth: recordings whose truth tables are used, or a trajectory file; default: the tracked recordings.
+        truth: recordings whose truth tables are used, or a trajectory file, of the one tag that the estimates follow;
+            default: the tracked recordings.
         tag: score these tags alone; the tag that a file of estimates follows.
         from_: score estimates from this time on.
         to: score estimates up to this time.
@@ -89,21 +90,25 @@ def evaluate_tracks(
         return evaluate_archive(folder, part, every, cluster, json, fail_if)
     if (folder / RECORDINGS).is_dir() and not (folder / TRACKS).exists():
         raise UnusableInput(f"{folder}: an archive that was not tracked to its end; run the same `track` again")
-    if folder.is_file() or options.given:
+    if folder.is_file() or options.given or any(path.is_file() for path in truth):
         if worksteps is not None or cluster is not None:
-            raise UnusableInput("--worksteps and --cluster: apply to a folder of `track` without trajectory options")
+            raise UnusableInput(
+                "--worksteps and --cluster: apply to a folder of `track`, without trajectory options and files"
+            )
         known = truth if truth or folder.is_file() else sources(folder)
         return evaluate_poses(folder, known, options, part, json, fail_if)
     tracks = part.of_estimates(read_tracks(folder))
     folders = read_with_notices(truth or sources(folder))
     # jax takes a second to import, which the help and a refused folder need not wait for.
-    from experiments.cli.fail_if import violation
+    from experiments.cli.fail_if import conditions, violation
     from experiments.executors import cluster_executor
     from experiments.reports.evaluation_text import to_json, to_text
     from experiments.reports.worksteps_text import to_text as work_text
-    from trackers.evaluation import evaluate
-    from trackers.worksteps.tracks import workstep_report
+    from trackers.evaluation import evaluate, metric_names
+    from trackers.worksteps.tracks import METRICS, workstep_report
 
+    if fail_if is not None:
+        conditions(fail_if, [*metric_names(tracks), *(METRICS if worksteps is not None else ())])
     with cluster_executor(cluster) if cluster else nullcontext() as executor:
         evaluation, work = evaluate(tracks, folders, every, executor), None
     if worksteps is not None:

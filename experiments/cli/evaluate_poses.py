@@ -18,7 +18,7 @@ from experiments.reports.tables import terminal_width
 from trackers.core.errors import UnusableInput
 from trackers.exchange.alignment import Alignment
 from trackers.exchange.estimate_files import assigned, read_estimates, read_truth
-from trackers.exchange.tracks_compared import compare_tracks, pooled
+from trackers.exchange.tracks_compared import compare_tracks, pooled, pooled_names
 from trackers.recordings.atomic import atomic_write, json_text
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.selection import Selection
@@ -72,30 +72,33 @@ def evaluate_poses(
         require_output(options.out)
     if source.is_file() and len(part.tags) > 1:
         raise UnusableInput(f"--tag {' '.join(part.tags)}: a file of estimates follows one tag; expected one")
-    tag = part.tags[0] if part.tags else None
-    folders = _read_truth(truth, tag)
+    tag, name, tracks = part.tags[0] if part.tags else None, None, None
+    if source.is_dir():
+        tracks = part.of_estimates(read_tracks(source))
+        followed = tracks.select("recording", "tag").unique()
+        if len(followed) == 1:
+            name, tag = followed.row(0)
+    folders = _read_truth(truth, tag, name)
     truths = {folder.name: folder.tables["truth"] for folder in folders if "truth" in folder.tables}
     if not truths:
         raise UnusableInput(f"{truth[0]}: no truth table; expected a recording with truth, or a trajectory file")
-    if source.is_dir():
-        tracks = read_tracks(source)
-    else:
-        tracks, notices = read_estimates(source)
+    if tracks is None:
+        read, notices = read_estimates(source)
         for line in notices:
             notice(f"notice: {source}: {line}")
-        tracks = assigned(tracks, truths, tag, source)
-    tracks = part.of_estimates(tracks)
-    align = options.align or "none"
-    tolerance = DEFAULT_TOLERANCE if options.time_tolerance is None else options.time_tolerance
-    moved, compared = compare_tracks(
-        tracks, truths, align, offset, tolerance, options.rpe or DEFAULT_STEPS, options.all_pairs
-    )
+        tracks = part.of_estimates(assigned(read, truths, tag, source))
     # jax takes a second to import, which a refused file need not wait for.
-    from experiments.cli.fail_if import violation
+    from experiments.cli.fail_if import conditions, violation
     from experiments.reports.evaluation_text import to_text
     from experiments.reports.trajectory_text import to_text as poses_text
-    from trackers.evaluation import evaluate
+    from trackers.evaluation import evaluate, metric_names
 
+    steps = options.rpe or DEFAULT_STEPS
+    if fail_if is not None:
+        conditions(fail_if, [*metric_names(tracks), *pooled_names(steps)])
+    align = options.align or "none"
+    tolerance = DEFAULT_TOLERANCE if options.time_tolerance is None else options.time_tolerance
+    moved, compared = compare_tracks(tracks, truths, align, offset, tolerance, steps, options.all_pairs)
     evaluation = evaluate(moved, folders, part.every)
     evaluation = dataclasses.replace(evaluation, overall=evaluation.overall | pooled(compared))
     content = {
@@ -108,7 +111,10 @@ def evaluate_poses(
     }
     text = json_text(content)
     width = terminal_width()
-    print(text if json else to_text(evaluation, width) + "\n" + poses_text(compared, align, width), end="")
+    print(
+        text if json else to_text(evaluation, width) + "\n" + poses_text(compared, align, width, offset == "auto"),
+        end="",
+    )
     if options.out is not None:
         written = _write(options.out, text, evaluation, moved, folders, truth, str(source))
         if not json:
@@ -119,7 +125,8 @@ def evaluate_poses(
     return int(why is not None)
 
 
-def _read_truth(paths: Sequence[Path], tag: str | None) -> list[RecordingFolder]:
+def _read_truth(paths: Sequence[Path], tag: str | None, name: str | None) -> list[RecordingFolder]:
+    """The recordings, or the one path of a trajectory file as that of a tag and a recording, where they are known."""
     if not paths:
         raise UnusableInput("no --truth; expected recording folders, or a trajectory file: --truth FOLDER|FILE")
     files = [path for path in paths if path.is_file()]
@@ -130,7 +137,7 @@ def _read_truth(paths: Sequence[Path], tag: str | None) -> list[RecordingFolder]
     folder = read_truth(files[0], tag or FILE_TAG)
     for line in folder.notices:
         notice(f"notice: {files[0]}: {line}")
-    return [folder]
+    return [folder if name is None else dataclasses.replace(folder, name=name)]
 
 
 def _write(

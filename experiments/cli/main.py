@@ -149,9 +149,12 @@ def command_of(words: list[str]) -> tuple[str, list[str]]:
             return first, [HELP[1]]
         first, rest = f"{first} {rest[0]}", rest[1:]
     if first not in FUNCTIONS:
-        from experiments.cli.arguments import near
-        from trackers.core.errors import UnusableInput
+        from trackers.core.errors import UnusableInput, near
 
+        family, _, word = first.partition(" ")
+        own = [name.partition(" ")[2] for name in FUNCTIONS if name.startswith(f"{family} ")]
+        if own:
+            raise UnusableInput(f"no command {first}{near(word, own)}; expected {', '.join(own[:-1])} or {own[-1]}")
         raise UnusableInput(f"no command {first}{near(first, FUNCTIONS)}; `trackwright --help` lists them")
     return first, rest
 

@@ -18,8 +18,11 @@ _STATISTICS = ("rmse", "mean", "median", "std", "min", "max")
 _DEGREES = 180 / math.pi
 
 
-def to_text(compared: Sequence[ComparedTrack], align: str, width: int) -> str:
-    """The errors of each track, a row for each kind of error, and what was done to the estimates before."""
+def to_text(compared: Sequence[ComparedTrack], align: str, width: int, fitted_offset: bool = False) -> str:
+    """The errors of each track, a row for each kind of error, and what was done to the estimates before.
+
+    `fitted_offset`: whether the time offset is the one that fits best.
+    """
     worst = sorted(compared, key=lambda track: -track.errors.ape_m["rmse"])[:SHOWN_TRACKS]
     several = len(compared) > 1
     unit = length_unit(worst[0].errors.ape_m["rmse"])
@@ -33,7 +36,7 @@ def to_text(compared: Sequence[ComparedTrack], align: str, width: int) -> str:
             cells = [fixed(errors[key] * factor, shown) for key in _STATISTICS]
             head = [track.tag if k == 0 else "", label] if several else [label]
             table.add_row(*head, name, str(errors["n"]), *cells)
-    return rendered(width, table, *_notes(compared, align))
+    return rendered(width, table, *_notes(compared, align, fitted_offset))
 
 
 def _rows(errors: TrajectoryErrors, unit: str, factor: float) -> Iterator[tuple[str, str, float, Statistics]]:
@@ -49,7 +52,7 @@ def _rows(errors: TrajectoryErrors, unit: str, factor: float) -> Iterator[tuple[
         yield "speed", "m/s", 1.0, errors.speed_mps
 
 
-def _notes(compared: Sequence[ComparedTrack], align: str) -> list[str]:
+def _notes(compared: Sequence[ComparedTrack], align: str, fitted_offset: bool) -> list[str]:
     errors = [track.errors for track in compared]
     pairs, possible = sum(e.pairs for e in errors), sum(e.possible for e in errors)
     offsets = sorted({round(e.time_offset, 4) for e in errors})
@@ -62,6 +65,11 @@ def _notes(compared: Sequence[ComparedTrack], align: str) -> list[str]:
         f"s; alignment {align}{scale}.",
         "The errors in the first table are of all rows, at the time of each, by the truth interpolated there.",
     ]
+    if fitted_offset:
+        notes.append(
+            "The time offset is the one that fits best: a delay of the estimates, as a filter has, is part of it and "
+            "does not count as error. The offset of the clocks alone is that of a smoothed track (`track --smooth`)."
+        )
     if any(e.planar for e in errors):
         notes.append("APE and RPE are horizontal: a height is unknown.")
     if any(e.speed_mps is not None for e in errors):

@@ -419,7 +419,7 @@ def test_a_condition_that_cannot_be_read_is_refused_with_the_names(one_metre, ex
 
 
 def test_an_unknown_metric_is_refused_with_the_names(one_metre):
-    with pytest.raises(UnusableInput, match=r"no metric 'p95'; names: .*p95_m"):
+    with pytest.raises(UnusableInput, match=r"no metric 'p95' \(did you mean p95_m\?\); names: .*p95_m"):
         violation(one_metre, "p95>0.5 or n>0")
 
 

@@ -59,7 +59,7 @@ def test_a_lone_tied_tunable_keeps_its_own_name(direct):
     [
         (
             "sensors.west.sigma_p",
-            r"'sensors.west.sigma_p' matches no tunable; this tracker has: .*sensors.north.sigma_p",
+            r"'sensors.west.sigma_p' matches no tunable .*; this tracker has: .*sensors.north.sigma_p",
         ),
         ("tied:*.sigma_q", r"'\*.sigma_q' matches no tunable"),
         (["motion.*", "nonsense"], "'nonsense' matches no tunable"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import unicodedata
 from collections.abc import Iterable
 from typing import Any, TypeVar
@@ -41,6 +42,12 @@ def listed(names: Iterable[object], most: int = 5) -> str:
     """Names separated by commas, at most so many of them."""
     shown = [str(name) for name in names]
     return ", ".join(shown[:most]) + (f" and {len(shown) - most} more" if len(shown) > most else "")
+
+
+def near(word: str, names: Iterable[str]) -> str:
+    """` (did you mean …?)` with the nearest of the names, or nothing where none is near."""
+    found = difflib.get_close_matches(word, list(names), 1, 0.6)
+    return f" (did you mean {found[0]}?)" if found else ""
 
 
 def require(fits: bool, function: str, found: Any, expected: str) -> None:

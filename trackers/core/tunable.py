@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from trackers.core.errors import UnusableInput, numbers_of
+from trackers.core.errors import UnusableInput, near, numbers_of
 from trackers.core.state import path_name
 
 Tree = TypeVar("Tree")
@@ -248,7 +248,8 @@ def matching(tree: Any, patterns: str | Sequence[str]) -> dict[str, AbstractTuna
     for pattern in patterns:
         if not fnmatch.filter(every, pattern):
             raise ValueError(
-                f"the pattern '{pattern}' matches no tunable; this tracker has: {', '.join(every) or 'none'}"
+                f"the pattern '{pattern}' matches no tunable{near(pattern, every)}; this tracker has: "
+                f"{', '.join(every) or 'none'}"
             )
     return {name: node for name, node in every.items() if any(fnmatch.fnmatchcase(name, p) for p in patterns)}
 
@@ -275,8 +276,15 @@ def with_values(tree: Tree, values: Mapping[str, Any], source: object = "values"
             present = _present_name(pattern)
             if fnmatch.filter(own, present):
                 raise UnusableInput(f"{source}: '{pattern}' is now called '{present}'; use the new name")
-            raise UnusableInput(f"{source}: this tracker has no '{pattern}'; it has: {', '.join(own)}")
+            raise UnusableInput(
+                f"{source}: this tracker has no '{pattern}'{near(pattern, own)}; it has: {', '.join(own)}"
+            )
         for name in names:
+            if np.shape(own[name].raw) == () and np.ndim(value) == 1:
+                raise UnusableInput(
+                    f"{source}: '{pattern}' has {len(value)} numbers, separated by commas, the tracker's {name} one; "
+                    "decimals have a point, as 0.1"
+                )
             if np.shape(value) != np.shape(own[name].raw):
                 raise UnusableInput(
                     f"{source}: '{pattern}' has shape {np.shape(value)}, the tracker's {name} {np.shape(own[name].raw)}"

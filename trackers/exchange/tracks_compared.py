@@ -11,7 +11,7 @@ import polars as pl
 from trackers.core.errors import UnusableInput, listed
 from trackers.exchange.alignment import Alignment
 from trackers.exchange.compare import TrajectoryErrors, compare_trajectories
-from trackers.exchange.pose_errors import Statistics
+from trackers.exchange.pose_errors import Statistics, Step
 from trackers.exchange.poses import trajectory_of_table
 from trackers.recordings.tracks_table import is_bearing
 
@@ -67,6 +67,11 @@ def compare_tracks(
             "the same recording and tag"
         )
     return pl.concat(moved), compared
+
+
+def pooled_names(steps: Sequence[str]) -> list[str]:
+    """The names that `pooled` may have with relative errors over these steps."""
+    return ["ape_m", *(f"rpe_{Step.of(step)}_m" for step in steps), "speed_mps"]
 
 
 def pooled(compared: Sequence[ComparedTrack]) -> dict[str, float]:

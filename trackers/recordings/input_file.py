@@ -6,6 +6,7 @@ import errno
 import gzip
 import io
 import os
+import re
 import stat
 import tomllib
 import zipfile
@@ -88,8 +89,10 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
 
 def read_toml(path: Path, expected: str) -> dict[str, Any]:
     """The content of a TOML file in UTF-8; raises UnusableInput, which names what was `expected`."""
+    text = ""
     try:
-        return tomllib.loads(file_bytes(path).decode("utf-8-sig"))
+        text = file_bytes(path).decode("utf-8-sig")
+        return tomllib.loads(text)
     except OSError as error:
         raise UnusableInput(f"{path}: cannot be read ({error.strerror}); expected {expected}") from error
     except UnicodeDecodeError as error:
@@ -99,6 +102,20 @@ def read_toml(path: Path, expected: str) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:
         # Numbers of thousands of digits raise ValueError, thousands of brackets RecursionError.
         reason = "nested too deeply" if isinstance(error, RecursionError) else str(error).splitlines()[0]
+        twice = _given_twice(text, reason)
+        if twice:
+            raise UnusableInput(f"{path}: {twice}; expected it once; remove one") from error
         raise UnusableInput(
             f"{path}: is not valid TOML: {reason}; expected {expected}; write texts in quotes and lists in brackets"
         ) from error
+
+
+def _given_twice(text: str, reason: str) -> str:
+    """The key that a TOML file has twice, in words, by the parser's `reason`; empty for another one."""
+    at = re.search(r"(?:overwrite|twice).*\(at (?:line (\d+)|end of document)", reason)
+    if at is None:
+        return ""
+    lines = text.rstrip().splitlines()
+    number = int(at[1] or len(lines))
+    key = lines[number - 1].partition("=")[0].strip(" \t[]")
+    return f"line {number}: {key} is given twice"

@@ -26,6 +26,12 @@ from trackers.worksteps.metrics import (
 )
 from trackers.worksteps.points_file import read_points
 
+METRICS = {
+    "work_named": "named", "work_right": "right", "work_wrong": "wrong", "work_missed": "missed",
+    "work_false": "false", "visits_right": "visits_right", "visits_wrong": "visits_wrong",
+}  # fmt: skip
+"""The names for `--fail-if` of fractions of `UnlockMetrics`."""
+
 
 @dataclass(frozen=True)
 class WorkstepReport:
@@ -45,10 +51,7 @@ class WorkstepReport:
     def metrics(self, name: str | None = None) -> dict[str, float | None]:
         """The fractions for `--fail-if`, of a recording or overall; None without rows."""
         w = self.overall if name is None else self.recordings[name]
-        shares = {
-            "work_named": w.named, "work_right": w.right, "work_wrong": w.wrong, "work_missed": w.missed,
-            "work_false": w.false, "visits_right": w.visits_right, "visits_wrong": w.visits_wrong,
-        }  # fmt: skip
+        shares = {key: getattr(w, share) for key, share in METRICS.items()}
         return {key: None if np.isnan(s.value) else s.value for key, s in shares.items()}
 
     def plain(self) -> dict[str, Any]:

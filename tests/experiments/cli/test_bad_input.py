@@ -218,7 +218,7 @@ TUNED = {
     "negative sigma": ('[tunables."motion.sigma_a"]\nvalue = -0.3\n', "is positive and finite, found -0.3"),
     "zero sigma": ('[tunables."sensors.*.sigma_p"]\nvalue = 0\n', "is positive and finite, found 0"),
     "unknown tunable": ('[tunables."motion.sigma_q"]\nvalue = 0.3\n', "this tracker has no 'motion.sigma_q'"),
-    "list for a number": ('[tunables."motion.sigma_a"]\nvalue = [0.3, 0.4]\n', "has shape (2,)"),
+    "list for a number": ('[tunables."motion.sigma_a"]\nvalue = [0.3, 0.4]\n', "has 2 numbers, separated by commas"),
     "number for a list": ('[tunables."sensors.*.offsets"]\nvalue = 0.1\n', "has shape ()"),
     "list too short": ('[tunables."sensors.*.offsets"]\nvalue = [0.1, 0.2]\n', "has shape (2,)"),
 }

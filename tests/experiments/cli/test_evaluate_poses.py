@@ -13,10 +13,14 @@ import numpy as np
 import polars as pl
 import pytest
 
+import trackers.evaluation as evaluation
+from experiments.cli import evaluate as evaluate_module
+from experiments.cli import evaluate_poses
 from tests.in_process import assert_refused, trackwright
 from tests.trackers.exchange.against_evo import evo_errors, evo_modules
 from trackers.exchange.poses import PoseTrajectory, trajectory_of_table
 from trackers.exchange.trajectory_files import write_trajectory
+from trackers.recordings.tracks_table import write_tracks
 
 
 @pytest.fixture(scope="module")
@@ -116,9 +120,56 @@ def test_covariances_turn_with_the_track(beginnings, truth, tmp_path):
 )
 def test_what_cannot_be_scored_is_refused(beginnings, there, monkeypatch, arguments, words):
     monkeypatch.chdir(beginnings)
-    said = trackwright("evaluate", there / "own.tum", *arguments)
-    last = said.err.splitlines()[-1]
-    assert_refused(said._replace(err=last + "\n"), *words)
+    _refused_last(trackwright("evaluate", there / "own.tum", *arguments), *words)
+
+
+def _refused_last(said, *words):
+    """As `assert_refused`, after the notices on the files."""
+    assert_refused(said._replace(err=said.err.splitlines()[-1] + "\n"), *words)
+
+
+@pytest.fixture
+def run(truth, tmp_path):
+    """The output folder of `track` of one tag, T7 of hall-1: the true path of T1, 0.3 s late, 4 cm beside it."""
+    estimates = truth.select("t_s", "x_m", "y_m", "z_m").with_columns(
+        pl.col("t_s") + 0.3, pl.col("x_m") + 0.04, recording=pl.lit("hall-1"), tag=pl.lit("T7")
+    )
+    (tmp_path / "run").mkdir()
+    write_tracks(estimates, tmp_path / "run" / "tracks.parquet")
+    return tmp_path / "run"
+
+
+def test_a_run_of_one_tag_is_scored_by_a_trajectory_file(run, there):
+    said = trackwright("evaluate", run, "--truth", there / "true.tum", "--time-offset", "-0.3", "--json")
+    assert said.code == 0, said.err
+    (track,) = json.loads(said.out)["poses"]["tracks"]
+    assert (track["recording"], track["tag"]) == ("hall-1", "T7")
+    assert json.loads(said.out)["overall"]["rmse_m"] == pytest.approx(0.04, rel=1e-3)
+    plain = trackwright("evaluate", run, "--truth", there / "true.tum")
+    assert plain.code == 0, plain.err
+    assert "a delay of the estimates" not in plain.out
+    both = pl.concat([pl.read_parquet(run / "tracks.parquet").with_columns(tag=pl.lit(tag)) for tag in ("T7", "T8")])
+    write_tracks(both, run / "tracks.parquet")
+    several = trackwright("evaluate", run, "--truth", there / "true.tum")
+    _refused_last(several, "no track has a truth", "T7", "give the --truth of the same recording and tag")
+    assert trackwright("evaluate", run, "--truth", there / "true.tum", "--tag", "T8").code == 0
+
+
+def test_an_offset_that_was_fitted_is_said_to_hold_the_delay_of_the_filter(run, there):
+    arguments = ("--truth", there / "true.tum", "--time-offset", "auto", "--time-tolerance", 0.06)
+    said = " ".join(trackwright("evaluate", run, *arguments).out.split())
+    assert "a delay of the estimates, as a filter has, is part of it" in said
+
+
+@pytest.mark.parametrize("options", [(), ("--align", "se2")])
+def test_an_unknown_metric_is_refused_before_any_work(run, there, options, monkeypatch):
+    monkeypatch.setattr(evaluation, "evaluate", None)
+    monkeypatch.setattr(evaluate_poses, "compare_tracks", None)
+    truth = () if not options else ("--truth", there / "true.tum")
+    (run / "recordings.txt").write_text(f"{there}\n")
+    monkeypatch.setattr(evaluate_module, "read_with_notices", lambda paths: [])
+    said = trackwright("evaluate", run, *truth, *options, "--fail-if", "p95>1 or rpe>2")
+    _refused_last(said, "no metric 'p95' (did you mean p95_m?)")
 
 
 def test_what_track_writes_opens_in_evo_with_the_same_errors(recordings, tmp_path):

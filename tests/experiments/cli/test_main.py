@@ -61,7 +61,8 @@ def test_a_family_of_commands_lists_its_members():
     [
         (("trak", "x"), "no command trak (did you mean track?)"),
         (("simulate-line",), "did you mean simulate line?"),
-        (("simulate", "lines"), "no command simulate lines (did you mean simulate line?)"),
+        (("simulate", "lines"), "no command simulate lines (did you mean line?)"),
+        (("simulate", "walk"), "no command simulate walk; expected station, line, ranges, tool or agv"),
         (("track", "x", "--out", "o", "--nose", "f"), "no option --nose (did you mean --noise?)"),
         (("track", "x"), "no --out given; expected --out FOLDER, the folder to write to"),
         (("track", "x", "--out", ""), "--out '': expected FOLDER, found an empty name"),

@@ -93,7 +93,8 @@ def test_a_link_to_a_table_elsewhere_is_followed(tmp_path):
     [
         (b"x = " + b"[" * 5000, "nested too deeply"),
         (b"x = " + b"9" * 5000, "not valid TOML: Exceeds the limit"),
-        (b"x = 1\nx = 2", "not valid TOML: Cannot overwrite"),
+        (b"x = 1\nx = 2", ": line 2: x is given twice; expected it once"),
+        (b'[tags]\n[anchors]\n"A 1" = 1\n[tags]', ": line 4: tags is given twice"),
         ("x = 'é'".encode("latin-1"), "not UTF-8 text at byte 5"),
     ],
 )

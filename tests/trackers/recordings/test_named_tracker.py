@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 
 import numpy as np
 import polars as pl
@@ -10,6 +11,7 @@ import pytest
 
 import trackwright as tw
 from trackers.catalogue import spec_of
+from trackers.core.errors import UnusableInput
 
 
 @pytest.fixture(scope="module")
@@ -139,3 +141,27 @@ def test_estimates_of_several_recordings_become_one_table_with_their_times():
         tw.fix_tracker().run(tw.stack(several)).to_polars()
     with pytest.raises(ValueError, match="found nothing"):
         tw.fix_tracker().run([])
+
+
+def test_a_trackers_file_may_import_the_one_beside_it(tmp_path, monkeypatch):
+    (tmp_path / "beside_for_test.py").write_text("from trackers.catalogue import spec_of\n\nBASE = spec_of('fix-kf')\n")
+    (tmp_path / "mine.py").write_text("from beside_for_test import BASE\n\nMINE = BASE\n")
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    assert spec_of(f"{tmp_path / 'mine.py'}:MINE").table == "fixes"
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"sensors.fix.sigma": 0.1}, r"has no 'sensors.fix.sigma' \(did you mean sensors.fixes?.sigma"),
+        ({"motion.sigma_a": np.array([0.0, 1.0])}, "has 2 numbers, separated by commas.*decimals have a point"),
+    ],
+)
+def test_a_name_and_a_number_that_are_nearly_right_are_met_by_the_right_one(tracker, values, words):
+    with pytest.raises(UnusableInput, match=words):
+        tracker.with_values(values)
+
+
+def test_an_unknown_tracker_is_met_by_the_nearest_name():
+    with pytest.raises(UnusableInput, match=r"tracker ubw: unknown \(did you mean uwb\?\)"):
+        spec_of("ubw")
