@@ -8,12 +8,15 @@ from typing import Annotated, Literal
 
 from experiments.cli.arguments import File, Folder
 from experiments.cli.console import notice
+from experiments.reports.wording import counted
 from trackers.core.errors import UnusableInput
 from trackers.core.seconds import moment
 from trackers.exchange.imported import assembled, save
 from trackers.exchange.mapping import TableMapping, columns_of, read_mapping
 from trackers.exchange.origin import origin_of, since
 from trackers.exchange.sources import SourceKind, read_source, source_kind
+from trackers.exchange.truth_frame import found_placement, parsed_placement
+from trackers.recordings.folder import RecordingFolder, read_recording
 from trackers.recordings.rig_file import RIG_FILE, read_rig
 
 Table = Literal["ranges", "fixes", "bearings", "phases", "imu", "truth"]
@@ -33,6 +36,8 @@ def import_source(
     separator: Annotated[str | None, "CHARACTER"] = None,
     decimal: Literal[".", ","] = ".",
     origin: Annotated[str | None, "start|S|DATE"] = None,
+    transform: Annotated[str | None, "X,Y,Z,YAW,S"] = None,
+    align_truth: bool = False,
     interval: Annotated[float | None, "S"] = None,
     skip_bad_lines: bool = False,
     messages: Annotated[tuple[Path, ...], "FILE"] = (),
@@ -59,35 +64,25 @@ def import_source(
         decimal: the mark in the numbers of a CSV file.
         origin: the time of the source that becomes t_s = 0 in every table: start (the earliest measurement), seconds
             on its clock, or a date such as 2026-05-01T12:00:00.25, UTC without a zone; default: times stay.
+        transform: brings a truth over to the frame of the rig and the clock of the readings: a turn about z by YAW, °,
+            then a shift, m; S, seconds added to its times, may be left out.
+        align_truth: find these numbers by the readings of the recording in --out.
         interval: s between the lines of a log without times.
         skip_bad_lines: leave lines of a log that are not understood out, and count them.
         messages: .msg files, PACKAGE/msg/NAME.msg, of message types that a bag does not define.
     """
     kind = format or source_kind(source)
     notice(f"{source}: read as {kind}" + ("" if format else "; another format: --format"))
-    if mapping is not None:
-        if kind in ("dwm1001", "trek1000"):
-            raise UnusableInput(f"--mapping {mapping}: a log of a kit has its tables; leave it out")
-        if table or columns or topic or separator or decimal != ".":
-            raise UnusableInput(
-                "--mapping and --table, --columns, --topic, --separator or --decimal; expected one or the other"
-            )
-        mappings = [m if m.tag else replace(m, tag=tag) for m in read_mapping(mapping)]
-    elif kind in ("dwm1001", "trek1000"):
-        if table is not None or topic is not None:
-            raise UnusableInput(f"{source}: a log of a kit has its tables; leave --table and --topic out")
-        mappings = [TableMapping("ranges", columns_of(columns), tag=tag)]
-    elif table is not None:
-        mappings = [TableMapping(table, columns_of(columns), topic, tag, separator, decimal)]
-    elif columns:
-        raise UnusableInput("--columns without --table; expected --table ranges, fixes, truth or another table")
-    else:
-        mappings = []
-    if origin == "start" and (out / RIG_FILE).is_file():
+    given = TableMapping(table or "", columns_of(columns), topic, tag, separator, decimal)
+    mappings = _mappings(source, kind, given, mapping)
+    there = (out / RIG_FILE).is_file()
+    if origin == "start" and there:
         raise UnusableInput(
             f"--origin start: {out} has tables already; expected their origin, as its first import printed it: "
             "--origin SECONDS, or none where that had none"
         )
+    if there and rig is not None:
+        raise UnusableInput(f"--rig {rig}: {out} has a rig.toml already; expected one; leave --rig out")
     found = read_source(source, kind, mappings, interval, skip_bad_lines, messages)
     for line in found.notices:
         notice(f"notice: {line}")
@@ -96,15 +91,50 @@ def import_source(
         begin = origin_of(origin, tables)
         tables = since(tables, begin)
         notice(f"notice: t_s = 0 is {moment(begin)} of {source}; give further tables the same --origin {begin!r}")
-    if (out / RIG_FILE).is_file() and rig is not None:
-        raise UnusableInput(f"--rig {rig}: {out} has a rig.toml already; expected one; leave --rig out")
     # Recordings of one installation share its rig, but not their name.
-    name = None if (out / RIG_FILE).is_file() else out.resolve().name
-    known = out / RIG_FILE if (out / RIG_FILE).is_file() else rig
+    name = None if there else out.resolve().name
+    known = out / RIG_FILE if there else rig
     folder = assembled(name, None if known is None else read_rig(known)[0], tables, found.anchors)
+    if transform is not None or align_truth:
+        folder = _with_truth_moved(folder, read_recording(out) if there else folder, transform)
     written = save(folder, out)
     for line in written.notices:
         notice(f"notice: {out}: {line}")
-    rows = ", ".join(f"{table} {len(rows)} rows" for table, rows in tables.items())
+    rows = ", ".join(f"{table} {counted(len(rows), 'row')}" for table, rows in tables.items())
     print(f"wrote {out}: {rows}; next: trackwright check {out}")
     return 0
+
+
+def _mappings(source: Path, kind: SourceKind, given: TableMapping, file: Path | None) -> list[TableMapping]:
+    """The mappings of the tables of a source, by the options `given` or by the file of --mapping."""
+    plain = not given.columns and given.topic is None and given.separator is None and given.decimal == "."
+    if file is not None:
+        if kind in ("dwm1001", "trek1000"):
+            raise UnusableInput(f"--mapping {file}: a log of a kit has its tables; leave it out")
+        if given.table or not plain:
+            raise UnusableInput(
+                "--mapping and --table, --columns, --topic, --separator or --decimal; expected one or the other"
+            )
+        return [m if m.tag else replace(m, tag=given.tag) for m in read_mapping(file)]
+    if kind in ("dwm1001", "trek1000"):
+        if given.table or given.topic is not None:
+            raise UnusableInput(f"{source}: a log of a kit has its tables; leave --table and --topic out")
+        return [replace(given, table="ranges")]
+    if given.table:
+        return [given]
+    if given.columns:
+        raise UnusableInput("--columns without --table; expected --table ranges, fixes, truth or another table")
+    return []
+
+
+def _with_truth_moved(folder: RecordingFolder, recording: RecordingFolder, transform: str | None) -> RecordingFolder:
+    """The imported tables with their truth brought over as `transform` says, or as the recording's readings fit it."""
+    truth = folder.tables.get("truth")
+    if truth is None:
+        raise UnusableInput("--transform and --align-truth: move a truth; expected --table truth")
+    if transform is not None:
+        return replace(folder, tables=dict(folder.tables) | {"truth": parsed_placement(transform).of_table(truth)})
+    sorted_truth = {"truth": truth.sort("t_s", maintain_order=True)}
+    placement, words = found_placement(replace(recording, tables=dict(recording.tables) | sorted_truth))
+    notice(f"notice: truth moved by --transform {placement}: {words}")
+    return replace(folder, tables=dict(folder.tables) | {"truth": placement.of_table(truth)})

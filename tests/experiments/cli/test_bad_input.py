@@ -239,7 +239,10 @@ def test_broken_noise_levels_are_refused(tmp_path, simulated, name, command, opt
 @pytest.mark.parametrize(
     ("patterns", "word"),
     [
-        (("motion.sigma_q",), "'motion.sigma_q' matches no tunable; this tracker has: motion.sigma_a"),
+        (
+            ("motion.sigma_q",),
+            "'motion.sigma_q' matches no tunable (did you mean motion.sigma_a?); this tracker has: motion.sigma_a",
+        ),
         (("motion.*", "tied:nothing.*"), "'nothing.*' matches no tunable"),
         (("tied:*",), "ties tunables of different units or shapes"),
         ((), "nothing to tune"),

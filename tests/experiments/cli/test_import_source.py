@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import polars as pl
 import pytest
 
+import trackwright as tw
 from tests.in_process import assert_refused, trackwright
-from trackers.recordings.folder import read_recording
+from trackers.exchange.poses import PoseTrajectory
+from trackers.exchange.trajectory_files import write_trajectory
+from trackers.recordings.folder import read_recording, write_recording
 
 RIG = 'format = 1\nname = "hall 3"\n[anchors]\nA1 = [0.0, 0.0, 2.0]\nA2 = [6.0, 0.0, 2.5]\n0x0F = [0.0, 5.0, 2.2]\n'
 CSV = ("--table", "ranges", "--columns", "t_s=stamp*0.001", "range_m=distance in mm", "anchor=id", "--tag", "T1")
@@ -156,3 +162,68 @@ def test_a_date_without_its_unit_and_a_cut_line_of_a_log_are_named(there):
     (there / "tag.log").write_text(f"0.1 {line}\n0.2 {line}\n0.3 {line[:40]}\n")
     cut = trackwright("import", "tag.log", "--tag", "C5", "--out", "new")
     _refused_last(cut, "line 3", "a line of les, such as '1151[", "it is the last line, and looks cut off")
+
+
+@pytest.fixture
+def foreign(tmp_path, monkeypatch):
+    """A recording `hall` of ranges, and `mocap.tum`, its truth turned by 37°, shifted by 100 m and 0.35 s early."""
+    folder = tw.simulate.ranges(n=1, rows=300, seed=4).folder()
+    truth = folder.tables["truth"]
+    places = (truth.select("x_m", "y_m", "z_m").to_numpy() - [100.0, -50.0, 2.0]) @ _turn(-37.0)
+    own = PoseTrajectory(truth["t_s"].to_numpy() - 0.35, places)
+    write_trajectory(own, tmp_path / "mocap.tum")
+    write_recording(replace(folder, tables={"ranges": folder.tables["ranges"]}), tmp_path / "hall")
+    monkeypatch.chdir(tmp_path)
+    return truth
+
+
+def _turn(degrees):
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+
+
+def _distances(truth):
+    moved = read_recording("hall").tables["truth"]
+    at = [np.interp(truth["t_s"], moved["t_s"], moved[axis]) for axis in ("x_m", "y_m")]
+    return np.hypot(at[0] - truth["x_m"], at[1] - truth["y_m"])[5:-5]
+
+
+TRUTH = ("import", "mocap.tum", "--table", "truth", "--tag", "0", "--out", "hall")
+
+
+def test_a_truth_in_another_frame_and_on_another_clock_is_brought_over_by_the_readings(foreign):
+    said = trackwright(*TRUTH, "--align-truth")
+    assert said.code == 0, said.err
+    assert "ranges then differ by 0.0" in said.err
+    *_, yaw, later = (float(x) for x in said.err.partition("--transform ")[2].partition(":")[0].split(","))
+    assert (yaw, later) == (pytest.approx(-37.0, abs=2.0), pytest.approx(0.35, abs=0.1))
+    # The ranges have biases of a decimetre.
+    assert _distances(foreign).max() < 0.15
+    Path("hall/truth.parquet").unlink()
+    assert trackwright(*TRUTH, "--transform=100,-50,2,-37,0.35").code == 0
+    assert _distances(foreign).max() < 1e-3
+
+
+def test_what_check_prints_of_a_turned_truth_is_an_option_of_import(foreign):
+    assert trackwright(*TRUTH, "--transform", "0,0,0,0,0.35").code == 0
+    (said,) = (line for line in trackwright("check", "hall").out.splitlines() if "is turned against" in line)
+    option = said.partition("--transform ")[2]
+    Path("hall/truth.parquet").unlink()
+    x, y, z, yaw = option.split(",")
+    assert trackwright(*TRUTH, "--transform", f"{x},{y},{z},{yaw},0.35").code == 0
+    assert _distances(foreign).max() < 0.15
+    assert "turned against" not in trackwright("check", "hall").out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--transform", "1,2,3"), ("--transform 1,2,3: expected X,Y,Z,YAW or X,Y,Z,YAW,S",)),
+        (("--transform", "1,2,3,north"), ("expected X,Y,Z,YAW",)),
+        (("--table", "fixes", "--transform", "1,2,3,4"), ("move a truth; expected --table truth",)),
+        (("--tag", "9", "--align-truth"), ("no ranges, bearings, fixes, phases at the times of the truth",)),
+    ],
+)
+def test_a_truth_that_cannot_be_brought_over_is_refused(foreign, arguments, words):
+    _refused_last(trackwright(*TRUTH, *arguments), *words)
+    assert not Path("hall/truth.parquet").exists()

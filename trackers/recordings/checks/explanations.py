@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import permutations, product
 from typing import NamedTuple
 
@@ -45,6 +45,11 @@ def sizes_with(view: Compared, **changed: np.ndarray) -> Float[np.ndarray, "G m"
     """The median errors with other values, positions, places or rotations."""
     other = view._replace(**changed)  # type: ignore[arg-type]
     return other.sizes(other.errors())
+
+
+def transform_text(numbers: Sequence[float]) -> str:
+    """Shift, m, turn about z, °, and seconds as `import --transform` takes them: `1.200,-0.300,0.000,37.000`."""
+    return ",".join(f"{round(float(x), 3) + 0.0:.3f}" for x in numbers)
 
 
 def metres(vector: np.ndarray) -> str:

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import combinations
 
 import numpy as np
 
 from trackers.recordings.checks.compared import Compared
-from trackers.recordings.checks.explanations import FACTORS, Explanation, metres, signed_axes, sizes_with
+from trackers.recordings.checks.explanations import (
+    FACTORS,
+    Explanation,
+    metres,
+    signed_axes,
+    sizes_with,
+    transform_text,
+)
 from trackers.recordings.checks.readings import known_median
 from trackers.recordings.checks.robust_fit import robust_fit
 
@@ -76,9 +83,16 @@ def _axes(view: Compared) -> Iterator[Explanation]:
             )  # fmt: skip
 
 
-def _frame_cause(view: Compared, what: str) -> str:
+def _frame_cause(view: Compared, what: str, placement: Sequence[float] = ()) -> str:
+    """The cause, and the fix: where a shift, m, and turn, °, are enough, by import."""
     other = "the fixes" if view.table == "fixes" else "rig.toml"
-    return f"the truth {what} {other}; bring both into one frame"
+    fix = f"import it again with {_moving(placement)}" if len(placement) else "bring both into one frame"
+    return f"the truth {what} {other}; {fix}"
+
+
+def _moving(placement: Sequence[float]) -> str:
+    """The options of `import` that move a truth."""
+    return f"--align-truth, or --transform {transform_text(placement)}"
 
 
 def _shifted(view: Compared) -> Iterator[Explanation]:
@@ -95,7 +109,7 @@ def _shifted(view: Compared) -> Iterator[Explanation]:
     shift, _ = robust_fit(errors, rough, 4)
     if LEAST_SHIFT_M <= np.linalg.norm(shift) <= _farthest(view):
         yield Explanation(
-            f"the truth shifted by {metres(shift)}", _frame_cause(view, "has another origin than"),
+            f"the truth shifted by {metres(shift)}", _frame_cause(view, "has another origin than", (*shift, 0.0)),
             sizes_with(view, positions=view.positions + shift), 3,
             harmless=view.table == "fixes" and bool(np.linalg.norm(shift[:2]) < LEAST_SHIFT_M),
         )  # fmt: skip
@@ -135,7 +149,10 @@ def _turned(view: Compared) -> Iterator[Explanation]:
         if np.linalg.norm(origin) >= LEAST_SHIFT_M:
             words += f" and shifted by {metres(origin)}"
         yield Explanation(
-            f"the truth {words}", _frame_cause(view, "is mirrored against" if mirrored else "is turned against"),
+            f"the truth {words}",
+            _frame_cause(view, "is mirrored against")
+            if mirrored
+            else _frame_cause(view, "is turned against", (*origin, np.degrees(yaw))),
             sizes_with(view, positions=_placed(view.positions, centre, x, mirrored)), 5 if mirrored else 4,
         )  # fmt: skip
 
@@ -167,7 +184,8 @@ def _delayed(view: Compared) -> Iterator[Explanation]:
     late = "late" if best > 0 else "early"
     yield Explanation(
         f"the measurements taken {abs(best):.2f} s {'earlier' if best > 0 else 'later'}",
-        f"the {view.table} come {abs(best):.2f} s {late}: their clock and that of the truth differ; align both",
+        f"the {view.table} come {abs(best):.2f} s {late}: their clock and that of the truth differ; "
+        f"import the truth again with {_moving((0.0, 0.0, 0.0, 0.0, best))}",
         _sizes(view.later(best)), 1, harmless=-LATENCY_S / 2 < best <= LATENCY_S,
     )  # fmt: skip
 

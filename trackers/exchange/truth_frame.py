@@ -1,0 +1,114 @@
+"""The frame and the clock of an imported truth brought over to those of a recording: as given, or as readings tell."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+import polars as pl
+
+from trackers.core.errors import UnusableInput
+from trackers.exchange.alignment import Similarity
+from trackers.recordings.checks.compared import TABLES, Compared, compared
+from trackers.recordings.checks.explanations import transform_text
+from trackers.recordings.checks.mistakes import LARGE
+from trackers.recordings.checks.robust_fit import robust_fit
+from trackers.recordings.folder import RecordingFolder
+
+LONGEST_S, STEP_S = 10.0, 0.5
+"""Differences of the clocks that are searched, and their steps; motion of a few decimetres lies between two."""
+
+FEW, NEAR = 240, 3
+"""Readings of the search, and how many of its 24 turns are refined at each difference of the clocks."""
+
+
+class Placement(NamedTuple):
+    """A turn about z by `yaw`, °, a shift (`x`, `y`, `z`), m, after it, and `later`, s, added to the times."""
+
+    x: float
+    y: float
+    z: float
+    yaw: float
+    later: float = 0.0
+
+    def __str__(self) -> str:
+        """As `--transform` takes it."""
+        return transform_text(self)
+
+    def of_table(self, truth: pl.DataFrame) -> pl.DataFrame:
+        """The truth, positions and attitudes, in the other frame and on the other clock."""
+        moved = Similarity(_turn(math.radians(self.yaw)), np.array(self[:3])).table(truth)
+        return moved.with_columns(pl.col("t_s") + self.later)
+
+
+def parsed_placement(text: str) -> Placement:
+    """The placement of a text X,Y,Z,YAW or X,Y,Z,YAW,S; raises UnusableInput."""
+    try:
+        numbers = [float(number) for number in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (4, 5) or not np.isfinite(numbers).all():
+        raise UnusableInput(
+            f"--transform {text}: expected X,Y,Z,YAW or X,Y,Z,YAW,S: a shift in m after a turn about z in degrees, and "
+            "seconds added to the times"
+        )
+    return Placement(*numbers)
+
+
+def found_placement(recording: RecordingFolder) -> tuple[Placement, str]:
+    """The placement of the truth that its readings fit best, and how well, in words.
+
+    Raises UnusableInput without readings at the times of the truth, and where no placement explains them.
+    """
+    views = (compared(recording, table) for table in TABLES)
+    view = next((view for view in views if view is not None), None)
+    if view is None:
+        raise UnusableInput(
+            f"--align-truth: {recording.name}: no {', '.join(TABLES)} at the times of the truth; expected measurements "
+            "of the same tag on about the same clock; import them first, or give --transform"
+        )
+    centre = view.positions.mean(axis=0)
+    start = _searched(view.thinned(FEW), centre)
+    x, _ = robust_fit(lambda x: _errors(view.later(float(x[4])), centre, x), start)
+    sizes = np.nanmedian(view.sizes(_errors(view.later(float(x[4])), centre, x)), axis=0)
+    unit = "rad" if view.table in ("bearings", "phases") else "m"
+    typical = ", ".join(f"{size:.2g} {unit}" for size in sizes)
+    if not (sizes <= np.array(LARGE[view.table])).all():
+        raise UnusableInput(
+            f"--align-truth: no turn about z, shift and difference of clocks up to {LONGEST_S:g} s explains the "
+            f"{view.table}: errors of {typical} are left; check the rig and the tag, or give --transform"
+        )
+    shift = x[1:4] - _turn(x[0]) @ centre
+    yaw = math.degrees(math.remainder(x[0], 2 * math.pi))
+    return Placement(*shift.tolist(), yaw, float(x[4])), f"{view.table} then differ by {typical} typically"
+
+
+def _turn(yaw: float) -> np.ndarray:
+    """The matrix of a turn about z, rad."""
+    c, s = math.cos(yaw), math.sin(yaw)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _errors(view: Compared, centre: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """The errors of the readings with the truth turned by x[0], rad, about `centre`, which goes to x[1:4]."""
+    return view._replace(positions=x[1:4] + (view.positions - centre) @ _turn(x[0]).T).errors()
+
+
+def _searched(view: Compared, centre: np.ndarray) -> np.ndarray:
+    """The best of some turns at each difference of the clocks, each with the shift that fits it."""
+    middle = view.places.mean(axis=0) if view.table != "fixes" else np.nanmean(view.values, axis=0)
+    found = []
+    for later in np.arange(-LONGEST_S, LONGEST_S + STEP_S, STEP_S):
+        own = view.later(float(later))
+        known = np.isfinite(own.positions).all(axis=1)
+        if 2 * known.sum() < len(known):
+            continue
+        own = own.of_rows(known)
+        errors = partial(_errors, own, centre)
+        starts = [np.append(yaw, [*middle[:2], centre[2]]) for yaw in np.arange(24) * np.pi / 12]
+        starts.sort(key=lambda x: float(np.nanmean(np.log1p(np.abs(errors(x))))))
+        x, size = min((robust_fit(errors, start, 8) for start in starts[:NEAR]), key=lambda fit: fit[1])
+        found.append((size, np.append(x, later)))
+    return min(found, key=lambda one: one[0])[1]
