@@ -129,6 +129,9 @@ def _read_truth(paths: Sequence[Path], tag: str | None, name: str | None) -> lis
     """The recordings, or the one path of a trajectory file as that of a tag and a recording, where they are known."""
     if not paths:
         raise UnusableInput("no --truth; expected recording folders, or a trajectory file: --truth FOLDER|FILE")
+    for path in paths:
+        if not path.exists():
+            raise UnusableInput(f"--truth {path}: does not exist; expected a recording folder, or a trajectory file")
     files = [path for path in paths if path.is_file()]
     if not files:
         return read_with_notices(paths)

@@ -85,7 +85,8 @@ def compare_trajectories(
         raise UnusableInput(
             f"{estimate.name}: no pose lies within {tolerance:g} s of a true pose: estimates from "
             f"{span(estimate.times[0] + offset, estimate.times[-1] + offset)}, truth from "
-            f"{span(truth.times[0], truth.times[-1])}; give --time-offset, or a larger --time-tolerance"
+            f"{span(truth.times[0], truth.times[-1])}; give a larger --time-tolerance, or a --time-offset: with "
+            f"{truth.times[0] - estimate.times[0]:.12g} both begin together"
         )
     similarity = alignment(align, estimate.at_rows(own_rows), truth.at_rows(true_rows))
     aligned = replace(similarity.trajectory(estimate), times=estimate.times + offset)

@@ -38,7 +38,8 @@ def kind_of(path: Path | str) -> Kind:
         return suffix  # type: ignore[return-value]
     for _, line in _lines(path):
         cells = [cell for cell in (line.split(",") if "," in line else line.split()) if cell.strip()]
-        if "," in line and len(cells) >= 8:
+        # EuRoC counts whole nanoseconds.
+        if "," in line and len(cells) >= 8 and "." not in cells[0]:
             return "euroc"
         if "," not in line and len(cells) in (8, 12):
             return "tum" if len(cells) == 8 else "kitti"
@@ -148,14 +149,24 @@ def _numbers(path: Path, kind: Kind) -> np.ndarray:
     for number, line in lines:
         cells = line.split(separator)
         if len(cells) < wanted or (kind != "euroc" and len(cells) > wanted):
-            raise UnusableInput(f"{path}: line {number} has {len(cells)} numbers; expected {_COLUMNS[kind]}")
+            raise UnusableInput(
+                f"{path}: line {number} has {len(cells)} {'number' if len(cells) == 1 else 'numbers'}; expected "
+                f"{_COLUMNS[kind]}{_other_separator(line, kind)}"
+            )
         for column, cell in enumerate(cells[:wanted], 1):
             if not _is_finite(cell):
                 raise UnusableInput(
                     f"{path}: line {number}, column {column}: {cell.strip()[:40]!r}; expected a finite number; "
-                    f"a line has {_COLUMNS[kind]}"
+                    f"a line has {_COLUMNS[kind]}" + ("; decimals have a point" if "," in cell else "")
                 )
     raise UnusableInput(f"{path}: lines of different lengths; expected {_COLUMNS[kind]}")
+
+
+def _other_separator(line: str, kind: Kind) -> str:
+    """The fix, where the cells of a line are separated as those of another format."""
+    if kind == "euroc":
+        return "; it has blanks: put commas in their place" if "," not in line else ""
+    return "; it has commas: put blanks in their place" if "," in line else ""
 
 
 def _is_finite(cell: str) -> bool:

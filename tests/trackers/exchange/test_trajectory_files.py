@@ -102,6 +102,10 @@ def test_rows_out_of_order_are_sorted_with_a_notice_and_kitti_rows_are_counted_w
     ("name", "text", "words"),
     [
         ("a.tum", "0 0 0 0 0 0 0 1\n1 0 0 0 0 0 0\n", "line 2 has 7 numbers"),
+        ("a.tum", "# x\n0.0,1,2,3,0,0,0,1\n", "separated by blanks; it has commas: put blanks in their place"),
+        ("a.tum", "0,5 1 2 3 0 0 0 1\n", "separated by blanks; decimals have a point"),
+        ("a.euroc", "1 2 3 4 5 6 7 8\n", "separated by commas; it has blanks: put commas in their place"),
+        ("a.txt", "0.0,1,2,3,0,0,0,1\n", "no trajectory format"),
         ("a.tum", "# x\n0 0 0 0 0 0 0 1\n1 0 zero 0 0 0 0 1\n", "line 3, column 3: 'zero'"),
         ("a.tum", "0 0 0 0 0 0 0 1\n1 nan 0 0 0 0 0 1\n", "line 2, column 2"),
         ("a.tum", "0 0 0 0 0 0 0 0\n", "zero quaternion"),
