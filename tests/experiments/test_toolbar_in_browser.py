@@ -1,19 +1,29 @@
 """The toolbar of every chart on every kind of page in Chromium: nothing there may upload a chart."""
 
+import re
+
+import numpy as np
 import pytest
 
 from experiments.interactive.track_page import run_data, write_track_page
 from experiments.monte_carlo.runner import run_study
+from experiments.plan.accuracy import floor_map
+from experiments.plan.report import write_plan
+from experiments.plots.comparison import comparison_charts
+from experiments.reports.comparison_page import write_comparison
 from experiments.reports.study import study_page
 from experiments.reports.tuning import write_tuning_report
 from tests.browser import chromium, watched
 from tests.experiments.interactive.small_tracks import small_tracks
 from tests.experiments.interactive.test_track_page import NO_EVENTS
 from tests.experiments.monte_carlo.small_study import SMALL
+from tests.experiments.plan.test_plan import HEIGHT, ROOM, SIGMAS
+from tests.experiments.plots.test_comparison_plots import small_run
 from tests.experiments.reports.tuning_report_data import report_data
 from trackers.evaluation import evaluate
 
 BUTTONS = {"Zoom", "Pan", "Reset axes", "Download plot as a PNG", "Download plot as a png"}
+UPLOADS = re.compile("share|upload|cloud|studio|publish", re.IGNORECASE)
 
 FOUND = """() => {
   const bars = [...document.querySelectorAll(".modebar-btn")], charts = [...document.querySelectorAll(".js-plotly-plot")];
@@ -23,6 +33,8 @@ FOUND = """() => {
     bars: charts.filter((one) => one.querySelector(".modebar-btn")).length,
     charts: charts.length,
     shared: charts.filter((one) => one._context.showSendToCloud || one._context.plotlyServerURL).length,
+    words: [...document.querySelectorAll("button, a, [role=button], [data-title]")]
+      .map((one) => [one.textContent, one.title, one.dataset.title].join(" ")),
     links: [...document.querySelectorAll("a[href]")].map((one) => one.href).filter((one) => /plotly|cloud/i.test(one)),
   };
 }"""
@@ -45,10 +57,19 @@ def _study(folder):
     return path
 
 
+def _comparison(folder):
+    runs = [small_run("uwb", {"a": 0.2}), small_run("median", {"a": 0.5})]
+    return write_comparison(folder / "comparison.html", ["uwb", "median"], [], comparison_charts(runs, []), ["report"])
+
+
+def _plan(folder):
+    return write_plan(folder / "plan.html", ROOM, floor_map(ROOM, SIGMAS, HEIGHT), np.zeros((0, 3)), ["plan"])
+
+
 @pytest.mark.parametrize(
     "page_of",
-    [_track, pytest.param(_tune, marks=pytest.mark.slow), pytest.param(_study, marks=pytest.mark.slow)],
-    ids=["track", "tune", "study"],
+    [_track, _comparison, pytest.param(_tune, marks=pytest.mark.slow), pytest.param(_study, marks=pytest.mark.slow)],
+    ids=["track", "comparison", "tune", "study"],
 )
 def test_no_chart_of_any_page_can_be_uploaded_and_a_phone_has_no_toolbar(page_of, tmp_path):
     path = page_of(tmp_path)
@@ -64,5 +85,17 @@ def test_no_chart_of_any_page_can_be_uploaded_and_a_phone_has_no_toolbar(page_of
             assert found["bars"] == found["charts"] > 0
             assert found["shared"] == 0
             assert found["links"] == []
+            assert not [one for one in found["words"] if UPLOADS.search(one)]
             assert (found["visible"] > 0) == (width > 600)
             assert not errors
+
+
+def test_the_map_of_a_plan_has_no_chart_and_no_button_that_uploads(tmp_path):
+    with chromium() as browser:
+        page = browser.new_page()
+        errors = watched(page)
+        page.goto(_plan(tmp_path).as_uri())
+        found = page.evaluate(FOUND)
+        assert found["charts"] == 0
+        assert not [one for one in found["words"] if UPLOADS.search(one)]
+        assert not errors

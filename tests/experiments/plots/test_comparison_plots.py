@@ -16,7 +16,7 @@ from trackers.scoring import score
 T = 0.1 * np.arange(30)
 
 
-def _run(name, shifts):
+def small_run(name, shifts):
     """A run whose error in x is that of each recording."""
     at = {"tag": "1", "t_s": T, "x_m": T, "y_m": T**2, "z_m": 1.0}
     truth = pl.DataFrame(at)
@@ -30,8 +30,8 @@ def _run(name, shifts):
 
 
 def test_floor_plans_are_of_the_worst_the_median_and_the_best_by_the_first_run(monkeypatch, tmp_path):
-    first = _run("uwb", {"a": 0.2, "b": 0.9, "c": 0.1, "d": 0.5, "e": 0.3})
-    second = _run("median", {"b": 0.1, "c": 0.8, "d": 0.7, "e": 0.6, "a": 0.5})
+    first = small_run("uwb", {"a": 0.2, "b": 0.9, "c": 0.1, "d": 0.5, "e": 0.3})
+    second = small_run("median", {"b": 0.1, "c": 0.8, "d": 0.7, "e": 0.6, "a": 0.5})
     drawn = []
     monkeypatch.setattr(comparison, "_plan", lambda axes, run, name, colour, why: drawn.append((run.name, name, why)))
     comparison.plot_comparison(tmp_path / "page.html", [first, second], [], "png")
@@ -41,4 +41,4 @@ def test_floor_plans_are_of_the_worst_the_median_and_the_best_by_the_first_run(m
 
 
 def test_few_recordings_all_have_floor_plans():
-    assert comparison._planned([_run("uwb", {"a": 0.2, "b": 0.9})]) == {"a": "", "b": ""}
+    assert comparison._planned([small_run("uwb", {"a": 0.2, "b": 0.9})]) == {"a": "", "b": ""}
