@@ -3,7 +3,7 @@
 const data = unpacked(JSON.parse(document.getElementById("data").textContent));
 const byId = (id) => document.getElementById(id);
 const state = { run: null, recording: null, view: null, selected: -1, trackOf: null, window: [-Infinity, Infinity] };
-const plot = byId("plan"), series = byId("series"), overlay = makeOverlay(plot);
+const plot = byId("plan"), series = byId("series"), overlay = makeOverlay(plot, showTip);
 const cursor = document.createElement("div");
 cursor.className = "cursor";
 const playback = makePlayback(showMoment, nextTime);
@@ -34,7 +34,7 @@ function nextTime(time, direction) {
 function showMoment(time) {
   const { recording } = state;
   byId("clock").textContent = `${fixed(recording.start + time, 2)} s`;
-  overlay.draw(time, state.selected, Number(byId("tail").value));
+  overlay.draw(time, state.selected, Number(byId("tail").value), state.window[0]);
   placeCursor(time);
   const number = shownTrack(), track = recording.tracks[number];
   const row = track ? rowAt(recording, track, time) : -1;
@@ -53,6 +53,32 @@ function placeCursor(time) {
   const x = offset + (at - range[0]) / (range[1] - range[0]) * length;
   cursor.style.cssText = `left:${x}px;top:${layout.margin.t}px;height:${layout.height - layout.margin.t - layout.margin.b}px;` +
     `display:${at >= range[0] && at <= range[1] ? "block" : "none"}`;
+}
+
+/** Limits the estimates that are drawn and played to a window of times. */
+function setWindow(window) {
+  state.window = window;
+  playback.limit(Number.isFinite(window[0]) ? nextTime(window[0], 1) : 0, window[1]);
+}
+
+/** The moment of an event, which a zoom may have hidden. */
+function goTo(time) {
+  if (time < state.window[0] || time > state.window[1]) {
+    setWindow([-Infinity, Infinity]);
+    Plotly.relayout(series, { "xaxis.autorange": true });
+  }
+  playback.go(time);
+}
+
+/** Pairs of a name and a text beside the pointer; null hides them. */
+function showTip(pairs, event) {
+  const tip = byId("tip");
+  tip.hidden = pairs === null;
+  if (pairs === null) return;
+  tip.textContent = pairs.map((pair) => pair.join(": ")).join("\n");
+  const wide = tip.offsetWidth, x = event.clientX + 14;
+  tip.style.left = `${x + wide > innerWidth ? Math.max(event.clientX - wide - 14, 4) : x}px`;
+  tip.style.top = `${Math.min(event.clientY + 14, innerHeight - tip.offsetHeight - 4)}px`;
 }
 
 function drawPlan() {
@@ -101,7 +127,7 @@ function drawAll() {
 /** Shows the run of a tracker: of the same recording the same tag and moment, where it has them. */
 function loadRun(number) {
   const before = state.recording, run = data.runs[number];
-  const time = before && before.start + playback.now(), own = before && before.tracks[state.selected];
+  const time = before && before.start + playback.now(), own = before && before.tracks[state.selected], { window } = state;
   state.run = run;
   byId("tracker").value = number;
   byId("summary").textContent = run.tracker;
@@ -117,6 +143,7 @@ function loadRun(number) {
   byId("recording").value = Math.max(same, 0);
   loadRecording(Math.max(same, 0));
   if (same < 0) return;
+  setWindow(window.map((t) => t + before.start - state.recording.start));
   select(own ? sameTrack(state.recording.tracks, own.tag, own.station) : -1);
   playback.go(time - state.recording.start);
 }
@@ -186,7 +213,7 @@ function listNow() {
     const item = document.createElement("li");
     item.textContent = `${fixed(recording.start + event.t, 1)} s: ${event.what}` + (event.detail ? `, ${event.detail}` : "") +
       (state.selected < 0 && recording.tracks.length > 1 ? ` (${nameOf(recording.tracks[event.track])})` : "");
-    item.addEventListener("click", () => playback.go(event.t));
+    item.addEventListener("click", () => goTo(event.t));
     return item;
   }));
   box.replaceChildren(heading, document.createElement("table"), list);
@@ -292,18 +319,12 @@ function listen() {
   document.documentElement.addEventListener("theme", drawAll);
   addEventListener("beforeprint", () => forPaper(true));
   addEventListener("afterprint", () => forPaper(false));
-  const tip = byId("tip");
   plot.on("plotly_hover", ({ points, event }) => {
     const row = points[0].customdata;
     if (points[0].data.meta !== "estimates") return;
-    const track = state.recording.tracks[state.trackOf[row]];
-    tip.textContent = [["tag", nameOf(track)], ...numbersOf(state.recording, row)].map((pair) => pair.join(": ")).join("\n");
-    tip.hidden = false;
-    const wide = tip.offsetWidth, x = event.clientX + 14;
-    tip.style.left = `${x + wide > innerWidth ? Math.max(event.clientX - wide - 14, 4) : x}px`;
-    tip.style.top = `${Math.min(event.clientY + 14, innerHeight - tip.offsetHeight - 4)}px`;
+    showTip([["tag", nameOf(state.recording.tracks[state.trackOf[row]])], ...numbersOf(state.recording, row)], event);
   });
-  plot.on("plotly_unhover", () => { tip.hidden = true; });
+  plot.on("plotly_unhover", () => showTip(null));
   plot.on("plotly_click", ({ points }) => {
     if (points[0].data.meta === "estimates") playback.go(state.recording.columns.t[points[0].customdata]);
   });
@@ -314,7 +335,7 @@ function listen() {
   series.on("plotly_relayout", (change) => {
     if (!Object.keys(change).some((key) => key.startsWith("xaxis"))) return;
     const { start } = state.recording, range = series._fullLayout.xaxis.range;
-    state.window = change["xaxis.autorange"] ? [-Infinity, Infinity] : range.map((t) => t - start);
+    setWindow(change["xaxis.autorange"] ? [-Infinity, Infinity] : range.map((t) => t - start));
     drawSeries();
     drawPlan();
   });

@@ -11,10 +11,11 @@ function element(kind, className, parent) {
   return made;
 }
 
-/** The overlay of the chart `plot`; `load(recording, view, others)`, `draw(time, selected, tail)` shows a moment.
+/** The overlay of the chart `plot`; `load(recording, view, others)`, `draw(time, selected, tail, from)` shows a moment.
  *
- * `others`: of other trackers the same recording, its view and a colour; their estimates are open circles. */
-function makeOverlay(plot) {
+ * `others`: of other trackers the same recording, its view and a colour; their estimates are open circles, whose
+ * numbers `tell(pairs, event)` shows while the pointer is on them. `from`: no estimate before it is drawn. */
+function makeOverlay(plot, tell) {
   const svg = element("svg", "overlay", plot), frame = element("g", "", svg);
   const clip = element("clipPath", "", svg), box = element("rect", "", clip);
   clip.id = "plan-clip";
@@ -40,13 +41,16 @@ function makeOverlay(plot) {
         circle.style.stroke = other.colour;
         circle.dataset.tag = nameOf(track);
         circle.setAttribute("r", 6);
+        circle.addEventListener("pointermove", (event) => tell(
+          [["tracker", other.name], ["tag", nameOf(track)], ...numbersOf(other.recording, Number(circle.dataset.row))], event));
+        circle.addEventListener("pointerleave", () => tell(null));
         return { circle, other, track: other.recording.tracks[same] };
       });
       return part;
     });
   }
 
-  function draw(time, selected, tail) {
+  function draw(time, selected, tail, from) {
     const { xaxis, yaxis } = plot._fullLayout, { columns, tracks } = recording;
     const scale = (axis, flip) => {
       const [from, to] = axis.range, factor = axis._length / (to - from);
@@ -59,7 +63,7 @@ function makeOverlay(plot) {
     }
     tracks.forEach((track, k) => {
       const part = parts[k], row = rowAt(recording, track, time), { v0, e0, t } = columns;
-      const there = row >= 0 && Number.isFinite(v0[row]) && time - t[row] <= FADE_S;
+      const there = row >= 0 && Number.isFinite(v0[row]) && time - t[row] <= FADE_S && t[row] >= from;
       part.group.style.display = there && (selected < 0 || selected === k) ? "" : "none";
       if (part.group.style.display) return;
       const [x, y] = view.at(row);
@@ -70,7 +74,7 @@ function makeOverlay(plot) {
       part.tag.classList.toggle("lost", recording.statuses[columns.status[row]] === "lost");
       part.tag.dataset.row = row;
       const points = [];
-      for (let at = row; at >= track.first && time - t[at] <= tail; at--) {
+      for (let at = row; at >= track.first && time - t[at] <= tail && t[at] >= from; at--) {
         if (Number.isFinite(v0[at])) points.push(view.at(at));
       }
       part.tail.setAttribute("points", corners(points));
@@ -80,6 +84,7 @@ function makeOverlay(plot) {
         const seen = at >= 0 && Number.isFinite(own.columns.v0[at]) && time + recording.start - own.start - own.columns.t[at] <= FADE_S;
         circle.style.display = seen ? "" : "none";
         if (!seen) continue;
+        circle.dataset.row = at;
         const place = other.view.at(at), shift = [0, 1].map((axis) => own.origin[axis] - recording.origin[axis]);
         circle.setAttribute("cx", px(place[0] + shift[0]));
         circle.setAttribute("cy", py(place[1] + shift[1]));

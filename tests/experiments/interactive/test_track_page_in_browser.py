@@ -128,6 +128,12 @@ def test_the_tracker_is_chosen_and_the_moment_and_the_tag_stay(browser, tmp_path
     rows = first.association.rows
     assert np.hypot(x - rows["x_m"][int(of_first)], y - rows["y_m"][int(of_first)]) < pixel
     assert page.inner_text("#others") == "At the same moment: ○ uwb."
+    page.evaluate("document.getElementById('plan').scrollIntoView()")
+    page.locator("circle.other[data-tag=B]").hover()
+    shown = dict(line.split(": ", 1) for line in page.inner_text("#tip").splitlines())
+    assert (shown["tracker"], shown["tag"]) == ("uwb", "B")
+    expected = first.association.rows.row(int(of_first), named=True)
+    assert shown["x"].startswith(f"{expected['x_m']:.3f}\u202fm ± {expected['std_x_m']:.3f}")
     cells = [row.inner_text().split("\t") for row in page.locator("#metrics tbody tr").all()]
     assert [row[:3] for row in cells[:4]] == [
         ["hall", "", "uwb"],
@@ -137,6 +143,36 @@ def test_the_tracker_is_chosen_and_the_moment_and_the_tag_stay(browser, tmp_path
     assert len(cells) == 2 + 2 * len(TAGS)
     page.locator("#metrics tbody tr").first.click()
     assert page.input_value("#tracker") == "0"
+    assert errors == []
+
+
+SPAN = """() => {
+  const groups = [...document.querySelectorAll("circle.tag")].map((one) => one.parentNode);
+  const rows = groups.filter((one) => one.style.display !== "none");
+  return [rows.length, ...rows.map((one) => one.querySelector(".tail").getAttribute("points").split(" ").length)];
+}"""
+"""How many tags are drawn at the moment, and the points of the tail of each."""
+
+
+def test_a_zoom_in_time_limits_playback_ellipses_and_tails(browser, tmp_path):
+    tracks = small_tracks()
+    page, errors = _opened(browser, _written(tmp_path, tracks))
+    page.select_option("#tail", "Infinity")
+    _go(page, 1.0)
+    page.evaluate("Plotly.relayout('series', {'xaxis.range': [6.05, 8.05]})")
+    page.wait_for_function("document.getElementById('clock').textContent === '6.10 s'")
+    assert page.evaluate(SPAN) == [3, 1, 1, 1]
+    _go(page, 4.0)
+    assert page.evaluate(SPAN) == [3, 10, 10, 10]
+    page.keyboard.press("End")
+    assert page.inner_text("#clock") == "8.05 s"
+    assert page.evaluate(SPAN) == [3, 20, 20, 20]
+    page.keyboard.press("Home")
+    assert page.inner_text("#clock") == "6.10 s"
+    page.select_option("#tag", label=page.locator("#tag option", has_text="B ·").inner_text())
+    page.locator("#now li").first.click()
+    assert page.inner_text("#clock") == "5.00 s"
+    assert page.evaluate(SPAN)[0] == 1
     assert errors == []
 
 
