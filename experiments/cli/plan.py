@@ -6,8 +6,6 @@ import math
 import sys
 from pathlib import Path
 
-import numpy as np
-
 from experiments.cli.arguments import FigureFormat, Folder
 from experiments.cli.console import json_alone, notice, output_folder
 from trackers.core.errors import UnusableInput
@@ -67,12 +65,12 @@ def plan(
 
     floor = floor_map(geometry, Sigmas(sigma_range, sigma_angle, sigma_phase), height)
     placement = place_anchors(geometry, place, floor, known) if place else None
-    proposed = np.zeros((0, 3)) if placement is None else placement.positions
+    proposed, planned = ({}, floor) if placement is None else placement
     drawn = out / f"plan.{format}"
-    bound_maps(drawn, geometry, floor, proposed)
-    page = write_plan(out / "plan.html", geometry, floor, proposed, sys.argv)
+    bound_maps(drawn, geometry, planned, proposed)
+    page = write_plan(out / "plan.html", geometry, planned, proposed, sys.argv, known)
     with json_alone(json) as put:
-        print(summary_text(floor, placement), end="")
+        print(summary_text(floor, placement, known), end="")
         print(f"wrote {page} and {drawn.name}")
         put(summary(floor, placement))
     return 0

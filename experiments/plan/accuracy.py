@@ -59,8 +59,14 @@ class FloorMap:
             "horizontal, height known": self.flat[..., 0, 0] + self.flat[..., 1, 1],
             "horizontal": self.covariance[..., 0, 0] + self.covariance[..., 1, 1],
             "vertical": self.covariance[..., 2, 2],
+            "3-D": np.trace(self.covariance, axis1=-2, axis2=-1),
         }
         return {name: np.sqrt(np.where(self.inside, v, np.nan)) for name, v in variances.items()}
+
+
+def minimised(height_known: bool) -> str:
+    """The name of the bound that proposed anchors minimise, with which the page opens."""
+    return "horizontal, height known" if height_known else "3-D"
 
 
 def sensors_of(rig: Rig, sigmas: Sigmas, height: float | None) -> list[SensorAtEpoch]:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import Float
 
-from experiments.plan.accuracy import FloorMap, floor_of
+from experiments.plan.accuracy import FloorMap, floor_map, floor_of
 from trackers.core.errors import UnusableInput
 from trackers.core.rig import Rig
-from tuning.design.bound import mean_bound
 from tuning.design.layouts import WallAnchors, range_sensor
 from tuning.design.search import descend
 
@@ -27,18 +27,17 @@ LOWEST, HIGHEST = 0.3, 3.0
 
 
 class Placement(NamedTuple):
-    """Proposed anchors (n, 3), m, and the root mean square of the bounds over the floor `before` and `after`, m."""
+    """Proposed anchors (3,), m, by name, and the bounds over the `floor` with them."""
 
-    positions: Float[np.ndarray, "n 3"]
-    before: float
-    after: float
+    anchors: dict[str, Float[np.ndarray, "3"]]
+    floor: FloorMap
 
 
 def place_anchors(rig: Rig, count: int, floor: FloorMap, height_known: bool) -> Placement:
     """The best places of `count` more anchors on the outline of the floor.
 
-    The bound is that of the horizontal position if the height is known, else of the position in space. Raises
-    UnusableInput for a rig with stations or without anchors.
+    The bound is that of the horizontal position if the height is known, else of the position in space. Anchors are
+    called P1, P2, ..., less the names in the rig. Raises UnusableInput for a rig with stations or without anchors.
     """
     if not rig.anchors or rig.stations:
         has = "stations" if rig.stations else "no anchors"
@@ -50,12 +49,13 @@ def place_anchors(rig: Rig, count: int, floor: FloorMap, height_known: bool) -> 
     if not height_known:
         points = np.column_stack([points, np.full(len(points), floor.height)])
     sensor = range_sensor(count + len(fixed), floor.sigmas.range)
-    height = floor.height if height_known else None
+    outline, height = floor_of(rig), floor.height if height_known else None
     with jax.enable_x64(True):
-        layout = WallAnchors(floor_of(rig), np.tile(band, (count, 1)), SPACING, sensor, height, fixed)
+        layout = WallAnchors(outline, np.tile(band, (count, 1)), SPACING, sensor, height, fixed)
         starts = np.random.default_rng(0).random((STARTS, *layout.shape))
         found = descend(layout.objective(points), layout.project, starts)
-        present = WallAnchors(floor_of(rig), np.zeros((0, 2)), SPACING, sensor, height, fixed)
-        before = float(mean_bound(present.sensors(np.zeros((0, 2))), points))
-        after = float(mean_bound(layout.sensors(found.theta), points))
-        return Placement(np.asarray(layout.positions(found.theta)), before, after)
+        positions = np.asarray(layout.positions(found.theta))
+    free = (name for k in range(1, count + len(fixed) + 1) if (name := f"P{k}") not in rig.anchors)
+    anchors = dict(zip(free, positions, strict=False))
+    with_them = replace(rig, anchors={**rig.anchors, **anchors}, outline=outline)
+    return Placement(anchors, floor_map(with_them, floor.sigmas, floor.height))

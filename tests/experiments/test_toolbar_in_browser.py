@@ -2,7 +2,6 @@
 
 import re
 
-import numpy as np
 import pytest
 
 from experiments.interactive.track_page import run_data, write_track_page
@@ -63,7 +62,7 @@ def _comparison(folder):
 
 
 def _plan(folder):
-    return write_plan(folder / "plan.html", ROOM, floor_map(ROOM, SIGMAS, HEIGHT), np.zeros((0, 3)), ["plan"])
+    return write_plan(folder / "plan.html", ROOM, floor_map(ROOM, SIGMAS, HEIGHT), {}, ["plan"])
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ let anchors, stations;
 
 function reset() {
   anchors = copy(data.anchors);
-  data.proposed.forEach((position, k) => anchors.push({ id: `proposed ${k + 1}`, position: [...position], proposed: true }));
+  data.proposed.forEach((one) => anchors.push({ ...copy(one), proposed: true }));
   stations = copy(data.stations);
 }
 
@@ -63,6 +63,7 @@ function bounds(point) {
     flat: checked((a + d) / flat),
     horizontal: checked((cofactors[0] + cofactors[1]) / all),
     vertical: checked(cofactors[2] / all),
+    spatial: checked((cofactors[0] + cofactors[1] + cofactors[2]) / all),
   };
 }
 
@@ -70,7 +71,7 @@ function bounds(point) {
 
 const heat = element("heat"), marks = element("marks"), cell = data.x[1] - data.x[0];
 const left = data.x[0] - cell / 2, top_ = data.y[data.y.length - 1] + cell / 2;
-const width = data.x.length * cell, height = data.y.length * cell, margin = 0.06 * Math.max(width, height);
+const width = data.x.length * cell, height = data.y.length * cell, margin = 0.08 * Math.max(width, height);
 let field = [], computed = null;
 
 const factor = () => (element("unit").value === "cm" ? 100 : 1 / data.sigmas.range);
@@ -84,10 +85,16 @@ function compute() {
 function summary(cells, quantity) {
   const all = cells.flat().filter((c) => c !== null).map((c) => c[quantity]);
   const finite = all.filter(Number.isFinite).sort((p, q) => p - q);
-  const share = (s) => (finite.length ? finite[Math.min(finite.length - 1, Math.floor(s * finite.length))] : NaN);
+  const share = (s) => {
+    const at = s * (finite.length - 1), k = Math.floor(at);
+    return finite.length ? finite[k] + (at - k) * (finite[Math.min(k + 1, finite.length - 1)] - finite[k]) : NaN;
+  };
+  const least = finite[0] ?? NaN;
   return {
     rms: Math.sqrt(finite.reduce((total, v) => total + v * v, 0) / finite.length),
-    median: share(0.5), high: share(0.95), missing: 1 - finite.length / all.length, least: finite[0] ?? NaN, most: share(0.97),
+    median: share(0.5), high: share(0.95), missing: 1 - finite.length / all.length, least,
+    // A small spread shall not take all colours.
+    most: Math.max(share(0.97), 2 * least), largest: share(1),
   };
 }
 
@@ -106,12 +113,13 @@ function draw() {
   }
   context.putImageData(image, 0, 0);
   element("least").textContent = shown(now.least);
-  element("most").textContent = `${shown(now.most)} and more`;
+  element("most").textContent = shown(now.most) + (now.largest > now.most ? " and more" : "");
   if (original === null) original = {};
   original[`${quantity} ${tagHeight()}`] ??= asInRig(quantity);
   const line = (name, s) => `<tr><td>${name}</td><td data-label="RMS">${shown(s.rms)}</td><td data-label="median">${shown(s.median)}</td>`
     + `<td data-label="95 %">${shown(s.high)}</td><td data-label="not determined">${(100 * s.missing).toFixed(0)} %</td></tr>`;
-  document.querySelector("#summary tbody").innerHTML = line("as in rig.toml", original[`${quantity} ${tagHeight()}`]) + line("as drawn", now);
+  const proposed = anchors.filter((a) => a.proposed).map((a) => a.id);
+  document.querySelector("#summary tbody").innerHTML = line("as in rig.toml", original[`${quantity} ${tagHeight()}`]) + line(`as drawn${proposed.length ? `, with ${proposed.join(", ")}` : ""}`, now);
   toml();
 }
 
@@ -149,6 +157,29 @@ function svg(name, attributes, parent) {
   return made;
 }
 
+/** Lines of a round number of metres over the map, with their numbers in its margin. */
+function grid(at, narrow) {
+  const raw = Math.max(width, height) / 8, decade = 10 ** Math.floor(Math.log10(raw));
+  const step = [1, 2, 5, 10].map((digit) => digit * decade).find((size) => size >= 0.999 * raw);
+  const right = left + width, bottom = top_ - height;
+  const line = ([x1, y1], [x2, y2]) => svg("line", { x1, y1, x2, y2, class: "grid" }, marks);
+  const text = ([x, y], dx, dy, anchor, words) => {
+    svg("text", { x: x + dx, y: y + dy, "text-anchor": anchor, class: "grid" }, marks).textContent = words;
+  };
+  const rounded = (value) => String(Number(value.toFixed(6)));
+  for (let x = Math.ceil(left / step) * step; x < right + cell; x += step) {
+    line(at([x, bottom]), at([x, top_]));
+    text(at([x, bottom]), 0, 22, "middle", rounded(x));
+  }
+  for (let y = Math.ceil(bottom / step) * step; y < top_ + cell; y += step) {
+    line(at([left, y]), at([right, y]));
+    text(at([left, y]), -11, 4, "end", rounded(y));
+  }
+  if (narrow) return;
+  text(at([right, bottom]), 12, 22, "start", "x (m)");
+  text(at([left, top_]), -11, -14, "end", "y (m)");
+}
+
 function place() {
   const box = element("plan");
   box.style.aspectRatio = `${width + 2 * margin} / ${height + 2 * margin}`;
@@ -161,6 +192,8 @@ function place() {
   marks.setAttribute("viewBox", `0 0 ${pixels} ${pixels * (height + 2 * margin) / (width + 2 * margin)}`);
   const at = ([x, y]) => [(x - left + margin) / unit, (top_ + margin - y) / unit];
   const back = (px, py) => [px * unit + left - margin, top_ + margin - py * unit];
+  const narrow = pixels < 600;
+  grid(at, narrow);
   for (const [x1, y1, x2, y2] of data.walls) {
     const [a, b] = [at([x1, y1]), at([x2, y2])];
     svg("line", { x1: a[0], y1: a[1], x2: b[0], y2: b[1], stroke: "currentColor", "stroke-width": 1 }, marks);
@@ -170,7 +203,7 @@ function place() {
     const boresight = one.axes && svg("line", { stroke: "currentColor", "stroke-width": 2 }, group);
     const dot_ = svg("circle", { r: 8, fill: one.proposed ? "#d55e00" : "#1d2733", stroke: "#fff", "stroke-width": 1.5 }, group);
     const label = svg("text", {}, group);
-    label.textContent = pixels < 600 ? one.id : `${one.id} (${one.position[2].toFixed(1)} m)`;
+    label.textContent = narrow ? one.id : `${one.id} (${one.position[2].toFixed(1)} m)`;
     const put = () => {
       const [px, py] = at(one.position);
       dot_.setAttribute("cx", px); dot_.setAttribute("cy", py);

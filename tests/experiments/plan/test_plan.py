@@ -81,6 +81,9 @@ def test_the_place_of_one_more_anchor_is_as_good_as_an_exhaustive_search():
     floor = floor_map(three, SIGMAS, HEIGHT)
     found = place_anchors(three, 1, floor, height_known=False)
 
+    def rms(floor_map_):
+        return np.sqrt(np.nanmean(floor_map_.bounds["3-D"] ** 2))
+
     def mean_bound(anchor):
         rig = replace(three, anchors={**three.anchors, "P": anchor})
         points = np.stack(np.meshgrid(floor.x, floor.y, indexing="ij"), axis=-1)[floor.inside][::19]
@@ -93,10 +96,11 @@ def test_the_place_of_one_more_anchor_is_as_good_as_an_exhaustive_search():
         for s in np.linspace(0, 1, 9)[:-1]
     ]
     tried = [mean_bound(np.append(wall, z)) for wall in walls for z in np.linspace(LOWEST, HIGHEST, 4)]
-    assert mean_bound(found.positions[0]) < 1.02 * min(tried)
-    assert found.after == pytest.approx(mean_bound(found.positions[0]), rel=0.05)
-    assert found.after < found.before
-    assert min(np.linalg.norm(found.positions[0] - a) for a in three.anchors.values()) > 0.99 * SPACING
+    proposed = found.anchors["P1"]
+    assert mean_bound(proposed) < 1.02 * min(tried)
+    assert rms(found.floor) == pytest.approx(mean_bound(proposed), rel=0.05)
+    assert rms(found.floor) < rms(floor)
+    assert min(np.linalg.norm(proposed - a) for a in three.anchors.values()) > 0.99 * SPACING
 
 
 def test_a_rig_that_measures_nothing_or_has_stations_is_refused():
@@ -130,8 +134,11 @@ def test_the_command_writes_a_page_and_a_picture(tmp_path, capsys):
     shown = capsys.readouterr().out
     assert "tags at 1.2 m" in shown
     assert "P1 = [" in shown
+    assert "Bound of one epoch, tags at 1.2 m, as in rig.toml" in shown
+    assert "Bound of one epoch, tags at 1.2 m, with P1" in shown
+    assert "least bound (3-D, RMS over the floor)" in shown
     assert (tmp_path / "out" / "plan.png").read_bytes().startswith(b"\x89PNG")
-    assert "proposed" in (tmp_path / "out" / "plan.html").read_text("utf-8")
+    assert '"proposed":[{"id":"P1",' in (tmp_path / "out" / "plan.html").read_text("utf-8")
     assert plan(tmp_path, out=tmp_path / "out", format="pdf") == 0
     assert (tmp_path / "out" / "plan.pdf").read_bytes().startswith(b"%PDF")
 
@@ -139,6 +146,6 @@ def test_the_command_writes_a_page_and_a_picture(tmp_path, capsys):
 def test_names_on_the_page_do_not_end_its_script(tmp_path):
     rig = replace(ROOM, anchors={"</script><b>": np.array([1.0, 1, 1]), **ROOM.anchors})
     floor = floor_map(rig, SIGMAS, HEIGHT)
-    text = write_plan(tmp_path / "plan.html", rig, floor, np.zeros((0, 3)), ["trackwright"]).read_text("utf-8")
+    text = write_plan(tmp_path / "plan.html", rig, floor, {}, ["trackwright"]).read_text("utf-8")
     (data,) = re.findall(r'<script type="application/json" id="data">(.*?)</script>', text, flags=re.DOTALL)
-    assert json.loads(data) == json.loads(json.dumps(plan_data(rig, floor, np.zeros((0, 3)))))
+    assert json.loads(data) == json.loads(json.dumps(plan_data(rig, floor, {})))

@@ -5,11 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from experiments.cli.plan import plan
 from experiments.plan.accuracy import Sigmas, floor_map
 from experiments.plan.report import write_plan
 from sim.stations import work_station
 from tests.browser import chromium, watched
 from trackers.core.rig import Rig
+from trackers.recordings.rig_file import rig_text
 
 SIGMAS, HEIGHT = Sigmas(0.1, 0.05, 0.3), 1.2
 ROOM = Rig(
@@ -21,7 +23,7 @@ ANGLES = replace(
     work_station(),
     stations={name: replace(s, antennas=None, wavelength=None) for name, s in work_station().stations.items()},
 )
-FIELDS = {"flat": "horizontal, height known", "horizontal": "horizontal", "vertical": "vertical"}
+FIELDS = {"flat": "horizontal, height known", "horizontal": "horizontal", "vertical": "vertical", "spatial": "3-D"}
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +36,7 @@ def _opened(browser, tmp_path, rig):
     page = browser.new_page(viewport={"width": 1300, "height": 1000})
     errors = watched(page)
     floor = floor_map(rig, SIGMAS, HEIGHT)
-    page.goto(write_plan(tmp_path / "plan.html", rig, floor, np.zeros((0, 3)), ["trackwright"]).as_uri())
+    page.goto(write_plan(tmp_path / "plan.html", rig, floor, {}, ["trackwright"]).as_uri())
     return page, floor, errors
 
 
@@ -76,3 +78,26 @@ def test_the_bound_follows_a_dragged_anchor(browser, tmp_path):
 def _corners():
     """The floor of the page, which stays where it was."""
     return np.array([[0.0, 0], [8, 0], [8, 5], [0, 5]])
+
+
+def test_the_page_opens_with_the_proposal_and_the_printed_figures_and_has_axes_in_metres(browser, tmp_path, capsys):
+    rig = replace(ROOM, anchors={"P1": np.array([8.0, 5, 2.6]), **ROOM.anchors})
+    (tmp_path / "rig.toml").write_text(rig_text(rig), "utf-8")
+    assert plan(tmp_path, out=tmp_path / "out", place=1) == 0
+    printed = [line.split() for line in capsys.readouterr().out.splitlines() if line.startswith(" 3-D")]
+    page = browser.new_page(viewport={"width": 1300, "height": 1000})
+    errors = watched(page)
+    page.goto((tmp_path / "out" / "plan.html").as_uri())
+    rows = [row.inner_text().split("\t") for row in page.locator("#summary tbody tr").all()]
+    assert [row[0] for row in rows] == ["as in rig.toml", "as drawn, with P2"]
+    assert [[cell.removesuffix(" cm") for cell in row[1:4]] for row in rows] == [line[1:4] for line in printed]
+    assert printed[0] != printed[1]
+    assert '"P2" = [' in page.inner_text("#toml")
+    numbers = [one.text_content() for one in page.locator("#marks text.grid").all()]
+    assert numbers == [*(str(x) for x in range(9)), *(str(y) for y in range(6)), "x (m)", "y (m)"]
+    least, most = (float(page.inner_text(f"#{end}").split()[0]) for end in ("least", "most"))
+    assert most >= 1.99 * least
+    page.click("#reset")
+    rows = [row.inner_text().split("\t") for row in page.locator("#summary tbody tr").all()]
+    assert rows[1] == ["as drawn", *rows[0][1:]]
+    assert not errors
