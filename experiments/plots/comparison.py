@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 
 from experiments.plots.style import (
     BLACK,
-    GREY,
     LINES,
     WIDTH,
     broken_at_gaps,
@@ -23,6 +22,7 @@ from experiments.plots.style import (
     plain,
     svg_address,
 )
+from experiments.plots.tracks import TRUTH, draw_rig
 from experiments.reports.comparison import Contrast
 from experiments.reports.runs import StudyRun, TrackRun
 from experiments.reports.wording import Unit, heading, length_unit, unit_of
@@ -76,10 +76,13 @@ def comparison_charts(
         axes = figure.subplots()
         _plan(axes, run, name, colour, why)
         axes.set(xlabel="x (m)", ylabel="y (m)")
+        axes.set_title(axes.get_title("left"), pad=30)
+        legend_above(axes, 3)
 
     for name, why in _planned(plans).items():
+        height = _ratio(plans[0], name) * (WIDTH - 0.6) + 1.1
         for run, colour in zip(plans, _colours(len(plans)), strict=True):
-            drawn = svg_address(partial(draw, run=run, name=name, colour=colour, why=why), WIDTH, WIDTH)
+            drawn = svg_address(partial(draw, run=run, name=name, colour=colour, why=why), WIDTH, height)
             charts.append((drawn, f"Floor plan of {name} by {run.name}"))
     return charts
 
@@ -100,8 +103,12 @@ def _distributions(path: Path, runs: Sequence[TrackRun]) -> Path:
 
 
 def _scale(runs: Sequence[TrackRun]) -> tuple[float, Unit]:
-    """The end of the axes of errors, in that unit, and the unit."""
-    furthest = max(float(np.quantile(all_errors(run), 0.995)) for run in runs)
+    """The end of the axes of errors, in that unit, and the unit: the tail of one run alone shall not set it.
+
+    The second largest 99th percentile of the runs, or the largest 95th where that is more.
+    """
+    p95, p99 = (sorted(float(np.quantile(all_errors(run), share)) for run in runs) for share in (0.95, 0.99))
+    furthest = max(p95[-1], p99[-2:][0])
     unit = Unit("°", 180 / math.pi) if runs[0].bearing else length_unit(furthest / 2)
     return unit.factor * furthest, unit
 
@@ -114,7 +121,9 @@ def _draw_distributions(axes: Axes, runs: Sequence[TrackRun], furthest: float, u
     for run, colour in zip(runs, _colours(len(runs)), strict=True):
         own = unit.factor * all_errors(run)
         chosen = np.linspace(0, len(own) - 1, min(len(own), MOST_POINTS)).astype(int)
-        axes.plot(own[chosen], 100 * (chosen + 1) / len(own), color=colour, label=literal(run.name))
+        beyond = 100 * np.mean(own > 1.02 * furthest)
+        name = run.name + (f", {beyond:.1f} % beyond" if beyond >= 0.1 else "")
+        axes.plot(own[chosen], 100 * (chosen + 1) / len(own), color=colour, label=literal(name))
     axes.set(xlim=(0, 1.02 * furthest), ylim=(0, 101), yticks=(0, 25, 50, 75, 90, 95, 100))
     axes.set(xlabel=_quantity(runs, unit), ylabel="estimates with at most this error (%)")
     legend_above(axes, 3)
@@ -122,8 +131,8 @@ def _draw_distributions(axes: Axes, runs: Sequence[TrackRun], furthest: float, u
 
 def _draw_violins(axes: Axes, runs: Sequence[TrackRun], furthest: float, unit: Unit) -> None:
     _violins(axes, [unit.factor * all_errors(run) for run in runs], [run.name for run in runs], furthest)
-    axes.set(ylabel=_quantity(runs, unit))
-    axes.set_title("box: quartiles, whiskers: 5 and 95 %, point: RMSE", color=GREY, fontsize=8)
+    axes.set(ylabel=_quantity(runs, unit), xlabel="box: quartiles, whiskers: 5 and 95 %, point: RMSE")
+    axes.set_title("Errors by run")
 
 
 def _violins(axes: Axes, errors: Sequence[np.ndarray], names: Sequence[str], furthest: float) -> None:
@@ -148,14 +157,17 @@ def _floor_plans(path: Path, runs: Sequence[TrackRun]) -> list[Path]:
     shown, columns = _planned(runs), len(runs)
     if not shown:
         return []
-    with figure_file(path, min(3.3 * columns + 0.4, 16.0), 3.2 * len(shown) + 0.5, "") as figure:
-        panels = figure.subplots(len(shown), columns, squeeze=False, sharex="row", sharey="row")
+    wide = min(3.3 * columns + 0.4, 16.0)
+    heights = [_ratio(runs[0], name) * wide / columns + 0.6 for name in shown]
+    with figure_file(path, wide, sum(heights) + 0.4, "") as figure:
+        panels = figure.subplots(len(shown), columns, squeeze=False, sharex="row", sharey="row", height_ratios=heights)
         for row, (name, why) in zip(panels, shown.items(), strict=True):
             for axes, run, colour in zip(row, runs, _colours(columns), strict=True):
                 _plan(axes, run, name, colour, why)
             row[0].set_ylabel("y (m)")
             for axes in row:
                 axes.set_xlabel("x (m)")
+        figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower left", ncols=2)
     return [path]
 
 
@@ -179,24 +191,36 @@ def _recordings(run: TrackRun) -> list[str]:
 
 
 def _plan(axes: Axes, run: TrackRun, name: str, colour: str, why: str) -> None:
-    """Estimates in the run's colour over the truth, black; anchors and stations grey."""
+    """Estimates in the run's colour over the wider truth, with anchors, stations and their names."""
+    assert run.association is not None
+    part, rig = run.association.of_recording(name), run.recordings[name].rig
+    x, y, times = (float_column(part.rows, column) for column in ("x_m", "y_m", "t_s"))
+    for k, (a, b) in enumerate(list(zip(part.starts[:-1], part.starts[1:], strict=True))[:MOST_TAGS]):
+        _, positions, truth = broken_at_gaps(times[a:b], np.stack([x[a:b], y[a:b]], axis=1), part.truth[a:b, :2])
+        axes.plot(*truth.T, color=TRUTH, linewidth=3.0, zorder=2.5, label="_truth" if k else "truth")
+        axes.plot(*positions.T, color=colour, linewidth=1.0, zorder=3, label="_" if k else "estimates")
+    low, high = _limits(run, name)
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    draw_rig(axes, rig.stations, rig.anchors, float(np.max(high - low)))
+    axes.set_aspect("equal", adjustable="box")
+    axes.set_title(literal(f"{run.name}, {name}" + (f",\n{why}" if why else "")), fontsize=8.5)
+
+
+def _limits(run: TrackRun, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """The corners of the axes of a recording's floor plan: around its truth and its rig."""
     assert run.association is not None
     part, rig = run.association.of_recording(name), run.recordings[name].rig
     mounted = [*rig.anchors.values(), *(station.position for station in rig.stations.values())]
-    if mounted:
-        axes.plot(*np.stack(mounted)[:, :2].T, "^", color=GREY, markersize=5, markeredgecolor="white")
-    x, y, times = (float_column(part.rows, column) for column in ("x_m", "y_m", "t_s"))
-    for a, b in list(zip(part.starts[:-1], part.starts[1:], strict=True))[:MOST_TAGS]:
-        _, positions, truth = broken_at_gaps(times[a:b], np.stack([x[a:b], y[a:b]], axis=1), part.truth[a:b, :2])
-        axes.plot(*positions.T, color=colour, linewidth=1.0)
-        axes.plot(*truth.T, color=BLACK, linewidth=0.7, linestyle=(0, (4, 2)))
-    certain = np.concatenate([part.truth[part.scored][:, :2], *([np.stack(mounted)[:, :2]] if mounted else [])])
-    if len(certain):
-        low, high = np.nanmin(certain, axis=0), np.nanmax(certain, axis=0)
-        margin = max(0.1 * float(np.max(high - low)), 0.3)
-        axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
-    axes.set_aspect("equal", adjustable="box")
-    axes.set_title(literal(f"{run.name}, {name}" + (f",\n{why}" if why else "")), fontsize=8.5)
+    certain = np.concatenate([part.truth[part.scored][:, :2], *(np.asarray(place)[None, :2] for place in mounted)])
+    low, high = np.nanmin(certain, axis=0), np.nanmax(certain, axis=0)
+    margin = max(0.1 * float(np.max(high - low)), 0.3)
+    return low - margin, high + margin
+
+
+def _ratio(run: TrackRun, name: str) -> float:
+    """Height over width of a recording's floor plan."""
+    width, height = np.subtract(*_limits(run, name)[::-1])
+    return float(np.clip(height / width, 0.3, 1.5))
 
 
 def _intervals(path: Path, contrasts: Sequence[Contrast]) -> Path:

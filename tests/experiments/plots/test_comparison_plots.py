@@ -1,5 +1,8 @@
 """The figures of a comparison: of many recordings the worst, the median and the best have floor plans."""
 
+import base64
+import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +19,14 @@ from trackers.scoring import score
 T = 0.1 * np.arange(30)
 
 
+ANCHORS = {"A1": np.zeros(3), "A2": np.array([12.0, 0.0, 2.0]), "A3": np.array([12.0, 8.0, 2.0])}
+
+
 def small_run(name, shifts):
     """A run whose error in x is that of each recording."""
     at = {"tag": "1", "t_s": T, "x_m": T, "y_m": T**2, "z_m": 1.0}
     truth = pl.DataFrame(at)
-    folders = {key: RecordingFolder(key, None, Rig(key), {"truth": truth}) for key in shifts}
+    folders = {key: RecordingFolder(key, None, Rig(key, anchors=ANCHORS), {"truth": truth}) for key in shifts}
     spread = {"std_x_m": 0.1, "std_y_m": 0.1, "std_z_m": 0.0, "cov_xy_m2": 0.0, "nis": 1.0, "nis_dof": 1.0}
     table = pl.concat(
         [pl.DataFrame({"recording": key} | at | spread).with_columns(pl.col("x_m") + s) for key, s in shifts.items()]
@@ -42,3 +48,36 @@ def test_floor_plans_are_of_the_worst_the_median_and_the_best_by_the_first_run(m
 
 def test_few_recordings_all_have_floor_plans():
     assert comparison._planned([small_run("uwb", {"a": 0.2, "b": 0.9})]) == {"a": "", "b": ""}
+
+
+def _chart(address):
+    text = base64.b64decode(address.partition(",")[2]).decode()
+    return json.loads(re.search(r'<metadata id="chart">(.*?)</metadata>', text, re.DOTALL)[1])
+
+
+def test_floor_plans_of_the_page_have_names_a_legend_and_the_shape_of_the_floor():
+    runs = [small_run("uwb", {"a": 0.2}), small_run("median", {"a": 0.5})]
+    plans = [_chart(address) for address, words in comparison.comparison_charts(runs, []) if "Floor plan" in words]
+    assert len(plans) == 2
+    for plan in plans:
+        truth, estimates = (trace for trace in plan["data"] if trace["showlegend"])
+        assert (truth["name"], estimates["name"]) == ("truth", "estimates")
+        assert truth["line"]["color"] != estimates["line"]["color"]
+        assert {label["text"] for label in plan["layout"]["annotations"]} == set(ANCHORS)
+        low, high = np.transpose([plan["layout"][axis]["range"] for axis in ("xaxis", "yaxis")])
+        assert low.max() < 0
+        assert (high > [12, 8]).all()
+        assert plan["height"] < 1.0
+
+
+def test_the_tail_of_one_run_does_not_set_the_axis_of_errors():
+    good, bad = small_run("good", {"a": 0.2}), small_run("bad", {"a": 0.2})
+    (tail,) = bad.errors.values()
+    tail.error[-1] = 50.0
+    for runs in ([good, bad], [bad, good]):
+        distributions, violins = (_chart(address) for address, _ in comparison.comparison_charts(runs, [])[:2])
+        assert distributions["layout"]["xaxis"]["range"][1] < 25  # cm
+        assert violins["layout"]["yaxis"]["range"][1] < 25
+        assert {trace["name"] for trace in distributions["data"]} == {"good", "bad, 3.3 % beyond"}
+        assert violins["layout"]["title"] == "Errors by run"
+        assert "quartiles" in violins["layout"]["xaxis"]["title"]["text"]
