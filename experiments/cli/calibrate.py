@@ -35,7 +35,7 @@ def calibrate_recordings(recordings: Folders, *, out: File, json: bool = False) 
     report = report_on(calibration, folders)
     write_calibration(calibration, out)
     drawn = draw_report(out, calibration, report)
-    page = write_calibration_report(out, calibration, report, drawn, sys.argv)
+    page = write_calibration_report(out, calibration, report, sys.argv)
     with json_alone(json) as put:
         print(report_text(report), end="")
         print(f"wrote {out}, {page.name} and {', '.join(drawn)}")

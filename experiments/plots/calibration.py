@@ -1,6 +1,7 @@
 """Plots of a calibration: measured against true values of each station or anchor, and errors over the floor.
 
-Each function writes one PNG, whole or not at all; raises UnusableInput where it can't be written.
+Those with a path write one PNG, whole or not at all, and raise UnusableInput where it can't be written; the others are
+images for a page.
 """
 
 from __future__ import annotations
@@ -12,11 +13,22 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
 
-from experiments.plots.style import BEFORE, BLACK, BLUE, GREY, VERMILION, figure_file, literal
+from experiments.plots.style import (
+    BEFORE,
+    BLACK,
+    BLUE,
+    GREY,
+    VERMILION,
+    figure_file,
+    legend_above,
+    literal,
+    svg_address,
+)
 
-POINTS = 1500
-"""The most rows drawn of a source, before and after each: evenly spaced ones."""
+POINTS, PAGE_POINTS = 1500, 500
+"""The most rows drawn of a source, before and after each, in a file and on a page: evenly spaced ones."""
 
 DEGREES = float(np.rad2deg(1.0))
 
@@ -50,22 +62,34 @@ def measured_against_true(path: Path, panels: Sequence[Panel], columns: int, tit
     with figure_file(path, 3.3 * columns + 0.4, 2.7 * rows + 0.9, title) as figure:
         grid = figure.subplots(rows, columns, squeeze=False)
         for axes, panel in zip(grid.flat, panels, strict=False):
-            _readings(axes, panel)
+            _readings(axes, panel, POINTS)
         for axes in grid.flat[len(panels) :]:
             axes.set_axis_off()
         handles, labels = grid[0, 0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower left", ncols=5)
 
 
-def _readings(axes: Axes, panel: Panel) -> None:
-    part = slice(None, None, -(-len(panel.true) // POINTS))
+def reading_chart(panel: Panel) -> str:
+    """The address of a panel of `measured_against_true` as an image with its data."""
+
+    def draw(figure: Figure) -> None:
+        axes = figure.add_subplot()
+        _readings(axes, panel, PAGE_POINTS)
+        axes.set_title(axes.get_title("left"), pad=30)
+        legend_above(axes, 3)
+
+    return svg_address(draw)
+
+
+def _readings(axes: Axes, panel: Panel, most: int) -> None:
+    part = slice(None, None, -(-len(panel.true) // most))
     factor, unit = (DEGREES, "°") if panel.is_angle else (1.0, "m")
     true, at = factor * panel.true[part], factor * panel.at
     # Errors of a few centimetres of ranges of metres are visible only by themselves.
     points, curve = (np.zeros(len(true)), np.zeros(len(at))) if panel.is_angle else (true, at)
     values = [factor * x[part] - points for x in (panel.measured, panel.corrected)]
     for y, colour, label in zip(values, (BEFORE, BLUE), ("as measured", "calibrated"), strict=True):
-        axes.plot(true, y, ".", color=colour, markersize=2.5, alpha=0.5, label=label)
+        axes.plot(true, y, ".", color=colour, markersize=3.5, label=label)
     axes.plot(at, at - curve, color=BLACK, linewidth=0.9, linestyle=(0, (4, 2)), label="no error")
     axes.plot(at, factor * panel.fitted - curve, color=VERMILION, linewidth=1.4, label="fit")
     low, high = (factor * (panel.fitted + sign * 1.96 * panel.sigma) - curve for sign in (-1, 1))
@@ -79,29 +103,47 @@ def _readings(axes: Axes, panel: Panel) -> None:
 
 def errors_over_floor(path: Path, panels: Sequence[Panel], columns: int, title: str) -> None:
     """Median errors after calibration over the floor, in squares."""
-    rows = -(-len(panels) // columns)
-    low = np.min([panel.positions.min(axis=0) for panel in panels], axis=0)
-    high = np.max([panel.positions.max(axis=0) for panel in panels], axis=0)
+    with figure_file(path, *_floor_size(panels, columns), title) as figure:
+        _draw_floor(figure, panels, columns)
+
+
+def floor_image(panels: Sequence[Panel], columns: int) -> str:
+    """The address of the figure of `errors_over_floor` as an image."""
+    return svg_address(lambda figure: _draw_floor(figure, panels, columns), *_floor_size(panels, columns))
+
+
+def _corners(panels: Sequence[Panel]) -> tuple[np.ndarray, np.ndarray]:
+    positions = np.concatenate([panel.positions for panel in panels])
+    return positions.min(axis=0), positions.max(axis=0)
+
+
+def _floor_size(panels: Sequence[Panel], columns: int) -> tuple[float, float]:
+    """Width and height in inches."""
+    width, height = np.subtract(*_corners(panels)[::-1])
+    tall = 3.3 * float(np.clip(height / max(width, 1e-3), 0.35, 1.5))
+    return 3.3 * columns + 1.0, (tall + 0.5) * -(-len(panels) // columns) + 0.6
+
+
+def _draw_floor(figure: Figure, panels: Sequence[Panel], columns: int) -> None:
+    low, high = _corners(panels)
     edges = [np.arange(np.floor(a / SQUARE), np.floor(b / SQUARE) + 2) * SQUARE for a, b in zip(low, high, strict=True)]
     medians = [_medians(panel, edges) for panel in panels]
     largest = float(np.nanquantile(np.abs(np.concatenate([m.ravel() for m in medians])), 0.97)) or 1.0
-    height = 3.3 * float(np.clip((high[1] - low[1]) / max(high[0] - low[0], 1e-3), 0.35, 1.5))
-    with figure_file(path, 3.3 * columns + 1.0, (height + 0.5) * rows + 0.6, title) as figure:
-        grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
-        norm, mesh = Normalize(-largest, largest), None
-        for axes, panel, values in zip(grid.flat, panels, medians, strict=False):
-            mesh = axes.pcolormesh(*edges, values.T, cmap="RdBu_r", norm=norm)
-            axes.set_aspect("equal")
-            axes.set_title(literal(f"{panel.name}: {panel.quantity}"))
-        for axes in grid.flat[len(panels) :]:
-            axes.set_axis_off()
-        for axes in grid[-1]:
-            axes.set_xlabel("x (m)")
-        for axes in grid[:, 0]:
-            axes.set_ylabel("y (m)")
-        assert mesh is not None
-        bar = figure.colorbar(mesh, ax=grid, shrink=0.6, extend="both")
-        bar.set_label(f"median error after calibration ({'°' if panels[0].is_angle else 'm'})", color=GREY)
+    grid = figure.subplots(-(-len(panels) // columns), columns, squeeze=False, sharex=True, sharey=True)
+    norm, mesh = Normalize(-largest, largest), None
+    for axes, panel, values in zip(grid.flat, panels, medians, strict=False):
+        mesh = axes.pcolormesh(*edges, values.T, cmap="RdBu_r", norm=norm)
+        axes.set_aspect("equal")
+        axes.set_title(literal(f"{panel.name}: {panel.quantity}"))
+    for axes in grid.flat[len(panels) :]:
+        axes.set_axis_off()
+    for axes in grid[-1]:
+        axes.set_xlabel("x (m)")
+    for axes in grid[:, 0]:
+        axes.set_ylabel("y (m)")
+    assert mesh is not None
+    bar = figure.colorbar(mesh, ax=grid, shrink=0.6, extend="both")
+    bar.set_label(f"median error after calibration ({'°' if panels[0].is_angle else 'm'})", color=GREY)
 
 
 def _medians(panel: Panel, edges: Sequence[np.ndarray]) -> np.ndarray:

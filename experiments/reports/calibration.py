@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import base64
 import shlex
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from experiments.plots.calibration import Panel, errors_over_floor, measured_against_true
+from experiments.plots.calibration import Panel, errors_over_floor, floor_image, measured_against_true, reading_chart
 from experiments.reports.pages import page, write_page
 from experiments.reports.tables import rendered, ruled_table, terminal_width
 from experiments.reports.wording import MISSING, counted, fixed
@@ -27,6 +27,7 @@ from trackers.recordings.calibration import (
 from trackers.recordings.folder import RecordingFolder
 from tuning.calibrating import calibrate
 from tuning.calibration_pairs import Pairs, anchor_pairs, station_pairs
+from tuning.calibration_structure import differs_by_distance
 
 WIDTH = 150
 SHOWN = 12
@@ -40,11 +41,18 @@ TAG_HEAD = ("tag", "bias, m", "rows")
 _ERRORS = ("rows", "as measured", "calibrated", "left out")
 ANGLE_HEAD = ("station", "angle", "offset, rad", "gain", "cubic, rad⁻²", "cross, rad⁻¹", *_ERRORS)
 RANGE_HEAD = ("anchor", "bias, m", "slope", *_ERRORS)
-NOTE = (
-    "± standard error. In brackets: not determined by these recordings, near its value before any of them. As "
-    "measured, calibrated: 68th percentile of the absolute error before and after; left out: cross-validated, by a "
-    "calibration on the other recordings."
-)
+NOT_LINEAR = ", not linear"
+"""What follows the name of an anchor whose errors differ by distance after the line is removed."""
+
+NOTES = {
+    "": "± standard error.",
+    "(": "In brackets: not determined by these recordings, near its value before any of them.",
+    NOT_LINEAR: "Not linear: the errors that the line leaves differ between distances more than between pieces of time "
+    "(p < 0.001); see the figures.",
+    "as measured": "As measured, calibrated: 68th percentile of the absolute error before and after.",
+    "left out": "Left out: cross-validated, by a calibration on the other recordings.",
+}
+"""What the tables' marks mean, by the text that has to occur in them."""
 
 
 class Source(NamedTuple):
@@ -72,6 +80,12 @@ class Source(NamedTuple):
             expected = expected + range_terms(expected) @ calibration.anchors[self.name].coefficients + biases[number]
         return self.pairs.measured[:, k] - expected
 
+    def bend(self, calibration: Calibration) -> str:
+        """`NOT_LINEAR` where the ranges contradict the line of the calibration."""
+        errors = self.errors(calibration)
+        bent = differs_by_distance(self.pairs.true[:, 0], errors, self.pairs.piece, self.spread(errors))
+        return NOT_LINEAR if bent else ""
+
     def spread(self, errors: np.ndarray) -> float:
         """The 68th percentile of the sizes of errors (N,), each recording with the same weight; NaN without any."""
         seen = np.flatnonzero(np.isfinite(errors))
@@ -95,6 +109,23 @@ class Report(NamedTuple):
     undetermined: list[tuple[str, str]]
     sources: list[Source]
 
+    def tables(self) -> list[tuple[str, Sequence[str], int, list[list[str]]]]:
+        """Title, head, number of columns of text and rows of each table; no column `left out` of dashes alone."""
+        heads = (("Stations", ANGLE_HEAD, 2), ("Anchors", RANGE_HEAD, 1))
+        found = []
+        for (title, head, texts), rows in zip(heads, (self.stations, self.anchors), strict=True):
+            width = len(head) - all(row[-1] == MISSING for row in rows)
+            found.append((title, head[:width], texts, [row[:width] for row in rows]))
+        return [*found, ("Tags, relative to their mean", TAG_HEAD, 1, self.tags)]
+
+    @property
+    def note(self) -> str:
+        """What the marks mean that occur in the tables."""
+        shown = [table for table in self.tables() if table[3]]
+        cells = [*chain.from_iterable(head for _, head, _, _ in shown)]
+        cells += chain.from_iterable(row for *_, rows in shown for row in rows)
+        return " ".join(text for mark, text in NOTES.items() if any(mark in cell for cell in cells))
+
 
 def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> Report:
     """The tables of a calibration of these recordings."""
@@ -115,7 +146,7 @@ def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> R
         spreads = [source.spread(errors) for errors in (measured, source.errors(calibration), left_out)]
         factor, unit = (DEGREES, "°") if source.is_angle else (100.0, " cm")
         shown = [MISSING if np.isnan(spread) else fixed(factor * spread, 1) + unit for spread in spreads]
-        head = [source.name, source.quantity] if source.is_angle else [source.name]
+        head = [source.name, source.quantity] if source.is_angle else [source.name + source.bend(calibration)]
         tables[not source.is_angle].append([*head, *cells, str(int(np.isfinite(measured).sum())), *shown])
         lacking = [name for name, known in zip(names, determined, strict=True) if not known]
         if lacking:
@@ -160,32 +191,30 @@ def _term(value: float, sigma: float, determined: bool) -> str:
 
 def report_text(report: Report) -> str:
     """The tables for a terminal."""
-    tables = [
-        ruled_table(title, head, texts, rows)
-        for title, head, texts, rows in (
-            ("Stations", ANGLE_HEAD, 2, report.stations),
-            ("Anchors", RANGE_HEAD, 1, report.anchors),
-            ("Tags, relative to their mean", TAG_HEAD, 1, report.tags),
-        )
-        if rows
-    ]
-    return rendered(terminal_width(WIDTH), *tables, NOTE)
+    tables = [ruled_table(*table) for table in report.tables() if table[-1]]
+    return rendered(terminal_width(WIDTH), *tables, report.note)
 
 
 def draw_report(out: Path, calibration: Calibration, report: Report) -> list[str]:
     """Writes the figures beside the file `out`, with names that begin as its own; returns the names."""
     drawn = []
-    for kind, columns, angles in (("stations", 2, True), ("anchors", 3, False)):
-        panels = [_panel(calibration, source) for source in report.sources if source.is_angle == angles]
-        panels = [panel for panel in panels if len(panel.true)][: 2 * SHOWN if angles else SHOWN]
+    for kind, columns, panels in _panels(calibration, report):
         for draw, name, title in (
             (measured_against_true, kind, f"Calibration of {kind}"),
             (errors_over_floor, f"{kind}-floor", f"Errors of calibrated {kind} over the floor"),
         ):
-            if panels:
-                drawn.append(f"{out.stem}-{name}.png")
-                draw(out.with_name(drawn[-1]), panels, min(columns, len(panels)), title)
+            drawn.append(f"{out.stem}-{name}.png")
+            draw(out.with_name(drawn[-1]), panels, columns, title)
     return drawn
+
+
+def _panels(calibration: Calibration, report: Report) -> Iterator[tuple[str, int, list[Panel]]]:
+    """Stations and anchors, where there are any: what they are called, the columns of their figures, their panels."""
+    for kind, columns, angles in (("stations", 2, True), ("anchors", 3, False)):
+        panels = [_panel(calibration, source) for source in report.sources if source.is_angle == angles]
+        panels = [panel for panel in panels if len(panel.true)][: 2 * SHOWN if angles else SHOWN]
+        if panels:
+            yield kind, min(columns, len(panels)), panels
 
 
 def _panel(calibration: Calibration, source: Source) -> Panel:
@@ -208,19 +237,20 @@ def _panel(calibration: Calibration, source: Source) -> Panel:
     return Panel(source.name, source.quantity, source.is_angle, *columns, pairs.positions[seen, :2], at, fitted, sigma)
 
 
-def write_calibration_report(
-    out: Path, calibration: Calibration, report: Report, drawn: Sequence[str], command: Sequence[str]
-) -> Path:
+def write_calibration_report(out: Path, calibration: Calibration, report: Report, command: Sequence[str]) -> Path:
     """Writes the page beside the file `out`, with its name and the ending .html; returns the path."""
-    figures = ["data:image/png;base64," + base64.b64encode(out.with_name(name).read_bytes()).decode() for name in drawn]
+    figures = [
+        (kind, [(reading_chart(panel), f"{panel.name}: {panel.quantity}") for panel in panels], floor_image(panels, n))
+        for kind, n, panels in _panels(calibration, report)
+    ]
+    stations, anchors, _ = report.tables()
     text = page(
         "calibration.html",
         title=f"Calibration on {counted(len(calibration.recordings), 'recording')}",
         recordings=calibration.recordings,
-        angle_head=ANGLE_HEAD,
-        range_head=RANGE_HEAD,
+        stations=stations,
+        anchors=anchors,
         tag_head=TAG_HEAD,
-        note=NOTE,
         report=report,
         figures=figures,
         several=len(calibration.recordings) > 1,

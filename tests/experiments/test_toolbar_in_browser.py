@@ -9,6 +9,7 @@ from experiments.monte_carlo.runner import run_study
 from experiments.plan.accuracy import floor_map
 from experiments.plan.report import write_plan
 from experiments.plots.comparison import comparison_charts
+from experiments.reports.calibration import report_on, write_calibration_report
 from experiments.reports.comparison_page import write_comparison
 from experiments.reports.study import study_page
 from experiments.reports.tuning import write_tuning_report
@@ -19,7 +20,9 @@ from tests.experiments.monte_carlo.small_study import SMALL
 from tests.experiments.plan.test_plan import HEIGHT, ROOM, SIGMAS
 from tests.experiments.plots.test_comparison_plots import small_run
 from tests.experiments.reports.tuning_report_data import report_data
+from tests.tuning.calibration_worlds import world
 from trackers.evaluation import evaluate
+from tuning.calibrating import calibrate
 
 BUTTONS = {"Zoom", "Pan", "Reset axes", "Download plot as a PNG", "Download plot as a png"}
 UPLOADS = re.compile("share|upload|cloud|studio|publish", re.IGNORECASE)
@@ -61,14 +64,21 @@ def _comparison(folder):
     return write_comparison(folder / "comparison.html", ["uwb", "median"], [], comparison_charts(runs, []), ["report"])
 
 
+def _calibration(folder):
+    folders = world(5, 1, seconds=30.0)[1]
+    calibration = calibrate(folders)
+    out = folder / "calibration.toml"
+    return write_calibration_report(out, calibration, report_on(calibration, folders), ["calibrate"])
+
+
 def _plan(folder):
     return write_plan(folder / "plan.html", ROOM, floor_map(ROOM, SIGMAS, HEIGHT), {}, ["plan"])
 
 
 @pytest.mark.parametrize(
     "page_of",
-    [_track, _comparison, pytest.param(_tune, marks=pytest.mark.slow), pytest.param(_study, marks=pytest.mark.slow)],
-    ids=["track", "comparison", "tune", "study"],
+    [_track, _comparison, *(pytest.param(one, marks=pytest.mark.slow) for one in (_tune, _study, _calibration))],
+    ids=["track", "comparison", "tune", "study", "calibration"],
 )
 def test_no_chart_of_any_page_can_be_uploaded_and_a_phone_has_no_toolbar(page_of, tmp_path):
     path = page_of(tmp_path)

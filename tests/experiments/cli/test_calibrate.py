@@ -7,12 +7,14 @@ import numpy as np
 import polars as pl
 import pytest
 
+from experiments.reports.calibration import report_on
 from tests.in_process import assert_refused, trackwright
 from tests.tuning.calibration_worlds import RIG, world
 from trackers.core.rig import Rig, Tag
 from trackers.recordings.calibration import Calibration
 from trackers.recordings.calibration_file import read_calibration, write_calibration
 from trackers.recordings.folder import RecordingFolder, write_recording
+from tuning.calibrating import calibrate
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +51,9 @@ def test_the_table_and_the_page_show_each_term_with_its_standard_error(walks):
     page = (there / "site" / "calibration.html").read_text("utf-8")
     assert gain in said.out
     assert gain in page
-    assert page.count('<img src="data:image/png;base64,') == 4
+    # Two angles of three stations, four anchors, and the floors of both, all in the style of the other pages.
+    assert page.count('<img src="data:image/svg+xml;base64,') == 12
+    assert '<img src="data:image/png' not in page
     # A walk of 30 s determines no cubic term of elevations, which span half a radian.
     assert "<li>station north, elevation: " in page
     assert f"trackwright track RECORDING --calibration {there / 'site' / 'calibration.toml'}" in page.replace(
@@ -73,7 +77,32 @@ def test_the_page_says_that_its_figures_are_of_the_first_of_many_anchors(tmp_pat
     tables = {"ranges": pl.concat(ranges).sort("t_s", maintain_order=True), "truth": truth}
     write_recording(RecordingFolder("hall", None, Rig("hall", anchors=anchors), tables), tmp_path / "hall")
     assert trackwright("calibrate", tmp_path / "hall", "--out", tmp_path / "calibration.toml").code == 0
-    assert "Of the first 12 stations and anchors." in (tmp_path / "calibration.html").read_text("utf-8")
+    text = (tmp_path / "calibration.html").read_text("utf-8")
+    assert "Of the first 12 stations and anchors." in text
+    # Nothing is left out of one recording, and all terms are determined.
+    assert "Left out" not in text
+    assert "<th>left out" not in text
+
+
+def test_an_anchor_whose_errors_have_a_step_is_marked_and_the_note_explains_only_what_occurs():
+    _, folders = world(7, 2, seconds=120.0)
+    step = pl.when((pl.col("anchor") == "A") & (pl.col("range_m") > 5)).then(0.8).otherwise(0.0)
+    folders = [
+        replace(folder, tables={"truth": folder.tables["truth"], "ranges": folder.tables["ranges"].with_columns(
+            pl.col("range_m") + step)})
+        for folder in folders
+    ]  # fmt: skip
+    report = report_on(calibrate(folders), folders)
+    assert [row[0] for row in report.anchors] == ["A, not linear", "B", "C", "D"]
+    assert "Not linear: " in report.note
+    assert ("In brackets" in report.note) == bool(report.undetermined)
+    assert "Left out: " in report.note
+    plain = report._replace(anchors=[["B", "0.1", "0.0", "9", "1 cm", "1 cm", "1 cm"]])
+    assert "In brackets" not in plain.note
+    assert "Not linear" not in plain.note
+    alone = report_on(calibrate(folders[:1]), folders[:1])
+    assert "Left out: " not in alone.note
+    assert [head[-1] for _, head, _, rows in alone.tables() if rows] == ["calibrated"]
 
 
 @pytest.mark.parametrize("table", ["bearings", pytest.param("uwb", marks=pytest.mark.slow)])
