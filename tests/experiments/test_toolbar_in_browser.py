@@ -18,7 +18,7 @@ from tests.experiments.interactive.small_tracks import small_tracks
 from tests.experiments.interactive.test_track_page import NO_EVENTS
 from tests.experiments.monte_carlo.small_study import SMALL
 from tests.experiments.plan.test_plan import HEIGHT, ROOM, SIGMAS
-from tests.experiments.plots.test_comparison_plots import small_run
+from tests.experiments.plots.small_runs import small_run
 from tests.experiments.reports.tuning_report_data import report_data
 from tests.tuning.calibration_worlds import world
 from trackers.evaluation import evaluate
