@@ -28,6 +28,7 @@ from trackers.core.covariance import (
     noise_covariance,
     product_of,
 )
+from trackers.core.elapsed import Elapsed
 from trackers.core.filter import Gaussian
 from trackers.core.select import select
 from trackers.core.state import State, local, retract
@@ -155,10 +156,10 @@ def fixed_lag(
 
     def trajectory(gains: Any, filtered: Any, dt: Any) -> Any:
         first = jnp.arange(len(dt), dtype=jnp.int32)
-        times = jnp.concatenate([jnp.zeros_like(dt[:1]), jnp.cumsum(dt)])
-        # The last step of each window; 2 eps of the longest time make 0.1 s + 0.2 s equal 0.3 s.
-        slack = 2 * jnp.finfo(dt.dtype).eps * times[-1]
-        end = jnp.searchsorted(times, times[:-1] + lag + slack, side="right").astype(jnp.int32) - 1
+        times = Elapsed.of(jnp.concatenate([jnp.zeros_like(dt[:1]), dt]), 2 * lag)
+        # The last step of each window; the slack makes 0.1 s + 0.2 s equal 0.3 s.
+        slack = 4 * jnp.finfo(dt.dtype).eps * lag
+        end = times.last_within(jnp.broadcast_to(lag + slack, times.whole.shape))[:-1]
         initial = jax.tree_util.tree_map(lambda x: x[end], filtered)
 
         def body(state: tuple[Any, Any]) -> tuple[Any, Any]:

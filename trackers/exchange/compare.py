@@ -9,12 +9,12 @@ from typing import Any, Literal
 import numpy as np
 
 from trackers.core.errors import UnusableInput
+from trackers.core.recording import HOLE_S
 from trackers.core.seconds import span
 from trackers.exchange.alignment import Alignment, Similarity, alignment
 from trackers.exchange.pose_errors import Statistics, Step, absolute_errors, associate, relative_errors, statistics
 from trackers.exchange.poses import PoseTrajectory
 from trackers.exchange.time_offset import estimate_offset
-from trackers.recordings.tables import HOLE_S
 
 SPEED_WINDOW_S = 0.5
 """Speeds are distances over this time, centred."""

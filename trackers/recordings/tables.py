@@ -20,9 +20,6 @@ MEASUREMENTS = ("ranges", "fixes", "bearings", "phases", "imu")
 TABLES = (*MEASUREMENTS, "truth")
 QUATERNION = ("qw", "qx", "qy", "qz")
 
-HOLE_S, HOLE_M = 1.0, 0.02
-"""Truth is not interpolated between rows further apart than both limits: seconds in time and metres in position."""
-
 JITTER_S, JITTER = 1.0, 5.0
 """Rows count as late, and are sorted, up to this many s, or median steps of their sensor and tag."""
 

@@ -17,6 +17,7 @@ from trackers.core.latency import scored_truth, shifted_back
 from trackers.core.recording import Readings, Recording, stack
 from trackers.core.smoother import Smoothed
 from trackers.core.tracker import Tracker
+from trackers.evaluation import associate
 from trackers.parts.fixes import FIXES
 from tuning.objectives import RootMeanSquareError
 
@@ -51,6 +52,43 @@ def test_the_truth_of_a_single_row_is_that_of_every_earlier_time():
     recording = _recording(1)
     values, _ = scored_truth(stack([recording]), np.array([0.21]))["position"]
     np.testing.assert_array_equal(values[..., 0], recording.truth["position"][0])
+
+
+def _after_a_gap(seconds):
+    """The recording with its first row `seconds` before the second, 1 m away."""
+    recording = _recording()
+    truth = recording.truth["position"][0].copy()
+    truth[0] += 1.0
+    times = recording.times - recording.times[1]
+    times[0] = -seconds
+    known = np.ones(len(times), bool)
+    return dataclasses.replace(recording, times=times, truth={"position": (truth, known)})
+
+
+@pytest.mark.parametrize("gap", [1e3, 1e6, 1.7e9])
+def test_in_single_precision_the_truth_after_a_long_gap_is_the_spline_and_that_in_the_gap_is_left_out(gap):
+    recording = _after_a_gap(gap)
+    (truth, known), t = recording.truth["position"], recording.times[1:]
+    batch = stack([recording], dtype=np.float32)
+    values, scored = scored_truth(batch, np.array([0.21], np.float32))["position"]
+    np.testing.assert_array_equal(scored[:, 0], known & ~((t[0] <= recording.times) & (recording.times < t[0] + 0.21)))
+    spline = CubicHermiteSpline(t, truth[1:], np.gradient(truth[1:], t, axis=0))
+    later = t >= t[0] + 0.21
+    np.testing.assert_allclose(values[1:, :, 0][later], spline(t[later] - 0.21), atol=1e-5)
+
+
+def test_an_objective_scores_the_rows_that_evaluate_scores_where_the_truth_has_a_hole():
+    # Rows inside the hole have no truth; those after it are valid inside.
+    recording = _recording(60, unknown=range(20, 32))
+    tracker = fix_tracker()
+    tracker = eqx.tree_at(lambda t: t.sensors[FIXES].latency, tracker, tracker.sensors[FIXES].latency.with_value(0.4))
+    batch = stack([recording])
+    estimates = tracker.run(recording)
+    rows = as_dtype(tracker, batch.dt.dtype).accumulate(batch, RootMeanSquareError().terms, every_row=True)[1][:, 0]
+    scored = associate(estimates, recording).scored
+    before = estimates.times < recording.times[0]
+    assert 0 < np.sum(~scored & ~before & recording.truth["position"][1]) < 10
+    np.testing.assert_array_equal(np.asarray(rows) > 0, scored & recording.truth["position"][1] | before)
 
 
 class Reordered(NamedTuple):

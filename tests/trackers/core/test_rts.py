@@ -104,6 +104,23 @@ def test_smoothed_rows_are_those_of_dense_conditioning(world, lag):
         np.testing.assert_allclose(estimates[trajectory].covariance[rows], covs, rtol=1e-8, atol=1e-8)
 
 
+@pytest.mark.parametrize("gap", [86400.0, 1.7e9])
+def test_in_single_precision_a_fixed_lag_is_as_long_after_a_long_gap(world, gap):
+    rng, rows = np.random.default_rng(1), 60
+    values, times = rng.normal(size=(rows, 3)), np.arange(rows) * 0.01
+    readings = {"z": (values, np.ones((rows, 3), bool))}
+    before = {"z": (np.zeros((rows + 1, 3)), np.arange(rows + 1)[:, None] > 0 * np.ones((1, 3)))}
+    before["z"][0][1:] = values
+    # The track starts again after the gap, with the same belief.
+    short = TrackLossPolicy(nis_limit=np.inf, nis_window=1.0, max_gap=1.0)
+    tracker = Smoothed(world.with_loss(short), 0.2)
+    one, other = (
+        tracker.run(stack([recording(*rows_, world.mean, world.cov)], dtype=np.float32))
+        for rows_ in ((times, readings), (np.append(-gap, times), before))
+    )
+    np.testing.assert_allclose(flat(other.mean)[0, 1:], flat(one.mean)[0], atol=1e-5)
+
+
 def test_noise_of_an_early_stage_passes_through_the_later_ones():
     world = World(HalfSteps(), _half_steps)
     estimates = Smoothed(world.tracker).run(world.batch)
