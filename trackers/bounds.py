@@ -28,7 +28,7 @@ def bounds_of(folder: RecordingFolder, batches: Sequence[TrackerBatch]) -> tuple
     tag. True velocities are difference quotients of the truth. None without truth, and for a tracker without a bound:
     any but an extended Kalman filter of position and velocity at the times of its rows.
     """
-    mine = [(b, trajectory) for b in batches for trajectory in b.trajectories if trajectory.folder is folder]
+    mine = [(b, trajectory) for b in batches for trajectory in b.trajectories if trajectory.folder.name == folder.name]
     if not mine or not isinstance(mine[0][0].tracker, Tracker) or mine[0][1].station:
         return None
     tracker, first = mine[0][0].tracker, mine[0][1].recording

@@ -13,6 +13,7 @@ from trackers.line.path import path_of
 from trackers.parts.fixes import FIXES
 from trackers.parts.ranges import RANGES
 from trackers.recordings.columns import float_column
+from trackers.recordings.local_frame import from_origins
 from trackers.recordings.tracker_spec import TrackerBatch, TrackerSpec
 from trackers.recordings.tracks_table import track_keys
 from trackers.recordings.trajectories import Trajectories, Trajectory
@@ -37,7 +38,7 @@ def events_of(tracks: pl.DataFrame, spec: TrackerSpec, batches: Sequence[Tracker
 
     `tracks`: the table of estimates by the tracker `spec` of the trajectories in `batches`.
     """
-    keys = track_keys(tracks)
+    keys, tracks = track_keys(tracks), from_origins(tracks, batches)
     # A track lost and found again at one time has the status of a restart alone, which is both events.
     restarted, before = pl.col("status") == "restarted", pl.col("status").shift(1).over(keys)
     lost = ((pl.col("status") == "lost") | restarted) & (before != "lost").fill_null(True)

@@ -18,6 +18,7 @@ from trackers.core.sensor import AbstractSensor
 from trackers.core.smoother import Smoothed
 from trackers.core.state import wrap
 from trackers.core.tracker import Tracker
+from trackers.recordings.local_frame import from_origins
 from trackers.recordings.tracks import Tracks
 from trackers.recordings.trajectories import Trajectory
 
@@ -42,7 +43,8 @@ def residual_ratios(tracks: Tracks) -> dict[str, float]:
     rows: dict[str, int] = {}
     if "x_m" not in tracks.table.columns:
         return {}
-    estimates = tracks.table.select("recording", "tag", "t_s", "x_m", "y_m", "z_m").drop_nulls(["x_m", "y_m"])
+    table = from_origins(tracks.table, tracks.batches)
+    estimates = table.select("recording", "tag", "t_s", "x_m", "y_m", "z_m").drop_nulls(["x_m", "y_m"])
     of_tags = estimates.partition_by(["recording", "tag"], as_dict=True)
     for batch in tracks.batches:
         tracker = batch.tracker.tracker if isinstance(batch.tracker, Smoothed) else batch.tracker

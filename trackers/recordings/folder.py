@@ -43,6 +43,7 @@ class RecordingFolder:
     ids as String, null where a value is missing. `notices`: one line for each anomaly found while reading.
     `calibration`: the systematic errors that trackers remove from its bearings and ranges; the tables are as measured.
     `average_s`: interval, s, over which its readings are averages; None where trackers are to average of themselves.
+    `origin`: x and y, m, in the recording as it was read, of the point from which positions are given.
     """
 
     name: str
@@ -52,6 +53,7 @@ class RecordingFolder:
     notices: tuple[str, ...] = ()
     calibration: Calibration | None = None
     average_s: float | None = None
+    origin: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         if not isinstance(self.tables, Tables):

@@ -12,6 +12,7 @@ from trackers.core.smoother import Smoothed
 from trackers.core.tracker import AbstractTracker
 from trackers.core.tunable import AbstractTunable, tunables, with_values
 from trackers.recordings.folder import RecordingFolder, refuse_same_names
+from trackers.recordings.local_frame import near_origin
 from trackers.recordings.reading_grids import above_rounding
 from trackers.recordings.tracker_spec import TrackerBatch, TrackerSpec
 from trackers.recordings.tracks import Tracks, track
@@ -44,7 +45,7 @@ class NamedTracker:
     def of(cls, name: str, spec: TrackerSpec, recordings: Recordings, free_height: bool = False) -> NamedTracker:
         """The tracker of an entry for recordings; raises UnusableInput for a recording that lacks what it reads."""
         folders = folder_list(recordings)
-        groups = spec.batches(folders, name, free_height)
+        groups = spec.batches([*map(near_origin, folders)], name, free_height)
         if not groups:
             raise UnusableInput(f"tracker '{name}': no trajectory in the recordings; expected one tag at least")
         return cls(name, spec, groups[0].tracker, free_height, made_for=(folders, groups))
@@ -62,7 +63,8 @@ class NamedTracker:
     def batches(self, recordings: Recordings) -> list[TrackerBatch]:
         """The trajectories of the recordings and the trackers that run them, with this tracker's numbers.
 
-        A noise level below the rounding of a recording's readings is raised to it: `TrackerBatch.notices`.
+        A noise level below the rounding of a recording's readings is raised to it: `TrackerBatch.notices`. Recordings
+        in map coordinates are about an origin nearby, `trajectory.folder.origin`; estimates of `run` are not.
         """
         groups = self._batches(recordings)
         split = [part for group in groups for part in above_rounding(group)]
@@ -74,7 +76,7 @@ class NamedTracker:
         own, groups = self.made_for
         # Rows of long recordings take longer to make than to filter.
         if len(folders) != len(own) or any(a is not b for a, b in zip(folders, own, strict=True)):
-            groups = self.spec.batches(folders, self.name, self.free_height)
+            groups = self.spec.batches([*map(near_origin, folders)], self.name, self.free_height)
         return [
             dataclasses.replace(group, tracker=with_values(group.tracker, self.values, self.source)) for group in groups
         ]

@@ -144,7 +144,8 @@ def _summaries(number: np.ndarray, status: np.ndarray, count: int) -> dict[str, 
 def _table(trajectories: Trajectories, number: np.ndarray, times: np.ndarray, estimates: Estimates) -> pl.DataFrame:
     """The estimates (N,), one per time; `number`: of the trajectory of each; `times`: for which they are valid, s."""
     bearing = bool(trajectories.stations[0])
-    columns = angles(estimates) if bearing else _positions(estimates, trajectories.heights[number])
+    origins = np.array([folder.origin for folder in trajectories.folders])[number]
+    columns = angles(estimates) if bearing else _positions(estimates, trajectories.heights[number], origins)
     ids: dict[str, Sequence[str]] = {"recording": [f.name for f in trajectories.folders], "tag": trajectories.tags}
     if bearing:
         ids["station"] = trajectories.stations
@@ -159,9 +160,13 @@ def _table(trajectories: Trajectories, number: np.ndarray, times: np.ndarray, es
     )
 
 
-def _positions(estimates: Estimates, height: np.ndarray) -> dict[str, np.ndarray]:
-    """Positions with their standard deviations and covariances, m and m², and velocities, m/s, if the state has any."""
+def _positions(estimates: Estimates, height: np.ndarray, origins: np.ndarray) -> dict[str, np.ndarray]:
+    """Positions with their standard deviations and covariances, m and m², and velocities, m/s, if the state has any.
+
+    `height` (N,), m, for states without one; `origins` (N, 2): x and y, m, from which the states have theirs.
+    """
     mean, every_sigma = [np.asarray(x) for x in estimates.mean.position], estimates.sigmas
+    mean[:2] = [np.asarray(x, float) + origin for x, origin in zip(mean, origins.T, strict=False)]
     sigmas = [every_sigma[f"position.{k}"] for k in range(len(mean))]
     cov, n = estimates.entries("position"), len(mean)
     if n == 2:

@@ -18,13 +18,11 @@ FAR_M = 500.0  # beyond the range of indoor radio
 FAR_SIZES = 20.0  # times the size of the rig
 FAR_SIZES_MM = 150.0  # times the size of the rig, beyond which centimetres would be far away, too
 FASTEST_TURN = 35.0  # rad/s, the full scale of common gyroscopes
-COARSE_M = 1e-3
-"""Spacing of numbers in single precision, m, from which on coordinates are far from their origin: that of 8 km."""
 
 
 def check_units(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> list[CheckResult]:
     """Values of a size that suggests another unit than that of the column."""
-    results = _anchor_lengths(rig, tables) + _far_from_origin(rig, tables)
+    results = _anchor_lengths(rig, tables)
     size = _size(rig)
     for name, table in tables.items():
         if name in ("bearings", "phases"):
@@ -86,25 +84,6 @@ def _anchor_lengths(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> list[CheckR
         return []
     message = f"anchors {nearest:.4g} m apart, ranges of {typical:.3g} m: looks like millimetres, expected metres"
     return [CheckResult("error", "rig.toml", message)]
-
-
-def _far_from_origin(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> list[CheckResult]:
-    """Coordinates, as those of a map, that single precision resolves to millimetres or less."""
-    fixed = [*rig.anchors.values(), *(station.position for station in rig.stations.values())]
-    farthest = {"rig.toml": max((float(np.abs(place).max()) for place in fixed), default=0.0)}
-    if "fixes" in tables:
-        axes = pl.max_horizontal(pl.col("x_m", "y_m", "z_m").abs())
-        farthest["fixes"] = float(tables["fixes"].select(axes.quantile(0.9)).item() or 0.0)
-    return [
-        CheckResult(
-            "warning",
-            where,
-            f"coordinates reach {far:.3g} m, where single precision, in which trackers compute, resolves {step:.2g} m; "
-            "subtract an origin near the tags from all of them",
-        )
-        for where, far in farthest.items()
-        if (step := float(np.spacing(np.float32(far)))) >= COARSE_M
-    ]
 
 
 def _accelerations(table: pl.DataFrame) -> list[CheckResult]:

@@ -255,12 +255,3 @@ def test_every_real_recording_reads_and_has_no_error():
     assert folders
     wrong = {folder.name: _messages(check(read_recording(folder)), "error") for folder in folders}
     assert not any(wrong.values()), wrong
-
-
-def test_coordinates_of_a_map_are_a_warning(good: RecordingFolder):
-    far = np.array([0.0, 5.3e6, 0.0])
-    rig = replace(good.rig, anchors={name: place + far for name, place in good.rig.anchors.items()}, stations={})
-    tables = {"ranges": good.tables["ranges"]}
-    assert _has(
-        check(replace(good, rig=rig, tables=tables)), "warning", "rig.toml", "5.3e+06 m", "resolves 0.5 m", "origin"
-    )
