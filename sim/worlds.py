@@ -10,6 +10,7 @@ keys of `[worlds.NAME]` in a study are made of them.
 
 from __future__ import annotations
 
+import difflib
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -271,3 +272,9 @@ WORLDS: Mapping[str, Callable[..., RecordingFolder]] = MappingProxyType(
 
 def __dir__() -> list[str]:
     return __all__
+
+
+def __getattr__(name: str) -> Any:
+    near = difflib.get_close_matches(name, WORLDS, 1)
+    meant = f"; did you mean simulate.{near[0]}?" if near and not name.startswith("_") else ""
+    raise AttributeError(f"no world '{name}'; there are {', '.join(WORLDS)}{meant}")

@@ -2,24 +2,34 @@
 
 Everywhere: `times` (T,) s in ascending order, or time stamps in any unit, as of pandas; NaN marks a missing value;
 `height` m is the tag's constant height, which trackers over the floor (`planar=True`) need; `truth` (T, 3) m, or (T, 2)
-over the floor, is the true position, NaN where it is unknown. All raise ValueError for arrays that do not fit.
+over the floor, is the true position, NaN where it is unknown. All raise UnusableInput, a ValueError, for arrays that do
+not fit, and warn of coordinates as of a map, which single precision resolves to millimetres or less.
 """
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 
+import jax
 import numpy as np
+import polars as pl
 
 from trackers.aoa.fusion import BEARINGS, bearing_inputs
 from trackers.aoa.rays import recent_points
+from trackers.core.errors import UnusableInput
 from trackers.core.recording import Readings, Recording
-from trackers.core.rig import Station, room_rows
+from trackers.core.rig import Rig, Station, room_rows
+from trackers.core.row_checks import check_times
 from trackers.core.seconds import seconds
 from trackers.core.track_loss import ROOM
 from trackers.parts.fixes import FIXES
 from trackers.parts.range_rows import range_inputs
 from trackers.parts.ranges import RANGES
+from trackers.recordings.checks.units import check_units
+
+COARSE_M = 1e-3
+"""Spacing of numbers in single precision, m, from which on coordinates are far from their origin: that of 8 km."""
 
 
 def fix_recording(
@@ -39,7 +49,8 @@ def fix_recording(
     if values.shape[1] == 2:
         values, seen = np.pad(values, ((0, 0), (0, 1))), np.pad(seen, ((0, 0), (0, 1)))
     if values.shape[1] != 3:
-        raise ValueError(f"positions have {values.shape[1]} columns; expected x, y or x, y, z")
+        raise UnusableInput(f"positions have {values.shape[1]} columns; expected x, y or x, y, z")
+    _warn_of_map("fix_recording", values[seen[:, 0]])
     if height is not None:
         seen[:, 2] = False
     elif not seen[:, 2].any():
@@ -69,14 +80,19 @@ def range_recording(
     """
     anchors = np.asarray(anchors, float)
     if anchors.ndim != 2 or anchors.shape[1] != 3:
-        raise ValueError(f"anchors have shape {anchors.shape}; expected (A, 3), m")
+        raise UnusableInput(f"anchors have shape {anchors.shape}; expected (A, 3), m")
+    _warn_of_map("range_recording", anchors)
     table = np.asarray(ranges, float)
     if anchor is None:
         if table.ndim != 2 or table.shape[1] != len(anchors):
-            raise ValueError(
+            raise UnusableInput(
                 f"ranges have shape {table.shape}; expected (T, {len(anchors)}), one per anchor, or (T,) and anchor="
             )
-        kept = np.isfinite(table)
+        # Rows are checked as they were given, before each range becomes one.
+        check_times(name, seconds(times))
+        kept = _masked("ranges", table, len(times))[1]
+        if not kept.any():
+            raise UnusableInput(f"ranges of shape {table.shape} are all NaN; expected one or more, m")
         row, number = np.nonzero(kept)
         times, table = seconds(times)[row], table[kept]
         std = None if std is None else _like("std", std, kept)[kept]
@@ -84,12 +100,13 @@ def range_recording(
     else:
         number = np.asarray(anchor, int)
         if table.ndim != 1 or number.shape != table.shape or not np.all((number >= 0) & (number < len(anchors))):
-            raise ValueError(
+            raise UnusableInput(
                 f"ranges have shape {table.shape} and anchor {number.shape}; expected (T,) both, with anchors 0 to "
                 f"{len(anchors) - 1}"
             )
     values, seen = _masked("ranges", table[:, None], len(times))
     seen &= values > 0.0
+    _refuse_other_units(anchors, values[seen])
     variances = np.zeros(values.shape) if std is None else np.nan_to_num(_like("std", std, table))[:, None] ** 2
     readings = Readings(values, seen, variances)
     ends, heights = np.array([0, len(values)]), np.array([np.nan if height is None else height], float)
@@ -115,13 +132,14 @@ def bearing_recording(
     """
     unknown = sorted(set(station) - set(stations))
     if unknown or len(station) != len(times):
-        raise ValueError(
+        raise UnusableInput(
             f"station has {len(station)} names, unknown among them: {', '.join(unknown) or 'none'}; expected "
             f"{len(times)} of {', '.join(stations)}"
         )
     values, seen = _masked("bearings", bearings, len(times))
     geometry = {key: bearing_inputs(s) for key, s in stations.items()}
     where = np.stack([geometry[s] for s in station])
+    _warn_of_map("bearing_recording", where[:, :3])
     spread = np.zeros(values.shape) if std is None else np.nan_to_num(_like("std", std, values))
     reported = np.stack([spread[:, 0] ** 2, np.zeros(len(spread)), spread[:, 1] ** 2], axis=1)
     nearby = recent_points(seconds(times), where[:, :3], where[:, 3:], values, np.asarray(seen.all(axis=1)), height)
@@ -148,13 +166,32 @@ def phase_recording(
     return Recording(times, readings, _height(times, height), _truth(truth, len(times)), name)
 
 
+def _refuse_other_units(anchors: np.ndarray, ranges: np.ndarray) -> None:
+    """Raises UnusableInput for ranges, m, of a size that suggests another unit, as the check of a folder does."""
+    rig = Rig("arrays", anchors={str(number): place for number, place in enumerate(anchors)})
+    for result in check_units(rig, {"ranges": pl.DataFrame({"range_m": ranges})}):
+        raise UnusableInput(f"range_recording: {result.message}")
+
+
+def _warn_of_map(function: str, points: np.ndarray) -> None:
+    """Warns where half of the points (n, d), m, are so far from their origin that single precision is coarse there."""
+    far = float(np.median(np.abs(points), axis=0).max()) if len(points) else 0.0
+    step = np.spacing(np.asarray(far, jax.dtypes.canonicalize_dtype(float)))
+    if step >= COARSE_M:
+        warnings.warn(
+            f"{function}: coordinates reach {far:.3g} m, where single precision, in which trackers compute, resolves "
+            f"{step:.2g} m; subtract an origin near the tags from all of them and add it to the estimates",
+            stacklevel=3,
+        )
+
+
 def _masked(what: str, values: np.ndarray, rows: int) -> tuple[np.ndarray, np.ndarray]:
     """The values with zeros for NaN, and where there was a number."""
     values = np.asarray(values, float)
     if values.ndim != 2 or len(values) != rows:
-        raise ValueError(f"{what} have shape {values.shape}; expected ({rows}, n), one row for each time")
+        raise UnusableInput(f"{what} have shape {values.shape}; expected ({rows}, n), one row for each time")
     if np.isinf(values).any():
-        raise ValueError(
+        raise UnusableInput(
             f"{what}: row {int(np.argwhere(np.isinf(values))[0][0])} is infinite; mark what is missing by NaN"
         )
     seen = ~np.isnan(values)
@@ -164,13 +201,13 @@ def _masked(what: str, values: np.ndarray, rows: int) -> tuple[np.ndarray, np.nd
 def _like(what: str, values: np.ndarray, other: np.ndarray) -> np.ndarray:
     values = np.asarray(values, float)
     if values.shape[: other.ndim] != other.shape[: values.ndim] or values.ndim != other.ndim:
-        raise ValueError(f"{what} has shape {values.shape}; expected {other.shape}, that of the measurements")
+        raise UnusableInput(f"{what} has shape {values.shape}; expected {other.shape}, that of the measurements")
     return values
 
 
 def _rows_of(truth: np.ndarray, row: np.ndarray, rows: int) -> np.ndarray:
     if len(truth) != rows:
-        raise ValueError(f"truth has {len(truth)} rows; expected {rows}, one for each time")
+        raise UnusableInput(f"truth has {len(truth)} rows; expected {rows}, one for each time")
     return np.asarray(truth, float)[row]
 
 
@@ -183,6 +220,6 @@ def _truth(truth: np.ndarray | None, rows: int) -> dict[str, tuple[np.ndarray, n
         return {}
     values = np.asarray(truth, float)
     if values.ndim != 2 or values.shape[0] != rows or values.shape[1] not in (2, 3):
-        raise ValueError(f"truth has shape {values.shape}; expected ({rows}, 3), or ({rows}, 2) over the floor")
+        raise UnusableInput(f"truth has shape {values.shape}; expected ({rows}, 3), or ({rows}, 2) over the floor")
     known = np.isfinite(values).all(axis=-1)
     return {"position": (np.where(known[:, None], values, 0.0), known)}

@@ -1,6 +1,9 @@
 """Recordings from arrays: what is masked, which heights they carry, and reported noise as variances."""
 
+import jax
+import jaxtyping
 import numpy as np
+import polars as pl
 import pytest
 
 import trackwright as tw
@@ -57,3 +60,65 @@ def test_a_table_of_ranges_becomes_a_row_for_each_that_is_there():
     np.testing.assert_array_equal(recording.inputs["anchors"], anchors[[0, 1, 1, 2, 0, 2]])
     np.testing.assert_array_equal(recording.inputs["height"], 1.0)
     np.testing.assert_array_equal(recording.truth["position"][0], truth[[0, 0, 1, 1, 2, 2]])
+
+
+HALL = np.array([[0.0, 0.0, 2.0], [8.0, 0.0, 2.5], [8.0, 6.0, 2.0], [0.0, 6.0, 2.5]])
+RANGES_M = np.linalg.norm(HALL - np.array([3.0, 2.0, 1.0]), axis=1) * np.ones((3, 1))
+
+
+@pytest.mark.parametrize(
+    ("times", "ranges", "anchors", "words"),
+    [
+        (TIMES, RANGES_M * 1000, HALL, "range_recording: a typical range is 5405 m: looks like millimetres"),
+        (TIMES, RANGES_M, HALL * 1000, "anchors .* m apart, ranges of .* looks like millimetres"),
+        (TIMES, np.where(np.eye(3, 4) > 0, np.inf, RANGES_M), HALL, "ranges: row 0 is infinite"),
+        (TIMES, RANGES_M * np.nan, HALL, r"ranges of shape \(3, 4\) are all NaN"),
+        (TIMES[::-1], RANGES_M, HALL, r"times\[1\] = 0.5 s comes before"),
+        (np.array([0.0, 1.0, 0.9]), RANGES_M, HALL, r"times\[2\] = 0.9 s comes before"),
+    ],
+)
+def test_ranges_in_another_unit_or_order_are_refused_in_one_line_about_the_arrays_given(times, ranges, anchors, words):
+    with pytest.raises(tw.UnusableInput, match=words):
+        tw.range_recording(times, ranges, anchors)
+
+
+def test_coordinates_of_a_map_are_a_warning_in_single_precision_alone():
+    far = np.array([5e5, 5.4e6, 0.0])
+    tw.range_recording(TIMES, RANGES_M, HALL + far)
+    with jax.enable_x64(False):
+        with pytest.warns(UserWarning, match=r"range_recording: coordinates reach 5.4e\+06 m, .* resolves 0.5 m"):
+            tw.range_recording(TIMES, RANGES_M, HALL + far)
+        with pytest.warns(UserWarning, match="fix_recording: coordinates"):
+            tw.fix_recording(TIMES, np.ones((3, 3)) + far)
+        # A single wild fix is none of a map.
+        tw.fix_recording(TIMES, np.ones((3, 3)) + np.eye(3) * 1e9)
+
+
+@pytest.fixture
+def unchecked():
+    """Without the checks of shapes that tests alone have."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: tw.Rig("hall", anchors={"A1": [0, 0]}), r"Rig: anchor A1 is at \[0, 0\]; expected \[x, y, z\], m"),
+        (lambda: tw.Station(np.zeros(2), np.array([1.0, 0, 0, 0])), r"Station: position = \[0.0, 0.0\]; expected"),
+        (lambda: tw.tracker_for(pl.DataFrame({"x": [1.0]})), "found DataFrame; expected one or more recording folders"),
+        (lambda: tw.tracker_for("my-folder"), "found str; expected one or more recording folders"),
+        (lambda: tw.tracker_for(["a"]), "found str; expected one or more recording folders"),
+        (lambda: tw.Scale(-1.0), "a Scale is positive"),
+    ],
+)
+def test_arguments_of_another_kind_are_refused_as_unusable_input(make, words, unchecked):
+    with pytest.raises(tw.UnusableInput, match=words):
+        make()
+
+
+def test_a_world_that_does_not_exist_names_the_one_that_was_meant():
+    with pytest.raises(AttributeError, match=r"no world 'range'; .*did you mean simulate\.ranges\?"):
+        tw.simulate.range  # noqa: B018
+    assert not hasattr(tw.simulate, "walk")

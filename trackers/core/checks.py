@@ -123,7 +123,15 @@ def check_sensor(
     rng = np.random.default_rng(seed)
 
     def measure() -> list[Scalar]:
-        return list(sensor.measure(view, inputs))
+        try:
+            return list(sensor.measure(view, inputs))
+        except AttributeError as error:
+            if error.obj is not view:
+                raise
+            fields = ", ".join(dict.fromkeys(part.partition(".")[0] for part in component_names(view)))
+            raise BrokenContract(
+                f"{name}.measure reads '{error.name}' of the view, a {type(view).__name__}, which has {fields}"
+            ) from None
 
     predicted = _call(f"{name}.measure", jax.jit(measure))
     if len(predicted) != m or any(jnp.shape(p) != () for p in predicted):

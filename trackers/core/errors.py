@@ -74,5 +74,7 @@ def one_or_more(found: Any, kinds: tuple[type[T], ...], expected: str) -> list[T
     items = list(found) if isinstance(found, Iterable) and not isinstance(found, kinds) else [found]
     wrong = next((x for x in items if not isinstance(x, kinds)), None)
     if not items or wrong is not None:
-        raise UnusableInput(f"found {type(wrong).__name__ if items else 'nothing'}; expected {expected}")
+        # A table iterates over its columns and a text over its letters.
+        kind = type(wrong if isinstance(found, (list, tuple)) else found).__name__ if items else "nothing"
+        raise UnusableInput(f"found {kind}; expected {expected}")
     return items

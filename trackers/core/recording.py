@@ -56,7 +56,7 @@ class Recording:
     name. `inputs`: by name, (T, …), known quantities that motion and sensors may use. `truth`: by quantity name, values
     (T, d) with the rows where it is known. Its arrays are read-only views. `id`: from it and the seed of a run come the
     random numbers of filters that draw any; None for the recording's place among those that run together. Equal to
-    itself alone. Raises ValueError where times are unsorted, shapes differ or a number isn't finite.
+    itself alone. Raises UnusableInput where times are unsorted, shapes differ or a number isn't finite.
     """
 
     times: np.ndarray
@@ -138,7 +138,7 @@ class Columns:
     """The rows of n recordings of the same sensors, inputs and truths as columns, one recording after another.
 
     `starts` (n + 1,): the first of the N rows of each recording, then N. `times` (N,) s, `readings`, `inputs` and
-    `truth`: those of a `Recording`, with N rows. `names` and `ids` (n,). Raises ValueError as `Recording` does.
+    `truth`: those of a `Recording`, with N rows. `names` and `ids` (n,). Raises UnusableInput as `Recording` does.
     """
 
     starts: np.ndarray
@@ -161,7 +161,7 @@ class Columns:
 
     @classmethod
     def of(cls, recordings: Sequence[Recording]) -> Columns:
-        """The rows of recordings; raises ValueError where these differ in the names or shapes of their arrays."""
+        """The rows of recordings; raises UnusableInput where these differ in the names or shapes of their arrays."""
         starts = np.cumsum([0, *(len(r) for r in recordings)])
         return cls(
             starts,
@@ -172,7 +172,7 @@ class Columns:
 
     @classmethod
     def joined(cls, parts: Sequence[Columns]) -> Columns:
-        """The recordings of all parts; raises ValueError where these differ in the names or shapes of their arrays."""
+        """The recordings of all parts; raises UnusableInput where they differ in the names or shapes of arrays."""
         starts = np.cumsum([0, *(n for part in parts for n in np.diff(part.starts))])
         names, ids = [x for part in parts for x in part.names], [x for part in parts for x in part.ids]
         return cls(starts, *_joined_rows(parts, [part.names[0] for part in parts]), names, ids)
@@ -224,7 +224,7 @@ class Columns:
         longest = int(lengths.max())
         rows = rows or longest
         if rows < longest:
-            raise ValueError(f"rows = {rows} is less than the longest recording's {longest}")
+            raise UnusableInput(f"rows = {rows} is less than the longest recording's {longest}")
         first, equally_long = self.starts[:-1], bool(lengths.min() == longest)
         place = None if equally_long else np.flatnonzero(np.arange(longest) < lengths[:, None])
 
@@ -256,13 +256,13 @@ class Columns:
 
 
 def _joined_rows(parts: Sequence[Recording] | Sequence[Columns], names: Sequence[str]) -> tuple[Any, Any, Any, Any]:
-    """Times, readings, inputs and truth of all parts; raises ValueError, by the parts' names, where they differ."""
+    """Times, readings, inputs and truth of all parts; raises UnusableInput, by the parts' names, where they differ."""
     first = parts[0]
     for other, label in zip(parts, names, strict=True):
         for what in ("readings", "inputs", "truth"):
             mine, theirs = getattr(first, what), getattr(other, what)
             if set(mine) != set(theirs):
-                raise ValueError(
+                raise UnusableInput(
                     f"stack: '{label}' has {what} {sorted(theirs)}, '{names[0]}' {sorted(mine)}; expected the same "
                     "names in all; leave the others out, or stack these recordings apart"
                 )
@@ -271,7 +271,7 @@ def _joined_rows(parts: Sequence[Recording] | Sequence[Columns], names: Sequence
         shape = np.shape(arrays[0])[1:]
         for label, array in zip(names, arrays, strict=True):
             if np.shape(array)[1:] != shape:
-                raise ValueError(f"'{label}' has rows of shape {np.shape(array)[1:]}, '{names[0]}' of {shape}")
+                raise UnusableInput(f"'{label}' has rows of shape {np.shape(array)[1:]}, '{names[0]}' of {shape}")
         return np.concatenate(arrays) if len(arrays) > 1 else np.asarray(arrays[0])
 
     readings = {}

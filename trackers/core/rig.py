@@ -43,6 +43,8 @@ class Station:
 
     def __post_init__(self) -> None:
         rotation = np.asarray(self.rotation, float)
+        if np.shape(self.position) != (3,):
+            raise UnusableInput(f"Station: position = {np.asarray(self.position).tolist()}; expected [x, y, z], m")
         if rotation.shape != (4,) or not 0 < math.hypot(*rotation) < math.inf:
             raise UnusableInput(
                 f"Station: rotation = {rotation.tolist()}; expected a quaternion w, x, y, z, as (1, 0, 0, 0)"
@@ -62,9 +64,9 @@ class Station:
         return np.stack([np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))], axis=-1)
 
     def antenna_positions(self) -> Float[np.ndarray, "n 3"]:
-        """The antenna positions (n, 3), m, world frame; raises ValueError for a station without an array."""
+        """The antenna positions (n, 3), m, world frame; raises UnusableInput for a station without an array."""
         if self.antennas is None:
-            raise ValueError("this station has no antennas_m: it reports angles, not phases")
+            raise UnusableInput("this station has no antennas_m: it reports angles, not phases")
         flat = np.concatenate([self.antennas, np.zeros((len(self.antennas), 1))], axis=1)
         return self.position + flat @ self.world_from_array().T
 
@@ -82,7 +84,8 @@ class Rig:
     """The fixed geometry of an installation.
 
     `path_knots`: (k, 2) m, corners of a known path on the floor. `walls`: (n, 4) m, x1, y1, x2, y2 of each; `outline`:
-    (m, 2) m, corners of the floor that holds the tags. `about`, `licence`, `source`: free text.
+    (m, 2) m, corners of the floor that holds the tags. `about`, `licence`, `source`: free text. Raises UnusableInput
+    for an anchor without three finite coordinates.
     """
 
     name: str
@@ -95,6 +98,11 @@ class Rig:
     about: str = ""
     licence: str = ""
     source: str = ""
+
+    def __post_init__(self) -> None:
+        for name, place in self.anchors.items():
+            if np.shape(place) != (3,) or not np.all(np.isfinite(place)):
+                raise UnusableInput(f"Rig: anchor {name} is at {np.asarray(place).tolist()}; expected [x, y, z], m")
 
     def all_walls(self) -> Float[np.ndarray, "n 4"]:
         """The walls and the edges of the outline, (n, 4), m."""
@@ -122,14 +130,14 @@ def room_rows(
 
 
 def checked_knots(knots: ArrayLike) -> Float[np.ndarray, "k 2"]:
-    """The knots of a path as an array, m; raises ValueError for one that is not finite or repeats the one before."""
+    """The knots of a path as an array, m; raises UnusableInput for one that is not finite or repeats the one before."""
     knots = np.asarray(knots, float)
     if knots.ndim != 2 or knots.shape[1:] != (2,) or len(knots) < 2:
-        raise ValueError(f"a path has at least two knots [x, y], found an array of shape {knots.shape}")
+        raise UnusableInput(f"a path has at least two knots [x, y], found an array of shape {knots.shape}")
     if not np.all(np.isfinite(knots)):
-        raise ValueError(f"knot {int(np.argmin(np.isfinite(knots).all(axis=1)))} of the path is not finite")
+        raise UnusableInput(f"knot {int(np.argmin(np.isfinite(knots).all(axis=1)))} of the path is not finite")
     lengths = np.sqrt((np.diff(knots, axis=0) ** 2).sum(axis=1))
     if not np.all(lengths > 0):
         k = int(np.argmin(lengths)) + 1
-        raise ValueError(f"knot {k} of the path repeats the one before, {knots[k].tolist()}; leave one of them out")
+        raise UnusableInput(f"knot {k} of the path repeats the one before, {knots[k].tolist()}; leave one of them out")
     return knots

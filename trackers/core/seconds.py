@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from trackers.core.errors import UnusableInput
+
 UNIX_S, UNIX_MS = 1e8, 1e11
 """Times, s, from the first on count from 1970, in s below the second: three years are longer than any recording."""
 
@@ -15,7 +17,7 @@ UNIX_S, UNIX_MS = 1e8, 1e11
 def seconds(times: Any) -> Float[np.ndarray, "*shape"]:
     """Numbers as they are, time stamps as seconds since 1970 (UTC where they have a time zone), durations as seconds.
 
-    Raises ValueError for a missing time stamp, and for one of months or years.
+    Raises UnusableInput for a missing time stamp, and for one of months or years.
     """
     values = np.asarray(times)
     if values.dtype == object and values.size and hasattr(values.flat[0], "timestamp"):
@@ -24,7 +26,7 @@ def seconds(times: Any) -> Float[np.ndarray, "*shape"]:
     elif values.dtype.kind in "mM":
         unit, _ = np.datetime_data(values.dtype)
         if unit in ("generic", "Y", "M"):
-            raise ValueError(f"times of type {values.dtype}; expected seconds, or time stamps of days or finer units")
+            raise UnusableInput(f"times of type {values.dtype}; expected seconds, or time stamps of days or finer")
         # Whole and broken seconds apart: nanoseconds since 1970 have more digits than a float.
         missing = np.isnat(values)
         fine = values.astype(f"{'datetime64' if values.dtype.kind == 'M' else 'timedelta64'}[ns]").astype(np.int64)
@@ -32,7 +34,7 @@ def seconds(times: Any) -> Float[np.ndarray, "*shape"]:
     else:
         return np.asarray(values, np.float64)
     if np.isnan(values).any():
-        raise ValueError(f"times[{int(np.argmax(np.isnan(values)))}] is missing (NaT); leave the row out")
+        raise UnusableInput(f"times[{int(np.argmax(np.isnan(values)))}] is missing (NaT); leave the row out")
     return values
 
 

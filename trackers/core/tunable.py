@@ -73,7 +73,7 @@ class Scale(AbstractTunable):
     def __init__(self, value: Any, unit: str = "1", role: Role | None = None, axis: Axis | None = None):
         value = numbers_of("Scale", value)
         if not (np.all(np.isfinite(value)) and np.all(value > 0)):
-            raise ValueError(
+            raise UnusableInput(
                 f"a Scale is positive and finite, found {value.tolist()}; a noise that is absent is left out, "
                 "not set to zero"
             )
@@ -99,7 +99,7 @@ class Fraction(AbstractTunable):
     def __init__(self, value: Any, unit: str = "1"):
         value = numbers_of("Fraction", value)
         if not np.all((value > 0) & (value < 1)):
-            raise ValueError(f"a Fraction lies strictly between 0 and 1, found {value.tolist()}")
+            raise UnusableInput(f"a Fraction lies strictly between 0 and 1, found {value.tolist()}")
         self.raw = np.log(value) - np.log1p(-value)
         self.unit = unit
 
@@ -122,7 +122,7 @@ class Real(AbstractTunable):
     def __init__(self, value: Any, unit: str = "1", typical: float = 1.0):
         value = numbers_of("Real", value)
         if not np.all(np.isfinite(value)):
-            raise ValueError(f"a Real is finite, found {value.tolist()}")
+            raise UnusableInput(f"a Real is finite, found {value.tolist()}")
         self.raw = value / typical
         self.unit = unit
         self.typical = typical
@@ -155,7 +155,7 @@ class Covariance(AbstractTunable):
                 raise np.linalg.LinAlgError
             factor = np.linalg.cholesky(value)
         except np.linalg.LinAlgError as error:
-            raise ValueError(f"a Covariance is symmetric positive definite, found {value.tolist()}") from error
+            raise UnusableInput(f"a Covariance is symmetric positive definite, found {value.tolist()}") from error
         diagonal = np.diag_indices(len(value))
         factor[diagonal] = np.log(factor[diagonal])
         self.raw = factor
@@ -186,7 +186,7 @@ class Threshold(AbstractTunable):
     def __init__(self, value: Any, unit: str = "1"):
         value = numbers_of("Threshold", value)
         if not np.all(value > 0):
-            raise ValueError(f"a Threshold is positive, np.inf to disable it, found {value.tolist()}")
+            raise UnusableInput(f"a Threshold is positive, np.inf to disable it, found {value.tolist()}")
         self.raw = value
         self.unit = unit
 
@@ -218,7 +218,7 @@ def _checked(role: Role | None, axis: Axis | None) -> tuple[Role | None, Axis | 
     for found, expected in ((role, Role), (axis, Axis)):
         if found is not None and found not in get_args(expected):
             choices = ", ".join(f"'{x}'" for x in get_args(expected))
-            raise ValueError(f"the role of a noise level: found '{found}'; expected one of {choices}, or None")
+            raise UnusableInput(f"the role of a noise level: found '{found}'; expected one of {choices}, or None")
     return role, axis
 
 
@@ -241,13 +241,13 @@ def tunables(tree: Any) -> dict[str, AbstractTunable]:
 def matching(tree: Any, patterns: str | Sequence[str]) -> dict[str, AbstractTunable]:
     """The tunables whose names match one of the shell patterns (`sensors.*.sigma_p`).
 
-    Raises ValueError, listing the tunables, for a pattern that matches none.
+    Raises UnusableInput, listing the tunables, for a pattern that matches none.
     """
     patterns = [patterns] if isinstance(patterns, str) else list(patterns)
     every = tunables(tree)
     for pattern in patterns:
         if not fnmatch.filter(every, pattern):
-            raise ValueError(
+            raise UnusableInput(
                 f"the pattern '{pattern}' matches no tunable{near(pattern, every)}; this tracker has: "
                 f"{', '.join(every) or 'none'}"
             )

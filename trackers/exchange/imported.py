@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -44,8 +45,11 @@ def import_frames(
     """
     tables, notices = {}, []
     for table, frame in frames.items():
-        mapping = checked(TableMapping(table, columns_of((columns or {}).get(table, ())), tag=tag))
-        tables[table], found = mapped_table(TableFile(Path(f"frame {table}"), _polars(frame, table)), mapping)
+        try:
+            mapping = checked(TableMapping(table, columns_of((columns or {}).get(table, ())), tag=tag))
+            tables[table], found = mapped_table(TableFile(Path(f"frame {table}"), _polars(frame, table)), mapping)
+        except UnusableInput as problem:
+            raise UnusableInput(_in_python(str(problem), table)) from None
         notices += [f"{table}: {line}" for line in found]
     if origin is not None:
         tables = since(tables, origin_of(str(origin), tables))
@@ -53,6 +57,12 @@ def import_frames(
     with tempfile.TemporaryDirectory() as scratch:
         read = _written(folder, Path(scratch) / "recording")
     return replace(read, path=None, notices=(*notices, *read.notices))
+
+
+def _in_python(message: str, table: str) -> str:
+    """The message with arguments of `import_frames` in place of the command line's options."""
+    message = re.sub(r"--columns ('[^']*')", rf"columns={{'{table}': [\1]}}", message)
+    return message.replace("--tag ID", "tag='ID'").replace("--columns", "columns=")
 
 
 def _polars(frame: Any, table: str) -> pl.DataFrame:

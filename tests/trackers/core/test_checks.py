@@ -128,3 +128,22 @@ def test_a_sensor_that_predicts_too_few_channels_is_named():
         BrokenContract, match=r"Short\.measure returns numbers of shapes \[\(\)\], expected 2 scalars: x, y"
     ):
         check_sensor(Short(lambda good, reading, predicted: good), Placed(Vector(0.4, 0.7)))
+
+
+def test_a_sensor_that_reads_a_field_that_the_view_lacks_is_named_with_those_it_has():
+    class Typing(Ruler):
+        def measure(self, view, inputs):
+            return list(view.pos)
+
+    class Broken(Ruler):
+        def measure(self, view, inputs):
+            return [np.pie, view.position[1]]
+
+    sound = lambda good, reading, predicted: good  # noqa: E731
+    with pytest.raises(
+        BrokenContract, match=r"Typing\.measure reads 'pos' of the view, a Placed, which has .*position"
+    ):
+        check_sensor(Typing(sound), Placed(Vector(0.4, 0.7)))
+    # A slip of the sensor's own stays what it is.
+    with pytest.raises(AttributeError, match="pie"):
+        check_sensor(Broken(sound), Placed(Vector(0.4, 0.7)))

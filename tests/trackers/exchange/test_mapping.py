@@ -181,3 +181,19 @@ def test_an_index_of_pandas_times_is_read_as_seconds_in_any_unit(unit):
 def test_frames_that_are_no_tables_are_refused(frames, rig, words):
     with pytest.raises(UnusableInput, match=words):
         import_frames(frames, rig, tag="T")
+
+
+@pytest.mark.parametrize(
+    ("drop", "tag", "words"),
+    [
+        ("distance_mm", "T1", r"add columns=\{'ranges': \['range_m="),
+        (None, None, r"give tag='ID', or add columns=\{'ranges': \['tag="),
+    ],
+)
+def test_frames_are_refused_in_words_of_python(drop, tag, words):
+    frame = pl.DataFrame({"t_s": [0.0], "anchor": ["A1"], "distance_mm": [900.0]})
+    frame = frame if drop is None else frame.drop(drop).with_columns(other=pl.lit(1.0))
+    columns = {"ranges": ["range_m=distance_mm in mm"]} if drop is None else {}
+    with pytest.raises(UnusableInput, match=words) as refused:
+        import_frames({"ranges": frame}, RIG, columns, tag=tag)
+    assert "--" not in str(refused.value)
