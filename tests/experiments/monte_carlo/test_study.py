@@ -6,7 +6,17 @@ import numpy as np
 import pytest
 
 from experiments.monte_carlo import errors
-from experiments.monte_carlo.accumulators import BINS, COLUMN, KINDS, SUMS, compact, expanded, histograms
+from experiments.monte_carlo.accumulators import (
+    BIN_WIDTH,
+    BINS,
+    COLUMN,
+    KINDS,
+    SUMS,
+    compact,
+    expanded,
+    histograms,
+    quantile,
+)
 from experiments.monte_carlo.chunk_store import ChunkStore, merge_shards
 from experiments.monte_carlo.errors import TrackedRuns, _position_errors, scored
 from experiments.monte_carlo.results import METRICS, ChunkTotals, Results
@@ -103,6 +113,17 @@ def test_chunks_are_added_to_the_blocks_of_their_trajectories_in_order():
     np.testing.assert_array_equal(found.sums, sums)
     np.testing.assert_array_equal(found.largest, largest)
     np.testing.assert_array_equal(found.histograms["m"], histogram)
+
+
+@pytest.mark.parametrize("rows", [1, 2, 3, 10, 30, 100, 1000])
+def test_percentiles_of_few_rows_are_within_a_bin_of_those_of_the_values(rows):
+    values = np.random.default_rng(rows).lognormal(size=(40, rows))
+    cells, counts = histograms(values, np.ones(values.shape, bool))
+    dense = np.bincount(cells, counts, 40 * BINS).reshape(40, BINS)
+    for share in (0.5, 0.9, 0.95, 0.99):
+        exact = np.quantile(values, share, axis=1)
+        np.testing.assert_allclose(quantile(dense, share), exact, rtol=BIN_WIDTH)
+    assert np.isnan(quantile(np.zeros(BINS), 0.5))
 
 
 @pytest.mark.parametrize("flat", [True, False])
