@@ -9,6 +9,7 @@ from tuning.intervals import intervals_of as intervals_of
 from tuning.marginal_score import marginal_scores as marginal_scores
 from tuning.named_objectives import all_metrics as all_metrics
 from tuning.named_objectives import parse_objective as parse_objective
+from tuning.objectives import AbstractObjective as AbstractObjective
 from tuning.objectives import NegativeLogLikelihood as NegativeLogLikelihood
 from tuning.objectives import RootMeanSquareError as RootMeanSquareError
 from tuning.objectives import StateLogLikelihood as StateLogLikelihood
@@ -26,6 +27,7 @@ from tuning.tuned_file import write_tuned as write_tuned
 
 __all__ = [
     "LBFGS",
+    "AbstractObjective",
     "Adam",
     "FitResult",
     "NegativeLogLikelihood",

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from trackers.core.errors import UnusableInput
+from trackers.core.errors import UnusableInput, require
 from trackers.core.recording import Batch, stack
 from trackers.core.tracker import AbstractTracker
 from trackers.recordings.folder import RecordingFolder
@@ -18,7 +18,7 @@ from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.tracks import batches
 from trackers.recordings.trajectories import Trajectories, Trajectory, segments, with_floor_truth
 from tuning.named_objectives import parse_objective
-from tuning.objectives import AbstractObjective, MissingQuantityError, StateLogLikelihood
+from tuning.objectives import AbstractObjective, Loss, MeanLoss, MissingQuantityError, StateLogLikelihood
 from tuning.problem import is_stochastic
 from tuning.unstacked import AnyBatch, Unstacked, unstacked
 from tuning.weights import Weigh, trajectory_weights
@@ -78,7 +78,7 @@ class FitData:
 
 def fit_data(
     batch: TrackerBatch,
-    objective: str | AbstractObjective | None,
+    objective: str | AbstractObjective | Loss | None,
     held_out: Sequence[RecordingFolder] = (),
     segment_rows: int = SEGMENT_ROWS,
     dimensions: int = 2,
@@ -104,7 +104,7 @@ def fit_segments(batch: TrackerBatch, rows: int, dimensions: int) -> list[Trajec
 
 def segments_data(
     batch: TrackerBatch,
-    objective: str | AbstractObjective | None,
+    objective: str | AbstractObjective | Loss | None,
     apart: set[str],
     dimensions: int,
     weigh: Weigh,
@@ -174,11 +174,14 @@ def is_judged(tracker: AbstractTracker, batch: Batch, quantity: str) -> bool:
 
 
 def named_objective(
-    objective: str | AbstractObjective, tracker: AbstractTracker, quantity: str, dimensions: int
+    objective: str | AbstractObjective | Loss, tracker: AbstractTracker, quantity: str, dimensions: int
 ) -> AbstractObjective:
-    """The objective, by name or as it is; raises UnusableInput for a name that is unknown or does not fit."""
-    if not isinstance(objective, str):
+    """The objective by name, as it is, or of a loss; raises UnusableInput for a name that is unknown or unfit."""
+    if isinstance(objective, AbstractObjective):
         return objective
+    if not isinstance(objective, str):
+        require(callable(objective), "fit", objective, "an objective: a name, an AbstractObjective or a function")
+        return MeanLoss(objective)
     try:
         goal = parse_objective(objective, quantity, dimensions)
         goal.for_tracker(tracker)

@@ -16,7 +16,7 @@ from trackers.core.requirements import check_input
 from trackers.core.tracker import AbstractTracker
 from trackers.recordings.named_tracker import NamedTracker, folder_list
 from tuning.data import FitData, fit_data, is_judged, named_objective
-from tuning.objectives import AbstractObjective
+from tuning.objectives import AbstractObjective, Loss
 from tuning.problem import Problem, is_stochastic
 from tuning.unstacked import AnyBatch
 from tuning.weights import Weigh, trajectory_weights
@@ -52,7 +52,7 @@ class FitArrays(NamedTuple):
 def fit_arrays(
     tracker: AbstractTracker | NamedTracker,
     recordings: Any,
-    objective: str | AbstractObjective | None,
+    objective: str | AbstractObjective | Loss | None,
     held_out: Any,
     dimensions: int = 2,
     weigh: Weigh = "recordings",
@@ -103,10 +103,10 @@ def _batches(tracker: AbstractTracker, recordings: Arrays) -> list[Batch]:
     return [stack([checked] if isinstance(checked, Recording) else checked)]
 
 
-def _check_truth(objective: str | AbstractObjective, batches: Sequence[Batch], where: str) -> None:
+def _check_truth(objective: str | AbstractObjective | Loss, batches: Sequence[Batch], where: str) -> None:
     """Raises UnusableInput for batches without any row whose truth is known."""
     if batches and not _has_truth(batches):
-        name = objective if isinstance(objective, str) else type(objective).__name__
+        name = objective if isinstance(objective, str) else getattr(objective, "__name__", type(objective).__name__)
         raise UnusableInput(
             f"fit: {where} have no known truth; expected some, which the objective {name} needs; usual fix: `truth=` "
             "where the recordings are made, or the objective nll"
@@ -118,7 +118,7 @@ def _has_truth(batches: Sequence[Batch]) -> bool:
 
 
 def _array_objective(
-    objective: str | AbstractObjective | None,
+    objective: str | AbstractObjective | Loss | None,
     tracker: AbstractTracker,
     rows: Sequence[Batch],
     apart: Sequence[Batch],

@@ -23,7 +23,7 @@ from tuning.data import FitData
 from tuning.fit_arrays import Arrays, fit_arrays
 from tuning.fit_cautions import fit_cautions
 from tuning.newton import newton
-from tuning.objectives import AbstractObjective
+from tuning.objectives import AbstractObjective, Loss
 from tuning.optimisation import FitState, MultiStart, stands_still
 from tuning.optimisers import LBFGS, AbstractOptimiser, Adam
 from tuning.parameters import Parameter, flatten, limits, physical, select_parameters, with_parameters
@@ -110,7 +110,7 @@ class FitResult(Generic[AnyTracker]):
 def fit(
     tracker: AnyTracker,
     recordings: Arrays | FitData | RecordingFolder | Sequence[RecordingFolder],
-    objective: str | AbstractObjective | None = None,
+    objective: str | AbstractObjective | Loss | None = None,
     tune: str | Sequence[str] | None = None,
     *,
     frozen: Sequence[str] = (),
@@ -134,7 +134,8 @@ def fit(
     """The tracker with the tunables matching `tune` fitted to minimise the objective.
 
     `tracker`, `recordings`: a tracker by name with recording folders, or a tracker with recordings in arrays: one,
-    several, or batches. `objective`: an object, or its name as on the command line (`nll`, `rmse`, `state-nll`, ...);
+    several, or batches. `objective`: an object, its name as on the command line (`nll`, `rmse`, `state-nll`, ...), or a
+    function of a row's state and truth, whose mean is minimised (`tuning.objectives.MeanLoss`);
     default `state-nll` where there is truth and no prior, else `nll`. `tune`: shell patterns; by default the noise
     levels of motion and sensors. `dimensions`: 3 to judge an estimated height too. `weigh`: whether each recording (in
     arrays: trajectory) or each row has the same weight. `frozen`: patterns of tunables to keep. `bounds`: lowest and

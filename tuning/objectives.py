@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 import math
 from abc import abstractmethod
+from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -23,6 +24,10 @@ from trackers.core.tracker import AbstractTracker
 
 Truth = dict[str, tuple[Any, Any]]
 """The truth of a row by quantity: its components, each (B,), and whether it is known (B,)."""
+
+
+Loss = Callable[[Any, dict[str, Any]], Scalar]
+"""A number of a row's state and of the true components by quantity."""
 
 
 class MissingQuantityError(ValueError):
@@ -116,6 +121,30 @@ class RootMeanSquareError(AbstractObjective):
         return jnp.sqrt(sums[0] / sums[1])
 
 
+class MeanLoss(AbstractObjective):
+    """The mean of `loss(state, truth)` over the rows with an estimate and known truth.
+
+    `loss`: a function of one row's state and of the true components by quantity, as `truth["position"]`, in JAX; each
+    number is one per trajectory. It is finite wherever state and truth differ.
+    """
+
+    loss: Loss = eqx.field(static=True)
+    size: ClassVar[int] = 2
+    needs_truth: ClassVar[bool] = True
+
+    def terms(self, output: Output, truth: Truth) -> tuple[Scalar, ...]:
+        scored = is_estimate(output)
+        for _, known in truth.values():
+            scored &= known
+        # Where nothing is known both are zero, and a distance of equal points has no derivative.
+        true = {name: jnp.where(scored, jnp.stack(list(values)), 1.0) for name, (values, _) in truth.items()}
+        loss = jnp.where(scored, self.loss(output.mean, true), 0.0)
+        return loss, jnp.where(scored, jnp.ones_like(loss), 0.0)
+
+    def value(self, sums: Any) -> Scalar:
+        return sums[0] / sums[1]
+
+
 class StateLogLikelihood(AbstractObjective):
     """The mean negative log density of the truth under each row's mean and covariance, nats per row.
 
@@ -191,6 +220,11 @@ class NormalisedError(NamedTuple):
     scored: Scalar
 
 
+def is_estimate(output: Output) -> Scalar:
+    """Whether the row has an estimate."""
+    return (output.status == Status.OK) | (output.status == Status.RESTARTED) | (output.status == Status.LOST)
+
+
 def errors_of(output: Output, truth: Truth, quantity: str, dimensions: int) -> tuple[list[Scalar], Scalar]:
     """Estimate − truth of a quantity's first components, and whether the row has both; or `MissingQuantityError`."""
     if not hasattr(output.mean, quantity):
@@ -201,9 +235,8 @@ def errors_of(output: Output, truth: Truth, quantity: str, dimensions: int) -> t
             f"the truth of the {quantity} has {len(true)} components, and {dimensions} are judged; give the truth its "
             "height, or use a tracker over the floor"
         )
-    usable = (output.status == Status.OK) | (output.status == Status.RESTARTED) | (output.status == Status.LOST)
     components = list(getattr(output.mean, quantity))[:dimensions]
-    return [m - t for m, t in zip(components, true[:dimensions], strict=True)], usable & known
+    return [m - t for m, t in zip(components, true[:dimensions], strict=True)], is_estimate(output) & known
 
 
 def normalised_error(output: Output, truth: Truth, quantity: str, dimensions: int) -> NormalisedError:

@@ -1,8 +1,10 @@
 """The objectives: figures made of sums, whatever batches the recordings stand in."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import trackwright as tw
 from tests.oracles import kalman
 from tests.tuning.worlds import SIGMA_START, line_tracker, walks
 from trackers.core.recording import Recording, stack
@@ -116,3 +118,33 @@ def test_a_recording_without_a_single_reading_says_nothing_and_spoils_no_gradien
 def test_only_a_likelihood_has_units_of_information():
     assert NegativeLogLikelihood().nats_per_unit(np.array([12.0, 40.0])) == 40.0
     assert np.isnan(RootMeanSquareError().nats_per_unit(np.array([12.0, 40.0])))
+
+
+def test_a_function_of_state_and_truth_is_an_objective():
+    rng = np.random.default_rng(2)
+    times = np.arange(40) * 0.2
+    path = np.stack([np.cos(times), np.sin(times)], axis=1)
+    truth = np.where(np.arange(40)[:, None] % 5 == 0, np.nan, path)
+    rows = [
+        tw.fix_recording(times[:n], path[:n] + 0.1 * rng.normal(size=(n, 2)), height=1.0, truth=truth[:n], name=str(n))
+        for n in (40, 25)
+    ]
+    tracker = tw.fix_tracker(planar=True)
+
+    def miss(state, truth):
+        return jnp.hypot(*(state.position[k] - truth["position"][k] for k in range(2)))
+
+    result = tw.fit(tracker, rows, miss, "motion.sigma_a", steps=6)
+    assert result.value < result.start_value
+    for model, value in ((tracker, result.start_value), (result.tracker, result.value)):
+        estimates = [np.stack(list(model.run(r).mean.position), axis=-1) for r in rows]
+        errors = [
+            np.linalg.norm(e - path[: len(e)], axis=1)[r.truth["position"][1]]
+            for e, r in zip(estimates, rows, strict=True)
+        ]
+        # Each of the two recordings has the same weight.
+        assert value == pytest.approx(np.mean([np.mean(e) for e in errors]), rel=1e-6)
+    with pytest.raises(tw.UnusableInput, match="fit: found 3; expected an objective: a name, "):
+        tw.fit(tracker, rows, 3)
+    with pytest.raises(tw.UnusableInput, match="no known truth; .* the objective miss needs"):
+        tw.fit(tracker, tw.fix_recording(times, path, height=1.0), miss)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Self
 
 import equinox as eqx
 import jax
@@ -39,7 +39,7 @@ from trackers.core.sensor import AbstractSensor
 from trackers.core.start import AbstractStart
 from trackers.core.state import component_names
 from trackers.core.track_loss import ROOM, AbstractTrackLoss, TrackLossPolicy, outside
-from trackers.core.tunable import freeze
+from trackers.core.tunable import freeze, with_values
 
 
 class AbstractTracker(eqx.Module):
@@ -63,6 +63,13 @@ class AbstractTracker(eqx.Module):
     @abstractmethod
     def check_layout(self, layout: Layout) -> None:
         """Raises UnusableInput unless recordings of this layout have what the tracker reads."""
+
+    def with_values(self, values: Mapping[str, Any], source: object = "values") -> Self:
+        """This tracker with other values by tunable name or pattern; raises UnusableInput where they do not fit.
+
+        Values may be traced: `jax.grad` and `jax.vmap` over noise levels go through `filter_batch`.
+        """
+        return with_values(self, values, source)
 
     @property
     def nis_sensors(self) -> tuple[AbstractSensor, ...]:

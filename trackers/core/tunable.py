@@ -58,6 +58,16 @@ class AbstractTunable(eqx.Module):
         """The same tunable with another physical value."""
 
 
+def _numbers(kind: str, value: Any) -> tuple[Any, Any]:
+    """The value of a tunable of this kind as an array of floats, and NumPy for it, or `jax.numpy` where it is traced.
+
+    Traced numbers, as inside `jax.grad` and `jax.vmap`, have no value that could be checked.
+    """
+    if isinstance(value, jax.core.Tracer):
+        return value.astype(jnp.result_type(float)), jnp
+    return numbers_of(kind, value), np
+
+
 class Scale(AbstractTunable):
     """A positive number such as a standard deviation; tuned on a logarithmic scale.
 
@@ -71,13 +81,13 @@ class Scale(AbstractTunable):
     axis: Axis | None = eqx.field(static=True)
 
     def __init__(self, value: Any, unit: str = "1", role: Role | None = None, axis: Axis | None = None):
-        value = numbers_of("Scale", value)
-        if not (np.all(np.isfinite(value)) and np.all(value > 0)):
+        value, math = _numbers("Scale", value)
+        if math is np and not (np.all(np.isfinite(value)) and np.all(value > 0)):
             raise UnusableInput(
                 f"a Scale is positive and finite, found {value.tolist()}; a noise that is absent is left out, "
                 "not set to zero"
             )
-        self.raw = np.log(value)
+        self.raw = math.log(value)
         self.unit = unit
         self.role, self.axis = _checked(role, axis)
 
@@ -97,10 +107,10 @@ class Fraction(AbstractTunable):
     unit: str = eqx.field(static=True)
 
     def __init__(self, value: Any, unit: str = "1"):
-        value = numbers_of("Fraction", value)
-        if not np.all((value > 0) & (value < 1)):
+        value, math = _numbers("Fraction", value)
+        if math is np and not np.all((value > 0) & (value < 1)):
             raise UnusableInput(f"a Fraction lies strictly between 0 and 1, found {value.tolist()}")
-        self.raw = np.log(value) - np.log1p(-value)
+        self.raw = math.log(value) - math.log1p(-value)
         self.unit = unit
 
     @property
@@ -120,8 +130,8 @@ class Real(AbstractTunable):
     typical: float = eqx.field(static=True)
 
     def __init__(self, value: Any, unit: str = "1", typical: float = 1.0):
-        value = numbers_of("Real", value)
-        if not np.all(np.isfinite(value)):
+        value, math = _numbers("Real", value)
+        if math is np and not np.all(np.isfinite(value)):
             raise UnusableInput(f"a Real is finite, found {value.tolist()}")
         self.raw = value / typical
         self.unit = unit
@@ -148,17 +158,16 @@ class Covariance(AbstractTunable):
     axis: Axis | None = eqx.field(static=True)
 
     def __init__(self, value: Any, unit: str = "1", role: Role | None = None, axis: Axis | None = None):
-        value = numbers_of("Covariance", value)
-        square = value.ndim == 2 and value.shape[0] == value.shape[1] and bool(np.all(np.isfinite(value)))
+        value, math = _numbers("Covariance", value)
+        square = value.ndim == 2 and value.shape[0] == value.shape[1]
         try:
-            if not (square and np.allclose(value, value.T, rtol=1e-9)):
+            if not (square and (math is jnp or np.allclose(value, value.T, rtol=1e-9))):
                 raise np.linalg.LinAlgError
-            factor = np.linalg.cholesky(value)
+            factor = math.linalg.cholesky(value)
         except np.linalg.LinAlgError as error:
-            raise UnusableInput(f"a Covariance is symmetric positive definite, found {value.tolist()}") from error
-        diagonal = np.diag_indices(len(value))
-        factor[diagonal] = np.log(factor[diagonal])
-        self.raw = factor
+            raise UnusableInput(f"a Covariance is symmetric positive definite, found {value}") from error
+        diagonal = math.diag(factor)
+        self.raw = factor - math.diag(diagonal) + math.diag(math.log(diagonal))
         self.unit = unit
         self.role, self.axis = _checked(role, axis)
 
@@ -184,8 +193,8 @@ class Threshold(AbstractTunable):
     unit: str = eqx.field(static=True)
 
     def __init__(self, value: Any, unit: str = "1"):
-        value = numbers_of("Threshold", value)
-        if not np.all(value > 0):
+        value, math = _numbers("Threshold", value)
+        if math is np and not np.all(value > 0):
             raise UnusableInput(f"a Threshold is positive, np.inf to disable it, found {value.tolist()}")
         self.raw = value
         self.unit = unit

@@ -4,16 +4,21 @@ import dataclasses
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from tests.known_start import NEVER_LOST, KnownStart, recording
+from trackers.baselines.fixes import fix_tracker
 from trackers.core.algebra import Vector
+from trackers.core.errors import UnusableInput
 from trackers.core.motion import ConstantVelocity, Kinematic, Noise
 from trackers.core.recording import Recording, stack
 from trackers.core.sensor import AbstractSensor, Channel, independent
-from trackers.core.tracker import Tracker
+from trackers.core.smoother import Smoothed
+from trackers.core.tracker import Tracker, filter_batch
 from trackers.core.tunable import Scale
+from trackers.from_arrays import fix_recording
 
 
 class Ruler(AbstractSensor):
@@ -109,3 +114,27 @@ def test_with_the_position_alone_estimates_have_its_covariance_and_nothing_else_
     rest = [dataclasses.replace(e, cov_upper=e.cov_upper[:1]) for e in (part, whole)]
     for a, b in zip(*(jax.tree_util.tree_leaves(_as_tree(e)) for e in rest), strict=True):
         np.testing.assert_array_equal(a, b)
+
+
+def test_an_error_is_a_function_of_a_noise_level_for_vmap_and_grad():
+    rng = np.random.default_rng(4)
+    times, sigmas = np.arange(30) * 0.1, np.array([0.1, 0.4, 2.0])
+    path = np.stack([np.cos(times), np.sin(times)], axis=1)
+    batch = stack([fix_recording(times, path + 0.1 * rng.normal(size=path.shape), height=1.0)])
+    tracker = fix_tracker(planar=True)
+
+    def error(sigma):
+        found = filter_batch(tracker.with_values({"motion.sigma_a": sigma}), batch).mean.position
+        return jnp.mean((found[0][:, 0] - path[:, 0]) ** 2 + (found[1][:, 0] - path[:, 1]) ** 2)
+
+    together = jax.vmap(error)(sigmas)
+    np.testing.assert_allclose(together, [error(s) for s in sigmas], rtol=1e-9)
+    difference = (error(0.4 + 1e-5) - error(0.4 - 1e-5)) / 2e-5
+    assert float(jax.grad(error)(0.4)) == pytest.approx(float(difference), rel=1e-5)
+
+
+def test_values_are_set_by_name_on_every_tracker_and_refused_where_they_do_not_fit():
+    window = Smoothed(fix_tracker())
+    assert float(window.with_values({"*.sigma_a": 3.0}).tracker.motion.sigma_a.value) == pytest.approx(3.0)
+    with pytest.raises(UnusableInput, match="this tracker has no 'sigma_q'"):
+        fix_tracker().with_values({"sigma_q": 1.0})

@@ -1,6 +1,7 @@
 """Tunables keep their physical value, are found by name, and refuse what they can't hold."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -172,3 +173,21 @@ def test_resolving_leaves_values_where_tunables_were():
     assert isinstance(fixed["motion"].sigma_a, Constant)
     assert float(fixed["motion"].sigma_a.value) == pytest.approx(0.3)
     assert not tunables(fixed)
+
+
+@pytest.mark.parametrize(
+    ("tunable", "values"),
+    [
+        (Scale(1.0, "m", "process noise", "horizontal"), np.array([0.3, 2.0])),
+        (Fraction(0.5), np.array([0.1, 0.9])),
+        (Real(1.0, "rad", 0.1), np.array([-0.3, 2.0])),
+        (Covariance(np.eye(2), "m^2"), np.array([[[2.0, 0.5], [0.5, 1.0]], [[1.0, -0.3], [-0.3, 4.0]]])),
+    ],
+    ids=lambda x: type(x).__name__,
+)
+def test_a_traced_value_is_taken_without_a_check(tunable, values):
+    traced = jax.vmap(lambda value: tunable.with_value(value).raw)(values)
+    np.testing.assert_allclose(traced, [tunable.with_value(value).raw for value in values], rtol=1e-14)
+    slope = jax.grad(lambda value: jnp.sum(tunable.with_value(value).value))(jnp.asarray(values[0]))
+    # The value itself, seen through its unconstrained number.
+    np.testing.assert_allclose(slope + np.transpose(slope), 2 * np.ones(np.shape(values[0])), rtol=1e-12)
