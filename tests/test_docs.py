@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import os
 import re
 import shutil
 import subprocess
 import sys
 import zipfile
 from pathlib import Path
+from venv import EnvBuilder
 
 import numpy as np
 import polars as pl
 import pytest
 
+import trackwright as tw
 from tests.in_process import assert_refused, trackwright
 
 ROOT = Path(__file__).parents[1]
@@ -177,7 +180,7 @@ def test_the_site_is_built_without_a_broken_link(tmp_path):
 
 @pytest.mark.slow
 def test_a_wheel_has_all_files_of_the_packages_and_the_command(tmp_path):
-    packages = ("trackers", "sim", "tuning", "experiments")
+    packages = ("trackers", "sim", "tuning", "experiments", "trackwright-stubs")
     for name in (*packages, "trackwright.py", "pyproject.toml", "README.md", "LICENSE"):
         copy = shutil.copytree if (ROOT / name).is_dir() else shutil.copy
         copy(ROOT / name, tmp_path / name)
@@ -196,6 +199,40 @@ def test_a_wheel_has_all_files_of_the_packages_and_the_command(tmp_path):
     assert not missing
     (entry,) = (name for name in held if name.endswith("entry_points.txt"))
     assert b"trackwright = experiments.cli.main:main" in zipfile.ZipFile(wheel).read(entry)
+
+
+@pytest.fixture
+def installed(tmp_path):
+    """The interpreter of an environment in which the packages are installed, as a wheel would install them."""
+    EnvBuilder(with_pip=False, symlinks=True).create(tmp_path / "env")
+    (packages,) = (tmp_path / "env" / "lib").glob("python3*/site-packages")
+    for name in ("trackers", "sim", "tuning", "experiments", "trackwright.py", "trackwright-stubs"):
+        (packages / name).symlink_to(ROOT / name)
+    (tmp_path / "project").mkdir()
+    return tmp_path / "env" / "bin" / "python"
+
+
+def test_an_editor_in_a_users_project_finds_every_public_name(installed, tmp_path):
+    jedi = pytest.importorskip("jedi", reason="comes with ipykernel")
+    script = jedi.Script(
+        "import trackwright as tw\ntw.",
+        environment=jedi.create_environment(tmp_path / "env", safe=False),
+        project=jedi.Project(tmp_path / "project"),
+    )
+    found = {completion.name for completion in script.complete(2, 3)}
+    assert {*tw.__all__} <= found
+
+
+@pytest.mark.slow
+def test_mypy_in_a_users_project_checks_calls(installed, tmp_path):
+    (tmp_path / "project" / "mine.py").write_text(
+        "import trackwright as tw\n\ntw.build(3, [])\nreveal_type(tw.evaluate)\n"
+    )
+    line = [sys.executable, "-m", "mypy", "--python-executable", str(installed), "--ignore-missing-imports", "mine.py"]
+    environment = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "MYPYPATH")}
+    done = subprocess.run(line, cwd=tmp_path / "project", env=environment, capture_output=True, text=True, check=False)
+    assert 'Argument 1 to "build" has incompatible type "int"' in done.stdout, done.stdout
+    assert "trackers.evaluation.Evaluation" in done.stdout
 
 
 @pytest.mark.parametrize("package", ["trackers.core", "trackers.recordings"])

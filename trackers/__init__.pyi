@@ -1,93 +1,157 @@
-from trackers.aoa.beam import (
-    Beam,
-    BeamMotion,
-    BeamStart,
-    InPlaneBeam,
-    InPlaneBeamMotion,
-    beam_tracker,
-    in_plane_beam_tracker,
-)
-from trackers.aoa.beamformer import Grid, capon, delay_and_sum, music, snapshots, strongest
-from trackers.aoa.cascade import Cascade, cascade_tracker
-from trackers.aoa.das import DelayAndSum
-from trackers.aoa.direct import PhaseStart, direct_tracker
-from trackers.aoa.fusion import BearingSensor, bearing_inputs, bearing_tracker
-from trackers.aoa.phases import InPlanePhases, PlanePhases, SphericalPhases
-from trackers.aoa.rays import recent_points
-from trackers.aoa.rows import beam_trajectories, bearing_trajectories, phase_trajectories
-from trackers.baselines.fixes import fix_tracker, singer_tracker
-from trackers.baselines.switching import mirror_tracker, switching_tracker
-from trackers.baselines.windows import MovingWindow
-from trackers.catalogue import TRACKERS, build, tracker_for
-from trackers.core.algebra import Vector, diagonal
-from trackers.core.checks import BrokenContract, check_motion, check_sensor
-from trackers.core.crlb import posterior_bound
-from trackers.core.ekf import ExtendedKalman
-from trackers.core.errors import UnusableInput
-from trackers.core.estimates import Estimates, Status
-from trackers.core.filter import AbstractFilter, AbstractSmoothableFilter, Gaussian, Innovation
-from trackers.core.imm import InteractingModels, SwitchingMotion
-from trackers.core.initial import TrackerState
-from trackers.core.inputs import Input, Need
-from trackers.core.metrics import bias, consistency, coverage, error_metrics, nees, rmse, time_lost
-from trackers.core.motion import (
-    AbstractMotion,
-    Accelerated,
-    ConstantPosition,
-    ConstantVelocity,
-    GroundMotion,
-    Kinematic,
-    Placed,
-    draw_log_density,
-)
-from trackers.core.particle.filter import ParticleFilter
-from trackers.core.polyline import Polyline
-from trackers.core.program_cache import cache_programs
-from trackers.core.recording import Batch, Readings, Recording, Row, stack
-from trackers.core.rig import Rig, Station, Tag
-from trackers.core.sensor import AbstractSensor, Channel, Reading, Residual, independent
-from trackers.core.smoother import Smoothed
-from trackers.core.start import AbstractStart
-from trackers.core.state import Heading, Rotation, wrap
-from trackers.core.track_loss import TrackLossPolicy, TrackScorePolicy
-from trackers.core.tracker import AbstractTracker, Tracker, filter_batch
-from trackers.core.tunable import Covariance, Fraction, Real, Scale, tunables
-from trackers.evaluation import Evaluation, evaluate
-from trackers.events import events_of
-from trackers.exchange.compare import TrajectoryErrors, compare_trajectories
-from trackers.exchange.imported import import_frames
-from trackers.exchange.poses import PoseTrajectory
-from trackers.exchange.trajectory_files import read_trajectory, write_trajectory
-from trackers.from_arrays import bearing_recording, fix_recording, phase_recording, range_recording
-from trackers.line.grid import GridFilter
-from trackers.line.motion import HaltingMotion, LineMotion
-from trackers.line.rows import fit_path_truth
-from trackers.line.tracker import line_grid_tracker, line_motion, line_tracker
-from trackers.line.truth import knot_times
-from trackers.mhk.tracker import mhk_tracker
-from trackers.parts.fix_rows import fix_trajectories
-from trackers.parts.fixes import CorrelatedFixSensor, FixSensor
-from trackers.parts.range_rows import range_trajectories
-from trackers.parts.ranges import RangeSensor
-from trackers.parts.singer import Singer
-from trackers.parts.start_nearby import NearbyStart
-from trackers.recordings.calibration import AnchorCalibration, Calibration, StationCalibration, TagCalibration
-from trackers.recordings.calibration_file import read_calibration, write_calibration
-from trackers.recordings.checks import CheckResult, check
-from trackers.recordings.folder import RecordingFolder
+from trackers.aoa.beam import Beam as Beam
+from trackers.aoa.beam import BeamMotion as BeamMotion
+from trackers.aoa.beam import BeamStart as BeamStart
+from trackers.aoa.beam import InPlaneBeam as InPlaneBeam
+from trackers.aoa.beam import InPlaneBeamMotion as InPlaneBeamMotion
+from trackers.aoa.beam import beam_tracker as beam_tracker
+from trackers.aoa.beam import in_plane_beam_tracker as in_plane_beam_tracker
+from trackers.aoa.beamformer import Grid as Grid
+from trackers.aoa.beamformer import capon as capon
+from trackers.aoa.beamformer import delay_and_sum as delay_and_sum
+from trackers.aoa.beamformer import music as music
+from trackers.aoa.beamformer import snapshots as snapshots
+from trackers.aoa.beamformer import strongest as strongest
+from trackers.aoa.cascade import Cascade as Cascade
+from trackers.aoa.cascade import cascade_tracker as cascade_tracker
+from trackers.aoa.das import DelayAndSum as DelayAndSum
+from trackers.aoa.direct import PhaseStart as PhaseStart
+from trackers.aoa.direct import direct_tracker as direct_tracker
+from trackers.aoa.fusion import BearingSensor as BearingSensor
+from trackers.aoa.fusion import bearing_inputs as bearing_inputs
+from trackers.aoa.fusion import bearing_tracker as bearing_tracker
+from trackers.aoa.phases import InPlanePhases as InPlanePhases
+from trackers.aoa.phases import PlanePhases as PlanePhases
+from trackers.aoa.phases import SphericalPhases as SphericalPhases
+from trackers.aoa.rays import recent_points as recent_points
+from trackers.aoa.rows import beam_trajectories as beam_trajectories
+from trackers.aoa.rows import bearing_trajectories as bearing_trajectories
+from trackers.aoa.rows import phase_trajectories as phase_trajectories
+from trackers.baselines.fixes import fix_tracker as fix_tracker
+from trackers.baselines.fixes import singer_tracker as singer_tracker
+from trackers.baselines.switching import mirror_tracker as mirror_tracker
+from trackers.baselines.switching import switching_tracker as switching_tracker
+from trackers.baselines.windows import MovingWindow as MovingWindow
+from trackers.catalogue import TRACKERS as TRACKERS
+from trackers.catalogue import build as build
+from trackers.catalogue import tracker_for as tracker_for
+from trackers.core.algebra import Vector as Vector
+from trackers.core.algebra import diagonal as diagonal
+from trackers.core.checks import BrokenContract as BrokenContract
+from trackers.core.checks import check_motion as check_motion
+from trackers.core.checks import check_sensor as check_sensor
+from trackers.core.crlb import posterior_bound as posterior_bound
+from trackers.core.ekf import ExtendedKalman as ExtendedKalman
+from trackers.core.errors import UnusableInput as UnusableInput
+from trackers.core.estimates import Estimates as Estimates
+from trackers.core.estimates import Status as Status
+from trackers.core.filter import AbstractFilter as AbstractFilter
+from trackers.core.filter import AbstractSmoothableFilter as AbstractSmoothableFilter
+from trackers.core.filter import Gaussian as Gaussian
+from trackers.core.filter import Innovation as Innovation
+from trackers.core.imm import InteractingModels as InteractingModels
+from trackers.core.imm import SwitchingMotion as SwitchingMotion
+from trackers.core.initial import TrackerState as TrackerState
+from trackers.core.inputs import Input as Input
+from trackers.core.inputs import Need as Need
+from trackers.core.metrics import bias as bias
+from trackers.core.metrics import consistency as consistency
+from trackers.core.metrics import coverage as coverage
+from trackers.core.metrics import error_metrics as error_metrics
+from trackers.core.metrics import nees as nees
+from trackers.core.metrics import rmse as rmse
+from trackers.core.metrics import time_lost as time_lost
+from trackers.core.motion import AbstractMotion as AbstractMotion
+from trackers.core.motion import Accelerated as Accelerated
+from trackers.core.motion import ConstantPosition as ConstantPosition
+from trackers.core.motion import ConstantVelocity as ConstantVelocity
+from trackers.core.motion import GroundMotion as GroundMotion
+from trackers.core.motion import Kinematic as Kinematic
+from trackers.core.motion import Placed as Placed
+from trackers.core.motion import draw_log_density as draw_log_density
+from trackers.core.particle.filter import ParticleFilter as ParticleFilter
+from trackers.core.polyline import Polyline as Polyline
+from trackers.core.program_cache import cache_programs as cache_programs
+from trackers.core.recording import Batch as Batch
+from trackers.core.recording import Readings as Readings
+from trackers.core.recording import Recording as Recording
+from trackers.core.recording import Row as Row
+from trackers.core.recording import stack as stack
+from trackers.core.rig import Rig as Rig
+from trackers.core.rig import Station as Station
+from trackers.core.rig import Tag as Tag
+from trackers.core.sensor import AbstractSensor as AbstractSensor
+from trackers.core.sensor import Channel as Channel
+from trackers.core.sensor import Reading as Reading
+from trackers.core.sensor import Residual as Residual
+from trackers.core.sensor import independent as independent
+from trackers.core.smoother import Smoothed as Smoothed
+from trackers.core.start import AbstractStart as AbstractStart
+from trackers.core.state import Heading as Heading
+from trackers.core.state import Rotation as Rotation
+from trackers.core.state import wrap as wrap
+from trackers.core.track_loss import TrackLossPolicy as TrackLossPolicy
+from trackers.core.track_loss import TrackScorePolicy as TrackScorePolicy
+from trackers.core.tracker import AbstractTracker as AbstractTracker
+from trackers.core.tracker import Tracker as Tracker
+from trackers.core.tracker import filter_batch as filter_batch
+from trackers.core.tunable import Covariance as Covariance
+from trackers.core.tunable import Fraction as Fraction
+from trackers.core.tunable import Real as Real
+from trackers.core.tunable import Scale as Scale
+from trackers.core.tunable import tunables as tunables
+from trackers.evaluation import Evaluation as Evaluation
+from trackers.evaluation import evaluate as evaluate
+from trackers.events import events_of as events_of
+from trackers.exchange.compare import TrajectoryErrors as TrajectoryErrors
+from trackers.exchange.compare import compare_trajectories as compare_trajectories
+from trackers.exchange.imported import import_frames as import_frames
+from trackers.exchange.poses import PoseTrajectory as PoseTrajectory
+from trackers.exchange.trajectory_files import read_trajectory as read_trajectory
+from trackers.exchange.trajectory_files import write_trajectory as write_trajectory
+from trackers.from_arrays import bearing_recording as bearing_recording
+from trackers.from_arrays import fix_recording as fix_recording
+from trackers.from_arrays import phase_recording as phase_recording
+from trackers.from_arrays import range_recording as range_recording
+from trackers.line.grid import GridFilter as GridFilter
+from trackers.line.motion import HaltingMotion as HaltingMotion
+from trackers.line.motion import LineMotion as LineMotion
+from trackers.line.rows import fit_path_truth as fit_path_truth
+from trackers.line.tracker import line_grid_tracker as line_grid_tracker
+from trackers.line.tracker import line_motion as line_motion
+from trackers.line.tracker import line_tracker as line_tracker
+from trackers.line.truth import knot_times as knot_times
+from trackers.mhk.tracker import mhk_tracker as mhk_tracker
+from trackers.parts.fix_rows import fix_trajectories as fix_trajectories
+from trackers.parts.fixes import CorrelatedFixSensor as CorrelatedFixSensor
+from trackers.parts.fixes import FixSensor as FixSensor
+from trackers.parts.range_rows import range_trajectories as range_trajectories
+from trackers.parts.ranges import RangeSensor as RangeSensor
+from trackers.parts.singer import Singer as Singer
+from trackers.parts.start_nearby import NearbyStart as NearbyStart
+from trackers.recordings.calibration import AnchorCalibration as AnchorCalibration
+from trackers.recordings.calibration import Calibration as Calibration
+from trackers.recordings.calibration import StationCalibration as StationCalibration
+from trackers.recordings.calibration import TagCalibration as TagCalibration
+from trackers.recordings.calibration_file import read_calibration as read_calibration
+from trackers.recordings.calibration_file import write_calibration as write_calibration
+from trackers.recordings.checks import CheckResult as CheckResult
+from trackers.recordings.checks import check as check
+from trackers.recordings.folder import RecordingFolder as RecordingFolder
 from trackers.recordings.folder import read_recording as read
 from trackers.recordings.folder import read_recordings as read_all
 from trackers.recordings.folder import write_recording as write
-from trackers.recordings.named_tracker import NamedTracker
-from trackers.recordings.tracker_spec import TrackerSpec
-from trackers.recordings.tracks import Tracks
-from trackers.recordings.trajectories import Trajectory
-from trackers.uwb_imu.fusion import range_tracker
-from trackers.uwb_imu.inertial import inertial_tracker
-from trackers.uwb_imu.multilateration import multilateration_tracker
-from trackers.uwb_imu.ranging import double_sided, single_sided
-from trackers.uwb_imu.strapdown import PlanarStrapdown, Strapdown
-from trackers.uwb_imu.trilateration import trilateration_tracker
+from trackers.recordings.named_tracker import NamedTracker as NamedTracker
+from trackers.recordings.tracker_spec import TrackerSpec as TrackerSpec
+from trackers.recordings.tracks import Tracks as Tracks
+from trackers.recordings.trajectories import Trajectory as Trajectory
+from trackers.uwb_imu.fusion import range_tracker as range_tracker
+from trackers.uwb_imu.inertial import inertial_tracker as inertial_tracker
+from trackers.uwb_imu.multilateration import multilateration_tracker as multilateration_tracker
+from trackers.uwb_imu.ranging import double_sided as double_sided
+from trackers.uwb_imu.ranging import single_sided as single_sided
+from trackers.uwb_imu.strapdown import PlanarStrapdown as PlanarStrapdown
+from trackers.uwb_imu.strapdown import Strapdown as Strapdown
+from trackers.uwb_imu.trilateration import trilateration_tracker as trilateration_tracker
 
 __all__ = [
     # recordings on disk and in arrays: start here
