@@ -81,17 +81,36 @@ def fit_data(
     objective: str | AbstractObjective | Loss | None,
     held_out: Sequence[RecordingFolder] = (),
     segment_rows: int = SEGMENT_ROWS,
-    dimensions: int = 2,
+    dimensions: int | None = None,
     weigh: Weigh = "recordings",
 ) -> FitData:
     """The data of a fit to the trajectories of one tracker, cut into segments; `held_out`: folders not fitted to.
 
     `objective`: None for `state-nll` where there is truth that it can judge, else `nll`. `dimensions`: 3 to judge the
-    height too, where it is estimated. Raises UnusableInput for an objective that is not known, or that needs truth
-    where there is none.
+    height too, where it is estimated; None for `judged_dimensions`. Raises UnusableInput for an objective that is not
+    known, or that needs truth where there is none.
     """
+    dimensions = dimensions or judged_dimensions(batch, objective)
     own = replace(batch, trajectories=fit_segments(batch, segment_rows, dimensions))
     return segments_data(own, objective, {folder.name for folder in held_out}, dimensions, weigh)
+
+
+def judged_dimensions(batch: TrackerBatch, objective: str | AbstractObjective | None) -> int:
+    """3 where the height is estimated, every truth has heights and `state-nll` is judged, or chosen by default; else 2.
+
+    An RMSE in space would be that of a badly determined height.
+    """
+    weighted = objective is None or (isinstance(objective, str) and "state-nll" in objective)
+    if not weighted or batch.planar or _quantity(batch) != "position":
+        return 2
+    first = stack([batch.trajectories[0].recording]).rows(slice(0, 2)).columns(0, 1)
+    mean = jax.eval_shape(lambda: batch.tracker.scan(first)[0]).mean
+    if len(jax.tree_util.tree_leaves(getattr(mean, "position", ()))) < 3:
+        return 2
+    known = [bool(one.recording.truth["position"][1].any()) for one in batch.trajectories]
+    lacking = [one for one, has in zip(batch.trajectories, known, strict=True) if not has]
+    over_floor = any(bool(with_floor_truth(one).recording.truth["position"][1].any()) for one in lacking)
+    return 3 if any(known) and not over_floor else 2
 
 
 def fit_segments(batch: TrackerBatch, rows: int, dimensions: int) -> list[Trajectory]:

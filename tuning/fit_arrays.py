@@ -54,7 +54,7 @@ def fit_arrays(
     recordings: Any,
     objective: str | AbstractObjective | Loss | None,
     held_out: Any,
-    dimensions: int = 2,
+    dimensions: int | None = None,
     weigh: Weigh = "recordings",
 ) -> FitArrays:
     """Tracker, batches and objective of a fit, from what `tuning.fit` takes; raises UnusableInput, a ValueError."""
@@ -122,11 +122,12 @@ def _array_objective(
     tracker: AbstractTracker,
     rows: Sequence[Batch],
     apart: Sequence[Batch],
-    dimensions: int,
+    dimensions: int | None,
 ) -> AbstractObjective:
     """The objective for recordings in arrays: by name of the quantity of their truth, in so many dimensions.
 
-    Raises UnusableInput for an unknown name, and where truth is needed and there is none in `rows` or `apart`.
+    `dimensions`: None for those that are estimated and have truth with `state-nll`, two with others. Raises
+    UnusableInput for an unknown name, and where truth is needed and there is none in `rows` or `apart`.
     """
     quantity = next(iter(rows[0].truth), "position")
     if objective is None:
@@ -142,4 +143,5 @@ def _array_objective(
     first = rows[0].rows(slice(0, 2)).columns(0, 1)
     mean = jax.eval_shape(lambda: tracker.scan(first)[0]).mean
     estimated = len(jax.tree_util.tree_leaves(getattr(mean, quantity, ()))) or 2
-    return named_objective(objective, tracker, quantity, min(dimensions, estimated))
+    true = rows[0].truth[quantity][0].shape[1] if "state-nll" in objective else 2
+    return named_objective(objective, tracker, quantity, min(dimensions or true, estimated))

@@ -26,6 +26,7 @@ from tuning.newton import newton
 from tuning.objectives import AbstractObjective, Loss
 from tuning.optimisation import FitState, MultiStart, stands_still
 from tuning.optimisers import LBFGS, AbstractOptimiser, Adam
+from tuning.optimum import optimum
 from tuning.parameters import Parameter, flatten, limits, physical, select_parameters, with_parameters
 from tuning.parts import LocalParts, Place
 from tuning.priors import Prior
@@ -33,6 +34,7 @@ from tuning.problem import Evaluation, Problem
 from tuning.reading_grids import floors
 from tuning.starts import initial_state
 from tuning.uncertainty import Uncertainty, uncertainty_at, unidentifiable
+from tuning.undetermined import kept_at_start
 from tuning.unstacked import Pieces
 from tuning.weights import Weigh
 
@@ -119,7 +121,7 @@ def fit(
     steps: int = 60,
     starts: int = 1,
     held_out: Arrays | RecordingFolder | Sequence[RecordingFolder] = (),
-    dimensions: int = 2,
+    dimensions: int | None = None,
     weigh: Weigh = "recordings",
     minibatch: int | None = None,
     priors: Sequence[Prior] = (),
@@ -137,14 +139,15 @@ def fit(
     several, or batches. `objective`: an object, its name as on the command line (`nll`, `rmse`, `state-nll`, ...), or a
     function of a row's state and truth, whose mean is minimised (`tuning.objectives.MeanLoss`);
     default `state-nll` where there is truth and no prior, else `nll`. `tune`: shell patterns; by default the noise
-    levels of motion and sensors. `dimensions`: 3 to judge an estimated height too. `weigh`: whether each recording (in
-    arrays: trajectory) or each row has the same weight. `frozen`: patterns of tunables to keep. `bounds`: lowest and
-    highest physical value by pattern. `optimiser`: default `LBFGS` for likelihoods and for `state-nll`, alone or in a
-    sum, else `Adam`, as for particle filters and minibatches. `starts`: the tracker's own values, then the best of the
-    `guesses` and of a coarse grid. `held_out`: recordings that select the best point and end the fit. `minibatch`:
-    trajectories per step. `priors`: for likelihoods only. `report` is called with the state after every step, `stage`
-    with the name of each stage; `resume`: arrays of a state (`tuning.checkpoint.to_arrays`), to bit-identical results;
-    `place`: where the rows are kept and computed on, with the same bits.
+    levels of motion and sensors. `dimensions`: 3 to judge an estimated height too, the default for `state-nll`.
+    `weigh`: whether each recording (in arrays: trajectory) or each row has the same weight. `frozen`: patterns of
+    tunables to keep. `bounds`: lowest and highest physical value by pattern. `optimiser`: default `LBFGS` for
+    likelihoods and for `state-nll`, alone or in a sum, else `Adam`, as for particle filters and minibatches.
+    `starts`: the tracker's own values, then the best of the `guesses` and of a coarse grid. `held_out`: recordings
+    that select the best point and end the fit. `minibatch`: trajectories per step. `priors`: for likelihoods only.
+    `report` is called with the state after every step, `stage` with the name of each stage; `resume`: arrays of a
+    state (`tuning.checkpoint.to_arrays`), to bit-identical results; `place`: where the rows are kept and computed
+    on, with the same bits.
 
     A step to a non-finite objective, or with `LBFGS` to a higher one, is shortened; a likelihood ends with a few Newton
     steps. The noise levels of a sensor whose readings have a step are not fitted below that of its rounding, step/√12,
@@ -208,7 +211,13 @@ def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, inter
     else:
         found, more = newton(driver, vector)
         vector, last, vectors = found.vector, found.evaluation, vectors + more
-        uncertainty = uncertainty_at(problem, found, driver.at_bound(vector, found.gradient))
+        bound = driver.at_bound(vector, found.gradient)
+        uncertainty = uncertainty_at(problem, found, bound)
+        kept = kept_at_start(problem, uncertainty, own, float(state.past_values[0, 0]) - found.value)
+        if kept.at_start.any():
+            found = optimum(problem, kept.vector)
+            vector, last, vectors = found.vector, found.evaluation, vectors + kept.vectors + 2 * len(vector) + 1
+            uncertainty = uncertainty_at(problem, found, bound, kept.at_start)
     value = float(problem.finite_values(vector, last.terms)[0])
     # A minibatch's value is over a part of the trajectories.
     start_value = state.past_values[0, 0]

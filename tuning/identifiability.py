@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from trackers.core.errors import listed
 from trackers.core.tracker import AbstractTracker
 from trackers.core.tunable import Scale, tunables
 from tuning.objectives import AbstractObjective
@@ -58,8 +59,11 @@ def identifiability_issues(
     gradient = uncertainty.optimum.gradient
     issues += [
         IdentifiabilityIssue((names[k],), _at_bound(names[k], gradient[k]))
-        for k in np.flatnonzero(uncertainty.at_bound)
+        for k in np.flatnonzero(uncertainty.at_bound & ~uncertainty.kept)
     ]
+    if uncertainty.kept.any():
+        kept = [names[k] for k in np.flatnonzero(uncertainty.kept)]
+        issues.append(IdentifiabilityIssue(tuple(kept), _kept(kept)))
     if not uncertainty.at_optimum:
         return [*issues, IdentifiabilityIssue((), _not_at_optimum(uncertainty.distance_to_optimum, held_out))]
     free = np.flatnonzero(~no_effect & ~ignored & ~uncertainty.at_bound)
@@ -73,6 +77,16 @@ def identifiability_issues(
         else:
             issues += [IdentifiabilityIssue(tuple(own), _sentence(own, own_kinds, *one)) for one in sigma]
     return issues
+
+
+def flat_components(uncertainty: Uncertainty) -> list[int]:
+    """The numbers along which the objective is flat at the point, each by itself, those with least effect first."""
+    free = np.flatnonzero(~unused(uncertainty.parameters) & ~uncertainty.at_bound)
+    if not len(free) or not np.all(np.isfinite(uncertainty.optimum.hessian)):
+        return []
+    groups = _groups(uncertainty, free)
+    flat = {k: min(s for _, s in found) for own, found in groups.items() if len(found) == len(own) for k in own}
+    return sorted(flat, key=lambda k: -flat[k])
 
 
 def _groups(
@@ -102,6 +116,11 @@ def _not_at_optimum(distance: float, held_out: bool) -> str:
 
 def _at_bound(name: str, gradient: float) -> str:
     return f"{name} is at its bound: the optimum is {'lower' if gradient > 0 else 'higher'}"
+
+
+def _kept(names: list[str]) -> str:
+    kept = "keeps its starting value" if len(names) == 1 else "keep their starting values"
+    return f"{listed(names)} {kept}: other values have no better objective"
 
 
 def _degree(sigma: float) -> str:

@@ -26,12 +26,21 @@ from tuning.objectives import (
 from tuning.pit_uniformity import PITUniformity
 from tuning.weights import by_chunks
 
+HEIGHT_WEIGHT = 0.1
+"""Weight of an estimated height beside each coordinate of the plane in `state-nll`.
+
+Noise levels that act on the height alone are fitted to it all the same; those shared follow the plane, whatever a badly
+determined height does.
+"""
+
 OBJECTIVES: Mapping[str, Callable[[str, int], AbstractObjective]] = MappingProxyType(
     {
         "nll": lambda quantity, dimensions: NegativeLogLikelihood(),
         "tempered-nll": lambda quantity, dimensions: NegativeLogLikelihood(tempered=True),
         "rmse": RootMeanSquareError,
-        "state-nll": StateLogLikelihood,
+        "state-nll": lambda quantity, dimensions: StateLogLikelihood(
+            quantity, dimensions, HEIGHT_WEIGHT if dimensions == 3 else 1.0
+        ),
         "nis-shape": lambda quantity, dimensions: PITUniformity("nis"),
         "nees-shape": lambda quantity, dimensions: PITUniformity("nees", quantity, dimensions),
     }

@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 import math
 from abc import abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -149,11 +149,13 @@ class StateLogLikelihood(AbstractObjective):
     """The mean negative log density of the truth under each row's mean and covariance, nats per row.
 
     Fields as in `RootMeanSquareError`. Unlike an RMSE it penalises overconfident and underconfident covariances. Errors
-    of consecutive rows are correlated, so it is no likelihood of a recording.
+    of consecutive rows are correlated, so it is no likelihood of a recording. `height_weight`: the power of the density
+    of a third component given the other two (composite likelihood).
     """
 
     quantity: str = eqx.field(static=True, default="position")
     dimensions: int = eqx.field(static=True, default=2)
+    height_weight: float = eqx.field(static=True, default=1.0)
     size: ClassVar[int] = 2
     needs_truth: ClassVar[bool] = True
 
@@ -162,8 +164,9 @@ class StateLogLikelihood(AbstractObjective):
         return True
 
     def terms(self, output: Output, truth: Truth) -> tuple[Scalar, ...]:
-        error = normalised_error(output, truth, self.quantity, self.dimensions)
-        density = -0.5 * (error.nees + error.log_determinant + self.dimensions * LOG_2PI)
+        weights = (1.0, 1.0, self.height_weight)[: self.dimensions]
+        error = normalised_error(output, truth, self.quantity, self.dimensions, weights)
+        density = -0.5 * (error.nees + error.log_determinant + sum(weights) * LOG_2PI)
         return jnp.where(error.scored, -density, 0.0), jnp.where(error.scored, jnp.ones_like(density), 0.0)
 
     def value(self, sums: Any) -> Scalar:
@@ -239,10 +242,13 @@ def errors_of(output: Output, truth: Truth, quantity: str, dimensions: int) -> t
     return [m - t for m, t in zip(components, true[:dimensions], strict=True)], is_estimate(output) & known
 
 
-def normalised_error(output: Output, truth: Truth, quantity: str, dimensions: int) -> NormalisedError:
+def normalised_error(
+    output: Output, truth: Truth, quantity: str, dimensions: int, weights: Sequence[float] = (1.0, 1.0, 1.0)
+) -> NormalisedError:
     """The error of a quantity's first components normalised by the reported covariance.
 
-    By a Cholesky factor over scalars; NaN where the covariance of a scored row is not positive definite.
+    By a Cholesky factor over scalars; NaN where the covariance of a scored row is not positive definite. `weights`: of
+    the components in NEES and log det S, each given those before it.
     """
     errors, scored = errors_of(output, truth, quantity, dimensions)
     S = _covariance_of(output, quantity, dimensions)
@@ -254,9 +260,9 @@ def normalised_error(output: Output, truth: Truth, quantity: str, dimensions: in
     for i, e in enumerate(errors):
         pivot = jnp.where(L[i, i] > 0, L[i, i], jnp.nan)
         parts.append((jnp.where(scored, e, 0.0) - total(L[i, j] * parts[j] for j in range(i))) / pivot)
-    return NormalisedError(
-        total(p * p for p in parts), 2.0 * total(jnp.log(L[i, i]) for i in range(dimensions)), scored
-    )
+    weighted = list(zip(weights, parts, strict=False))
+    logs = [w * jnp.log(L[i, i]) for i, (w, _) in enumerate(weighted)]
+    return NormalisedError(total(w * p * p for w, p in weighted), 2.0 * total(logs), scored)
 
 
 def _covariance_of(output: Output, quantity: str, dimensions: int) -> dict[tuple[int, int], Scalar]:

@@ -54,9 +54,9 @@ class Uncertainty:
 
     `observed`, `sandwich`: covariances (p, p) of the unconstrained vector along the determined directions; NaN where
     there is none. `undetermined` (p,): parameters with a part in an undetermined direction. `at_bound` (p,): parameters
-    at a bound with the objective falling beyond it; the others' covariances are conditional on them. `clusters`:
-    trajectories or blocks behind the sandwich. `distance_to_optimum`: to that of the quadratic model, in standard
-    deviations; infinite where the model has none.
+    at a bound with the objective falling beyond it, or `kept` (p,) at their starting values; the others' covariances
+    are conditional on them. `clusters`: trajectories or blocks behind the sandwich. `distance_to_optimum`: to that of
+    the quadratic model, in standard deviations; infinite where the model has none.
     """
 
     parameters: list[Parameter]
@@ -67,6 +67,7 @@ class Uncertainty:
     at_bound: Bool[np.ndarray, " p"]
     clusters: int
     distance_to_optimum: float
+    kept: Bool[np.ndarray, " p"]
 
     @property
     def sigmas(self) -> Float[np.ndarray, " p"]:
@@ -131,12 +132,19 @@ def uncertainty(problem: Problem, vector: Float[np.ndarray, " p"]) -> Uncertaint
     return uncertainty_at(problem, optimum(problem, vector))
 
 
-def uncertainty_at(problem: Problem, found: Optimum, at_bound: Bool[np.ndarray, " p"] | None = None) -> Uncertainty:
-    """The uncertainty of an optimum with the parameters `at_bound` (p,) fixed.
+def uncertainty_at(
+    problem: Problem,
+    found: Optimum,
+    at_bound: Bool[np.ndarray, " p"] | None = None,
+    kept: Bool[np.ndarray, " p"] | None = None,
+) -> Uncertainty:
+    """The uncertainty of an optimum with the parameters `at_bound` (p,), and those `kept` (p,) at their start, fixed.
 
     The likelihood of a particle filter is not smooth: J takes the place of its Hessian.
     """
-    at_bound = np.zeros(len(found.vector), bool) if at_bound is None else at_bound
+    none = np.zeros(len(found.vector), bool)
+    kept = none if kept is None else kept
+    at_bound = (none if at_bound is None else at_bound) | kept
     scatter, clusters = _scatter(problem, found)
     if problem.stochastic:
         found = _by_scatter(problem, found, scatter)
@@ -151,7 +159,7 @@ def uncertainty_at(problem: Problem, found: Optimum, at_bound: Bool[np.ndarray, 
     slope = np.abs(missing.T @ found.gradient) * found.nats_per_unit
     if not problem.stochastic and np.any(slope > MIN_SLOPE_NATS):
         distance = np.inf
-    return Uncertainty(problem.parameters, found, observed, sandwich, undetermined, at_bound, clusters, distance)
+    return Uncertainty(problem.parameters, found, observed, sandwich, undetermined, at_bound, clusters, distance, kept)
 
 
 def _larger_sigmas(one: Float[np.ndarray, "p p"], other: Float[np.ndarray, "p p"]) -> Float[np.ndarray, " p"]:

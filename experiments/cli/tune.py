@@ -43,7 +43,7 @@ def tune(
     set_: Annotated[tuple[str, ...], "NAME=VALUE"] = (),
     held_out: Folders = (),
     used: ReadingOptions,
-    dimensions: Literal[2, 3] = 2,
+    dimensions: Literal[2, 3] | None = None,
     weigh: Literal["recordings", "rows"] = "recordings",
     starts: int = 4,
     optimiser: Literal["auto", "lbfgs", "adam"] = "auto",
@@ -80,7 +80,8 @@ def tune(
         start: a tuned.toml to start from.
         set_: values to start from, by tunable or pattern.
         held_out: recordings to validate on: not fitted, they select the best point and end the fit.
-        dimensions: 2 to judge the horizontal position, 3 to judge an estimated height too.
+        dimensions: 2 to judge the horizontal position, 3 to judge an estimated height too. Default: 3 for state-nll, in
+            which a height counts a tenth of a horizontal coordinate, where the truth has heights; else 2.
         weigh: recordings or rows: which of them have the same weight.
         starts: number of starts: the given values, then the best of a first guess from the data and a coarse grid.
         optimiser: auto: lbfgs for nll and state-nll, alone or in a sum; adam else, and for minibatches and particles.

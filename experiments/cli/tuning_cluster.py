@@ -18,7 +18,7 @@ from trackers.recordings.mapped_rows import mapped
 from trackers.recordings.named_tracker import NamedTracker
 from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.trajectories import Trajectory
-from tuning.data import FitData, fit_segments, segments_data
+from tuning.data import FitData, fit_segments, judged_dimensions, segments_data
 from tuning.weights import Weigh
 
 PARTS = ".tune-parts"
@@ -52,12 +52,13 @@ def data_in_turn(
     place: Path,
     objective: str | None,
     segment_rows: int,
-    dimensions: int,
+    dimensions: int | None,
     weigh: Weigh,
 ) -> FitData:
     """As `fit_data` of the first `count` recordings, the others held out; the rows are in files in the folder `place`.
 
-    Raises UnusableInput as `fit_data`, and where the recordings need several trackers.
+    `dimensions`: None for those of the first recording. Raises UnusableInput as `fit_data`, and where the recordings
+    need several trackers.
     """
     names, trajectories = list[str](), list[Trajectory]()
     batch: TrackerBatch | None = None
@@ -68,13 +69,14 @@ def data_in_turn(
             yield folder
 
     for batch in named.batch_by_batch(each()):
+        dimensions = dimensions or judged_dimensions(batch, objective)
         own = fit_segments(batch, segment_rows, dimensions)
         trajectories += mapped(own, place / f"rows-{len(names)}")
     refuse_same_names(names)
     if batch is None:
         raise UnusableInput(f"tracker '{named.name}': no trajectory in the recordings; expected one tag at least")
     every = replace(batch, tracker=named.tracker, trajectories=trajectories)
-    return segments_data(every, objective, set(names[count:]), dimensions, weigh, stacked=False)
+    return segments_data(every, objective, set(names[count:]), dimensions or 2, weigh, stacked=False)
 
 
 def reported(data: FitData) -> FitData:

@@ -17,6 +17,7 @@ from trackers.core.errors import UnusableInput
 from trackers.core.rig import Rig, Tag
 from trackers.recordings.folder import RecordingFolder
 from tuning.data import fit_data
+from tuning.fit_arrays import fit_arrays
 from tuning.named_objectives import all_metrics
 from tuning.objectives import MissingQuantityError
 
@@ -94,3 +95,31 @@ def test_truth_over_the_floor_of_a_state_in_space_is_refused_with_the_usual_fix(
     recording = tw.fix_recording(times, np.zeros((5, 3)), truth=np.zeros((5, 2)))
     with pytest.raises(MissingQuantityError, match="truth of the position has 2 components, and 3 are judged"):
         tw.fit(tw.fix_tracker(), recording, objective="rmse", dimensions=3)
+
+
+@pytest.mark.parametrize(
+    ("height", "heights_of_truth", "objective", "dimensions"),
+    [
+        (None, ALL, None, 3),
+        (None, HALF, "state-nll+0.1*nll", 3),
+        (None, NONE, None, 2),
+        (1.2, ALL, None, 2),
+        (None, ALL, "rmse", 2),
+        (None, ALL, "nll", 2),
+    ],
+)
+def test_an_estimated_height_is_judged_by_default_where_the_truth_has_heights(
+    height, heights_of_truth, objective, dimensions
+):
+    folder = _folder(height, heights_of_truth)
+    assert fit_data(tw.build("fix-kf", folder).only_batch(folder), objective).dimensions == dimensions
+
+
+def test_recordings_in_arrays_with_true_heights_are_judged_in_space_by_default():
+    times = np.arange(40) * 0.1
+    path = np.stack([times, 0 * times, 1.2 + 0 * times], axis=1)
+    recording = tw.fix_recording(times, path, truth=path)
+    for dimensions, truth in ((3, path), (2, path[:, :2])):
+        given = tw.fix_recording(times, path, truth=truth)
+        assert fit_arrays(tw.fix_tracker(), given, None, ()).objective.dimensions == dimensions
+    assert fit_arrays(tw.fix_tracker(), recording, "rmse", ()).objective.dimensions == 2

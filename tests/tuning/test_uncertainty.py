@@ -1,5 +1,6 @@
 """How sure a fit is: against closed forms and repeated experiments on normal numbers, of which everything is known."""
 
+import dataclasses
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 
@@ -11,13 +12,14 @@ from scipy.optimize import brentq
 from tests.tuning.worlds import line_tracker, walks
 from trackers.core.recording import stack
 from trackers.core.tunable import Covariance, Fraction, Real, Scale
-from tuning.identifiability import identifiability_issues
+from tuning.identifiability import flat_components, identifiability_issues
 from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
 from tuning.optimum import Optimum, optimum
 from tuning.parameters import Parameter, flatten, select_parameters
 from tuning.problem import Evaluation, Problem
 from tuning.profiles import bootstrap, percentile_intervals, profile, refit
 from tuning.uncertainty import Uncertainty, uncertainty, uncertainty_at, unidentifiable, unused
+from tuning.undetermined import kept_at_start
 
 TYPICAL = 0.5
 
@@ -187,25 +189,24 @@ def test_intervals_are_in_physical_units_of_every_kind():
     vector = np.concatenate([np.ravel(p.example.raw) for p in parameters])
     found = SimpleNamespace(vector=vector, hessian=np.eye(5), nats_per_unit=1.0)
     cov, none = 0.01 * np.eye(5), np.zeros(5, bool)
-    every = Uncertainty(parameters, found, cov, cov, none, none, 25, 0.0).intervals(by="curvature")
+    every = Uncertainty(parameters, found, cov, cov, none, none, 25, 0.0, none).intervals(by="curvature")
     odds = np.array([x / (1 - x) for x in every["share"]])
     np.testing.assert_allclose(np.log(odds), np.log(0.3 / 0.7) + np.array([-0.196, 0.196]), atol=1e-4)
     # a variance of 4 m² whose log root is known to 0.1: ± 1.96 · 2 · 0.1 · 4
     np.testing.assert_allclose([every["matrix"][k][1, 1] for k in (0, 1)], [4 - 1.568, 4 + 1.568], atol=1e-3)
-    open_ = Uncertainty(parameters, found, cov, cov, np.array([True] + [False] * 4), none, 25, 0.0).intervals()
+    open_ = Uncertainty(parameters, found, cov, cov, np.array([True] + [False] * 4), none, 25, 0.0, none).intervals()
     assert [float(x) for x in open_["share"]] == [0.0, 1.0]
 
 
-def _found(parameters, hessian, observed, sandwich=None, at_bound=None, distance_to_optimum=0.0):
+def _found(parameters, hessian, observed, sandwich=None, at_bound=None, distance_to_optimum=0.0, kept=None):
     """How sure a fit is, made up: second derivatives, covariances, what rests on a bound, how far off it is."""
     p = len(hessian)
     point = Optimum(np.zeros(p), 0.0, np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0])[:p], hessian,
                     np.zeros((3, p)), 1.0, np.ones(3, bool), None)  # fmt: skip
     nothing, none = np.full((p, p), np.nan), np.zeros(p, bool)
-    at_bound = none if at_bound is None else at_bound
-    return Uncertainty(
-        parameters, point, observed, nothing if sandwich is None else sandwich, none, at_bound, 25, distance_to_optimum
-    )
+    at_bound, kept = (none if flags is None else flags for flags in (at_bound, kept))
+    sandwich = nothing if sandwich is None else sandwich
+    return Uncertainty(parameters, point, observed, sandwich, none, at_bound | kept, 25, distance_to_optimum, kept)
 
 
 def test_entries_above_a_factors_diagonal_are_no_issue():
@@ -246,6 +247,44 @@ def test_undetermined_parameters_are_described_in_words(numbers, weights, senten
     low, high = found.intervals()[undetermined[0]]
     assert low == 0
     assert high == np.inf
+
+
+def test_a_flat_number_keeps_its_starting_value_and_the_others_are_fitted_with_it(numbers):
+    """b^0.002 is hardly seen: at 1e-6 it has the likelihood of its starting value with another a."""
+    problem, at = _product(numbers, [1, 0.002])
+    away = at + np.array([0.002 * 13.8, -13.8])
+    start = np.array([0.5, 0.0])
+    found = uncertainty_at(problem, optimum(problem, away))
+    assert flat_components(found) == [1]
+    kept = kept_at_start(problem, found, start, 1.0)
+    assert kept.at_start.tolist() == [False, True]
+    assert kept.vector[1] == 0.0
+    assert kept.vector[0] == pytest.approx(at @ [1, 0.002], abs=1e-4), "σ, as b^0.002 is 1"
+    again = uncertainty_at(problem, optimum(problem, kept.vector), None, kept.at_start)
+    issues = identifiability_issues(again, problem.evaluate(kept.vector).term_gradients)
+    assert [j.text for j in issues] == ["b keeps its starting value: other values have no better objective"]
+    assert np.isnan(again.standard_errors()["b"])
+    assert again.standard_errors()["a"] > 0.0
+
+
+@pytest.mark.parametrize("weights", [[1, 1], [1, 0.5]])
+def test_numbers_that_are_determined_together_are_not_moved_back(numbers, weights):
+    problem, at = _product(numbers, weights)
+    found = uncertainty(problem, at)
+    assert flat_components(found) == []
+    assert not kept_at_start(problem, found, np.zeros(2), 1.0).at_start.any()
+
+
+def test_a_flat_number_whose_start_is_much_worse_stays_where_the_fit_ended(numbers):
+    """With σ at a bound nothing makes up for b: the likelihood at its start is hundreds of nats lower."""
+    problem, at = _product(numbers, [1, 0.002])
+    found = uncertainty_at(problem, optimum(problem, at), np.array([True, False]))
+    far = np.array([0.0, at[1] + 1e3])
+    loose = dataclasses.replace(found, undetermined=np.array([False, True]), observed=np.diag([0.0, 1e4]))
+    assert flat_components(loose) == [1]
+    assert not kept_at_start(problem, loose, far, 1.0).at_start.any()
+    near = kept_at_start(problem, loose, np.array([0.0, at[1] + 1.0]), 1.0)
+    assert near.at_start.tolist() == [False, True]
 
 
 def test_numbers_without_effect_are_named_in_one_sentence(numbers):
