@@ -50,7 +50,7 @@ def fit_cautions(
     if uncertainty is not None:
         found += deciding(problem, uncertainty, recordings)
     if problem.objective.is_likelihood:
-        found += [*repetitions(grids), *([] if problem.objective.tempered else correlation(problem, end))]
+        found += [*repetitions(grids), *correlation(problem, end)]
     return found
 
 
@@ -154,5 +154,5 @@ def correlation(problem: Problem, vector: Float[np.ndarray, " p"]) -> list[str]:
     return [
         f"innovations are correlated over time: {rows} rows carry the information of about {rows / inflation:.0f} "
         f"independent ones, so that intervals by the curvature of the likelihood are about {math.sqrt(inflation):.2g} "
-        "times too narrow; give the objective tempered-nll, or state-nll where there is truth"
+        "times too narrow; give the objective state-nll where there is truth"
     ]

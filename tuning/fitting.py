@@ -18,7 +18,6 @@ from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.named_tracker import NamedTracker
 from trackers.recordings.reading_grids import ReadingGrid, reading_grids
 from tuning.checkpoint import from_arrays
-from tuning.correlation import rows_and_inflation
 from tuning.data import FitData
 from tuning.fit_arrays import Arrays, fit_arrays
 from tuning.fit_cautions import fit_cautions
@@ -160,7 +159,7 @@ def fit(
     data = fit_arrays(tracker, recordings, objective, held_out, dimensions, weigh)
     model, batches, apart, objective = data.tracker, data.training, data.held_out, data.objective
     parameters = select_parameters(model, tune, frozen)
-    if priors and (not objective.is_likelihood or objective.tempered):
+    if priors and not objective.is_likelihood:
         raise ValueError("priors need the likelihood nll as objective; give bounds with another one")
     trajectories = chunk if minibatch is None else min(chunk, minibatch)
     problem = Problem(model, batches, objective, parameters, trajectories, priors, data.weights, place)
@@ -187,9 +186,6 @@ def fit(
             else:
                 state = driver.step(state)
             report(state)
-        if objective.tempered:
-            best = state.best_vectors[int(np.argmin(state.best_scores))]
-            problem.power = 1.0 / rows_and_inflation(problem, best)[1]
     except KeyboardInterrupt:
         interrupted = True
     stage("the best values so far" if interrupted else "intervals")

@@ -65,11 +65,6 @@ class AbstractObjective(eqx.Module):
         return math.isfinite(self.nats_per_unit([1.0] * self.size))
 
     @property
-    def tempered(self) -> bool:
-        """Whether the likelihood gets a power by the autocorrelation of its innovations at the end of a fit."""
-        return False
-
-    @property
     def has_density(self) -> bool:
         """Whether it contains a density: one jumps little where a track is nearly lost, and a line search goes on."""
         return self.is_likelihood
@@ -80,14 +75,8 @@ class AbstractObjective(eqx.Module):
 
 
 class NegativeLogLikelihood(AbstractObjective):
-    """The mean negative log-likelihood per measured number, nats; needs no truth.
+    """The mean negative log-likelihood per measured number, nats; needs no truth."""
 
-    `tempered`: with a power below 1 where innovations are correlated (composite likelihood), that of the effective
-    number of rows, `tuning.correlation.rows_and_inflation` at the optimum. It leaves the optimum where it is and widens
-    the intervals (Pauli, Racugno & Ventura 2011).
-    """
-
-    tempered: bool = eqx.field(static=True, default=False)
     size: ClassVar[int] = 2
     needs_truth: ClassVar[bool] = False
 

@@ -71,8 +71,7 @@ class Problem:
 
     `priors`: added to a likelihood. `weights`: of the trajectories of each batch, default 1; the terms of a trajectory
     and their derivatives are multiplied by its weight. `place`: where the rows are kept, of which this has none itself.
-    `sizes`: trajectories of each batch, with padding. `power`: of the likelihood, below 1 where it is tempered; it
-    changes the unit and not the objective.
+    `sizes`: trajectories of each batch, with padding.
 
     A filter on the verge of losing a track has derivatives without bound, which would dominate all others. So
     `evaluate` leaves such a trajectory out of value and gradient alike, besides those that are not finite: its gradient
@@ -94,7 +93,7 @@ class Problem:
     ):
         self.priors = tuple(priors)
         self.objective, self.parameters = objective.for_tracker(tracker), list(parameters)
-        dtype, self.power = batches[0].columns(0, 1).dt.dtype, 1.0
+        dtype = batches[0].columns(0, 1).dt.dtype
         self.tracker = as_dtype(tracker, dtype)
         start = jnp.asarray(flatten(self.parameters)[None], dtype)
         self.start = Point(self.tracker, self.objective, self.parameters, start)
@@ -187,8 +186,8 @@ class Problem:
         return Penalty(nats.values * scale, nats.gradients * scale[:, None])
 
     def nats_per_unit(self, sums: Float[np.ndarray, " k"]) -> float:
-        """The factor from the objective to a negative log-likelihood in nats, with its power."""
-        return self.power * self.objective.nats_per_unit(sums)
+        """The factor from the objective to a negative log-likelihood in nats."""
+        return self.objective.nats_per_unit(sums)
 
     @property
     def stochastic(self) -> bool:

@@ -185,8 +185,7 @@ def _scatter(problem: Problem, found: Optimum) -> tuple[Float[np.ndarray, "p p"]
     block = max(1, -(-int(rows.sum()) // BLOCKS))
     by_trajectory = row_information(problem, found.vector[None], block).information[0]
     information = np.where(found.used, by_trajectory * problem.weights**2, 0.0).sum(axis=-1)
-    # The scores are those of the likelihood without a power.
-    return information / (found.nats_per_unit / problem.power) ** 2, int(np.sum(-(-rows[found.used] // block)))
+    return information / found.nats_per_unit**2, int(np.sum(-(-rows[found.used] // block)))
 
 
 def _by_scatter(problem: Problem, found: Optimum, scatter: Float[np.ndarray, "p p"]) -> Optimum:

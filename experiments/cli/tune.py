@@ -69,8 +69,8 @@ def tune(
         out: the folder to write to.
         tracker: as in `track`; default: that of the file `--start`, else the one that fits the tables.
         objective: state-nll, the negative log density of the truth under the reported position and covariance; rmse,
-            nees-shape (need truth as well); nll, the negative log-likelihood, tempered-nll, nis-shape (need none); or
-            a sum, e.g. state-nll+0.1*rmse. Default: state-nll where there is truth, else nll.
+            nees-shape (need truth as well); nll, the negative log-likelihood, nis-shape (need none); or a sum,
+            e.g. state-nll+0.1*rmse. Default: state-nll where there is truth, else nll.
         tune: shell patterns of tunables, e.g. 'motion.*'; 'tied:PATTERN' keeps all matches equal. Default: the noise
             levels of motion and sensors.
         freeze: patterns of tunables to keep.
@@ -81,7 +81,7 @@ def tune(
         set_: values to start from, by tunable or pattern.
         held_out: recordings to validate on: not fitted, they select the best point and end the fit.
         dimensions: 2 to judge the horizontal position, 3 to judge an estimated height too. Default: 3 for state-nll, in
-            which a height counts a tenth of a horizontal coordinate, where the truth has heights; else 2.
+            which a height counts half a horizontal coordinate, where the truth has heights; else 2.
         weigh: recordings or rows: which of them have the same weight.
         starts: number of starts: the given values, then the best of a first guess from the data and a coarse grid.
         optimiser: auto: lbfgs for nll and state-nll, alone or in a sum; adam else, and for minibatches and particles.

@@ -52,7 +52,7 @@ def checked_options(
         require_start_within(parameters, bounds)
         option = f"--prior {' '.join(prior)}"
         priors = [parse_prior(text) for text in prior]
-        require_fitting(priors, parameters, data.objective.is_likelihood and not data.objective.tempered)
+        require_fitting(priors, parameters, data.objective.is_likelihood)
     except ValueError as error:
         raise UnusableInput(f"{option}: {error}") from error
     return bounds, priors

@@ -44,7 +44,7 @@ class Elsewhere:
 LIKELIHOOD, ERROR = NegativeLogLikelihood(), RootMeanSquareError(dimensions=1)
 FITS = {
     "two chunks, many in each": (walks([30] * 20, 1), LIKELIHOOD, {"chunk": 16}),
-    "few, and errors that last": (walks([40, 25, 40], 2), NegativeLogLikelihood(tempered=True), {}),
+    "few": (walks([40, 25, 40], 2), LIKELIHOOD, {}),
     "minibatches, others held out": (
         walks([30] * 30, 3),
         ERROR,

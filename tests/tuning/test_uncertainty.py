@@ -37,7 +37,6 @@ class Numbers:
     means: np.ndarray
     stochastic: bool = False
     own_weights: np.ndarray | None = None
-    power: float = 1.0
     objective: NegativeLogLikelihood = field(default_factory=NegativeLogLikelihood)
 
     def prior_penalty(self, vectors, sums):
@@ -72,8 +71,8 @@ class Numbers:
         )
 
     def nats_per_unit(self, sums):
-        """The number of numbers, times the power."""
-        return self.power * float(sums[1])
+        """The number of numbers."""
+        return float(sums[1])
 
     @property
     def valid(self):
