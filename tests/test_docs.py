@@ -106,7 +106,7 @@ def test_a_tracker_of_ones_own_is_tracked_by_file(turning):
 @pytest.mark.slow
 def test_a_tracker_of_ones_own_is_tuned_swept_and_studied_by_file(turning):
     own = ("--tracker", "turning.py:TURNING")
-    done = trackwright("tune", "agv", *own, "--tune", "sensors.*", "--steps", 4, "--out", "tuned")
+    done = trackwright("tune", "agv", *own, "--tune", "sensors.*", "--steps", 4, "--force", "--out", "tuned")
     assert done.code == 0, done.err
     assert trackwright("sweep", "agv", *own, "--over", "sensors.fixes.sigma_fix=0.1:0.3:3", "--out", "swept").code == 0
     study = 'runs = 4\n[worlds.agv]\nrows = 50\n[trackers.turning]\ntracker = "turning.py:TURNING"\n[trackers.fix-kf]\n'

@@ -79,7 +79,8 @@ def collapsed(
         if not isinstance(parameter.example, Scale):
             continue
         low, grid, unit = float(np.exp(end[part].min())), grid_of(grids, parameter), parameter.example.unit
-        if grid is not None and low <= 1.001 * grid.floor:
+        fell = grid is not None and low <= 1.001 * grid.floor < float(np.exp(start[part].min()))
+        if grid is not None and fell:
             yield (
                 f"{parameter.label} fell to {low:.3g} {unit}, the rounding of its readings (step {grid.step:.3g} "
                 f"{unit} / √12), below which it is not fitted: readings that repeat drive it down"

@@ -20,7 +20,7 @@ from trackers.recordings.reading_grids import ReadingGrid, reading_grids
 from tuning.checkpoint import from_arrays
 from tuning.data import FitData
 from tuning.fit_arrays import Arrays, fit_arrays
-from tuning.fit_cautions import fit_cautions
+from tuning.fit_cautions import collapsed, fit_cautions
 from tuning.newton import newton
 from tuning.objectives import AbstractObjective, Loss
 from tuning.optimisation import FitState, MultiStart, stands_still
@@ -60,7 +60,9 @@ class FitResult(Generic[AnyTracker]):
     gradients. `problem`, `vector`, `evaluation`: the objective as a function, its best point, and its value and
     gradient there. `uncertainty`: None where the fit was interrupted. `trace`: the steps of the best start, ending at
     `vector`; `starts`: of all starts. `before`: the tracker at the first start, tied numbers made equal and bounded
-    ones clipped. `readings`: steps and repetitions of the readings; `recordings`: that of each trajectory of `problem`.
+    ones clipped. `limits`: lowest and highest vector. `converged`: whether the best start ended before the last step,
+    or its optimiser takes all. `readings`: steps and repetitions of the readings. `recordings`: that of each trajectory
+    of `problem`.
     """
 
     tracker: AnyTracker
@@ -76,6 +78,8 @@ class FitResult(Generic[AnyTracker]):
     filter_runs: int
     uncertainty: Uncertainty | None
     before: AbstractTracker
+    limits: tuple[Float[np.ndarray, " p"], Float[np.ndarray, " p"]]
+    converged: bool
     trace: list[Step] = field(default_factory=list)
     starts: list[list[Step]] = field(default_factory=list)
     readings: list[ReadingGrid] = field(default_factory=list)
@@ -99,6 +103,19 @@ class FitResult(Generic[AnyTracker]):
         return fit_cautions(
             self.problem, self.start_vector, self.vector, self.uncertainty, self.readings, self.recordings
         )
+
+    @cached_property
+    def collapsed(self) -> list[str]:
+        """Those of the cautions that are on noise levels which fell to their floor, or to next to nothing."""
+        return list(collapsed(self.parameters, self.start_vector, self.vector, self.readings, self.uncertainty))
+
+    @property
+    def at_optimum(self) -> bool:
+        """Whether the fit reached an optimum, as far as its curvature or its optimiser shows."""
+        found = self.uncertainty
+        if found is None or np.isnan(found.optimum.nats_per_unit):
+            return found is not None and found.at_optimum and self.converged
+        return found.at_optimum
 
     @property
     def standard_errors(self) -> dict[str, np.ndarray]:
@@ -236,6 +253,8 @@ def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, inter
         filter_runs=int(state.filter_runs) + vectors * problem.n_trajectories(),
         uncertainty=uncertainty,
         before=with_parameters(tracker, parameters, own),
+        limits=(driver.low, driver.high),
+        converged=not (driver.optimiser.monotone and state.number >= driver.max_steps and state.active[winner]),
         trace=traces[winner],
         starts=traces,
     )

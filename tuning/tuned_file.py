@@ -20,10 +20,22 @@ if TYPE_CHECKING:
 COMMENT = "# Written by `trackwright tune`; read by `trackwright track --noise`.\n"
 
 
-def write_tuned(path: Path, tracker: str, objective: str, result: FitResult, intervals: Mapping[str, Interval]) -> Path:
-    """Write the fitted values by name, with unit, standard error and 95 % interval; nan where unknown.
+def write_tuned(path: Path, content: Mapping[str, Any]) -> Path:
+    """Write the content of `tuned_content`."""
+    text = COMMENT + tomli_w.dumps(content)
+    return atomic_write(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
-    `intervals`: lowest and highest value by label.
+
+def tuned_content(
+    tracker: str,
+    objective: str,
+    result: FitResult,
+    intervals: Mapping[str, Interval],
+    calibration: Mapping[str, str] | None = None,
+) -> dict[str, Any]:
+    """The fitted values by name, with unit, standard error and 95 % interval; nan where unknown.
+
+    `intervals`: lowest and highest value by label. `calibration`: the `identity` of that of the recordings.
     """
     table = {}
     # Tied tunables are written one by one: a pattern for them may match others of the tracker too.
@@ -38,22 +50,25 @@ def write_tuned(path: Path, tracker: str, objective: str, result: FitResult, int
             "lowest_95": low.tolist(),
             "highest_95": high.tolist(),
         }
-    content = {
+    return {
         "tracker": tracker,
         "objective": objective,
+        **({} if calibration is None else {"calibration": dict(calibration)}),
         "before": float(f"{result.start_value:.8g}"),
         "after": float(f"{result.value:.8g}"),
         "tunables": table,
     }
-    text = COMMENT + tomli_w.dumps(content)
-    return atomic_write(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 class Tuned(NamedTuple):
-    """The content of a tuned.toml: the tracker it was fitted for, None where it names none, and values by name."""
+    """The content of a tuned.toml: the tracker it was fitted for, None where it names none, and values by name.
+
+    `calibration`: name and fingerprint of that of its recordings, None without one.
+    """
 
     tracker: str | None
     values: dict[str, Any]
+    calibration: Mapping[str, str] | None = None
 
 
 def read_tuned(path: Path) -> Tuned:
@@ -75,7 +90,14 @@ def read_tuned(path: Path) -> Tuned:
     tracker = content.get("tracker")
     if not isinstance(tracker, str | None):
         raise UnusableInput(f"{path}: tracker is {tracker!r}, expected the name of a tracker")
-    return Tuned(tracker, values)
+    calibration = content.get("calibration")
+    if calibration is not None and not (
+        isinstance(calibration, Mapping)
+        and set(calibration) == {"name", "fingerprint"}
+        and all(isinstance(text, str) for text in calibration.values())
+    ):
+        raise UnusableInput(f"{path}: calibration is {calibration!r}, expected its name and fingerprint")
+    return Tuned(tracker, values, calibration)
 
 
 def parse_values(texts: Sequence[str], option: str) -> dict[str, Any]:

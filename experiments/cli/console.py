@@ -16,7 +16,7 @@ from experiments.cli.arguments import File
 from trackers.core.errors import UnusableInput, has_control, listed, one_line
 from trackers.recordings.atomic import json_text
 from trackers.recordings.calibration import Calibration
-from trackers.recordings.calibration_file import read_calibration
+from trackers.recordings.calibration_file import identity, read_calibration
 from trackers.recordings.folder import RecordingFolder, read_recordings
 from trackers.recordings.selection import Selection
 
@@ -117,13 +117,24 @@ def ready(
     recording = used.part.of(recording)
     if used.average is not None:
         recording = recording.averaged(used.average)
-    recording = recording.calibrated(calibration)
     lines = [f"{path}: {text}" for text in recording.notices]
+    recording = recording.calibrated(calibration)
     if calibration is not None and recording.name in calibration.recordings:
         lines.append(f"{path}: is one of the recordings of {used.calibration}; errors of others are larger")
     if calibration is not None and (lacking := recording.uncalibrated()):
         lines.append(f"{path}: {listed(lacking)}: not in {used.calibration}, or moved since; used uncalibrated")
     return recording, lines
+
+
+def notice_other_calibration(noise: Path | None, fitted: Mapping[str, str] | None, given: Path | None) -> None:
+    """A notice where the file `noise` was fitted with a calibration, `fitted`, and another or none is `given`."""
+    if fitted is None or (given is not None and identity(given)["fingerprint"] == fitted["fingerprint"]):
+        return
+    now = "none is given" if given is None else f"{given} is another"
+    notice(
+        f"notice: {noise}: fitted to recordings with the calibration {fitted['name']} ({fitted['fingerprint']}), and "
+        f"{now}; give --calibration {fitted['name']}, or tune again"
+    )
 
 
 def notice_unused_calibration(folders: Sequence[RecordingFolder], tracker: str, table: str) -> None:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from experiments.archives.folders import archive_of
 from experiments.cli.arguments import FigureFormat, File, Folder, Folders
-from experiments.cli.console import ReadingOptions, json_alone, prepared, require_output
+from experiments.cli.console import ReadingOptions, json_alone, notice_other_calibration, prepared, require_output
 from experiments.cli.runtime import keep_programs
 from experiments.cli.stages import stages
 from experiments.cli.usable import usable_recordings
@@ -66,6 +66,8 @@ def track(
         raise UnusableInput(f"--lag {lag:g}: expected seconds above zero; leave it out to use the whole recording")
     values = parse_values(set_, "--set")
     tuned = None if noise is None else read_tuned(noise)
+    if tuned is not None:
+        notice_other_calibration(noise, tuned.calibration, used.calibration)
     with json_alone(json) as put, stages("track") as begin:
         begin("reading")
         archive = archive_of(recordings, keep_going)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import time
-import tomllib
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Annotated, Any, Literal
@@ -54,6 +53,7 @@ def tune(
     cluster: Annotated[str | None, "ADDRESS"] = None,
     free_height: bool = False,
     piece_rows: int = 8000,
+    force: bool = False,
     no_figures: bool = False,
     no_report: bool = False,
     format: FigureFormat = "png",
@@ -94,6 +94,9 @@ def tune(
             all see the folder --out; for recordings that no memory holds, with the same tuned.toml.
         free_height: estimate the height of tags whose height the rig gives.
         piece_rows: rows of the segments into which long recordings are cut.
+        force: write tuned.toml even where a level collapsed, the fit ended before its optimum, or a recording gets
+            worse: RMSE more than 5 % larger, covariances that held and do not, or a share inside the 95 % ellipse
+            farther from 95 % by more than 5 %.
         no_figures: draw no figure.
         no_report: write no report.html.
         format: of the figure, tuning.png or tuning.pdf.
@@ -106,7 +109,7 @@ def tune(
         "freeze": freeze, "bound": bound, "prior": prior, "held_out": held_out, "start": start, "set": set_,
         "calibration": used.calibration, "part": dataclasses.asdict(used.part), "average": used.average,
         "starts": starts, "optimiser": optimiser, "steps": steps, "minibatch": minibatch, "intervals": intervals,
-        "free_height": free_height, "piece_rows": piece_rows,
+        "free_height": free_height, "piece_rows": piece_rows, "force": force,
         "cluster": cluster,
     }  # fmt: skip
     require_counts(options)
@@ -119,11 +122,18 @@ def tune(
         begin("preparing")
         keep_programs()
         # jax takes a second to import, which the help and a refused recording need not wait for.
+        from experiments.cli.cross_calibrated import cross_calibrated
         from experiments.cli.tuning_cluster import fit_workers
         from experiments.cli.tuning_job import finish, fit_folders
 
+        count = len(recordings)
+        if used.calibration is not None and cluster is None:
+            parts = cross_calibrated(folders, used.calibration)
+            count, folders = sum(map(len, parts[:count])), [part for own in parts for part in own]
         with fit_workers(cluster, out) as workers:
-            fitted = fit_folders(folders, len(recordings), out, options, tuned, values, resume, begin, workers)
-            code = finish(fitted, recordings, out, started, clock, begin, None if no_figures else format, not no_report)
-        put(tomllib.loads((out / "tuned.toml").read_text("utf-8")))
+            fitted = fit_folders(folders, count, out, options, tuned, values, resume, begin, workers)
+            code, content = finish(
+                fitted, recordings, out, started, clock, begin, None if no_figures else format, not no_report
+            )
+        put(content)
     return code

@@ -7,12 +7,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import polars as pl
 
 from experiments.cli.manifest import write_manifest
+from experiments.cli.tuning_refusals import in_words, refusals
 from experiments.plots.objective import tuning_trace
 from experiments.reports.recordings_compared import Compared
 from experiments.reports.tables import aligned
@@ -21,11 +22,12 @@ from experiments.reports.tuning import write_tuning_report
 from experiments.reports.tuning_collect import Request, collect, recording_names
 from trackers.catalogue import spec_of
 from trackers.recordings.atomic import atomic_write
+from trackers.recordings.calibration_file import identity
 from tuning import FitResult
 from tuning.data import FitData
 from tuning.identifiability import IdentifiabilityIssue, identifiability_issues
 from tuning.intervals import Interval, intervals_of
-from tuning.tuned_file import write_tuned
+from tuning.tuned_file import tuned_content, write_tuned
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,14 @@ class Run:
     report: bool
 
 
+class Written(NamedTuple):
+    """The lines to print, the content of tuned.toml, and why that file was not written, empty where it was."""
+
+    lines: list[str]
+    content: dict[str, Any]
+    refused: str
+
+
 def write_run(
     out: Path,
     data: FitData,
@@ -53,8 +63,8 @@ def write_run(
     compared: Compared,
     plans: TrackChanges | None,
     reported: FitData,
-) -> list[str]:
-    """Writes all files to the folder; returns the lines to print.
+) -> Written:
+    """Writes all files to the folder, tuned.toml only without `refusals` or with the option `force`.
 
     `plans`: the tracks before and after. `reported`: the data that the report looks at, or a part of them.
     """
@@ -62,25 +72,32 @@ def write_run(
     if run.options["prior"]:
         objective += " + prior"
     intervals = intervals_of(result, run.options["intervals"])
-    write_tuned(out / "tuned.toml", run.tracker, objective, result, intervals)
+    calibration = run.options["calibration"]
+    found = None if calibration is None else identity(calibration)
+    content = tuned_content(run.tracker, objective, result, intervals, found)
+    reasons = [] if run.options["force"] else refusals(result, compared, bool(data.held_out))
+    refused = f"{out / 'tuned.toml'} is not written: {in_words(reasons)}" if reasons else ""
+    if refused:
+        (out / "tuned.toml").unlink(missing_ok=True)
+    else:
+        write_tuned(out / "tuned.toml", content)
     _write_trace(out, result, objective, unit, run.figures)
     issues = _issues(result, bool(data.held_out))
     cautions = [] if result.uncertainty is None else result.cautions
     notices = [f"notice: {text}" for text in (*(issue.text for issue in issues), *cautions)]
     lines = [*table(result, objective, intervals), *notices, compared.text().rstrip("\n")]
     command = shlex.join(["trackwright", *run.command[1:]])
-    calibration = run.options["calibration"]
     use = f"trackwright track … --noise {out / 'tuned.toml'}"
     use += "" if calibration is None else f" --calibration {calibration}"
     use += "" if run.options["average"] is None else f" --average {run.options['average']:g}"
     request = Request(
         command=command,
-        next_commands=(use, command),
+        next_commands=(f"{command} --force" if refused else use, command),
         tracker=run.tracker,
         tracker_about=spec_of(run.tracker).about,
         objective=objective,
         seconds=run.seconds,
-        notes=tuple(_notes(data, result, reported)),
+        notes=(*([refused] if refused else []), *_notes(data, result, reported)),
     )
     written = ["trace.csv", "manifest.json"]
     if run.figures is not None:
@@ -91,7 +108,9 @@ def write_run(
         write_tuning_report(out / "report.html", replace(known, training=recording_names(data.training)))
     extra = {"recordings": [str(p) for p in run.recordings], "filter_runs": result.filter_runs}
     write_manifest(out, run.command, run.options, run.started, extra=extra)
-    return [*lines, f"wrote {out / 'tuned.toml'}, {', '.join(written)}; use it: {use}"]
+    files = ", ".join(written)
+    last = f"wrote {out}: {files}" if refused else f"wrote {out / 'tuned.toml'}, {files}; use it: {use}"
+    return Written([*lines, last], content, refused)
 
 
 def _notes(data: FitData, result: FitResult, reported: FitData) -> Iterator[str]:

@@ -11,6 +11,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from experiments.cli.console import notice, output_folder
 from experiments.cli.folders_in_turn import FoldersInTurn
 from experiments.cli.stages import Advance, Begin
@@ -23,6 +25,7 @@ from experiments.reports.tracks_compared import MOST_PLANS, TrackChanges, track_
 from experiments.reports.tuning_collect import recording_names
 from trackers.core.errors import UnusableInput, listed
 from trackers.core.tunable import tunables
+from trackers.recordings.association import Association
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.named_tracker import NamedTracker
 from tuning import FitResult, checkpoint, fit
@@ -30,6 +33,7 @@ from tuning.data import FitData, fit_data
 from tuning.guessing import first_guess
 from tuning.identifiability import cautions
 from tuning.intervals import require_possible
+from tuning.left_out import left_out_values
 from tuning.optimisation import FitState
 from tuning.optimisers import LBFGS, AbstractOptimiser, Adam
 from tuning.parameters import flatten, noise_levels, select_parameters
@@ -38,6 +42,9 @@ from tuning.tuned_file import Tuned
 
 INTERRUPTED = 130
 """The exit code of a command that Ctrl-C ended, as shells have it."""
+
+REFUSED = 1
+"""The exit code where the values of a fit are not written."""
 
 OPTIMISERS: dict[str, Callable[[int], AbstractOptimiser | None]] = {
     "auto": lambda steps: None,
@@ -119,41 +126,66 @@ def finish(
     begin: Begin,
     figures: str | None,
     report: bool,
-) -> int:
-    """Writes the files and prints the table; returns the exit code.
+) -> tuple[int, dict[str, Any]]:
+    """Writes the files and prints the table; returns the exit code, and the content of tuned.toml.
+
+    With the code `REFUSED` that file is not written, and the content has the reason as `refused`.
 
     `started`, `clock`: when the command began. `figures`: their ending, None for none. `report`: whether it is
     written.
     """
+    left_out = {} if fitted.data.held_out else _left_out(fitted.result, begin)
     begin("comparing before and after")
-    compared, plans = _compared(fitted, report)
+    compared, plans = _compared(fitted, left_out, report)
     begin("report")
     result, name = fitted.result, fitted.options["tracker"]
     run = Run(
         name, fitted.options, recordings, time.perf_counter() - clock, started, sys.argv, figures, report
     )  # fmt: skip
-    for line in write_run(out, fitted.data, result, run, compared, plans, fitted.reported):
+    written = write_run(out, fitted.data, result, run, compared, plans, fitted.reported)
+    for line in written.lines:
         print(line)
+    if written.refused:
+        notice(written.refused)
+        return REFUSED, written.content | {"refused": written.refused}
     if result.uncertainty is None:
         notice("stopped: tuned.toml holds the best values so far; continue with the same command and --resume")
-        return INTERRUPTED
-    return 0
+        return INTERRUPTED, written.content
+    return 0, written.content
 
 
-def _compared(fitted: Fitted, report: bool) -> tuple[Compared, TrackChanges | None]:
-    """The recordings shown, tracked with the values before and after the fit; `report`: with plans, of others too."""
+def _left_out(result: FitResult, begin: Begin) -> dict[str, dict[str, np.ndarray]]:
+    count = len({name for name in result.recordings if name})
+    if count > 1:
+        begin(f"leaving out each of {count} recordings")
+    return left_out_values(result)
+
+
+def _compared(
+    fitted: Fitted, left_out: Mapping[str, Mapping[str, np.ndarray]], report: bool
+) -> tuple[Compared, TrackChanges | None]:
+    """The recordings shown, tracked with the values before and after the fit; `report`: with plans, of others too.
+
+    `left_out`: by recording, the values fitted to the others, with which the table shows it.
+    """
     result = fitted.result
-    sides = (result.starts[0][0].values, result.values)
-    values = ({name: side[p.label] for p in result.parameters for name in p.names} for side in sides)
+
+    def named(values: Mapping[str, np.ndarray]) -> NamedTracker:
+        own = {name: values[p.label] for p in result.parameters for name in p.names}
+        return fitted.named.with_values(own, "the fit")
+
     room = max(MOST_PLANS - len(fitted.shown), 0) if report else 0
     folders = [*fitted.shown, *fitted.others[:room]]
-    before, after = (tracked(fitted.named.with_values(side, "the fit"), folders) for side in values)
+    before, after = (tracked(named(side), folders) for side in (result.starts[0][0].values, result.values))
+    others = [tracked(named(left_out.get(own.name, result.values)), [own]) for own in fitted.shown if left_out]
     count = len({trajectory.folder.name for trajectory in fitted.data.training})
     part = f"{len(fitted.shown)} of {count} " if len(fitted.shown) < count else ""
     about = "held-out recordings" if fitted.data.held_out else f"{part}recordings tuned on"
+    about += ", each with values fitted to the others" if left_out else ""
     held_out = {folder.name for folder in fitted.shown} if fitted.data.held_out else set()
     plans = track_changes(before, after, folders, held_out) if report else None
-    return compare((before, after), fitted.shown, fitted.data.dimensions, about), plans
+    judged = Association.joined(others) if left_out else after
+    return compare((before, judged), fitted.shown, fitted.data.dimensions, about), plans
 
 
 def _fitted(
@@ -173,7 +205,7 @@ def _fitted(
     """
     training, held_out = data.batches(), data.batches(held_out=True)
     # Intervals are computed from the result and don't change the fit, nor does the place where it is computed.
-    config = {name: value for name, value in options.items() if name not in ("intervals", "cluster")}
+    config = {name: value for name, value in options.items() if name not in ("intervals", "cluster", "force")}
     fingerprint = checkpoint.fingerprint(
         config, [*training, *held_out], flatten(select_parameters(data.tracker, "*", thresholds=True))
     )

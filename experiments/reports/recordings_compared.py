@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from experiments.reports.tables import rendered, ruled_table, terminal_width
 from experiments.reports.wording import Unit, fixed, length_unit
+from experiments.reports.worse_recordings import worse
 from trackers.covariance_statements import covariance_statements
 from trackers.evaluation import Evaluation, evaluate_association
 from trackers.recordings.association import Association, associate_truth
@@ -20,13 +21,15 @@ DEGREES = Unit("°", 57.29577951308232)
 class Compared(NamedTuple):
     """A table of recordings before and after tuning, and sentences on the covariances after it.
 
-    `about`: in words, the recordings; `head`: its columns; `rows`: the text of its cells.
+    `about`: in words, the recordings; `head`: its columns; `rows`: the text of its cells. `worse`: clauses on the
+    recordings that got worse.
     """
 
     about: str
     head: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     statements: tuple[str, ...]
+    worse: tuple[str, ...] = ()
 
     def text(self) -> str:
         """The table and the sentences for a terminal."""
@@ -63,7 +66,8 @@ def compare(sides: Sequence[Association], folders: Sequence[RecordingFolder], di
         means = [_means(side, named.values()) for side in zip(*pairs, strict=True)]
         rows.append((f"mean of {len(pairs)}", *_cells(means[0], means[1], named.values())))
     sentences = covariance_statements(after.overall, after.recordings)
-    return Compared(about, ("recording", *named), tuple(rows), tuple(sentences))
+    clauses = tuple(clause for old, new in pairs for clause in worse(old, new, error, suffix))
+    return Compared(about, ("recording", *named), tuple(rows), tuple(sentences), clauses)
 
 
 def _evaluation(side: Association, folders: Sequence[RecordingFolder]) -> Evaluation:

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import polars as pl
 
 from experiments.validation.folds import OTHER_HALF, OTHERS, Fold
 from experiments.validation.rooms import Outside, farthest_outside, room
@@ -16,6 +14,7 @@ from trackers.catalogue import build
 from trackers.evaluation import evaluate
 from trackers.recordings.folder import RecordingFolder, read_recording
 from tuning.calibrating import calibrate
+from tuning.cross_calibration import by_halves, by_others
 from tuning.fitting import fit
 
 
@@ -82,26 +81,12 @@ def _calibrated(
 ) -> list[RecordingFolder]:
     """The recording with the calibration of its fold; its halves where each is calibrated on the other."""
     if fold.calibrated_on == OTHER_HALF:
-        first, second = halves(folder)
-        return [first.calibrated(calibrate(second)), second.calibrated(calibrate(first))]
+        return by_halves(folder)
     if fold.calibrated_on == OTHERS:
-        return [folder.calibrated(calibrate([other for other in folders if other is not folder]))]
+        return [by_others(folder, folders)]
     if fold.calibrated_on:
         return [folder.calibrated(calibrate([read_recording(root / name) for name in fold.calibrated_on]))]
     return [folder]
-
-
-def halves(folder: RecordingFolder) -> tuple[RecordingFolder, RecordingFolder]:
-    """The rows before the middle of the truth, and those from there on."""
-    times = folder.tables["truth"]["t_s"]
-    before = pl.col("t_s") < 0.5 * (float(times[0]) + float(times[-1]))
-    first, second = (
-        replace(
-            folder, name=f"{folder.name}, {which} half", tables={k: t.filter(rows) for k, t in folder.tables.items()}
-        )
-        for which, rows in (("first", before), ("second", ~before))
-    )
-    return first, second
 
 
 def checks(fold: Fold, figures: Sequence[Figures]) -> list[Check]:

@@ -50,7 +50,7 @@ def tuned(seed: int, number: int, place: Path) -> tuple[str, str, int]:
     """A recording with one fault through `tune`."""
     folder, words = broken_recording(seed, number, place, 1)
     tracker, out = _tracker(seed, number, folder, ("ranges", "fixes", "bearings")), place / "out"
-    few = ("--steps", 1, "--starts", 1, "--free-height", "--no-figures", "--no-report")
+    few = ("--steps", 1, "--force", "--starts", 1, "--free-height", "--no-figures", "--no-report")
     return f"{words} ({tracker})", *faults_of(("tune", folder, "--tracker", tracker, *few, "--out", out), folder, out)
 
 

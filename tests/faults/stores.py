@@ -37,7 +37,7 @@ def stores() -> Path:
 
 def fit_command(folder: Path) -> tuple:
     """The command of the fit in the folder."""
-    few = ("--steps", 2, "--starts", 1, "--free-height", "--no-figures", "--no-report")
+    few = ("--steps", 2, "--force", "--starts", 1, "--free-height", "--no-figures", "--no-report")
     return "tune", folder / "good", "--tracker", "fix-kf", *few, "--out", folder / "fit", "--resume"
 
 

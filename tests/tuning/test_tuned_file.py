@@ -12,8 +12,9 @@ from trackers.aoa.direct import direct_tracker
 from trackers.aoa.fusion import bearing_tracker
 from trackers.core.errors import UnusableInput
 from trackers.core.tunable import tunables, with_values
+from trackers.recordings.calibration_file import identity
 from tuning.parameters import flatten, physical, select_parameters, with_parameters
-from tuning.tuned_file import read_tuned, write_tuned
+from tuning.tuned_file import read_tuned, tuned_content, write_tuned
 
 
 def _result(tracker, patterns):
@@ -54,7 +55,7 @@ def _direct(*names):
 )
 def test_what_was_tuned_comes_back_and_nothing_else_changes(tmp_path, tracker, patterns):
     result = _result(tracker, patterns)
-    write_tuned(tmp_path / "tuned.toml", "any", "nll", result, {})
+    write_tuned(tmp_path / "tuned.toml", tuned_content("any", "nll", result, {}))
     back = with_values(tracker, read_tuned(tmp_path / "tuned.toml").values, tmp_path / "tuned.toml")
     expected, found = _numbers(result.tracker), _numbers(back)
     assert set(expected) == set(found)
@@ -65,7 +66,8 @@ def test_what_was_tuned_comes_back_and_nothing_else_changes(tmp_path, tracker, p
 
 def test_the_file_says_value_unit_and_standard_error_of_each(tmp_path):
     result = _result(bearing_tracker(4), ["motion.sigma_a", "sensors.*.offsets"])
-    write_tuned(tmp_path / "tuned.toml", "bearings", "nll", result, {"motion.sigma_a": (np.array(0.1), np.array(0.4))})
+    ends = {"motion.sigma_a": (np.array(0.1), np.array(0.4))}
+    write_tuned(tmp_path / "tuned.toml", tuned_content("bearings", "nll", result, ends))
     content = tomllib.loads((tmp_path / "tuned.toml").read_text())
     assert (content["tracker"], content["objective"]) == ("bearings", "nll")
     assert (content["before"], content["after"]) == (2.5, 1.25)
@@ -102,3 +104,16 @@ def test_noise_levels_of_another_tracker_are_refused():
 def test_a_former_name_is_refused_with_the_present_one(old, new):
     with pytest.raises(UnusableInput, match=rf"tuned.toml: '.*' is now called '{new}'; use the new name"):
         with_values(bearing_tracker(4), {old: np.array(0.7)}, Path("tuned.toml"))
+
+
+def test_the_file_names_the_calibration_of_its_recordings(tmp_path):
+    (tmp_path / "cal.toml").write_text("a calibration")
+    own = identity(tmp_path / "cal.toml")
+    content = tuned_content("bearings", "nll", _result(bearing_tracker(4), "motion.*"), {}, own)
+    assert read_tuned(write_tuned(tmp_path / "tuned.toml", content)).calibration == own
+    assert own["name"] == "cal.toml"
+    (tmp_path / "cal.toml").write_text("another calibration")
+    assert identity(tmp_path / "cal.toml")["fingerprint"] != own["fingerprint"]
+    write_tuned(tmp_path / "tuned.toml", content | {"calibration": "cal.toml"})
+    with pytest.raises(UnusableInput, match="calibration is 'cal.toml', expected its name and fingerprint"):
+        read_tuned(tmp_path / "tuned.toml")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
@@ -80,6 +81,11 @@ def read_calibration(path: str | Path) -> Calibration:
     """The calibration in a `calibration.toml`; raises UnusableInput for content that `calibrate` does not write."""
     path = Path(path)
     return _Reader(path).calibration(read_toml(path, "the calibration.toml of `trackwright calibrate`"))
+
+
+def identity(path: Path) -> dict[str, str]:
+    """Name and fingerprint of a calibration file: what tells it from others."""
+    return {"name": path.name, "fingerprint": hashlib.sha256(path.read_bytes()).hexdigest()[:16]}
 
 
 class _Reader:

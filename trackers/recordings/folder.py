@@ -76,9 +76,15 @@ class RecordingFolder:
     def calibrated(self, calibration: Calibration | None) -> RecordingFolder:
         """This recording with systematic errors for trackers to remove; None for none.
 
-        Stations and anchors that no longer stand where they were calibrated are uncalibrated.
+        Stations and anchors that no longer stand where they were calibrated are uncalibrated, with a notice where none
+        is left.
         """
-        return replace(self, calibration=None if calibration is None else calibration.at_rest(self.rig))
+        own = None if calibration is None else calibration.at_rest(self.rig)
+        found = replace(self, calibration=own)
+        if own is None or len(found.uncalibrated()) < len(replace(self, calibration=None).uncalibrated()):
+            return found
+        text = "not calibrated: the calibration has none of its stations and anchors, or they have moved"
+        return replace(found, notices=(*self.notices, text))
 
     def averaged(self, interval: float) -> RecordingFolder:
         """This recording with one range, fix or bearing per tag, anchor or station, and interval of so many s.
@@ -112,9 +118,17 @@ class RecordingFolder:
             f"  anchors: {_counted(self.rig.anchors)}",
             f"  stations: {_counted(self.rig.stations)}",
             f"  truth: {'yes' if 'truth' in self.tables else 'no'}",
+            *self._calibration(),
             f"  notices: {len(self.notices)}",
         ]
         return "\n".join(line for line in lines if not line.endswith(": 0"))
+
+    def _calibration(self) -> list[str]:
+        """A line on how many of the stations and anchors with readings are calibrated, none without a calibration."""
+        if self.calibration is None:
+            return []
+        every = len(replace(self, calibration=None).uncalibrated())
+        return [f"  calibration: of {every - len(self.uncalibrated())} of {every} stations and anchors"]
 
     def _repr_html_(self) -> str:
         """Its tables with rows, tags and span of time."""

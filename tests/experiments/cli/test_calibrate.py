@@ -1,19 +1,21 @@
 """`trackwright calibrate`, and `--calibration` of the commands that read recordings."""
 
 import json
+import tomllib
 from dataclasses import replace
 
 import numpy as np
 import polars as pl
 import pytest
 
+from experiments.cli.cross_calibrated import cross_calibrated
 from experiments.reports.calibration import report_on
 from tests.in_process import assert_refused, trackwright
 from tests.tuning.calibration_worlds import RIG, world
 from trackers.core.rig import Rig, Tag
 from trackers.recordings.calibration import Calibration
-from trackers.recordings.calibration_file import read_calibration, write_calibration
-from trackers.recordings.folder import RecordingFolder, write_recording
+from trackers.recordings.calibration_file import identity, read_calibration, write_calibration
+from trackers.recordings.folder import RecordingFolder, read_recording, write_recording
 from tuning.calibrating import calibrate
 
 
@@ -174,3 +176,52 @@ def test_a_file_that_is_no_calibration_is_refused(walks, tmp_path, command):
     name, *more = command
     said = trackwright(name, there / "2", *more, "--calibration", tmp_path / "tuned.toml", "--out", tmp_path / "out")
     assert_refused(said, f"{tmp_path / 'tuned.toml'}: no `format`, expected `format = 1`")
+
+
+FIT = ("--tracker", "uwb", "--tune", "sensors.ranges.sigma_r", "--steps", 1, "--starts", 1, "--force")
+PLAIN = ("--no-report", "--no-figures")
+
+
+def test_a_recording_of_the_calibration_is_fitted_with_one_of_others_and_the_file_names_it(walks, tmp_path):
+    there, _, _ = walks
+    calibration = there / "site" / "calibration.toml"
+    words = ("--calibration", calibration, *FIT, *PLAIN)
+    both = trackwright("tune", there / "0", there / "1", *words, "--out", tmp_path / "both")
+    assert both.code == 0, both.err
+    assert f"{there / '0'}: for the fit calibrated on walk 1, instead of by {calibration}" in both.err
+    assert f"{there / '1'}: for the fit calibrated on walk 0, instead of by {calibration}" in both.err
+    content = tomllib.loads((tmp_path / "both" / "tuned.toml").read_text())
+    assert content["calibration"] == identity(calibration)
+
+
+def test_halves_of_the_only_recording_of_a_calibration_are_calibrated_on_one_another(walks):
+    there, _, _ = walks
+    calibration = there / "site" / "calibration.toml"
+    folders = [read_recording(there / name).calibrated(read_calibration(calibration)) for name in "02"]
+    (first, second), (other,) = cross_calibrated(folders, calibration)
+    assert (first.name, second.name, other.name) == ("walk 0, first half", "walk 0, second half", "walk 2")
+    assert {part.calibration.range_spread for part in (first, second, other)} == {other.calibration.range_spread}
+    assert first.calibration.recordings == ("walk 0, second half",)
+    assert second.calibration.recordings == ("walk 0, first half",)
+    assert sum(half.tables["ranges"].height for half in (first, second)) == folders[0].tables["ranges"].height
+    blind = replace(folders[0], tables={k: v for k, v in folders[0].tables.items() if k != "truth"})
+    ((same,),) = cross_calibrated([blind], calibration)
+    assert same.tables.keys() == blind.tables.keys()
+
+
+def test_a_noise_file_of_another_calibration_is_noticed(walks, tmp_path):
+    there, _, _ = walks
+    calibration = there / "site" / "calibration.toml"
+    other = tmp_path / "other.toml"
+    other.write_text(calibration.read_text("utf-8") + "# another\n", "utf-8")
+    noise, own = tmp_path / "tuned.toml", identity(calibration)
+    named = f'calibration = {{ name = "calibration.toml", fingerprint = "{own["fingerprint"]}" }}\n'
+    noise.write_text(named + '[tunables."sensors.ranges.sigma_r"]\nvalue = 0.1\n', "utf-8")
+    text = f"{noise}: fitted to recordings with the calibration calibration.toml ({own['fingerprint']}), and "
+    for given, expected in (((), "none is given"), ((other,), f"{other} is another"), ((calibration,), None)):
+        on = ("--calibration", *given) if given else ()
+        run = ("track", there / "2", "--tracker", "uwb", "--noise", noise, *on, *PLAIN)
+        said = trackwright(*run, "--out", tmp_path / "out")
+        assert said.code == 0, said.err
+        assert (text in said.err) == (expected is not None)
+        assert expected is None or text + expected in said.err

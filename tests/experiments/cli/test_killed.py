@@ -21,7 +21,7 @@ def _command(*words) -> list[str]:
 
 def _tune(world: Path, out: Path) -> list[str]:
     tune = ("--tune", "motion.sigma_a", "sensors.*.sigma*", "--optimiser", "adam", "--steps", 60, "--starts", 3)
-    return _command("tune", world, "--tracker", "fix-kf", *tune, "--out", out, "--resume")
+    return _command("tune", world, "--tracker", "fix-kf", *tune, "--out", out, "--resume", "--force")
 
 
 def _killed(command: list[str], checkpoint: Path, wait_for_step: bool, delay: float) -> bool:

@@ -20,7 +20,8 @@ from tests.in_process import assert_refused, trackwright
 from trackers.core.rig import Tag
 from trackers.recordings.folder import write_recording
 
-FIT = ("--tracker", "fix-kf", "--tune", "motion.sigma_a", "sensors.*.sigma*", "--no-figures", "--objective", "nll")
+FIT = ("--tracker", "fix-kf", "--tune", "motion.sigma_a", "sensors.*.sigma*", "--objective", "nll")
+FIT = (*FIT, "--no-figures", "--force")
 
 
 def _write(path, seed, **changed):

@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from experiments.validation.fold_runs import Figures, halves
+from experiments.validation.fold_runs import Figures
 from experiments.validation.folds import DEFAULTS, FOLDS, OTHER_HALF, OTHERS, Fold
 from experiments.validation.real_recordings import main
 from experiments.validation.real_recordings_page import all_checks, quoted, written
@@ -14,6 +14,7 @@ from experiments.validation.rooms import Outside, farthest_outside, room
 from trackers.catalogue import tracker_for
 from trackers.core.rig import Rig
 from trackers.recordings.folder import RecordingFolder, read_recording
+from tuning.cross_calibration import halves
 
 INSIDE = Outside(0.0, 0.1, 1.0, 0)
 HONEST = {"rmse_m": 0.2, "rmse_3d_m": 0.3, "coverage_95": 0.95, "coverage_95_3d": 0.95, "nees_ratio": 1.0}

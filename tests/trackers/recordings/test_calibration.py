@@ -167,5 +167,11 @@ def test_stations_and_anchors_that_moved_are_uncalibrated(good):
     ):
         calibration = Calibration({"S1": replace(STATION, mounted=mounted)}, {"A1": replace(ANCHOR, position=place)})
         assert set(left) <= set(good.calibrated(calibration).uncalibrated())
+    elsewhere = good.calibrated(Calibration({}, {"A1": replace(ANCHOR, position=anchor + 0.2), "B": ANCHOR}))
+    assert elsewhere.notices[-1].startswith("not calibrated: the calibration has none of its stations and anchors, or ")
+    assert "\n  calibration: of 0 of 6 stations and anchors\n" in repr(elsewhere)
+    assert not good.calibrated(None).notices
     same = Calibration({"S1": replace(STATION, mounted=station)}, {"A1": replace(ANCHOR, position=anchor)})
+    assert not good.calibrated(same).notices
+    assert repr(good.calibrated(same)).endswith("\n  calibration: of 2 of 6 stations and anchors")
     assert not {"station S1", "anchor A1"} & set(good.calibrated(same).uncalibrated())
