@@ -26,7 +26,15 @@ from tuning.objectives import AbstractObjective, Loss
 from tuning.optimisation import FitState, MultiStart, stands_still
 from tuning.optimisers import LBFGS, AbstractOptimiser, Adam
 from tuning.optimum import optimum
-from tuning.parameters import Parameter, flatten, limits, physical, select_parameters, with_parameters
+from tuning.parameters import (
+    Parameter,
+    flatten,
+    limits,
+    physical,
+    select_parameters,
+    tuned_by_default,
+    with_parameters,
+)
 from tuning.parts import LocalParts, Place
 from tuning.priors import Prior
 from tuning.problem import Evaluation, Problem
@@ -153,12 +161,12 @@ def fit(
 
     `tracker`, `recordings`: a tracker by name with recording folders, or a tracker with recordings in arrays: one,
     several, or batches. `objective`: an object, its name as on the command line (`nll`, `rmse`, `state-nll`, ...), or a
-    function of a row's state and truth, whose mean is minimised (`tuning.objectives.MeanLoss`);
-    default `state-nll` where there is truth and no prior, else `nll`. `tune`: shell patterns; by default the noise
-    levels of motion and sensors. `dimensions`: 3 to judge an estimated height too, the default for `state-nll`.
-    `weigh`: whether each recording (in arrays: trajectory) or each row has the same weight. `frozen`: patterns of
-    tunables to keep. `bounds`: lowest and highest physical value by pattern. `optimiser`: default `LBFGS` for
-    likelihoods and for `state-nll`, alone or in a sum, else `Adam`, as for particle filters and minibatches.
+    function of a row's state and truth, whose mean is minimised (`tuning.objectives.MeanLoss`); default `state-nll`
+    where there is truth and no prior, else `nll`. `tune`: shell patterns; by default the noise levels of motion and
+    sensors, and with truth the latency of fixes. `dimensions`: 3 to judge an estimated height too, the default for
+    `state-nll`. `weigh`: whether each recording (in arrays: trajectory) or each row has the same weight. `frozen`:
+    patterns of tunables to keep. `bounds`: lowest and highest physical value by pattern. `optimiser`: default `LBFGS`
+    for likelihoods and for `state-nll`, alone or in a sum, else `Adam`, as for particle filters and minibatches.
     `starts`: the tracker's own values, then the best of the `guesses` and of a coarse grid. `held_out`: recordings
     that select the best point and end the fit. `minibatch`: trajectories per step. `priors`: for likelihoods only.
     `report` is called with the state after every step, `stage` with the name of each stage; `resume`: arrays of a
@@ -175,6 +183,7 @@ def fit(
     objective = "nll" if objective is None and priors else objective
     data = fit_arrays(tracker, recordings, objective, held_out, dimensions, weigh)
     model, batches, apart, objective = data.tracker, data.training, data.held_out, data.objective
+    tune = tuned_by_default(model, objective.needs_truth) if tune is None else tune
     parameters = select_parameters(model, tune, frozen)
     if priors and not objective.is_likelihood:
         raise ValueError("priors need the likelihood nll as objective; give bounds with another one")

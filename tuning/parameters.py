@@ -48,7 +48,7 @@ class Parameter:
 
 
 def noise_levels(tracker: AbstractTracker) -> tuple[str, ...]:
-    """The names of the noise levels of motion and sensors: those that are tuned by default.
+    """The names of the noise levels of motion and sensors.
 
     These are the tunables with a `role`, and those named `sigma_…` outside of start and filter, which few recordings
     determine. Raises UnusableInput for a tracker without noise levels.
@@ -61,6 +61,12 @@ def noise_levels(tracker: AbstractTracker) -> tuple[str, ...]:
             f"{', '.join(own) or 'no tunable'}"
         )
     return names
+
+
+def tuned_by_default(tracker: AbstractTracker, needs_truth: bool) -> tuple[str, ...]:
+    """The `noise_levels`, and latencies for an objective that `needs_truth`: no likelihood determines those."""
+    latencies = [name for name in tunables(tracker) if needs_truth and name.endswith(".latency")]
+    return (*noise_levels(tracker), *latencies)
 
 
 def _is_sigma(parts: Sequence[str]) -> bool:

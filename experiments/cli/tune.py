@@ -72,7 +72,7 @@ def tune(
             nees-shape (need truth as well); nll, the negative log-likelihood, nis-shape (need none); or a sum,
             e.g. state-nll+0.1*rmse. Default: state-nll where there is truth, else nll.
         tune: shell patterns of tunables, e.g. 'motion.*'; 'tied:PATTERN' keeps all matches equal. Default: the noise
-            levels of motion and sensors.
+            levels of motion and sensors, and with truth the latency of fixes.
         freeze: patterns of tunables to keep.
         bound: physical bounds of tuned numbers.
         prior: PATTERN=0.2x2 for a value known within a factor of 2, PATTERN=0+-0.1 for an offset; makes nll the

@@ -36,7 +36,7 @@ from tuning.intervals import require_possible
 from tuning.left_out import left_out_values
 from tuning.optimisation import FitState
 from tuning.optimisers import LBFGS, AbstractOptimiser, Adam
-from tuning.parameters import flatten, noise_levels, select_parameters
+from tuning.parameters import flatten, select_parameters, tuned_by_default
 from tuning.parts import LocalParts, Place
 from tuning.tuned_file import Tuned
 
@@ -89,9 +89,6 @@ def fit_folders(
     free_height = options["free_height"]
     first = folders if workers is None else folders[:1]
     named = tracker_for_folders(first, options["tracker"], options["start"], tuned, values, free_height)
-    if options["tune"] is None:
-        options = options | {"tune": noise_levels(named.tracker)}
-    tune, freeze = options["tune"], options["freeze"]
     goal, priors_need = options["objective"], options["prior"] or options["intervals"] == "profile"
     goal = "nll" if goal is None and priors_need else goal
     how = (options["piece_rows"], options["dimensions"], options["weigh"])
@@ -100,7 +97,9 @@ def fit_folders(
     else:
         data = data_in_turn(named, folders, count, workers.folder, goal, *how)
     by_default = goal is None
-    options = options | {"tracker": named.name, "objective": data.named}
+    tune, freeze = options["tune"], options["freeze"]
+    tune = tuned_by_default(data.tracker, data.objective.needs_truth) if tune is None else tune
+    options = options | {"tracker": named.name, "objective": data.named, "tune": tune}
     bounds, priors = checked_options(data, tune, freeze, options["bound"], options["prior"])
     require_possible(options["intervals"], data.objective, len(data.training))
     for text in cautions(data.tracker, select_parameters(data.tracker, tune, freeze), data.objective):

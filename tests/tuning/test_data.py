@@ -20,6 +20,7 @@ from tuning.data import fit_data
 from tuning.fit_arrays import fit_arrays
 from tuning.named_objectives import all_metrics
 from tuning.objectives import MissingQuantityError
+from tuning.parameters import tuned_by_default
 
 ROWS = 60
 
@@ -123,3 +124,14 @@ def test_recordings_in_arrays_with_true_heights_are_judged_in_space_by_default()
         given = tw.fix_recording(times, path, truth=truth)
         assert fit_arrays(tw.fix_tracker(), given, None, ()).objective.dimensions == dimensions
     assert fit_arrays(tw.fix_tracker(), recording, "rmse", ()).objective.dimensions == 2
+
+
+def test_the_latency_of_fixes_is_fitted_by_default_where_there_is_truth():
+    rng, times = np.random.default_rng(3), np.arange(300) * 0.1
+    place = np.stack([4 * np.sin(0.4 * times), 3 * np.cos(0.3 * times), 1.2 + 0 * times], axis=1)
+    late = np.stack([np.interp(times - 0.4, times, x) for x in place.T], axis=1) + 0.02 * rng.normal(size=place.shape)
+    found = tw.fit(tw.fix_tracker(), tw.fix_recording(times, late, truth=place))
+    assert float(found.values["sensors.fixes.latency"]) == pytest.approx(0.4, abs=0.03)
+    blind = tuned_by_default(tw.fix_tracker(), needs_truth=False)
+    assert "sensors.fixes.latency" not in blind
+    assert set(found.values) == {*blind, "sensors.fixes.latency"}
