@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from itertools import pairwise
 from typing import Any, TypeVar
 
@@ -113,7 +114,8 @@ def evaluate(
         refuse_without_overlap(association, truths)
         return evaluation_of(association, scored)
     association = estimates if isinstance(estimates, Association) else associate(estimates, recordings)
-    refuse_without_overlap(association, _truths(recordings))
+    if not association.scored.any():
+        refuse_without_overlap(association, _truths(recordings))
     found = evaluate_association(association, stations, every)
     return found.with_residuals(estimates) if isinstance(estimates, Tracks) else found
 
@@ -228,11 +230,11 @@ def evaluation_of(association: Association, scored: Scored) -> Evaluation:
     keys = association.rows.select(track_keys(association.rows))[association.starts[:-1]].to_dicts()
     last = len(keys)
     first = [k for k in range(last) if k == 0 or keys[k]["recording"] != keys[k - 1]["recording"]]
-    recordings = [
-        {"recording": keys[a]["recording"], **_metrics(association, scored, a, b)} for a, b in pairwise([*first, last])
-    ]
-    per_track = [{**key, **_metrics(association, scored, k, k + 1)} for k, key in enumerate(keys)]
-    return Evaluation(is_bearing(association.rows), _metrics(association, scored, 0, last), recordings, per_track)
+    # A recording of one track has the metrics of that.
+    of = cache(partial(_metrics, association, scored))
+    recordings = [{"recording": keys[a]["recording"], **of(a, b)} for a, b in pairwise([*first, last])]
+    per_track = [{**key, **of(k, k + 1)} for k, key in enumerate(keys)]
+    return Evaluation(is_bearing(association.rows), of(0, last), recordings, per_track)
 
 
 def _metrics(association: Association, scored: Scored, first: int, end: int) -> Metrics:

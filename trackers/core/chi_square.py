@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ def chi_square_probability(values: Float[np.ndarray, "*shape"], dof: float) -> F
     return found
 
 
+@lru_cache(maxsize=4096)
 def chi_square_quantile(probability: float, dof: float) -> float:
     """The quantile of the chi-square distribution; raises ValueError outside 0 < probability < 1 and dof > 0."""
     if not (0 < probability < 1 and dof > 0):
