@@ -2,12 +2,13 @@
 
 Without truth: gravity, a constant vector of the world, turns in body axes by du/dt = -ω × u, whatever the heading, so
 that the specific force tests the signs and axes of the turn rates. With the true attitude: turn rates and gravity in
-body axes are known, and sizes of turn rates, which no axes change, tell how late the IMU is.
+body axes are known, and sizes of turn rates, which no axes change, tell how late the IMU is. With true heights alone,
+sizes of the specific force do, which follow the vertical acceleration.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ import polars as pl
 
 from trackers.recordings.checks.check_result import CheckResult
 from trackers.recordings.checks.explanations import SignedAxes, signed_axes
-from trackers.recordings.checks.imu_rows import Attitude, ImuRows, imu_rows, true_attitude
+from trackers.recordings.checks.imu_rows import Attitude, ImuRows, bent, imu_rows, true_attitude
 from trackers.recordings.tables import QUATERNION
 
 WINDOW_S = 1.0
@@ -37,8 +38,11 @@ LONGEST_DELAY_S, LEAST_DELAY_S, STEP_S = 3.0, 0.1, 0.02
 LATENCY_S = 1.0
 """Delays up to here are no mistake that stops a command."""
 
-SAME_MOTION = 0.7
-"""Least correlation of the sizes of turn rates from which a delay between IMU and truth is known."""
+SAME_TURN, SAME_LIFT = 0.7, 0.85
+"""Least correlations of sizes of turn rates and of vertical accelerations from which the delay of an IMU is known."""
+
+REACH_S, LEAST_LIFT = 0.3, 0.1
+"""Time before and after over which vertical accelerations are averaged, s, and their least standard deviation, m/s²."""
 
 WORSE = 2.0
 """Ratio of errors from which other axes than the given ones are those of the IMU."""
@@ -63,9 +67,9 @@ def check_imu(tables: Mapping[str, pl.DataFrame], against_truth: bool = True) ->
     results = []
     for tag in table["tag"].unique(maintain_order=True):
         rows = imu_rows(table, tag)
-        attitude = true_attitude(tables["truth"], tag) if against_truth and "truth" in tables else None
+        truth = tables["truth"].filter(pl.col("tag") == tag) if against_truth and "truth" in tables else None
         if rows is not None:
-            found = [] if attitude is None else _against_attitude(rows, attitude)
+            found = [] if truth is None else _against_attitude(rows, truth) or _against_heights(rows, truth)
             found = found or [*_by_gravity(rows), *_mounting(rows)]
             results += [CheckResult(one.level, one.where, f"tag {tag}: {one.message}") for one in found]
     return results
@@ -120,19 +124,19 @@ class _Vectors(NamedTuple):
     true: np.ndarray
 
 
-def _against_attitude(rows: ImuRows, attitude: Attitude) -> list[CheckResult]:
+def _against_attitude(rows: ImuRows, truth: pl.DataFrame) -> list[CheckResult]:
+    attitude = true_attitude(truth)
+    if attitude is None:
+        return []
     times, rates = attitude.rates()
     if len(times) < LEAST_WINDOWS or np.sqrt(np.mean(rates**2)) < LEAST_TURN:
         return []
-    delay, fit, at_once = _delay(rows, times, rates)
-    if fit < SAME_MOTION:
+    sizes = np.linalg.norm(rates, axis=1)
+    delay, fit, at_once = _delay(lambda t: np.linalg.norm(_measured_rates(rows, t), axis=1), times, sizes)
+    if fit < SAME_TURN:
         return []
     if abs(delay) >= LEAST_DELAY_S and fit - at_once > 0.05:
-        message = (
-            f"comes {abs(delay):.2f} s {'late' if delay > 0 else 'early'} against the truth's attitude: their clocks "
-            "differ; shift one table"
-        )
-        return [CheckResult("error" if abs(delay) > LATENCY_S else "warning", "imu", message)]
+        return [_late(delay, "attitude")]
     return _other_quaternions(rows, attitude) or [
         CheckResult("error" if wrong else "warning", "imu", line)
         for vectors in _vectors(rows, attitude, times, rates)
@@ -140,21 +144,45 @@ def _against_attitude(rows: ImuRows, attitude: Attitude) -> list[CheckResult]:
     ]
 
 
+def _against_heights(rows: ImuRows, truth: pl.DataFrame) -> list[CheckResult]:
+    known = truth.select("t_s", "z_m").drop_nulls().unique("t_s", keep="first").sort("t_s").to_numpy()
+    if len(known) < LEAST_WINDOWS:
+        return []
+    at = np.arange(known[0, 0], known[-1, 0], REACH_S / 3)
+    true = bent(known[:, 0], known[:, 1:], at, REACH_S)[:, 0]
+    at, true = at[np.isfinite(true)], true[np.isfinite(true)]
+    if len(at) < LEAST_WINDOWS or np.std(true) < LEAST_LIFT:
+        return []
+    delay, fit, at_once = _delay(lambda t: bent(rows.times, rows.lifted, t, REACH_S)[:, 0], at, true)
+    # Smoothed heights are a tenth of a second off.
+    wrong = fit >= SAME_LIFT and abs(delay) >= 2 * LEAST_DELAY_S and fit - at_once > 0.1
+    return [_late(delay, "heights")] if wrong else []
+
+
+def _late(delay: float, what: str) -> CheckResult:
+    message = (
+        f"comes {abs(delay):.2f} s {'late' if delay > 0 else 'early'} against the truth's {what}: their clocks differ; "
+        "shift one table"
+    )
+    return CheckResult("error" if abs(delay) > LATENCY_S else "warning", "imu", message)
+
+
 def _measured_rates(rows: ImuRows, times: np.ndarray) -> np.ndarray:
     return rows.between(rows.turned, times - 0.1, times + 0.1) / 0.2
 
 
-def _delay(rows: ImuRows, times: np.ndarray, rates: np.ndarray) -> tuple[float, float, float]:
-    """Seconds by which the IMU comes late, and the correlation of sizes of turn rates with that delay and without."""
+def _delay(
+    measured: Callable[[np.ndarray], np.ndarray], times: np.ndarray, true: np.ndarray
+) -> tuple[float, float, float]:
+    """Seconds by which an IMU comes late, and the correlation of what it measures with that delay and without."""
     part = slice(None, None, -(-len(times) // 2000))
-    times, true = times[part], np.linalg.norm(rates[part], axis=1)
-    true = np.minimum(true, np.quantile(true, 0.98))
+    times, true = times[part], np.clip(true[part], *np.quantile(true, (0.02, 0.98)))
     fits = {}
     for delay in np.arange(-LONGEST_DELAY_S, LONGEST_DELAY_S + STEP_S / 2, STEP_S):
-        size = np.linalg.norm(_measured_rates(rows, times + delay), axis=1)
-        known = np.isfinite(size)
-        enough = known.sum() > max(len(size) / 2, LEAST_WINDOWS)
-        fits[round(float(delay), 3)] = _correlation(size[known], true[known], centred=True) if enough else -1.0
+        x = measured(times + delay)
+        known = np.isfinite(x)
+        enough = known.sum() > max(len(x) / 2, LEAST_WINDOWS)
+        fits[round(float(delay), 3)] = _correlation(x[known], true[known], centred=True) if enough else -1.0
     best = max(fits, key=lambda delay: fits[delay])
     return best, fits[best], fits[0.0]
 

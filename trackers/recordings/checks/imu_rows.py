@@ -21,23 +21,40 @@ RATE_S = 0.1
 """Half the time over which the rate of a true attitude is taken, s."""
 
 
+def between(
+    times: Float[np.ndarray, " N"], x: Float[np.ndarray, "N k"], start: Float[np.ndarray, " n"], end: np.ndarray
+) -> Float[np.ndarray, "n k"]:
+    """The changes of a series `x` from `start` to `end` (n,) s; NaN outside its times and across gaps."""
+    found = np.stack([np.interp(end, times, c) - np.interp(start, times, c) for c in x.T], axis=1)
+    gaps = np.concatenate([[0], np.cumsum(np.diff(times) > GAP_S)])
+    first, last = np.searchsorted(times, start, side="right") - 1, np.searchsorted(times, end)
+    inside = (first >= 0) & (last < len(times))
+    inside &= gaps[np.maximum(first, 0)] == gaps[np.minimum(last, len(gaps) - 1)]
+    found[~inside] = np.nan
+    return found
+
+
+def bent(
+    times: Float[np.ndarray, " N"], x: Float[np.ndarray, "N k"], at: Float[np.ndarray, " n"], reach: float
+) -> Float[np.ndarray, "n k"]:
+    """The second derivative of a series, as its mean over `reach` s before and after `at` with triangular weights."""
+    return (between(times, x, at, at + reach) - between(times, x, at - reach, at)) / reach**2
+
+
 class ImuRows(NamedTuple):
-    """`times` (N,) s, and the integrals over time of specific force (N, 3) m/s and of the turn rate (N, 3) rad."""
+    """`times` (N,) s, and integrals over time: of specific force (N, 3) m/s and of the turn rate (N, 3) rad.
+
+    `lifted` (N, 1) m: the second integral of the size of the specific force, less its mean: nearly the height.
+    """
 
     times: Float[np.ndarray, " N"]
     pushed: Float[np.ndarray, "N 3"]
     turned: Float[np.ndarray, "N 3"]
+    lifted: Float[np.ndarray, "N 1"]
 
-    def between(self, which: Float[np.ndarray, "N 3"], start: np.ndarray, end: np.ndarray) -> Float[np.ndarray, "n 3"]:
-        """The integral `which` from `start` to `end` (n,) s; NaN outside the rows and across gaps."""
-        found = np.stack([np.interp(end, self.times, c) - np.interp(start, self.times, c) for c in which.T], axis=1)
-        gaps = np.concatenate([[0], np.cumsum(np.diff(self.times) > GAP_S)])
-        first = np.searchsorted(self.times, start, side="right") - 1
-        last = np.searchsorted(self.times, end)
-        inside = (first >= 0) & (last < len(self.times))
-        inside &= gaps[np.maximum(first, 0)] == gaps[np.minimum(last, len(gaps) - 1)]
-        found[~inside] = np.nan
-        return found
+    def between(self, which: Float[np.ndarray, "N k"], start: np.ndarray, end: np.ndarray) -> Float[np.ndarray, "n k"]:
+        """As `between`, of one of the integrals."""
+        return between(self.times, which, start, end)
 
 
 def imu_rows(table: pl.DataFrame, tag: str) -> ImuRows | None:
@@ -48,9 +65,14 @@ def imu_rows(table: pl.DataFrame, tag: str) -> ImuRows | None:
     if len(rows) < 10:
         return None
     t, x = rows["t_s"].to_numpy(), rows.select(columns).to_numpy()
+    sums = _integral(t, x)
+    size = np.linalg.norm(x[:, :3], axis=1, keepdims=True)
+    return ImuRows(t, sums[:, :3], sums[:, 3:], _integral(t, _integral(t, size - size.mean())))
+
+
+def _integral(t: Float[np.ndarray, " N"], x: Float[np.ndarray, "N k"]) -> Float[np.ndarray, "N k"]:
     areas = (x[1:] + x[:-1]) / 2 * np.diff(t)[:, None]
-    sums = np.concatenate([np.zeros((1, 6)), np.cumsum(areas, axis=0)])
-    return ImuRows(t, sums[:, :3], sums[:, 3:])
+    return np.concatenate([np.zeros((1, x.shape[1])), np.cumsum(areas, axis=0)])
 
 
 class Attitude(NamedTuple):
@@ -77,11 +99,10 @@ class Attitude(NamedTuple):
         return np.asarray(rotation_matrices(self.quaternions[row])[:, 2, :])
 
 
-def true_attitude(truth: pl.DataFrame, tag: str) -> Attitude | None:
-    """The attitude of a tag; None without quaternions."""
+def true_attitude(truth: pl.DataFrame) -> Attitude | None:
+    """The attitude in the truth of one tag; None without quaternions."""
     if "qw" not in truth.columns:
         return None
-    own = truth.filter(pl.col("tag") == tag).select("t_s", *QUATERNION).drop_nulls().unique("t_s", keep="first")
-    own = own.sort("t_s").head(MOST_ROWS)
+    own = truth.select("t_s", *QUATERNION).drop_nulls().unique("t_s", keep="first").sort("t_s").head(MOST_ROWS)
     q = own.select(QUATERNION).to_numpy()
     return Attitude(own["t_s"].to_numpy(), q / np.linalg.norm(q, axis=1, keepdims=True)) if len(own) > 10 else None

@@ -11,6 +11,7 @@ import pytest
 
 from sim import worlds
 from trackers.recordings.checks import check, quick_check
+from trackers.recordings.checks.imu_mistakes import check_imu
 from trackers.recordings.checks.imu_rows import imu_rows, true_attitude
 from trackers.recordings.folder import RecordingFolder
 
@@ -100,7 +101,7 @@ def test_rates_of_the_true_attitude_are_those_of_a_steady_turn():
     truth = pl.DataFrame({"t_s": t, "tag": "T", "qw": np.cos(half)} | {
         name: x * np.sin(half) for name, x in zip(QUATERNION[1:], axis, strict=True)
     })  # fmt: skip
-    _, found = true_attitude(truth, "T").rates()
+    _, found = true_attitude(truth).rates()
     np.testing.assert_allclose(found, np.tile(rate, (len(found), 1)), atol=1e-9)
 
 
@@ -109,3 +110,18 @@ def test_no_window_lies_across_a_gap():
     rows = imu_rows(pl.DataFrame({"t_s": t, "tag": "T"} | dict.fromkeys((*ACCEL, *GYRO), 2.0)), "T")
     found = rows.between(rows.turned, np.array([0.5, 1.5, 5.5]), np.array([1.0, 5.5, 6.0]))
     np.testing.assert_allclose(found, [[1.0] * 3, [np.nan] * 3, [1.0] * 3])
+
+
+@pytest.mark.parametrize("late", [0.0, 0.6, -1.5])
+def test_the_clock_of_an_imu_is_compared_with_true_heights_where_there_is_no_attitude(late):
+    t = 0.02 * np.arange(1500)
+    height = 1.0 + 0.1 * np.sin(2.1 * t) + 0.06 * np.sin(3.7 * t + 1.0)
+    lift = -0.1 * 2.1**2 * np.sin(2.1 * t) - 0.06 * 3.7**2 * np.sin(3.7 * t + 1.0)
+    noise = np.random.default_rng(5).normal(0, 0.2, (len(t), 3)) + [0.0, 0.0, 9.81]
+    noise[:, 2] += lift
+    imu = pl.DataFrame(
+        {"t_s": t + late, "tag": "T"} | dict(zip(ACCEL, noise.T, strict=True)) | dict.fromkeys(GYRO, 0.0)
+    )
+    found = check_imu({"imu": imu, "truth": pl.DataFrame({"t_s": t, "tag": "T", "z_m": height})})
+    words = f"comes {abs(late):.2f} s {'late' if late > 0 else 'early'} against the truth's heights"
+    assert [words in one.message for one in found] == [True] * (late != 0)
