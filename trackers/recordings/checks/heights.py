@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import numpy as np
 import polars as pl
 
 from trackers.core.rig import Rig
@@ -19,35 +18,38 @@ SHORT = 0.5
 
 def check_heights(rig: Rig, tables: Mapping[str, pl.DataFrame]) -> list[CheckResult]:
     """An error for each tag of known height that truth or ranges contradict."""
-    results = []
-    for tag, known in rig.tags.items():
-        if known.height is not None:
-            own = {name: tables[name].filter(pl.col("tag") == tag) for name in ("truth", "ranges") if name in tables}
-            contrary = _true_height(own, known.height) or _short_ranges(rig, own, known.height)
-            if contrary:
-                results.append(
-                    CheckResult("error", "rig.toml", f"height_m of tag {tag} is {known.height:g}, {contrary}")
-                )
-    return results
-
-
-def _true_height(own: Mapping[str, pl.DataFrame], height: float) -> str:
-    z = own["truth"]["z_m"].drop_nulls().to_numpy() if "truth" in own else np.zeros(0)
-    if not len(z) or abs((true := float(np.median(z))) - height) <= OFF_M:
-        return ""
-    flipped = abs(true + height) <= OFF_M
-    fix = "z of the truth points down; flip its sign" if flipped else "expected one height; correct one of the two"
-    return f"but z of its truth is typically {true:.2f} m: {fix}"
-
-
-def _short_ranges(rig: Rig, own: Mapping[str, pl.DataFrame], height: float) -> str:
-    read = own["ranges"].filter(pl.col("range_m").is_not_null()) if "ranges" in own else pl.DataFrame()
-    if not len(read):
-        return ""
-    apart = read["anchor"].replace_strict({key: abs(float(at[2]) - height) for key, at in rig.anchors.items()})
-    short = float(np.mean(read["range_m"].to_numpy() < apart.to_numpy() - OFF_M))
-    if short < SHORT:
-        return ""
-    return (
-        f"but {100 * short:.0f} % of its ranges are shorter than the difference of height to their anchors; correct it"
+    heights = {tag: known.height for tag, known in rig.tags.items() if known.height is not None}
+    if not heights:
+        return []
+    contrary = (_short_ranges(rig, tables["ranges"], heights) if "ranges" in tables else {}) | (
+        _true_heights(tables["truth"], heights) if "truth" in tables else {}
     )
+    return [
+        CheckResult("error", "rig.toml", f"height_m of tag {tag} is {heights[tag]:g}, but {why}")
+        for tag, why in contrary.items()
+    ]
+
+
+def _true_heights(truth: pl.DataFrame, heights: Mapping[str, float]) -> dict[str, str]:
+    """For each tag whose true heights are elsewhere: where."""
+    typical = truth.filter(pl.col("tag").is_in(list(heights))).group_by("tag", maintain_order=True)
+    found = {}
+    for tag, z in typical.agg(pl.col("z_m").median()).iter_rows():
+        if z is not None and abs(z - heights[tag]) > OFF_M:
+            down = abs(z + heights[tag]) <= OFF_M
+            fix = "z of the truth points down; flip its sign" if down else "correct one of both"
+            found[tag] = f"z of its truth is typically {z:.2f} m: {fix}"
+    return found
+
+
+def _short_ranges(rig: Rig, ranges: pl.DataFrame, heights: Mapping[str, float]) -> dict[str, str]:
+    """For each tag most of whose ranges are too short for its height: how many."""
+    own = ranges.filter(pl.col("tag").is_in(list(heights)) & pl.col("range_m").is_not_null())
+    z = pl.col("anchor").replace_strict({key: float(at[2]) for key, at in rig.anchors.items()}, default=None)
+    least = (z - pl.col("tag").replace_strict(dict(heights))).abs() - OFF_M
+    shares = own.group_by("tag", maintain_order=True).agg((pl.col("range_m") < least).mean())
+    return {
+        tag: f"{100 * share:.0f} % of its ranges are shorter than the difference of height to their anchors; correct it"
+        for tag, share in shares.iter_rows()
+        if share > SHORT
+    }

@@ -19,6 +19,9 @@ from trackers.recordings.checks.explanations import SignedAxes, signed_axes
 from trackers.recordings.checks.imu_rows import Attitude, ImuRows, bent, imu_rows, true_attitude
 from trackers.recordings.tables import QUATERNION
 
+MOST_TAGS = 12
+"""Tags whose IMU is checked."""
+
 WINDOW_S = 1.0
 """Time over which gravity turns, s; specific force is averaged over half of it."""
 
@@ -60,12 +63,12 @@ SMALL_TURN = np.radians(20.0)
 
 
 def check_imu(tables: Mapping[str, pl.DataFrame], against_truth: bool = True) -> list[CheckResult]:
-    """Signs, axes, mounting and clock of the IMU of each tag; an attitude of the sensor's own excuses it."""
+    """Signs, axes, mounting and clock of the IMU of the first tags; an attitude of the sensor's own excuses it."""
     table = tables.get("imu")
     if table is None or set(QUATERNION) <= set(table.columns):
         return []
     results = []
-    for tag in table["tag"].unique(maintain_order=True):
+    for tag in table["tag"].unique(maintain_order=True).head(MOST_TAGS):
         rows = imu_rows(table, tag)
         truth = tables["truth"].filter(pl.col("tag") == tag) if against_truth and "truth" in tables else None
         if rows is not None:
