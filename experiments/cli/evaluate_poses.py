@@ -167,6 +167,6 @@ def _write(
     scored = ScoredTracks(associate(tracks, folders), folders, ())
     none = pl.DataFrame(schema={"recording": pl.String, "tag": pl.String, "t_s": pl.Float64, "event": pl.String})
     run = run_data(scored, none, evaluation, source, figures=True)
-    write_track_page(out / PAGE, [run], shlex.join(["trackwright", *sys.argv[1:]]))
+    write_track_page(out / PAGE, [run], shlex.join(["trackwright", *sys.argv[1:]]), "evaluate")
     drawn = plot_tracks(out, scored)
     return f"wrote {out}: {PAGE}, evaluation.json, {TRACKS} as compared, and {len(drawn)} figures: {', '.join(drawn)}"

@@ -39,13 +39,13 @@ METRICS = ("n", "rmse_m", "median_m", "p95_m", "max_m", "rmse_3d_m", "rmse_azimu
            "rmse_direction_rad", "p95_direction_rad", "coverage_95", "nees_ratio", "nis_ratio", "lost_s")  # fmt: skip
 
 
-def write_track_page(path: Path, runs: Sequence[Mapping[str, Any]], command: str) -> None:
-    """Writes the page, whole or not at all. `runs`: those of `run_data`, one for each tracker."""
-    text = track_page(runs, command)
+def write_track_page(path: Path, runs: Sequence[Mapping[str, Any]], command: str, kind: str = "track") -> None:
+    """Writes the page, whole or not at all. `runs`: those of `run_data`, one for each tracker; `kind`: who wrote it."""
+    text = track_page(runs, command, kind)
     atomic_write(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
-def track_page(runs: Sequence[Mapping[str, Any]], command: str = "") -> str:
+def track_page(runs: Sequence[Mapping[str, Any]], command: str = "", kind: str = "track") -> str:
     """The text of the page; arguments as of `write_track_page`."""
     names = list(dict.fromkeys(recording["name"] for run in runs for recording in run["recordings"]))
     title = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
@@ -53,6 +53,7 @@ def track_page(runs: Sequence[Mapping[str, Any]], command: str = "") -> str:
     own = "\n".join(path.read_text(encoding="utf-8") for path in scripts)
     parts = {
         "title": escape(title),
+        "kind": kind,
         "tracker": escape(runs[0]["tracker"]),
         "style": (SHARED / "style.css").read_text(encoding="utf-8") + (HERE / "track.css").read_text(encoding="utf-8"),
         "plotly": plotting_script(),

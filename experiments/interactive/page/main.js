@@ -265,6 +265,7 @@ function fillMetrics() {
     line.className = one.tag === undefined ? "whole" : "";
     for (const key of used) {
       const cell = line.insertCell(), value = one[key];
+      cell.className = labels.includes(key) ? "name" : "";
       cell.dataset.label = labels.includes(key) ? key : names[key];
       cell.textContent = labels.includes(key) ? value ?? "" : value === undefined ? "–" : fixed(value * factor(key), digits(key));
     }

@@ -235,6 +235,15 @@ def test_the_page_fits_its_window_in_both_themes(browser, tmp_path, width, schem
     assert max(map(abs, page.evaluate(sizes))) <= 1
     assert page.evaluate("document.querySelector('main').offsetWidth") <= 680
     assert page.evaluate(brightness) > 600
+    page.emulate_media(media="print")
+    page.set_viewport_size({"width": 688, "height": 1000})  # A4 less its margins
+    assert page.evaluate("document.getElementById('metrics').offsetWidth") <= 680
+    assert page.evaluate("document.documentElement.scrollWidth") <= 688
+    notice = "document.body.insertAdjacentHTML('beforeend', '<div class=plotly-notifier><p>zoom</p></div>')"
+    page.evaluate(notice)
+    assert not page.locator(".plotly-notifier").last.is_visible()
+    page.emulate_media(media="screen")
+    page.set_viewport_size({"width": width, "height": 900})
     page.evaluate("dispatchEvent(new Event('afterprint'))")
     assert (page.evaluate(brightness) > 600) != (scheme == "light")
     assert errors == []
