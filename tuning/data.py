@@ -95,7 +95,7 @@ def fit_data(
     return segments_data(own, objective, {folder.name for folder in held_out}, dimensions, weigh)
 
 
-def judged_dimensions(batch: TrackerBatch, objective: str | AbstractObjective | None) -> int:
+def judged_dimensions(batch: TrackerBatch, objective: str | AbstractObjective | Loss | None) -> int:
     """3 where the height is estimated, every truth has heights and `state-nll` is judged, or chosen by default; else 2.
 
     An RMSE in space would be that of a badly determined height.
