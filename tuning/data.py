@@ -18,7 +18,14 @@ from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.tracks import batches
 from trackers.recordings.trajectories import Trajectories, Trajectory, segments, with_floor_truth
 from tuning.named_objectives import parse_objective
-from tuning.objectives import AbstractObjective, Loss, MeanLoss, MissingQuantityError, StateLogLikelihood
+from tuning.objectives import (
+    AbstractObjective,
+    Loss,
+    MeanLoss,
+    MissingQuantityError,
+    StateLogLikelihood,
+    name_of,
+)
 from tuning.problem import is_stochastic
 from tuning.unstacked import AnyBatch, Unstacked, unstacked
 from tuning.weights import Weigh, trajectory_weights
@@ -137,9 +144,10 @@ def segments_data(
         enough = bool(with_truth - apart) and (not apart or bool(with_truth & apart))
         objective = _default_objective(batch, trajectories, quantity) if enough else "nll"
     goal = named_objective(objective, batch.tracker, quantity, 2 if floor else 3)
+    name = name_of(objective)
     if goal.needs_truth and batch.planar and trajectories[0].station:
         raise UnusableInput(
-            f"objective {objective}: azimuth and elevation of a tag in a flat array's own plane are singular; "
+            f"objective {name}: azimuth and elevation of a tag in a flat array's own plane are singular; "
             "expected a tag above or below it; use the objective nll"
         )
     parts: tuple[list[Trajectory], list[Trajectory]] = ([], [])
@@ -151,13 +159,12 @@ def segments_data(
             over_floor = () if floor else map(with_floor_truth, trajectories)
             if any(t.recording.truth["position"][1].any() for t in over_floor):
                 raise UnusableInput(
-                    f"objective {objective} in three dimensions needs truth with z_m, and {where} have x_m and y_m "
+                    f"objective {name} in three dimensions needs truth with z_m, and {where} have x_m and y_m "
                     "alone; judge two dimensions (--dimensions 2), or use the objective nll"
                 )
-            raise UnusableInput(f"objective {objective} needs truth, and {where} have none; use the objective nll")
+            raise UnusableInput(f"objective {name} needs truth, and {where} have none; use the objective nll")
     used = {trajectory.folder.name for part in parts for trajectory in part}
     unused = tuple(dict.fromkeys(t.folder.name for t in trajectories if t.folder.name not in used))
-    name = objective if isinstance(objective, str) else type(objective).__name__
     return FitData(batch.tracker, goal, name, batch.planar, 2 if floor else 3, *parts, weigh, unused, stacked)
 
 

@@ -16,7 +16,7 @@ from trackers.core.requirements import check_input
 from trackers.core.tracker import AbstractTracker
 from trackers.recordings.named_tracker import NamedTracker, folder_list
 from tuning.data import FitData, fit_data, is_judged, named_objective
-from tuning.objectives import AbstractObjective, Loss
+from tuning.objectives import AbstractObjective, Loss, name_of
 from tuning.problem import Problem, is_stochastic
 from tuning.unstacked import AnyBatch
 from tuning.weights import Weigh, trajectory_weights
@@ -106,10 +106,9 @@ def _batches(tracker: AbstractTracker, recordings: Arrays) -> list[Batch]:
 def _check_truth(objective: str | AbstractObjective | Loss, batches: Sequence[Batch], where: str) -> None:
     """Raises UnusableInput for batches without any row whose truth is known."""
     if batches and not _has_truth(batches):
-        name = objective if isinstance(objective, str) else getattr(objective, "__name__", type(objective).__name__)
         raise UnusableInput(
-            f"fit: {where} have no known truth; expected some, which the objective {name} needs; usual fix: `truth=` "
-            "where the recordings are made, or the objective nll"
+            f"fit: {where} have no known truth; expected some, which the objective {name_of(objective)} needs; usual "
+            "fix: `truth=` where the recordings are made, or the objective nll"
         )
 
 

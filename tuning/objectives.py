@@ -30,6 +30,11 @@ Loss = Callable[[Any, dict[str, Any]], Scalar]
 """A number of a row's state and of the true components by quantity."""
 
 
+def name_of(objective: object) -> str:
+    """The name of an objective or loss, or of its class, for messages."""
+    return objective if isinstance(objective, str) else getattr(objective, "__name__", type(objective).__name__)
+
+
 class MissingQuantityError(ValueError):
     """A tracker's state, or the truth, lacks the quantity whose error an objective needs, or components of it."""
 

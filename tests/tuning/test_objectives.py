@@ -1,5 +1,7 @@
 """The objectives: figures made of sums, whatever batches the recordings stand in."""
 
+import dataclasses
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -148,3 +150,19 @@ def test_a_function_of_state_and_truth_is_an_objective():
         tw.fit(tracker, rows, 3)
     with pytest.raises(tw.UnusableInput, match="no known truth; .* the objective miss needs"):
         tw.fit(tracker, tw.fix_recording(times, path, height=1.0), miss)
+
+
+def test_a_function_is_an_objective_of_folders_and_named_where_it_does_not_fit():
+    folder = tw.simulate.agv(n=1, rows=30).folder()
+    tracker = tw.build("fix-kf", folder)
+
+    def height_alone(state, truth):
+        return (state.position[2] - truth["position"][2]) ** 2
+
+    found = tw.fit(tracker, folder, height_alone, "motion.sigma_z", steps=2, dimensions=3)
+    tracks = tw.build("fix-kf", folder).run(folder).table.join(folder.tables["truth"], on=["tag", "t_s"])
+    error = (tracks["z_m"] - tracks["z_m_right"]).to_numpy()
+    assert found.start_value == pytest.approx(np.mean(error**2), rel=1e-6)
+    blind = dataclasses.replace(folder, tables={"fixes": folder.tables["fixes"]})
+    with pytest.raises(tw.UnusableInput, match="objective height_alone needs truth, and these recordings have none"):
+        tw.fit(tracker, blind, height_alone, "motion.sigma_z")

@@ -13,6 +13,7 @@ import polars as pl
 from jaxtyping import Bool, Float, Int, Num
 
 from trackers.core.algebra import dense, triangle
+from trackers.core.errors import UnusableInput
 from trackers.core.frames import estimates_html, to_pandas
 from trackers.core.state import component_names, path_name
 
@@ -211,7 +212,7 @@ class Estimates:
         """The mask (…, T) of the last row of each time; `times` as of `per_time`."""
         if times is None:
             if self.times is None:
-                raise ValueError("these estimates have no times: a Batch was run; run the recordings themselves")
+                raise UnusableInput("these estimates have no times: a Batch was run; run the recordings themselves")
             times = self.times if self.age is None else self.times + self.age
         rows = self.status != Status.PADDING
         ends = np.ones_like(rows)
@@ -241,7 +242,7 @@ class Estimates:
         Rows that share a time are merged as by `per_time`. A position becomes `x_m`, `y_m`, `z_m` with `std_…_m` and
         `cov_…_m2`, a velocity `vx_mps`, …; other components keep their names. `t_s` is the time for which the
         estimate is valid. Empty where there is no estimate. Recordings of one name are numbered (`numbered_names`).
-        Raises ValueError where the run was of a bare `Batch`, which has no times.
+        Raises UnusableInput where the run was of a bare `Batch`, which has no times.
         """
         last, merged = self.per_time()
         assert merged.times is not None

@@ -90,10 +90,10 @@ class RecordingFolder:
         """This recording with one range, fix or bearing per tag, anchor or station, and interval of so many s.
 
         The columns are those of `averaging.averaged`. With zero every reading stays, for trackers that average of
-        themselves, too. Raises ValueError for a negative interval.
+        themselves, too. Raises UnusableInput for a negative interval.
         """
         if not 0 <= interval < math.inf:
-            raise ValueError(f"interval = {interval:g} s, expected a time above zero, or zero for every reading")
+            raise UnusableInput(f"interval = {interval:g} s, expected a time above zero, or zero for every reading")
         tables = {name: averaged(table, name, interval) for name, table in self.tables.items()} if interval else {}
         return replace(self, tables=tables or self.tables, average_s=interval)
 
@@ -240,7 +240,7 @@ def write_recording(folder: RecordingFolder, path: str | Path, kind: Kind = "par
     Raises UnusableInput if `path` is a file or a folder that is not empty, or cannot be written.
     """
     if kind not in get_args(Kind):
-        raise ValueError(f"kind = {kind!r}, expected one of {', '.join(get_args(Kind))}")
+        raise UnusableInput(f"kind = {kind!r}, expected one of {', '.join(get_args(Kind))}")
     path = Path(path)
     try:
         if path.exists() and not (path.is_dir() and not any(path.iterdir())):
