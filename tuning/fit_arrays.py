@@ -14,6 +14,7 @@ from trackers.core.errors import UnusableInput
 from trackers.core.recording import Batch, Recording, stack
 from trackers.core.requirements import check_input
 from trackers.core.tracker import AbstractTracker
+from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.named_tracker import NamedTracker, folder_list
 from tuning.data import FitData, fit_data, is_judged, named_objective
 from tuning.objectives import AbstractObjective, Loss, name_of
@@ -26,7 +27,10 @@ Arrays = Recording | Batch | Sequence[Recording] | Sequence[Batch]
 
 
 class FitArrays(NamedTuple):
-    """A tracker, the batches to fit it to and to hold out with their weights, and the objective."""
+    """A tracker, the batches to fit it to and to hold out with their weights, and the objective.
+
+    `folders`: of the recordings fitted to, none of those in arrays.
+    """
 
     tracker: AbstractTracker
     training: Sequence[AnyBatch]
@@ -35,6 +39,7 @@ class FitArrays(NamedTuple):
     weights: list[Float[np.ndarray, " B"]]
     held_out_weights: list[Float[np.ndarray, " B"]]
     recordings: list[list[str]]
+    folders: Sequence[RecordingFolder] = ()
 
     def recordings_of(self, problem: Problem) -> list[str]:
         """The recording of each trajectory of the problem, empty for padding."""
@@ -46,7 +51,8 @@ class FitArrays(NamedTuple):
         """The arrays of recording folders."""
         weights = (data.weights(), data.weights(held_out=True))
         groups = data.batches(), data.batches(held_out=True)
-        return cls(data.tracker, *groups, data.objective, *weights, data.recordings())
+        folders = list({id(one.folder): one.folder for one in data.training}.values())
+        return cls(data.tracker, *groups, data.objective, *weights, data.recordings(), folders)
 
 
 def fit_arrays(

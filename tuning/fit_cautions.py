@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trackers.core.tunable import Scale
-from trackers.recordings.reading_grids import ReadingGrid
+from trackers.recordings.reading_grids import REPEATED, ReadingGrid
 from tuning.correlation import rows_and_inflation
 from tuning.optimum import Optimum
 from tuning.parameters import Parameter, component_kinds, component_names
@@ -29,9 +29,6 @@ DECIDES, CHANGES = 0.6, math.log(1.5)
 
 ROUNDS = 8
 """Steps of the fit without that recording."""
-
-REPEATED = 0.5
-"""Share of repeated readings from which on they are not independent."""
 
 INFLATION = 2.0
 """Rows with the information of one from which on innovations are correlated."""
@@ -79,11 +76,13 @@ def collapsed(
         if not isinstance(parameter.example, Scale):
             continue
         low, grid, unit = float(np.exp(end[part].min())), grid_of(grids, parameter), parameter.example.unit
-        fell = grid is not None and low <= 1.001 * grid.floor < float(np.exp(start[part].min()))
+        fell = grid is not None and low <= 1.001 * grid.lowest < float(np.exp(start[part].min()))
         if grid is not None and fell:
+            what = "rounding" if grid.lowest == grid.floor else "changes"
+            size = f"step {grid.step:.3g}" if what == "rounding" else f"typically {grid.change:.3g}"
             yield (
-                f"{parameter.label} fell to {low:.3g} {unit}, the rounding of its readings (step {grid.step:.3g} "
-                f"{unit} / √12), below which it is not fitted: readings that repeat drive it down"
+                f"{parameter.label} fell to {low:.3g} {unit}, the {what} of its readings ({size} {unit} / √12), below "
+                "which it is not fitted: readings that repeat drive it down"
             )
         elif np.min(end[part] - start[part]) < math.log(COLLAPSED) and not _determined(uncertainty, parameter):
             yield (

@@ -16,7 +16,7 @@ from trackers.core.chunks import CHUNK
 from trackers.core.tracker import AbstractTracker
 from trackers.recordings.folder import RecordingFolder
 from trackers.recordings.named_tracker import NamedTracker
-from trackers.recordings.reading_grids import ReadingGrid, reading_grids
+from trackers.recordings.reading_grids import ReadingGrid, of_raw_readings, reading_grids
 from tuning.checkpoint import from_arrays
 from tuning.data import FitData
 from tuning.fit_arrays import Arrays, fit_arrays
@@ -190,7 +190,7 @@ def fit(
     trajectories = chunk if minibatch is None else min(chunk, minibatch)
     problem = Problem(model, batches, objective, parameters, trajectories, priors, data.weights, place)
     scoring = Problem(model, apart, objective, parameters, chunk, (), data.held_out_weights, place) if apart else None
-    readings, bounds = reading_grids(model, Pieces(batches)), bounds or {}
+    readings, bounds = of_raw_readings(reading_grids(model, Pieces(batches)), data.folders), bounds or {}
     low, high = limits(parameters, bounds)
     low = np.maximum(low, floors(readings, parameters, bounds))
     # Errors are discontinuous where a track is nearly lost, and a line search ends there; Adam steps over.
@@ -235,8 +235,10 @@ def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, inter
         vector, last, vectors = found.vector, found.evaluation, vectors + more
         bound = driver.at_bound(vector, found.gradient)
         uncertainty = uncertainty_at(problem, found, bound)
-        kept = kept_at_start(problem, uncertainty, own, float(state.past_values[0, 0]) - found.value)
-        if kept.at_start.any():
+        kept = None
+        if driver.held_out is None:  # a point that others select is no optimum, and its curvature shows nothing
+            kept = kept_at_start(problem, uncertainty, own, float(state.past_values[0, 0]) - found.value)
+        if kept is not None and kept.at_start.any():
             found = optimum(problem, kept.vector)
             vector, last, vectors = found.vector, found.evaluation, vectors + kept.vectors + 2 * len(vector) + 1
             uncertainty = uncertainty_at(problem, found, bound, kept.at_start)

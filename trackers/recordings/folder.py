@@ -44,6 +44,7 @@ class RecordingFolder:
     `calibration`: the systematic errors that trackers remove from its bearings and ranges; the tables are as measured.
     `average_s`: interval, s, over which its readings are averages; None where trackers are to average of themselves.
     `origin`: x and y, m, in the recording as it was read, of the point from which positions are given.
+    `unaveraged`: the recording that they are averages of, None for readings as they were.
     """
 
     name: str
@@ -54,6 +55,7 @@ class RecordingFolder:
     calibration: Calibration | None = None
     average_s: float | None = None
     origin: tuple[float, float] = (0.0, 0.0)
+    unaveraged: RecordingFolder | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.tables, Tables):
@@ -95,7 +97,7 @@ class RecordingFolder:
         if not 0 <= interval < math.inf:
             raise UnusableInput(f"interval = {interval:g} s, expected a time above zero, or zero for every reading")
         tables = {name: averaged(table, name, interval) for name, table in self.tables.items()} if interval else {}
-        return replace(self, tables=tables or self.tables, average_s=interval)
+        return replace(self, tables=tables or self.tables, average_s=interval, unaveraged=self if interval else None)
 
     def uncalibrated(self) -> list[str]:
         """Stations with bearings and anchors with ranges that the calibration lacks, in words; all without one."""

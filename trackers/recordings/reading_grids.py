@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 
@@ -15,13 +15,21 @@ from trackers.core.sensor import AbstractSensor
 from trackers.core.tracker import AbstractTracker, Tracker
 from trackers.core.tunable import Scale, tunables, with_values
 from trackers.recordings.checks.quantisation import quantisation_step
-from trackers.recordings.checks.readings import Readings
+from trackers.recordings.checks.readings import Readings, readings, wrapped
 from trackers.recordings.checks.repeats import repeated_share
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.tables import MEASUREMENTS
 from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.trajectories import Trajectories
 
 MOST_ROWS = 20_000
 """Rows of a sensor that are looked at."""
+
+REPEATED = 0.5
+"""Share of repeated readings from which on they are not independent."""
+
+MOST_FOLDERS = 20
+"""Recordings whose tables are looked at."""
 
 MOST_SOURCES = 64
 """Stations or anchors that readings of a channel are told apart by."""
@@ -31,18 +39,29 @@ MOST_SOURCES = 64
 class ReadingGrid:
     """The readings of one unit of a sensor: their quantisation step, NaN without one, and the share that repeats.
 
-    `repeated`: readings equal in all their channels to the reading before of the same station or anchor.
+    `repeated`: readings equal in all their channels to the reading before of the same station or anchor. `change`: the
+    median difference of a reading from the one before where it is another, NaN without any.
     """
 
     sensor: str
     unit: str
     step: float
     repeated: float
+    change: float
 
     @property
     def floor(self) -> float:
         """The standard deviation of the rounding to steps, step/√12; NaN without a step."""
         return self.step / math.sqrt(12.0)
+
+    @property
+    def lowest(self) -> float:
+        """The least noise level that a fit may find: `floor`, or that of the changes where most readings repeat.
+
+        A reading that is held is off by part of the change to the next, as a rounded one is by part of a step.
+        """
+        change = self.change if self.repeated > REPEATED else math.nan
+        return float(np.fmax(self.step, change)) / math.sqrt(12.0)
 
     def limits(self, name: str, tunable: object) -> bool:
         """Whether the tunable of this name is a noise level of these readings."""
@@ -65,8 +84,42 @@ def reading_grids(tracker: AbstractTracker, batches: Iterable[Batch]) -> list[Re
         for unit in dict.fromkeys(channel.unit for channel in sensor.channels):
             own = [k for k, channel in enumerate(sensor.channels) if channel.unit == unit]
             steps = [step for k in own if (step := quantisation_step(read, k)) is not None]
-            found.append(ReadingGrid(name, unit, min(steps, default=math.nan), repeated))
+            changes = [change for k in own if (change := _typical_change(read, k)) > 0.0]
+            step, change = (min(numbers, default=math.nan) for numbers in (steps, changes))
+            found.append(ReadingGrid(name, unit, step, repeated, change))
     return found
+
+
+def of_raw_readings(grids: Sequence[ReadingGrid], folders: Sequence[RecordingFolder]) -> list[ReadingGrid]:
+    """The grids with the steps of the tables that readings were made from: averages and calibrated readings have none.
+
+    The finest step of the first `MOST_FOLDERS` recordings; of no effect where one of them has none, or a finer one than
+    the readings.
+    """
+    found = []
+    for grid in grids:
+        own = [folder.unaveraged or folder for folder in folders[:MOST_FOLDERS] if grid.sensor in folder.tables]
+        steps = [_raw_step(folder, grid) for folder in own if grid.sensor in MEASUREMENTS]
+        raw = min((0.0 if math.isnan(step) else step for step in steps), default=0.0)
+        found.append(replace(grid, step=float(np.fmax(grid.step, raw or math.nan))))
+    return found
+
+
+def _raw_step(folder: RecordingFolder, grid: ReadingGrid) -> float:
+    """The quantisation step of the columns of a table in the grid's unit, NaN without one."""
+    read = readings(folder, grid.sensor)
+    own = [k for k, column in enumerate(read.columns) if column.endswith(f"_{grid.unit}")]
+    return min((step for k in own if (step := quantisation_step(read, k)) is not None), default=math.nan)
+
+
+def _typical_change(read: Readings, column: int) -> float:
+    """The median difference of successive readings of a stream that differ; 0 without any."""
+    x, stream = read.values[:, column], read.stream
+    seen = np.isfinite(x)
+    x, stream = x[seen], stream[seen]
+    differences = np.abs(wrapped(np.diff(x)[:, None], (read.columns[column],))[:, 0][stream[1:] == stream[:-1]])
+    differences = differences[differences > 0.0]
+    return float(np.median(differences)) if len(differences) else 0.0
 
 
 def above_rounding(group: TrackerBatch) -> list[TrackerBatch]:
