@@ -66,7 +66,11 @@ def compare(sides: Sequence[Association], folders: Sequence[RecordingFolder], di
         means = [_means(side, named.values()) for side in zip(*pairs, strict=True)]
         rows.append((f"mean of {len(pairs)}", *_cells(means[0], means[1], named.values())))
     sentences = covariance_statements(after.overall, after.recordings)
-    clauses = tuple(clause for old, new in pairs for clause in worse(old, new, error, suffix))
+    # A better height is no excuse for a worse place on the floor.
+    judged = {"": error.replace("_3d", ""), suffix: error}
+    clauses = tuple(
+        clause for old, new in pairs for own, metric in judged.items() for clause in worse(old, new, metric, own)
+    )
     return Compared(about, ("recording", *named), tuple(rows), tuple(sentences), clauses)
 
 

@@ -30,11 +30,11 @@ def worse(old: Mapping[str, Any], new: Mapping[str, Any], error: str, suffix: st
         unit = Unit("°", 180 / math.pi) if error.endswith("_rad") else length_unit(after)
         digits = 3 if unit.name == "m" else 1
         figures = [fixed(unit.factor * x, digits) for x in (before, after)]
-        yield f"{name}: RMSE {figures[0]} → {figures[1]} {unit.name}"
+        yield f"{name}: {'3-D ' if suffix else ''}RMSE {figures[0]} → {figures[1]} {unit.name}"
     if None in (old[share], new[share]):
         return
     lost = holds(old, suffix) and not holds(new, suffix)
     if lost or abs(new[share] - 0.95) > abs(old[share] - 0.95) + FARTHER:
         shares = " → ".join(f"{100 * side[share]:.0f}" for side in (old, new))
         ratios = " → ".join(f"{side[f'nees{suffix}_ratio']:.2f}" for side in (old, new))
-        yield f"{name}: {shares} % in the 95 % ellipse, NEES/dof {ratios}"
+        yield f"{name}: {shares} % in the 95 % {'ellipsoid' if suffix else 'ellipse'}, NEES/dof {ratios}"

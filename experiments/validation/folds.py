@@ -110,3 +110,26 @@ FOLDS = (
 )
 # fmt: on
 """Every fold, the limits of default noise levels before those of a calibrated site."""
+
+
+class Site(NamedTuple):
+    """The recordings of one installation, and the tracker whose noise levels are fitted to them."""
+
+    name: str
+    tracker: str
+    recordings: tuple[str, ...]
+
+
+SITES = (
+    Site("rcv", "uwb", ("rcv-drone-3", "rcv-drone-6")),
+    Site("isas", "uwb", ("isas-walk-1",)),
+    Site("starloc-2d", "uwb", ("starloc-2d-s5",)),
+    Site("tiers", "fix-mirror", ("tiers-1tag-01", *FLIGHTS)),
+    Site("starloc-fast", "uwb", ("starloc-fast-s1",)),
+    Site("iasl", "uwb", ("iasl-drone-1", "iasl-drone-2")),
+    Site("labyrinth", "uwb", ("labyrinth",)),
+    Site("walks", "bearings", (*WALKS, *SECOND_RUNS)),
+    Site("lias", "uwb", ("lias-planar-fast", *STILL)),
+    Site("ngbui", "line-grid", tuple(f"ngbui-line-{k}-{n}" for k in (1, 2, 3) for n in (1, 2))),
+)
+"""The sites of the recordings, for fits with one recording left out each."""

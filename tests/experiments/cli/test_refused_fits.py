@@ -101,3 +101,9 @@ METRICS = {"recording": "hall", "rmse_m": 0.1, "coverage_95": 0.95, "nees_ratio"
 )
 def test_what_makes_a_recording_worse(old, new, clauses):
     assert list(worse(METRICS | old, METRICS | new, "rmse_m", "")) == clauses
+    space = [{k.replace("rmse_m", "rmse_3d_m"): v for k, v in side.items()} for side in (METRICS | old, METRICS | new)]
+    space = [side | {"coverage_95_3d": side["coverage_95"], "nees_3d_ratio": side["nees_ratio"]} for side in space]
+    found = [
+        text.replace("3-D RMSE", "RMSE").replace("ellipsoid", "ellipse") for text in worse(*space, "rmse_3d_m", "_3d")
+    ]
+    assert found == clauses

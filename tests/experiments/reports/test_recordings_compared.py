@@ -55,6 +55,11 @@ def test_the_figures_are_those_of_evaluate_and_recordings_have_the_same_say(walk
     mean = np.mean([sides[1][name][f"rmse{suffix}_m"] for name in ("short", "long")])
     assert found.rows[2][1].split(" → ")[1] == f"{100 * mean:.1f}"
     assert found.statements[0].startswith("Reported ")
+    assert found.worse == ()
+    back = compare(_both(trackers[::-1], folders), folders, dimensions, "held-out recordings").worse
+    expected = [False, True][: dimensions - 1]
+    for name in ("short", "long"):
+        assert ["ellipsoid" in text for text in back if text.startswith(name) and "95 %" in text] == expected
     text = found.text()
     assert text.startswith("Held-out recordings, before → after")
     assert all(cell in text for row in found.rows for cell in row)
