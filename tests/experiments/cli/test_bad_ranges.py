@@ -6,9 +6,11 @@ import numpy as np
 import polars as pl
 import pytest
 
+from experiments.cli.usable import errors_of
 from experiments.plots import track_folder
 from tests.faulty import then, with_table
 from tests.in_process import assert_refused, trackwright
+from trackers.recordings.folder import read_recording
 
 TRACKERS = ("uwb", "multilateration")
 
@@ -88,6 +90,12 @@ def test_errors_of_the_check_stop_the_command_before_anything_is_written(tmp_pat
     assert said.code == 0
     assert "notice" in said.err
     assert "feet" in said.err
+
+
+def test_warnings_of_an_imu_are_printed_and_stop_nothing(tmp_path):
+    with_table("imu", lambda t: t.with_columns(accel_z_mps2=-pl.col("accel_z_mps2")))(tmp_path / "recording")
+    lines = errors_of(read_recording(tmp_path / "recording"), force=False, calibrated=False)
+    assert ["the IMU is upside down" in line for line in lines] == [True, True]
 
 
 def test_trilateration_needs_the_height_of_every_tag(tmp_path):

@@ -51,5 +51,5 @@ def _short_ranges(rig: Rig, ranges: pl.DataFrame, heights: Mapping[str, float]) 
     return {
         tag: f"{100 * share:.0f} % of its ranges are shorter than the difference of height to their anchors; correct it"
         for tag, share in shares.iter_rows()
-        if share > SHORT
+        if share is not None and share > SHORT
     }
