@@ -21,6 +21,9 @@ SPANS_S = (0.1, 0.25, 0.5, 1.0)
 
 LEAST_MOMENTS, MOST_MOMENTS = 15, 60
 MOST_SENSORS = 12
+LEAST_EXTENT_M = 1.0
+"""Extent of the anchors or stations, m, below which any ranges of a moment contradict or fit each other alike."""
+
 STEPS = 12
 
 
@@ -79,7 +82,7 @@ class Moments(NamedTuple):
 
 
 def moments(recording: RecordingFolder, table: str) -> Moments | None:
-    """Moments of a table with more readings than a position takes; None with too few of them."""
+    """Moments of a table with more readings than a position takes; None with too few, or sensors all at one place."""
     rig, rows = recording.rig, recording.rows(table)
     part = slice(MOST_ROWS)
     known = rig.anchors if table == "ranges" else rig.stations
@@ -99,6 +102,8 @@ def moments(recording: RecordingFolder, table: str) -> Moments | None:
     else:
         places = np.stack([np.asarray(rig.stations[key].position) for key in ids])
         axes = axes_of(np.stack([np.asarray(rig.stations[key].rotation, float) for key in ids]))
+    if np.linalg.norm(np.ptp(places, axis=0)) < LEAST_EXTENT_M:
+        return None
     for span in SPANS_S:
         found = _grid(np.floor(times[whole] / span), tag[whole], number[whole], values[whole], len(ids))
         seen = np.isfinite(found[1]).all(axis=2).sum(axis=1)

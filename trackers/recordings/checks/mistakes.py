@@ -13,6 +13,7 @@ from trackers.core.errors import listed
 from trackers.recordings.checks.check_result import CheckResult
 from trackers.recordings.checks.compared import Compared
 from trackers.recordings.checks.explanations import PENALTY, Explanation
+from trackers.recordings.checks.readings import known_median
 from trackers.recordings.checks.sensor_mistakes import sensor_explanations
 from trackers.recordings.checks.world_mistakes import world_explanations
 
@@ -62,11 +63,12 @@ def most_likely_mistake(view: Compared) -> str | None:
 
 def _upside_down(view: Compared) -> str | None:
     """As `most_likely_mistake`, for a truth whose z points down: each sensor takes it for a bias of its own."""
+    if view.table not in ("ranges", "bearings"):
+        return None
     down = view._replace(positions=view.positions * np.array([1.0, 1.0, -1.0]))
     before, after = (np.maximum(one.sizes(one.errors(), bias=False), FLOOR[view.table]) for one in (view, down))
-    if (np.nanmedian(before, axis=0) <= np.array(LARGE[view.table])).all() or view.table in ("fixes", "phases"):
-        return None
-    if np.nanmean(np.log(before / after)) < ALL_GAIN:
+    gains = np.log(before / after)
+    if not (known_median(before) > np.array(LARGE[view.table])).any() or np.mean(gains[np.isfinite(gains)]) < ALL_GAIN:
         return None
     best = Explanation("the sign of z of the truth flipped", "z of the truth points down; flip it", after)
     return _sentence(view, best, np.ones(len(view.ids), bool))

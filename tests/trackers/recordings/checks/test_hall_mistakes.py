@@ -160,6 +160,13 @@ def test_contradictions_that_no_change_explains_are_a_warning():
     assert "no change of units, signs or ids explains it" in found.message
 
 
+def test_anchors_at_one_place_explain_nothing():
+    folder = _only("ranges")(_hall())
+    for anchor in ANCHORS:
+        folder = _anchor(anchor, (1.0, 1.0, 1.0))(folder)
+    assert moments(folder, "ranges") is None
+
+
 def test_ranges_close_to_zero_where_they_are_exact_and_bearings_likewise():
     folder = _hall()
     truth = folder.tables["truth"].select(*AXES).to_numpy()
