@@ -16,7 +16,7 @@ import polars as pl
 
 from trackers.recordings.checks.check_result import CheckResult
 from trackers.recordings.checks.explanations import SignedAxes, signed_axes
-from trackers.recordings.checks.imu_rows import Attitude, ImuRows, bent, imu_rows, true_attitude
+from trackers.recordings.checks.imu_rows import Attitude, ImuRows, bent, imu_rows, spaced, true_attitude
 from trackers.recordings.tables import QUATERNION
 
 MOST_TAGS = 12
@@ -80,7 +80,7 @@ def check_imu(tables: Mapping[str, pl.DataFrame], against_truth: bool = True) ->
 
 def _by_gravity(rows: ImuRows) -> list[CheckResult]:
     """An error where gravity turns in body axes otherwise than the turn rates have it, and as others would."""
-    t = np.arange(rows.times[0] + WINDOW_S, rows.times[-1] - WINDOW_S, WINDOW_S / 4)
+    t = spaced(rows.times, WINDOW_S / 4)
     half, quarter = WINDOW_S / 2, WINDOW_S / 4
     before, middle, after = (
         rows.between(rows.pushed, at - quarter, at + quarter) / half for at in (t - half, t, t + half)
@@ -151,7 +151,7 @@ def _against_heights(rows: ImuRows, truth: pl.DataFrame) -> list[CheckResult]:
     known = truth.select("t_s", "z_m").drop_nulls().unique("t_s", keep="first").sort("t_s").to_numpy()
     if len(known) < LEAST_WINDOWS:
         return []
-    at = np.arange(known[0, 0], known[-1, 0], REACH_S / 3)
+    at = spaced(known[:, 0], REACH_S / 3)
     true = bent(known[:, 0], known[:, 1:], at, REACH_S)[:, 0]
     at, true = at[np.isfinite(true)], true[np.isfinite(true)]
     if len(at) < LEAST_WINDOWS or np.std(true) < LEAST_LIFT:
@@ -194,7 +194,7 @@ def _vectors(rows: ImuRows, attitude: Attitude, times: np.ndarray, rates: np.nda
     measured = _measured_rates(rows, times)
     known = np.isfinite(measured).all(axis=1)
     yield _Vectors("turn rates", measured[known], rates[known])
-    at = np.arange(times[0] + 1.0, times[-1] - 1.0, 0.5)
+    at = spaced(times, 0.5)
     force = rows.between(rows.pushed, at - 0.5, at + 0.5)
     known = np.isfinite(force).all(axis=1)
     if known.sum() >= LEAST_WINDOWS:

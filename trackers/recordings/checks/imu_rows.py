@@ -41,6 +41,11 @@ def bent(
     return (between(times, x, at, at + reach) - between(times, x, at - reach, at)) / reach**2
 
 
+def spaced(times: Float[np.ndarray, " N"], step: float) -> Float[np.ndarray, " n"]:
+    """Times, s, that are a multiple of `step` apart, near those given: no more than these, however long the gaps."""
+    return np.unique(np.floor(times / step)) * step
+
+
 class ImuRows(NamedTuple):
     """`times` (N,) s, and integrals over time: of specific force (N, 3) m/s and of the turn rate (N, 3) rad.
 

@@ -125,3 +125,12 @@ def test_the_clock_of_an_imu_is_compared_with_true_heights_where_there_is_no_att
     found = check_imu({"imu": imu, "truth": pl.DataFrame({"t_s": t, "tag": "T", "z_m": height})})
     words = f"comes {abs(late):.2f} s {'late' if late > 0 else 'early'} against the truth's heights"
     assert [words in one.message for one in found] == [True] * (late != 0)
+
+
+def test_a_row_of_another_clock_costs_no_memory():
+    table = _tool().tables["imu"]
+    far = pl.concat([table, table.tail(1).with_columns(pl.col("t_s") + 1e14)])
+    assert check_imu(dict(_tool().tables) | {"imu": far}) == []
+    truth = _tool().tables["truth"]
+    far = pl.concat([truth, truth.tail(1).with_columns(pl.col("t_s") + 1e14)]).drop(QUATERNION)
+    assert check_imu({"imu": table, "truth": far}) == []
