@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from trackers.core.errors import listed
+from trackers.core.wording import significant
 
 COVERAGE = (0.85, 0.99)
 """The share of the truth inside the 95 % ellipse with which covariances hold."""
@@ -73,15 +74,15 @@ def _covariance(metrics: Mapping[str, Any], suffix: str) -> str:
     shape = "ellipsoid" if suffix else "ellipse"
     names = (f"coverage_95{suffix}", f"nees{suffix}_ratio", f"sigma_factor{suffix}")
     share, ratio, factor = (metrics[name] for name in names)
-    figures = f"the 95 % {shape} holds the truth in {_percent(share)} of the rows, NEES/dof is {ratio:.3g}"
+    figures = f"the 95 % {shape} holds the truth in {_percent(share)} of the rows, NEES/dof is {significant(ratio, 3)}"
     if holds(metrics, suffix):
         return f"covariances hold: {figures}"
     small = share < COVERAGE[0] or ratio > RATIO[1]
     if small and factor >= FACTOR:
-        return f"standard deviations are {factor:.2g} times too small: {figures}"
+        return f"standard deviations are {significant(factor, 2)} times too small: {figures}"
     if not small and factor <= 1 / FACTOR:
         # Errors may be zero: of a trajectory that is compared with itself, or aligned with a copy.
-        times = f"{1 / factor:.2g}" if factor > 1 / MOST else f"over {MOST}"
+        times = significant(1 / factor, 2) if factor > 1 / MOST else f"over {MOST}"
         return f"standard deviations are {times} times too large: {figures}"
     large = "too small for large errors" if small else "too large for large errors"
     return f"standard deviations fit the median error and are {large}: {figures}"
@@ -98,7 +99,7 @@ def _innovations(overall: Mapping[str, Any], recordings: Sequence[Mapping[str, A
         where = _correlation(recordings)
         return [f"Innovations are correlated {where}: the reported covariances are too small by an unknown factor."]
     if ratio > RATIO[1]:
-        return [f"NIS/dof is {ratio:.2g} where 1 is expected: the reported covariances are too small."]
+        return [f"NIS/dof is {significant(ratio, 2)} where 1 is expected: the reported covariances are too small."]
     if ratio < RATIO[0]:
         return [f"NIS/dof is {ratio:.2g} where 1 is expected: nothing confirms the reported covariances."]
     return [
@@ -115,8 +116,8 @@ def _lasting(recordings: Sequence[Mapping[str, Any]]) -> list[str]:
     of = f" of {listed([r['recording'] for r in found])}" if len(recordings) > 1 else ""
     largest = max(r["residual_ratio_5s"] for r in found)
     return [
-        f"Residuals of some stations or anchors{of} last: their 5 s means are {largest:.2g} times as large as most "
-        "residuals, which the reported covariances do not allow for."
+        f"Residuals of some stations or anchors{of} last: their 5 s means are {significant(largest, 2)} times as large "
+        "as most residuals, which the reported covariances do not allow for."
     ]
 
 
@@ -127,7 +128,7 @@ def _correlation(recordings: Sequence[Mapping[str, Any]]) -> str:
     of = f" of {listed([r['recording'] for r in found])}" if len(recordings) > 1 else ""
     r, n = worst["nis_correlation_1s"], worst["nis_inflation_1s"]
     correlation = "" if r is None else f"{r:.2f}; "
-    return f"over 1 s{of} ({correlation}{n:.2g} rows carry the information of one)"
+    return f"over 1 s{of} ({correlation}{significant(n, 2)} rows carry the information of one)"
 
 
 def _percent(share: float) -> str:

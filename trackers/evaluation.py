@@ -24,6 +24,7 @@ from trackers.core.frames import evaluation_html, evaluation_text
 from trackers.core.rank_correlation import LAGS_S, RankSums
 from trackers.core.recording import Recording
 from trackers.core.rig import Station
+from trackers.core.wording import counted
 from trackers.covariance_statements import covariance_statements
 from trackers.lasting_residuals import residual_ratios
 from trackers.recordings.association import Association, associate_truth, refuse_without_overlap
@@ -83,7 +84,8 @@ class Evaluation:
     def __repr__(self) -> str:
         name = "rmse_direction_rad" if self.bearing else "rmse_m"
         known = "" if self.overall[name] is None else f", {name} {self.overall[name]:.4g}"
-        return f"<Evaluation of {self.overall['n']} estimates, {len(self.tracks)} tracks{known}; print it for a table>"
+        counts = f"{counted(self.overall['n'], 'estimate')}, {counted(len(self.tracks), 'track')}"
+        return f"<Evaluation of {counts}{known}; print it for a table>"
 
 
 def evaluate(

@@ -15,6 +15,7 @@ import polars as pl
 
 from experiments.cli.console import notice, output_folder, read_with_notices, require_output
 from experiments.reports.tables import terminal_width
+from experiments.reports.wording import counted
 from trackers.core.errors import UnusableInput
 from trackers.exchange.alignment import Alignment
 from trackers.exchange.estimate_files import assigned, read_estimates, read_truth
@@ -169,4 +170,5 @@ def _write(
     run = run_data(scored, none, evaluation, source, figures=True)
     write_track_page(out / PAGE, [run], shlex.join(["trackwright", *sys.argv[1:]]), "evaluate")
     drawn = plot_tracks(out, scored)
-    return f"wrote {out}: {PAGE}, evaluation.json, {TRACKS} as compared, and {len(drawn)} figures: {', '.join(drawn)}"
+    figures = f"{counted(len(drawn), 'figure')}: {', '.join(drawn)}"
+    return f"wrote {out}: {PAGE}, evaluation.json, {TRACKS} as compared, and {figures}"

@@ -12,6 +12,7 @@ from experiments.cli.arguments import Folder
 from experiments.cli.console import notice
 from trackers.core.errors import UnusableInput, listed
 from trackers.core.rig import Rig
+from trackers.core.wording import counted
 from trackers.exchange.exported_tracks import ExportedTrack, tracks_of
 from trackers.exchange.rerun_writer import write_rrd
 from trackers.exchange.ros_writer import write_bag
@@ -45,7 +46,7 @@ def export(run: Folder, *, format: Format, out: Path, tag: str | None = None) ->
     if format == "csv":
         _new(out)
         atomic_write(out, table.write_csv)
-        print(f"wrote {out}: {len(table)} rows")
+        print(f"wrote {out}: {counted(len(table), 'row')}")
         return 0
     tracks = tracks_of(table)
     if format == "ros2":
@@ -54,11 +55,11 @@ def export(run: Folder, *, format: Format, out: Path, tag: str | None = None) ->
         _new(out)
         true = [track for truth in truths for track in tracks_of(truth) if tag in (None, track.tag)]
         atomic_write(out, partial(write_rrd, tracks=tracks, truths=true, rigs=rigs))
-        print(f"wrote {out}: {len(tracks)} tracks; see it: rerun {out}")
+        print(f"wrote {out}: {counted(len(tracks), 'track')}; see it: rerun {out}")
     else:
         for track, path in zip(tracks, _files(out, tracks, format), strict=True):
             write_trajectory(track.poses, path, format)
-            print(f"wrote {path}: {len(track.poses)} poses")
+            print(f"wrote {path}: {counted(len(track.poses), 'pose')}")
     return 0
 
 

@@ -21,6 +21,9 @@ from trackers.recordings.atomic import json_text
 SHOWN_TRACKS = 10
 """The most tracks listed per recording: the worst."""
 
+LARGE = 1e4
+"""Values in a table from here on have no digits after the point."""
+
 SHOWN_RECORDINGS = 5
 """Recordings of an archive that are listed: the worst."""
 
@@ -150,9 +153,14 @@ def _table(evaluation: Evaluation, columns: Sequence[Column], labels: Sequence[s
             value = shown_metric(metrics, column.metric)
             scale = column.scale or unit.factor
             shown = digits if column.scale is None else column.digits
-            cells.append(fixed(None if value is None else value * scale, shown))
+            cells.append(_cell(None if value is None else value * scale, shown))
         table.add_row(*words, str(metrics["n"]), *cells, style=style)
     return table
+
+
+def _cell(value: float | None, digits: int) -> str:
+    """The value with so many digits after the point; of large ones none, and groups of three."""
+    return fixed(value, digits) if value is None or abs(value) < LARGE else f"{value:,.0f}"
 
 
 def _lines(evaluation: Evaluation, labels: Sequence[str]) -> list[Line]:

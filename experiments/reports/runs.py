@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 from experiments.monte_carlo.declaration import short
 from experiments.monte_carlo.expectations import Value
 from trackers.core.errors import UnusableInput
+from trackers.core.wording import counted
 from trackers.paired_differences import Key, TrackErrors, errors_by_track
 from trackers.recordings.association import Association, associate_truth
 from trackers.recordings.folder import RecordingFolder, read_recording
@@ -54,7 +55,7 @@ class TrackRun:
 def read_runs(folders: Sequence[Path]) -> tuple[list[StudyRun] | list[TrackRun], list[str]]:
     """The runs in these folders, and notices; raises UnusableInput for fewer than two, and for runs of two kinds."""
     if len(folders) < 2:
-        raise UnusableInput(f"report: found {len(folders)} folders; expected two or more to compare")
+        raise UnusableInput(f"report: found {counted(len(folders), 'folder')}; expected two or more to compare")
     if len({folder.resolve() for folder in folders}) < len(folders):
         raise UnusableInput("report: a folder is given more than once; expected different runs; remove one")
     kinds = [_kind(folder) for folder in folders]

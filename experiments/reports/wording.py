@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from experiments.monte_carlo.expectations import Origin, Value
+from trackers.core.wording import counted
 
 MISSING = "–"
 WORDS = {
@@ -169,11 +170,6 @@ def duration(seconds: float) -> str:
     if seconds < 120:
         return f"{seconds:.1f} s"
     return f"{seconds / 60:.1f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
-
-
-def counted(count: int, noun: str) -> str:
-    """A count with its noun, in the plural unless it is one."""
-    return f"{count} {noun}" + ("" if count == 1 else "s")
 
 
 def figures_drawn(names: Sequence[str]) -> str:

@@ -31,6 +31,7 @@ def _statements(tracks, truth):
     [
         (1.0, "Reported covariances hold: the 95 % ellipse holds the truth in 95 % of the rows, NEES/dof is"),
         (2.3, "Reported standard deviations are 2.3 times too small: the 95 % ellipse holds the truth in"),
+        (1000.0, "Reported standard deviations are 1,000 times too small: the 95 % ellipse holds the truth in"),
         (1 / 3, "Reported standard deviations are 3 times too large: the 95 % ellipse holds the truth in 100 %"),
         (0.0, "Reported standard deviations are over 1000 times too large: the 95 % ellipse holds the truth in 100 %"),
     ],
@@ -38,6 +39,7 @@ def _statements(tracks, truth):
 def test_the_factor_of_the_standard_deviations_is_found(factor, words):
     (sentence,) = _statements(*_tracks(factor))
     assert sentence.startswith(words)
+    assert "e+" not in sentence
 
 
 def test_the_factor_is_that_of_the_median_whatever_the_largest_errors():

@@ -306,7 +306,7 @@ def test_tracks_at_other_times_are_refused_with_both_spans():
 
 
 def test_tracks_without_an_estimate_are_refused():
-    with pytest.raises(UnusableInput, match="none of 1 rows holds an estimate"):
+    with pytest.raises(UnusableInput, match="none of 1 row holds an estimate"):
         evaluate_table(_tracks([0.5], [0.0], status=["waiting"]), {"hall": _truth([0.0, 1.0], [0.0, 0.0])})
 
 

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 import polars as pl
 
 from trackers.core.errors import UnusableInput, listed
+from trackers.core.wording import counted
 from trackers.exchange.estimate_files import numbers_of
 from trackers.exchange.mapping import Expression, TableMapping, sensor_of
 from trackers.recordings.table_file import TableFile
@@ -36,7 +37,9 @@ def mapped_table(file: TableFile, mapping: TableMapping) -> tuple[pl.DataFrame, 
     table = pl.concat(parts)
     wanted = layout(mapping.table, table.columns)
     filled = table.filter(pl.any_horizontal(pl.col(wanted.values).is_not_null()))
-    notices = [] if len(filled) == len(table) else [f"{len(table) - len(filled)} rows without a value left out"]
+    notices = (
+        [] if len(filled) == len(table) else [f"{counted(len(table) - len(filled), 'row')} without a value left out"]
+    )
     if filled.is_empty():
         raise UnusableInput(f"{file.path}: no row has a value of {', '.join(wanted.values)}; look at the mapping")
     unused = [c for c in file.frame.columns if c not in _used(mapping, wanted.ids + wanted.values + wanted.optional)]

@@ -11,6 +11,7 @@ from typing import Literal
 import polars as pl
 
 from trackers.core.errors import UnusableInput
+from trackers.core.wording import counted
 from trackers.exchange.mapping import Expression
 from trackers.recordings.input_file import file_bytes
 
@@ -100,9 +101,9 @@ def read_log(
             bad.append(number)
     if bad:
         shown = ", ".join(map(str, bad[:5])) + (" …" if len(bad) > 5 else "")
-        log.notices.append(f"{len(bad)} lines could not be read and were left out: {shown}")
+        log.notices.append(f"{counted(len(bad), 'line')} could not be read, left out: {shown}")
     if raw:
-        log.notices.append(f"{raw} lines of raw (mr) and anchor (ma) ranges left out; mc lines are used")
+        log.notices.append(f"{counted(raw, 'line')} of raw (mr) and anchor (ma) ranges left out; mc lines are used")
     if not log.ranges and not log.fixes:
         raise UnusableInput(f"{path}: no readings; expected {_EXPECTED[kind]}")
     return log

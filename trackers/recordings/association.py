@@ -12,6 +12,7 @@ import polars as pl
 from trackers.core.errors import UnusableInput, listed
 from trackers.core.rig import Station
 from trackers.core.seconds import span
+from trackers.core.wording import counted
 from trackers.recordings.columns import float_column, require_columns, run_starts
 from trackers.recordings.tracks_table import NO_ESTIMATE, is_bearing, track_keys
 from trackers.recordings.truth import TruePaths, TruthStatus
@@ -123,8 +124,8 @@ def refuse_without_overlap(association: Association, truths: Mapping[str, pl.Dat
     expected = "expected estimates inside the span of a truth of the same recording and tag"
     if not usable.any():
         raise UnusableInput(
-            f"the tracks: none of {len(rows)} rows holds an estimate (waiting, non-finite or empty); {expected}; "
-            "run `trackwright check` on the recording"
+            f"the tracks: none of {counted(len(rows), 'row')} holds an estimate (waiting, non-finite or empty); "
+            f"{expected}; run `trackwright check` on the recording"
         )
     common = sorted(set(rows["recording"]) & set(truths))
     if not common:

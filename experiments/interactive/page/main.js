@@ -267,7 +267,7 @@ function fillMetrics() {
       const cell = line.insertCell(), value = one[key];
       cell.className = labels.includes(key) ? "name" : "";
       cell.dataset.label = labels.includes(key) ? key : names[key];
-      cell.textContent = labels.includes(key) ? value ?? "" : value === undefined ? "–" : fixed(value * factor(key), digits(key));
+      cell.textContent = labels.includes(key) ? value ?? "" : value === undefined ? "–" : fixed(value * factor(key), Math.abs(value * factor(key)) < 1e4 ? digits(key) : 0);
     }
     line.addEventListener("click", () => chooseMetrics(one));
   }

@@ -121,7 +121,7 @@ def test_runs_that_cannot_be_compared_are_refused_in_one_line(tmp_path):
         ((study, tmp_path), "no results.json"),
         ((evaluation, unevaluated), f"`trackwright evaluate {unevaluated}`"),
         ((study, study), "more than once"),
-        ((study,), "found 1 folders"),
+        ((study,), "found 1 folder;"),
     ):
         with pytest.raises(UnusableInput, match=says):
             report(runs, out=tmp_path / "comparison.html")

@@ -3,8 +3,10 @@
 import numpy as np
 
 from experiments.monte_carlo.expectations import Value
+from experiments.reports.evaluation_text import _cell
 from experiments.reports.tables import aligned, compact_table, rendered, ruled_table
 from experiments.reports.wording import counted, duration, fixed, heading, rounded, unit_of, units_of, with_interval
+from trackers.core.wording import significant
 
 
 def test_aligned_columns_have_two_spaces_between_them_and_none_at_the_end():
@@ -52,3 +54,11 @@ def test_metrics_have_names_in_words():
 def test_durations_and_counts():
     assert [duration(x) for x in (5.84, 300, 9000)] == ["5.8 s", "5.0 min", "2.5 h"]
     assert [counted(n, "start") for n in (1, 2)] == ["1 start", "2 starts"]
+
+
+def test_large_numbers_are_written_without_powers_of_ten():
+    assert [significant(x, 2) for x in (1000.0, 1234.5, 180.0, 12.34, 0.00012, -0.5)] == [
+        "1,000", "1,200", "180", "12", "0.00012", "-0.5",
+    ]  # fmt: skip
+    assert significant(float("inf"), 2) == "inf"
+    assert [_cell(x, 2) for x in (748121.37, 9999.0, 1.005, None)] == ["748,121", "9999.00", "1.00", "–"]

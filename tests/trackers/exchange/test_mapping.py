@@ -64,7 +64,7 @@ def test_a_column_for_each_anchor_becomes_a_row_for_each(tmp_path):
     mapping = TableMapping("ranges", columns_of(["t_s=time", "range_m[A1]=d1 in mm", "range_m[A2]=d2 in mm"]), tag="T")
     table, notices = mapped_table(read_table_file(path), mapping)
     assert table.rows() == [(0.1, "T", "A1", 1.0), (0.1, "T", "A2", 2.0), (0.2, "T", "A2", 2.1)]
-    assert notices == ["1 rows without a value left out", "columns not used: note"]
+    assert notices == ["1 row without a value left out", "columns not used: note"]
 
 
 def test_a_name_may_hold_blanks_and_signs():

@@ -113,7 +113,7 @@ def test_a_line_that_is_not_understood_is_refused_or_counted(tmp_path, line, wor
         _log(tmp_path, text)
     assert words in str(refused.value)
     log = _log(tmp_path, text, skip=True)
-    assert log.notices == ["1 lines could not be read and were left out: 2"]
+    assert log.notices == ["1 line could not be read, left out: 2"]
     assert len(log.tables()["fixes"]) == 2
 
 

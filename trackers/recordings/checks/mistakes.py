@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from trackers.core.errors import listed
+from trackers.core.wording import significant
 from trackers.recordings.checks.check_result import CheckResult
 from trackers.recordings.checks.compared import Compared
 from trackers.recordings.checks.explanations import PENALTY, Explanation
@@ -115,7 +116,8 @@ def _sentence(view: Compared, best: Explanation, groups: np.ndarray) -> str:
     chosen = np.flatnonzero(groups)
     errors = view.sizes(view.errors(), bias=False)[chosen]
     unit, factor = UNITS.get(view.table, (" m", 1.0))
-    sizes = [f"{factor * float(np.nanmedian(np.nanmax(x, axis=1))):.2g}{unit}" for x in (errors, best.sizes[chosen])]
+    largest = [factor * float(np.nanmedian(np.nanmax(x, axis=1))) for x in (errors, best.sizes[chosen])]
+    sizes = [f"{significant(size, 2)}{unit}" for size in largest]
     where = ""
     if best.own:
         names = [f"{view.ids[k]}{f' ({best.parts[k]})' if best.parts else ''}" for k in chosen]

@@ -8,6 +8,7 @@ import numpy as np
 import polars as pl
 
 from trackers.core.seconds import moment, place_in_time, span, zero_of
+from trackers.core.wording import counted
 from trackers.recordings.checks.anomalies import long_gaps, streams
 from trackers.recordings.checks.check_result import CheckResult
 from trackers.recordings.tables import first_time, layout
@@ -75,7 +76,7 @@ def check_rates(tables: Mapping[str, pl.DataFrame]) -> list[CheckResult]:
 
 
 def _stream_line(stream: dict, ids: tuple[str, ...], zero: float) -> str:
-    line = ", ".join(f"{column} {stream[column]}" for column in reversed(ids)) + f": {stream['rows']} rows"
+    line = ", ".join(f"{column} {stream[column]}" for column in reversed(ids)) + f": {counted(stream['rows'], 'row')}"
     if stream["interval"]:
         line += f", {1 / stream['interval']:.3g} Hz"
     if stream["gaps"]:

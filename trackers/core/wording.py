@@ -1,0 +1,16 @@
+"""Numbers and counts as people write them, for messages and tables."""
+
+from __future__ import annotations
+
+import math
+from decimal import Decimal
+
+
+def counted(count: int, noun: str) -> str:
+    """A count with its noun, in the plural unless it is one."""
+    return f"{count} {noun}" + ("" if count == 1 else "s")
+
+
+def significant(value: float, digits: int) -> str:
+    """So many significant digits, without powers of ten: 1234.5 of two is `1,200`."""
+    return f"{Decimal(f'{value:.{digits}g}'):,f}" if math.isfinite(value) else f"{value}"
