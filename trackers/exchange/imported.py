@@ -113,7 +113,7 @@ def assembled(
 
 
 def save(folder: RecordingFolder, out: Path) -> RecordingFolder:
-    """Writes the recording, or adds its tables to the recording in `out`; returns it as it is read back.
+    """Writes the recording, or adds its tables to the recording in `out`; returns it as read back, with new notices.
 
     Nothing is written of one that cannot be read, and no table is replaced. Raises UnusableInput.
     """
@@ -142,7 +142,8 @@ def _added(folder: RecordingFolder, out: Path) -> RecordingFolder:
         read = _written(replace(there, tables=dict(there.tables) | dict(folder.tables)), Path(scratch) / out.name)
     for name, table in folder.tables.items():
         atomic_write(out / f"{name}.parquet", partial(pl.DataFrame.write_parquet, table))
-    return replace(read, path=out)
+    new = tuple(line for line in read.notices if line not in there.notices)
+    return replace(read, path=out, notices=new)
 
 
 def _written(folder: RecordingFolder, path: Path) -> RecordingFolder:

@@ -72,10 +72,12 @@ def found_placement(recording: RecordingFolder) -> tuple[Placement, str]:
     centre = view.positions.mean(axis=0)
     start = _searched(view.thinned(FEW), centre)
     x, _ = robust_fit(lambda x: _errors(view.later(float(x[4])), centre, x), start)
-    sizes = np.nanmedian(view.sizes(_errors(view.later(float(x[4])), centre, x)), axis=0)
+    of_groups = view.sizes(_errors(view.later(float(x[4])), centre, x))
+    known = np.isfinite(of_groups).any(axis=0)
+    sizes = np.nanmedian(of_groups[:, known], axis=0)
     unit = "rad" if view.table in ("bearings", "phases") else "m"
     typical = ", ".join(f"{size:.2g} {unit}" for size in sizes)
-    if not (sizes <= np.array(LARGE[view.table])).all():
+    if not (sizes <= np.broadcast_to(LARGE[view.table], known.shape)[known]).all():
         raise UnusableInput(
             f"--align-truth: no turn about z, shift and difference of clocks up to {LONGEST_S:g} s explains the "
             f"{view.table}: errors of {typical} are left; check the rig and the tag, or give --transform"
@@ -98,7 +100,7 @@ def _errors(view: Compared, centre: np.ndarray, x: np.ndarray) -> np.ndarray:
 
 def _searched(view: Compared, centre: np.ndarray) -> np.ndarray:
     """The best of some turns at each difference of the clocks, each with the shift that fits it."""
-    middle = view.places.mean(axis=0) if view.table != "fixes" else np.nanmean(view.values, axis=0)
+    middle = np.nanmean((view.values if view.table == "fixes" else view.places)[:, :2], axis=0)
     found = []
     for later in np.arange(-LONGEST_S, LONGEST_S + STEP_S, STEP_S):
         own = view.later(float(later))
@@ -107,7 +109,7 @@ def _searched(view: Compared, centre: np.ndarray) -> np.ndarray:
             continue
         own = own.of_rows(known)
         errors = partial(_errors, own, centre)
-        starts = [np.append(yaw, [*middle[:2], centre[2]]) for yaw in np.arange(24) * np.pi / 12]
+        starts = [np.append(yaw, [*middle, centre[2]]) for yaw in np.arange(24) * np.pi / 12]
         starts.sort(key=lambda x: float(np.nanmean(np.log1p(np.abs(errors(x))))))
         x, size = min((robust_fit(errors, start, 8) for start in starts[:NEAR]), key=lambda fit: fit[1])
         found.append((size, np.append(x, later)))

@@ -11,8 +11,9 @@ import pytest
 
 import trackwright as tw
 from tests.in_process import assert_refused, trackwright
-from trackers.exchange.poses import PoseTrajectory
+from trackers.exchange.poses import PoseTrajectory, trajectory_of_table
 from trackers.exchange.trajectory_files import write_trajectory
+from trackers.exchange.truth_frame import Placement, found_placement
 from trackers.recordings.folder import read_recording, write_recording
 
 RIG = 'format = 1\nname = "hall 3"\n[anchors]\nA1 = [0.0, 0.0, 2.0]\nA2 = [6.0, 0.0, 2.5]\n0x0F = [0.0, 5.0, 2.2]\n'
@@ -138,6 +139,16 @@ def test_one_origin_moves_all_tables_of_an_import(there):
     assert pl.read_parquet("dated/truth.parquet")["t_s"][29] == pytest.approx(2.9, abs=1e-6)
 
 
+def test_a_notice_is_given_by_the_import_of_its_table_alone(there):
+    rows = [f"{100 * k},A1,{2000 + k if k != 9 else 13440}" for k in range(20)]
+    (there / "log.csv").write_text("stamp,id,distance\n" + "\n".join(rows) + "\n")
+    first = trackwright("import", "log.csv", *CSV, "--rig", "rig.toml", "--out", "hall")
+    assert "outliers of range_m: 1, the worst 13.44 at t_s 0.9" in first.err
+    second = trackwright("import", "mocap.tum", "--table", "truth", "--tag", "T1", "--out", "hall")
+    assert second.code == 0
+    assert "outliers" not in second.err
+
+
 def test_decimal_commas_are_read_and_named_where_they_are_not_asked_for(there):
     lines = ["Zeit;d1;d2", *(f"{0.1 * k:.1f};{2 + 0.5 * k:.1f};3,25".replace(".", ",") for k in range(5))]
     (there / "wide.csv").write_text("\n".join(lines) + "\n")
@@ -213,6 +224,24 @@ def test_what_check_prints_of_a_turned_truth_is_an_option_of_import(foreign):
     assert trackwright(*TRUTH, "--transform", f"{x},{y},{z},{yaw},0.35").code == 0
     assert _distances(foreign).max() < 0.15
     assert "turned against" not in trackwright("check", "hall").out
+
+
+def test_the_truth_of_another_walk_fits_no_readings(foreign):
+    truth = tw.simulate.ranges(n=1, rows=300, seed=9).folder().tables["truth"]
+    write_trajectory(trajectory_of_table(truth, "other"), "mocap.tum")
+    _refused_last(trackwright(*TRUTH, "--align-truth"), "no turn about z, shift and difference of clocks up to 10 s")
+    assert not Path("hall/truth.parquet").exists()
+
+
+def test_fixes_without_a_height_place_a_truth_over_the_floor():
+    folder = tw.simulate.agv(n=1, rows=200, seed=2).folder()
+    truth, fixes = folder.tables["truth"], folder.tables["fixes"].with_columns(z_m=pl.lit(None, pl.Float64))
+    placed = Placement(3.0, -4.0, 0.0, 60.0, 0.0).of_table(truth)
+    found, words = found_placement(replace(folder, tables={"fixes": fixes, "truth": placed}))
+    assert words.count(" m") == 2
+    back = found.of_table(placed)
+    for axis, most in (("x_m", 0.2), ("y_m", 0.2), ("z_m", 1e-6)):
+        assert np.abs(back[axis].to_numpy() - truth[axis].to_numpy()).max() < most
 
 
 @pytest.mark.parametrize(
