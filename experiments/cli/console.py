@@ -83,9 +83,9 @@ def selection(tag: Sequence[str], start: float | None, stop: float | None, every
     """The part of recordings that `--tag`, `--from`, `--to` and `--every` name; raises UnusableInput."""
     for option, value in (("--from", start), ("--to", stop)):
         if value is not None and not math.isfinite(value):
-            raise UnusableInput(f"{option} {value:g}: expected seconds, a time of the recording")
+            raise UnusableInput(f"{option} {value:.12g}: expected seconds, a time of the recording")
     if start is not None and stop is not None and start >= stop:
-        raise UnusableInput(f"--from {start:g} --to {stop:g}: expected the first below the second")
+        raise UnusableInput(f"--from {start:.12g} --to {stop:.12g}: expected the first below the second")
     if every is not None and not 0 < every < math.inf:
         raise UnusableInput(f"--every {every:g}: expected seconds above zero")
     return Selection(tuple(tag), start, stop, every)

@@ -56,7 +56,7 @@ def _notes(compared: Sequence[ComparedTrack], align: str, fitted_offset: bool) -
     errors = [track.errors for track in compared]
     pairs, possible = sum(e.pairs for e in errors), sum(e.possible for e in errors)
     offsets = sorted({round(e.time_offset, 4) for e in errors})
-    offset = f"{offsets[0]:g}" if len(offsets) == 1 else f"{offsets[0]:g} to {offsets[-1]:g}"
+    offset = f"{offsets[0]:.12g}" if len(offsets) == 1 else f"{offsets[0]:.12g} to {offsets[-1]:.12g}"
     scales = [e.similarity.scale for e in errors]
     scale = "" if all(s == 1.0 for s in scales) else f", scale {min(scales):.6g} to {max(scales):.6g}"
     scale = f", scale {scales[0]:.6g}" if scale and len(scales) == 1 else scale

@@ -149,6 +149,15 @@ def test_a_run_of_one_tag_is_scored_by_a_trajectory_file(run, there):
     (track,) = json.loads(said.out)["poses"]["tracks"]
     assert (track["recording"], track["tag"]) == ("hall-1", "T7")
     assert json.loads(said.out)["overall"]["rmse_m"] == pytest.approx(0.04, rel=1e-3)
+    moved = pl.read_parquet(run / "tracks.parquet").with_columns(pl.col("t_s") + 1777896800.0)
+    write_tracks(moved, run / "tracks.parquet")
+    shifted = trackwright("evaluate", run, "--truth", there / "true.tum", "--time-offset", "-1777896800.3")
+    assert "time offset -1777896800.3 s" in " ".join(shifted.out.split())
+    apart = trackwright("evaluate", run, "--truth", there / "true.tum")
+    _refused_last(apart, "UTC, truth from 0 to", "a --time-offset: with -1777896800.3 both begin together")
+    backwards = trackwright("evaluate", run, "--from", 1777896820, "--to", 1777896810)
+    _refused_last(backwards, "--from 1777896820 --to 1777896810: expected the first below the second")
+    write_tracks(moved.with_columns(pl.col("t_s") - 1777896800.0), run / "tracks.parquet")
     plain = trackwright("evaluate", run, "--truth", there / "true.tum")
     assert plain.code == 0, plain.err
     assert "a delay of the estimates" not in plain.out

@@ -89,6 +89,16 @@ def test_dates_become_seconds_since_1970():
     assert table["t_s"].to_list() == [expected, expected + 0.75]
 
 
+def test_frames_with_time_stamps_begin_at_their_origin():
+    stamps = pd.date_range("2026-05-01T12:00:00.25", periods=3, freq="s")
+    ranges = pd.DataFrame({"t_s": stamps, "anchor": "A1", "range_m": 1.0})
+    truth = pd.DataFrame({"t_s": stamps - pd.Timedelta("1s"), "x_m": 1.0, "y_m": 0.0, "z_m": 0.0})
+    for origin in ("start", "2026-05-01T12:00:00.25", stamps[0].timestamp()):
+        tables = import_frames({"ranges": ranges, "truth": truth}, RIG, tag="T", origin=origin).tables
+        assert tables["ranges"]["t_s"].to_list() == pytest.approx([0.0, 1.0, 2.0], abs=1e-6)
+        assert tables["truth"]["t_s"].to_list() == pytest.approx([-1.0, 0.0, 1.0], abs=1e-6)
+
+
 @pytest.mark.parametrize(
     ("dates", "words"),
     [
