@@ -142,7 +142,7 @@ def test_patterns_choose_by_name():
 
 def test_a_pattern_that_matches_nothing_is_refused_with_what_there_is():
     with pytest.raises(
-        ValueError, match=r"'sensors.\*.sigma_q' matches no tunable; this tracker has: motion.sigma_a, sensors.north"
+        ValueError, match=r"'sensors.\*.sigma_q' matches no tunable.*; this tracker has: motion.sigma_a, sensors.north"
     ):
         matching(TREE, ("motion.*", "sensors.*.sigma_q"))
 
@@ -164,7 +164,7 @@ def test_a_former_name_alone_or_at_the_end_of_a_path_is_answered_with_the_presen
     with pytest.raises(UnusableInput, match=rf"values: '{old.replace('*', '[*]')}' is now called '{new}'; use the new"):
         with_values(tree, {old: 5.0})
     # An ending is a whole part of a path.
-    with pytest.raises(UnusableInput, match="this tracker has no 'sensor.entail'; it has: "):
+    with pytest.raises(UnusableInput, match="this tracker has no 'sensor.entail'.*; it has: "):
         with_values(tree, {"sensor.entail": 5.0})
 
 
