@@ -44,7 +44,7 @@ def import_source(
 ) -> int:
     """Import CSV, ROS bags, MCAP, TUM, EuRoC or logs of UWB kits.
 
-    Nothing is guessed: columns and topics that are not named are left out, a line that is not understood is refused.
+    Nothing is guessed: unmapped columns and topics are skipped with a notice; an unreadable line stops the import.
     docs/import.md has an example of each.
 
     Args:

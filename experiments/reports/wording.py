@@ -204,9 +204,9 @@ def headline(numbers: Iterable[tuple[str, bool | None]], conclusions: Iterable[t
             sentences += [f"Derived, not counted: {', '.join(parts)}."] if parts else []
             continue
         if ours:
-            parts[0] += f", {sum(ours)} within tolerance"
+            parts[0] = f"{sum(ours)} of {parts[0]} within tolerance"
         if held:
-            parts[-1] += f", {sum(held)} {'holds' if sum(held) == 1 else 'hold'}"
+            parts[-1] = f"{sum(held)} of {parts[-1]} {'holds' if sum(held) == 1 else 'hold'}"
         if parts or origin is Origin.PREDICTED:
             sentences.append(f"{origin.capitalize()}: {'; '.join(parts) or 'nothing'}.")
     return " ".join(sentences)

@@ -1,4 +1,4 @@
-"""Batches in chunks of one shape, so that the numbers of a trajectory do not depend on the others in its batch."""
+"""Batches in chunks of one shape, so that the numbers of a trajectory do not depend on the others in its chunk."""
 
 from __future__ import annotations
 

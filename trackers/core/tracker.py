@@ -2,7 +2,7 @@
 
 `Tracker.predict`, `update` and `advance` are written for one trajectory and one time step; `scan` maps them over
 trajectories and scans them over time. A batch runs in chunks of one fixed size, so that the numbers of a trajectory do
-not depend on the others in its batch.
+not depend on the others in its chunk.
 """
 
 from __future__ import annotations

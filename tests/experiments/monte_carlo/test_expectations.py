@@ -50,8 +50,8 @@ def test_the_headline_counts_what_was_free_and_nothing_that_follows_from_it():
     numbers = [("predicted", True), ("predicted", False), ("predicted", None), ("fitted", True), ("derived", None)]
     conclusions = [("predicted", True), ("derived", True), ("derived", False), ("fitted", True)]
     assert headline(numbers, conclusions) == (
-        "Predicted: 2 numbers, 1 within tolerance; 1 conclusion, 1 holds. "
+        "Predicted: 1 of 2 numbers within tolerance; 1 of 1 conclusion holds. "
         "Derived, not counted: 1 number, 2 conclusions. "
-        "Fitted: 1 number, 1 within tolerance; 1 conclusion, 1 holds."
+        "Fitted: 1 of 1 number within tolerance; 1 of 1 conclusion holds."
     )
-    assert headline([("fitted", True)], []) == "Predicted: nothing. Fitted: 1 number, 1 within tolerance."
+    assert headline([("fitted", True)], []) == "Predicted: nothing. Fitted: 1 of 1 number within tolerance."

@@ -148,8 +148,8 @@ def test_the_page_of_all_reproductions_says_what_is_fitted_and_what_was_not_reac
     assert "| 3.71 (rest) | predicted | **no** |" in text
     assert "| 1.00 | derived |  |" in text
     counts = (
-        "Predicted: 2 numbers, 0 within tolerance; 1 conclusion, 1 holds. Derived, not counted: 1 number, 1 conclusion. "
-        "Fitted: 1 number, 1 within tolerance."
+        "Predicted: 0 of 2 numbers within tolerance; 1 of 1 conclusion holds. Derived, not counted: 1 number, 1 conclusion. "
+        "Fitted: 1 of 1 number within tolerance."
     )
     assert f"**{counts}**" in text
     assert page([{"study": "some", "about": "What?", "claims": claims, "computing_s": 12.0}], 12.0).count(counts) == 2
