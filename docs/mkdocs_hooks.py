@@ -15,13 +15,7 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).parents[1]
-SITE = {
-    "Begin": ("index", "ten-minutes", "which-tracker", "covariance-too-small", "import", "plan", "notebook"),
-    "Understand": ("concepts", "formats", "inputs", "studies", "cluster", "extending", "command-line"),
-    "Figures": ("real-recordings", "results", "benchmarks", "performance", "faults"),
-    "Background": ("papers", "decisions"),
-}
-"""Pages of the menu that exist, by section; others are listed behind them."""
+PACKAGES = ("trackers", "sim", "tuning")
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -29,20 +23,11 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     files.append(File.generated(config, "index.md", content=re.sub(r"\]\(docs/", "](", readme)))
     files.append(File.generated(config, "notebook.md", content=_markdown(ROOT / "docs/notebook.ipynb")))
-    for package in ("trackers", "sim", "tuning"):
-        for page, content in _api_pages(package):
-            files.append(File.generated(config, f"api/{page}.md", content=content))
-    config.nav = _menu({file.src_uri.removesuffix(".md") for file in files.documentation_pages()})
+    pages = {f"api/{page}.md": content for package in PACKAGES for page, content in _api_pages(package)}
+    for path, content in pages.items():
+        files.append(File.generated(config, path, content=content))
+    config.nav = [*(config.nav or []), {"API": ["api.md", *sorted(pages)]}]
     return files
-
-
-def _menu(pages: set[str]) -> list[dict[str, list[str]]]:
-    """The pages by section."""
-    found = {title: [name for name in names if name in pages] for title, names in SITE.items()}
-    api = ["api", *sorted(page for page in pages if page.startswith("api/"))]
-    known = {name for names in found.values() for name in names} | {*api}
-    found["Understand"] += sorted(pages - known)
-    return [{title: [f"{name}.md" for name in names]} for title, names in (found | {"API": api}).items()]
 
 
 def _api_pages(package: str) -> Iterator[tuple[str, str]]:

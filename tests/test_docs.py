@@ -151,6 +151,19 @@ def test_every_place_in_the_code_that_a_page_names_exists(page):
             assert re.search(rf"^ *(?:def|class) {part}\b|^{part} = ", code, re.MULTILINE), f"{path} has no {part}"
 
 
+def test_the_menu_of_the_site_and_the_readme_list_the_same_pages_for_users_and_for_makers():
+    menu = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:")[2].partition("exclude_docs")[0]
+    readme = (ROOT / "README.md").read_text(encoding="utf-8").partition("## More")[2]
+    listed = {}
+    for reader in ("users", "makers"):
+        sections = re.findall(rf'"For {reader}[^\n]*\n((?: {{6}}- .*\n)+)', menu)
+        own = readme.partition(f"For {reader}")[2].partition("For makers")[0]
+        listed[reader] = set(re.findall(r"\(docs/([\w-]+)\.\w+\)", own))
+        assert {*re.findall(r"- ([\w-]+)\.md", "".join(sections))} - {"index"} == listed[reader] - {"api"}
+    pages = {path.stem for path in (ROOT / "docs").iterdir() if path.suffix in (".md", ".ipynb")}
+    assert set.union(*listed.values()) == pages
+
+
 def test_every_link_of_the_readme_leads_to_a_file():
     links = re.findall(r"\]\(([^)#:]+)\)", (ROOT / "README.md").read_text(encoding="utf-8"))
     assert links
