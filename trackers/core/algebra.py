@@ -31,7 +31,7 @@ ZERO, ONE, VARIABLE = range(3)
 class Jacobian(NamedTuple):
     """A Jacobian whose columns without a common row are added: `sums` (groups, outputs), `group` (inputs,) of a column.
 
-    `structure` (outputs, inputs): the kind of each entry.
+    `structure` (outputs, inputs): the kind of each entry. Of many trajectories, `sums` (groups, outputs, B).
     """
 
     sums: jax.Array
@@ -40,15 +40,25 @@ class Jacobian(NamedTuple):
 
     def transposed(self, outputs: slice, inputs: slice) -> jax.Array:
         """The entries of some outputs and inputs, (inputs, outputs)."""
-        mask = (self.structure[outputs, inputs] != ZERO).T
-        return self.sums[self.group[inputs], outputs] * jnp.asarray(mask, self.sums.dtype)
+        return self.sums[self.group[inputs], outputs] * self._constant((self.structure[outputs, inputs] != ZERO).T)
+
+    def rows(self) -> list[SparseRow]:
+        """The rows of all outputs; a structural one is the float 1.0."""
+        return [
+            {j: 1.0 if kind == ONE else self.sums[self.group[j], i] for j, kind in enumerate(kinds) if kind != ZERO}
+            for i, kinds in enumerate(self.structure)
+        ]
 
     def squares(self, outputs: slice, inputs: slice) -> jax.Array:
         """The sum of squares of each output's entries over some inputs, (outputs,)."""
-        weights = np.zeros(self.sums.shape)
+        weights = np.zeros(self.sums.shape[:2])
         for j in range(self.structure.shape[1])[inputs]:
             weights[self.group[j]] += self.structure[:, j] != ZERO
-        return jnp.sum(jnp.square(self.sums) * jnp.asarray(weights, self.sums.dtype), axis=0)[outputs]
+        return jnp.sum(jnp.square(self.sums) * self._constant(weights), axis=0)[outputs]
+
+    def _constant(self, array: np.ndarray) -> jax.Array:
+        """A constant of two axes beside those of the trajectories, in the type of the entries."""
+        return jnp.asarray(array.reshape(array.shape + (1,) * (self.sums.ndim - 2)), self.sums.dtype)
 
 
 @jax.tree_util.register_pytree_node_class

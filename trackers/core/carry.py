@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from trackers.core.algebra import Scalar
 from trackers.core.covariance import AnyCovariance, as_scalars, matrix
-from trackers.core.filter import AbstractFilter, Gaussian, Innovation
+from trackers.core.filter import AbstractFilter, Gaussian, Innovation, with_covariances
 from trackers.core.keys import RawKey
 from trackers.core.recording import Row
 from trackers.core.sensor import AbstractSensor
@@ -76,14 +76,7 @@ def carry_of(tracker: RecursiveTracker, prior: Gaussian, key: RawKey, number: Sc
 
 def in_form(carry: Carry, few: bool) -> Carry:
     """The carry of one trajectory with its covariances in the form for few trajectories, or for many."""
-
-    def one(part: Any) -> Any:
-        if not isinstance(part, Gaussian):
-            return part
-        return part._replace(cov=matrix(part.cov) if few else as_scalars(part.cov))
-
-    belief = jax.tree_util.tree_map(one, carry.belief, is_leaf=lambda part: isinstance(part, Gaussian))
-    return carry._replace(belief=belief)
+    return carry._replace(belief=with_covariances(carry.belief, matrix if few else as_scalars))
 
 
 def empty_carry(tracker: RecursiveTracker, row: Row, few: bool) -> Carry:

@@ -75,11 +75,16 @@ def by_entry(covs: Any) -> tuple[jax.Array, ...]:
     return covs if isinstance(covs, tuple) else tuple(covs[:, k] for k in range(covs.shape[1]))
 
 
+def size_of(upper: Sequence[Any]) -> int:
+    """The number of components whose covariance has this upper triangle."""
+    return (isqrt(8 * len(upper) + 1) - 1) // 2
+
+
 def variance(cov: AnyCovariance, component: int) -> Scalar:
     """The variance of one component."""
     if not isinstance(cov, tuple):
         return cov[component, component]
-    n = (isqrt(8 * len(cov) + 1) - 1) // 2
+    n = size_of(cov)
     return cov[component * n - component * (component - 1) // 2]
 
 
@@ -99,12 +104,7 @@ def leading(cov: AnyCovariance, n: int, size: int) -> AnyCovariance:
 
 def matrix(cov: AnyCovariance) -> jax.Array:
     """The symmetric matrix (…, n, n)."""
-    return dense(cov, (isqrt(8 * len(cov) + 1) - 1) // 2) if isinstance(cov, tuple) else cov
-
-
-def in_form_of(like: AnyCovariance, matrix: jax.Array) -> AnyCovariance:
-    """A matrix (n, n) in the form of another covariance."""
-    return as_scalars(matrix) if isinstance(like, tuple) else matrix
+    return dense(cov, size_of(cov)) if isinstance(cov, tuple) else cov
 
 
 def matched(
@@ -164,10 +164,10 @@ def noise_covariance(jacobian: Jacobian) -> jax.Array:
     alone = np.ones(n)
     alone[coupled] = 0.0
     kind = jacobian.sums.dtype
-    variances = jacobian.squares(slice(n), slice(n, inputs)) * jnp.asarray(alone, kind)
-    outside = coupled.start, n - coupled.stop
-    together = jnp.pad(transposed_product(block, block), (outside, outside))
-    return together + jnp.eye(n, dtype=kind) * variances[None]
+    variances = jacobian.squares(slice(n), slice(n, inputs))
+    outside, trajectories = (coupled.start, n - coupled.stop), variances.ndim - 1
+    together = jnp.pad(transposed_product(block, block), (outside, outside, *[(0, 0)] * trajectories))
+    return together + jnp.asarray(np.diag(alone).reshape(n, n, *[1] * trajectories), kind) * variances[None]
 
 
 def product_of(A: jax.Array, B: jax.Array) -> jax.Array:

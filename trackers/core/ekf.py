@@ -112,11 +112,19 @@ class ExtendedKalman(AbstractSmoothableFilter[Gaussian]):
     def rts_gain(
         self, belief: Gaussian, motion: AbstractMotion, connected: Scalar, dt: Scalar, inputs: Inputs
     ) -> RtsGain:
-        """The RTS gain to the next time step, `dt` s later; `connected`: that step continues the track."""
-        return rts_gain(belief, *jacobian_of(motion.at(belief), belief.mean, inputs, dt), connected, dt == 0)
+        """The RTS gains to the next time step, `dt` s later; `connected`: that step continues the track."""
+        constants: list[Any] = []
+
+        def linearised(belief: Gaussian, inputs: Inputs, dt: Scalar) -> tuple[State, Array]:
+            predicted, (sums, *rest) = jacobian_of(motion.at(belief), belief.mean, inputs, dt)
+            constants[:] = rest
+            return predicted, sums
+
+        predicted, sums = jax.vmap(linearised, in_axes=-1, out_axes=-1)(belief, inputs, dt)
+        return rts_gain(belief, predicted, Jacobian(sums, *constants), connected, dt == 0)
 
     def rts_step(self, rts_gain: RtsGain, after: Gaussian) -> Gaussian:
-        """The smoothed belief of a time step, given that of the next one."""
+        """The smoothed beliefs of a time step, given those of the next one."""
         return rts_step(rts_gain, after)
 
 

@@ -9,9 +9,11 @@ A filter with an RTS recursion is an `AbstractSmoothableFilter`.
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Callable
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import equinox as eqx
+import jax
 
 from trackers.core.algebra import Scalar
 from trackers.core.covariance import AnyCovariance
@@ -29,6 +31,15 @@ class Gaussian(NamedTuple):
 
     mean: State
     cov: AnyCovariance
+
+
+def with_covariances(belief: Any, change: Callable[[AnyCovariance], Any]) -> Any:
+    """A belief of any form with the covariance of each Gaussian in it changed."""
+
+    def one(part: Any) -> Any:
+        return part._replace(cov=change(part.cov)) if isinstance(part, Gaussian) else part
+
+    return jax.tree_util.tree_map(one, belief, is_leaf=lambda part: isinstance(part, Gaussian))
 
 
 class Innovation(NamedTuple):
@@ -79,7 +90,10 @@ class AbstractFilter(eqx.Module, Generic[Belief]):
 
 
 class AbstractSmoothableFilter(AbstractFilter[Belief]):
-    """A filter whose beliefs can be smoothed by a recursion backwards in time, as `Smoothed` does."""
+    """A filter whose beliefs can be smoothed by a recursion backwards in time, as `Smoothed` does.
+
+    The recursion takes all trajectories at once, last in every array, with covariances as arrays (n, n, B).
+    """
 
     @abstractmethod
     def rts_gain(self, belief: Belief, motion: AbstractMotion, connected: Scalar, dt: Scalar, inputs: Inputs) -> Any:

@@ -21,6 +21,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -199,6 +200,7 @@ class AbstractInteractingModels(AbstractSmoothableFilter[Mixture]):
         """
         tiny = float(jnp.finfo(after.log_weights[0].dtype).tiny) ** 0.5
         later = [jnp.exp(w) for w in after.log_weights]
+        all_collapsed = jax.vmap(collapsed, in_axes=-1, out_axes=-1)
         components, log_weights = [], []
         for i, (backward, gains) in enumerate(zip(rts_gain.backward, rts_gain.gains, strict=True)):
             # `tiny`: a mode without any successor continues as itself, so that its weights still have the sum 1.
@@ -206,10 +208,10 @@ class AbstractInteractingModels(AbstractSmoothableFilter[Mixture]):
             probability = compute_once(total(joint))
             weights = [x / probability for x in joint]
             if len(gains) == 1:
-                smoothed = self.filter.rts_step(gains[0], collapsed(after.components, weights))
+                smoothed = self.filter.rts_step(gains[0], all_collapsed(after.components, weights))
             else:
-                smoothed = collapsed(
-                    [self.filter.rts_step(a, b) for a, b in zip(gains, after.components, strict=True)], weights
+                smoothed = all_collapsed(
+                    tuple(self.filter.rts_step(a, b) for a, b in zip(gains, after.components, strict=True)), weights
                 )
             components.append(compute_once(smoothed))
             log_weights.append(jnp.where(rts_gain.connected, jnp.log(probability), rts_gain.filtered.log_weights[i]))

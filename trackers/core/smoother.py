@@ -15,7 +15,7 @@ from trackers.core.filter import AbstractSmoothableFilter, Gaussian
 from trackers.core.inputs import Inputs
 from trackers.core.layout import Layout
 from trackers.core.recording import Batch
-from trackers.core.rts import fixed_interval, fixed_lag
+from trackers.core.rts import fixed_interval, fixed_lag, in_scalars
 from trackers.core.scan import Output, moments_by_entry, scan_rows
 from trackers.core.sensor import AbstractSensor
 from trackers.core.tracker import AbstractEpochwiseTracker, AbstractTracker, Tracker
@@ -64,14 +64,18 @@ class Smoothed(AbstractEpochwiseTracker):
         def gain_of(belief: Any, connected: Scalar, dt: Scalar, inputs: Inputs) -> Any:
             return filter_.rts_gain(belief, tracker.motion, connected, dt, inputs)
 
-        each = jax.vmap(lambda belief: moments_by_entry(tracker, belief), in_axes=-1, out_axes=-1)
+        moments = jax.vmap(lambda belief: moments_by_entry(tracker, belief), in_axes=-1, out_axes=-1)
+
+        def estimate_of(beliefs: Any) -> Any:
+            return moments(beliefs if few(batch.size) else in_scalars(beliefs))
+
         end = jax.tree_util.tree_map(lambda x: x[-1], filtered)
         if self.lag is None:
-            smoothed = fixed_interval(gain_of, filter_.rts_step, each, end, steps, few(batch.size))
+            smoothed = fixed_interval(gain_of, filter_.rts_step, estimate_of, end, steps)
         else:
             lag = jnp.asarray(self.lag, batch.dt.dtype)
-            smoothed = jax.vmap(each)(fixed_lag(gain_of, filter_.rts_step, filtered, steps, dt, lag))
-        mean, cov = jax.tree_util.tree_map(lambda a, b: jnp.concatenate([a, b[None]]), smoothed, each(end))
+            smoothed = jax.vmap(estimate_of)(fixed_lag(gain_of, filter_.rts_step, filtered, steps, dt, lag))
+        mean, cov = jax.tree_util.tree_map(lambda a, b: jnp.concatenate([a, b[None]]), smoothed, moments(end))
         return tracker.with_age(output._replace(mean=mean, cov=by_entry(cov))), state
 
     def begin(self, prior: Gaussian, batch: Batch) -> Any:

@@ -77,8 +77,8 @@ class World:
         sensors = {"z": LinearSensor(self.H, self.sigmas, 3)}
         return Tracker(self.motion, sensors, KnownStart(_state), track_loss=loss)
 
-    def stacked(self, dtype=None):
-        return stack([recording(t, {"z": (z, s)}, self.mean, self.cov) for t, z, s in self.trajectories], dtype=dtype)
+    def stacked(self, copies=1):
+        return stack([recording(t, {"z": (z, s)}, self.mean, self.cov) for t, z, s in self.trajectories * copies])
 
     def oracle(self, trajectory, lag):
         times, values, seen = self.trajectories[trajectory]
@@ -93,12 +93,13 @@ def world():
     return World()
 
 
+@pytest.mark.parametrize("copies", [1, 3], ids=["few", "many"])
 @pytest.mark.parametrize("lag", [None, LAG], ids=["fixed interval", "fixed lag"])
-def test_smoothed_rows_are_those_of_dense_conditioning(world, lag):
-    estimates = Smoothed(world.tracker, lag).run(world.batch)
-    for trajectory in range(LANES):
-        rows = slice(1, len(world.trajectories[trajectory][0]))
-        means, covs = world.oracle(trajectory, np.inf if lag is None else lag)
+def test_smoothed_rows_are_those_of_dense_conditioning(world, lag, copies):
+    estimates = Smoothed(world.tracker, lag).run(world.stacked(copies=copies))
+    for trajectory in range(LANES * copies):
+        rows = slice(1, len(world.trajectories[trajectory % LANES][0]))
+        means, covs = world.oracle(trajectory % LANES, np.inf if lag is None else lag)
         # Both sides invert matrices with condition numbers of about 1e4.
         np.testing.assert_allclose(flat(estimates[trajectory].mean)[rows], means, rtol=1e-8, atol=1e-8)
         np.testing.assert_allclose(estimates[trajectory].covariance[rows], covs, rtol=1e-8, atol=1e-8)
@@ -129,6 +130,33 @@ def test_noise_of_an_early_stage_passes_through_the_later_ones():
         means, covs = world.oracle(trajectory, np.inf)
         np.testing.assert_allclose(flat(estimates[trajectory].mean)[rows], means, rtol=1e-7, atol=1e-7)
         np.testing.assert_allclose(estimates[trajectory].covariance[rows], covs, rtol=1e-7, atol=1e-7)
+
+
+def _backward_loop(world, copies):
+    """The loop over rows from the last to the first: numbers of operations, and the shapes that it carries."""
+    batch = world.stacked(copies=copies)
+    program = jax.make_jaxpr(lambda batch: Smoothed(world.tracker).scan(batch)[0])(batch._replace(truth={}))
+    (loop,) = [e for e in _equations(program.jaxpr) if e.primitive.name == "scan" and e.params["reverse"]]
+    body, first = loop.params["jaxpr"].jaxpr, loop.params["num_consts"]
+    return len(_equations(body)), [x.aval.shape for x in body.invars[first : first + loop.params["num_carry"]]]
+
+
+def _equations(jaxpr):
+    """The equations of a program and of those within it."""
+    found = []
+    for equation in jaxpr.eqns:
+        found.append(equation)
+        for part in jax.tree_util.tree_leaves(list(equation.params.values())):
+            if hasattr(part, "jaxpr") or hasattr(part, "eqns"):
+                found += _equations(getattr(part, "jaxpr", part))
+    return found
+
+
+def test_more_than_eight_trajectories_are_smoothed_by_the_loop_of_eight(world):
+    (_, eight), (operations, many), (as_many, more) = (_backward_loop(world, copies) for copies in (2, 4, 16))
+    assert many == more == eight
+    assert (4, 4, 8) in many
+    assert operations == as_many
 
 
 def test_what_the_filter_said_and_its_last_row_stay(world):
