@@ -1,4 +1,4 @@
-"""Batches in chunks of one shape, so that the numbers of a trajectory do not depend on the others in its chunk."""
+"""Batches in chunks of one shape, so that the bits of a trajectory depend on its chunk's size, not on its others."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Trackers: what turns recordings into estimates, and the recursive tracker of a motion, sensors, a filter and a start.
 
 `Tracker.predict`, `update` and `advance` are written for one trajectory and one time step; `scan` maps them over
-trajectories and scans them over time. A batch runs in chunks of one fixed size, so that the numbers of a trajectory do
-not depend on the others in its chunk.
+trajectories and scans them over time. A batch runs in chunks: in chunks of one size a trajectory has the same bits
+whatever the others are; chunks of other sizes are other programs, which agree to rounding.
 """
 
 from __future__ import annotations
