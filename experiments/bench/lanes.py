@@ -101,12 +101,13 @@ def tracker_point(name: str, trajectories: str) -> dict[str, float]:
     from trackers.catalogue import TRACKERS
     from trackers.core.smoother import Smoothed
 
-    simulate = {"uwb": worlds.ranges, "uwb-imu": worlds.tool}.get(name, worlds.agv)
+    simulate: Any = {"uwb": worlds.ranges, "uwb-imu": worlds.tool}.get(name, worlds.agv)
     folder = simulate(n=int(trajectories), rows=SMOOTHED_ROWS).folder()
     (batch,) = TRACKERS[name].batches([folder], name)
     recordings = [t.recording for t in batch.trajectories]
+    filtered: Any = batch.tracker
     rows, found = sum(map(len, recordings)), {}
-    for form, tracker in (("filtered", batch.tracker), ("smoothed", Smoothed(batch.tracker))):
+    for form, tracker in (("filtered", filtered), ("smoothed", Smoothed(filtered))):
 
         def run(tracker: Any = tracker) -> Any:
             return tracker.run(recordings)
