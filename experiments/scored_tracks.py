@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -20,6 +21,7 @@ from trackers.recordings.tables import MEASUREMENTS, first_time
 from trackers.recordings.tracker_spec import TrackerBatch
 from trackers.recordings.tracks_table import is_bearing
 from trackers.scoring import Scored, in_plane, score
+from tuning.pit_uniformity import student_t_dof_of
 
 DRAWN = 4
 """The most recordings with figures and a Cramér–Rao bound, and the most tracks of bearings with figures."""
@@ -44,7 +46,8 @@ class ScoredRecording:
 
     `errors` (n, 3) m, of bearings (n, 2) rad, `miss` (n,) the horizontal error, m, or the angle between the estimated
     and the true direction, rad, `nees` and `nees_3d` (n,): NaN in rows that are not scored; `nees_3d` is None for
-    bearings. `bounds`: times (t,), s, and bounds (t, 3), m, on the standard deviations; None without.
+    bearings. `bounds`: times (t,), s, and bounds (t, 3), m, on the standard deviations; None without. `student_t_dof`:
+    of the noise behind the NIS; None for normal noise, NaN where no tracker is known.
     """
 
     folder: RecordingFolder
@@ -54,6 +57,7 @@ class ScoredRecording:
     nees: np.ndarray
     nees_3d: np.ndarray | None
     bounds: tuple[np.ndarray, np.ndarray] | None
+    student_t_dof: float | None
 
     @property
     def times(self) -> np.ndarray:
@@ -163,7 +167,8 @@ class ScoredTracks:
             own = (names == folder.name).to_numpy()
             part = self.association.of_recording(folder.name)
             spatial = None if scored.nees_3d is None else nees_3d[own]
-            found.append(ScoredRecording(folder, part, errors[own], miss[own], nees[own], spatial, None))
+            noise = noise_of(folder, self.batches)
+            found.append(ScoredRecording(folder, part, errors[own], miss[own], nees[own], spatial, None, noise))
         for k in self._drawn(found):
             if not self.bearing and found[k].association.scored.any():
                 found[k] = replace(found[k], bounds=bounds_of(found[k].folder, self.batches))
@@ -187,6 +192,17 @@ class ScoredTracks:
             first = f"The figures in files are of the first {len(chosen)} of {len(self.folders)} recordings"
             return f"{first}: without truth, the worst and the best are unknown."
         return f"The figures in files are of {', '.join(f'{name} ({why})' for name, why in chosen.items())}."
+
+
+def noise_of(folder: RecordingFolder, batches: Sequence[TrackerBatch]) -> float | None:
+    """The degrees of freedom of the noise behind a recording's NIS, as `ScoredRecording` has them."""
+    own = (batch.tracker for batch in batches if any(one.folder is folder for one in batch.trajectories))
+    tracker = next(own, None)
+    try:
+        nu = math.nan if tracker is None else student_t_dof_of(tracker)
+    except ValueError:
+        return math.nan
+    return None if nu is None else float(np.asarray(nu))
 
 
 def drawn_of(rmse: np.ndarray, angles: bool, most: int = DRAWN) -> dict[int, str]:

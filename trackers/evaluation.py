@@ -266,8 +266,8 @@ def _metrics(association: Association, scored: Scored, first: int, end: int) -> 
 
 
 def innovations_and_loss(nis: float, freedom: float, ranks: RankSums, lost: Sequence[float], n_rows: int) -> Metrics:
-    """The metrics of innovations and track loss from sums over tracks; `lost`: seconds, span in seconds, and rows."""
-    seconds, span, rows = lost
+    """The metrics of innovations and track loss from sums over tracks; `lost`: seconds, span, s, rows, losses."""
+    seconds, span, rows, losses = lost
     return {
         "nis_ratio": nis / freedom if freedom > 0 else None,
         **{f"nis_correlation_{name}": r for name, r in zip(LAGS_S, ranks.correlations().tolist(), strict=True)},
@@ -275,6 +275,7 @@ def innovations_and_loss(nis: float, freedom: float, ranks: RankSums, lost: Sequ
         "residual_ratio_5s": None,
         "lost_s": seconds,
         "lost_fraction": seconds / span if span > 0 else rows / n_rows,
+        "losses": int(losses),
     }
 
 

@@ -24,8 +24,8 @@ class Scored:
     Of the n scored rows: `index`, their position in the association; `errors` (n, 3), m, or of bearings (n, 2), rad;
     `angle` (n, 1), rad, of bearings the angle between estimated and true direction, else None; `nees` of the horizontal
     position or of both angles; `nees_3d`, None for bearings. Of all rows: `nis` and `dof`, zero without a measurement.
-    Of the g tracks: `nis_ranks`, for the autocorrelation of NIS, and `lost` (g, 3), seconds lost, seconds spanned, rows
-    lost.
+    Of the g tracks: `nis_ranks`, for the autocorrelation of NIS, and `lost` (g, 4), seconds lost, seconds spanned, rows
+    lost, number of losses.
     """
 
     index: np.ndarray
@@ -151,14 +151,19 @@ def _innovations(association: Association) -> tuple[np.ndarray, np.ndarray, Rank
 
 
 def _lost(association: Association) -> np.ndarray:
-    """Of each track (g, 3): seconds lost, seconds spanned, rows lost."""
-    times, table = float_column(association.rows, "t_s"), np.zeros((len(association.starts) - 1, 3))
+    """Of each track (g, 4): seconds lost, seconds spanned, rows lost, and how often it was lost.
+
+    A loss ends where the track starts again, or with the rows.
+    """
+    times, table = float_column(association.rows, "t_s"), np.zeros((len(association.starts) - 1, 4))
     if "status" not in association.rows.columns:
         return table
-    lost = (association.rows["status"] == "lost").fill_null(False).to_numpy()
+    status = association.rows["status"].cast(pl.String).fill_null("ok").to_numpy()
+    lost, restarted = status == "lost", status == "restarted"
     for k, (a, b) in enumerate(pairwise(association.starts)):
         known = np.isfinite(times[a:b])
         at, lost_at = times[a:b][known], lost[a:b][known]
         if len(at):
-            table[k] = metrics.time_lost(at, lost_at).seconds, at[-1] - at[0], lost_at.sum()
+            losses = restarted[a:b].sum() + lost_at[-1]
+            table[k] = metrics.time_lost(at, lost_at).seconds, at[-1] - at[0], lost_at.sum(), losses
     return table

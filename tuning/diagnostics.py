@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int, Num
 
+from trackers.core.chi_square import chi_square_quantile
 from trackers.core.estimates import Estimates
 from trackers.core.recording import Recording
 from trackers.core.tracker import AbstractTracker
@@ -69,6 +70,34 @@ def absolute_errors(
     truth = np.stack([np.interp(times, rows[known], true[known, k]) for k in range(2)], axis=1)
     length = np.sqrt(((mean - truth) ** 2).sum(axis=1))
     return times, np.where(has_truth & run.usable, length, np.nan)
+
+
+def nis_band(
+    freedom: Float[np.ndarray, " n"], student_t_dof: float | None = None
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """The central 95 % of the mean NIS per degree of freedom of independent rows with `freedom` (n,) in sum.
+
+    The mean is 1; the variance is 2/`freedom`, with Student's t noise ν/(ν + 3) of it: see `tuning.pit_uniformity`. By
+    χ² with as many degrees of freedom as have this variance, exact for normal noise.
+    """
+    effective = freedom if student_t_dof is None else freedom * (1 + 3 / student_t_dof)
+    different = np.unique(effective)
+    # The bounds are smooth in the degrees of freedom: some dozens of exact values carry thousands.
+    grid = different if len(different) <= 40 else np.geomspace(different[0], different[-1], 40)
+    exact = [[chi_square_quantile(p, float(f)) / f for f in grid] for p in (0.025, 0.975)]
+    low, high = (np.interp(effective, grid, values) if len(grid) else effective for values in exact)
+    return low, high
+
+
+def nis_quantile(probability: float, dof: float, student_t_dof: float | None = None) -> float:
+    """The quantile of the NIS of a row with `dof` degrees of freedom."""
+    if student_t_dof is None:
+        return chi_square_quantile(probability, dof)
+    # Imported when used: it takes 0.1 s of processor time.
+    import scipy
+
+    a, b, scale = student_t_nis_beta(dof, student_t_dof)
+    return float(scale * scipy.special.betaincinv(a, b, probability))
 
 
 def nis_probabilities(innovations: Innovations) -> Float[np.ndarray, " n"]:

@@ -70,7 +70,7 @@ def _run(name: str, estimates: Tracks | Estimates, recording: RecordingFolder | 
         if isinstance(recording, RecordingFolder)
         else RecordingFolder(recording.name, None, Rig(recording.name), {})
     )
-    tracks = ScoredTracks(association, [folder], ())
+    tracks = ScoredTracks(association, [folder], estimates.batches if isinstance(estimates, Tracks) else ())
     evaluation = evaluate(association, recording) if association.scored.any() else None
     events = pl.DataFrame(schema={"recording": pl.String, "tag": pl.String, "t_s": pl.Float64, "event": pl.String})
     return run_data(tracks, events, evaluation, name or recording.name, name, of)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -12,10 +13,10 @@ from experiments.interactive.packing import packed, rounded
 from experiments.interactive.residuals import page_residuals
 from experiments.interactive.summaries import calibration_curve, error_distribution, error_map
 from experiments.scored_tracks import Component, ScoredRecording
-from trackers.core.chi_square import chi_square_quantile
 from trackers.core.rig import Rig
 from trackers.core.seconds import time_label
 from trackers.recordings.columns import float_column
+from tuning.diagnostics import nis_quantile
 
 FAR_M = 500.0
 """Distance from the origin, m, from which the page holds positions relative to another one."""
@@ -71,7 +72,7 @@ def recording_data(
         | {"status": packed(_statuses(rows, index), "u1"), "source": packed(source, "u2")},
         "statuses": STATUSES,
         "sources": sources,
-        "nisBand": _nis_band(rows),
+        "nisBand": _nis_band(rows, recording.student_t_dof),
         "events": _events(events, chosen, tags, stations, start),
         "eventCount": len(events),
         "rig": _rig(recording.folder.rig, origin),
@@ -151,14 +152,19 @@ def _sources(recording: ScoredRecording, index: np.ndarray) -> tuple[np.ndarray,
     return number, list(order)
 
 
-def _nis_band(rows: pl.DataFrame) -> list[float] | None:
-    """The central 95 % of NIS per degree of freedom of a consistent filter, at the median degrees of freedom."""
+def _nis_band(rows: pl.DataFrame, student_t_dof: float | None) -> list[float] | None:
+    """The central 95 % of NIS per degree of freedom of a consistent filter, at the median degrees of freedom.
+
+    Empty where the distribution is unknown; None without NIS.
+    """
     dof = float_column(rows, "nis_dof")
     dof = dof[dof > 0]
     if not len(dof):
         return None
+    if student_t_dof is not None and math.isnan(student_t_dof):
+        return []
     middle = float(np.median(dof))
-    return [chi_square_quantile(p, middle) / middle for p in (0.025, 0.975)]
+    return [nis_quantile(p, middle, student_t_dof) / middle for p in (0.025, 0.975)]
 
 
 def _events(

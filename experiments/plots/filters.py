@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -24,8 +25,7 @@ from experiments.plots.style import (
     plain,
     svg_address,
 )
-from trackers.core.chi_square import chi_square_quantile
-from tuning.diagnostics import Innovations, autocorrelation, expected_density, nis_probabilities
+from tuning.diagnostics import Innovations, autocorrelation, expected_density, nis_band, nis_probabilities, nis_quantile
 
 WINDOW = 50
 """Rows of the running mean that replaces the mean over runs where there is a single run."""
@@ -42,19 +42,21 @@ def consistency(
     nis_dof: float | np.ndarray,
     title: str = "Consistency of the reported covariances",
     xlabel: str = "time (s)",
+    student_t_dof: float | None = None,
 ) -> Path:
-    """Writes NEES and NIS per degree of freedom over time with χ² bounds, and the NIS histogram; returns the path.
+    """Writes NEES and NIS per degree of freedom over time with their bands, and the NIS histogram; returns the path.
 
     `times` (t,) s; `nees`, `nis` (runs, t), None where unavailable, NaN in rows without; `nis_dof` a number or
-    (runs, t). Averaged over runs; a single run is averaged over `WINDOW` rows. Raises UnusableInput where the file
-    can't be written.
+    (runs, t). `student_t_dof`: of the tracker's noise, None for normal noise, NaN where it is unknown: NIS then has no
+    band. Averaged over runs; a single run is averaged over `WINDOW` rows. Raises UnusableInput where the file can't be
+    written.
     """
     shown = [(name, v, dof) for name, v, dof in (("NEES", nees, nees_dof), ("NIS", nis, nis_dof)) if v is not None]
     rows = len(shown) + (nis is not None)
     with figure_file(path, 8.0, 1.0 + 1.9 * rows, title) as figure:
         panels = figure.subplots(rows, 1, squeeze=False)[:, 0]
         for axes, (name, values, dof) in zip(panels, shown, strict=False):
-            _ratio_panel(axes, times, values, dof, name)
+            _ratio_panel(axes, times, values, dof, name, student_t_dof if name == "NIS" else None)
             axes.sharex(panels[0])
         panels[len(shown) - 1].set_xlabel(xlabel)
         legend_above(panels[0])
@@ -63,7 +65,7 @@ def consistency(
             dofs = np.broadcast_to(nis_dof, nis.shape)[known]
             panels[-1].set(xlabel="NIS", ylabel="density")
             if known.any():
-                _nis_histogram(panels[-1], Innovations(nis[known], dofs, np.zeros(len(dofs), int)))
+                _nis_histogram(panels[-1], Innovations(nis[known], dofs, np.zeros(len(dofs), int), student_t_dof))
     return Path(path)
 
 
@@ -125,18 +127,19 @@ def autocorrelation_chart(before: Innovations, after: Innovations) -> str:
 
 def _nis_histogram(axes: Axes, after: Innovations, before: Innovations | None = None) -> None:
     """Histograms of NIS, and the density of a consistent filter with the degrees of freedom of the rows `after`."""
-    end = 1.25 * chi_square_quantile(0.995, float(np.quantile(after.dof, 0.9)))
+    known = _known(after.student_t_dof)
+    end = 1.25 * nis_quantile(0.995, float(np.quantile(after.dof, 0.9)), after.student_t_dof if known else None)
     bins = np.linspace(0, end, 36)
     sides = [after] if before is None else [after, before]
     new, *old = (np.histogram(v.nis, bins)[0] / (len(v.nis) * (bins[1] - bins[0])) for v in sides)
     _pair(axes, bins, old[0] if old else None, new, "after" if old else f"{len(after.nis)} rows")
-    x = np.linspace(end / 400, end, 400)
-    density = expected_density(x, after)
-    law = "χ²" if after.student_t_dof is None else "Student's t"
-    axes.plot(x, density, color=VERMILION, linewidth=1.6, label=f"consistent ({law})")
     # Before a fit the first bin may exceed all others many times; it is cut off.
-    tallest = max(float(heights.max()) for heights in (new, *old))
-    peak = min(float(density[x > bins[1] / 2].max()), 2.5 * tallest)
+    tallest = peak = max(float(heights.max()) for heights in (new, *old))
+    if known:
+        x = np.linspace(end / 400, end, 400)
+        density = expected_density(x, after)
+        axes.plot(x, density, color=VERMILION, linewidth=1.6, label=f"consistent ({_law(after.student_t_dof)})")
+        peak = min(float(density[x > bins[1] / 2].max()), 2.5 * tallest)
     highest = max(peak, min(tallest, 2.5 * peak))
     axes.set(xlim=(0, end), ylim=(0, 1.6 * highest if before is not None else 1.12 * highest))
     beyond = [f"{100 * np.mean(v.nis > end):.1f} %" for v in sides]
@@ -151,21 +154,35 @@ def _pair(axes: Axes, bins: np.ndarray, old: np.ndarray | None, new: np.ndarray,
         axes.stairs(old, bins, color=BEFORE, linewidth=1.3, label="before")
 
 
-def _ratio_panel(axes: Axes, times: np.ndarray, values: np.ndarray, dof: float | np.ndarray, name: str) -> None:
+def _known(student_t_dof: float | None) -> bool:
+    return student_t_dof is None or not math.isnan(student_t_dof)
+
+
+def _law(student_t_dof: float | None) -> str:
+    """The distribution behind a band or a density, in words."""
+    return "χ²" if student_t_dof is None else "Student's t"
+
+
+def _ratio_panel(
+    axes: Axes, times: np.ndarray, values: np.ndarray, dof: float | np.ndarray, name: str, student_t_dof: float | None
+) -> None:
     """The mean of `values` per degree of freedom over time: 1 for correct covariances."""
     known = np.isfinite(values)
     total = np.where(known, values, 0.0).sum(axis=0)
     freedom = np.where(known, dof, 0.0).sum(axis=0)
-    runs = len(values)
+    runs, independent = len(values), 1.0
     window = min(WINDOW, len(times))
     if runs == 1:
+        independent = 1.0 / inflation(total, freedom, window)
         total, freedom = (np.convolve(x, np.ones(window), "same") for x in (total, freedom))
     there = freedom > 0.5
     at, ratio, freedom = times[there], total[there] / freedom[there], freedom[there]
-    low, high = _bounds(freedom)
     over = f"mean of {runs} runs" if runs > 1 else f"running mean of {window} rows"
-    band = "95 % band of a consistent filter (χ²)" + (", rows independent" if runs == 1 else "")
-    axes.fill_between(at, low, high, color=SKY, alpha=0.35, lw=0, label=band)
+    low = high = np.ones(len(at))
+    if _known(student_t_dof):
+        low, high = nis_band(independent * freedom, student_t_dof)
+        band = "95 % band of a consistent filter" + (", rows as correlated as these" if runs == 1 else "")
+        axes.fill_between(at, low, high, color=SKY, alpha=0.35, lw=0, label=band)
     axes.axhline(1.0, color=GREY, linewidth=0.8)
     axes.plot(at, ratio, color=BLUE, label=over)
     axes.set_ylabel(f"{name} / dof")
@@ -180,15 +197,22 @@ def _ratio_panel(axes: Axes, times: np.ndarray, values: np.ndarray, dof: float |
         axes.yaxis.set_minor_locator(NullLocator())
     bottom = 0.8 * max(min(least, float(np.median(low))), 1e-3)
     axes.set_ylim(bottom, 1.25 * max(largest, float(np.median(high))))
-    inside = f"{100 * np.mean((low <= ratio) & (ratio <= high)):.0f} % inside the band"
-    axes.text(0.995, 1.02, inside, transform=axes.transAxes, ha="right", fontsize=8, color=GREY)
+    if _known(student_t_dof):
+        inside = f"{100 * np.mean((low <= ratio) & (ratio <= high)):.0f} % inside the band ({_law(student_t_dof)})"
+        axes.text(0.995, 1.02, inside, transform=axes.transAxes, ha="right", fontsize=8, color=GREY)
 
 
-def _bounds(freedom: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The central 95 % of a mean of χ² values per degree of freedom, for each sum of degrees of freedom."""
-    different = np.unique(freedom)
-    # The bounds are smooth in the degrees of freedom: some dozens of exact values carry thousands.
-    grid = different if len(different) <= 40 else np.geomspace(different[0], different[-1], 40)
-    exact = [[chi_square_quantile(p, float(f)) / f for f in grid] for p in (0.025, 0.975)]
-    low, high = (np.interp(freedom, grid, values) if len(grid) else freedom for values in exact)
-    return low, high
+def inflation(values: np.ndarray, dof: np.ndarray, window: int) -> float:
+    """So many rows carry the information of one in means of `values` (t,) over `window` rows; 1 at least.
+
+    1 + 2 Σ (1 − k/w) ρₖ of the values per degree of freedom, w = `window` (Bartlett 1946); rows without any are left
+    out.
+    """
+    ratio = values[dof > 0] / dof[dof > 0]
+    # A few rows that lie far out, as those of a start, do not decide.
+    centred = np.minimum(ratio, np.quantile(ratio, 0.99)) if len(ratio) else ratio
+    centred = centred - centred.mean() if len(ratio) else centred
+    power = float(centred @ centred)
+    lags = range(1, min(window, len(centred)))
+    total = sum((1 - k / window) * float(centred[k:] @ centred[:-k]) for k in lags)
+    return max(1.0, 1 + 2 * total / power) if power > 0 else 1.0

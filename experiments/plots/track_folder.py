@@ -92,7 +92,8 @@ def _draw_errors(drawn: _Drawn, suffix: str, recording: ScoredRecording) -> None
         starts, times, recording.nees, float_column(association.rows, "nis"), float_column(association.rows, "nis_dof")
     )
     title = f"Consistency of the reported covariances, {name}"
-    consistency(drawn("consistency" + suffix), grid[0], grid[1], 2, grid[2], grid[3], title, label)
+    noise = recording.student_t_dof
+    consistency(drawn("consistency" + suffix), grid[0], grid[1], 2, grid[2], grid[3], title, label, noise)
     if len(starts) > 10:
         _draw_runs(drawn("rmse-over-time" + suffix), starts, times, errors, sigmas, bounds, label)
 

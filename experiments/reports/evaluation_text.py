@@ -210,8 +210,9 @@ def _notes(evaluation: Evaluation, columns: Sequence[Column]) -> list[str]:
     overall, notes = evaluation.overall, []
     if any(overall[c.metric] is not None for c in columns if c.metric in ("nees_ratio", "nis_ratio")):
         notes.append(
-            "% in 95 %: of the truth inside the 95 % ellipse. NEES/dof and NIS/dof are 1 for correct covariances, "
-            "above 1 for covariances that are too small. NIS r: autocorrelation of NIS, 0 for independent errors."
+            "% in 95 %: of the truth inside the 95 % ellipse. NEES/dof is 1 for correct covariances, above 1 for "
+            "covariances that are too small. NIS/dof is 1 where readings scatter as the tracker's own density of them "
+            "expects, below 1 where they scatter less. NIS r: autocorrelation of NIS, 0 for independent errors."
         )
     if evaluation.bearing:
         notes.append("angle: between the estimated and the true direction.")

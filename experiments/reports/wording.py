@@ -29,7 +29,7 @@ WORDS = {
     "nis_correlation_5s": "autocorrelation of NIS over 5 s",
     "nis_inflation_1s": "rows of 1 s with the information of one",
     "residual_ratio_5s": "residuals' 5 s means, relative to most residuals",
-    "lost_fraction": "rows lost", "diverged": "trajectories lost at least once",
+    "lost_fraction": "rows lost", "losses": "times lost", "diverged": "trajectories lost at least once",
     "failed": "trajectories without a usable estimate", "us_per_row": "computing time per row",
 }  # fmt: skip
 SUFFIXES = {"3d_m": "in 3-D", "direction_rad": "of direction", "azimuth_rad": "of azimuth",

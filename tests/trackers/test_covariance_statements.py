@@ -29,7 +29,10 @@ def _statements(tracks, truth):
 @pytest.mark.parametrize(
     ("factor", "words"),
     [
-        (1.0, "Reported covariances hold: the 95 % ellipse holds the truth in 95 % of the rows, NEES/dof is"),
+        (
+            1.0,
+            "Reported covariances hold: the 95 % ellipse holds the truth in 95 % of the rows (limits 88 to 99 %), NEES",
+        ),
         (2.3, "Reported standard deviations are 2.3 times too small: the 95 % ellipse holds the truth in"),
         (1000.0, "Reported standard deviations are 1,000 times too small: the 95 % ellipse holds the truth in"),
         (1 / 3, "Reported standard deviations are 3 times too large: the 95 % ellipse holds the truth in 100 %"),
@@ -84,9 +87,9 @@ def test_correlated_innovations_are_named_besides_the_errors():
 @pytest.mark.parametrize(
     ("scale", "repeats", "words"),
     [
-        (1.0, 1, "The innovations do not contradict the noise levels (NIS/dof "),
-        (3.0, 1, "NIS/dof is 3 where 1 is expected: the reported covariances are too small."),
-        (0.1, 1, "NIS/dof is 0.099 where 1 is expected: nothing confirms the reported covariances."),
+        (1.0, 1, "The innovations are as the tracker's model expects (NIS/dof "),
+        (3.0, 1, "The readings scatter more than the tracker's model expects (NIS/dof 3, 1 expected, "),
+        (0.1, 1, "The readings scatter less than the tracker's model expects (NIS/dof 0.099, 1 expected, "),
         (1.0, 40, "Innovations are correlated over 1 s (0.4"),
         (1.0, 16, "Innovations are correlated over 1 s ("),  # of 0.8 s: the correlation over 1 s is small
     ],
@@ -101,3 +104,22 @@ def test_without_truth_the_innovations_are_judged(scale, repeats, words):
 def test_a_tracker_without_covariance_and_innovations_has_no_statement():
     tracks, truth = _tracks()
     assert _statements(tracks.drop("std_x_m", "std_y_m", "std_z_m", "nis", "nis_dof"), truth) == []
+
+
+@pytest.mark.parametrize(("factor", "word"), [(1.15, "hold: "), (1.25, "deviations are 1.2 times too small: ")])
+def test_standard_deviations_a_fifth_too_small_are_the_limit(factor, word):
+    # Of normal errors, 1.25 times the reported ones: 85 % inside, NEES/dof 1.56.
+    assert word in _statements(*_tracks(factor))[0]
+
+
+def test_losses_come_before_what_the_innovations_show():
+    status = np.where(np.arange(N) % 400 == 399, "lost", "ok").astype(object)
+    status[400::400] = "restarted"
+    tracks, truth = _tracks(nis=np.random.default_rng(3).chisquare(2, N), status=status)
+    evaluation = evaluate_association(associate_truth(tracks, {}))
+    # Nine losses with a start after them, and the last at the end of the rows.
+    assert (evaluation.overall["losses"], evaluation.overall["lost_s"]) == (10, pytest.approx(9 * 0.05))
+    first, second = evaluation.statements
+    assert first.startswith("Tracks were lost 10 times and for 0.45 s: ")
+    assert second.startswith("The innovations are as the tracker's model expects")
+    assert evaluate_table(tracks, {"hall": truth}).statements[0] == first

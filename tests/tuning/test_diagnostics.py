@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from tuning.diagnostics import Innovations, violated_assumptions
+from tuning.diagnostics import Innovations, nis_band, nis_quantile, violated_assumptions
 
 ROWS = 20_000
 
@@ -47,3 +47,24 @@ def test_the_assumption_that_fails_is_the_one_that_is_named(white, made, says):
 
 def test_without_rows_nothing_is_said():
     assert violated_assumptions(_squares(np.zeros((0, 2)))) == []
+
+
+@pytest.mark.parametrize(("nu", "skew"), [(None, 1.0), (1.8, 4.0), (4.0, 1.0)])
+def test_means_of_nis_lie_in_the_band_of_the_noise_that_made_them(nu, skew):
+    rng = np.random.default_rng(1)
+    # Residuals of a two-piece density, each half over its own scale, as `RangeSensor` whitens them.
+    up = rng.random((4000, 50)) < skew / (1 + skew)
+    raw = np.abs(rng.normal(size=up.shape) if nu is None else rng.standard_t(nu, up.shape)) * np.where(up, skew, -1)
+    square = np.where(raw > 0, raw / skew, raw) ** 2
+    mean = (square if nu is None else square * (nu + 1) / (nu + square)).mean(axis=1)
+    assert mean.mean() == pytest.approx(1.0, abs=0.01)
+    low, high = nis_band(np.full(len(mean), 50.0), nu)
+    assert np.mean((low <= mean) & (mean <= high)) == pytest.approx(0.95, abs=0.015)
+
+
+def test_the_quantile_of_one_row_is_that_of_its_noise():
+    t = np.random.default_rng(2).standard_t(1.8, 200_000) ** 2
+    q = t * 2.8 / (1.8 + t)
+    for p in (0.025, 0.5, 0.975):
+        assert np.mean(q <= nis_quantile(p, 1.0, 1.8)) == pytest.approx(p, abs=3e-3)
+        assert nis_quantile(p, 2.0) == pytest.approx(-2 * np.log(1 - p))

@@ -67,8 +67,8 @@ function seriesFigure(recording, number, window) {
                     marker: { size: 3, color: "#009e73" }, name: "NIS/dof", hovertemplate: "%{y:.2f}" });
       axis.title = { text: "NIS/dof" };
       const sorted = kept.map(ratio).filter(Number.isFinite).sort((a, b) => a - b);
-      axis.range = [0, Math.max(1.2 * recording.nisBand[1], sorted[Math.floor(0.99 * (sorted.length - 1))] || 0)];
-      layout.shapes = [bandShape(`y${id}`, recording.nisBand)];
+      axis.range = [0, Math.max(1.2 * (recording.nisBand[1] || 1), sorted[Math.floor(0.99 * (sorted.length - 1))] || 0)];
+      layout.shapes = recording.nisBand.length ? [bandShape(`y${id}`, recording.nisBand)] : [];
     } else {
       traces.push(...residualTraces(recording, panel.channel, track.tag, window, on));
       axis.title = { text: `residual, ${panel.channel.name} (${panel.channel.unit})` };

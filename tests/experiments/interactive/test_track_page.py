@@ -10,6 +10,7 @@ import numpy as np
 import polars as pl
 import pytest
 
+import trackwright as tw
 from experiments.interactive.decimation import drawn_rows, drawn_tracks
 from experiments.interactive.packing import packed, script_json
 from experiments.interactive.summaries import error_map
@@ -213,6 +214,18 @@ def test_azimuth_and_elevation_are_in_degrees_with_their_errors():
     # the angle between two directions is about the error of the elevation and that of the azimuth on its circle
     flat = np.hypot((estimate - true)[:, 0] * np.cos(np.radians(true[:, 1])), (estimate - true)[:, 1])
     np.testing.assert_allclose(_unpacked(columns["miss"]), flat, rtol=0.05)
+
+
+def test_the_band_of_nis_is_that_of_the_tracker_s_noise_and_empty_without_a_tracker():
+    folder = tw.simulate.ranges(n=2, seed=1, rows=20).folder()
+    tracks = tw.build("uwb", folder).run(folder)
+    bands = []
+    for batches in (tracks.batches, ()):
+        scored = ScoredTracks(associate_truth(tracks.table, {folder.name: folder.tables["truth"]}), [folder], batches)
+        bands.append(run_data(scored, NO_EVENTS, None, "uwb")["recordings"][0]["nisBand"])
+    # The NIS of four ranges with Student's t of 1.8 degrees of freedom; with normal noise it ends at 2.79.
+    assert bands[0] == pytest.approx([0.25, 1.91], abs=0.06)
+    assert bands[1] == []
 
 
 def test_errors_of_a_given_height_are_in_no_column():

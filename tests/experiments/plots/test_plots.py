@@ -10,7 +10,7 @@ from experiments.plots import style
 from experiments.plots.bearings import bearings_over_time
 from experiments.plots.coverage import coverage_curve, levels_of, observed_shares
 from experiments.plots.errors import error_cdf, error_over_time
-from experiments.plots.filters import consistency
+from experiments.plots.filters import consistency, inflation
 from experiments.plots.objective import tuning_trace
 from experiments.plots.style import BLACK, BLUE, LINES, SKY, VERMILION, broken_at_gaps
 from experiments.plots.tracks import TRUTH, floor_plan
@@ -156,6 +156,26 @@ def test_consistency_of_many_runs_shows_means_bounds_and_density(tmp_path, rng):
     picture = _pixels(consistency(tmp_path / "chi.png", T, nees, 3, nis, 8))
     assert _shows(picture, BLUE)
     assert _shows(picture, VERMILION)
+
+
+def test_the_band_of_consistency_is_that_of_the_noise_and_missing_where_it_is_unknown(tmp_path, rng):
+    # Student's t with 1.8 degrees of freedom bounds the NIS of a channel by 2.8.
+    nis = 2.8 * rng.beta(0.5, 0.9, (1, 600))
+    times = np.arange(600.0)
+    pictures = {nu: _pixels(consistency(tmp_path / "c.png", times, None, 2, nis, 1, "", nu)) for nu in (1.8, np.nan)}
+    assert _shows(pictures[1.8], VERMILION)
+    assert not _shows(pictures[np.nan], VERMILION)
+
+
+def test_correlated_rows_count_as_so_many_fewer(rng):
+    white = rng.normal(size=20_000)
+    smooth = np.zeros_like(white)
+    for k in range(1, len(white)):
+        smooth[k] = 0.8 * smooth[k - 1] + white[k]
+    one = np.ones_like(white)
+    assert inflation(white, one, 50) == pytest.approx(1.0, abs=0.2)
+    lags = np.arange(1, 50)
+    assert inflation(smooth, one, 50) == pytest.approx(1 + 2 * np.sum((1 - lags / 50) * 0.8**lags), rel=0.1)
 
 
 @pytest.mark.parametrize("scale", [1.0, 100.0])
