@@ -58,18 +58,20 @@ def absolute_errors(
 ) -> tuple[Float[np.ndarray, " t"], Float[np.ndarray, " t"]]:
     """Times (t,) and lengths (t,) of the errors in `quantity`: horizontal, m, or of a direction's two angles, rad.
 
-    At the times of validity of the estimates, with the truth interpolated between rows; NaN where either is missing.
+    One for each time, that of its last row, as tables of errors have it. At the times of validity of the estimates,
+    with the truth interpolated between rows; NaN where either is missing.
     """
     rows = recording.times
     true, known = recording.truth[quantity]
-    times = run.valid_times(rows)
+    last, merged = run.per_time(rows)
+    times = run.valid_times(rows)[last]
     if not (hasattr(run.mean, quantity) and known.any()):
         return times, np.full(len(times), np.nan)
     has_truth = (np.interp(times, rows, known) > 1 - 1e-9) & (times >= rows[0])
-    mean = np.stack([np.asarray(x) for x in getattr(run.mean, quantity)], axis=1)[:, :2]
+    mean = np.stack([np.asarray(x) for x in getattr(merged.mean, quantity)], axis=1)[:, :2]
     truth = np.stack([np.interp(times, rows[known], true[known, k]) for k in range(2)], axis=1)
     length = np.sqrt(((mean - truth) ** 2).sum(axis=1))
-    return times, np.where(has_truth & run.usable, length, np.nan)
+    return times, np.where(has_truth & merged.usable, length, np.nan)
 
 
 def nis_band(

@@ -214,7 +214,7 @@ def _over_time(track: ErrorTrack, unit: str, top: float) -> str:
         axes.plot(at, old, color=BEFORE, linewidth=0.9, label="before")
         axes.plot(at, new, color=BLUE, linewidth=1.2, label="after")
         axes.set_title(literal(_short(track.name)))
-        axes.set(ylim=(0, top), xlabel="time (s)", ylabel=f"error ({unit})")
+        axes.set(ylim=(0, top), xlabel="time since the start (s)", ylabel=f"error ({unit})")
         axes.margins(x=0.01)
         axes.legend(loc="lower right", bbox_to_anchor=(1.01, 1.0), ncols=2)
         plain(axes)

@@ -158,7 +158,7 @@ def surface_chart(data: TuningReportData, surface: Surface) -> str:
             plain(axes)
         else:
             paths = [t.values[:, list(surface.axes)] for t in data.traces]
-            _contours(axes, surface.grids, surface.values, paths, (best[0], best[1]), data.objective)
+            _contours(axes, surface.grids, surface.values, paths, (best[0], best[1]), data.objective_about)
             _scale_axis(axes, surface.grids[1], "y", tight=True)
             axes.set_ylabel(_named(known[1].name, known[1].unit))
         _scale_axis(axes, surface.grids[0], "x", tight=True)

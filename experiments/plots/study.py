@@ -78,14 +78,25 @@ def metric_chart(
     if not any(v[0] for v in values.values()):
         return None
     limits = {k: v.value * unit.factor for k, v in (bounds or {}).items() if np.isfinite(v.value)}
+    right = expected(metric)
+    target = None if right is None else right * unit.factor
     words = heading(metric)
     title = words[0].upper() + words[1:] + (f", {unit.name}" if unit.name else "")
     along = _axis(results)
     if along is None:
-        return _bars(results, metric, values, limits, title) if len(values) <= ROWS_SHOWN else None
+        return _bars(results, metric, values, limits, title, target) if len(values) <= ROWS_SHOWN else None
     if len(study.worlds) * len(study.trackers) > LINES_SHOWN:
         return None
-    return _along(results, metric, along, values, limits, title)
+    return _along(results, metric, along, values, limits, title, target)
+
+
+def expected(metric: str) -> float | None:
+    """The value of a metric for right covariances; None where it has none."""
+    share = re.fullmatch(r"coverage_(\d+)(_3d)?", metric)
+    if share:
+        return int(share[1]) / 100
+    ratios = ("nees_ratio", "nees_3d_ratio", "nis_ratio")
+    return {"nees_mean": 2.0, "nees_3d_mean": 3.0, **dict.fromkeys(ratios, 1.0)}.get(metric)
 
 
 def _along(
@@ -95,8 +106,9 @@ def _along(
     values: Mapping[tuple[int, str], np.ndarray],
     limits: Mapping[tuple[int, str], float],
     title: str,
+    target: float | None,
 ) -> Chart:
-    """A line with its band for every world and tracker, over the grid, and its bound."""
+    """A line with its band for every world and tracker, over the grid, its bound, and the `target` of the metric."""
     study = results.study
     series = [(w, t) for w in study.worlds for t in study.trackers]
 
@@ -122,6 +134,8 @@ def _along(
             axes.set_xscale("log")
             axes.set_xticks(sorted(study.grid[along]), [f"{v:g}" for v in sorted(study.grid[along])])
             axes.xaxis.set_minor_locator(NullLocator())
+        if target is not None:
+            axes.axhline(target, color=INK, linewidth=0.9, linestyle="--", label=f"{target:g} expected")
         axes.set_xlabel(literal(short(along) + _unit_of(results, along)))
         if _spans_decades(values):
             axes.set_yscale("log")
@@ -141,8 +155,9 @@ def _bars(
     values: Mapping[tuple[int, str], np.ndarray],
     limits: Mapping[tuple[int, str], float],
     title: str,
+    target: float | None,
 ) -> Chart:
-    """Points with intervals, a row for every condition and tracker, and a stroke for its bound."""
+    """Points with intervals, a row for every condition and tracker, a stroke for its bound, a line at the `target`."""
     trackers = list(results.study.trackers)
     rows = [(c, t) for c in results.study.conditions for t in trackers if (c.index, t) in values]
 
@@ -156,14 +171,17 @@ def _bars(
             axes.plot(middle, k, color=colour, marker=mark, markersize=5, clip_on=False, zorder=3)
             if (condition.index, tracker) in limits:
                 axes.plot(limits[condition.index, tracker], k, "|", color=INK, markersize=9, markeredgewidth=1.6)
+        if target is not None:
+            axes.axvline(target, color=INK, linewidth=0.9, linestyle="--", zorder=0)
         axes.set_yticks(range(len(rows)), [literal(_row_name(results, c, t)) for c, t in rows])
         axes.set_ylim(len(rows) - 0.4, -0.6)
         if _spans_decades(values):
             axes.set_xscale("log")
             _plain_log(axes.xaxis)
         else:
-            axes.set_xlim(0, 1.04 * float(np.nanmax([values[c.index, t] for c, t in rows])))
-        axes.set_title(literal(title + (" (strokes: Cramér–Rao bound)" if limits else "")))
+            axes.set_xlim(0, 1.04 * max(target or 0.0, float(np.nanmax([values[c.index, t] for c, t in rows]))))
+        line = f" (line: {target:g})" if target is not None else ""
+        axes.set_title(literal(title + (" (strokes: Cramér–Rao bound)" if limits else "") + line))
         plain(axes, "x")
 
     return Chart(metric, title, draw, max(1.3, 0.75 + 0.24 * len(rows)))

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from experiments.plots.errors import distribution_chart, error_charts, rmse_chart
 from experiments.plots.filters import autocorrelation_chart, nis_chart, probability_chart
@@ -12,8 +15,11 @@ from experiments.plots.objective import objective_chart, parameter_chart, surfac
 from experiments.plots.plan_change import plan_chart
 from experiments.reports.advice import advice_on, is_better, is_worse
 from experiments.reports.pages import page, write_page
-from experiments.reports.tuning_data import MetricChange, TuningReportData
+from experiments.reports.tuning_data import MetricChange, OptimiserTrace, TuningReportData
 from experiments.reports.wording import MISSING, counted, number, percent_change
+
+SAME = 0.1
+"""The relative difference of values up to which two starts end at one point, as the optimiser has it."""
 
 
 def write_tuning_report(path: Path | str, data: TuningReportData) -> Path:
@@ -30,6 +36,7 @@ def tuning_page(data: TuningReportData) -> str:
         advice=advice_on(data),
         parameters_lead=_parameters_lead(data),
         changed=_changed,
+        agreement=agreement(data.traces) if data.traces else "",
         charts=_charts(data),
     )
 
@@ -41,6 +48,26 @@ def _parameters_lead(data: TuningReportData) -> str:
             "is not determined."
         )
     return "No intervals: they require a likelihood or at least twenty trajectories, and a fit that converged."
+
+
+def agreement(traces: Sequence[OptimiserTrace]) -> str:
+    """A sentence on how many starts end where the best one does: all values within a tenth."""
+    values, objectives = (np.array(x) for x in zip(*map(_end, traces), strict=True))
+    away = np.abs(values - values[0]) / np.maximum(np.abs(values[0]), np.finfo(float).tiny)
+    same = away.max(axis=1) <= SAME
+    others = len(same) - int(same.sum())
+    if not others:
+        return f"All {len(same)} starts end at one point (values within a tenth)."
+    lower = int(np.sum(objectives[~same] < objectives[0]))
+    below = f", {lower} of them with a lower objective" if lower else ", none with a lower objective"
+    found = f"{int(same.sum())} of {counted(len(same), 'start')} end at the selected point (values within a tenth)"
+    return f"{found}; {others} end elsewhere{below}: the optimum is not certain."
+
+
+def _end(trace: OptimiserTrace) -> tuple[np.ndarray, float]:
+    """The values (p,) and the objective of the best step from a start."""
+    best = int(np.argmin(np.where(np.isfinite(trace.objective), trace.objective, np.inf)))
+    return trace.values[best], float(trace.objective[best])
 
 
 class Change(NamedTuple):

@@ -135,15 +135,20 @@ def _errors(
     quantity: str,
     scale: float,
 ) -> tuple[ErrorTrack, ...]:
-    """Errors times `scale` of the trajectories for which both trackers have some."""
-    found = []
+    """Errors times `scale` of the trajectories for which both trackers have some; times since the recording's start."""
+    found, starts = [], dict[str, float]()
+    for trajectory, _ in runs[0]:
+        name, first = trajectory.folder.name, float(trajectory.recording.times[0])
+        starts[name] = min(first, starts.get(name, first))
     for (trajectory, old), (_, new) in zip(*runs, strict=True):
         (times, before), (_, after) = (
             absolute_errors(tracker, trajectory.recording, run, quantity)
             for tracker, run in zip(trackers, (old, new), strict=True)
         )
         if np.isfinite(before).any() and np.isfinite(after).any():
-            found.append(ErrorTrack(_name(trajectory), times, scale * before, scale * after))
+            found.append(
+                ErrorTrack(_name(trajectory), times - starts[trajectory.folder.name], scale * before, scale * after)
+            )
     return tuple(found)
 
 

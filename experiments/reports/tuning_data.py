@@ -57,7 +57,10 @@ class OptimiserTrace:
 
 @dataclass(frozen=True)
 class ErrorTrack:
-    """Absolute errors of one trajectory before and after (t,), in the report's error unit, NaN where unknown."""
+    """Absolute errors of one trajectory before and after (t,), in the report's error unit, NaN where unknown.
+
+    `times` (t,): s since the start of the recording, one for each time.
+    """
 
     name: str
     times: np.ndarray

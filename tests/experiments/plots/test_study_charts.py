@@ -8,13 +8,13 @@ import pytest
 
 from experiments.monte_carlo import Study, TrackerConfig, World
 from experiments.monte_carlo.expectations import Value
-from experiments.plots.study import metric_chart
+from experiments.plots.study import expected, metric_chart
 from experiments.reports.wording import Unit
 from sim.worlds import WORLDS
 
 
-def _drawn(name, values, bounds=None):
-    """The SVG of RMSE over a grid of two trackers."""
+def _drawn(name, values, bounds=None, metric="rmse_m"):
+    """The SVG of a metric over a grid of two trackers."""
     study = Study(
         name="grid",
         about="",
@@ -25,7 +25,7 @@ def _drawn(name, values, bounds=None):
     )
     found = {(c.index, t): Value(0.01 + 0.01 * c.index, 0.009, 0.06) for c in study.conditions for t in study.trackers}
     limits = None if bounds is None else {key: Value(b, b, b) for key, b in zip(found, bounds, strict=True)}
-    chart = metric_chart(SimpleNamespace(study=study), "rmse_m", found, Unit("cm", 100.0), limits)
+    chart = metric_chart(SimpleNamespace(study=study), metric, found, Unit("cm", 100.0), limits)
     return base64.b64decode(chart.address.split(",", 1)[1]).decode().partition("<metadata")[0]
 
 
@@ -46,3 +46,13 @@ def test_the_bound_is_a_stroke_in_the_row_of_a_condition():
 )  # fmt: skip
 def test_the_grid_of_a_worlds_parameter_has_its_unit(name, label):
     assert f">{label}</text>" in _drawn(name, [0.1, 0.2, 0.3])
+
+
+def test_what_right_covariances_give_is_a_line_at_its_value():
+    assert [expected(m) for m in ("coverage_95", "coverage_50_3d", "nis_ratio", "nees_3d_mean", "rmse_m")] == [
+        0.95, 0.5, 1.0, 3.0, None,
+    ]  # fmt: skip
+    grid = "world.sigma_p", [0.1, 0.2, 0.3]
+    assert "95 expected" in _drawn(*grid, metric="coverage_95")
+    assert "expected" not in _drawn(*grid)
+    assert "(line: 95)" in _drawn("world.path", ["helix", "hand"], metric="coverage_95")

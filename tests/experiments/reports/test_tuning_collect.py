@@ -133,3 +133,22 @@ def test_of_directions_errors_are_in_degrees_and_metrics_in_radians():
     assert (rmse.unit, collected.error_unit) == ("rad", "°")
     pooled = np.concatenate([track.after for track in collected.errors])
     assert np.sqrt(np.nanmean(pooled**2)) == pytest.approx(np.degrees(rmse.training[1]), rel=0.01)
+
+
+def test_errors_are_one_for_each_time_as_track_has_them_and_begin_at_zero():
+    # Four ranges at each time, of which the first rows have much larger errors; the clock counts from 1970.
+    whole = tw.simulate.ranges(n=1, seed=3, rows=40).folder()
+    tables = {k: t.with_columns(t_s=pl.col("t_s") + 1_777_900_000.0) for k, t in whole.tables.items()}
+    folder = RecordingFolder("unix", None, whole.rig, tables)
+    named = tw.build("uwb", folder)
+    data = fit_data(named.only_batch([folder]), NLL)
+    sigma = "sensors.ranges.sigma_r"
+    result = fit(data.tracker, data.rows(), data.objective, (sigma,), steps=1, starts=1)
+    request = Request("trackwright tune a", (), "uwb", "ranges", NLL, 1.5)
+    (track,) = collect(request, result, data, intervals_of(result), []).errors
+    shown = tw.evaluate(named.run(folder), folder)
+    known = track.before[np.isfinite(track.before)]
+    assert len(known) == shown["n"]
+    found = [np.sqrt(np.mean(known**2)), np.quantile(known, 0.95)]
+    assert found == pytest.approx([shown["rmse_m"], shown["p95_m"]], rel=1e-5)
+    assert (track.times[0], track.times[-1]) == pytest.approx((0.0, 3.9), abs=1e-6)

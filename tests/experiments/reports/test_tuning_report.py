@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from experiments.plots import objective
 from experiments.reports.advice import advice_on
-from experiments.reports.tuning import tuning_page, write_tuning_report
-from experiments.reports.tuning_data import MetricChange, TunedParameter
+from experiments.reports.tuning import agreement, tuning_page, write_tuning_report
+from experiments.reports.tuning_data import MetricChange, OptimiserTrace, TunedParameter
 from experiments.reports.wording import number, percent_change
 from tests.experiments.reports.tuning_report_data import innovations, report_data
 from tuning.diagnostics import Innovations, autocorrelation, expected_density, nis_probabilities, normal_scores
@@ -237,3 +238,25 @@ def test_autocorrelation_is_that_of_the_model_and_stops_at_the_end_of_a_trajecto
     alone, none = autocorrelation(Innovations(nis[:9], np.full(9, 2.0), np.arange(9)), 3)
     assert np.isnan(alone).all()
     assert none == 0
+
+
+def test_how_many_starts_end_at_one_point_is_said_and_whether_another_is_lower():
+    def start(end, objective):
+        return OptimiserTrace("", np.array([9.0, objective]), np.array([[5.0, 5.0], end]))
+
+    near, far, lower = start([1.05, 2.0], 1.0), start([1.0, 2.5], 1.2), start([3.0, 2.0], 0.5)
+    assert agreement([start([1.0, 2.0], 1.0), near]) == "All 2 starts end at one point (values within a tenth)."
+    one_of_three = agreement([start([1.0, 2.0], 1.0), far, lower])
+    assert one_of_three.startswith(
+        "1 of 3 starts end at the selected point (values within a tenth); 2 end elsewhere, 1 "
+    )
+    assert one_of_three.endswith("1 of them with a lower objective: the optimum is not certain.")
+    assert "2 of 3 starts" in agreement([start([1.0, 2.0], 1.0), near, far])
+    assert "none with a lower objective" in agreement([start([1.0, 2.0], 1.0), near, far])
+
+
+def test_the_contours_name_the_objective_as_their_neighbour_does(monkeypatch):
+    named = []
+    monkeypatch.setattr(objective, "_contours", lambda *args: named.append(args[-1]))
+    objective.surface_chart(data := report_data(), data.surface)
+    assert named == [data.objective_about]
