@@ -12,7 +12,7 @@ import numpy as np
 from experiments.reports.recordings_compared import Compared
 from experiments.reports.tracks_compared import TrackChanges
 from experiments.reports.tuning_data import ErrorTrack, MetricChange, OptimiserTrace, TunedParameter, TuningReportData
-from experiments.reports.wording import uncapitalised
+from experiments.reports.wording import number, uncapitalised
 from trackers.core.estimates import Estimates
 from trackers.core.recording import Batch
 from trackers.core.tracker import AbstractTracker
@@ -23,6 +23,7 @@ from tuning.data import FitData
 from tuning.diagnostics import absolute_errors, innovations_of
 from tuning.fitting import Step
 from tuning.identifiability import IdentifiabilityIssue
+from tuning.implied_spread import implied_spread
 from tuning.intervals import Interval
 from tuning.named_objectives import all_metrics
 from tuning.parameters import Parameter, component_names
@@ -194,11 +195,21 @@ def _parameters(
     finite = np.isfinite(low) & np.isfinite(high)
     # Without any interval it is unknown what is determined; with some, a parameter without one is undetermined.
     known = bool(finite.any())
+    spreads = [text for p in result.parameters for text in _spread(result, p)]
     return tuple(
         TunedParameter(name, unit, float(a), float(b), float(lo) if ok else np.nan, float(hi) if ok else np.nan,
-                       False if name in undetermined else bool(ok) if known else None)
-        for name, unit, a, b, lo, hi, ok in zip(names, units, old, new, low, high, finite, strict=True)
+                       False if name in undetermined else bool(ok) if known else None, spread)
+        for name, unit, a, b, lo, hi, ok, spread in zip(names, units, old, new, low, high, finite, spreads, strict=True)
     )  # fmt: skip
+
+
+def _spread(result: FitResult, parameter: Parameter) -> list[str]:
+    """In words, the spread of readings that each number of a fitted parameter implies; empty where it implies none."""
+    spread = implied_spread(result.tracker, parameter.names[0])
+    if spread is None or parameter.size > 1:
+        return [""] * parameter.size
+    value = f"{number(spread.value)} {parameter.example.unit}"
+    return [f"standard deviation {value}" if spread.is_deviation else f"68 % of the readings within ± {value}"]
 
 
 def _flat(parameters: Sequence[Parameter], values: dict[str, np.ndarray]) -> np.ndarray:

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 class TunedParameter:
     """A parameter before and after; `low`, `high`: its 95 % interval, NaN where there is none.
 
-    `determined`: whether the recordings determine it; None where the objective has no information on that.
+    `determined`: whether the recordings determine it; None where the objective has no information on that. `spread`:
+    in words, that of the readings which the scale of a Student's t implies; empty for other parameters.
     """
 
     name: str
@@ -28,6 +29,7 @@ class TunedParameter:
     low: float = float("nan")
     high: float = float("nan")
     determined: bool | None = None
+    spread: str = ""
 
 
 @dataclass(frozen=True)

@@ -145,7 +145,10 @@ def test_errors_are_one_for_each_time_as_track_has_them_and_begin_at_zero():
     sigma = "sensors.ranges.sigma_r"
     result = fit(data.tracker, data.rows(), data.objective, (sigma,), steps=1, starts=1)
     request = Request("trackwright tune a", (), "uwb", "ranges", NLL, 1.5)
-    (track,) = collect(request, result, data, intervals_of(result), []).errors
+    collected = collect(request, result, data, intervals_of(result), [])
+    assert collected.parameters[0].spread.startswith("68 % of the readings within ± 0.")
+    assert "68 % of the readings within" in tuning_page(collected)
+    (track,) = collected.errors
     shown = tw.evaluate(named.run(folder), folder)
     known = track.before[np.isfinite(track.before)]
     assert len(known) == shown["n"]
