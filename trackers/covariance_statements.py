@@ -129,10 +129,8 @@ def _losses(overall: Mapping[str, Any]) -> list[str]:
     if not losses:
         return []
     times = "once" if losses == 1 else f"{losses} times"
-    return [
-        f"Tracks were lost {times} and for {overall['lost_s']:.3g} s: a model that fits loses a track in gaps of the "
-        "readings alone."
-    ]
+    stayed = f", for {overall['lost_s']:.3g} s in all" if overall["lost_s"] > 0 else ""
+    return [f"Tracks were lost {times}{stayed}: a model that fits loses a track in gaps of the readings alone."]
 
 
 def _lasting(recordings: Sequence[Mapping[str, Any]]) -> list[str]:

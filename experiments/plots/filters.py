@@ -25,6 +25,7 @@ from experiments.plots.style import (
     plain,
     svg_address,
 )
+from trackers.covariance_statements import LIMITS
 from tuning.diagnostics import Innovations, autocorrelation, expected_density, nis_band, nis_probabilities, nis_quantile
 
 WINDOW = 50
@@ -170,7 +171,8 @@ def _ratio_panel(
     known = np.isfinite(values)
     total = np.where(known, values, 0.0).sum(axis=0)
     freedom = np.where(known, dof, 0.0).sum(axis=0)
-    runs, independent = len(values), 1.0
+    runs, independent, known_law = len(values), 1.0, _known(student_t_dof)
+    mean = float(total.sum() / max(freedom.sum(), 1.0))
     window = min(WINDOW, len(times))
     if runs == 1:
         independent = 1.0 / inflation(total, freedom, window)
@@ -179,7 +181,7 @@ def _ratio_panel(
     at, ratio, freedom = times[there], total[there] / freedom[there], freedom[there]
     over = f"mean of {runs} runs" if runs > 1 else f"running mean of {window} rows"
     low = high = np.ones(len(at))
-    if _known(student_t_dof):
+    if known_law:
         low, high = nis_band(independent * freedom, student_t_dof)
         band = "95 % band of a consistent filter" + (", rows as correlated as these" if runs == 1 else "")
         axes.fill_between(at, low, high, color=SKY, alpha=0.35, lw=0, label=band)
@@ -197,9 +199,9 @@ def _ratio_panel(
         axes.yaxis.set_minor_locator(NullLocator())
     bottom = 0.8 * max(min(least, float(np.median(low))), 1e-3)
     axes.set_ylim(bottom, 1.25 * max(largest, float(np.median(high))))
-    if _known(student_t_dof):
-        inside = f"{100 * np.mean((low <= ratio) & (ratio <= high)):.0f} % inside the band ({_law(student_t_dof)})"
-        axes.text(0.995, 1.02, inside, transform=axes.transAxes, ha="right", fontsize=8, color=GREY)
+    expected = LIMITS[1] if name == "NEES" else f"1 expected ({_law(student_t_dof)})" if known_law else "1 expected"
+    text = f"mean of all rows {mean:.2f}, {expected}"
+    axes.text(0.995, 1.02, text, transform=axes.transAxes, ha="right", fontsize=8, color=GREY)
 
 
 def inflation(values: np.ndarray, dof: np.ndarray, window: int) -> float:

@@ -120,6 +120,6 @@ def test_losses_come_before_what_the_innovations_show():
     # Nine losses with a start after them, and the last at the end of the rows.
     assert (evaluation.overall["losses"], evaluation.overall["lost_s"]) == (10, pytest.approx(9 * 0.05))
     first, second = evaluation.statements
-    assert first.startswith("Tracks were lost 10 times and for 0.45 s: ")
+    assert first.startswith("Tracks were lost 10 times, for 0.45 s in all: ")
     assert second.startswith("The innovations are as the tracker's model expects")
     assert evaluate_table(tracks, {"hall": truth}).statements[0] == first
