@@ -183,7 +183,7 @@ def _ratio_panel(
     low = high = np.ones(len(at))
     if known_law:
         low, high = nis_band(independent * freedom, student_t_dof)
-        band = "95 % band of a consistent filter" + (", rows as correlated as these" if runs == 1 else "")
+        band = "95 % band" + (", rows as correlated as these" if runs == 1 else " of a consistent filter")
         axes.fill_between(at, low, high, color=SKY, alpha=0.35, lw=0, label=band)
     axes.axhline(1.0, color=GREY, linewidth=0.8)
     axes.plot(at, ratio, color=BLUE, label=over)
@@ -200,7 +200,7 @@ def _ratio_panel(
     bottom = 0.8 * max(min(least, float(np.median(low))), 1e-3)
     axes.set_ylim(bottom, 1.25 * max(largest, float(np.median(high))))
     expected = LIMITS[1] if name == "NEES" else f"1 expected ({_law(student_t_dof)})" if known_law else "1 expected"
-    text = f"mean of all rows {mean:.2f}, {expected}"
+    text = f"mean {mean:.2f}, {expected}"
     axes.text(0.995, 1.02, text, transform=axes.transAxes, ha="right", fontsize=8, color=GREY)
 
 
