@@ -130,6 +130,6 @@ SITES = (
     Site("labyrinth", "uwb", ("labyrinth",)),
     Site("walks", "bearings", (*WALKS, *SECOND_RUNS)),
     Site("lias", "uwb", ("lias-planar-fast", *STILL)),
-    Site("ngbui", "line-grid", tuple(f"ngbui-line-{k}-{n}" for k in (1, 2, 3) for n in (1, 2))),
+    *(Site(f"ngbui line {k}", "line-grid", (f"ngbui-line-{k}-1", f"ngbui-line-{k}-2")) for k in (1, 2, 3)),
 )
 """The sites of the recordings, for fits with one recording left out each."""
