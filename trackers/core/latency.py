@@ -18,7 +18,8 @@ from trackers.core.covariance import AnyCovariance, as_scalars
 from trackers.core.elapsed import Elapsed
 from trackers.core.linearise import linearise
 from trackers.core.motion import Noise
-from trackers.core.recording import HOLE_M, HOLE_S, Batch
+from trackers.core.recording import Batch
+from trackers.core.seconds import HOLE_M, HOLE_S
 from trackers.core.sensor import AbstractSensor
 from trackers.core.state import State, coordinates, local_after
 

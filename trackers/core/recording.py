@@ -23,9 +23,6 @@ from trackers.core.row_checks import check_rows, read_only
 from trackers.core.seconds import seconds, span
 from trackers.core.sensor import Reading
 
-HOLE_S, HOLE_M = 1.0, 0.02
-"""Truth is not interpolated between rows further apart than both limits: seconds in time and metres in position."""
-
 
 @dataclass(frozen=True, eq=False)
 class Readings:

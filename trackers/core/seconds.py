@@ -13,6 +13,9 @@ from trackers.core.errors import UnusableInput
 UNIX_S, UNIX_MS = 1e8, 1e11
 """Times, s, from the first on count from 1970, in s below the second: three years are longer than any recording."""
 
+HOLE_S, HOLE_M = 1.0, 0.02
+"""Truth is not interpolated between rows further apart than both limits: seconds in time and metres in position."""
+
 
 def seconds(times: Any) -> Float[np.ndarray, "*shape"]:
     """Numbers as they are, time stamps as seconds since 1970 (UTC where they have a time zone), durations as seconds.

@@ -9,8 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from trackers.core.errors import UnusableInput
-from trackers.core.recording import HOLE_S
-from trackers.core.seconds import span
+from trackers.core.seconds import HOLE_S, span
 from trackers.exchange.alignment import Alignment, Similarity, alignment
 from trackers.exchange.pose_errors import Statistics, Step, absolute_errors, associate, relative_errors, statistics
 from trackers.exchange.poses import PoseTrajectory

@@ -162,7 +162,11 @@ def test_the_band_of_consistency_is_that_of_the_noise_and_missing_where_it_is_un
     # Student's t with 1.8 degrees of freedom bounds the NIS of a channel by 2.8.
     nis = 2.8 * rng.beta(0.5, 0.9, (1, 600))
     times = np.arange(600.0)
-    pictures = {nu: _pixels(consistency(tmp_path / "c.png", times, None, 2, nis, 1, "", nu)) for nu in (1.8, np.nan)}
+
+    def drawn(dof):
+        return _pixels(consistency(tmp_path / "c.png", times, None, 2, nis, 1, student_t_dof=dof))
+
+    pictures = {dof: drawn(dof) for dof in (1.8, np.nan)}
     assert _shows(pictures[1.8], VERMILION)
     assert not _shows(pictures[np.nan], VERMILION)
 

@@ -197,7 +197,7 @@ def test_frames_that_are_no_tables_are_refused(frames, rig, words):
     ("drop", "tag", "words"),
     [
         ("distance_mm", "T1", r"add columns=\{'ranges': \['range_m="),
-        (None, None, r"give tag='ID', or add columns=\{'ranges': \['tag="),
+        (None, None, "give tag='ID'$"),
     ],
 )
 def test_frames_are_refused_in_words_of_python(drop, tag, words):

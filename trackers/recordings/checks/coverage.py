@@ -8,9 +8,8 @@ from collections.abc import Mapping
 import polars as pl
 
 from trackers.core.errors import listed
-from trackers.core.recording import HOLE_M, HOLE_S
 from trackers.core.rig import Rig
-from trackers.core.seconds import moment, place_in_time, span, zero_of
+from trackers.core.seconds import HOLE_M, HOLE_S, moment, place_in_time, span, zero_of
 from trackers.recordings.checks.anomalies import streams
 from trackers.recordings.checks.check_result import CheckResult, Level
 from trackers.recordings.tables import first_time, layout
