@@ -177,7 +177,8 @@ class AbstractInteractingModels(AbstractSmoothableFilter[Mixture]):
         self, belief: Mixture, motion: AbstractMotion, connected: Scalar, dt: Scalar, inputs: Inputs
     ) -> ModeGains:
         """The RTS gains to the next time step, from every mode to every mode."""
-        transition, prior = self.transition(belief, inputs, dt), self.prior()
+        transition = jax.vmap(self.transition, in_axes=-1, out_axes=-1)(belief, inputs, dt)
+        prior = self.prior()
         pairs = list(zip(transition.stayed, transition.switched, strict=True))
         backward = tuple(
             tuple(

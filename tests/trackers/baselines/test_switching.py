@@ -16,6 +16,7 @@ from trackers.core.algebra import Vector
 from trackers.core.imm import InteractingModels
 from trackers.core.motion import GroundMotion, Kinematic
 from trackers.core.recording import Readings, Recording, stack
+from trackers.core.smoother import Smoothed
 from trackers.core.tracker import Tracker
 from trackers.core.tunable import Real
 from trackers.mhk.tracker import STILL
@@ -114,18 +115,18 @@ def climbing():
     values = np.column_stack([xy, d, np.zeros(len(times))])
     readings = {FIXES: Readings(values, np.ones(values.shape, bool))}
     inputs = {"plane": np.full(len(times), PLANE), "fix_z": PLANE - d, "height": np.zeros(len(times))}
-    world = Recording(times, readings, inputs)
-    return times, z, mirror_tracker(offset=OFFSET, shrink=SHRINK).run(world)
+    world, tracker = Recording(times, readings, inputs), mirror_tracker(offset=OFFSET, shrink=SHRINK)
+    return z, tracker.run(world), Smoothed(tracker).run(world)
 
 
 def test_a_height_whose_mirror_image_is_below_the_floor_is_resolved(climbing):
-    _, z, estimates = climbing
+    z, estimates, _ = climbing
     high = z > 2 * PLANE + 0.3
     assert np.abs(estimates.mean.position[2] - z)[high].max() < 0.3
 
 
 def test_where_the_side_is_ambiguous_both_lie_within_the_reported_covariance(climbing):
-    _, z, estimates = climbing
+    z, estimates, _ = climbing
     middle = (z > PLANE + 0.5) & (z < 2 * PLANE - 0.5)
     sigma = estimates.sigmas["position.2"][middle]
     height = estimates.mean.position[2][middle]
@@ -133,8 +134,15 @@ def test_where_the_side_is_ambiguous_both_lie_within_the_reported_covariance(cli
         assert np.all(np.abs(height - side) < 2 * sigma + 0.2)
 
 
+def test_later_fixes_resolve_the_side_where_filtered_heights_are_ambiguous(climbing):
+    z, filtered, smoothed = climbing
+    middle = (z > PLANE + 0.5) & (z < 2 * PLANE - 0.5)
+    errors = [np.abs(e.mean.position[2] - z)[middle].mean() for e in (filtered, smoothed)]
+    assert errors[1] < 0.5 * errors[0]
+
+
 def test_a_track_starts_on_the_side_of_its_first_fix(climbing):
-    _, z, estimates = climbing
+    z, estimates, _ = climbing
     # Metres below the plane the mirror image fits equally well; only the first fix favours the true side.
     assert np.abs(estimates.mean.position[2] - z)[5:30].max() < 0.6
 
