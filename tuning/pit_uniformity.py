@@ -17,6 +17,7 @@ from __future__ import annotations
 from typing import Any, ClassVar, Literal
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import erf, gammaln
@@ -96,7 +97,8 @@ def _student_t_dof(sensor: AbstractSensor) -> Scalar | None:
     """The degrees of freedom that the sensor's residuals have, from one of zeros."""
     zeros, ones = ([jnp.asarray(x, float)] * len(sensor.channels) for x in (0.0, 1.0))
     reading = Reading(zeros, [x > 0 for x in ones], [jnp.asarray(0.0)] * len(sensor.reported))
-    return sensor.residual(reading, zeros).dof
+    # In a compiled program the residual itself, which nobody asks for, is not computed.
+    return jax.jit(lambda: sensor.residual(reading, zeros).dof)()
 
 
 def legendre(u: Scalar) -> list[Scalar]:
