@@ -110,3 +110,19 @@ def test_gains_below_the_jumps_of_an_objective_are_not_searched_for(problem, mon
     monkeypatch.setattr(Problem, "evaluate", evaluate)
     lost = problem.values(rough.best_vectors) - problem.values(smooth.best_vectors)
     assert lost[0] * rough.terms[0, 1].sum() < 2.0
+
+
+def test_the_first_step_of_l_bfgs_has_length_one_and_the_second_is_that_of_the_two_loop_recursion():
+    hessian, start, optimiser = np.array([[0.03, 0.01], [0.01, 0.2]]), np.array([1.0, -0.5]), LBFGS()
+    first, state = optimiser.propose(optimiser.init(start[None]), start[None], (hessian @ start)[None])
+    gradient = hessian @ start
+    np.testing.assert_allclose(first[0], -gradient / np.linalg.norm(gradient), rtol=1e-6)
+    step = 0.5 * first[0]
+    later = start + step
+    second, _ = optimiser.propose(state, later[None], (hessian @ later)[None])
+    # Nocedal and Wright, algorithm 7.4, with one pair.
+    change, slope = hessian @ step, hessian @ later
+    alpha = step @ slope / (change @ step)
+    scaled = (step @ change) / (change @ change) * (slope - alpha * change)
+    expected = -(scaled + step * (alpha - change @ scaled / (change @ step)))
+    np.testing.assert_allclose(second[0], expected, rtol=1e-5)

@@ -3,6 +3,7 @@
 import pytest
 
 from experiments.monte_carlo import DERIVED, FITTED, PREDICTED, ExpectedResult, Value, inherited
+from experiments.reports.study import _expected
 from experiments.reports.wording import headline
 
 
@@ -55,3 +56,14 @@ def test_the_headline_counts_what_was_free_and_nothing_that_follows_from_it():
         "Fitted: 1 of 1 number within tolerance; 1 of 1 conclusion holds."
     )
     assert headline([("fitted", True)], []) == "Predicted: nothing. Fitted: 1 of 1 number within tolerance."
+
+
+@pytest.mark.parametrize("note", ["", "why it is not reached"])
+def test_the_table_of_printed_numbers_has_a_column_of_remarks_where_there_is_one(note):
+    table = _expected([_result(98.3, 93.7), _result(98.3, 80.0, note=note)])
+    assert list(table.head) == [
+        "result", "printed", "ours (95 % interval)", "ours / printed", "origin", "within tolerance",
+        *(["remark"] if note else []),
+    ]  # fmt: skip
+    assert [row[5:] for row in table.rows] == ([["yes", ""], ["no", note]] if note else [["yes"], ["no"]])
+    assert len(table.classes) == len(table.head)

@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 
+from experiments.monte_carlo import chunk as one_chunk
 from experiments.monte_carlo import errors
 from experiments.monte_carlo.accumulators import (
     BIN_WIDTH,
@@ -216,6 +217,16 @@ def test_every_condition_and_tracker_has_its_metrics(whole):
     assert edges[np.searchsorted(share, 0.5)] == pytest.approx(
         whole[1].value("median_m", "halts", "kalman").value, rel=0.021
     )
+
+
+@pytest.mark.parametrize("planar", [False, True])
+def test_the_bound_is_the_root_mean_square_of_the_later_half_of_the_rows_in_plane_and_in_space(monkeypatch, planar):
+    sigmas = np.random.default_rng(2).uniform(0.1, 1.0, (7, 3))
+    if planar:
+        sigmas[:, 2] = np.nan
+    monkeypatch.setattr(one_chunk, "bounds_of", lambda folder, batches: (np.arange(7.0), sigmas))
+    expected = [np.sqrt(np.mean(np.sum(sigmas[3:, :d] ** 2, axis=1))) for d in (2, 3)]
+    np.testing.assert_allclose(one_chunk._bounds(None, []), expected, rtol=1e-12)
 
 
 def test_chunks_in_another_order_and_shards_merged_give_the_same_numbers(whole, tmp_path):

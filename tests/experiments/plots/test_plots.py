@@ -4,6 +4,7 @@ import numpy as np
 import polars as pl
 import pytest
 import scipy.stats
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.image import imread
 
 from experiments.plots import style
@@ -51,6 +52,19 @@ def _coarse(monkeypatch):
 
 
 @pytest.fixture
+def figures(monkeypatch):
+    """The figures that are written, in their order."""
+    made = []
+
+    def canvas(figure):
+        made.append(figure)
+        return FigureCanvasAgg(figure)
+
+    monkeypatch.setattr(style, "FigureCanvasAgg", canvas)
+    return made
+
+
+@pytest.fixture
 def rng():
     return np.random.default_rng(5)
 
@@ -72,16 +86,32 @@ def test_the_floor_plan_draws_at_most_six_tags(tmp_path):
     assert all(_shows(_pixels(floor_plan(tmp_path / "plan.png", _tracks(9))), colour) for colour in LINES)
 
 
-def test_a_wild_estimate_does_not_decide_the_scale_of_the_floor_plan(tmp_path):
-    wild = _tracks(1).with_columns(x_m=pl.when(pl.col("t_s") == 1.0).then(1e7).otherwise("x_m"))
-    tame, spoiled = (_pixels(floor_plan(tmp_path / "plan.png", t, _tracks(1))) for t in (_tracks(1), wild))
-    # At the scale of the wild one the track would be a dot.
-    blue = [int(_near_blue(picture).any(axis=0).sum()) for picture in (tame, spoiled)]
-    assert blue[1] > 0.8 * blue[0]
+def test_wild_estimates_are_counted_and_do_not_decide_the_scale_of_the_floor_plan(tmp_path, figures):
+    row = pl.int_range(pl.len())
+    tracks = pl.concat([_tracks(1).with_columns(t_s=pl.col("t_s") + 6 * k) for k in range(10)])
+    # Beyond the x axis alone, the y axis alone, and both.
+    wild = tracks.with_columns(
+        x_m=pl.when(row.is_in([50, 70])).then(1e4).otherwise("x_m"),
+        y_m=pl.when(row.is_in([60, 70])).then(-1e4).otherwise("y_m"),
+    )
+    floor_plan(tmp_path / "plan.png", wild)
+    (axes,) = figures[0].axes
+    assert axes.get_title(loc="left").splitlines() == [
+        "dots: estimates with their reported 95 % ellipses", "3 of 600 estimates lie outside the axes"
+    ]  # fmt: skip
+    floor_plan(tmp_path / "plan.png", tracks)
+    assert "outside" not in figures[1].axes[0].get_title(loc="left")
+    for limits in ("get_xlim", "get_ylim"):
+        tame, spoiled = (getattr(figure.axes[0], limits)() for figure in figures[::-1])
+        np.testing.assert_allclose(spoiled, tame, atol=0.1)
 
 
-def _near_blue(picture):
-    return np.abs(picture - [int(BLUE[k : k + 2], 16) for k in (1, 3, 5)]).max(axis=2) < 30
+def test_times_are_written_along_three_tracks_and_not_along_four(tmp_path, figures):
+    for n_tags in (3, 4):
+        floor_plan(tmp_path / "plan.png", _tracks(n_tags))
+    three, four = ([text.get_text() for text in figure.axes[0].texts] for figure in figures)
+    assert three == ["2 s", "4 s"] * 3
+    assert four == []
 
 
 @pytest.mark.parametrize(
@@ -218,6 +248,15 @@ def test_bearings_over_time_shows_estimate_and_truth(tmp_path, rng):
     picture = _pixels(bearings_over_time(tmp_path / "b.png", T, wrapped, np.full((60, 2), 0.05), T, true))
     assert _shows(picture, BLUE)
     assert _shows(picture, BLACK)
+
+
+def test_azimuth_and_elevation_have_a_panel_each_below_one_another(tmp_path, figures):
+    bearings_over_time(tmp_path / "b.png", T, np.stack([0.1 * T, -0.05 * T], axis=1))
+    panels = figures[0].axes
+    assert [axes.get_ylabel() for axes in panels] == ["azimuth (°)", "elevation (°)"]
+    assert [axes.get_subplotspec().get_geometry() for axes in panels] == [(2, 1, 0, 0), (2, 1, 1, 1)]
+    for axes, factor in zip(panels, (0.1, -0.05), strict=True):
+        np.testing.assert_allclose(axes.lines[0].get_xydata(), np.stack([T, np.degrees(factor * T)], axis=1))
 
 
 def test_bearings_over_time_takes_a_full_turn_and_missing_rows(tmp_path):

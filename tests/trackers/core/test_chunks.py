@@ -6,10 +6,11 @@ import sys
 import threading
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from trackers.core.chunks import chunks, n_workers, run_chunks
+from trackers.core.chunks import as_numbers, chunks, n_workers, run_chunks
 from trackers.core.recording import Readings, Recording, stack
 
 HASHED = """
@@ -45,6 +46,15 @@ def test_one_device_and_two_give_the_same_bits():
         printed.append(done.stdout.split())
     assert [int(count) for count, _ in printed] == [1, 2]
     assert printed[0][1] == printed[1][1]
+
+
+def test_floats_alone_become_numbers_of_the_type():
+    whole = [3, True, np.int64(4), np.arange(2), np.array([True]), jnp.arange(2), "name"]
+    found = as_numbers([*whole, 0.5, np.float64(0.25), np.ones(2), jnp.ones(2), None], np.float32)
+    assert all(x is y for x, y in zip(found, whole, strict=False))
+    assert [x.dtype for x in found[len(whole) : -1]] == [np.float32] * 4
+    assert [type(x) for x in found[len(whole) : -2]] == [np.ndarray] * 3
+    assert isinstance(found[-2], jax.Array)
 
 
 def test_parts_side_by_side_are_those_one_after_another_in_their_order():
