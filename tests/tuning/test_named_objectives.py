@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from tuning.named_objectives import parse_objective
+from tests.tuning.worlds import line_tracker, walks
+from trackers.core.recording import stack
+from tuning.named_objectives import all_metrics, parse_objective
 from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError, StateLogLikelihood, Weighted
 
 SUMS = np.array([12.0, 3.0])
@@ -36,3 +38,11 @@ def test_a_sum_adds_its_parts_in_the_order_of_the_text():
 def test_texts_that_name_no_objective_are_refused(text):
     with pytest.raises(ValueError):
         parse_objective(text)
+
+
+def test_a_tag_whose_true_place_is_the_origin_has_an_error():
+    (walk,) = walks([8], 1)
+    walk.truth["position"] = np.zeros((8, 1)), np.ones(8, bool)
+    tracker, batch = line_tracker(), stack([walk])
+    places = np.asarray(tracker.run(batch).mean.position[0])
+    assert all_metrics(tracker, batch, dimensions=1)["rmse"] == pytest.approx(np.sqrt(np.mean(places**2)), rel=1e-6)

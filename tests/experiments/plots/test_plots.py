@@ -283,8 +283,11 @@ def test_lengths_are_shown_in_a_unit_of_their_size(size, unit):
     assert length_unit(size) == unit
 
 
-def test_the_band_of_three_sigma_is_light(tmp_path):
-    errors = np.zeros((60, 2))
-    picture = _pixels(error_over_time(tmp_path / "error.png", T, errors, np.ones((60, 2))))
+def test_the_bands_of_three_sigma_and_of_consistency_are_light(tmp_path, rng):
     light = [255 - 0.35 * (255 - int(SKY[k : k + 2], 16)) for k in (1, 3, 5)]
-    assert (np.abs(picture - light).max(axis=2) < 6).sum() > 3_000
+    errors, nis = np.zeros((60, 2)), rng.chisquare(8, (3, 60))
+    for path in (
+        error_over_time(tmp_path / "error.png", T, errors, np.ones((60, 2))),
+        consistency(tmp_path / "chi.png", T, None, 2, nis, 8),
+    ):
+        assert (np.abs(_pixels(path) - light).max(axis=2) < 6).sum() > 3_000
