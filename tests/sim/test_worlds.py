@@ -111,6 +111,7 @@ def test_a_world_shows_its_name_and_size():
         ("ranges", {"rows": True}, "rows = True: expected a whole number"),
         ("station", {"outliers": 1.0}, "from 0 to below 1"),
         ("station", {"lost_station": "7"}, "expected one of the stations 1, 2, 3"),
+        ("station", {"masked_antenna": ("1", 0)}, "an antenna from 1 to 8"),
         ("tool", {"gap": (2.0, 1.0)}, "gap = .*expected two times"),
         ("agv", {"n": 0}, "n = 0: expected a whole number from 1"),
     ],

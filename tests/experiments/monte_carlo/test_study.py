@@ -278,6 +278,7 @@ def test_until_ends_a_condition_as_soon_as_its_interval_is_narrow_enough(tmp_pat
     narrow = run_study(study, tmp_path / "narrow", (1, 1), StopRule.parse("rmse_m +- 0.01 %", study), no_progress)
     assert wide.runs[0] == 32
     assert narrow.runs[0] == 64
+    assert [len([*(tmp_path / name / "chunks").glob("*.npz")]) for name in ("wide", "narrow")] == [1, 2]
     with pytest.raises(UnusableInput, match="--shard"):
         run_study(study, tmp_path / "shard", (1, 2), StopRule.parse("rmse_m±1%", study), no_progress)
 

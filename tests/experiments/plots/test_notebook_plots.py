@@ -48,6 +48,8 @@ def test_a_floor_plan_draws_estimates_truth_and_nothing_else(run, in_arrays):
     drawn = {line.get_label(): line for line in axes.lines}
     np.testing.assert_array_equal(drawn["1"].get_xdata(), rows["x_m"].to_numpy())
     assert drawn["truth"].get_xdata().size >= recording.tables["truth"].filter(tag="1").height
+    anchors = recording.rig.anchors
+    assert {text.get_text(): text.xy for text in axes.texts} == {k: tuple(place[:2]) for k, place in anchors.items()}
     own = tw.plot.floor_plan(in_arrays[1], in_arrays[0], ax=axes)
     assert own is axes
     with pytest.raises(UnusableInput, match="no estimate of tag '9'"):

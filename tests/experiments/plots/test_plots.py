@@ -12,12 +12,15 @@ from experiments.plots.bearings import bearings_over_time
 from experiments.plots.coverage import coverage_curve, levels_of, observed_shares
 from experiments.plots.errors import error_cdf, error_over_time
 from experiments.plots.filters import consistency, inflation
-from experiments.plots.objective import tuning_trace
+from experiments.plots.objective import sweep_plot, tuning_trace
 from experiments.plots.style import BLACK, BLUE, LINES, SKY, VERMILION, broken_at_gaps
 from experiments.plots.tracks import TRUTH, floor_plan
 from experiments.reports.wording import length_unit
 from trackers.core.errors import UnusableInput
 from trackers.core.rig import Station
+from trackers.core.tunable import Scale
+from tuning.parameters import Parameter
+from tuning.sweeping import Sweep
 
 T = np.arange(60) * 0.1
 
@@ -257,6 +260,27 @@ def test_azimuth_and_elevation_have_a_panel_each_below_one_another(tmp_path, fig
     assert [axes.get_subplotspec().get_geometry() for axes in panels] == [(2, 1, 0, 0), (2, 1, 1, 1)]
     for axes, factor in zip(panels, (0.1, -0.05), strict=True):
         np.testing.assert_allclose(axes.lines[0].get_xydata(), np.stack([T, np.degrees(factor * T)], axis=1))
+
+
+def test_directions_in_the_plane_of_an_array_are_one_angle(tmp_path, figures):
+    in_plane = np.stack([np.where(T < 3, 0.5, -0.5) * np.pi, 0.1 * T], axis=1)
+    bearings_over_time(tmp_path / "b.png", T, in_plane)
+    bearings_over_time(tmp_path / "b.png", T, in_plane[:, ::-1])
+    assert [[axes.get_ylabel() for axes in figure.axes] for figure in figures] == [
+        ["in-plane angle (°)"], ["azimuth (°)", "elevation (°)"]
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(("repeats", "paths"), [(1, 0), (1, 1), (3, 0)])
+def test_a_sweep_over_one_number_has_a_legend_of_spread_and_steps(tmp_path, figures, repeats, paths):
+    parameter = Parameter(("motion.sigma_a",), Scale(1.0, "m/s^2"), "motion.sigma_a")
+    grid = np.array([0.5, 1.0, 2.0])
+    swept = Sweep([parameter], [grid], np.array([2.0, 1.0, 3.0]) + 0.1 * np.arange(repeats)[:, None], 1)
+    sweep_plot(tmp_path / "s.png", swept, "nll", [np.array([[0.7], [1.1]])] * paths)
+    legend = figures[0].axes[0].get_legend()
+    assert (legend is not None) == (repeats > 1 or paths > 0)
+    if paths:
+        assert "optimiser steps" in [text.get_text() for text in legend.get_texts()]
 
 
 def test_bearings_over_time_takes_a_full_turn_and_missing_rows(tmp_path):

@@ -12,9 +12,11 @@ from experiments.plots.study import expected, metric_chart
 from experiments.reports.wording import Unit
 from sim.worlds import WORLDS
 
+USUAL = Value(0.01, 0.009, 0.06)
 
-def _drawn(name, values, bounds=None, metric="rmse_m"):
-    """The SVG of a metric over a grid of two trackers."""
+
+def _chart(name, values, bounds=None, metric="rmse_m", value=USUAL):
+    """The chart of a metric over a grid of two trackers."""
     study = Study(
         name="grid",
         about="",
@@ -23,9 +25,18 @@ def _drawn(name, values, bounds=None, metric="rmse_m"):
         grid={name: values},
         runs=2,
     )
-    found = {(c.index, t): Value(0.01 + 0.01 * c.index, 0.009, 0.06) for c in study.conditions for t in study.trackers}
+    found = {
+        (c.index, t): value._replace(value=value.value * (1 + c.index))
+        for c in study.conditions
+        for t in study.trackers
+    }
     limits = None if bounds is None else {key: Value(b, b, b) for key, b in zip(found, bounds, strict=True)}
-    chart = metric_chart(SimpleNamespace(study=study), metric, found, Unit("cm", 100.0), limits)
+    return metric_chart(SimpleNamespace(study=study), metric, found, Unit("cm", 100.0), limits)
+
+
+def _drawn(*given, **named):
+    """The SVG of that chart."""
+    chart = _chart(*given, **named)
     return base64.b64decode(chart.address.split(",", 1)[1]).decode().partition("<metadata")[0]
 
 
@@ -56,3 +67,10 @@ def test_what_right_covariances_give_is_a_line_at_its_value():
     assert "95 expected" in _drawn(*grid, metric="coverage_95")
     assert "expected" not in _drawn(*grid)
     assert "(line: 95)" in _drawn("world.path", ["helix", "hand"], metric="coverage_95")
+
+
+def test_a_metric_without_a_value_above_zero_has_no_chart():
+    grid = "world.sigma_p", [0.1, 0.2, 0.3]
+    assert _chart(*grid, metric="diverged", value=Value(0.0, 0.0, 0.0)) is None
+    # An interval may reach down to zero.
+    assert _chart(*grid, metric="diverged", value=Value(0.01, 0.0, 0.03)) is not None

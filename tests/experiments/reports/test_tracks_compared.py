@@ -3,6 +3,7 @@
 import base64
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import polars as pl
@@ -122,6 +123,19 @@ def test_the_chart_holds_both_paths_the_truth_and_the_anchors(three):
     (mark,) = (t for t in _chart(change)["data"] if t.get("marker", {}).get("symbol") == "triangle-up")
     assert (mark["x"], mark["y"]) == ([0.0], [0.0])
     assert [(a["x"], a["y"], a["text"]) for a in _chart(change)["layout"]["annotations"]] == [(0.0, 0.0, "A")]
+
+
+def test_the_plan_includes_all_anchors_unless_they_are_far_away(three):
+    change = three[2].shown[1]
+    paths = np.concatenate([change.truth, change.before.path, change.after.path])
+    low, size = np.nanmin(paths, axis=0), float(np.max(np.nanmax(paths, axis=0) - np.nanmin(paths, axis=0)))
+    for share, included in ((0.4, True), (4.0, False)):
+        corners = low + share * size * np.array([[-1, 0], [0, -1], [2, 0], [0, 2]])
+        rig = Rig("hall", anchors={f"{k}": np.array([*place, 2.0]) for k, place in enumerate(corners)})
+        layout = _chart(replace(change, rig=rig))["layout"]
+        for axis, places in zip(("xaxis", "yaxis"), corners.T, strict=True):
+            first, last = layout[axis]["range"]
+            assert (first < places.min() and places.max() < last) == included
 
 
 @pytest.mark.slow
