@@ -3,10 +3,12 @@
 import inspect
 
 import numpy as np
+import polars as pl
 import pytest
 from polars.testing import assert_frame_equal
 
 from sim import worlds
+from sim.agv import ANCHOR_HEIGHT
 from sim.worlds import WORLDS
 from tests.in_process import trackwright
 from trackers import catalogue
@@ -119,6 +121,22 @@ def test_a_world_shows_its_name_and_size():
 def test_values_out_of_range_are_refused(name, numbers, message):
     with pytest.raises(ValueError, match=message):
         getattr(worlds, name)(**numbers)
+
+
+@pytest.mark.parametrize("antenna", [1, 8])
+def test_a_masked_antenna_is_missing_from_its_station_alone(antenna):
+    phases = worlds.station(n=1, rows=3, masked_antenna=("2", antenna)).folder().tables["phases"]
+    missing = phases.select(pl.col(f"phase_{k}_rad").is_null() for k in range(1, 9)).to_numpy()
+    of_station, of_antenna = phases["station"].to_numpy() == "2", np.arange(1, 9) == antenna
+    np.testing.assert_array_equal(missing, of_station[:, None] & of_antenna)
+
+
+def test_heights_of_vehicles_are_mirrored_three_seconds_at_a_stretch():
+    fixes = worlds.agv(n=10, rows=2000, mirror=0.3).folder().tables["fixes"]
+    above = np.stack([own["z_m"].to_numpy() > ANCHOR_HEIGHT for own in fixes.partition_by("tag")])
+    begins = np.diff(above, axis=1, prepend=False) & above
+    assert above.mean() == pytest.approx(0.3, abs=0.05)
+    assert 0.1 * above.sum() / begins.sum() == pytest.approx(3.0, abs=0.6)
 
 
 @pytest.mark.parametrize(("make", "first"), [(worlds.line, "n"), (WORLDS["line"], "situation")])

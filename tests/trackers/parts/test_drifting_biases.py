@@ -6,10 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from tests.oracles import van_loan
 from tests.trackers.parts.biased_walks import inside_shares
 from trackers.core.algebra import Vector, triangle
 from trackers.core.filter import Gaussian
-from trackers.parts.drifting_biases import BiasedState, DriftingBiases
+from trackers.parts.drifting_biases import BiasedState, DriftingBiases, damped_velocity
 
 SIGMAS, TIME, LENGTH = np.array([0.1, 0.3]), 9.0, 0.4
 N = 2 + 2 + 4
@@ -40,6 +41,17 @@ def test_biases_decay_at_the_rate_of_time_and_way_and_keep_their_variance(veloci
         noise = float(_after(_motion(), _state(*velocity), dt, w).bias[number] - found.bias[number])
         variance = SIGMAS[number % 2] ** 2
         assert variance * kept**2 + noise**2 == pytest.approx(variance, rel=1e-12)
+
+
+@pytest.mark.parametrize("u", [0.0, 0.01, 0.2, 0.45, 0.499, 0.501, 3.0])
+def test_a_damped_velocity_is_that_of_its_stochastic_differential_equation(u):
+    memory = 2.5
+    F, Q = van_loan(np.array([[0.0, 1.0], [0.0, -1 / memory]]), np.diag([0.0, 1.0]), u * memory)
+    decay, gain, velocity_noise, shared, own = (float(x) for x in damped_velocity(jnp.asarray(u * memory), memory))
+    np.testing.assert_allclose([[gain], [decay]], F[:, 1:], rtol=1e-12)
+    found = np.array([shared * velocity_noise, velocity_noise**2, own**2])
+    conditional = Q[0, 0] - Q[0, 1] ** 2 / Q[1, 1] if u else 0.0
+    np.testing.assert_allclose(found, [Q[0, 1], Q[1, 1], conditional], rtol=2e-6, atol=1e-14)
 
 
 @pytest.mark.parametrize("as_matrix", [False, True])
