@@ -90,7 +90,7 @@ def evaluate_tracks(
         return evaluate_archive(folder, part, every, cluster, json, fail_if)
     if (folder / RECORDINGS).is_dir() and not (folder / TRACKS).exists():
         raise UnusableInput(f"{folder}: an archive that was not tracked to its end; run the same `track` again")
-    if folder.is_file() or options.given or any(path.is_file() for path in truth):
+    if folder.is_file() or options.given or not all(path.is_dir() for path in truth):
         if worksteps is not None or cluster is not None:
             raise UnusableInput(
                 "--worksteps and --cluster: apply to a folder of `track`, without trajectory options and files"

@@ -49,7 +49,7 @@ def zero_of(first: float) -> float:
 def moment(time: float) -> str:
     """A time, s, for messages: the date and time of day, UTC, where it counts from 1970, else seconds."""
     if not UNIX_S <= time < UNIX_MS:
-        return f"{time:.12g} s"
+        return f"{round(float(time), 6):.12g} s"  # times since 1970 have steps of 0.24 µs
     text = datetime.fromtimestamp(round(float(time), 3), UTC).strftime("%Y-%m-%d %H:%M:%S.%f")
     return text.rstrip("0").rstrip(".") + " UTC"
 

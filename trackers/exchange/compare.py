@@ -84,8 +84,7 @@ def compare_trajectories(
         raise UnusableInput(
             f"{estimate.name}: no pose lies within {tolerance:g} s of a true pose: estimates from "
             f"{span(estimate.times[0] + offset, estimate.times[-1] + offset)}, truth from "
-            f"{span(truth.times[0], truth.times[-1])}; give a larger --time-tolerance, or a --time-offset: with "
-            f"{truth.times[0] - estimate.times[0]:.12g} both begin together"
+            f"{span(truth.times[0], truth.times[-1])}; {_way_to_pairs(estimate, truth, offset)}"
         )
     similarity = alignment(align, estimate.at_rows(own_rows), truth.at_rows(true_rows))
     aligned = replace(similarity.trajectory(estimate), times=estimate.times + offset)
@@ -109,6 +108,17 @@ def compare_trajectories(
         rpe_rad={step: statistics(errors[1]) for step, errors in found.items() if errors[1] is not None},
         speed_mps=_speed_errors(aligned, truth, own.times),
     )
+
+
+def _way_to_pairs(estimate: PoseTrajectory, truth: PoseTrajectory, offset: float) -> str:
+    """The option with which poses are associated: a tolerance where both overlap in time, else an offset."""
+    begin, end = estimate.times[[0, -1]] + offset
+    if end < truth.times[0] or begin > truth.times[-1]:
+        together = round(truth.times[0] - estimate.times[0], 6)
+        return f"give a --time-offset: with {together:.16g} both begin together"
+    own, true = associate(estimate, truth, np.inf, offset)
+    apart = np.median(np.abs(estimate.times[own] + offset - truth.times[true]))
+    return f"give a larger --time-tolerance: half of the poses have a true one within {apart:.3g} s"
 
 
 def _flat(trajectory: PoseTrajectory) -> PoseTrajectory:

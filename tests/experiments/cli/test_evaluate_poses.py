@@ -117,6 +117,10 @@ def test_covariances_turn_with_the_track(beginnings, truth, tmp_path):
         (("--truth", "good", "--tag", "T9"), ("no such tag", "T1, T2")),
         ((), ("no --truth",)),
         (("--truth", "good", "--tag", "T1", "--time-offset", "900"), ("no pose lies within", "both begin together")),
+        (
+            ("--truth", "good", "--tag", "T1", "--time-offset", "-0.17"),
+            ("half of the poses have a true one within 0.03 s",),
+        ),
         (("--truth", "nowhere.tum"), ("--truth nowhere.tum: does not exist", "or a trajectory file")),
         (("--truth", "good", "--tag", "T1", "--rpe", "5km"), ("such as 1m",)),
         (("--truth", "good", "--tag", "T1", "--worksteps", "p.csv"), ("--worksteps",)),
@@ -158,6 +162,8 @@ def test_a_run_of_one_tag_is_scored_by_a_trajectory_file(run, there):
     backwards = trackwright("evaluate", run, "--from", 1777896820, "--to", 1777896810)
     _refused_last(backwards, "--from 1777896820 --to 1777896810: expected the first below the second")
     write_tracks(moved.with_columns(pl.col("t_s") - 1777896800.0), run / "tracks.parquet")
+    missing = trackwright("evaluate", run, "--truth", "nowhere.tum")
+    _refused_last(missing, "--truth nowhere.tum: does not exist", "or a trajectory file")
     plain = trackwright("evaluate", run, "--truth", there / "true.tum")
     assert plain.code == 0, plain.err
     assert "a delay of the estimates" not in plain.out

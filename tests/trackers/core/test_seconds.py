@@ -68,6 +68,7 @@ def test_times_that_count_from_1970_are_never_rounded_to_five_digits():
     assert moment(unix) == "2026-05-04 12:13:46.66 UTC"
     assert moment(12.5) == "12.5 s"
     assert moment(1234567.25) == "1234567.25 s"
+    assert moment(1777897459.9 - 1777897400.0) == "59.9 s"
     assert moment(1.77e12) == "1.77e+12 s"
     assert span(unix, unix + 1) == "2026-05-04 12:13:46.66 UTC to 2026-05-04 12:13:47.66 UTC"
     assert span(0.0, 120.1) == "0 to 120.1 s"
