@@ -41,9 +41,10 @@ def fit_cautions(
     uncertainty: Uncertainty | None,
     grids: Sequence[ReadingGrid],
     recordings: Sequence[str],
+    selected: bool,
 ) -> list[str]:
     """Clauses on what speaks against the fit from `start` to `end` (p,); arguments as of `FitResult`."""
-    found = [*standstill(start, end), *collapsed(problem.parameters, start, end, grids, uncertainty)]
+    found = [*standstill(start, end, selected), *collapsed(problem.parameters, start, end, grids, uncertainty)]
     if uncertainty is not None:
         found += deciding(problem, uncertainty, recordings)
     if problem.objective.is_likelihood:
@@ -51,11 +52,12 @@ def fit_cautions(
     return found
 
 
-def standstill(start: Float[np.ndarray, " p"], end: Float[np.ndarray, " p"]) -> list[str]:
-    """A clause where a fit found no better point than its start."""
+def standstill(start: Float[np.ndarray, " p"], end: Float[np.ndarray, " p"], selected: bool = False) -> list[str]:
+    """A clause where a fit found no better point than its start; `selected`: by held-out recordings."""
     if np.max(np.abs(end - start), initial=0.0) >= MOVED:
         return []
-    return ["the fit did not move from its starting values: no other point tried has a better objective"]
+    where = " on the held-out recordings" if selected else ""
+    return [f"the fit did not move from its starting values: no other point tried has a better objective{where}"]
 
 
 def collapsed(

@@ -69,8 +69,8 @@ class FitResult(Generic[AnyTracker]):
     gradient there. `uncertainty`: None where the fit was interrupted. `trace`: the steps of the best start, ending at
     `vector`; `starts`: of all starts. `before`: the tracker at the first start, tied numbers made equal and bounded
     ones clipped. `limits`: lowest and highest vector. `converged`: whether the best start ended before the last step,
-    or its optimiser takes all. `readings`: steps and repetitions of the readings. `recordings`: that of each trajectory
-    of `problem`.
+    or its optimiser takes all. `selected`: whether held-out recordings chose `vector`. `readings`: steps and
+    repetitions of the readings. `recordings`: that of each trajectory of `problem`.
     """
 
     tracker: AnyTracker
@@ -88,6 +88,7 @@ class FitResult(Generic[AnyTracker]):
     before: AbstractTracker
     limits: tuple[Float[np.ndarray, " p"], Float[np.ndarray, " p"]]
     converged: bool
+    selected: bool = False
     trace: list[Step] = field(default_factory=list)
     starts: list[list[Step]] = field(default_factory=list)
     readings: list[ReadingGrid] = field(default_factory=list)
@@ -109,7 +110,13 @@ class FitResult(Generic[AnyTracker]):
         See `tuning.fit_cautions`.
         """
         return fit_cautions(
-            self.problem, self.start_vector, self.vector, self.uncertainty, self.readings, self.recordings
+            self.problem,
+            self.start_vector,
+            self.vector,
+            self.uncertainty,
+            self.readings,
+            self.recordings,
+            self.selected,
         )
 
     @cached_property
@@ -266,6 +273,7 @@ def _result(tracker: AbstractTracker, driver: MultiStart, state: FitState, inter
         before=with_parameters(tracker, parameters, own),
         limits=(driver.low, driver.high),
         converged=not (driver.optimiser.monotone and state.number >= driver.max_steps and state.active[winner]),
+        selected=driver.held_out is not None,
         trace=traces[winner],
         starts=traces,
     )

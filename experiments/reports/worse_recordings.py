@@ -30,7 +30,8 @@ def worse(old: Mapping[str, Any], new: Mapping[str, Any], error: str, suffix: st
         unit = Unit("°", 180 / math.pi) if error.endswith("_rad") else length_unit(after)
         digits = 3 if unit.name == "m" else 1
         figures = [fixed(unit.factor * x, digits) for x in (before, after)]
-        yield f"{name}: {'3-D ' if suffix else ''}RMSE {figures[0]} → {figures[1]} {unit.name}"
+        which = "3-D " if suffix else "horizontal " if error == "rmse_m" else ""
+        yield f"{name}: {which}RMSE {figures[0]} → {figures[1]} {unit.name}"
     if None in (old[share], new[share]):
         return
     lost = holds(old, suffix) and not holds(new, suffix)

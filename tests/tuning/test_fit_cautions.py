@@ -1,5 +1,6 @@
 """Cautions on a fit: each on data made so that it applies, and none on data of the model itself."""
 
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -110,4 +111,14 @@ def test_a_fit_that_does_not_move_from_its_start_has_others():
 def test_a_fit_that_stays_where_it_was_says_so():
     (text,) = standstill(np.zeros(2), np.array([0.0, 1e-9]))
     assert text.startswith("the fit did not move from its starting values")
+    assert text.endswith("has a better objective")
     assert standstill(np.zeros(2), np.array([0.0, 1e-3])) == []
+
+
+def test_a_fit_that_held_out_recordings_keep_at_its_start_has_no_better_point_on_those():
+    own, other = walks([300], 6), walks([300], 7)
+    result = tw.fit(line_tracker(), own, "nll", LEVELS, starts=1, steps=2, held_out=other)
+    assert result.selected
+    stayed = replace(result, vector=result.start_vector, uncertainty=None)
+    assert stayed.cautions[0].endswith("a better objective on the held-out recordings")
+    assert not tw.fit(line_tracker(), own, "nll", LEVELS, starts=1, steps=2).selected
