@@ -46,7 +46,8 @@ def listed(names: Iterable[object], most: int = 5) -> str:
 
 def near(word: str, names: Iterable[str]) -> str:
     """` (did you mean …?)` with the nearest of the names, or nothing where none is near."""
-    found = difflib.get_close_matches(word, list(names), 1, 0.6)
+    known = list(names)
+    found = [name for name in known if name.endswith(f".{word}")] or difflib.get_close_matches(word, known, 1, 0.6)
     return f" (did you mean {found[0]}?)" if found else ""
 
 
