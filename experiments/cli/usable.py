@@ -42,5 +42,5 @@ def errors_of(recording: RecordingFolder, force: bool, calibrated: bool) -> list
     errors = [line for line, one in zip(lines, found, strict=True) if one.level == "error"]
     if errors and not force:
         more = f" (and {len(errors) - 1} more: `trackwright check {recording.path}`)" if len(errors) > 1 else ""
-        raise UnusableInput(f"{errors[0]}{more}; correct it, or track it as it is with --force")
+        raise UnusableInput(f"{errors[0]}{more}; --force tracks it as it is")
     return lines

@@ -37,7 +37,7 @@ def _true_heights(truth: pl.DataFrame, heights: Mapping[str, float]) -> dict[str
     for tag, z in typical.agg(pl.col("z_m").median()).iter_rows():
         if z is not None and abs(z - heights[tag]) > OFF_M:
             down = abs(z + heights[tag]) <= OFF_M
-            fix = "z of the truth points down; flip its sign" if down else "correct one of both"
+            fix = "z of the truth points down; flip its sign" if down else "one of the two is wrong"
             found[tag] = f"z of its truth is typically {z:.2f} m: {fix}"
     return found
 

@@ -84,7 +84,7 @@ def test_no_mistake_is_named_in_the_hall(tables, height):
 
 
 WITH_TRUTH = {
-    "height of another place": (_height(11.0), "rig.toml: height_m of tag T is 11, but z of its truth is typically 1.10"),
+    "height of another place": (_height(11.0), "rig.toml: height_m of tag T is 11, but z of its truth is typically 1.10 m: one of the two"),
     "z of the truth down": (_table("truth", z_m=-pl.col("z_m")), "z of the truth points down; flip"),
 }  # fmt: skip
 
