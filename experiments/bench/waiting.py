@@ -51,7 +51,9 @@ COMMANDS: dict[str, tuple[str, ...]] = {
 }
 """The arguments by name; recordings by their folder's name, `OUT` for the output folder."""
 
-EXIT_CODES = {"check": (0, 1), "refusal": (2,)}
+EXIT_CODES = {"check": (0, 1), "refusal": (2,), "tune-walks": (0, 1), "tune-starloc": (0, 1)}
+"""Other than 0 alone: `check` finds errors, and `tune` may refuse its values at the end."""
+
 PHASES = ("imports", "reading", "tracing", "compiling", "running", "evaluation", "figures")
 """`running` is the rest: filtering, and everything that is not named."""
 
