@@ -94,7 +94,8 @@ def _covariance(metrics: Mapping[str, Any], suffix: str) -> str:
     if not small and factor <= 1 / FACTOR:
         # Errors may be zero: of a trajectory that is compared with itself, or aligned with a copy.
         times = significant(1 / factor, 2) if factor > 1 / MOST else f"over {MOST}"
-        return f"standard deviations are {times} times too large: {figures}"
+        where = " for the median error and fit large ones" if share <= COVERAGE[1] else ""
+        return f"standard deviations are {times} times too large{where}: {figures}"
     large = "too small for large errors" if small else "too large for large errors"
     return f"standard deviations fit the median error and are {large}: {figures}"
 

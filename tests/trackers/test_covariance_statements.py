@@ -59,6 +59,15 @@ def test_heavy_tails_with_a_right_median_are_named_as_such():
     )
 
 
+def test_a_right_share_inside_the_ellipse_is_not_called_too_large():
+    tracks, truth = _tracks(1 / 3)
+    tails = tracks.with_columns(x_m=pl.when(pl.int_range(N) % 20 == 0).then(pl.col("t_s") + 0.27).otherwise("x_m"))
+    assert _statements(tails, truth)[0].startswith(
+        "Reported standard deviations are 2.9 times too large for the median error and fit large ones: the 95 % ellipse "
+        "holds the truth in 95 % of the rows (limits 88 to 99 %), NEES"
+    )
+
+
 def test_a_recording_that_does_not_hold_is_named_although_all_rows_together_do():
     good, truth = _tracks(1.0)
     bad, _ = _tracks(2.0, "yard", seed=2)
