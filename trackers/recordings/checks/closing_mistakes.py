@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from trackers.core.wording import significant
 from trackers.recordings.checks.check_result import CheckResult
 from trackers.recordings.checks.closing import Moments, moments
 from trackers.recordings.checks.explanations import FACTORS
@@ -35,14 +36,15 @@ def check_closing(recording: RecordingFolder, table: str) -> list[CheckResult]:
     if found is None or (before := found.closing()) <= LARGE[table]:
         return []
     tried = [(changed.closing(), change, cause) for change, cause, changed in _changes(found)]
-    least, _, cause = min(tried)
+    least = min(tried)[0]
     unit, factor = (" m", 1.0) if table == "ranges" else ("°", np.degrees(1.0))
-    message = f"readings of one moment contradict each other by {factor * before:.2g}{unit}"
+    message = f"readings of one moment contradict each other by {significant(factor * before, 2)}{unit}"
     if least > min(SMALLER * before, REMAINING[table]):
         line = f"{message}, and no change of units, signs or ids explains it; check positions and rotations in rig.toml"
         return [CheckResult("warning", table, line)] if before > 2 * REMAINING[table] else []
-    alike = [change for size, change, _ in sorted(tried) if size <= ALIKE * least][:NAMED]
-    line = f"{message}, and by {factor * least:.2g}{unit} with {', or '.join(alike)}: {cause}"
+    alike = [one for one in sorted(tried) if one[0] <= ALIKE * least][:NAMED]
+    changes, causes = ", or ".join(one[1] for one in alike), "; or ".join(dict.fromkeys(one[2] for one in alike))
+    line = f"{message}, and by {significant(factor * least, 2)}{unit} with {changes}: {causes}"
     return [CheckResult("error", table, line)]
 
 

@@ -11,7 +11,7 @@ import polars as pl
 import pytest
 
 from trackers.core.rig import Rig, Station, Tag
-from trackers.recordings.checks import check, quick_check
+from trackers.recordings.checks import check, closing_mistakes, quick_check
 from trackers.recordings.checks.closing import moments
 from trackers.recordings.folder import RecordingFolder
 
@@ -146,6 +146,18 @@ def test_a_mistake_is_named_without_truth_by_readings_that_contradict_each_other
     (error,) = quick_check(make(_only("ranges", "bearings")(_hall())))
     assert (error.level, error.where) == ("error", table)
     assert all(word in error.message for word in words), error.message
+    assert "e+" not in error.message
+
+
+def test_changes_that_explain_contradictions_alike_have_the_causes_of_all(monkeypatch):
+    changes = closing_mistakes._changes
+    monkeypatch.setattr(
+        closing_mistakes,
+        "_changes",
+        lambda found: [(words, cause, one) for words, _, one in changes(found) for cause in ("one cause", "another")],
+    )
+    (error,) = quick_check(_swapped(_only("ranges")(_hall())))
+    assert error.message.endswith(": another; or one cause")
 
 
 @pytest.mark.parametrize("height", [1.1, None])
