@@ -94,7 +94,7 @@ def nis_band(
 def nis_quantile(probability: float, dof: float, student_t_dof: float | None = None) -> float:
     """The quantile of the NIS of a row with `dof` degrees of freedom.
 
-    Of a beta distribution by sums over the angle whose squared sine it is: scipy takes 0.1 s of processor time to import.
+    Of a beta distribution by sums over the angle whose squared sine it is: importing scipy takes 0.1 s.
     """
     if student_t_dof is None:
         return chi_square_quantile(probability, dof)
