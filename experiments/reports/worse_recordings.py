@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from experiments.reports.wording import Unit, fixed, length_unit
-from trackers.covariance_statements import holds
+from trackers.covariance_statements import LIMITS, holds
 
 MOST_ERROR = 1.05
 """The ratio of the RMSE after to that before from which on a recording gets worse."""
@@ -38,4 +38,5 @@ def worse(old: Mapping[str, Any], new: Mapping[str, Any], error: str, suffix: st
     if lost or abs(new[share] - 0.95) > abs(old[share] - 0.95) + FARTHER:
         shares = " → ".join(f"{100 * side[share]:.0f}" for side in (old, new))
         ratios = " → ".join(f"{side[f'nees{suffix}_ratio']:.2f}" for side in (old, new))
-        yield f"{name}: {shares} % in the 95 % {'ellipsoid' if suffix else 'ellipse'}, NEES/dof {ratios}"
+        limits = f" (held before; {' and '.join(LIMITS)})" if lost else ""
+        yield f"{name}: {shares} % in the 95 % {'ellipsoid' if suffix else 'ellipse'}, NEES/dof {ratios}{limits}"
