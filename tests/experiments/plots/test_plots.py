@@ -1,5 +1,9 @@
 """Every plot is a PNG that shows something, for full, odd and nearly empty input."""
 
+import base64
+import json
+import re
+
 import numpy as np
 import polars as pl
 import pytest
@@ -10,11 +14,12 @@ from matplotlib.image import imread
 from experiments.plots import style
 from experiments.plots.bearings import bearings_over_time
 from experiments.plots.coverage import coverage_curve, levels_of, observed_shares
-from experiments.plots.errors import error_cdf, error_over_time
+from experiments.plots.errors import error_cdf, error_charts, error_over_time
 from experiments.plots.filters import consistency, inflation
 from experiments.plots.objective import sweep_plot, tuning_trace
 from experiments.plots.style import BLACK, BLUE, LINES, SKY, VERMILION, broken_at_gaps
 from experiments.plots.tracks import TRUTH, floor_plan
+from experiments.reports.tuning_data import ErrorTrack
 from experiments.reports.wording import length_unit
 from trackers.core.errors import UnusableInput
 from trackers.core.rig import Station
@@ -159,6 +164,21 @@ def test_the_error_cdf_shows_horizontal_and_3d(tmp_path, rng):
     picture = _pixels(error_cdf(tmp_path / "cdf.png", rng.normal(size=(500, 3))))
     assert _shows(picture, BLUE)
     assert _shows(picture, VERMILION)
+
+
+@pytest.mark.parametrize(("rows", "block"), [(60, 1), (1000, 4), (1001, 5)])
+def test_errors_before_and_after_are_root_mean_squares_of_blocks_of_a_long_track(rng, rows, block):
+    times, before, after = 0.1 * np.arange(rows), *rng.uniform(1, 2, (2, rows))
+    ((name, address),) = error_charts([ErrorTrack("hall, tag 1", times, before, after)], "cm")
+    text = base64.b64decode(address.partition(",")[2]).decode()
+    drawn = json.loads(re.search(r'<metadata id="chart">(.*?)</metadata>', text, re.DOTALL)[1])["data"]
+    starts = range(0, rows, block)
+    for trace, values in zip(drawn, (before, after), strict=True):
+        np.testing.assert_allclose(trace["x"], [times[k : k + block].mean() for k in starts], rtol=1e-4)
+        np.testing.assert_allclose(
+            trace["y"], [np.sqrt(np.mean(values[k : k + block] ** 2)) for k in starts], rtol=1e-4
+        )
+    assert name == "hall, tag 1"
 
 
 @pytest.mark.parametrize("errors", [np.zeros((0, 3)), np.zeros((1, 2)), np.full((4, 3), np.nan), np.zeros((9, 3))])
