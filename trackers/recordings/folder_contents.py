@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 from pathlib import Path
 
-from trackers.core.errors import UnusableInput, has_control
+from trackers.core.errors import UnusableInput, has_control, listed
 from trackers.core.rig import Rig
 from trackers.recordings.rig_file import RIG_FILE, read_rig
 from trackers.recordings.table_file import SUFFIXES
@@ -40,8 +40,9 @@ def folder_contents(path: Path) -> tuple[Rig, dict[str, Path], list[str], list[s
     rig, notices = read_rig(path / RIG_FILE)
     files, others = _table_files(path, entries)
     if not files:
+        found = f"found {listed(others)}; measurements of another kind need Python" if others else "export one"
         raise UnusableInput(
-            f"{path}: no tables, expected at least one of {', '.join(TABLES)} as {', '.join(SUFFIXES)}; export one"
+            f"{path}: no tables, expected at least one of {', '.join(TABLES)} as {', '.join(SUFFIXES)}; {found}"
         )
     return rig, files, [*notices], others
 

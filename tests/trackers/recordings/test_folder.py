@@ -255,6 +255,13 @@ def test_unknown_columns_and_tables_of_a_recording_are_one_notice(tmp_path: Path
     assert all(word in notice for word in ("ignored: odometry.csv", "'rss_dbm' of bearings.csv", "of ranges.csv"))
 
 
+def test_measurements_that_have_no_table_are_named(tmp_path: Path):
+    (tmp_path / "rig.toml").write_text(RIG)
+    (tmp_path / "tdoa.csv").write_text("t_s,tag,difference_m\n0,T1,1.5\n")
+    with pytest.raises(UnusableInput, match="no tables, .*; found tdoa.csv; measurements of another kind need Python"):
+        read_recording(tmp_path)
+
+
 def test_outliers_of_a_recording_are_one_notice(tmp_path: Path):
     write_good(tmp_path / "a")
     for name, column in (("ranges", "range_m"), ("fixes", "x_m"), ("fixes", "y_m")):
