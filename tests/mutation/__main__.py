@@ -1,8 +1,8 @@
 """`python -m tests.mutation`: mutate single lines of the library and see whether a test fails.
 
-Each mutation is made in a copy of the working tree and tested by the tests that mirror its module, then by those of its
-folder and its importers, then by all others of the default suite, until the first failure. The table is printed, and
-written to `tests/mutation/results.json` with the command and the commit.
+Each mutation is made in a copy of the working tree. The default suite runs once without any, to record which test files call
+which functions; then each mutation is tested by the files that call its function, until the first failure. The table is
+printed, and written to `tests/mutation/results.json` with the command and the commit.
 """
 
 from __future__ import annotations
@@ -23,8 +23,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from tests.mutation.calls import FOLDER
 from tests.mutation.operators import Mutation
-from tests.mutation.selection import ROOT, declared_equivalent, drawn, found_again, reason_of, stages
+from tests.mutation.selection import ROOT, Calls, concerned, declared_equivalent, drawn, found_again, reason_of
 
 RESULTS = Path(__file__).parent / "results.json"
 TIMED_OUT = ("timed out", "")
@@ -84,25 +85,41 @@ class Scratch:
         }
         if DEFAULT_RECORDINGS.is_dir():
             self.environment.setdefault("TRACKWRIGHT_RECORDINGS", str(DEFAULT_RECORDINGS))
+        self.calls = self.recorded()
+
+    def recorded(self) -> Calls:
+        """Which functions the test files call, by a run of the default suite that traces every program anew."""
+        print("recording which tests call which functions ...", flush=True)
+        with tempfile.TemporaryDirectory() as calls:
+            environment = {**self.environment, FOLDER: calls, "TRACKWRIGHT_CACHE": "off"}
+            command = [
+                sys.executable,
+                "-m",
+                "pytest",
+                "--tb=no",
+                "-p",
+                "no:cacheprovider",
+                "-p",
+                "tests.mutation.calls",
+            ]
+            subprocess.run(command, cwd=self.folder, env=environment, check=False)
+            return Calls.read(Path(calls))
 
     def outcome(self, number: int, mutation: Mutation, limit: float) -> Outcome:
         """The mutation's outcome within `limit` s."""
         begin = time.monotonic()
         original = (self.folder / mutation.file).read_text("utf-8")
         result, by, error = "survived", "", ""
-        waiting = stages(self.folder, mutation.file)
-        while waiting and result == "survived":
-            self.write(mutation.file, mutation.applied(original))
-            try:
-                failed = self.first_failure(waiting[0], begin + limit - time.monotonic())
-            finally:
-                self.write(mutation.file, original)
-            if failed == TIMED_OUT:
-                result = failed[0]
-            elif failed is None:
-                waiting.pop(0)
-            else:
-                result, (by, error) = "killed", failed
+        tests = concerned(self.calls, mutation.file, original, mutation.line)
+        self.write(mutation.file, mutation.applied(original))
+        try:
+            failed = self.first_failure(tests, limit) if tests else None
+        finally:
+            self.write(mutation.file, original)
+        if failed == TIMED_OUT:
+            result = failed[0]
+        elif failed is not None:
+            result, (by, error) = "killed", failed
         return Outcome.of(number, mutation, result, by, error, time.monotonic() - begin)
 
     def write(self, file: str, text: str) -> None:

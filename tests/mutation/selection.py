@@ -1,21 +1,21 @@
-"""The modules that are mutated, the lines changed since a commit, and the tests that concern a module."""
+"""The modules that are mutated, the lines changed since a commit, and the tests that call a function."""
 
 from __future__ import annotations
 
 import ast
+import json
 import re
 import subprocess
 import tomllib
-from functools import cache
-from os.path import commonpath
+from dataclasses import dataclass
 from pathlib import Path
 from random import Random
 
+from tests.mutation.calls import AT_IMPORT
 from tests.mutation.operators import Mutation, mutations
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("trackers", "tuning", "sim", "experiments")
-PUBLIC = {"trackwright", "trackers", "tuning", "sim"}
 OF_TEXT = ("tests/mutation", "tests/test_docs.py", "tests/test_layout.py")
 """Tests of pages and source text, which no figure depends on."""
 
@@ -91,54 +91,49 @@ def reason_of(mutation: Mutation, declared: dict[tuple[str, str, str], str]) -> 
     return declared.get((mutation.file, mutation.before.strip(), mutation.after.strip()))
 
 
-def stages(root: Path, file: str) -> list[list[str]]:
-    """The test files for a module, in three stages: its own, those of its folder and its importers, all others.
+@dataclass(frozen=True)
+class Calls:
+    """`by_file`: the functions that each test file calls, by file and first line; `seconds`: how long the file runs.
 
-    Within a stage those come first whose imports lead to the module by the fewest steps, then those in folders near it.
+    `at_import`: the functions that were called before any test.
     """
+
+    by_file: dict[str, set[tuple[str, int]]]
+    seconds: dict[str, float]
+    at_import: set[tuple[str, int]]
+
+    @classmethod
+    def read(cls, folder: Path) -> Calls:
+        """What the processes of a run with the plugin `tests.mutation.calls` wrote into a folder."""
+        by_file: dict[str, set[tuple[str, int]]] = {}
+        seconds: dict[str, float] = {}
+        for path in folder.glob("*.json"):
+            document = json.loads(path.read_text("utf-8"))
+            for file, called in document["calls"].items():
+                by_file.setdefault(file, set()).update((name, line) for name, line in called)
+            for file, value in document["seconds"].items():
+                seconds[file] = seconds.get(file, 0.0) + value
+        return cls(by_file, seconds, by_file.pop(AT_IMPORT, set()))
+
+
+def concerned(calls: Calls, file: str, source: str, line: int) -> list[str]:
+    """The test files that call the function around a line: the one that mirrors its file first, then the quickest.
+
+    Of a line that is run when its module is imported: all test files.
+    """
+    around = {(file, first) for first in functions_around(source, line)}
+    found = [
+        name for name, called in calls.by_file.items() if around & called or not around or around & calls.at_import
+    ]
     path = Path(file)
     own = (Path("tests") / path.with_name(f"test_{path.name}")).as_posix()
-    steps = _steps_to(root, file)
-    every = [name for name in steps if Path(name).name.startswith("test_")]
-    every = [name for name in every if not name.startswith(OF_TEXT)]
-
-    def distance(name: str) -> tuple[bool, int, int]:
-        shared = commonpath([Path(name).parent, Path(own).parent])
-        # The command line is slow, and reaches every module.
-        return name.startswith("tests/experiments"), steps[name], -len(Path(shared).parts)
-
-    every.sort(key=distance)
-    folder = {name for name in every if Path(name).parent == Path(own).parent}
-    near = [name for name in every if name != own and (steps[name] == 1 or name in folder)]
-    rest = [name for name in every if name != own and name not in near]
-    return [stage for stage in ([own] if own in every else [], near, rest) if stage]
+    found = [name for name in found if not name.startswith(OF_TEXT)]
+    return sorted(found, key=lambda name: (name != own, calls.seconds.get(name, 0.0)))
 
 
-def _steps_to(root: Path, file: str) -> dict[str, int]:
-    """The number of imports from each file under tests to a file, fewest first; those without a way to it last."""
-    imports = _imports(root)
-    steps, level = {file: 0}, [file]
-    while level:
-        level = [name for name, imported in imports.items() if name not in steps and imported & set(level)]
-        steps |= dict.fromkeys(level, max(steps.values()) + 1)
-    far = max(steps.values()) + 1
-    tests = sorted(name for name in imports if name.startswith("tests/"))
-    # By a package's list of public names a test may reach any module.
-    steps |= {name: min(2, steps.get(name, far)) for name in tests if PUBLIC & imports[name]}
-    return dict(sorted(((name, steps.get(name, far)) for name in tests), key=lambda item: item[1]))
-
-
-@cache
-def _imports(root: Path) -> dict[str, set[str]]:
-    """The files that each file imports, and `PUBLIC` packages, whose lists of names are no step on the way."""
-    files = [p.relative_to(root) for folder in (*PACKAGES, "tests") for p in (root / folder).rglob("*.py")]
-    modules = {".".join(p.with_suffix("").parts): p.as_posix() for p in files if p.name != "__init__.py"}
-    modules |= {package: package for package in PUBLIC}
-    return {p.as_posix(): {modules[m] for m in _imported(root / p) if m in modules} for p in files}
-
-
-def _imported(path: Path) -> set[str]:
-    tree = ast.parse(path.read_text("utf-8"))
-    found = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
-    sources = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
-    return found | {node.module or "" for node in sources} | {f"{n.module}.{a.name}" for n in sources for a in n.names}
+def functions_around(source: str, line: int) -> list[int]:
+    """The first line, as Python counts it, of the innermost function around a line; empty outside of functions."""
+    kinds = (ast.FunctionDef, ast.AsyncFunctionDef)
+    found = [node for node in ast.walk(ast.parse(source)) if isinstance(node, kinds)]
+    firsts = {min([node.lineno, *(d.lineno for d in node.decorator_list)]): node for node in found}
+    return sorted(first for first, node in firsts.items() if first <= line <= (node.end_lineno or line))[-1:]

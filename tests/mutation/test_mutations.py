@@ -1,10 +1,15 @@
 """Mutations of single lines: which ones there are of an expression, and what is left alone."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
+from tests.mutation.calls import FOLDER
 from tests.mutation.operators import mutations
-from tests.mutation.selection import ROOT, declared_equivalent, drawn, found_again, numeric_modules, stages
+from tests.mutation.selection import ROOT, Calls, concerned, declared_equivalent, drawn, found_again, numeric_modules
 
 
 def _of(line, rest=""):
@@ -94,15 +99,46 @@ def test_every_mutation_of_the_library_is_python_and_changes_its_line_alone():
             assert sum(a != b for a, b in zip(applied.split("\n"), source.split("\n"), strict=True)) == 1
 
 
-def test_the_nearest_tests_come_first_and_every_other_one_later():
-    own, near, rest = stages(ROOT, "trackers/core/rts.py")
-    assert own == ["tests/trackers/core/test_rts.py"]
-    # A folder's tests, and those that import the module themselves; then by the steps of the others' imports.
-    assert "tests/trackers/core/test_kalman_linear.py" in near
-    assert "tests/trackers/uwb_imu/test_smoothed_yaws.py" in rest
-    assert rest.index("tests/trackers/uwb_imu/test_range_tracker.py") < rest.index("tests/sim/test_keys.py")
-    # Without a test file of its own those of its folder begin.
-    assert "tests/trackers/worksteps/test_worksteps.py" in stages(ROOT, "trackers/worksteps/tracks.py")[0]
+def test_the_tests_that_call_a_function_are_its_own_first_and_then_the_quickest():
+    source = "X = 1\n\n@cache\ndef f(x):\n    def g(y):\n        return y + 1\n    return g(x) + 2\n"
+    f, g = ("trackers/a.py", 3), ("trackers/a.py", 5)
+    called = {"tests/b.py": {f, g}, "tests/c.py": {f}, "tests/d.py": {f}, "tests/trackers/test_a.py": {f}}
+    calls = Calls(called, {"tests/b.py": 1.0, "tests/c.py": 9.0, "tests/d.py": 2.0}, set())
+    assert concerned(calls, "trackers/a.py", source, 6) == ["tests/b.py"]
+    assert concerned(calls, "trackers/a.py", source, 7) == [
+        "tests/trackers/test_a.py",
+        "tests/b.py",
+        "tests/d.py",
+        "tests/c.py",
+    ]
+    # What runs when the module is imported may concern every test.
+    assert (
+        len(concerned(calls, "trackers/a.py", source, 1))
+        == len(concerned(Calls(called, {}, {g}), "trackers/a.py", source, 6))
+        == 4
+    )
+    assert concerned(calls, "trackers/b.py", source, 6) == []
+
+
+def test_calls_are_recorded_by_test_file(tmp_path):
+    file = "tests/trackers/core/test_chi_square.py"
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-q",
+        "-n0",
+        "-p",
+        "no:cacheprovider",
+        "-p",
+        "tests.mutation.calls",
+        file,
+    ]
+    subprocess.run(command, cwd=ROOT, env={**os.environ, FOLDER: str(tmp_path)}, check=True, capture_output=True)
+    calls = Calls.read(tmp_path)
+    assert list(calls.by_file) == [file]
+    assert {name for name, _ in calls.by_file[file]} >= {"trackers/core/chi_square.py"}
+    assert calls.seconds[file] > 0
 
 
 def test_what_is_declared_equivalent_is_a_mutation_of_today_with_a_reason():
