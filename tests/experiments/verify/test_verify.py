@@ -8,18 +8,20 @@ import pytest
 from experiments.cli import verify
 from experiments.verify.check_result import CheckResult, random_check, table
 from experiments.verify.corridor import corridor_fixes
-from experiments.verify.deterministic_checks import chain_checks, kalman_checks
+from experiments.verify.deterministic_checks import PARAMETERS, chain_checks, kalman_checks
 from experiments.verify.gradients import gradients, marginal_gradients
 from experiments.verify.oracles import (
     corridor_gradient,
     corridor_log_likelihood,
     halt_gradient,
     halt_log_likelihood,
+    kalman_fixes,
 )
 from experiments.verify.particle_checks import corridor_order_checks, halt_checks, halt_order_checks
 from experiments.verify.worlds import (
     CORRIDOR_TUNABLES,
     HALT_TUNABLES,
+    CorridorStart,
     corridor_batch,
     corridor_tracker,
     halt_batch,
@@ -151,3 +153,15 @@ def test_the_whole_of_verify_passes():
     said = trackwright("verify")
     assert said.code == 0, said.out
     assert said.out.count("fails as expected") == 3
+
+
+def test_the_fixes_of_the_kalman_filter_have_the_noise_of_its_model():
+    _, fixes, _ = kalman_fixes(rows=2000)
+    # Third differences of the walk are below 0.1 m; white noise is amplified by 1 + 9 + 9 + 1.
+    assert np.diff(fixes, 3, axis=0).std() / np.sqrt(20) == pytest.approx(PARAMETERS["sigma_fix"], rel=0.05)
+
+
+def test_the_prior_of_the_corridor_is_standard_normal():
+    belief = CorridorStart().belief(None, corridor_batch(2, 1))
+    np.testing.assert_array_equal(np.ravel(belief.mean.position), 0.0)
+    assert [float(x[0, 0]) for x in belief.cov] == [1.0, 0.0, 1.0]

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from tests.catalogue import CALIBRATED
 from tests.known_start import NEVER_LOST, KnownStart, flat, recording
-from trackers.aoa.fusion import BearingSensor, bearing_inputs
+from trackers.aoa.fusion import BearingSensor, bearing_inputs, bearing_tracker
 from trackers.core.algebra import Vector
 from trackers.core.motion import ConstantVelocity, Kinematic
 from trackers.core.recording import stack
@@ -174,6 +174,16 @@ def test_a_calibrated_station_measures_as_its_calibration_does():
         measured = SENSOR.measure(view, {**GEOMETRY, "calibration": CALIBRATED})
         expected = station.measured(STATIONS[0].angles(point))
         np.testing.assert_allclose(np.array([float(m) for m in measured]), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("planar", [False, True])
+def test_a_track_starts_at_rest_nearby_without_a_bias(planar):
+    belief = bearing_tracker(2, planar=planar, sigma_bias=(0.2, 0.3)).start.belief(np.array([1.0, 2.0, 3.0, 0.5]), None)
+    n = 2 if planar else 3
+    assert [float(x) for x in belief.mean.position] == [1.0, 2.0, 3.0][:n]
+    assert not np.any([*belief.mean.velocity, *belief.mean.bias])
+    variances = np.array([1.5] * n + [1.0] * n + [0.2, 0.3] * 2) ** 2
+    np.testing.assert_allclose([float(x) for x in belief.cov], np.diag(variances)[np.triu_indices(2 * n + 4)])
 
 
 def test_an_azimuth_beyond_half_a_turn_is_wrapped():
