@@ -9,7 +9,7 @@ import pytest
 from sim.line import simulate_line
 from trackers.catalogue import fitting, spec_of
 from trackers.core.errors import UnusableInput
-from trackers.core.rig import Rig
+from trackers.core.rig import Rig, Tag
 from trackers.evaluation import evaluate
 from trackers.events import left_the_line
 from trackers.line import rows as line
@@ -94,6 +94,20 @@ def test_ranges_to_tags_of_unknown_height_are_refused_in_words(folders):
     ranges = pl.DataFrame({"t_s": [0.0], "tag": ["0"], "anchor": ["a"], "range_m": [1.0]})
     folder = RecordingFolder("x", None, Rig("x", path_knots=folders[0].rig.path_knots), {"ranges": ranges})
     assert "height_m" in TRACKERS["line-grid"].missing(folder)
+
+
+def test_ranges_to_one_anchor_after_the_other_give_the_position_on_the_path():
+    rng, times = np.random.default_rng(3), 0.1 * np.arange(120)
+    place = np.stack([0.5 * times, 0 * times, 0 * times + 1], axis=1)
+    anchors = {"a": np.array([-1.0, 2.0, 2.0]), "b": np.array([7.0, 2.0, 2.0])}
+    rig = Rig("x", anchors=anchors, tags={"0": Tag(1.0)}, path_knots=np.array([[0.0, 0.0], [6.0, 0.0]]))
+    heard = np.arange(120) % 2
+    ranges = np.linalg.norm(place - np.stack([*anchors.values()])[heard], axis=1) + 0.05 * rng.normal(size=120)
+    table = pl.DataFrame({"t_s": times, "tag": "0", "anchor": np.array(["a", "b"])[heard], "range_m": ranges})
+    tracks, _ = _tracked([RecordingFolder("x", None, rig, {"ranges": table})], "line-grid")
+    found = tracks.filter(pl.col("t_s") > 3.0)
+    np.testing.assert_allclose(found["x_m"], 0.5 * found["t_s"].to_numpy(), atol=0.15)
+    assert found.height == 89
 
 
 # The best of the recordings' own baselines, tuned on the truth, is 0.034, 0.342 and 1.488 m.
