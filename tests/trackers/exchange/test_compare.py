@@ -100,6 +100,18 @@ def test_a_turned_and_shifted_trajectory_is_aligned_to_no_error(align, scale):
     assert found.speed_mps["max"] < 1e-9
 
 
+def test_an_alignment_of_the_origin_puts_the_first_pose_on_the_first_true_pose():
+    spiral, turn = _spiral(), Rotation.from_euler("zyx", (0.8, 0.3, -0.2))
+    for attitude in (None, np.tile([1.0, 0.0, 0.0, 0.0], (len(spiral), 1))):
+        truth = PoseTrajectory(spiral.times, spiral.positions, attitude, "truth")
+        given = None if attitude is None else np.tile(np.roll(turn.as_quat(), 1), (len(truth), 1))
+        moved = PoseTrajectory(truth.times, turn.apply(truth.positions) + [4.0, -1.0, 2.0], given, "own")
+        errors = compare_trajectories(moved, truth, "origin").ape_m
+        assert errors["min"] < 1e-9
+        # Without attitudes nothing is turned.
+        assert (errors["max"] < 1e-9) == (attitude is not None)
+
+
 def test_an_alignment_in_the_plane_is_the_one_of_a_numerical_search():
     from scipy.optimize import minimize
 
