@@ -1,11 +1,14 @@
 """The beam tracker in a flat array's plane: all headings, without a jump at half a turn."""
 
 import numpy as np
+import polars as pl
 
 from trackers.aoa.beam import in_plane_beam_tracker
+from trackers.catalogue import spec_of
 from trackers.core.estimates import Status
 from trackers.core.recording import Readings, Recording, stack
-from trackers.core.rig import Station
+from trackers.core.rig import Rig, Station, Tag
+from trackers.recordings.folder import RecordingFolder
 
 ROWS, SIGMA_P, RATE = 150, 0.2, 0.5
 RING = np.stack([np.cos(np.arange(8) * np.pi / 4), np.sin(np.arange(8) * np.pi / 4)], axis=1)
@@ -39,3 +42,15 @@ def test_a_circling_beacon_is_tracked_through_every_heading_without_track_loss()
         assert np.abs(one.mean.rate[20:] - (-1) ** trajectory * RATE).max() < 0.4
         nees = (error / one.sigmas["heading.0"][20:]) ** 2
         assert 0.4 < nees.mean() < 2.5
+
+
+def test_tags_at_the_height_of_an_upright_array_alone_are_tracked_in_its_plane():
+    heights = {"level": 0.0, "above": 1.0, "unknown": None}
+    rows = pl.DataFrame({"t_s": [0.0, 0.1] * 3, "tag": np.repeat([*heights], 2), "station": "a"})
+    phases = rows.with_columns(pl.lit(0.1 * k).alias(f"phase_{k + 1}_rad") for k in range(8))
+    for quaternion, in_plane in (([1.0, 0, 0, 0], {"level"}), ([np.sqrt(0.5), np.sqrt(0.5), 0, 0], set())):
+        station = Station(np.zeros(3), np.array(quaternion), STATION.antennas, STATION.wavelength)
+        rig = Rig("x", stations={"a": station}, tags={tag: Tag(height) for tag, height in heights.items()})
+        batches = spec_of("beam").batches([RecordingFolder("x", None, rig, {"phases": phases})], "beam", False)
+        assert {t.tag for b in batches for t in b.trajectories} == heights.keys()
+        assert {t.tag for b in batches if b.planar for t in b.trajectories} == in_plane
