@@ -86,13 +86,9 @@ def _axes(view: Compared) -> Iterator[Explanation]:
 def _frame_cause(view: Compared, what: str, placement: Sequence[float] = ()) -> str:
     """The cause, and the fix: where a shift, m, and turn, °, are enough, by import."""
     other = "the fixes" if view.table == "fixes" else "rig.toml"
-    fix = f"import it again with {_moving(placement)}" if len(placement) else "bring both into one frame"
+    moving = f"--align-truth, which fits the clock as well, or --transform {transform_text(placement)}"
+    fix = f"import it again with {moving}" if len(placement) else "bring both into one frame"
     return f"the truth {what} {other}; {fix}"
-
-
-def _moving(placement: Sequence[float]) -> str:
-    """The options of `import` that move a truth."""
-    return f"--align-truth, or --transform {transform_text(placement)}"
 
 
 def _shifted(view: Compared) -> Iterator[Explanation]:
@@ -185,7 +181,7 @@ def _delayed(view: Compared) -> Iterator[Explanation]:
     yield Explanation(
         f"the measurements taken {abs(best):.2f} s {'earlier' if best > 0 else 'later'}",
         f"the {view.table} come {abs(best):.2f} s {late}: their clock and that of the truth differ; "
-        f"import the truth again with {_moving((0.0, 0.0, 0.0, 0.0, best))}",
+        f"import the truth again with --align-truth, or --transform {transform_text((0.0, 0.0, 0.0, 0.0, best))}",
         _sizes(view.later(best)), 1, harmless=-LATENCY_S / 2 < best <= LATENCY_S,
     )  # fmt: skip
 
