@@ -10,7 +10,8 @@ import polars as pl
 
 from experiments.archives.tables import Run
 from experiments.reports.comparison import BEARING_NAMES, Contrast, Table, adjusted, difference_table
-from experiments.reports.wording import Unit, counted, fixed, length_unit
+from experiments.reports.wording import Unit, fixed, length_unit
+from trackers.core.wording import counted
 from trackers.paired_differences import LEAST_PIECES, METRICS, Difference, jackknifed
 
 SHOWN = tuple(name for name in METRICS if "3d" not in name)

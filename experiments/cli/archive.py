@@ -32,11 +32,11 @@ from experiments.reports.comparison import Table, comparison_text
 from experiments.reports.comparison_page import write_comparison
 from experiments.reports.evaluation_text import archive_text, content
 from experiments.reports.tables import terminal_width
-from experiments.reports.wording import counted
 from experiments.scored_tracks import ScoredTracks, drawn_of
 from trackers.catalogue import spec_of, split_name
 from trackers.core.chunks import CHUNK
 from trackers.core.errors import UnusableInput
+from trackers.core.wording import counted
 from trackers.evaluation import Evaluation, metric_names
 from trackers.events import EVENTS
 from trackers.recordings.association import associate_truth

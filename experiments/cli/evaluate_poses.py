@@ -15,8 +15,8 @@ import polars as pl
 
 from experiments.cli.console import notice, output_folder, read_with_notices, require_output
 from experiments.reports.tables import terminal_width
-from experiments.reports.wording import counted
 from trackers.core.errors import UnusableInput
+from trackers.core.wording import counted
 from trackers.exchange.alignment import Alignment
 from trackers.exchange.estimate_files import assigned, read_estimates, read_truth
 from trackers.exchange.tracks_compared import compare_tracks, pooled, pooled_names

@@ -8,9 +8,9 @@ from typing import Annotated, Literal
 
 from experiments.cli.arguments import File, Folder
 from experiments.cli.console import notice
-from experiments.reports.wording import counted
 from trackers.core.errors import UnusableInput
 from trackers.core.seconds import moment
+from trackers.core.wording import counted
 from trackers.exchange.imported import assembled, save
 from trackers.exchange.mapping import TableMapping, columns_of, read_mapping
 from trackers.exchange.origin import origin_of, since

@@ -11,11 +11,11 @@ from typing import Any, get_type_hints
 
 from experiments.cli.arguments import Folder
 from experiments.cli.manifest import write_manifest
-from experiments.reports.wording import counted
 from sim import worlds
 from sim.parameters import ParameterError
 from sim.worlds import SimulatedWorld
 from trackers.core.errors import UnusableInput
+from trackers.core.wording import counted
 from trackers.recordings.folder import write_recording
 
 COMMON = """

@@ -23,9 +23,10 @@ from experiments.monte_carlo.sources import available_studies, load_study
 from experiments.plots.study import write_charts
 from experiments.reports.study import study_charts, write_study_report
 from experiments.reports.study_text import study_names, to_json, to_text
-from experiments.reports.wording import counted, figures_drawn
+from experiments.reports.wording import figures_drawn
 from trackers.core.chunks import n_workers
 from trackers.core.errors import UnusableInput
+from trackers.core.wording import counted
 from trackers.recordings.atomic import atomic_write
 
 MERGE = "merge"

@@ -25,12 +25,13 @@ from experiments.interactive.track_page import PAGE, run_data, write_track_page
 from experiments.portable_tracker import run_on
 from experiments.reports.evaluation_text import to_json, to_text
 from experiments.reports.tables import terminal_width
-from experiments.reports.wording import counted, figures_drawn, uncapitalised
+from experiments.reports.wording import figures_drawn, uncapitalised
 from experiments.scored_tracks import ScoredTracks
 from trackers.catalogue import build, spec_of
 from trackers.core.chunks import CHUNK
 from trackers.core.errors import UnusableInput
 from trackers.core.freed_memory import give_back
+from trackers.core.wording import counted
 from trackers.evaluation import Evaluation, evaluate, evaluate_association
 from trackers.events import EVENTS, events_of
 from trackers.recordings.association import Association, associate_truth

@@ -13,8 +13,9 @@ import numpy as np
 from experiments.plots.calibration import Panel, errors_over_floor, floor_image, measured_against_true, reading_chart
 from experiments.reports.pages import page, write_page
 from experiments.reports.tables import rendered, ruled_table, terminal_width
-from experiments.reports.wording import MISSING, counted, fixed
+from experiments.reports.wording import MISSING, fixed
 from trackers.core.errors import UnusableInput
+from trackers.core.wording import counted
 from trackers.recordings.calibration import (
     ANGLE_TERMS,
     ANGLES,

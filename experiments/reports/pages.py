@@ -11,8 +11,9 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from experiments.interactive.packing import plotting_script
-from experiments.reports.wording import counted, duration, number
+from experiments.reports.wording import duration, number
 from trackers.core.errors import listed
+from trackers.core.wording import counted
 from trackers.recordings.atomic import atomic_write
 
 CHART = '<img src="data:image/svg+xml;base64,'

@@ -16,7 +16,8 @@ from experiments.plots.plan_change import plan_chart
 from experiments.reports.advice import advice_on, is_better, is_worse
 from experiments.reports.pages import page, write_page
 from experiments.reports.tuning_data import MetricChange, OptimiserTrace, TuningReportData
-from experiments.reports.wording import MISSING, counted, number, percent_change
+from experiments.reports.wording import MISSING, number, percent_change
+from trackers.core.wording import counted
 
 SAME = 0.1
 """The relative difference of values up to which two starts end at one point, as the optimiser has it."""

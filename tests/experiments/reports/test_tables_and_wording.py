@@ -5,8 +5,8 @@ import numpy as np
 from experiments.monte_carlo.expectations import Value
 from experiments.reports.evaluation_text import _cell
 from experiments.reports.tables import aligned, compact_table, rendered, ruled_table
-from experiments.reports.wording import counted, duration, fixed, heading, rounded, unit_of, units_of, with_interval
-from trackers.core.wording import significant
+from experiments.reports.wording import duration, fixed, heading, rounded, unit_of, units_of, with_interval
+from trackers.core.wording import counted, significant
 
 
 def test_aligned_columns_have_two_spaces_between_them_and_none_at_the_end():
