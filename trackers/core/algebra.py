@@ -54,7 +54,8 @@ class Jacobian(NamedTuple):
         weights = np.zeros(self.sums.shape[:2])
         for j in range(self.structure.shape[1])[inputs]:
             weights[self.group[j]] += self.structure[:, j] != ZERO
-        return jnp.sum(jnp.square(self.sums) * self._constant(weights), axis=0)[outputs]
+        squares = jnp.square(self.sums) * self._constant(weights)
+        return (jnp.sum(squares, axis=0) if squares.ndim == 2 else total(squares))[outputs]
 
     def _constant(self, array: np.ndarray) -> jax.Array:
         """A constant of two axes beside those of the trajectories, in the type of the entries."""

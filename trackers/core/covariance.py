@@ -176,8 +176,12 @@ def product_of(A: jax.Array, B: jax.Array) -> jax.Array:
 
 
 def transposed_product(A: jax.Array, B: jax.Array) -> jax.Array:
-    """AᵀB as sums, contiguous in the columns of B."""
-    return jnp.sum(A[:, :, None] * B[:, None], axis=0)
+    """AᵀB as sums, contiguous in the columns of B; of many trajectories, last in each, a sum of outer products."""
+    if A.ndim == 2:
+        return jnp.sum(A[:, :, None] * B[:, None], axis=0)
+    # XLA leaves reductions to a library whose calls keep a loop from becoming one kernel.
+    result: jax.Array = total(a[:, None] * b[None] for a, b in zip(A, B, strict=True))
+    return result
 
 
 def _span(which: np.ndarray) -> slice:

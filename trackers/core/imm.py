@@ -55,15 +55,15 @@ class ModeTransition(NamedTuple):
 
 
 class ModeGains(NamedTuple):
-    """RTS gains between modes: `gains[i][j]` from mode i to mode j of the next time step.
+    """RTS gains between modes: `gains` from mode i to mode j of the next time step, i and j first in every array.
 
-    `backward[i][j]`: P(mode i now | mode j at the next step). `gains[i]` has one entry where the motion is the same in
-    all modes. `connected`: the next step continues the track.
+    `backward` (K, K, B): P(mode i now | mode j at the next step). Where the motion is the same in all modes, `gains`
+    has one j. `connected`: the next step continues the track.
     """
 
     filtered: Mixture
-    gains: tuple[tuple[RtsGain, ...], ...]
-    backward: tuple[tuple[Scalar, ...], ...]
+    gains: RtsGain
+    backward: jax.Array
     connected: Scalar
 
 
@@ -180,18 +180,21 @@ class AbstractInteractingModels(AbstractSmoothableFilter[Mixture]):
         transition = jax.vmap(self.transition, in_axes=-1, out_axes=-1)(belief, inputs, dt)
         prior = self.prior()
         pairs = list(zip(transition.stayed, transition.switched, strict=True))
-        backward = tuple(
-            tuple(
-                ((stayed if i == j else 0.0) + switched * prior[j]) / transition.predicted[j] for j in range(len(prior))
-            )
-            for i, (stayed, switched) in enumerate(pairs)
+        backward = jnp.stack(
+            [
+                jnp.stack([((a if i == j else 0.0) + b * p) / transition.predicted[j] for j, p in enumerate(prior)])
+                for i, (a, b) in enumerate(pairs)
+            ]
         )
         motions = [motion.in_mode(j) for j in range(len(prior))] if isinstance(motion, AbstractSwitching) else [motion]
-        gains = tuple(
-            tuple(self.filter.rts_gain(component, one, connected, dt, inputs) for one in motions)
-            for component in belief.components
-        )
-        return ModeGains(belief, gains, backward, connected)
+        modes = _stacked(belief.components)
+
+        def gains_to(later: AbstractMotion) -> RtsGain:
+            gain = jax.vmap(lambda mode: self.filter.rts_gain(mode, later, connected, dt, inputs))
+            found: RtsGain = gain(modes)
+            return found
+
+        return ModeGains(belief, _stacked([gains_to(later) for later in motions], axis=1), backward, connected)
 
     def rts_step(self, rts_gain: ModeGains, after: Mixture) -> Mixture:
         """The smoothed belief of a time step, given that of the next one (Kim 1994).
@@ -199,23 +202,28 @@ class AbstractInteractingModels(AbstractSmoothableFilter[Mixture]):
         Each mode is the collapsed mixture of its smoothed Gaussians over the next step's modes. Kim's approximation:
         P(mode now | mode at the next step) is taken from measurements up to now alone; exact only without switching.
         """
+        K = len(after.components)
         tiny = float(jnp.finfo(after.log_weights[0].dtype).tiny) ** 0.5
-        later = [jnp.exp(w) for w in after.log_weights]
-        all_collapsed = jax.vmap(collapsed, in_axes=-1, out_axes=-1)
-        components, log_weights = [], []
-        for i, (backward, gains) in enumerate(zip(rts_gain.backward, rts_gain.gains, strict=True)):
-            # `tiny`: a mode without any successor continues as itself, so that its weights still have the sum 1.
-            joint = [p * w + (tiny if i == j else 0.0) for j, (p, w) in enumerate(zip(backward, later, strict=True))]
-            probability = compute_once(total(joint))
-            weights = [x / probability for x in joint]
-            if len(gains) == 1:
-                smoothed = self.filter.rts_step(gains[0], all_collapsed(after.components, weights))
-            else:
-                smoothed = all_collapsed(
-                    tuple(self.filter.rts_step(a, b) for a, b in zip(gains, after.components, strict=True)), weights
-                )
-            components.append(compute_once(smoothed))
-            log_weights.append(jnp.where(rts_gain.connected, jnp.log(probability), rts_gain.filtered.log_weights[i]))
+        # `tiny`: a mode without any successor continues as itself, so that its weights still have the sum 1.
+        joint = [
+            p * jnp.exp(w)[None] + tiny * (np.arange(K) == j)[:, None]
+            for j, (p, w) in enumerate(zip(rts_gain.backward.swapaxes(0, 1), after.log_weights, strict=True))
+        ]
+        probability = compute_once(total(joint))
+        weights = [x / probability for x in joint]
+        if rts_gain.gains.connected.shape[1] == 1:
+            later = jax.vmap(lambda *w: collapsed_beside(after.components, w))(*weights)
+            gains = jax.tree_util.tree_map(lambda x: x[:, 0], rts_gain.gains)
+            smoothed = jax.vmap(self.filter.rts_step)(gains, later)
+        else:
+            to_each = jax.vmap(jax.vmap(self.filter.rts_step), in_axes=(0, None))
+            each = compute_once(to_each(rts_gain.gains, _stacked(after.components)))
+            smoothed = jax.vmap(lambda one, *w: collapsed_beside(_unstacked(one, K), w))(each, *weights)
+        components = _unstacked(compute_once(smoothed), K)
+        log_weights = [
+            jnp.where(rts_gain.connected, jnp.log(p), w)
+            for p, w in zip(probability, rts_gain.filtered.log_weights, strict=True)
+        ]
         return Mixture(tuple(components), tuple(log_weights))
 
 
@@ -236,12 +244,33 @@ class InteractingModels(AbstractInteractingModels):
 
 def collapsed(components: Sequence[Gaussian], weights: Sequence[Scalar]) -> Gaussian:
     """The moment-matched Gaussian of a mixture with weights of sum 1."""
-    origin = components[0].mean
-    steps = [local(origin, g.mean) for g in components[1:]]
-    mean_step = [total(w * s for w, s in zip(weights[1:], column, strict=True)) for column in zip(*steps, strict=True)]
-    mean = retract(origin, mean_step) if mean_step else origin
-    deviations = [local(mean, g.mean) for g in components]
+    mean, deviations = _mean_and_deviations([g.mean for g in components], weights)
     return Gaussian(mean, matched(weights, [g.cov for g in components], deviations))
+
+
+def collapsed_beside(components: Sequence[Gaussian], weights: Sequence[Any]) -> Gaussian:
+    """`collapsed` of all trajectories, last in every array, with covariances (n, n, B)."""
+    means = [g.mean for g in components]
+    mean, deviations = jax.vmap(_mean_and_deviations, in_axes=-1, out_axes=-1)(means, list(weights))
+    vectors = [jnp.stack(list(d)) for d in deviations]
+    parts = zip(weights, components, vectors, strict=True)
+    return Gaussian(mean, total(w[None, None] * (jnp.asarray(g.cov) + d[:, None] * d[None]) for w, g, d in parts))
+
+
+def _mean_and_deviations(means: Sequence[State], weights: Sequence[Scalar]) -> tuple[State, list[Sequence[Scalar]]]:
+    """The mean of a mixture of components with these means, and the steps from it to each of them."""
+    steps = [local(means[0], x) for x in means[1:]]
+    mean_step = [total(w * s for w, s in zip(weights[1:], column, strict=True)) for column in zip(*steps, strict=True)]
+    mean = retract(means[0], mean_step) if mean_step else means[0]
+    return mean, [local(mean, x) for x in means]
+
+
+def _stacked(trees: Sequence[Any], axis: int = 0) -> Any:
+    return jax.tree_util.tree_map(lambda *x: jnp.stack(x, axis=axis), *trees)
+
+
+def _unstacked(tree: Any, number: int) -> list[Any]:
+    return [jax.tree_util.tree_map(lambda x, k=k: x[k], tree) for k in range(number)]
 
 
 def _in_mode(part: Any, mode: int) -> Any:

@@ -22,15 +22,16 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from trackers.core.algebra import Jacobian, Scalar, SparseRow, compute_once, full, total, triangle
-from trackers.core.covariance import AnyCovariance, OneArray, noise_covariance, size_of
+from trackers.core.covariance import AnyCovariance, OneArray, noise_covariance, size_of, transposed_product
 from trackers.core.elapsed import Elapsed
 from trackers.core.filter import Gaussian, with_covariances
 from trackers.core.state import State, local, retract
 
 Matrices = Float[Array, "n n B"]
 
-BLOCK = 8
-"""Trajectories smoothed side by side. XLA makes one kernel of the loop of so many, with 15 states not of 32."""
+BLOCK = 32
+"""Trajectories smoothed side by side: so many that LLVM vectorises loops over them, and so few that XLA makes one
+kernel of the loop over times (with three components of 23 states it makes none)."""
 
 
 class RtsGain(NamedTuple):
@@ -86,36 +87,68 @@ def fixed_interval(
     gain_of: Callable[..., Any],
     rts_step: Callable[[Any, Any], Any],
     estimate_of: Callable[[Any], Any],
-    last: Any,
-    steps: tuple[Any, ...],
+    filtered: Any,
+    connected: Bool[Array, "T B"],
+    dt: Float[Array, "T B"],
+    inputs: Any,
 ) -> Any:
-    """The smoothed estimates of all time steps but the last, by one scan backwards from the last.
+    """The smoothed estimates of all T rows, by a scan backwards over the times of each trajectory.
 
-    `steps`: filtered beliefs, whether the next step continues the track, dt to it, its inputs. `gain_of(*step)`: the
-    gain of a step. `estimate_of`: the estimates of beliefs. `last`: the filtered beliefs of the last step.
+    `filtered`: the beliefs. `connected`, `dt`, `inputs`: of the step from each row to the next one, whether that row
+    continues the track, s, and known inputs; the last row has no next one. `gain_of(belief, connected, dt, inputs)`:
+    the gain of a step. `estimate_of`: the estimates of beliefs.
     """
+    n_rows, size = dt.shape
+    block = BLOCK if size % BLOCK == 0 else size
+    # Rows at the time of the next one have its belief. The others are counted from the last row.
+    own = ~connected | (dt != 0)
+    rank = jnp.cumsum(own[::-1].astype(jnp.int32), axis=0)[::-1] - 1
+    every_row, lanes = jnp.arange(n_rows, dtype=jnp.int32)[:, None], jnp.arange(size, dtype=jnp.int32)
+    row_of = (
+        jnp.zeros_like(rank)
+        .at[jnp.where(own, rank, n_rows), lanes]
+        .set(jnp.broadcast_to(every_row, rank.shape), mode="drop")
+    )
+    estimates_of = OneArray()
 
-    def smoothed(after: Any, one: tuple[Any, ...]) -> Any:
-        filtered, connected, dt, inputs = one
-        filtered = in_matrices(filtered)
-        return jax.lax.cond(
-            jnp.any(connected & (dt != 0)),
-            lambda: rts_step(gain_of(filtered, connected, dt, inputs), after),
-            # Steps at the time of the next one have its belief.
-            lambda: _chosen(connected, after, filtered),
+    def backwards(first: jax.Array) -> jax.Array:
+        """The estimates of the trajectories of one block by rank, (T, numbers, block)."""
+        rows, n_times = (jax.lax.dynamic_slice_in_dim(x, first, block, axis=-1) for x in (row_of, 1 + rank[0]))
+        # Gathered before the loop: XLA counts the whole array of a gather among the bytes that a step moves.
+        lanes = first + jnp.arange(block, dtype=jnp.int32)
+        steps = jax.tree_util.tree_map(
+            lambda x: jnp.moveaxis(x[rows, ..., lanes], 1, -1), (filtered, connected, dt, inputs)
         )
+        last = in_matrices(jax.tree_util.tree_map(lambda x: x[0], steps[0]))
 
-    def backwards(part: tuple[Any, tuple[Any, ...]]) -> Any:
-        estimates_of = OneArray()
-
-        def body(after: Any, one: tuple[Any, ...]) -> tuple[Any, Any]:
-            before = smoothed(after, one)
+        def smoothed(after: Any, belief: Any, *step: Any) -> tuple[Any, jax.Array]:
+            before = rts_step(gain_of(in_matrices(belief), *step), after)
             return before, estimates_of.packed(estimate_of(before))
 
-        last, steps = part
-        return estimates_of.unpacked(jax.lax.scan(body, in_matrices(last), steps, reverse=True)[1])
+        nothing = jax.eval_shape(lambda: estimates_of.packed(estimate_of(last)))
 
-    return _in_blocks(backwards, (last, steps))
+        def body(after: Any, one: tuple[jax.Array, Any]) -> tuple[Any, jax.Array]:
+            number, step = one
+            return jax.lax.cond(
+                number <= jnp.max(n_times),
+                lambda: smoothed(after, *step),
+                lambda: (after, jnp.zeros(nothing.shape, nothing.dtype)),
+            )
+
+        return jax.lax.scan(body, last, (jnp.arange(1, n_rows + 1, dtype=jnp.int32), steps))[1]
+
+    firsts = jnp.arange(0, size, block, dtype=jnp.int32)
+    by_rank = jax.lax.map(backwards, firsts) if len(firsts) > 1 else backwards(firsts[0])[None]
+    blocks, within = (lanes // block)[None, None], (lanes % block)[None, None]
+
+    def of_rows(leaf: jax.Array, start: int) -> jax.Array:
+        numbers = jnp.arange(start, start + leaf.size // block, dtype=jnp.int32)[None, :, None]
+        found = by_rank.at[blocks, rank[:, None], numbers, within].get(mode="promise_in_bounds")
+        return found.reshape(n_rows, *leaf.shape[:-1], size).astype(leaf.dtype)
+
+    starts = np.cumsum([0, *(x.size // block for x in estimates_of.leaves)])
+    leaves = [of_rows(x, int(start)) for x, start in zip(estimates_of.leaves, starts, strict=False)]
+    return jax.tree_util.tree_unflatten(estimates_of.structure, leaves)
 
 
 def in_matrices(beliefs: Any) -> Any:
@@ -136,22 +169,6 @@ def in_scalars(beliefs: Any) -> Any:
         return tuple(cov[..., i, j, :] for i, j in triangle(cov.shape[-2]))
 
     return with_covariances(beliefs, one)
-
-
-def _in_blocks(function: Callable[[Any], Any], trees: Any) -> Any:
-    """A function of trees of arrays (…, B), block by block of the last axis: what a step needs stays in the cache."""
-    size = jax.tree_util.tree_leaves(trees)[0].shape[-1]
-    if size <= BLOCK or size % BLOCK:
-        return function(trees)
-
-    def divided(x: jax.Array) -> jax.Array:
-        return jnp.moveaxis(x.reshape(*x.shape[:-1], -1, BLOCK), -2, 0)
-
-    def whole(x: jax.Array) -> jax.Array:
-        x = jnp.moveaxis(x, 0, -2)
-        return x.reshape(*x.shape[:-2], size)
-
-    return jax.tree_util.tree_map(whole, jax.lax.map(function, jax.tree_util.tree_map(divided, trees)))
 
 
 def fixed_lag(
@@ -213,25 +230,29 @@ def _transposed(rows: Sequence[SparseRow]) -> list[SparseRow]:
 
 def _congruence(A: Matrices, P: Matrices) -> Matrices:
     """AᵀPA of a symmetric P."""
-    return _transposed_product(A, compute_once(_transposed_product(P, A)))
-
-
-def _transposed_product(A: Matrices, B: Matrices) -> Matrices:
-    """AᵀB as a sum of outer products: XLA vectorises these over trajectories, unlike sums of products."""
-    result: jax.Array = total(a[:, None] * b[None] for a, b in zip(A, B, strict=True))
-    return result
+    return transposed_product(A, compute_once(transposed_product(P, A)))
 
 
 def _solved(cov: Matrices, right: Matrices) -> Matrices:
-    """The pseudo-inverse of a covariance times a matrix, by elimination; directions without variance drop out."""
+    """The pseudo-inverse of a covariance times a matrix, by LDLᵀ; directions without variance drop out.
+
+    Row by row: LLVM vectorises loops over the columns of one row, not those over all rows of few trajectories.
+    """
     n, tolerance = cov.shape[0], 16 * float(jnp.finfo(cov.dtype).eps)
-    whole = jnp.concatenate([cov, right], axis=1)
+    upper, solution = [cov[i, i:] for i in range(n)], list(right)
     for j in range(n):
-        # The first column is the one eliminated; those before it are gone.
-        column, at_j = whole[:, 0], np.arange(n)[:, None] == j
-        positive = column[j] > tolerance * cov[j, j]
-        inverse = jnp.where(positive, 1.0 / jnp.where(positive, column[j], 1.0), 0.0)
-        others, scale = jnp.where(at_j, 0.0, column), jnp.where(at_j, inverse[None], 1.0)
-        row = whole[j, 1:] * inverse[None]
-        whole = compute_once((whole[:, 1:] - others[:, None] * row[None]) * scale[:, None])
-    return whole
+        pivot = upper[j][0]
+        positive = pivot > tolerance * cov[j, j]
+        inverse = compute_once(jnp.where(positive, 1.0 / jnp.where(positive, pivot, 1.0), 0.0))
+        # Row j of Lᵀ, its diagonal included.
+        row = compute_once(upper[j] * inverse[None])
+        for i in range(j + 1, n):
+            upper[i] = upper[i] - upper[j][i - j][None] * row[i - j :]
+            solution[i] = solution[i] - row[i - j][None] * solution[j]
+        upper[j + 1 : j + 2] = compute_once(upper[j + 1 : j + 2])
+        solution[j + 1 : j + 2] = compute_once(solution[j + 1 : j + 2])
+        upper[j], solution[j] = row, compute_once(solution[j] * inverse[None])
+    for i in reversed(range(n)):
+        later = total(upper[i][k - i][None] * solution[k] for k in range(i + 1, n))
+        solution[i] = compute_once(solution[i] - later)
+    return jnp.stack(solution)

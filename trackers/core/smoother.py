@@ -53,13 +53,11 @@ class Smoothed(AbstractEpochwiseTracker):
         assert isinstance(filter_, AbstractSmoothableFilter)
         _, output, state = scan_rows(tracker, batch, initial, moments=lambda belief: (belief, ()))
         filtered = output.mean
-        but_last = jax.tree_util.tree_map(lambda x: x[:-1], filtered)
         usable = (output.status == Status.OK) | (output.status == Status.RESTARTED)
         connected = usable[:-1] & (output.status[1:] == Status.OK)
         # Time steps of padding rows are no times: those of a lag's windows are sums of all of them.
         elapsed = jnp.where(jnp.asarray(batch.valid), batch.dt, 0.0)
         dt, inputs = jax.tree_util.tree_map(lambda x: jnp.asarray(x)[1:], (elapsed, batch.inputs))
-        steps = (but_last, connected, dt, inputs)
 
         def gain_of(belief: Any, connected: Scalar, dt: Scalar, inputs: Inputs) -> Any:
             return filter_.rts_gain(belief, tracker.motion, connected, dt, inputs)
@@ -69,14 +67,19 @@ class Smoothed(AbstractEpochwiseTracker):
         def estimate_of(beliefs: Any) -> Any:
             return moments(beliefs if few(batch.size) else in_scalars(beliefs))
 
-        end = jax.tree_util.tree_map(lambda x: x[-1], filtered)
         if self.lag is None:
-            smoothed = fixed_interval(gain_of, filter_.rts_step, estimate_of, end, steps)
+            to_next = jax.tree_util.tree_map(_with_zero_row, (connected, dt, inputs))
+            mean, cov = fixed_interval(gain_of, filter_.rts_step, estimate_of, filtered, *to_next)
         else:
-            lag = jnp.asarray(self.lag, batch.dt.dtype)
+            but_last, end = (jax.tree_util.tree_map(lambda x, k=k: x[k], filtered) for k in (slice(-1), -1))
+            lag, steps = jnp.asarray(self.lag, batch.dt.dtype), (but_last, connected, dt, inputs)
             smoothed = jax.vmap(estimate_of)(fixed_lag(gain_of, filter_.rts_step, filtered, steps, dt, lag))
-        mean, cov = jax.tree_util.tree_map(lambda a, b: jnp.concatenate([a, b[None]]), smoothed, moments(end))
+            mean, cov = jax.tree_util.tree_map(lambda a, b: jnp.concatenate([a, b[None]]), smoothed, moments(end))
         return tracker.with_age(output._replace(mean=mean, cov=by_entry(cov))), state
 
     def begin(self, prior: Gaussian, batch: Batch) -> Any:
         return self.tracker.begin(prior, batch)
+
+
+def _with_zero_row(x: jax.Array) -> jax.Array:
+    return jnp.concatenate([x, jnp.zeros_like(x[:1])])

@@ -133,12 +133,18 @@ def test_noise_of_an_early_stage_passes_through_the_later_ones():
 
 
 def _backward_loop(world, copies):
-    """The loop over rows from the last to the first: numbers of operations, and the shapes that it carries."""
+    """The loop over times from the last to the first: numbers of operations, and the shapes that it carries."""
     batch = world.stacked(copies=copies)
     program = jax.make_jaxpr(lambda batch: Smoothed(world.tracker).scan(batch)[0])(batch._replace(truth={}))
-    (loop,) = [e for e in _equations(program.jaxpr) if e.primitive.name == "scan" and e.params["reverse"]]
-    body, first = loop.params["jaxpr"].jaxpr, loop.params["num_consts"]
-    return len(_equations(body)), [x.aval.shape for x in body.invars[first : first + loop.params["num_carry"]]]
+    scans = [e for e in _equations(program.jaxpr) if e.primitive.name == "scan"]
+    # Its covariances are matrices (n, n, trajectories).
+    (loop,) = [e for e in scans if (4, 4) in {shape[:2] for shape in _carried(e)}]
+    return len(_equations(loop.params["jaxpr"].jaxpr)), _carried(loop)
+
+
+def _carried(scan):
+    first, number = scan.params["num_consts"], scan.params["num_carry"]
+    return [x.aval.shape for x in scan.params["jaxpr"].jaxpr.invars[first : first + number]]
 
 
 def _equations(jaxpr):
@@ -152,11 +158,23 @@ def _equations(jaxpr):
     return found
 
 
-def test_more_than_eight_trajectories_are_smoothed_by_the_loop_of_eight(world):
-    (_, eight), (operations, many), (as_many, more) = (_backward_loop(world, copies) for copies in (2, 4, 16))
-    assert many == more == eight
-    assert (4, 4, 8) in many
+def test_hundreds_of_trajectories_are_smoothed_in_blocks_by_one_loop(world):
+    (operations, block), (as_many, more) = (_backward_loop(world, copies) for copies in (8, 32))
+    assert (4, 4, 32) in block
+    assert more == block
     assert operations == as_many
+
+
+@pytest.mark.parametrize("copies", [1, 16])
+def test_rows_at_one_time_have_one_estimate_wherever_they_are(world, copies):
+    """Trajectories side by side with rows at other times: each row at the time of the next one has its estimate."""
+    estimates = Smoothed(world.tracker).run(world.stacked(copies=copies))
+    for trajectory, (times, _, _) in enumerate(world.trajectories * copies):
+        means = flat(estimates[trajectory].mean)[: len(times)]
+        same = np.flatnonzero(np.diff(times) == 0)
+        np.testing.assert_array_equal(means[same], means[same + 1])
+        other = np.flatnonzero(np.diff(times) != 0)
+        assert np.all(np.any(means[other] != means[other + 1], axis=1))
 
 
 def test_what_the_filter_said_and_its_last_row_stay(world):
