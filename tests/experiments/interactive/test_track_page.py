@@ -131,6 +131,16 @@ def test_the_calibration_of_correct_covariances_is_the_diagonal():
     np.testing.assert_allclose(share, np.arange(101), atol=4)
 
 
+def test_the_distribution_of_errors_is_the_percentage_of_rows_below_each_error(tracks, recording):
+    errors = tracks.recordings[0].errors[:, :2]
+    sizes = np.hypot(*errors[np.isfinite(errors).all(axis=1)].T)
+    (horizontal,) = [curve for curve in recording["distribution"] if curve["name"] == "horizontal"]
+    share, error = _unpacked(horizontal["share"]), _unpacked(horizontal["error"])
+    assert (share[0], share[-1], horizontal["rows"]) == (0.0, 100.0, len(sizes))
+    below = 100 * (sizes[:, None] < error).mean(axis=0)
+    np.testing.assert_allclose(share, below, atol=101 / len(sizes))
+
+
 def test_decimated_rows_keep_ends_and_peaks():
     lengths, weight = np.array([500, 7, 1000]), np.random.default_rng(2).random(1507)
     weight[[123, 1200]] = 9.0

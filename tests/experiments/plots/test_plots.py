@@ -9,12 +9,13 @@ import polars as pl
 import pytest
 import scipy.stats
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.image import imread
 
 from experiments.plots import style
 from experiments.plots.bearings import bearings_over_time
 from experiments.plots.coverage import coverage_curve, levels_of, observed_shares
-from experiments.plots.errors import error_cdf, error_charts, error_over_time
+from experiments.plots.errors import error_cdf, error_charts, error_over_time, rmse_chart
 from experiments.plots.filters import consistency, inflation
 from experiments.plots.objective import sweep_plot, tuning_trace
 from experiments.plots.style import BLACK, BLUE, LINES, SKY, VERMILION, broken_at_gaps
@@ -64,11 +65,11 @@ def figures(monkeypatch):
     """The figures that are written, in their order."""
     made = []
 
-    def canvas(figure):
-        made.append(figure)
-        return FigureCanvasAgg(figure)
+    def canvas(kind):
+        return lambda figure: made.append(figure) or kind(figure)
 
-    monkeypatch.setattr(style, "FigureCanvasAgg", canvas)
+    monkeypatch.setattr(style, "FigureCanvasAgg", canvas(FigureCanvasAgg))
+    monkeypatch.setattr(style, "FigureCanvasSVG", canvas(FigureCanvasSVG))
     return made
 
 
@@ -179,6 +180,18 @@ def test_errors_before_and_after_are_root_mean_squares_of_blocks_of_a_long_track
             trace["y"], [np.sqrt(np.mean(values[k : k + block] ** 2)) for k in starts], rtol=1e-4
         )
     assert name == "hall, tag 1"
+
+
+def test_the_errors_of_all_trajectories_lie_inside_their_chart(figures):
+    times = np.arange(2.0)
+    tracks = [ErrorTrack(f"tag {k}", times, np.full(2, old), np.full(2, new)) for k, (old, new) in
+              enumerate([(12.0, 10.0), (20.0, 31.0), (40.0, 5.0)])]  # fmt: skip
+    rmse_chart(tracks, "cm")
+    (axes,) = figures[0].axes
+    drawn = np.concatenate([line.get_xdata() for line in axes.lines])
+    low, high = axes.get_xlim()
+    assert (low, drawn.min(), drawn.max()) == (0.0, 5.0, 40.0)
+    assert 40.0 < high < 50.0
 
 
 @pytest.mark.parametrize("errors", [np.zeros((0, 3)), np.zeros((1, 2)), np.full((4, 3), np.nan), np.zeros((9, 3))])
