@@ -8,7 +8,8 @@ functions here take either form and return the same; both agree to rounding.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from itertools import pairwise
 from math import isqrt
 from typing import Any
 
@@ -52,10 +53,15 @@ class OneArray:
 
     def unpacked(self, array: jax.Array) -> Any:
         """The tree of an array (T, numbers, B), with its leaves (T, …, B)."""
+        return self.unpacked_from(lambda start, end: array[:, start:end])
+
+    def unpacked_from(self, part: Callable[[int, int], jax.Array]) -> Any:
+        """The tree whose numbers from `start` to `end` are `part(start, end)`, (T, numbers, B) of any B."""
         ends = np.cumsum([0, *(x.size // x.shape[-1] for x in self.leaves)])
+        parts = [part(int(start), int(end)) for start, end in pairwise(ends)]
         leaves = [
-            array[:, start:end].reshape(len(array), *x.shape).astype(x.dtype)
-            for x, start, end in zip(self.leaves, ends, ends[1:], strict=False)
+            found.reshape(len(found), *x.shape[:-1], found.shape[-1]).astype(x.dtype)
+            for x, found in zip(self.leaves, parts, strict=True)
         ]
         return jax.tree_util.tree_unflatten(self.structure, leaves)
 
@@ -117,7 +123,8 @@ def matched(
             for k, (i, j) in enumerate(triangle(len(deviations[0])))
         )
     parts = zip(weights, map(jnp.asarray, covs), [jnp.stack(list(d)) for d in deviations], strict=True)
-    found: jax.Array = total(w * (P + jnp.outer(d, d)) for w, P, d in parts)
+    # Of one trajectory, or of many, last in every array.
+    found: jax.Array = total(jnp.expand_dims(w, (0, 1)) * (P + d[:, None] * d[None]) for w, P, d in parts)
     return found
 
 

@@ -252,9 +252,7 @@ def collapsed_beside(components: Sequence[Gaussian], weights: Sequence[Any]) -> 
     """`collapsed` of all trajectories, last in every array, with covariances (n, n, B)."""
     means = [g.mean for g in components]
     mean, deviations = jax.vmap(_mean_and_deviations, in_axes=-1, out_axes=-1)(means, list(weights))
-    vectors = [jnp.stack(list(d)) for d in deviations]
-    parts = zip(weights, components, vectors, strict=True)
-    return Gaussian(mean, total(w[None, None] * (jnp.asarray(g.cov) + d[:, None] * d[None]) for w, g, d in parts))
+    return Gaussian(mean, matched(weights, [g.cov for g in components], deviations))
 
 
 def _mean_and_deviations(means: Sequence[State], weights: Sequence[Scalar]) -> tuple[State, list[Sequence[Scalar]]]:

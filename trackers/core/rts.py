@@ -113,7 +113,7 @@ def fixed_interval(
 
     def backwards(first: jax.Array) -> jax.Array:
         """The estimates of the trajectories of one block by rank, (T, numbers, block)."""
-        rows, n_times = (jax.lax.dynamic_slice_in_dim(x, first, block, axis=-1) for x in (row_of, 1 + rank[0]))
+        rows, ranks = (jax.lax.dynamic_slice_in_dim(x, first, block, axis=-1) for x in (row_of, rank[0]))
         # Gathered before the loop: XLA counts the whole array of a gather among the bytes that a step moves.
         lanes = first + jnp.arange(block, dtype=jnp.int32)
         steps = jax.tree_util.tree_map(
@@ -130,25 +130,23 @@ def fixed_interval(
         def body(after: Any, one: tuple[jax.Array, Any]) -> tuple[Any, jax.Array]:
             number, step = one
             return jax.lax.cond(
-                number <= jnp.max(n_times),
+                number <= jnp.max(ranks),
                 lambda: smoothed(after, *step),
                 lambda: (after, jnp.zeros(nothing.shape, nothing.dtype)),
             )
 
-        return jax.lax.scan(body, last, (jnp.arange(1, n_rows + 1, dtype=jnp.int32), steps))[1]
+        return jax.lax.scan(body, last, (jnp.arange(n_rows, dtype=jnp.int32), steps))[1]
 
     firsts = jnp.arange(0, size, block, dtype=jnp.int32)
     by_rank = jax.lax.map(backwards, firsts) if len(firsts) > 1 else backwards(firsts[0])[None]
     blocks, within = (lanes // block)[None, None], (lanes % block)[None, None]
 
-    def of_rows(leaf: jax.Array, start: int) -> jax.Array:
-        numbers = jnp.arange(start, start + leaf.size // block, dtype=jnp.int32)[None, :, None]
-        found = by_rank.at[blocks, rank[:, None], numbers, within].get(mode="promise_in_bounds")
-        return found.reshape(n_rows, *leaf.shape[:-1], size).astype(leaf.dtype)
+    def of_rows(start: int, end: int) -> jax.Array:
+        numbers = jnp.arange(start, end, dtype=jnp.int32)[None, :, None]
+        return by_rank.at[blocks, rank[:, None], numbers, within].get(mode="promise_in_bounds")
 
-    starts = np.cumsum([0, *(x.size // block for x in estimates_of.leaves)])
-    leaves = [of_rows(x, int(start)) for x, start in zip(estimates_of.leaves, starts, strict=False)]
-    return jax.tree_util.tree_unflatten(estimates_of.structure, leaves)
+    # Leaf by leaf: one array of all numbers would be written and read once more, at nearly the cost of smoothing.
+    return estimates_of.unpacked_from(of_rows)
 
 
 def in_matrices(beliefs: Any) -> Any:
