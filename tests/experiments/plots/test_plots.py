@@ -18,7 +18,7 @@ from experiments.plots.coverage import coverage_curve, levels_of, observed_share
 from experiments.plots.errors import error_cdf, error_charts, error_over_time, rmse_chart
 from experiments.plots.filters import consistency, inflation
 from experiments.plots.objective import sweep_plot, tuning_trace
-from experiments.plots.style import BLACK, BLUE, LINES, SKY, VERMILION, broken_at_gaps
+from experiments.plots.style import BLACK, BLUE, GREY, LINES, SKY, VERMILION, broken_at_gaps
 from experiments.plots.tracks import TRUTH, floor_plan
 from experiments.reports.tuning_data import ErrorTrack
 from experiments.reports.wording import length_unit
@@ -121,6 +121,25 @@ def test_times_are_written_along_three_tracks_and_not_along_four(tmp_path, figur
     three, four = ([text.get_text() for text in figure.axes[0].texts] for figure in figures)
     assert three == ["2 s", "4 s"] * 3
     assert four == []
+
+
+@pytest.mark.parametrize(
+    ("end", "ratio"),
+    [((60.0, 0.0), 0.25), ((20.0, 20.0), 1.0), ((0.0, 60.0), 2.5)],
+    ids=["corridor along x", "square", "corridor along y"],
+)
+def test_the_ratio_of_a_plan_is_that_of_the_floor_and_limited_for_a_corridor(tmp_path, figures, end, ratio):
+    x, y = np.outer(end, T / T[-1])
+    floor_plan(tmp_path / "plan.png", pl.DataFrame({"tag": "a", "t_s": T, "x_m": x, "y_m": y}))
+    # The legend at the side takes 1.9 inches, title and labels take 1.3.
+    width, height = figures[0].get_size_inches() - (1.9, 1.3)
+    assert height / width == pytest.approx(ratio)
+
+
+def test_walls_are_drawn_below_truth_and_truth_below_tracks(tmp_path, figures):
+    floor_plan(tmp_path / "plan.png", _tracks(1), _tracks(1), walls=np.array([[0.0, 3.0, 10.0, 3.0]]))
+    in_order = sorted(figures[0].axes[0].lines, key=lambda line: line.zorder)
+    assert [line.get_color() for line in in_order[:3]] == [GREY, TRUTH, LINES[0]]
 
 
 @pytest.mark.parametrize(
