@@ -54,6 +54,10 @@ def _tracks(n_tags, sigma=0.2):
     return pl.concat(frames)
 
 
+def _parameter(name):
+    return Parameter((name,), Scale(1.0, "m/s^2"), name)
+
+
 @pytest.fixture(autouse=True)
 def _coarse(monkeypatch):
     """Fewer dots per inch than users get: most of the time goes into compressing pixels."""
@@ -292,6 +296,14 @@ def test_the_tuning_trace_shows_every_number(tmp_path):
     assert all(_shows(picture, colour) for colour in (BLACK, BLUE))
 
 
+@pytest.mark.parametrize(("largest", "ticks"), [(50.0, [1, 2, 5, 10, 20, 50]), (200.0, [1, 10, 100])])
+def test_a_tuning_trace_has_ticks_at_one_two_and_five_unless_it_spans_decades(tmp_path, figures, largest, ticks):
+    tuning_trace(tmp_path / "tune.png", T, {"motion.sigma_a": np.geomspace(1.0, largest, len(T))})
+    axes = figures[0].axes[1]
+    low, high = axes.get_ylim()
+    assert [tick for tick in axes.get_yticks() if low <= tick <= high] == pytest.approx(ticks)
+
+
 def test_the_tuning_trace_takes_one_iteration_and_no_numbers(tmp_path):
     _pixels(tuning_trace(tmp_path / "one.png", np.array([3.0]), {"motion.sigma_a": np.array([0.1])}))
     tuning_trace(tmp_path / "none.png", np.array([3.0, np.nan]), {})
@@ -325,14 +337,31 @@ def test_directions_in_the_plane_of_an_array_are_one_angle(tmp_path, figures):
 
 @pytest.mark.parametrize(("repeats", "paths"), [(1, 0), (1, 1), (3, 0)])
 def test_a_sweep_over_one_number_has_a_legend_of_spread_and_steps(tmp_path, figures, repeats, paths):
-    parameter = Parameter(("motion.sigma_a",), Scale(1.0, "m/s^2"), "motion.sigma_a")
     grid = np.array([0.5, 1.0, 2.0])
-    swept = Sweep([parameter], [grid], np.array([2.0, 1.0, 3.0]) + 0.1 * np.arange(repeats)[:, None], 1)
+    swept = Sweep([_parameter("sigma_a")], [grid], np.array([2.0, 1.0, 3.0]) + 0.1 * np.arange(repeats)[:, None], 1)
     sweep_plot(tmp_path / "s.png", swept, "nll", [np.array([[0.7], [1.1]])] * paths)
     legend = figures[0].axes[0].get_legend()
     assert (legend is not None) == (repeats > 1 or paths > 0)
     if paths:
         assert "optimiser steps" in [text.get_text() for text in legend.get_texts()]
+
+
+def test_the_axis_of_a_sweep_over_one_number_has_equal_room_beyond_both_ends(tmp_path, figures):
+    swept = Sweep([_parameter("sigma_a")], [np.array([0.01, 0.1, 1.0])], np.array([[2.0, 1.0, 3.0]]), 1)
+    sweep_plot(tmp_path / "s.png", swept, "nll")
+    low, high = figures[0].axes[0].get_xlim()
+    # The axis is logarithmic: equal room at both ends is an equal factor.
+    assert 0.01 / low == pytest.approx(high / 1.0)
+    assert 1.0 < high < 2.0
+
+
+def test_the_axes_of_a_sweep_over_two_numbers_end_where_the_grid_does(tmp_path, figures):
+    grids = [np.array([0.01, 0.1, 1.0]), np.array([2.0, 8.0])]
+    swept = Sweep([_parameter("sigma_a"), _parameter("sigma_b")], grids, np.arange(6.0).reshape(1, 3, 2), 1)
+    sweep_plot(tmp_path / "s.png", swept, "nll")
+    axes = figures[0].axes[0]
+    assert axes.get_xlim() == pytest.approx((0.01, 1.0))
+    assert axes.get_ylim() == pytest.approx((2.0, 8.0))
 
 
 def test_bearings_over_time_takes_a_full_turn_and_missing_rows(tmp_path):
