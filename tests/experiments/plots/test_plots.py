@@ -16,7 +16,7 @@ from experiments.plots import style
 from experiments.plots.bearings import bearings_over_time
 from experiments.plots.coverage import coverage_curve, levels_of, observed_shares
 from experiments.plots.errors import error_cdf, error_charts, error_over_time, rmse_chart
-from experiments.plots.filters import consistency, inflation
+from experiments.plots.filters import autocorrelation_chart, consistency, inflation, nis_chart
 from experiments.plots.objective import sweep_plot, tuning_trace
 from experiments.plots.style import BLACK, BLUE, GREY, LINES, SKY, VERMILION, broken_at_gaps
 from experiments.plots.tracks import TRUTH, floor_plan
@@ -25,6 +25,7 @@ from experiments.reports.wording import length_unit
 from trackers.core.errors import UnusableInput
 from trackers.core.rig import Station
 from trackers.core.tunable import Scale
+from tuning.diagnostics import Innovations
 from tuning.parameters import Parameter
 from tuning.sweeping import Sweep
 
@@ -287,6 +288,23 @@ def test_consistency_takes_runs_without_a_value(tmp_path):
 def test_consistency_takes_runs_most_of_whose_rows_say_nothing(tmp_path, rng):
     dof = np.where(np.arange(60) % 3, 0.0, 8.0)[None]
     _pixels(consistency(tmp_path / "chi.png", T, None, 3, np.where(dof > 0, rng.chisquare(8, (1, 60)), 0.0), dof))
+
+
+def test_a_bin_of_nis_far_higher_than_the_density_is_cut_off(rng, figures):
+    dof, trajectory = np.full(500, 8), np.zeros(500, int)
+    nis_chart(Innovations(np.zeros(500), dof, trajectory), Innovations(rng.chisquare(8, 500), dof, trajectory))
+    # The density of χ² with 8 degrees of freedom, x³ exp(−x/2) / 96, is highest at 6.
+    peak = 6**3 * np.exp(-3) / 96
+    # The bin of zeros is cut off at 2.5 times the peak; room for the legend is 60 % more.
+    assert figures[0].axes[0].get_ylim() == pytest.approx((0.0, 1.6 * 2.5 * peak), rel=1e-3)
+
+
+def test_the_band_of_white_noise_is_that_of_the_pairs_of_rows_after_the_fit(rng, figures):
+    # Two trajectories of 51 rows have 100 pairs of neighbours.
+    sides = [Innovations(rng.chisquare(8, n), np.full(n, 8), np.arange(n) // 51) for n in (510, 102)]
+    autocorrelation_chart(*sides)
+    (band,) = figures[0].axes[0].patches
+    assert (band.get_y(), band.get_y() + band.get_height()) == pytest.approx((-0.196, 0.196))
 
 
 def test_the_tuning_trace_shows_every_number(tmp_path):
