@@ -56,6 +56,16 @@ def test_the_columns_are_those_of_the_table(tracks, recording):
     assert np.isnan(_unpacked(recording["columns"]["e0"])[~scored]).all()
 
 
+def test_a_row_has_its_word_of_status_and_is_ok_with_an_unknown_one_or_none():
+    tracks = small_tracks(rows=7, tags=("A",))
+    words = ["waiting", "ok", "lost", "restarted", "non-finite", "drifting", None]
+    rows = tracks.association.rows.with_columns(status=pl.Series(words))
+    run = run_data(ScoredTracks(tracks.association._replace(rows=rows), tracks.folders, []), NO_EVENTS, None, "uwb")
+    recording = run["recordings"][0]
+    shown = [recording["statuses"][number] for number in _unpacked(recording["columns"]["status"])]
+    assert shown == [*words[:5], "ok", "ok"]
+
+
 def test_times_that_count_from_1970_are_shown_since_the_first_reading(tracks, tmp_path, monkeypatch):
     unix = small_tracks(later=1777896797.26)
     assert unix.recordings[0].zero == 1777896800.26
