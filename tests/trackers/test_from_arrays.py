@@ -45,6 +45,12 @@ def test_reported_standard_deviations_of_fixes_become_variances():
     np.testing.assert_array_equal(tw.fix_recording(TIMES, PATH).readings[FIXES].reported, 0.0)
 
 
+def test_truth_with_a_missing_coordinate_is_unknown_and_zero():
+    place, known = tw.fix_recording(TIMES, PATH, truth=PATH).truth["position"]
+    np.testing.assert_array_equal(known, [True, False, False])
+    np.testing.assert_array_equal(place, [PATH[0], np.zeros(3), np.zeros(3)])
+
+
 def test_a_table_of_ranges_becomes_a_row_for_each_that_is_there():
     anchors = np.array([[0.0, 0.0, 2.0], [4.0, 0.0, 2.0], [0.0, 4.0, 2.0]])
     ranges = np.array([[3.0, 4.0, np.nan], [np.nan, 4.5, -1.0], [3.5, np.nan, 5.0]])

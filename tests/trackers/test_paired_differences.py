@@ -74,6 +74,18 @@ def test_runs_are_compared_over_the_tracks_and_times_that_both_have():
     assert paired_differences(a, _run(second, "other")) == {}
 
 
+def test_differences_do_not_depend_on_when_the_clock_starts():
+    first, second = (_run(e)["r", "T"] for e in _lasting(np.random.default_rng(6), 900, 2))
+    # Eighths of a second, which are exact at both times, so that all pieces are the same.
+    times = np.arange(900) / 8
+    early, late = (
+        paired_differences(*({("r", "T"): run._replace(times=times + start)} for run in (first, second)), ("rmse_m",))
+        for start in (0.0, 4096.0)
+    )
+    assert early["rmse_m"].pieces >= LEAST_PIECES
+    assert late == early
+
+
 def test_a_run_does_not_differ_from_itself_and_short_runs_have_no_interval():
     run = _run(_lasting(np.random.default_rng(4), 900, 1)[0])
     same = paired_differences(run, run)["rmse_m"]
