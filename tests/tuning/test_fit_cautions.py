@@ -1,6 +1,8 @@
 """Cautions on a fit: each on data made so that it applies, and none on data of the model itself."""
 
 from dataclasses import replace
+from itertools import product
+from types import SimpleNamespace
 from typing import ClassVar
 
 import numpy as np
@@ -10,8 +12,8 @@ import trackwright as tw
 from tests.known_start import recording
 from tests.tuning.worlds import SIGMA_START, line_tracker, walks
 from trackers.core.recording import Recording
-from tuning.correlation import WINDOWS_S
-from tuning.fit_cautions import standstill
+from tuning.correlation import WINDOWS_S, window_sums
+from tuning.fit_cautions import correlation, standstill
 from tuning.optimisers import AbstractOptimiser
 
 LEVELS = ("motion.sigma_v", "sensors.gauge.sigma")
@@ -87,6 +89,16 @@ def test_correlated_errors_are_named_with_how_much_too_narrow_intervals_are():
     assert text.startswith("innovations are correlated over time: 5999 rows carry the information of about ")
     factor = float(text.split(" about ")[2].split(" times")[0])
     assert 2.0 < factor < np.sqrt(max(WINDOWS_S) / 0.1)
+
+
+def test_rows_that_carry_the_information_of_half_as_many_are_named():
+    # Every row comes twice; the deviations of pairs, as all 16 patterns of signs in turn, have no other correlation.
+    signs = np.repeat(list(product([-1.0, 1.0], repeat=4)) * 2, 2)
+    sums = window_sums(np.arange(len(signs)) / 8, 1.0 + 0.5 * signs, np.zeros(len(signs)))
+    problem = SimpleNamespace(few=False, parts=SimpleNamespace(run=lambda *_: [(sums,)]))
+    (text,) = correlation(problem, np.zeros(2))
+    assert "256 rows carry the information of about 128 independent ones" in text
+    assert "about 1.4 times too narrow" in text
 
 
 class Stuck(AbstractOptimiser):

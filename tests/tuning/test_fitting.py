@@ -221,6 +221,13 @@ def test_the_filter_runs_of_a_result_are_those_that_were_made(line_world, monkey
     assert result.filter_runs == sum(made)
 
 
+def test_a_minibatch_is_smaller_than_a_chunk_that_holds_all(line_world):
+    seen = []
+    fit(line_tracker(sigma=0.3), line_world, NLL, LEVELS, steps=2, minibatch=4, report=seen.append)
+    # All 8 trajectories score every point; the gradient is of 4, at the start and at both ends of each step.
+    assert [int(state.filter_runs) for state in seen] == [4 + 8, 12 + 16, 28 + 16]
+
+
 def test_every_step_is_reported_and_nothing_else_is_touched(line_world):
     seen = []
     start = line_tracker()

@@ -10,7 +10,7 @@ from scipy import stats
 from scipy.optimize import brentq
 
 from tests.tuning.worlds import line_tracker, walks
-from trackers.core.recording import stack
+from trackers.core.recording import Readings, stack
 from trackers.core.tunable import Covariance, Fraction, Real, Scale
 from tuning.identifiability import flat_components, identifiability_issues
 from tuning.objectives import NegativeLogLikelihood, RootMeanSquareError
@@ -482,6 +482,19 @@ def test_few_trajectories_are_cut_into_blocks_of_rows():
     # of a true model both are the same; 50 blocks know a variance to a fifth
     ratio = np.diagonal(found.sandwich) / np.diagonal(found.observed)
     assert np.all((ratio > 0.4) & (ratio < 1.9))
+
+
+def test_a_trajectory_without_a_finite_likelihood_adds_no_information():
+    tracker, (whole, other) = line_tracker(), walks([2000, 20], 5)
+    parameters, gauge = select_parameters(tracker, ("motion.sigma_v", "sensors.gauge.sigma")), other.readings["gauge"]
+    # The squares of such values overflow; where nothing is seen there is no information either.
+    huge, unseen = Readings(gauge.values + 1e200, gauge.seen), Readings(gauge.values, np.zeros_like(gauge.seen))
+    broken, silent = (
+        uncertainty(Problem(tracker, [stack([whole, made])], NegativeLogLikelihood(), parameters), flatten(parameters))
+        for made in (dataclasses.replace(other, readings={"gauge": readings}) for readings in (huge, unseen))
+    )
+    np.testing.assert_array_equal(broken.optimum.used, [True, False])
+    np.testing.assert_allclose(broken.sandwich, silent.sandwich, rtol=1e-9)
 
 
 def test_of_a_tracker_all_kinds_of_uncertainty_agree():
