@@ -15,7 +15,6 @@ from trackers.core.recording import Row, stack
 from trackers.core.rig import Rig, Tag
 from trackers.core.state import Rotation
 from trackers.recordings.folder import RecordingFolder
-from trackers.uwb_imu.imu_inputs import imu_inputs, to_level_axes
 from trackers.uwb_imu.inertial import InertialStart, inertial_tracker, level_attitude
 from trackers.uwb_imu.rows import TRACKERS, inertial_trajectories
 
@@ -88,35 +87,6 @@ def test_an_imu_without_ranges_drifts_within_its_covariance(runs):
     rows = [np.searchsorted(recordings[k].times, t) for t in (7.9, 11.0)]
     assert np.all(sigma[:, rows[1]] > 2 * sigma[:, rows[0]])
     assert np.all(np.isfinite(sigma[:, : len(recordings[k])]))
-
-
-def test_a_sample_is_held_for_a_while_and_a_gap_is_a_gap():
-    imu = np.arange(0, 1, 0.1)
-    times = np.array([-0.1, 0.0, 0.15, 0.95, 1.05, 1.3])
-    samples = np.tile(np.arange(10.0)[:, None], (1, 3))
-    gyro = np.where(np.arange(10)[:, None] == 9, np.nan, samples)
-    inputs = imu_inputs(times, imu, samples, gyro)
-    np.testing.assert_array_equal(inputs["imu"], [[0, 0], [1, 1], [1, 1], [1, 1], [1, 0], [0, 0]])
-    np.testing.assert_array_equal(inputs["accel"][:, 0], [0, 0, 1, 9, 9, 0])
-
-
-def test_rest_is_detected_and_gives_the_gyro_bias():
-    rng = np.random.default_rng(0)
-    imu = np.arange(0, 4, 0.01)
-    accel = np.array([0.0, 0.0, 9.81]) + 0.02 * rng.normal(size=(400, 3))
-    gyro = 0.03 + 0.002 * rng.normal(size=(400, 3))
-    accel[200:] += np.sin(10 * imu[200:, None])
-    rest = imu_inputs(np.array([0.0, 1.9, 3.5]), imu, accel, gyro)["rest"]
-    np.testing.assert_array_equal(rest[:, 6], [1, 1, 0])
-    np.testing.assert_allclose(rest[1, 3:6], 0.03, atol=0.001)
-
-
-def test_a_sensor_that_takes_gravity_out_is_levelled_by_its_own_attitude():
-    q = np.array([[0.5, 0.5, 0.5, 0.5], [2.0, 0.0, 0.0, 0.0], [np.nan] * 4])  # x to y, y to z, z to x
-    accel, gyro = to_level_axes(np.tile([1.0, 2.0, 3.0], (3, 1)), q, 9.81)
-    np.testing.assert_allclose(accel[:2], [[3, 1, 2 + 9.81], [1, 2, 3 + 9.81]])
-    np.testing.assert_array_equal(gyro[:2], 0)
-    assert np.isnan(accel[2]).all()
 
 
 @pytest.mark.parametrize("force", [(0.0, 0.0, 9.8), (5.0, -1.0, 8.0), (0.0, 0.0, -9.8), (9.8, 0.0, 0.0)])
