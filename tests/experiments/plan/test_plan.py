@@ -9,13 +9,15 @@ import numpy as np
 import pytest
 
 from experiments.cli.plan import plan
-from experiments.plan.accuracy import Sigmas, floor_map, floor_of
+from experiments.plan import placement
+from experiments.plan.accuracy import FloorMap, Sigmas, floor_map, floor_of
 from experiments.plan.placement import HIGHEST, LOWEST, SPACING, place_anchors
 from experiments.plan.report import plan_data, summary_text, write_plan
 from sim.stations import work_station
 from trackers.core.errors import UnusableInput
 from trackers.core.rig import Rig
 from trackers.recordings.rig_file import rig_text
+from tuning.design.layouts import WallAnchors
 
 SIGMAS = Sigmas(0.1, 0.05, 0.3)
 ROOM = Rig(
@@ -101,6 +103,28 @@ def test_the_place_of_one_more_anchor_is_as_good_as_an_exhaustive_search():
     assert rms(found.floor) == pytest.approx(mean_bound(proposed), rel=0.05)
     assert rms(found.floor) < rms(floor)
     assert min(np.linalg.norm(proposed - a) for a in three.anchors.values()) > 0.99 * SPACING
+
+
+@pytest.mark.parametrize(
+    ("most", "expected"), [(3, [[1, 1], [2, 1], [3, 2]]), (9, [[1, 1], [1, 2], [2, 1], [3, 1], [3, 2]])]
+)
+def test_the_bound_is_averaged_over_few_points_of_a_large_floor_and_all_of_a_small_one(monkeypatch, most, expected):
+    averaged = []
+
+    def objective(layout, points):
+        averaged.extend(points)
+        # Nothing is searched.
+        raise StopIteration
+
+    monkeypatch.setattr(placement, "POINTS", most)
+    monkeypatch.setattr(WallAnchors, "objective", objective)
+    # Six cells, of which that at (2, 2) is outside.
+    inside = np.array([[True, True], [True, False], [True, True]])
+    unused = np.zeros((3, 2, 2, 2)), np.zeros((3, 2, 3, 3))
+    floor = FloorMap(np.array([1.0, 2.0, 3.0]), np.array([1.0, 2.0]), inside, HEIGHT, SIGMAS, *unused)
+    with pytest.raises(StopIteration):
+        place_anchors(ROOM, 1, floor, height_known=True)
+    np.testing.assert_array_equal(averaged, expected)
 
 
 def test_a_rig_that_measures_nothing_or_has_stations_is_refused():
