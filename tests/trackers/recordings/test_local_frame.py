@@ -76,7 +76,9 @@ def test_everything_with_a_place_is_about_the_middle_of_the_site_and_recordings_
         outline=np.array([[0.0, 0.0], [8.0, 0.0], [8.0, 6.0]]),
     )
     truth = pl.DataFrame({"t_s": [0.0], "tag": ["1"], "x_m": [2.0], "y_m": [3.0], "z_m": [1.0]})
-    folder = tw.RecordingFolder("hall", None, rig, {"truth": truth})
+    # All fixes are in one corner of the hall: the middle is that of the rig.
+    fixes = truth.with_columns(x_m=pl.lit(8.0), y_m=pl.lit(6.0))
+    folder = tw.RecordingFolder("hall", None, rig, {"truth": truth, "fixes": fixes})
     assert near_origin(folder) is folder
     moved = near_origin(_on_the_map(folder))
     assert moved.origin == (5e5 + 4, 5.4e6 + 3)
@@ -87,6 +89,7 @@ def test_everything_with_a_place_is_about_the_middle_of_the_site_and_recordings_
     np.testing.assert_allclose(again.walls, [[-4, -3, 4, -3]])
     np.testing.assert_allclose(again.outline, [[-4, -3], [4, -3], [4, 3]])
     assert moved.tables["truth"].row(0) == (0.0, "1", -2.0, 0.0, 1.0)
+    assert moved.tables["fixes"].row(0) == (0.0, "1", 4.0, 3.0, 1.0)
 
 
 def test_wild_fixes_do_not_move_the_origin():
