@@ -2,12 +2,14 @@
 
 import json
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from experiments.cli import verify
 from experiments.verify.check_result import CheckResult, random_check, table
-from experiments.verify.corridor import corridor_fixes
+from experiments.verify.corridor import CORRIDOR, corridor_fixes, rectangle
 from experiments.verify.deterministic_checks import PARAMETERS, chain_checks, kalman_checks
 from experiments.verify.gradients import gradients, marginal_gradients
 from experiments.verify.oracles import (
@@ -30,9 +32,14 @@ from experiments.verify.worlds import (
 )
 from experiments.verify.wrong_estimators import Naive, Reparameterised
 from tests.in_process import trackwright
-from trackers.core.particle.filter import ParticleFilter
+from trackers.core.algebra import Vector
+from trackers.core.filter import Gaussian
+from trackers.core.motion import ConstantPosition, Placed
+from trackers.core.particle.filter import ParticleFilter, Particles
+from trackers.core.particle.resampling import LOG_ZERO
 from trackers.core.recording import Readings, Recording, stack
 from trackers.line.fixes import FIXES
+from trackers.parts.walls import Walls
 
 KEYS, PARTICLES = 64, 400
 
@@ -82,6 +89,38 @@ def test_the_score_form_is_unbiased_by_walls(scores):
 @pytest.mark.parametrize("estimator", [Naive, Reparameterised])
 def test_pathwise_estimators_are_biased_by_walls(estimator):
     assert _deviation(_score(estimator)) > 12
+
+
+KEY = np.array([1, 2], np.uint32)
+
+
+@pytest.mark.parametrize("estimator", [Naive, Reparameterised])
+@pytest.mark.parametrize(("alive", "shares"), [(3, 8), (5, 5)])
+def test_pathwise_estimators_resample_and_move_as_the_filter_and_kill_outside_of_walls(estimator, alive, shares):
+    # The effective sample size is the number of equal weights above zero; below four of eight, all are drawn again.
+    log_weights = jnp.where(jnp.arange(8) < alive, -np.log(alive), LOG_ZERO)
+    belief = Particles(Placed(Vector(jnp.linspace(1.0, 5.0, 8), jnp.full(8, 0.75))), log_weights, KEY)
+    walled, motion = ParticleFilter(8, potential=Walls(rectangle(CORRIDOR))), ConstantPosition(0.75, 2)
+    own, found = (p.predict(belief, motion, {}, jnp.asarray(1.0)) for p in (walled, estimator(walled)))
+    np.testing.assert_allclose(found.states.position, own.states.position, rtol=1e-6)
+    low, high = CORRIDOR
+    inside = np.all([(a < x) & (x < b) for a, x, b in zip(low, found.states.position, high, strict=True)], axis=0)
+    assert 0 < np.sum(inside[:alive]) < alive
+    kept = inside if alive == 3 else inside & (np.arange(8) < alive)
+    np.testing.assert_allclose(found.log_weights, np.where(kept, -np.log(shares), LOG_ZERO), rtol=1e-6)
+
+
+@pytest.mark.parametrize("estimator", [Naive, Reparameterised])
+def test_initial_particles_of_pathwise_estimators_move_with_the_spread_of_the_prior(estimator):
+    def drawn(sigma, estimator):
+        prior = Gaussian(Placed(Vector(jnp.asarray(2.0))), (sigma**2,))
+        return estimator(ParticleFilter(5)).init(prior, KEY).states.position[0]
+
+    sigma = jnp.asarray(0.3)
+    positions = drawn(sigma, estimator)
+    np.testing.assert_array_equal(positions, drawn(sigma, score_form))
+    # x = 2 + sigma·w for a fixed w; the score form leaves the particles where they are.
+    np.testing.assert_allclose(jax.jacfwd(drawn)(sigma, estimator), (positions - 2.0) / sigma, rtol=1e-4)
 
 
 def _recording(rows, key):
