@@ -1,7 +1,7 @@
 """Sums over rows from which the metrics of many recordings follow, so that their rows need not be held together.
 
-Counts, means, root mean squares, shares and largest errors are exact. Percentiles are interpolated in histograms with
-bins of 2 %, those of studies.
+Counts, means, root mean squares, shares and largest errors are exact, and so are percentiles of at most `EXACT` rows.
+Percentiles of more are interpolated in histograms with bins of 2 %, those of studies.
 """
 
 from __future__ import annotations
@@ -20,7 +20,10 @@ from trackers.recordings.truth import TruthStatus
 from trackers.scoring import Scored, outside_plane
 
 Sums = Mapping[str, np.ndarray]
-"""Arrays by name; those named `max …` are largest values, the others add up."""
+"""Arrays by name; those named `max …` are largest values, those named `values …` are joined, the others add up."""
+
+EXACT = 2000
+"""Values of a histogram that are kept beside it: of more rows a percentile differs little by its bins."""
 
 EXCLUDED = {
     "n_no_estimate": TruthStatus.NO_ESTIMATE,
@@ -39,14 +42,14 @@ def sums_of(association: Association, scored: Scored) -> Sums:
     for kind, norms in _norms(scored, beside).items():
         found[f"errors {kind}"] = np.array([len(norms), np.sum(norms**2)])
         found[f"max {kind}"] = np.max(norms, initial=0.0)
-        found[f"histogram {kind}"] = _histogram(norms)
+        found |= _distribution(kind, norms)
     found["bias"] = np.nansum(beside, axis=0)
     for suffix, values, dof in (("", scored.nees, 2), ("_3d", scored.nees_3d, 3)):
         if values is not None:
             known = values[np.isfinite(values)]
             inside = [np.sum(known <= chi_square_quantile(level / 100, dof)) for level in LEVELS]
             found[f"nees{suffix}"] = np.array([len(known), known.sum(), *inside])
-            found[f"histogram nees{suffix}"] = _histogram(known)
+            found |= _distribution(f"nees{suffix}", known)
     found["nis"] = np.array([scored.nis.sum(), scored.dof.sum()])
     found["products"], found["windows"] = (x.sum(axis=0) for x in scored.nis_ranks)
     found["lost"] = scored.lost.sum(axis=0)
@@ -62,8 +65,13 @@ def _norms(scored: Scored, errors: np.ndarray) -> dict[str, np.ndarray]:
     return dict(zip(POSITION, norms, strict=True))
 
 
-def _histogram(values: np.ndarray) -> np.ndarray:
-    return np.bincount(bins(values), minlength=BINS)
+def _distribution(name: str, values: np.ndarray) -> dict[str, np.ndarray]:
+    """The histogram of values, and the values where they are few; else none."""
+    return {f"histogram {name}": np.bincount(bins(values), minlength=BINS), f"values {name}": _few(values)}
+
+
+def _few(values: np.ndarray) -> np.ndarray:
+    return values if len(values) <= EXACT else np.zeros(0)
 
 
 def added(parts: Sequence[Sums]) -> Sums:
@@ -71,7 +79,10 @@ def added(parts: Sequence[Sums]) -> Sums:
     total = dict(parts[0])
     for part in parts[1:]:
         for name, values in part.items():
-            total[name] = np.maximum(total[name], values) if name.startswith("max ") else total[name] + values
+            if name.startswith("values "):
+                total[name] = _few(np.concatenate([total[name], values]))
+            else:
+                total[name] = np.maximum(total[name], values) if name.startswith("max ") else total[name] + values
     return total
 
 
@@ -113,7 +124,10 @@ def _consistency(sums: Sums, suffix: str, dof: int) -> Metrics:
 
 
 def _quantile(sums: Sums, name: str, share: float) -> float:
-    return float(quantile(sums[f"histogram {name}"], share))
+    histogram, values = sums[f"histogram {name}"], sums[f"values {name}"]
+    # Values that were once too many are missing for good.
+    exact = 0 < len(values) == histogram.sum()
+    return float(np.quantile(values, share) if exact else quantile(histogram, share))
 
 
 def plain(sums: Sums) -> dict[str, Any]:

@@ -97,7 +97,7 @@ def _bearings(folder, rng):
     return pl.concat(tables)
 
 
-@pytest.mark.parametrize(("bearing", "rows"), [(False, 400), (False, 4), (True, 200)])
+@pytest.mark.parametrize(("bearing", "rows"), [(False, 400), (False, 800), (False, 4), (True, 200)])
 def test_metrics_from_sums_are_those_of_all_rows_at_once(bearing, rows):
     if bearing:
         rng = np.random.default_rng(2)
@@ -114,7 +114,8 @@ def test_metrics_from_sums_are_those_of_all_rows_at_once(bearing, rows):
     expected = evaluate(pl.concat(tables), folders).overall
     assert list(found) == list(expected)
     for name, value in expected.items():
-        tolerance = 0.01 if name.startswith(PERCENTILES) else 1e-12
+        # Three recordings of 800 rows have more than `EXACT` rows together, though none alone.
+        tolerance = 0.01 if rows == 800 and name.startswith(PERCENTILES) else 1e-12
         assert found[name] == (value if value is None else pytest.approx(value, rel=tolerance, abs=1e-15)), name
 
 
