@@ -1,4 +1,4 @@
-# Targets: env demo test test-slow mutate lint docs papers bench bench-peers bench-gpu clean. Each makes the environment it needs.
+# Targets: env demo test test-slow mutate digests lint docs papers bench bench-peers bench-gpu clean. Each makes the environment it needs.
 
 PYTHON ?= python3
 BIN := .venv/bin
@@ -7,7 +7,7 @@ GPU := .venv-gpu/bin
 DOCS := .venv-docs/bin
 OLD_PYTHON := trackwright needs Python 3.11 or newer; name one with `make PYTHON=/path/to/python3.11 ...`
 
-.PHONY: env demo test test-slow mutate lint docs papers bench bench-peers bench-gpu clean
+.PHONY: env demo test test-slow mutate digests lint docs papers bench bench-peers bench-gpu clean
 
 env: .venv/installed
 
@@ -47,6 +47,10 @@ test-slow: env
 # Of changed lines alone: make mutate MUTATE='--since origin/main'
 mutate: env
 	$(BIN)/python -m tests.mutation $(MUTATE)
+
+# Whether a change moves numbers: its commit against the one before, or make digests DIGESTS='REV --only "case, uwb*"'
+digests: env
+	$(BIN)/python -m tests.digests $(DIGESTS)
 
 lint: env
 	$(BIN)/ruff check .

@@ -1,0 +1,222 @@
+"""Whether a change moves numbers: `python -m tests.digests [REV]`, REV by default the commit before.
+
+At REV and in the working tree alike it runs each tracker of `tests/catalogue.py` (estimates, NIS, log-likelihood and its
+derivatives) for few trajectories and for many, three studies, and `track` on every recording in
+TRACKWRIGHT_RECORDINGS, and prints what differs by a bit, with the largest relative difference. Exit code 1 where
+something does. Bits depend on the processor and on jaxlib, so both sides are computed here; those of a commit are kept
+in out/digests. A change that only moves code must not move a bit.
+"""
+
+from __future__ import annotations
+
+import argparse
+import fnmatch
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import replace
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.cli.runtime import keep_programs, set_flags
+
+ROOT = Path(__file__).parents[1]
+KEPT = ROOT / "out" / "digests"
+COPIES = 3
+"""Of each trajectory of a case, so that many have the form of many."""
+
+TUNED = 2
+"""How many numbers of a tracker are differentiated for."""
+
+STUDIES = {
+    "agv": ("agv", ["fix-kf", "imm", "median"]),
+    "ranges": ("ranges", ["uwb", "trilateration"]),
+    "line": ("line", ["line-pf"]),
+}
+"""World and trackers of each study."""
+
+WORKERS = 2
+
+
+def main() -> int:
+    """Compare the working tree with a commit; exit code."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("base", nargs="?", default="HEAD~1", help="the commit to compare with (default: HEAD~1)")
+    parser.add_argument("--only", default="*", help="subjects that match this pattern, such as 'case, uwb*'")
+    parser.add_argument("--write", type=Path, help="only write the numbers of this tree to a folder")
+    asked = parser.parse_args()
+    # Both sides share compiled programs, most of whose bits no change of the code moves.
+    os.environ.setdefault("TRACKWRIGHT_CACHE", str(KEPT.parent / "digest-programs"))
+    if asked.write is not None:
+        write(asked.write, asked.only)
+        return 0
+    before = of_commit(asked.base, asked.only)
+    with tempfile.TemporaryDirectory() as folder:
+        after = Path(folder)
+        write(after, asked.only)
+        compared = sorted({p.name for side in (before, after) for p in side.iterdir() if _asked(p.stem, asked.only)})
+        moved = [line for name in compared for line in differences(before / name, after / name)]
+    print("\n".join(moved) or f"no bit differs from {asked.base} in {len(compared)} subjects")
+    return bool(moved)
+
+
+def _asked(subject: str, only: str) -> bool:
+    return fnmatch.fnmatchcase(subject, only)
+
+
+def of_commit(revision: str, only: str) -> Path:
+    """The folder with the numbers of a commit; those that are not kept are computed in a work tree of its own."""
+    commit = subprocess.check_output(["git", "rev-parse", f"{revision}^{{commit}}"], cwd=ROOT, text=True).strip()
+    kept = KEPT / commit
+    with tempfile.TemporaryDirectory() as folder:
+        tree = Path(folder, "tree")
+        subprocess.run(["git", "worktree", "add", "--quiet", "--detach", tree, commit], cwd=ROOT, check=True)
+        try:
+            there = {**os.environ, "PYTHONPATH": str(tree), "TRACKWRIGHT_RECORDINGS": str(recordings())}
+            command = [sys.executable, "-m", "tests.digests", "--write", kept, "--only", only]
+            subprocess.run(command, cwd=tree, env=there, check=True)
+        finally:
+            subprocess.run(["git", "worktree", "remove", "--force", tree], cwd=ROOT, check=True)
+    return kept
+
+
+def recordings() -> Path:
+    """The folder of real recordings, which need not exist."""
+    return Path(os.environ.get("TRACKWRIGHT_RECORDINGS", ROOT.parent / "shared" / "recordings")).resolve()
+
+
+def write(folder: Path, only: str) -> None:
+    """Write the numbers of this tree, a file for each subject that the folder lacks."""
+    from tests.catalogue import CASES
+    from trackers.recordings.atomic import atomic_write
+
+    folder.mkdir(parents=True, exist_ok=True)
+    # Long ones first. A new process for every few subjects: compiled programs take many memory maps.
+    real = sorted(path.parent.name for path in recordings().glob("*/rig.toml"))
+    jobs = [("study", name) for name in STUDIES] + [("recording", name) for name in real] + [("case", c) for c in CASES]
+    names = {job: ", ".join(job) for job in jobs}
+    jobs = [j for j in jobs if _asked(names[j], only) and not (folder / f"{names[j]}.npz").exists()]
+    with ProcessPoolExecutor(WORKERS, get_context("spawn"), max_tasks_per_child=8) as pool:
+        made = {pool.submit(subject, *job): job for job in jobs}
+        for count, done in enumerate(as_completed(made), 1):
+            name = names[made[done]]
+            atomic_write(folder / f"{name}.npz", partial(_save, done.result()))
+            print(f"{count} of {len(jobs)}: {name}", file=sys.stderr, flush=True)
+
+
+def _save(arrays: dict[str, np.ndarray], path: Path) -> None:
+    with path.open("wb") as file:
+        np.savez(file, **arrays)
+
+
+def subject(kind: str, name: str) -> dict[str, np.ndarray]:
+    """The arrays of one subject by name."""
+    set_flags()
+    keep_programs()
+    return {"case": of_case, "study": of_study, "recording": of_recording}[kind](name)
+
+
+def of_case(name: str) -> dict[str, np.ndarray]:
+    """Estimates and derivatives of a case of the catalogue."""
+    from tests.catalogue import CASES
+
+    case = CASES[name]
+    few = case.recordings()
+    many = [replace(r, id=k) for k, r in enumerate(few * COPIES)]
+    return {
+        f"{form}, {what}": np.asarray(values)
+        for form, batch in (("few", few), ("many", many))
+        for what, values in _numbers(case.tracker(), batch)
+    }
+
+
+def _numbers(tracker: Any, batch: list[Any]) -> Iterator[tuple[str, Any]]:
+    import jax
+
+    from trackers.core.recording import stack
+    from trackers.core.tunable import tunables
+    from tuning.objectives import NegativeLogLikelihood
+    from tuning.parameters import flatten, select_parameters
+    from tuning.problem import Problem
+
+    estimates = tracker.run(batch)
+    for field in ("mean", "cov_upper", "log_likelihood", "nis", "nis_dof", "wrapped", "status"):
+        leaves = jax.tree_util.tree_leaves([getattr(one, field) for one in estimates])
+        yield field, np.concatenate([np.ravel(x).astype(float) for x in leaves]) if leaves else np.zeros(0)
+    tuned = sorted(tunables(tracker))[:TUNED]
+    if tuned and hasattr(estimates[0], "log_likelihood") and np.any(np.isfinite(estimates[0].log_likelihood)):
+        parameters = select_parameters(tracker, tuple(tuned))
+        found = Problem(tracker, [stack(batch)], NegativeLogLikelihood(), parameters).evaluate(flatten(parameters))
+        yield "objective", found.terms
+        yield "gradient", found.term_gradients
+
+
+def of_study(name: str) -> dict[str, np.ndarray]:
+    """The results of a study of `STUDIES`, but for its times."""
+    world, trackers = STUDIES[name]
+    with tempfile.TemporaryDirectory() as folder:
+        declared = Path(folder, "study.toml")
+        text = [f'name = "{name}"', 'about = "digests"', "runs = 24", f'[worlds.one]\nkind = "{world}"\nrows = 60']
+        declared.write_text("\n".join([*text, *(f"[trackers.{t}]" for t in trackers)]))
+        _run("study", declared, "--out", Path(folder, "out"), "--no-figures", "--no-report")
+        results = json.loads(Path(folder, "out", "results.json").read_text())
+    return {
+        f"{cell['tracker']}, {metric}": np.array([x if x is not None else np.nan for x in figures.values()], float)
+        for cell in results["cells"]
+        for metric, figures in cell["figures"].items()
+        if metric != "us_per_row"
+    }
+
+
+def of_recording(name: str) -> dict[str, np.ndarray]:
+    """The columns of the tracks that `track` writes of a recording."""
+    import polars as pl
+
+    with tempfile.TemporaryDirectory() as folder:
+        _run("track", recordings() / name, "--out", Path(folder, "out"), "--no-figures", "--no-report")
+        tracks = pl.read_parquet(Path(folder, "out", "tracks.parquet"))
+    columns = {c.name: c.to_numpy() for c in tracks}
+    return {name: x if x.dtype != object else x.astype(str) for name, x in columns.items()}
+
+
+def _run(*arguments: Any) -> None:
+    """Run a command of this tree; its output in the error that it raises."""
+    done = subprocess.run([sys.executable, "-m", "experiments", *map(str, arguments)], capture_output=True, text=True)
+    if done.returncode:
+        raise RuntimeError(f"trackwright {' '.join(map(str, arguments))}: {done.stdout[-500:]}{done.stderr[-2000:]}")
+
+
+def differences(before: Path, after: Path) -> Iterator[str]:
+    """A line for each array of a subject's files that is on one side alone or differs by a bit."""
+    sides = [dict(np.load(path)) if path.exists() else {} for path in (before, after)]
+    for name in sorted(sides[0] | sides[1]):
+        line = _difference(*(side.get(name) for side in sides))
+        if line:
+            yield f"{before.stem}: {name}: {line}"
+
+
+def _difference(before: np.ndarray | None, after: np.ndarray | None) -> str:
+    if before is None or after is None:
+        return "is new" if before is None else "is gone"
+    if before.shape != after.shape:
+        return f"shape {before.shape} became {after.shape}"
+    if before.tobytes() == after.tobytes():
+        return ""
+    if before.dtype.kind not in "fiu":
+        return f"{np.sum(before != after)} of {before.size} differ"
+    apart, size = np.abs(after.astype(float) - before), np.maximum(np.abs(before), np.abs(after))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        relative = np.nan_to_num(apart / size, nan=0.0)
+    return f"{np.sum(apart > 0)} of {before.size} differ, by at most {relative.max(initial=0.0):.1e} relative"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
