@@ -63,27 +63,27 @@ docs: .venv-docs/installed
 	@echo 'wrote out/site; with search: $(PYTHON) -m http.server -d out/site'
 
 papers: env
-	$(BIN)/python -m experiments.papers.reproduce
+	$(BIN)/python -m experiments.lab.papers.reproduce
 
 bench: env
-	$(BIN)/python -m experiments.bench
-	$(BIN)/python -m experiments.bench.particles
-	$(BIN)/python -m experiments.bench.chain
-	$(BIN)/python -m experiments.bench.tuning
-	$(BIN)/python -m experiments.bench.waiting
-	$(BIN)/python -m experiments.bench.cluster
+	$(BIN)/python -m experiments.lab.bench
+	$(BIN)/python -m experiments.lab.bench.particles
+	$(BIN)/python -m experiments.lab.bench.chain
+	$(BIN)/python -m experiments.lab.bench.tuning
+	$(BIN)/python -m experiments.lab.bench.waiting
+	$(BIN)/python -m experiments.lab.bench.cluster
 
 bench-peers: .venv-peers/installed
-	$(PEERS)/python -m experiments.bench --peers
-	$(PEERS)/python -m experiments.bench.imu
-	$(PEERS)/python -m experiments.bench.particle_peers
-	$(PEERS)/python -m experiments.bench.tuning --peers
-	$(PEERS)/python -m experiments.bench.recordings --smooth --page docs/performance.md
-	$(PEERS)/python -m experiments.bench.growth --page docs/performance.md
+	$(PEERS)/python -m experiments.lab.bench --peers
+	$(PEERS)/python -m experiments.lab.bench.imu
+	$(PEERS)/python -m experiments.lab.bench.particle_peers
+	$(PEERS)/python -m experiments.lab.bench.tuning --peers
+	$(PEERS)/python -m experiments.lab.bench.recordings --smooth --page docs/performance.md
+	$(PEERS)/python -m experiments.lab.bench.growth --page docs/performance.md
 
 # On a host with CUDA GPUs; the result file is out/bench-gpu.json.
 bench-gpu: .venv-gpu/installed
-	$(GPU)/python -m experiments.bench.gpu
+	$(GPU)/python -m experiments.lab.bench.gpu
 
 clean:
 	rm -rf .venv .venv-peers .venv-gpu .venv-docs out *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis

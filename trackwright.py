@@ -23,7 +23,7 @@ import trackers
 import tuning
 
 if TYPE_CHECKING:
-    from experiments.plots import notebook as plot
+    from experiments.pages.plots import notebook as plot
     from sim import *  # noqa: F403
     from sim import worlds as simulate
     from trackers import *  # noqa: F403
@@ -34,7 +34,7 @@ try:
 except PackageNotFoundError:
     __version__ = "unknown: not installed"
 
-MODULES = {"simulate": "sim.worlds", "plot": "experiments.plots.notebook"}
+MODULES = {"simulate": "sim.worlds", "plot": "experiments.pages.plots.notebook"}
 """Names that stand for modules: worlds, and plots that return matplotlib axes."""
 
 __all__ = ["plot", "simulate", *trackers.__all__, *sim.__all__, *tuning.__all__]

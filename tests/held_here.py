@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from experiments.environment import environment
+from experiments.jobs.environment import environment
 
 
 @dataclass(frozen=True)

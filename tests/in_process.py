@@ -14,7 +14,7 @@ import jax
 
 from experiments.cli import console
 from experiments.cli.main import main
-from experiments.plots import style
+from experiments.pages.plots import style
 from trackers.core import traced_programs
 
 

@@ -23,13 +23,15 @@ LONGEST = 500
 
 
 def _part(module):
-    """What a module of ours belongs to: a folder of trackers, `trackers` itself, a package; None for others."""
+    """What a module of ours belongs to: a folder of trackers or experiments, `trackers` itself, a package; else None."""
     package, _, rest = module.partition(".")
     if package == "trackers":
         inside = rest.partition(".")[0]
         return inside if inside in ("core", "recordings", "parts", "exchange", *SYSTEMS) else "trackers"
     if module.startswith("tuning.design"):
         return "design"
+    if package == "experiments":
+        return f"experiments.{rest.partition('.')[0]}"
     return package if package in PACKAGES else None
 
 
@@ -45,8 +47,14 @@ MAY_IMPORT = {
     "sim": {*LIBRARY, "sim"},
     "tuning": {*BASE, "tuning"},
     "design": {*BASE, *SYSTEMS, "tuning", "design"},
-    "experiments": {*LIBRARY, "sim", "tuning", "design", "experiments"},
 }
+LAYERS = ("text", "jobs", "monte_carlo", "pages", "cli", "lab")
+"""The folders of experiments; each imports itself and those before it."""
+
+OUTSIDE = {*LIBRARY, "sim", "tuning", "design"}
+for count, layer in enumerate(LAYERS, 1):
+    MAY_IMPORT[f"experiments.{layer}"] = {*OUTSIDE, *(f"experiments.{below}" for below in LAYERS[:count])}
+MAY_IMPORT["experiments."], MAY_IMPORT["experiments.__main__"] = set(), {"experiments.cli"}
 
 
 def _imported(path):

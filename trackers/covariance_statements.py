@@ -15,7 +15,7 @@ RATIO = (0.67, 1.4)
 """NEES per degree of freedom with which covariances hold, and NIS per degree of freedom that is as expected.
 
 Standard deviations are then at most a fifth too small or too large, where the 95 % ellipse holds 88 to 99 % of normal
-errors. Worlds of a tracker's own model have a NIS within (`python -m experiments.validation.nis_expectation`).
+errors. Worlds of a tracker's own model have a NIS within (`python -m experiments.lab.validation.nis_expectation`).
 """
 
 LIMITS = f"limits {100 * COVERAGE[0]:.0f} to {100 * COVERAGE[1]:.0f} %", f"limits {RATIO[0]:g} to {RATIO[1]:g}"

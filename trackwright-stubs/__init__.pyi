@@ -1,7 +1,7 @@
 import sim
 import trackers
 import tuning
-from experiments.plots import notebook as plot
+from experiments.pages.plots import notebook as plot
 from sim import *
 from sim import worlds as simulate
 from trackers import *

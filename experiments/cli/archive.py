@@ -12,27 +12,27 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from experiments.archives.compared import compared
-from experiments.archives.folders import RESULTS
-from experiments.archives.part import Scoring, Tracking
-from experiments.archives.runner import run_missing
-from experiments.archives.store import SCORED, TRACKED, Item, RecordingStore, content_of, digest_of
-from experiments.archives.tables import Refusals, Run, gathered, read_results, write_results
-from experiments.cli.console import json_alone, notice, output_folder, ready
+from experiments.cli.archives.compared import compared
+from experiments.cli.archives.folders import RESULTS
+from experiments.cli.archives.part import Scoring, Tracking
+from experiments.cli.archives.runner import run_missing
+from experiments.cli.archives.store import SCORED, TRACKED, Item, RecordingStore, content_of, digest_of
+from experiments.cli.archives.tables import Refusals, Run, gathered, read_results, write_results
+from experiments.cli.console import json_alone, output_folder, ready
 from experiments.cli.fail_if import conditions, violation
 from experiments.cli.manifest import write_manifest
 from experiments.cli.report import COMPARISON
-from experiments.cli.stages import Begin, stages
 from experiments.cli.tracked_by import tracker_names
 from experiments.cli.tracking import Options, endings, write_shown
-from experiments.environment import environment
-from experiments.interactive.track_page import run_data
-from experiments.portable_tracker import PortableTracker
-from experiments.reports.comparison import Table, comparison_text
-from experiments.reports.comparison_page import write_comparison
-from experiments.reports.evaluation_text import archive_text, content
-from experiments.reports.tables import terminal_width
-from experiments.scored_tracks import ScoredTracks, drawn_of
+from experiments.jobs.environment import environment
+from experiments.jobs.portable_tracker import PortableTracker
+from experiments.pages.interactive.track_page import run_data
+from experiments.pages.reports.comparison import Table, comparison_text
+from experiments.pages.reports.comparison_page import write_comparison
+from experiments.pages.scored_tracks import ScoredTracks, drawn_of
+from experiments.text.evaluation_text import archive_text, content
+from experiments.text.tables import terminal_width
+from experiments.text.terminal import Begin, notice, stages
 from trackers.catalogue import spec_of, split_name
 from trackers.core.chunks import CHUNK
 from trackers.core.errors import UnusableInput

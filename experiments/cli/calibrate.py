@@ -30,7 +30,7 @@ def calibrate_recordings(recordings: Folders, *, out: File, json: bool = False) 
 
     calibration = calibrate(folders)
     output_folder(out.parent)
-    from experiments.reports.calibration import draw_report, report_on, report_text, write_calibration_report
+    from experiments.pages.reports.calibration import draw_report, report_on, report_text, write_calibration_report
 
     report = report_on(calibration, folders)
     write_calibration(calibration, out)

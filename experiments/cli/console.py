@@ -10,17 +10,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from rich.console import Console
-
 from experiments.cli.arguments import File
-from trackers.core.errors import UnusableInput, has_control, listed, one_line
+from experiments.text.terminal import notice
+from trackers.core.errors import UnusableInput, has_control, listed
 from trackers.recordings.atomic import json_text
 from trackers.recordings.calibration import Calibration
 from trackers.recordings.calibration_file import identity, read_calibration
 from trackers.recordings.folder import RecordingFolder, read_recordings
 from trackers.recordings.selection import Selection
-
-ERRORS = Console(stderr=True, highlight=False, soft_wrap=True)
 
 
 @contextmanager
@@ -72,11 +69,6 @@ class ReadingOptions:
     def read_calibration(self) -> Calibration | None:
         """The calibration, None without; raises UnusableInput as `read_calibration`."""
         return None if self.calibration is None else read_calibration(self.calibration)
-
-
-def notice(text: str) -> None:
-    """Prints one line on standard error."""
-    ERRORS.print(one_line(text), markup=False)
 
 
 def selection(tag: Sequence[str], start: float | None, stop: float | None, every: float | None) -> Selection:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from experiments.cli.console import notice
+from experiments.text.terminal import notice
 from trackers.core.errors import UnusableInput, listed
 from trackers.recordings.calibration import Calibration
 from trackers.recordings.calibration_file import read_calibration

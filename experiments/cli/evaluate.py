@@ -8,11 +8,11 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from experiments.archives.folders import RECORDINGS, is_archive
+from experiments.cli.archives.folders import RECORDINGS, is_archive
 from experiments.cli.arguments import File
 from experiments.cli.console import read_with_notices, selection
 from experiments.cli.evaluate_poses import PoseOptions, evaluate_poses
-from experiments.reports.tables import terminal_width
+from experiments.text.tables import terminal_width
 from trackers.core.errors import UnusableInput
 from trackers.exchange.alignment import Alignment
 from trackers.recordings.atomic import atomic_write
@@ -101,9 +101,9 @@ def evaluate_tracks(
     folders = read_with_notices(truth or sources(folder))
     # jax takes a second to import, which the help and a refused folder need not wait for.
     from experiments.cli.fail_if import conditions, violation
-    from experiments.executors import cluster_executor
-    from experiments.reports.evaluation_text import to_json, to_text
-    from experiments.reports.worksteps_text import to_text as work_text
+    from experiments.jobs.executors import cluster_executor
+    from experiments.pages.reports.worksteps_text import to_text as work_text
+    from experiments.text.evaluation_text import to_json, to_text
     from trackers.evaluation import evaluate, metric_names
     from trackers.worksteps.tracks import METRICS, workstep_report
 

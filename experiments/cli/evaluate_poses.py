@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Literal
 
 import polars as pl
 
-from experiments.cli.console import notice, output_folder, read_with_notices, require_output
-from experiments.reports.tables import terminal_width
+from experiments.cli.console import output_folder, read_with_notices, require_output
+from experiments.text.tables import terminal_width
+from experiments.text.terminal import notice
 from trackers.core.errors import UnusableInput
 from trackers.core.wording import counted
 from trackers.exchange.alignment import Alignment
@@ -90,8 +91,8 @@ def evaluate_poses(
         tracks = part.of_estimates(assigned(read, truths, tag, source))
     # jax takes a second to import, which a refused file need not wait for.
     from experiments.cli.fail_if import conditions, violation
-    from experiments.reports.evaluation_text import to_text
-    from experiments.reports.trajectory_text import to_text as poses_text
+    from experiments.pages.reports.trajectory_text import to_text as poses_text
+    from experiments.text.evaluation_text import to_text
     from trackers.evaluation import evaluate, metric_names
 
     steps = options.rpe or DEFAULT_STEPS
@@ -154,9 +155,9 @@ def _write(
     source: str,
 ) -> str:
     """Writes the files of `--out`; returns in words which."""
-    from experiments.interactive.track_page import PAGE, run_data, write_track_page
-    from experiments.plots.track_folder import plot_tracks
-    from experiments.scored_tracks import ScoredTracks
+    from experiments.pages.interactive.track_page import PAGE, run_data, write_track_page
+    from experiments.pages.plots.track_folder import plot_tracks
+    from experiments.pages.scored_tracks import ScoredTracks
     from trackers.evaluation import associate
 
     output_folder(out)

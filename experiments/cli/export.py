@@ -9,7 +9,7 @@ from typing import Literal
 import polars as pl
 
 from experiments.cli.arguments import Folder
-from experiments.cli.console import notice
+from experiments.text.terminal import notice
 from trackers.core.errors import UnusableInput, listed
 from trackers.core.rig import Rig
 from trackers.core.wording import counted

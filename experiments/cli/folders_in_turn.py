@@ -6,7 +6,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from experiments.cli.console import ReadingOptions, notice, ready
+from experiments.cli.console import ReadingOptions, ready
+from experiments.text.terminal import notice
 from trackers.recordings.folder import RecordingFolder, read_recording, refuse_repeated
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from experiments.cli.arguments import File, Folder
-from experiments.cli.console import notice
+from experiments.text.terminal import notice
 from trackers.core.errors import UnusableInput
 from trackers.core.seconds import moment
 from trackers.core.wording import counted

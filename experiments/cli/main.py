@@ -13,30 +13,30 @@ from experiments.cli.runtime import set_flags
 from experiments.cli.summaries import COMMANDS, FAMILIES
 
 FUNCTIONS = {
-    "plan": "plan:plan",
-    "import": "import_source:import_source",
-    "check": "check:check",
-    "calibrate": "calibrate:calibrate_recordings",
-    "track": "track:track",
-    "evaluate": "evaluate:evaluate_tracks",
-    "export": "export:export",
-    "report": "report:report",
-    "tune": "tune:tune",
-    "sweep": "sweep:sweep",
-    "trackers": "trackers:trackers",
-    "tunables": "trackers:tunables",
-    "simulate station": "simulate:station",
-    "simulate line": "simulate:line",
-    "simulate ranges": "simulate:ranges",
-    "simulate tool": "simulate:tool",
-    "simulate agv": "simulate:agv",
-    "study": "study:study",
-    "truth": "truth:truth",
-    "verify": "verify:verify",
-    "demo": "demo:demo",
-    "completion": "completion:completion",
+    "plan": "cli.plan:plan",
+    "import": "cli.import_source:import_source",
+    "check": "cli.check:check",
+    "calibrate": "cli.calibrate:calibrate_recordings",
+    "track": "cli.track:track",
+    "evaluate": "cli.evaluate:evaluate_tracks",
+    "export": "cli.export:export",
+    "report": "cli.report:report",
+    "tune": "cli.tune:tune",
+    "sweep": "cli.sweep:sweep",
+    "trackers": "cli.trackers:trackers",
+    "tunables": "cli.trackers:tunables",
+    "simulate station": "cli.simulate:station",
+    "simulate line": "cli.simulate:line",
+    "simulate ranges": "cli.simulate:ranges",
+    "simulate tool": "cli.simulate:tool",
+    "simulate agv": "cli.simulate:agv",
+    "study": "cli.study:study",
+    "truth": "cli.truth:truth",
+    "verify": "lab.verify.command:verify",
+    "demo": "lab.demo:demo",
+    "completion": "cli.completion:completion",
 }
-"""The function of each command and its module in this package, which is imported for that command alone.
+"""The function of each command and its module in `experiments`, which is imported for that command alone.
 
 A new command is a line here and one in `summaries.COMMANDS`; its function's signature and docstring are its options and
 help (`arguments.py`).
@@ -125,7 +125,7 @@ def _without_cache() -> None:
 
 
 def _quietly() -> None:
-    from experiments.cli.console import ERRORS
+    from experiments.text.terminal import ERRORS
 
     ERRORS.quiet = True
 
@@ -179,12 +179,12 @@ def help_of(command: str, words: list[str]) -> str | None:
 def function_of(command: str) -> Callable[..., Any]:
     """The function of a command, imported."""
     module, _, name = FUNCTIONS[command].partition(":")
-    function: Callable[..., Any] = getattr(import_module(f"experiments.cli.{module}"), name)
+    function: Callable[..., Any] = getattr(import_module(f"experiments.{module}"), name)
     return function
 
 
 def run_alone(function: Callable[..., Any], program: str) -> NoReturn:
-    """Run a function as a program of its own, as `python -m experiments.bench`; exits with its code, or 2."""
+    """Run a function as a program of its own, as `python -m experiments.lab.bench`; exits with its code, or 2."""
     from experiments.cli.arguments import parse
     from experiments.cli.help_text import command_help
     from trackers.core.errors import UnusableInput

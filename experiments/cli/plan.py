@@ -7,7 +7,8 @@ import sys
 from pathlib import Path
 
 from experiments.cli.arguments import FigureFormat, Folder
-from experiments.cli.console import json_alone, notice, output_folder
+from experiments.cli.console import json_alone, output_folder
+from experiments.text.terminal import notice
 from trackers.core.errors import UnusableInput
 from trackers.recordings.rig_file import RIG_FILE, read_rig
 
@@ -58,10 +59,10 @@ def plan(
         height = sum(heights) / len(heights) if heights else HEIGHT
     output_folder(out)
     # jax takes a second to import, which the help and a refused rig need not wait for.
-    from experiments.plan.accuracy import Sigmas, floor_map
-    from experiments.plan.placement import place_anchors
-    from experiments.plan.report import summary, summary_text, write_plan
-    from experiments.plots.plan import bound_maps
+    from experiments.pages.plan.accuracy import Sigmas, floor_map
+    from experiments.pages.plan.placement import place_anchors
+    from experiments.pages.plan.report import summary, summary_text, write_plan
+    from experiments.pages.plots.plan import bound_maps
 
     floor = floor_map(geometry, Sigmas(sigma_range, sigma_angle, sigma_phase), height)
     placement = place_anchors(geometry, place, floor, known) if place else None

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Annotated
 
 from experiments.cli.arguments import FigureFormat, File, Folders
-from experiments.cli.console import notice, output_folder
+from experiments.cli.console import output_folder
+from experiments.text.terminal import notice
 from trackers.recordings.atomic import json_text
 
 COMPARISON = "comparison.html"
@@ -51,10 +52,10 @@ def print_comparison(
     page beside it, which it names.
     """
     # Reading errors of tracks and drawing take a second to import, which the help need not wait for.
-    from experiments.plots.comparison import comparison_charts, plot_comparison
-    from experiments.reports.comparison import SHOWN, comparison, comparison_text, lone_subjects
-    from experiments.reports.comparison_page import write_comparison
-    from experiments.reports.runs import read_runs
+    from experiments.pages.plots.comparison import comparison_charts, plot_comparison
+    from experiments.pages.reports.comparison import SHOWN, comparison, comparison_text, lone_subjects
+    from experiments.pages.reports.comparison_page import write_comparison
+    from experiments.pages.reports.runs import read_runs
 
     runs, notices = read_runs(folders)
     tables, contrasts = comparison(runs, metrics or SHOWN)

@@ -36,7 +36,7 @@ def set_flags() -> None:
 
 def keep_programs() -> None:
     """Keep compiled programs for later commands, as `cache_programs`; a notice where that is impossible."""
-    from experiments.cli.console import notice
+    from experiments.text.terminal import notice
     from trackers.core import traced_programs
     from trackers.core.errors import UnusableInput
     from trackers.core.program_cache import cache_programs, store_in_use

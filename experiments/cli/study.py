@@ -11,19 +11,19 @@ from pathlib import Path
 from typing import Annotated
 
 from experiments.cli.arguments import FigureFormat, Folder
-from experiments.cli.console import notice, output_folder, require_output
+from experiments.cli.console import output_folder, require_output
 from experiments.cli.manifest import write_manifest
 from experiments.cli.runtime import keep_programs
-from experiments.cli.stages import progress
-from experiments.executors import cluster_executor
+from experiments.jobs.executors import cluster_executor
 from experiments.monte_carlo.chunk_store import CHUNKS, merge_shards
 from experiments.monte_carlo.declaration import checked
 from experiments.monte_carlo.runner import StopRule, run_study
 from experiments.monte_carlo.sources import available_studies, load_study
-from experiments.plots.study import write_charts
-from experiments.reports.study import study_charts, write_study_report
-from experiments.reports.study_text import study_names, to_json, to_text
-from experiments.reports.wording import figures_drawn
+from experiments.pages.plots.study import write_charts
+from experiments.pages.reports.study import study_charts, write_study_report
+from experiments.pages.reports.study_text import study_names, to_json, to_text
+from experiments.text.terminal import notice, progress
+from experiments.text.wording import figures_drawn
 from trackers.core.chunks import n_workers
 from trackers.core.errors import UnusableInput
 from trackers.core.wording import counted

@@ -14,9 +14,9 @@ import polars as pl
 
 from experiments.cli.console import output_folder
 from experiments.cli.manifest import write_manifest
-from experiments.cli.stages import Begin
 from experiments.cli.tuning_options import tracker_for_folders
-from experiments.plots.objective import sweep_plot
+from experiments.pages.plots.objective import sweep_plot
+from experiments.text.terminal import Begin
 from trackers.core.errors import UnusableInput
 from trackers.recordings.atomic import atomic_write
 from trackers.recordings.folder import RecordingFolder

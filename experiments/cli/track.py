@@ -5,12 +5,12 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import Annotated
 
-from experiments.archives.folders import archive_of
+from experiments.cli.archives.folders import archive_of
 from experiments.cli.arguments import FigureFormat, File, Folder, Folders
 from experiments.cli.console import ReadingOptions, json_alone, notice_other_calibration, prepared, require_output
 from experiments.cli.runtime import keep_programs
-from experiments.cli.stages import stages
 from experiments.cli.usable import usable_recordings
+from experiments.text.terminal import stages
 from trackers.core.errors import UnusableInput
 from tuning.tuned_file import parse_values, read_tuned
 

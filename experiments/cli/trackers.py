@@ -8,9 +8,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 from experiments.cli.arguments import File, Folder
-from experiments.cli.console import notice, read_with_notices
+from experiments.cli.console import read_with_notices
 from experiments.cli.summaries import TRACKERS
-from experiments.reports.tables import terminal_width
+from experiments.text.tables import terminal_width
+from experiments.text.terminal import notice
 from trackers.core.errors import UnusableInput
 from trackers.recordings.atomic import json_text
 from tuning.tuned_file import read_tuned
@@ -140,7 +141,7 @@ def _table(listed: list[dict[str, Any]], width: int) -> str:
     """A line for each tunable, and below those of one meaning what it is."""
     import numpy as np
 
-    from experiments.reports.tables import aligned
+    from experiments.text.tables import aligned
 
     rows = [("tunable", "value", "unit", "bounds")]
     for one in listed:

@@ -14,19 +14,19 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from experiments.archives.folders import RESULTS
-from experiments.cli.console import ReadingOptions, notice, notice_unused_calibration, output_folder
+from experiments.cli.archives.folders import RESULTS
+from experiments.cli.console import ReadingOptions, notice_unused_calibration, output_folder
 from experiments.cli.manifest import write_manifest
 from experiments.cli.report import COMPARISON, print_comparison
-from experiments.cli.stages import Begin
 from experiments.cli.tracked_by import TrackedBy, late_readings, tracked_by
-from experiments.executors import cluster_executor
-from experiments.interactive.track_page import PAGE, run_data, write_track_page
-from experiments.portable_tracker import run_on
-from experiments.reports.evaluation_text import to_json, to_text
-from experiments.reports.tables import terminal_width
-from experiments.reports.wording import figures_drawn, uncapitalised
-from experiments.scored_tracks import ScoredTracks
+from experiments.jobs.executors import cluster_executor
+from experiments.jobs.portable_tracker import run_on
+from experiments.pages.interactive.track_page import PAGE, run_data, write_track_page
+from experiments.pages.scored_tracks import ScoredTracks
+from experiments.text.evaluation_text import to_json, to_text
+from experiments.text.tables import terminal_width
+from experiments.text.terminal import Begin, notice
+from experiments.text.wording import figures_drawn, uncapitalised
 from trackers.catalogue import build, spec_of
 from trackers.core.chunks import CHUNK
 from trackers.core.errors import UnusableInput
@@ -223,7 +223,7 @@ def write_shown(
     if options.figures:
         begin("figures")
         # matplotlib takes a third of a second to import.
-        from experiments.plots.track_folder import plot_tracks
+        from experiments.pages.plots.track_folder import plot_tracks
 
         drawn = plot_tracks(out, tracks, options.format)
         written.append(figures_drawn(drawn))

@@ -10,8 +10,9 @@ import numpy as np
 import polars as pl
 
 from experiments.cli.arguments import Folder
-from experiments.cli.console import notice, read_with_notices
+from experiments.cli.console import read_with_notices
 from experiments.cli.runtime import keep_programs
+from experiments.text.terminal import notice
 from trackers.recordings.folder import RecordingFolder, write_recording
 from trackers.recordings.truth import TruePaths
 

@@ -12,7 +12,7 @@ from experiments.cli.arguments import FigureFormat, File, Folder, Folders
 from experiments.cli.console import ReadingOptions, json_alone, read_with_notices, require_output
 from experiments.cli.folders_in_turn import FoldersInTurn
 from experiments.cli.runtime import keep_programs
-from experiments.cli.stages import stages
+from experiments.text.terminal import stages
 from trackers.core.errors import UnusableInput
 from tuning.tuned_file import parse_values, read_tuned
 

@@ -9,9 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from experiments.cli.console import output_folder
-from experiments.executors import cluster_client
-from experiments.held_parts import FitWorkers
-from experiments.reports.tracks_compared import MOST_PLANS
+from experiments.jobs.executors import cluster_client
+from experiments.jobs.held_parts import FitWorkers
+from experiments.pages.reports.tracks_compared import MOST_PLANS
 from trackers.core.errors import UnusableInput
 from trackers.recordings.folder import RecordingFolder, refuse_same_names
 from trackers.recordings.mapped_rows import mapped

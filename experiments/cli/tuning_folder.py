@@ -14,12 +14,12 @@ import polars as pl
 
 from experiments.cli.manifest import write_manifest
 from experiments.cli.tuning_refusals import in_words, refusals
-from experiments.plots.objective import tuning_trace
-from experiments.reports.recordings_compared import Compared
-from experiments.reports.tables import aligned
-from experiments.reports.tracks_compared import TrackChanges
-from experiments.reports.tuning import write_tuning_report
-from experiments.reports.tuning_collect import Request, collect, recording_names
+from experiments.pages.plots.objective import tuning_trace
+from experiments.pages.reports.recordings_compared import Compared
+from experiments.pages.reports.tracks_compared import TrackChanges
+from experiments.pages.reports.tuning import write_tuning_report
+from experiments.pages.reports.tuning_collect import Request, collect, recording_names
+from experiments.text.tables import aligned
 from trackers.catalogue import spec_of
 from trackers.recordings.atomic import atomic_write
 from trackers.recordings.calibration_file import identity

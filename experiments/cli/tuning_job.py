@@ -13,16 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from experiments.cli.console import notice, output_folder
+from experiments.cli.console import output_folder
 from experiments.cli.folders_in_turn import FoldersInTurn
-from experiments.cli.stages import Advance, Begin
 from experiments.cli.tuning_cluster import data_in_turn, reported
 from experiments.cli.tuning_folder import Run, write_run
 from experiments.cli.tuning_options import checked_options, tracker_for_folders
-from experiments.held_parts import FitWorkers, HeldParts
-from experiments.reports.recordings_compared import Compared, compare, tracked
-from experiments.reports.tracks_compared import MOST_PLANS, TrackChanges, track_changes
-from experiments.reports.tuning_collect import recording_names
+from experiments.jobs.held_parts import FitWorkers, HeldParts
+from experiments.pages.reports.recordings_compared import Compared, compare, tracked
+from experiments.pages.reports.tracks_compared import MOST_PLANS, TrackChanges, track_changes
+from experiments.pages.reports.tuning_collect import recording_names
+from experiments.text.terminal import Advance, Begin, notice
 from trackers.core.errors import UnusableInput, listed
 from trackers.core.tunable import tunables
 from trackers.recordings.association import Association

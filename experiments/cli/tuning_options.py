@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from experiments.cli.console import notice, notice_unused_calibration
+from experiments.cli.console import notice_unused_calibration
+from experiments.text.terminal import notice
 from trackers.catalogue import build, fitting
 from trackers.core.errors import UnusableInput
 from trackers.recordings.folder import RecordingFolder

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from experiments.reports.recordings_compared import Compared
+from experiments.pages.reports.recordings_compared import Compared
 from tuning import FitResult
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from experiments.cli.console import notice
+from experiments.text.terminal import notice
 from trackers.core.errors import UnusableInput
 from trackers.recordings.checks import quick_check
 from trackers.recordings.folder import RecordingFolder, read_recordings

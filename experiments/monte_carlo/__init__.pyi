@@ -1,6 +1,9 @@
 from experiments.monte_carlo.declaration import Condition, Study, TrackerConfig, World
 from experiments.monte_carlo.errors import TrackedRuns
-from experiments.monte_carlo.expectations import (
+from experiments.monte_carlo.results import Results
+from experiments.monte_carlo.runner import run_study
+from experiments.monte_carlo.sources import load_study
+from experiments.text.expectations import (
     DERIVED,
     FITTED,
     PREDICTED,
@@ -10,9 +13,6 @@ from experiments.monte_carlo.expectations import (
     Value,
     inherited,
 )
-from experiments.monte_carlo.results import Results
-from experiments.monte_carlo.runner import run_study
-from experiments.monte_carlo.sources import load_study
 
 __all__ = [
     "DERIVED",

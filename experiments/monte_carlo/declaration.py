@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from experiments.monte_carlo.errors import TrackedRuns
-from experiments.monte_carlo.expectations import Conclusion, ExpectedResult
+from experiments.text.expectations import Conclusion, ExpectedResult
 from trackers.catalogue import spec_of
 from trackers.core.errors import UnusableInput
 from trackers.recordings.folder import RecordingFolder

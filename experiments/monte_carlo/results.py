@@ -16,7 +16,7 @@ import numpy as np
 
 from experiments.monte_carlo.accumulators import BINS, COLUMN, EDGES, KINDS, SUMS, quantile
 from experiments.monte_carlo.declaration import Condition, Study
-from experiments.monte_carlo.expectations import Value
+from experiments.text.expectations import Value
 
 BLOCKS, REPLICATES, LEVEL = 512, 1000, 0.95
 

@@ -14,7 +14,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from experiments.executors import AT_ONCE, finished
+from experiments.jobs.executors import AT_ONCE, finished
 from experiments.monte_carlo.chunk import require_fitting_parts
 from experiments.monte_carlo.chunk_store import IDENTITY, ChunkStore
 from experiments.monte_carlo.declaration import Condition, Study

@@ -1,4 +1,4 @@
-"""Load a study: by name from `experiments.papers` and `experiments.questions`, or from a Python or TOML file."""
+"""Load a study: by name from the papers and questions of `experiments.lab`, or from a Python or TOML file."""
 
 from __future__ import annotations
 
@@ -7,16 +7,18 @@ import difflib
 import importlib
 import importlib.util
 import pkgutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from experiments import papers, questions
 from experiments.monte_carlo.declaration import Study, TrackerConfig, World, checked
 from sim.worlds import WORLDS
 from trackers.catalogue import run_file, split_name
 from trackers.core.errors import UnusableInput
 from trackers.recordings.input_file import read_toml
+
+PAPERS, QUESTIONS = "experiments.lab.papers", "experiments.lab.questions"
+"""Where studies are looked for by name: in the folders of the one, and in the other itself."""
 
 KINDS = {str: "text", int: "a whole number", float: "a number", list: "a list", dict: "a table", bool: "true or false"}
 STUDY_KEYS = {
@@ -33,14 +35,18 @@ def available_studies() -> list[str]:
 
 def _modules() -> dict[str, str]:
     """Module names by study: each module of a paper's folder and of `questions`, except fits and private ones."""
-    folders = [m.name for m in pkgutil.iter_modules(papers.__path__, "experiments.papers.") if m.ispkg]
+    folders = [m.name for m in _modules_in(PAPERS) if m.ispkg]
     modules = {}
-    for folder in [*folders, questions.__name__]:
-        for module in pkgutil.iter_modules(importlib.import_module(folder).__path__, f"{folder}."):
+    for folder in [*folders, QUESTIONS]:
+        for module in _modules_in(folder):
             name = module.name.rpartition(".")[2]
             if not name.startswith(("fit_", "_")):
                 modules[name.replace("_", "-")] = module.name
     return modules
+
+
+def _modules_in(package: str) -> Iterator[pkgutil.ModuleInfo]:
+    return pkgutil.iter_modules(importlib.import_module(package).__path__, f"{package}.")
 
 
 def load_study(what: str, tracker_files: Mapping[str, str] | None = None) -> Study:

@@ -4,22 +4,22 @@ import re
 
 import pytest
 
-from experiments.interactive.track_page import run_data, write_track_page
 from experiments.monte_carlo.runner import run_study
-from experiments.plan.accuracy import floor_map
-from experiments.plan.report import write_plan
-from experiments.plots.comparison import comparison_charts
-from experiments.reports.calibration import report_on, write_calibration_report
-from experiments.reports.comparison_page import write_comparison
-from experiments.reports.study import study_page
-from experiments.reports.tuning import write_tuning_report
+from experiments.pages.interactive.track_page import run_data, write_track_page
+from experiments.pages.plan.accuracy import floor_map
+from experiments.pages.plan.report import write_plan
+from experiments.pages.plots.comparison import comparison_charts
+from experiments.pages.reports.calibration import report_on, write_calibration_report
+from experiments.pages.reports.comparison_page import write_comparison
+from experiments.pages.reports.study import study_page
+from experiments.pages.reports.tuning import write_tuning_report
 from tests.browser import chromium, watched
-from tests.experiments.interactive.small_tracks import small_tracks
-from tests.experiments.interactive.test_track_page import NO_EVENTS
 from tests.experiments.monte_carlo.small_study import SMALL
-from tests.experiments.plan.test_plan import HEIGHT, ROOM, SIGMAS
-from tests.experiments.plots.small_runs import small_run
-from tests.experiments.reports.tuning_report_data import report_data
+from tests.experiments.pages.interactive.small_tracks import small_tracks
+from tests.experiments.pages.interactive.test_track_page import NO_EVENTS
+from tests.experiments.pages.plan.test_plan import HEIGHT, ROOM, SIGMAS
+from tests.experiments.pages.plots.small_runs import small_run
+from tests.experiments.pages.reports.tuning_report_data import report_data
 from tests.tuning.calibration_worlds import world
 from trackers.evaluation import evaluate
 from tuning.calibrating import calibrate

@@ -23,9 +23,9 @@ from typing import Any
 import numpy as np
 from scipy.stats import theilslopes
 
-from experiments.bench.timing import replace_tables, write_json
 from experiments.cli.runtime import keep_programs
-from experiments.plots.style import BLUE, VERMILION, figure_file
+from experiments.lab.bench.timing import replace_tables, write_json
+from experiments.pages.plots.style import BLUE, VERMILION, figure_file
 from tests.faults.jobs import LIMIT_S, Job, jobs
 from tests.in_process import trackwright
 

@@ -9,7 +9,7 @@ import polars as pl
 import pytest
 from rich.table import Table
 
-from experiments.reports.tables import width_of
+from experiments.text.tables import width_of
 from tests.faulty import good_tables, write_good
 from tests.in_process import assert_refused, trackwright
 from trackers.core.errors import UnusableInput

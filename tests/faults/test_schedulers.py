@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from experiments.executors import GONE_S
+from experiments.jobs.executors import GONE_S
 from tests.faults.jobs import begun, half_written, jobs, run, running, temporary
 from tests.faults.seen import Seen
 from tests.faults.workers import dask_cluster, dask_scheduler, dask_workers

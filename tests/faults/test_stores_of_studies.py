@@ -12,7 +12,7 @@ import pytest
 from experiments.monte_carlo.chunk_store import ChunkStore
 from experiments.monte_carlo.runner import run_study
 from experiments.monte_carlo.sources import load_study
-from experiments.reports.study_text import to_json
+from experiments.pages.reports.study_text import to_json
 from tests.experiments.monte_carlo.small_study import TOML
 from trackers.core.errors import UnusableInput
 

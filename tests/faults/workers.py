@@ -17,11 +17,11 @@ from unittest import mock
 
 import numpy as np
 
-from experiments import executors
+from experiments.jobs import executors
 from experiments.monte_carlo import load_study, run_study
 from experiments.monte_carlo.chunk_store import ChunkStore
 from experiments.monte_carlo.declaration import Study
-from experiments.reports.study_text import to_json
+from experiments.pages.reports.study_text import to_json
 from tests.faults.jobs import begun, half_written, hurt, long_fit, reference, run, running, temporary
 from tests.faults.seen import Seen
 

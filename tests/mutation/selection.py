@@ -27,10 +27,10 @@ NOT_NUMERIC = (
     "tuning/checkpoint.py",
     "tuning/tuned_file.py",
     # The laboratory: what it prints is compared with committed pages by its own commands, not by tests.
-    "experiments/bench",
-    "experiments/papers",
-    "experiments/questions",
-    "experiments/validation",
+    "experiments/lab/bench",
+    "experiments/lab/papers",
+    "experiments/lab/questions",
+    "experiments/lab/validation",
 )
 """Files, messages and the laboratory: no figure of the product depends on them."""
 

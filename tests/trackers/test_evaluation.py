@@ -12,7 +12,7 @@ import pytest
 
 import trackwright as tw
 from experiments.cli.fail_if import violation
-from experiments.reports.evaluation_text import to_json, to_text
+from experiments.text.evaluation_text import to_json, to_text
 from trackers.core.errors import UnusableInput
 from trackers.core.rig import Rig, Station
 from trackers.evaluation import associate, evaluate, evaluate_table

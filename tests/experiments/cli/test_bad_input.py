@@ -11,7 +11,7 @@ import polars as pl
 import pytest
 
 from experiments.cli import tuning_job as tune_command
-from experiments.plots import track_folder
+from experiments.pages.plots import track_folder
 from tests.broken import ANOMALOUS, BROKEN
 from tests.faulty import good_tables, write_good
 from tests.in_process import assert_refused, trackwright

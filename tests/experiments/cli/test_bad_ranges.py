@@ -7,7 +7,7 @@ import polars as pl
 import pytest
 
 from experiments.cli.usable import errors_of
-from experiments.plots import track_folder
+from experiments.pages.plots import track_folder
 from tests.faulty import then, with_table
 from tests.in_process import assert_refused, trackwright
 from trackers.recordings.folder import read_recording

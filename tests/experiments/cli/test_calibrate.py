@@ -9,7 +9,7 @@ import polars as pl
 import pytest
 
 from experiments.cli.cross_calibrated import cross_calibrated
-from experiments.reports.calibration import report_on
+from experiments.pages.reports.calibration import report_on
 from tests.in_process import assert_refused, trackwright
 from tests.tuning.calibration_worlds import RIG, world
 from trackers.core.rig import Rig, Tag

@@ -8,8 +8,8 @@ import polars as pl
 import pytest
 
 from experiments.cli.tuning_refusals import in_words, refusals
-from experiments.reports.recordings_compared import Compared
-from experiments.reports.worse_recordings import worse
+from experiments.pages.reports.recordings_compared import Compared
+from experiments.pages.reports.worse_recordings import worse
 from tests.in_process import trackwright
 from tests.tuning.worlds import line_tracker, walks
 from trackers.core.rig import Rig, Tag

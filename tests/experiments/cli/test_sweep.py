@@ -7,7 +7,7 @@ import polars as pl
 import pytest
 
 from experiments.cli import sweep_job
-from experiments.cli.stages import Stages
+from experiments.text.terminal import Stages
 from tests.in_process import assert_refused, trackwright
 
 KALMAN = "--tracker", "fix-kf"

@@ -8,13 +8,13 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from experiments.environment import environment
-from experiments.executors import WorkerExecutor, cluster_executor
+from experiments.jobs.environment import environment
+from experiments.jobs.executors import WorkerExecutor, cluster_executor
 from experiments.monte_carlo.chunk_store import plain_identity
 from experiments.monte_carlo.portable import PortableStudy
 from experiments.monte_carlo.runner import StopRule, run_study
 from experiments.monte_carlo.sources import load_study
-from experiments.reports.study_text import to_json
+from experiments.pages.reports.study_text import to_json
 from tests.experiments.monte_carlo.small_study import SMALL, TOML
 from trackers.core.errors import UnusableInput
 

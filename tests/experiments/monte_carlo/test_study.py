@@ -23,7 +23,7 @@ from experiments.monte_carlo.errors import TrackedRuns, _position_errors, scored
 from experiments.monte_carlo.results import METRICS, ChunkTotals, Results
 from experiments.monte_carlo.runner import StopRule, run_missing, run_study
 from experiments.monte_carlo.sources import load_study
-from experiments.reports.study_text import to_json, to_text
+from experiments.pages.reports.study_text import to_json, to_text
 from tests.experiments.monte_carlo.small_study import SMALL, TOML, no_progress, study_command
 from tests.in_process import trackwright
 from trackers.core.chi_square import chi_square_quantile

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import trackwright as tw
-from experiments.validation.track_loss import detection
+from experiments.lab.validation.track_loss import detection
 from trackers.core.rig import MARGIN, room_rows
 from trackers.core.track_loss import ROOM, SIGMAS
 from trackers.core.tunable import with_values

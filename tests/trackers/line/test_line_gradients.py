@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from experiments.verify.gradients import gradients
+from experiments.lab.verify.gradients import gradients
 from tests.known_start import NEVER_LOST
 from tests.trackers.line.test_line_filters import GRID, REPORT, STARTS, _trajectories
 from trackers.core.particle.filter import ParticleFilter

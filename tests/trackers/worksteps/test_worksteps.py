@@ -6,8 +6,8 @@ import numpy as np
 import polars as pl
 import pytest
 
+from experiments.lab.questions.worksteps import MEASURES
 from experiments.monte_carlo.errors import TrackedRuns
-from experiments.questions.worksteps import MEASURES
 from tests.faulty import good_tables
 from tests.in_process import assert_refused, trackwright
 from trackers.core.rig import Rig

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from experiments.questions._designs import LAYOUTS, TAG_POINTS, TOOL_POINTS, designs, hall, stand
+from experiments.lab.questions._designs import LAYOUTS, TAG_POINTS, TOOL_POINTS, designs, hall, stand
 from sim.stations import work_station
 from trackers.aoa.layout import DEFAULT_WAVELENGTH, boresight_bounds
 from trackers.aoa.phases import PlanePhases

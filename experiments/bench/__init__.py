@@ -1,1 +1,0 @@
-"""Benchmarks, one file each: `python -m experiments.bench` for the beam tracker, `python -m experiments.bench.NAME`."""

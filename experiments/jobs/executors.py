@@ -1,0 +1,272 @@
+"""Where independent parts of a command run: threads of this process, or the workers of a Dask cluster.
+
+Both are `concurrent.futures.Executor`s. A part is a function and its arguments; what a part returns does not depend on
+where it runs: a worker computes only with the caller's versions, XLA flags and number format.
+"""
+
+from __future__ import annotations
+
+import functools
+import logging
+import math
+import os
+import pickle
+import platform
+import re
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
+from contextlib import contextmanager, suppress
+from itertools import islice
+from threading import Event, Thread
+from typing import Any, TypeVar
+
+from experiments.jobs.environment import environment, require_same
+
+# jax and the packages that import it are imported in functions: in a worker after the XLA flags are set.
+
+AT_ONCE = 256
+"""Parts given to a cluster at once, at least: finished ones are held in memory until the caller has stored them."""
+
+LEAVE_SIGINT = "import signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\n"
+"""Run by local workers, which the caller ends: Ctrl-C on a terminal reaches them, too."""
+
+CONNECT_S = 10
+"""Seconds to wait for a scheduler."""
+
+SILENT_S = 60
+"""Seconds without a sign of life after which a local worker hangs: it is ended, and its part runs elsewhere."""
+
+GONE_S = 15.0
+"""Seconds after which a local worker that is gone is replaced: Dask starts none again that ends while it starts."""
+
+WAKE_S = 0.25
+"""Seconds after which a wait for parts looks for Ctrl-C: Polars lets system calls go on after it (SA_RESTART)."""
+
+Item = TypeVar("Item")
+
+
+@contextmanager
+def cluster_executor(cluster: str) -> Iterator[WorkerExecutor]:
+    """The workers of a cluster, as of `cluster_client`, as an executor."""
+    with cluster_client(cluster) as (client, expected):
+        workers = len(client.nthreads())
+        yield WorkerExecutor(client.get_executor(pure=False), expected, max(AT_ONCE, workers + workers // 4))
+
+
+@contextmanager
+def cluster_client(cluster: str) -> Iterator[tuple[Any, dict[str, Any]]]:
+    """Dask's client of `local:N`, N processes on this machine, or of the scheduler at `tcp://HOST:PORT`.
+
+    Second: the environment that `computed` expects of a worker. A scheduler without workers is waited for. Raises
+    UnusableInput for another text, where no scheduler answers, for workers with other versions, and where the cluster
+    is lost.
+    """
+    from experiments.text.terminal import notice
+    from trackers.core.errors import UnusableInput
+
+    local = re.fullmatch(r"local:([1-9]\d{0,3})", cluster)
+    if not local and not re.fullmatch(r"[a-z]+://\S+", cluster):
+        raise UnusableInput(f"--cluster {cluster}: expected local:N, as local:4, or an address, as tcp://HOST:8786")
+    distributed = _distributed()
+    expected = environment()
+    try:
+        with _client(distributed, cluster, int(local[1]) if local else None) as client:
+            if not client.nthreads():
+                notice(f"{cluster}: no worker yet; waiting for the first one")
+            client.wait_for_workers(1)
+            for address, found in client.run(_prepared, expected["XLA flags"], on_error="return").items():
+                require_same(expected, found, f"worker {address}")
+            yield client, expected
+    except (CancelledError, distributed.CancelledError, distributed.comm.CommClosedError) as error:
+        raise UnusableInput(
+            f"--cluster {cluster}: the scheduler was lost, or the network to it; see that it runs, then run the "
+            "command again"
+        ) from error
+    except distributed.KilledWorker as error:
+        raise UnusableInput(
+            f"--cluster {cluster}: {error.allowed_failures + 1} workers ended while they computed the same part; "
+            "expected enough memory for one part a worker; see the workers' logs"
+        ) from error
+
+
+def _distributed() -> Any:
+    from trackers.core.errors import UnusableInput
+
+    try:
+        import distributed
+    except ImportError as error:
+        raise UnusableInput(
+            "--cluster: the package 'distributed' is not installed; install the extra: pip install trackwright[cluster]"
+        ) from error
+    # The deaths and reconnections that Dask reports are handled: their parts run elsewhere.
+    for name in ("distributed", "distributed.client", "tornado.application"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    return distributed
+
+
+@contextmanager
+def _client(distributed: Any, cluster: str, processes: int | None) -> Iterator[Any]:
+    """A client of a scheduler, or of worker processes of its own."""
+    from trackers.core.errors import UnusableInput
+
+    if processes is None:
+        try:
+            client = distributed.Client(cluster, timeout=CONNECT_S, set_as_default=False)
+        except (OSError, ValueError, TimeoutError) as error:
+            raise UnusableInput(
+                f"--cluster {cluster}: no scheduler answers within {CONNECT_S} s; expected one at this address; start "
+                "one with `dask scheduler`"
+            ) from error
+        with client, _watching(_notice_empty(client, cluster)):
+            yield client
+        return
+    # One thread a process computes one part at a time; memory is limited by the system alone, as it is for threads.
+    workers = {"n_workers": processes, "threads_per_worker": 1, "memory_limit": 0, "preload": LEAVE_SIGINT}
+    others = {"dashboard_address": ":0", "silence_logs": logging.CRITICAL, "scheduler_kwargs": {"worker_ttl": SILENT_S}}
+    try:
+        local_cluster = distributed.LocalCluster(**workers, **others)
+    except RuntimeError as error:
+        fix = "look at free memory and processes, then run the command again"
+        raise UnusableInput(f"--cluster {cluster}: a process ended while it started; {fix}") from error
+    with (
+        local_cluster as started,
+        distributed.Client(started, set_as_default=False) as client,
+        _watching(_replace_gone(started, processes)),
+    ):
+        yield client
+
+
+def _notice_empty(client: Any, cluster: str) -> Callable[[], None]:
+    """Says once that a cluster has had no workers for `GONE_S`, and once that it has some again."""
+    from experiments.text.terminal import notice
+
+    since, said = math.inf, False
+
+    def look() -> None:
+        nonlocal since, said
+        since = math.inf if client.nthreads() else min(since, time.monotonic())
+        if (time.monotonic() - since > GONE_S) != said:
+            said = not said
+            gone = "no worker is left; waiting for one; Ctrl-C stops, and finished parts are kept"
+            notice(f"{cluster}: {gone if said else 'goes on with a new worker'}")
+
+    return look
+
+
+def _replace_gone(cluster: Any, processes: int) -> Callable[[], None]:
+    """Replaces workers of a local cluster that have been gone for `GONE_S`."""
+    since: dict[Any, float] = {}
+
+    async def replace() -> None:
+        present = {worker["name"] for worker in cluster.scheduler_info["workers"].values()}
+        for name in list(cluster.workers):
+            if name in present:
+                since.pop(name, None)
+            elif time.monotonic() - since.setdefault(name, time.monotonic()) > GONE_S:
+                del since[name]
+                await cluster.workers.pop(name).close()
+        cluster.scale(processes)
+
+    return lambda: cluster.sync(replace)
+
+
+@contextmanager
+def _watching(look: Callable[[], None]) -> Iterator[None]:
+    """Looks at a cluster every second, in a thread of its own."""
+    end = Event()
+
+    def watch() -> None:
+        while not end.wait(1.0):
+            # One that is lost, or being closed, does not answer; what waits for it learns the same.
+            with suppress(Exception):
+                look()
+
+    watching = Thread(target=watch, daemon=True)
+    watching.start()
+    try:
+        yield
+    finally:
+        end.set()
+        watching.join(CONNECT_S)
+
+
+class WorkerExecutor(Executor):
+    """An executor of other processes that computes only where the environment is `expected`.
+
+    `at_once`: parts that it is given at a time, so that every worker has one.
+    """
+
+    def __init__(self, executor: Executor, expected: Mapping[str, Any], at_once: int = AT_ONCE) -> None:
+        self.executor, self.expected, self.at_once = executor, dict(expected), at_once
+
+    def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        # As bytes, so that the worker unpickles nothing that imports jax before the flags are set.
+        return self.executor.submit(computed, self.expected, pickle.dumps((function, args, kwargs)))
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        self.executor.shutdown(wait=wait, cancel_futures=cancel_futures)
+
+
+def computed(expected: Mapping[str, Any], call: bytes, *held: Any) -> Any:
+    """In a worker: the result of a pickled call; raises UnusableInput where the environment differs.
+
+    `held`: its first arguments, which the worker has already: of types that do not import jax.
+    """
+    require_same(expected, _prepared(expected["XLA flags"]), f"worker on {platform.node()}")
+    import jax
+
+    if expected["programs kept"]:
+        _keep_programs()
+    with jax.enable_x64(expected["x64"]):
+        function, args, kwargs = pickle.loads(call)
+        return function(*held, *args, **kwargs)
+
+
+def _prepared(flags: str) -> dict[str, Any]:
+    """In a worker: its environment, with these XLA flags where jax is not imported yet; freed memory is kept."""
+    from trackers.core.freed_memory import keep
+
+    keep()
+    if "jax" not in sys.modules:
+        os.environ["XLA_FLAGS"] = flags
+    return environment()
+
+
+@functools.cache
+def _keep_programs() -> None:
+    """Keep compiled programs in the worker's cache directory, where it has one of its own."""
+    from trackers.core.errors import UnusableInput
+    from trackers.core.program_cache import cache_programs
+
+    with suppress(UnusableInput):
+        cache_programs(report=lambda line: None)
+
+
+def finished(
+    submit: Callable[[Item], Future[Any]],
+    items: Iterable[Item],
+    at_once: int = AT_ONCE,
+    lost: Callable[[Item], Any] | None = None,
+) -> Iterator[tuple[Item, Any]]:
+    """Each item with the result of its submitted part, as parts finish; at most `at_once` are submitted at a time.
+
+    `lost`: the result of a part whose workers ended again and again; without it, that is a failure. Parts that have not
+    begun are cancelled where one fails, and where the caller stops.
+    """
+    waiting: dict[Future[Any], Item] = {}
+    remaining = iter(items)
+    try:
+        while True:
+            for item in islice(remaining, at_once - len(waiting)):
+                waiting[submit(item)] = item
+            if not waiting:
+                return
+            for future in wait(waiting, WAKE_S, FIRST_COMPLETED).done:
+                item = waiting.pop(future)
+                ended = lost is not None and type(future.exception()).__name__ == "KilledWorker"
+                yield item, lost(item) if lost is not None and ended else future.result()
+    finally:
+        for future in waiting:
+            future.cancel()

@@ -1,0 +1,116 @@
+"""The chunks of a fit in the memory of a cluster's workers; per evaluation vectors go there, and sums come back."""
+
+from __future__ import annotations
+
+import functools
+import pickle
+import platform
+import uuid
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from experiments.jobs.executors import computed, finished
+from experiments.jobs.portable_tracker import PortableTracker, spec_here
+from trackers.core.errors import UnusableInput
+from trackers.core.recording import Batch
+from trackers.recordings.atomic import atomic_write
+from trackers.recordings.named_tracker import NamedTracker
+from tuning.parts import Blocks, Function, Reduced, on_chunk
+from tuning.point import Point
+from tuning.unstacked import lengths_of
+
+HeldChunk = tuple[str, str, bytes, bytes, list[np.ndarray]]
+"""Name and file of the tracker, pickled point, pickled structure of a chunk, its arrays: nothing that imports jax."""
+
+
+class FitWorkers(NamedTuple):
+    """The workers of a fit: Dask's client, the environment expected of them, and a folder that they all see."""
+
+    client: Any
+    expected: Mapping[str, Any]
+    folder: Path
+
+
+class HeldParts:
+    """The chunks of a problem with workers, each of which loads its own from files.
+
+    Dask computes with a chunk where it is, and has it loaded again elsewhere if its worker is lost. The bits are those
+    of `LocalParts`: of each chunk the same program, and the results in the order of the chunks.
+    """
+
+    def __init__(self, workers: FitWorkers, named: NamedTracker, point: Point, pieces: Iterable[Batch]) -> None:
+        self.workers, self.rows, self.held = workers, list[Any](), list[Any]()
+        self.executor = workers.client.get_executor(pure=False)
+        portable = PortableTracker.of(named)
+        try:
+            model = pickle.dumps(point)
+        except (pickle.PicklingError, TypeError, AttributeError) as error:
+            raise UnusableInput(
+                f"--cluster: tracker '{named.name}' cannot be sent to workers ({error}); expected classes and "
+                "functions of a module; define them at the top of its file"
+            ) from error
+        for piece in pieces:
+            path = workers.folder / f"{uuid.uuid4().hex}.npz"
+            leaves, structure = jax.tree_util.tree_flatten(piece)
+            numbers = jax.tree_util.tree_unflatten(structure, range(len(leaves)))
+            atomic_write(path, functools.partial(_write, leaves))
+            call = pickle.dumps((loaded, (portable.name, portable.text, model, pickle.dumps(numbers), path), {}))
+            self.rows.append(lengths_of(piece))
+            # A prefix of its own: Dask estimates the duration of a task by those with the same one.
+            key = f"load-{uuid.uuid4().hex}"
+            self.held.append(workers.client.submit(computed, workers.expected, call, key=key, pure=False))
+
+    def run(
+        self,
+        function: Function,
+        blocks: Blocks,
+        reduced: Reduced,
+        which: Sequence[int] | None = None,
+        realisation: int = 0,
+    ) -> list[list[Any]]:
+        """As `tuning.parts.Parts`."""
+        call = pickle.dumps((evaluated, (function, blocks, reduced, realisation), {}))
+        held = self.held if which is None else [self.held[k] for k in which]
+
+        def submit(k: int) -> Future[Any]:
+            return self.executor.submit(computed, self.workers.expected, call, held[k])
+
+        found = dict(finished(submit, range(len(held)), at_once=len(held)))
+        return [found[k] for k in range(len(held))]
+
+
+def _write(leaves: Sequence[np.ndarray], path: Path) -> None:
+    with path.open("wb") as file:
+        np.savez(file, *leaves, allow_pickle=False)
+
+
+def loaded(name: str, text: str, model: bytes, structure: bytes, path: Path) -> HeldChunk:
+    """In a worker: a chunk from its file; raises UnusableInput where the file is not seen."""
+    try:
+        with np.load(path) as found:
+            return name, text, model, structure, [found[f"arr_{k}"] for k in range(len(found.files))]
+    except OSError as error:
+        raise UnusableInput(
+            f"worker on {platform.node()}: cannot read {path} ({error.strerror}); expected a folder that all workers "
+            "see under the same name; choose another --out"
+        ) from error
+
+
+def evaluated(held: HeldChunk, function: Function, blocks: Blocks, reduced: Reduced, realisation: int) -> list[Any]:
+    """In a worker: what `tuning.parts.on_chunk` returns of the chunk that it holds."""
+    name, text, model, structure, arrays = held
+    numbers, treedef = jax.tree_util.tree_flatten(_unpickled(structure))
+    piece = jax.tree_util.tree_unflatten(treedef, [arrays[k] for k in numbers])
+    spec_here(name, text)
+    return on_chunk((_unpickled(model), piece), function, blocks, reduced, realisation)
+
+
+@functools.lru_cache(maxsize=8)
+def _unpickled(content: bytes) -> Any:
+    """What is pickled, made once: objects that programs tell apart by identity stay the same."""
+    return pickle.loads(content)

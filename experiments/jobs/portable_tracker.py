@@ -1,0 +1,87 @@
+"""A tracker by name as text and numbers, from which other processes track the recordings of a batch one by one."""
+
+from __future__ import annotations
+
+import functools
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import polars as pl
+
+from experiments.jobs.executors import finished
+from trackers.catalogue import spec_of, split_name
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.named_tracker import NamedTracker
+from trackers.recordings.tracker_spec import TrackerSpec
+from trackers.recordings.tracks import Tracks
+
+
+class PortableTracker(NamedTuple):
+    """A `NamedTracker` as it travels; `text`: of the user's file, for a tracker given as `FILE.py:NAME`."""
+
+    name: str
+    text: str
+    free_height: bool
+    values: dict[str, Any]
+    source: str
+    smoothed: bool
+    lag: float | None
+
+    @classmethod
+    def of(cls, tracker: NamedTracker) -> PortableTracker:
+        """The name, file and numbers of a tracker of the catalogue or of a user's file."""
+        file, _ = split_name(tracker.name)
+        text = Path(file).read_text("utf-8") if file else ""
+        numbers = dict(tracker.values), tracker.source, tracker.smoothed, tracker.lag
+        return cls(tracker.name, text, tracker.free_height, *numbers)
+
+    def tracks(self, folder: RecordingFolder, seed: int) -> tuple[pl.DataFrame, dict[str, int]]:
+        """Of one recording: the table of estimates, and how many trajectories ended how."""
+        found = self.named(folder).run(folder, seed=seed)
+        return found.table, found.summaries
+
+    def named(self, folder: RecordingFolder) -> NamedTracker:
+        """The tracker for one recording; raises UnusableInput as `NamedTracker.of` and where values do not fit."""
+        tracker = NamedTracker.of(self.name, spec_here(self.name, self.text), folder, self.free_height)
+        if self.values:
+            tracker = tracker.with_values(self.values, self.source)
+        return tracker.smoothing(self.lag) if self.smoothed else tracker
+
+
+@functools.lru_cache(maxsize=8)
+def spec_here(name: str, text: str) -> TrackerSpec:
+    """The entry of the catalogue, or that of a user's file with this text; kept, since its programs are compiled."""
+    file, attribute = split_name(name)
+    if not file:
+        return spec_of(name)
+    with tempfile.TemporaryDirectory(prefix="trackwright-") as folder:
+        copy = Path(folder) / Path(file).name
+        copy.write_text(text, "utf-8")
+        return spec_of(f"{copy}:{attribute}")
+
+
+def run_on(
+    executor: Executor,
+    tracker: NamedTracker,
+    folders: Sequence[RecordingFolder],
+    advance: Callable[[int], None] = lambda done: None,
+    seed: int = 0,
+) -> Tracks:
+    """The estimates of all recordings, each tracked by itself on the executor, to the bits of tracking it alone.
+
+    `advance` is called with the number of trajectories done. Raises UnusableInput as `NamedTracker.run`.
+    """
+    portable = PortableTracker.of(tracker)
+    found: dict[str, tuple[pl.DataFrame, dict[str, int]]] = {}
+    for folder, part in finished(lambda f: executor.submit(portable.tracks, f, seed), folders):
+        found[folder.name] = part
+        advance(sum(part[1].values()))
+    summaries: Counter[str] = Counter()
+    for folder in folders:
+        summaries.update(found[folder.name][1])
+    table = pl.concat([found[name][0] for name in sorted(found)], how="diagonal")
+    return Tracks(table, dict(summaries), tracker.batches(folders))

@@ -1,0 +1,1 @@
+"""What proves the product: papers, questions, validation, verification, benchmarks."""

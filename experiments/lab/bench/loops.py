@@ -1,0 +1,232 @@
+"""Textbook filters as plain NumPy loops, one row after another, of the same models as trackers of the catalogue.
+
+Motions and sensors have Jacobians derived by hand, in double precision. Each channel is one scalar update in Joseph
+form, linearised at the predicted mean, with the weight of Student's t where the tracker's noise has one: the estimates
+are those of the trackers up to rounding. No log-likelihood, track loss or mixture is computed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from experiments.lab.bench.loops_inertial import inertial
+from trackers.aoa.fusion import BEARINGS, BearingSensor
+from trackers.core.ekf import ExtendedKalman
+from trackers.core.motion import GroundMotion
+from trackers.core.recording import Recording
+from trackers.core.tracker import Tracker
+from trackers.parts.drifting_biases import BiasedStart, DriftingBiases
+from trackers.parts.fixes import FIXES, FixSensor
+from trackers.parts.ranges import RANGES, RangeSensor
+from trackers.uwb_imu.strapdown import Inertial, Strapdown
+from trackers.uwb_imu.yaw_mixture import YawMixtureFilter
+
+Channel = tuple[float, np.ndarray, float]
+"""One channel seen: measured minus predicted value, gradient (n,) of the prediction, standard deviation."""
+
+
+class Model(NamedTuple):
+    """A filter's model: `moved(state, P, row, dt)`, the predicted state with F and Q, given the covariance P;
+    `channels(state, row)`, those seen; `added(state, step)`, the state after a small step; `dof`, degrees of freedom of
+    Student's t, 0 for none.
+    """
+
+    moved: Callable[[Any, np.ndarray, int, float], tuple[Any, np.ndarray, np.ndarray]]
+    channels: Callable[[Any, int], Iterator[Channel]]
+    added: Callable[[Any, np.ndarray], Any]
+    dof: float
+
+
+def model_of(tracker: Any, recording: Recording, planar: bool) -> Model | None:
+    """The model of a tracker for the rows of a recording; None where no loop is written for it."""
+    if not (isinstance(tracker, Tracker) and isinstance(tracker.filter, ExtendedKalman | YawMixtureFilter)):
+        return None
+    sensor, motion = next(iter(tracker.sensors.values())), tracker.motion
+    if isinstance(motion, Strapdown) and isinstance(sensor, RangeSensor):
+        return Model(*inertial(motion, sensor, recording))
+    if isinstance(motion, DriftingBiases) and isinstance(sensor, RangeSensor):
+        d, start = 2 if planar else 3, tracker.start
+        shares = isinstance(start, BiasedStart) and start.sigma_shared is not None
+        channels = range_channels(sensor, recording, planar, 2 * d, motion.biases)
+        return Model(damped(motion, d, int(shares)), channels, np.add, float(sensor.dof.value))
+    if isinstance(motion, GroundMotion) and isinstance(sensor, FixSensor):
+        dof = 0.0 if sensor.dof is None else float(sensor.dof.value)
+        return Model(ground(motion, planar), fix_channels(sensor, recording, planar), np.add, dof)
+    if isinstance(motion, DriftingBiases) and isinstance(sensor, BearingSensor):
+        channels = bearing_channels(sensor, recording, planar)
+        return Model(damped(motion, 2 if planar else 3), channels, np.add, float(sensor.dof.value))
+    return None
+
+
+def vector(state: Any) -> Any:
+    """The first state of a loop from a tracker's mean: a vector, or an inertial state with its quaternion apart."""
+    if isinstance(state, Inertial):
+        q = np.array([float(getattr(state.attitude, name)) for name in "wxyz"])
+        parts = [*state.position, *state.velocity, 0.0, 0.0, 0.0, *state.accel_bias, *state.gyro_bias, *state.bias]
+        return np.array([float(x) for x in parts]), q
+    return np.array([float(x) for field in state for x in field])
+
+
+def filtered(model: Model, state: Any, P: np.ndarray, dts: np.ndarray, first: int) -> np.ndarray:
+    """The states' vectors (T − first, n) of the rows from `first`, given the state of the row before it."""
+    means, covariances = np.empty((len(dts) - first, len(P))), np.empty((len(dts) - first, *P.shape))
+    eye = np.eye(len(P))
+    for row in range(first, len(dts)):
+        state, F, Q = model.moved(state, P, row, dts[row])
+        P = F @ P @ F.T + Q
+        step = np.zeros(len(P))
+        for difference, gradient, sigma in model.channels(state, row):
+            h, r = gradient / sigma, difference / sigma
+            Ph = P @ h
+            a = float(h @ Ph)
+            innovation = float(r - h @ step)
+            noise = 1.0
+            if model.dof:
+                noise = (model.dof + innovation**2 / (1.0 + a)) / (model.dof + 1.0)
+            k = Ph / (noise + a)
+            step = step + k * innovation
+            rest = eye - np.outer(k, h)
+            P = rest @ P @ rest.T + noise * np.outer(k, k)
+        state = model.added(state, step)
+        means[row - first] = state[0] if isinstance(state, tuple) else state
+        covariances[row - first] = P
+    return means
+
+
+def with_filterpy(model: Model, state: np.ndarray, P: np.ndarray, dts: np.ndarray, first: int) -> np.ndarray:
+    """`filtered` by filterpy's `ExtendedKalmanFilter`, with normal noise; for states that are vectors."""
+    from filterpy.kalman import ExtendedKalmanFilter
+
+    means = np.empty((len(dts) - first, len(P)))
+    kalman = ExtendedKalmanFilter(len(P), 1)
+    kalman.x, kalman.P = state.copy(), P.copy()
+    for row in range(first, len(dts)):
+        _, kalman.F, kalman.Q = model.moved(kalman.x, kalman.P, row, dts[row])
+        kalman.predict()
+        seen = list(model.channels(kalman.x, row))
+        if seen:
+            differences = np.array([channel[0] for channel in seen])
+            H, R = np.array([channel[1] for channel in seen]), np.diag([channel[2] ** 2 for channel in seen])
+            kalman.update(differences, lambda x, H=H: H, lambda x: 0.0, R=R)
+        means[row - first] = kalman.x
+    return means
+
+
+def ground(motion: GroundMotion, planar: bool) -> Any:
+    """Constant velocity in x and y, and a random walk of the height; x, y, (z), vx, vy."""
+    power, drift = float(motion.sigma_a.value) ** 2, float(motion.sigma_z.value) ** 2
+    p = 2 if planar else 3
+    F, Q = np.eye(p + 2), np.zeros((p + 2, p + 2))
+
+    def moved(x: np.ndarray, P: np.ndarray, row: int, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        for k in (0, 1):
+            F[k, p + k] = dt
+            Q[k, k], Q[p + k, p + k] = power * dt**3 / 3, power * dt
+            Q[k, p + k] = Q[p + k, k] = power * dt**2 / 2
+        if not planar:
+            Q[2, 2] = drift * dt
+        return F @ x, F, Q
+
+    return moved
+
+
+def damped(motion: DriftingBiases, d: int, shared: int = 0) -> Any:
+    """Gauss–Markov velocities and biases; positions, velocities, biases, and constant ones of all channels."""
+    sigmas = [float(motion.sigma_a.value)] * 2 + [float(motion.sigma_z.value)] * (d - 2)
+    memory, constant = float(motion.memory.value), float(motion.time_constant.value)
+    length, n = float(motion.length.value), 2 * d + motion.biases + shared
+    sigmas_bias = np.resize(np.asarray(motion.sigma_bias.value, float), motion.biases)
+    biases = np.arange(2 * d, n - shared)
+    F, Q = np.eye(n), np.zeros((n, n))
+
+    def moved(x: np.ndarray, P: np.ndarray, row: int, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        square, spread = float(x[d : 2 * d] @ x[d : 2 * d]), float(np.trace(P[d : 2 * d, d : 2 * d]))
+        speed = max(square - spread, 0.0) / np.sqrt(square) if square > 0 else 0.0
+        decay, kept = np.exp(-dt / memory), np.exp(-dt * (1.0 / constant + speed / length))
+        loss = 1.0 - decay
+        variance = memory**3 * (dt / memory - 2.0 * loss + 0.5 * (1.0 - decay * decay))
+        for k, sigma in enumerate(sigmas):
+            F[k, d + k], F[d + k, d + k] = memory * loss, decay
+            Q[k, k], Q[d + k, d + k] = sigma**2 * variance, sigma**2 * 0.5 * memory * (1.0 - decay * decay)
+            Q[k, d + k] = Q[d + k, k] = sigma**2 * 0.5 * (memory * loss) ** 2
+        F[biases, biases], Q[biases, biases] = kept, sigmas_bias**2 * (1.0 - kept * kept)
+        return F @ x, F, Q
+
+    return moved
+
+
+def range_channels(sensor: RangeSensor, recording: Recording, planar: bool, biases_at: int, biases: int) -> Any:
+    """The range of a row, to its anchor, with the sensor's bias, the anchor's in the state and those after it."""
+    readings, inputs = recording.readings[RANGES], recording.inputs
+    z, seen, reported = readings.values[:, 0], readings.seen[:, 0], readings.reported
+    anchors, numbers = inputs["anchors"][:, :3], inputs["anchor"][:, 0].astype(int)
+    height = inputs["height"] if planar else None
+    known, skew = np.asarray(sensor.bias.value, float), float(sensor.positive_skew.value)
+    variance = float(sensor.sigma_r.value) ** 2
+
+    def channels(x: np.ndarray, row: int) -> Iterator[Channel]:
+        if not seen[row]:
+            return
+        position = x[:3] if height is None else np.array([x[0], x[1], height[row]])
+        ray = position - anchors[row]
+        distance = np.sqrt(ray @ ray)
+        gradient, number = np.zeros(len(x)), numbers[row]
+        gradient[: 2 if planar else 3] = (ray / distance)[: 2 if planar else 3]
+        predicted = distance + known[number]
+        own = [biases_at + number] if number < biases else []
+        for k in (*own, *range(biases_at + biases, len(x))):
+            gradient[k] = 1.0
+            predicted += x[k]
+        sigma = np.sqrt(variance + (0.0 if reported is None or not reported.size else reported[row, 0]))
+        yield z[row] - predicted, gradient, sigma * (skew if z[row] > predicted else 1.0)
+
+    return channels
+
+
+def fix_channels(sensor: FixSensor, recording: Recording, planar: bool) -> Any:
+    """The axes of a row's fix that were seen."""
+    readings = recording.readings[FIXES]
+    sigmas = [float(sensor.sigma_horizontal.value)] * 2 + [float(sensor.sigma_vertical.value)]
+    scale = float(sensor.reported_std_scale.value)
+
+    def channels(x: np.ndarray, row: int) -> Iterator[Channel]:
+        for k in range(2 if planar else 3):
+            if readings.seen[row, k]:
+                gradient = np.zeros(len(x))
+                gradient[k] = 1.0
+                has = readings.reported is not None and readings.reported.size
+                extra = scale**2 * readings.reported[row, k] if has else 0.0  # type: ignore[index]
+                yield readings.values[row, k] - x[k], gradient, np.sqrt(sigmas[k] ** 2 + extra)
+
+    return channels
+
+
+def bearing_channels(sensor: BearingSensor, recording: Recording, planar: bool) -> Any:
+    """Azimuth and elevation of a row in its station's axes, without compression, with the biases in the state."""
+    readings, inputs = recording.readings[BEARINGS], recording.inputs
+    sigmas = float(sensor.sigma_azimuth.value), float(sensor.sigma_elevation.value)
+    offsets = np.asarray(sensor.offsets.value, float)
+    d = 2 if planar else 3
+
+    def channels(state: np.ndarray, row: int) -> Iterator[Channel]:
+        position = np.array([state[0], state[1], inputs["height"][row]]) if planar else state[:3]
+        axes = inputs["axes"][row].reshape(3, 3)
+        x, y, z = axes @ (position - inputs["origin"][row])
+        level = x * x + z * z
+        root = np.sqrt(level)
+        rows = np.array([[z / level, 0.0, -x / level], [-x * y / root, root, -z * y / root]])
+        rows[1] /= level + y * y
+        predicted = np.arctan2(x, z), np.arctan2(y, root)
+        for k in (0, 1):
+            if readings.seen[row, k]:
+                bias = 2 * d + 2 * int(inputs["station"][row]) + k
+                difference = readings.values[row, k] - predicted[k] - offsets[k] - state[bias]
+                gradient = np.zeros(len(state))
+                gradient[bias] = 1.0
+                gradient[:d] = (rows[k] @ axes)[:d]
+                yield difference - 2 * np.pi * np.round(difference / (2 * np.pi)), gradient, sigmas[k]
+
+    return channels

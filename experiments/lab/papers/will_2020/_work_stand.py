@@ -1,0 +1,136 @@
+"""Shared by the studies of the work stand: the paper's stand with the fitted array, its helix, trackers and failures.
+
+Table 1 of paper A lists errors with three of eight antennas. Three antennas that far apart have several directions of
+equal beamformer power within ±30°; a track started on them alone could start on any of them. The paper's tracks must
+therefore have started on all eight. Here antennas are masked from the second row on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+
+from experiments.lab.papers.fitting import fitted
+from experiments.monte_carlo import TrackerConfig
+from sim.corruptions import Corruption, lose_station, outliers
+from sim.keys import Keys
+from sim.stations import simulate_phases, work_station
+from trackers.aoa.beam import beam_tracker
+from trackers.aoa.rows import PHASES, TRACKERS
+from trackers.core.rig import Rig
+from trackers.core.tracker import AbstractTracker
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.tracker_spec import TrackerSpec
+from trackers.recordings.trajectories import Trajectory
+
+ALL = "full array"
+SETS = ("3-7-8", "2-7-8", "1-2-5", "2-3-6", ALL)
+"""Antennas in use, counted from 1, in the order of Table 1."""
+
+POINTS, RATE_HZ = 200, 10.0
+"""Rows and rate of the helix; only σa ΔT² enters the filter, so that the rate is chosen and σa follows."""
+
+HELIX = "helix"
+
+
+def antennas_of(numbers: Mapping[str, float]) -> np.ndarray:
+    """The array (8, 2), m, from parameters such as `fitted("will_2020/table_1")`."""
+    return np.array([[numbers[f"{axis}_{k}"] for axis in "xy"] for k in range(1, 9)]) / 1000
+
+
+def in_use(name: str) -> np.ndarray:
+    """Mask (8,) of the antennas of a set of `SETS`."""
+    used = np.ones(8, bool)
+    if name != ALL:
+        used[:] = False
+        used[[int(k) - 1 for k in name.split("-")]] = True
+    return used
+
+
+def covered(name: str) -> Corruption:
+    """Masks the antennas outside the set, at all stations, from the second row on."""
+
+    def corrupt(keys: Keys, times: np.ndarray, values: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        after = np.arange(len(times)) > 0
+        return values, seen & (in_use(name) | ~after[:, None, None])
+
+    return corrupt
+
+
+def stand(numbers: Mapping[str, float], radius: float = 0.4, aperture: float = 1.0) -> Rig:
+    """The work stand with the fitted array scaled by `aperture`, stations `radius` m off the middle line.
+
+    Station positions and numbers are not printed. Here station 1 is the one whose loss leaves the two stations with the
+    most similar geometry.
+    """
+    rig = work_station(aperture * antennas_of(numbers), radius)
+    first, second, third = rig.stations.values()
+    return replace(rig, stations={"1": second, "2": first, "3": third})
+
+
+def recorded(
+    ids: np.ndarray,
+    seed: int,
+    antennas: str = ALL,
+    lost: int = 0,
+    wave: Literal["spherical", "plane"] = "spherical",
+    radius: float = 0.4,
+    aperture: float = 1.0,
+    rate_hz: float = RATE_HZ,
+    outlying: float = 0.0,
+    size: float = 0.0,
+) -> RecordingFolder:
+    """Phases of beacons on the helix, one trajectory per id, 20 s at any rate.
+
+    `antennas`: a set of `SETS`. `lost`: number of a lost station, 0 for none. `outlying`: fraction of outliers, with an
+    additional error of standard deviation `size`, rad.
+    """
+    numbers = fitted("will_2020/table_1")
+    corruptions: dict[str, Corruption] = {"covered": covered(antennas)} if antennas != ALL else {}
+    if lost:
+        corruptions["lost station"] = lose_station(lost - 1)
+    if outlying:
+        corruptions["outliers"] = outliers(outlying, size)
+    world = simulate_phases(
+        stand(numbers, radius, aperture), HELIX, len(ids), seed, rate_hz=rate_hz,
+        n_points=round(POINTS * rate_hz / RATE_HZ), sigma_p=numbers["sigma_p"], wave=wave, corruptions=corruptions,
+        ids=ids,
+    )  # fmt: skip
+    return world.folder("work stand")
+
+
+def _as_printed(trajectory: Trajectory, planar: bool) -> AbstractTracker:
+    return beam_tracker(trajectory.folder.rig.stations[trajectory.station], PHASES, paper_form=True)
+
+
+PRINTED_FORM = TrackerSpec(
+    **{
+        **vars(TRACKERS["beam"]),
+        "about": "the beam tracker with each of the 28 differences wrapped, (8)-(17)",
+        "build": _as_printed,
+    },
+)
+
+
+def beam(tracker: str | TrackerSpec = "beam") -> TrackerConfig:
+    """A beam tracker with the fitted noise levels."""
+    return TrackerConfig(tracker, _noise(fitted("will_2020/table_1"), "motion.sigma_a", "sensors.*.sigma_p"))
+
+
+def cascade() -> TrackerConfig:
+    """The paper's cascade, with the fitted noise levels in its beam trackers and the default ones in its fusion."""
+    return TrackerConfig(
+        "cascade", _noise(fitted("will_2020/table_1"), "beams.*.motion.sigma_a", "beams.*.sensors.*.sigma_p")
+    )
+
+
+def direct() -> TrackerConfig:
+    """The filter from phases to position, with the fitted phase noise."""
+    return TrackerConfig("direct", {"sensors.*.sigma_p": fitted("will_2020/table_1")["sigma_p"]})
+
+
+def _noise(numbers: Mapping[str, float], sigma_a: str, sigma_p: str) -> dict[str, Any]:
+    return {sigma_a: numbers["sigma_a"], sigma_p: numbers["sigma_p"]}

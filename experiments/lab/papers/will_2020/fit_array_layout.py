@@ -1,0 +1,104 @@
+"""Fit of the default array: positions of eight antennas whose Cramér–Rao bounds have the ratios of Table 1's errors.
+
+`python -m experiments.lab.papers.will_2020.fit_array_layout` prints `DEFAULT_ANTENNAS` of trackers/aoa/layout.py. Ten
+printed errors leave many layouts of sixteen coordinates. Gauss-Newton iterations, batched over seeded random starts,
+find some hundred exact ones; each is scaled to fill the box, and the one whose array factor has the lowest side lobes
+is chosen, so that a beamformer rarely starts a track on a wrong lobe. The printed errors are a filter's, not bounds:
+this is a fit, not a reconstruction of the array.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trackers.aoa.layout import DEFAULT_ANTENNAS, DEFAULT_WAVELENGTH, boresight_bounds
+
+TABLE_1_DEG = {
+    (1, 2, 3, 4, 5, 6, 7, 8): (0.583, 0.893),
+    (3, 7, 8): (2.194, 10.731),
+    (2, 7, 8): (1.051, 4.764),
+    (1, 2, 5): (13.227, 1.964),
+    (2, 3, 6): (0.668, 0.974),
+}
+"""Paper A, Table 1: antenna set (counted from 1) -> root mean square error of azimuth and elevation, degrees."""
+
+HALF_BOX = np.array([0.04, 0.02])
+SMALLEST_SPACING = DEFAULT_WAVELENGTH / 2
+STARTS, ITERATIONS, LONGEST_STEP = 2000, 40, 0.005
+
+
+def log_ratios(layouts: np.ndarray) -> np.ndarray:
+    """Log of bound over printed error (..., 10), less its mean; zero if a layout (..., 8, 2) has the ratios."""
+    sets = [boresight_bounds(layouts[..., np.array(chosen) - 1, :]) for chosen in TABLE_1_DEG]
+    logs = np.log(np.concatenate(sets, axis=-1)) - np.log(np.concatenate(list(TABLE_1_DEG.values())))
+    return logs - logs.mean(axis=-1, keepdims=True)
+
+
+def exact_layouts(seed: int = 0) -> np.ndarray:
+    """Layouts (k, 8, 2), m, with exactly the ratios of Table 1, filling the box, antennas half a wavelength apart."""
+    layouts = np.random.default_rng(seed).uniform(-1, 1, (STARTS, 8, 2)) * HALF_BOX
+    for _ in range(ITERATIONS):
+        residual, jacobian = log_ratios(layouts), _jacobian(layouts)
+        # The residuals sum to zero; the added constant restores full rank and changes no step.
+        square = jacobian @ jacobian.swapaxes(-1, -2) + np.ones((10, 10)) * 1e4
+        step = -(jacobian.swapaxes(-1, -2) @ np.linalg.solve(square, residual[..., None]))[..., 0]
+        step *= np.minimum(1, LONGEST_STEP / np.abs(step).max(axis=-1, keepdims=True).clip(1e-30))
+        layouts = layouts + step.reshape(layouts.shape)
+    layouts = layouts[np.abs(log_ratios(layouts)).max(axis=-1) < 1e-9]
+    layouts -= (layouts.max(axis=1, keepdims=True) + layouts.min(axis=1, keepdims=True)) / 2
+    layouts *= (HALF_BOX / np.abs(layouts).max(axis=1)).min(axis=1)[:, None, None]
+    spacing = np.linalg.norm(layouts[:, :, None] - layouts[:, None], axis=-1) + np.eye(8)
+    return layouts[spacing.min(axis=(1, 2)) >= SMALLEST_SPACING]
+
+
+def side_lobe(layout: np.ndarray) -> float:
+    """The array factor's largest value (the beam's own is 1) outside the main beam, between any +-30 degrees."""
+    du, dv = np.meshgrid(np.linspace(0, 1, 41), np.linspace(-1, 1, 81), indexing="ij")
+    phases = 2 * np.pi / DEFAULT_WAVELENGTH * (du[..., None] * layout[:, 0] + dv[..., None] * layout[:, 1])
+    factor = np.abs(np.exp(1j * phases).mean(axis=-1))
+    beam = (du / 0.25) ** 2 + (dv / 0.4) ** 2 < 1
+    return float(factor[~beam].max())
+
+
+def fitted_layout() -> np.ndarray:
+    """The layout (8, 2), m, with the lowest side lobes, rounded to 0.01 mm."""
+    return np.round(min(exact_layouts(), key=side_lobe), 5)
+
+
+def _jacobian(layouts: np.ndarray) -> np.ndarray:
+    """Derivative (k, 10, 16) of `log_ratios` by complex steps: exact to rounding."""
+    columns = []
+    for i in range(16):
+        moved = layouts.astype(complex)
+        moved[:, i // 2, i % 2] += 1e-30j
+        columns.append(log_ratios(moved).imag / 1e-30)
+    return np.stack(columns, axis=-1)
+
+
+def main() -> None:
+    """Print the fitted layout, its bounds beside Table 1, and whether it is the stored one."""
+    layout = fitted_layout()
+    print("DEFAULT_ANTENNAS = np.array(")
+    print("    [")
+    for x, y in layout:
+        print(f"        [{x:.5f}, {y:.5f}],")
+    print("    ]")
+    print(")")
+    scale = np.exp(np.mean([np.log(printed) for printed in TABLE_1_DEG.values()]))
+    bounds = {chosen: boresight_bounds(layout[np.array(chosen) - 1]) for chosen in TABLE_1_DEG}
+    ours = np.exp(np.mean([np.log(bound) for bound in bounds.values()]))
+    print(
+        f"\nbounds with sigma_p = {scale / np.degrees(ours):.3f} rad, at which their mean is that of the printed errors"
+    )
+    print("antennas          azimuth, deg: printed  bound   elevation, deg: printed  bound")
+    for chosen, printed in TABLE_1_DEG.items():
+        azimuth, elevation = bounds[chosen] / ours * scale
+        name = "-".join(map(str, chosen))
+        print(f"{name:17s} {printed[0]:22.3f} {azimuth:6.3f} {printed[1]:24.3f} {elevation:6.3f}")
+    print(f"\nhighest side lobe {side_lobe(layout):.2f}")
+    same = "is" if np.array_equal(layout, DEFAULT_ANTENNAS) else "is NOT"
+    print(f"this {same} the layout stored in trackers/aoa/layout.py")
+
+
+if __name__ == "__main__":
+    main()

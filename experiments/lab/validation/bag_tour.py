@@ -1,0 +1,112 @@
+"""The page docs/ten-minutes.md, done: two bags of a simulated cart, then each of its commands, with the time it takes.
+
+`python -m experiments.lab.validation.bag_tour [--bags-only]`: the bags, the files and the results go to out/bag-tour.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from experiments.cli.main import run_alone
+from experiments.lab.subprocesses import command
+from experiments.text.tables import aligned
+from sim.worlds import ranges as simulated_ranges
+from trackers.exchange.ros_package import rosbags_module
+
+OUT = Path("out/bag-tour")
+PAGE = Path(__file__).parents[3] / "docs" / "ten-minutes.md"
+START = 1_770_000_000
+TYPES = {
+    "uwb_msgs/msg/Range": "string anchor\nuint32 distance_mm\n",
+    "uwb_msgs/msg/Ranges": "std_msgs/Header header\nuwb_msgs/Range[] ranges\n",
+}
+DRIVES = {"drive-1": 11, "drive-2": 12}
+"""Seeds of the drives."""
+
+
+def tour(*, bags_only: bool = False) -> int:
+    """Write the bags of the ten-minute page, run its commands and print their times.
+
+    Args:
+        bags_only: write the bags and the files of the page alone, to follow the page by hand.
+    """
+    shutil.rmtree(OUT, ignore_errors=True)
+    OUT.mkdir(parents=True)
+    for name, seed in DRIVES.items():
+        write_bag(OUT / f"{name}.mcap", seed)
+    page = PAGE.read_text(encoding="utf-8")
+    for block in _blocks(page, "toml"):
+        (OUT / block.split()[1]).write_text(block, encoding="utf-8")
+    print(f"wrote {', '.join(str(path) for path in sorted(OUT.iterdir()))}")
+    if bags_only:
+        return 0
+    rows, began = [], time.monotonic()
+    for line in commands_of(page):
+        begin = time.monotonic()
+        command(*line[1:], folder=OUT)
+        rows.append([f"{time.monotonic() - begin:.1f}", shlex.join(line[:3])])
+    print("\n" + aligned([["s", "command"], *rows], numbers=[0]))
+    print(f"{len(rows)} commands in {time.monotonic() - began:.0f} s")
+    return 0
+
+
+def _blocks(page: str, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
+
+
+def commands_of(page: str) -> list[list[str]]:
+    """The commands of the page, as words, in their order."""
+    lines = "\n".join(_blocks(page, "sh")).replace("\\\n", " ").splitlines()
+    return [shlex.split(line) for line in lines if line.startswith("trackwright")]
+
+
+def write_bag(path: Path, seed: int) -> None:
+    """Writes an MCAP file of one simulated cart: /uwb with ranges of four anchors in mm, /mocap/cart with its poses."""
+    rosbag2, typesys = rosbags_module("rosbag2", str(path)), rosbags_module("typesys", str(path))
+    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    for name, text in TYPES.items():
+        store.register(typesys.get_types_from_msg(text, name))
+    world = simulated_ranges(n=1, seed=seed, rows=600, sigma_r=0.12, bias=0.05, hidden=0.15, lost=0.05).folder()
+    scratch = path.with_suffix("")
+    with rosbag2.Writer(scratch, version=9, storage_plugin=rosbag2.StoragePlugin.MCAP) as writer:
+        topics = {"/uwb": "uwb_msgs/msg/Ranges", "/mocap/cart": "geometry_msgs/msg/PoseStamped"}
+        connections = {topic: writer.add_connection(topic, kind, typestore=store) for topic, kind in topics.items()}
+        for topic, stamp, message in _messages(store.types, world.tables):
+            writer.write(connections[topic], stamp, store.serialize_cdr(message, topics[topic]))
+    (scratch / f"{scratch.name}.mcap").rename(path)
+    shutil.rmtree(scratch)
+
+
+def _messages(types: Any, tables: Any) -> Iterator[tuple[str, int, Any]]:
+    """Topic, time in ns and message of the ranges and of the truth, on the clock of a robot."""
+    point, turn = types["geometry_msgs/msg/Point"], types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+    pose, stamped = types["geometry_msgs/msg/Pose"], types["geometry_msgs/msg/PoseStamped"]
+    one, several = types["uwb_msgs/msg/Range"], types["uwb_msgs/msg/Ranges"]
+
+    def header(seconds: float) -> tuple[int, Any]:
+        stamp = START * 10**9 + round(seconds * 1e9)
+        moment = types["builtin_interfaces/msg/Time"](stamp // 10**9, stamp % 10**9)
+        return stamp, types["std_msgs/msg/Header"](moment, "hall")
+
+    seen = tables["ranges"].drop_nulls("range_m").filter(pl.col("range_m") > 0)
+    for (seconds,), rows in seen.partition_by("t_s", as_dict=True, maintain_order=True).items():
+        stamp, head = header(seconds)
+        found = [one(str(r["anchor"]), round(1000 * r["range_m"])) for r in rows.iter_rows(named=True)]
+        yield "/uwb", stamp, several(head, found)
+    for row in tables["truth"].iter_rows(named=True):
+        stamp, head = header(row["t_s"])
+        place = np.nan_to_num([row["x_m"], row["y_m"], row["z_m"]]).tolist()
+        yield "/mocap/cart", stamp, stamped(head, pose(point(*place), turn))
+
+
+if __name__ == "__main__":
+    run_alone(tour, "python -m experiments.lab.validation.bag_tour")

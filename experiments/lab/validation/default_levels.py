@@ -1,0 +1,172 @@
+"""Default noise levels from recordings with truth: `python -m experiments.lab.validation.default_levels KIND`.
+
+KIND is one of `bearings`, `bearings-calibrated` and `uwb`. The command minimises the mean over recordings of the
+negative log-likelihood of the true horizontal position (`state-nll`), by Nelder and Mead's simplex: the objective of a
+filter with Student's t has kinks at which a search by gradient ends. It prints the levels found beside the present
+defaults, with the objective of both. The recordings are not part of this repository: TRACKWRIGHT_RECORDINGS names
+their folder, default `../shared/recordings`.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from scipy.optimize import minimize
+
+from experiments.cli.main import run_alone
+from experiments.cli.runtime import keep_programs, set_flags
+from experiments.lab.subprocesses import required_recordings
+from experiments.lab.validation.folds import SEEN_BY_DEFAULTS
+from experiments.text.tables import aligned
+from trackers.aoa.fusion import CALIBRATED, bearing_tracker
+from trackers.catalogue import build
+from trackers.core.tracker import AbstractTracker
+from trackers.recordings.folder import RecordingFolder, read_recordings
+from trackers.recordings.tracker_spec import TrackerBatch
+from trackers.uwb_imu.fusion import range_tracker
+from tuning.calibrating import calibrate
+from tuning.data import fit_data
+from tuning.fit_arrays import FitArrays
+from tuning.parameters import flatten, select_parameters
+from tuning.problem import Problem
+
+LOST = 50.0
+"""Objective, nats a row, of a recording on which the filter diverges."""
+
+FIRST_STEP = 0.4
+"""Side of the first simplex, in the logarithm of a level."""
+
+
+class Levels(NamedTuple):
+    """The noise levels of a tracker that are set together.
+
+    `builder`: takes the number of stations or anchors, `planar` and the levels by keyword. `numbered`: what a rig
+    numbers. `names`: keywords. `now`: keywords that differ from the builder's defaults. `calibrated`: each recording is
+    taken twice, calibrated on all and on the other recordings, as calibrations are used on known and on new ways.
+    """
+
+    tracker: str
+    builder: Callable[..., AbstractTracker]
+    numbered: Literal["stations", "anchors"]
+    names: tuple[str, ...]
+    now: Mapping[str, Any] = MappingProxyType({})
+    calibrated: bool = False
+
+    def values(self) -> dict[str, Any]:
+        """The present defaults."""
+        own = {name: p.default for name, p in inspect.signature(self.builder).parameters.items() if name in self.names}
+        return {**own, **{name: value for name, value in self.now.items() if name in self.names}}
+
+
+DRIFTING = ("sigma_a", "memory", "sigma_bias", "time_constant", "length")
+BEARINGS = (*DRIFTING, "sigma_azimuth", "sigma_elevation")
+
+KINDS = {
+    "bearings": Levels("bearings", bearing_tracker, "stations", BEARINGS),
+    "bearings-calibrated": Levels("bearings", bearing_tracker, "stations", BEARINGS, CALIBRATED, calibrated=True),
+    "uwb": Levels(
+        "uwb", range_tracker, "anchors", (*DRIFTING, "sigma_shared", "sigma_r", "positive_skew", "dof", "bias")
+    ),
+}
+"""What can be set. A likelihood over the floor does not determine `sigma_z`, which stays."""
+
+
+Kind = Literal["bearings", "bearings-calibrated", "uwb"]
+
+
+class Objective:
+    """The mean `state-nll` over recordings as a function of the logarithms of the levels, one after another."""
+
+    def __init__(self, levels: Levels, folders: Sequence[RecordingFolder]):
+        self.levels, self.now = levels, levels.values()
+        self.groups = build(levels.tracker, folders).batches(folders)
+        self.problems, self.owners = [], []
+        for group in self.groups:
+            data = fit_data(replace(group, tracker=self._tracker(group, self.now)), "state-nll")
+            problem = Problem(data.tracker, data.rows(), data.objective, select_parameters(data.tracker, ["*"]))
+            self.problems.append(problem)
+            self.owners.append(FitArrays.of(data).recordings_of(problem))
+
+    def start(self) -> np.ndarray:
+        """The logarithms of the present defaults."""
+        return np.log(np.concatenate([np.ravel(self.now[name]) for name in self.levels.names]))
+
+    def values(self, logarithms: np.ndarray) -> dict[str, Any]:
+        """The levels by keyword."""
+        found, at = {}, 0
+        for name in self.levels.names:
+            size = np.size(self.now[name])
+            part = np.exp(logarithms[at : at + size])
+            found[name], at = (float(part[0]) if np.ndim(self.now[name]) == 0 else tuple(part.tolist())), at + size
+        return found
+
+    def by_recording(self, logarithms: np.ndarray) -> dict[str, float]:
+        """The negative log-likelihood of the truth, nats a row, of each recording."""
+        sums: dict[str, np.ndarray] = {}
+        values = self.values(logarithms)
+        for group, problem, owners in zip(self.groups, self.problems, self.owners, strict=True):
+            vector = flatten(select_parameters(self._tracker(group, values), ["*"]))
+            for name, terms in zip(owners, problem.terms(vector)[0].T, strict=True):
+                if name:
+                    sums[name] = sums.get(name, np.zeros(2)) + terms
+        return {name: float(nll / rows) if np.isfinite(nll) else LOST for name, (nll, rows) in sums.items() if rows > 0}
+
+    def __call__(self, logarithms: np.ndarray) -> float:
+        """The mean over the recordings."""
+        return float(np.mean(list(self.by_recording(logarithms).values())))
+
+    def _tracker(self, group: TrackerBatch, values: Mapping[str, Any]) -> AbstractTracker:
+        count = len(getattr(group.trajectories[0].folder.rig, self.levels.numbered))
+        return self.levels.builder(count, group.planar, **{**self.levels.now, **values})
+
+
+def main(kind: Kind, *, evaluations: int = 400) -> int:
+    """Set default noise levels and print them beside the present ones.
+
+    Args:
+        kind: the levels to set.
+        evaluations: most runs of the filter over the recordings.
+    """
+    set_flags()
+    keep_programs()
+    levels, root = KINDS[kind], required_recordings()
+    folders = read_recordings([root / name for name in SEEN_BY_DEFAULTS[levels.tracker]])
+    objective = Objective(levels, known_and_new(folders) if levels.calibrated else folders)
+    start = objective.start()
+    steps = FIRST_STEP * np.diag(np.resize([1.0, -1.0], len(start)))
+    options = {"maxfev": evaluations, "initial_simplex": np.vstack([start, start + steps]), "adaptive": True}
+    found = minimize(objective, start, method="Nelder-Mead", options=options).x
+    before, after = objective.values(start), objective.values(found)
+    rows = [("level", "present", "found")]
+    rows += [(name, _shown(before[name]), _shown(after[name])) for name in levels.names]
+    own, new = objective.by_recording(start), objective.by_recording(found)
+    rows += [("", "", ""), ("nats a row", "", "")]
+    rows += [(name, f"{own[name]:.3f}", f"{new[name]:.3f}") for name in own]
+    rows.append(("mean", f"{objective(start):.4f}", f"{objective(found):.4f}"))
+    print(aligned(rows, (1, 2)))
+    return 0
+
+
+def known_and_new(folders: Sequence[RecordingFolder]) -> list[RecordingFolder]:
+    """Each recording calibrated on all of them, and again, by another name, on the others."""
+    on_all = calibrate(folders)
+    new = [
+        replace(one, name=f"{one.name}, calibrated on the others").calibrated(
+            calibrate([other for other in folders if other is not one])
+        )
+        for one in folders
+    ]
+    return [*(one.calibrated(on_all) for one in folders), *new]
+
+
+def _shown(value: Any) -> str:
+    return ", ".join(f"{x:.3g}" for x in np.ravel(value))
+
+
+if __name__ == "__main__":
+    run_alone(main, "python -m experiments.lab.validation.default_levels")

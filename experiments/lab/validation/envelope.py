@@ -1,0 +1,240 @@
+"""Where single precision can be trusted: `python -m experiments.lab.validation.envelope --page docs/envelope.md`.
+
+Every tracker runs in single and in double precision, on 256 tags together and on 32 one by one, for readings with
+standard deviations from 1e-6 to 1e6, times from 0 to 1e6 s between them, and rooms from 1 cm to 100 km. Both are
+compared with each other and with the truth, in standard deviations that they report. Double precision is compared with
+other methods (`envelope_oracles.py`) where there is one. The exit code is 1 where single precision is wrong, and double
+is not.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import UTC, datetime
+from fnmatch import fnmatch
+from itertools import product
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from experiments.cli.main import run_alone
+from experiments.cli.runtime import set_flags
+from experiments.lab.bench.timing import replace_tables
+from experiments.lab.validation.envelope_oracles import METHODS, difference
+from experiments.lab.validation.envelope_verdicts import NONSENSE, Run, Verdict, judged
+from experiments.lab.validation.envelope_worlds import Cell, Walks, recorded
+from trackers.catalogue import build
+from trackers.core.errors import UnusableInput
+from trackers.core.estimates import Status
+from trackers.core.tunable import Covariance, tunables
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.tracker_spec import TrackerBatch
+from trackers.recordings.tracks import batches
+from trackers.recordings.trajectories import Trajectory
+
+MODULE = "experiments.lab.validation.envelope"
+SIGMAS = (1e-6, 1e-3, 1.0, 1e3, 1e6)
+STEPS = (0.0, 1e-3, 1.0, 1e3, 1e6)
+ROOMS = (0.01, 10.0, 1e3, 1e5)
+TAGS, ALONE, CHECKED = 256, 32, 2
+"""Tags of a recording, those tracked one by one, and those whose double precision is compared with another method."""
+
+
+class Subject(NamedTuple):
+    """The readings of a tracker, as of `recorded`; patterns of its noise levels; tags that are tracked together.
+
+    `known`: tunables that are set to what the readings have.
+    """
+
+    table: str
+    levels: tuple[str, ...]
+    tags: int = TAGS
+    known: Mapping[str, float] = MappingProxyType({})
+
+
+_FIXES = Subject("fixes", ("sensors.fixes.sigma_*",))
+SUBJECTS: dict[str, Subject] = {
+    "fix-kf": _FIXES,
+    "fix-singer": _FIXES,
+    "imm": _FIXES,
+    "fix-mirror": Subject(
+        "mirrored", ("sensors.fixes.sigma_*",), known={"sensors.fixes.offset": 0.0, "sensors.fixes.shrink": 1.0}
+    ),
+    "mhk": Subject("fixes", ("*.fixes.covariance", "*.sigma_displacement")),
+    "uwb": Subject("ranges", ("sensors.ranges.sigma_r",)),
+    "multilateration": Subject("ranges", ("sigma_r",)),
+    "uwb-imu": Subject("imu", ("sensors.ranges.sigma_r",)),
+    "bearings": Subject("bearings", ("sensors.bearings.sigma_*",)),
+    # Its grid has a cell for every 5 cm of the path, and takes one form for any number of tags.
+    "line-grid": Subject("path", ("sensors.fixes.sigma_p",), 16),
+}
+
+
+def main(trackers: tuple[str, ...] = (), *, seed: int = 0, tags: int = TAGS, page: Path | None = None) -> int:
+    """Try every cell, print the tables, and write them into a page; 1 for a cell that is silently wrong.
+
+    Args:
+        trackers: their names; by default all that are tried.
+        seed: of the recordings.
+        tags: tracked together, at most.
+        page: the page whose tables are replaced, as docs/envelope.md.
+    """
+    unknown = [name for name in trackers if name not in SUBJECTS]
+    if unknown:
+        raise UnusableInput(f"envelope: no {', '.join(unknown)}; expected {', '.join(SUBJECTS)}")
+    set_flags()
+    began, parts, summary, wrong = time.monotonic(), list[str](), list[list[str]](), 0
+    for name in trackers or SUBJECTS:
+        found, off = envelope(name, seed, tags)
+        wrong += sum(v.words.startswith(NONSENSE) for v in found.values())
+        parts.append(table(name, found))
+        summary.append(summarised(name, found, off))
+        print(parts[-1], flush=True)
+    versions = f"Python {sys.version.split()[0]}, JAX {jax.__version__}, NumPy {np.__version__}"
+    command = " ".join(["python", "-m", MODULE, *sys.argv[1:]])
+    heading = f"{datetime.now(UTC):%Y-%m-%d}, seed {seed}, {versions}, {time.monotonic() - began:.0f} s: `{command}`.\n"
+    columns = (
+        "tracker",
+        "cells",
+        "agree",
+        "coarser",
+        "differ",
+        "no estimate",
+        "off the model",
+        "silently wrong",
+        "largest σ",
+        "tracks that part",
+        "tracks off: single, double",
+        "checked by",
+        "off by σ",
+    )
+    text = "\n".join([heading, markdown([columns, *summary]), *parts])
+    print(markdown([columns, *summary]))
+    if page is not None:
+        replace_tables(page, MODULE, text)
+    return int(wrong > 0)
+
+
+def envelope(
+    name: str, seed: int = 0, tags: int = TAGS, cells: Sequence[Cell] = ()
+) -> tuple[dict[Cell, Verdict], float]:
+    """The verdict on every cell, and the largest difference of double precision from another method, in sigmas."""
+    found, off = dict[Cell, Verdict](), list[float]()
+    for cell in cells or [Cell(*one) for one in product(SIGMAS, STEPS, ROOMS)]:
+        several, another = tried(name, cell, min(tags, SUBJECTS[name].tags), seed)
+        found[cell] = several
+        if SUBJECTS[name].tags > ALONE:
+            alone, _ = tried(name, cell, min(tags, ALONE), seed, alone=True)
+            found[cell] = alone if alone.words.startswith(NONSENSE) else several
+        off.append(another)
+    return found, float(np.nanmax([*off, -np.inf]))
+
+
+def tried(name: str, cell: Cell, tags: int, seed: int, alone: bool = False) -> tuple[Verdict, float]:
+    """The verdict on a cell, its tags together or one by one, and how far double precision is off another method."""
+    folder, walks = recorded(cell, SUBJECTS[name].table, tags, seed)
+    try:
+        with jax.enable_x64(False):
+            single = run(ready(name, cell, folder), walks, alone)
+        with jax.enable_x64(True):
+            group = ready(name, cell, folder)
+            double = run(group, walks, alone)
+            verdict = judged(single, double)
+            few = [one.recording for one in group.trajectories[:CHECKED]]
+            off = [difference(group, each) for each in few] if verdict.words == "agrees" and not alone else []
+    except UnusableInput as problem:
+        return Verdict(f"refused: {str(problem).partition('needs ')[2][:40] or problem}"), np.nan
+    return verdict, float(np.nanmax([*off, -np.inf])) if np.isfinite(off).any() else np.nan
+
+
+def ready(name: str, cell: Cell, folder: RecordingFolder) -> TrackerBatch:
+    """The tracker with the cell's noise, that a gap does not end, and its trajectories."""
+    named, values = build(name, folder, free_height=True), dict[str, Any](SUBJECTS[name].known)
+    for own, tunable in tunables(named.tracker).items():
+        size = np.ones(np.shape(tunable.raw))
+        if any(fnmatch(own, pattern) for pattern in SUBJECTS[name].levels):
+            values[own] = cell.sigma**2 * np.eye(len(size)) if isinstance(tunable, Covariance) else cell.sigma * size
+        elif fnmatch(own, "*start.sigma_position") and SUBJECTS[name].table != "bearings":
+            values[own] = np.maximum(np.asarray(tunable.value, float), cell.sigma)
+        elif fnmatch(own, "*track_loss.max_gap"):
+            values[own] = np.inf * size
+    (group,) = named.with_values(values).batches(folder)
+    return group
+
+
+def run(group: TrackerBatch, walks: Walks, alone: bool) -> Run:
+    """The estimates of all trajectories, together or one by one, in the precision that is set."""
+    each = [[one] for one in group.trajectories] if alone else [group.trajectories]
+    return Run(*(np.concatenate(parts) for parts in zip(*(_run(group, some, walks) for some in each), strict=True)))
+
+
+def _run(group: TrackerBatch, some: Sequence[Trajectory], walks: Walks) -> Run:
+    ((trajectories, batch),) = batches(some, truth=False)
+    estimates = group.tracker.run(batch)
+    times = trajectories.columns.padded(trajectories.columns.times)
+    rows = slice(times.shape[1])
+    axes = range(len(estimates.mean.position))
+    positions = np.stack([np.asarray(x, float)[:, rows] for x in estimates.mean.position], axis=-1)
+    sigmas = np.stack([np.asarray(estimates.sigmas[f"position.{k}"], float)[:, rows] for k in axes], axis=-1)
+    tags = np.array([int(tag) for tag in trajectories.tags])
+    truth = Walks(walks.begin[tags], walks.velocity[tags]).at(times)[..., : len(axes)]
+    status = estimates.status[:, rows]
+    return Run(positions, sigmas, truth, status, np.isin(status, (Status.OK, Status.RESTARTED)))
+
+
+def table(name: str, found: Mapping[Cell, Verdict]) -> str:
+    """The verdicts of a tracker over noise and room, the worst over time steps, in Markdown."""
+    heading = ["σ of a reading", *(f"{room:g} m" for room in ROOMS)]
+    rows = [[f"{sigma:g}", *("; ".join(_entry(found, sigma, room)) for room in ROOMS)] for sigma in SIGMAS]
+    return f"### `{name}`\n\n{markdown([heading, *rows])}"
+
+
+def _entry(found: Mapping[Cell, Verdict], sigma: float, room: float) -> Iterator[str]:
+    """The verdicts of all time steps, those of equal words together."""
+    own = {dt: found[Cell(sigma, dt, room)] for dt in STEPS if Cell(sigma, dt, room) in found}
+    for words in dict.fromkeys(v.words for v in own.values()):
+        same = {dt: v for dt, v in own.items() if v.words == words}
+        worst = np.fmax.reduce([v.difference for v in same.values()])
+        number = f" {worst:.1g}" if np.isfinite(worst) else ""
+        parted, off = max(v.parted for v in same.values()), np.max([v.off for v in same.values()], axis=0)
+        tracks = [f"{parted} part"] * (parted > 0) + [f"{off[0]} : {off[1]} off"] * bool(off.any())
+        where = "" if len(same) == len(own) else f" ({', '.join(f'{dt:g}' for dt in same)} s)"
+        yield f"{words}{number}{''.join(f', {text}' for text in tracks)}{where}"
+
+
+def summarised(name: str, found: Mapping[Cell, Verdict], off: float) -> list[str]:
+    """The row of a tracker in the table of all: cells by verdict, and how double precision was checked."""
+    words = [v.words for v in found.values()]
+    counts = [words.count(one) for one in ("agrees", "coarser", "differs")]
+    wrong, model = sum(w.startswith(NONSENSE) for w in words), words.count("off the model")
+    worst = max((v.difference for v in found.values() if v.words in ("agrees", "coarser")), default=np.nan)
+    tracks = np.sum([v.off for v in found.values()], axis=0)
+    checked = METHODS.get(name, "none: the same tracker in double precision")
+    shown = f"{off:.1g}" if np.isfinite(off) else ""
+    none = len(words) - sum(counts) - wrong - model
+    numbers = (len(words), *counts, none, model, wrong)
+    parted = sum(v.parted for v in found.values())
+    return [
+        f"`{name}`",
+        *map(str, numbers),
+        f"{worst:.1g}",
+        f"{parted:,}",
+        f"{tracks[0]:,}, {tracks[1]:,}",
+        checked,
+        shown,
+    ]
+
+
+def markdown(rows: Sequence[Sequence[str]]) -> str:
+    """A table in Markdown, its first row the heading."""
+    lines = [f"| {' | '.join(row)} |" for row in rows]
+    return "\n".join([lines[0], "|" + " --- |" * len(rows[0]), *lines[1:], ""])
+
+
+if __name__ == "__main__":
+    run_alone(main, f"python -m {MODULE}")

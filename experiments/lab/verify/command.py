@@ -1,0 +1,49 @@
+"""`trackwright verify`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict
+from functools import partial
+
+from experiments.cli.runtime import keep_programs
+from experiments.lab.verify import deterministic_checks, particle_checks
+from experiments.lab.verify.check_result import CheckResult, table
+from experiments.text.terminal import progress
+from trackers.recordings.atomic import json_text
+
+CHECKS: tuple[Callable[[], list[CheckResult]], ...] = (
+    deterministic_checks.kalman_checks,
+    deterministic_checks.chain_checks,
+    deterministic_checks.grid_checks,
+    partial(particle_checks.corridor_checks, 25),
+    partial(particle_checks.corridor_checks, 100),
+    particle_checks.corridor_marginal_checks,
+    particle_checks.halt_checks,
+    particle_checks.corridor_order_checks,
+    particle_checks.halt_order_checks,
+    particle_checks.corridor_wrong_checks,
+    particle_checks.halt_wrong_checks,
+)
+"""Correct gradients against their oracles, and biased ones that must fail."""
+
+
+def verify(*, json: bool = False) -> int:
+    """Check every gradient against an oracle; exit 1 if one fails.
+
+    Oracles share no code with the gradients: the joint density of all fixes for the Kalman filter; enumeration of all
+    state sequences for the hidden Markov chain; quadrature in double precision for grid and particle filters, in a
+    corridor whose walls kill particles and at a halt on a line. Random estimates use 400 keys, and their mean may be 4
+    standard errors off. Two estimators that are known to be biased must fail.
+
+    Args:
+        json: print JSON instead of a table.
+    """
+    keep_programs()
+    results: list[CheckResult] = []
+    with progress("verify", len(CHECKS)) as advance:
+        for check in CHECKS:
+            results += check()
+            advance(1)
+    print(json_text([asdict(result) | {"passed": result.passed} for result in results]) if json else table(results))
+    return 0 if all(r.passed for r in results) else 1

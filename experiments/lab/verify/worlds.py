@@ -1,0 +1,159 @@
+"""Two small worlds with trackers that match them: a corridor whose walls kill particles, and a halt on a line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.special import ndtr
+
+from experiments.lab.verify.corridor import CORRIDOR, SIGMA_FIX, SIGMA_MOVE, START, corridor_fixes, rectangle
+from trackers.core.algebra import Scalar, Vector, diagonal
+from trackers.core.covariance import AnyCovariance
+from trackers.core.filter import Gaussian, Innovation
+from trackers.core.inputs import Inputs
+from trackers.core.motion import AbstractMotion, ConstantPosition, Noise, Placed
+from trackers.core.particle.filter import AbstractParticleFilter, ParticleFilter, Particles
+from trackers.core.polyline import Polyline
+from trackers.core.recording import Batch, Readings, Recording, Row, stack
+from trackers.core.sensor import AbstractSensor, Reading
+from trackers.core.start import AbstractStart
+from trackers.core.state import State
+from trackers.core.track_loss import TrackLossPolicy
+from trackers.core.tracker import Tracker
+from trackers.core.tunable import Scale
+from trackers.line.fixes import FIXES, FloorFixes
+from trackers.line.motion import LineMotion, PathState
+from trackers.parts.walls import Walls
+
+CORRIDOR_TUNABLES = ("motion.sigma_v", "sensors.fixes.sigma_p")
+"""The tunables of the corridor's tracker, in the order of the oracle's gradient."""
+
+HALT_TUNABLES = ("motion.sigma_a", "sensors.fixes.sigma_p", "start.sigma")
+"""The tunables of the halt's tracker, in the order of the oracle's gradient."""
+
+HALT_SIGMA_A, HALT_SIGMA_FIX, HALT_DT, HALT_ROWS = 0.3, 0.25, 0.5, 24
+"""Noise of the speed, m/s per √s; standard deviation of a fix, m; seconds between fixes; number of fixes."""
+
+HALT_ARCLENGTH, HALT_SPEED, HALT_SPREAD = 2.0, 0.6, 0.1
+"""Prior of the halt: mean arclength, m, mean speed, m/s, and the standard deviation of both."""
+
+NEVER_LOST = TrackLossPolicy(nis_limit=np.inf, max_gap=np.inf)
+
+
+class CorridorStart(AbstractStart):
+    """Uniform prior over the corridor's start rectangle, at the first row.
+
+    A prior has to be normal. This one is standard normal; `uniform` maps it to the rectangle by its distribution
+    function.
+    """
+
+    def can_start(self, row: Row) -> Scalar:
+        return row.dt == row.dt
+
+    def candidate(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
+        return row.dt
+
+    def belief(self, candidate: Any, row: Row) -> Gaussian:
+        zero = jnp.zeros_like(row.dt)
+        return Gaussian(Placed(Vector(zero, zero)), diagonal([1.0, 1.0], zero))
+
+
+def uniform(belief: Particles) -> Particles:
+    """Standard normal particles mapped to a uniform density over the start rectangle."""
+    low, high = START
+    positions = [a + (b - a) * ndtr(x) for a, b, x in zip(low, high, belief.states.position, strict=True)]
+    return belief._replace(states=Placed(Vector.of(positions)))
+
+
+class UniformParticles(AbstractParticleFilter):
+    """The particle filter `particles` with initial particles uniform over the start rectangle."""
+
+    particles: AbstractParticleFilter
+
+    @property
+    def bootstrap(self) -> ParticleFilter:
+        return self.particles.bootstrap
+
+    def init(self, belief: Gaussian, key: Any) -> Particles:
+        return uniform(self.particles.init(belief, key))
+
+    def predict(self, belief: Particles, motion: AbstractMotion, inputs: Inputs, dt: Scalar) -> Particles:
+        return self.particles.predict(belief, motion, inputs, dt)
+
+    def update(
+        self, belief: Particles, motion: AbstractMotion, sensor: AbstractSensor, reading: Reading, inputs: Inputs
+    ) -> tuple[Particles, Innovation]:
+        return self.particles.update(belief, motion, sensor, reading, inputs)
+
+    def moments(self, belief: Particles) -> tuple[State, AnyCovariance]:
+        return self.particles.moments(belief)
+
+
+Estimator = Callable[[ParticleFilter], AbstractParticleFilter]
+"""A particle filter with another derivative, as `Naive`; `score_form` for its own."""
+
+
+def score_form(particles: ParticleFilter) -> ParticleFilter:
+    """The particle filter itself, whose derivative is in score form."""
+    return particles
+
+
+def corridor_tracker(n_particles: int, estimator: Estimator = score_form) -> Tracker:
+    """The tracker whose model is the corridor's world; its particles die at the walls."""
+    particles = UniformParticles(estimator(ParticleFilter(n_particles, potential=Walls(rectangle(CORRIDOR)))))
+    sensors = {FIXES: FloorFixes(SIGMA_FIX)}
+    return Tracker(ConstantPosition(SIGMA_MOVE, 2), sensors, CorridorStart(), particles, NEVER_LOST)
+
+
+def corridor_batch(rows: int, keys: int) -> Batch:
+    """The corridor's fixes, one a second, repeated under `keys` trajectory names, hence random keys."""
+    return _repeated(corridor_fixes(rows), 1.0, keys)
+
+
+class HaltStart(AbstractStart):
+    """Normal prior with known means at the first row; `sigma` is the spread of arclength, m, and speed, m/s."""
+
+    sigma: Noise
+
+    def can_start(self, row: Row) -> Scalar:
+        return row.dt == row.dt
+
+    def candidate(self, sensors: Mapping[str, AbstractSensor], row: Row) -> Any:
+        return row.dt
+
+    def belief(self, candidate: Any, row: Row) -> Gaussian:
+        zero, variance = jnp.zeros_like(row.dt), self.sigma.value**2
+        return Gaussian(PathState(zero + HALT_ARCLENGTH, zero + HALT_SPEED), diagonal([variance, variance], zero))
+
+
+def halt_tracker(filter: Any) -> Tracker:
+    """The tracker whose model is the halt's world, with a particle or a grid filter."""
+    motion, sensors = (
+        LineMotion(Polyline([[0.0, 0.0], [12.0, 0.0]]), HALT_SIGMA_A),
+        {FIXES: FloorFixes(HALT_SIGMA_FIX)},
+    )
+    return Tracker(motion, sensors, HaltStart(Scale(HALT_SPREAD, "m")), filter, NEVER_LOST)
+
+
+def halt_fixes(seed: int = 3) -> np.ndarray:
+    """Fixes (HALT_ROWS, 2), m, of a tag that travels for 4 s at 0.6 m/s, rests for 4 s and travels on."""
+    times = HALT_DT * np.arange(1, HALT_ROWS + 1)
+    along = HALT_ARCLENGTH + np.interp(times, [0.0, 4.0, 8.0, 12.0], [0.0, 2.4, 2.4, 4.8])
+    noise = np.random.default_rng(seed).standard_normal((HALT_ROWS, 2))
+    return np.stack([along, np.zeros(HALT_ROWS)], axis=1) + HALT_SIGMA_FIX * noise
+
+
+def halt_batch(keys: int) -> Batch:
+    """The halt's fixes, repeated under `keys` trajectory names, hence random keys."""
+    return _repeated(halt_fixes(), HALT_DT, keys)
+
+
+def _repeated(fixes: np.ndarray, dt: float, keys: int) -> Batch:
+    """Fixes (T, 2), m, at dt, 2 dt, … under `keys` names; the track starts at time 0, a row without a fix."""
+    values = np.vstack([np.zeros((1, 2)), fixes])
+    seen = np.arange(len(values))[:, None].repeat(2, axis=1) > 0
+    times = dt * np.arange(len(values))
+    return stack([Recording(times, {FIXES: Readings(values, seen)}, name=f"key {k}") for k in range(keys)])

@@ -1,0 +1,1 @@
+"""What is looked at: figures, reports, pages with playback, maps of a plan."""

@@ -1,0 +1,186 @@
+"""Residuals of readings by anchor and station: about the estimates and, where there is truth, about the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from experiments.pages.interactive.packing import packed, rounded
+from experiments.pages.scored_tracks import ScoredRecording
+from trackers.parts.range_rows import anchor_positions, range_rows
+from trackers.recordings.columns import TagRows, float_column
+from trackers.recordings.folder import RecordingFolder
+
+LEAST = 5
+"""The fewest readings of a quantile or of a mean."""
+
+BINS = 12
+"""Bins of the true distance or angle over which the mean residual is drawn."""
+
+SHARES = (0.05, 0.25, 0.5, 0.75, 0.95)
+
+
+class Channel(NamedTuple):
+    """Readings of one kind: their sources by name, and for each reading (N,) the numbers of its tag and source.
+
+    `estimated`, `true` (N,): the reading less its prediction at the estimated and at the true position, in `unit`.
+    `against` (N,): the true distance, m, or angle, °.
+    """
+
+    name: str
+    unit: str
+    sources: list[str]
+    times: np.ndarray
+    tag: np.ndarray
+    source: np.ndarray
+    estimated: np.ndarray
+    true: np.ndarray
+    against: np.ndarray
+    against_name: str
+
+
+def channels_of(recording: ScoredRecording) -> tuple[list[str], list[Channel]]:
+    """The tags of the tables, and the residuals of ranges, bearings and fixes; without estimates that are bearings."""
+    tags: list[str] = []
+    found: list[Channel] = []
+    for table, residuals in (("ranges", _ranges), ("bearings", _bearings), ("fixes", _fixes)):
+        if table not in recording.folder.tables:
+            continue
+        rows = recording.folder.rows(table)
+        tags += [tag for tag in rows.tags if tag not in tags]
+        number = rows.of_each(np.array([tags.index(tag) for tag in rows.tags]))
+        estimated = _estimated(recording, rows)
+        true, _ = recording.folder.paths.at(rows.tags, rows.starts, rows.times)
+        found += [c._replace(tag=number) for c in residuals(recording.folder, rows, estimated, true)]
+    return tags, [channel for channel in found if np.isfinite([channel.estimated, channel.true]).any()]
+
+
+def page_residuals(recording: ScoredRecording, most: int) -> dict[str, Any]:
+    """The residuals as the page holds them: quantiles of all, and at most about `most` of them over time."""
+    tags, channels = channels_of(recording)
+    step = max(1, -(-sum(len(c.times) for c in channels) // most)) if channels else 1
+    start = float(np.min(recording.times, initial=np.inf)) if len(recording.times) else 0.0
+    return {
+        "tags": tags,
+        "every": step,
+        "channels": [
+            {
+                "name": c.name,
+                "unit": c.unit,
+                "sources": c.sources,
+                "boxes": {"estimated": _boxes(c, c.estimated), "true": _boxes(c, c.true)},
+                "curves": _curves(c),
+                "againstName": c.against_name,
+                "points": {
+                    "t": packed(c.times[::step] - start),
+                    "tag": packed(c.tag[::step], "u2"),
+                    "source": packed(c.source[::step], "u2"),
+                    "estimated": packed(c.estimated[::step]),
+                    "true": packed(c.true[::step]),
+                },
+            }
+            for c in channels
+        ],
+    }
+
+
+def _estimated(recording: ScoredRecording, rows: TagRows) -> np.ndarray:
+    """The estimated positions (N, 3), m, at the times of the readings, between rows of estimates; else NaN."""
+    table, starts = recording.association.rows, recording.association.starts
+    found = np.full((len(rows.times), 3), np.nan)
+    if recording.angles:
+        return found
+    of_tags = dict(zip(table["tag"].gather(starts[:-1]).to_list(), range(len(starts) - 1), strict=True))
+    times, positions = recording.times, np.stack([float_column(table, f"{a}_m") for a in "xyz"], axis=1)
+    for k, tag in enumerate(rows.tags):
+        number = of_tags.get(tag)
+        if number is None:
+            continue
+        own = slice(rows.starts[k], rows.starts[k + 1])
+        part = slice(starts[number], starts[number + 1])
+        known = np.isfinite(positions[part, :2]).all(axis=1)
+        if known.any():
+            for axis in range(3):
+                found[own, axis] = np.interp(
+                    rows.times[own], times[part][known], positions[part][known, axis], np.nan, np.nan
+                )
+    return found
+
+
+def _ranges(folder: RecordingFolder, rows: TagRows, estimated: np.ndarray, true: np.ndarray) -> Iterator[Channel]:
+    readings, number = range_rows(folder, rows)
+    values = np.where(readings.seen[:, 0], readings.values[:, 0], np.nan)
+    anchors = anchor_positions(folder)[number]
+    distance, at_estimate = (np.linalg.norm(x - anchors, axis=1) for x in (true, estimated))
+    yield Channel(
+        "range", "m", sorted(folder.rig.anchors), rows.times, number, number,
+        values - at_estimate, values - distance, distance, "true distance (m)",
+    )  # fmt: skip
+
+
+def _bearings(folder: RecordingFolder, rows: TagRows, estimated: np.ndarray, true: np.ndarray) -> Iterator[Channel]:
+    stations = list(folder.rig.stations)
+    number, values = rows.codes("station", stations), rows.floats(["azimuth_rad", "elevation_rad"])
+    if folder.calibration is not None:
+        values = folder.calibration.of_bearings(stations, number, values)[1]
+    at_truth, at_estimate = np.full((2, len(values), 2), np.nan)
+    for k, name in enumerate(stations):
+        own = number == k
+        at_truth[own], at_estimate[own] = (folder.rig.stations[name].angles(x[own]) for x in (true, estimated))
+    for axis, name in enumerate(("azimuth", "elevation")):
+        about = [(np.degrees(values[:, axis] - x[:, axis]) + 180) % 360 - 180 for x in (at_estimate, at_truth)]
+        yield Channel(
+            name, "°", stations, rows.times, number, number, about[0], about[1], np.degrees(at_truth[:, axis]),
+            f"true {name} (°)",
+        )  # fmt: skip
+
+
+def _fixes(folder: RecordingFolder, rows: TagRows, estimated: np.ndarray, true: np.ndarray) -> Iterator[Channel]:
+    values = rows.floats(["x_m", "y_m", "z_m"])
+    same = np.zeros(len(values), int)
+    for axis, name in enumerate("xyz"):
+        yield Channel(
+            f"fix, {name}", "m", ["fixes"], rows.times, same, same,
+            values[:, axis] - estimated[:, axis], values[:, axis] - true[:, axis], true[:, axis], f"true {name} (m)",
+        )  # fmt: skip
+
+
+def _boxes(channel: Channel, residuals: np.ndarray) -> list[list[float | None]] | None:
+    """Of each source: number, mean, robust standard deviation and the quantiles `SHARES`; None without residuals."""
+    if not np.isfinite(residuals).any():
+        return None
+    boxes: list[list[float | None]] = []
+    for k in range(len(channel.sources)):
+        own = residuals[(channel.source == k) & np.isfinite(residuals)]
+        if len(own) < LEAST:
+            boxes.append([len(own), *[None] * (2 + len(SHARES))])
+            continue
+        middle = np.quantile(own, SHARES)
+        spread = 1.4826 * float(np.median(np.abs(own - middle[2])))
+        boxes.append([len(own), *(rounded(float(x)) for x in (own.mean(), spread, *middle))])
+    return boxes
+
+
+def _curves(channel: Channel) -> list[dict[str, Any]]:
+    """Of each source: the mean residual about the truth in bins of the true distance or angle."""
+    known = np.isfinite(channel.true) & np.isfinite(channel.against)
+    if known.sum() < LEAST:
+        return []
+    edges = np.linspace(channel.against[known].min(), channel.against[known].max(), BINS + 1)
+    if edges[-1] - edges[0] < 1e-6:
+        return []
+    bins = np.clip(np.searchsorted(edges, channel.against[known], side="right") - 1, 0, BINS - 1)
+    cell = channel.source[known] * BINS + bins
+    size = len(channel.sources) * BINS
+    count = np.bincount(cell, minlength=size)
+    mean = np.bincount(cell, channel.true[known], size) / np.maximum(count, 1)
+    middles = 0.5 * (edges[1:] + edges[:-1])
+    return [
+        {"source": name, "x": [rounded(float(x)) for x in middles[there]],
+         "y": [rounded(float(y)) for y in mean[k * BINS : (k + 1) * BINS][there]],
+         "n": [int(c) for c in count[k * BINS : (k + 1) * BINS][there]]}
+        for k, name in enumerate(channel.sources)
+        if (there := count[k * BINS : (k + 1) * BINS] >= LEAST).any()
+    ]  # fmt: skip

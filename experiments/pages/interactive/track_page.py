@@ -1,0 +1,122 @@
+"""The page of `track`: its data and its scripts in one file that needs no network.
+
+The page is put together from text without jinja, which takes as long to import as everything here takes to run.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from experiments.pages import reports
+from experiments.pages.interactive.decimation import MOST_POINTS, MOST_ROWS, MOST_TRACKS
+from experiments.pages.interactive.packing import plotting_script, rounded, script_json
+from experiments.pages.interactive.recording_data import recording_data
+from experiments.pages.scored_tracks import ScoredTracks
+from experiments.text.wording import shown_metric
+from trackers.evaluation import Evaluation
+from trackers.recordings.atomic import atomic_write
+
+PAGE = "report.html"
+"""File in the output folder of `trackwright track`."""
+
+HERE, SHARED = Path(__file__).parent / "page", Path(reports.__file__).parent / "templates"
+SCRIPTS = ("data", "formats", "colours", "plan", "polar", "overlay", "series", "charts", "playback", "main")
+"""The page's own scripts, in the order in which they need each other."""
+
+MOST_RECORDINGS = 60
+"""The most recordings of a page; the terminal's table has all."""
+
+MOST_LISTED = 40
+"""The most tracks in the table: those with the largest errors."""
+
+METRICS = ("n", "rmse_m", "median_m", "p95_m", "max_m", "rmse_3d_m", "rmse_azimuth_rad", "rmse_elevation_rad",
+           "rmse_direction_rad", "p95_direction_rad", "coverage_95", "nees_ratio", "nis_ratio", "lost_s")  # fmt: skip
+
+
+def write_track_page(path: Path, runs: Sequence[Mapping[str, Any]], command: str, kind: str = "track") -> None:
+    """Writes the page, whole or not at all. `runs`: those of `run_data`, one for each tracker; `kind`: who wrote it."""
+    text = track_page(runs, command, kind)
+    atomic_write(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def track_page(runs: Sequence[Mapping[str, Any]], command: str = "", kind: str = "track") -> str:
+    """The text of the page; arguments as of `write_track_page`."""
+    names = list(dict.fromkeys(recording["name"] for run in runs for recording in run["recordings"]))
+    title = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+    scripts = [SHARED / "plotting.js", *(HERE / f"{name}.js" for name in SCRIPTS)]
+    own = "\n".join(path.read_text(encoding="utf-8") for path in scripts)
+    parts = {
+        "title": escape(title),
+        "kind": kind,
+        "tracker": escape(runs[0]["tracker"]),
+        "style": (SHARED / "style.css").read_text(encoding="utf-8") + (HERE / "track.css").read_text(encoding="utf-8"),
+        "plotly": plotting_script(),
+        "data": script_json({"runs": runs, "command": command}),
+        "theme": (SHARED / "theme.js").read_text(encoding="utf-8"),
+        "scripts": f'(() => {{\n"use strict";\n{own}\n}})();',
+    }
+    template = (HERE / "track.html").read_text(encoding="utf-8")
+    return re.sub(r"\{\{ (\w+) \}\}", lambda found: parts[found[1]], template)
+
+
+def run_data(
+    tracks: ScoredTracks,
+    events: pl.DataFrame,
+    evaluation: Evaluation | None,
+    tracker: str,
+    name: str = "",
+    of: int = 1,
+    figures: bool = False,
+) -> dict[str, Any]:
+    """Everything that the page shows of one tracker, within limits on rows, tracks and residuals of all together.
+
+    `evaluation`: None without truth. `tracker`: what it is; `name`: its name where the page has `of` trackers, more
+    than one. `figures`: whether there are figures in files, whose choice of recordings the page names.
+    """
+    shown = tracks.recordings[:MOST_RECORDINGS]
+    total = of * max(sum(len(recording.times) for recording in shown), 1)
+    found = []
+    for recording in shown:
+        share = len(recording.times) / total
+        own = events.filter(pl.col("recording") == recording.folder.name)
+        limits = (max(int(share * most), least) for most, least in
+                  ((MOST_ROWS, 200), (MOST_TRACKS, 3), (MOST_POINTS, 100)))  # fmt: skip
+        found.append(recording_data(recording, own, *limits))
+    return {
+        "name": name,
+        "tracker": tracker,
+        "recordings": found,
+        "recordingCount": len(tracks.recordings),
+        "metrics": [] if evaluation is None else _metrics(evaluation),
+        "statements": [] if evaluation is None else evaluation.statements,
+        "figures": tracks.drawn_words if figures else "",
+    }
+
+
+def _metrics(evaluation: Evaluation) -> list[dict[str, Any]]:
+    """The main metrics of each recording and of the tracks with the largest errors, without those that have no data.
+
+    Errors in 3-D of a height that is given, not estimated, are left out.
+    """
+
+    def size(metrics: Mapping[str, Any]) -> float:
+        return metrics.get("rmse_m") or metrics.get("rmse_direction_rad") or 0.0
+
+    def known(metrics: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+        for key in METRICS:
+            value = shown_metric(metrics, key)
+            if value is not None:
+                yield key, rounded(value)
+
+    worst = sorted(evaluation.tracks, key=size, reverse=True)[:MOST_LISTED]
+    return [
+        {key: metrics[key] for key in ("recording", "tag", "station") if metrics.get(key) is not None}
+        | dict(known(metrics))
+        for metrics in (*evaluation.recordings, *worst)
+    ]

@@ -1,0 +1,268 @@
+"""The report of a calibration: terms, errors before and after, and figures, as text and as an HTML page."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator, Sequence
+from itertools import chain
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from experiments.pages.plots.calibration import (
+    Panel,
+    errors_over_floor,
+    floor_image,
+    measured_against_true,
+    reading_chart,
+)
+from experiments.pages.reports.pages import page, write_page
+from experiments.text.tables import rendered, ruled_table, terminal_width
+from experiments.text.wording import MISSING, fixed
+from trackers.core.errors import UnusableInput
+from trackers.core.wording import counted
+from trackers.recordings.calibration import (
+    ANGLE_TERMS,
+    ANGLES,
+    RANGE_TERMS,
+    UNCALIBRATED,
+    Calibration,
+    angle_terms,
+    range_terms,
+)
+from trackers.recordings.folder import RecordingFolder
+from tuning.calibrating import calibrate
+from tuning.calibration_pairs import Pairs, anchor_pairs, station_pairs
+from tuning.calibration_structure import differs_by_distance
+
+WIDTH = 150
+SHOWN = 12
+"""The most stations, or anchors, in figures."""
+
+CURVE = 80
+"""Points of a fitted curve."""
+
+DEGREES = float(np.rad2deg(1.0))
+TAG_HEAD = ("tag", "bias, m", "rows")
+_ERRORS = ("rows", "as measured", "calibrated", "left out")
+ANGLE_HEAD = ("station", "angle", "offset, rad", "gain", "cubic, rad⁻²", "cross, rad⁻¹", *_ERRORS)
+RANGE_HEAD = ("anchor", "bias, m", "slope", *_ERRORS)
+NOT_LINEAR = ", not linear"
+"""What follows the name of an anchor whose errors differ by distance after the line is removed."""
+
+NOTES = {
+    "": "± standard error.",
+    "(": "In brackets: not determined by these recordings, near its value before any of them.",
+    NOT_LINEAR: "Not linear: the errors that the line leaves differ between distances more than between pieces of time "
+    "(p < 0.001); see the figures.",
+    "as measured": "As measured, calibrated: 68th percentile of the absolute error before and after.",
+    "left out": "Left out: cross-validated, by a calibration on the other recordings.",
+}
+"""What the tables' marks mean, by the text that has to occur in them."""
+
+
+class Source(NamedTuple):
+    """One angle of a station, or the ranges of an anchor: its name, `quantity` and column of the pairs."""
+
+    name: str
+    quantity: str
+    column: int
+    pairs: Pairs
+
+    @property
+    def is_angle(self) -> bool:
+        """Whether the values are angles, not ranges."""
+        return self.quantity in ANGLES
+
+    def errors(self, calibration: Calibration | None) -> np.ndarray:
+        """Measured minus expected values (N,), rad or m, NaN where not measured; None: without a calibration."""
+        true, k = self.pairs.true, self.column
+        expected = true[:, k]
+        if calibration is not None and self.is_angle:
+            expected = calibration.stations.get(self.name, UNCALIBRATED).measured(true)[:, k]
+        elif calibration is not None and self.name in calibration.anchors:
+            tags, number = np.unique(self.pairs.tag, return_inverse=True)
+            biases = np.array([calibration.tags[tag].bias if tag in calibration.tags else 0.0 for tag in tags])
+            expected = expected + range_terms(expected) @ calibration.anchors[self.name].coefficients + biases[number]
+        return self.pairs.measured[:, k] - expected
+
+    def bend(self, calibration: Calibration) -> str:
+        """`NOT_LINEAR` where the ranges contradict the line of the calibration."""
+        errors = self.errors(calibration)
+        bent = differs_by_distance(self.pairs.true[:, 0], errors, self.pairs.piece, self.spread(errors))
+        return NOT_LINEAR if bent else ""
+
+    def spread(self, errors: np.ndarray) -> float:
+        """The 68th percentile of the sizes of errors (N,), each recording with the same weight; NaN without any."""
+        seen = np.flatnonzero(np.isfinite(errors))
+        if not len(seen):
+            return np.nan
+        seen = seen[np.argsort(np.abs(errors[seen]))]
+        recording = self.pairs.recording[seen]
+        shares = np.cumsum(1.0 / np.bincount(recording)[recording])
+        return float(np.abs(errors[seen])[np.searchsorted(shares, 0.6827 * shares[-1])])
+
+
+class Report(NamedTuple):
+    """The tables of a calibration, by station and angle, by anchor, and by tag where there are several.
+
+    `undetermined`: each source with the terms that are not determined.
+    """
+
+    stations: list[list[str]]
+    anchors: list[list[str]]
+    tags: list[list[str]]
+    undetermined: list[tuple[str, str]]
+    sources: list[Source]
+
+    def tables(self) -> list[tuple[str, Sequence[str], int, list[list[str]]]]:
+        """Title, head, number of columns of text and rows of each table; no column `left out` of dashes alone."""
+        heads = (("Stations", ANGLE_HEAD, 2), ("Anchors", RANGE_HEAD, 1))
+        found = []
+        for (title, head, texts), rows in zip(heads, (self.stations, self.anchors), strict=True):
+            width = len(head) - all(row[-1] == MISSING for row in rows)
+            found.append((title, head[:width], texts, [row[:width] for row in rows]))
+        return [*found, ("Tags, relative to their mean", TAG_HEAD, 1, self.tags)]
+
+    @property
+    def note(self) -> str:
+        """What the marks mean that occur in the tables."""
+        shown = [table for table in self.tables() if table[3]]
+        cells = [*chain.from_iterable(head for _, head, _, _ in shown)]
+        cells += chain.from_iterable(row for *_, rows in shown for row in rows)
+        return " ".join(text for mark, text in NOTES.items() if any(mark in cell for cell in cells))
+
+
+def report_on(calibration: Calibration, folders: Sequence[RecordingFolder]) -> Report:
+    """The tables of a calibration of these recordings."""
+    sources = list(_sources(folders))
+    without = _without_each(folders)
+    tables: tuple[list[list[str]], list[list[str]]] = ([], [])
+    undetermined = []
+    for source in sources:
+        terms, covariance, determined, names = _fit(calibration, source)
+        sigmas = np.sqrt(np.diag(covariance))
+        cells = [_term(*one) for one in zip(terms, sigmas, determined, strict=True)]
+        left_out = np.full(len(source.pairs.true), np.nan)
+        for number, other in enumerate(without):
+            if other is not None:
+                own = source.pairs.recording == number
+                left_out[own] = source.errors(other)[own]
+        measured = source.errors(None)
+        spreads = [source.spread(errors) for errors in (measured, source.errors(calibration), left_out)]
+        factor, unit = (DEGREES, "°") if source.is_angle else (100.0, " cm")
+        shown = [MISSING if np.isnan(spread) else fixed(factor * spread, 1) + unit for spread in spreads]
+        head = [source.name, source.quantity] if source.is_angle else [source.name + source.bend(calibration)]
+        tables[not source.is_angle].append([*head, *cells, str(int(np.isfinite(measured).sum())), *shown])
+        lacking = [name for name, known in zip(names, determined, strict=True) if not known]
+        if lacking:
+            word = f"station {source.name}, {source.quantity}" if source.is_angle else f"anchor {source.name}"
+            undetermined.append((word, ", ".join(lacking)))
+    tags = [[name, _term(tag.bias, tag.sigma, True), str(tag.rows)] for name, tag in calibration.tags.items()]
+    return Report(*tables, tags if len(tags) > 1 else [], undetermined, sources)
+
+
+def _sources(folders: Sequence[RecordingFolder]) -> Iterator[Source]:
+    for name, pairs in station_pairs(folders).items():
+        for column, angle in enumerate(ANGLES):
+            yield Source(name, angle, column, pairs)
+    for name, pairs in anchor_pairs(folders).items():
+        yield Source(name, "range", 0, pairs)
+
+
+def _without_each(folders: Sequence[RecordingFolder]) -> list[Calibration | None]:
+    """Of each recording: the calibration on the others, None where they have too few rows."""
+    found: list[Calibration | None] = []
+    for one in folders:
+        try:
+            found.append(calibrate([folder for folder in folders if folder is not one]))
+        except UnusableInput:
+            found.append(None)
+    return found
+
+
+def _fit(calibration: Calibration, source: Source) -> tuple[np.ndarray, np.ndarray, np.ndarray, Sequence[str]]:
+    """Terms, covariance, whether each is determined, and their names."""
+    if source.is_angle:
+        station, k = calibration.stations[source.name], source.column
+        return station.coefficients[k], station.covariances[k], station.determined[k], ANGLE_TERMS
+    anchor = calibration.anchors[source.name]
+    return anchor.coefficients, anchor.covariance, anchor.determined, RANGE_TERMS
+
+
+def _term(value: float, sigma: float, determined: bool) -> str:
+    text = f"{fixed(value, 3)}\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}{fixed(sigma, 3)}"
+    return text if determined else f"({text})"
+
+
+def report_text(report: Report) -> str:
+    """The tables for a terminal."""
+    tables = [ruled_table(*table) for table in report.tables() if table[-1]]
+    return rendered(terminal_width(WIDTH), *tables, report.note)
+
+
+def draw_report(out: Path, calibration: Calibration, report: Report) -> list[str]:
+    """Writes the figures beside the file `out`, with names that begin as its own; returns the names."""
+    drawn = []
+    for kind, columns, panels in _panels(calibration, report):
+        for draw, name, title in (
+            (measured_against_true, kind, f"Calibration of {kind}"),
+            (errors_over_floor, f"{kind}-floor", f"Errors of calibrated {kind} over the floor"),
+        ):
+            drawn.append(f"{out.stem}-{name}.png")
+            draw(out.with_name(drawn[-1]), panels, columns, title)
+    return drawn
+
+
+def _panels(calibration: Calibration, report: Report) -> Iterator[tuple[str, int, list[Panel]]]:
+    """Stations and anchors, where there are any: what they are called, the columns of their figures, their panels."""
+    for kind, columns, angles in (("stations", 2, True), ("anchors", 3, False)):
+        panels = [_panel(calibration, source) for source in report.sources if source.is_angle == angles]
+        panels = [panel for panel in panels if len(panel.true)][: 2 * SHOWN if angles else SHOWN]
+        if panels:
+            yield kind, min(columns, len(panels)), panels
+
+
+def _panel(calibration: Calibration, source: Source) -> Panel:
+    pairs, column = source.pairs, source.column
+    seen = np.isfinite(pairs.measured[:, column])
+    true = pairs.true[seen, column]
+    at = np.linspace(true.min(), true.max(), CURVE) if seen.any() else np.zeros(0)
+    terms, covariance, _, _ = _fit(calibration, source)
+    if source.is_angle:
+        # The curve of one angle is that at the median of the other.
+        angles = np.repeat(np.median(pairs.true, axis=0)[None], len(at), axis=0)
+        angles[:, column] = at
+        factors = angle_terms(angles, calibration.stations[source.name].spans)[:, column]
+        fitted = factors @ terms
+    else:
+        factors = range_terms(at)
+        fitted = at + factors @ terms
+    sigma = np.sqrt(np.einsum("ki,ij,kj->k", factors, covariance, factors))
+    columns = true, true + source.errors(None)[seen], true + source.errors(calibration)[seen]
+    return Panel(source.name, source.quantity, source.is_angle, *columns, pairs.positions[seen, :2], at, fitted, sigma)
+
+
+def write_calibration_report(out: Path, calibration: Calibration, report: Report, command: Sequence[str]) -> Path:
+    """Writes the page beside the file `out`, with its name and the ending .html; returns the path."""
+    figures = [
+        (kind, [(reading_chart(panel), f"{panel.name}: {panel.quantity}") for panel in panels], floor_image(panels, n))
+        for kind, n, panels in _panels(calibration, report)
+    ]
+    stations, anchors, _ = report.tables()
+    text = page(
+        "calibration.html",
+        title=f"Calibration on {counted(len(calibration.recordings), 'recording')}",
+        recordings=calibration.recordings,
+        stations=stations,
+        anchors=anchors,
+        tag_head=TAG_HEAD,
+        report=report,
+        figures=figures,
+        several=len(calibration.recordings) > 1,
+        most=SHOWN if max(len(report.stations) // 2, len(report.anchors)) > SHOWN else None,
+        out=str(out),
+        words=shlex.join(["trackwright", *command[1:]]),
+    )
+    return write_page(out.with_suffix(".html"), text)

@@ -1,0 +1,173 @@
+"""The report of a study as an HTML page, for desktop, phone and paper."""
+
+from __future__ import annotations
+
+import base64
+import re
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from experiments.monte_carlo.declaration import Study
+from experiments.monte_carlo.results import Results
+from experiments.pages.plots.study import SHOWN_CONDITIONS, Chart, distribution_charts, metric_chart
+from experiments.pages.reports.pages import page, write_page
+from experiments.pages.reports.study_text import headline_of
+from experiments.text.expectations import Conclusion, ExpectedResult
+from experiments.text.wording import Unit, heading, ratio_text, units_of, with_interval, yes_no
+
+REPORT = "report.html"
+KINDS = {".svg": "image/svg+xml", ".png": "image/png"}
+MOST_CHARTS = 4
+
+BOUNDS = {"rmse_m": "bound_m", "rmse_3d_m": "bound_3d_m"}
+"""The bound that is drawn as a line among the values of a metric, instead of in a chart of its own."""
+
+Expected = Sequence[ExpectedResult | Conclusion]
+
+
+class Table(NamedTuple):
+    """A table of the page with the sentence above it; `classes` of its columns as in the template."""
+
+    lead: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    classes: Sequence[str]
+
+
+class Picture(NamedTuple):
+    """A figure of the study's own: file name, words for the blind, data address."""
+
+    name: str
+    words: str
+    address: str
+
+
+def write_study_report(
+    folder: Path, results: Results, expected: Expected, pictures: Sequence[str], command: Sequence[str]
+) -> Path:
+    """Writes the page into the folder, whole or not at all; returns its path. `pictures`: files there to include."""
+    return write_page(folder / REPORT, study_page(results, expected, [folder / name for name in pictures], command))
+
+
+def study_page(results: Results, expected: Expected, pictures: Sequence[Path], command: Sequence[str]) -> str:
+    """The report as HTML."""
+    study, units = results.study, _units(results)
+    charts, distributions = study_charts(results)
+    more = len(study.conditions) > SHOWN_CONDITIONS
+    return page(
+        "study.html",
+        # A hyphen between numbers stays: "figures-6-7" are Figures 6-7.
+        title=re.sub(r"-(?!\d)|(?<!\d)-", " ", study.name).capitalize(),
+        about=study.about,
+        expected=_expected([c for c in expected if isinstance(c, ExpectedResult)]),
+        conclusions=[
+            [c.statement, c.origin, yes_no(c.holds), c.evidence] for c in expected if isinstance(c, Conclusion)
+        ],
+        counts=headline_of(expected),
+        pictures=[_picture(path) for path in pictures],
+        charts=charts,
+        distributions=distributions,
+        charts_lead="Bands and bars are 95 % intervals."
+        + (f" Distributions of the first {SHOWN_CONDITIONS} of {len(study.conditions)} conditions." if more else ""),
+        metrics=_metrics(results, units),
+        ratios=_ratios(results),
+        settings=_settings(study),
+        words=shlex.join(["trackwright", *command[1:]]),
+    )
+
+
+def study_charts(results: Results) -> tuple[list[Chart], list[Chart]]:
+    """The charts of the first metrics, and of the distributions of errors."""
+    found, units = results.main_metrics(), _units(results)
+    drawn = [m for m in results.study.metrics if m != "us_per_row"][:MOST_CHARTS]
+    bounds = {m: found[BOUNDS[m]] for m in drawn if BOUNDS.get(m) in found}
+    drawn = [m for m in drawn if m not in {BOUNDS[error] for error in bounds}]
+    drawings = (metric_chart(results, m, found[m], units[m], bounds.get(m)) for m in drawn)
+    lengths = next((unit for metric, unit in units.items() if metric.endswith("_m")), None)
+    return [chart for chart in drawings if chart is not None], distribution_charts(results, lengths)
+
+
+def _units(results: Results) -> dict[str, Unit]:
+    """The units of the metrics on the page."""
+    return units_of({m: [v.value for v in values.values()] for m, values in results.main_metrics().items()})
+
+
+def _expected(results: Sequence[ExpectedResult]) -> Table:
+    rows = [
+        [r.quantity, f"{r.printed:g}\u00a0{r.unit}", with_interval(r.ours, Unit(r.unit, 1.0)),
+         ratio_text(r.ratio, r.compares_rest), r.origin, yes_no(r.reached), r.note]
+        for r in results
+    ]  # fmt: skip
+    asked = [r for r in results if r.reached is not None]
+    within = " or ".join(f"{100 * width:g} %" for width in sorted({r.within for r in asked if r.within is not None}))
+    lead = (
+        "Fitted: parameters or a choice were adjusted to the printed value; derived: it follows from other numbers and "
+        "is not judged again; predicted: neither."
+    )
+    if asked:
+        lead = f"Within tolerance: at most {within} from the printed value. {lead}"
+    if any(r.compares_rest for r in results):
+        lead += " Shares above one half are compared by the rest."
+    head = ["result", "printed", "ours (95 % interval)", "ours / printed", "origin", "within tolerance", "remark"]
+    shown = len(head) if any(r.note for r in results) else len(head) - 1
+    return Table(lead, head[:shown], [row[:shown] for row in rows], ["", "", "after", "", "", "answer", "long"][:shown])
+
+
+def _picture(path: Path) -> Picture:
+    data = base64.b64encode(path.read_bytes()).decode()
+    words = path.stem.replace("-", " ").replace("_", " ")
+    return Picture(path.name, words, f"data:{KINDS[path.suffix]};base64,{data}")
+
+
+def _metrics(results: Results, units: dict[str, Unit]) -> Table:
+    study, columns = results.study, []
+    head = ["world", "tracker"]
+    for metric, found in results.main_metrics().items():
+        head.append(heading(metric, units[metric], "\u00a0"))
+        columns.append({k: with_interval(v, units[metric]) for k, v in found.items()})
+    rows = [[c.label, t, *(column[c.index, t] for column in columns)] for c in study.conditions for t in study.trackers]
+    counts = sorted(set(results.runs.values()))
+    runs = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
+    lead = f"{runs} trajectories per row, the same for all trackers. In brackets 95 % bootstrap intervals."
+    if any(metric.startswith("bound") for metric in study.metrics):
+        lead += " The bound is for the tracker's own noise levels, over the second half of the rows."
+    return Table(lead, head, rows, ["", "text", *[""] * len(columns)])
+
+
+def _ratios(results: Results) -> Table | None:
+    """All metrics relative to those of the first tracker."""
+    study = results.study
+    first, *others = study.trackers
+    head, columns = ["world", "tracker"], []
+    pairs = [(c, t) for c in study.conditions for t in others]
+    for metric in study.metrics:
+        if not others or metric in ("bound_m", "bound_3d_m", "us_per_row"):
+            continue
+        found = [results.compared(_divided, metric, c, t, first) for c, t in pairs]
+        if any(np.isfinite(v.value) for v in found):
+            head.append(heading(metric))
+            columns.append([with_interval(v) for v in found])
+    if not columns:
+        return None
+    rows = [[c.label, t, *(column[k] for column in columns)] for k, (c, t) in enumerate(pairs)]
+    lead = f"Each metric divided by that of “{first}”, paired: variation common to both does not widen the interval."
+    return Table(lead, head, rows, ["", "text", *[""] * len(columns)])
+
+
+def _divided(a: Any, b: Any) -> Any:
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.divide(a, b)
+
+
+def _settings(study: Study) -> list[tuple[str, str]]:
+    grid = "; ".join(f"{k}: {', '.join(map(str, v))}" for k, v in study.grid.items())
+    return [
+        ("Worlds", "; ".join(study.worlds)),
+        ("Trackers", "; ".join(study.trackers)),
+        ("Grid", grid or "none"),
+        ("Runs", f"{study.runs} per condition, seed {study.seed}, in chunks of {study.chunk}"),
+    ]

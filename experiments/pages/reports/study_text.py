@@ -1,0 +1,150 @@
+"""A study's metrics and expected results as tables for a terminal, and as JSON."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rich.table import Table
+
+from experiments.monte_carlo.declaration import Study
+from experiments.monte_carlo.results import NAMES, Results
+from experiments.text.expectations import Conclusion, ExpectedResult, Value
+from experiments.text.tables import aligned, rendered, ruled_table, terminal_width
+from experiments.text.wording import Unit, heading, headline, ratio_text, units_of, with_interval, yes_no
+from trackers.recordings.atomic import json_text
+
+WIDTH = 160
+
+
+def to_text(results: Results, expected: Sequence[ExpectedResult | Conclusion]) -> str:
+    """The main metrics of every condition and tracker, and the expected results beside ours."""
+    shown = results.main_metrics()
+    units = units_of({f: [v.value for v in found.values()] for f, found in shown.items()})
+    tables = [
+        _table(results.study, heading(metric, units[metric]), found, units[metric]) for metric, found in shown.items()
+    ]
+    reproduced = [t for t in (_expected(expected), _conclusions(expected)) if t is not None]
+    text = rendered(terminal_width(WIDTH), *tables, *reproduced)
+    return f"{text}\n{headline_of(expected)}\n" if reproduced else text
+
+
+def headline_of(expected: Sequence[ExpectedResult | Conclusion]) -> str:
+    """How many of the expected results are predicted, fitted and derived, and how many of them are reached."""
+    return headline(
+        [(c.origin, c.reached) for c in expected if isinstance(c, ExpectedResult)],
+        [(c.origin, c.holds) for c in expected if isinstance(c, Conclusion)],
+    )
+
+
+def _table(study: Study, title: str, found: Mapping[tuple[int, str], Value], unit: Unit) -> Table:
+    rows = [[c.label, *(with_interval(found[c.index, t], unit) for t in study.trackers)] for c in study.conditions]
+    return ruled_table(title, ["world", *study.trackers], 1, rows)
+
+
+def _expected(expected: Sequence[ExpectedResult | Conclusion]) -> Table | None:
+    rows = [
+        [r.quantity, r.unit, r.origin, f"{r.printed:g}",
+         with_interval(r.ours, Unit(r.unit, 1.0)), ratio_text(r.ratio, r.compares_rest), yes_no(r.reached)]
+        for r in expected if isinstance(r, ExpectedResult)
+    ]  # fmt: skip
+    head = ("result", "unit", "origin", "printed", "ours (95 %)", "ratio", "within tolerance")
+    return ruled_table("Printed and ours", head, 3, rows) if rows else None
+
+
+def _conclusions(expected: Sequence[ExpectedResult | Conclusion]) -> Table | None:
+    rows = [[c.statement, c.origin, yes_no(c.holds), c.evidence] for c in expected if isinstance(c, Conclusion)]
+    return ruled_table("Conclusions", ("conclusion", "origin", "holds", "evidence"), 4, rows) if rows else None
+
+
+def to_json(results: Results, expected: Sequence[ExpectedResult | Conclusion]) -> str:
+    """All metrics of every condition and tracker with intervals, and the differences from the first tracker."""
+    metrics = _all_metrics(results)
+    return json_text(
+        {
+            "study": results.study.name,
+            "about": results.study.about,
+            "seed": results.study.seed,
+            "sha256": digest(metrics),
+            "computing_s": results.seconds,
+            "cells": metrics,
+            "us_per_row": {
+                c.label: {t: results.at("us_per_row", c, t).value for t in results.study.trackers}
+                for c in results.study.conditions
+            },
+            "claims": [_claim(c) for c in expected],
+        }
+    )
+
+
+def digest(metrics: Any) -> str:
+    """The SHA-256 of all metrics but the computing times, which differ from run to run."""
+    return hashlib.sha256(json_text(metrics).encode()).hexdigest()
+
+
+def _all_metrics(results: Results) -> list[dict[str, Any]]:
+    study, made = results.study, []
+    names = [*(n for n in NAMES if n != "us_per_row"), *study.measures]
+    reference = next(iter(study.trackers))
+    for condition in study.conditions:
+        for tracker in study.trackers:
+            values = {n: results.at(n, condition, tracker) for n in names if _has(results, n, condition.index, tracker)}
+            known = {n: v for n, v in values.items() if v.value == v.value}
+            differences = {
+                n: results.compared(_difference, n, condition, tracker, reference)._asdict()
+                for n in known
+                if tracker != reference and _has(results, n, condition.index, reference)
+            }
+            made.append(
+                {
+                    "world": condition.world,
+                    "point": dict(condition.point),
+                    "tracker": tracker,
+                    "runs": results.runs[condition.index],
+                    "figures": {n: v._asdict() for n, v in known.items()},
+                    f"less {reference}": differences,
+                }
+            )
+    return made
+
+
+def _difference(a: Any, b: Any) -> Any:
+    return a - b
+
+
+def _has(results: Results, metric: str, condition: int, tracker: str) -> bool:
+    """Whether the tracker has the kind of error that the metric is of."""
+    kept = results.totals[condition, tracker]
+    kinds = ("3d_m", "direction_rad", "azimuth_rad", "elevation_rad", "m")
+    if metric in kept.measures or metric.startswith("bound"):
+        return True
+    kind = next((k for k in kinds if metric.endswith(f"_{k}")), None)
+    return kind is None or kind in kept.histograms
+
+
+def _claim(claim: ExpectedResult | Conclusion) -> dict[str, Any]:
+    if isinstance(claim, Conclusion):
+        return {
+            "says": claim.statement,
+            "holds": claim.holds,
+            "evidence": claim.evidence,
+            "origin": claim.origin.value,
+        }
+    own: Value = claim.ours
+    return {
+        "figure": claim.quantity,
+        "printed": claim.printed,
+        "ours": own._asdict(),
+        "unit": claim.unit,
+        "ratio": claim.ratio,
+        "compares_rest": claim.compares_rest,
+        "origin": claim.origin.value,
+        "reached": claim.reached,
+        "note": claim.note,
+    }
+
+
+def study_names(studies: Sequence[Study]) -> str:
+    """Names and questions of the studies, for `--list`."""
+    return aligned([(s.name, s.about) for s in studies])

@@ -1,0 +1,235 @@
+"""Estimates with their errors, as the figures and the page of `track` show them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import polars as pl
+
+from experiments.text.wording import length_unit
+from trackers.bounds import bounds_of
+from trackers.core.seconds import zero_of
+from trackers.recordings.association import Association
+from trackers.recordings.columns import float_column
+from trackers.recordings.folder import RecordingFolder
+from trackers.recordings.tables import MEASUREMENTS, first_time
+from trackers.recordings.tracker_spec import TrackerBatch
+from trackers.recordings.tracks_table import is_bearing
+from trackers.scoring import Scored, in_plane, score
+from tuning.pit_uniformity import student_t_dof_of
+
+DRAWN = 4
+"""The most recordings with figures and a Cramér–Rao bound, and the most tracks of bearings with figures."""
+
+IN_PLANE = "in-plane angle"
+"""Name of a direction in the plane of a flat array."""
+
+
+class Component(NamedTuple):
+    """A coordinate or angle of all rows: its name and unit, and values, errors and standard deviations (n,) in it."""
+
+    name: str
+    unit: str
+    values: np.ndarray
+    errors: np.ndarray
+    sigmas: np.ndarray
+
+
+@dataclass(frozen=True)
+class ScoredRecording:
+    """The estimates of one recording, sorted by track and time.
+
+    `errors` (n, 3) m, of bearings (n, 2) rad, `miss` (n,) the horizontal error, m, or the angle between the estimated
+    and the true direction, rad, `nees` and `nees_3d` (n,): NaN in rows that are not scored; `nees_3d` is None for
+    bearings. `bounds`: times (t,), s, and bounds (t, 3), m, on the standard deviations; None without. `student_t_dof`:
+    of the noise behind the NIS; None for normal noise, NaN where no tracker is known.
+    """
+
+    folder: RecordingFolder
+    association: Association
+    errors: np.ndarray
+    miss: np.ndarray
+    nees: np.ndarray
+    nees_3d: np.ndarray | None
+    bounds: tuple[np.ndarray, np.ndarray] | None
+    student_t_dof: float | None
+
+    @property
+    def times(self) -> np.ndarray:
+        """The times (n,) of the rows, s."""
+        return float_column(self.association.rows, "t_s")
+
+    @property
+    def zero(self) -> float:
+        """The time, s, from which times are shown: zero, or that of the first reading where they count from 1970."""
+        tables = {name: table for name, table in self.folder.tables.items() if name in MEASUREMENTS}
+        return zero_of(first_time(tables) if tables else float(np.min(self.times, initial=np.inf)))
+
+    @property
+    def angles(self) -> bool:
+        """Whether the estimates are bearings."""
+        return self.errors.shape[1] == 2
+
+    @property
+    def in_plane(self) -> bool:
+        """Whether the estimates are angles in the plane of a flat array."""
+        return self.angles and in_one_plane(float_column(self.association.rows, "azimuth_rad"))
+
+    def sigmas(self) -> np.ndarray:
+        """The reported standard deviations, with shape and unit of `errors`; NaN for a known height."""
+        names = ("std_azimuth_rad", "std_elevation_rad") if self.angles else ("std_x_m", "std_y_m", "std_z_m")
+        sigmas = np.stack([float_column(self.association.rows, name) for name in names], axis=1)
+        sigmas[sigmas == 0] = np.nan
+        return sigmas
+
+    def components(self) -> list[Component]:
+        """x, y and z, m, or azimuth and elevation, °, of all rows; a direction in an array's plane is one angle.
+
+        Heights without a standard deviation, as known ones, are left out.
+        """
+        rows, sigmas = self.association.rows, self.sigmas()
+        if not self.angles:
+            values = [float_column(rows, f"{axis}_m") for axis in "xyz"]
+            found = [
+                Component(a, "m", v, e, s) for a, v, e, s in zip("xyz", values, self.errors.T, sigmas.T, strict=True)
+            ]
+            return found if np.isfinite(sigmas[:, 2]).any() else found[:2]
+        angles, errors, names = directions(rows), self.errors, ["azimuth", "elevation"]
+        if self.in_plane:
+            angle = in_the_plane(angles)
+            turned = angle - in_the_plane(angles - errors)
+            errors, names = (np.pi - (np.pi - turned) % (2 * np.pi))[:, None], [IN_PLANE]
+            angles, sigmas = angle[:, None], sigmas[:, 1:]
+        parts = (np.degrees(part).T for part in (angles, errors, sigmas))
+        return [Component(name, "°", *own) for name, *own in zip(names, *parts, strict=True)]
+
+    @cached_property
+    def rmse(self) -> np.ndarray:
+        """The RMSE of each track (g,), horizontal in m or of the direction in rad; NaN without truth."""
+        squares = self.miss**2
+        known, starts = np.isfinite(squares), self.association.starts
+        total = np.concatenate([[0.0], np.cumsum(np.where(known, squares, 0.0))])
+        count = np.concatenate([[0], np.cumsum(known)])
+        found, rows = total[starts[1:]] - total[starts[:-1]], count[starts[1:]] - count[starts[:-1]]
+        return np.where(rows > 0, np.sqrt(np.maximum(found, 0) / np.maximum(rows, 1)), np.nan)
+
+    @property
+    def overall_rmse(self) -> float:
+        """The RMSE of all rows, in the unit of `rmse`; NaN without truth."""
+        known = self.miss[np.isfinite(self.miss)]
+        return float(np.sqrt(np.mean(known**2))) if len(known) else np.nan
+
+    def worst_first(self) -> list[int]:
+        """The numbers of the tracks from the largest RMSE to the smallest, those without truth last."""
+        order = np.argsort(-np.nan_to_num(self.rmse, nan=-1.0), kind="stable")
+        return [int(k) for k in order]
+
+
+@dataclass(frozen=True)
+class ScoredTracks:
+    """The estimates of all recordings with their errors; `batches`: the trajectories, for their bounds."""
+
+    association: Association
+    folders: Sequence[RecordingFolder]
+    batches: Sequence[TrackerBatch]
+
+    @property
+    def bearing(self) -> bool:
+        """Whether the estimates are bearings, not positions."""
+        return is_bearing(self.association.rows)
+
+    @cached_property
+    def scored(self) -> Scored:
+        """Errors and consistency of the rows with a truth."""
+        return score(self.association, {folder.name: folder.rig.stations for folder in self.folders})
+
+    @cached_property
+    def recordings(self) -> list[ScoredRecording]:
+        """Each recording with its rows; those with figures with their bounds."""
+        rows, scored = self.association.rows, self.scored
+        errors, (miss, nees, nees_3d) = (
+            np.full((len(rows), 2 if self.bearing else 3), np.nan),
+            np.full((3, len(rows)), np.nan),
+        )
+        errors[scored.index], nees[scored.index] = scored.errors, scored.nees
+        miss[scored.index] = np.hypot(*scored.errors[:, :2].T) if scored.angle is None else scored.angle[:, 0]
+        if scored.nees_3d is not None:
+            nees_3d[scored.index] = scored.nees_3d
+        if not self.bearing:
+            errors[~(float_column(rows, "std_z_m") > 0), 2] = np.nan
+        names, found = rows["recording"], []
+        for folder in self.folders:
+            own = (names == folder.name).to_numpy()
+            part = self.association.of_recording(folder.name)
+            spatial = None if scored.nees_3d is None else nees_3d[own]
+            noise = noise_of(folder, self.batches)
+            found.append(ScoredRecording(folder, part, errors[own], miss[own], nees[own], spatial, None, noise))
+        for k in self._drawn(found):
+            if not self.bearing and found[k].association.scored.any():
+                found[k] = replace(found[k], bounds=bounds_of(found[k].folder, self.batches))
+        return found
+
+    @property
+    def drawn(self) -> dict[int, str]:
+        """The numbers of the recordings with figures, and why these: all, or the worst, the median and the best."""
+        return self._drawn(self.recordings)
+
+    def _drawn(self, recordings: Sequence[ScoredRecording]) -> dict[int, str]:
+        return drawn_of(np.array([one.overall_rmse for one in recordings]), self.bearing)
+
+    @property
+    def drawn_words(self) -> str:
+        """The recordings with figures and why these, in a sentence; empty where all have figures."""
+        if self.bearing or len(self.folders) <= DRAWN:
+            return ""
+        chosen = {self.folders[k].name: why for k, why in self.drawn.items()}
+        if not any(chosen.values()):
+            first = f"The figures in files are of the first {len(chosen)} of {len(self.folders)} recordings"
+            return f"{first}: without truth, the worst and the best are unknown."
+        return f"The figures in files are of {', '.join(f'{name} ({why})' for name, why in chosen.items())}."
+
+
+def noise_of(folder: RecordingFolder, batches: Sequence[TrackerBatch]) -> float | None:
+    """The degrees of freedom of the noise behind a recording's NIS, as `ScoredRecording` has them."""
+    own = (batch.tracker for batch in batches if any(one.folder is folder for one in batch.trajectories))
+    tracker = next(own, None)
+    try:
+        nu = math.nan if tracker is None else student_t_dof_of(tracker)
+    except ValueError:
+        return math.nan
+    return None if nu is None else float(np.asarray(nu))
+
+
+def drawn_of(rmse: np.ndarray, angles: bool, most: int = DRAWN) -> dict[int, str]:
+    """The numbers of the recordings or tracks that are drawn, by their RMSE (n,) in m or, of directions, rad, and why.
+
+    All of few; of more than `most` the worst, the median and the best, or the first where fewer than three have a RMSE.
+    """
+    ranked = [int(k) for k in np.argsort(-np.nan_to_num(rmse, nan=-1.0), kind="stable") if np.isfinite(rmse[k])]
+    if len(rmse) <= most or len(ranked) < 3:
+        return dict.fromkeys(range(min(len(rmse), most)), "")
+    unit, scale = ("°", 180 / np.pi) if angles else length_unit(float(rmse[ranked[0]]))
+    chosen = {"worst": ranked[0], "median": ranked[(len(ranked) - 1) // 2], "best": ranked[-1]}
+    return {k: f"{word} of {len(ranked)}, RMSE {scale * rmse[k]:.3g} {unit}" for word, k in chosen.items()}
+
+
+def directions(rows: pl.DataFrame) -> np.ndarray:
+    """The azimuth and elevation (n, 2), rad, of the rows."""
+    return np.stack([float_column(rows, "azimuth_rad"), float_column(rows, "elevation_rad")], axis=1)
+
+
+def in_one_plane(azimuth: np.ndarray) -> bool:
+    """Whether directions with these azimuths (n,), rad, lie in the plane of the array, where each azimuth is ± 90°."""
+    known = azimuth[np.isfinite(azimuth)]
+    return bool(len(known)) and bool(in_plane(known).all())
+
+
+def in_the_plane(angles: np.ndarray) -> np.ndarray:
+    """Directions (n, 2), rad, in the plane of a flat array as angles (n,), rad, from its x axis to its y axis."""
+    azimuth, elevation = angles.T
+    return np.arctan2(np.sin(elevation), np.sin(azimuth) * np.cos(elevation))

@@ -1,0 +1,1 @@
+"""Numbers and tables as words, and what is written to the terminal; imports no other folder of experiments."""

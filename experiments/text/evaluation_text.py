@@ -1,0 +1,227 @@
+"""An evaluation as a table for a terminal and as JSON."""
+
+from __future__ import annotations
+
+import heapq
+import json
+import math
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from rich.table import Table
+
+from experiments.text.tables import compact_table, rendered, width_of
+from experiments.text.wording import Unit, fixed, length_unit, shown_metric
+from trackers.evaluation import Evaluation, Metrics
+from trackers.recordings.atomic import json_text
+
+SHOWN_TRACKS = 10
+"""The most tracks listed per recording: the worst."""
+
+LARGE = 1e4
+"""Values in a table from here on have no digits after the point."""
+
+SHOWN_RECORDINGS = 5
+"""Recordings of an archive that are listed: the worst."""
+
+Line = tuple[list[str], Metrics, str | None]
+"""A row of a table: its labels, its metrics and a style."""
+
+
+class Column(NamedTuple):
+    """Column of a metric: heading, name, factor (None for an error, in the table's unit), digits, and its rank.
+
+    Columns of the highest rank are the first to be left out of a table that is too wide.
+    """
+
+    title: str
+    metric: str
+    scale: float | None = None
+    digits: int = 1
+    rank: int = 0
+
+
+POSITION_COLUMNS = (
+    Column("RMSE", "rmse_m"),
+    Column("median", "median_m", rank=2),
+    Column("p90", "p90_m", rank=3),
+    Column("p95", "p95_m"),
+    Column("p99", "p99_m", rank=3),
+    Column("max", "max_m"),
+    Column("3-D\nRMSE", "rmse_3d_m"),
+    Column("3-D\np95", "p95_3d_m", rank=3),
+)
+BEARING_COLUMNS = (
+    Column("az\nRMSE", "rmse_azimuth_rad"),
+    Column("az\nbias", "bias_azimuth_rad", rank=3),
+    Column("el\nRMSE", "rmse_elevation_rad"),
+    Column("el\nbias", "bias_elevation_rad", rank=3),
+    Column("angle\nRMSE", "rmse_direction_rad", rank=1),
+    Column("angle\nmedian", "median_direction_rad", rank=2),
+    Column("angle\np95", "p95_direction_rad"),
+)
+CONSISTENCY_COLUMNS = (
+    Column("% in\n50 %", "coverage_50", 100.0, 0, rank=1),
+    Column("\n90 %", "coverage_90", 100.0, 0, rank=1),
+    Column("% in\n95 %", "coverage_95", 100.0, 0),
+    Column("\n99 %", "coverage_99", 100.0, 0, rank=1),
+    Column("NEES\n/dof", "nees_ratio", 1.0, 2),
+    Column("NIS\n/dof", "nis_ratio", 1.0, 2, rank=2),
+    Column("NIS r\n0.1 s", "nis_correlation_100ms", 1.0, 2, rank=1),
+    Column("NIS r\n1 s", "nis_correlation_1s", 1.0, 2),
+    Column("NIS r\n5 s", "nis_correlation_5s", 1.0, 2, rank=1),
+    Column("lost\ns", "lost_s", 1.0, 1),
+)
+RANKS = (3, 2, 1, 0)
+
+
+def to_json(evaluation: Evaluation, work: Mapping[str, Any] | None = None) -> str:
+    """All metrics and statements as JSON, missing metrics as null; `work`: those of fastening points, if any."""
+    return json_text(content(evaluation) | ({} if work is None else {"worksteps": work}))
+
+
+def content(evaluation: Evaluation) -> dict[str, Any]:
+    """What evaluation.json holds."""
+    return {
+        "kind": "bearing" if evaluation.bearing else "position",
+        "statements": evaluation.statements,
+        "overall": evaluation.overall,
+        "recordings": evaluation.recordings,
+        "tracks": evaluation.tracks,
+    }
+
+
+def json_pieces(evaluation: Evaluation) -> Iterator[str]:
+    """As `to_json`, of any number of recordings: in pieces, a line for each recording and track."""
+    parts = content(evaluation)
+    rows = {name: parts.pop(name) for name in ("recordings", "tracks")}
+    yield json_text(parts).removesuffix("\n}\n")
+    for name, own in rows.items():
+        yield f',\n  "{name}": ['
+        for k, row in enumerate(own):
+            yield f"{',' if k else ''}\n    {json.dumps(row, ensure_ascii=False, allow_nan=False)}"
+        yield "\n  ]"
+    yield "\n}\n"
+
+
+def to_text(evaluation: Evaluation, width: int = 120) -> str:
+    """The metrics as a table, what they mean, and the excluded rows; the main metrics where `width` holds no more.
+
+    Metrics that no line has are left out.
+    """
+    labels = ["recording", "tag", "station"] if evaluation.bearing else ["recording", "tag"]
+    notes = []
+    if max(Counter(track["recording"] for track in evaluation.tracks).values()) > SHOWN_TRACKS:
+        notes.append(f"At most {SHOWN_TRACKS} tracks per recording are listed, those with the largest p95.")
+    return _text(evaluation, labels, _lines(evaluation, labels), notes, width)
+
+
+def archive_text(evaluation: Evaluation, width: int = 120) -> str:
+    """As `to_text`, of any number of recordings: overall, the medians over recordings, and the worst recordings."""
+    recordings = evaluation.recordings
+    worst = heapq.nlargest(SHOWN_RECORDINGS, recordings, key=partial(_p95, evaluation.bearing))
+    lines: list[Line] = [
+        (["overall"], evaluation.overall, "bold"),
+        ([f"median of {len(recordings)}"], _median(recordings), None),
+        *(([one["recording"]], one, None) for one in worst),
+    ]
+    notes = [f"The {len(worst)} recordings with the largest p95 are listed."]
+    return _text(evaluation, ["recording"], lines, notes, width)
+
+
+def _text(evaluation: Evaluation, labels: Sequence[str], lines: Sequence[Line], notes: list[str], width: int) -> str:
+    every = (BEARING_COLUMNS if evaluation.bearing else POSITION_COLUMNS) + CONSISTENCY_COLUMNS
+    every = tuple(c for c in every if any(shown_metric(metrics, c.metric) is not None for _, metrics, _ in lines))
+    for rank in RANKS:
+        columns = [column for column in every if column.rank <= rank]
+        table = _table(evaluation, columns, labels, lines)
+        if width_of(table) <= width:
+            break
+    return rendered(width, table, *evaluation.statements, *notes, *_notes(evaluation, columns))
+
+
+def _table(evaluation: Evaluation, columns: Sequence[Column], labels: Sequence[str], lines: Sequence[Line]) -> Table:
+    unit, digits = _unit(evaluation)
+    what = "Bearing errors" if evaluation.bearing else "Horizontal and 3-D position errors"
+    table = compact_table(f"{what} in {unit.name}", labels, ["n", *(column.title for column in columns)])
+    for words, metrics, style in lines:
+        cells = []
+        for column in columns:
+            value = shown_metric(metrics, column.metric)
+            scale = column.scale or unit.factor
+            shown = digits if column.scale is None else column.digits
+            cells.append(_cell(None if value is None else value * scale, shown))
+        table.add_row(*words, str(metrics["n"]), *cells, style=style)
+    return table
+
+
+def _cell(value: float | None, digits: int) -> str:
+    """The value with so many digits after the point; of large ones none, and groups of three."""
+    return fixed(value, digits) if value is None or abs(value) < LARGE else f"{value:,.0f}"
+
+
+def _lines(evaluation: Evaluation, labels: Sequence[str]) -> list[Line]:
+    """The table's rows of tracks, recordings and all."""
+    lines: list[Line] = []
+    for recording in evaluation.recordings:
+        tracks = [track for track in evaluation.tracks if track["recording"] == recording["recording"]]
+        lines += [([track[label] for label in labels], track, None) for track in _worst(tracks, evaluation.bearing)]
+        if len(tracks) > 1:
+            blank = [""] * (len(labels) - 2)
+            lines.append(([recording["recording"], f"all {len(tracks)}", *blank], recording, "bold"))
+    if len(evaluation.recordings) > 1:
+        lines.append((["overall", *[""] * (len(labels) - 1)], evaluation.overall, "bold"))
+    return lines
+
+
+def _median(recordings: Sequence[Metrics]) -> Metrics:
+    """The median of each metric over the recordings that have it."""
+    names = [name for name in recordings[0] if name != "recording"]
+    columns = np.array([[one[name] for name in names] for one in recordings], float).T
+    known = {name: column[np.isfinite(column)] for name, column in zip(names, columns, strict=True)}
+    found: Metrics = {name: float(np.median(values)) if len(values) else None for name, values in known.items()}
+    return found | {"n": round(found["n"])}
+
+
+def _worst(tracks: list[Metrics], bearing: bool) -> list[Metrics]:
+    if len(tracks) <= SHOWN_TRACKS:
+        return tracks
+    return sorted(tracks, key=partial(_p95, bearing), reverse=True)[:SHOWN_TRACKS]
+
+
+def _p95(bearing: bool, metrics: Metrics) -> float:
+    """The 95th percentile by which the worst come first; those without truth come last."""
+    found = metrics["p95_direction_rad" if bearing else "p95_m"]
+    return -1.0 if found is None else found
+
+
+def _unit(evaluation: Evaluation) -> tuple[Unit, int]:
+    """The unit of the errors, and their digits after the point."""
+    if evaluation.bearing:
+        return Unit("degrees", 180 / math.pi), 2
+    unit = length_unit(evaluation.overall["rmse_m"])
+    return unit, {"m": 3, "cm": 1, "mm": 2}[unit.name]
+
+
+def _notes(evaluation: Evaluation, columns: Sequence[Column]) -> list[str]:
+    overall, notes = evaluation.overall, []
+    if any(overall[c.metric] is not None for c in columns if c.metric in ("nees_ratio", "nis_ratio")):
+        notes.append(
+            "% in 95 %: of the truth inside the 95 % ellipse. NEES/dof is 1 for correct covariances, above 1 for "
+            "covariances that are too small. NIS/dof is 1 where readings scatter as the tracker's own density of them "
+            "expects, below 1 where they scatter less. NIS r: autocorrelation of NIS, 0 for independent errors."
+        )
+    if evaluation.bearing:
+        notes.append("angle: between the estimated and the true direction.")
+    reasons = {
+        "n_no_estimate": "without an estimate",
+        "n_no_truth": "without truth at their time",
+        "n_hole": "in gaps of the truth",
+    }
+    n_excluded = [f"{overall[name]} {why}" for name, why in reasons.items() if overall[name]]
+    if n_excluded:
+        notes.append(f"Excluded of {overall['n_rows']} rows: {', '.join(n_excluded)}.")
+    return notes

@@ -1,0 +1,217 @@
+"""Numbers, units, intervals, names and lists as text, for tables, pages and plots."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from experiments.text.expectations import Origin, Value
+from trackers.core.wording import counted
+
+MISSING = "–"
+WORDS = {
+    "rmse": "RMSE", "mean": "mean error", "median": "median error", "p90": "90th percentile",
+    "p95": "95th percentile", "p99": "99th percentile", "max": "largest error", "bound": "Cramér–Rao bound",
+    "variance_m2": "variance of the error",
+    "nees_mean": "NEES, 2 expected", "nees_3d_mean": "NEES in 3-D, 3 expected",
+    "nees_ratio": "NEES per degree of freedom, 1 expected",
+    "nees_3d_ratio": "NEES per degree of freedom in 3-D, 1 expected",
+    "sigma_factor": "reported standard deviations too small by a factor of",
+    "sigma_factor_3d": "reported standard deviations too small in 3-D by a factor of",
+    **{f"coverage_{p}": f"inside the {p} % ellipse" for p in (50, 68, 90, 95, 99)},
+    **{f"coverage_{p}_3d": f"inside the {p} % ellipsoid" for p in (50, 68, 90, 95, 99)},
+    "nis_ratio": "NIS per degree of freedom, 1 expected",
+    "nis_correlation_100ms": "autocorrelation of NIS over 0.1 s",
+    "nis_correlation_1s": "autocorrelation of NIS over 1 s",
+    "nis_correlation_5s": "autocorrelation of NIS over 5 s",
+    "nis_inflation_1s": "rows of 1 s with the information of one",
+    "residual_ratio_5s": "residuals' 5 s means, relative to most residuals",
+    "lost_fraction": "rows lost", "losses": "times lost", "diverged": "trajectories lost at least once",
+    "failed": "trajectories without a usable estimate", "us_per_row": "computing time per row",
+}  # fmt: skip
+SUFFIXES = {"3d_m": "in 3-D", "direction_rad": "of direction", "azimuth_rad": "of azimuth",
+            "elevation_rad": "of elevation", "m": "", "rad": "", "m2": "", "s": ""}  # fmt: skip
+PERCENT = ("lost_fraction", "diverged", "failed")
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+class Unit(NamedTuple):
+    """The unit in which a metric is shown, and the factor to it from the stored one."""
+
+    name: str
+    factor: float
+
+
+NO_UNIT = Unit("", 1.0)
+
+
+def shown_metric(metrics: Mapping[str, Any], name: str) -> float | None:
+    """A metric of a recording or track; None without it, and of errors in 3-D where the height is given, not estimated.
+
+    A given height has no covariance, and its error is not the tracker's.
+    """
+    given = metrics.get("nees_3d_ratio") is None and metrics.get("nees_ratio") is not None
+    return None if given and "_3d" in name else metrics.get(name)
+
+
+def length_unit(size: float) -> Unit:
+    """The customary unit of lengths of about `size` metres."""
+    if size >= 1.0 or not math.isfinite(size):
+        return Unit("m", 1.0)
+    return Unit("cm", 100.0) if size >= 0.01 else Unit("mm", 1000.0)
+
+
+def unit_of(metric: str, values: Iterable[float]) -> Unit:
+    """The customary unit of a metric of this name and these sizes."""
+    known = [abs(v) for v in values if math.isfinite(v)]
+    if metric in PERCENT or metric.startswith("coverage_") or metric.endswith("_share"):
+        return Unit("%", 100.0)
+    if metric.endswith("_rad"):
+        return Unit("°", float(np.rad2deg(1.0)))
+    if metric.endswith("_m2"):
+        return Unit("cm²", 1e4)
+    if metric.endswith("_m"):
+        return length_unit(float(np.median(known)) if known else math.nan)
+    if metric == "us_per_row":
+        return Unit("µs", 1.0)
+    return Unit("s" if metric.endswith("_s") else "", 1.0)
+
+
+def units_of(values: Mapping[str, Sequence[float]]) -> dict[str, Unit]:
+    """The units of metrics shown side by side: all lengths in that of the first."""
+    units = {metric: unit_of(metric, numbers) for metric, numbers in values.items()}
+    lengths = [metric for metric in units if metric.endswith("_m")]
+    return units | dict.fromkeys(lengths, units[lengths[0]] if lengths else NO_UNIT)
+
+
+def heading(metric: str, unit: Unit = NO_UNIT, space: str = " ") -> str:
+    """A metric's name in words, with the unit where it has one."""
+    return _name(metric) + (f",{space}{unit.name}" if unit.name else "")
+
+
+def _name(metric: str) -> str:
+    if metric in WORDS:
+        return WORDS[metric]
+    what, _, suffix = metric.partition("_")
+    if what in WORDS and suffix in SUFFIXES:
+        return f"{WORDS[what]} {SUFFIXES[suffix]}".strip()
+    for ending, words in SUFFIXES.items():
+        if metric.endswith(f"_{ending}"):
+            return f"{_spaced(metric[: -len(ending) - 1])} {words}".strip()
+    return _spaced(metric.removesuffix("_share"))
+
+
+def _spaced(name: str) -> str:
+    return " ".join("RMSE" if word == "rmse" else word for word in name.split("_"))
+
+
+def number(value: float) -> str:
+    """Four significant digits with a true minus sign; a dash for NaN and infinities."""
+    if not math.isfinite(value):
+        return MISSING
+    text = f"{value:.4g}"
+    if "e" in text:
+        mantissa, exponent = text.split("e")
+        text = f"{mantissa}·10{str(int(exponent)).translate(SUPERSCRIPTS)}"
+    return text.replace("-", "−")
+
+
+def fixed(value: float | None, digits: int) -> str:
+    """So many digits after the point, never −0; a dash for None and NaN."""
+    return MISSING if value is None or math.isnan(value) else f"{round(value, digits) + 0.0:.{digits}f}"
+
+
+def rounded(value: float, spread: float) -> str:
+    """The digits that the spread of the value justifies, two or three where it is unknown."""
+    if not math.isfinite(value):
+        return MISSING
+    if value == 0:
+        return "0"
+    size = spread / 2 if math.isfinite(spread) and spread > 0 else abs(value) / 10
+    digits = min(max(1 - math.floor(math.log10(size) + 0.5), 0), 6)
+    return f"{value:.{digits}f}"
+
+
+def with_interval(value: Value, unit: Unit = NO_UNIT) -> str:
+    """A metric with its interval; alone where the interval is unknown or empty after rounding."""
+    scaled = value.times(unit.factor)
+    spread = scaled.high - scaled.low
+    low, high = rounded(scaled.low, spread), rounded(scaled.high, spread)
+    if not math.isfinite(spread) or low == high:
+        return rounded(scaled.value, math.nan)
+    return f"{rounded(scaled.value, spread)} ({low} … {high})"
+
+
+def fixed_interval(value: Value, form: str, unit: str = "") -> str:
+    """A value and its interval by a number format such as `+.1f`, the unit after the value."""
+    return f"{value.value:{form}}{unit} ({value.low:{form}} … {value.high:{form}})"
+
+
+def listed(values: Mapping[str, float | Value], form: str) -> str:
+    """Names with their values, which are formatted by a text such as `{:.1f} cm`."""
+    plain = {name: v.value if isinstance(v, Value) else v for name, v in values.items()}
+    return ", ".join(f"{name} {form.format(v)}" for name, v in plain.items())
+
+
+def percent_change(before: float, after: float) -> str:
+    """The relative change in per cent with its sign; empty where it is undefined."""
+    if not (math.isfinite(before) and math.isfinite(after) and before > 0):
+        return ""
+    change = 100 * (after / before - 1)
+    digits = 0 if abs(change) >= 10 else 1
+    return f"{change:+.{digits}f} %".replace("-", "−")
+
+
+def duration(seconds: float) -> str:
+    """Seconds, minutes or hours with one digit after the point."""
+    if seconds < 120:
+        return f"{seconds:.1f} s"
+    return f"{seconds / 60:.1f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
+
+
+def figures_drawn(names: Sequence[str]) -> str:
+    """The number of figures and the names of the first four."""
+    return f"{counted(len(names), 'figure')} ({', '.join(names[:4])}{', …' if len(names) > 4 else ''})"
+
+
+def yes_no(value: bool | None) -> str:
+    """yes, no, or nothing where it is unknown."""
+    return "" if value is None else "yes" if value else "no"
+
+
+def uncapitalised(text: str) -> str:
+    """The text for the middle of a sentence; an abbreviation at its beginning stays in capitals."""
+    return text if text[:2].isupper() else text[0].lower() + text[1:]
+
+
+def headline(numbers: Iterable[tuple[str, bool | None]], conclusions: Iterable[tuple[str, bool]]) -> str:
+    """How many numbers and conclusions are predicted, fitted and derived, and how many of them are reached or hold.
+
+    `numbers`: origin, and whether the number is reached, None where it is not judged. `conclusions`: origin, and
+    whether they hold.
+    """
+    judged, stated = [n for n in numbers if n[1] is not None or n[0] == Origin.DERIVED], list(conclusions)
+    sentences = []
+    for origin in reversed(Origin):
+        ours = [bool(reached) for o, reached in judged if o == origin]
+        held = [holds for o, holds in stated if o == origin]
+        parts = [counted(len(ours), "number")] if ours else []
+        parts += [counted(len(held), "conclusion")] if held else []
+        if origin is Origin.DERIVED:
+            sentences += [f"Derived, not counted: {', '.join(parts)}."] if parts else []
+            continue
+        if ours:
+            parts[0] = f"{sum(ours)} of {parts[0]} within tolerance"
+        if held:
+            parts[-1] = f"{sum(held)} of {parts[-1]} {'holds' if sum(held) == 1 else 'hold'}"
+        if parts or origin is Origin.PREDICTED:
+            sentences.append(f"{origin.capitalize()}: {'; '.join(parts) or 'nothing'}.")
+    return " ".join(sentences)
+
+
+def ratio_text(ratio: float, compares_rest: bool) -> str:
+    """The ratio of our number to the printed one; marked where it is that of what two shares leave over."""
+    return f"{ratio:.2f} (rest)" if compares_rest else f"{ratio:.2f}"

@@ -1,0 +1,318 @@
+"""`track` and `evaluate` on an archive: one table of results, faults cost their own line, the next run continues."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import shutil
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+
+import numpy as np
+import polars as pl
+import pytest
+
+from experiments.cli.archives import part, runner
+from experiments.cli.archives.store import RecordingStore
+from experiments.jobs.environment import environment
+from experiments.jobs.executors import WorkerExecutor
+from experiments.pages.plots import track_folder
+from tests.experiments.cli.archives.small_archive import recording, write_archive
+from tests.in_process import assert_refused, trackwright
+from trackers.catalogue import build
+from trackers.evaluation import evaluate
+from trackers.recordings.beside import held
+from trackers.recordings.folder import read_recording, write_recording
+
+COUNT = 30
+BROKEN, FAILING = (3, 11, 12), 20
+"""Numbers of the recordings that cannot be read, and of the one that fails while it is tracked."""
+
+ALONE = ("--no-figures", "--no-report")
+TABLES = ("tracks.parquet", "events.parquet", "evaluation.json", "results.csv", "recordings.txt")
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory):
+    """Thirty recordings in three folders; three of them are broken, each in its own way."""
+    folder = tmp_path_factory.mktemp("archive")
+    paths = write_archive(folder, COUNT)
+    (paths[3] / "rig.toml").unlink()
+    (paths[11] / "rig.toml").write_bytes(bytes(range(256)))
+    table = (paths[12] / "fixes.parquet").read_bytes()
+    (paths[12] / "fixes.parquet").write_bytes(table[: len(table) // 2])
+    return folder
+
+
+@pytest.fixture(scope="module", autouse=True)
+def begun():
+    """The names of the recordings that are tracked; that of number `FAILING` fails."""
+    names, events_of = [], part.events_of
+
+    def failing(tracks, *rest):
+        names.append(tracks["recording"][0])
+        if names[-1] == f"walk-{FAILING}":
+            raise MemoryError("no memory is left")
+        return events_of(tracks, *rest)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(part, "events_of", failing)
+        yield names
+
+
+@pytest.fixture(scope="module")
+def whole(archive, begun, tmp_path_factory):
+    """A run that nothing interrupts, and its output folder."""
+    out = tmp_path_factory.mktemp("whole") / "out"
+    return trackwright("track", archive, *ALONE, "--out", out), out
+
+
+def _bytes(out):
+    return {name: (out / name).read_bytes() for name in TABLES}
+
+
+def _results(out):
+    return pl.read_csv(out / "results.csv")
+
+
+def test_a_broken_folder_costs_its_own_line_and_never_the_rest(archive, whole):
+    done, out = whole
+    assert done.code == 1, done.err
+    results = _results(out)
+    assert len(results) == COUNT
+    refused = results.filter(pl.col("refused").is_not_null())
+    named = [*BROKEN, FAILING]
+    assert refused["path"].to_list() == [str(archive / f"day-{k // 10}" / f"walk-{k:02d}") for k in named]
+    listed = [line for line in done.err.splitlines() if line.startswith("not tracked: ")]
+    assert listed.pop(0) == f"not tracked: 4 of {COUNT} recordings"
+    assert listed == [f"not tracked: {line}" for line in refused["refused"]]
+    for line, word in zip(listed, ("rig.toml", "rig.toml", "fixes.parquet", "MemoryError"), strict=True):
+        assert word in line
+    ok = results.filter(pl.col("refused").is_null())
+    assert set(ok["tracker"]) == {"fix-kf"}
+    assert set(ok["endings"]) == {"ok 1"}
+
+
+def test_the_tables_are_those_of_each_recording_alone(archive, whole):
+    _, out = whole
+    paths = [path for path in sorted(archive.glob("*/*")) if not path.name.endswith(("03", "11", "12", "20"))]
+    folders = [read_recording(path) for path in paths]
+    alone = [build("fix-kf", folder).run(folder) for folder in folders]
+    assert pl.read_parquet(out / "tracks.parquet").equals(pl.concat([one.table for one in alone]))
+    found = json.loads((out / "evaluation.json").read_text())
+    assert found["recordings"] == [evaluate(*pair).recordings[0] for pair in zip(alone, folders, strict=True)]
+    (kept,) = (out / "recordings").glob("walk-05-*/fix-kf")
+    assert pl.read_parquet(kept / "tracks.parquet").equals(alone[4].table)
+    assert trackwright("evaluate", kept).code == 0
+
+
+def test_few_lines_are_printed_of_any_number_of_recordings(whole):
+    done, out = whole
+    assert "fix-kf: 26 tracks of 26 recordings: 26 ok" in done.out
+    assert "median of 26" in done.out
+    listed = [line.split()[0] for line in done.out.splitlines() if line.startswith(" walk-")]
+    assert listed == _results(out).sort("p95_m", descending=True, nulls_last=True)["recording"].to_list()[:5]
+
+
+def test_the_same_command_continues_after_an_end_at_any_moment(archive, whole, begun, tmp_path, monkeypatch):
+    _, expected = whole
+    write, written = RecordingStore.write, []
+
+    def ends(store, item, found):
+        if len(written) == 10:
+            raise KeyboardInterrupt
+        written.append(item.path)
+        write(store, item, found)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(RecordingStore, "write", ends)
+        assert trackwright("track", archive, *ALONE, "--out", tmp_path).code == 130
+    assert not (tmp_path / "results.csv").exists()
+    del begun[:]
+    done = trackwright("track", archive, *ALONE, "--out", tmp_path)
+    assert done.code == 1
+    assert not {path.name for path in written} & set(begun)
+    assert len(begun) == COUNT - len(BROKEN) - 10
+    assert _bytes(tmp_path) == _bytes(expected)
+
+
+def test_the_page_of_an_archive_has_the_truth_and_the_errors_of_the_recordings_shown(tmp_path):
+    write_archive(tmp_path / "archive", 2)
+    out = tmp_path / "out"
+    assert trackwright("track", tmp_path / "archive", "--keep-going", "--no-figures", "--out", out).code == 0
+    text = (out / "report.html").read_text()
+    held = json.loads(re.search(r'<script type="application/json" id="data">(.*?)</script>', text, re.DOTALL)[1])
+    (run,) = held["runs"]
+    assert len(run["recordings"]) == 2
+    for one in run["recordings"]:
+        errors = one["columns"]["e0"]
+        assert np.isfinite(np.frombuffer(base64.b64decode(errors["bdata"]), "<" + errors["dtype"])).any()
+
+
+def test_what_changed_is_tracked_again_and_nothing_else(tmp_path, begun):
+    paths, out = write_archive(tmp_path / "archive", 4), tmp_path / "out"
+
+    def tracked_again(*options):
+        del begun[:]
+        assert trackwright("track", tmp_path / "archive", *ALONE, *options, "--out", out).code == 0
+        return sorted(begun)
+
+    names = [path.name for path in paths]
+    assert tracked_again() == names
+    assert tracked_again() == []
+    (paths[1] / "rig.toml").write_text((paths[1] / "rig.toml").read_text() + '\nabout = "moved"\n')
+    assert tracked_again() == ["walk-01"]
+    (kept,) = (out / "recordings").glob("walk-02-*/fix-kf/tracks.parquet")
+    kept.write_bytes(kept.read_bytes()[:-100])
+    (marker,) = (out / "recordings").glob("walk-03-*/tracked.json")
+    marker.write_text("{")
+    assert tracked_again() == ["walk-02", "walk-03"]
+    assert tracked_again("--set", "motion.sigma_a=0.7") == names
+    shutil.rmtree(paths[0])
+    assert tracked_again("--set", "motion.sigma_a=0.7") == []
+    assert set(pl.read_parquet(out / "tracks.parquet")["recording"]) == set(names[1:])
+
+
+def test_estimates_are_scored_again_recording_by_recording(tmp_path, monkeypatch):
+    paths, out = write_archive(tmp_path / "archive", 4), tmp_path / "out"
+    assert trackwright("track", tmp_path / "archive", *ALONE, "--out", out).code == 0
+    tracked = json.loads((out / "evaluation.json").read_text())
+    done = trackwright("evaluate", out, "--json", "--fail-if", "rmse_m > 10")
+    assert done.code == 0, done.err
+    again = json.loads(done.out)["fix-kf"]
+    for own in (again, tracked):
+        for one in (own["overall"], *own["recordings"]):
+            del one["residual_ratio_5s"]
+    assert again == tracked
+    with monkeypatch.context() as patched:
+        patched.setattr(part, "score", None)
+        refused = trackwright("evaluate", out, "--every", 2, "--fail-if", "rmse > 10")
+    assert_refused(refused, "no metric 'rmse' (did you mean rmse_m?)")
+    failed = trackwright("evaluate", out, "--every", 1, "--fail-if", "rmse_m > 0.001")
+    assert failed.code == 1
+    assert "fails: fix-kf: rmse_m is " in failed.err
+    assert set(_results(out)["n"]) == {4}
+    (paths[2] / "truth.parquet").unlink()
+    scored, score = [], part.score
+    monkeypatch.setattr(part, "score", lambda *rest: scored.append(1) or score(*rest))
+    done = trackwright("evaluate", out, "--every", 1)
+    assert done.code == 1
+    assert "not evaluated: " in done.err
+    assert "no truth table" in done.err
+    assert not scored
+    assert _results(out)["refused"].is_not_null().to_list() == [False, False, True, False]
+    assert_refused(trackwright("evaluate", out, "--truth", paths[0]), "is an archive")
+
+
+def test_several_trackers_have_a_folder_each_and_one_table_of_results(tmp_path):
+    write_archive(tmp_path / "archive", 3)
+    options = ("--tracker", "fix-kf,uwb,median", "--no-figures", "--json")
+    done = trackwright("track", tmp_path / "archive", *options, "--out", tmp_path / "out")
+    assert done.code == 1
+    assert list(json.loads(done.out)) == ["fix-kf", "median"]
+    assert done.err.count("tracker 'uwb' needs") == 3
+    results = _results(tmp_path / "out")
+    assert results["tracker"].to_list() == ["fix-kf", "median", None] * 3
+    for name in ("fix-kf", "median"):
+        assert (tmp_path / "out" / name / "report.html").is_file()
+    assert "lowest RMSE in" in (tmp_path / "out" / "comparison.html").read_text()
+    done = trackwright("evaluate", tmp_path / "out")
+    assert done.code == 0
+    assert "Medians over the 3 recordings that all trackers have." in done.out
+    none = trackwright("track", tmp_path / "archive", "--tracker", "uwb", "--out", tmp_path / "none")
+    assert none.code == 2
+    assert none.out == ""
+    assert [line.partition(": ")[0] for line in none.err.splitlines()] == ["not tracked", "not tracked", "trackwright"]
+
+
+def test_page_and_figures_are_of_the_worst_the_median_and_the_best(tmp_path, monkeypatch):
+    write_archive(tmp_path / "archive", 7)
+    drawn = []
+    monkeypatch.setattr(track_folder, "plot_tracks", lambda out, tracks, kind: drawn.append(tracks) or [])
+    assert trackwright("track", tmp_path / "archive", "--out", tmp_path / "out").code == 0
+    ranked = _results(tmp_path / "out").sort("rmse_m", descending=True)["recording"].to_list()
+    (tracks,) = drawn
+    assert [folder.name for folder in tracks.folders] == [ranked[k] for k in (0, 3, 6)]
+    assert tracks.drawn_words == ""
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert '"recordingCount":7' in page.replace(" ", "")
+    assert [name for name in ranked if f'"name":"{name}"' in page.replace('": "', '":"')] == [
+        ranked[k] for k in (0, 3, 6)
+    ]
+
+
+def test_a_name_stands_for_one_recording(tmp_path):
+    for k, name in enumerate(("same", "other", "same")):
+        write_recording(recording(name, k), tmp_path / "archive" / f"r{k}")
+    done = trackwright("track", tmp_path / "archive", *ALONE, "--out", tmp_path / "out")
+    assert done.code == 1
+    assert "r2: is named 'same', as is " in done.err
+    assert _results(tmp_path / "out")["recording"].to_list() == ["same", "other", None]
+
+
+def test_names_of_any_characters_cost_their_own_line(tmp_path):
+    paths = write_archive(tmp_path / "archive", 3)
+    odd = paths[1].with_name(b"\xff\n\x1b[2J".decode("utf-8", "surrogateescape"))
+    paths[1].rename(odd)
+    (paths[2] / b"\xff.csv".decode("utf-8", "surrogateescape")).write_text("a,b\n1,2\n")
+    done = trackwright("track", tmp_path / "archive", *ALONE, "--out", tmp_path / "out")
+    assert done.code == 1
+    assert done.err.count("control character or bytes that are no UTF-8 in its name") == 1
+    assert "not tracked: 1 of 3 recordings\n" in done.err
+    assert _results(tmp_path / "out")["recording"].to_list().count(None) == 1
+    assert trackwright("evaluate", tmp_path / "out").code == 0
+    assert _results(tmp_path / "out")["notices"].str.contains("not one of the tables").sum() == 1
+
+
+def test_a_second_command_on_the_same_output_is_refused(tmp_path):
+    write_archive(tmp_path / "archive", 2)
+    out = tmp_path / "out"
+    assert trackwright("track", tmp_path / "archive", *ALONE, "--out", out).code == 0
+    with held(out):
+        assert_refused(trackwright("track", tmp_path / "archive", *ALONE, "--out", out), "another command writes to it")
+        assert_refused(trackwright("evaluate", out), "another command writes to it")
+
+
+def test_settings_that_fit_no_recording_name_each(tmp_path):
+    paths = write_archive(tmp_path / "archive", 2)
+    done = trackwright("track", tmp_path / "archive", *ALONE, "--set", "nothing=1", "--out", tmp_path / "out")
+    assert done.code == 2
+    assert [str(path) in line for path, line in zip(paths[::-1], done.err.splitlines(), strict=True)] == [True, True]
+    assert_refused(
+        trackwright("track", tmp_path / "out", *ALONE, "--out", tmp_path / "o"), "neither rig.toml nor a table"
+    )
+
+
+class KilledWorker(Exception):  # noqa: N818 - the name in Dask
+    """That of Dask."""
+
+
+@contextmanager
+def _elsewhere(cluster):
+    """Workers as those of a cluster, in threads; one recording ends every worker that tracks it."""
+
+    class Deadly(WorkerExecutor):
+        def submit(self, function, path, *rest):
+            if path.name == "walk-01":
+                ended = Future()
+                ended.set_exception(KilledWorker("walk-01"))
+                return ended
+            return super().submit(function, path, *rest)
+
+    with ThreadPoolExecutor(2) as threads:
+        yield Deadly(threads, environment())
+
+
+def test_a_cluster_computes_the_same_bits_and_a_recording_that_ends_workers_costs_its_own_line(tmp_path, monkeypatch):
+    write_archive(tmp_path / "archive", 4)
+    assert trackwright("track", tmp_path / "archive", *ALONE, "--out", tmp_path / "here").code == 0
+    monkeypatch.setattr(runner, "cluster_executor", _elsewhere)
+    on = ("--cluster", "tcp://elsewhere:8786")
+    done = trackwright("track", tmp_path / "archive", *ALONE, "--out", tmp_path / "there", *on)
+    assert done.code == 1
+    assert "walk-01: its workers ended" in done.err
+    here, there = (pl.read_parquet(tmp_path / name / "tracks.parquet") for name in ("here", "there"))
+    assert there.equals(here.filter(pl.col("recording") != "walk-01"))
+    assert trackwright("evaluate", tmp_path / "there", *on).code == 0
+    assert _results(tmp_path / "there")["refused"].is_not_null().to_list() == [False, True, False, False]

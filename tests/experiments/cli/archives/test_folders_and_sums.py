@@ -1,0 +1,128 @@
+"""Which folders make an archive, and metrics from sums over rows beside those of all rows at once."""
+
+from __future__ import annotations
+
+import dataclasses
+import errno
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from experiments.cli.archives.folders import MANY, archive_of, recordings_under
+from experiments.cli.archives.rows import BLOCK, Rows
+from experiments.cli.archives.sums import added, from_plain, metrics_of, plain, sums_of
+from experiments.text.evaluation_text import content, json_pieces, to_json
+from sim import worlds
+from tests.experiments.cli.archives.small_archive import recording
+from trackers.catalogue import build
+from trackers.core.errors import UnusableInput
+from trackers.evaluation import Evaluation, evaluate
+from trackers.recordings.association import associate_truth
+from trackers.recordings.atomic import json_text
+from trackers.scoring import score
+
+PERCENTILES = ("median", "p90", "p95", "p99", "sigma_factor")
+
+
+def _touch(folder, *names):
+    for name in names:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).touch()
+
+
+def test_folders_of_folders_many_recordings_and_keep_going_make_an_archive(tmp_path):
+    _touch(tmp_path, "a/rig.toml", "a/old/rig.toml", "b/deep/ranges.csv.gz", "b/notes.csv", ".c/rig.toml", "d/x.txt")
+    (tmp_path / "b" / "loop").symlink_to(tmp_path)
+    found = [tmp_path / "a", tmp_path / "b" / "deep"]
+    assert recordings_under(tmp_path) == found
+    assert archive_of([tmp_path], False) == found
+    assert archive_of(found, False) is None
+    assert archive_of(found, True) == found
+    assert archive_of([tmp_path / "d"], False) is None
+    many = [tmp_path / f"r{k}" for k in range(MANY + 1)]
+    assert archive_of(many[1:], False) is None
+    assert archive_of(many, False) == many
+    with pytest.raises(UnusableInput, match="more than once"):
+        archive_of([tmp_path, tmp_path / "a"], False)
+
+
+def test_a_folder_that_cannot_be_opened_is_a_recording_that_cannot_be_read(tmp_path, monkeypatch):
+    _touch(tmp_path, "a/rig.toml", "shut/b/rig.toml")
+    scandir = os.scandir
+
+    def refusing(path):
+        if Path(path).name == "shut":
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        return scandir(path)
+
+    monkeypatch.setattr(os, "scandir", refusing)
+    assert recordings_under(tmp_path) == [tmp_path / "a", tmp_path / "shut"]
+
+
+def test_rows_are_those_appended_whatever_a_block_lacks():
+    given = [{"recording": f"r{k}", "n": k, "rmse_m": None if k < BLOCK else 0.1 * k} for k in range(2 * BLOCK + 3)]
+    given[-1]["tag"] = "T"
+    rows = Rows()
+    for row in given:
+        rows.append(row)
+    assert len(rows) == len(given)
+    assert list(rows) == [{"tag": None} | row for row in given]
+    assert rows[BLOCK] == rows[BLOCK : BLOCK + 1][0] == {"tag": None} | given[BLOCK]
+
+
+def test_pieces_of_json_are_that_of_the_whole():
+    folder = recording("\u00e9 \u2028", 0)
+    whole = evaluate(build("fix-kf", folder).run(folder), folder)
+    kept = Evaluation(
+        whole.bearing, whole.overall, *(Rows(pl.DataFrame(rows)) for rows in (whole.recordings, whole.tracks))
+    )
+    text = "".join(json_pieces(kept))
+    assert json.loads(text) == json.loads(to_json(whole)) == json.loads(json_text(content(kept)))
+    assert sum(line.startswith('    {"recording"') for line in text.split("\n")) == 2
+
+
+def _bearings(folder, rng):
+    truth = folder.tables["truth"]
+    columns = ("azimuth_rad", "elevation_rad", "std_azimuth_rad", "std_elevation_rad")
+    tables = [
+        pl.DataFrame({"recording": [folder.name] * len(truth), "tag": truth["tag"], "station": [name] * len(truth)})
+        .with_columns(t_s=truth["t_s"], nis=pl.lit(1.5), nis_dof=pl.lit(2.0), status=pl.lit("ok"))
+        .with_columns(**{column: rng.uniform(0.1, 0.3, len(truth)) for column in columns})
+        for name in folder.rig.stations
+    ]
+    return pl.concat(tables)
+
+
+@pytest.mark.parametrize(("bearing", "rows"), [(False, 400), (False, 800), (False, 4), (True, 200)])
+def test_metrics_from_sums_are_those_of_all_rows_at_once(bearing, rows):
+    if bearing:
+        rng = np.random.default_rng(2)
+        folders = [dataclasses.replace(worlds.station(1, k, rows=rows).folder(), name=f"r{k}") for k in range(3)]
+        tables = [_bearings(folder, rng) for folder in folders]
+    else:
+        folders = [recording(f"r{k}", k, rows=rows) for k in range(3)]
+        tables = [build("fix-kf", folder).run(folder).table for folder in folders]
+    parts = []
+    for folder, table in zip(folders, tables, strict=True):
+        association = associate_truth(table, {folder.name: folder.tables["truth"]})
+        parts.append(sums_of(association, score(association, {folder.name: folder.rig.stations})))
+    found = metrics_of(added([from_plain(plain(part)) for part in parts]))
+    expected = evaluate(pl.concat(tables), folders).overall
+    assert list(found) == list(expected)
+    for name, value in expected.items():
+        # Three recordings of 800 rows have more than `EXACT` rows together, though none alone.
+        tolerance = 0.01 if rows == 800 and name.startswith(PERCENTILES) else 1e-12
+        assert found[name] == (value if value is None else pytest.approx(value, rel=tolerance, abs=1e-15)), name
+
+
+def test_metrics_without_a_scored_row_have_no_value():
+    folder = recording("r", 0)
+    association = associate_truth(build("fix-kf", folder).run(folder).table, {})
+    found = metrics_of(sums_of(association, score(association)))
+    assert (found["n"], found["n_no_truth"]) == (0, 40)
+    assert {found[name] for name in ("rmse_m", "p95_m", "max_m", "bias_x_m", "coverage_95", "sigma_factor")} == {None}
+    assert found["nis_ratio"] > 0

@@ -1,0 +1,144 @@
+"""Parts of a command on workers: what they return, in which order, and which workers are refused."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from threading import Event
+
+import pytest
+
+from experiments.jobs.environment import environment
+from experiments.jobs.executors import WorkerExecutor, cluster_executor, finished
+from tests.experiments.monte_carlo.small_study import TOML
+from tests.faults.workers import workers
+from tests.in_process import assert_refused, trackwright
+from trackers.core.errors import UnusableInput
+
+
+def test_parts_come_as_they_finish_and_few_are_submitted_at_once():
+    submitted = []
+    with ThreadPoolExecutor(2) as threads:
+
+        def submit(item):
+            submitted.append(item)
+            return threads.submit(math.factorial, item)
+
+        parts = finished(submit, range(20), at_once=3)
+        first = next(parts)
+        assert len(submitted) == 3
+        assert sorted([first, *parts]) == [(k, math.factorial(k)) for k in range(20)]
+
+
+WAITS = """
+from concurrent.futures import Future
+import polars
+from experiments.jobs.executors import finished
+polars.LazyFrame({"a": [1]}).collect()
+print("waits", flush=True)
+list(finished(lambda item: Future(), [0]))
+"""
+
+
+def test_ctrl_c_ends_a_wait_for_a_part_that_never_ends():
+    with subprocess.Popen([sys.executable, "-c", WAITS], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as waiting:
+        assert waiting.stdout.readline() == b"waits\n"
+        time.sleep(0.5)
+        waiting.send_signal(signal.SIGINT)
+        try:
+            assert b"KeyboardInterrupt" in waiting.communicate(timeout=20)[1]
+        finally:
+            waiting.kill()
+
+
+def test_parts_that_have_not_begun_are_cancelled_where_one_fails():
+    release, run = Event(), []
+
+    def part(item):
+        if item == 0:
+            raise UnusableInput("the first part")
+        release.wait(10)
+        run.append(item)
+
+    with ThreadPoolExecutor(1) as threads:
+        with pytest.raises(UnusableInput, match="the first part"):
+            list(finished(lambda item: threads.submit(part, item), range(5), at_once=5))
+        release.set()
+    assert len(run) <= 1
+
+
+def test_a_worker_of_another_environment_computes_nothing():
+    for key in ("trackwright", "jax", "XLA flags", "device", "vector instructions"):
+        with ThreadPoolExecutor(1) as threads:
+            part = WorkerExecutor(threads, environment() | {key: "another"}).submit(pytest.fail, "was computed")
+            with pytest.raises(UnusableInput, match=rf"worker on .*: {key}: .* expected as here: another") as refused:
+                part.result()
+        assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("cluster", "words"),
+    [
+        ("local:0", ("--cluster local:0", "local:4", "tcp://HOST:8786")),
+        ("four", ("--cluster four",)),
+        ("tcp://127.0.0.1:9", ("no scheduler answers", "dask scheduler")),
+    ],
+)
+def test_a_cluster_that_is_none_is_refused_in_one_line(tmp_path, monkeypatch, cluster, words):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("experiments.jobs.executors.CONNECT_S", 0.2)
+    file = tmp_path / "small.toml"
+    file.write_text(TOML)
+    result = trackwright("study", file, "--out", tmp_path / "out", "--cluster", cluster)
+    assert result.code == 2
+    for word in words:
+        assert word in result.err.splitlines()[-1]
+
+
+def test_processes_that_end_while_they_start_are_refused_in_one_line(monkeypatch):
+    distributed = pytest.importorskip("distributed")
+
+    def ended(**options):
+        raise RuntimeError("Nanny failed to start.")
+
+    monkeypatch.setattr(distributed, "LocalCluster", ended)
+    with pytest.raises(UnusableInput, match="local:2: a process ended while it started"), cluster_executor("local:2"):
+        pytest.fail("was connected")
+
+
+def test_a_worker_with_another_version_is_refused_before_it_computes(tmp_path):
+    distributed = pytest.importorskip("distributed")
+    other = "import experiments.jobs.environment\nexperiments.jobs.environment._version = lambda name: '0.0.1'\n"
+    file = tmp_path / "small.toml"
+    file.write_text(TOML)
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, preload=other, dashboard_address=":0") as started:
+        address = started.scheduler_address
+        with pytest.raises(UnusableInput, match="trackwright: 0.0.1"), cluster_executor(address):
+            pytest.fail("was connected")
+        result = trackwright("study", file, "--out", tmp_path / "out", "--cluster", address)
+    assert_refused(result, "worker tcp://", "trackwright: 0.0.1", "expected as here: ")
+    assert not [*(tmp_path / "out").glob("chunks/*")]
+
+
+@pytest.mark.slow
+def test_a_local_worker_that_ends_twice_within_seconds_is_replaced():
+    dask = pytest.importorskip("dask")
+    pytest.importorskip("distributed")
+    # Dask gives up a worker that is not there this long after it was lost, though it may be starting a second time.
+    given_up_s = 6.0
+    with (
+        dask.config.set({"distributed.deploy.lost-worker-timeout": f"{given_up_s} s"}),
+        cluster_executor("local:1") as executor,
+    ):
+        began = time.monotonic()
+        for at_s in (0.0, given_up_s - 0.2):
+            time.sleep(max(0.0, began + at_s - time.monotonic()))
+            (worker,) = workers()
+            os.kill(worker, signal.SIGKILL)
+        time.sleep(1.0)
+        assert executor.submit(math.factorial, 5).result(60) == 120

@@ -1,0 +1,142 @@
+"""The chunks of a fit with workers: the bits of those held here, what travels, and what is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import pickle
+import shutil
+import signal
+import sys
+
+import equinox as eqx
+import numpy as np
+import pytest
+
+from experiments.jobs.environment import environment
+from experiments.jobs.executors import cluster_client
+from experiments.jobs.held_parts import FitWorkers, HeldParts
+from sim import worlds
+from tests.catalogue import CASES
+from tests.held_here import Client
+from trackers.catalogue import build
+from trackers.core.errors import UnusableInput
+from tuning.data import fit_data
+from tuning.parameters import flatten, select_parameters
+from tuning.parts import LocalParts
+from tuning.problem import Problem
+from tuning.unstacked import Pieces
+
+MINE = """
+import dataclasses
+from trackers.catalogue import spec_of
+from trackers.core.motion import GroundMotion
+
+class Mine(GroundMotion):
+    pass
+
+def built(trajectory, planar):
+    return dataclasses.replace(spec_of("fix-kf").build(trajectory, planar), motion=Mine(0.5, 0.3))
+
+MINE = dataclasses.replace(spec_of("fix-kf"), build=built)
+"""
+
+
+@pytest.fixture
+def vehicles():
+    folder = worlds.agv(n=12, seed=3, rows=40).folder()
+    named = build("fix-kf", folder)
+    return named, fit_data(named.only_batch(folder), "nll")
+
+
+def _problem(named, data, place):
+    return Problem(
+        data.tracker, data.batches(), data.objective, select_parameters(named.tracker, ["motion.*"]), place=place
+    )
+
+
+def _workers(folder):
+    return FitWorkers(Client(), environment(), folder)
+
+
+def test_evaluations_on_workers_have_the_bits_of_those_here_and_send_only_what_is_of_trajectories(vehicles, tmp_path):
+    named, data = vehicles
+    workers = _workers(tmp_path)
+    lazy = dataclasses.replace(data, stacked=False)
+    here = _problem(named, data, LocalParts)
+    there = _problem(named, lazy, lambda point, pieces: HeldParts(workers, named, point, pieces))
+    vector = flatten(here.parameters)
+    mine, other = here.evaluate(vector), there.evaluate(vector)
+    for name in ("values", "gradients", "terms", "term_gradients"):
+        np.testing.assert_array_equal(getattr(mine, name), getattr(other, name))
+    (chunk,) = workers.client.results
+    numbers = sum(x.size for found in chunk for x in found)
+    assert numbers == mine.terms.size + mine.term_gradients.size
+    assert numbers < sum(np.size(x) for x in data.rows()[0].readings["fixes"]) / 10
+
+
+def test_chunks_whose_worker_is_killed_are_loaded_by_others(vehicles, tmp_path):
+    pytest.importorskip("distributed")
+    named, data = vehicles
+    here = _problem(named, data, LocalParts)
+    blocks, pieces = [flatten(here.parameters)[None]], Pieces(data.batches(), 2)
+    with cluster_client("local:2") as (client, expected):
+        parts = HeldParts(FitWorkers(client, expected, tmp_path), named, here.start, pieces)
+        before = parts.run(_keys, blocks, _as_found)
+        pids = list(client.run(os.getpid).values())
+        assert len(pids) == 2
+        os.kill(pids[0], signal.SIGKILL)
+        after = parts.run(_keys, blocks, _as_found)
+    expected_keys = LocalParts(here.start, pieces).run(_keys, blocks, _as_found)
+    assert len(expected_keys) == 6
+    np.testing.assert_array_equal(before, expected_keys)
+    np.testing.assert_array_equal(after, expected_keys)
+
+
+def _keys(point, batch):
+    return batch.key
+
+
+def _as_found(found, chunk):
+    return found
+
+
+def test_a_folder_that_workers_do_not_see_is_refused_in_a_line(vehicles, tmp_path):
+    named, data = vehicles
+    place = tmp_path / "parts"
+    place.mkdir()
+    problem = _problem(named, data, lambda point, pieces: HeldParts(_workers(place), named, point, pieces))
+    shutil.rmtree(place)
+    with pytest.raises(
+        UnusableInput, match=r"worker on .*: cannot read .*\.npz .*expected a folder that all workers see"
+    ):
+        problem.evaluate(flatten(problem.parameters))
+
+
+def test_a_tracker_that_cannot_travel_is_refused_in_a_line(vehicles, tmp_path):
+    named, data = vehicles
+    problem = _problem(named, data, LocalParts)
+    point = eqx.tree_at(lambda own: own.objective, problem.start, lambda: None)
+    with pytest.raises(UnusableInput, match="tracker 'fix-kf' cannot be sent to workers") as refused:
+        HeldParts(_workers(tmp_path), named, point, [])
+    assert "\n" not in str(refused.value)
+
+
+def test_a_tracker_of_a_user_s_file_travels_with_the_file(vehicles, tmp_path, monkeypatch):
+    (tmp_path / "mine.py").write_text(MINE)
+    folder = vehicles[1].training[0].folder
+    named = build(f"{tmp_path / 'mine.py'}:MINE", folder)
+    data = fit_data(named.only_batch(folder), "nll")
+    here = _problem(named, data, LocalParts)
+    there = _problem(named, data, lambda point, pieces: HeldParts(_workers(tmp_path), named, point, pieces))
+    assert type(here.tracker.motion).__module__ == "trackwright_tracker_mine"
+    # A worker has not imported the file.
+    monkeypatch.delitem(sys.modules, "trackwright_tracker_mine")
+    vector = flatten(here.parameters)
+    np.testing.assert_array_equal(there.terms(vector), here.terms(vector))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_every_tracker_can_travel(name):
+    tracker = CASES[name].tracker()
+    assert pickle.loads(pickle.dumps(tracker)) is not tracker

@@ -1,0 +1,169 @@
+"""The studies of the assembly line: worlds, measures and what they claim, by few runs."""
+
+import dataclasses
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from experiments.lab.papers.fitting import fitted
+from experiments.lab.papers.line_thesis import figures_3, leaving_line, rests_at_joins, sweep_curves, table_3_1
+from experiments.lab.papers.line_thesis._assembly_line import (
+    AVERAGES,
+    PRINTED,
+    RECORDINGS,
+    SIGMA,
+    distances,
+    error,
+    least,
+    open_ended,
+    recording,
+    root_mean_square,
+    worlds,
+)
+from experiments.monte_carlo import FITTED, Conclusion, ExpectedResult, TrackedRuns
+from experiments.monte_carlo.runner import run_study
+from sim.line import THESIS_KNOTS
+
+STUDIES = [figures_3, leaving_line, rests_at_joins, sweep_curves, table_3_1]
+NUMBERS = {"number": 2, "situation": "halts", "white": 0.2, "slow": 0.2, "tau": 1.5, "speed": 0.6, "rate_hz": 5.0}
+
+
+def _places(folder, table):
+    return folder.tables[table].sort("tag", "t_s").select("x_m", "y_m").to_numpy()
+
+
+def _run(estimates, truth=None):
+    """Estimates (n, T, 2) of a tag, as a measure sees them."""
+    solid = [
+        np.concatenate([x, np.zeros((*x.shape[:2], 1))], -1) for x in (estimates, estimates if truth is None else truth)
+    ]
+    rig = SimpleNamespace(path_knots=THESIS_KNOTS)
+    times = np.tile(np.arange(estimates.shape[1], dtype=float), (len(estimates), 1))
+    known, folder = np.ones(times.shape, bool), SimpleNamespace(rig=rig)
+    return TrackedRuns(times, solid[0], None, solid[1], known, None, None, None, folder)
+
+
+def test_the_printed_averages_are_those_of_the_printed_columns():
+    # The Kalman column's is 27.99, printed as 27.9: cut off, not rounded.
+    assert np.abs(np.mean(list(PRINTED.values()), axis=0) - AVERAGES).max() < 0.1
+
+
+def test_the_path_of_the_particles_goes_on_beyond_its_last_knot_as_the_last_case_of_2_5_does():
+    line = open_ended(THESIS_KNOTS)
+    for d in (13.0, 16.345, 20.0):
+        x, y = line.position(d)
+        assert np.allclose([x, y], [2.615 + d - 12.295, 4.065], atol=1e-6)  # single precision
+
+
+def test_a_recording_of_an_id_is_the_same_whatever_others_there_are():
+    both, alone = (recording(np.array(ids), 3, **NUMBERS) for ids in ([4, 9], [9]))
+    for table in ("fixes", "truth"):
+        assert np.array_equal(_places(both, table)[-len(_places(alone, table)) :], _places(alone, table))
+
+
+def test_recordings_have_noise_of_their_own():
+    one, other = (recording(np.array([0]), 3, **{**NUMBERS, "number": k}) for k in (1, 2))
+    noise = [
+        _places(f, "fixes")
+        - _places(recording(np.array([0]), 3, **{**NUMBERS, "number": k}, fitted_truth=False), "truth")
+        for f, k in ((one, 1), (other, 2))
+    ]
+    # 600 numbers with about a tenth as many independent ones: three deviations of a correlation of none.
+    assert abs(np.corrcoef(noise[0].ravel(), noise[1].ravel())[0, 1]) < 3 / np.sqrt(60)
+
+
+def test_the_truth_by_least_squares_is_nearer_to_the_fixes_than_the_true_one():
+    fit, true = (recording(np.array([0]), 3, **NUMBERS, fitted_truth=f) for f in (True, False))
+    apart = [np.mean((_places(f, "fixes") - _places(f, "truth")) ** 2) for f in (fit, true)]
+    assert apart[0] < apart[1]
+
+
+def test_the_error_is_the_mean_distance_or_its_root_mean_square():
+    run = _run(np.array([[[0.0, 0.0], [3.0, 4.0]]]), np.zeros((1, 2, 2)))
+    assert distances(run).tolist() == [[0.0, 5.0]]
+    assert error(run) == pytest.approx([2.5])
+    assert root_mean_square(run) == pytest.approx([np.sqrt(12.5)])
+
+
+def test_overshoot_is_how_far_past_the_join_the_estimate_is_while_the_tag_rests():
+    # Travels, rests at the first join for three rows, travels on; the estimate is 0.3 m too far throughout.
+    d = np.array([[3.0, 4.05, 4.05, 4.05, 4.5]])
+    line = open_ended(THESIS_KNOTS)
+
+    def place(d):
+        return np.stack([np.asarray(x, float) for x in line.position(d)], -1)
+
+    run = _run(place(d + 0.3), place(d))
+    assert rests_at_joins.arclengths(run)[2].tolist() == [[False, True, True, False, False]]
+    assert rests_at_joins.overshoot(run) == pytest.approx([0.3], abs=1e-5)
+    assert np.isnan(rests_at_joins.overshoot(_run(place(np.array([[1.0, 2.0, 3.0]]))))).all()
+
+
+def test_the_area_under_the_roc_is_the_share_of_pairs_in_the_right_order():
+    numbers = {("stays", True): np.array([0.0, 1.0, 2.0, 3.0]), ("1 m", False): np.array([2.5, 2.5, 4.0, 0.0])}
+    results = SimpleNamespace(
+        numbers=lambda measure, world, tracker: numbers[world, measure.startswith("at any")],
+        study=SimpleNamespace(seed=0),
+    )
+    # 2.5 beats three of four, twice; 4 all four; 0 ties one.
+    found = leaving_line.area(results, "1 m", "particle", 0.5)
+    assert found.value == pytest.approx((3 + 3 + 4 + 0.5) / 16)
+    assert found.low <= found.value <= found.high
+    false, true = leaving_line.curve(results, "1 m", "particle", 0.5)
+    assert np.trapezoid(true, false) == pytest.approx(found.value)
+
+
+def test_every_number_of_the_worlds_is_in_the_file_of_the_fit():
+    made = worlds(fitted("line_thesis/table_3_1"))
+    assert list(made) == list(RECORDINGS) == list(PRINTED)
+    assert all(0 < w.numbers["white"] < 1 for w in made.values())
+
+
+@pytest.mark.parametrize("module", STUDIES, ids=lambda m: m.STUDY.name)
+def test_a_study_is_called_as_its_file(module):
+    assert module.STUDY.name == module.__name__.rpartition(".")[2].replace("_", "-")
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory):
+    best = fitted("line_thesis/table_3_1")["sigma_particle"]
+    study = dataclasses.replace(table_3_1.STUDY, runs=2, grid={SIGMA: (best,)})
+    return run_study(study, tmp_path_factory.mktemp("table"))
+
+
+@pytest.mark.slow
+def test_the_filters_stand_in_the_order_of_the_table(table):
+    raw, kalman, particle = (
+        table.average("error_m", [(name, t) for name in RECORDINGS]).value for t in table_3_1.COLUMNS
+    )
+    # By a quarter and more in the table; eighteen recordings scatter by a few per cent.
+    assert particle < 0.9 * kalman < 0.81 * raw
+    assert least(table, "Kalman") == table.study.grid[SIGMA][0]
+
+
+@pytest.mark.slow
+def test_the_table_has_its_27_figures_and_says_which_were_fitted(table):
+    claims = table_3_1.expected(table)
+    cells = [c for c in claims if isinstance(c, ExpectedResult) and ", set " in c.quantity]
+    assert [c.printed for c in cells] == [x for row in PRINTED.values() for x in row]
+    # The particles' path was left open after both of their averages had been seen.
+    assert {c.origin for c in cells} == {FITTED}
+    # Averages and improvements follow from the 27.
+    assert [c.quantity for c in claims if isinstance(c, ExpectedResult) and c.reached is not None] == [
+        c.quantity for c in cells
+    ]
+    # Levels are fitted to the mean of many draws: two of each of nine scatter by a few per cent.
+    average = next(c for c in claims if c.quantity == "Table 3.1, average, raw")
+    assert abs(average.ratio - 1) < 0.1
+    assert sum(isinstance(c, Conclusion) for c in claims) == 4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("module", STUDIES, ids=lambda m: m.STUDY.name)
+def test_a_study_runs_and_draws_what_it_says(module, tmp_path):
+    results = run_study(dataclasses.replace(module.STUDY, runs=4), tmp_path)
+    assert results is not None
+    assert module.STUDY.expected(results)
+    pictures = module.STUDY.draw(results, tmp_path) if module.STUDY.draw else []
+    assert all((tmp_path / name).read_text("utf-8").startswith("<svg") for name in pictures)

@@ -1,0 +1,147 @@
+"""The studies of the work stand compute what they claim from the fitted array, and the fits are what they say."""
+
+import tomllib
+
+import numpy as np
+import pytest
+
+from experiments.lab.papers.fitting import fitted, fitted_file
+from experiments.lab.papers.will_2020 import computing_cost, fit_figure_8, fit_table_1
+from experiments.lab.papers.will_2020._work_stand import ALL, SETS, antennas_of, covered, in_use, recorded, stand
+from experiments.monte_carlo import Conclusion, ExpectedResult
+from experiments.monte_carlo.runner import run_study
+from experiments.monte_carlo.sources import available_studies, load_study
+from sim.stations import work_station
+from trackers.aoa.layout import DEFAULT_WAVELENGTH
+
+NAMES = ("table-1", "figures-6-7", "figure-8", "figure-10", "computing-cost", "rate-aperture")
+
+
+def _carried_out(tmp_path_factory, name, runs, **changed):
+    study = load_study(name)
+    study = type(study)(**{**vars(study), "runs": runs, **changed})
+    return run_study(study, tmp_path_factory.mktemp(name))
+
+
+@pytest.fixture(scope="module")
+def table_1(tmp_path_factory):
+    study = load_study("table-1")
+    return _carried_out(tmp_path_factory, "table-1", 8, trackers={"EKF": study.trackers["EKF"]}, metrics=())
+
+
+def test_the_studies_of_the_work_stand_are_listed():
+    assert set(NAMES) <= set(available_studies())
+
+
+def test_the_fitted_array_keeps_to_its_box_and_half_a_wavelength_apart():
+    antennas = antennas_of(fitted("will_2020/table_1"))
+    # Written to 0.01 mm, fitted with a tenth of a millimetre to spare.
+    assert np.all(np.abs(antennas) <= fit_table_1.HALF_BOX + 1e-5)
+    apart = np.linalg.norm(antennas[:, None] - antennas, axis=-1)[np.triu_indices(8, 1)]
+    assert apart.min() >= DEFAULT_WAVELENGTH / 2 - 1e-5
+
+
+def test_a_fitted_file_says_what_it_was_fitted_to_and_which_command_wrote_it():
+    for name in ("table_1", "figure_8"):
+        text = fitted_file(f"will_2020/{name}").read_text("utf-8")
+        assert text.startswith(f"# Written by `python -m experiments.lab.papers.will_2020.fit_{name}`.")
+        content = tomllib.loads(text)
+        assert content["degrees_of_freedom_left"].startswith("none")
+        assert all(number["unit"] and number["fitted_to"] for number in content["numbers"].values())
+
+
+@pytest.mark.slow
+def test_the_fitted_parameters_give_the_deviations_in_their_files():
+    numbers = fitted("will_2020/table_1")
+    # Seeded, so the same but for the order of sums: 0.1 % of an error.
+    assert fit_table_1.worst(numbers) == pytest.approx(numbers["worst"], abs=1e-3)
+    assert fit_figure_8.error_cm(fit_figure_8.radius()) == pytest.approx(
+        fitted("will_2020/figure_8")["error"], rel=1e-3
+    )
+
+
+@pytest.mark.slow
+def test_the_ten_errors_of_the_fit_lie_near_print_where_no_track_is_left_out():
+    numbers = fitted("will_2020/table_1")
+    found = fit_table_1.errors(numbers, 8, 3, True)
+    # 24 tracks each: errors of the sets with the strongest correlation in time scatter by 5 %.
+    assert found == pytest.approx(np.array(list(fit_table_1.PRINTED.values())), rel=0.15)
+
+
+@pytest.mark.slow
+def test_the_fit_judges_tracks_as_the_study_does(table_1):
+    numbers = fitted("will_2020/table_1")
+    found = fit_table_1.errors(numbers, 8, 0, True, fit_figure_8.radius())
+    for name, (azimuth, elevation) in zip(SETS, found, strict=True):
+        # Same worlds, same tracker, other code: single precision and a table of decimal phases between.
+        assert np.rad2deg(table_1.value("rmse_azimuth_rad", name, "EKF").value) == pytest.approx(azimuth, rel=1e-3)
+        assert np.rad2deg(table_1.value("rmse_elevation_rad", name, "EKF").value) == pytest.approx(elevation, rel=1e-3)
+
+
+def test_operations_are_those_counted_by_hand_and_do_not_depend_on_the_machine():
+    station = next(iter(stand(fitted("will_2020/table_1")).stations.values()))
+    # Of a hypothesis: four scalar products of eight, two sums, two squares and their sum; the search for the largest
+    # takes up to ten more.
+    for resolution, hypotheses in ((1.2, 51**2), (0.6, 101**2), (0.3, 201**2)):
+        each = computing_cost.search_operations(station, resolution) / hypotheses
+        assert 4 * 2 * 8 + 5 <= each <= 4 * 2 * 8 + 15
+    # The paper's filter would invert a matrix of 28 × 28 in every row.
+    assert 500 < computing_cost.filter_operations(station) < 28**3 / 3
+
+
+def test_antennas_are_covered_after_the_start_alone():
+    seen = np.ones((2, 4, 3, 8), bool)
+    _, left = covered("2-3-6")(None, np.arange(4.0), np.zeros(seen.shape), seen)
+    assert left[:, 0].all()
+    assert np.array_equal(left[:, 1:], np.broadcast_to(in_use("2-3-6"), left[:, 1:].shape))
+    assert seen.all()
+    assert in_use(ALL).all()
+
+
+def test_a_lost_station_says_nothing_and_the_helix_takes_as_long_at_any_rate():
+    ids = np.array([3, 5])
+    folder = recorded(ids, 0, lost=1, rate_hz=2.0)
+    phases = folder.tables["phases"]
+    assert sorted(phases["station"].unique()) == ["2", "3"]
+    assert sorted(phases["tag"].unique()) == ["3", "5"]
+    assert phases["t_s"].max() == pytest.approx(19.5)
+
+
+def test_the_stand_is_the_simulated_one_with_other_numbers_and_antennas():
+    numbers = fitted("will_2020/table_1")
+    mine, plain = stand(numbers, 0.4, 2.0), work_station(2 * antennas_of(numbers))
+    for name, other in {"1": "2", "2": "1", "3": "3"}.items():
+        assert np.array_equal(mine.stations[name].position, plain.stations[other].position)
+        assert np.array_equal(mine.stations[name].antennas, plain.stations[other].antennas)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("radius", [0.2, 0.4])
+def test_where_the_stations_stand_matters_little_for_the_table(radius):
+    found = fit_table_1.errors(fitted("will_2020/table_1"), 64, 0, True, radius)
+    assert found == pytest.approx(np.array(list(fit_table_1.PRINTED.values())), rel=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_a_study_computes_its_claims_and_draws_its_pictures(tmp_path_factory, tmp_path, name):
+    results = _carried_out(tmp_path_factory, name, 4)
+    made = results.study.expected(results)
+    assert made
+    assert all(isinstance(one, ExpectedResult | Conclusion) for one in made)
+    for one in made:
+        if isinstance(one, ExpectedResult):
+            assert np.isfinite(one.ours.value)
+    drawn = results.study.draw(results, tmp_path) if results.study.draw else []
+    assert all((tmp_path / picture).stat().st_size > 2000 for picture in drawn)
+
+
+@pytest.mark.slow
+def test_all_printed_errors_are_reached_within_a_tenth(tmp_path_factory):
+    for name, count in (("table-1", 10), ("figure-8", 1)):
+        results = _carried_out(tmp_path_factory, name, 100)
+        asked = [
+            one for one in results.study.expected(results) if isinstance(one, ExpectedResult) and one.within is not None
+        ]
+        assert len(asked) == count
+        assert all(one.reached for one in asked)

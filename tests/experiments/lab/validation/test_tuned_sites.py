@@ -1,0 +1,48 @@
+"""Fits on sites with one recording left out each, on simulated vehicles."""
+
+import dataclasses
+
+import pytest
+
+from experiments.lab.validation import tuned_sites
+from experiments.lab.validation.folds import SITES, Site
+from sim import worlds
+from trackers.recordings.folder import read_recording, write_recording
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory):
+    """A folder of recordings of one vehicle each."""
+    there = tmp_path_factory.mktemp("sites")
+    for name, seed in (("hall-1", 1), ("hall-2", 2)):
+        folder = worlds.agv(n=1, seed=seed, rows=120).folder()
+        rig = dataclasses.replace(folder.rig, name=name)
+        write_recording(dataclasses.replace(folder, name=name, rig=rig), there / name)
+    return there
+
+
+def test_each_recording_of_a_site_is_judged_with_the_values_of_the_others(root, monkeypatch, capsys):
+    pair = Site("hall", "fix-kf", ("hall-1", "hall-2"))
+    monkeypatch.setattr(tuned_sites, "SITES", (pair, Site("none", "uwb", ("hall-1",)), Site("other", "uwb", ("x",))))
+    monkeypatch.setattr(tuned_sites, "required_recordings", lambda: root)
+    tuned_sites.main(site=("hall", "none"))
+    said = capsys.readouterr().out
+    assert "Hall, each with values fitted to the others, before → after" in said
+    assert ("refused: hall-" in said) != ("written\n" in said)
+    assert "none: not fitted: " in said
+    result, compared = tuned_sites.judged(pair, [read_recording(root / name) for name in pair.recordings])
+    assert [row[0] for row in compared.rows] == ["hall-1", "hall-2", "mean of 2"]
+    assert result.value < result.start_value
+
+
+def test_a_recording_is_shortened_from_the_beginning_of_its_truth(root):
+    folder = read_recording(root / "hall-1")
+    start = folder.tables["truth"]["t_s"][0]
+    times = tuned_sites.shortened(folder, 2.0).tables["fixes"]["t_s"]
+    assert start <= times.min() <= times.max() <= start + 2.0
+    assert tuned_sites.shortened(folder, None) is folder
+
+
+def test_a_site_has_each_recording_once():
+    names = [name for site in SITES for name in site.recordings]
+    assert len(names) == len(set(names))

@@ -1,0 +1,34 @@
+"""Runs whose errors are known, without a tracker, for figures of a comparison."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from experiments.pages.reports.runs import TrackRun
+from trackers.core.rig import Rig
+from trackers.paired_differences import errors_by_track
+from trackers.recordings.association import associate_truth
+from trackers.recordings.folder import RecordingFolder
+from trackers.scoring import score
+
+T = 0.1 * np.arange(30)
+
+
+ANCHORS = {"A1": np.zeros(3), "A2": np.array([12.0, 0.0, 2.0]), "A3": np.array([12.0, 8.0, 2.0])}
+
+
+def small_run(name: str, shifts: Mapping[str, float]) -> TrackRun:
+    """A run whose error in x is that of each recording."""
+    at = {"tag": "1", "t_s": T, "x_m": T, "y_m": T**2, "z_m": 1.0}
+    truth = pl.DataFrame(at)
+    folders = {key: RecordingFolder(key, None, Rig(key, anchors=ANCHORS), {"truth": truth}) for key in shifts}
+    spread = {"std_x_m": 0.1, "std_y_m": 0.1, "std_z_m": 0.0, "cov_xy_m2": 0.0, "nis": 1.0, "nis_dof": 1.0}
+    table = pl.concat(
+        [pl.DataFrame({"recording": key} | at | spread).with_columns(pl.col("x_m") + s) for key, s in shifts.items()]
+    )
+    association = associate_truth(table, dict.fromkeys(shifts, truth))
+    return TrackRun(name, Path(name), False, {}, folders, association, errors_by_track(association, score(association)))

@@ -1,0 +1,158 @@
+import json
+import re
+
+import numpy as np
+import pytest
+
+from experiments.cli.report import report
+from experiments.lab.papers.reproduce import page, part
+from experiments.pages.reports.comparison import comparison, study_contrasts
+from experiments.pages.reports.runs import StudyRun, read_runs
+from experiments.text.expectations import Value
+from trackers.core.errors import UnusableInput
+
+
+def _value(value, width):
+    return {"value": value, "low": value - width / 2, "high": value + width / 2}
+
+
+def _study(folder, rmse, width=0.02, tracker="direct"):
+    folder.mkdir()
+    cell = {"world": "hand", "point": {"world.sigma_p": 0.1}, "tracker": tracker}
+    content = {"cells": [cell | {"figures": {"rmse_m": _value(rmse, width), "nees_mean": _value(2.0, 0.1)}}]}
+    (folder / "results.json").write_text(json.dumps(content))
+    return folder
+
+
+def _evaluation(folder, rmse):
+    folder.mkdir()
+    figures = {"rmse_m": rmse, "n": 100, "nees_mean": None}
+    content = {"overall": figures, "recordings": [{"recording": "walk", **figures}]}
+    (folder / "evaluation.json").write_text(json.dumps(content))
+    return folder
+
+
+def _contrasts(*folders):
+    runs, _ = read_runs(folders)
+    return {(one.run, one.metric): one for one in comparison(runs)[1]}
+
+
+@pytest.mark.parametrize(("spatial_nees", "there"), [(None, False), (1.0, True)])
+def test_errors_in_3d_have_a_column_only_where_the_height_is_estimated(tmp_path, spatial_nees, there):
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        figures = {"n": 9, "rmse_m": 0.2, "rmse_3d_m": 0.2, "nees_ratio": 1.1, "nees_3d_ratio": spatial_nees}
+        content = {"overall": figures, "recordings": [{"recording": "walk", **figures}]}
+        (tmp_path / name / "evaluation.json").write_text(json.dumps(content))
+    table = comparison(read_runs([tmp_path / "a", tmp_path / "b"])[0])[0][0]
+    assert ("3-D RMSE" in table.head) == there
+    assert ("3-D" in table.title) == there
+
+
+def test_two_studies_differ_where_the_difference_is_larger_than_both_intervals_allow(tmp_path):
+    found = _contrasts(_study(tmp_path / "a", 0.10), _study(tmp_path / "b", 0.12))
+    assert found["b", "rmse_m"].difference.value == pytest.approx(0.02)
+    assert found["b", "rmse_m"].differs is True
+    assert found["b", "nees_mean"].differs is False
+    assert found["b", "rmse_m"].subject == "hand, sigma_p 0.1, direct"
+
+
+def test_studies_without_a_difference_differ_in_5_percent_of_tables(tmp_path):
+    """Half widths of 1.96 sigma of normal values without a difference: of one metric, then of twenty with Holm."""
+    rng = np.random.default_rng(1)
+
+    def share(metrics, tables):
+        differ = 0
+        for _ in range(tables):
+            runs = [
+                StudyRun(
+                    name, tmp_path, {("world", f"m{k}"): Value(x, x - 1.96, x + 1.96) for k, x in enumerate(values)}
+                )
+                for name, values in zip("ab", rng.normal(size=(2, metrics)), strict=True)
+            ]
+            differ += any(one.differs for one in study_contrasts(runs, [f"m{k}" for k in range(metrics)]))
+        return differ / tables
+
+    assert 0.03 < share(1, 3000) < 0.07
+    assert share(20, 500) < 0.08
+
+
+def test_evaluations_alone_are_compared_without_intervals_and_without_empty_columns(tmp_path):
+    runs, notices = read_runs(
+        [_evaluation(tmp_path / name, rmse) for name, rmse in (("a", 0.2), ("b", 0.1), ("c", 0.3))]
+    )
+    (table,), contrasts = comparison(runs)
+    assert table.head == ("recording", "run", "n", "RMSE")
+    assert table.rows == [["walk", "a", "100", "20.0"], ["walk", "b", "100", "10.0"], ["walk", "c", "100", "30.0"]]
+    assert contrasts == []
+    assert notices == []
+
+
+def test_the_command_prints_both_and_writes_one_page(tmp_path, capsys):
+    first, second = _study(tmp_path / "a", 0.10), _study(tmp_path / "b", 0.12)
+    assert report((first, second), out=tmp_path / "page" / "comparison.html") == 0
+    printed = capsys.readouterr().out
+    assert "10.0 (9.0 … 11.0)" in printed
+    assert "12.0 (11.0 … 13.0)" in printed
+    page = (tmp_path / "page" / "comparison.html").read_text()
+    assert "1.200" in page
+    assert "http" not in re.sub(r"<script>.*?</script>", "", page, flags=re.DOTALL)
+    assert not re.search(r"<script[^>]+src", page)
+
+
+def test_of_three_studies_those_that_differ_from_the_first_are_named(tmp_path):
+    folders = [_study(tmp_path / name, rmse) for name, rmse in (("a", 0.10), ("b", 0.101), ("c", 0.15))]
+    tables, _ = comparison(read_runs(folders)[0])
+    rmse = next(row for row in tables[0].rows if row[1].startswith("RMSE"))
+    assert rmse[-2:] == ["1.010, 1.500", "c"]
+
+
+def test_runs_that_cannot_be_compared_are_refused_in_one_line(tmp_path):
+    study, evaluation = _study(tmp_path / "a", 0.1), _evaluation(tmp_path / "b", 0.1)
+    other, broken, unevaluated = _study(tmp_path / "c", 0.1, tracker="beam"), tmp_path / "d", tmp_path / "e"
+    broken.mkdir()
+    (broken / "results.json").write_text("{")
+    unevaluated.mkdir()
+    (unevaluated / "tracks.parquet").write_text("")
+    for runs, says in (
+        ((study, evaluation), "runs of one kind"),
+        ((study, other), "in common"),
+        ((study, broken), "JSON"),
+        ((study, tmp_path), "no results.json"),
+        ((evaluation, unevaluated), f"`trackwright evaluate {unevaluated}`"),
+        ((study, study), "more than once"),
+        ((study,), "found 1 folder;"),
+    ):
+        with pytest.raises(UnusableInput, match=says):
+            report(runs, out=tmp_path / "comparison.html")
+    with pytest.raises(UnusableInput, match="--metrics speed"):
+        report((study, _study(tmp_path / "f", 0.1)), out=tmp_path / "comparison.html", metrics=("speed",))
+
+
+def test_the_page_of_all_reproductions_says_what_is_fitted_and_what_was_not_reached():
+    claims = [
+        {"figure": "Table 1", "printed": 10.0, "ours": _value(10.4, 0.2), "unit": "cm", "ratio": 1.04,
+         "compares_rest": False, "origin": "fitted", "reached": True, "note": ""},
+        {"figure": "Table 2", "printed": 10.0, "ours": _value(14.0, 0.2), "unit": "cm", "ratio": 1.4,
+         "compares_rest": False, "origin": "predicted", "reached": False, "note": "The nearest is this."},
+        {"figure": "Table 3", "printed": 98.3, "ours": _value(93.7, 0.2), "unit": "%", "ratio": 3.71,
+         "compares_rest": True, "origin": "predicted", "reached": False, "note": ""},
+        {"figure": "Table 4", "printed": 5.0, "ours": _value(5.0, 0.2), "unit": "cm", "ratio": 1.0,
+         "compares_rest": False, "origin": "derived", "reached": None, "note": ""},
+        {"says": "A is better", "holds": False, "evidence": "1 against 2", "origin": "derived"},
+        {"says": "B is better", "holds": True, "evidence": "2 against 1", "origin": "predicted"},
+    ]  # fmt: skip
+    text = part({"study": "some", "about": "What?", "claims": claims, "computing_s": 12.0})
+    assert "| Table 1 | 10 cm | 10.40 (10.30 … 10.50) | 1.04 | fitted | yes |" in text
+    assert "| 1.40 | predicted | **no** |" in text
+    assert "| 3.71 (rest) | predicted | **no** |" in text
+    assert "| 1.00 | derived |  |" in text
+    counts = (
+        "Predicted: 0 of 2 numbers within tolerance; 1 of 1 conclusion holds. Derived, not counted: 1 number, 1 conclusion. "
+        "Fitted: 1 of 1 number within tolerance."
+    )
+    assert f"**{counts}**" in text
+    assert page([{"study": "some", "about": "What?", "claims": claims, "computing_s": 12.0}], 12.0).count(counts) == 2
+    assert "The nearest is this." in text
+    assert "**Does not hold** (*derived*): A is better. 1 against 2" in text
+    assert "Holds (*predicted*): B is better. 2 against 1" in text

@@ -1,0 +1,64 @@
+"""Numbers, units and tables as text."""
+
+import numpy as np
+
+from experiments.text.evaluation_text import _cell
+from experiments.text.expectations import Value
+from experiments.text.tables import aligned, compact_table, rendered, ruled_table
+from experiments.text.wording import duration, fixed, heading, rounded, unit_of, units_of, with_interval
+from trackers.core.wording import counted, significant
+
+
+def test_aligned_columns_have_two_spaces_between_them_and_none_at_the_end():
+    text = aligned([("name", "value", ""), ("a", "12.5", "x"), ("[b] :car:", "3", "")], numbers=[1])
+    assert text.splitlines() == ["name       value", "a           12.5  x", "[b] :car:      3"]
+
+
+def test_a_long_cell_of_aligned_columns_is_not_wrapped():
+    assert aligned([("a" * 500, "b")]) == "a" * 500 + "  b"
+
+
+def test_cells_are_text_and_never_markup():
+    table = compact_table("title", ["[red]label[/red]"], ["n"])
+    table.add_row("[bold]x", "1")
+    text = rendered(80, table, ruled_table("[i]", ["a", "b"], 1, [["[/]", "2"]]))
+    for part in ("[red]label[/red]", "[bold]x", "[/]", "[i]"):
+        assert part in text
+    assert all(line == line.rstrip() for line in text.splitlines())
+
+
+def test_digits_follow_the_spread():
+    assert rounded(1.23456, 0.02) == "1.235"
+    assert rounded(123.456, 20.0) == "123"
+    assert rounded(0.0, 1.0) == "0"
+    assert rounded(np.nan, 1.0) == "–"
+    assert with_interval(Value(0.1234, 0.1204, 0.1264), unit_of("rmse_m", [0.1234])) == "12.34 (12.04 … 12.64)"
+    assert with_interval(Value(0.1234, np.nan, np.nan)) == "0.123"
+
+
+def test_a_rounded_zero_has_no_sign():
+    assert [fixed(x, 1) for x in (-0.01, None, float("nan"), 2.25)] == ["0.0", "–", "–", "2.2"]
+
+
+def test_lengths_side_by_side_have_one_unit():
+    units = units_of({"rmse_m": [0.2], "max_m": [5.0], "coverage_95": [0.9], "rmse_direction_rad": [0.1]})
+    assert [units[k].name for k in units] == ["cm", "cm", "%", "°"]
+
+
+def test_metrics_have_names_in_words():
+    assert heading("rmse_3d_m", unit_of("rmse_3d_m", [0.2])) == "RMSE in 3-D, cm"
+    assert heading("rmse_direction_rad") == "RMSE of direction"
+    assert heading("own_measure_share") == "own measure"
+
+
+def test_durations_and_counts():
+    assert [duration(x) for x in (5.84, 300, 9000)] == ["5.8 s", "5.0 min", "2.5 h"]
+    assert [counted(n, "start") for n in (1, 2)] == ["1 start", "2 starts"]
+
+
+def test_large_numbers_are_written_without_powers_of_ten():
+    assert [significant(x, 2) for x in (1000.0, 1234.5, 180.0, 12.34, 0.00012, -0.5)] == [
+        "1,000", "1,200", "180", "12", "0.00012", "-0.5",
+    ]  # fmt: skip
+    assert significant(float("inf"), 2) == "inf"
+    assert [_cell(x, 2) for x in (748121.37, 9999.0, 1.005, None)] == ["748,121", "9999.00", "1.00", "–"]

@@ -1,0 +1,214 @@
+"""The tracks that a tuning report shows before and after, against the estimates and the evaluation of both."""
+
+import base64
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import polars as pl
+import pytest
+from scipy import stats
+
+import trackwright as tw
+from experiments.pages.plots.plan_change import plan_chart
+from experiments.pages.reports.recordings_compared import tracked
+from experiments.pages.reports.tracks_compared import MOST_PLANS, MOST_POINTS, track_changes
+from experiments.pages.reports.tuning import tuning_page, write_tuning_report
+from sim import worlds
+from tests.browser import chromium, watched
+from tests.experiments.pages.reports.tuning_report_data import report_data
+from trackers.core.rig import Rig
+from trackers.recordings.folder import RecordingFolder
+
+SIGMAS = "sensors.fixes.sigma_*"
+
+
+def _walk(name, seed, rows=60, tags=1, truth=True, hole=0.0):
+    """Fixes of tags that walk at random, the more erroneous the higher their number, with a hole in the middle."""
+    rng = np.random.default_rng(seed)
+    tables = {"fixes": [], "truth": []}
+    for tag in range(tags):
+        place = np.cumsum(0.1 * rng.normal(size=(rows, 3)), axis=0) + [2.0, 3.0, 1.0]
+        read = place + 0.1 * (1 + tag) * rng.normal(size=place.shape)
+        times = np.arange(rows) * 0.2 + hole * (np.arange(rows) >= rows // 2)
+        for kind, values in (("fixes", read), ("truth", place)):
+            tables[kind].append(pl.DataFrame({"t_s": times, "tag": f"t{tag}"}
+                                             | {f"{a}_m": values[:, k] for k, a in enumerate("xyz")}))  # fmt: skip
+    kept = {kind: pl.concat(parts).sort("t_s", "tag") for kind, parts in tables.items() if truth or kind == "fixes"}
+    return RecordingFolder(name, None, Rig(name, anchors={"A": np.array([0.0, 0.0, 2.0])}), kept)
+
+
+def _run(folders, held_out=()):
+    """The tracks of both sets of noise levels, and what the page shows of them."""
+    named = tw.build("fix-kf", folders, free_height=True)
+    trackers = [named.with_values({SIGMAS: sigma}) for sigma in (0.02, 0.3)]
+    sides = [tracked(tracker, folders) for tracker in trackers]
+    return trackers, track_changes(*sides, folders, held_out)
+
+
+def _metrics(tracker, folders):
+    """The metrics of every track by recording and tag."""
+    return {(t["recording"], t["tag"]): t for t in tw.evaluate(tracker.run(folders), folders).tracks}
+
+
+@pytest.fixture(scope="module")
+def three():
+    folders = [_walk("a", 1), _walk("b", 2, hole=30.0), _walk("c", 3, tags=2)]
+    return folders, *_run(folders, {"b"})
+
+
+def test_paths_and_errors_are_those_of_the_estimates_and_held_out_ones_come_first(three):
+    folders, trackers, found = three
+    assert [(t.recording, t.tag, t.held_out) for t in found.shown] == [
+        ("b", "t0", True), ("a", "t0", False), ("c", "t0", False), ("c", "t1", False),
+    ]  # fmt: skip
+    assert found.total == 4
+    for side, tracker in enumerate(trackers):
+        rows, own = tracker.run(folders).table, _metrics(tracker, folders)
+        for change in found.shown:
+            shown = (change.before, change.after)[side]
+            assert shown.rmse == pytest.approx(own[change.recording, change.tag]["rmse_m"], rel=1e-5)
+            part = rows.filter(pl.col("recording") == change.recording, pl.col("tag") == change.tag).sort("t_s")
+            path = shown.path[np.isfinite(shown.path).all(axis=1)]
+            np.testing.assert_array_equal(path, part.select("x_m", "y_m").to_numpy())
+    assert {t.why for t in found.shown} == {""}
+    assert re.fullmatch(r"\d+\.\d → \d+\.\d cm", found.shown[0].rmse)
+
+
+def test_the_truth_is_that_of_the_time_of_the_track_and_holes_stay_open(three):
+    folders, _, found = three
+    held_out, before = found.shown[0], found.shown[1]
+    np.testing.assert_array_equal(before.truth, folders[0].tables["truth"].select("x_m", "y_m").to_numpy())
+    for path in (held_out.truth, held_out.before.path, held_out.after.path):
+        assert np.flatnonzero(np.isnan(path[:, 0])).tolist() == [30]
+
+
+def test_ellipses_before_and_after_are_of_the_same_times_and_hold_95_percent(three):
+    folders, trackers, found = three
+    change = found.shown[1]
+    rows = [tracker.run(folders).table.filter(pl.col("recording") == "a") for tracker in trackers]
+    at = [np.flatnonzero((own["x_m"].to_numpy()[:, None] == side.centres[:, 0]).any(axis=1))
+          for own, side in zip(rows, (change.before, change.after), strict=True)]  # fmt: skip
+    assert at[0].tolist() == at[1].tolist()
+    assert len(at[0]) == 12
+    traces = _traces(change)
+    for name, side in (("before", change.before), ("after", change.after)):
+        x, y = (np.array(traces[f"95 % ellipses {name}"][axis], float).reshape(12, -1)[:, :-1] for axis in "xy")
+        for k, (centre, cov) in enumerate(zip(side.centres, side.covs, strict=True)):
+            off = np.stack([x[k], y[k]]) - centre[:, None]
+            # numbers of the chart have five digits
+            np.testing.assert_allclose(
+                (off * np.linalg.solve(cov, off)).sum(axis=0), stats.chi2.ppf(0.95, 2), rtol=0.02
+            )
+
+
+def _traces(change):
+    return {trace["name"]: trace for trace in _chart(change)["data"]}
+
+
+def _chart(change):
+    text = base64.b64decode(plan_chart(change).partition(",")[2]).decode()
+    chart = json.loads(re.search(r'<metadata id="chart">(.*?)</metadata>', text, re.DOTALL)[1])
+    assert chart["layout"]["yaxis"]["scaleanchor"] == "x"
+    return chart
+
+
+def test_the_chart_holds_both_paths_the_truth_and_the_anchors(three):
+    _, _, found = three
+    change = found.shown[1]
+    traces = _traces(change)
+    for name, path in (("truth", change.truth), ("before", change.before.path), ("after", change.after.path)):
+        np.testing.assert_allclose([traces[name]["x"], traces[name]["y"]], path.T, rtol=1e-4, atol=1e-5)
+    (mark,) = (t for t in _chart(change)["data"] if t.get("marker", {}).get("symbol") == "triangle-up")
+    assert (mark["x"], mark["y"]) == ([0.0], [0.0])
+    assert [(a["x"], a["y"], a["text"]) for a in _chart(change)["layout"]["annotations"]] == [(0.0, 0.0, "A")]
+
+
+def test_the_plan_includes_all_anchors_unless_they_are_far_away(three):
+    change = three[2].shown[1]
+    paths = np.concatenate([change.truth, change.before.path, change.after.path])
+    low, size = np.nanmin(paths, axis=0), float(np.max(np.nanmax(paths, axis=0) - np.nanmin(paths, axis=0)))
+    for share, included in ((0.4, True), (4.0, False)):
+        corners = low + share * size * np.array([[-1, 0], [0, -1], [2, 0], [0, 2]])
+        rig = Rig("hall", anchors={f"{k}": np.array([*place, 2.0]) for k, place in enumerate(corners)})
+        layout = _chart(replace(change, rig=rig))["layout"]
+        for axis, places in zip(("xaxis", "yaxis"), corners.T, strict=True):
+            first, last = layout[axis]["range"]
+            assert (first < places.min() and places.max() < last) == included
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [1300, 400])
+def test_the_plans_are_drawn_in_a_browser(three, tmp_path, width):
+    _, _, found = three
+    path = write_tuning_report(tmp_path / "report.html", report_data(plans=found))
+    with chromium() as browser:
+        page = browser.new_page(viewport={"width": width, "height": 900})
+        errors = watched(page)
+        page.goto(path.as_uri())
+        page.wait_for_function("document.querySelectorAll('#plans .chart .main-svg').length >= 4")
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        # of the path on the screen: its points, and as many pixels a metre along x as along y
+        drawn, scales = page.evaluate("""() => {
+          const place = document.querySelector("#plans .chart"), { xaxis, yaxis } = place._fullLayout;
+          return [place.data.find((trace) => trace.name === "after").x, [xaxis._m, -yaxis._m]];
+        }""")
+        assert scales[0] == pytest.approx(scales[1], rel=1e-3)
+        assert [np.nan if x is None else x for x in drawn] == pytest.approx(
+            found.shown[0].after.path[:, 0], rel=1e-4, abs=1e-4, nan_ok=True
+        )
+        assert page.locator("#plans figcaption").first.inner_text().endswith("held out.")
+        assert not errors
+
+
+def test_of_many_tags_the_worst_the_median_and_the_best_are_shown():
+    folders = [_walk("hall", 4, tags=7)]
+    trackers, found = _run(folders)
+    ranked = sorted(_metrics(trackers[1], folders).values(), key=lambda t: -t["rmse_m"])
+    assert [t.tag for t in found.shown] == [ranked[k]["tag"] for k in (0, 3, 6)]
+    assert found.total == 7
+    assert [t.why for t in found.shown] == [
+        f"{word} RMSE after the fit, of 7 tags" for word in ("largest", "median", "smallest")
+    ]
+
+
+def test_of_many_recordings_those_that_moved_most_are_shown_in_their_order_and_held_out_ones_first():
+    folders = [_walk(f"r{k}", k, tags=1 + (k == 2)) for k in range(MOST_PLANS + 2)]
+    trackers, found = _run(folders, {"r5"})
+    old, new = (tracker.run(folders).table for tracker in trackers)
+    square = (old["x_m"] - new["x_m"]) ** 2 + (old["y_m"] - new["y_m"]) ** 2
+    moved = old.select("recording", "tag").with_columns(square.alias("s")).group_by("recording", "tag").mean()
+    first = pl.col("recording") == "r5"
+    kept = moved.sort(first, "s", descending=True)[:MOST_PLANS].sort(~first, "recording", "tag")
+    assert [(t.recording, t.tag) for t in found.shown] == list(kept.select("recording", "tag").iter_rows())
+    assert (len(found.shown), found.total) == (MOST_PLANS, MOST_PLANS + 3)
+    page = tuning_page(report_data(plans=found))
+    assert f"{MOST_PLANS} of {MOST_PLANS + 3} tracks are shown" in page
+    assert page.index("Floor plan of r5, tag t0") < page.index("Floor plan of r2, tag t1")
+
+
+def test_without_truth_there_are_paths_and_no_errors():
+    _, found = _run([_walk("blind", 5, tags=5, truth=False)])
+    assert len(found.shown) == 3
+    assert found.shown[0].why == "largest change, of 5 tags"
+    assert all(t.rmse == "" and len(t.truth) == 0 and len(t.before.path) for t in found.shown)
+    assert "truth" not in _traces(found.shown[0])
+
+
+def test_a_long_track_keeps_its_ends_and_its_largest_error():
+    folders = [_walk("long", 6, rows=6000)]
+    trackers, found = _run(folders)
+    rows = trackers[1].run(folders).table
+    path = found.shown[0].after.path
+    assert len(path) <= MOST_POINTS + 2
+    every = rows.select("x_m", "y_m").to_numpy()
+    truth = folders[0].tables["truth"].select("x_m", "y_m").to_numpy()
+    for row in (0, -1, int(np.argmax(np.linalg.norm(every - truth, axis=1)))):
+        assert (path == every[row]).all(axis=1).any()
+
+
+def test_directions_have_no_plan():
+    folders = [worlds.station(n=1, seed=1, rows=20).folder()]
+    side = tracked(tw.build("beam", folders), folders)
+    assert track_changes(side, side, folders, ()) == ((), 0)

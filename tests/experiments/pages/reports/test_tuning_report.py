@@ -1,0 +1,268 @@
+"""The report of a tuning run: complete, in one file, true to its numbers, and outspoken where a result is doubtful."""
+
+import base64
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from experiments.pages.plots import objective
+from experiments.pages.reports.advice import advice_on
+from experiments.pages.reports.tuning import agreement, tuning_page, write_tuning_report
+from experiments.pages.reports.tuning_data import MetricChange, OptimiserTrace, TunedParameter
+from experiments.text.wording import number, percent_change
+from tests.experiments.pages.reports.tuning_report_data import innovations, report_data
+from tuning.diagnostics import Innovations, autocorrelation, expected_density, nis_probabilities, normal_scores
+
+EMPTY = {"meta", "img", "br", "link"}
+
+
+class Page(HTMLParser):
+    """Elements that are open, everything that refers to something, tables' cells, and the text."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.addresses, self.cells, self.text, self.sections = [], [], [], [], []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attributes):
+        named = dict(attributes)
+        self.addresses += [v for k, v in named.items() if k in ("src", "href", "srcset", "data", "action")]
+        if tag == "section":
+            self.sections.append(named["id"])
+        if tag in ("td", "th"):
+            self.cells.append("")
+        if tag not in EMPTY:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append(data)
+        if self.open and {"td", "th"} & set(self.open):
+            self.cells[-1] += data
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    return write_tuning_report(tmp_path_factory.mktemp("report") / "report.html", report_data()).read_text("utf-8")
+
+
+@pytest.fixture(scope="module")
+def parsed(written):
+    return Page(written)
+
+
+def test_every_element_is_closed_and_every_section_is_there(parsed):
+    assert parsed.open == []
+    assert parsed.sections == ["settings", "parameters", "metrics", "optimisation", "consistency", "errors", "commands"]
+
+
+def test_the_page_needs_nothing_from_anywhere_else(written, parsed):
+    assert len(parsed.addresses) > 10
+    assert all(a.startswith("data:image/svg+xml;base64,") for a in parsed.addresses)
+    assert not re.search(r"<script[^>]+src|<link|<iframe", written)
+    assert not re.search(r"url\(|@import", re.sub(r"<script>.*?</script>", "", written, flags=re.DOTALL))
+    for address in parsed.addresses:
+        drawing = base64.b64decode(address.split(",", 1)[1]).decode()
+        # an address of a name space is a name, and nobody fetches it
+        outside = set(re.findall(r'(?:href|src)="([^"]*)"', drawing)) | set(re.findall(r"url\(([^)]*)\)", drawing))
+        assert all(part.startswith("#") for part in outside)
+        assert "@import" not in drawing
+
+
+def test_the_tables_hold_the_numbers_they_were_given(parsed):
+    text = " ".join(parsed.cells)
+    for n in report_data().parameters:
+        assert n.name in text
+        for value in (n.before, n.after, n.low, n.high):
+            assert number(value) in text
+    for s in report_data().metrics:
+        row = parsed.cells[next(k for k, c in enumerate(parsed.cells) if c.startswith(s.title)) :][:7]
+        assert [row[k] for k in (1, 2, 4, 5)] == [number(v) for v in (*s.training, *s.held_out)]
+
+
+def test_commands_and_recordings_are_named(parsed):
+    text = "".join(parsed.text)
+    for word in (
+        report_data().command,
+        *report_data().next_commands,
+        *report_data().training,
+        *report_data().held_out,
+        "4\u202f321",
+    ):
+        assert word in text
+
+
+def test_what_users_type_is_text_and_never_markup():
+    named = Page(tuning_page(report_data(command="tune <script>alert(1)</script> 'a&b'", training=("<b>",))))
+    assert "script" not in named.open
+    assert "tune <script>alert(1)</script> 'a&b'" in "".join(named.text)
+
+
+def test_a_change_of_a_log_density_is_a_difference_in_nats(parsed):
+    # From 0.4812 to 0.1327 on the recordings tuned on, from 0.4950 to 0.1411 on those held out.
+    changes = [cell for cell in parsed.cells if re.search(r"−0\.3(485|539)", cell)]
+    assert len(changes) == 2
+
+
+def test_a_good_result_is_recommended_and_nothing_warns():
+    kept = tuple(n for n in report_data().parameters if n.determined)
+    advice = advice_on(report_data(parameters=kept))
+    assert advice.good
+    assert advice.word == "Ready to use."
+    assert advice.warnings == ()
+    assert "0.4812 to 0.1327 nats" in advice.summary
+    assert "held-out recordings RMSE changed from 0.3233 to 0.2517 m (−22 %)" in advice.summary
+    assert "determine both parameters" in advice.summary
+
+
+def _with_metric(key, **changes):
+    return tuple(MetricChange(**(vars(s) | changes)) if s.key == key else s for s in report_data().metrics)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"metrics": _with_metric("rmse", held_out=(0.3, 0.307))}, ("Held-out RMSE", "more than 2 % worse")),
+        (
+            {"metrics": _with_metric("nis-shape", training=(0.1, 0.2))},
+            ("NIS", "on the recordings tuned on", "less reliable"),
+        ),
+        ({"metrics": _with_metric("nis-shape", held_out=(0.1, 0.2))}, ("NIS", "on held-out recordings")),
+        ({"metrics": _with_metric("nll", training=(0.1, 0.2))}, ("objective itself got worse",)),
+        ({}, ("do not determine start.sigma_start", "freeze or tie")),
+        (
+            {"issues": ("a and b are not determined one by one",)},
+            ("a and b are not", "freeze or tie"),
+        ),
+    ],
+)
+def test_what_got_worse_is_said_in_words(changes, words):
+    advice = advice_on(report_data(**changes))
+    assert not advice.good
+    assert any(all(word in warning for word in words) for warning in advice.warnings)
+
+
+def test_the_covariances_of_an_inconsistent_filter_are_not_recommended_even_if_they_improved():
+    kept = tuple(n for n in report_data().parameters if n.determined)
+    advice = advice_on(report_data(parameters=kept, metrics=_with_metric("nis-shape", held_out=(0.5, 0.3))))
+    assert advice.word == "Use the estimates, not the covariances."
+    assert "NIS is far from its distribution on held-out recordings (distance 0.3" in advice.warnings[0]
+
+
+def test_the_cautions_of_a_fit_are_warnings():
+    advice = advice_on(report_data(cautions=("the fit did not move", "sensors.fixes.sigma_p collapsed")))
+    assert advice.word == "Check before use."
+    assert advice.warnings[:2] == ("The fit did not move.", "sensors.fixes.sigma_p collapsed.")
+
+
+def test_a_held_out_error_within_two_per_cent_warns_nobody():
+    scores = _with_metric("rmse", held_out=(0.3, 0.305))
+    assert not any("RMSE" in w for w in advice_on(report_data(metrics=scores)).warnings)
+
+
+def test_a_run_without_truth_held_out_recordings_starts_or_intervals_has_a_page_too():
+    nan = (float("nan"),) * 2
+    scores = tuple(MetricChange(**(vars(s) | {"held_out": nan})) for s in report_data().metrics if s.key != "rmse")
+    numbers = (TunedParameter("motion.sigma_a", "1", 0.05, 0.1),)
+    bare = report_data(
+        metrics=scores, held_out=(), parameters=numbers, errors=(), innovations=None, surface=None, traces=()
+    )
+    shown = Page(tuning_page(bare))
+    assert shown.open == []
+    assert shown.sections == ["settings", "parameters", "metrics", "commands"]
+    assert "does not show how the result generalises" in "".join(shown.text)
+
+
+def test_numbers_are_short_and_changes_have_a_sign():
+    assert [number(v) for v in (0.123456, -2.0, float("nan"), 1.5e-7)] == [
+        "0.1235",
+        "−2",
+        "–",
+        "1.5·10⁻⁷",
+    ]
+    assert [percent_change(*p) for p in ((2.0, 1.0), (1.0, 1.013), (0.0, 1.0), (float("nan"), 1.0))] == [
+        "−50 %",
+        "+1.3 %",
+        "",
+        "",
+    ]
+
+
+def test_probabilities_and_scores_are_those_of_scipy():
+    seen = innovations(1.3)
+    np.testing.assert_allclose(nis_probabilities(seen), stats.chi2.cdf(seen.nis, seen.dof), rtol=1e-9)
+    # the inverse of a probability near 1 has its rounding times a few thousand
+    np.testing.assert_allclose(normal_scores(seen), stats.norm.ppf(stats.chi2.cdf(seen.nis, seen.dof)), atol=1e-8)
+
+
+def test_the_density_is_the_mixture_of_the_rows_degrees_of_freedom():
+    x = np.linspace(0.1, 9, 5)
+    wanted = 0.75 * stats.chi2.pdf(x, 2) + 0.25 * stats.chi2.pdf(x, 5)
+    seen = Innovations(np.ones(4), np.array([2.0, 5.0, 2.0, 2.0]), np.zeros(4, int))
+    np.testing.assert_allclose(expected_density(x, seen), wanted, rtol=1e-12)
+
+
+def test_the_density_and_probability_of_noise_with_a_tail_belong_together():
+    edges = np.linspace(0.01, 12, 4001)
+    seen = Innovations(edges, np.full(len(edges), 2.0), np.zeros(len(edges), int), student_t_dof=4.0)
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    same = np.zeros(len(middle), int)
+    density = expected_density(middle, Innovations(middle, np.full(len(middle), 2.0), same, student_t_dof=4.0))
+    # the middle rule's own error over 4,000 steps
+    np.testing.assert_allclose(
+        np.cumsum(density) * (edges[1] - edges[0]), nis_probabilities(seen)[1:] - nis_probabilities(seen)[0], atol=1e-4
+    )
+
+
+def test_the_density_of_a_heavy_tail_is_finite_and_ends():
+    x = np.linspace(0.01, 12, 500)
+    seen = Innovations(x, np.ones(len(x)), np.zeros(len(x), int), student_t_dof=1.8)
+    density = expected_density(x, seen)
+    assert np.isfinite(density).all()
+    # The NIS of a row with one degree of freedom is below 1 + 1.8.
+    assert (density[x < 2.8] > 0).all()
+    assert (density[x > 2.8] == 0).all()
+
+
+def test_autocorrelation_is_that_of_the_model_and_stops_at_the_end_of_a_trajectory():
+    rng = np.random.default_rng(0)
+    z = np.zeros(20_000)
+    for k in range(1, len(z)):
+        z[k] = 0.6 * z[k - 1] + 0.8 * rng.normal()
+    nis = stats.chi2.ppf(stats.norm.cdf(z), 2)
+    trajectory = np.repeat(np.arange(4), 5_000)
+    found, pairs = autocorrelation(Innovations(nis, np.full(len(nis), 2.0), trajectory), 5)
+    # standard error of each about 0.01
+    np.testing.assert_allclose(found, 0.6 ** np.arange(1, 6), atol=0.04)
+    assert pairs == 4 * 4_999
+    alone, none = autocorrelation(Innovations(nis[:9], np.full(9, 2.0), np.arange(9)), 3)
+    assert np.isnan(alone).all()
+    assert none == 0
+
+
+def test_how_many_starts_end_at_one_point_is_said_and_whether_another_is_lower():
+    def start(end, objective):
+        return OptimiserTrace("", np.array([9.0, objective]), np.array([[5.0, 5.0], end]))
+
+    near, far, lower = start([1.05, 2.0], 1.0), start([1.0, 2.5], 1.2), start([3.0, 2.0], 0.5)
+    assert agreement([start([1.0, 2.0], 1.0), near]) == "All 2 starts end at one point (values within a tenth)."
+    one_of_three = agreement([start([1.0, 2.0], 1.0), far, lower])
+    assert one_of_three.startswith(
+        "1 of 3 starts end at the selected point (values within a tenth); 2 end elsewhere, 1 "
+    )
+    assert one_of_three.endswith("1 of them with a lower objective: the optimum is not certain.")
+    assert "2 of 3 starts" in agreement([start([1.0, 2.0], 1.0), near, far])
+    assert "none with a lower objective" in agreement([start([1.0, 2.0], 1.0), near, far])
+
+
+def test_the_contours_name_the_objective_as_their_neighbour_does(monkeypatch):
+    named = []
+    monkeypatch.setattr(objective, "_contours", lambda *args: named.append(args[-1]))
+    objective.surface_chart(data := report_data(), data.surface)
+    assert named == [data.objective_about]

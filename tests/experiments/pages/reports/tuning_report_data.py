@@ -1,0 +1,71 @@
+"""Made-up data of a tuning report, with everything that the report shows."""
+
+import numpy as np
+
+from experiments.pages.reports.tuning_data import (
+    ErrorTrack,
+    MetricChange,
+    OptimiserTrace,
+    TunedParameter,
+    TuningReportData,
+)
+from tuning.diagnostics import Innovations
+from tuning.surface import Surface
+
+
+def innovations(scale: float, seed: int = 0, trajectories: int = 4, rows: int = 300) -> Innovations:
+    """χ² values with two and three degrees of freedom by turns, times `scale`."""
+    rng = np.random.default_rng(seed)
+    dof = np.tile([2.0, 3.0], trajectories * rows // 2)
+    return Innovations(scale * rng.chisquare(dof), dof, np.repeat(np.arange(trajectories), rows))
+
+
+def report_data(**changes) -> TuningReportData:
+    """A run that tuned three numbers from three starts, by likelihood, on two recordings, with two held out."""
+    rng = np.random.default_rng(1)
+    numbers = (
+        TunedParameter("motion.sigma_a", "m/s/sqrt(s)", 0.05, 0.1371, 0.121, 0.155, True),
+        TunedParameter("sensors.fixes.sigma_p", "m", 0.3, 0.2203, 0.2151, 0.2258, True),
+        TunedParameter("start.sigma_start", "m", 0.5, 0.9, float("nan"), float("nan"), False),
+    )
+    end = np.array([n.after for n in numbers])
+    steps = np.arange(25)[:, None]
+    ways = [end * np.exp(np.log(factor / end) * 0.8**steps) for factor in
+            (np.array([0.05, 0.3, 0.5]), np.array([0.5, 0.06, 0.3]), np.array([0.02, 1.2, 0.8]))]  # fmt: skip
+    away = [((np.log(w / end)) ** 2).sum(axis=1) for w in ways]
+    grids = np.geomspace(0.04, 0.5, 15), np.geomspace(0.08, 0.6, 13)
+    x, y = np.meshgrid(*(np.log(g / e) for g, e in zip(grids, end[:2], strict=True)), indexing="ij")
+    times = np.arange(400) * 0.2
+    tracks = tuple(
+        ErrorTrack(f"line-{k}, tag {k}", times, 0.3 * np.abs(rng.normal(size=400)) + 0.02 * k,
+                   0.22 * np.abs(rng.normal(size=400)) + 0.03 * k)
+        for k in range(5)
+    )  # fmt: skip
+    made = TuningReportData(
+        command="trackwright tune line-a line-b --held-out line-c line-d --out tuned",
+        next_commands=("trackwright track RECORDING --noise tuned/tuned.toml --out tracked",
+               "trackwright tune line-a line-b --held-out line-c line-d --out tuned"),
+        tracker="line-grid",
+        tracker_about="position on a known path, by a grid of arclength and speed",
+        objective="nll",
+        objective_about="negative log-likelihood per measured number (nats)",
+        training=("line-a", "line-b"),
+        held_out=("line-c", "line-d"),
+        parameters=numbers,
+        metrics=(
+            MetricChange("nll", "Negative log-likelihood", "nats", (0.4812, 0.1327), (0.4950, 0.1411)),
+            MetricChange("rmse", "RMSE", "m", (0.3126, 0.2418), (0.3233, 0.2517)),
+            MetricChange("nis_ratio", "NIS per degree of freedom", "1", (0.541, 1.013), (0.562, 0.987), 1.0),
+            MetricChange("nis-shape", "Distance of NIS from χ²", "1", (0.2312, 0.0121), (0.2288, 0.0145)),
+        ),
+        traces=tuple(OptimiserTrace(f"start {k + 1}", 0.1327 + a, w) for k, (a, w) in enumerate(zip(away, ways, strict=True))),
+        surface=Surface((0, 1), grids, 0.1327 + x**2 + y**2 + 0.4 * x * y),
+        evaluated_on="held-out recordings",
+        innovations=(innovations(0.55), innovations(1.0, 7)),
+        errors=tracks,
+        error_unit="m",
+        filter_runs=4321,
+        seconds=47.3,
+        provenance=(("trackwright", "0.1.0"), ("created", "2026-01-02 03:04 UTC")),
+    )  # fmt: skip
+    return TuningReportData(**(vars(made) | changes))
