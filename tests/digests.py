@@ -210,12 +210,14 @@ def _difference(before: np.ndarray | None, after: np.ndarray | None) -> str:
         return f"shape {before.shape} became {after.shape}"
     if before.tobytes() == after.tobytes():
         return ""
-    if before.dtype.kind not in "fiu":
+    if before.dtype != after.dtype or before.dtype.kind not in "fiu":
         return f"{np.sum(before != after)} of {before.size} differ"
-    apart, size = np.abs(after.astype(float) - before), np.maximum(np.abs(before), np.abs(after))
+    raw = [np.ascontiguousarray(x).view(np.uint8).reshape(x.size, -1) for x in (before, after)]
     with np.errstate(invalid="ignore", divide="ignore"):
-        relative = np.nan_to_num(apart / size, nan=0.0)
-    return f"{np.sum(apart > 0)} of {before.size} differ, by at most {relative.max(initial=0.0):.1e} relative"
+        relative = np.abs(after.astype(float) - before) / np.maximum(np.abs(before), np.abs(after))
+    relative[np.isnan(before) != np.isnan(after)] = np.inf
+    largest = np.nan_to_num(relative, nan=0.0, posinf=np.inf).max(initial=0.0)
+    return f"{np.sum((raw[0] != raw[1]).any(axis=1))} of {before.size} differ, by at most {largest:.1e} relative"
 
 
 if __name__ == "__main__":
