@@ -12,9 +12,9 @@ from unittest import mock
 
 import jax
 
-from experiments.cli import console
 from experiments.cli.main import main
 from experiments.pages.plots import style
+from experiments.text import terminal
 from trackers.core import traced_programs
 
 
@@ -33,7 +33,7 @@ def trackwright(*arguments: str | Path | float) -> CommandResult:
     with (
         mock.patch.object(sys, "argv", ["trackwright", *map(str, arguments)]),
         mock.patch.dict(os.environ),
-        mock.patch.object(console.ERRORS, "quiet", False),
+        mock.patch.object(terminal.ERRORS, "quiet", False),
         mock.patch.dict(style.STYLE, {"savefig.dpi": 40}),
         # Tests replace functions of ours, of which a program that is not traced knows nothing.
         mock.patch.object(traced_programs, "use"),

@@ -10,7 +10,7 @@ import time
 import pytest
 from rich.console import Console
 
-from experiments.cli import stages as module
+from experiments.text import terminal as module
 from experiments.text.terminal import Compilation, stages
 
 

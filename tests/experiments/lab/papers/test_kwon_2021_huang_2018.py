@@ -58,7 +58,7 @@ def test_a_fit_finds_the_parameters_at_which_the_ratios_are_one():
 
 
 def test_fitted_parameters_are_read_as_they_were_written(tmp_path, monkeypatch):
-    monkeypatch.setattr(fitting, "EXPERIMENTS", tmp_path)
+    monkeypatch.setattr(fitting, "LAB", tmp_path)
     (tmp_path / "papers" / "someone" / "fitted").mkdir(parents=True)
     write_fitted(
         "someone/x", "none", {"drift": Fitted(0.0123456, "m", "the mean"), "share": Fitted(0.5, "1", "the rest")}
