@@ -13,6 +13,7 @@ from trackers.core.rig import rotation_matrices
 from trackers.exchange.poses import PoseTrajectory, quaternions_of
 from trackers.recordings.atomic import atomic_write
 from trackers.recordings.input_file import file_bytes
+from trackers.recordings.tables import restarted_at
 
 Kind = Literal["tum", "kitti", "euroc"]
 
@@ -76,6 +77,12 @@ def read_trajectory(path: Path | str, kind: Kind | None = None, times: Path | st
         if kind == "euroc":
             stamps = stamps / 1e9
     if (np.diff(stamps) < 0).any():
+        at = restarted_at(stamps)
+        if at is not None:
+            raise UnusableInput(
+                f"{path}: pose {at + 1}: {stamps[at]:.3f} s after {stamps[:at].max():.3f} s: the clock went back; "
+                "expected times that increase; make the poses before and after it two files"
+            )
         notices.append(f"rows earlier than the previous row: {int((np.diff(stamps) < 0).sum())}; sorted")
         order = np.argsort(stamps, kind="stable")
         stamps, positions, quaternions = stamps[order], positions[order], quaternions[order]

@@ -244,24 +244,31 @@ def _check_antennas(file: TableFile, frame: pl.DataFrame, arrays: dict) -> None:
 
 
 def _refuse_restart(file: TableFile, frame: pl.DataFrame, ids: tuple[str, ...]) -> None:
-    """Raises UnusableInput where the time of a sensor and tag goes back and then repeats times that it had before.
-
-    Late rows do not, which fill a gap, nor duplicates, nor rows in any order, whose steps are as large.
-    """
+    """Raises UnusableInput where the clock of a sensor and tag restarts."""
     rows = frame.with_row_index("row").unique(subset=frame.columns, keep="first", maintain_order=True)
     for part in rows.partition_by(ids, maintain_order=True):
         t = part["t_s"].to_numpy()
-        latest = np.maximum.accumulate(t)
-        behind = t < latest - max(JITTER_S, JITTER * float(np.median(np.abs(np.diff(t, prepend=t[0])))))
-        ends = np.flatnonzero(np.diff(behind, prepend=False, append=False))
-        for start, end in ends.reshape(-1, 2):
-            again = t[start:end]
-            if len(again) >= LEAST_AGAIN and (~behind & (t > again.min()) & (t < again.max())).any():
-                raise UnusableInput(
-                    f"{file.location(part['row'][int(start)], 't_s')}: {t[start]:.3f} after {latest[start]:.3f} of the "
-                    f"same {' and '.join(reversed(ids))}: the clock went back; expected times that increase; make the "
-                    "rows before and after it two recordings"
-                )
+        at = restarted_at(t)
+        if at is not None:
+            raise UnusableInput(
+                f"{file.location(part['row'][at], 't_s')}: {t[at]:.3f} after {t[:at].max():.3f} of the same "
+                f"{' and '.join(reversed(ids))}: the clock went back; expected times that increase; make the rows "
+                "before and after it two recordings"
+            )
+
+
+def restarted_at(t: np.ndarray) -> int | None:
+    """The first row of times (n,), s, at which they go back and then repeat times that they had before; None without.
+
+    Late rows do not, which fill a gap, nor duplicates, nor rows in any order, whose steps are as large.
+    """
+    latest = np.maximum.accumulate(t)
+    behind = t < latest - max(JITTER_S, JITTER * float(np.median(np.abs(np.diff(t, prepend=t[0])))))
+    for start, end in np.flatnonzero(np.diff(behind, prepend=False, append=False)).reshape(-1, 2):
+        again = t[start:end]
+        if len(again) >= LEAST_AGAIN and (~behind & (t > again.min()) & (t < again.max())).any():
+            return int(start)
+    return None
 
 
 def _first(rows: pl.Series) -> int:

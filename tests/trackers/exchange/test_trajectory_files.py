@@ -98,6 +98,14 @@ def test_rows_out_of_order_are_sorted_with_a_notice_and_kitti_rows_are_counted_w
     assert "have no times" in read_trajectory(tmp_path / "a.kitti").notices[0]
 
 
+def test_poses_whose_clock_restarts_are_no_one_trajectory(tmp_path):
+    file = tmp_path / "two.tum"
+    times = [*np.arange(0.0, 10.0, 0.5), *np.arange(0.25, 10.0, 0.5)]
+    file.write_text("\n".join(f"{t} {k} 0 0 0 0 0 1" for k, t in enumerate(times)))
+    with pytest.raises(UnusableInput, match=r"two\.tum: pose 21: 0\.250 s after 9\.500 s: the clock went back"):
+        read_trajectory(file)
+
+
 @pytest.mark.parametrize(
     ("name", "text", "words"),
     [
