@@ -37,11 +37,11 @@ TUNED = 2
 """How many numbers of a tracker are differentiated for."""
 
 STUDIES = {
-    "agv": ("agv", ["fix-kf", "imm", "median"]),
-    "ranges": ("ranges", ["uwb", "trilateration"]),
-    "line": ("line", ["line-pf"]),
+    "agv": ("rows = 60", ["fix-kf", "imm", "median"]),
+    "ranges": ("rows = 60", ["uwb", "multilateration"]),
+    "line": ("", ["line-pf"]),
 }
-"""World and trackers of each study."""
+"""Parameters of the world of this name, and the trackers of its study."""
 
 WORKERS = 2
 
@@ -161,10 +161,10 @@ def _numbers(tracker: Any, batch: list[Any]) -> Iterator[tuple[str, Any]]:
 
 def of_study(name: str) -> dict[str, np.ndarray]:
     """The results of a study of `STUDIES`, but for its times."""
-    world, trackers = STUDIES[name]
+    parameters, trackers = STUDIES[name]
     with tempfile.TemporaryDirectory() as folder:
         declared = Path(folder, "study.toml")
-        text = [f'name = "{name}"', 'about = "digests"', "runs = 24", f'[worlds.one]\nkind = "{world}"\nrows = 60']
+        text = [f'name = "{name}"', 'about = "digests"', "runs = 24", f'[worlds.one]\nkind = "{name}"', parameters]
         declared.write_text("\n".join([*text, *(f"[trackers.{t}]" for t in trackers)]))
         _run("study", declared, "--out", Path(folder, "out"), "--no-figures", "--no-report")
         results = json.loads(Path(folder, "out", "results.json").read_text())
