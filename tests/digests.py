@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 
 from experiments.cli.runtime import keep_programs, set_flags
+from experiments.lab.subprocesses import recordings_folder, required_recordings
 
 ROOT = Path(__file__).parents[1]
 KEPT = ROOT / "out" / "digests"
@@ -80,17 +81,14 @@ def of_commit(revision: str, only: str) -> Path:
         tree = Path(folder, "tree")
         subprocess.run(["git", "worktree", "add", "--quiet", "--detach", tree, commit], cwd=ROOT, check=True)
         try:
-            there = {**os.environ, "PYTHONPATH": str(tree), "TRACKWRIGHT_RECORDINGS": str(recordings())}
+            real = recordings_folder()
+            found = {} if real is None else {"TRACKWRIGHT_RECORDINGS": str(real.resolve())}
+            there = {**os.environ, "PYTHONPATH": str(tree), **found}
             command = [sys.executable, "-m", "tests.digests", "--write", kept, "--only", only]
             subprocess.run(command, cwd=tree, env=there, check=True)
         finally:
             subprocess.run(["git", "worktree", "remove", "--force", tree], cwd=ROOT, check=True)
     return kept
-
-
-def recordings() -> Path:
-    """The folder of real recordings, which need not exist."""
-    return Path(os.environ.get("TRACKWRIGHT_RECORDINGS", ROOT.parent / "shared" / "recordings")).resolve()
 
 
 def write(folder: Path, only: str) -> None:
@@ -100,8 +98,13 @@ def write(folder: Path, only: str) -> None:
 
     folder.mkdir(parents=True, exist_ok=True)
     # Long ones first. A new process for every few subjects: compiled programs take many memory maps.
-    real = sorted(path.parent.name for path in recordings().glob("*/rig.toml"))
-    jobs = [("study", name) for name in STUDIES] + [("recording", name) for name in real] + [("case", c) for c in CASES]
+    real = recordings_folder()
+    subjects = {
+        "study": [*STUDIES],
+        "recording": [] if real is None else sorted(path.parent.name for path in real.glob("*/rig.toml")),
+        "case": [*CASES],
+    }
+    jobs = [(kind, name) for kind, names in subjects.items() for name in names]
     names = {job: ", ".join(job) for job in jobs}
     jobs = [j for j in jobs if _asked(names[j], only) and not (folder / f"{names[j]}.npz").exists()]
     with ProcessPoolExecutor(WORKERS, get_context("spawn"), max_tasks_per_child=8) as pool:
@@ -152,7 +155,7 @@ def _numbers(tracker: Any, batch: list[Any]) -> Iterator[tuple[str, Any]]:
         leaves = jax.tree_util.tree_leaves([getattr(one, field) for one in estimates])
         yield field, np.concatenate([np.ravel(x).astype(float) for x in leaves]) if leaves else np.zeros(0)
     tuned = sorted(tunables(tracker))[:TUNED]
-    if tuned and hasattr(estimates[0], "log_likelihood") and np.any(np.isfinite(estimates[0].log_likelihood)):
+    if tuned and np.any(np.isfinite(estimates[0].log_likelihood)):
         parameters = select_parameters(tracker, tuple(tuned))
         found = Problem(tracker, [stack(batch)], NegativeLogLikelihood(), parameters).evaluate(flatten(parameters))
         yield "objective", found.terms
@@ -181,7 +184,7 @@ def of_recording(name: str) -> dict[str, np.ndarray]:
     import polars as pl
 
     with tempfile.TemporaryDirectory() as folder:
-        _run("track", recordings() / name, "--out", Path(folder, "out"), "--no-figures", "--no-report")
+        _run("track", required_recordings() / name, "--out", Path(folder, "out"), "--no-figures", "--no-report")
         tracks = pl.read_parquet(Path(folder, "out", "tracks.parquet"))
     columns = {c.name: c.to_numpy() for c in tracks}
     return {name: x if x.dtype != object else x.astype(str) for name, x in columns.items()}
