@@ -17,7 +17,6 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from functools import partial
 from multiprocessing import get_context
@@ -107,12 +106,15 @@ def write(folder: Path, only: str) -> None:
     jobs = [(kind, name) for kind, names in subjects.items() for name in names]
     names = {job: ", ".join(job) for job in jobs}
     jobs = [j for j in jobs if _asked(names[j], only) and not (folder / f"{names[j]}.npz").exists()]
-    with ProcessPoolExecutor(WORKERS, get_context("spawn"), max_tasks_per_child=8) as pool:
-        made = {pool.submit(subject, *job): job for job in jobs}
-        for count, done in enumerate(as_completed(made), 1):
-            name = names[made[done]]
-            atomic_write(folder / f"{name}.npz", partial(_save, done.result()))
-            print(f"{count} of {len(jobs)}: {name}", file=sys.stderr, flush=True)
+    # A ProcessPoolExecutor hangs when all its workers are replaced (CPython issue 115634); a Pool does not.
+    with get_context("spawn").Pool(WORKERS, maxtasksperchild=8) as pool:
+        for count, (job, arrays) in enumerate(pool.imap_unordered(_made, jobs), 1):
+            atomic_write(folder / f"{names[job]}.npz", partial(_save, arrays))
+            print(f"{count} of {len(jobs)}: {names[job]}", file=sys.stderr, flush=True)
+
+
+def _made(job: tuple[str, str]) -> tuple[tuple[str, str], dict[str, np.ndarray]]:
+    return job, subject(*job)
 
 
 def _save(arrays: dict[str, np.ndarray], path: Path) -> None:
